@@ -1,0 +1,1 @@
+"""Two maps to objects, and objects to a table of changes."""

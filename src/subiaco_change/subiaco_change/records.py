@@ -1,0 +1,163 @@
+"""What the change stage hands on: codes, one record an object, and the whole result."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from enum import IntEnum
+
+import numpy as np
+from numpy.typing import NDArray
+from shapely.geometry.base import BaseGeometry
+from subiaco_geo.clouds import PointCloud
+from subiaco_geo.frames import Floats
+
+
+class Change(IntEnum):
+    """Point codes of the published evaluation, and the two outcomes beside them."""
+
+    ADDED = 0
+    REMOVED = 1
+    INCREASED = 2
+    DECREASED = 3
+    UNCHANGED = 4
+    NOT_REPORTED = 254
+    UNOBSERVED = 255
+
+    @property
+    def label(self) -> str:
+        """Name in the table, e.g. ``Added``."""
+        return self.name.title().replace("_", "")
+
+
+class Semantic(IntEnum):
+    """Point classes of the published evaluation."""
+
+    GROUND = 0
+    BUILDING = 1
+    VEGETATION = 2
+    MOBILE = 3
+    OTHER = 4
+
+    @property
+    def label(self) -> str:
+        """Name in the table, e.g. ``building``."""
+        return self.name.lower()
+
+
+#: Colours of the paper, red green blue 0-255.
+CHANGE_COLOURS: dict[Change, tuple[int, int, int]] = {
+    Change.ADDED: (44, 160, 44),
+    Change.REMOVED: (214, 39, 40),
+    Change.INCREASED: (31, 119, 180),
+    Change.DECREASED: (255, 127, 14),
+    Change.UNCHANGED: (150, 150, 150),
+    Change.NOT_REPORTED: (200, 200, 200),
+    Change.UNOBSERVED: (225, 215, 190),
+}
+
+SEMANTIC_COLOURS: dict[Semantic, tuple[int, int, int]] = {
+    Semantic.GROUND: (190, 174, 150),
+    Semantic.BUILDING: (178, 74, 68),
+    Semantic.VEGETATION: (70, 140, 60),
+    Semantic.MOBILE: (70, 110, 190),
+    Semantic.OTHER: (130, 130, 130),
+}
+
+
+@dataclass(frozen=True)
+class ChangeRecord:
+    """One row of the change table: an object, or a changed ground patch.
+
+    Units are metres and cubic metres; ``x y z`` are world coordinates of the
+    centroid in the frame of *after*. Statistics that do not exist for a row
+    (e.g. ``iou_3d`` of an unmatched object) are NaN and empty in the files.
+    """
+
+    object_id: int
+    semantic: Semantic
+    change: Change
+    id_before: tuple[int, ...]
+    id_after: tuple[int, ...]
+    match_kind: str  # one_to_one, split, merge, none
+    delta_h_m: float
+    delta_v_m3: float
+    delta_v_surface_m3: float
+    delta_c_m: float
+    iou_3d: float
+    d_perp_m: float
+    lod95_m: float
+    observed_fraction: float
+    evidence: str  # observed, trajectory, shadow, assumed
+    score_paper: float
+    confidence: float
+    n_before: int
+    n_after: int
+    x: float
+    y: float
+    z: float
+    footprint: BaseGeometry  # world coordinates
+    reason: str = ""  # the rule that decided, in words
+
+
+@dataclass(frozen=True)
+class Registration:
+    """The rigid transform between two epochs and how far to trust it.
+
+    ``T_after_before`` acts on world coordinates of *before*; to keep the
+    numbers small it is stored about ``origin`` (the overlap centroid):
+    ``p_after = origin + T_local @ (p_before - origin)``.
+    """
+
+    T_local: Floats
+    origin: Floats
+    sigma_reg_m: float
+    rmse_m: float
+    inlier_ratio: float
+    pose_std: Floats  # (6,) rotation [rad] then translation [m], about origin
+    method: str
+    degenerate: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    details: Mapping[str, float] = field(default_factory=dict)
+
+    @property
+    def T_after_before(self) -> Floats:
+        """4x4 in world coordinates."""
+        T_world = self.T_local.copy()
+        T_world[:3, 3] = self.origin + self.T_local[:3, 3] - self.T_local[:3, :3] @ self.origin
+        return T_world
+
+
+@dataclass(frozen=True)
+class GroundChange:
+    """Raster of ground elevation change, row 0 in the north.
+
+    ``dz`` and ``confidence`` are (rows, columns) float32, NaN where either
+    epoch has no ground; ``west`` and ``north`` are world coordinates of the
+    outer corner; ``cell`` is the edge [m].
+    """
+
+    dz: NDArray[np.float32]
+    confidence: NDArray[np.float32]
+    west: float
+    north: float
+    cell: float
+
+
+@dataclass(frozen=True)
+class ChangeResult:
+    """Everything a change run found.
+
+    ``before`` and ``after`` are clouds at the working leaf in the frame of
+    *after*, with fields ``change`` uint8, ``semantic`` uint8, ``instance``
+    int32, ``confidence`` float32, ``lod95`` float32 and, where known,
+    ``intensity`` float32 and ``normals``.
+    """
+
+    records: tuple[ChangeRecord, ...]
+    before: PointCloud
+    after: PointCloud
+    registration: Registration
+    ground: GroundChange | None
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    warnings: tuple[str, ...] = ()

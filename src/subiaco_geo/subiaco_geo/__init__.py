@@ -1,0 +1,6 @@
+"""Ground floor: point clouds, frames, coordinate systems, files, configuration, errors.
+
+No ROS and no SLAM library is imported here; every other room builds on this one.
+"""
+
+__version__ = "0.1.0"

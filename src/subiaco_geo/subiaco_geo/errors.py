@@ -1,0 +1,23 @@
+"""The exceptions of the project; the command line turns them into exit codes."""
+
+
+class SubiacoError(Exception):
+    """Root of every error raised on purpose.
+
+    The message is one line that names the file, topic or field at fault and
+    the remedy.
+    """
+
+    exit_code = 1
+
+
+class InputError(SubiacoError):
+    """The user's input or usage is at fault (exit code 2)."""
+
+    exit_code = 2
+
+
+class RegistrationError(SubiacoError):
+    """Two epochs could not be registered, or not to be trusted (exit code 3)."""
+
+    exit_code = 3

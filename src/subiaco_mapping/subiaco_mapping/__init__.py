@@ -1,0 +1,1 @@
+"""Packets to scans to poses to one georeferenced map of an epoch."""
