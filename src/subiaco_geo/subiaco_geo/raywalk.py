@@ -1,0 +1,200 @@
+"""Walking beams through a sparse voxel grid: which voxels returned light, which let it pass."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from subiaco_geo.errors import InputError
+from subiaco_geo.frames import Floats, Ints
+from subiaco_geo.visibility import VisibilityGrid
+
+_EMPTY = -1
+_LIMIT = 1 << 20  # voxel indices that fit a key, see subiaco_geo.clouds.voxel_keys
+_MAX_LOAD = 0.6
+
+Counts = NDArray[np.uint32]
+Flags = NDArray[np.bool_]
+
+
+@numba.njit(cache=True, inline="always")
+def _slot(keys, key):  # type: ignore[no-untyped-def]
+    """Return the slot of a key in an open-addressing table, or the empty slot for it."""
+    mask = np.uint64(len(keys) - 1)
+    mixed = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
+    slot = (mixed ^ (mixed >> np.uint64(32))) & mask
+    while keys[slot] != key and keys[slot] != _EMPTY:
+        slot = (slot + np.uint64(1)) & mask
+    return slot
+
+
+@numba.njit(cache=True)
+def _reinsert(old_keys, old_hits, old_passes, keys, hits, passes):  # type: ignore[no-untyped-def]
+    """Copy every entry of one table into a larger, empty one."""
+    for i in range(len(old_keys)):
+        if old_keys[i] != _EMPTY:
+            slot = _slot(keys, old_keys[i])
+            keys[slot] = old_keys[i]
+            hits[slot] = old_hits[i]
+            passes[slot] = old_passes[i]
+
+
+@numba.njit(cache=True)
+def _walk(starts, ends, returned, first, room, keys, hits, passes):  # type: ignore[no-untyped-def]
+    """Walk beams (voxel units) from index ``first`` until done or the table is full.
+
+    Amanatides and Woo (1987), with the number of steps fixed beforehand on
+    every axis, so that rounding can never walk past the end voxel. Returns
+    the next beam and the number of new entries.
+    """
+    added = 0
+    for ray in range(first, len(starts)):
+        cell = np.empty(3, np.int64)
+        left = np.empty(3, np.int64)
+        step = np.empty(3, np.int64)
+        t_next = np.empty(3)
+        t_delta = np.empty(3)
+        steps = 0
+        for axis in range(3):
+            cell[axis] = np.int64(np.floor(starts[ray, axis]))
+            left[axis] = abs(np.int64(np.floor(ends[ray, axis])) - cell[axis])
+            direction = ends[ray, axis] - starts[ray, axis]
+            step[axis] = 1 if direction > 0 else -1
+            t_next[axis] = np.inf
+            t_delta[axis] = 0.0
+            if left[axis] > 0:
+                edge = cell[axis] + (1 if direction > 0 else 0)
+                t_next[axis] = (edge - starts[ray, axis]) / direction
+                t_delta[axis] = abs(1.0 / direction)
+            steps += left[axis]
+        if added + steps + 1 > room:
+            return ray, added
+        for i in range(steps + 1):
+            key = ((cell[0] + _LIMIT) << 42) | ((cell[1] + _LIMIT) << 21) | (cell[2] + _LIMIT)
+            slot = _slot(keys, key)
+            if keys[slot] == _EMPTY:
+                keys[slot] = key
+                added += 1
+            if i < steps:
+                passes[slot] += 1
+            elif returned[ray]:
+                hits[slot] += 1
+            else:
+                passes[slot] += 1
+            axis = 0
+            if t_next[1] < t_next[axis]:
+                axis = 1
+            if t_next[2] < t_next[axis]:
+                axis = 2
+            if left[axis] > 0:
+                cell[axis] += step[axis]
+                left[axis] -= 1
+                t_next[axis] = t_next[axis] + t_delta[axis] if left[axis] > 0 else np.inf
+    return len(starts), added
+
+
+def _beams(starts: Floats, ends: Floats, origin: Floats, voxel: float) -> tuple[Floats, Floats]:
+    """Check beams and put them in voxel units."""
+    if starts.shape != ends.shape or starts.ndim != 2 or starts.shape[1] != 3:
+        raise InputError(f"beam starts {starts.shape} and ends {ends.shape} must both be (N, 3)")
+    units = tuple(np.ascontiguousarray((points - origin) / voxel) for points in (starts, ends))
+    for name, points in zip(("starts", "ends"), units, strict=True):
+        if not np.isfinite(points).all():
+            raise InputError(f"beam {name} hold NaN or infinite coordinates; drop them first")
+        if len(points) and np.abs(points).max() >= _LIMIT - 1:
+            raise InputError(
+                f"beam {name} lie more than {_LIMIT} voxels from the grid origin; use a nearer origin"
+            )
+    return units[0], units[1]
+
+
+class VisibilityAccumulator:
+    """Counts hits and passes of many batches of beams in one growing hash table.
+
+    Parameters
+    ----------
+    origin : (3,) float64
+        World coordinates of the corner of voxel (0, 0, 0) [m].
+    voxel : float
+        Edge [m].
+    capacity : int
+        First size of the table [voxels]; it grows by itself.
+    """
+
+    def __init__(self, origin: Floats, voxel: float, capacity: int = 1 << 18) -> None:
+        if voxel <= 0:
+            raise InputError(f"voxel must be positive, got {voxel}")
+        self.origin = np.asarray(origin, dtype=np.float64)
+        self.voxel = float(voxel)
+        self._used = 0
+        self._allocate(1 << int(np.ceil(np.log2(max(capacity, 1024)))))
+
+    def _allocate(self, size: int) -> None:
+        self._keys: Ints = np.full(size, _EMPTY, dtype=np.int64)
+        self._hits: Counts = np.zeros(size, dtype=np.uint32)
+        self._passes: Counts = np.zeros(size, dtype=np.uint32)
+
+    def _grow(self, size: int) -> None:
+        old = self._keys, self._hits, self._passes
+        self._allocate(size)
+        _reinsert(*old, self._keys, self._hits, self._passes)
+
+    def add(self, starts: Floats, ends: Floats, returned: Flags | None = None) -> None:
+        """Walk beams.
+
+        Every voxel before the last counts a pass, the last one a hit.
+
+        Parameters
+        ----------
+        starts, ends : (N, 3) float64
+            World coordinates [m] of the sensor and of the return.
+        returned : (N,) bool, optional
+            False where the beam came back with nothing up to ``ends``: the
+            last voxel counts as passed too. Default: every beam returned.
+        """
+        first_cell, last_cell = _beams(starts, ends, self.origin, self.voxel)
+        flags = np.ones(len(starts), dtype=np.bool_) if returned is None else returned
+        longest = int(np.abs(last_cell - first_cell).sum(axis=1).max(initial=0.0)) + 7
+        ray = 0
+        while ray < len(starts):
+            room = int(_MAX_LOAD * len(self._keys)) - self._used
+            if room < longest:
+                self._grow(2 * len(self._keys))
+                continue
+            ray, added = _walk(first_cell, last_cell, flags, ray, room, self._keys, self._hits, self._passes)
+            self._used += added
+
+    def grid(self) -> VisibilityGrid:
+        """Return what was counted so far."""
+        used = np.flatnonzero(self._keys != _EMPTY)
+        order = used[np.argsort(self._keys[used])]
+        return VisibilityGrid(
+            self.origin, self.voxel, self._keys[order], self._hits[order], self._passes[order]
+        )
+
+
+def accumulate_visibility(
+    starts: Floats, ends: Floats, origin: Floats, voxel: float, returned: Flags | None = None
+) -> VisibilityGrid:
+    """Walk beams (N, 3) -> (N, 3) [m, world] once; see :class:`VisibilityAccumulator`."""
+    accumulator = VisibilityAccumulator(origin, voxel)
+    accumulator.add(starts, ends, returned)
+    return accumulator.grid()
+
+
+def merge_grids(grids: Sequence[VisibilityGrid]) -> VisibilityGrid:
+    """Add the counts of grids that share origin and voxel."""
+    if not grids:
+        raise InputError("no visibility grids to merge")
+    first = grids[0]
+    for grid in grids[1:]:
+        if grid.voxel != first.voxel or not np.array_equal(grid.origin, first.origin):
+            raise InputError("visibility grids differ in origin or voxel; build them with the same ones")
+    keys, slots = np.unique(np.concatenate([g.keys for g in grids]), return_inverse=True)
+    hits, passes = np.zeros((2, len(keys)), dtype=np.uint32)
+    np.add.at(hits, slots, np.concatenate([g.hits for g in grids]))
+    np.add.at(passes, slots, np.concatenate([g.passes for g in grids]))
+    return VisibilityGrid(first.origin, first.voxel, keys, hits, passes)
