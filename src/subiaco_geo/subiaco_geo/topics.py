@@ -1,0 +1,29 @@
+"""Names and types of the recorded topics: the one place where they are spelled."""
+
+from __future__ import annotations
+
+METADATA = "/ouster/metadata"
+LIDAR_PACKETS = "/ouster/lidar_packets"
+IMU_PACKETS = "/ouster/imu_packets"
+FIX = "/gnss/fix"
+HEADING = "/gnss/heading"
+IMU = "/imu/data"
+TF_STATIC = "/tf_static"
+POINTS = "/lidar/points"
+
+PACKET_TYPE = "ouster_sensor_msgs/msg/PacketMsg"
+
+#: Message type of every topic that a survey bag may hold.
+MESSAGE_TYPES: dict[str, str] = {
+    METADATA: "std_msgs/msg/String",
+    LIDAR_PACKETS: PACKET_TYPE,
+    IMU_PACKETS: PACKET_TYPE,
+    FIX: "sensor_msgs/msg/NavSatFix",
+    HEADING: "sensor_msgs/msg/Imu",
+    IMU: "sensor_msgs/msg/Imu",
+    TF_STATIC: "tf2_msgs/msg/TFMessage",
+    POINTS: "sensor_msgs/msg/PointCloud2",
+}
+
+#: Topics that a late subscriber must still receive (reliable, transient local).
+LATCHED: frozenset[str] = frozenset({METADATA, TF_STATIC})
