@@ -1,0 +1,1 @@
+"""The ``subiaco`` command: one verb a job, each calling one library function."""

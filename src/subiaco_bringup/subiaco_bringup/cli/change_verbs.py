@@ -1,0 +1,122 @@
+"""Verbs on pairs of epochs: change, evaluate, report."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+from typing import Annotated
+
+import typer
+from subiaco_geo.config import load_config
+from subiaco_geo.errors import InputError
+
+from subiaco_bringup.cli.options import (
+    AsJson,
+    ConfigFiles,
+    Output,
+    Overwrite,
+    Quiet,
+    Settings,
+    Verbose,
+    print_json,
+    say,
+    set_up_logging,
+)
+from subiaco_bringup.cli.progress import Progress
+from subiaco_bringup.defaults import config_files
+
+Epoch = Annotated[Path, typer.Argument(help="Map directory, or a bare .ply .las .laz .pcd cloud.")]
+TrajectoryFile = Annotated[Path | None, typer.Option(metavar="F", help="TUM trajectory of a bare cloud.")]
+
+
+def change(
+    before: Epoch,
+    after: Epoch,
+    output: Output,
+    trajectory_before: TrajectoryFile = None,
+    trajectory_after: TrajectoryFile = None,
+    transform: Annotated[
+        Path | None, typer.Option(metavar="F", help="Given T_after_before: 4x4 text or registration.json.")
+    ] = None,
+    registration: Annotated[
+        str | None, typer.Option(help="'identity' takes the two epochs as registered already.")
+    ] = None,
+    config: ConfigFiles = None,
+    settings: Settings = None,
+    overwrite: Overwrite = False,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Find what changed between two maps: labelled clouds, a table, a report.
+
+    Example: subiaco change out/before out/after -o out/change
+    """
+    from subiaco_change.config import ChangeConfig
+    from subiaco_change.job import change_job
+
+    set_up_logging(verbose, quiet)
+    model = load_config(ChangeConfig, config_files("change", tuple(config or ())), settings or [])
+    with Progress(quiet=quiet) as progress:
+        result = change_job(
+            before,
+            after,
+            output,
+            model,
+            progress,
+            trajectory_before=trajectory_before,
+            trajectory_after=trajectory_after,
+            transform=transform,
+            registration=registration,
+            overwrite=overwrite,
+        )
+    counts = Counter(record.change.label for record in result.records)
+    listed = ", ".join(f"{count} {label}" for label, count in sorted(counts.items()))
+    say(f"changes: {output} ({listed or 'no objects'}); open {output / 'report.html'}", quiet=quiet)
+
+
+def evaluate(
+    pairs: Annotated[list[Path], typer.Argument(metavar="CHANGE_DIR TRUTH...", help="One or more pairs.")],
+    output: Annotated[Path | None, typer.Option("-o", "--output", metavar="DIR")] = None,
+    as_json: AsJson = False,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Score change directories against truth, by the published protocol and by object.
+
+    Example: subiaco evaluate out/change bags/demo -o out/evaluation
+    """
+    from subiaco_change.evaluation import evaluate as score
+    from subiaco_change.evaluation import summary, write_evaluation
+
+    set_up_logging(verbose, quiet)
+    if len(pairs) % 2:
+        raise InputError("evaluate: give CHANGE_DIR and TRUTH in pairs; one of them is missing")
+    result = score(list(zip(pairs[::2], pairs[1::2], strict=True)))
+    if output is not None:
+        write_evaluation(result, output)
+    if as_json:
+        print_json(result)
+    else:
+        typer.echo(summary(result))
+
+
+def report(
+    change_directory: Annotated[Path, typer.Argument(metavar="CHANGE_DIR")],
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Build report.html of a change directory again.
+
+    Example: subiaco report out/change
+    """
+    from subiaco_change.report import build_report
+
+    set_up_logging(verbose, quiet)
+    say(f"report: {build_report(change_directory)}", quiet=quiet)
+
+
+def register(app: typer.Typer) -> None:
+    """Add these verbs to the command."""
+    app.command("change")(change)
+    app.command("evaluate")(evaluate)
+    app.command("report")(report)

@@ -1,0 +1,84 @@
+"""Entry point of ``subiaco``: verbs, help that teaches, exit codes by contract."""
+
+from __future__ import annotations
+
+import sys
+import traceback
+from collections.abc import Sequence
+
+import typer
+from subiaco_geo.errors import SubiacoError
+
+from subiaco_bringup.cli import change_verbs, graph_verbs, survey_verbs
+
+EPILOG = (
+    "A survey in four commands:  subiaco simulate bags/demo  |  subiaco map bags/demo/before -o out/before  |  "
+    "subiaco map bags/demo/after -o out/after  |  subiaco change out/before out/after -o out/change.  "
+    "Exit codes: 0 done, 2 bad input, 3 registration not to be trusted, 1 a fault of ours, 130 interrupted."
+)
+
+app = typer.Typer(
+    name="subiaco",
+    help="Build georeferenced 3D city maps from LiDAR drives, and find what changed between two of them.",
+    epilog=EPILOG,
+    no_args_is_help=True,
+    add_completion=False,
+    pretty_exceptions_enable=False,
+    rich_markup_mode=None,
+    context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
+)
+survey_verbs.register(app)
+change_verbs.register(app)
+graph_verbs.register(app)
+
+
+def _report(message: str) -> None:
+    first, *_ = message.splitlines() or [""]
+    sys.stderr.write(f"subiaco: {first}\n")
+
+
+def _report_usage(message: str) -> None:
+    if message.startswith("Usage:"):  # a verb group called without a verb
+        sys.stderr.write(message + "\n")
+    else:
+        _report(f"{message} (see 'subiaco --help')")
+
+
+def run(arguments: Sequence[str] | None = None) -> int:
+    """Run one command and return its exit code.
+
+    Parameters
+    ----------
+    arguments : sequence of str, optional
+        Words after ``subiaco``; those of the process where absent.
+    """
+    words = list(sys.argv[1:] if arguments is None else arguments)
+    verbose = "-v" in words or "--verbose" in words
+    try:
+        outcome = app(args=words, prog_name="subiaco", standalone_mode=False)
+    except SubiacoError as error:
+        if verbose:
+            traceback.print_exc()
+        _report(str(error))
+        return error.exit_code
+    except typer.TyperException as error:
+        _report_usage(error.format_message())
+        return 2
+    except (KeyboardInterrupt, typer.Abort):
+        _report("interrupted; nothing was left under a final name")
+        return 130
+    except Exception as error:  # the border: anything else is a fault of ours
+        if verbose:
+            traceback.print_exc()
+        _report(f"fault: {type(error).__name__}: {error} (run again with -v for the traceback)")
+        return 1
+    return int(outcome or 0)
+
+
+def main() -> None:
+    """Console entry point."""
+    sys.exit(run())
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,45 @@
+"""Options that several verbs share."""
+
+from __future__ import annotations
+
+import json
+import logging
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+ConfigFiles = Annotated[
+    list[Path] | None,
+    typer.Option("--config", metavar="FILE", help="YAML in ROS parameter form; repeatable, later wins."),
+]
+Settings = Annotated[
+    list[str] | None,
+    typer.Option("--set", metavar="KEY=VALUE", help="One value, e.g. odometry.voxel=0.8; repeatable."),
+]
+Output = Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Directory to write.")]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an output that exists.")]
+Verbose = Annotated[bool, typer.Option("-v", "--verbose", help="Say more; tracebacks on faults.")]
+Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="Say only errors.")]
+AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
+
+
+def set_up_logging(verbose: bool, quiet: bool) -> None:
+    """Send log lines to stderr at the level the user asked for."""
+    level = logging.DEBUG if verbose else logging.ERROR if quiet else logging.INFO
+    logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr)
+    for name in ("geo", "sim", "mapping", "change", "bringup"):
+        logging.getLogger(f"subiaco_{name}").setLevel(level)
+
+
+def say(text: str, *, quiet: bool = False) -> None:
+    """Write one line for people, on stderr: stdout is for results that were asked for."""
+    if not quiet:
+        sys.stderr.write(text + "\n")
+
+
+def print_json(value: Mapping[str, Any]) -> None:
+    """Print a result on stdout."""
+    sys.stdout.write(json.dumps(value, indent=2, default=str) + "\n")

@@ -1,0 +1,148 @@
+"""Verbs that make surveys and maps: simulate, inspect, import, map."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+from subiaco_geo.config import load_config
+
+from subiaco_bringup.cli.options import (
+    AsJson,
+    ConfigFiles,
+    Output,
+    Overwrite,
+    Quiet,
+    Settings,
+    Verbose,
+    print_json,
+    say,
+    set_up_logging,
+)
+from subiaco_bringup.cli.progress import Progress
+from subiaco_bringup.defaults import config_files
+
+
+def _settings(given: list[str] | None, **named: object) -> list[str]:
+    """Put named options, where given, before the ``--set`` ones."""
+    return [f"{key}={value}" for key, value in named.items() if value is not None] + (given or [])
+
+
+def simulate(
+    out: Annotated[Path, typer.Argument(metavar="OUT", help="Survey directory to write.")],
+    seed: Annotated[int | None, typer.Option(help="Seed of scene, changes and noise.")] = None,
+    preset: Annotated[str | None, typer.Option(help="Scene: easy or default.")] = None,
+    epoch: Annotated[str | None, typer.Option(help="before, after or both.")] = None,
+    maps_only: Annotated[
+        bool, typer.Option("--maps-only", help="Write fused maps with truth instead of bags.")
+    ] = False,
+    duration: Annotated[float | None, typer.Option(help="Length of each drive [s].")] = None,
+    mode: Annotated[str | None, typer.Option(help="512x10, 1024x10 or 2048x10.")] = None,
+    config: ConfigFiles = None,
+    settings: Settings = None,
+    overwrite: Overwrite = False,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Simulate a survey of two epochs with known changes: bags and truth.
+
+    Example: subiaco simulate bags/demo --preset easy --seed 1 --duration 20
+    """
+    from subiaco_sim.config import SimulationConfig
+    from subiaco_sim.survey import simulate as simulate_survey
+
+    set_up_logging(verbose, quiet)
+    named: dict[str, Any] = {
+        "seed": seed,
+        "preset": preset,
+        "epoch": epoch,
+        "duration": duration,
+        "mode": mode,
+        "maps_only": True if maps_only else None,
+    }
+    files = config_files("simulation", tuple(config or ()))
+    model = load_config(SimulationConfig, files, _settings(settings, **named))
+    with Progress(quiet=quiet) as progress:
+        simulate_survey(out, model, progress, overwrite=overwrite)
+    say(f"simulated survey: {out}", quiet=quiet)
+
+
+def inspect(
+    bag: Annotated[Path, typer.Argument(metavar="BAG", help="rosbag2 folder, .mcap or simulated epoch.")],
+    as_json: AsJson = False,
+    verbose: Verbose = False,
+) -> None:
+    """Say what a bag holds before you trust it: topics, rates, gaps, losses, RTK states.
+
+    Example: subiaco inspect bags/demo/before
+    """
+    from subiaco_mapping.inspection import describe, inspect_bag
+
+    set_up_logging(verbose, quiet=False)
+    facts = inspect_bag(bag)
+    if as_json:
+        print_json(facts)
+    else:
+        typer.echo(describe(facts))
+
+
+def import_(
+    recording: Annotated[Path, typer.Argument(metavar="RECORDING", help=".pcap, ROS 1 .bag or .osf.")],
+    output: Output,
+    metadata: Annotated[
+        Path | None, typer.Option(help="Ouster metadata JSON; found beside the pcap by name.")
+    ] = None,
+    overwrite: Overwrite = False,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Turn a recording of raw packets into an mcap bag that every other verb reads.
+
+    Example: subiaco import drive.pcap --metadata drive.json -o bags/drive
+    """
+    from subiaco_mapping.importers import import_recording
+
+    set_up_logging(verbose, quiet)
+    counts = import_recording(recording, output, metadata=metadata, overwrite=overwrite)
+    listed = ", ".join(f"{count} on {topic}" for topic, count in counts.items())
+    say(f"bag: {output} ({listed})", quiet=quiet)
+
+
+def map_(
+    bags: Annotated[list[Path], typer.Argument(metavar="BAG...", help="Bags of one epoch; one is a sequence.")],
+    output: Output,
+    config: ConfigFiles = None,
+    settings: Settings = None,
+    threads: Annotated[int | None, typer.Option(help="1 gives the same map every time.")] = None,
+    overwrite: Overwrite = False,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Build one georeferenced map from the bags of one epoch.
+
+    Example: subiaco map bags/demo/before -o out/before
+    """
+    from subiaco_geo.atomic import refuse_existing
+    from subiaco_geo.maps import write_map
+    from subiaco_mapping.config import MappingConfig
+    from subiaco_mapping.pipeline import map_survey
+
+    set_up_logging(verbose, quiet)
+    refuse_existing(output, overwrite)
+    files = config_files("mapping", tuple(config or ()))
+    model = load_config(MappingConfig, files, _settings(settings, threads=threads))
+    with Progress(quiet=quiet) as progress:
+        survey = map_survey(bags, model, progress)
+        progress("writing map", 0.0)
+        write_map(output, survey, overwrite=overwrite)
+    place = survey.cloud.crs or "a local frame without CRS"
+    say(f"map: {output} ({len(survey.cloud):,} points in {place})", quiet=quiet)
+
+
+def register(app: typer.Typer) -> None:
+    """Add these verbs to the command."""
+    app.command("simulate")(simulate)
+    app.command("inspect")(inspect)
+    app.command("import")(import_)
+    app.command("map")(map_)
