@@ -1,0 +1,244 @@
+#!/usr/bin/env bash
+# Set-up of everything: system packages, .venv, ROS 2 workspace. Safe to run again: what is there is reused.
+#
+#   scripts/setup.sh              everything
+#   PYTHON=python3.12 scripts/setup.sh
+#
+# Debian 12 or Ubuntu 24.04, Python 3.11 or 3.12. Where an apt ROS 2 Jazzy is found it is used; else ROS 2
+# comes from wheels into .venv.
+set -euo pipefail
+
+ROOT="$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd -P)"
+VENV="$ROOT/.venv"
+WS="$ROOT/ros2_ws"
+APT_ROS="${SUBIACO_APT_ROS:-/opt/ros/jazzy}"
+INTERFACES=(subiaco_msgs tf2_msgs ouster_sensor_msgs)
+PYTHON_PACKAGES=(subiaco_geo subiaco_sim subiaco_mapping subiaco_change subiaco_bringup)
+
+say() { printf '[setup %3ds] %s\n' "$SECONDS" "$*"; }
+fail() {
+    printf 'setup: %s\n' "$*" >&2
+    exit 1
+}
+
+has_apt_ros() { [ -f "$APT_ROS/setup.bash" ]; }
+
+# One hash over the names and contents of files or folders, given relative to the root.
+digest() {
+    (cd "$ROOT" && find -H "$@" -type f ! -name '*.pyc' ! -path '*.egg-info/*' -print0 2>/dev/null |
+        LC_ALL=C sort -z | xargs -0 sha256sum | sha256sum | cut -d' ' -f1)
+}
+
+# ---------------------------------------------------------------- interpreter and system packages
+
+# A pyenv shim may exist and still fail: what counts is that it runs.
+usable_python() {
+    "$1" -c 'import sys; sys.exit(not (3, 11) <= sys.version_info[:2] <= (3, 12))' >/dev/null 2>&1
+}
+
+find_python() {
+    local candidate
+    if [ -n "${PYTHON:-}" ]; then
+        usable_python "$PYTHON" || fail "PYTHON=$PYTHON does not run, or is not Python 3.11 or 3.12"
+        command -v "$PYTHON"
+        return
+    fi
+    if has_apt_ros; then
+        set -- /usr/bin/python3
+    else
+        set -- python3.12 python3.11 python3 /usr/bin/python3.12 /usr/bin/python3.11 /usr/bin/python3
+    fi
+    for candidate; do
+        if usable_python "$candidate"; then
+            command -v "$candidate"
+            return
+        fi
+    done
+    return 1
+}
+
+has_library() { { ldconfig -p 2>/dev/null || /sbin/ldconfig -p; } | grep -q "[[:space:]]$1 "; }
+
+# Debian package names of what is missing, one a line.
+missing_system_packages() {
+    local python="$1" pair
+    command -v c++ >/dev/null || echo build-essential
+    command -v make >/dev/null || echo make
+    command -v cmake >/dev/null || echo cmake
+    command -v git >/dev/null || echo git
+    for pair in libEGL.so.1=libegl1 libGL.so.1=libgl1 libX11.so.6=libx11-6 libudev.so.1=libudev1 \
+        libusb-1.0.so.0=libusb-1.0-0 libidn2.so.0=libidn2-0 libgomp.so.1=libgomp1; do
+        has_library "${pair%%=*}" || echo "${pair#*=}"
+    done
+    if [ -z "$python" ]; then
+        printf '%s\n' python3 python3-venv python3-dev
+        return
+    fi
+    "$python" -c 'import ensurepip, venv' 2>/dev/null || echo python3-venv
+    "$python" -c 'import os, sysconfig as s, sys
+sys.exit(not os.path.exists(os.path.join(s.get_paths()["include"], "Python.h")))' || echo python3-dev
+}
+
+require_system_packages() {
+    local -a missing
+    mapfile -t missing < <(missing_system_packages "$(find_python || true)")
+    [ "${#missing[@]}" -eq 0 ] && return
+    local line="apt-get install -y --no-install-recommends ${missing[*]}"
+    say "missing system packages: ${missing[*]}"
+    command -v apt-get >/dev/null || fail "install the equivalent of: $line"
+    [ "$(id -u)" -eq 0 ] || fail "run this, then again what you ran: sudo $line"
+    say "$line"
+    { apt-get update -q && DEBIAN_FRONTEND=noninteractive $line; } ||
+        fail "the installation failed; run it by hand: $line"
+    mapfile -t missing < <(missing_system_packages "$(find_python || true)")
+    [ "${#missing[@]}" -eq 0 ] || fail "still missing after the installation: ${missing[*]}"
+}
+
+# ---------------------------------------------------------------- virtual environment
+
+venv_stamp() {
+    echo "$(digest requirements.lock scripts/setup.sh scripts/patch_wheel_cmake.py) $VENV $(has_apt_ros && echo apt-ros)"
+}
+
+# A venv is kept when it is whole, runs, sits where it was made and has the asked-for interpreter.
+venv_is_sound() {
+    [ ! -e "$VENV/.installing" ] && usable_python "$VENV/bin/python" &&
+        head -n 1 "$VENV/bin/pip" 2>/dev/null | grep -q "$VENV/bin/python" || return 1
+    [ -z "${PYTHON:-}" ] || [ "$(minor_version "$PYTHON")" = "$(minor_version "$VENV/bin/python")" ]
+}
+
+minor_version() { "$1" -c 'import sys; print(*sys.version_info[:2])'; }
+
+create_venv() {
+    local python options=()
+    python="$(find_python)" || fail "no Python 3.11 or 3.12 that runs; set PYTHON=/path/to/python3.11"
+    if has_apt_ros; then options+=(--system-site-packages); fi
+    say "creating .venv with $python ($("$python" -V))"
+    rm -rf "$VENV" "$WS/build" "$WS/install" "$WS/log"
+    "$python" -m venv "${options[@]}" "$VENV"
+}
+
+# pip's long output, a line every 20 packages.
+show_pip_progress() {
+    local line count=0
+    while IFS= read -r line; do
+        case "$line" in
+            Collecting*)
+                count=$((count + 1))
+                if [ $((count % 20)) -eq 0 ]; then say "  $count packages fetched"; fi
+                ;;
+            Installing\ collected*) say "  unpacking" ;;
+        esac
+    done
+}
+
+install_requirements() {
+    local lock="$ROOT/requirements.lock"
+    if has_apt_ros; then
+        lock="$VENV/requirements.without-ros.txt"
+        grep -v '^ros-' "$ROOT/requirements.lock" >"$lock"
+    fi
+    say "installing $(grep -c '==' "$lock") locked packages (about 2 GB; a minute or two)"
+    "$VENV/bin/python" -m pip install --no-deps --disable-pip-version-check --progress-bar off -r "$lock" |
+        show_pip_progress
+}
+
+set_up_venv() {
+    local wanted
+    wanted="$(venv_stamp)"
+    if venv_is_sound && [ "$(cat "$VENV/.installed" 2>/dev/null)" = "$wanted" ]; then return; fi
+    venv_is_sound || create_venv
+    touch "$VENV/.installing"
+    rm -f "$VENV/.installed"
+    install_requirements
+    has_apt_ros || "$VENV/bin/python" "$ROOT/scripts/patch_wheel_cmake.py"
+    echo "$wanted" >"$VENV/.installed"
+    rm -f "$VENV/.installing"
+    say "virtual environment ready"
+}
+
+# ---------------------------------------------------------------- ROS 2 workspace
+
+# Interface packages that an apt ROS already provides are not built again.
+interfaces_to_build() {
+    local name
+    for name in "${INTERFACES[@]}"; do
+        if has_apt_ros && [ -d "$APT_ROS/share/$name" ]; then continue; fi
+        echo "$name"
+    done
+}
+
+enter_build_environment() {
+    unset PYTHONPATH CMAKE_PREFIX_PATH COLCON_PREFIX_PATH AMENT_PREFIX_PATH LD_LIBRARY_PATH
+    unset _ROS_WHEELS_BOOTSTRAP_COMPLETE
+    set +u
+    # shellcheck disable=SC1091
+    source "$VENV/bin/activate"
+    # shellcheck disable=SC1091
+    if has_apt_ros; then source "$APT_ROS/setup.bash"; else export AMENT_PREFIX_PATH="$VENV"; fi
+    set -u
+    export PYTHONWARNINGS=ignore # setuptools deprecations, once a package
+}
+
+colcon_build() {
+    (cd "$WS" && python -m colcon --log-base log build --symlink-install --base-paths src \
+        --cmake-args -G Ninja -DBUILD_TESTING=OFF -DCMAKE_BUILD_TYPE=Release \
+        "-DPython3_EXECUTABLE=$VENV/bin/python" --no-warn-unused-cli --packages-select "$@")
+}
+
+# build_once STAMP_FILE STAMP PACKAGE...: nothing to do when the stamp says so.
+build_once() {
+    local file="$WS/install/$1" wanted="$2"
+    shift 2
+    if [ "$(cat "$file" 2>/dev/null)" = "$wanted" ]; then return; fi
+    say "building $*"
+    local name
+    if [ -e "$file.building" ]; then # interrupted last time
+        for name; do rm -rf "${WS:?}/build/$name" "${WS:?}/install/$name"; done
+    fi
+    mkdir -p "$WS/install"
+    rm -f "$file"
+    touch "$file.building"
+    colcon_build "$@" || fail "colcon build failed; the log is in ros2_ws/log/latest_build"
+    echo "$wanted" >"$file"
+    rm -f "$file.building"
+}
+
+set_up_workspace() {
+    local -a interfaces
+    mapfile -t interfaces < <(interfaces_to_build)
+    local base="$WS $(cat "$VENV/.installed")"
+    # What a symlink install freezes: entry points, lists of files, metadata. Module contents are links.
+    local frozen
+    frozen="$(cd "$ROOT" && find config src/subiaco_bringup/{launch,rviz,foxglove} -type f 2>/dev/null |
+        LC_ALL=C sort | sha256sum)" || true
+    local sources
+    sources="$(digest src/subiaco_{geo,sim,mapping,change,bringup}/{package.xml,setup.py,setup.cfg})"
+    (
+        enter_build_environment
+        build_once .interfaces "$base $(digest src/subiaco_msgs src/vendor_msgs) ${interfaces[*]}" "${interfaces[@]}"
+        build_once .python "$base $frozen $sources" "${PYTHON_PACKAGES[@]}"
+    )
+    install_command "$base $sources"
+}
+
+# `.venv/bin/subiaco` and the packages for a Python that has not sourced the workspace.
+install_command() {
+    if [ "$(cat "$VENV/.command" 2>/dev/null)" = "$1" ] && [ -x "$VENV/bin/subiaco" ]; then return; fi
+    say "installing the subiaco command into .venv"
+    local name options=()
+    for name in "${PYTHON_PACKAGES[@]}"; do options+=(-e "$ROOT/src/$name"); done
+    "$VENV/bin/python" -m pip install --quiet --no-deps --no-build-isolation --disable-pip-version-check \
+        "${options[@]}"
+    echo "$1" >"$VENV/.command"
+}
+
+main() {
+    require_system_packages
+    set_up_venv
+    set_up_workspace
+    say "ready: source ros2_ws/env.sh"
+}
+
+# Sourced (by the tests), this file only defines its functions.
+if [ "${BASH_SOURCE[0]}" = "$0" ]; then main "$@"; fi

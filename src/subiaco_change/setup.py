@@ -1,0 +1,28 @@
+"""Package description for colcon and pip alike."""
+
+from setuptools import find_packages, setup
+
+NAME = "subiaco_change"
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    description="Two survey maps to objects, and objects to a table of changes, with the ROS 2 node around it.",
+    maintainer="Subiaco maintainers",
+    maintainer_email="maintainers@subiaco.example.org",
+    license="Apache-2.0",
+    packages=find_packages(include=[NAME, NAME + ".*"]),
+    package_data={NAME: ["py.typed", "**/*.html", "**/*.jinja", "**/*.j2"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/" + NAME]),
+        ("share/" + NAME, ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    extras_require={"test": ["pytest"]},
+    zip_safe=False,
+    entry_points={
+        "console_scripts": [
+            "change_node = subiaco_change.nodes.change_node:main",
+        ],
+    },
+)

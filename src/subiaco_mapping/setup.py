@@ -1,0 +1,30 @@
+"""Package description for colcon and pip alike."""
+
+from setuptools import find_packages, setup
+
+NAME = "subiaco_mapping"
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    description="Packets to scans to poses to one georeferenced map of an epoch, and the ROS 2 nodes around it.",
+    maintainer="Subiaco maintainers",
+    maintainer_email="maintainers@subiaco.example.org",
+    license="Apache-2.0",
+    packages=find_packages(include=[NAME, NAME + ".*"]),
+    package_data={NAME: ["py.typed"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/" + NAME]),
+        ("share/" + NAME, ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    extras_require={"test": ["pytest"]},
+    zip_safe=False,
+    entry_points={
+        "console_scripts": [
+            "replay_node = subiaco_mapping.nodes.replay_node:main",
+            "odometry_node = subiaco_mapping.nodes.odometry_node:main",
+            "pose_graph_node = subiaco_mapping.nodes.pose_graph_node:main",
+        ],
+    },
+)
