@@ -1,0 +1,151 @@
+"""Configuration of the mapping room: one frozen slice a stage."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from subiaco_geo.config import StrictModel
+
+Triple = tuple[float, float, float]
+
+
+class FramePose(StrictModel):
+    """Pose of a sensor frame in ``base_link``."""
+
+    translation: Triple = Field((0.0, 0.0, 0.0), description="x y z in base_link [m]")
+    rotation_deg: Triple = Field((0.0, 0.0, 0.0), description="roll pitch yaw, fixed axes x y z [deg]")
+
+
+class SensorsConfig(StrictModel):
+    """Where the sensors sit; ``/tf_static`` of the bag wins unless ``override``."""
+
+    base_frame: str = Field("base_link", description="vehicle frame")
+    lidar_frame: str = Field("lidar_link", description="the Ouster sensor frame (os_sensor)")
+    imu_frame: str = Field("imu_link", description="IMU frame")
+    gnss_frame: str = Field("gnss_link", description="antenna phase centre")
+    lidar: FramePose | None = Field(None, description="T_base_lidar where /tf_static lacks it")
+    imu: FramePose | None = Field(None, description="T_base_imu where /tf_static lacks it")
+    gnss: FramePose | None = Field(None, description="antenna in base_link where /tf_static lacks it")
+    override: bool = Field(False, description="the poses given here win over /tf_static")
+
+
+class DecodeConfig(StrictModel):
+    """Packets to scans."""
+
+    time_base: Literal["utc", "tai", "gps"] = Field("utc", description="what the sensor's clock counts")
+    leap_seconds: int = Field(37, ge=0, le=60, description="TAI - UTC [s], used for tai and gps")
+    time_offset_ns: int = Field(0, description="added to every column time [ns]")
+    min_range: float = Field(1.0, ge=0, description="nearer returns are dropped (the car itself) [m]")
+    max_range: float = Field(100.0, gt=0, description="farther returns are dropped [m]")
+    reorder_packets: int = Field(8, ge=0, description="packets of a newer frame before an open one is closed")
+    stamp_tolerance_ns: int = Field(
+        20_000_000, gt=0, description="a column time farther from the scan's line is interpolated anew [ns]"
+    )
+
+
+class DeskewConfig(StrictModel):
+    """Motion inside a scan."""
+
+    gyro_bias: Triple = Field((0.0, 0.0, 0.0), description="subtracted from the gyro, IMU frame [rad/s]")
+    estimate_bias: bool = Field(True, description="average the gyro while the vehicle stands")
+    standing_gyro: float = Field(0.01, gt=0, description="gyro spread below which it may be standing [rad/s]")
+    standing_speed: float = Field(0.1, gt=0, description="odometry speed likewise [m/s]")
+    standing_accel: float = Field(0.15, gt=0, description="accelerometer spread likewise [m/s2]")
+    imu_time_offset_ns: int = Field(0, description="added to every IMU stamp [ns]")
+    max_imu_gap_ns: int = Field(100_000_000, gt=0, description="a longer hole in the IMU is missing data [ns]")
+    imu_wait_ns: int = Field(
+        1_000_000_000, gt=0, description="stream time a scan waits for the IMU before doing without [ns]"
+    )
+
+
+class OdometryConfig(StrictModel):
+    """Scan to local map (kiss-icp core)."""
+
+    voxel: float = Field(1.0, gt=0, description="local map voxel [m] (measured best with gyro deskew)")
+    max_range: float = Field(100.0, gt=0, description="radius of the local map [m]")
+    max_points_per_voxel: int = Field(20, ge=1, description="points kept in a local map voxel")
+    max_iterations: int = Field(50, ge=1, description="ICP iterations")
+    convergence: float = Field(1e-4, gt=0, description="norm of the last ICP update")
+    initial_threshold: float = Field(2.0, gt=0, description="kernel width while the motion is unknown [m]")
+    min_threshold: float = Field(0.3, gt=0, description="smallest kernel width [m]")
+    threshold_memory: float = Field(0.8, ge=0, lt=1, description="share of the old kernel width kept a scan")
+    look_voxel: float = Field(1.0, gt=0, description="voxel of the second look's Gaussian map [m]")
+    look_distance: float = Field(1.0, gt=0, description="largest correspondence of the second look [m]")
+    look_iterations: int = Field(10, ge=1, description="iterations of the second look")
+    refine: bool = Field(False, description="the second look's plane-to-plane pose is the pose")
+    correlation: float = Field(
+        30.0, ge=1, description="points that share one error: variance is multiplied by it"
+    )
+    sigma_rotation: float = Field(4e-4, gt=0, description="floor a scan [rad]")
+    sigma_translation: float = Field(0.008, gt=0, description="floor a scan [m]")
+    degenerate_sigma: float = Field(0.15, gt=0, description="a weaker direction is degenerate [m]")
+    min_inlier_ratio: float = Field(0.3, ge=0, le=1, description="fewer matched keypoints is a failure")
+    max_gap_ns: int = Field(2_000_000_000, gt=0, description="a longer gap starts a new segment [ns]")
+    max_failures: int = Field(5, ge=1, description="failed scans in a row before a new segment")
+
+
+class GnssConfig(StrictModel):
+    """Fixes to priors."""
+
+    required: bool = Field(False, description="refuse a bag that GNSS cannot place")
+    declared_frame: str = Field("GDA2020", description="frame of the fixes: GDA2020 or ITRF2014")
+    epoch: float | None = Field(None, description="decimal year of ITRF coordinates")
+    sigma_fixed: float = Field(0.015, gt=0, description="floor for status 2 [m]")
+    sigma_float: float = Field(0.4, gt=0, description="floor for status 1 [m]")
+    sigma_single: float = Field(2.0, gt=0, description="floor for status 0 [m]")
+    vertical_factor: float = Field(1.5, gt=0, description="vertical floor over horizontal floor")
+    time_offset_ns: int = Field(0, description="added to every fix stamp [ns]")
+    max_pose_gap_ns: int = Field(500_000_000, gt=0, description="no prior inside a longer gap of scans [ns]")
+    kernel: float = Field(3.0, gt=0, description="Cauchy kernel on the whitened fix error [sigma]")
+    min_fixes: int = Field(10, ge=3, description="fixes needed to place a sequence")
+    min_length: float = Field(20.0, gt=0, description="way they must span [m]")
+
+
+class GraphConfig(StrictModel):
+    """Pose graph."""
+
+    max_iterations: int = Field(50, ge=1, description="Levenberg-Marquardt iterations")
+    sigma_gravity: float = Field(0.01, gt=0, description="attitude from one window of accelerometer [rad]")
+    gravity_window_ns: int = Field(1_000_000_000, gt=0, description="length of such a window [ns]")
+    covariance_stride: int = Field(10, ge=1, description="poses between two marginal covariances")
+    segment_sigma_translation: float = Field(20.0, gt=0, description="between two segments [m]")
+    segment_sigma_rotation: float = Field(0.5, gt=0, description="between two segments [rad]")
+
+
+class FusionConfig(StrictModel):
+    """Scans to the map."""
+
+    leaf: float = Field(0.25, gt=0, description="map voxel [m]")
+    max_range: float = Field(70.0, gt=0, description="farther points do not enter the map [m]")
+    min_points: int = Field(1, ge=1, description="points a map voxel needs")
+    outlier_neighbours: int = Field(8, ge=0, description="neighbours of the outlier test; 0 leaves it out")
+    outlier_sigma: float = Field(3.0, gt=0, description="farther from its neighbours than mean + sigma times spread")
+    normal_neighbours: int = Field(15, ge=5, description="neighbours of a normal")
+    visibility_voxel: float = Field(0.5, gt=0, description="voxel of the visibility layer [m]")
+    visibility_stride: int = Field(8, ge=1, description="one beam in so many is walked; 0.5 m needs no more")
+    height_tile: float = Field(20.0, gt=0, description="tile of the height table [m]")
+
+
+class ManifestConfig(StrictModel):
+    """What the manifest flags."""
+
+    max_lost_ratio: float = Field(0.01, ge=0, le=1, description="share of lost packets")
+    rtk_gap_ns: int = Field(2_000_000_000, gt=0, description="longer without a fixed solution is flagged [ns]")
+
+
+class MappingConfig(StrictModel):
+    """Everything from bag to map."""
+
+    crs: str = Field("EPSG:7850", description="CRS of the map: GDA2020 / MGA zone 50")
+    threads: int = Field(1, ge=1, description="1 is deterministic")
+    deskewed: bool = Field(False, description="point clouds come without point times, already deskewed")
+    sensors: SensorsConfig = SensorsConfig()
+    decode: DecodeConfig = DecodeConfig()
+    deskew: DeskewConfig = DeskewConfig()
+    odometry: OdometryConfig = OdometryConfig()
+    gnss: GnssConfig = GnssConfig()
+    graph: GraphConfig = GraphConfig()
+    fusion: FusionConfig = FusionConfig()
+    manifest: ManifestConfig = ManifestConfig()

@@ -1,0 +1,116 @@
+"""Decode, deskew and odometry as the one step that nodes and the in-process pipeline share."""
+
+from __future__ import annotations
+
+from collections import deque
+from dataclasses import dataclass
+
+from subiaco_geo.errors import InputError
+from subiaco_mapping.config import MappingConfig
+from subiaco_mapping.decode import DecodeCounts, PacketDecoder
+from subiaco_mapping.deskew import Deskewer
+from subiaco_mapping.measurements import DeskewedScan, Extrinsics, ImuSample, OdometryPose, Scan
+from subiaco_mapping.odometry import KissOdometry, OdometryBackend
+
+
+@dataclass(frozen=True)
+class FrontendOutput:
+    """One registered scan."""
+
+    pose: OdometryPose
+    scan: DeskewedScan
+
+
+class OdometryFrontend:
+    """Take sensor data in any interleaving of topics, give registered scans in order.
+
+    A scan waits until the IMU covers its end, so that the result depends on each topic's own
+    order only; where the IMU stays away for ``deskew.imu_wait_ns`` of stream time it goes without.
+
+    Parameters
+    ----------
+    config : MappingConfig
+    extrinsics : Extrinsics
+    metadata : str, optional
+        Ouster metadata; needed before the first packet (see :meth:`set_metadata`).
+    odometry : OdometryBackend, optional
+        kiss-icp where not given.
+    """
+
+    def __init__(
+        self,
+        config: MappingConfig,
+        extrinsics: Extrinsics,
+        metadata: str | None = None,
+        odometry: OdometryBackend | None = None,
+    ) -> None:
+        self._config = config
+        self._decoder: PacketDecoder | None = None
+        self._deskewer = Deskewer(config.deskew, extrinsics)
+        self._odometry = odometry or KissOdometry(config.odometry, config.threads)
+        self._waiting: deque[Scan] = deque()
+        self._latest_ns = 0
+        self.dropped_scans = 0
+        if metadata is not None:
+            self.set_metadata(metadata)
+
+    @property
+    def counts(self) -> DecodeCounts:
+        """Packet counts; zeros where clouds come instead of packets."""
+        return self._decoder.counts if self._decoder is not None else DecodeCounts()
+
+    @property
+    def deskewer(self) -> Deskewer:
+        """The deskewer, for its bias and counts."""
+        return self._deskewer
+
+    def set_metadata(self, metadata: str) -> None:
+        """Give the sensor's metadata; a second time it is ignored."""
+        if self._decoder is None:
+            self._decoder = PacketDecoder(metadata, self._config.decode)
+
+    def on_packet(self, buf: bytes | memoryview) -> list[FrontendOutput]:
+        """Take one LiDAR packet."""
+        if self._decoder is None:
+            raise InputError(
+                "/ouster/metadata: no sensor metadata before the first packet; "
+                "record it with the packets (std_msgs/String, latched)"
+            )
+        return self._enqueue(self._decoder.push(buf))
+
+    def on_points(self, scan: Scan) -> list[FrontendOutput]:
+        """Take one scan of a point cloud topic (see ``conversions.scan_from_points``)."""
+        return self._enqueue([scan])
+
+    def on_imu(self, sample: ImuSample) -> list[FrontendOutput]:
+        """Take one IMU sample."""
+        self._deskewer.push_imu(sample)
+        return self._drain(force=False)
+
+    def finish(self) -> list[FrontendOutput]:
+        """Close the stream: whatever waits goes with what there is."""
+        if self._decoder is not None:
+            self._waiting.extend(self._decoder.flush())
+        return self._drain(force=True)
+
+    def _enqueue(self, scans: list[Scan]) -> list[FrontendOutput]:
+        for scan in scans:
+            self._latest_ns = max(self._latest_ns, scan.end_ns)
+            self._waiting.append(scan)
+        return self._drain(force=False)
+
+    def _drain(self, force: bool) -> list[FrontendOutput]:
+        outputs = []
+        while self._waiting and (force or self._deskewer.ready(self._waiting[0], self._latest_ns)):
+            output = self._step(self._waiting.popleft())
+            if output is not None:
+                outputs.append(output)
+        return outputs
+
+    def _step(self, scan: Scan) -> FrontendOutput | None:
+        previous_ns = self._odometry.last_stamp_ns
+        if len(scan.first) == 0 or (previous_ns is not None and scan.end_ns <= previous_ns):
+            self.dropped_scans += 1
+            return None
+        deskewed = self._deskewer.deskew(scan, self._odometry.twist, previous_ns)
+        return FrontendOutput(self._odometry.register(deskewed), deskewed)

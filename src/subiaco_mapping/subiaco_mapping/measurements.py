@@ -1,0 +1,176 @@
+"""What the sensors measured, as frozen records. Time is UTC nanoseconds."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from subiaco_geo.frames import Floats, Ints, invert_pose
+
+
+@dataclass(frozen=True)
+class ImuSample:
+    """One IMU sample in ``imu_link``: gyro (3,) [rad/s], accel (3,) specific force [m/s2]."""
+
+    time_ns: int
+    gyro: Floats
+    accel: Floats
+
+
+@dataclass(frozen=True)
+class GnssFix:
+    """One fix of the antenna.
+
+    Parameters
+    ----------
+    time_ns : int
+    latitude, longitude : float
+        [deg], in the declared frame.
+    altitude : float
+        Ellipsoidal height [m].
+    covariance : (3, 3) float64
+        East, north, up [m2].
+    status : int
+        2 RTK fixed, 1 float, 0 single, negative none.
+    """
+
+    time_ns: int
+    latitude: float
+    longitude: float
+    altitude: float
+    covariance: Floats
+    status: int
+
+    def is_usable(self) -> bool:
+        """Tell whether every number is finite and the status claims a solution."""
+        numbers = np.array([self.latitude, self.longitude, self.altitude, *self.covariance.ravel()])
+        return bool(self.status >= 0 and np.isfinite(numbers).all())
+
+
+@dataclass(frozen=True)
+class Returns:
+    """One return of every beam that came back.
+
+    Parameters
+    ----------
+    xyz : (N, 3) float64
+        In ``lidar_link`` at each point's own time [m].
+    times_ns : (N,) int64
+    intensity : (N,) float32
+    ring : (N,) uint16
+    """
+
+    xyz: Floats
+    times_ns: Ints
+    intensity: NDArray[np.float32]
+    ring: NDArray[np.uint16]
+
+    def __len__(self) -> int:
+        return len(self.xyz)
+
+
+@dataclass(frozen=True)
+class Scan:
+    """One turn of the LiDAR; ``end_ns`` is the time of its last column."""
+
+    start_ns: int
+    end_ns: int
+    first: Returns
+    last: Returns | None = None
+    lost_columns: int = 0
+    frame_id: int = 0
+    dropped_points: int = 0
+    deskewed: bool = False
+
+
+@dataclass(frozen=True)
+class DeskewedScan:
+    """A scan as if taken at once.
+
+    Parameters
+    ----------
+    stamp_ns : int
+        Time of the scan's last column; points are in ``lidar_link`` then.
+    xyz : (N, 3) float64
+        Strongest return [m].
+    intensity : (N,) float32
+    mode : str
+        ``gyro``, ``constant_velocity`` or ``none``.
+    motion : (4, 4) float64 or None
+        Predicted ``T_previous_current`` since the scan before, None where unknown.
+    last_xyz, last_intensity : arrays
+        The second return, (0, 3) and (0,) where the sensor gives one only.
+    accel : (3,) float64 or None
+        Mean specific force over the scan in ``lidar_link`` [m/s2].
+    lost_columns, dropped_points : int
+    """
+
+    stamp_ns: int
+    xyz: Floats
+    intensity: NDArray[np.float32]
+    mode: str
+    motion: Floats | None = None
+    last_xyz: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+    last_intensity: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, dtype=np.float32))
+    accel: Floats | None = None
+    lost_columns: int = 0
+    dropped_points: int = 0
+
+
+@dataclass(frozen=True)
+class OdometryPose:
+    """Pose of one scan in its odometry frame.
+
+    Parameters
+    ----------
+    stamp_ns : int
+    T_odom_lidar : (4, 4) float64
+    covariance : (6, 6) float64
+        Of the motion since the scan before: rotation [rad], then translation [m], axes of
+        ``lidar_link`` (right perturbation).
+    inliers : int
+        Keypoints matched in the second look.
+    residual_rmse : float
+        Of the second look [m].
+    degenerate : bool
+        A direction is not held by the scene.
+    segment : int
+        Grows where the chain broke.
+    predicted : bool
+        Registration failed; the pose is the prediction.
+    """
+
+    stamp_ns: int
+    T_odom_lidar: Floats
+    covariance: Floats
+    inliers: int
+    residual_rmse: float
+    degenerate: bool
+    segment: int
+    predicted: bool = False
+
+
+@dataclass(frozen=True)
+class Extrinsics:
+    """Where the sensors sit on the vehicle; None where the recording has no such sensor."""
+
+    T_base_lidar: Floats = field(default_factory=lambda: np.eye(4))
+    T_base_imu: Floats | None = None
+    t_base_gnss: Floats | None = None
+
+    @property
+    def R_lidar_imu(self) -> Floats:
+        """Rotation (3, 3) from IMU to LiDAR axes."""
+        if self.T_base_imu is None:
+            raise ValueError("the IMU extrinsic is not known")
+        return np.asarray(self.T_base_lidar[:3, :3].T @ self.T_base_imu[:3, :3])
+
+    @property
+    def t_lidar_gnss(self) -> Floats:
+        """Antenna (3,) in ``lidar_link`` [m]."""
+        if self.t_base_gnss is None:
+            raise ValueError("the antenna lever arm is not known")
+        T_lidar_base = invert_pose(self.T_base_lidar)
+        return np.asarray(T_lidar_base[:3, :3] @ self.t_base_gnss + T_lidar_base[:3, 3])
