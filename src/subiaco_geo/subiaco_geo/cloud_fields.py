@@ -1,0 +1,94 @@
+"""What all cloud files share: grouping of scalar columns into fields, and the refusals."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Mapping
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from subiaco_geo.clouds import PointCloud, from_world
+from subiaco_geo.crs import crs_text, require_map_crs
+from subiaco_geo.errors import InputError
+from subiaco_geo.frames import Floats
+
+logger = logging.getLogger(__name__)
+
+Column = NDArray[np.generic]
+_NORMALS = ("nx", "ny", "nz")
+_FLOAT32_LIMIT = 1e5
+
+
+def check_coordinates(path: Path, xyz: Floats) -> None:
+    """Refuse empty clouds and coordinates that are not finite."""
+    if len(xyz) == 0:
+        raise InputError(f"{path}: the cloud is empty; give a cloud with points")
+    bad = int((~np.isfinite(xyz)).any(axis=1).sum())
+    if bad:
+        raise InputError(
+            f"{path}: {bad} of {len(xyz)} points have NaN or infinite coordinates; remove them and export again"
+        )
+
+
+def refuse_rounded(path: Path, columns: Mapping[str, Column]) -> None:
+    """Refuse projected coordinates that went through single precision: x or y beyond 1e5 as float32."""
+    for name in ("x", "y"):
+        values = columns[name]
+        if values.dtype == np.float32 and len(values) and np.nanmax(np.abs(values)) > _FLOAT32_LIMIT:
+            step = float(np.spacing(np.nanmax(np.abs(values))))
+            raise InputError(
+                f"{path}: {name} holds projected coordinates as float32, which steps by {step:g} m; "
+                "export again with double coordinates or in a local frame"
+            )
+
+
+def cloud_from_columns(path: Path, columns: Mapping[str, Column], crs: str | None) -> PointCloud:
+    """Build a cloud from scalar columns; ``nx ny nz`` become the field ``normals``."""
+    missing = [name for name in ("x", "y", "z") if name not in columns]
+    if missing:
+        raise InputError(f"{path}: no coordinate {', '.join(missing)}; a cloud needs x, y and z")
+    refuse_rounded(path, columns)
+    xyz = np.stack([columns[n].astype(np.float64) for n in ("x", "y", "z")], axis=1)
+    check_coordinates(path, xyz)
+    fields = {name: values for name, values in columns.items() if name not in ("x", "y", "z")}
+    if all(name in fields for name in _NORMALS):
+        fields["normals"] = np.stack([fields.pop(name) for name in _NORMALS], axis=1)
+    return from_world(xyz, read_crs(path, crs), **fields)
+
+
+def read_crs(path: Path, text: str | None) -> str | None:
+    """Check the CRS that a file names and return its shortest text."""
+    if text is None:
+        return None
+    try:
+        crs = require_map_crs(text)
+    except InputError as error:
+        raise InputError(f"{path}: {error}") from error
+    if len(crs.axis_info) == 3 and crs.axis_info[2].unit_conversion_factor != 1.0:
+        logger.warning("%s: heights are in %s, taken as they are", path, crs.axis_info[2].unit_name)
+    return crs_text(crs)
+
+
+def scalar_columns(path: Path, cloud: PointCloud) -> dict[str, Column]:
+    """Split the fields of a cloud into one-dimensional columns.
+
+    ``normals`` become ``nx ny nz``; another (N, k) field ``f`` becomes
+    ``f_0 ... f_{k-1}``.
+    """
+    columns: dict[str, Column] = {}
+    for name, values in cloud.fields.items():
+        if values.ndim == 1:
+            parts = {name: values}
+        elif values.ndim == 2 and name == "normals" and values.shape[1] == 3:
+            parts = {axis: values[:, i] for i, axis in enumerate(_NORMALS)}
+        elif values.ndim == 2:
+            parts = {f"{name}_{i}": values[:, i] for i in range(values.shape[1])}
+        else:
+            raise InputError(f"{path}: field {name} has shape {values.shape}; expected (N,) or (N, k)")
+        columns.update(parts)
+    for name in columns:
+        if name in ("x", "y", "z") or not name.isascii() or not name.strip() or len(name.split()) != 1:
+            raise InputError(f"{path}: field name {name!r} cannot be written; rename the field")
+    return columns
