@@ -1,0 +1,200 @@
+"""Objects of every class: buildings, plants, vehicles, other things (method, part C4)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+from scipy import ndimage
+from scipy.spatial import cKDTree
+from subiaco_geo.clouds import PointCloud
+from subiaco_geo.config import StrictModel
+from subiaco_geo.frames import Floats, Ints
+
+from subiaco_change.clustering import cell_clusters, group_indices, voxel_clusters
+from subiaco_change.records import Semantic
+from subiaco_change.semantics import SemanticResult
+
+
+class InstanceConfig(StrictModel):
+    """How points of a class fall into objects."""
+
+    building_gap: float = Field(1.0, gt=0, description="cell in which parts of one building touch, seen from above [m]")
+    vegetation_gap: float = Field(0.8, gt=0, description="least clustering distance of foliage, paper [m]")
+    vegetation_density: float = Field(1.8, gt=0, description="clustering distance times cbrt(density), paper")
+    crown_radius: float = Field(2.0, gt=0, description="smoothing and least half distance of two crown tops [m]")
+    crown_drop: float = Field(0.8, gt=0, description="depth of the dip that parts two crowns [m]")
+    mobile_gap: float = Field(0.3, gt=0, description="cell in which points of a vehicle touch, after the split [m]")
+    mobile_erosion: float = Field(0.15, ge=0, description="band above ground left out when clustering, paper [m]")
+    other_gap: float = Field(0.6, gt=0, description="voxel in which other things touch [m]")
+    min_points: tuple[int, int, int, int] = Field(
+        (60, 40, 25, 12),
+        description="smallest building, plant, vehicle, other, in points at a 0.25 m leaf; scales with 1/leaf^2 (Decision 7)",
+    )
+    leaf: float = Field(0.25, gt=0, description="leaf of the clouds, set by the run [m]")
+
+
+def segment(cloud: PointCloud, result: SemanticResult, config: InstanceConfig) -> NDArray[np.int32]:
+    """Return the instance (N,) of every point, -1 for ground and fragments.
+
+    Ids count from 0 by class and then from the south-west, so that they do not
+    depend on the order of the points.
+    """
+    instance = np.full(len(cloud), -1, dtype=np.int64)
+    split = {
+        Semantic.BUILDING: _buildings,
+        Semantic.VEGETATION: _vegetation,
+        Semantic.MOBILE: _vehicles,
+        Semantic.OTHER: _others,
+    }
+    following = 0
+    for position, (semantic, function) in enumerate(split.items()):
+        members = np.flatnonzero(result.semantic == semantic)
+        if len(members) == 0:
+            continue
+        labels = function(cloud.xyz[members], result.height_above_ground[members], config)
+        smallest = config.min_points[position] * (0.25 / config.leaf) ** 2
+        labels = _renumber(cloud.xyz[members], labels, max(3, round(smallest)))
+        instance[members] = np.where(labels >= 0, labels + following, -1)
+        following += int(labels.max()) + 1
+    return instance.astype(np.int32)
+
+
+def _renumber(xyz: Floats, labels: Ints, smallest: int) -> Ints:
+    """Drop small groups to -1 and count the rest from the south-west."""
+    groups = [g for g in group_indices(labels) if len(g) >= smallest]
+    groups.sort(key=lambda g: (np.round(xyz[g, 0].min(), 3), np.round(xyz[g, 1].min(), 3), len(g)))
+    renumbered = np.full(len(labels), -1, dtype=np.int64)
+    for number, group in enumerate(groups):
+        renumbered[group] = number
+    return renumbered
+
+
+def _buildings(xyz: Floats, height: Floats, config: InstanceConfig) -> Ints:
+    """Join walls and roofs whose footprints touch."""
+    del height
+    return cell_clusters(xyz[:, :2], config.building_gap)
+
+
+def _vehicles(xyz: Floats, height: Floats, config: InstanceConfig) -> Ints:
+    """Cluster seen from above without the lowest band, which bridges vehicles; that band joins afterwards."""
+    raised = height > config.mobile_erosion
+    labels = np.full(len(xyz), -1, dtype=np.int64)
+    labels[raised] = cell_clusters(xyz[raised, :2], config.mobile_gap)
+    return _join_nearest(xyz, labels, 1.0)
+
+
+def _others(xyz: Floats, height: Floats, config: InstanceConfig) -> Ints:
+    del height
+    return voxel_clusters(xyz, config.other_gap)
+
+
+def _vegetation(xyz: Floats, height: Floats, config: InstanceConfig) -> Ints:
+    """Cluster foliage, then part clusters with several crowns at the dips between their tops."""
+    density = _density(xyz)
+    gap = max(config.vegetation_gap, config.vegetation_density / np.cbrt(density))
+    # A voxel cluster joins points up to about twice its edge apart.
+    labels = voxel_clusters(xyz, gap / 2)
+    following = 0
+    parted = np.full(len(xyz), -1, dtype=np.int64)
+    for members in group_indices(labels):
+        crowns = split_crowns(xyz[members], height[members], config)
+        parted[members] = crowns + following
+        following += int(crowns.max()) + 1
+    return parted
+
+
+def _density(xyz: Floats) -> float:
+    """Median number of points a cubic metre in the occupied cubic metres."""
+    cells = np.floor(xyz).astype(np.int64)
+    _, counts = np.unique(cells, axis=0, return_counts=True)
+    return float(np.median(counts))
+
+
+def split_crowns(xyz: Floats, height: Floats, config: InstanceConfig) -> Ints:
+    """Part one cluster (N,) into crowns: a watershed of its canopy, markers at tops that dips separate.
+
+    Tops are local maxima of the smoothed canopy over ``crown_radius``; two
+    basins merge while the saddle between them is less than ``crown_drop``
+    below the lower top.
+    """
+    cell = 0.5
+    south_west = xyz[:, :2].min(axis=0)
+    index = np.floor((xyz[:, :2] - south_west) / cell).astype(np.int64) + 1
+    shape = tuple((index.max(axis=0) + 2).tolist())
+    if max(shape) * cell < 2 * config.crown_radius:
+        return np.zeros(len(xyz), dtype=np.int64)
+    canopy = np.zeros(shape)
+    np.maximum.at(canopy, (index[:, 0], index[:, 1]), height)
+    smooth = ndimage.gaussian_filter(ndimage.grey_closing(canopy, size=(3, 3)), config.crown_radius / cell / 3)
+    basins = _basins(smooth, canopy > 0)
+    merged = _merge_shallow(smooth, basins, config.crown_drop)
+    return np.unique(merged[index[:, 0], index[:, 1]], return_inverse=True)[1].astype(np.int64)
+
+
+def _basins(surface: Floats, inside: NDArray[np.bool_]) -> Ints:
+    """Label cells by the top that steepest ascent reaches; outside is -1."""
+    flat = np.arange(surface.size).reshape(surface.shape)
+    best = surface.copy()
+    target = flat.copy()
+    for d_row, d_column in [(a, b) for a in (-1, 0, 1) for b in (-1, 0, 1) if (a, b) != (0, 0)]:
+        shifted = np.roll(surface, (d_row, d_column), axis=(0, 1))
+        moved = np.roll(flat, (d_row, d_column), axis=(0, 1))
+        higher = shifted > best
+        best = np.where(higher, shifted, best)
+        target = np.where(higher, moved, target)
+    pointer = target.ravel()
+    while not np.array_equal(pointer, pointer[pointer]):
+        pointer = pointer[pointer]
+    return np.where(inside, pointer.reshape(surface.shape), -1)
+
+
+def _merge_shallow(surface: Floats, basins: Ints, drop: float) -> Ints:
+    """Merge basins across saddles, the highest first, unless both tops rise more than ``drop`` above it."""
+    parent: dict[int, int] = {int(b): int(b) for b in np.unique(basins) if b >= 0}
+    top = surface.ravel()
+
+    def root(b: int) -> int:
+        while parent[b] != b:
+            b = parent[b]
+        return b
+
+    for saddle, a, b in _saddles(surface, basins):
+        first, second = root(a), root(b)
+        if first == second:
+            continue
+        low, high = sorted((first, second), key=lambda r: (top[r], r))
+        if top[low] - saddle < drop:
+            parent[low] = high
+    lookup = np.full(surface.size, -1, dtype=np.int64)
+    for b in parent:
+        lookup[b] = root(b)
+    return np.where(basins >= 0, lookup[basins], -1)
+
+
+def _saddles(surface: Floats, basins: Ints) -> list[tuple[float, int, int]]:
+    """Highest pass between every two touching basins, highest first."""
+    best: dict[tuple[int, int], float] = {}
+    sides = ((np.s_[:-1, :], np.s_[1:, :]), (np.s_[:, :-1], np.s_[:, 1:]))
+    for here, there in sides:
+        a, b = basins[here], basins[there]
+        border = (a != b) & (a >= 0) & (b >= 0)
+        height = np.minimum(surface[here], surface[there])[border]
+        for x, y, z in zip(a[border].tolist(), b[border].tolist(), height.tolist(), strict=True):
+            key = (min(x, y), max(x, y))
+            best[key] = max(best.get(key, -np.inf), z)
+    return sorted(((z, *key) for key, z in best.items()), reverse=True)
+
+
+def _join_nearest(xyz: Floats, labels: Ints, reach: float) -> Ints:
+    """Give unlabelled points the label of the nearest labelled one within reach [m]."""
+    known = labels >= 0
+    if known.all() or not known.any():
+        return labels
+    distance, slot = cKDTree(xyz[known]).query(xyz[~known], distance_upper_bound=reach)
+    joined = labels.copy()
+    found = np.isfinite(distance)
+    values = np.full(len(distance), -1, dtype=np.int64)
+    values[found] = labels[known][slot[found]]
+    joined[~known] = values
+    return joined

@@ -1,0 +1,94 @@
+"""Planar patches: connected points that share a tangent plane (method, parts C3 and C4)."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from subiaco_geo.clouds import voxel_keys
+from subiaco_geo.frames import Floats, Ints
+
+from subiaco_change.clustering import connect, count_distinct
+from subiaco_change.features import Features
+from subiaco_change.ground import Mask
+
+
+@dataclass(frozen=True)
+class Patches:
+    """Planar patches of a cloud.
+
+    ``label`` (N,) is -1 for points of none; ``normal`` (P, 3), ``centre``
+    (P, 3) [m], ``area`` (P,) [m2] of occupied 0.5 m cells in the plane, and
+    ``residual`` (P,) the root mean square distance to the plane [m].
+    """
+
+    label: Ints
+    normal: Floats
+    centre: Floats
+    area: Floats
+    residual: Floats
+
+
+def planar_patches(xyz: Floats, features: Features, candidate: Mask, angle_deg: float, offset: float) -> Patches:
+    """Join neighbouring candidate points whose normals agree and that lie in each other's plane.
+
+    Parameters
+    ----------
+    xyz : (N, 3) float64 [m]
+    features : Features
+    candidate : (N,) bool
+    angle_deg : float
+        Largest angle between the normals of neighbours [deg].
+    offset : float
+        Largest distance of a neighbour from the tangent plane [m].
+    """
+    edges = _smooth_edges(xyz, features, candidate, angle_deg, offset)
+    component = connect(len(xyz), edges)
+    sizes = np.bincount(component)
+    keep = candidate & (sizes[component] >= 4)
+    label = np.full(len(xyz), -1, dtype=np.int64)
+    _, label[keep] = np.unique(component[keep], return_inverse=True)
+    return _measure(xyz, label)
+
+
+def _smooth_edges(xyz: Floats, features: Features, candidate: Mask, angle_deg: float, offset: float) -> Ints:
+    columns = features.neighbours[:, 1:9]
+    source = np.repeat(np.flatnonzero(candidate), columns.shape[1])
+    target = columns[candidate].ravel().astype(np.int64)
+    inside = candidate[target]
+    source, target = source[inside], target[inside]
+    normals = features.normals
+    aligned = np.abs(np.einsum("ij,ij->i", normals[source], normals[target])) > np.cos(np.radians(angle_deg))
+    source, target = source[aligned], target[aligned]
+    step = np.abs(np.einsum("ij,ij->i", normals[source], xyz[target] - xyz[source]))
+    near = step < offset
+    return np.stack([source[near], target[near]], axis=1)
+
+
+def _measure(xyz: Floats, label: Ints) -> Patches:
+    inside = label >= 0
+    points, own = xyz[inside], label[inside]
+    count = int(own.max(initial=-1)) + 1
+    sizes = np.maximum(np.bincount(own, minlength=count), 1)
+    centre = np.stack([np.bincount(own, points[:, i], count) / sizes for i in range(3)], axis=1)
+    delta = points - centre[own]
+    covariance = np.empty((count, 3, 3))
+    for i in range(3):
+        for j in range(3):
+            covariance[:, i, j] = np.bincount(own, delta[:, i] * delta[:, j], count) / sizes
+    values, vectors = np.linalg.eigh(covariance)
+    normal = vectors[:, :, 0]
+    residual = np.sqrt(np.maximum(values[:, 0], 0.0))
+    return Patches(label, normal, centre, _plane_area(delta, own, normal), residual)
+
+
+def _plane_area(delta: Floats, own: Ints, normal: Floats, cell: float = 0.5) -> Floats:
+    """Area [m2] of the occupied cells of every patch, in its own plane."""
+    flat = np.abs(normal[:, 2]) > 0.95
+    reference = np.where(flat[:, None], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0])
+    u = np.cross(reference, normal)
+    u /= np.maximum(np.linalg.norm(u, axis=1, keepdims=True), 1e-12)
+    v = np.cross(normal, u)
+    coordinates = [np.einsum("ij,ij->i", delta, axis[own]) for axis in (u, v)]
+    index = np.floor(np.stack([*coordinates, np.zeros(len(own))], axis=1) / cell).astype(np.int64)
+    return count_distinct(own, voxel_keys(index), len(normal)) * cell**2
