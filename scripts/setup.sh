@@ -228,7 +228,7 @@ install_command() {
     say "installing the subiaco command into .venv"
     local name options=()
     for name in "${PYTHON_PACKAGES[@]}"; do options+=(-e "$ROOT/src/$name"); done
-    "$VENV/bin/python" -m pip install --quiet --no-deps --no-build-isolation --disable-pip-version-check \
+    "$VENV/bin/python" -m pip install --quiet --no-deps --no-build-isolation --use-pep517 --disable-pip-version-check \
         "${options[@]}"
     echo "$1" >"$VENV/.command"
 }

@@ -1,0 +1,36 @@
+# The two commands: make demo, make test. Everything else is a part of them.
+SHELL := /bin/bash
+.DEFAULT_GOAL := help
+.PHONY: help setup demo test lint format colcon-test clean distclean
+
+# Sourced for anything that runs our code: virtual environment, workspace, DDS settings.
+ENV := source ros2_ws/env.sh
+
+help:  ## this list
+	@grep -hE '^[a-z-]+:.*##' $(MAKEFILE_LIST) | awk -F ':.*## ' '{ printf "  make %-12s %s\n", $$1, $$2 }'
+
+setup:  ## system packages, .venv, ROS 2 workspace (reuses what is there)
+	@scripts/setup.sh
+
+demo: setup  ## simulate two surveys, map both through the node graph, find what changed
+	@$(ENV) && scripts/demo.sh
+
+lint: setup  ## ruff and mypy
+	@$(ENV) && scripts/lint.sh
+
+test: setup  ## set-up, lint, every test
+	@$(ENV) && scripts/lint.sh && scripts/test.sh $(PYTEST_ARGS)
+
+colcon-test: setup  ## each package's tests the ROS way
+	@$(ENV) && cd ros2_ws && python -m colcon --log-base log test --base-paths src --return-code-on-test-failure
+
+format: setup  ## let ruff rewrite what it can
+	@$(ENV) && ruff check --fix && ruff format
+
+clean:  ## results and caches; keeps .venv, the workspace and bags
+	rm -rf out .mypy_cache .ruff_cache .pytest_cache .hypothesis
+	find src tests scripts -name __pycache__ -prune -exec rm -rf {} +
+
+distclean: clean  ## everything that was installed or built too
+	rm -rf .venv ros2_ws/build ros2_ws/install ros2_ws/log
+	find src -maxdepth 2 -name '*.egg-info' -prune -exec rm -rf {} +

@@ -1,0 +1,17 @@
+#!/usr/bin/env bash
+# ruff, its formatter, mypy --strict. Run inside ros2_ws/env.sh (make lint does).
+set -uo pipefail
+cd "$(dirname "${BASH_SOURCE[0]}")/.."
+
+status=0
+check() {
+    printf '[lint] %s\n' "$*"
+    "$@" || status=1
+}
+
+check ruff check
+check ruff format --check
+check mypy
+for script in scripts/*.sh .ci/run ros2_ws/env.sh; do bash -n "$script" || status=1; done
+if command -v shellcheck >/dev/null; then check shellcheck -x scripts/*.sh .ci/run ros2_ws/env.sh; fi
+exit "$status"

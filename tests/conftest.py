@@ -1,0 +1,46 @@
+"""What every test may use: real recordings where they are, one hypothesis profile."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+from hypothesis import HealthCheck, settings
+
+REPOSITORY = Path(__file__).resolve().parents[1]
+
+# Same examples on every run; what takes long on a busy machine is not a failure.
+settings.register_profile(
+    "subiaco", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
+)
+settings.load_profile("subiaco")
+
+
+def pytest_configure(config: pytest.Config) -> None:
+    """Register the markers here too, for `colcon test`, which does not read pyproject.toml."""
+    config.addinivalue_line("markers", "slow: takes more than ten seconds")
+    config.addinivalue_line("markers", "ros: needs the built workspace (source ros2_ws/env.sh)")
+
+
+def pytest_runtest_setup(item: pytest.Item) -> None:
+    """Skip ROS tests, with the reason, where the workspace is not on the path."""
+    if item.get_closest_marker("ros") is not None:
+        pytest.importorskip("rclpy", reason="no rclpy: run make setup")
+        pytest.importorskip("subiaco_msgs.msg", reason="workspace not sourced: source ros2_ws/env.sh")
+
+
+@pytest.fixture(scope="session")
+def repository() -> Path:
+    """Root of the repository."""
+    return REPOSITORY
+
+
+@pytest.fixture(scope="session")
+def shared_data() -> Path:
+    """Folder of real recordings: $SUBIACO_TEST_DATA, else ../shared/data; skips where there is none."""
+    named = os.environ.get("SUBIACO_TEST_DATA")
+    folder = Path(named) if named else REPOSITORY.parent / "shared" / "data"
+    if not folder.is_dir():
+        pytest.skip(f"no real recordings: {folder} is no folder (set SUBIACO_TEST_DATA)")
+    return folder
