@@ -1,0 +1,183 @@
+"""The change directory: everything a change run found, written whole or not at all."""
+
+from __future__ import annotations
+
+import json
+import math
+import platform
+import resource
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+from subiaco_geo.atomic import refuse_existing, whole_directory
+from subiaco_geo.config import StrictModel, config_hash, write_config
+
+from subiaco_change import outputs_table
+from subiaco_change.outputs_clouds import write_labelled
+from subiaco_change.outputs_hash import hash_path
+from subiaco_change.outputs_raster import build_coverage, write_coverage, write_ground_change
+from subiaco_change.outputs_read import ChangeDirectory, read_change_directory
+from subiaco_change.records import ChangeResult, Registration
+from subiaco_change.report import build_report
+
+__all__ = ["ChangeDirectory", "ChangeInputs", "read_change_directory", "write_change_directory"]
+
+_PACKAGES = (
+    "subiaco-geo",
+    "subiaco-mapping",
+    "subiaco-change",
+    "numpy",
+    "scipy",
+    "open3d",
+    "small-gicp",
+    "geopandas",
+    "laspy",
+    "rasterio",
+)
+
+
+@dataclass(frozen=True)
+class ChangeInputs:
+    """Where the two epochs came from; ``notes`` are further facts for ``run.json``.
+
+    ``calibrated`` tells whether the confidences were calibrated; the report
+    warns where they were not.
+    """
+
+    before: Path | None = None
+    after: Path | None = None
+    notes: Mapping[str, Any] = field(default_factory=dict)
+    calibrated: bool = False
+
+
+def plain(value: Any) -> Any:
+    """Turn arrays, paths and numpy scalars into JSON values; non-finite becomes null."""
+    if isinstance(value, Mapping):
+        return {str(k): plain(v) for k, v in value.items()}
+    if isinstance(value, np.ndarray | list | tuple):
+        return [plain(v) for v in value]
+    if isinstance(value, np.generic):
+        return plain(value.item())
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    return value if isinstance(value, bool | int | str) or value is None else str(value)
+
+
+def write_json(path: Path, document: Mapping[str, Any]) -> None:
+    """Write JSON without NaN, indented."""
+    path.write_text(json.dumps(plain(document), indent=2, allow_nan=False) + "\n")
+
+
+def registration_document(registration: Registration, crs: str | None) -> dict[str, Any]:
+    """Return the content of ``registration.json``."""
+    return {
+        "T_after_before": registration.T_after_before,
+        "crs": crs,
+        "origin": registration.origin,
+        "T_local_about_origin": registration.T_local,
+        "rmse_m": registration.rmse_m,
+        "inlier_ratio": registration.inlier_ratio,
+        "pose_std": registration.pose_std,
+        "pose_std_order": ["rx_rad", "ry_rad", "rz_rad", "tx_m", "ty_m", "tz_m"],
+        "sigma_reg_m": registration.sigma_reg_m,
+        "degenerate": list(registration.degenerate),
+        "method": registration.method,
+        "warnings": list(registration.warnings),
+        "details": dict(registration.details),
+    }
+
+
+def _versions() -> dict[str, str]:
+    found = {"python": platform.python_version()}
+    for name in _PACKAGES:
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            continue
+    return found
+
+
+def peak_memory_mib() -> float:
+    """Return the largest resident memory of this process so far [MiB]."""
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / 1024.0 if sys.platform != "darwin" else peak / 1024.0**2
+
+
+def run_document(
+    result: ChangeResult, config: StrictModel, inputs: ChangeInputs, table: pd.DataFrame
+) -> dict[str, Any]:
+    """Return the content of ``run.json``."""
+    sources = {"before": inputs.before, "after": inputs.after}
+    return {
+        "table_hash": outputs_table.table_hash(table),
+        "config_hash": config_hash(config),
+        "versions": _versions(),
+        "inputs": {
+            name: {"path": str(path), "sha256": hash_path(path)} if path else None
+            for name, path in sources.items()
+        },
+        "notes": dict(inputs.notes),
+        "crs": result.after.crs,
+        "points": {"before": len(result.before), "after": len(result.after)},
+        "confidence_calibrated": inputs.calibrated,
+        "seconds": dict(result.seconds),
+        "peak_memory_mib": peak_memory_mib(),
+        "warnings": list(result.warnings),
+    }
+
+
+def write_change_directory(
+    directory: Path,
+    result: ChangeResult,
+    config: StrictModel,
+    inputs: ChangeInputs,
+    overwrite: bool = False,
+) -> None:
+    """Write every product of contracts section 4, with the report.
+
+    Parameters
+    ----------
+    directory : Path
+        Appears whole at the end, or not at all.
+    result : ChangeResult
+    config : StrictModel
+        As resolved; written to ``config.yaml``.
+    inputs : ChangeInputs
+    overwrite : bool
+        Replace an earlier directory; its reviews are carried over.
+
+    Raises
+    ------
+    InputError
+        The directory exists and ``overwrite`` is false, or a cloud lacks a field.
+    """
+    refuse_existing(directory, overwrite)
+    crs = result.after.crs
+    table = outputs_table.build_table(result.records, crs)
+    previous = outputs_table.read_reviewed(directory)
+    if previous is not None:
+        table = outputs_table.carry_reviews(table, previous)
+    with whole_directory(directory, overwrite=overwrite) as target:
+        _write_table(target, table)
+        write_labelled(target, "before", result.before)
+        write_labelled(target, "after", result.after)
+        if result.ground is not None:
+            write_ground_change(target / "ground_change.tif", result.ground, crs)
+        write_coverage(target / "coverage.tif", build_coverage(result.before, result.after), crs)
+        write_json(target / "registration.json", registration_document(result.registration, crs))
+        write_config(target / "config.yaml", config)
+        write_json(target / "run.json", run_document(result, config, inputs, table))
+        build_report(target)
+
+
+def _write_table(target: Path, table: gpd.GeoDataFrame) -> None:
+    outputs_table.write_csv(target / "changes.csv", table)
+    outputs_table.write_geopackage(target / "changes.gpkg", table)
+    outputs_table.write_parquet(target / "changes.parquet", table)

@@ -1,0 +1,95 @@
+"""The labelled clouds of a change directory, as PLY and as LAZ."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from subiaco_geo.cloud_io import read_cloud, write_cloud
+from subiaco_geo.clouds import PointCloud
+from subiaco_geo.errors import InputError
+
+from subiaco_change.records import CHANGE_COLOURS, Change, Semantic
+
+#: ASPRS classification of LAS 1.4 for each of our classes; 64 is the first user code.
+ASPRS_CODES: dict[Semantic, int] = {
+    Semantic.GROUND: 2,
+    Semantic.BUILDING: 6,
+    Semantic.VEGETATION: 5,
+    Semantic.MOBILE: 64,
+    Semantic.OTHER: 1,
+}
+#: Fields of every labelled point, and their types on disk.
+POINT_FIELDS: dict[str, type[np.generic]] = {
+    "change": np.uint8,
+    "semantic": np.uint8,
+    "instance": np.int32,
+    "confidence": np.float32,
+    "lod95": np.float32,
+}
+
+
+def change_palette() -> NDArray[np.uint8]:
+    """Return the colour (256, 3) of every change code; codes without a meaning are black."""
+    palette = np.zeros((256, 3), dtype=np.uint8)
+    for change, rgb in CHANGE_COLOURS.items():
+        palette[int(change)] = rgb
+    return palette
+
+
+def asprs_lookup() -> NDArray[np.uint8]:
+    """Return the ASPRS code (256,) of every class code, 1 (unclassified) by default."""
+    table = np.ones(256, dtype=np.uint8)
+    for semantic, code in ASPRS_CODES.items():
+        table[int(semantic)] = code
+    return table
+
+
+def labelled_cloud(cloud: PointCloud) -> PointCloud:
+    """Return the points with exactly the fields of the contract, coloured by change.
+
+    Raises
+    ------
+    InputError
+        A field is missing, or a code has no meaning.
+    """
+    for name in POINT_FIELDS:
+        if name not in cloud.fields:
+            raise InputError(f"labelled cloud: field {name} is missing; every stage must fill it")
+    fields = {name: np.asarray(cloud.fields[name]).astype(kind) for name, kind in POINT_FIELDS.items()}
+    _check_codes(fields["change"], "change", [int(c) for c in Change])
+    _check_codes(fields["semantic"], "semantic", [int(s) for s in Semantic])
+    colours = change_palette()[fields["change"].astype(np.int64)]
+    for column, name in enumerate(("red", "green", "blue")):
+        fields[name] = np.ascontiguousarray(colours[:, column])
+    if "intensity" in cloud.fields:
+        fields["intensity"] = np.asarray(cloud.fields["intensity"], dtype=np.float32)
+    return PointCloud(cloud.xyz, cloud.origin, cloud.crs, fields)
+
+
+def _check_codes(values: NDArray[np.generic], name: str, allowed: list[int]) -> None:
+    strange = np.setdiff1d(values, allowed)
+    if len(strange):
+        raise InputError(f"labelled cloud: {name} holds code {strange[0]}; allowed are {allowed}")
+
+
+def write_labelled(directory: Path, epoch: str, cloud: PointCloud) -> None:
+    """Write ``<epoch>_labelled.ply`` and ``.laz``; the LAZ adds ASPRS ``classification``."""
+    labelled = labelled_cloud(cloud)
+    write_cloud(directory / f"{epoch}_labelled.ply", labelled)
+    codes = asprs_lookup()[labelled.fields["semantic"].astype(np.int64)]
+    write_cloud(directory / f"{epoch}_labelled.laz", labelled.with_fields(classification=codes))
+
+
+def read_labelled(directory: Path, epoch: str) -> PointCloud:
+    """Read ``<epoch>_labelled.ply``, or the LAZ where only that is there."""
+    for suffix in (".ply", ".laz"):
+        path = directory / f"{epoch}_labelled{suffix}"
+        if path.is_file():
+            cloud = read_cloud(path)
+            missing = [name for name in POINT_FIELDS if name not in cloud.fields]
+            if missing:
+                raise InputError(f"{path}: field {missing[0]} is missing; run 'subiaco change' again")
+            return cloud
+    raise InputError(f"{directory}: {epoch}_labelled.ply is missing; run 'subiaco change' again")

@@ -1,0 +1,103 @@
+"""Rasters of a change directory: ground change, and what each epoch saw."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import rasterio
+from numpy.typing import NDArray
+from rasterio.transform import from_origin
+from subiaco_geo.clouds import PointCloud
+from subiaco_geo.frames import Floats
+
+from subiaco_change.records import Change, GroundChange
+
+#: Codes of ``coverage.tif`` band 1.
+COVERAGE = {0: "neither", 1: "both", 2: "only before", 3: "only after"}
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """What was seen per cell: codes of :data:`COVERAGE` and median LoD95 [m], row 0 north."""
+
+    code: NDArray[np.uint8]
+    lod95: NDArray[np.float32]
+    west: float
+    north: float
+    cell: float
+
+    def area(self, code: int) -> float:
+        """Return the area of a code [m2]."""
+        return float(np.count_nonzero(self.code == code) * self.cell**2)
+
+
+def _write(path: Path, bands: dict[str, NDArray[np.float32]], raster: GroundChange | Coverage, crs: str | None) -> None:
+    arrays = list(bands.values())
+    profile = {
+        "driver": "GTiff",
+        "height": arrays[0].shape[0],
+        "width": arrays[0].shape[1],
+        "count": len(arrays),
+        "dtype": "float32",
+        "crs": crs,
+        "transform": from_origin(raster.west, raster.north, raster.cell, raster.cell),
+        "nodata": float("nan"),
+        "compress": "deflate",
+        "predictor": 3,
+    }
+    with rasterio.open(path, "w", **profile) as dataset:
+        for index, (name, values) in enumerate(bands.items(), 1):
+            dataset.write(values.astype(np.float32), index)
+            dataset.set_band_description(index, name)
+
+
+def write_ground_change(path: Path, ground: GroundChange, crs: str | None) -> None:
+    """Write elevation change [m] and its confidence as a two-band GeoTIFF."""
+    _write(path, {"dz": ground.dz, "confidence": ground.confidence}, ground, crs)
+
+
+def write_coverage(path: Path, coverage: Coverage, crs: str | None) -> None:
+    """Write coverage codes and median LoD95 [m] as a two-band GeoTIFF."""
+    _write(path, {"coverage": coverage.code.astype(np.float32), "lod95": coverage.lod95}, coverage, crs)
+
+
+def build_coverage(before: PointCloud, after: PointCloud, cell: float = 2.0) -> Coverage:
+    """Tell per cell which epochs saw it, from the labelled clouds.
+
+    A cell with points is *both* when most of them could be decided, that is,
+    the other epoch observed their place; else it belongs to the epoch with
+    more points there.
+    """
+    world = np.concatenate([before.world()[:, :2], after.world()[:, :2]])
+    west, south = np.floor(world.min(axis=0) / cell) * cell
+    north = float(np.floor(world[:, 1].max() / cell + 1) * cell)
+    rows = int(round((north - south) / cell))
+    columns = int(np.floor((world[:, 0].max() - west) / cell)) + 1
+    flat = np.minimum(((north - world[:, 1]) // cell).astype(np.int64), rows - 1) * columns
+    flat = flat + ((world[:, 0] - west) // cell).astype(np.int64)
+    change = np.concatenate([np.asarray(c.fields["change"]) for c in (before, after)])
+    size, is_before = rows * columns, np.arange(len(world)) < len(before)
+    total = np.bincount(flat, minlength=size)
+    decided = np.bincount(flat, weights=change != Change.UNOBSERVED, minlength=size)
+    older = np.bincount(flat, weights=is_before, minlength=size)
+    code = np.where(2 * decided >= total, 1, np.where(2 * older >= total, 2, 3))
+    code[total == 0] = 0
+    lod95 = np.concatenate([np.asarray(c.fields["lod95"], dtype=np.float64) for c in (before, after)])
+    shape = (rows, columns)
+    lod_cells = _median_per_cell(flat, lod95, size)
+    return Coverage(
+        code.astype(np.uint8).reshape(shape), lod_cells.reshape(shape), float(west), north, cell
+    )
+
+
+def _median_per_cell(flat: NDArray[np.int64], values: Floats, size: int) -> NDArray[np.float32]:
+    """Return the lower median of the finite values per cell, NaN where there is none."""
+    finite = np.isfinite(values)
+    order = np.lexsort((values[finite], flat[finite]))
+    cells, ordered = flat[finite][order], values[finite][order]
+    result = np.full(size, np.nan, dtype=np.float32)
+    occupied, starts, counts = np.unique(cells, return_index=True, return_counts=True)
+    result[occupied] = ordered[starts + (counts - 1) // 2]
+    return result

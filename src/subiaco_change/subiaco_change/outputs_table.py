@@ -1,0 +1,242 @@
+"""The change table: records to rows, and rows to CSV, GeoPackage and GeoParquet."""
+
+from __future__ import annotations
+
+import hashlib
+import sqlite3
+from collections import Counter
+from collections.abc import Sequence
+from pathlib import Path
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+from shapely.geometry import MultiPolygon, Point, Polygon
+from shapely.geometry.base import BaseGeometry
+from subiaco_geo.errors import InputError
+
+from subiaco_change.outputs_style import embed_styles
+from subiaco_change.records import ChangeRecord, Semantic
+
+#: Columns of the contract, in its order.
+COLUMNS = (
+    "object_id",
+    "class",
+    "label",
+    "id_before",
+    "id_after",
+    "match_kind",
+    "delta_h_m",
+    "delta_v_m3",
+    "delta_v_surface_m3",
+    "delta_c_m",
+    "iou_3d",
+    "d_perp_m",
+    "lod95_m",
+    "observed_fraction",
+    "evidence",
+    "score_paper",
+    "confidence",
+    "n_before",
+    "n_after",
+    "x",
+    "y",
+    "z",
+)
+#: Columns that people fill in; they survive a rerun of the same pair.
+REVIEW_COLUMNS = ("review", "reviewer", "note")
+ALL_COLUMNS = (*COLUMNS, "object_uid", "reason", *REVIEW_COLUMNS, "evidence_changed")
+TEXT_COLUMNS = (
+    "class",
+    "label",
+    "id_before",
+    "id_after",
+    "match_kind",
+    "evidence",
+    "object_uid",
+    "reason",
+    *REVIEW_COLUMNS,
+    "evidence_changed",
+)
+STATISTICS = (
+    "delta_h_m",
+    "delta_v_m3",
+    "delta_v_surface_m3",
+    "delta_c_m",
+    "iou_3d",
+    "d_perp_m",
+    "lod95_m",
+    "observed_fraction",
+    "score_paper",
+    "confidence",
+)
+_DECIMALS = {name: 4 for name in STATISTICS} | {"x": 3, "y": 3, "z": 3}
+_POINT_RADIUS = 0.25  # half a voxel of the decisions [m]: footprint of an object without area
+_CELL = 1.0  # rounding of positions in object_uid [m]
+
+
+def join_ids(ids: Sequence[int]) -> str:
+    """Join object ids with ``;``; no id is the empty string."""
+    return ";".join(str(i) for i in ids)
+
+
+def footprint_polygon(record: ChangeRecord) -> MultiPolygon:
+    """Return the footprint as a multipolygon, a small disc where it has no area."""
+    shape: BaseGeometry = record.footprint
+    if shape is None or shape.is_empty:
+        shape = Point(record.x, record.y)
+    if shape.area == 0.0:
+        shape = shape.buffer(_POINT_RADIUS)
+    if isinstance(shape, MultiPolygon):
+        return shape
+    if isinstance(shape, Polygon):
+        return MultiPolygon([shape])
+    return MultiPolygon([part for part in getattr(shape, "geoms", []) if isinstance(part, Polygon)])
+
+
+def object_uids(records: Sequence[ChangeRecord]) -> list[str]:
+    """Return one identifier a record, stable over reruns of the same pair.
+
+    It hashes the class and the position rounded to a metre in the frame of
+    *after*; a second object of that class in that cell gets a suffix.
+    """
+    seen: Counter[str] = Counter()
+    uids = []
+    for record in records:
+        cell = (round(record.x / _CELL), round(record.y / _CELL), round(record.z / _CELL))
+        text = f"{record.semantic.label}:{cell[0]}:{cell[1]}:{cell[2]}"
+        uid = hashlib.sha256(text.encode()).hexdigest()[:12]
+        uids.append(uid if seen[uid] == 0 else f"{uid}-{seen[uid]}")
+        seen[uid] += 1
+    return uids
+
+
+def _row(record: ChangeRecord) -> dict[str, object]:
+    named = {
+        "class": record.semantic.label,
+        "label": record.change.label,
+        "id_before": join_ids(record.id_before),
+        "id_after": join_ids(record.id_after),
+    }
+    return {name: named.get(name, getattr(record, name, None)) for name in COLUMNS}
+
+
+def build_table(records: Sequence[ChangeRecord], crs: str | None) -> gpd.GeoDataFrame:
+    """Build the table in the order of object ids, missing statistics as NaN.
+
+    Parameters
+    ----------
+    records : sequence of ChangeRecord
+    crs : str or None
+        System of the footprints and of ``x y z``.
+
+    Returns
+    -------
+    GeoDataFrame
+        Columns :data:`ALL_COLUMNS`, then ``geometry``; numbers rounded as in the files.
+    """
+    ordered = sorted(records, key=lambda r: r.object_id)
+    ids = [r.object_id for r in ordered]
+    if len(set(ids)) != len(ids):
+        raise InputError("change records: object_id is not unique; every object needs its own")
+    frame = pd.DataFrame([_row(r) for r in ordered], columns=list(COLUMNS))
+    for name in STATISTICS:
+        values = frame[name].astype(np.float64)
+        frame[name] = values.where(np.isfinite(values))
+    frame = frame.round(_DECIMALS).astype({n: np.int64 for n in ("object_id", "n_before", "n_after")})
+    frame["object_uid"] = object_uids(ordered)
+    frame["reason"] = [r.reason for r in ordered]
+    for name in (*REVIEW_COLUMNS, "evidence_changed"):
+        frame[name] = ""
+    geometry = gpd.GeoSeries([footprint_polygon(r) for r in ordered], crs=crs)
+    return gpd.GeoDataFrame(frame, geometry=geometry, crs=crs)
+
+
+def table_hash(table: pd.DataFrame) -> str:
+    """Return a hash of every computed column and footprint, but not of the review."""
+    computed = table[[*COLUMNS, "object_uid", "reason"]]
+    digest = hashlib.sha256(computed.to_csv(index=False, lineterminator="\n").encode())
+    for shape in table.geometry:
+        digest.update(shape.normalize().wkt.encode())
+    return digest.hexdigest()[:16]
+
+
+def write_csv(path: Path, table: gpd.GeoDataFrame) -> None:
+    """Write every column but the footprint; missing values are empty."""
+    pd.DataFrame(table.drop(columns="geometry")).to_csv(path, index=False, lineterminator="\n")
+
+
+def read_csv(path: Path) -> pd.DataFrame:
+    """Read a table written by :func:`write_csv`, texts as texts.
+
+    Raises
+    ------
+    InputError
+        A column of the contract is missing.
+    """
+    frame = pd.read_csv(path, dtype={name: str for name in TEXT_COLUMNS}, keep_default_na=True)
+    missing = [name for name in COLUMNS if name not in frame.columns]
+    if missing:
+        raise InputError(f"{path}: column {missing[0]} is missing; run 'subiaco change' again")
+    texts = [name for name in TEXT_COLUMNS if name in frame.columns]
+    frame[texts] = frame[texts].fillna("")
+    return frame
+
+
+def write_geopackage(path: Path, table: gpd.GeoDataFrame) -> None:
+    """Write layers ``objects`` and ``ground``, with styles that QGIS applies by itself."""
+    is_ground = table["class"] == Semantic.GROUND.label
+    for layer, rows in (("objects", table[~is_ground]), ("ground", table[is_ground])):
+        rows.to_file(path, layer=layer, driver="GPKG", engine="pyogrio", geometry_type="MultiPolygon")
+    embed_styles(path, ("objects", "ground"))
+
+
+def write_parquet(path: Path, table: gpd.GeoDataFrame) -> None:
+    """Write GeoParquet with every row and column."""
+    table.to_parquet(path, index=False)
+
+
+def carry_reviews(table: gpd.GeoDataFrame, previous: pd.DataFrame) -> gpd.GeoDataFrame:
+    """Copy what people wrote from a previous table of the same pair.
+
+    Rows are the same object where ``object_uid`` agrees. A reviewed row whose
+    label or statistics moved says so in ``evidence_changed``.
+    """
+    if "object_uid" not in previous.columns:
+        return table
+    result = table.copy()
+    old = previous.drop_duplicates("object_uid").set_index("object_uid")
+    for row, uid in result["object_uid"].items():
+        if uid not in old.index:
+            continue
+        for name in REVIEW_COLUMNS:
+            result.loc[row, name] = old.at[uid, name] if name in old.columns else ""
+        if any(result.loc[row, list(REVIEW_COLUMNS)] != ""):
+            result.loc[row, "evidence_changed"] = _difference(result.loc[row], old.loc[uid])
+    return result
+
+
+def _difference(new: pd.Series, old: pd.Series) -> str:
+    """Name what differs between two rows of one object, ``""`` for nothing."""
+    if new["label"] != old["label"]:
+        return f"label was {old['label']}"
+    moved = [n for n in STATISTICS if not np.isclose(new[n], old[n], atol=1e-3, equal_nan=True)]
+    return "; ".join(f"{n} was {old[n]}" for n in moved)
+
+
+def read_reviewed(directory: Path) -> pd.DataFrame | None:
+    """Return the previous table with the reviews typed into its CSV or its GeoPackage."""
+    if not (directory / "changes.csv").is_file():
+        return None
+    frame = read_csv(directory / "changes.csv")
+    package = directory / "changes.gpkg"
+    if not package.is_file():
+        return frame
+    names = ["object_uid", *REVIEW_COLUMNS]
+    with sqlite3.connect(package) as connection:
+        text = " union all ".join(f"select {', '.join(names)} from {x}" for x in ("objects", "ground"))
+        edited = pd.read_sql_query(text, connection).fillna("").set_index("object_uid")
+    for name in REVIEW_COLUMNS:
+        typed = frame["object_uid"].map(edited[name]).fillna("")
+        frame[name] = frame[name].where(frame[name] != "", typed)
+    return frame

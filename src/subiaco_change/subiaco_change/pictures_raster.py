@@ -1,0 +1,86 @@
+"""Fast top views of point clouds: which point is seen from above, per pixel."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from subiaco_geo.frames import Floats, Ints
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A north-up pixel frame: outer bounds and pixel edge [m], world or local alike."""
+
+    west: float
+    south: float
+    east: float
+    north: float
+    pixel: float
+
+    @property
+    def shape(self) -> tuple[int, int]:
+        """Rows and columns."""
+        rows = int(np.ceil((self.north - self.south) / self.pixel - 1e-9))
+        columns = int(np.ceil((self.east - self.west) / self.pixel - 1e-9))
+        return max(rows, 1), max(columns, 1)
+
+    @property
+    def extent(self) -> tuple[float, float, float, float]:
+        """West, east, south, north: the order in which plots want it."""
+        return self.west, self.east, self.south, self.north
+
+
+def top_view(xyz: Floats, frame: Frame, priority: NDArray[np.generic] | None = None) -> Ints:
+    """Return the index of the point seen in every pixel, -1 where there is none.
+
+    Parameters
+    ----------
+    xyz : (N, 3) float64
+        In the coordinates of the frame [m].
+    frame : Frame
+    priority : (N,) array, optional
+        A point of higher priority hides one of lower; height decides among equals.
+
+    Returns
+    -------
+    (rows, columns) int64
+        Row 0 in the north.
+    """
+    rows, columns = frame.shape
+    column = np.floor((xyz[:, 0] - frame.west) / frame.pixel).astype(np.int64)
+    row = np.floor((frame.north - xyz[:, 1]) / frame.pixel).astype(np.int64)
+    inside = np.flatnonzero((row >= 0) & (row < rows) & (column >= 0) & (column < columns))
+    flat = row[inside] * columns + column[inside]
+    rank = np.zeros(len(inside)) if priority is None else priority[inside]
+    order = np.lexsort((xyz[inside, 2], rank, flat))
+    view = np.full(rows * columns, -1, dtype=np.int64)
+    view[flat[order]] = inside[order]  # the last of equal pixels wins
+    return view.reshape(rows, columns)
+
+
+def fill_holes(view: Ints, passes: int = 1) -> Ints:
+    """Let empty pixels show a neighbour's point, ``passes`` pixels far."""
+    filled = view
+    for _ in range(passes):
+        padded = np.pad(filled, 1, constant_values=-1)
+        result = filled.copy()
+        for down, right in ((0, 1), (0, -1), (1, 0), (-1, 0), (1, 1), (1, -1), (-1, 1), (-1, -1)):
+            shifted = padded[1 + down : 1 + down + view.shape[0], 1 + right : 1 + right + view.shape[1]]
+            result = np.where(result < 0, shifted, result)
+        filled = result
+    return filled
+
+
+def hillshade(height: Floats, pixel: float) -> Floats:
+    """Return shading 0..1 (rows, columns) of heights [m] lit from the north-west, NaN kept."""
+    if min(height.shape) < 2:
+        return np.where(np.isfinite(height), 0.7, np.nan)
+    level = np.nanmedian(height) if np.isfinite(height).any() else 0.0
+    smooth = np.where(np.isfinite(height), height, level)
+    down, right = np.gradient(smooth, pixel)
+    light = np.array([-1.0, 1.0, 1.6]) / np.linalg.norm([-1.0, 1.0, 1.6])
+    normal_length = np.sqrt(right**2 + down**2 + 1.0)
+    shade = (-right * light[0] + down * light[1] + light[2]) / normal_length
+    return np.where(np.isfinite(height), np.clip(0.25 + 0.75 * shade, 0.0, 1.0), np.nan)
