@@ -1,0 +1,170 @@
+"""Robust point-to-plane ICP with analytic Jacobians and solution remapping."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from subiaco_geo.frames import Floats, transform_points
+
+from subiaco_change.geometry import ColumnIndex, Level, LocalPlanes, build_index, nearest
+from subiaco_change.ndt import about
+
+_AXES = ("roll", "pitch", "yaw", "x", "y", "z")
+
+
+@dataclass(frozen=True)
+class Target:
+    """Points and planes of one level that can be searched."""
+
+    level: Level
+    index: ColumnIndex
+
+
+def make_target(level: Level) -> Target:
+    """Index a level for nearest-point searches up to two leaves away."""
+    return Target(level, build_index(level.xyz, 2.0 * level.leaf))
+
+
+@dataclass(frozen=True)
+class Pairs:
+    """Correspondences of one pose: transformed source points and the planes they should lie in.
+
+    Parameters
+    ----------
+    points : (K, 3) float64
+        Source points in the target frame [m].
+    normals : (K, 3) float64
+        Normals of the target.
+    residuals : (K,) float64
+        ``n . (p - q)`` [m].
+    distances : (K,) float64
+        Euclidean distance to the target point [m].
+    source : (K,) int64
+        Index of the source point.
+    matched : float
+        Share of the source points that found any target point in reach.
+    """
+
+    points: Floats
+    normals: Floats
+    residuals: Floats
+    distances: Floats
+    source: np.ndarray[tuple[int], np.dtype[np.int64]]
+    matched: float
+
+
+def find_pairs(
+    xyz: Floats, planes: LocalPlanes, target: Target, pose: Floats, reach: float, max_angle_cos: float = 0.7
+) -> Pairs:
+    """Pair source points with the nearest target points whose normals agree.
+
+    Parameters
+    ----------
+    xyz : (N, 3) float64
+        Source points in their own frame [m].
+    planes : LocalPlanes
+        Of the source.
+    target : Target
+    pose : (4, 4) float64
+        ``T_target_source``.
+    reach : float
+        Largest distance of a pair [m].
+    max_angle_cos : float
+        Smallest |cosine| between the two normals.
+    """
+    moved = transform_points(pose, xyz)
+    found, distance = nearest(target.index, moved, reach)
+    normals_target = target.level.planes.normals[found]
+    normals_source = planes.normals @ pose[:3, :3].T
+    agree = np.abs(np.einsum("ni,ni->n", normals_target, normals_source)) >= max_angle_cos
+    keep = np.flatnonzero((found >= 0) & agree)
+    offset = moved[keep] - target.level.xyz[found[keep]]
+    residual = np.einsum("ni,ni->n", normals_target[keep], offset)
+    matched = float(np.mean(found >= 0)) if len(xyz) else 0.0
+    return Pairs(moved[keep], normals_target[keep], residual, distance[keep], keep, matched)
+
+
+def pair_weights(pairs: Pairs, tukey: float, huber: float) -> Floats:
+    """Tukey biweight of the residual times Huber weight of the distance (method B3)."""
+    bounded = np.clip(1.0 - (pairs.residuals / tukey) ** 2, 0.0, None)
+    return np.asarray(bounded**2 * np.minimum(1.0, huber / np.maximum(pairs.distances, 1e-9)))
+
+
+def jacobian(pairs: Pairs, centre: Floats) -> Floats:
+    """Derivative (K, 6) of the residuals by a left twist about a centre."""
+    turning = np.cross(pairs.points - centre, pairs.normals)
+    return np.hstack([turning, pairs.normals])
+
+
+@dataclass(frozen=True)
+class Step:
+    """One Gauss-Newton step and what the normal equations say about it."""
+
+    twist: Floats
+    hessian: Floats
+    degenerate: tuple[str, ...]
+    eigenvalues: Floats
+
+
+def _name(vector: Floats) -> str:
+    """Name a direction by its largest component, e.g. ``x``."""
+    return _AXES[int(np.argmax(np.abs(vector)))]
+
+
+def solve(pairs: Pairs, weights: Floats, centre: Floats, min_eigenvalue: float) -> Step:
+    """Solve the weighted normal equations, ignoring ill-conditioned directions.
+
+    Rotations are scaled by the RMS distance of the pairs from the centre, so
+    that all six eigenvalues of the information a unit weight are comparable;
+    an update along an eigenvector below ``min_eigenvalue`` is rejected
+    (solution remapping, Zhang et al. 2016) and reported.
+    """
+    length = max(float(np.sqrt(np.mean(np.sum((pairs.points - centre) ** 2, axis=1)))), 1e-6)
+    scale = np.array([length] * 3 + [1.0] * 3)
+    rows = jacobian(pairs, centre) / scale
+    total = max(float(weights.sum()), 1e-12)
+    information = (rows.T * weights) @ rows / total
+    right = -(rows.T * weights) @ pairs.residuals / total
+    values, vectors = np.linalg.eigh(information)
+    good = values >= min_eigenvalue
+    inverse = np.where(good, 1.0 / np.maximum(values, 1e-300), 0.0)
+    twist = (vectors * inverse) @ (vectors.T @ right) / scale
+    hessian = information * total * np.outer(scale, scale)
+    names = tuple(dict.fromkeys(_name(v) for v in vectors.T[~good]))
+    return Step(twist, hessian, names, values)
+
+
+def align_icp(
+    source: Level,
+    target: Target,
+    pose: Floats,
+    *,
+    tukey: float,
+    huber: float,
+    min_eigenvalue: float,
+    max_iterations: int,
+    reach: float,
+) -> tuple[Floats, Pairs, Step | None]:
+    """Iterate pairs and Gauss-Newton steps from a start pose.
+
+    Returns
+    -------
+    pose : (4, 4) float64
+    pairs : Pairs
+        At the pose before the last step.
+    step : Step or None
+        The last step; None when fewer than 50 pairs were found.
+    """
+    step = None
+    pairs = find_pairs(source.xyz, source.planes, target, pose, reach)
+    for _ in range(max_iterations):
+        if len(pairs.residuals) < 50:
+            return pose, pairs, None
+        centre = pairs.points.mean(axis=0)
+        step = solve(pairs, pair_weights(pairs, tukey, huber), centre, min_eigenvalue)
+        pose = about(centre, step.twist) @ pose
+        if np.linalg.norm(step.twist[3:]) < 2e-4 and np.linalg.norm(step.twist[:3]) < 2e-6:
+            break
+        pairs = find_pairs(source.xyz, source.planes, target, pose, reach)
+    return pose, pairs, step
