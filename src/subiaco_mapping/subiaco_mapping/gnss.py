@@ -1,0 +1,201 @@
+"""Fixes of the antenna: which may be used, where they attach, and how they place the odometry."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from subiaco_geo.crs import EnuFrame, fixes_to_gda2020
+from subiaco_geo.frames import Floats, Ints, interpolate_poses, invert_pose, make_pose
+from subiaco_mapping.config import GnssConfig
+from subiaco_mapping.measurements import GnssFix
+
+
+@dataclass(frozen=True)
+class EnuFixes:
+    """Usable fixes in local ENU.
+
+    Parameters
+    ----------
+    times_ns : (N,) int64
+    enu : (N, 3) float64
+        Antenna positions [m].
+    covariance : (N, 3, 3) float64
+        With the floor of their status [m2].
+    status : (N,) int64
+    """
+
+    times_ns: Ints
+    enu: Floats
+    covariance: Floats
+    status: Ints
+
+    def select(self, index: NDArray[np.generic]) -> EnuFixes:
+        """Return the fixes of a mask or index."""
+        return EnuFixes(self.times_ns[index], self.enu[index], self.covariance[index], self.status[index])
+
+    def __len__(self) -> int:
+        return len(self.times_ns)
+
+
+@dataclass(frozen=True)
+class Attachment:
+    """Where a fix acts: the nearest scan and the antenna seen from it at the fix's time.
+
+    Parameters
+    ----------
+    index : (N,) int64
+        Scan.
+    levers : (N, 3) float64
+        Antenna in that scan's ``lidar_link`` [m], the odometry's motion from the scan to the
+        fix included.
+    kept : (M,) bool
+        Which of the fixes given could be attached.
+    """
+
+    index: Ints
+    levers: Floats
+    kept: NDArray[np.bool_]
+
+
+def local_frame(fixes: Sequence[GnssFix], config: GnssConfig) -> EnuFrame | None:
+    """Return the ENU frame at the first of the best fixes, None where no fix is usable."""
+    usable = [fix for fix in fixes if fix.is_usable()]
+    if not usable:
+        return None
+    best = max(fix.status for fix in usable)
+    first = next(fix for fix in usable if fix.status == best)
+    origin = _to_gda2020([first], config)[0]
+    return EnuFrame(float(origin[0]), float(origin[1]), float(origin[2]))
+
+
+def _to_gda2020(fixes: Sequence[GnssFix], config: GnssConfig) -> Floats:
+    rows = np.array([[f.latitude, f.longitude, f.altitude] for f in fixes]).reshape(-1, 3)
+    return fixes_to_gda2020(rows, config.declared_frame, config.epoch)
+
+
+def sigma_floor(status: int, config: GnssConfig) -> float:
+    """Return the smallest horizontal sigma [m] that a status is believed."""
+    return {2: config.sigma_fixed, 1: config.sigma_float}.get(min(status, 2), config.sigma_single)
+
+
+def _floored(fix: GnssFix, config: GnssConfig) -> Floats:
+    """Return the covariance (3, 3) with its floor added in quadrature."""
+    sigma = sigma_floor(fix.status, config)
+    floor = np.array([sigma, sigma, sigma * config.vertical_factor]) ** 2
+    return np.asarray(0.5 * (fix.covariance + fix.covariance.T) + np.diag(floor))
+
+
+def to_enu(fixes: Sequence[GnssFix], frame: EnuFrame, config: GnssConfig) -> EnuFixes:
+    """Bring usable fixes to ENU, in time order, later ones of equal time dropped."""
+    usable = sorted((fix for fix in fixes if fix.is_usable()), key=lambda fix: fix.time_ns)
+    geodetic = _to_gda2020(usable, config)
+    enu = frame.from_geodetic(*geodetic.T) if usable else np.zeros((0, 3))
+    times_ns = np.array([fix.time_ns + config.time_offset_ns for fix in usable], dtype=np.int64)
+    covariance = np.array([_floored(fix, config) for fix in usable]).reshape(-1, 3, 3)
+    status = np.array([fix.status for fix in usable], dtype=np.int64)
+    _, first = np.unique(times_ns, return_index=True)
+    return EnuFixes(times_ns, enu, covariance, status).select(first)
+
+
+def attach(
+    times_ns: Ints, stamps_ns: Ints, T_odom_lidar: Floats, t_lidar_gnss: Floats, max_gap_ns: int
+) -> Attachment:
+    """Attach fixes to scans.
+
+    Parameters
+    ----------
+    times_ns : (M,) int64
+        Of the fixes.
+    stamps_ns : (S,) int64
+        Of the scans.
+    T_odom_lidar : (S, 4, 4) float64
+    t_lidar_gnss : (3,) float64
+        Lever arm [m].
+    max_gap_ns : int
+        A fix between scans farther apart is not attached [ns].
+
+    Returns
+    -------
+    Attachment
+    """
+    after = np.clip(np.searchsorted(stamps_ns, times_ns, side="left"), 1, max(len(stamps_ns) - 1, 1))
+    if len(stamps_ns) < 2:
+        kept = np.zeros(len(times_ns), dtype=np.bool_)
+    else:
+        inside = (times_ns >= stamps_ns[0]) & (times_ns <= stamps_ns[-1])
+        kept = inside & (stamps_ns[after] - stamps_ns[after - 1] <= max_gap_ns)
+    after, query = after[kept], times_ns[kept]
+    later = len(query) > 0 and stamps_ns[after] - query < query - stamps_ns[after - 1]
+    index = np.where(later, after, after - 1).astype(np.int64)
+    if len(query) == 0:
+        return Attachment(index, np.zeros((0, 3)), kept)
+    at_fix = interpolate_poses(stamps_ns, T_odom_lidar, query)
+    relative = invert_pose(T_odom_lidar[index]) @ at_fix
+    return Attachment(index, relative[:, :3, :3] @ t_lidar_gnss + relative[:, :3, 3], kept)
+
+
+def level_rotation(up: Floats) -> Floats:
+    """Return the shortest rotation (3, 3) that turns a direction (3,) to +z."""
+    axis = np.cross(up / np.linalg.norm(up), [0.0, 0.0, 1.0])
+    angle = np.arctan2(np.linalg.norm(axis), up[2] / np.linalg.norm(up))
+    length = np.linalg.norm(axis)
+    if length < 1e-12:
+        return np.eye(3) if up[2] > 0 else np.diag([1.0, -1.0, -1.0])
+    return np.asarray(Rotation.from_rotvec(axis / length * angle).as_matrix())
+
+
+def _planar_fit(source: Floats, target: Floats, weight: Floats) -> tuple[float, Floats]:
+    """Return yaw [rad] and shift (3,) that bring source (N, 3) to target, rotation about z."""
+    share = weight / weight.sum()
+    mean_source, mean_target = share @ source, share @ target
+    a, b = source[:, :2] - mean_source[:2], target[:, :2] - mean_target[:2]
+    sine = share @ (a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0])
+    cosine = share @ (a * b).sum(axis=1)
+    yaw = float(np.arctan2(sine, cosine))
+    rotation = Rotation.from_rotvec([0.0, 0.0, yaw]).as_matrix()
+    return yaw, mean_target - rotation @ mean_source
+
+
+def place(antenna_odom: Floats, enu: Floats, sigma: Floats, up_odom: Floats) -> Floats:
+    """Place an odometry in ENU by its antenna track, robustly.
+
+    Parameters
+    ----------
+    antenna_odom, enu : (N, 3) float64
+        The antenna in odometry and in ENU at the same times [m].
+    sigma : (N,) float64
+        Of the fixes [m].
+    up_odom : (3,) float64
+        The vertical in the odometry frame.
+
+    Returns
+    -------
+    (4, 4) float64
+        ``T_enu_odom``.
+    """
+    level = level_rotation(up_odom)
+    source = antenna_odom @ level.T
+    base = 1.0 / np.maximum(sigma, 0.01) ** 2
+    weight = base
+    for _ in range(20):
+        yaw, shift = _planar_fit(source, enu, weight)
+        turn = Rotation.from_rotvec([0.0, 0.0, yaw]).as_matrix()
+        residual = np.linalg.norm(source @ turn.T + shift - enu, axis=1)
+        scale = max(float(np.median(residual)), 0.02)
+        weight = base / (1.0 + (residual / (2.0 * scale)) ** 2)
+    return make_pose(turn @ level, shift)
+
+
+def enough_to_place(enu: Floats, config: GnssConfig) -> str | None:
+    """Return None where fixes (N, 3) suffice to place a sequence, else the reason why not."""
+    if len(enu) < config.min_fixes:
+        return f"{len(enu)} usable GNSS fixes, {config.min_fixes} are needed"
+    span = float(np.linalg.norm((enu - enu[0])[:, :2], axis=1).max())
+    if span < config.min_length:
+        return f"the GNSS fixes span {span:.1f} m, {config.min_length:g} m are needed"
+    return None
