@@ -19,7 +19,8 @@ lint: setup  ## ruff and mypy
 	@$(ENV) && scripts/lint.sh
 
 test: setup  ## set-up, lint, every test
-	@$(ENV) && scripts/lint.sh && scripts/test.sh $(PYTEST_ARGS)
+	@$(ENV) && status=0; scripts/lint.sh || status=$$?; scripts/test.sh $(PYTEST_ARGS) || status=$$?; \
+	if [ $$status -ne 0 ]; then echo "make test: lint or tests failed, see above" >&2; fi; exit $$status
 
 colcon-test: setup  ## each package's tests the ROS way
 	@$(ENV) && cd ros2_ws && python -m colcon --log-base log test --base-paths src --return-code-on-test-failure

@@ -9,7 +9,7 @@ NAME = "subiaco_bringup"
 setup(
     name=NAME,
     version="0.1.0",
-    description="The one place that composes: the subiaco command, the node graph, launch files, configuration, viewer layouts.",
+    description="The one place that composes: the subiaco command, node graph, launch files, configuration.",
     maintainer="Subiaco maintainers",
     maintainer_email="maintainers@subiaco.example.org",
     license="Apache-2.0",

@@ -7,7 +7,7 @@ NAME = "subiaco_change"
 setup(
     name=NAME,
     version="0.1.0",
-    description="Two survey maps to objects, and objects to a table of changes, with the ROS 2 node around it.",
+    description="Two survey maps to objects, and objects to a table of changes, with its ROS 2 node.",
     maintainer="Subiaco maintainers",
     maintainer_email="maintainers@subiaco.example.org",
     license="Apache-2.0",

@@ -7,7 +7,7 @@ NAME = "subiaco_geo"
 setup(
     name=NAME,
     version="0.1.0",
-    description="Point clouds, frames, coordinate systems, map and bag files, configuration, errors. No ROS, no SLAM library.",
+    description="Point clouds, frames, coordinate systems, files, configuration, errors: no ROS, no SLAM.",
     maintainer="Subiaco maintainers",
     maintainer_email="maintainers@subiaco.example.org",
     license="Apache-2.0",

@@ -7,7 +7,7 @@ NAME = "subiaco_mapping"
 setup(
     name=NAME,
     version="0.1.0",
-    description="Packets to scans to poses to one georeferenced map of an epoch, and the ROS 2 nodes around it.",
+    description="Packets to scans to poses to one georeferenced map of an epoch, with its ROS 2 nodes.",
     maintainer="Subiaco maintainers",
     maintainer_email="maintainers@subiaco.example.org",
     license="Apache-2.0",

@@ -1,0 +1,151 @@
+"""The packages are ROS packages and pip packages at once, and both say the same."""
+
+from __future__ import annotations
+
+import ast
+import xml.etree.ElementTree as ET
+from pathlib import Path
+
+import pytest
+
+from subiaco_geo import __version__
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+SOURCES = REPOSITORY / "src"
+OURS = sorted(path.parent for path in SOURCES.glob("subiaco_*/package.xml"))
+PYTHON = [package for package in OURS if (package / "setup.py").exists()]
+ALL = [*OURS, *sorted(path.parent for path in (SOURCES / "vendor_msgs").glob("*/package.xml"))]
+
+
+def name_of(package: Path) -> str:
+    return package.name
+
+
+def setup_arguments(package: Path) -> dict[str, ast.expr]:
+    tree = ast.parse((package / "setup.py").read_text(encoding="utf-8"))
+    calls = [n for n in ast.walk(tree) if isinstance(n, ast.Call) and getattr(n.func, "id", "") == "setup"]
+    return {keyword.arg: keyword.value for keyword in calls[0].keywords if keyword.arg}
+
+
+def test_the_six_packages_of_the_architecture_are_there() -> None:
+    rooms = ("bringup", "change", "geo", "mapping", "msgs", "sim")
+    assert [package.name for package in OURS] == [f"subiaco_{room}" for room in rooms]
+
+
+@pytest.mark.parametrize("package", ALL, ids=name_of)
+def test_a_manifest_names_its_folder_a_maintainer_a_licence_and_a_build_type(package: Path) -> None:
+    root = ET.parse(package / "package.xml").getroot()
+    assert root.get("format") == "3"
+    assert root.findtext("name") == package.name
+    assert root.findtext("license") == "Apache-2.0"
+    assert "@" in root.find("maintainer").get("email")
+    expected = "ament_python" if package in PYTHON else "ament_cmake"
+    assert root.findtext("export/build_type") == expected
+
+
+@pytest.mark.parametrize("package", OURS, ids=name_of)
+def test_every_manifest_carries_the_one_version(package: Path) -> None:
+    assert ET.parse(package / "package.xml").findtext("version") == __version__
+
+
+@pytest.mark.parametrize("package", PYTHON, ids=name_of)
+def test_setup_and_manifest_agree(package: Path) -> None:
+    arguments = setup_arguments(package)
+    manifest = ET.parse(package / "package.xml")
+    assert ast.literal_eval(arguments["version"]) == manifest.findtext("version")
+    assert ast.literal_eval(arguments["description"]) == manifest.findtext("description")
+    assert ast.literal_eval(arguments["license"]) == manifest.findtext("license")
+
+
+@pytest.mark.parametrize("package", PYTHON, ids=name_of)
+def test_every_entry_point_names_a_function_that_exists(package: Path) -> None:
+    arguments = setup_arguments(package)
+    points = ast.literal_eval(arguments["entry_points"]) if "entry_points" in arguments else {}
+    for line in points.get("console_scripts", []):
+        module, function = line.split("=")[1].strip().split(":")
+        source = package / (module.replace(".", "/") + ".py")
+        tree = ast.parse(source.read_text(encoding="utf-8"))
+        assert function in {n.name for n in tree.body if isinstance(n, ast.FunctionDef)}, line
+
+
+@pytest.mark.parametrize("package", PYTHON, ids=name_of)
+def test_a_manifest_depends_on_every_room_its_modules_import(package: Path) -> None:
+    manifest = ET.parse(package / "package.xml")
+    declared = {node.text for tag in ("depend", "exec_depend") for node in manifest.iter(tag)} | {
+        package.name
+    }
+    ros = {p.name for p in ALL} | {
+        "rclpy",
+        "sensor_msgs",
+        "nav_msgs",
+        "geometry_msgs",
+        "std_msgs",
+        "rosgraph_msgs",
+    }
+    ros |= {
+        "diagnostic_msgs",
+        "builtin_interfaces",
+        "visualization_msgs",
+        "std_srvs",
+        "action_msgs",
+        "rcl_interfaces",
+    }
+    imported = {top for file in (package / package.name).rglob("*.py") for top in imported_by(file)}
+    assert imported & ros <= declared
+
+
+def imported_by(file: Path) -> set[str]:
+    tops = set()
+    for node in ast.walk(ast.parse(file.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            tops |= {alias.name.split(".")[0] for alias in node.names}
+        elif isinstance(node, ast.ImportFrom) and node.module and node.level == 0:
+            tops.add(node.module.split(".")[0])
+    return tops
+
+
+def test_every_room_knows_only_the_rooms_before_it() -> None:
+    may = {
+        "subiaco_geo": set(),
+        "subiaco_sim": {"subiaco_geo"},
+        "subiaco_mapping": {"subiaco_geo", "subiaco_msgs"},
+        "subiaco_change": {"subiaco_geo", "subiaco_msgs"},
+    }
+    for name, allowed in may.items():
+        for file in (SOURCES / name / name).rglob("*.py"):
+            rooms = {top for top in imported_by(file) if top.startswith("subiaco_")}
+            assert rooms <= allowed | {name}, file
+
+
+def test_only_nodes_import_ros() -> None:
+    for name in ("subiaco_geo", "subiaco_sim", "subiaco_mapping", "subiaco_change"):
+        for file in (SOURCES / name / name).rglob("*.py"):
+            if "nodes" not in file.parts:
+                assert not imported_by(file) & {"rclpy", "subiaco_msgs"}, file
+
+
+@pytest.mark.parametrize("package", ALL, ids=name_of)
+def test_the_workspace_links_to_every_package(package: Path) -> None:
+    link = REPOSITORY / "ros2_ws" / "src" / package.name
+    assert link.is_symlink()
+    assert not Path(link.readlink()).is_absolute()
+    assert link.resolve() == package.resolve()
+
+
+@pytest.mark.parametrize("package", [p for p in ALL if p not in PYTHON], ids=name_of)
+def test_every_interface_file_is_generated(package: Path) -> None:
+    listed = (package / "CMakeLists.txt").read_text(encoding="utf-8")
+    files = [path for kind in ("msg", "srv", "action") for path in package.glob(f"{kind}/*.{kind}")]
+    assert files
+    assert all(f'"{path.relative_to(package)}"' in listed for path in files)
+
+
+def test_the_change_record_has_every_column_of_the_table() -> None:
+    text = (SOURCES / "subiaco_msgs/msg/ChangeRecord.msg").read_text(encoding="utf-8")
+    fields = {line.split()[1] for line in text.splitlines() if line and not line.startswith("#")}
+    columns = (
+        "object_id object_class label id_before id_after match_kind delta_h_m delta_v_m3 delta_v_surface_m3 "
+        "delta_c_m iou_3d d_perp_m lod95_m observed_fraction evidence score_paper confidence n_before n_after x y "
+        "z"
+    )
+    assert set(columns.split()) <= fields

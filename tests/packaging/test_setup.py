@@ -1,0 +1,153 @@
+"""The set-up: what is pinned, what the scripts decide, what they refuse."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import subprocess
+import xml.etree.ElementTree as ET
+from pathlib import Path
+from types import ModuleType
+
+import pytest
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+SCRIPTS = sorted([*REPOSITORY.glob("scripts/*.sh"), REPOSITORY / ".ci/run", REPOSITORY / "ros2_ws/env.sh"])
+
+
+def bash(command: str, **environment: str) -> subprocess.CompletedProcess[str]:
+    """Run with the functions of setup.sh defined."""
+    text = f"source {REPOSITORY}/scripts/setup.sh; {command}"
+    environment = {"PATH": "/usr/bin:/bin:/usr/sbin:/sbin", **environment}
+    return subprocess.run(
+        ["bash", "-c", text], env=environment, capture_output=True, text=True, timeout=60, check=False
+    )
+
+
+def fake_python(folder: Path, name: str, version: str | None) -> Path:
+    """Make an interpreter that answers the version question, or a shim that only fails."""
+    file = folder / name
+    accepted = version in ("3.11", "3.12")
+    file.write_text(f"#!/bin/sh\nexit {0 if accepted else 1}\n", encoding="utf-8")
+    file.chmod(0o755)
+    return file
+
+
+def canonical(name: str) -> str:
+    return re.sub(r"[-_.]+", "-", name).lower()
+
+
+def test_the_lock_pins_every_requirement_at_an_allowed_version() -> None:
+    from packaging.requirements import Requirement
+    from packaging.version import Version
+
+    lock: dict[str, list[Version]] = {}
+    for line in (REPOSITORY / "requirements.lock").read_text(encoding="utf-8").splitlines():
+        if found := re.match(r"([A-Za-z0-9._-]+)==([^ ;]+)", line):
+            lock.setdefault(canonical(found[1]), []).append(Version(found[2]))
+    for line in (REPOSITORY / "requirements.in").read_text(encoding="utf-8").splitlines():
+        if line and not line.startswith("#"):
+            wanted = Requirement(line)
+            assert lock.get(canonical(wanted.name)), f"{wanted.name} is not locked"
+            assert all(version in wanted.specifier for version in lock[canonical(wanted.name)]), line
+
+
+@pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.name)
+def test_a_script_parses(script: Path) -> None:
+    result = subprocess.run(["bash", "-n", script], capture_output=True, text=True, check=False)
+    assert result.returncode == 0, result.stderr
+
+
+def test_the_dds_profile_binds_loopback_only() -> None:
+    root = ET.parse(REPOSITORY / "config/dds/loopback.xml").getroot()
+    addresses = {node.text for node in root.iter() if node.tag.endswith("}address")}
+    assert addresses == {"127.0.0.1"}
+    builtin = [node.text for node in root.iter() if node.tag.endswith("}useBuiltinTransports")]
+    assert builtin == ["false"]
+
+
+def test_a_shim_that_fails_is_passed_over(tmp_path: Path) -> None:
+    fake_python(tmp_path, "python3.12", None)
+    expected = fake_python(tmp_path, "python3.11", "3.11")
+    result = bash("find_python", PATH=f"{tmp_path}:/usr/bin:/bin")
+    assert result.stdout.strip() == str(expected)
+
+
+def test_the_newer_python_is_preferred(tmp_path: Path) -> None:
+    fake_python(tmp_path, "python3.11", "3.11")
+    expected = fake_python(tmp_path, "python3.12", "3.12")
+    assert bash("find_python", PATH=f"{tmp_path}:/usr/bin:/bin").stdout.strip() == str(expected)
+
+
+def test_an_interpreter_out_of_range_is_refused_by_name(tmp_path: Path) -> None:
+    asked = fake_python(tmp_path, "python3.13", "3.13")
+    result = bash("find_python", PYTHON=str(asked))
+    assert result.returncode == 1
+    assert str(asked) in result.stderr
+
+
+def test_missing_libraries_are_named_as_debian_packages() -> None:
+    result = bash('ldconfig() { echo "	libGL.so.1 (libc6) => /x"; }; missing_system_packages ""')
+    names = result.stdout.split()
+    assert "libgl1" not in names
+    assert {"libegl1", "libusb-1.0-0", "libgomp1", "python3-venv"} <= set(names)
+
+
+def test_who_is_not_root_gets_the_exact_line() -> None:
+    command = "missing_system_packages() { echo libegl1; }; apt-get() { echo called; }; id() { echo 1000; }"
+    result = bash(f"{command}; require_system_packages")
+    assert result.returncode == 1
+    assert "sudo apt-get install -y --no-install-recommends libegl1" in result.stderr
+    assert "called" not in result.stdout
+
+
+def test_an_apt_ros_is_used_and_what_it_has_is_not_built_again(tmp_path: Path) -> None:
+    (tmp_path / "share/tf2_msgs").mkdir(parents=True)
+    (tmp_path / "setup.bash").touch()
+    assert bash("has_apt_ros", SUBIACO_APT_ROS=str(tmp_path)).returncode == 0
+    names = bash("interfaces_to_build", SUBIACO_APT_ROS=str(tmp_path)).stdout.split()
+    assert names == ["subiaco_msgs", "ouster_sensor_msgs"]
+    assert bash("has_apt_ros", SUBIACO_APT_ROS=str(tmp_path / "none")).returncode == 1
+
+
+def test_the_digest_sees_contents_and_names_but_not_order(tmp_path: Path) -> None:
+    for name in ("a", "b"):
+        (tmp_path / name).write_text(name, encoding="utf-8")
+
+    def digest(*names: str) -> str:
+        return bash(f"ROOT={tmp_path}; digest {' '.join(names)}").stdout
+
+    first = digest("a", "b")
+    assert first == digest("b", "a")
+    (tmp_path / "b").write_text("changed", encoding="utf-8")
+    assert digest("a", "b") != first
+
+
+@pytest.fixture(scope="module")
+def patcher() -> ModuleType:
+    spec = importlib.util.spec_from_file_location("patcher", REPOSITORY / "scripts/patch_wheel_cmake.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_wheel_exports_are_pointed_here_once(patcher: ModuleType, tmp_path: Path) -> None:
+    file = tmp_path / "share/std_msgs/cmake/std_msgs__rosidl_generator_pyExport.cmake"
+    file.parent.mkdir(parents=True)
+    build = "/opt/python/cp311-cp311"
+    numpy = f"{build}/lib/python3.11/site-packages/numpy/_core/include"
+    file.write_text(f'INTERFACE "{build}/include/python3.11;{numpy}"\n', encoding="utf-8")
+    assert patcher.patch_tree(tmp_path) == (1, [])
+    include, numpy_include = file.read_text(encoding="utf-8").split('"')[1].split(";")
+    assert (Path(numpy_include) / "numpy/ndarrayobject.h").is_file()
+    assert Path(include).name.startswith("python3")
+    assert patcher.patch_tree(tmp_path) == (0, [])
+
+
+def test_an_export_that_still_names_the_build_container_is_reported(
+    patcher: ModuleType, tmp_path: Path
+) -> None:
+    file = tmp_path / "share/x/cmake/xExport.cmake"
+    file.parent.mkdir(parents=True)
+    file.write_text("/opt/python/cp312-cp312/lib/libsomething.so", encoding="utf-8")
+    assert patcher.patch_tree(tmp_path) == (0, [file])
