@@ -17,6 +17,16 @@ def refuse_existing(path: Path, overwrite: bool) -> None:
         raise InputError(f"{path}: exists already; choose another place or pass --overwrite")
 
 
+def _refuse_foreign(path: Path, marker: str | None) -> None:
+    """Raise where the directory to be replaced does not look like an output of ours."""
+    if not path.exists():
+        return
+    if not path.is_dir():
+        raise InputError(f"{path}: is a file, not a directory; choose another place")
+    if marker is not None and any(path.iterdir()) and not (path / marker).exists():
+        raise InputError(f"{path}: holds other things (no {marker}), not replaced; choose another place")
+
+
 @contextmanager
 def whole_file(path: Path) -> Iterator[Path]:
     """Yield a temporary path beside ``path``; rename on success, remove on failure."""
@@ -30,21 +40,42 @@ def whole_file(path: Path) -> Iterator[Path]:
 
 
 @contextmanager
-def whole_directory(path: Path, *, overwrite: bool = False) -> Iterator[Path]:
-    """Yield a temporary directory beside ``path``; rename on success, remove on failure."""
+def whole_directory(path: Path, *, overwrite: bool = False, marker: str | None = None) -> Iterator[Path]:
+    """Yield a temporary directory beside ``path``; rename on success, remove on failure.
+
+    Parameters
+    ----------
+    path : Path
+    overwrite : bool
+        Replace a directory that is there; it stays until the new one is whole.
+    marker : str, optional
+        A file that the old directory must hold to be replaced, so that a
+        mistyped path costs nobody a folder of other things.
+    """
+    path = path.absolute()
     refuse_existing(path, overwrite)
+    _refuse_foreign(path, marker)
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.partial")
     shutil.rmtree(temporary, ignore_errors=True)
     temporary.mkdir()
     try:
         yield temporary
-        if path.exists():
-            retired = path.with_name(f".{path.name}.{os.getpid()}.old")
-            path.rename(retired)
-            temporary.rename(path)
-            shutil.rmtree(retired)
-        else:
-            temporary.rename(path)
+        _swap_in(temporary, path)
     finally:
         shutil.rmtree(temporary, ignore_errors=True)
+
+
+def _swap_in(temporary: Path, path: Path) -> None:
+    """Rename a directory into place; the one that stood there comes back if that fails."""
+    if not path.exists():
+        temporary.rename(path)
+        return
+    retired = path.with_name(f".{path.name}.{os.getpid()}.old")
+    path.rename(retired)
+    try:
+        temporary.rename(path)
+    except OSError:
+        retired.rename(path)
+        raise
+    shutil.rmtree(retired)

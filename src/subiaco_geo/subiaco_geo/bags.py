@@ -88,7 +88,9 @@ def packet_from_cdr(raw: bytes | memoryview) -> memoryview:
         raise InputError("packet message: not little-endian CDR; record it again with a current driver")
     size = int(struct.unpack_from("<I", view, 4)[0])
     if len(view) < 8 + size:
-        raise InputError(f"packet message: says {size} bytes, holds {len(view) - 8}; the recording is damaged")
+        raise InputError(
+            f"packet message: says {size} bytes, holds {len(view) - 8}; the recording is damaged"
+        )
     return view[8 : 8 + size]
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -55,7 +56,7 @@ def cloud_from_columns(path: Path, columns: Mapping[str, Column], crs: str | Non
     fields = {name: values for name, values in columns.items() if name not in ("x", "y", "z")}
     if all(name in fields for name in _NORMALS):
         fields["normals"] = np.stack([fields.pop(name) for name in _NORMALS], axis=1)
-    return from_world(xyz, read_crs(path, crs), **fields)
+    return replace(from_world(xyz, read_crs(path, crs)), fields=fields)
 
 
 def read_crs(path: Path, text: str | None) -> str | None:

@@ -38,7 +38,9 @@ def read_cloud(path: Path) -> PointCloud:
         raise InputError(f"{path}: no such cloud file; give a {', '.join(READABLE)} file")
     suffix = path.suffix.lower()
     if suffix not in READABLE:
-        raise InputError(f"{path}: cannot read clouds of type {suffix or 'none'!r}; give {', '.join(READABLE)}")
+        raise InputError(
+            f"{path}: cannot read clouds of type {suffix or 'none'!r}; give {', '.join(READABLE)}"
+        )
     if path.stat().st_size == 0:
         raise InputError(f"{path}: the file has no bytes; copy or export it again")
     if suffix == ".ply":

@@ -12,6 +12,9 @@ from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
 
 
+_REACH = 1 << 20
+
+
 @dataclass(frozen=True)
 class PointCloud:
     """Points in a local frame, with the origin that places them in the world.
@@ -36,8 +39,12 @@ class PointCloud:
     fields: Mapping[str, NDArray[np.generic]] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        object.__setattr__(self, "xyz", np.asarray(self.xyz, dtype=np.float64))
+        object.__setattr__(self, "origin", np.asarray(self.origin, dtype=np.float64))
         if self.xyz.ndim != 2 or self.xyz.shape[1] != 3:
             raise InputError(f"xyz must have shape (N, 3), got {self.xyz.shape}")
+        if self.origin.shape != (3,):
+            raise InputError(f"origin must have shape (3,), got {self.origin.shape}")
         for name, values in self.fields.items():
             if len(values) != len(self.xyz):
                 raise InputError(f"field {name} has {len(values)} values for {len(self.xyz)} points")
@@ -81,16 +88,29 @@ def voxel_indices(xyz: Floats, leaf: float) -> Ints:
     return np.floor(xyz / leaf).astype(np.int64)
 
 
+def packable(index: Ints) -> NDArray[np.bool_]:
+    """Tell which voxel indices (N, 3) lie within +-2**20, the reach of :func:`voxel_keys`."""
+    return np.asarray(((index >= -_REACH) & (index < _REACH)).all(axis=1))
+
+
 def voxel_keys(index: Ints) -> Ints:
-    """Pack voxel indices (N, 3), each within +-2**20, into one int64 key a row."""
-    shifted = index + (1 << 20)
+    """Pack voxel indices (N, 3), each within +-2**20, into one int64 key a row.
+
+    Raises
+    ------
+    InputError
+        An index out of reach, as world coordinates give: two voxels would share a key.
+    """
+    if len(index) and (index.min() < -_REACH or index.max() >= _REACH):
+        raise InputError("voxel index beyond +-2**20; use local coordinates or a larger leaf")
+    shifted = index + _REACH
     return np.asarray((shifted[:, 0] << 42) | (shifted[:, 1] << 21) | shifted[:, 2])
 
 
 def unpack_voxel_keys(keys: Ints) -> Ints:
     """Invert :func:`voxel_keys`, giving (N, 3) int64 indices."""
     mask = (1 << 21) - 1
-    return np.stack([keys >> 42, (keys >> 21) & mask, keys & mask], axis=1) - (1 << 20)
+    return np.stack([keys >> 42, (keys >> 21) & mask, keys & mask], axis=1) - _REACH
 
 
 def sort_spatially(xyz: Floats, cell: float = 2.0) -> Ints:
@@ -98,7 +118,10 @@ def sort_spatially(xyz: Floats, cell: float = 2.0) -> Ints:
 
     Neighbour searches on points sorted like this are several times faster.
     """
-    return np.argsort(voxel_keys(voxel_indices(xyz, cell)), kind="stable")
+    if len(xyz) == 0:
+        return np.zeros(0, dtype=np.int64)
+    corner = np.floor(xyz.min(axis=0) / cell) * cell
+    return np.argsort(voxel_keys(voxel_indices(xyz - corner, cell)), kind="stable")
 
 
 def voxel_downsample(cloud: PointCloud, leaf: float) -> PointCloud:
@@ -115,6 +138,8 @@ def voxel_downsample(cloud: PointCloud, leaf: float) -> PointCloud:
     PointCloud
         One point a voxel in voxel-key order; unit ``normals`` are re-normalised.
     """
+    if len(cloud) == 0:
+        return cloud
     keys = voxel_keys(voxel_indices(cloud.xyz, leaf))
     order = np.argsort(keys, kind="stable")
     _, starts = np.unique(keys[order], return_index=True)
@@ -127,8 +152,6 @@ def voxel_downsample(cloud: PointCloud, leaf: float) -> PointCloud:
         total = np.add.reduceat(ordered, starts, axis=0)
         return np.asarray(total / counts.reshape(-1, *[1] * (values.ndim - 1)), dtype=values.dtype)
 
-    if len(cloud) == 0:
-        return cloud
     fields = {name: reduce(values) for name, values in cloud.fields.items()}
     if "normals" in fields:
         normals = np.asarray(fields["normals"], dtype=np.float64)

@@ -22,6 +22,7 @@ from typing import Any, TypeVar
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
 
+from subiaco_geo.atomic import whole_file
 from subiaco_geo.errors import InputError
 
 
@@ -54,26 +55,32 @@ def read_parameters(path: Path) -> dict[str, Any]:
         The file is missing, is not YAML, or lacks ``/**: ros__parameters:``.
     """
     try:
-        document = yaml.safe_load(path.read_text())
+        document = yaml.safe_load(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
         first = str(error).splitlines()[0]
         raise InputError(f"{path}: not valid YAML ({first})") from error
     try:
         parameters = document["/**"]["ros__parameters"]
     except (TypeError, KeyError) as error:
         raise InputError(f"{path}: expected '/**:' then 'ros__parameters:' at the top") from error
+    if not isinstance(parameters or {}, dict):
+        raise InputError(f"{path}: 'ros__parameters:' must hold names and values")
     return dict(parameters or {})
 
 
 def parse_setting(setting: str) -> dict[str, Any]:
     """Turn ``a.b=1.5`` into ``{"a": {"b": 1.5}}``."""
     key, separator, text = setting.partition("=")
-    if not separator or not key:
+    parts = key.split(".")
+    if not separator or not all(parts):
         raise InputError(f"--set {setting}: expected key=value, e.g. odometry.voxel=0.8")
-    value: Any = yaml.safe_load(text)
-    for part in reversed(key.split(".")):
+    try:
+        value: Any = yaml.safe_load(text)
+    except yaml.YAMLError as error:
+        raise InputError(f"--set {setting}: the value is not valid YAML; quote it") from error
+    for part in reversed(parts):
         value = {part: value}
     return dict(value)
 
@@ -108,4 +115,5 @@ def config_hash(config: StrictModel) -> str:
 def write_config(path: Path, config: StrictModel) -> None:
     """Write a resolved configuration in ROS parameter form, readable by :func:`load_config`."""
     document = {"/**": {"ros__parameters": config.model_dump(mode="json")}}
-    path.write_text(yaml.safe_dump(document, sort_keys=False))
+    with whole_file(path) as temporary:
+        temporary.write_text(yaml.safe_dump(document, sort_keys=False), encoding="utf-8")

@@ -45,7 +45,9 @@ def require_crs(text: str) -> CRS:
         return CRS.from_user_input(text)
     except CRSError as error:
         shown = text if len(text) < 60 else text[:57] + "..."
-        raise InputError(f"crs {shown!r}: not known; give an EPSG code such as EPSG:7850 (MGA zone 50)") from error
+        raise InputError(
+            f"crs {shown!r}: not known; give an EPSG code such as EPSG:7850 (MGA zone 50)"
+        ) from error
 
 
 def require_map_crs(text: str) -> CRS:
@@ -144,7 +146,9 @@ def transformer(crs_from: str, crs_to: str) -> Transform:
     if source == target:
         return Transform(_identity, 0.0, "none")
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", UserWarning)  # a better one needs a grid that is not here: see accuracy_m
+        warnings.simplefilter(
+            "ignore", UserWarning
+        )  # a better one needs a grid that is not here: see accuracy_m
         group = TransformerGroup(source.to_3d(), target.to_3d(), always_xy=True, allow_ballpark=False)
     usable = [t for t in group.transformers if "ballpark" not in t.description.lower() and t.accuracy >= 0]
     if not usable:
@@ -164,7 +168,9 @@ def _run(operation: Transformer, xyz: Floats, what: str) -> Floats:
     try:
         columns = operation.transform(xyz[:, 0], xyz[:, 1], xyz[:, 2], errcheck=True)
     except ProjError as error:
-        raise InputError(f"{what}: coordinates outside the system's range ({error}); check the CRS") from error
+        raise InputError(
+            f"{what}: coordinates outside the system's range ({error}); check the CRS"
+        ) from error
     moved = np.stack(columns, axis=1)
     if not np.isfinite(moved).all():
         raise InputError(f"{what}: {int((~np.isfinite(moved)).any(axis=1).sum())} points cannot be projected")
@@ -243,7 +249,9 @@ class EnuFrame:
 
     def from_geodetic(self, latitude_deg: ArrayLike, longitude_deg: ArrayLike, height: ArrayLike) -> Floats:
         """Return east, north, up (N, 3) [m] of geodetic positions (N,) [deg, deg, m]."""
-        lat, lon, h = (np.atleast_1d(np.asarray(v, dtype=np.float64)) for v in (latitude_deg, longitude_deg, height))
+        lat, lon, h = (
+            np.atleast_1d(np.asarray(v, dtype=np.float64)) for v in (latitude_deg, longitude_deg, height)
+        )
         lon_lat_h = np.stack(np.broadcast_arrays(lon, lat, h), axis=1)
         return _run(self._topocentric(), lon_lat_h, "geodetic to local ENU")
 

@@ -57,7 +57,9 @@ def read_las(path: Path) -> PointCloud:
         reason = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{path}: cut or not a LAS/LAZ file ({reason}); copy or export it again") from error
     if len(las.points) < expected:
-        raise InputError(f"{path}: cut: {len(las.points)} of {expected} points are there; copy or export it again")
+        raise InputError(
+            f"{path}: cut: {len(las.points)} of {expected} points are there; copy or export it again"
+        )
     columns: dict[str, Column] = {axis: np.asarray(getattr(las, axis), np.float64) for axis in "xyz"}
     columns |= _fields(las)
     return cloud_from_columns(path, columns, _crs(path, las.header))
@@ -149,7 +151,9 @@ def _extra_type(path: Path, name: str, values: Column) -> np.dtype[Any]:
     if values.dtype == np.bool_:
         return np.dtype(np.uint8)
     if values.dtype.kind not in "iuf" or values.dtype.itemsize > 8:
-        raise InputError(f"{path}: field {name} has type {values.dtype}, which LAS cannot hold; convert it first")
+        raise InputError(
+            f"{path}: field {name} has type {values.dtype}, which LAS cannot hold; convert it first"
+        )
     return np.dtype(np.float32) if values.dtype == np.float16 else values.dtype
 
 

@@ -61,7 +61,9 @@ def _read_header(path: Path, stream: BinaryIO) -> _Layout:
     try:
         return _layout(entries)
     except (KeyError, IndexError, ValueError, TypeError) as error:
-        raise InputError(f"{path}: the PCD header makes no sense ({error}); export the cloud again") from error
+        raise InputError(
+            f"{path}: the PCD header makes no sense ({error}); export the cloud again"
+        ) from error
 
 
 def _layout(entries: dict[str, list[str]]) -> _Layout:

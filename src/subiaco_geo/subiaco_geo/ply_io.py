@@ -90,7 +90,9 @@ def _read_header(path: Path, stream: BinaryIO) -> _Header:
         try:
             _read_header_line(path, header, words)
         except (IndexError, ValueError) as error:
-            raise InputError(f"{path}: PLY header line {' '.join(words)!r} makes no sense; export again") from error
+            raise InputError(
+                f"{path}: PLY header line {' '.join(words)!r} makes no sense; export again"
+            ) from error
     raise InputError(f"{path}: the PLY header has no end_header, the file is cut; copy or export it again")
 
 
@@ -108,7 +110,9 @@ def _read_header_line(path: Path, header: _Header, words: list[str]) -> None:
             header.elements[-1].has_list = True
         case ["property", kind, name]:
             if kind not in _TYPES:
-                raise InputError(f"{path}: PLY property {name} has unknown type {kind!r}; export as float or double")
+                raise InputError(
+                    f"{path}: PLY property {name} has unknown type {kind!r}; export as float or double"
+                )
             header.elements[-1].properties.append((name, _TYPES[kind]))
 
 
@@ -124,7 +128,9 @@ def _skip_to_vertices(path: Path, stream: BinaryIO, header: _Header) -> _Element
             for _ in range(element.count):
                 stream.readline()
         elif element.has_list:
-            raise InputError(f"{path}: lists in element {element.name} before the vertices; export points alone")
+            raise InputError(
+                f"{path}: lists in element {element.name} before the vertices; export points alone"
+            )
         else:
             stream.seek(element.count * element.dtype("<").itemsize, io.SEEK_CUR)
     raise InputError(f"{path}: the PLY has no vertices; export it as a point cloud")
@@ -168,7 +174,9 @@ def _read_ascii(path: Path, stream: BinaryIO, vertex: _Element) -> NDArray[np.vo
         raise InputError(
             f"{path}: rows of {values.shape[1]} numbers for {len(vertex.properties)} properties; export it again"
         )
-    kinds = [(name, _ascii_kind(name, kind, values[:, i])) for i, (name, kind) in enumerate(vertex.properties)]
+    kinds = [
+        (name, _ascii_kind(name, kind, values[:, i])) for i, (name, kind) in enumerate(vertex.properties)
+    ]
     table = np.empty(vertex.count, dtype=kinds)
     for i, (name, kind) in enumerate(kinds):
         _check_whole(path, name, kind, values[:, i])

@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
+import zlib
 from dataclasses import dataclass
 from pathlib import Path
+from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
 
-from subiaco_geo.clouds import voxel_indices, voxel_keys
+from subiaco_geo.atomic import whole_file
+from subiaco_geo.clouds import packable, voxel_indices, voxel_keys
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
 
@@ -37,12 +40,14 @@ class VisibilityGrid:
 
     def lookup(self, world: Floats) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
         """Return hits and passes (N,) at world points (N, 3)."""
-        query = voxel_keys(voxel_indices(world - self.origin, self.voxel))
-        if len(self.keys) == 0:
-            zeros = np.zeros(len(query), dtype=np.uint32)
+        index = voxel_indices(world - self.origin, self.voxel)
+        near = packable(index)
+        if len(self.keys) == 0 or not near.any():
+            zeros = np.zeros(len(index), dtype=np.uint32)
             return zeros, zeros.copy()
+        query = voxel_keys(np.where(near[:, None], index, 0))
         slot = np.minimum(np.searchsorted(self.keys, query), len(self.keys) - 1)
-        found = self.keys[slot] == query
+        found = near & (self.keys[slot] == query)
         return np.where(found, self.hits[slot], 0), np.where(found, self.passes[slot], 0)
 
     def observed(self, world: Floats, min_beams: int = 1) -> NDArray[np.bool_]:
@@ -53,9 +58,15 @@ class VisibilityGrid:
 
 def save_visibility(path: Path, grid: VisibilityGrid) -> None:
     """Write a grid as compressed npz (no pickle)."""
-    np.savez_compressed(
-        path, origin=grid.origin, voxel=np.float64(grid.voxel), keys=grid.keys, hits=grid.hits, passes=grid.passes
-    )
+    with whole_file(path) as temporary, temporary.open("wb") as stream:
+        np.savez_compressed(
+            stream,
+            origin=grid.origin,
+            voxel=np.float64(grid.voxel),
+            keys=grid.keys,
+            hits=grid.hits,
+            passes=grid.passes,
+        )
 
 
 def load_visibility(path: Path) -> VisibilityGrid:
@@ -65,5 +76,5 @@ def load_visibility(path: Path) -> VisibilityGrid:
             return VisibilityGrid(
                 data["origin"], float(data["voxel"]), data["keys"], data["hits"], data["passes"]
             )
-    except (KeyError, ValueError, OSError) as error:
+    except (KeyError, ValueError, OSError, EOFError, BadZipFile, zlib.error) as error:
         raise InputError(f"{path}: not a visibility layer ({error}); rebuild the map") from error

@@ -1,0 +1,328 @@
+"""Survey maps on disk: one directory an epoch, written whole, read back the same."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import yaml
+
+from subiaco_geo import __version__
+from subiaco_geo.atomic import whole_directory
+from subiaco_geo.cloud_io import read_cloud, write_cloud
+from subiaco_geo.clouds import PointCloud
+from subiaco_geo.config import read_parameters
+from subiaco_geo.errors import InputError
+from subiaco_geo.frames import Floats, Ints
+from subiaco_geo.trajectories import (
+    Trajectory,
+    format_seconds,
+    parse_seconds,
+    read_kitti,
+    read_tum,
+    write_kitti,
+    write_tum,
+)
+from subiaco_geo.visibility import VisibilityGrid, load_visibility, save_visibility
+
+#: Columns of ``heights.csv`` and of :attr:`SurveyMap.heights`: centre of a 20 m tile
+#: [m], median ground height [m], ground points, tilt of the ground [rad].
+HEIGHT_COLUMNS = ("east", "north", "ground_height", "n", "tilt")
+_TWIST = ("rx", "ry", "rz", "x", "y", "z")
+_UPPER = np.triu_indices(6)
+_COVARIANCE_COLUMNS = [f"cov_{_TWIST[i]}_{_TWIST[j]}" for i, j in zip(*_UPPER, strict=True)]
+_UNCERTAINTY_COLUMNS = ["time_s", "sequence", *(f"sigma_{axis}" for axis in _TWIST), *_COVARIANCE_COLUMNS]
+
+
+@dataclass(frozen=True)
+class PoseUncertainty:
+    """Covariances of map poses.
+
+    Parameters
+    ----------
+    times_ns : (M,) int64
+        UTC times, those of the trajectory.
+    sequences : sequence of str
+        M names: which recording a pose belongs to.
+    covariances : (M, 6, 6) float64
+        Rotation first [rad2, rad m, m2], about the axes of the map, of ``lidar_link``.
+    """
+
+    times_ns: Ints
+    sequences: Sequence[str]
+    covariances: Floats
+
+    def __post_init__(self) -> None:
+        shape = (len(self.times_ns), 6, 6)
+        if self.covariances.shape != shape or len(self.sequences) != shape[0]:
+            raise InputError(f"covariances must have shape {shape} and one sequence name each")
+
+    @property
+    def sigmas(self) -> Floats:
+        """Standard deviations (M, 6), rotation [rad] then translation [m]."""
+        return np.asarray(np.sqrt(np.diagonal(self.covariances, axis1=1, axis2=2)))
+
+
+@dataclass(frozen=True)
+class SurveyMap:
+    """One epoch as the change stage sees it.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        Static points at the working leaf; a CRS of None is a local map.
+    trajectory : Trajectory, optional
+        ``T_map_lidar`` at each scan's last column, world coordinates.
+    visibility : VisibilityGrid, optional
+    uncertainty : PoseUncertainty, optional
+    info : mapping
+        ``map.yaml``: epoch, time range, leaf, configuration hash, input bags with hashes ...
+    last : PointCloud, optional
+        Last returns.
+    odometry : mapping of str to Trajectory
+        Raw odometry a sequence, ``T_lidar0_lidar``.
+    manifest : mapping
+        Flagged stretches of the survey.
+    heights : (K, 5) float64, optional
+        See :data:`HEIGHT_COLUMNS`.
+    config : mapping
+        The configuration as resolved.
+    """
+
+    cloud: PointCloud
+    trajectory: Trajectory | None = None
+    visibility: VisibilityGrid | None = None
+    uncertainty: PoseUncertainty | None = None
+    info: Mapping[str, Any] = field(default_factory=dict)
+    last: PointCloud | None = None
+    odometry: Mapping[str, Trajectory] = field(default_factory=dict)
+    manifest: Mapping[str, Any] = field(default_factory=dict)
+    heights: Floats | None = None
+    config: Mapping[str, Any] = field(default_factory=dict)
+
+    @property
+    def crs(self) -> str | None:
+        """CRS of the map, None for a local one."""
+        return self.cloud.crs
+
+
+def write_map(directory: Path, survey: SurveyMap, overwrite: bool = False) -> None:
+    """Write a map directory; it appears whole or not at all.
+
+    ``map.laz map.ply map.yaml manifest.yaml config.yaml`` always;
+    ``trajectory.tum visibility.npz uncertainty.csv heights.csv last.laz
+    odometry/<sequence>.txt (.times.txt)`` where the survey has them.
+
+    Raises
+    ------
+    InputError
+        The directory exists and ``overwrite`` is False, or it is not a map; an empty cloud.
+    """
+    with whole_directory(Path(directory), overwrite=overwrite, marker="map.yaml") as out:
+        write_cloud(out / "map.ply", survey.cloud)
+        write_cloud(out / "map.laz", survey.cloud)
+        if survey.last is not None and len(survey.last):
+            write_cloud(out / "last.laz", survey.last)
+        _write_trajectories(out, survey)
+        if survey.visibility is not None:
+            save_visibility(out / "visibility.npz", survey.visibility)
+        if survey.heights is not None:
+            _write_heights(out / "heights.csv", survey.heights)
+        _write_yaml(out / "map.yaml", _map_info(survey))
+        _write_yaml(out / "manifest.yaml", survey.manifest)
+        _write_yaml(out / "config.yaml", {"/**": {"ros__parameters": survey.config}})
+
+
+def read_map(directory: Path, *, with_last: bool = True) -> SurveyMap:
+    """Read a map directory; parts that are absent are None or empty.
+
+    Parameters
+    ----------
+    directory : Path
+    with_last : bool
+        Read the last returns too.
+
+    Raises
+    ------
+    InputError
+        Not a map directory, or a part that is damaged.
+    """
+    directory = Path(directory)
+    if not (directory / "map.yaml").is_file():
+        raise InputError(f"{directory}: not a map directory (no map.yaml); make one with 'subiaco map'")
+    info = _read_yaml(directory / "map.yaml")
+    uncertainty = directory / "uncertainty.csv"
+    heights = directory / "heights.csv"
+    last = directory / "last.laz"
+    return SurveyMap(
+        cloud=_read_map_cloud(directory, info),
+        trajectory=_optional_trajectory(directory / "trajectory.tum"),
+        visibility=_optional_visibility(directory / "visibility.npz"),
+        uncertainty=_read_uncertainty(uncertainty) if uncertainty.is_file() else None,
+        info=info,
+        last=read_cloud(last) if with_last and last.is_file() else None,
+        odometry={p.stem: read_kitti(p) for p in _odometry_files(directory)},
+        manifest=_read_yaml(directory / "manifest.yaml"),
+        heights=_read_heights(heights) if heights.is_file() else None,
+        config=_read_config(directory / "config.yaml"),
+    )
+
+
+def load_epoch(path: Path, trajectory: Path | None = None) -> SurveyMap:
+    """Load one epoch: a map directory, or a bare cloud file.
+
+    Parameters
+    ----------
+    path : Path
+        A map directory, a cloud file, or a folder whose ``map.ply`` (or
+        ``map.laz``) is the cloud, as a simulation without bags leaves it.
+    trajectory : Path, optional
+        TUM file that says where the sensor went; replaces the map's own.
+    """
+    path = Path(path)
+    if not path.exists():
+        raise InputError(
+            f"{path}: no such map or cloud; give a map directory or a .ply, .las, .laz or .pcd file"
+        )
+    if (path / "map.yaml").is_file():
+        survey = read_map(path, with_last=False)
+    else:
+        survey = SurveyMap(read_cloud(_bare_cloud(path)), info={"source": path.name})
+    return survey if trajectory is None else replace(survey, trajectory=read_tum(Path(trajectory)))
+
+
+def _bare_cloud(path: Path) -> Path:
+    if path.is_file():
+        return path
+    for name in ("map.ply", "map.laz"):
+        if (path / name).is_file():
+            return path / name
+    raise InputError(f"{path}: holds no map (no map.yaml, map.ply or map.laz); make one with 'subiaco map'")
+
+
+def _read_map_cloud(directory: Path, info: Mapping[str, Any]) -> PointCloud:
+    cloud = read_cloud(_bare_cloud(directory))
+    if cloud.crs != info.get("crs"):
+        raise InputError(
+            f"{directory}: map.yaml says CRS {info.get('crs')}, the cloud says {cloud.crs}; rebuild the map"
+        )
+    origin = info.get("origin")
+    return cloud if origin is None else cloud.rebased(origin)
+
+
+def _map_info(survey: SurveyMap) -> dict[str, Any]:
+    computed = {
+        "crs": survey.cloud.crs,
+        "heights": None if survey.cloud.crs is None else "ellipsoidal",
+        "points": len(survey.cloud),
+        "origin": survey.cloud.origin,
+        "version": __version__,
+    }
+    if survey.trajectory is not None and len(survey.trajectory):
+        times_ns = survey.trajectory.times_ns
+        computed |= {"start_ns": int(times_ns[0]), "end_ns": int(times_ns[-1])}
+    return {**survey.info, **computed}
+
+
+def _odometry_files(directory: Path) -> list[Path]:
+    return sorted(p for p in (directory / "odometry").glob("*.txt") if not p.name.endswith(".times.txt"))
+
+
+def _optional_trajectory(path: Path) -> Trajectory | None:
+    return read_tum(path) if path.is_file() else None
+
+
+def _optional_visibility(path: Path) -> VisibilityGrid | None:
+    return load_visibility(path) if path.is_file() else None
+
+
+def _write_trajectories(out: Path, survey: SurveyMap) -> None:
+    if survey.trajectory is not None:
+        write_tum(out / "trajectory.tum", survey.trajectory)
+    if survey.uncertainty is not None:
+        _write_uncertainty(out / "uncertainty.csv", survey.uncertainty)
+    (out / "odometry").mkdir()
+    for name, odometry in survey.odometry.items():
+        if not name or "/" in name or name.startswith(".") or name.endswith(".times"):
+            raise InputError(f"sequence {name!r}: cannot be a file name; rename the bag")
+        write_kitti(out / "odometry" / f"{name}.txt", odometry)
+
+
+def _write_uncertainty(path: Path, uncertainty: PoseUncertainty) -> None:
+    """Write time [s], sequence, six sigmas and the upper triangle of the covariance a row."""
+    upper = uncertainty.covariances[:, _UPPER[0], _UPPER[1]]
+    rows = zip(uncertainty.times_ns.tolist(), uncertainty.sequences, uncertainty.sigmas, upper, strict=True)
+    with path.open("w", newline="") as stream:
+        writer = csv.writer(stream)
+        writer.writerow(_UNCERTAINTY_COLUMNS)
+        for time_ns, sequence, sigmas, values in rows:
+            writer.writerow([format_seconds(time_ns), sequence, *(f"{v:.9g}" for v in (*sigmas, *values))])
+
+
+def _read_uncertainty(path: Path) -> PoseUncertainty:
+    with path.open(newline="") as stream:
+        header, *rows = list(csv.reader(stream)) or [[]]
+    if header != _UNCERTAINTY_COLUMNS:
+        raise InputError(f"{path}: unexpected columns; rebuild the map")
+    try:
+        times_ns = np.array([parse_seconds(row[0]) for row in rows], dtype=np.int64)
+        upper = np.array([[float(v) for v in row[8:]] for row in rows]).reshape(len(rows), 21)
+    except (ValueError, IndexError) as error:
+        raise InputError(f"{path}: damaged ({error}); rebuild the map") from error
+    covariances = np.zeros((len(rows), 6, 6))
+    covariances[:, _UPPER[0], _UPPER[1]] = upper
+    covariances[:, _UPPER[1], _UPPER[0]] = upper
+    return PoseUncertainty(times_ns, [row[1] for row in rows], covariances)
+
+
+def _write_heights(path: Path, heights: Floats) -> None:
+    if heights.ndim != 2 or heights.shape[1] != len(HEIGHT_COLUMNS):
+        raise InputError(f"heights must have shape (K, {len(HEIGHT_COLUMNS)}), got {heights.shape}")
+    formats = ["%.3f", "%.3f", "%.4f", "%d", "%.6f"]
+    np.savetxt(path, heights, fmt=formats, delimiter=",", header=",".join(HEIGHT_COLUMNS), comments="")
+
+
+def _read_heights(path: Path) -> Floats:
+    with path.open() as stream:
+        if stream.readline().strip().split(",") != list(HEIGHT_COLUMNS):
+            raise InputError(f"{path}: unexpected columns; rebuild the map")
+        rows = [line.split(",") for line in stream if line.strip()]
+    try:
+        return np.array(rows, dtype=np.float64).reshape(len(rows), len(HEIGHT_COLUMNS))
+    except ValueError as error:
+        raise InputError(f"{path}: damaged ({error}); rebuild the map") from error
+
+
+def _read_config(path: Path) -> dict[str, Any]:
+    return read_parameters(path) if path.is_file() else {}
+
+
+def _write_yaml(path: Path, values: Mapping[str, Any]) -> None:
+    path.write_text(yaml.safe_dump(plain(values), sort_keys=False, allow_unicode=True), encoding="utf-8")
+
+
+def _read_yaml(path: Path) -> dict[str, Any]:
+    if not path.is_file():
+        return {}
+    try:
+        document = yaml.safe_load(path.read_text(encoding="utf-8"))
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: not valid YAML ({str(error).splitlines()[0]}); rebuild the map") from error
+    if not isinstance(document or {}, dict):
+        raise InputError(f"{path}: expected names and values; rebuild the map")
+    return dict(document or {})
+
+
+def plain(value: Any) -> Any:
+    """Return a value as the plain lists, dicts, numbers and texts that YAML and JSON hold."""
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, np.ndarray | np.generic):
+        return value.tolist()
+    if isinstance(value, list | tuple | set | frozenset):
+        return [plain(item) for item in value]
+    return str(value) if isinstance(value, Path) else value
