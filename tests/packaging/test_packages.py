@@ -145,7 +145,7 @@ def test_the_change_record_has_every_column_of_the_table() -> None:
     fields = {line.split()[1] for line in text.splitlines() if line and not line.startswith("#")}
     columns = (
         "object_id object_class label id_before id_after match_kind delta_h_m delta_v_m3 delta_v_surface_m3 "
-        "delta_c_m iou_3d d_perp_m lod95_m observed_fraction evidence score_paper confidence n_before n_after x y "
-        "z"
+        "delta_c_m iou_3d d_perp_m lod95_m observed_fraction evidence score_paper confidence "
+        "n_before n_after x y z"
     )
     assert set(columns.split()) <= fields
