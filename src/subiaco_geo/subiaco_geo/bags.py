@@ -6,18 +6,16 @@ packets is walked at the speed of the disk.
 
 from __future__ import annotations
 
-import hashlib
 import shutil
 import struct
 from collections.abc import Collection, Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from os import getpid
 from pathlib import Path
 from types import TracebackType
 from typing import Any, Self
 
-from backports import zstd
 from rosbags.interfaces import (
     Connection,
     MessageDefinitionFormat,
@@ -28,21 +26,21 @@ from rosbags.interfaces import (
     QosReliability,
     QosTime,
 )
-from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, ReaderError, StoragePlugin, Writer
+from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from subiaco_geo.atomic import refuse_existing
+from subiaco_geo.bag_files import READ_FAULTS, find_storage, hash_bag, reading, storage_files
 from subiaco_geo.errors import InputError
 from subiaco_geo.topics import PACKET_TYPE
 
-MCAP_MAGIC = b"\x89MCAP0\r\n"
+__all__ = [
+    "TYPESTORE", "BagMessage", "BagReader", "BagWriter", "TopicInfo", "find_storage", "hash_bag",
+    "packet_from_cdr", "packet_to_cdr", "require_topic", "storage_files",
+]  # fmt: skip
+
 _CDR_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
-_STORAGE_SUFFIXES = (".mcap", ".db3")
-_READ_FAULTS = (
-    ReaderError, OSError, EOFError, struct.error, zstd.ZstdError,
-    TypeError, ValueError, KeyError, AssertionError,
-)  # fmt: skip
 
 
 def _make_typestore() -> Typestore:
@@ -185,92 +183,6 @@ class BagMessage:
     raw: bytes
 
 
-def _is_bag_folder(path: Path) -> bool:
-    return (path / "metadata.yaml").is_file() or any(path.glob("*.mcap"))
-
-
-def find_storage(path: Path) -> Path:
-    """Return the rosbag2 folder or storage file that a user's path means.
-
-    Parameters
-    ----------
-    path : Path
-        A rosbag2 folder, a folder with one mcap and no metadata.yaml, an mcap
-        (or db3) file, or a simulated epoch folder, which holds ``bag/``.
-
-    Raises
-    ------
-    InputError
-        Nothing there, or not a bag.
-    """
-    path = Path(path)
-    if not path.exists():
-        raise InputError(f"{path}: no such bag; give a rosbag2 folder, an .mcap or a simulated epoch folder")
-    if path.is_dir():
-        if not _is_bag_folder(path) and _is_bag_folder(path / "bag"):
-            path = path / "bag"
-        if (path / "metadata.yaml").is_file():
-            return path
-        files = sorted(path.glob("*.mcap"))
-        if len(files) == 1:
-            return files[0]
-        if files:
-            raise InputError(
-                f"{path}: {len(files)} mcap files but no metadata.yaml; run 'ros2 bag reindex {path}'"
-            )
-        raise InputError(f"{path}: not a bag (no metadata.yaml, no .mcap); give a rosbag2 folder or an .mcap")
-    if path.suffix == ".bag":
-        raise InputError(f"{path}: a ROS 1 bag; convert it first with 'subiaco import {path} -o BAG'")
-    if path.suffix not in _STORAGE_SUFFIXES:
-        raise InputError(f"{path}: not a bag; give a rosbag2 folder, an .mcap or a simulated epoch folder")
-    return path
-
-
-def storage_files(path: Path) -> list[Path]:
-    """Return the files that hold a bag's messages, in name order."""
-    storage = find_storage(path)
-    if storage.is_file():
-        return [storage]
-    return sorted(p for p in storage.iterdir() if p.suffix in _STORAGE_SUFFIXES)
-
-
-def hash_bag(path: Path) -> str:
-    """Return the SHA-256 (hex) of a bag's messages files, whatever the folder is called."""
-    digest = hashlib.sha256()
-    for file in storage_files(path):
-        with file.open("rb") as stream:
-            while block := stream.read(1 << 20):
-                digest.update(block)
-    return digest.hexdigest()
-
-
-def _complaint(path: Path, error: BaseException) -> str:
-    """Say what is wrong with a bag that could not be read, and what to do."""
-    for file in storage_files(path):
-        if file.suffix != ".mcap":
-            continue
-        with file.open("rb") as stream:
-            head = stream.read(8)
-            stream.seek(max(0, file.stat().st_size - 8))
-            tail = stream.read(8)
-        if head != MCAP_MAGIC:
-            return f"{file}: not an mcap file (wrong first bytes); give the bag that the recorder wrote"
-        if tail != MCAP_MAGIC or file.stat().st_size < 45:
-            return f"{file}: the recording is cut (no end record); record again, or run 'mcap recover {file}'"
-    reason = " ".join(str(error).split()) or type(error).__name__
-    return f"{path}: the bag is damaged ({reason}); record again, or run 'mcap recover'"
-
-
-@contextmanager
-def _reading(path: Path) -> Iterator[None]:
-    try:
-        yield
-    except InputError:
-        raise
-    except _READ_FAULTS as error:
-        raise InputError(_complaint(path, error)) from error
-
-
 class BagReader:
     """Read a bag in log-time order, payloads raw.
 
@@ -296,7 +208,7 @@ class BagReader:
         self.end_ns = 0
 
     def __enter__(self) -> Self:
-        with _reading(self.path):
+        with reading(self.path):
             self._reader = Reader(self._storage)
             self._reader.open()
         try:
@@ -311,7 +223,7 @@ class BagReader:
     def _close(self) -> None:
         reader, self._reader = self._reader, None
         if reader is not None:
-            with suppress(*_READ_FAULTS):
+            with suppress(*READ_FAULTS):
                 reader.close()
 
     def __exit__(
@@ -339,7 +251,7 @@ class BagReader:
             return
         stream = reader.messages(connections=wanted)
         while True:
-            with _reading(self.path):
+            with reading(self.path):
                 item = next(stream, None)
             if item is None:
                 return
@@ -359,7 +271,8 @@ class BagReader:
             return store.deserialize_cdr(message.raw, message.msg_type)
         except Exception as error:
             raise InputError(
-                f"{self.path}: {message.topic}: a {message.msg_type} that cannot be decoded ({error}); record again"
+                f"{self.path}: {message.topic}: a {message.msg_type} that cannot be decoded ({error}); "
+                "record again"
             ) from error
 
     def _types_for(self, message: BagMessage) -> Typestore:
@@ -371,8 +284,8 @@ class BagReader:
                 self._learn(self._own_types, connection)
         if message.msg_type not in self._own_types.fielddefs:
             raise InputError(
-                f"{self.path}: {message.topic}: unknown message type {message.msg_type}, and the bag does not "
-                "define it; record with its message package installed"
+                f"{self.path}: {message.topic}: unknown message type {message.msg_type}, "
+                "and the bag does not define it; record with its message package installed"
             )
         return self._own_types
 
@@ -400,6 +313,7 @@ def require_topic(reader: BagReader, topic: str, msg_type: str) -> TopicInfo:
         raise InputError(f"{reader.path}: no topic {topic} (it has {present}); record it or remap it")
     if info.msg_type != msg_type:
         raise InputError(
-            f"{reader.path}: {topic} is {info.msg_type}, expected {msg_type}; remap the right topic to this name"
+            f"{reader.path}: {topic} is {info.msg_type}, expected {msg_type}; "
+            "remap the right topic to this name"
         )
     return info

@@ -29,7 +29,8 @@ def check_coordinates(path: Path, xyz: Floats) -> None:
     bad = int((~np.isfinite(xyz)).any(axis=1).sum())
     if bad:
         raise InputError(
-            f"{path}: {bad} of {len(xyz)} points have NaN or infinite coordinates; remove them and export again"
+            f"{path}: {bad} of {len(xyz)} points have NaN or infinite coordinates; "
+            "remove them and export again"
         )
 
 

@@ -11,7 +11,6 @@ from numpy.typing import ArrayLike, NDArray
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
 
-
 _REACH = 1 << 20
 
 

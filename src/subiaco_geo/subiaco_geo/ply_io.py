@@ -172,7 +172,8 @@ def _read_ascii(path: Path, stream: BinaryIO, vertex: _Element) -> NDArray[np.vo
         raise _cut(path, vertex.count, len(values))
     if values.shape[1] != len(vertex.properties):
         raise InputError(
-            f"{path}: rows of {values.shape[1]} numbers for {len(vertex.properties)} properties; export it again"
+            f"{path}: rows of {values.shape[1]} numbers for {len(vertex.properties)} properties; "
+            "export it again"
         )
     kinds = [
         (name, _ascii_kind(name, kind, values[:, i])) for i, (name, kind) in enumerate(vertex.properties)
@@ -237,9 +238,9 @@ def _storable(path: Path, name: str, values: Column) -> Column:
         return values
     if values.dtype.kind in "iu":
         low, high = int(values.min()), int(values.max())
-        if -(2**31) <= low and high < 2**31:
+        if low >= -(2**31) and high < 2**31:
             return values.astype(np.int32)
-        if -(2**53) <= low and high <= 2**53:
+        if low >= -(2**53) and high <= 2**53:
             return values.astype(np.float64)
         raise InputError(f"{path}: field {name} has integers that PLY cannot hold; subtract an offset first")
     raise InputError(f"{path}: field {name} has type {values.dtype}, which PLY cannot hold; convert it first")
