@@ -178,6 +178,8 @@ enter_build_environment() {
     if has_apt_ros; then source "$APT_ROS/setup.bash"; else export AMENT_PREFIX_PATH="$VENV"; fi
     set -u
     export PYTHONWARNINGS=ignore # setuptools deprecations, once a package
+    MAKEFLAGS="-j$(nproc)" # else colcon adds a load limit, and a busy machine waits for ever
+    export MAKEFLAGS
 }
 
 colcon_build() {
