@@ -1,0 +1,112 @@
+"""What a simulated survey can be asked for; defaults, units and bounds live here alone."""
+
+from __future__ import annotations
+
+from enum import Enum
+
+from pydantic import Field
+from subiaco_geo.config import StrictModel
+
+
+class LidarMode(str, Enum):
+    """Columns a revolution x revolutions a second."""
+
+    COLUMNS_512 = "512x10"
+    COLUMNS_1024 = "1024x10"
+    COLUMNS_2048 = "2048x10"
+
+    @property
+    def columns(self) -> int:
+        """Columns a revolution."""
+        return int(self.value.split("x")[0])
+
+
+class EpochChoice(str, Enum):
+    """Which drives to simulate."""
+
+    BEFORE = "before"
+    AFTER = "after"
+    BOTH = "both"
+
+    @property
+    def names(self) -> tuple[str, ...]:
+        """Epoch folders to write."""
+        return ("before", "after") if self is EpochChoice.BOTH else (self.value,)
+
+
+class LidarConfig(StrictModel):
+    """The moving OS1-128."""
+
+    max_range: float = Field(100.0, gt=5.0, le=200.0, description="Longest range that returns [m]")
+    min_range: float = Field(0.5, gt=0.0, description="Shortest range that returns [m]")
+    range_sigma: float = Field(0.012, ge=0.0, description="Range noise, standard deviation [m]")
+    range_sigma_slope: float = Field(1e-4, ge=0.0, description="Growth of the range noise [m per m]")
+    dropout: float = Field(0.005, ge=0.0, le=1.0, description="Beams lost at random [fraction]")
+    second_return: float = Field(
+        0.45, ge=0.0, le=1.0, description="Beams through a leaf edge that return twice [fraction]"
+    )
+
+
+class ImuConfig(StrictModel):
+    """The inertial unit, in its own frame."""
+
+    rate: float = Field(100.0, ge=50.0, le=500.0, description="Samples a second [Hz]")
+    gyro_noise: float = Field(2e-4, ge=0.0, description="Noise density [rad/s per sqrt(Hz)]")
+    accel_noise: float = Field(2e-3, ge=0.0, description="Noise density [m/s2 per sqrt(Hz)]")
+    gyro_bias: float = Field(2e-3, ge=0.0, description="Constant bias, standard deviation per axis [rad/s]")
+    accel_bias: float = Field(0.03, ge=0.0, description="Constant bias, standard deviation per axis [m/s2]")
+
+
+class GnssConfig(StrictModel):
+    """The RTK receiver: shares of the drive in each state, and its errors."""
+
+    rate: float = Field(5.0, gt=0.0, le=20.0, description="Fixes a second [Hz]")
+    sigma_fixed: float = Field(0.012, gt=0.0, description="RTK fixed, horizontal [m]")
+    sigma_float: float = Field(0.35, gt=0.0, description="RTK float, horizontal [m]")
+    sigma_single: float = Field(1.5, gt=0.0, description="Single point, horizontal [m]")
+    vertical_factor: float = Field(1.7, gt=0.0, description="Vertical over horizontal error [ratio]")
+    correlation_time: float = Field(20.0, gt=0.0, description="Of the slow part of the error [s]")
+    float_share: float = Field(0.06, ge=0.0, le=1.0, description="Part of the drive with float fixes")
+    single_share: float = Field(0.03, ge=0.0, le=1.0, description="Part of the drive with single fixes")
+    none_share: float = Field(0.03, ge=0.0, le=1.0, description="Part of the drive without a fix (NaN)")
+
+
+class FaultConfig(StrictModel):
+    """Faults of the recording, each a switch."""
+
+    packet_loss: float = Field(0.0, ge=0.0, lt=1.0, description="LiDAR packets lost [fraction]")
+    duplicates: float = Field(0.0, ge=0.0, lt=1.0, description="LiDAR packets sent twice [fraction]")
+    reordered: float = Field(0.0, ge=0.0, lt=1.0, description="LiDAR packets swapped with the next [fraction]")
+
+
+class TruthConfig(StrictModel):
+    """How the truth is thinned and how seeing is tested."""
+
+    leaf: float = Field(0.1, gt=0.0, le=1.0, description="One truth point per object and voxel of [m]")
+    seen_radius: float = Field(
+        0.5, gt=0.0, description="A place counts as seen when a beam of the other drive comes this near [m]"
+    )
+    own_body: float = Field(
+        2.0, ge=0.0, description="A changed object hides its own earlier or later self up to this depth [m]"
+    )
+    pose_spacing: float = Field(1.0, gt=0.0, description="Distance between tested poses of the other drive [m]")
+
+
+class SimulationConfig(StrictModel):
+    """One simulated survey."""
+
+    preset: str = Field("default", description="easy or default (hard and city do not exist yet)")
+    seed: int = Field(1, ge=0, description="Everything random follows from it")
+    epoch: EpochChoice = Field(EpochChoice.BOTH, description="before, after or both")
+    maps_only: bool = Field(False, description="Write fused maps from true poses, no bags")
+    duration: float | None = Field(
+        None, gt=1.0, le=3600.0, description="Length of each drive [s]; the preset's when null"
+    )
+    mode: LidarMode = Field(LidarMode.COLUMNS_1024, description="Columns x revolutions a second")
+    dual_return: bool = Field(False, description="Two returns a beam, strongest first")
+    map_leaf: float = Field(0.25, gt=0.0, le=2.0, description="Leaf of the fused maps [m]")
+    lidar: LidarConfig = LidarConfig()
+    imu: ImuConfig = ImuConfig()
+    gnss: GnssConfig = GnssConfig()
+    faults: FaultConfig = FaultConfig()
+    truth: TruthConfig = TruthConfig()

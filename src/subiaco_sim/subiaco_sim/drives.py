@@ -1,0 +1,105 @@
+"""The two drives through a scene: when, which way, with which sensors and noise."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from ouster.sdk.core import SensorInfo
+from subiaco_geo.crs import EnuFrame
+from subiaco_geo.frames import Floats, Ints
+
+from subiaco_sim.config import SimulationConfig
+from subiaco_sim.lidar import SCAN_NS, Lidar, SimulatedScan, column_times, points_of
+from subiaco_sim.motion import Motion, drive
+from subiaco_sim.packets import sensor_info
+from subiaco_sim.presets import build_scene, find_preset
+from subiaco_sim.scene import EPOCHS, CompiledScene, Scene, compile_scene, ground_object
+from subiaco_sim.vehicle import LIDAR
+
+MAP_CRS = "EPSG:7850"
+WORLD = EnuFrame(-31.948, 115.825, 10.0)  # Subiaco; scene coordinates are this frame's
+START_NS = {"before": 1_697_335_200_000_000_000, "after": 1_760_236_200_000_000_000}  # UTC
+
+
+@dataclass(frozen=True)
+class Drive:
+    """One epoch's drive, ready to be sampled."""
+
+    epoch: str
+    number: int
+    motion: Motion
+    compiled: CompiledScene
+    columns: int
+    scans: int
+
+    def rng(self, seed: int, purpose: int, part: int = 0) -> np.random.Generator:
+        """Return the random source of one purpose and part of this drive."""
+        return np.random.default_rng([seed, 100 + self.number, purpose, part])
+
+    def lidar_poses(self, times_ns: Ints) -> Floats:
+        """Return T_enu_lidar (N, 4, 4)."""
+        return self.motion.poses(times_ns) @ LIDAR.T_base_sensor
+
+    def scan_end_ns(self) -> Ints:
+        """Return the time of every scan's last column (scans,)."""
+        ends = [column_times(self.motion.start_ns, k, self.columns)[-1] for k in range(self.scans)]
+        return np.array(ends, dtype=np.int64)
+
+
+@dataclass(frozen=True)
+class Survey:
+    """A scene, both drives through it, and the sensor."""
+
+    config: SimulationConfig
+    scene: Scene
+    drives: dict[str, Drive]
+    info: SensorInfo
+
+
+@dataclass(frozen=True)
+class ScanPoints:
+    """First returns of a scan: ENU points (N, 3), ranges known, reflectivity and object ids (N,)."""
+
+    xyz: Floats
+    reflectivity: Floats
+    object_id: Ints
+
+
+def plan_survey(config: SimulationConfig) -> Survey:
+    """Build the scene and both drives."""
+    preset = find_preset(config.preset)
+    scene = build_scene(config.preset, config.seed)
+    duration = config.duration or preset.duration
+    drives = {}
+    for number, epoch in enumerate(EPOCHS):
+        motion = drive(
+            scene.route,
+            scene.terrain_at(epoch),
+            START_NS[epoch],
+            duration,
+            preset.speed,
+            reverse=epoch == "after",
+            seed=config.seed * 2 + number,
+        )
+        scans = int(duration * 1e9 // SCAN_NS)
+        compiled = compile_scene(scene, epoch)
+        drives[epoch] = Drive(epoch, number, motion, compiled, config.mode.columns, scans)
+    return Survey(config, scene, drives, sensor_info(config.mode, config.dual_return))
+
+
+def scans_of(survey: Survey, drive: Drive, lidar: Lidar) -> Iterator[SimulatedScan]:
+    """Yield every scan of a drive."""
+    for k in range(drive.scans):
+        times_ns = column_times(drive.motion.start_ns, k, drive.columns)
+        rng = drive.rng(survey.config.seed, 1, k)
+        yield lidar.scan(drive.compiled, k, times_ns, drive.lidar_poses(times_ns), rng)
+
+
+def first_points(survey: Survey, lidar: Lidar, scan: SimulatedScan) -> ScanPoints:
+    """Return the measured first returns at the true poses, with their objects."""
+    found = scan.first.range_mm > 0
+    xyz = points_of(lidar.beams, scan, scan.first.range_mm * 1e-3)[found]
+    object_id = ground_object(survey.scene, xyz, scan.first.object_id[found])
+    return ScanPoints(xyz, scan.first.reflectivity[found].astype(np.float64), object_id)

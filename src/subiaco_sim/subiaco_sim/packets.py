@@ -1,0 +1,99 @@
+"""Scans as real Ouster UDP packets, and the metadata that lets any decoder read them."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+from ouster.sdk import core
+from ouster.sdk.core import HeaderType, PacketFormat, SensorInfo, TimestampMode, UDPProfileLidar
+
+from subiaco_sim.config import FaultConfig, LidarMode
+from subiaco_sim.lidar import ROWS, Return, SimulatedScan
+
+COLUMNS_PER_PACKET = 16
+SINGLE = UDPProfileLidar.RNG19_RFL8_SIG16_NIR16
+DUAL = UDPProfileLidar.RNG19_RFL8_SIG16_NIR16_DUAL
+
+
+def sensor_info(mode: LidarMode, dual: bool) -> SensorInfo:
+    """Return the metadata of a simulated OS1-128: +-22.5 deg, four staggered azimuths."""
+    lidar_mode = core.LidarMode(mode.columns, 10)
+    info = SensorInfo.from_default(lidar_mode)
+    info.prod_line, info.sn, info.fw_rev = "OS-1-128", 992300000001, "v3.1.0"
+    info.beam_altitude_angles = np.round(np.linspace(22.5, -22.5, ROWS), 2)
+    info.beam_azimuth_angles = np.tile([4.21, 1.41, -1.40, -4.22], ROWS // 4)
+    form = info.format
+    form.pixels_per_column, form.columns_per_packet = ROWS, COLUMNS_PER_PACKET
+    form.udp_profile_lidar = DUAL if dual else SINGLE
+    form.header_type = HeaderType.STANDARD
+    form.pixel_shift_by_row = [k * mode.columns // 1024 for k in (24, 16, 8, 0)] * (ROWS // 4)
+    info.format = form
+    settings = info.config
+    settings.udp_port_lidar, settings.udp_port_imu = 7502, 7503
+    settings.udp_profile_lidar = form.udp_profile_lidar
+    settings.lidar_mode = lidar_mode
+    settings.timestamp_mode = TimestampMode.TIME_FROM_SYNC_PULSE_IN
+    info.config = settings
+    return SensorInfo(info.to_json_string())
+
+
+@dataclass(frozen=True)
+class TimedPacket:
+    """The bytes of one packet and the time of its last column [ns]."""
+
+    last_column_ns: int
+    buf: bytes
+
+
+class PacketMaker:
+    """Turns scans into packets of one sensor."""
+
+    def __init__(self, info: SensorInfo) -> None:
+        self._info = info
+        self._format = PacketFormat(info)
+
+    def packets(self, scan: SimulatedScan) -> Iterator[TimedPacket]:
+        """Yield the packets of a scan in the order of their columns."""
+        frame = core.LidarFrame(self._info)
+        frame.frame_id = scan.frame_id % (self._format.max_frame_id + 1)
+        frame.timestamp[:] = scan.times_ns
+        frame.measurement_id[:] = np.arange(frame.w)
+        frame.status[:] = 1
+        _fill(frame, scan.first, "")
+        if scan.second is not None:
+            _fill(frame, scan.second, "2")
+        frame.field("NEAR_IR")[:] = scan.first.reflectivity.astype(np.uint16) * 4
+        last = scan.times_ns[COLUMNS_PER_PACKET - 1 :: COLUMNS_PER_PACKET]
+        made = core.frame_to_packets(frame, self._format, self._info.init_id, self._info.sn)
+        for time_ns, packet in zip(last.tolist(), made, strict=True):
+            yield TimedPacket(time_ns, bytes(packet.buf))
+
+
+def _fill(frame: core.LidarFrame, values: Return, suffix: str) -> None:
+    frame.field("RANGE" + suffix)[:] = values.range_mm
+    frame.field("REFLECTIVITY" + suffix)[:] = values.reflectivity
+    frame.field("SIGNAL" + suffix)[:] = values.signal
+
+
+def with_faults(
+    packets: Iterator[TimedPacket], faults: FaultConfig, rng: np.random.Generator
+) -> Iterator[TimedPacket]:
+    """Lose, double and swap packets; each keeps the bytes and column times it has."""
+    held: TimedPacket | None = None
+    for packet in packets:
+        draw = rng.random(3)
+        if draw[0] < faults.packet_loss:
+            continue
+        if held is None and draw[2] < faults.reordered:
+            held = packet
+            continue
+        yield packet
+        if held is not None:
+            yield held
+            held = None
+        if draw[1] < faults.duplicates:
+            yield packet
+    if held is not None:
+        yield held

@@ -1,0 +1,81 @@
+"""The scenes that can be asked for by name."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from subiaco_geo.errors import InputError
+from subiaco_geo.frames import Floats
+
+from subiaco_sim.changes import apply_changes, ground_changes, replaced_cars
+from subiaco_sim.scene import Scene
+from subiaco_sim.suburb import dense_route, lay_out, make_terrain
+
+
+@dataclass(frozen=True)
+class Preset:
+    """A street plan and how much happens along it."""
+
+    waypoints: Callable[[], Floats]
+    frontage: float  # width of a lot [m]
+    rounds: int  # how often the stock of changes is dealt
+    margin: float  # land around the street [m]
+    cell: float  # edge of the ground mesh [m]
+    duration: float  # of each drive [s]
+    speed: float  # [m/s]
+
+
+def winding_street() -> Floats:
+    """One street of 260 m with two gentle bends."""
+    x = np.linspace(-130.0, 130.0, 14)
+    return np.column_stack([x, 11.0 * np.sin(x / 48.0)])
+
+
+def block_loop() -> Floats:
+    """Once around a block of 170 m x 120 m with rounded corners, open at the start."""
+    half_x, half_y, radius = 85.0, 60.0, 32.0
+    corners = [(half_x, -half_y), (half_x, half_y), (-half_x, half_y), (-half_x, -half_y)]
+    points = [np.array([[0.0, -half_y], [30.0, -half_y]])]
+    for turn, (x, y) in enumerate(corners):
+        angle = np.radians(np.linspace(-90, 0, 5) + 90 * turn)
+        centre = np.array([x - np.sign(x) * radius, y - np.sign(y) * radius])
+        points.append(centre + radius * np.column_stack([np.cos(angle), np.sin(angle)]))
+        if turn in (0, 2):
+            points.append(np.array([[x, 0.0]]))
+        if turn == 1:
+            points.append(np.array([[25.0, y], [-25.0, y]]))
+    points.append(np.array([[-30.0, -half_y], [0.0, -half_y]]))
+    return np.concatenate(points)
+
+
+PRESETS: dict[str, Preset] = {
+    "easy": Preset(winding_street, 15.5, 1, 45.0, 0.3, 20.0, 6.5),
+    "default": Preset(block_loop, 15.0, 3, 45.0, 0.3, 60.0, 7.0),
+}
+
+
+def find_preset(name: str) -> Preset:
+    """Return a preset by name.
+
+    Raises
+    ------
+    InputError
+        There is none of that name.
+    """
+    if name not in PRESETS:
+        raise InputError(f"preset {name}: not available; choose one of {', '.join(PRESETS)}")
+    return PRESETS[name]
+
+
+def build_scene(name: str, seed: int) -> Scene:
+    """Build the scene of a preset; the same name and seed give the same scene."""
+    preset = find_preset(name)
+    rng = np.random.default_rng([seed, 7])
+    route = dense_route(preset.waypoints())
+    layout = lay_out(route, preset.frontage, rng)
+    terrain = make_terrain(route, preset.margin, preset.cell, rng)
+    items = replaced_cars(apply_changes(layout, preset.rounds), rng)
+    ground = ground_changes(layout, len(items) + 1, preset.rounds)
+    return Scene(terrain, tuple(items), tuple(ground), route)

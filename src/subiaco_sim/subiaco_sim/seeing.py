@@ -1,0 +1,89 @@
+"""Could the other epoch's drive see a place? Rays from its poses, through its scene, to the place."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from subiaco_geo.clouds import voxel_indices, voxel_keys
+from subiaco_geo.frames import Floats, Ints
+
+from subiaco_sim.config import TruthConfig
+from subiaco_sim.scene import CompiledScene
+
+_LIFT = np.array([0.0, 0.0, 0.4])
+_HALF_VIEW = np.radians(22.5)
+_CELL = 0.25  # one test a cell and object [m]
+
+
+@dataclass(frozen=True)
+class OtherDrive:
+    """The other epoch: its scene, its LiDAR poses (N, 4, 4) in ENU, and how far it sees [m]."""
+
+    scene: CompiledScene
+    poses: Floats
+    max_range: float
+
+    def spaced(self, spacing: float) -> Floats:
+        """Return poses at least ``spacing`` apart along the path."""
+        kept = [0]
+        for k in range(1, len(self.poses)):
+            if np.linalg.norm(self.poses[k, :3, 3] - self.poses[kept[-1], :3, 3]) >= spacing:
+                kept.append(k)
+        return self.poses[kept]
+
+
+def seen_from(
+    drive: OtherDrive, xyz: Floats, object_id: Ints, reshaped: Ints, config: TruthConfig
+) -> NDArray[np.bool_]:
+    """Tell which places (N, 3) in ENU the other drive could see.
+
+    A place is seen when, from some pose of the other drive, a beam within the
+    sensor's vertical field and range reaches the place (or the place 0.4 m
+    above it, so that a raised or lowered surface still counts), or is stopped
+    within ``seen_radius`` of it. Places of ``reshaped`` objects are also seen
+    when the beam is stopped by the same object within ``own_body``: the inside
+    of a grown body cannot be looked into, but its skin tells.
+
+    Decided once a 0.25 m cell and object; every point of the cell shares it.
+    """
+    keys = np.stack([voxel_keys(voxel_indices(xyz, _CELL)), object_id], axis=1)
+    _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    places, owner = xyz[first], object_id[first]
+    grown = np.isin(owner, reshaped)
+    seen = np.zeros(len(places), dtype=np.bool_)
+    for pose in drive.spaced(config.pose_spacing):
+        for lift in (np.zeros(3), _LIFT):
+            open_cells = np.flatnonzero(~seen)
+            near = open_cells[_in_view(pose, places[open_cells] + lift, drive.max_range)]
+            if len(near):
+                reach = _reaches(drive.scene, pose[:3, 3], places[near], lift, owner[near], grown[near], config)
+                seen[near[reach]] = True
+    return np.asarray(seen[inverse.ravel()])
+
+
+def _in_view(pose: Floats, places: Floats, max_range: float) -> NDArray[np.bool_]:
+    local = (places - pose[:3, 3]) @ pose[:3, :3]
+    distance = np.linalg.norm(local, axis=1)
+    elevation = np.arcsin(np.clip(local[:, 2] / np.maximum(distance, 1e-6), -1, 1))
+    return np.asarray((distance < max_range) & (distance > 0.5) & (np.abs(elevation) < _HALF_VIEW))
+
+
+def _reaches(
+    scene: CompiledScene,
+    eye: Floats,
+    places: Floats,
+    lift: Floats,
+    owner: Ints,
+    grown: NDArray[np.bool_],
+    config: TruthConfig,
+) -> NDArray[np.bool_]:
+    ray = places + lift - eye
+    distance = np.linalg.norm(ray, axis=1)
+    direction = ray / distance[:, None]
+    hits = scene.cast(np.broadcast_to(eye, places.shape), direction)
+    stop = eye + np.minimum(hits.distance, distance)[:, None] * direction
+    gap = np.linalg.norm(stop - places, axis=1)
+    own = grown & (hits.object_id == owner) & (gap < config.own_body)
+    return np.asarray((gap < config.seen_radius) | own)
