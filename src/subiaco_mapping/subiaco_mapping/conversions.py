@@ -1,0 +1,210 @@
+"""Messages to numpy, for rosbags and rclpy alike: both spell the attributes the same way."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
+
+from subiaco_geo.errors import InputError
+from subiaco_geo.frames import Floats, Ints, invert_pose, make_pose, pose_from_quaternion
+from subiaco_geo.topics import POINTS, TF_STATIC
+from subiaco_mapping.config import FramePose, MappingConfig, SensorsConfig
+from subiaco_mapping.measurements import Extrinsics, GnssFix, ImuSample, Returns, Scan
+
+_FORMATS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
+TIME_FIELDS = ("t", "time", "timestamp", "time_stamp", "offset_time", "timeStamp")
+_ABSOLUTE_SECONDS = 1e8
+_ABSOLUTE_NS = 10**17
+
+
+def stamp_ns(stamp: Any) -> int:
+    """Turn a stamp with ``sec`` and ``nanosec`` into nanoseconds."""
+    return int(stamp.sec) * 10**9 + int(stamp.nanosec)
+
+
+def _vector(message: Any) -> Floats:
+    return np.array([message.x, message.y, message.z], dtype=np.float64)
+
+
+def imu_from_msg(message: Any) -> ImuSample:
+    """Convert a sensor_msgs/Imu."""
+    return ImuSample(
+        stamp_ns(message.header.stamp),
+        _vector(message.angular_velocity),
+        _vector(message.linear_acceleration),
+    )
+
+
+def fix_from_msg(message: Any) -> GnssFix:
+    """Convert a sensor_msgs/NavSatFix; its status is kept as the driver gave it."""
+    return GnssFix(
+        time_ns=stamp_ns(message.header.stamp),
+        latitude=float(message.latitude),
+        longitude=float(message.longitude),
+        altitude=float(message.altitude),
+        covariance=np.array(message.position_covariance, dtype=np.float64).reshape(3, 3),
+        status=int(message.status.status),
+    )
+
+
+def cloud_array(message: Any) -> NDArray[np.void]:
+    """Return the points of a PointCloud2 as a structured array (N,), without copying."""
+    order = ">" if message.is_bigendian else "<"
+    try:
+        dtype = np.dtype(
+            {
+                "names": [field.name for field in message.fields],
+                "formats": [order + _FORMATS[field.datatype] for field in message.fields],
+                "offsets": [field.offset for field in message.fields],
+                "itemsize": message.point_step,
+            }
+        )
+        return np.frombuffer(memoryview(message.data), dtype=dtype)
+    except (KeyError, ValueError) as error:
+        raise InputError(f"{POINTS}: point layout cannot be read ({error}); check its fields") from error
+
+
+def _point_times(points: NDArray[np.void], header_ns: int) -> Ints | None:
+    """Return absolute point times (N,), None where no field holds them."""
+    names = points.dtype.names or ()
+    name = next((n for n in TIME_FIELDS if n in names), None)
+    if name is None:
+        return None
+    values = points[name]
+    if np.issubdtype(values.dtype, np.integer):
+        times = values.astype(np.int64)
+        return times if len(times) and times[0] > _ABSOLUTE_NS else times + header_ns
+    if len(values) and values[0] > float(_ABSOLUTE_NS):
+        return values.astype(np.int64)
+    if len(values) and values[0] > _ABSOLUTE_SECONDS:
+        whole = np.floor(values)
+        return whole.astype(np.int64) * 10**9 + np.round((values - whole) * 1e9).astype(np.int64)
+    return header_ns + np.round(values.astype(np.float64) * 1e9).astype(np.int64)
+
+
+def _column(points: NDArray[np.void], names: tuple[str, ...], dtype: Any) -> NDArray[Any]:
+    name = next((n for n in names if n in (points.dtype.names or ())), None)
+    return np.zeros(len(points), dtype=dtype) if name is None else points[name].astype(dtype)
+
+
+def scan_from_points(message: Any, config: MappingConfig) -> Scan:
+    """Convert a sensor_msgs/PointCloud2 of any LiDAR.
+
+    Points that are not finite or outside the range limits are dropped; the former are counted.
+
+    Raises
+    ------
+    InputError
+        No x y z, or no point times while ``deskewed`` is not set.
+    """
+    points = cloud_array(message)
+    missing = [name for name in "xyz" if name not in (points.dtype.names or ())]
+    if missing:
+        raise InputError(f"{POINTS}: no field {missing[0]}; a cloud needs x, y and z")
+    header_ns = stamp_ns(message.header.stamp)
+    times_ns = None if config.deskewed else _point_times(points, header_ns)
+    if times_ns is None and not config.deskewed:
+        raise InputError(
+            f"{POINTS}: no per-point time ({', '.join(TIME_FIELDS[:5])}); record it, or set deskewed: true "
+            "if the clouds are already motion-compensated"
+        )
+    times_ns = np.full(len(points), header_ns) if times_ns is None else times_ns
+    xyz = np.stack([points[name] for name in "xyz"], axis=1).astype(np.float64)
+    finite = np.isfinite(xyz).all(axis=1)
+    reach = np.sqrt((xyz * xyz).sum(axis=1))
+    keep = finite & (reach >= max(config.decode.min_range, 1e-6)) & (reach <= config.decode.max_range)
+    offset_ns = config.decode.time_offset_ns
+    intensity = _column(points, ("intensity", "reflectivity", "i"), np.float32)
+    ring = _column(points, ("ring", "line", "channel"), np.uint16)
+    inside = times_ns[keep] + offset_ns
+    return Scan(
+        start_ns=int(inside.min(initial=header_ns + offset_ns)) if len(inside) else header_ns + offset_ns,
+        end_ns=int(inside.max()) if len(inside) else header_ns + offset_ns,
+        first=Returns(xyz[keep], inside, intensity[keep], ring[keep]),
+        dropped_points=int((~finite).sum()),
+        deskewed=config.deskewed,
+    )
+
+
+def _tree(transforms: Iterable[Any]) -> dict[str, tuple[str, Floats]]:
+    """Return child -> (parent, T_parent_child) of geometry_msgs/TransformStamped."""
+    tree = {}
+    for item in transforms:
+        turn = item.transform.rotation
+        quaternion = np.array([turn.x, turn.y, turn.z, turn.w])
+        if not np.isfinite(quaternion).all() or abs(np.linalg.norm(quaternion) - 1.0) > 0.01:
+            raise InputError(f"{TF_STATIC}: {item.child_frame_id}: its rotation is no unit quaternion; correct it")
+        pose = pose_from_quaternion(_vector(item.transform.translation), quaternion)
+        tree[item.child_frame_id.lstrip("/")] = (item.header.frame_id.lstrip("/"), pose)
+    return tree
+
+
+def _to_root(tree: dict[str, tuple[str, Floats]], frame: str) -> tuple[str, Floats]:
+    """Return the root above a frame and ``T_root_frame``."""
+    pose, seen = np.eye(4), {frame}
+    while frame in tree:
+        frame, step = tree[frame]
+        if frame in seen:
+            raise InputError(f"{TF_STATIC}: {frame}: the frames form a loop; correct the transforms")
+        seen.add(frame)
+        pose = step @ pose
+    return frame, pose
+
+
+def _from_tf(tree: dict[str, tuple[str, Floats]], base: str, frame: str) -> Floats | None:
+    """Return ``T_base_frame``, None where the tree does not join them."""
+    if frame not in tree and frame not in {parent for parent, _ in tree.values()}:
+        return None
+    base_root, T_root_base = _to_root(tree, base)
+    frame_root, T_root_frame = _to_root(tree, frame)
+    return invert_pose(T_root_base) @ T_root_frame if base_root == frame_root else None
+
+
+def _from_config(pose: FramePose | None) -> Floats | None:
+    if pose is None:
+        return None
+    rotation = Rotation.from_euler("xyz", pose.rotation_deg, degrees=True).as_matrix()
+    return make_pose(rotation, pose.translation)
+
+
+def extrinsics_from_tf(
+    transforms: Iterable[Any], config: SensorsConfig, needs: Collection[str] = ()
+) -> Extrinsics:
+    """Put the extrinsics together from ``/tf_static`` and configuration.
+
+    Parameters
+    ----------
+    transforms : iterable of geometry_msgs/TransformStamped
+    config : SensorsConfig
+        Fills gaps; wins with ``override``.
+    needs : collection of {"imu", "gnss"}
+        Sensors whose data will be used.
+
+    Raises
+    ------
+    InputError
+        A sensor that is needed has no extrinsic. Without IMU and GNSS the LiDAR may be the base.
+    """
+    tree = _tree(transforms)
+
+    def find(name: str, frame: str, given: FramePose | None) -> Floats | None:
+        recorded, configured = _from_tf(tree, config.base_frame, frame), _from_config(given)
+        first, second = (configured, recorded) if config.override else (recorded, configured)
+        pose = first if first is not None else second
+        if pose is None and (name in needs or (name == "lidar" and needs)):
+            raise InputError(
+                f"{TF_STATIC}: nothing joins {config.base_frame} and {frame}; record the transform or set "
+                f"sensors.{name} in config/sensors.yaml"
+            )
+        return pose
+
+    lidar = find("lidar", config.lidar_frame, config.lidar)
+    imu = find("imu", config.imu_frame, config.imu)
+    gnss = find("gnss", config.gnss_frame, config.gnss)
+    return Extrinsics(
+        np.eye(4) if lidar is None else lidar, imu, None if gnss is None else gnss[:3, 3].copy()
+    )

@@ -1,0 +1,70 @@
+"""Ground height per tile: a table beside the map, never baked into its coordinates."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from subiaco_geo.clouds import PointCloud
+from subiaco_geo.frames import Floats
+
+_CELL = 1.0
+_MIN_CELLS = 10
+_TUKEY = 0.3
+
+
+def _lowest_of_cells(xyz: Floats) -> Floats:
+    """Return the lowest point of every 1 m cell, its x and y kept."""
+    cell = np.floor(xyz[:, :2] / _CELL).astype(np.int64)
+    order = np.lexsort((xyz[:, 2], cell[:, 1], cell[:, 0]))
+    ranked = cell[order]
+    first = np.ones(len(order), dtype=np.bool_)
+    first[1:] = (ranked[1:] != ranked[:-1]).any(axis=1)
+    return xyz[order[first]]
+
+
+def _robust_plane(xyz: Floats) -> tuple[Floats, Floats]:
+    """Fit z = a dx + b dy + c by Tukey-weighted least squares; return coefficients and weights."""
+    design = np.column_stack([xyz[:, 0], xyz[:, 1], np.ones(len(xyz))])
+    offset = np.percentile(xyz[:, 2], 20)
+    weight = np.where(xyz[:, 2] <= offset + 0.5, 1.0, 0.0)
+    plane = np.zeros(3)
+    for _ in range(10):
+        root = np.sqrt(weight)[:, None]
+        plane = np.linalg.lstsq(design * root, xyz[:, 2] * root[:, 0], rcond=None)[0]
+        ratio = (xyz[:, 2] - design @ plane) / _TUKEY
+        weight = np.where(np.abs(ratio) < 1, (1 - ratio**2) ** 2, 0.0)
+        if (weight > 0).sum() < 3:
+            break
+    return plane, weight
+
+
+def height_table(cloud: PointCloud, tile: float) -> Floats:
+    """Fit the ground of every tile.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+    tile : float
+        Edge [m].
+
+    Returns
+    -------
+    (K, 5) float64
+        Columns of ``subiaco_geo.maps.HEIGHT_COLUMNS``; tiles with fewer than ten ground cells are
+        left out.
+    """
+    lowest = _lowest_of_cells(cloud.world())
+    index = np.floor(lowest[:, :2] / tile).astype(np.int64)
+    tiles, member = np.unique(index, axis=0, return_inverse=True)
+    rows = []
+    for number, corner in enumerate(tiles):
+        centre = (corner + 0.5) * tile
+        local = lowest[member.ravel() == number] - np.append(centre, 0.0)
+        if len(local) < _MIN_CELLS:
+            continue
+        plane, weight = _robust_plane(local)
+        ground = local[weight > 0]
+        if len(ground) >= _MIN_CELLS:
+            tilt = np.arctan(np.hypot(plane[0], plane[1]))
+            rows.append([*centre, np.median(ground[:, 2]), len(ground), tilt])
+    return np.array(rows, dtype=np.float64).reshape(-1, 5)

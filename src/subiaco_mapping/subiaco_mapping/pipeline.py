@@ -1,0 +1,137 @@
+"""Bags of one epoch to one survey map, in process: the steps that the nodes run."""
+
+from __future__ import annotations
+
+import logging
+import tempfile
+from collections.abc import Callable, Sequence
+from dataclasses import asdict
+from pathlib import Path
+
+from subiaco_geo.bags import BagReader, hash_bag, packet_from_cdr, require_topic
+from subiaco_geo.crs import require_map_crs
+from subiaco_geo.errors import InputError
+from subiaco_geo.maps import SurveyMap
+from subiaco_geo.topics import FIX, IMU, LIDAR_PACKETS, MESSAGE_TYPES, METADATA, POINTS, TF_STATIC
+from subiaco_mapping.backend import MappingBackend, ProgressCallback
+from subiaco_mapping.config import MappingConfig
+from subiaco_mapping.conversions import extrinsics_from_tf, fix_from_msg, imu_from_msg, scan_from_points
+from subiaco_mapping.frontend import FrontendOutput, OdometryFrontend
+from subiaco_mapping.measurements import Extrinsics
+
+logger = logging.getLogger(__name__)
+
+
+def sequence_name(bag: Path) -> str:
+    """Return the name of a bag's sequence: its stem, or that of the epoch folder around ``bag/``."""
+    path = bag.resolve()
+    return path.parent.name if path.name == "bag" else path.stem
+
+
+def lidar_topic(reader: BagReader) -> str:
+    """Return the topic of a bag that holds the scans; packets win over clouds.
+
+    Raises
+    ------
+    InputError
+        Neither is there, one has a wrong type, or packets come without metadata.
+    """
+    for topic in (LIDAR_PACKETS, POINTS):
+        if topic in reader.topics:
+            require_topic(reader, topic, MESSAGE_TYPES[topic])
+            if topic == LIDAR_PACKETS:
+                require_topic(reader, METADATA, MESSAGE_TYPES[METADATA])
+            return topic
+    present = ", ".join(sorted(reader.topics)) or "none"
+    raise InputError(f"{reader.path}: no LiDAR topic, {LIDAR_PACKETS} or {POINTS} (it has {present}); remap yours")
+
+
+def read_extrinsics(reader: BagReader, config: MappingConfig) -> Extrinsics:
+    """Return the extrinsics of a bag, from ``/tf_static`` and configuration."""
+    needs = [name for name, topic in (("imu", IMU), ("gnss", FIX)) if topic in reader.topics]
+    if TF_STATIC in reader.topics:
+        require_topic(reader, TF_STATIC, MESSAGE_TYPES[TF_STATIC])
+    messages = [reader.deserialize(message) for message in reader.messages({TF_STATIC})]
+    transforms = [item for message in messages for item in message.transforms]
+    return extrinsics_from_tf(transforms, config.sensors, needs)
+
+
+def read_metadata(reader: BagReader) -> str | None:
+    """Return the sensor metadata of a bag, None where it has none."""
+    first = next(reader.messages({METADATA}), None) if METADATA in reader.topics else None
+    return None if first is None else str(reader.deserialize(first).data)
+
+
+def run_sequence(reader: BagReader, backend: MappingBackend, config: MappingConfig, progress: ProgressCallback) -> None:
+    """Feed one bag through the front end into the back end."""
+    lidar = lidar_topic(reader)
+    for topic in (IMU, FIX):
+        if topic in reader.topics:
+            require_topic(reader, topic, MESSAGE_TYPES[topic])
+    extrinsics = read_extrinsics(reader, config)
+    metadata = read_metadata(reader) if lidar == LIDAR_PACKETS else None
+    frontend = OdometryFrontend(config, extrinsics, metadata)
+    name = sequence_name(reader.path)
+    backend.start_sequence(name, extrinsics)
+
+    def feed(outputs: list[FrontendOutput]) -> None:
+        for output in outputs:
+            backend.on_odometry(output.pose, output.scan)
+
+    steps: dict[str, Callable[..., None]] = {
+        LIDAR_PACKETS: lambda m: feed(frontend.on_packet(packet_from_cdr(m.raw))),
+        POINTS: lambda m: feed(frontend.on_points(scan_from_points(reader.deserialize(m), config))),
+        IMU: lambda m: feed(frontend.on_imu(imu_from_msg(reader.deserialize(m)))),
+        FIX: lambda m: backend.on_fix(fix_from_msg(reader.deserialize(m))),
+    }
+    span_ns = max(reader.end_ns - reader.start_ns, 1)
+    shown = -1
+    for message in reader.messages({lidar, IMU, FIX}):
+        steps[message.topic](message)
+        percent = 100 * (message.log_time_ns - reader.start_ns) // span_ns
+        if percent > shown:
+            shown = percent
+            progress(f"odometry {name}", percent / 100)
+    feed(frontend.finish())
+    backend.add_facts(
+        packets=asdict(frontend.counts),
+        dropped_scans=frontend.dropped_scans,
+        imu_out_of_order=frontend.deskewer.out_of_order,
+        gyro_bias=frontend.deskewer.gyro_bias.round(6).tolist(),
+    )
+
+
+def map_survey(
+    bags: Sequence[Path], config: MappingConfig, progress: ProgressCallback | None = None
+) -> SurveyMap:
+    """Map the bags of one epoch, each a sequence.
+
+    Parameters
+    ----------
+    bags : sequence of Path
+        rosbag2 folders, mcap files or simulated epoch folders.
+    config : MappingConfig
+    progress : callable, optional
+        Told stage and fraction.
+
+    Returns
+    -------
+    SurveyMap
+
+    Raises
+    ------
+    InputError
+        Bad input: see :mod:`subiaco_geo.bags`, :func:`lidar_topic`, :func:`read_extrinsics`.
+    """
+    if not bags:
+        raise InputError("no bag given; name at least one rosbag2 folder, .mcap or simulated epoch folder")
+    require_map_crs(config.crs)
+    report = progress or (lambda stage, fraction: None)
+    with tempfile.TemporaryDirectory(prefix="subiaco-spool-") as spool:
+        backend = MappingBackend(config, Extrinsics(), Path(spool))
+        inputs = {}
+        for bag in bags:
+            with BagReader(Path(bag)) as reader:
+                run_sequence(reader, backend, config, report)
+            inputs[sequence_name(Path(bag))] = hash_bag(Path(bag))
+        return backend.build_map(report, inputs)
