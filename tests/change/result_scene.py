@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from shapely.geometry import box
+
 from subiaco_change.records import Change, ChangeRecord, ChangeResult, GroundChange, Registration, Semantic
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.config import StrictModel
@@ -147,7 +148,7 @@ def scene_result(seed: int = 7) -> ChangeResult:
         details={"iterations": 14.0},
     )
     return ChangeResult(
-        records=tuple(_record(spec) for spec in OBJECTS) + (_patch(),),
+        records=(*(_record(spec) for spec in OBJECTS), _patch()),
         before=epoch_cloud("before", seed),
         after=epoch_cloud("after", seed),
         registration=registration,

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import json
-import math
 import platform
 import resource
 import sys
@@ -14,18 +12,18 @@ from pathlib import Path
 from typing import Any
 
 import geopandas as gpd
-import numpy as np
 import pandas as pd
-from subiaco_geo.atomic import refuse_existing, whole_directory
-from subiaco_geo.config import StrictModel, config_hash, write_config
 
 from subiaco_change import outputs_table
 from subiaco_change.outputs_clouds import write_labelled
 from subiaco_change.outputs_hash import hash_path
+from subiaco_change.outputs_json import write_json
 from subiaco_change.outputs_raster import build_coverage, write_coverage, write_ground_change
 from subiaco_change.outputs_read import ChangeDirectory, read_change_directory
 from subiaco_change.records import ChangeResult, Registration
 from subiaco_change.report import build_report
+from subiaco_geo.atomic import refuse_existing, whole_directory
+from subiaco_geo.config import StrictModel, config_hash, write_config
 
 __all__ = ["ChangeDirectory", "ChangeInputs", "read_change_directory", "write_change_directory"]
 
@@ -55,24 +53,6 @@ class ChangeInputs:
     after: Path | None = None
     notes: Mapping[str, Any] = field(default_factory=dict)
     calibrated: bool = False
-
-
-def plain(value: Any) -> Any:
-    """Turn arrays, paths and numpy scalars into JSON values; non-finite becomes null."""
-    if isinstance(value, Mapping):
-        return {str(k): plain(v) for k, v in value.items()}
-    if isinstance(value, np.ndarray | list | tuple):
-        return [plain(v) for v in value]
-    if isinstance(value, np.generic):
-        return plain(value.item())
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    return value if isinstance(value, bool | int | str) or value is None else str(value)
-
-
-def write_json(path: Path, document: Mapping[str, Any]) -> None:
-    """Write JSON without NaN, indented."""
-    path.write_text(json.dumps(plain(document), indent=2, allow_nan=False) + "\n")
 
 
 def registration_document(registration: Registration, crs: str | None) -> dict[str, Any]:

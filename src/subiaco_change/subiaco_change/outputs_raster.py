@@ -9,10 +9,10 @@ import numpy as np
 import rasterio
 from numpy.typing import NDArray
 from rasterio.transform import from_origin
-from subiaco_geo.clouds import PointCloud
-from subiaco_geo.frames import Floats
 
 from subiaco_change.records import Change, GroundChange
+from subiaco_geo.clouds import PointCloud
+from subiaco_geo.frames import Floats
 
 #: Codes of ``coverage.tif`` band 1.
 COVERAGE = {0: "neither", 1: "both", 2: "only before", 3: "only after"}
@@ -33,7 +33,9 @@ class Coverage:
         return float(np.count_nonzero(self.code == code) * self.cell**2)
 
 
-def _write(path: Path, bands: dict[str, NDArray[np.float32]], raster: GroundChange | Coverage, crs: str | None) -> None:
+def _write(
+    path: Path, bands: dict[str, NDArray[np.float32]], raster: GroundChange | Coverage, crs: str | None
+) -> None:
     arrays = list(bands.values())
     profile = {
         "driver": "GTiff",
@@ -73,7 +75,7 @@ def build_coverage(before: PointCloud, after: PointCloud, cell: float = 2.0) -> 
     world = np.concatenate([before.world()[:, :2], after.world()[:, :2]])
     west, south = np.floor(world.min(axis=0) / cell) * cell
     north = float(np.floor(world[:, 1].max() / cell + 1) * cell)
-    rows = int(round((north - south) / cell))
+    rows = round((north - float(south)) / cell)
     columns = int(np.floor((world[:, 0].max() - west) / cell)) + 1
     flat = np.minimum(((north - world[:, 1]) // cell).astype(np.int64), rows - 1) * columns
     flat = flat + ((world[:, 0] - west) // cell).astype(np.int64)
@@ -87,9 +89,7 @@ def build_coverage(before: PointCloud, after: PointCloud, cell: float = 2.0) -> 
     lod95 = np.concatenate([np.asarray(c.fields["lod95"], dtype=np.float64) for c in (before, after)])
     shape = (rows, columns)
     lod_cells = _median_per_cell(flat, lod95, size)
-    return Coverage(
-        code.astype(np.uint8).reshape(shape), lod_cells.reshape(shape), float(west), north, cell
-    )
+    return Coverage(code.astype(np.uint8).reshape(shape), lod_cells.reshape(shape), float(west), north, cell)
 
 
 def _median_per_cell(flat: NDArray[np.int64], values: Floats, size: int) -> NDArray[np.float32]:

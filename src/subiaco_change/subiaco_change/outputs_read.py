@@ -9,11 +9,11 @@ from pathlib import Path
 from typing import Any
 
 import geopandas as gpd
-from subiaco_geo.clouds import PointCloud
-from subiaco_geo.errors import InputError
 
 from subiaco_change import outputs_table
 from subiaco_change.outputs_clouds import read_labelled
+from subiaco_geo.clouds import PointCloud
+from subiaco_geo.errors import InputError
 
 
 @dataclass(frozen=True)

@@ -39,9 +39,10 @@ def categorised_qml() -> str:
     return (
         "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>\n"
         '<qgis version="3.28" styleCategories="Symbology">'
-        '<renderer-v2 type="categorizedSymbol" attr="label" enableorderby="0" forceraster="0" symbollevels="0">'
+        '<renderer-v2 type="categorizedSymbol" attr="label" enableorderby="0" '
+        'forceraster="0" symbollevels="0">'
         f"<categories>{''.join(categories)}</categories><symbols>{''.join(symbols)}</symbols>"
-        '</renderer-v2><layerGeometryType>2</layerGeometryType></qgis>'
+        "</renderer-v2><layerGeometryType>2</layerGeometryType></qgis>"
     )
 
 

@@ -13,10 +13,10 @@ import numpy as np
 import pandas as pd
 from shapely.geometry import MultiPolygon, Point, Polygon
 from shapely.geometry.base import BaseGeometry
-from subiaco_geo.errors import InputError
 
 from subiaco_change.outputs_style import embed_styles
 from subiaco_change.records import ChangeRecord, Semantic
+from subiaco_geo.errors import InputError
 
 #: Columns of the contract, in its order.
 COLUMNS = (
@@ -70,7 +70,11 @@ STATISTICS = (
     "score_paper",
     "confidence",
 )
-_DECIMALS = {name: 4 for name in STATISTICS} | {"x": 3, "y": 3, "z": 3}
+_DECIMALS = dict.fromkeys(STATISTICS, 4) | {"x": 3, "y": 3, "z": 3}
+_REVIEWS = """
+select object_uid, review, reviewer, note from objects
+union all select object_uid, review, reviewer, note from ground
+"""
 _POINT_RADIUS = 0.25  # half a voxel of the decisions [m]: footprint of an object without area
 _CELL = 1.0  # rounding of positions in object_uid [m]
 
@@ -143,7 +147,7 @@ def build_table(records: Sequence[ChangeRecord], crs: str | None) -> gpd.GeoData
     for name in STATISTICS:
         values = frame[name].astype(np.float64)
         frame[name] = values.where(np.isfinite(values))
-    frame = frame.round(_DECIMALS).astype({n: np.int64 for n in ("object_id", "n_before", "n_after")})
+    frame = frame.round(_DECIMALS).astype(dict.fromkeys(("object_id", "n_before", "n_after"), np.int64))
     frame["object_uid"] = object_uids(ordered)
     frame["reason"] = [r.reason for r in ordered]
     for name in (*REVIEW_COLUMNS, "evidence_changed"):
@@ -174,7 +178,7 @@ def read_csv(path: Path) -> pd.DataFrame:
     InputError
         A column of the contract is missing.
     """
-    frame = pd.read_csv(path, dtype={name: str for name in TEXT_COLUMNS}, keep_default_na=True)
+    frame = pd.read_csv(path, dtype=dict.fromkeys(TEXT_COLUMNS, str), keep_default_na=True)
     missing = [name for name in COLUMNS if name not in frame.columns]
     if missing:
         raise InputError(f"{path}: column {missing[0]} is missing; run 'subiaco change' again")
@@ -232,10 +236,8 @@ def read_reviewed(directory: Path) -> pd.DataFrame | None:
     package = directory / "changes.gpkg"
     if not package.is_file():
         return frame
-    names = ["object_uid", *REVIEW_COLUMNS]
     with sqlite3.connect(package) as connection:
-        text = " union all ".join(f"select {', '.join(names)} from {x}" for x in ("objects", "ground"))
-        edited = pd.read_sql_query(text, connection).fillna("").set_index("object_uid")
+        edited = pd.read_sql_query(_REVIEWS, connection).fillna("").set_index("object_uid")
     for name in REVIEW_COLUMNS:
         typed = frame["object_uid"].map(edited[name]).fillna("")
         frame[name] = frame[name].where(frame[name] != "", typed)

@@ -14,14 +14,12 @@ from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
-from numpy.typing import NDArray
 from PIL import Image
-from subiaco_geo.clouds import PointCloud
-from subiaco_geo.frames import Floats, Ints
 
-from subiaco_change.outputs_clouds import change_palette
-from subiaco_change.pictures_raster import Frame, fill_holes, hillshade, top_view
+from subiaco_change.pictures_paint import height_range, paint
+from subiaco_change.pictures_raster import Frame
 from subiaco_change.records import CHANGE_COLOURS, SEMANTIC_COLOURS, Change, Semantic
+from subiaco_geo.clouds import PointCloud
 
 #: The five pictures of a block, in the order of the report, with their captions.
 KINDS = {
@@ -31,12 +29,8 @@ KINDS = {
     "instances": "Instances: one colour an object, the same in both epochs; grey points belong to none",
     "change": "Change: labels in the paper's colours; changed points are drawn above unchanged ones",
 }
-BACKGROUND = (247, 247, 245)
-_CHANGED = (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED)
 _PIXEL = 0.25  # the working leaf [m]
 _MIN_POINTS = 50
-
-Colours = NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
@@ -79,7 +73,13 @@ def block_grid(clouds: Sequence[PointCloud], size: float = 80.0, overlap: float 
         core = (west, south, west + size, south + size)
         margin = overlap / 2
         bounds = (west - margin, south - margin, west + size + margin, south + size + margin)
-        blocks.append(Block(f"{chr(65 + int(count[1]) - 1 - row) if count[1] <= 26 else f'R{row}-'}{column + 1}", core, bounds))
+        blocks.append(
+            Block(
+                f"{chr(65 + int(count[1]) - 1 - row) if count[1] <= 26 else f'R{row}-'}{column + 1}",
+                core,
+                bounds,
+            )
+        )
     return blocks
 
 
@@ -95,7 +95,7 @@ def block_pictures(
     """
     frame = Frame(*block.bounds, _PIXEL)
     near = [_crop(cloud, block) for cloud in (before, after)]
-    heights = _height_range(near)
+    heights = height_range(near)
     drawn = {}
     for kind in KINDS:
         figure = Figure(figsize=(10.4, 5.75), dpi=100, facecolor="white")
@@ -105,7 +105,7 @@ def block_pictures(
             _dress(axis, title, frame)
         if kind == "change":
             _draw_marks(axes[1], [m for m in marks if block.holds(m.x, m.y)])
-        _explain(figure, axes, kind, heights)
+        _explain(figure, kind, heights)
         drawn[kind] = _png(figure)
     return drawn
 
@@ -114,104 +114,6 @@ def _crop(cloud: PointCloud, block: Block) -> PointCloud:
     west, south, east, north = block.bounds
     x, y = cloud.xyz[:, 0] + cloud.origin[0], cloud.xyz[:, 1] + cloud.origin[1]
     return cloud.select((x >= west) & (x < east) & (y >= south) & (y < north))
-
-
-def _height_range(clouds: Sequence[PointCloud]) -> tuple[float, float]:
-    z = np.concatenate([cloud.xyz[:, 2] + cloud.origin[2] for cloud in clouds])
-    if len(z) == 0:
-        return 0.0, 1.0
-    low, high = np.percentile(z, [1.0, 99.5])
-    return float(low), float(max(high, low + 1.0))
-
-
-def paint(
-    cloud: PointCloud, frame: Frame, kind: str, heights: tuple[float, float] = (0.0, 1.0), fill: int = 1
-) -> Colours:
-    """Return the top view of a cloud as colours (rows, columns, 3).
-
-    Parameters
-    ----------
-    cloud : PointCloud
-        With the fields of a labelled cloud.
-    frame : Frame
-        In world coordinates.
-    kind : str
-        A key of :data:`KINDS`.
-    heights : (float, float)
-        Ends of the height colours [m].
-    fill : int
-        Pixels by which points grow into empty places.
-    """
-    origin = np.append(cloud.origin[:2], 0.0)
-    local = Frame(
-        frame.west - origin[0], frame.south - origin[1], frame.east - origin[0], frame.north - origin[1], frame.pixel
-    )
-    change = np.asarray(cloud.fields["change"])
-    priority = np.isin(change, _CHANGED) if kind == "change" else None
-    view = fill_holes(top_view(cloud.xyz, local, priority), fill)
-    seen = view >= 0
-    picture = np.empty((*view.shape, 3), dtype=np.uint8)
-    picture[:] = BACKGROUND
-    if not seen.any():
-        return picture
-    index = view[seen]
-    z = np.full(view.shape, np.nan)
-    z[seen] = cloud.xyz[index, 2]
-    shade = hillshade(z, frame.pixel)[seen]
-    picture[seen] = _shaded(_colours(cloud, index, kind, heights, shade), shade, kind)
-    return picture
-
-
-def _colours(
-    cloud: PointCloud, index: Ints, kind: str, heights: tuple[float, float], shade: Floats
-) -> Floats:
-    if kind == "projection":
-        return _brightness(cloud, index, shade)[:, None] * np.array([235.0, 238.0, 245.0])
-    if kind == "height":
-        values = cloud.xyz[index, 2] + cloud.origin[2]
-        return np.asarray(ScalarMappable(Normalize(*heights), "viridis").to_rgba(values)[:, :3] * 255.0)
-    if kind == "semantics":
-        return semantic_palette()[np.asarray(cloud.fields["semantic"])[index].astype(np.int64)]
-    if kind == "instances":
-        return instance_colours(np.asarray(cloud.fields["instance"])[index].astype(np.int64))
-    return change_palette()[np.asarray(cloud.fields["change"])[index].astype(np.int64)].astype(np.float64)
-
-
-def _brightness(cloud: PointCloud, index: Ints, shade: Floats) -> Floats:
-    if "intensity" not in cloud.fields:
-        return shade
-    intensity = np.asarray(cloud.fields["intensity"], dtype=np.float64)
-    low, high = np.percentile(intensity, [2.0, 98.0])
-    if high <= low:
-        return shade
-    stretched = np.clip((intensity[index] - low) / (high - low), 0.0, 1.0)
-    return np.asarray(0.15 + 0.6 * np.sqrt(stretched) + 0.25 * shade)
-
-
-def _shaded(colours: Floats, shade: Floats, kind: str) -> Colours:
-    if kind == "projection":
-        return colours.astype(np.uint8)
-    strength = 0.35 if kind == "height" else 0.55
-    factor = 1.0 - strength + strength * shade / 0.85
-    return np.clip(colours * factor[:, None], 0, 255).astype(np.uint8)
-
-
-def semantic_palette() -> Floats:
-    """Return the colour (256, 3) of every class code."""
-    palette = np.zeros((256, 3))
-    for semantic, rgb in SEMANTIC_COLOURS.items():
-        palette[int(semantic)] = rgb
-    return palette
-
-
-def instance_colours(ids: Ints) -> Floats:
-    """Return well-separated colours (N, 3) by id, the same in every picture; -1 is grey."""
-    hue = (ids * 0.6180339887) % 1.0
-    value = 0.72 + 0.25 * ((ids * 0.3819660113) % 1.0)
-    sector = (hue * 6.0)[:, None] + np.array([0.0, 4.0, 2.0])
-    ramp = np.clip(np.abs(sector % 6.0 - 3.0) - 1.0, 0.0, 1.0)
-    colours = 255.0 * value[:, None] * (1.0 - 0.65 * (1.0 - ramp))
-    return np.where((ids < 0)[:, None], 205.0, colours)
 
 
 def _dress(axis: Axes, title: str, frame: Frame) -> None:
@@ -259,7 +161,7 @@ def _patch(name: str, rgb: tuple[int, int, int]) -> Patch:
     return Patch(facecolor=tuple(c / 255 for c in rgb), edgecolor="#555555", linewidth=0.5, label=name)
 
 
-def _explain(figure: Figure, axes: NDArray[np.object_], kind: str, heights: tuple[float, float]) -> None:
+def _explain(figure: Figure, kind: str, heights: tuple[float, float]) -> None:
     figure.subplots_adjust(left=0.075, right=0.985, top=0.945, bottom=0.165, wspace=0.06)
     if kind == "height":
         scale = ScalarMappable(Normalize(*heights), "viridis")
@@ -292,13 +194,28 @@ def overview(
     _dress(axis, "Changes between the two epochs (north is up)", frame)
     for block in blocks:
         west, south, east, north = block.core
-        axis.plot([west, east, east, west, west], [south, south, north, north, south], color="#888888", lw=0.5, ls=":")
-        axis.annotate(block.name, (west, north), (4, -10), textcoords="offset points", fontsize=8, color="#555555")
+        axis.plot(
+            [west, east, east, west, west],
+            [south, south, north, north, south],
+            color="#888888",
+            lw=0.5,
+            ls=":",
+        )
+        axis.annotate(
+            block.name,
+            (max(west, frame.west), min(north, frame.north)),
+            (4, -10),
+            textcoords="offset points",
+            fontsize=8,
+            color="#555555",
+        )
     _draw_marks(axis, list(marks))
     axis.set_xlim(frame.west, frame.east)
     axis.set_ylim(frame.south, frame.north)
     handles = change_legend()
-    axis.legend(handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.09), ncols=7, fontsize=8, frameon=False)
+    axis.legend(
+        handles=handles, loc="upper center", bbox_to_anchor=(0.5, -0.09), ncols=7, fontsize=8, frameon=False
+    )
     figure.tight_layout()
     return _png(figure)
 

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
-from subiaco_geo.atomic import whole_file
-from subiaco_geo.frames import rotation_angle
 
 from subiaco_change import pictures
 from subiaco_change.outputs_raster import Coverage, build_coverage
 from subiaco_change.outputs_read import ChangeDirectory, read_change_directory
 from subiaco_change.records import CHANGE_COLOURS, Change, Semantic
+from subiaco_geo.atomic import whole_file
+from subiaco_geo.frames import rotation_angle
 
 CHANGED_LABELS = tuple(c.label for c in (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED))
 _MEANINGS = {
@@ -133,9 +133,7 @@ def report_context(change: ChangeDirectory) -> dict[str, Any]:
 
 def legend() -> list[dict[str, str]]:
     """Return label, colour and meaning of every outcome."""
-    return [
-        {"label": c.label, "colour": f"rgb{CHANGE_COLOURS[c]}", "meaning": _MEANINGS[c]} for c in Change
-    ]
+    return [{"label": c.label, "colour": f"rgb{CHANGE_COLOURS[c]}", "meaning": _MEANINGS[c]} for c in Change]
 
 
 def registration_facts(registration: Mapping[str, Any]) -> dict[str, Any]:
@@ -203,7 +201,11 @@ def table_rows(table: pd.DataFrame) -> list[dict[str, Any]]:
     )
     colours = {c.label: f"rgb{CHANGE_COLOURS[c]}" for c in Change}
     return [
-        {"colour": colours[row["label"]], "changed": row["_changed"], **{c: row[c] for c, *_ in TABLE_COLUMNS}}
+        {
+            "colour": colours[row["label"]],
+            "changed": row["_changed"],
+            **{c: row[c] for c, *_ in TABLE_COLUMNS},
+        }
         for row in ordered.to_dict("records")
     ]
 
