@@ -66,9 +66,7 @@ def group_indices(labels: Ints) -> list[NDArray[np.int64]]:
     return [order[a:b] for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
 
 
-def group_reduce(
-    labels: Ints, values: NDArray[np.generic], size: int, how: str = "median"
-) -> Floats:
+def group_reduce(labels: Ints, values: NDArray[np.generic], size: int, how: str = "median") -> Floats:
     """Reduce values (N,) by label 0..size-1: median, mean, minimum or maximum; NaN where empty."""
     index = np.arange(size)
     function = getattr(ndimage, how)

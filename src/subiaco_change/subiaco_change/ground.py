@@ -23,12 +23,20 @@ class GroundConfig(StrictModel):
     """
 
     cell: float = Field(0.5, gt=0, description="raster cell [m]")
-    max_window: float = Field(14.0, gt=0, description="largest radius of the opening: half the widest roof [m]")
+    max_window: float = Field(
+        14.0, gt=0, description="largest radius of the opening: half the widest roof [m]"
+    )
     slope: float = Field(0.15, gt=0, description="steepest ground accepted by the opening [m/m]")
-    step: float = Field(0.30, gt=0, description="height above the opened surface that a kerb or drive may have [m]")
-    low_outlier: float = Field(0.8, gt=0, description="depth below the neighbours at which a cell is noise [m]")
+    step: float = Field(
+        0.30, gt=0, description="height above the opened surface that a kerb or drive may have [m]"
+    )
+    low_outlier: float = Field(
+        0.8, gt=0, description="depth below the neighbours at which a cell is noise [m]"
+    )
     refit_band: float = Field(0.30, gt=0, description="points this near the first surface refit it [m]")
-    support: float = Field(4.0, gt=0, description="farthest a ground cell may be for a height to count as known [m]")
+    support: float = Field(
+        4.0, gt=0, description="farthest a ground cell may be for a height to count as known [m]"
+    )
 
 
 @dataclass(frozen=True)
@@ -58,7 +66,9 @@ class GroundModel:
     def normal(self, xy: Floats) -> Floats:
         """Return upward unit normals (N, 3) of the ground over 2 m."""
         smooth = ndimage.gaussian_filter(self.heights, 1.0 / self.cell, mode="nearest")
-        d_row, d_column = np.gradient(smooth, self.cell) if min(smooth.shape) > 1 else (smooth * 0, smooth * 0)
+        d_row, d_column = (
+            np.gradient(smooth, self.cell) if min(smooth.shape) > 1 else (smooth * 0, smooth * 0)
+        )
         grid = self._grid(xy)
         slope = [ndimage.map_coordinates(d, grid, order=1, mode="nearest") for d in (d_column, d_row)]
         normals = np.stack([-slope[0], -slope[1], np.ones(len(xy))], axis=1)
@@ -124,7 +134,9 @@ def fill_gaps(raster: Floats) -> Floats:
     if known.all():
         return raster
     if not known.any():
-        raise InputError("ground: no cell holds a point of the ground; the cloud may lack it or be upside down")
+        raise InputError(
+            "ground: no cell holds a point of the ground; the cloud may lack it or be upside down"
+        )
     rows, columns = raster.shape
     padded = np.full((rows + rows % 2, columns + columns % 2), np.nan)
     padded[:rows, :columns] = raster

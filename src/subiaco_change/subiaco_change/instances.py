@@ -19,13 +19,21 @@ from subiaco_change.semantics import SemanticResult
 class InstanceConfig(StrictModel):
     """How points of a class fall into objects."""
 
-    building_gap: float = Field(1.0, gt=0, description="cell in which parts of one building touch, seen from above [m]")
+    building_gap: float = Field(
+        1.0, gt=0, description="cell in which parts of one building touch, seen from above [m]"
+    )
     vegetation_gap: float = Field(0.8, gt=0, description="least clustering distance of foliage, paper [m]")
     vegetation_density: float = Field(1.8, gt=0, description="clustering distance times cbrt(density), paper")
-    crown_radius: float = Field(2.0, gt=0, description="smoothing and least half distance of two crown tops [m]")
+    crown_radius: float = Field(
+        2.0, gt=0, description="smoothing and least half distance of two crown tops [m]"
+    )
     crown_drop: float = Field(0.8, gt=0, description="depth of the dip that parts two crowns [m]")
-    mobile_gap: float = Field(0.3, gt=0, description="cell in which points of a vehicle touch, after the split [m]")
-    mobile_erosion: float = Field(0.15, ge=0, description="band above ground left out when clustering, paper [m]")
+    mobile_gap: float = Field(
+        0.3, gt=0, description="cell in which points of a vehicle touch, after the split [m]"
+    )
+    mobile_erosion: float = Field(
+        0.15, ge=0, description="band above ground left out when clustering, paper [m]"
+    )
     other_gap: float = Field(0.6, gt=0, description="voxel in which other things touch [m]")
     min_points: tuple[int, int, int, int] = Field(
         (60, 40, 25, 12),
@@ -126,7 +134,9 @@ def split_crowns(xyz: Floats, height: Floats, config: InstanceConfig) -> Ints:
         return np.zeros(len(xyz), dtype=np.int64)
     canopy = np.zeros(shape)
     np.maximum.at(canopy, (index[:, 0], index[:, 1]), height)
-    smooth = ndimage.gaussian_filter(ndimage.grey_closing(canopy, size=(3, 3)), config.crown_radius / cell / 3)
+    smooth = ndimage.gaussian_filter(
+        ndimage.grey_closing(canopy, size=(3, 3)), config.crown_radius / cell / 3
+    )
     basins = _basins(smooth, canopy > 0)
     merged = _merge_shallow(smooth, basins, config.crown_drop)
     return np.unique(merged[index[:, 0], index[:, 1]], return_inverse=True)[1].astype(np.int64)

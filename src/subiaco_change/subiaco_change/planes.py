@@ -29,7 +29,9 @@ class Patches:
     residual: Floats
 
 
-def planar_patches(xyz: Floats, features: Features, candidate: Mask, angle_deg: float, offset: float) -> Patches:
+def planar_patches(
+    xyz: Floats, features: Features, candidate: Mask, angle_deg: float, offset: float
+) -> Patches:
     """Join neighbouring candidate points whose normals agree and that lie in each other's plane.
 
     Parameters

@@ -25,20 +25,36 @@ class SemanticsConfig(StrictModel):
     ground: GroundConfig = GroundConfig()
     features: FeatureConfig = FeatureConfig()
     superpoints: SuperpointConfig = SuperpointConfig()
-    ground_distance: float = Field(0.10, gt=0, description="median distance of ground to its model [m], paper")
-    ground_angle_deg: float = Field(25.0, gt=0, lt=90, description="normal against the model's normal [deg], Decision 6")
+    ground_distance: float = Field(
+        0.10, gt=0, description="median distance of ground to its model [m], paper"
+    )
+    ground_angle_deg: float = Field(
+        25.0, gt=0, lt=90, description="normal against the model's normal [deg], Decision 6"
+    )
     ground_share: float = Field(0.8, gt=0, le=1, description="share of near-horizontal points, paper")
-    ground_close: float = Field(0.15, gt=0, description="band in which kerbs and markings are closed into ground [m]")
-    planarity: float = Field(0.4, gt=0, lt=1, description="planarity of a point that may join a patch (paper: 0.6 a superpoint)")
+    ground_close: float = Field(
+        0.15, gt=0, description="band in which kerbs and markings are closed into ground [m]"
+    )
+    planarity: float = Field(
+        0.4, gt=0, lt=1, description="planarity of a point that may join a patch (paper: 0.6 a superpoint)"
+    )
     plane_angle_deg: float = Field(10.0, gt=0, description="angle between coplanar neighbours [deg], paper")
     plane_offset: float = Field(0.08, gt=0, description="distance to the neighbour's plane [m], paper")
     plane_residual: float = Field(0.15, gt=0, description="root mean square residual of a merged patch [m]")
     plane_area: float = Field(6.0, gt=0, description="planar area of a facade or roof [m2], paper")
     facade_slope: float = Field(0.25, gt=0, description="|n.e_z| of a facade, paper")
-    facade_top: float = Field(2.3, gt=0, description="height that a facade reaches; lower walls are other [m]")
-    roof_height: float = Field(2.0, gt=0, description="height above which any planar patch is a roof [m], Decision in C3")
+    facade_top: float = Field(
+        2.3, gt=0, description="height that a facade reaches; lower walls are other [m]"
+    )
+    roof_height: float = Field(
+        2.0, gt=0, description="height above which any planar patch is a roof [m], Decision in C3"
+    )
     attach: float = Field(1.0, ge=0, description="reach of a building over its small parts [m]")
-    scatter: float = Field(0.30, gt=0, description="ratio of standard deviations sqrt(l3 / l1) of foliage (paper: l3 / l1 > 0.35)")
+    scatter: float = Field(
+        0.30,
+        gt=0,
+        description="ratio of standard deviations sqrt(l3 / l1) of foliage (paper: l3 / l1 > 0.35)",
+    )
     roughness: float = Field(0.06, gt=0, description="root of the smallest eigenvalue in foliage [m]")
     vegetation_height: float = Field(0.5, gt=0, description="median height of vegetation [m], paper")
     cluster_voxel: float = Field(0.4, gt=0, description="voxel in which the rest falls into clusters [m]")
@@ -226,7 +242,9 @@ def _vote_clusters(
         open_points = np.flatnonzero(semantic != Semantic.MOBILE)
         cluster = voxel_clusters(xyz[open_points], config.cluster_voxel)
         count = int(cluster.max(initial=-1)) + 1
-        share = np.bincount(cluster, semantic[open_points] == kind, count) / np.maximum(np.bincount(cluster), 1)
+        share = np.bincount(cluster, semantic[open_points] == kind, count) / np.maximum(
+            np.bincount(cluster), 1
+        )
         take = share > limit
         if kind is Semantic.VEGETATION:
             take &= group_reduce(cluster, height[open_points], count) > config.vegetation_height

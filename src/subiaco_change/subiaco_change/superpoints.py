@@ -24,7 +24,9 @@ class SuperpointConfig(StrictModel):
 
     strength: float = Field(0.8, gt=0, description="eta, weight of the boundary, paper")
     rounds: int = Field(6, ge=1, le=30, description="steps in which eta doubles up to its final value")
-    height_scale: float = Field(4.0, gt=0, description="height above ground that weighs as much as a feature of 1 [m]")
+    height_scale: float = Field(
+        4.0, gt=0, description="height above ground that weighs as much as a feature of 1 [m]"
+    )
     neighbours: int = Field(8, ge=2, description="nearest neighbours that become edges of the graph")
 
 

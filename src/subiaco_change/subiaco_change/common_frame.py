@@ -1,0 +1,47 @@
+"""Both epochs about one origin, in the frame of *after*, and back."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from subiaco_geo.clouds import PointCloud
+from subiaco_geo.frames import Floats, invert_pose, transform_points
+
+from subiaco_change.ground import Mask
+from subiaco_change.records import Registration
+
+
+@dataclass(frozen=True)
+class CommonFrame:
+    """The local frame of *after*: its world coordinates minus ``origin`` [m]."""
+
+    registration: Registration
+    origin: Floats
+
+    def bring(self, before: PointCloud) -> PointCloud:
+        """Move *before* into the frame, its CRS becoming that of *after*; normals turn with it."""
+        r = self.registration
+        centred = before.xyz + (before.origin - r.origin)
+        xyz = transform_points(r.T_local, centred) + (r.origin - self.origin)
+        fields = dict(before.fields)
+        if "normals" in fields:
+            fields["normals"] = np.asarray(fields["normals"], dtype=np.float64) @ r.T_local[:3, :3].T
+        return PointCloud(xyz, self.origin, before.crs, fields)
+
+    def before_world(self, xyz: Floats) -> Floats:
+        """World coordinates that points (N, 3) of the frame have in *before*."""
+        r = self.registration
+        return transform_points(invert_pose(r.T_local), xyz + (self.origin - r.origin)) + r.origin
+
+    def after_world(self, xyz: Floats) -> Floats:
+        """World coordinates of points (N, 3) of the frame in *after*."""
+        return xyz + self.origin
+
+
+def seen_through(
+    observed: Callable[[Floats], Mask], to_world: Callable[[Floats], Floats]
+) -> Callable[[Floats], Mask]:
+    """Ask an epoch whether it observed points given in the common frame."""
+    return lambda xyz: observed(to_world(xyz)) if len(xyz) else np.zeros(0, dtype=bool)

@@ -1,0 +1,40 @@
+"""Configuration of the change stage: the slices of its parts, composed."""
+
+from __future__ import annotations
+
+from pydantic import Field
+from subiaco_geo.config import StrictModel
+
+from subiaco_change.association import AssociationConfig
+from subiaco_change.decisions import DecisionConfig
+from subiaco_change.evidence import EvidenceConfig
+from subiaco_change.ground_change import GroundChangeConfig
+from subiaco_change.instances import InstanceConfig
+from subiaco_change.lod import LodConfig
+from subiaco_change.measures import MeasureConfig
+from subiaco_change.registration import RegistrationConfig
+from subiaco_change.semantics import SemanticsConfig
+
+
+class ChangeConfig(StrictModel):
+    """Everything that decides what a change run says."""
+
+    leaf: float = Field(0.25, gt=0, description="working leaf of both clouds [m], paper")
+    seed: int = Field(0, ge=0, description="seed of every random choice")
+    threads: int = Field(1, ge=1, description="threads; results do not depend on it")
+    normal_radius: float = Field(0.8, gt=0, description="radius of normals at the working leaf [m]")
+    second_registration: bool = Field(
+        True, description="register again without what the first pass calls changed (Decision 2)"
+    )
+    second_shift: float = Field(
+        0.005, ge=0, description="shift from which the second estimate is worth a new pass [m]"
+    )
+    registration: RegistrationConfig = RegistrationConfig()
+    lod: LodConfig = LodConfig()
+    evidence: EvidenceConfig = EvidenceConfig()
+    semantics: SemanticsConfig = SemanticsConfig()
+    instances: InstanceConfig = InstanceConfig()
+    measures: MeasureConfig = MeasureConfig()
+    association: AssociationConfig = AssociationConfig()
+    decisions: DecisionConfig = DecisionConfig()
+    ground: GroundChangeConfig = GroundChangeConfig()

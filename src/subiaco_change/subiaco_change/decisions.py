@@ -1,0 +1,124 @@
+"""From measures to a label, with the reason in words (method, part E)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from pydantic import Field
+from subiaco_geo.config import StrictModel
+
+from subiaco_change.measures import Measures
+from subiaco_change.records import Change, Semantic
+
+
+class ClassRules(StrictModel):
+    """Thresholds of one class."""
+
+    min_iou: float = Field(ge=0, le=1, description="overlap from which two objects are one that changed")
+    same_iou: float = Field(0.20, ge=0, le=1, description="overlap of an unchanged object")
+    height: float = Field(gt=0, description="height change [m]")
+    volume: float = Field(gt=0, description="volume change relative to the volume")
+    shift: float = Field(gt=0, description="centroid distance of an unchanged object [m]")
+
+
+class DecisionConfig(StrictModel):
+    """Table of section E; defaults are the paper's."""
+
+    building: ClassRules = ClassRules(min_iou=0.10, height=0.50, volume=0.10, shift=1.5)
+    vegetation: ClassRules = ClassRules(min_iou=0.08, height=0.30, volume=0.15, shift=2.0)
+    mobile: ClassRules = ClassRules(min_iou=0.20, height=math.inf, volume=math.inf, shift=2.0)
+    lod_factor: float = Field(1.2, gt=0, description="gate as a multiple of the level of detection, paper")
+    lod_floor: float = Field(0.10, ge=0, description="least gate [m], Decision 4")
+    min_observed: float = Field(
+        0.3, ge=0, le=1, description="observed share below which nothing is claimed, Decision 14"
+    )
+    min_empty: float = Field(
+        0.5, ge=0, le=1, description="share of the observed place that must be free in the other epoch"
+    )
+    min_voxels: int = Field(4, ge=1, description="observed voxels below which nothing is claimed")
+
+
+@dataclass(frozen=True)
+class Decision:
+    """Label, the rule that gave it, and by how much it was met (1 is just met)."""
+
+    change: Change
+    reason: str
+    margin: float
+
+
+def decide(
+    semantic: Semantic,
+    in_before: bool,
+    in_after: bool,
+    measures: Measures,
+    lod: float,
+    config: DecisionConfig,
+) -> Decision:
+    """Decide one object.
+
+    Parameters
+    ----------
+    semantic : Semantic
+    in_before, in_after : bool
+        Whether the object exists in each epoch.
+    measures : Measures
+    lod : float
+        Median level of detection of its points [m]; inf where none is known.
+    config : DecisionConfig
+    """
+    if measures.observed_fraction < config.min_observed or measures.seen_voxels < config.min_voxels:
+        share = measures.observed_fraction
+        return Decision(Change.UNOBSERVED, f"the other epoch observed {share:.0%} of the place", 1.0 - share)
+    if not (in_before and in_after):
+        return _single(in_after, measures, config)
+    if semantic in (Semantic.MOBILE, Semantic.OTHER):
+        return _mobile(measures, config)
+    rules = config.building if semantic is Semantic.BUILDING else config.vegetation
+    if measures.iou <= rules.min_iou:
+        return Decision(
+            Change.UNCHANGED, f"matched, but overlap {measures.iou:.2f} is too small to compare", 0.5
+        )
+    return _matched(semantic, measures, max(config.lod_factor * lod, config.lod_floor), rules)
+
+
+def _single(in_after: bool, measures: Measures, config: DecisionConfig) -> Decision:
+    empty = measures.new_share if in_after else measures.gone_share
+    if empty < config.min_empty:
+        reason = f"no partner of its class, but {1 - empty:.0%} of the place is occupied in both epochs"
+        return Decision(Change.UNCHANGED, reason, (1 - empty) / max(1 - config.min_empty, 1e-9))
+    change = Change.ADDED if in_after else Change.REMOVED
+    epoch = "before" if in_after else "after"
+    reason = f"exists in one epoch; {epoch} observed the place and {empty:.0%} of it is free"
+    return Decision(change, reason, empty / max(config.min_empty, 1e-9))
+
+
+def _mobile(measures: Measures, config: DecisionConfig) -> Decision:
+    rules = config.mobile
+    if measures.iou > rules.same_iou and measures.delta_c < rules.shift:
+        return Decision(Change.UNCHANGED, f"overlap {measures.iou:.2f}, moved {measures.delta_c:.2f} m", 1.0)
+    reason = f"matched, overlap {measures.iou:.2f}, moved {measures.delta_c:.2f} m: left out, as in the paper"
+    return Decision(Change.NOT_REPORTED, reason, 1.0)
+
+
+def _matched(semantic: Semantic, measures: Measures, gate: float, rules: ClassRules) -> Decision:
+    """Increased or Decreased by height or volume; where both fire, the volume's sign decides (Decision 12)."""
+    relative = measures.delta_v / max(measures.volume, 1e-6)
+    limit = max(rules.height, gate)
+    height = measures.delta_h / limit if math.isfinite(measures.delta_h) else 0.0
+    volume = relative / rules.volume
+    if not math.isfinite(gate):
+        return Decision(Change.UNCHANGED, "no level of detection here, so no change is claimed", 0.0)
+    up, down = max(height, volume), max(-height, -volume)
+    evidence = f"height {measures.delta_h:+.2f} m (gate {limit:.2f}), volume {relative:+.0%} (gate {rules.volume:.0%})"
+    if up <= 1 and down <= 1:
+        return Decision(Change.UNCHANGED, evidence, max(up, down))
+    if up > 1 and down > 1:
+        rising = measures.delta_v > 0
+        if semantic is Semantic.VEGETATION and abs(relative) < 0.01:
+            rising = measures.delta_h > 0
+    else:
+        rising = up > 1
+    change = Change.INCREASED if rising else Change.DECREASED
+    return Decision(change, evidence, up if rising else down)

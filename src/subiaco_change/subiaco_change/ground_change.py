@@ -1,0 +1,218 @@
+"""Changes of the ground: cells of 0.5 m, contiguous patches, a 2 m raster (method, Decisions 3 and 12)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from pydantic import Field
+from scipy import ndimage
+from shapely.geometry.base import BaseGeometry
+from subiaco_geo.config import StrictModel
+from subiaco_geo.frames import Floats, Ints
+
+from subiaco_change.ground import Mask, fill_gaps
+from subiaco_change.objects import EpochView
+from subiaco_change.records import Change, GroundChange, Semantic
+
+
+class GroundChangeConfig(StrictModel):
+    """Ground differencing."""
+
+    cell: float = Field(0.5, gt=0, description="cell in which ground is compared [m], Decision 12")
+    report_cell: float = Field(2.0, gt=0, description="cell of the raster handed on [m], paper")
+    threshold: float = Field(0.15, gt=0, description="elevation difference of a change [m], paper")
+    area: float = Field(25.0, gt=0, description="contiguous area of a change [m2], paper")
+    lod_factor: float = Field(1.2, gt=0, description="gate as a multiple of the level of detection, paper")
+    max_spread: float = Field(
+        0.12, gt=0, description="spread of heights in a cell beyond which it is no clean ground [m]"
+    )
+    bias_tile: float = Field(20.0, gt=0, description="tile of the bias field between epochs [m]")
+    bias_reach: int = Field(2, ge=0, description="tiles on each side whose median is the bias (Decision 3)")
+    bias_limit: float = Field(0.10, ge=0, description="largest bias taken as one of registration [m]")
+
+
+@dataclass(frozen=True)
+class GroundPatch:
+    """A contiguous area of changed ground: its cells, its mean difference and spread [m]."""
+
+    change: Change
+    area: float
+    dz: float
+    dz_spread: float
+    lod: float
+    cells: Ints
+    outline: BaseGeometry
+
+
+@dataclass(frozen=True)
+class GroundComparison:
+    """Differences, after minus before, on cells of the common frame.
+
+    ``dz`` (rows, columns), row 0 in the south, NaN where either epoch has no
+    ground; ``patch`` (rows, columns) index into ``patches`` or -1; ``bias`` the
+    long-wavelength difference that was removed [m].
+    """
+
+    corner: Floats
+    cell: float
+    dz: Floats
+    lod: Floats
+    bias: Floats
+    patch: Ints
+    patches: tuple[GroundPatch, ...]
+
+    def cell_of(self, xy: Floats) -> tuple[Ints, Ints, Mask]:
+        """Row, column and whether inside, for points (N, 2)."""
+        index = np.floor((xy - self.corner) / self.cell).astype(np.int64)
+        inside = ((index >= 0) & (index < np.array(self.dz.shape[::-1]))).all(axis=1)
+        clipped = np.clip(index, 0, np.array(self.dz.shape[::-1]) - 1)
+        return clipped[:, 1], clipped[:, 0], inside
+
+
+def compare_ground(
+    before: EpochView, after: EpochView, config: GroundChangeConfig
+) -> GroundComparison | None:
+    """Compare the ground of two epochs in one frame; None where they share none."""
+    ground = [view.semantic == Semantic.GROUND for view in (before, after)]
+    if not all(mask.any() for mask in ground):
+        return None
+    low = np.min([v.xyz[m, :2].min(axis=0) for v, m in zip((before, after), ground, strict=True)], axis=0)
+    high = np.max([v.xyz[m, :2].max(axis=0) for v, m in zip((before, after), ground, strict=True)], axis=0)
+    corner = np.floor(low / config.report_cell) * config.report_cell
+    columns, rows = (np.floor((high - corner) / config.cell).astype(int) + 1).tolist()
+    cells = [
+        _cell_heights(v, m, corner, (rows, columns), config)
+        for v, m in zip((before, after), ground, strict=True)
+    ]
+    raw = cells[1][0] - cells[0][0]
+    if not np.isfinite(raw).any():
+        return None
+    bias = _bias_field(raw, config)
+    dz = raw - bias
+    lod = np.fmax(cells[0][1], cells[1][1])
+    patch, patches = _find_patches(dz, lod, corner, config)
+    return GroundComparison(corner, config.cell, dz, lod, bias, patch, patches)
+
+
+def _cell_heights(
+    view: EpochView, mask: Mask, corner: Floats, shape: tuple[int, int], config: GroundChangeConfig
+) -> tuple[Floats, Floats]:
+    """Mean height and LoD of every cell; NaN where empty or where the heights spread."""
+    xyz, lod = view.xyz[mask], view.lod[mask]
+    index = np.floor((xyz[:, :2] - corner) / config.cell).astype(np.int64)
+    flat = index[:, 1] * shape[1] + index[:, 0]
+    size = shape[0] * shape[1]
+    count = np.bincount(flat, minlength=size)
+    safe = np.maximum(count, 1)
+    mean = np.bincount(flat, xyz[:, 2], size) / safe
+    spread = np.sqrt(np.bincount(flat, (xyz[:, 2] - mean[flat]) ** 2, size) / safe)
+    finite = np.where(np.isfinite(lod), lod, 10.0)
+    level = np.bincount(flat, finite, size) / safe
+    good = (count > 0) & (spread < config.max_spread)
+    return np.where(good, mean, np.nan).reshape(shape), np.where(good, level, np.nan).reshape(shape)
+
+
+def _bias_field(raw: Floats, config: GroundChangeConfig) -> Floats:
+    """Estimate the long-wavelength difference: the median of tile medians over a wide window.
+
+    A change that fills a tile, or a few, does not move the median of the
+    window; what exceeds ``bias_limit`` is never taken for a bias.
+    """
+    per_tile = round(config.bias_tile / config.cell)
+    rows, columns = (-(-n // per_tile) for n in raw.shape)
+    padded = np.full((rows * per_tile, columns * per_tile), np.nan)
+    padded[: raw.shape[0], : raw.shape[1]] = raw
+    tiles = padded.reshape(rows, per_tile, columns, per_tile).transpose(0, 2, 1, 3).reshape(rows, columns, -1)
+    medians = np.full((rows, columns), np.nan)
+    filled = np.isfinite(tiles).sum(axis=2) >= 0.02 * per_tile**2
+    medians[filled] = np.nanmedian(tiles[filled], axis=1)
+    if not filled.any():
+        return np.full(raw.shape, float(np.clip(np.nanmedian(raw), -config.bias_limit, config.bias_limit)))
+    window = 2 * config.bias_reach + 1
+    wide = ndimage.generic_filter(medians, _nan_median, size=window, mode="constant", cval=np.nan)
+    smooth = fill_gaps(np.clip(wide, -config.bias_limit, config.bias_limit))
+    row, column = np.mgrid[: raw.shape[0], : raw.shape[1]]
+    where = [(row + 0.5) / per_tile - 0.5, (column + 0.5) / per_tile - 0.5]
+    return np.asarray(ndimage.map_coordinates(smooth, where, order=1, mode="nearest"))
+
+
+def _nan_median(values: Floats) -> float:
+    known = values[np.isfinite(values)]
+    return float(np.median(known)) if len(known) else math.nan
+
+
+def _find_patches(
+    dz: Floats, lod: Floats, corner: Floats, config: GroundChangeConfig
+) -> tuple[Ints, tuple[GroundPatch, ...]]:
+    """Connect cells of one sign beyond the gate, and keep what is large enough."""
+    patch = np.full(dz.shape, -1, dtype=np.int64)
+    patches: list[GroundPatch] = []
+    gate = np.fmax(config.threshold, config.lod_factor * lod)
+    for sign, change in ((1.0, Change.INCREASED), (-1.0, Change.DECREASED)):
+        over = np.nan_to_num(sign * dz, nan=-1.0) > gate
+        labels, count = ndimage.label(over, structure=np.ones((3, 3)))
+        sizes = np.bincount(labels.ravel(), minlength=count + 1)
+        for number in np.flatnonzero(sizes * config.cell**2 > config.area).tolist():
+            if number == 0:
+                continue
+            where = labels == number
+            patch[where] = len(patches)
+            patches.append(_make_patch(change, where, dz, lod, corner, config.cell))
+    return patch, tuple(patches)
+
+
+def _make_patch(
+    change: Change, where: Mask, dz: Floats, lod: Floats, corner: Floats, cell: float
+) -> GroundPatch:
+    cells = np.argwhere(where)
+    west_south = corner + cells[:, ::-1] * cell
+    boxes = shapely.box(west_south[:, 0], west_south[:, 1], west_south[:, 0] + cell, west_south[:, 1] + cell)
+    outline = shapely.union_all(boxes)
+    values = dz[where]
+    area = len(cells) * cell**2
+    level = float(np.median(lod[where]))
+    return GroundPatch(change, area, float(np.median(values)), float(values.std()), level, cells, outline)
+
+
+def ground_raster(comparison: GroundComparison, origin: Floats, config: GroundChangeConfig) -> GroundChange:
+    """Reduce the comparison to medians of the reporting cells, row 0 in the north, world corner.
+
+    ``confidence`` is how surely the cell's difference lies on its side of the threshold, taking LoD95 as 1.96
+    standard deviations.
+    """
+    factor = round(config.report_cell / config.cell)
+    rows, columns = (-(-n // factor) for n in comparison.dz.shape)
+    dz, lod = (_block_median(values, rows, columns, factor) for values in (comparison.dz, comparison.lod))
+    sigma = np.maximum(lod / 1.96, 0.01)
+    confidence = _normal_cdf(np.abs(np.abs(dz) - config.threshold) / sigma)
+    west, south = comparison.corner + origin[:2]
+    north = float(south + rows * config.report_cell)
+    grids = [np.asarray(v[::-1], dtype=np.float32) for v in (dz, confidence)]
+    return GroundChange(grids[0], grids[1], float(west), north, config.report_cell)
+
+
+def _block_median(values: Floats, rows: int, columns: int, factor: int) -> Floats:
+    padded = np.full((rows * factor, columns * factor), np.nan)
+    padded[: values.shape[0], : values.shape[1]] = values
+    blocks = padded.reshape(rows, factor, columns, factor).transpose(0, 2, 1, 3).reshape(rows, columns, -1)
+    medians = np.full((rows, columns), np.nan)
+    some = np.isfinite(blocks).any(axis=2)
+    medians[some] = np.nanmedian(blocks[some], axis=1)
+    return medians
+
+
+def _normal_cdf(z: Floats) -> Floats:
+    from scipy.special import ndtr
+
+    return np.asarray(ndtr(z))
+
+
+def patch_points(comparison: GroundComparison, view: EpochView) -> NDArray[np.int64]:
+    """Patch (N,) of every ground point of an epoch, -1 for none."""
+    row, column, inside = comparison.cell_of(view.xyz[:, :2])
+    ground = inside & (view.semantic == Semantic.GROUND)
+    return np.where(ground, comparison.patch[row, column], -1)

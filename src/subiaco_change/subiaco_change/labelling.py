@@ -1,0 +1,154 @@
+"""Every point gets the label of its object, or of its ground (contracts, section 4)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import shapely.affinity
+from numpy.typing import NDArray
+from scipy.special import ndtr
+from subiaco_geo.frames import Floats, Ints
+
+from subiaco_change.ground import Mask
+from subiaco_change.ground_change import GroundComparison, patch_points
+from subiaco_change.object_changes import ObjectChange
+from subiaco_change.objects import EpochView
+from subiaco_change.records import Change, ChangeRecord, Semantic
+
+
+@dataclass(frozen=True)
+class Labels:
+    """Fields of one epoch's points, as :class:`subiaco_change.records.ChangeResult` wants them."""
+
+    change: NDArray[np.uint8]
+    semantic: NDArray[np.uint8]
+    instance: NDArray[np.int32]
+    confidence: NDArray[np.float32]
+    lod95: NDArray[np.float32]
+
+    def fields(self) -> dict[str, NDArray[np.generic]]:
+        """Return the fields by name."""
+        return {name: getattr(self, name) for name in self.__dataclass_fields__}
+
+
+def label_epoch(
+    view: EpochView,
+    epoch: str,
+    objects: Sequence[ObjectChange],
+    records: Sequence[ChangeRecord],
+    ground: GroundComparison | None,
+    seen_by_other: Callable[[Floats], Mask],
+) -> Labels:
+    """Label the points of one epoch, ``before`` or ``after``.
+
+    Points of an object carry its label; points of a ground patch the patch's;
+    the others are Unchanged where the other epoch observed the place, else
+    Unobserved.
+    """
+    count = len(view.xyz)
+    change = np.full(count, Change.UNCHANGED, dtype=np.uint8)
+    semantic = view.semantic.copy()
+    instance = np.full(count, -1, dtype=np.int32)
+    confidence = np.full(count, 0.5, dtype=np.float32)
+    for item, record in zip(objects, records, strict=True):
+        members = item.points(epoch)
+        change[members], semantic[members] = record.change, record.semantic
+        instance[members], confidence[members] = record.object_id, record.confidence
+    loose = np.flatnonzero(instance < 0)
+    seen = seen_by_other(view.xyz[loose]) | _compared(ground, view, loose)
+    change[loose[~seen]] = Change.UNOBSERVED
+    if ground is not None:
+        _label_ground(ground, view, len(records), change, instance, confidence)
+    return Labels(change, semantic, instance, confidence, view.lod.astype(np.float32))
+
+
+def _compared(ground: GroundComparison | None, view: EpochView, members: Ints) -> Mask:
+    """Tell which points are ground whose cell holds ground in both epochs."""
+    if ground is None:
+        return np.zeros(len(members), dtype=bool)
+    row, column, inside = ground.cell_of(view.xyz[members, :2])
+    both = inside & np.isfinite(ground.dz[row, column])
+    return np.asarray(both & (view.semantic[members] == Semantic.GROUND))
+
+
+def _label_ground(
+    ground: GroundComparison,
+    view: EpochView,
+    first_id: int,
+    change: NDArray[np.uint8],
+    instance: NDArray[np.int32],
+    confidence: NDArray[np.float32],
+) -> None:
+    patch = patch_points(ground, view)
+    row, column, inside = ground.cell_of(view.xyz[:, :2])
+    known = inside & (view.semantic == Semantic.GROUND) & np.isfinite(ground.dz[row, column])
+    sigma = np.maximum(ground.lod[row[known], column[known]] / 1.96, 0.01)
+    distance = np.abs(np.abs(ground.dz[row[known], column[known]]) - 0.15)
+    confidence[known] = ndtr(distance / sigma)
+    for number, item in enumerate(ground.patches):
+        members = patch == number
+        change[members], instance[members] = item.change, first_id + number
+        confidence[members] = _patch_confidence(item.dz, item.lod)
+
+
+def _patch_confidence(dz: float, lod: float, threshold: float = 0.15) -> float:
+    """Probability that the difference exceeds the threshold, LoD95 being 1.96 standard deviations."""
+    return float(ndtr((abs(dz) - threshold) / max(lod / 1.96, 0.01)))
+
+
+def ground_records(
+    ground: GroundComparison | None,
+    views: tuple[EpochView, EpochView],
+    origin: Floats,
+    first_id: int,
+    evidence: str,
+) -> list[ChangeRecord]:
+    """Rows of the table for the changed ground patches, in world coordinates."""
+    if ground is None:
+        return []
+    counts = [np.bincount(patch_points(ground, v) + 1, minlength=len(ground.patches) + 1)[1:] for v in views]
+    records = []
+    for number, patch in enumerate(ground.patches):
+        centre = patch.outline.centroid
+        row, column, _ = ground.cell_of(np.array([[centre.x, centre.y]]))
+        inside = (patch_points(ground, views[1]) == number).nonzero()[0]
+        z = float(np.median(views[1].xyz[inside, 2])) if len(inside) else math.nan
+        del row, column
+        records.append(
+            ChangeRecord(
+                object_id=first_id + number,
+                semantic=Semantic.GROUND,
+                change=patch.change,
+                id_before=(),
+                id_after=(),
+                match_kind="one_to_one",
+                delta_h_m=patch.dz,
+                delta_v_m3=patch.dz * patch.area,
+                delta_v_surface_m3=math.nan,
+                delta_c_m=math.nan,
+                iou_3d=math.nan,
+                d_perp_m=patch.dz,
+                lod95_m=patch.lod,
+                observed_fraction=1.0,
+                evidence=evidence,
+                score_paper=_ground_score(patch.dz, patch.lod),
+                confidence=_patch_confidence(patch.dz, patch.lod),
+                n_before=int(counts[0][number]),
+                n_after=int(counts[1][number]),
+                x=float(centre.x + origin[0]),
+                y=float(centre.y + origin[1]),
+                z=z + float(origin[2]),
+                footprint=shapely.affinity.translate(patch.outline, float(origin[0]), float(origin[1])),
+                reason=f"{patch.area:.0f} m2 of ground moved by {patch.dz:+.2f} m (sd {patch.dz_spread:.2f} m)",
+            )
+        )
+    return records
+
+
+def _ground_score(dz: float, lod: float) -> float:
+    """Return the paper's score for ground: height and separation terms."""
+    total = 0.50 * abs(dz) / math.hypot(lod, 0.10) + 0.25 * abs(dz) / max(lod, 1e-6)
+    return 1.0 / (1.0 + math.exp(-min(total, 50.0)))

@@ -1,0 +1,146 @@
+"""Objects of two epochs in one frame -> matched, measured, decided."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from subiaco_geo.frames import Floats, Ints
+
+from subiaco_change.association import AssociationConfig, Match, associate, overlap_counts
+from subiaco_change.confidence import confidence, paper_score
+from subiaco_change.decisions import Decision, DecisionConfig, decide
+from subiaco_change.ground import Mask
+from subiaco_change.measures import MeasureConfig, Measures, footprint, measure
+from subiaco_change.objects import EpochView, Thing, Voxels, build_things, build_voxels
+from subiaco_change.records import ChangeRecord, Semantic
+
+Observed = Callable[[Floats], Mask]
+
+
+@dataclass(frozen=True)
+class ObjectChange:
+    """One object: its parts in both epochs, what was measured, and what was decided."""
+
+    before: tuple[Thing, ...]
+    after: tuple[Thing, ...]
+    semantic: Semantic
+    match_kind: str
+    measures: Measures
+    decision: Decision
+
+    @property
+    def lod(self) -> float:
+        """Largest of the median levels of detection of its parts [m]."""
+        return max(t.lod for t in (*self.before, *self.after))
+
+    def points(self, epoch: str) -> Ints:
+        """Indices of its points in the cloud of an epoch, ``before`` or ``after``."""
+        parts = [t.points for t in getattr(self, epoch)]
+        return np.concatenate(parts) if parts else np.zeros(0, dtype=np.int64)
+
+
+@dataclass(frozen=True)
+class ObjectRules:
+    """The slices of configuration that this stage reads."""
+
+    measures: MeasureConfig
+    association: AssociationConfig
+    decisions: DecisionConfig
+
+
+def compare_objects(
+    before: EpochView, after: EpochView, seen_by_before: Observed, seen_by_after: Observed, rules: ObjectRules
+) -> list[ObjectChange]:
+    """Match, measure and decide every object of two epochs in one local frame."""
+    edge, tolerance = rules.measures.voxel, rules.measures.tolerance
+    things_b = build_things(before, build_voxels(before, after, seen_by_after, edge, tolerance))
+    things_a = build_things(after, build_voxels(after, before, seen_by_before, edge, tolerance))
+    things_b, things_a = agree_on_classes(things_b, things_a, rules.association, tolerance)
+    changes = []
+    for semantic in (Semantic.BUILDING, Semantic.VEGETATION, Semantic.MOBILE, Semantic.OTHER):
+        of_b = [t for t in things_b if t.semantic is semantic]
+        of_a = [t for t in things_a if t.semantic is semantic]
+        for match in associate(of_b, of_a, rules.association, tolerance):
+            changes.append(_decide(match, of_b, of_a, semantic, rules))
+    return changes
+
+
+def agree_on_classes(
+    before: list[Thing], after: list[Thing], config: AssociationConfig, tolerance: float
+) -> tuple[list[Thing], list[Thing]]:
+    """Give one thing one class (C6): where two objects mostly coincide, the better score wins."""
+    if not before or not after:
+        return before, after
+    forward, backward = overlap_counts(before, after, tolerance)
+    before, after = list(before), list(after)
+    common = forward.multiply(backward.T).tocoo()
+    for i, j in zip(common.row.tolist(), common.col.tolist(), strict=True):
+        b, a = before[i], after[j]
+        if b.semantic is a.semantic:
+            continue
+        shares = (forward[i, j] / len(b.voxels), backward[j, i] / len(a.voxels))
+        if min(shares) < config.same_place:
+            continue
+        winner = b.semantic if b.score >= a.score else a.semantic
+        before[i], after[j] = replace(b, semantic=winner), replace(a, semantic=winner)
+    return before, after
+
+
+def _decide(
+    match: Match, things_b: Sequence[Thing], things_a: Sequence[Thing], semantic: Semantic, rules: ObjectRules
+) -> ObjectChange:
+    before = tuple(things_b[i] for i in match.before)
+    after = tuple(things_a[j] for j in match.after)
+    measures = measure(_join(before), _join(after), rules.measures)
+    lod = max(t.lod for t in (*before, *after))
+    decision = decide(semantic, bool(before), bool(after), measures, lod, rules.decisions)
+    return ObjectChange(before, after, semantic, match.kind, measures, decision)
+
+
+def _join(things: Sequence[Thing]) -> Voxels:
+    """Concatenate the voxels of the parts of an object."""
+    if not things:
+        flags = np.zeros(0, dtype=bool)
+        return Voxels(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), flags, flags)
+    names = Voxels.__dataclass_fields__
+    return Voxels(*(np.concatenate([getattr(t.voxels, name) for t in things]) for name in names))
+
+
+def make_record(change: ObjectChange, object_id: int, origin: Floats, evidence: str) -> ChangeRecord:
+    """Turn an object into a row of the table, in world coordinates."""
+    import shapely.affinity
+
+    things = (*change.before, *change.after)
+    xyz = np.concatenate([t.voxels.xyz for t in things])
+    outline = footprint([t.voxels.xyz[:, :2] for t in things])
+    m = change.measures
+    score = float(np.mean([t.score for t in things]))
+    return ChangeRecord(
+        object_id=object_id,
+        semantic=change.semantic,
+        change=change.decision.change,
+        id_before=tuple(t.instance for t in change.before),
+        id_after=tuple(t.instance for t in change.after),
+        match_kind=change.match_kind,
+        delta_h_m=m.delta_h,
+        delta_v_m3=m.delta_v,
+        delta_v_surface_m3=m.delta_v_surface,
+        delta_c_m=m.delta_c,
+        iou_3d=m.iou if change.before and change.after else math.nan,
+        d_perp_m=m.d_perp,
+        lod95_m=change.lod,
+        observed_fraction=m.observed_fraction,
+        evidence=evidence,
+        score_paper=paper_score(change.semantic, m, change.lod),
+        confidence=confidence(change.decision, m, score),
+        n_before=int(sum(len(t.points) for t in change.before)),
+        n_after=int(sum(len(t.points) for t in change.after)),
+        x=float(xyz[:, 0].mean() + origin[0]),
+        y=float(xyz[:, 1].mean() + origin[1]),
+        z=float(xyz[:, 2].mean() + origin[2]),
+        footprint=shapely.affinity.translate(outline, float(origin[0]), float(origin[1])),
+        reason=change.decision.reason,
+    )

@@ -1,0 +1,130 @@
+"""The objects of one epoch as 0.5 m voxels, with what the other epoch knows of each voxel."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from subiaco_geo.clouds import voxel_indices, voxel_keys
+from subiaco_geo.frames import Floats, Ints
+
+from subiaco_change.clustering import group_indices
+from subiaco_change.ground import Mask
+from subiaco_change.records import Semantic
+
+
+@dataclass(frozen=True)
+class EpochView:
+    """One epoch in the common local frame, ready to be measured.
+
+    ``xyz`` (N, 3) [m]; ``normals`` (N, 3); ``semantic`` (N,) uint8; ``instance`` (N,) int32, -1 none;
+    ``height`` (N,) above ground [m]; ``lod`` (N,) [m], inf where no claim; ``score`` (N,) of the class.
+    """
+
+    xyz: Floats
+    normals: Floats
+    semantic: NDArray[np.uint8]
+    instance: NDArray[np.int32]
+    height: Floats
+    lod: Floats
+    score: Floats
+
+
+@dataclass(frozen=True)
+class Voxels:
+    """Occupied voxels of objects; a voxel is represented by the mean of its points.
+
+    ``owner`` (M,) instance; ``xyz`` (M, 3) and ``normal`` (M, 3); ``height`` (M,)
+    above ground [m]; ``seen`` (M,): the other epoch observed the place;
+    ``still`` (M,): the other epoch has something other than ground there.
+    """
+
+    owner: Ints
+    xyz: Floats
+    normal: Floats
+    height: Floats
+    seen: Mask
+    still: Mask
+
+    def __len__(self) -> int:
+        return len(self.owner)
+
+    def select(self, index: NDArray[np.generic]) -> Voxels:
+        """Return the voxels of a mask or of indices."""
+        return Voxels(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
+
+
+@dataclass(frozen=True)
+class Thing:
+    """One instance of one epoch: its class, points (indices) and voxels."""
+
+    instance: int
+    semantic: Semantic
+    score: float
+    points: Ints
+    voxels: Voxels
+    lod: float
+
+
+def build_voxels(
+    view: EpochView, other: EpochView, observed: Callable[[Floats], Mask], edge: float, tolerance: float
+) -> Voxels:
+    """Group the object points of an epoch into voxels and ask the other epoch about each.
+
+    Parameters
+    ----------
+    view, other : EpochView
+        In one common frame.
+    observed : callable
+        (M, 3) points of that frame -> (M,) bool, seen by the other epoch.
+    edge : float
+        Voxel edge [m].
+    tolerance : float
+        Distance within which something of the other epoch occupies the place [m].
+    """
+    members = np.flatnonzero(view.instance >= 0)
+    owner, normal, height, xyz = _voxel_means(view, members, edge)
+    standing = other.xyz[other.semantic != Semantic.GROUND]
+    still = np.zeros(len(owner), dtype=bool)
+    if len(standing) and len(owner):
+        distance, _ = cKDTree(standing).query(xyz, distance_upper_bound=tolerance)
+        still = np.isfinite(distance)
+    seen = (observed(xyz) | still) if len(xyz) else np.zeros(0, dtype=bool)
+    return Voxels(owner, xyz, normal, height, seen, still)
+
+
+def _voxel_means(view: EpochView, members: Ints, edge: float) -> tuple[Ints, Floats, Floats, Floats]:
+    owner = view.instance[members].astype(np.int64)
+    keys = voxel_keys(voxel_indices(view.xyz[members], edge))
+    order = np.lexsort((keys, owner))
+    change = np.diff(owner[order], prepend=-1).astype(bool) | np.diff(keys[order], prepend=-1).astype(bool)
+    slot = np.cumsum(change) - 1
+    count = np.maximum(np.bincount(slot), 1)
+
+    def mean(values: Floats) -> Floats:
+        return np.stack([np.bincount(slot, v) / count for v in values[members][order].T], axis=1)
+
+    if len(members) == 0:
+        return owner, np.zeros((0, 3)), np.zeros(0), np.zeros((0, 3))
+    normal = mean(view.normals)
+    normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
+    return owner[order][change], normal, mean(view.height[:, None])[:, 0], mean(view.xyz)
+
+
+def build_things(view: EpochView, voxels: Voxels) -> list[Thing]:
+    """Collect the instances of an epoch in the order of their ids."""
+    things = []
+    by_voxel = group_indices(voxels.owner)
+    for instance, members in enumerate(group_indices(view.instance.astype(np.int64))):
+        if len(members) == 0:
+            continue
+        semantic = Semantic(int(np.bincount(view.semantic[members]).argmax()))
+        lods = view.lod[members]
+        finite = lods[np.isfinite(lods)]
+        lod = float(np.median(finite)) if len(finite) else float("inf")
+        score = float(view.score[members].mean())
+        things.append(Thing(instance, semantic, score, members, voxels.select(by_voxel[instance]), lod))
+    return things
