@@ -244,7 +244,8 @@ class EnuFrame:
         return Transformer.from_pipeline(
             "+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad "
             f"+step +proj=cart +ellps={self.ellipsoid} +step +proj=topocentric +ellps={self.ellipsoid} "
-            f"+lon_0={self.longitude_deg!r} +lat_0={self.latitude_deg!r} +h_0={self.height!r}"
+            f"+lon_0={float(self.longitude_deg)!r} +lat_0={float(self.latitude_deg)!r} "
+            f"+h_0={float(self.height)!r}"
         )
 
     def from_geodetic(self, latitude_deg: ArrayLike, longitude_deg: ArrayLike, height: ArrayLike) -> Floats:
