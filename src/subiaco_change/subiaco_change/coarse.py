@@ -13,9 +13,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy import fft, ndimage
 from scipy.spatial.transform import Rotation
-from subiaco_geo.frames import Floats, make_pose, transform_points
 
 from subiaco_change.geometry import Level, LocalPlanes
+from subiaco_geo.frames import Floats, make_pose, transform_points
 
 _STANDING = 0.5  # |n_z| below which a point belongs to something that stands
 
@@ -148,7 +148,7 @@ def _height_offset(pose: Floats, before: Level, after: Level, cell: float = 3.0)
 
 
 def _standing(level: Level) -> Floats:
-    """xy (K, 2) of the points of a levelled cloud that belong to standing things."""
+    """Xy (K, 2) of the points of a levelled cloud that belong to standing things."""
     return level.xyz[np.abs(level.planes.normals[:, 2]) < _STANDING, :2]
 
 

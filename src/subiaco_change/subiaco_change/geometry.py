@@ -8,6 +8,7 @@ import numba
 import numpy as np
 import small_gicp
 from numpy.typing import NDArray
+
 from subiaco_geo.clouds import PointCloud, sort_spatially, voxel_downsample
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
@@ -63,7 +64,7 @@ def build_index(xyz: Floats, cell: float) -> ColumnIndex:
 
 
 @numba.njit(cache=True, inline="always")
-def first_above(points, low, high, z):  # type: ignore[no-untyped-def]
+def first_above(points: Floats, low: int, high: int, z: float) -> int:
     """Return the first point in [low, high) whose height is at least z."""
     while low < high:
         middle = (low + high) // 2
@@ -75,14 +76,16 @@ def first_above(points, low, high, z):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True, inline="always")
-def column_range(low, high, corner, cell, count):  # type: ignore[no-untyped-def]
+def column_range(low: float, high: float, corner: float, cell: float, count: int) -> tuple[int, int]:
     """Return the columns [first, last] that the interval [low, high] touches."""
     first = max(int(np.floor((low - corner) / cell)), 0)
     return first, min(int(np.floor((high - corner) / cell)), count - 1)
 
 
 @numba.njit(cache=True)
-def _nearest(points, starts, shape, corner, cell, queries, radius):  # type: ignore[no-untyped-def]
+def _nearest(
+    points: Floats, starts: Ints, shape: Ints, corner: Floats, cell: float, queries: Floats, radius: float
+) -> tuple[Ints, Floats]:
     """Return the sorted index of the nearest point within a radius, or -1, and the distance."""
     n = len(queries)
     index = np.full(n, -1, np.int64)
@@ -130,7 +133,9 @@ def nearest(index: ColumnIndex, queries: Floats, radius: float) -> tuple[Ints, F
 
 
 @numba.njit(cache=True)
-def smallest_eigen(a, b, c, d, e, f, out):  # type: ignore[no-untyped-def]
+def smallest_eigen(
+    a: float, b: float, c: float, d: float, e: float, f: float, out: Floats
+) -> tuple[float, float, float]:
     """Smallest eigenvector of [[a, d, e], [d, b, f], [e, f, c]] into out, and the eigenvalues.
 
     Closed form (Smith 1961); the vector is the longest cross product of two
@@ -165,7 +170,9 @@ def smallest_eigen(a, b, c, d, e, f, out):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _normals(points, starts, shape, corner, cell, radius, min_count):  # type: ignore[no-untyped-def]
+def _normals(
+    points: Floats, starts: Ints, shape: Ints, corner: Floats, cell: float, radius: float, min_count: int
+) -> tuple[Floats, Floats, Ints]:
     """Fit a plane to the ball around every sorted point."""
     n = len(points)
     normals = np.zeros((n, 3))

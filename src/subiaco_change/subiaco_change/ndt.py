@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
+
 from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.frames import Floats, Ints, exp_se3
 
@@ -61,45 +62,113 @@ def distributions(xyz: Floats, cell: float, min_count: int = 6, noise: float = 0
     return Distributions(cell, unique[keep], centre[keep], covariances, counts[keep])
 
 
-@numba.njit(cache=True)
-def _normal_equations(rotation, translation, centre, means, covs, keys, t_means, t_covs, cell):  # type: ignore[no-untyped-def]
-    """Score, gradient (6,) and Gauss-Newton Hessian (6, 6) of the left perturbation about a centre."""
+@numba.njit(cache=True, inline="always")
+def _slot(keys: Ints, p: Floats, cell: float, neighbour: int) -> int:
+    """Find the Gaussian of the voxel of p, or of one of its six face neighbours; -1 for none."""
     limit = 1 << 20
-    hessian = np.zeros((6, 6))
-    gradient = np.zeros(6)
-    score = 0.0
-    jac = np.zeros((3, 6))
+    j = np.empty(3, np.int64)
+    for axis in range(3):
+        j[axis] = np.int64(np.floor(p[axis] / cell)) + limit
+        if abs(j[axis] - limit) >= limit - 1:
+            return -1
+    if neighbour > 0:
+        j[(neighbour - 1) // 2] += 1 if neighbour % 2 == 0 else -1
+    key = (j[0] << 42) | (j[1] << 21) | j[2]
+    slot = np.searchsorted(keys, key)
+    if slot >= len(keys) or keys[slot] != key:
+        return -1
+    return slot
+
+
+@numba.njit(cache=True, inline="always")
+def _invert(m: Floats, out: Floats) -> None:
+    """Inverse of a symmetric 3x3 matrix by cofactors."""
+    out[0, 0] = m[1, 1] * m[2, 2] - m[1, 2] * m[1, 2]
+    out[0, 1] = m[0, 2] * m[1, 2] - m[0, 1] * m[2, 2]
+    out[0, 2] = m[0, 1] * m[1, 2] - m[0, 2] * m[1, 1]
+    out[1, 1] = m[0, 0] * m[2, 2] - m[0, 2] * m[0, 2]
+    out[1, 2] = m[0, 1] * m[0, 2] - m[0, 0] * m[1, 2]
+    out[2, 2] = m[0, 0] * m[1, 1] - m[0, 1] * m[0, 1]
+    scale = 1.0 / (m[0, 0] * out[0, 0] + m[0, 1] * out[0, 1] + m[0, 2] * out[0, 2])
     for i in range(3):
-        jac[i, 3 + i] = 1.0
+        for j in range(i, 3):
+            out[i, j] *= scale
+            out[j, i] = out[i, j]
+
+
+@numba.njit(cache=True, inline="always")
+def _turn(rotation: Floats, cov: Floats, work: Floats, out: Floats) -> None:
+    """R C R^T of 3x3 matrices without allocating."""
+    for i in range(3):
+        for j in range(3):
+            work[i, j] = 0.0
+            for k in range(3):
+                work[i, j] += rotation[i, k] * cov[k, j]
+    for i in range(3):
+        for j in range(3):
+            out[i, j] = 0.0
+            for k in range(3):
+                out[i, j] += work[i, k] * rotation[j, k]
+
+
+@numba.njit(cache=True)
+def _normal_equations(
+    rotation: Floats, translation: Floats, centre: Floats, means: Floats, covs: Floats,
+    keys: Ints, t_means: Floats, t_covs: Floats, cell: float,
+) -> tuple[float, Floats, Floats]:  # fmt: skip
+    """Score, gradient (6,) and Gauss-Newton Hessian (6, 6) of the left perturbation about a centre.
+
+    The blocks of J = [-[a]x, I] are used: with B = information and v = B d,
+    the gradient is [a x v, v].
+    """
+    hessian, gradient = np.zeros((6, 6)), np.zeros(6)
+    score = 0.0
+    cov, work, both, info = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
+    p, a, d, v, column = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    jac = np.zeros((3, 6))
+    jac[0, 3] = jac[1, 4] = jac[2, 5] = 1.0
     for s in range(len(means)):
-        p = rotation @ means[s] + translation
-        cov = rotation @ covs[s] @ rotation.T
-        a = p - centre
-        jac[0, 1], jac[0, 2] = a[2], -a[1]
-        jac[1, 0], jac[1, 2] = -a[2], a[0]
-        jac[2, 0], jac[2, 1] = a[1], -a[0]
-        ix, iy, iz = int(np.floor(p[0] / cell)), int(np.floor(p[1] / cell)), int(np.floor(p[2] / cell))
+        for i in range(3):
+            p[i] = translation[i]
+            for k in range(3):
+                p[i] += rotation[i, k] * means[s, k]
+            a[i] = p[i] - centre[i]
+        turned = False
         for neighbour in range(7):
-            jx, jy, jz = ix, iy, iz
-            if neighbour > 0:
-                step = 1 if neighbour % 2 == 0 else -1
-                if neighbour <= 2:
-                    jx += step
-                elif neighbour <= 4:
-                    jy += step
-                else:
-                    jz += step
-            key = ((jx + limit) << 42) | ((jy + limit) << 21) | (jz + limit)
-            slot = np.searchsorted(keys, key)
-            if slot >= len(keys) or keys[slot] != key:
+            slot = _slot(keys, p, cell, neighbour)
+            if slot < 0:
                 continue
-            d = p - t_means[slot]
-            info = np.linalg.inv(cov + t_covs[slot])
-            bd = info @ d
-            value = np.exp(-0.5 * _D2 * (d @ bd))
+            if not turned:
+                _turn(rotation, covs[s], work, cov)
+                jac[0, 1], jac[0, 2] = a[2], -a[1]
+                jac[1, 0], jac[1, 2] = -a[2], a[0]
+                jac[2, 0], jac[2, 1] = a[1], -a[0]
+                turned = True
+            for i in range(3):
+                d[i] = p[i] - t_means[slot, i]
+                for j in range(3):
+                    both[i, j] = cov[i, j] + t_covs[slot, i, j]
+            _invert(both, info)
+            squared = 0.0
+            for i in range(3):
+                v[i] = info[i, 0] * d[0] + info[i, 1] * d[1] + info[i, 2] * d[2]
+                squared += v[i] * d[i]
+            value = np.exp(-0.5 * _D2 * squared)
             score += value
-            gradient += value * _D2 * (jac.T @ bd)
-            hessian += value * _D2 * (jac.T @ info @ jac)
+            weight = value * _D2
+            if weight < 1e-9:
+                continue
+            for m in range(6):
+                gradient[m] += weight * (jac[0, m] * v[0] + jac[1, m] * v[1] + jac[2, m] * v[2])
+                for i in range(3):
+                    column[i] = info[i, 0] * jac[0, m] + info[i, 1] * jac[1, m] + info[i, 2] * jac[2, m]
+                for n in range(m + 1):
+                    hessian[m, n] += weight * (
+                        jac[0, n] * column[0] + jac[1, n] * column[1] + jac[2, n] * column[2]
+                    )
+    for m in range(6):
+        for n in range(m):
+            hessian[n, m] = hessian[m, n]
     return score, gradient, hessian
 
 
@@ -113,7 +182,9 @@ class NdtResult:
     iterations: int
 
 
-def _score_at(pose: Floats, centre: Floats, source: Distributions, target: Distributions):  # type: ignore[no-untyped-def]
+def _score_at(
+    pose: Floats, centre: Floats, source: Distributions, target: Distributions
+) -> tuple[float, Floats, Floats]:
     return _normal_equations(
         np.ascontiguousarray(pose[:3, :3]), pose[:3, 3].copy(), centre, source.means, source.covariances,
         target.keys, target.means, target.covariances, target.cell,

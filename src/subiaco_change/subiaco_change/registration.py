@@ -10,10 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial.transform import Rotation
-from subiaco_geo.clouds import PointCloud
-from subiaco_geo.config import StrictModel
-from subiaco_geo.errors import InputError, RegistrationError
-from subiaco_geo.frames import Floats, invert_pose, rotation_angle
 
 from subiaco_change.coarse import propose
 from subiaco_change.geometry import Level, build_pyramid, remove_outliers
@@ -34,6 +30,10 @@ from subiaco_change.registration_icp import (
     pair_weights,
     solve,
 )
+from subiaco_geo.clouds import PointCloud
+from subiaco_geo.config import StrictModel
+from subiaco_geo.errors import InputError, RegistrationError
+from subiaco_geo.frames import Floats, invert_pose, rotation_angle
 
 _LOG = logging.getLogger(__name__)
 
@@ -157,10 +157,16 @@ def _remapped(
     return about(centre, (good @ (good.T @ twist)) / scale) @ start
 
 
-def _refine_coarsely(before: _Side, after: _Side, pose: Floats, config: RegistrationConfig) -> Floats:
-    """NDT on the coarsest level, from cells of eight leaves down to two."""
-    for cells in (2.0, 1.0, 0.5):
-        cell = cells * config.ndt_leaves_per_cell * config.leaves[0]
+def _refine_coarsely(
+    before: _Side,
+    after: _Side,
+    pose: Floats,
+    config: RegistrationConfig,
+    factors: tuple[float, ...] = (2.0, 1.0, 0.5),
+) -> Floats:
+    """NDT on the coarsest level, from large cells to small."""
+    for factor in factors:
+        cell = factor * config.ndt_leaves_per_cell * config.leaves[0]
         pose = align_ndt(before.grid(0, cell), after.grid(0, cell), pose, config.ndt_iterations).pose
     return pose
 
@@ -247,10 +253,30 @@ def _complaints(fit: _Fit, config: RegistrationConfig) -> list[str]:
     return [text for failed, text in checks if failed]
 
 
+def _apart(before: _Side, after: _Side) -> bool:
+    """Tell whether the bounding boxes are disjoint as the frames are given."""
+    boxes = [
+        (side.centre + side.levels[0].xyz.min(axis=0), side.centre + side.levels[0].xyz.max(axis=0))
+        for side in (before, after)
+    ]
+    return bool(np.any(np.maximum(boxes[0][0], boxes[1][0]) > np.minimum(boxes[0][1], boxes[1][1]) + 5.0))
+
+
 def _from_identity(before: _Side, after: _Side, targets: list[Target], config: RegistrationConfig) -> _Fit:
-    """Refine from the frames as they are given."""
+    """Refine from the frames as they are given; hopeless starts are given up after the coarsest NDT."""
+    if _apart(before, after):
+        raise RegistrationError("identity: the extents are disjoint")
     pose = np.eye(4)
     pose[:3, 3] = before.centre - after.centre
+    rough = _refine_coarsely(before, after, pose, config)
+    quality = measure_quality(before.levels[0], targets[0], rough, config.tukey)
+    if quality.overlap < config.min_overlap or (
+        quality.n_standing >= 100 and quality.standing < 0.6 * config.min_standing
+    ):
+        raise RegistrationError(
+            f"identity: after NDT only {quality.standing:.2f} of the walls in the overlap "
+            f"({quality.overlap:.2f}) match"
+        )
     return _refine(before, after, targets, pose, "identity", config)
 
 
@@ -261,14 +287,14 @@ def _from_search(before: _Side, after: _Side, targets: list[Target], config: Reg
         raise RegistrationError(
             "coarse: nothing stands in the clouds that could fix a position; give --transform"
         )
-    scored = []
-    for candidate in candidates:
-        pose = _refine_coarsely(before, after, candidate.pose, config)
-        quality = measure_quality(before.levels[0], targets[0], pose, config.tukey)
-        scored.append((quality.score, pose))
-        _LOG.debug("coarse candidate %.1f: %s", candidate.score, quality)
-    scored.sort(key=lambda item: -item[0])
-    return _refine(before, after, targets, scored[0][1], "coarse", config)
+    poses = [candidate.pose for candidate in candidates]
+    for cells, keep in (((2.0,), 4), ((1.0, 0.5), 1)):
+        moved = [_refine_coarsely(before, after, pose, config, cells) for pose in poses]
+        scores = [measure_quality(before.levels[0], targets[0], pose, config.tukey).score for pose in moved]
+        best = np.argsort(scores, kind="stable")[::-1][:keep]
+        _LOG.debug("coarse candidates score %s", np.round(scores))
+        poses = [moved[i] for i in best]
+    return _refine(before, after, targets, poses[0], "coarse", config)
 
 
 def _attempt(before: _Side, after: _Side, georeferenced: bool, config: RegistrationConfig) -> _Fit:

@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from subiaco_geo.frames import Floats, transform_points
 
 from subiaco_change.geometry import Level, nearest
 from subiaco_change.registration_icp import Pairs, Target, jacobian
+from subiaco_geo.frames import Floats, transform_points
 
 
 @dataclass(frozen=True)

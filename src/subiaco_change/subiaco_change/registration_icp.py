@@ -5,10 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from subiaco_geo.frames import Floats, transform_points
 
 from subiaco_change.geometry import ColumnIndex, Level, LocalPlanes, build_index, nearest
 from subiaco_change.ndt import about
+from subiaco_geo.frames import Floats, transform_points
 
 _AXES = ("roll", "pitch", "yaw", "x", "y", "z")
 

@@ -1,0 +1,222 @@
+"""What an epoch could see: only there does the absence of something mean that it is gone."""
+
+from __future__ import annotations
+
+import logging
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+from scipy.spatial import cKDTree
+
+from subiaco_change.geometry import ColumnIndex, build_index, nearest
+from subiaco_geo.clouds import voxel_indices, voxel_keys
+from subiaco_geo.config import StrictModel
+from subiaco_geo.errors import InputError
+from subiaco_geo.frames import Floats
+from subiaco_geo.maps import SurveyMap
+from subiaco_geo.raywalk import accumulate_visibility, stop_at_surfaces
+from subiaco_geo.visibility import VisibilityGrid
+
+_LOG = logging.getLogger(__name__)
+
+Flags = NDArray[np.bool_]
+Kind = Literal["observed", "trajectory", "shadow", "assumed"]
+
+
+class EvidenceConfig(StrictModel):
+    """Free-space evidence (Decision 13)."""
+
+    source: Literal["auto", "observed", "trajectory", "shadow", "assumed"] = Field(
+        "auto", description="auto takes the best that the map has, in this order"
+    )
+    min_beams: int = Field(1, ge=1, description="beams that make a voxel of the visibility layer seen")
+    voxel: float = Field(0.5, gt=0, description="voxel of lines of sight drawn from a trajectory [m]")
+    max_range: float = Field(60.0, gt=0, description="longest line of sight from a trajectory [m]")
+    pose_spacing: float = Field(3.0, gt=0, description="distance between poses that look around [m]")
+    views: int = Field(4, ge=1, description="poses from which a point is looked at")
+    shadow_radius: float = Field(
+        1.0, gt=0, description="without trajectory: points this near prove sight [m]"
+    )
+    shadow_height: float = Field(
+        15.0, gt=0, description="without trajectory: so far above a seen point a place counts as seen [m]"
+    )
+
+
+class _Test(Protocol):
+    """Tells which world points (N, 3) were seen, and through which beams went on."""
+
+    def seen(self, world: Floats) -> Flags: ...
+
+    def passed(self, world: Floats) -> Flags: ...
+
+
+@dataclass(frozen=True)
+class _Grid:
+    """Counts of beams, measured or drawn from a trajectory."""
+
+    grid: VisibilityGrid
+    min_beams: int
+
+    def seen(self, world: Floats) -> Flags:
+        return self.grid.observed(world, self.min_beams)
+
+    def passed(self, world: Floats) -> Flags:
+        hits, passes = self.grid.lookup(world)
+        return np.asarray((passes >= self.min_beams) & (hits == 0))
+
+
+@dataclass(frozen=True)
+class _Shadow:
+    """Points alone: a place is seen where something near it, or beneath it, was."""
+
+    index: ColumnIndex
+    origin: Floats
+    radius: float
+    height: float
+
+    def seen(self, world: Floats) -> Flags:
+        local = np.ascontiguousarray(world - self.origin)
+        near = nearest(self.index, local, self.radius)[0] >= 0
+        return near | self._above(local)
+
+    def passed(self, world: Floats) -> Flags:
+        local = np.ascontiguousarray(world - self.origin)
+        near = nearest(self.index, local, self.radius)[0] >= 0
+        return self._above(local) & ~near
+
+    def _above(self, local: Floats) -> Flags:
+        """Tell which points stand above a seen one, in its column or next to it."""
+        index, shape = self.index, self.index.shape
+        lowest = np.full(shape[0] * shape[1], np.inf)
+        filled = np.flatnonzero(np.diff(index.starts) > 0)
+        lowest[filled] = index.xyz[index.starts[filled], 2]
+        ij = np.floor((local[:, :2] - index.corner) / index.cell).astype(np.int64)
+        inside = np.all((ij >= 0) & (ij < shape), axis=1)
+        found = np.full(len(local), np.inf)
+        found[inside] = lowest[ij[inside, 0] * shape[1] + ij[inside, 1]]
+        gap = local[:, 2] - found
+        return np.asarray((gap >= 0) & (gap <= self.height))
+
+
+@dataclass(frozen=True)
+class _Everything:
+    """The paper's rule: absence is taken as evidence everywhere."""
+
+    def seen(self, world: Floats) -> Flags:
+        return np.ones(len(world), dtype=np.bool_)
+
+    def passed(self, world: Floats) -> Flags:
+        return np.ones(len(world), dtype=np.bool_)
+
+
+@dataclass(frozen=True)
+class Observer:
+    """What one epoch could see. Build it with :func:`make_observer`.
+
+    Parameters
+    ----------
+    kind : str
+        ``observed`` (measured beams), ``trajectory`` (lines of sight drawn
+        from poses), ``shadow`` (from the points alone) or ``assumed``.
+    to_own : callable, optional
+        Brings world points (N, 3) of the pair's common CRS to the CRS in
+        which this epoch's evidence lives; identity if None.
+    """
+
+    kind: Kind
+    test: _Test
+    to_own: Callable[[Floats], Floats] | None = None
+
+    def _own(self, world: Floats) -> Floats:
+        points = np.asarray(world, dtype=np.float64).reshape(-1, 3)
+        return points if self.to_own is None or len(points) == 0 else self.to_own(points)
+
+    def observed(self, world: Floats) -> Flags:
+        """Tell which points (N, 3), in this epoch's world frame, this epoch could see."""
+        return self.test.seen(self._own(world))
+
+    def empty(self, world: Floats) -> Flags:
+        """Tell which points (N, 3) this epoch saw to be empty: beams went on, nothing came back."""
+        return self.test.passed(self._own(world))
+
+
+def draw_lines_of_sight(world: Floats, positions: Floats, config: EvidenceConfig) -> VisibilityGrid:
+    """Rebuild a visibility layer from the poses of a survey and its points.
+
+    Every occupied voxel is looked at from the nearest few poses; a line ends
+    at the first occupied voxel on its way, so nothing behind a surface is
+    ever called seen.
+
+    Parameters
+    ----------
+    world : (N, 3) float64
+        Points of the epoch.
+    positions : (M, 3) float64
+        Positions of the sensor, in order of time.
+    config : EvidenceConfig
+    """
+    origin = np.floor(world.min(axis=0)) - 2.0 * config.voxel
+    keys, first = np.unique(voxel_keys(voxel_indices(world - origin, config.voxel)), return_index=True)
+    targets = world[first]
+    poses = _spaced(positions, config.pose_spacing)
+    views = min(config.views, len(poses))
+    distance, pose = cKDTree(poses).query(targets, k=views, distance_upper_bound=config.max_range)
+    pairs = np.argwhere(np.isfinite(np.reshape(distance, (len(targets), views))))
+    starts = poses[np.reshape(pose, (len(targets), views))[pairs[:, 0], pairs[:, 1]]]
+    ends = stop_at_surfaces(starts, targets[pairs[:, 0]], keys, origin, config.voxel)
+    return accumulate_visibility(starts, ends, origin, config.voxel)
+
+
+def _spaced(positions: Floats, spacing: float) -> Floats:
+    """Keep one position every ``spacing`` [m] of the way, the first always."""
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
+    _, first = np.unique(np.floor(way / spacing), return_index=True)
+    return positions[first]
+
+
+def _available(survey: SurveyMap) -> Kind:
+    """Name the best evidence that a map carries."""
+    if survey.visibility is not None:
+        return "observed"
+    if survey.trajectory is not None and len(survey.trajectory) > 0:
+        return "trajectory"
+    return "shadow"
+
+
+def make_observer(
+    survey: SurveyMap, config: EvidenceConfig, to_own: Callable[[Floats], Floats] | None = None
+) -> Observer:
+    """Build the observer of one epoch from the best evidence there is, or the one asked for.
+
+    Parameters
+    ----------
+    survey : SurveyMap
+        In its own frame; after :func:`subiaco_change.pair.check_pair` only the
+        visibility layer is still in the original CRS.
+    config : EvidenceConfig
+    to_own : callable, optional
+        See :class:`Observer`; used for the visibility layer alone.
+
+    Raises
+    ------
+    InputError
+        The evidence asked for is not in the map.
+    """
+    kind: Kind = _available(survey) if config.source == "auto" else config.source
+    if kind == "assumed":
+        return Observer("assumed", _Everything())
+    if kind == "observed":
+        if survey.visibility is None:
+            raise InputError("evidence.source=observed: the map has no visibility layer; use auto")
+        return Observer("observed", _Grid(survey.visibility, config.min_beams), to_own)
+    if kind == "trajectory":
+        if survey.trajectory is None or len(survey.trajectory) == 0:
+            raise InputError("evidence.source=trajectory: no trajectory; give --trajectory-before/-after")
+        grid = draw_lines_of_sight(survey.cloud.world(), survey.trajectory.positions, config)
+        return Observer("trajectory", _Grid(grid, 1))
+    index = build_index(survey.cloud.xyz, config.shadow_radius)
+    return Observer("shadow", _Shadow(index, survey.cloud.origin, config.shadow_radius, config.shadow_height))

@@ -1,0 +1,240 @@
+"""Level of detection: how large a displacement must be before it can be told from noise."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Literal
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+
+from subiaco_change.geometry import build_index, column_range, estimate_normals, first_above
+from subiaco_geo.clouds import PointCloud
+from subiaco_geo.config import StrictModel
+from subiaco_geo.errors import InputError
+from subiaco_geo.frames import Floats, Ints
+
+_Z95 = 1.96
+_BUDGET = 1 << 24  # raster cells
+
+
+class LodConfig(StrictModel):
+    """Level of detection (method B7, Decision 4)."""
+
+    radius: float = Field(1.0, gt=0, description="radius of the cylinder along the point's own normal [m]")
+    self_half_length: float = Field(0.5, gt=0, description="cylinder in the own epoch: half length [m]")
+    half_length: float = Field(1.0, gt=0, description="cylinder in the other epoch: half length [m]")
+    min_count: int = Field(8, ge=1, description="points below which nothing is claimed (infinite LoD)")
+    normal_agreement: float = Field(
+        0.5,
+        ge=0,
+        le=1,
+        description="smallest |cosine| of normals of points that count; 0 takes all",
+    )
+    noise: float = Field(0.01, ge=0, description="floor of s / sqrt(N) an epoch: sensor and map noise [m]")
+    combine: Literal["quadrature", "linear"] = Field(
+        "quadrature", description="how sigma_reg joins: quadrature (paper), linear (M3C2)"
+    )
+    normal_radius: float = Field(0.8, gt=0, description="radius of normals where a cloud has none [m]")
+    raster_cell: float = Field(5.0, gt=0, description="cell of the reported raster [m]")
+
+
+@dataclass(frozen=True)
+class LodResult:
+    """Level of detection and displacement at every point of one epoch.
+
+    Parameters
+    ----------
+    lod95 : (N,) float32
+        Level of detection at 95 % [m]; infinite where nothing is claimed.
+    distance : (N,) float32
+        Mean position of the other epoch minus that of the own one along the
+        point's normal [m]; NaN where ``lod95`` is infinite.
+    s_self, s_other : (N,) float32
+        Roughness along the normal [m], NaN without points.
+    n_self, n_other : (N,) int32
+        Points in the cylinder.
+    """
+
+    lod95: NDArray[np.float32]
+    distance: NDArray[np.float32]
+    s_self: NDArray[np.float32]
+    s_other: NDArray[np.float32]
+    n_self: NDArray[np.int32]
+    n_other: NDArray[np.int32]
+
+
+@numba.njit(cache=True)
+def _cylinders(
+    points: Floats, point_normals: Floats, starts: Ints, shape: Ints, corner: Floats, cell: float,
+    queries: Floats, normals: Floats, radius: float, half_length: float, agreement: float,
+) -> tuple[Floats, Floats, Ints]:  # fmt: skip
+    """Mean and variance along the normal, and count, of the points in a cylinder around every query."""
+    n = len(queries)
+    mean, variance, count = np.zeros(n), np.zeros(n), np.zeros(n, np.int64)
+    for q in range(n):
+        x, y, z = queries[q, 0], queries[q, 1], queries[q, 2]
+        a, b, c = normals[q, 0], normals[q, 1], normals[q, 2]
+        if a * a + b * b + c * c < 0.5:
+            continue
+        reach_x = half_length * abs(a) + radius * np.sqrt(max(1.0 - a * a, 0.0))
+        reach_y = half_length * abs(b) + radius * np.sqrt(max(1.0 - b * b, 0.0))
+        reach_z = half_length * abs(c) + radius * np.sqrt(max(1.0 - c * c, 0.0))
+        i0, i1 = column_range(x - reach_x, x + reach_x, corner[0], cell, shape[0])
+        j0, j1 = column_range(y - reach_y, y + reach_y, corner[1], cell, shape[1])
+        total, squares, m = 0.0, 0.0, 0
+        for i in range(i0, i1 + 1):
+            for j in range(j0, j1 + 1):
+                end = starts[i * shape[1] + j + 1]
+                k = first_above(points, starts[i * shape[1] + j], end, z - reach_z)
+                while k < end and points[k, 2] <= z + reach_z:
+                    dx, dy, dz = points[k, 0] - x, points[k, 1] - y, points[k, 2] - z
+                    along = a * dx + b * dy + c * dz
+                    across = dx * dx + dy * dy + dz * dz - along * along
+                    if across <= radius * radius and abs(along) <= half_length:
+                        u, v, w = point_normals[k, 0], point_normals[k, 1], point_normals[k, 2]
+                        if agreement <= 0.0 or abs(a * u + b * v + c * w) >= agreement:
+                            total += along
+                            squares += along * along
+                            m += 1
+                    k += 1
+        count[q] = m
+        if m > 0:
+            mean[q] = total / m
+            variance[q] = max(squares / m - mean[q] * mean[q], 0.0)
+    return mean, variance, count
+
+
+@dataclass(frozen=True)
+class CylinderStats:
+    """Mean [m], standard deviation [m] (population) and count, each (N,), along the normals of queries."""
+
+    mean: Floats
+    std: Floats
+    count: Ints
+
+
+def cylinder_stats(
+    queries: Floats,
+    normals: Floats,
+    points: Floats,
+    point_normals: Floats,
+    radius: float,
+    half_length: float,
+    agreement: float = 0.0,
+) -> CylinderStats:
+    """Measure points (M, 3) in cylinders along the normals (N, 3) of queries (N, 3).
+
+    Parameters
+    ----------
+    queries, normals : (N, 3) float64
+        Axes of the cylinders [m]; a zero normal gives a count of 0.
+    points, point_normals : (M, 3) float64
+    radius, half_length : float
+        Of the cylinders [m].
+    agreement : float
+        Points whose |cosine| to the axis is smaller do not count; 0 takes all.
+    """
+    index = build_index(points, radius)
+    mean, variance, count = _cylinders(
+        index.xyz, np.ascontiguousarray(point_normals[index.order]), index.starts, index.shape, index.corner,
+        index.cell, queries, normals, radius, half_length, agreement,
+    )  # fmt: skip
+    return CylinderStats(mean, np.sqrt(variance), count)
+
+
+def _normals_of(cloud: PointCloud, radius: float) -> Floats:
+    if "normals" in cloud.fields:
+        return np.asarray(cloud.fields["normals"], dtype=np.float64)
+    return estimate_normals(cloud.xyz, radius)
+
+
+def combine(variance: Floats, sigma_reg: Floats | float, how: str) -> Floats:
+    """Join the variance of the mean displacement (N,) [m2] and sigma_reg [m] into LoD95 (N,) [m]."""
+    sigma = np.asarray(sigma_reg, dtype=np.float64)
+    if how == "linear":
+        return _Z95 * (np.sqrt(variance) + sigma)
+    return _Z95 * np.sqrt(variance + sigma**2)
+
+
+def compare_epochs(
+    cloud_self: PointCloud, cloud_other: PointCloud, sigma_reg: Floats | float, config: LodConfig
+) -> LodResult:
+    """Measure displacement and level of detection at every point of one epoch.
+
+    Parameters
+    ----------
+    cloud_self, cloud_other : PointCloud
+        Both in the frame of *after*, about one origin; normals are estimated
+        where the field is missing.
+    sigma_reg : float or (N,) float64
+        Registration uncertainty [m], one value or one a point of ``cloud_self``.
+    config : LodConfig
+
+    Notes
+    -----
+    ``LoD95 = 1.96 sqrt(s1^2/N1 + s2^2/N2 + sigma_reg^2)`` (method B7), with s
+    and N of the point's own cylinder and each ``s^2/N`` not below ``noise^2``
+    (Decision 4).
+    """
+    if not np.array_equal(cloud_self.origin, cloud_other.origin):
+        raise InputError("the two clouds have different origins; rebase them to one first")
+    normals = _normals_of(cloud_self, config.normal_radius)
+    own = cylinder_stats(
+        cloud_self.xyz, normals, cloud_self.xyz, normals, config.radius, config.self_half_length,
+        config.normal_agreement,
+    )  # fmt: skip
+    other = cylinder_stats(
+        cloud_self.xyz, normals, cloud_other.xyz, _normals_of(cloud_other, config.normal_radius),
+        config.radius, config.half_length, config.normal_agreement,
+    )  # fmt: skip
+    variance = sum(np.maximum(s.std**2 / np.maximum(s.count, 1), config.noise**2) for s in (own, other))
+    known = (own.count >= config.min_count) & (other.count >= config.min_count)
+    lod = np.where(known, combine(np.asarray(variance), sigma_reg, config.combine), np.inf)
+    distance = np.where(known, other.mean - own.mean, np.nan)
+    s_self, s_other = (np.where(s.count > 0, s.std, np.nan).astype(np.float32) for s in (own, other))
+    return LodResult(
+        lod.astype(np.float32), distance.astype(np.float32), s_self, s_other,
+        own.count.astype(np.int32), other.count.astype(np.int32),
+    )  # fmt: skip
+
+
+def level_of_detection(
+    cloud_self: PointCloud, cloud_other: PointCloud, sigma_reg: Floats | float, config: LodConfig
+) -> NDArray[np.float32]:
+    """Return LoD95 (N,) [m] at the points of one epoch; see :func:`compare_epochs`."""
+    return compare_epochs(cloud_self, cloud_other, sigma_reg, config).lod95
+
+
+@dataclass(frozen=True)
+class LodRaster:
+    """LoD95 on a grid, row 0 in the north; infinite where nothing is claimed.
+
+    ``west`` and ``north`` are world coordinates of the outer corner [m].
+    """
+
+    lod95: NDArray[np.float32]
+    west: float
+    north: float
+    cell: float
+
+
+def lod_raster(cloud: PointCloud, lod95: NDArray[np.float32], config: LodConfig) -> LodRaster:
+    """Reduce per-point LoD95 (N,) to the median of the finite values in each cell."""
+    cell = config.raster_cell
+    xy = cloud.world()[:, :2]
+    low, high = np.floor(xy.min(axis=0) / cell), np.floor(xy.max(axis=0) / cell) + 1
+    columns, rows = (high - low).astype(int)
+    if rows * columns > _BUDGET:
+        raise InputError(f"a LoD raster of {rows} x {columns} cells is too large; raise lod.raster_cell")
+    raster = np.full(rows * columns, np.inf, dtype=np.float32)
+    finite = np.flatnonzero(np.isfinite(lod95))
+    ij = np.floor(xy[finite] / cell) - low
+    place = ((rows - 1 - ij[:, 1]) * columns + ij[:, 0]).astype(np.int64)
+    order = np.lexsort((lod95[finite], place))
+    cells, first, count = np.unique(place[order], return_index=True, return_counts=True)
+    values = lod95[finite][order]
+    raster[cells] = 0.5 * (values[first + (count - 1) // 2] + values[first + count // 2])
+    return LodRaster(raster.reshape(rows, columns), float(low[0] * cell), float(high[1] * cell), cell)
