@@ -57,7 +57,12 @@ find_python() {
     return 1
 }
 
-has_library() { { ldconfig -p 2>/dev/null || /sbin/ldconfig -p; } | grep -q "[[:space:]]$1 "; }
+# No pipe into `grep -q`: it stops reading early, and under pipefail the broken pipe reads as "missing".
+has_library() {
+    local known
+    known="$(ldconfig -p 2>/dev/null || /sbin/ldconfig -p)"
+    [[ "$known" == *[[:space:]]"$1 "* ]]
+}
 
 # Debian package names of what is missing, one a line.
 missing_system_packages() {
@@ -83,7 +88,7 @@ require_system_packages() {
     local -a missing
     mapfile -t missing < <(missing_system_packages "$(find_python || true)")
     [ "${#missing[@]}" -eq 0 ] && return
-    local line="apt-get install -y --no-install-recommends ${missing[*]}"
+    local line="apt-get install -y --no-install-recommends --no-upgrade ${missing[*]}"
     say "missing system packages: ${missing[*]}"
     command -v apt-get >/dev/null || fail "install the equivalent of: $line"
     [ "$(id -u)" -eq 0 ] || fail "run this, then again what you ran: sudo $line"
@@ -103,7 +108,7 @@ venv_stamp() {
 # A venv is kept when it is whole, runs, sits where it was made and has the asked-for interpreter.
 venv_is_sound() {
     [ ! -e "$VENV/.installing" ] && usable_python "$VENV/bin/python" &&
-        head -n 1 "$VENV/bin/pip" 2>/dev/null | grep -q "$VENV/bin/python" || return 1
+        [[ "$(head -n 3 "$VENV/bin/pip" 2>/dev/null)" == *"$VENV/bin/python"* ]] || return 1
     [ -z "${PYTHON:-}" ] || [ "$(minor_version "$PYTHON")" = "$(minor_version "$VENV/bin/python")" ]
 }
 

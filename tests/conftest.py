@@ -10,6 +10,10 @@ from hypothesis import HealthCheck, settings
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 
+# A ROS domain for each session, so that tests running side by side do not hear each other. Domains 1 to 101
+# keep clear of the ephemeral ports.
+os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 101))
+
 # Same examples on every run; what takes long on a busy machine is not a failure.
 settings.register_profile(
     "subiaco", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]

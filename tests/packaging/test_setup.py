@@ -93,12 +93,36 @@ def test_missing_libraries_are_named_as_debian_packages() -> None:
     assert {"libegl1", "libusb-1.0-0", "libgomp1", "python3-venv"} <= set(names)
 
 
+def test_a_library_early_in_a_long_list_is_found() -> None:
+    listing = 'ldconfig() { printf "\\tlibGL.so.1 (libc6) => /x\\n%.0s" {1..20000}; }'
+    assert bash(f"{listing}; has_library libGL.so.1").returncode == 0
+    assert bash(f"{listing}; has_library libGL.so").returncode == 1
+
+
 def test_who_is_not_root_gets_the_exact_line() -> None:
     command = "missing_system_packages() { echo libegl1; }; apt-get() { echo called; }; id() { echo 1000; }"
     result = bash(f"{command}; require_system_packages")
     assert result.returncode == 1
-    assert "sudo apt-get install -y --no-install-recommends libegl1" in result.stderr
+    assert "sudo apt-get install -y --no-install-recommends --no-upgrade libegl1" in result.stderr
     assert "called" not in result.stdout
+
+
+@pytest.mark.parametrize(
+    ("damage", "sound"),
+    [
+        ("true", True),
+        ("touch $VENV/.installing", False),
+        ("rm $VENV/bin/python", False),
+        ("VENV=$VENV/../moved", False),
+    ],
+)
+def test_a_venv_is_kept_only_when_whole_and_in_its_place(tmp_path: Path, damage: str, sound: bool) -> None:
+    (tmp_path / "venv/bin").mkdir(parents=True)
+    (tmp_path / "moved").symlink_to("venv")
+    fake_python(tmp_path / "venv/bin", "python", "3.11")
+    (tmp_path / "venv/bin/pip").write_text(f"#!{tmp_path}/venv/bin/python\n", encoding="utf-8")
+    result = bash(f"VENV={tmp_path}/venv; {damage}; venv_is_sound")
+    assert (result.returncode == 0) is sound
 
 
 def test_an_apt_ros_is_used_and_what_it_has_is_not_built_again(tmp_path: Path) -> None:
