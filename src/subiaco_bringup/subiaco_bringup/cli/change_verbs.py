@@ -6,6 +6,7 @@ from collections import Counter
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 from subiaco_geo.config import load_config
 from subiaco_geo.errors import InputError
@@ -52,23 +53,16 @@ def change(
     Example: subiaco change out/before out/after -o out/change
     """
     from subiaco_change.config import ChangeConfig
-    from subiaco_change.job import change_job
+    from subiaco_change.job import ChangeJob, read_transform, run_change
 
     set_up_logging(verbose, quiet)
+    if registration not in (None, "identity"):
+        raise InputError(f"--registration {registration}: only 'identity' is known; leave it out to register")
+    given = np.eye(4) if registration else None if transform is None else read_transform(transform)
     model = load_config(ChangeConfig, config_files("change", tuple(config or ())), settings or [])
+    job = ChangeJob(before, after, output, trajectory_before, trajectory_after, given, overwrite)
     with Progress(quiet=quiet) as progress:
-        result = change_job(
-            before,
-            after,
-            output,
-            model,
-            progress,
-            trajectory_before=trajectory_before,
-            trajectory_after=trajectory_after,
-            transform=transform,
-            registration=registration,
-            overwrite=overwrite,
-        )
+        result = run_change(job, model, progress)
     counts = Counter(record.change.label for record in result.records)
     listed = ", ".join(f"{count} {label}" for label, count in sorted(counts.items()))
     say(f"changes: {output} ({listed or 'no objects'}); open {output / 'report.html'}", quiet=quiet)
@@ -86,7 +80,7 @@ def evaluate(
     Example: subiaco evaluate out/change bags/demo -o out/evaluation
     """
     from subiaco_change.evaluation import evaluate as score
-    from subiaco_change.evaluation import summary, write_evaluation
+    from subiaco_change.evaluation_report import evaluation_markdown, write_evaluation
 
     set_up_logging(verbose, quiet)
     if len(pairs) % 2:
@@ -97,7 +91,7 @@ def evaluate(
     if as_json:
         print_json(result)
     else:
-        typer.echo(summary(result))
+        typer.echo(evaluation_markdown(result))
 
 
 def report(

@@ -1,0 +1,87 @@
+"""The change job from two paths to a change directory: what the command and the node both run."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from subiaco_geo.atomic import refuse_existing
+from subiaco_geo.errors import InputError
+from subiaco_geo.frames import Floats
+from subiaco_geo.maps import load_epoch
+
+from subiaco_change.config import ChangeConfig
+from subiaco_change.outputs import ChangeInputs, write_change_directory
+from subiaco_change.pipeline import detect_changes
+from subiaco_change.records import ChangeResult
+
+
+@dataclass(frozen=True)
+class ChangeJob:
+    """What to compare, and where the result goes.
+
+    Parameters
+    ----------
+    before, after : Path
+        Map directories or bare clouds.
+    output : Path
+        Change directory to write.
+    trajectory_before, trajectory_after : Path, optional
+        TUM files that go with bare clouds.
+    transform : (4, 4) float64, optional
+        Given ``T_after_before`` in world coordinates; identity says that the
+        epochs are registered already.
+    overwrite : bool
+    """
+
+    before: Path
+    after: Path
+    output: Path
+    trajectory_before: Path | None = None
+    trajectory_after: Path | None = None
+    transform: Floats | None = None
+    overwrite: bool = False
+
+
+def read_transform(path: Path) -> Floats:
+    """Read a 4x4 from text (four rows of four numbers) or from ``registration.json``.
+
+    Raises
+    ------
+    InputError
+        The file holds neither.
+    """
+    try:
+        if path.suffix == ".json":
+            values = np.array(json.loads(path.read_text())["T_after_before"], dtype=np.float64)
+        else:
+            values = np.loadtxt(path, dtype=np.float64)
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise InputError(f"{path}: no transform could be read ({error}); give four rows of four numbers") from error
+    if values.shape != (4, 4):
+        raise InputError(f"{path}: expected a 4x4 transform, found shape {values.shape}")
+    return values
+
+
+def run_change(
+    job: ChangeJob, config: ChangeConfig, progress: Callable[[str, float], None] | None = None
+) -> ChangeResult:
+    """Load two epochs, find what changed, write the change directory.
+
+    Raises
+    ------
+    InputError, RegistrationError
+        Nothing is left under ``job.output`` then.
+    """
+    refuse_existing(job.output, job.overwrite)
+    before = load_epoch(job.before, job.trajectory_before)
+    after = load_epoch(job.after, job.trajectory_after)
+    result = detect_changes(before, after, config, progress, transform=job.transform)
+    if progress is not None:
+        progress("writing", 0.97)
+    inputs = ChangeInputs(job.before, job.after)
+    write_change_directory(job.output, result, config, inputs, overwrite=job.overwrite)
+    return result
