@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections import deque
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from typing import Any
 
 from subiaco_geo.errors import InputError
 from subiaco_mapping.config import MappingConfig
@@ -92,6 +93,15 @@ class OdometryFrontend:
         if self._decoder is not None:
             self._waiting.extend(self._decoder.flush())
         return self._drain(force=True)
+
+    def facts(self) -> dict[str, Any]:
+        """Return what the manifest notes about the stream; plain values."""
+        return {
+            "packets": asdict(self.counts),
+            "dropped_scans": self.dropped_scans,
+            "imu_out_of_order": self._deskewer.out_of_order,
+            "gyro_bias": self._deskewer.gyro_bias.round(6).tolist(),
+        }
 
     def _enqueue(self, scans: list[Scan]) -> list[FrontendOutput]:
         for scan in scans:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import logging
 import tempfile
 from collections.abc import Callable, Sequence
-from dataclasses import asdict
 from pathlib import Path
 
 from subiaco_geo.bags import BagReader, hash_bag, packet_from_cdr, require_topic
@@ -93,12 +92,7 @@ def run_sequence(reader: BagReader, backend: MappingBackend, config: MappingConf
             shown = percent
             progress(f"odometry {name}", percent / 100)
     feed(frontend.finish())
-    backend.add_facts(
-        packets=asdict(frontend.counts),
-        dropped_scans=frontend.dropped_scans,
-        imu_out_of_order=frontend.deskewer.out_of_order,
-        gyro_bias=frontend.deskewer.gyro_bias.round(6).tolist(),
-    )
+    backend.add_facts(**frontend.facts())
 
 
 def map_survey(
