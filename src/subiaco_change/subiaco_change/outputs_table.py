@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import sqlite3
+import warnings
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -191,7 +192,9 @@ def write_geopackage(path: Path, table: gpd.GeoDataFrame) -> None:
     """Write layers ``objects`` and ``ground``, with styles that QGIS applies by itself."""
     is_ground = table["class"] == Semantic.GROUND.label
     for layer, rows in (("objects", table[~is_ground]), ("ground", table[is_ground])):
-        rows.to_file(path, layer=layer, driver="GPKG", engine="pyogrio", geometry_type="MultiPolygon")
+        with warnings.catch_warnings():  # a local map has no CRS, and says so elsewhere
+            warnings.filterwarnings("ignore", message="'crs' was not provided")
+            rows.to_file(path, layer=layer, driver="GPKG", engine="pyogrio", geometry_type="MultiPolygon")
     embed_styles(path, ("objects", "ground"))
 
 

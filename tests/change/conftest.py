@@ -1,0 +1,33 @@
+"""Scenes shared by the tests of the change room."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+sys.path.insert(0, str(Path(__file__).parent))  # the made-up scenes beside the tests
+
+from result_scene import SceneConfig, scene_result
+
+from subiaco_change import outputs
+from subiaco_change.outputs import ChangeInputs, write_change_directory
+
+
+@pytest.fixture(scope="session")
+def result():
+    """A made-up change result with every label."""
+    return scene_result()
+
+
+@pytest.fixture(scope="session")
+def change_directory(tmp_path_factory, result):
+    """The directory written from it, with its report."""
+    target = tmp_path_factory.mktemp("change") / "out"
+    write_change_directory(target, result, SceneConfig(), ChangeInputs())
+    return target
+
+
+@pytest.fixture
+def cheap_report(monkeypatch):
+    """Leave the pictures out where a test is about something else."""
+    monkeypatch.setattr(outputs, "build_report", lambda directory: directory / "report.html")
