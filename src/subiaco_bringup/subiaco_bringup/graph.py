@@ -1,0 +1,186 @@
+"""The node graphs, described once: launch files and our supervisor both read them from here."""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+import tempfile
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from subiaco_geo.atomic import whole_file
+from subiaco_geo.config import merge, parse_setting, read_parameters
+from subiaco_geo.errors import InputError
+
+
+@dataclass(frozen=True)
+class NodeSpec:
+    """One process of a graph.
+
+    Parameters
+    ----------
+    name : str
+        Node name.
+    package, executable : str
+        As ``ros2 run`` takes them; the module is ``PACKAGE.nodes.EXECUTABLE``.
+    parameters : mapping
+        Nested parameters, configuration and the node's own alike.
+    remappings : tuple of (from, to)
+    principal : bool
+        The job is done when this node has ended.
+    """
+
+    name: str
+    package: str
+    executable: str
+    parameters: Mapping[str, Any]
+    remappings: tuple[tuple[str, str], ...] = ()
+    principal: bool = False
+
+    def arguments(self) -> list[str]:
+        """Return the arguments after the executable; the parameters go into a file."""
+        words = ["--ros-args", "-r", f"__node:={self.name}"]
+        for source, target in self.remappings:
+            words += ["-r", f"{source}:={target}"]
+        return [*words, "--params-file", str(parameter_file(self.parameters))]
+
+
+@dataclass(frozen=True)
+class GraphSpec:
+    """The processes of one job."""
+
+    name: str
+    nodes: tuple[NodeSpec, ...]
+
+
+def ros_value(name: str, value: Any) -> Any:
+    """Return a value in a form that ROS parameters can hold, None where it has to be left out.
+
+    ROS lists hold one type, so whole numbers among fractions become fractions.
+    """
+    if value is None or value in ([], ()):
+        return None
+    if isinstance(value, Mapping):
+        return ros_parameters(value, name) or None
+    if isinstance(value, (list, tuple)):
+        if any(isinstance(item, (list, tuple, Mapping)) for item in value):
+            raise InputError(
+                f"{name}: a list of lists cannot be a ROS parameter; give it in the in-process verbs"
+            )
+        kinds = {type(item) for item in value}
+        return [float(item) for item in value] if kinds == {int, float} else list(value)
+    return str(value) if isinstance(value, Path) else value
+
+
+def ros_parameters(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Return nested parameters without what ROS cannot hold (nothing, empty lists)."""
+    pairs = ((key, ros_value(f"{prefix}.{key}".lstrip("."), value)) for key, value in values.items())
+    return {key: value for key, value in pairs if value is not None}
+
+
+def parameter_file(parameters: Mapping[str, Any]) -> Path:
+    """Write parameters in ROS form; equal parameters give the same file."""
+    document = {"/**": {"ros__parameters": ros_parameters(parameters)}}
+    text = yaml.safe_dump(document, sort_keys=True)
+    name = hashlib.sha256(text.encode()).hexdigest()[:16]
+    path = Path(tempfile.gettempdir()) / f"subiaco-parameters-{os.getuid()}" / f"{name}.yaml"
+    if not path.is_file():
+        with whole_file(path) as partial:
+            partial.write_text(text)
+    return path
+
+
+def merged_config(files: Iterable[Path], settings: Iterable[str]) -> dict[str, Any]:
+    """Merge configuration files and ``key=value`` settings as the command line does."""
+    values: dict[str, Any] = {}
+    for path in files:
+        values = merge(values, read_parameters(Path(path)))
+    for setting in settings:
+        values = merge(values, parse_setting(setting))
+    return values
+
+
+def mapping_nodes(
+    config: Mapping[str, Any], output: Path | None, bags: Sequence[str], *, overwrite: bool
+) -> tuple[NodeSpec, ...]:
+    """Return odometry and pose graph; with bags they use the replay's clock and end with it."""
+    replayed = bool(bags)
+    common = {**config, "use_sim_time": replayed, "exit_at_end": replayed}
+    odometry = NodeSpec(
+        "odometry",
+        "subiaco_mapping",
+        "odometry_node",
+        {**common, "consumers": ["pose_graph"] if replayed else []},
+    )
+    directory = {} if output is None else {"output_directory": str(Path(output).resolve())}
+    pose_graph = NodeSpec(
+        "pose_graph",
+        "subiaco_mapping",
+        "pose_graph_node",
+        {**common, **directory, "bags": list(bags), "overwrite": overwrite},
+        principal=True,
+    )
+    return odometry, pose_graph
+
+
+def mapping_graph(
+    bags: Sequence[Path],
+    output: Path | None,
+    config_files: Iterable[Path] = (),
+    settings: Iterable[str] = (),
+    *,
+    rate: float = 0.0,
+    overwrite: bool = False,
+) -> GraphSpec:
+    """Describe the replay of bags through odometry and pose graph into a map directory."""
+    config = merged_config(config_files, settings)
+    paths = [str(Path(bag).resolve()) for bag in bags]
+    consumers = mapping_nodes(config, output, paths, overwrite=overwrite)
+    replay = NodeSpec(
+        "replay",
+        "subiaco_mapping",
+        "replay_node",
+        {
+            "bags": paths,
+            "consumers": [node.name for node in consumers],
+            "rate": float(rate),
+        },
+    )
+    return GraphSpec("mapping", (replay, *consumers))
+
+
+def change_graph(
+    before: Path,
+    after: Path,
+    output: Path,
+    config_files: Iterable[Path] = (),
+    settings: Iterable[str] = (),
+    *,
+    overwrite: bool = False,
+) -> GraphSpec:
+    """Describe the comparison of two maps into a change directory."""
+    parameters = {
+        **merged_config(config_files, settings),
+        "before": str(Path(before).resolve()),
+        "after": str(Path(after).resolve()),
+        "output": str(Path(output).resolve()),
+        "overwrite": overwrite,
+        "exit_at_end": True,
+    }
+    node = NodeSpec("change", "subiaco_change", "change_node", parameters, principal=True)
+    return GraphSpec("change", (node,))
+
+
+def command_lines(graph: GraphSpec) -> list[list[str]]:
+    """Return ``[package, executable, *arguments]`` of every process."""
+    return [[node.package, node.executable, *node.arguments()] for node in graph.nodes]
+
+
+def process_command(node: NodeSpec) -> list[str]:
+    """Return the command that starts a node with this interpreter, no ``ros2`` tools needed."""
+    return [sys.executable, "-m", f"{node.package}.nodes.{node.executable}", *node.arguments()]

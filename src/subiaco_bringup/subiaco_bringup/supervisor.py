@@ -1,0 +1,222 @@
+"""Start the processes of a graph, show what they say, notice who fails, leave nothing running."""
+
+from __future__ import annotations
+
+import logging
+import re
+import signal
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
+from types import FrameType
+
+from subiaco_bringup.graph import GraphSpec, NodeSpec, process_command
+from subiaco_geo.errors import InputError, RegistrationError, SubiacoError
+
+LOGGER = logging.getLogger(__name__)
+
+Report = Callable[[str, float], None]
+
+_PROGRESS = re.compile(r"progress: (.+) (\d+) %$")
+_LEVEL = re.compile(r"^\[(DEBUG|INFO|WARN|ERROR|FATAL)\] ?(.*)$")
+_LEVELS = {
+    "DEBUG": logging.DEBUG,
+    "INFO": logging.INFO,
+    "WARN": logging.WARNING,
+    "ERROR": logging.ERROR,
+    "FATAL": logging.DEBUG,  # raised as the error of the job instead
+}
+_POLL = 0.05
+INTERRUPTED = 130
+
+
+class NodeProcess:
+    """One running node and what it says.
+
+    Parameters
+    ----------
+    spec : NodeSpec
+    environment : mapping
+    progress : callable, optional
+        Told ``(stage, fraction)`` from the node's progress lines.
+    """
+
+    def __init__(self, spec: NodeSpec, environment: Mapping[str, str], progress: Report | None) -> None:
+        self.spec = spec
+        self.fatal = ""
+        self._tail: list[str] = []
+        self._progress = progress
+        self._process = subprocess.Popen(
+            process_command(spec),
+            env=dict(environment),
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            errors="replace",
+            start_new_session=True,
+        )
+        self._reader = threading.Thread(target=self._read, name=f"log of {spec.name}", daemon=True)
+        self._reader.start()
+
+    @property
+    def code(self) -> int | None:
+        """Exit code, negative for a signal, None while it runs."""
+        return self._process.poll()
+
+    @property
+    def tail(self) -> str:
+        """The last lines, for a crash."""
+        return "\n".join(self._tail)
+
+    def send(self, number: signal.Signals) -> None:
+        """Send a signal, if it still runs."""
+        if self.code is None:
+            self._process.send_signal(number)
+
+    def finish_reading(self) -> None:
+        """Wait until everything said has been taken in."""
+        self._reader.join(timeout=2.0)
+
+    def _read(self) -> None:
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            self._take(line.rstrip("\n"))
+
+    def _take(self, line: str) -> None:
+        progress = _PROGRESS.search(line)
+        if progress is not None:
+            if self._progress is not None:
+                self._progress(progress[1], int(progress[2]) / 100.0)
+            return
+        self._tail = [*self._tail[-19:], line]
+        match = _LEVEL.match(line)
+        level, text = (match[1], match[2]) if match else ("INFO", line)
+        if level == "FATAL":
+            self.fatal = text
+        LOGGER.log(_LEVELS[level], "[%s] %s", self.spec.name, text)
+
+
+def failure(process: NodeProcess) -> SubiacoError:
+    """Turn how a node ended into the error of the job, with the exit code of the contract."""
+    process.finish_reading()
+    code = process.code
+    if code == InputError.exit_code:
+        return InputError(process.fatal or f"{process.spec.name}: bad input")
+    if code == RegistrationError.exit_code:
+        return RegistrationError(process.fatal or f"{process.spec.name}: registration failed")
+    if process.fatal:
+        return SubiacoError(process.fatal)
+    if code is not None and code < 0:
+        how = f"was killed by {signal.Signals(-code).name}"
+    else:
+        how = f"crashed (exit code {code})"
+    LOGGER.debug("last lines of %s:\n%s", process.spec.name, process.tail)
+    last = process.tail.splitlines()[-1:] or ["it said nothing"]
+    return SubiacoError(f"node {process.spec.name} {how}: {last[0]}")
+
+
+def _interrupt(_number: int, _frame: FrameType | None) -> None:
+    raise KeyboardInterrupt
+
+
+@contextmanager
+def _sigterm_interrupts() -> Iterator[None]:
+    """Let SIGTERM end a job as Ctrl-C does, so that no node is left behind."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    before = signal.signal(signal.SIGTERM, _interrupt)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, before)
+
+
+class Supervisor:
+    """Run one graph to its end.
+
+    Parameters
+    ----------
+    graph : GraphSpec
+    environment : mapping
+        See :func:`subiaco_bringup.environment.node_environment`.
+    progress : callable, optional
+    grace : float
+        Seconds that a node gets to end after SIGINT, and again after SIGTERM.
+    linger : float
+        Seconds that the others get to end after the principal node.
+    """
+
+    def __init__(
+        self,
+        graph: GraphSpec,
+        environment: Mapping[str, str],
+        progress: Report | None = None,
+        grace: float = 10.0,
+        linger: float = 20.0,
+    ) -> None:
+        self._graph = graph
+        self._environment = environment
+        self._progress = progress
+        self._grace = grace
+        self._linger = linger
+        self.processes: list[NodeProcess] = []
+
+    def run(self) -> None:
+        """Start every node, wait for the end, and leave nothing running.
+
+        Raises
+        ------
+        SubiacoError
+            A node failed: InputError, RegistrationError or a fault, as its exit code says.
+        KeyboardInterrupt
+            Interrupted from outside, or a node was.
+        """
+        with _sigterm_interrupts():
+            try:
+                for spec in self._graph.nodes:
+                    self.processes.append(NodeProcess(spec, self._environment, self._progress))
+                self._wait()
+            finally:
+                self._stop()
+
+    def _wait(self) -> None:
+        deadline: float | None = None
+        while any(process.code is None for process in self.processes):
+            self._check()
+            if deadline is None and self._principal_done():
+                deadline = time.monotonic() + self._linger
+            if deadline is not None and time.monotonic() > deadline:
+                return
+            time.sleep(_POLL)
+        self._check()
+
+    def _principal_done(self) -> bool:
+        return any(process.spec.principal and process.code == 0 for process in self.processes)
+
+    def _check(self) -> None:
+        failed = [process for process in self.processes if process.code not in (None, 0)]
+        if not failed:
+            return
+        if all(process.code == INTERRUPTED for process in failed):
+            raise KeyboardInterrupt
+        raise failure(next(process for process in failed if process.code != INTERRUPTED))
+
+    def _stop(self) -> None:
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
+            running = [process for process in self.processes if process.code is None]
+            if not running:
+                break
+            for process in running:
+                process.send(number)
+            self._await_end(running)
+        for process in self.processes:
+            process.finish_reading()
+
+    def _await_end(self, running: list[NodeProcess]) -> None:
+        deadline = time.monotonic() + self._grace
+        while any(process.code is None for process in running) and time.monotonic() < deadline:
+            time.sleep(_POLL)

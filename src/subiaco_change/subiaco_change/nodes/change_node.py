@@ -1,0 +1,219 @@
+"""Node: compare two maps on request, publish clouds, table and markers."""
+
+from __future__ import annotations
+
+import logging
+import sys
+from collections.abc import Generator, Sequence
+from pathlib import Path
+from typing import Any
+
+from pydantic import Field
+from rclpy.action import ActionServer, CancelResponse, GoalResponse
+from rclpy.node import Node
+from sensor_msgs.msg import NavSatFix, PointCloud2
+from visualization_msgs.msg import MarkerArray
+
+from subiaco_change.config import ChangeConfig
+from subiaco_change.nodes.job import Detect, Job, JobCancelledError, Outcome, Report, Request
+from subiaco_change.nodes.messages import change_cloud_message, marker_message, table_message
+from subiaco_geo.config import StrictModel
+from subiaco_geo.errors import InputError, SubiacoError
+from subiaco_mapping.nodes.frame import frame_at_origin
+from subiaco_mapping.nodes.messages import origin_message
+from subiaco_mapping.nodes.runtime import (
+    App,
+    Diagnostics,
+    ProgressLog,
+    latched,
+    read_models,
+    run_node,
+    wait_until_received,
+)
+from subiaco_msgs.action import DetectChanges
+from subiaco_msgs.msg import ChangeTable
+
+LOGGER = logging.getLogger(__name__)
+
+POLL = 0.1
+
+
+class ChangeParameters(StrictModel):
+    """Parameters of the change node; everything else is the change configuration."""
+
+    before: str = Field(
+        "", description="map to compare at start, with after and output; empty waits for goals"
+    )
+    after: str = Field("", description="the later map")
+    output: str = Field("", description="change directory to write")
+    overwrite: bool = Field(False, description="replace an existing change directory")
+    map_frame: str = Field("map", description="frame of the published clouds")
+    exit_at_end: bool = Field(False, description="end when the comparison given by parameters is done")
+
+    def request(self) -> Request | None:
+        """Return the comparison that the parameters ask for, if they do."""
+        given = (self.before, self.after, self.output)
+        if not any(given):
+            return None
+        if not all(given):
+            raise InputError("change node: parameters before, after and output go together; one is missing")
+        return Request(Path(self.before), Path(self.after), Path(self.output), self.overwrite)
+
+
+class _NextSpin:
+    """Awaited by a coroutine to hand control back to the executor once."""
+
+    def __await__(self) -> Generator[None, None, None]:
+        yield
+
+
+class ChangeApp:
+    """Take goals, run them one at a time, publish the results.
+
+    Parameters
+    ----------
+    node : Node
+    own : ChangeParameters
+    detect : callable
+        The library step: request and report to outcome.
+    """
+
+    def __init__(self, node: Node, own: ChangeParameters, detect: Detect) -> None:
+        self._own = own
+        self._detect = detect
+        self._request = own.request()
+        self._job: Job | None = None
+        self._own_job: Job | None = None
+        self._finished = False
+        self._progress = ProgressLog(node)
+        self._diagnostics = Diagnostics(node)
+        self._publishers = {
+            name: node.create_publisher(kind, name, latched(1))
+            for name, kind in {
+                "change/before": PointCloud2,
+                "change/after": PointCloud2,
+                "change/table": ChangeTable,
+                "change/markers": MarkerArray,
+                "map/origin": NavSatFix,
+            }.items()
+        }
+        self._server = ActionServer(
+            node,
+            DetectChanges,
+            "change/detect",
+            execute_callback=self._execute,
+            goal_callback=self._on_goal,
+            cancel_callback=lambda _goal: CancelResponse.ACCEPT,
+        )
+
+    @property
+    def done(self) -> bool:
+        """Whether the comparison given by parameters is done and the node need not stay."""
+        return self._finished and self._own.exit_at_end
+
+    def step(self) -> float:
+        """Start and watch the comparison given by parameters."""
+        if self._request is not None:
+            self._job = self._own_job = Job(self._request, self._detect)
+            self._request = None
+        elif self._own_job is not None:
+            self._watch(self._own_job)
+        return POLL
+
+    def _watch(self, job: Job) -> None:
+        self._progress(job.stage, job.fraction)
+        if not job.finished:
+            return
+        self._job = self._own_job = None
+        self._publish(job.get(), job.request.output)
+        self._finished = True
+        if self._own.exit_at_end:
+            wait_until_received(self._publishers.values())
+
+    def _on_goal(self, _goal: Any) -> GoalResponse:
+        if self._job is None and self._request is None:
+            return GoalResponse.ACCEPT
+        LOGGER.warning("a comparison is running; the new goal was rejected")
+        return GoalResponse.REJECT
+
+    async def _execute(self, handle: Any) -> DetectChanges.Result:
+        goal = handle.request
+        request = Request(Path(goal.before), Path(goal.after), Path(goal.output), goal.overwrite)
+        job = self._job = Job(request, self._detect)
+        while not job.finished:
+            if handle.is_cancel_requested:
+                job.cancel()
+            handle.publish_feedback(DetectChanges.Feedback(stage=job.stage, fraction=float(job.fraction)))
+            self._progress(job.stage, job.fraction)
+            await _NextSpin()
+        self._job = None
+        return self._conclude(handle, job)
+
+    def _conclude(self, handle: Any, job: Job) -> DetectChanges.Result:
+        try:
+            table = self._publish(job.get(), job.request.output)
+        except JobCancelledError:
+            handle.canceled()
+            return DetectChanges.Result(success=False, message="cancelled; nothing was written")
+        except SubiacoError as error:
+            LOGGER.error("%s", error)
+            handle.abort()
+            return DetectChanges.Result(success=False, message=str(error))
+        handle.succeed()
+        return DetectChanges.Result(success=True, message=str(job.request.output), table=table)
+
+    def _publish(self, outcome: Outcome, directory: Path) -> ChangeTable:
+        result, end_ns, frame_id = outcome.result, outcome.end_ns, self._own.map_frame
+        frame = frame_at_origin(result.after)
+        send = {name: publisher.publish for name, publisher in self._publishers.items()}
+        if frame.enu is not None:
+            enu = frame.enu
+            send["map/origin"](origin_message(enu.latitude_deg, enu.longitude_deg, enu.height, frame_id))
+        send["change/before"](change_cloud_message(result.before, frame, frame_id, end_ns))
+        send["change/after"](change_cloud_message(result.after, frame, frame_id, end_ns))
+        send["change/markers"](marker_message(result, frame, frame_id, end_ns))
+        table = table_message(result, directory, end_ns, frame_id)
+        send["change/table"](table)
+        counts = dict(zip(table.labels, table.counts, strict=True))
+        self._diagnostics.report("compared", counts)
+        LOGGER.info(
+            "%d objects: %s", len(table.records), ", ".join(f"{n} {label}" for label, n in counts.items())
+        )
+        return table
+
+
+def make_detect(config: ChangeConfig) -> Detect:
+    """Bind the library's steps to a configuration."""
+
+    def detect(request: Request, report: Report) -> Outcome:
+        from subiaco_change.outputs import ChangeInputs, write_change_directory
+        from subiaco_change.pipeline import detect_changes
+        from subiaco_geo.atomic import refuse_existing
+        from subiaco_geo.maps import load_epoch
+
+        refuse_existing(request.output, request.overwrite)
+        report("reading maps", 0.0)
+        before, after = load_epoch(request.before), load_epoch(request.after)
+        result = detect_changes(before, after, config, report)
+        report("writing", 0.95)
+        inputs = ChangeInputs(before=request.before, after=request.after)
+        write_change_directory(request.output, result, config, inputs, overwrite=request.overwrite)
+        end_ns = 0 if after.trajectory is None else int(after.trajectory.times_ns[-1])
+        return Outcome(result, end_ns)
+
+    return detect
+
+
+def build(node: Node) -> App:
+    """Put the node together from its parameters."""
+    own, config = read_models(node, ChangeParameters, ChangeConfig)
+    return ChangeApp(node, own, make_detect(config))
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the node."""
+    return run_node("change", build, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,86 @@
+"""A change job in a thread of its own, so that the node goes on answering."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+from subiaco_change.records import ChangeResult
+from subiaco_geo.errors import InputError, SubiacoError
+
+Report = Callable[[str, float], None]
+
+
+@dataclass(frozen=True)
+class Request:
+    """What to compare, and where the result goes."""
+
+    before: Path
+    after: Path
+    output: Path
+    overwrite: bool
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a change job leaves: the result, and when the later survey ended (0 where unknown)."""
+
+    result: ChangeResult
+    end_ns: int
+
+
+#: The step that the node wraps; it raises SubiacoError, and lets what ``report`` raises pass.
+Detect = Callable[[Request, Report], Outcome]
+
+
+class JobCancelledError(SubiacoError):
+    """The job was cancelled between two stages."""
+
+
+class Job:
+    """Run one request; poll it from the node's thread.
+
+    Parameters
+    ----------
+    request : Request
+    detect : callable
+    """
+
+    def __init__(self, request: Request, detect: Detect) -> None:
+        self.request = request
+        self.stage, self.fraction = "waiting", 0.0
+        self.outcome: Outcome | None = None
+        self.error: BaseException | None = None
+        self._cancelled = threading.Event()
+        self._thread = threading.Thread(target=self._run, args=(detect,), name="change", daemon=True)
+        self._thread.start()
+
+    @property
+    def finished(self) -> bool:
+        """Whether outcome or error is there."""
+        return not self._thread.is_alive()
+
+    def cancel(self) -> None:
+        """Ask the job to stop at the next stage."""
+        self._cancelled.set()
+
+    def get(self) -> Outcome:
+        """Return the outcome of a finished job, or raise what ended it."""
+        if self.error is not None:
+            raise self.error
+        if self.outcome is None:
+            raise InputError("the change job has not finished")
+        return self.outcome
+
+    def _report(self, stage: str, fraction: float) -> None:
+        if self._cancelled.is_set():
+            raise JobCancelledError("cancelled")
+        self.stage, self.fraction = stage, fraction
+
+    def _run(self, detect: Detect) -> None:
+        try:
+            self.outcome = detect(self.request, self._report)
+        except BaseException as error:  # noqa: BLE001 - handed to the node's thread, which raises it
+            self.error = error

@@ -1,0 +1,142 @@
+"""Change results as messages: clouds, table, markers."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+from geometry_msgs.msg import Point, Vector3
+from numpy.typing import NDArray
+from sensor_msgs.msg import PointCloud2
+from std_msgs.msg import ColorRGBA
+from visualization_msgs.msg import Marker, MarkerArray
+
+from subiaco_change.records import CHANGE_COLOURS, Change, ChangeRecord, ChangeResult
+from subiaco_geo.clouds import PointCloud
+from subiaco_geo.frames import Floats
+from subiaco_mapping.nodes.frame import LocalFrame
+from subiaco_mapping.nodes.messages import cloud_message, header, xyz_cloud
+from subiaco_msgs.msg import ChangeRecord as ChangeRecordMessage
+from subiaco_msgs.msg import ChangeTable
+
+#: What happened nowhere is not marked.
+_QUIET = frozenset({Change.UNCHANGED, Change.NOT_REPORTED, Change.UNOBSERVED})
+_SAME_NAME = (
+    "match_kind",
+    "delta_h_m",
+    "delta_v_m3",
+    "delta_v_surface_m3",
+    "delta_c_m",
+    "iou_3d",
+    "d_perp_m",
+    "lod95_m",
+    "observed_fraction",
+    "evidence",
+    "score_paper",
+    "confidence",
+    "n_before",
+    "n_after",
+    "x",
+    "y",
+    "z",
+    "reason",
+)
+
+
+def packed_colours(change: NDArray[np.uint8]) -> NDArray[np.float32]:
+    """Return the paper's colours of change codes (N,), packed as viewers expect in field ``rgb``."""
+    table = np.zeros(256, np.uint32)
+    for code, (red, green, blue) in CHANGE_COLOURS.items():
+        table[code] = red << 16 | green << 8 | blue
+    return table[change].view(np.float32)
+
+
+def change_cloud_message(cloud: PointCloud, frame: LocalFrame, frame_id: str, time_ns: int) -> PointCloud2:
+    """Build the labelled cloud of one epoch, float32 in the local frame."""
+    change = np.asarray(cloud.fields["change"], np.uint8)
+    points = xyz_cloud(
+        frame.from_world(cloud.world()),
+        change=change,
+        semantic=np.asarray(cloud.fields["semantic"], np.uint8),
+        instance=np.asarray(cloud.fields["instance"], np.int32),
+        confidence=np.asarray(cloud.fields["confidence"], np.float32),
+        lod95=np.asarray(cloud.fields["lod95"], np.float32),
+        rgb=packed_colours(change),
+    )
+    return cloud_message(points, frame_id, time_ns)
+
+
+def record_message(record: ChangeRecord) -> ChangeRecordMessage:
+    """Build one row of the table."""
+    message = ChangeRecordMessage(
+        object_id=record.object_id,
+        object_class=record.semantic.label,
+        label=record.change.label,
+        id_before=list(record.id_before),
+        id_after=list(record.id_after),
+    )
+    for name in _SAME_NAME:
+        value = getattr(record, name)
+        kind = type(getattr(message, name))
+        setattr(message, name, kind(value))
+    return message
+
+
+def table_message(result: ChangeResult, directory: Path, time_ns: int, frame_id: str) -> ChangeTable:
+    """Build the whole table."""
+    counts = Counter(record.change.label for record in result.records)
+    return ChangeTable(
+        header=header(time_ns, frame_id),
+        crs=result.after.crs or "",
+        directory=str(directory),
+        records=[record_message(record) for record in result.records],
+        labels=list(counts),
+        counts=list(counts.values()),
+    )
+
+
+def object_boxes(result: ChangeResult, frame: LocalFrame) -> dict[int, tuple[Floats, Floats]]:
+    """Return the lowest and highest local corner (3,) of every object, over both epochs."""
+    xyz = np.concatenate([frame.from_world(cloud.world()) for cloud in (result.before, result.after)])
+    instance = np.concatenate([cloud.fields["instance"] for cloud in (result.before, result.after)])
+    order = np.argsort(instance, kind="stable")
+    ids, starts = np.unique(instance[order], return_index=True)
+    if len(ids) == 0:
+        return {}
+    low = np.minimum.reduceat(xyz[order], starts, axis=0)
+    high = np.maximum.reduceat(xyz[order], starts, axis=0)
+    return {int(i): (a, b) for i, a, b in zip(ids, low, high, strict=True) if i >= 0}
+
+
+def _colour(change: Change, alpha: float) -> ColorRGBA:
+    red, green, blue = (value / 255.0 for value in CHANGE_COLOURS[change])
+    return ColorRGBA(r=red, g=green, b=blue, a=alpha)
+
+
+def _markers(record: ChangeRecord, low: Floats, high: Floats, frame_id: str, time_ns: int) -> list[Marker]:
+    middle, size = (low + high) / 2, np.maximum(high - low, 0.1)
+    box = Marker(header=header(time_ns, frame_id), ns="objects", id=record.object_id, type=Marker.CUBE)
+    box.pose.position = Point(x=float(middle[0]), y=float(middle[1]), z=float(middle[2]))
+    box.pose.orientation.w = 1.0
+    box.scale = Vector3(x=float(size[0]), y=float(size[1]), z=float(size[2]))
+    box.color = _colour(record.change, 0.35)
+    text = Marker(header=header(time_ns, frame_id), ns="labels", id=record.object_id)
+    text.type = Marker.TEXT_VIEW_FACING
+    text.pose.position = Point(x=float(middle[0]), y=float(middle[1]), z=float(high[2]) + 1.0)
+    text.pose.orientation.w = 1.0
+    text.scale.z = 1.0
+    text.color = _colour(record.change, 1.0)
+    text.text = f"{record.object_id} {record.semantic.label} {record.change.label}"
+    return [box, text]
+
+
+def marker_message(result: ChangeResult, frame: LocalFrame, frame_id: str, time_ns: int) -> MarkerArray:
+    """Build a box and a label for every changed object, after deleting what stood there."""
+    boxes = object_boxes(result, frame)
+    array = MarkerArray(markers=[Marker(header=header(time_ns, frame_id), action=Marker.DELETEALL)])
+    for record in result.records:
+        if record.change in _QUIET or record.object_id not in boxes:
+            continue
+        array.markers.extend(_markers(record, *boxes[record.object_id], frame_id, time_ns))
+    return array

@@ -1,0 +1,84 @@
+"""What the pose graph shows: path, map preview, frames."""
+
+from __future__ import annotations
+
+import numpy as np
+from nav_msgs.msg import Path as PathMessage
+from rclpy.node import Node
+from sensor_msgs.msg import NavSatFix, PointCloud2
+
+from subiaco_geo.frames import Floats
+from subiaco_geo.maps import SurveyMap
+from subiaco_mapping.backend import GraphSolution
+from subiaco_mapping.nodes.frame import LocalFrame, earth_from_enu
+from subiaco_mapping.nodes.messages import (
+    cloud_message,
+    origin_message,
+    path_message,
+    transform_message,
+    xyz_cloud,
+)
+from subiaco_mapping.nodes.runtime import latched, reliable, wait_until_received
+from tf2_msgs.msg import TFMessage
+
+#: Most poses on the path; a viewer needs no more.
+MAX_PATH = 5000
+
+
+def thinned(count: int, most: int) -> Floats:
+    """Return the indices of at most so many of ``count`` items, evenly spread, ends included."""
+    return np.unique(np.linspace(0, count - 1, min(count, most)).round().astype(np.int64))
+
+
+class MapPublisher:
+    """Publishers of the pose graph's results.
+
+    Parameters
+    ----------
+    node : Node
+    map_frame, odom_frame, earth_frame : str
+    preview_points : int
+        Most points of the map preview.
+    """
+
+    def __init__(
+        self, node: Node, map_frame: str, odom_frame: str, earth_frame: str, preview_points: int
+    ) -> None:
+        self._frames = (earth_frame, map_frame, odom_frame)
+        self._preview_points = preview_points
+        self._path = node.create_publisher(PathMessage, "path", latched(1))
+        self._points = node.create_publisher(PointCloud2, "map/points", latched(1))
+        self._origin = node.create_publisher(NavSatFix, "map/origin", latched(1))
+        self._tf = node.create_publisher(TFMessage, "tf", reliable(100))
+        self._tf_static = node.create_publisher(TFMessage, "tf_static", latched(1))
+
+    def publish_solution(self, solution: GraphSolution) -> None:
+        """Publish path, origin, ``earth -> map`` and ``map -> odom``."""
+        earth, map_frame, odom = self._frames
+        times_ns = np.concatenate([s.stamps_ns for s in solution.sequences])
+        poses = np.concatenate([s.T_local_lidar for s in solution.sequences])
+        chosen = thinned(len(times_ns), MAX_PATH)
+        self._path.publish(path_message(times_ns[chosen], poses[chosen], map_frame))
+        newest = solution.sequences[-1]
+        stamp_ns = int(newest.stamps_ns[-1])
+        moving = transform_message(newest.T_local_odom, map_frame, odom, stamp_ns)
+        self._tf.publish(TFMessage(transforms=[moving]))
+        frame = solution.frame
+        if frame is not None:
+            origin = origin_message(frame.latitude_deg, frame.longitude_deg, frame.height, map_frame)
+            self._origin.publish(origin)
+            fixed = transform_message(earth_from_enu(frame), earth, map_frame, stamp_ns)
+            self._tf_static.publish(TFMessage(transforms=[fixed]))
+
+    def publish_map(self, survey: SurveyMap, solution: GraphSolution) -> None:
+        """Publish the preview of a map in the local frame of its solution."""
+        cloud = survey.cloud
+        cloud = cloud.select(thinned(len(cloud), self._preview_points))
+        local = LocalFrame(cloud.crs, solution.frame, np.zeros(3)).from_world(cloud.world())
+        fields = {"intensity": np.asarray(cloud.fields["intensity"], np.float32)}
+        stamp_ns = int(solution.sequences[-1].stamps_ns[-1])
+        self._points.publish(cloud_message(xyz_cloud(local, **fields), self._frames[1], stamp_ns))
+
+    def wait_until_received(self) -> None:
+        """Wait until matched subscribers have everything."""
+        wait_until_received([self._path, self._points, self._origin, self._tf_static])

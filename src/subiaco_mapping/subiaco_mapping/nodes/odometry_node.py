@@ -1,0 +1,275 @@
+"""Node: packets (or clouds) and IMU to odometry and deskewed scans."""
+
+from __future__ import annotations
+
+import json
+import logging
+import sys
+from collections.abc import Callable, Sequence
+from typing import Any, Protocol
+
+from nav_msgs.msg import Odometry
+from pydantic import Field
+from rclpy.node import Node
+from sensor_msgs.msg import Imu, PointCloud2
+from std_msgs.msg import String
+
+from ouster_sensor_msgs.msg import PacketMsg
+from subiaco_geo.bags import packet_from_cdr
+from subiaco_geo.config import StrictModel
+from subiaco_geo.frames import invert_pose
+from subiaco_geo.topics import IMU, LIDAR_PACKETS, METADATA, POINTS, TF_STATIC
+from subiaco_mapping.config import MappingConfig
+from subiaco_mapping.conversions import imu_from_msg, scan_from_points
+from subiaco_mapping.frontend import FrontendOutput, OdometryFrontend
+from subiaco_mapping.measurements import Extrinsics, ImuSample, Scan
+from subiaco_mapping.nodes.counts import ConsumptionReporter, counts_message, listen_to_consumers
+from subiaco_mapping.nodes.covariance import PoseCovariance
+from subiaco_mapping.nodes.extrinsics import StaticTransforms, sensors_needed
+from subiaco_mapping.nodes.flow import ConsumedCounter, FlowControl
+from subiaco_mapping.nodes.messages import (
+    odometry_message,
+    quality_message,
+    scan_message,
+    transform_message,
+)
+from subiaco_mapping.nodes.names import (
+    CLOUD,
+    END,
+    FACTS,
+    ODOMETRY,
+    ODOMETRY_END,
+    ODOMETRY_SEQUENCE,
+    QUALITY,
+    SEQUENCE,
+)
+from subiaco_mapping.nodes.runtime import App, Diagnostics, latched, read_models, reliable, run_node
+from subiaco_msgs.msg import ReplayCounts, ScanQuality
+from tf2_msgs.msg import TFMessage
+
+LOGGER = logging.getLogger(__name__)
+
+OUTPUTS = (ODOMETRY, CLOUD, QUALITY, FACTS, ODOMETRY_SEQUENCE, ODOMETRY_END)
+INPUTS = (METADATA, TF_STATIC, LIDAR_PACKETS, POINTS, IMU, SEQUENCE, END)
+
+#: Most deskewed scans that a consumer may be behind before the replay is slowed down.
+SCAN_WINDOW = 4
+
+
+class OdometryParameters(StrictModel):
+    """Parameters of the odometry node; everything else is the mapping configuration."""
+
+    odom_frame: str = Field("odom", description="frame of the odometry")
+    consumers: tuple[str, ...] = Field((), description="nodes whose counts of our output are waited for")
+    exit_at_end: bool = Field(False, description="end with the replay")
+
+
+class Frontend(Protocol):
+    """The step that this node wraps."""
+
+    def on_packet(self, buf: bytes | memoryview) -> list[FrontendOutput]:
+        """Take one packet."""
+
+    def on_points(self, scan: Scan) -> list[FrontendOutput]:
+        """Take one cloud."""
+
+    def on_imu(self, sample: ImuSample) -> list[FrontendOutput]:
+        """Take one IMU sample."""
+
+    def finish(self) -> list[FrontendOutput]:
+        """Close the stream."""
+
+    def facts(self) -> dict[str, Any]:
+        """Return what the manifest should hold about the sequence."""
+
+
+#: Makes a front end for one sequence.
+MakeFrontend = Callable[[Extrinsics, "str | None"], Frontend]
+
+
+class OdometryApp:
+    """Convert, step, publish.
+
+    Parameters
+    ----------
+    node : Node
+    own : OdometryParameters
+    config : MappingConfig
+    make_frontend : callable
+        Called once a sequence, when its first data arrives.
+    """
+
+    def __init__(
+        self, node: Node, own: OdometryParameters, config: MappingConfig, make_frontend: MakeFrontend
+    ) -> None:
+        self._own = own
+        self._config = config
+        self._make_frontend = make_frontend
+        self._transforms = StaticTransforms(config.sensors)
+        self._metadata: str | None = None
+        self._announced: frozenset[str] = frozenset()
+        self._frontend: Frontend | None = None
+        self._extrinsics = Extrinsics()
+        self._covariance: PoseCovariance | None = None
+        self._ended = False
+        self.flow = FlowControl(own.consumers, dict.fromkeys(OUTPUTS, SCAN_WINDOW))
+        self._diagnostics = Diagnostics(node)
+        self._create_publishers(node)
+        self._reporter = ConsumptionReporter(node, ConsumedCounter(INPUTS), self._downstream_has_room)
+        listen_to_consumers(node, self.flow, self._reporter.flush)
+        self._create_subscriptions(node)
+
+    def _create_publishers(self, node: Node) -> None:
+        frame_types = {ODOMETRY: Odometry, CLOUD: PointCloud2, QUALITY: ScanQuality}
+        self._publishers = {
+            topic: node.create_publisher(kind, topic.lstrip("/"), reliable(32))
+            for topic, kind in frame_types.items()
+        }
+        for topic in (ODOMETRY_SEQUENCE, ODOMETRY_END):
+            self._publishers[topic] = node.create_publisher(ReplayCounts, topic.lstrip("/"), latched(1))
+        self._publishers[FACTS] = node.create_publisher(String, FACTS.lstrip("/"), reliable(32))
+        self._tf = node.create_publisher(TFMessage, "tf", reliable(100))
+
+    def _create_subscriptions(self, node: Node) -> None:
+        handlers: tuple[tuple[Any, str, Callable[[Any], object], Any], ...] = (
+            (String, METADATA, self._on_metadata, latched(1)),
+            (TFMessage, TF_STATIC, self._on_tf_static, latched(100)),
+            (Imu, IMU, self._on_imu, reliable(1000)),
+            (PointCloud2, POINTS, self._on_points, reliable(16)),
+            (ReplayCounts, SEQUENCE, self._on_sequence, latched(1)),
+            (ReplayCounts, END, self._on_end, latched(1)),
+        )
+        for kind, topic, handler, profile in handlers:
+            node.create_subscription(kind, topic.lstrip("/"), self._counting(topic, handler), profile)
+        node.create_subscription(
+            PacketMsg,
+            LIDAR_PACKETS.lstrip("/"),
+            self._counting(LIDAR_PACKETS, self._on_packet),
+            reliable(1000),
+            raw=True,
+        )
+
+    def _counting(self, topic: str, handler: Callable[[Any], object]) -> Callable[[Any], None]:
+        def counted(message: Any) -> None:
+            if handler(message) is not False:
+                self._reporter.consumed(topic)
+
+        return counted
+
+    def _downstream_has_room(self) -> bool:
+        return self.flow.ready and all(self.flow.may_publish(topic) for topic in OUTPUTS)
+
+    @property
+    def done(self) -> bool:
+        """Whether the replay has ended and our consumers have everything."""
+        return self._own.exit_at_end and self._ended and self.flow.settled
+
+    def step(self) -> float:
+        """Nothing to do between callbacks."""
+        return 0.1
+
+    def _on_metadata(self, message: String) -> None:
+        self._metadata = message.data
+
+    def _on_tf_static(self, message: TFMessage) -> bool:
+        return self._transforms.add(message)
+
+    def _on_packet(self, raw: bytes) -> None:
+        self._publish(self._sequence_frontend().on_packet(packet_from_cdr(raw)))
+
+    def _on_points(self, message: PointCloud2) -> None:
+        if LIDAR_PACKETS in self._announced:
+            return
+        scan = scan_from_points(message, self._config)
+        self._publish(self._sequence_frontend().on_points(scan))
+
+    def _on_imu(self, message: Imu) -> None:
+        self._publish(self._sequence_frontend().on_imu(imu_from_msg(message)))
+
+    def _on_sequence(self, message: ReplayCounts) -> None:
+        self._finish_sequence()
+        self._transforms = StaticTransforms(self._config.sensors)
+        self._metadata = None
+        self._announced = frozenset(message.topics)
+        self._send(ODOMETRY_SEQUENCE, counts_message(message.source, self._output_counts()))
+
+    def _on_end(self, _message: ReplayCounts) -> None:
+        self._finish_sequence()
+        counts = self._output_counts()
+        self._send(ODOMETRY_END, counts_message("odometry", counts))
+        self._ended = True
+        LOGGER.info("odometry of %d scans done", counts[ODOMETRY])
+
+    def _output_counts(self) -> dict[str, int]:
+        return {topic: self.flow.totals[topic] for topic in (ODOMETRY, CLOUD, QUALITY, FACTS)}
+
+    def _sequence_frontend(self) -> Frontend:
+        if self._frontend is None:
+            self._extrinsics = self._transforms.extrinsics(sensors_needed(self._announced))
+            self._covariance = PoseCovariance(self._extrinsics.T_base_lidar)
+            self._frontend = self._make_frontend(self._extrinsics, self._metadata)
+        return self._frontend
+
+    def _finish_sequence(self) -> None:
+        if self._frontend is not None:
+            self._publish(self._frontend.finish())
+            self._send(FACTS, String(data=json.dumps(self._frontend.facts())))
+            self._frontend = None
+
+    def _publish(self, outputs: list[FrontendOutput]) -> None:
+        for output in outputs:
+            self._publish_one(output)
+
+    def _publish_one(self, output: FrontendOutput) -> None:
+        assert self._covariance is not None
+        sensors, odom = self._config.sensors, self._own.odom_frame
+        message = odometry_message(
+            output.pose,
+            self._extrinsics.T_base_lidar,
+            self._covariance.step(output.pose),
+            odom,
+            sensors.base_frame,
+        )
+        self._send(QUALITY, quality_message(output.pose, output.scan, sensors.lidar_frame))
+        self._send(ODOMETRY, message)
+        self._send(CLOUD, scan_message(output.scan, sensors.lidar_frame))
+        T_odom_base = output.pose.T_odom_lidar @ invert_pose(self._extrinsics.T_base_lidar)
+        moving = transform_message(T_odom_base, odom, sensors.base_frame, output.pose.stamp_ns)
+        self._tf.publish(TFMessage(transforms=[moving]))
+        self._report(output)
+
+    def _send(self, topic: str, message: Any) -> None:
+        self._publishers[topic].publish(message)
+        self.flow.published(topic)
+
+    def _report(self, output: FrontendOutput) -> None:
+        pose, scan = output.pose, output.scan
+        values = {
+            "scans": self.flow.totals[ODOMETRY],
+            "inliers": pose.inliers,
+            "residual_rmse": f"{pose.residual_rmse:.3f}",
+            "segment": pose.segment,
+            "deskew": scan.mode,
+            "lost_columns": scan.lost_columns,
+        }
+        poor = pose.degenerate or pose.predicted
+        self._diagnostics.report("degenerate" if poor else "odometry", values, warn=poor)
+
+
+def build(node: Node) -> App:
+    """Put the node together from its parameters."""
+    own, config = read_models(node, OdometryParameters, MappingConfig)
+
+    def make_frontend(extrinsics: Extrinsics, metadata: str | None) -> Frontend:
+        return OdometryFrontend(config, extrinsics, metadata)
+
+    return OdometryApp(node, own, config, make_frontend)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the node."""
+    return run_node("odometry", build, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,302 @@
+"""Node: odometry, scans and fixes to path, map and map directory."""
+
+from __future__ import annotations
+
+import json
+import logging
+import sys
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any, Protocol
+
+from nav_msgs.msg import Odometry
+from pydantic import Field
+from rclpy.node import Node
+from sensor_msgs.msg import NavSatFix, PointCloud2
+from std_msgs.msg import String
+
+from subiaco_geo.atomic import refuse_existing
+from subiaco_geo.bags import hash_bag
+from subiaco_geo.config import StrictModel
+from subiaco_geo.errors import InputError, SubiacoError
+from subiaco_geo.maps import SurveyMap, write_map
+from subiaco_geo.topics import FIX, TF_STATIC
+from subiaco_mapping.backend import GraphSolution, MappingBackend
+from subiaco_mapping.config import MappingConfig
+from subiaco_mapping.conversions import fix_from_msg, stamp_ns
+from subiaco_mapping.measurements import DeskewedScan, Extrinsics, GnssFix, OdometryPose
+from subiaco_mapping.nodes.counts import ConsumptionReporter
+from subiaco_mapping.nodes.extrinsics import StaticTransforms, sensors_needed
+from subiaco_mapping.nodes.flow import ConsumedCounter
+from subiaco_mapping.nodes.map_publisher import MapPublisher
+from subiaco_mapping.nodes.matching import StampMatcher
+from subiaco_mapping.nodes.messages import pose_from_messages, scan_from_messages
+from subiaco_mapping.nodes.names import (
+    CLOUD,
+    FACTS,
+    ODOMETRY,
+    ODOMETRY_END,
+    ODOMETRY_SEQUENCE,
+    QUALITY,
+    SEQUENCE,
+)
+from subiaco_mapping.nodes.replay import sequence_name
+from subiaco_mapping.nodes.runtime import (
+    App,
+    Diagnostics,
+    ProgressLog,
+    latched,
+    read_models,
+    reliable,
+    run_node,
+)
+from subiaco_msgs.msg import ReplayCounts, ScanQuality
+from subiaco_msgs.srv import Optimize, SaveMap
+from tf2_msgs.msg import TFMessage
+
+LOGGER = logging.getLogger(__name__)
+
+INPUTS = (TF_STATIC, FIX, ODOMETRY, CLOUD, QUALITY, FACTS, ODOMETRY_SEQUENCE, ODOMETRY_END, SEQUENCE)
+
+Progress = Callable[[str, float], None]
+
+
+class PoseGraphParameters(StrictModel):
+    """Parameters of the pose-graph node; everything else is the mapping configuration."""
+
+    odom_frame: str = Field("odom", description="frame of the odometry")
+    map_frame: str = Field("map", description="local east, north, up")
+    earth_frame: str = Field("earth", description="earth-centred, earth-fixed")
+    output_directory: str = Field("", description="map directory to write at the end; empty writes none")
+    overwrite: bool = Field(False, description="replace an existing map directory")
+    bags: tuple[str, ...] = Field((), description="the replayed bags, named with hashes in map.yaml")
+    update_scans: int = Field(0, ge=0, description="scans between two updates of the path; 0 only on request")
+    preview_points: int = Field(1_000_000, gt=0, le=1_000_000, description="most points on map/points")
+    exit_at_end: bool = Field(False, description="end with the odometry")
+
+
+class Backend(Protocol):
+    """The steps that this node wraps."""
+
+    def start_sequence(self, name: str, extrinsics: Extrinsics | None = None) -> None:
+        """Begin a recording."""
+
+    def add_facts(self, **facts: Any) -> None:
+        """Note facts about the current recording."""
+
+    def on_odometry(self, pose: OdometryPose, scan: DeskewedScan) -> None:
+        """Take a registered scan."""
+
+    def on_fix(self, fix: GnssFix) -> None:
+        """Take a fix."""
+
+    def optimize(self) -> GraphSolution:
+        """Solve."""
+
+    def build_map(
+        self, progress: Progress | None = None, inputs: Mapping[str, str] | None = None
+    ) -> SurveyMap:
+        """Fuse."""
+
+
+class PoseGraphApp:
+    """Put messages of one stamp together, feed the back end, publish what it finds.
+
+    Parameters
+    ----------
+    node : Node
+    own : PoseGraphParameters
+    config : MappingConfig
+    backend : Backend
+    """
+
+    def __init__(self, node: Node, own: PoseGraphParameters, config: MappingConfig, backend: Backend) -> None:
+        self._own = own
+        self._config = config
+        self._backend = backend
+        self._transforms = StaticTransforms(config.sensors, (own.map_frame,))
+        self._extrinsics: Extrinsics | None = None
+        self._matcher = StampMatcher((ODOMETRY, QUALITY, CLOUD))
+        self._announced: ReplayCounts | None = None
+        self._marker: tuple[str, ReplayCounts] | None = None
+        self._sequence = "live"
+        self._scans = 0
+        self._ending = self._finished = False
+        self._progress = ProgressLog(node)
+        self._diagnostics = Diagnostics(node)
+        self._map = MapPublisher(node, own.map_frame, own.odom_frame, own.earth_frame, own.preview_points)
+        self._reporter = ConsumptionReporter(node, ConsumedCounter(INPUTS))
+        self._create_subscriptions(node)
+        node.create_service(Optimize, "pose_graph/optimize", self._on_optimize)
+        node.create_service(SaveMap, "pose_graph/save_map", self._on_save_map)
+
+    def _create_subscriptions(self, node: Node) -> None:
+        handlers: tuple[tuple[Any, str, Callable[[Any], object], Any], ...] = (
+            (TFMessage, TF_STATIC, lambda m: self._transforms.add(m), latched(100)),
+            (NavSatFix, FIX, self._on_fix, reliable(1000)),
+            (Odometry, ODOMETRY, lambda m: self._on_part(ODOMETRY, m), reliable(32)),
+            (ScanQuality, QUALITY, lambda m: self._on_part(QUALITY, m), reliable(32)),
+            (PointCloud2, CLOUD, lambda m: self._on_part(CLOUD, m), reliable(32)),
+            (String, FACTS, self._on_facts, reliable(32)),
+        )
+        for kind, topic, handler, profile in handlers:
+            node.create_subscription(kind, topic.lstrip("/"), self._counting(topic, handler), profile)
+        for topic in (ODOMETRY_SEQUENCE, ODOMETRY_END):
+            node.create_subscription(ReplayCounts, topic.lstrip("/"), self._marking(topic), latched(1))
+        node.create_subscription(ReplayCounts, SEQUENCE.lstrip("/"), self._on_announced, latched(1))
+
+    def _counting(self, topic: str, handler: Callable[[Any], object]) -> Callable[[Any], None]:
+        def counted(message: Any) -> None:
+            if handler(message) is not False:
+                self._reporter.consumed(topic)
+            self._settle_marker()
+
+        return counted
+
+    def _marking(self, topic: str) -> Callable[[ReplayCounts], None]:
+        def marked(message: ReplayCounts) -> None:
+            self._marker = (topic, message)
+            self._settle_marker()
+
+        return marked
+
+    @property
+    def done(self) -> bool:
+        """Whether everything has been taken, solved and written."""
+        return self._finished and self._own.exit_at_end
+
+    def step(self) -> float:
+        """Finish when the end has come; the counts go out before the long work begins."""
+        if self._ending and not self._finished:
+            self._reporter.flush()
+            self._finish()
+            self._finished = True
+        return 0.1
+
+    def _on_announced(self, message: ReplayCounts) -> None:
+        self._announced = message
+        self._settle_marker()
+
+    def _settle_marker(self) -> None:
+        """Act on a marker of the odometry once everything that it counts has been taken."""
+        if self._marker is None:
+            return
+        topic, marker = self._marker
+        taken = self._reporter.counts
+        if any(taken[name] < count for name, count in zip(marker.topics, marker.counts, strict=True)):
+            return
+        if topic == ODOMETRY_END:
+            self._ending = True
+        elif self._announced is None or self._announced.source != marker.source:
+            return
+        else:
+            self._begin(marker.source)
+            self._reporter.consumed(SEQUENCE)
+        self._marker = None
+        self._reporter.consumed(topic)
+
+    def _begin(self, name: str) -> None:
+        self._sequence = name
+        self._extrinsics = None
+        self._transforms = StaticTransforms(self._config.sensors, (self._own.map_frame,))
+
+    def _started(self) -> Extrinsics:
+        """Return the extrinsics of the sequence; its first data starts it in the back end."""
+        if self._extrinsics is None:
+            topics = [] if self._announced is None else self._announced.topics
+            self._extrinsics = self._transforms.extrinsics(sensors_needed(topics))
+            self._backend.start_sequence(self._sequence, self._extrinsics)
+        return self._extrinsics
+
+    def _on_fix(self, message: NavSatFix) -> None:
+        self._started()
+        self._backend.on_fix(fix_from_msg(message))
+
+    def _on_facts(self, message: String) -> None:
+        self._started()
+        self._backend.add_facts(**json.loads(message.data))
+
+    def _on_part(self, kind: str, message: Any) -> None:
+        found = self._matcher.add(kind, stamp_ns(message.header.stamp), message)
+        if found is None:
+            return
+        odometry, quality, cloud = found
+        pose = pose_from_messages(odometry, quality, self._started().T_base_lidar)
+        self._backend.on_odometry(pose, scan_from_messages(cloud, quality))
+        self._scans += 1
+        if self._own.update_scans and self._scans % self._own.update_scans == 0:
+            self._preview()
+
+    def _preview(self) -> None:
+        try:
+            self._publish_solution(self._backend.optimize())
+        except InputError as error:
+            LOGGER.info("no path yet: %s", error)
+
+    def _publish_solution(self, solution: GraphSolution) -> None:
+        self._map.publish_solution(solution)
+        used = sum(sequence.fixes_used for sequence in solution.sequences)
+        poses = sum(len(sequence.stamps_ns) for sequence in solution.sequences)
+        lost = self._matcher.dropped
+        self._diagnostics.report("solved", {"poses": poses, "fixes": used, "lost_sets": lost}, warn=lost > 0)
+
+    def _save(self, directory: Path, *, overwrite: bool) -> SurveyMap:
+        refuse_existing(directory, overwrite)
+        inputs = {sequence_name(Path(bag)): hash_bag(Path(bag)) for bag in self._own.bags}
+        survey = self._backend.build_map(self._progress, inputs)
+        self._publish_solution(self._backend.optimize())
+        self._map.publish_map(survey, self._backend.optimize())
+        write_map(directory, survey, overwrite=overwrite)
+        LOGGER.info("map of %d points from %d scans: %s", len(survey.cloud), self._scans, directory)
+        return survey
+
+    def _finish(self) -> None:
+        if self._matcher.dropped:
+            raise SubiacoError(
+                f"{self._matcher.dropped} scans arrived in part; this is a fault of the transport"
+            )
+        if self._own.output_directory:
+            self._save(Path(self._own.output_directory), overwrite=self._own.overwrite)
+        else:
+            self._publish_solution(self._backend.optimize())
+        if self._own.exit_at_end:
+            self._map.wait_until_received()
+
+    def _on_optimize(self, _request: Any, response: Any) -> Any:
+        try:
+            solution = self._backend.optimize()
+        except SubiacoError as error:
+            response.success, response.message = False, str(error)
+            return response
+        self._publish_solution(solution)
+        response.success, response.message = True, solution.reason or "georeferenced"
+        response.poses = sum(len(sequence.stamps_ns) for sequence in solution.sequences)
+        response.fixes = sum(sequence.fixes_used for sequence in solution.sequences)
+        return response
+
+    def _on_save_map(self, request: Any, response: Any) -> Any:
+        try:
+            if not request.directory:
+                raise InputError("save_map: directory is empty; say where the map goes")
+            self._save(Path(request.directory), overwrite=request.overwrite)
+        except SubiacoError as error:
+            response.success, response.message = False, str(error)
+        else:
+            response.success, response.message = True, request.directory
+        return response
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the node; the deskewed scans lie in a temporary folder meanwhile."""
+    with TemporaryDirectory(prefix="subiaco-spool-") as spool:
+
+        def build(node: Node) -> App:
+            own, config = read_models(node, PoseGraphParameters, MappingConfig)
+            return PoseGraphApp(node, own, config, MappingBackend(config, Extrinsics(), Path(spool)))
+
+        return run_node("pose_graph", build, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,272 @@
+"""The change node with a library step of ours in place of the real one."""
+
+from __future__ import annotations
+
+import threading
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from shapely.geometry import box
+
+from subiaco_change.records import Change, ChangeRecord, ChangeResult, Registration, Semantic
+from subiaco_geo.clouds import PointCloud
+from subiaco_geo.errors import InputError, RegistrationError
+
+pytestmark = pytest.mark.ros
+
+NAN = float("nan")
+
+
+def labelled(xyz: np.ndarray, change: Change, crs: str | None, origin: np.ndarray) -> PointCloud:
+    n = len(xyz)
+    return PointCloud(
+        xyz,
+        origin,
+        crs,
+        {
+            "change": np.full(n, change, np.uint8),
+            "semantic": np.full(n, Semantic.BUILDING, np.uint8),
+            "instance": np.full(n, 7, np.int32),
+            "confidence": np.full(n, 0.5, np.float32),
+            "lod95": np.full(n, 0.1, np.float32),
+        },
+    )
+
+
+def record(object_id: int, change: Change, **values: Any) -> ChangeRecord:
+    numbers = {
+        "delta_h_m": 1.5,
+        "delta_v_m3": -2.0,
+        "delta_v_surface_m3": NAN,
+        "delta_c_m": NAN,
+        "iou_3d": NAN,
+    }
+    numbers |= {
+        "d_perp_m": 0.2,
+        "lod95_m": 0.1,
+        "observed_fraction": 0.9,
+        "score_paper": NAN,
+        "confidence": 0.8,
+    }
+    return ChangeRecord(
+        object_id=object_id,
+        semantic=Semantic.BUILDING,
+        change=change,
+        id_before=(),
+        id_after=(3, 4),
+        match_kind="none",
+        evidence="observed",
+        n_before=0,
+        n_after=np.int64(8),
+        x=390_000.25,
+        y=6_460_000.5,
+        z=20.0,
+        footprint=box(0, 0, 1, 1),
+        reason="seen only later",
+        **numbers,
+        **values,
+    )
+
+
+def make_result(crs: str | None = "EPSG:7850") -> ChangeResult:
+    origin = np.array([390_000.0, 6_460_000.0, 10.0]) if crs else np.zeros(3)
+    corners = np.stack(np.meshgrid([0.0, 2.0], [0.0, 4.0], [0.0, 6.0]), axis=-1).reshape(-1, 3)
+    registration = Registration(np.eye(4), origin, 0.01, 0.02, 0.9, np.zeros(6), "given")
+    return ChangeResult(
+        (record(7, Change.ADDED), record(8, Change.UNCHANGED)),
+        labelled(corners[:0], Change.ADDED, crs, origin),
+        labelled(corners, Change.ADDED, crs, origin),
+        registration,
+        None,
+    )
+
+
+def make_app(ros: Any, detect: Any, **parameters: Any) -> Any:
+    from subiaco_change.nodes.change_node import ChangeApp, ChangeParameters
+    from subiaco_mapping.nodes.runtime import read_models
+
+    node = ros.node("change", **parameters)
+    own, _ = read_models(node, ChangeParameters)
+    app = ChangeApp(node, own, detect)
+    ros.apps.append(app)
+    return app
+
+
+def outcome(result: ChangeResult) -> Any:
+    from subiaco_change.nodes.job import Outcome
+
+    return Outcome(result, 1_700_000_000_000_000_000)
+
+
+class ActionUser:
+    """Send one goal and follow it."""
+
+    def __init__(self, ros: Any, **goal: Any) -> None:
+        from rclpy.action import ActionClient
+
+        from subiaco_msgs.action import DetectChanges
+
+        self.ros = ros
+        self.client = ActionClient(ros.node("user"), DetectChanges, "change/detect")
+        ros.until(self.client.server_is_ready)
+        self.feedback: list[Any] = []
+        sent = self.client.send_goal_async(
+            DetectChanges.Goal(**goal), feedback_callback=lambda m: self.feedback.append(m.feedback)
+        )
+        ros.until(sent.done)
+        self.handle = sent.result()
+
+    def result(self) -> Any:
+        future = self.handle.get_result_async()
+        self.ros.until(future.done)
+        return future.result()
+
+
+def test_a_goal_gives_feedback_by_stage_and_the_table_as_result(ros: Any) -> None:
+    from action_msgs.msg import GoalStatus
+
+    asked: list[Any] = []
+    seen_first = threading.Event()
+
+    def detect(request: Any, report: Any) -> Any:
+        asked.append(request)
+        report("registration", 0.25)
+        assert seen_first.wait(20)
+        return outcome(make_result())
+
+    make_app(ros, detect)
+    user = ActionUser(ros, before="a", after="b", output="c", overwrite=True)
+    ros.until(lambda: any(f.stage == "registration" for f in user.feedback))
+    seen_first.set()
+    answer = user.result()
+    assert answer.status == GoalStatus.STATUS_SUCCEEDED
+    assert answer.result.success
+    assert answer.result.message == "c"
+    assert asked[0].before == Path("a")
+    assert asked[0].overwrite
+    row = answer.result.table.records[0]
+    assert (row.object_id, row.object_class, row.label) == (7, "building", "Added")
+    assert list(row.id_after) == [3, 4]
+    assert (row.x, row.y) == (390_000.25, 6_460_000.5)
+    assert np.isnan(row.iou_3d)
+    assert dict(zip(answer.result.table.labels, answer.result.table.counts, strict=True)) == {
+        "Added": 1,
+        "Unchanged": 1,
+    }
+
+
+def test_the_outcome_is_latched_as_local_clouds_table_and_markers(ros: Any) -> None:
+    from sensor_msgs.msg import NavSatFix, PointCloud2
+    from visualization_msgs.msg import Marker, MarkerArray
+
+    from subiaco_mapping.nodes.messages import cloud_array
+    from subiaco_msgs.msg import ChangeTable
+
+    make_app(ros, lambda *_: outcome(make_result()))
+    assert ActionUser(ros, before="a", after="b", output="c").result().result.success
+    late = ros.node("late")
+    clouds = ros.collect(late, PointCloud2, "change/after")
+    tables = ros.collect(late, ChangeTable, "change/table")
+    markers = ros.collect(late, MarkerArray, "change/markers")
+    origins = ros.collect(late, NavSatFix, "map/origin")
+    ros.until(lambda: clouds and tables and markers and origins)
+    points = cloud_array(clouds[0])
+    assert clouds[0].header.frame_id == "map"
+    assert points.dtype["x"] == np.float32
+    assert set(points.dtype.names) == {
+        "x",
+        "y",
+        "z",
+        "change",
+        "semantic",
+        "instance",
+        "confidence",
+        "lod95",
+        "rgb",
+    }
+    # The grid is turned by the convergence (0.6 deg here) against true north, and scaled by 0.9997.
+    assert np.hypot(points["x"], points["y"]).max() == pytest.approx(np.hypot(2, 4), abs=0.01)
+    assert points["x"].max() == pytest.approx(2.0, abs=0.06)
+    assert points["z"].max() == pytest.approx(6.0, abs=0.001)
+    assert origins[0].latitude == pytest.approx(-31.98, abs=0.02)
+    assert tables[0].crs == "EPSG:7850"
+    boxes = [m for m in markers[0].markers if m.ns == "objects" and m.action == Marker.ADD]
+    texts = [m.text for m in markers[0].markers if m.type == Marker.TEXT_VIEW_FACING]
+    assert texts == ["7 building Added"]
+    assert boxes[0].scale.z == pytest.approx(6.0, abs=0.01)
+    assert boxes[0].color.g == pytest.approx(160 / 255)
+
+
+def test_a_goal_can_be_cancelled_between_two_stages(ros: Any) -> None:
+    from action_msgs.msg import GoalStatus
+
+    def detect(_request: Any, report: Any) -> Any:
+        for _ in range(2000):
+            report("registration", 0.1)
+            threading.Event().wait(0.01)
+        raise AssertionError("was not cancelled")
+
+    make_app(ros, detect)
+    user = ActionUser(ros, before="a", after="b", output="c")
+    ros.until(lambda: user.feedback)
+    user.handle.cancel_goal_async()
+    answer = user.result()
+    assert answer.status == GoalStatus.STATUS_CANCELED
+    assert not answer.result.success
+
+
+def test_a_failed_goal_is_aborted_with_the_reason_and_the_next_one_runs(ros: Any) -> None:
+    from action_msgs.msg import GoalStatus
+
+    errors: list[Exception] = [RegistrationError("the maps do not overlap")]
+
+    def detect(*_: Any) -> Any:
+        if errors:
+            raise errors.pop()
+        return outcome(make_result(None))
+
+    make_app(ros, detect)
+    user = ActionUser(ros, before="a", after="b", output="c")
+    answer = user.result()
+    assert answer.status == GoalStatus.STATUS_ABORTED
+    assert answer.result.message == "the maps do not overlap"
+    assert ActionUser(ros, before="a", after="b", output="c").result().result.success
+
+
+def test_one_comparison_at_a_time(ros: Any) -> None:
+    release = threading.Event()
+
+    def detect(*_: Any) -> Any:
+        assert release.wait(20)
+        return outcome(make_result(None))
+
+    make_app(ros, detect)
+    first = ActionUser(ros, before="a", after="b", output="c")
+    second = ActionUser(ros, before="a", after="b", output="d")
+    assert first.handle.accepted
+    assert not second.handle.accepted
+    release.set()
+    assert first.result().result.success
+
+
+def test_a_comparison_given_by_parameters_runs_at_once_and_ends_the_node(ros: Any) -> None:
+    app = make_app(
+        ros, lambda *_: outcome(make_result(None)), before="a", after="b", output="c", exit_at_end=True
+    )
+    ros.until(lambda: app.done)
+
+
+def test_the_error_of_a_comparison_given_by_parameters_ends_the_node(ros: Any) -> None:
+    def detect(*_: Any) -> Any:
+        raise RegistrationError("cannot be trusted")
+
+    app = make_app(ros, detect, before="a", after="b", output="c", exit_at_end=True)
+    with pytest.raises(RegistrationError, match="cannot be trusted"):
+        ros.until(lambda: app.done)
+
+
+def test_half_a_comparison_is_refused(ros: Any) -> None:
+    with pytest.raises(InputError, match="go together"):
+        make_app(ros, lambda *_: None, before="a")
