@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import yaml
 from mcap.writer import Writer as RawMcapWriter
+
 from subiaco_geo import topics
 from subiaco_geo.bags import (
     TYPESTORE,
@@ -209,7 +210,9 @@ def test_a_missing_topic_is_named_with_those_present(bag: Path) -> None:
 def test_a_wrong_topic_type_names_both_types(bag: Path) -> None:
     with (
         BagReader(bag) as reader,
-        pytest.raises(InputError, match=r"/ouster/metadata is std_msgs/msg/String, expected sensor_msgs/msg/Imu"),
+        pytest.raises(
+            InputError, match=r"/ouster/metadata is std_msgs/msg/String, expected sensor_msgs/msg/Imu"
+        ),
     ):
         require_topic(reader, topics.METADATA, "sensor_msgs/msg/Imu")
 

@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from pyproj import CRS, Proj, Transformer
+
 from subiaco_geo.crs import (
     EnuFrame,
     crs_text,
@@ -31,7 +32,9 @@ def closed_form_enu(lat: float, lon: float, h: float, frame: EnuFrame) -> np.nda
         e2 = F * (2 - F)
         n = A / np.sqrt(1 - e2 * np.sin(la) ** 2)
         horizontal = (n + height) * np.cos(la)
-        return np.array([horizontal * np.cos(lo), horizontal * np.sin(lo), (n * (1 - e2) + height) * np.sin(la)])
+        return np.array(
+            [horizontal * np.cos(lo), horizontal * np.sin(lo), (n * (1 - e2) + height) * np.sin(la)]
+        )
 
     la, lo = np.radians([frame.latitude_deg, frame.longitude_deg])
     east = [-np.sin(lo), np.cos(lo), 0.0]
@@ -79,7 +82,9 @@ def test_poses_stay_rigid_and_move_as_the_points_do() -> None:
     poses = exp_se3(rng.normal(size=(5, 6)) * [1, 1, 1, 800, 800, 10])
     mapped = SUBIACO.poses_to_map(poses, MGA)
     rotation = mapped[:, :3, :3]
-    np.testing.assert_allclose(rotation @ np.swapaxes(rotation, 1, 2), np.tile(np.eye(3), (5, 1, 1)), atol=1e-12)
+    np.testing.assert_allclose(
+        rotation @ np.swapaxes(rotation, 1, 2), np.tile(np.eye(3), (5, 1, 1)), atol=1e-12
+    )
     tip = poses[:, :3, 3] + poses[:, :3, 0]  # one metre along x of each frame
     moved = SUBIACO.points_to_map(tip, MGA) - mapped[:, :3, 3]
     np.testing.assert_allclose(moved, mapped[:, :3, 0], atol=3e-4)  # projection scale 0.99974

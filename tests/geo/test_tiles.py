@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+
 from subiaco_geo.errors import InputError
 from subiaco_geo.tiles import tile_grid
 

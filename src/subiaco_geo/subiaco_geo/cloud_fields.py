@@ -38,8 +38,11 @@ def refuse_rounded(path: Path, columns: Mapping[str, Column]) -> None:
     """Refuse projected coordinates that went through single precision: x or y beyond 1e5 as float32."""
     for name in ("x", "y"):
         values = columns[name]
-        if values.dtype == np.float32 and len(values) and np.nanmax(np.abs(values)) > _FLOAT32_LIMIT:
-            step = float(np.spacing(np.nanmax(np.abs(values))))
+        if values.dtype != np.float32:
+            continue
+        largest = np.abs(values[np.isfinite(values)]).max(initial=0.0)
+        if largest > _FLOAT32_LIMIT:
+            step = float(np.spacing(np.float32(largest)))
             raise InputError(
                 f"{path}: {name} holds projected coordinates as float32, which steps by {step:g} m; "
                 "export again with double coordinates or in a local frame"

@@ -7,7 +7,6 @@ from pathlib import Path
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.errors import InputError
 from subiaco_geo.las_io import read_las, write_las
-from subiaco_geo.pcd_io import read_pcd
 from subiaco_geo.ply_io import read_ply, write_ply
 
 READABLE = (".ply", ".las", ".laz", ".pcd")
@@ -45,7 +44,11 @@ def read_cloud(path: Path) -> PointCloud:
         raise InputError(f"{path}: the file has no bytes; copy or export it again")
     if suffix == ".ply":
         return read_ply(path)
-    return read_pcd(path) if suffix == ".pcd" else read_las(path)
+    if suffix == ".pcd":
+        from subiaco_geo.pcd_io import read_pcd  # brings numba
+
+        return read_pcd(path)
+    return read_las(path)
 
 
 def write_cloud(path: Path, cloud: PointCloud, *, ellipsoidal: bool = True) -> None:

@@ -26,6 +26,7 @@ from subiaco_geo.frames import Floats
 
 #: Coordinate step of the files that we write [m].
 SCALE = 0.001
+_HEADER_SIZE = 227  # of LAS 1.0-1.2, the smallest
 _COLOURS = ("red", "green", "blue")
 _STANDARD = (
     "intensity", "classification", "return_number", "number_of_returns",
@@ -52,6 +53,8 @@ def read_las(path: Path) -> PointCloud:
     try:
         with laspy.open(path) as reader:
             expected = int(reader.header.point_count)
+            if path.stat().st_size < max(_HEADER_SIZE, reader.header.offset_to_point_data):
+                raise ValueError("the header is not whole")
             las = reader.read()
     except _FAULTS as error:
         reason = " ".join(str(error).split()) or type(error).__name__

@@ -118,9 +118,12 @@ def _read_ascii(path: Path, stream: BinaryIO, layout: _Layout) -> NDArray[np.voi
 
 
 def _decompress(path: Path, stream: BinaryIO, layout: _Layout) -> memoryview:
-    sizes = np.frombuffer(stream.read(8), dtype="<u4")
+    head = stream.read(8)
+    if len(head) < 8:
+        raise _cut(path)
+    sizes = np.frombuffer(head, dtype="<u4")
     expected = layout.points * layout.dtype.itemsize
-    if len(sizes) != 2 or int(sizes[1]) < expected:
+    if int(sizes[1]) != expected:
         raise _cut(path)
     packed = np.frombuffer(stream.read(int(sizes[0])), dtype=np.uint8)
     body = np.empty(int(sizes[1]), dtype=np.uint8)
