@@ -33,6 +33,10 @@ logger = logging.getLogger(__name__)
 ProgressCallback = Callable[[str, float], None]
 
 
+def silent(_stage: str, _fraction: float) -> None:
+    """Report to nobody."""
+
+
 @dataclass
 class _Sequence:
     """What one recording has brought so far."""
@@ -177,7 +181,9 @@ class MappingBackend:
     def _solve(self) -> GraphSolution:
         sequences = [s for s in self._sequences if s.poses]
         if not sequences:
-            raise InputError("no scan came out of the recording; check LiDAR topic, metadata and range limits")
+            raise InputError(
+                "no scan came out of the recording; check LiDAR topic, metadata and range limits"
+            )
         frame, reason = self._place(sequences)
         chains = [self._chain(sequence, frame) for sequence in sequences]
         solutions = solve(chains, self._config.graph, self._config.gnss.kernel)
@@ -214,7 +220,11 @@ class MappingBackend:
         fixes = gnss.to_enu(sequence.fixes, frame, self._config.gnss)
         lever = sequence.extrinsics.t_lidar_gnss if sequence.fixes else np.zeros(3)
         attachment = gnss.attach(
-            fixes.times_ns, sequence.stamps_ns, sequence.T_odom_lidar, lever, self._config.gnss.max_pose_gap_ns
+            fixes.times_ns,
+            sequence.stamps_ns,
+            sequence.T_odom_lidar,
+            lever,
+            self._config.gnss.max_pose_gap_ns,
         )
         return fixes, attachment
 
@@ -279,7 +289,7 @@ class MappingBackend:
         -------
         SurveyMap
         """
-        report = progress or (lambda stage, fraction: None)
+        report = progress or silent
         report("solving the pose graph", 0.0)
         solution = self.optimize()
         projection = Projection(solution.frame, self._config.crs if solution.frame is not None else None)
@@ -374,14 +384,16 @@ class MappingBackend:
             }
             facts["dropped_points"] = sequence.dropped_points
             described[sequence.name] = {**facts, **sequence.facts}
-        return {"georeferenced": solution.frame is not None, "reason": solution.reason, "sequences": described}
+        return {
+            "georeferenced": solution.frame is not None,
+            "reason": solution.reason,
+            "sequences": described,
+        }
 
 
 def _plain_cloud(accumulator: VoxelAccumulator, projection: Projection) -> PointCloud:
     found = accumulator.statistics()
-    return from_world(
-        projection.points(found.mean), projection.crs, intensity=found.intensity, n=found.n
-    )
+    return from_world(projection.points(found.mean), projection.crs, intensity=found.intensity, n=found.n)
 
 
 def _trajectory(solution: GraphSolution, projection: Projection) -> tuple[Trajectory, PoseUncertainty]:

@@ -41,7 +41,7 @@ class DecodeConfig(StrictModel):
     max_range: float = Field(100.0, gt=0, description="farther returns are dropped [m]")
     reorder_packets: int = Field(8, ge=0, description="packets of a newer frame before an open one is closed")
     stamp_tolerance_ns: int = Field(
-        20_000_000, gt=0, description="a column time farther from the scan's line is interpolated anew [ns]"
+        20_000_000, gt=0, description="a column time farther from the line is replaced [ns]"
     )
 
 
@@ -54,7 +54,9 @@ class DeskewConfig(StrictModel):
     standing_speed: float = Field(0.1, gt=0, description="odometry speed likewise [m/s]")
     standing_accel: float = Field(0.15, gt=0, description="accelerometer spread likewise [m/s2]")
     imu_time_offset_ns: int = Field(0, description="added to every IMU stamp [ns]")
-    max_imu_gap_ns: int = Field(100_000_000, gt=0, description="a longer hole in the IMU is missing data [ns]")
+    max_imu_gap_ns: int = Field(
+        100_000_000, gt=0, description="a longer hole in the IMU is missing data [ns]"
+    )
     imu_wait_ns: int = Field(
         1_000_000_000, gt=0, description="stream time a scan waits for the IMU before doing without [ns]"
     )
@@ -90,7 +92,7 @@ class GnssConfig(StrictModel):
     """Fixes to priors."""
 
     required: bool = Field(False, description="refuse a bag that GNSS cannot place")
-    declared_frame: str = Field("GDA2020", description="frame of the fixes: GDA2020 or ITRF2014")
+    declared_frame: Literal["GDA2020", "ITRF2014"] = Field("GDA2020", description="frame of the fixes")
     epoch: float | None = Field(None, description="decimal year of ITRF coordinates")
     sigma_fixed: float = Field(0.015, gt=0, description="floor for status 2 [m]")
     sigma_float: float = Field(0.4, gt=0, description="floor for status 1 [m]")
@@ -121,7 +123,7 @@ class FusionConfig(StrictModel):
     max_range: float = Field(70.0, gt=0, description="farther points do not enter the map [m]")
     min_points: int = Field(1, ge=1, description="points a map voxel needs")
     outlier_neighbours: int = Field(8, ge=0, description="neighbours of the outlier test; 0 leaves it out")
-    outlier_sigma: float = Field(3.0, gt=0, description="farther from its neighbours than mean + sigma times spread")
+    outlier_sigma: float = Field(3.0, gt=0, description="limit of the outlier test in standard deviations")
     normal_neighbours: int = Field(15, ge=5, description="neighbours of a normal")
     visibility_voxel: float = Field(0.5, gt=0, description="voxel of the visibility layer [m]")
     visibility_stride: int = Field(8, ge=1, description="one beam in so many is walked; 0.5 m needs no more")
@@ -132,7 +134,9 @@ class ManifestConfig(StrictModel):
     """What the manifest flags."""
 
     max_lost_ratio: float = Field(0.01, ge=0, le=1, description="share of lost packets")
-    rtk_gap_ns: int = Field(2_000_000_000, gt=0, description="longer without a fixed solution is flagged [ns]")
+    rtk_gap_ns: int = Field(
+        2_000_000_000, gt=0, description="longer without a fixed solution is flagged [ns]"
+    )
 
 
 class MappingConfig(StrictModel):

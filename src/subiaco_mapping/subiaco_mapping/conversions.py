@@ -137,7 +137,9 @@ def _tree(transforms: Iterable[Any]) -> dict[str, tuple[str, Floats]]:
         turn = item.transform.rotation
         quaternion = np.array([turn.x, turn.y, turn.z, turn.w])
         if not np.isfinite(quaternion).all() or abs(np.linalg.norm(quaternion) - 1.0) > 0.01:
-            raise InputError(f"{TF_STATIC}: {item.child_frame_id}: its rotation is no unit quaternion; correct it")
+            raise InputError(
+                f"{TF_STATIC}: {item.child_frame_id}: its rotation is no unit quaternion; correct it"
+            )
         pose = pose_from_quaternion(_vector(item.transform.translation), quaternion)
         tree[item.child_frame_id.lstrip("/")] = (item.header.frame_id.lstrip("/"), pose)
     return tree

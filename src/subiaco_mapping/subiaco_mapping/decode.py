@@ -219,7 +219,9 @@ class PacketDecoder:
 
     def _new_frame(self, number: int) -> _Frame:
         layout = self._layout
-        names = [n for n in ("RANGE", "REFLECTIVITY", "RANGE2", "REFLECTIVITY2") if n in layout.packets.fields]
+        names = [
+            n for n in ("RANGE", "REFLECTIVITY", "RANGE2", "REFLECTIVITY2") if n in layout.packets.fields
+        ]
         shape = (layout.height, layout.width)
         return _Frame(
             number=number,

@@ -189,7 +189,8 @@ class Deskewer:
         rates = (np.array([s.gyro for s in used]) - self._bias) @ self._R_lidar_imu.T
         relative = (times_ns - start_ns).astype(np.float64)
         at_knots = np.stack(
-            [np.interp((knots_ns - start_ns).astype(np.float64), relative, rates[:, i]) for i in range(3)], axis=1
+            [np.interp((knots_ns - start_ns).astype(np.float64), relative, rates[:, i]) for i in range(3)],
+            axis=1,
         )
         return integrate(knots_ns, at_knots, twist[3:], "gyro")
 

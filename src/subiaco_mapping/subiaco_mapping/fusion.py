@@ -11,9 +11,9 @@ import small_gicp
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from subiaco_geo.clouds import PointCloud, from_world, unpack_voxel_keys
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints, transform_points
-from subiaco_geo.clouds import PointCloud, from_world, unpack_voxel_keys
 from subiaco_mapping.config import FusionConfig
 
 _EMPTY = -1
@@ -23,7 +23,7 @@ _MAX_LOAD = 0.6
 
 
 @numba.njit(cache=True, inline="always")
-def _slot(keys, key):  # type: ignore[no-untyped-def]
+def _slot(keys, key):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Return the slot of a key in an open-addressing table, or the empty slot for it."""
     mask = np.uint64(len(keys) - 1)
     mixed = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
@@ -34,7 +34,7 @@ def _slot(keys, key):  # type: ignore[no-untyped-def]
 
 
 @numba.njit(cache=True)
-def _accumulate(xyz, intensity, sensor, leaf, keys, counts, sums):  # type: ignore[no-untyped-def]
+def _accumulate(xyz, intensity, sensor, leaf, keys, counts, sums):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Add points to their voxels; the table must have room. Returns the number of new voxels.
 
     Columns of ``sums``: offset from the voxel centre (3), its products xx xy xz yy yz zz (6),
@@ -73,7 +73,7 @@ def _accumulate(xyz, intensity, sensor, leaf, keys, counts, sums):  # type: igno
 
 
 @numba.njit(cache=True)
-def _reinsert(old_keys, old_counts, old_sums, keys, counts, sums):  # type: ignore[no-untyped-def]
+def _reinsert(old_keys, old_counts, old_sums, keys, counts, sums):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
     """Copy every entry of one table into a larger, empty one."""
     for i in range(len(old_keys)):
         if old_keys[i] != _EMPTY:

@@ -174,7 +174,9 @@ def _optimize(graph: Any, values: Any, config: GraphConfig) -> Any:
     parameters.setMaxIterations(config.max_iterations)
     result = gtsam.LevenbergMarquardtOptimizer(graph, values, parameters).optimize()
     if not np.isfinite(graph.error(result)):
-        raise SubiacoError("pose graph: the solution is not finite; a measurement that is not a number came in")
+        raise SubiacoError(
+            "pose graph: the solution is not finite; a measurement that is not a number came in"
+        )
     return result
 
 
@@ -187,7 +189,9 @@ def _world_covariances(graph: Any, values: Any, poses: Floats, offset: int, stri
         blocks = np.array([marginals.marginalCovariance(offset + int(k)) for k in solved])
     except RuntimeError as error:
         first = str(error).strip().splitlines()[0]
-        raise SubiacoError(f"pose graph: a pose is not determined ({first}); check GNSS and extrinsics") from error
+        raise SubiacoError(
+            f"pose graph: a pose is not determined ({first}); check GNSS and extrinsics"
+        ) from error
     turn = np.zeros((len(solved), 6, 6))
     turn[:, :3, :3] = turn[:, 3:, 3:] = poses[solved, :3, :3]
     world = (turn @ blocks @ np.swapaxes(turn, 1, 2)).reshape(len(solved), 36)

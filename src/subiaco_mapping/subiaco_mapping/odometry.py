@@ -131,14 +131,16 @@ class KissOdometry:
         """
         gap_s = self._gap_s(scan.stamp_ns)
         if gap_s * 1e9 > self._config.max_gap_ns or self._failures >= self._config.max_failures:
-            logger.warning("odometry: the chain broke before %d ns; segment %d", scan.stamp_ns, self._segment + 1)
+            logger.warning(
+                "odometry: the chain broke before %d ns; segment %d", scan.stamp_ns, self._segment + 1
+            )
             self._twist = None if gap_s * 1e9 > self._config.max_gap_ns else self._twist
             self._start_segment()
         guess = self._pose @ self._prediction(scan, gap_s)
         dense = voxel_down_sample(scan.xyz, self._config.voxel * 0.5)
         keypoints = voxel_down_sample(dense, self._config.voxel * 1.5)
         result = self._solve(keypoints, guess, gap_s, scan.stamp_ns)
-        self._finish(dense, keypoints, result, guess, gap_s)
+        self._finish(dense, result, guess, gap_s)
         return result
 
     def _gap_s(self, stamp_ns: int) -> float:
@@ -195,9 +197,7 @@ class KissOdometry:
         rmse = float(np.sqrt(variance * PLANE_VARIANCE))
         return (covariance + np.diag(floor)) * inflation, rmse, degenerate
 
-    def _finish(
-        self, dense: Floats, keypoints: Floats, result: OdometryPose, guess: Floats, gap_s: float
-    ) -> None:
+    def _finish(self, dense: Floats, result: OdometryPose, guess: Floats, gap_s: float) -> None:
         pose = result.T_odom_lidar
         if result.predicted:
             self._failures += 1

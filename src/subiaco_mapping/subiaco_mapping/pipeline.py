@@ -12,7 +12,7 @@ from subiaco_geo.crs import require_map_crs
 from subiaco_geo.errors import InputError
 from subiaco_geo.maps import SurveyMap
 from subiaco_geo.topics import FIX, IMU, LIDAR_PACKETS, MESSAGE_TYPES, METADATA, POINTS, TF_STATIC
-from subiaco_mapping.backend import MappingBackend, ProgressCallback
+from subiaco_mapping.backend import MappingBackend, ProgressCallback, silent
 from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.conversions import extrinsics_from_tf, fix_from_msg, imu_from_msg, scan_from_points
 from subiaco_mapping.frontend import FrontendOutput, OdometryFrontend
@@ -42,7 +42,9 @@ def lidar_topic(reader: BagReader) -> str:
                 require_topic(reader, METADATA, MESSAGE_TYPES[METADATA])
             return topic
     present = ", ".join(sorted(reader.topics)) or "none"
-    raise InputError(f"{reader.path}: no LiDAR topic, {LIDAR_PACKETS} or {POINTS} (it has {present}); remap yours")
+    raise InputError(
+        f"{reader.path}: no LiDAR topic, {LIDAR_PACKETS} or {POINTS} (it has {present}); remap yours"
+    )
 
 
 def read_extrinsics(reader: BagReader, config: MappingConfig) -> Extrinsics:
@@ -61,7 +63,9 @@ def read_metadata(reader: BagReader) -> str | None:
     return None if first is None else str(reader.deserialize(first).data)
 
 
-def run_sequence(reader: BagReader, backend: MappingBackend, config: MappingConfig, progress: ProgressCallback) -> None:
+def run_sequence(
+    reader: BagReader, backend: MappingBackend, config: MappingConfig, progress: ProgressCallback
+) -> None:
     """Feed one bag through the front end into the back end."""
     lidar = lidar_topic(reader)
     for topic in (IMU, FIX):
@@ -120,7 +124,7 @@ def map_survey(
     if not bags:
         raise InputError("no bag given; name at least one rosbag2 folder, .mcap or simulated epoch folder")
     require_map_crs(config.crs)
-    report = progress or (lambda stage, fraction: None)
+    report = progress or silent
     with tempfile.TemporaryDirectory(prefix="subiaco-spool-") as spool:
         backend = MappingBackend(config, Extrinsics(), Path(spool))
         inputs = {}

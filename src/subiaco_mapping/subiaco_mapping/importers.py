@@ -1,0 +1,208 @@
+"""Recordings of raw packets to survey bags: pcap with its JSON, ROS 1 bags.
+
+Packets are copied bit for bit. A packet carries no stamp of its own, so the log time is the
+capture time.
+"""
+
+from __future__ import annotations
+
+import logging
+import tempfile
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+from ouster.sdk import core, pcap
+from rosbags.rosbag1 import Reader as Ros1Reader
+from rosbags.rosbag1 import ReaderError
+
+from subiaco_geo.atomic import refuse_existing
+from subiaco_geo.bags import TYPESTORE, BagWriter, packet_to_cdr
+from subiaco_geo.errors import InputError
+from subiaco_geo.topics import IMU_PACKETS, LATCHED, LIDAR_PACKETS, MESSAGE_TYPES, METADATA
+from subiaco_mapping.decode import parse_metadata
+
+logger = logging.getLogger(__name__)
+
+_ROS1_TAILS = {"lidar_packets": LIDAR_PACKETS, "imu_packets": IMU_PACKETS}
+_PCAP_SUFFIXES = (".pcap", ".pcapng")
+
+
+@dataclass(frozen=True)
+class RecordedPacket:
+    """One raw packet: where it goes and when it was captured."""
+
+    topic: str
+    time_ns: int
+    buf: bytes
+
+
+def find_metadata(recording: Path) -> Path:
+    """Return the sensor JSON that belongs to a recording by its name.
+
+    ``drive.json`` for ``drive.pcap``, else the one whose stem begins the recording's stem, else
+    the only JSON beside it.
+
+    Raises
+    ------
+    InputError
+        None, or several that fit.
+    """
+    beside = sorted(recording.parent.glob("*.json"))
+    same = [p for p in beside if p.stem == recording.stem]
+    begins = [p for p in beside if recording.stem.startswith(p.stem)]
+    found = same or begins or beside
+    if len(found) != 1:
+        raise InputError(f"{recording}: {len(found)} metadata JSON files fit beside it; pass --metadata FILE")
+    return found[0]
+
+
+def _read_text(path: Path) -> str:
+    try:
+        return path.read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read as metadata JSON ({error})") from error
+
+
+def pcap_packets(recording: Path, metadata: str) -> Iterator[RecordedPacket]:
+    """Yield the LiDAR and IMU packets of a pcap, in the order of capture.
+
+    Raises
+    ------
+    InputError
+        Not a pcap.
+    """
+    info = parse_metadata(metadata)
+    try:
+        source = pcap.PcapPacketSource(str(recording), sensor_info=[info])
+        for _, packet in source:
+            topic = LIDAR_PACKETS if isinstance(packet, core.LidarPacket) else IMU_PACKETS
+            if isinstance(packet, core.LidarPacket | core.ImuPacket):
+                yield RecordedPacket(topic, int(packet.host_timestamp), bytes(packet.buf))
+    except (RuntimeError, ValueError) as error:
+        first = str(error).splitlines()[0]
+        raise InputError(
+            f"{recording}: not a pcap of this sensor ({first}); check file and metadata"
+        ) from error
+
+
+def ros1_recording(recording: Path) -> tuple[str | None, list[RecordedPacket]]:
+    """Return metadata (None where it has none) and packets of a ROS 1 bag.
+
+    Topics are known by their last name: ``.../lidar_packets``, ``.../imu_packets``,
+    ``.../metadata``. Drivers before 2024 put one byte more behind a packet: it is kept out.
+
+    Raises
+    ------
+    InputError
+        Not a ROS 1 bag.
+    """
+    metadata, packets = None, []
+    try:
+        with Ros1Reader(recording) as reader:
+            for connection, time_ns, raw in reader.messages():
+                tail = connection.topic.rsplit("/", 1)[-1]
+                size = int.from_bytes(raw[:4], "little")
+                if tail == "metadata" and metadata is None:
+                    metadata = bytes(raw[4 : 4 + size]).decode()
+                elif tail in _ROS1_TAILS and connection.msgtype.endswith("/PacketMsg"):
+                    packets.append(RecordedPacket(_ROS1_TAILS[tail], time_ns, bytes(raw[4 : 4 + size])))
+    except (ReaderError, OSError, ValueError) as error:
+        raise InputError(f"{recording}: not a whole ROS 1 bag ({error}); run 'rosbag reindex'") from error
+    return metadata, packets
+
+
+def _trimmed(packets: Iterable[RecordedPacket], metadata: str) -> Iterator[RecordedPacket]:
+    """Cut LiDAR and IMU packets to the size that the metadata says."""
+    layout = core.PacketFormat(parse_metadata(metadata))
+    sizes = {LIDAR_PACKETS: layout.lidar_packet_size, IMU_PACKETS: layout.imu_packet_size}
+    for packet in packets:
+        size = sizes[packet.topic]
+        yield RecordedPacket(packet.topic, packet.time_ns, packet.buf[:size] if size else packet.buf)
+
+
+def _write_bag(bag: Path, metadata: str, packets: Iterable[RecordedPacket]) -> dict[str, int]:
+    counts: dict[str, int] = {}
+    with BagWriter(bag) as writer:
+        for packet in packets:
+            if not counts:
+                string_type = TYPESTORE.types[MESSAGE_TYPES[METADATA]]
+                writer.write(
+                    METADATA,
+                    MESSAGE_TYPES[METADATA],
+                    string_type(data=metadata),
+                    packet.time_ns,
+                    latched=True,
+                )
+                counts[METADATA] = 1
+            cdr = packet_to_cdr(packet.buf)
+            writer.write_raw(
+                packet.topic,
+                MESSAGE_TYPES[packet.topic],
+                cdr,
+                packet.time_ns,
+                latched=packet.topic in LATCHED,
+            )
+            counts[packet.topic] = counts.get(packet.topic, 0) + 1
+        if LIDAR_PACKETS not in counts:
+            raise InputError("no LiDAR packet of this sensor in the recording; check file and metadata")
+    return counts
+
+
+def import_recording(
+    recording: Path, bag: Path, *, metadata: Path | None = None, overwrite: bool = False
+) -> dict[str, int]:
+    """Turn a recording of raw Ouster packets into an mcap bag.
+
+    Parameters
+    ----------
+    recording : Path
+        ``.pcap`` (with the sensor's JSON) or a ROS 1 ``.bag`` of PacketMsg.
+    bag : Path
+        rosbag2 folder to make.
+    metadata : Path, optional
+        Sensor JSON; default: found beside a pcap by name, or in the ROS 1 bag.
+    overwrite : bool
+        Replace ``bag``.
+
+    Returns
+    -------
+    dict of str to int
+        Messages a topic.
+
+    Raises
+    ------
+    InputError
+        Missing, damaged or unknown recording; no metadata; no LiDAR packet in it.
+    """
+    recording, bag = Path(recording), Path(bag)
+    refuse_existing(bag, overwrite)
+    if not recording.is_file():
+        raise InputError(f"{recording}: no such recording; give a .pcap or a ROS 1 .bag")
+    if recording.suffix in _PCAP_SUFFIXES:
+        text = _read_text(metadata or find_metadata(recording))
+        packets: Iterable[RecordedPacket] = pcap_packets(recording, text)
+    elif recording.suffix == ".bag":
+        inside, listed = ros1_recording(recording)
+        if metadata is None and inside is None:
+            raise InputError(f"{recording}: no metadata topic in it; pass --metadata FILE")
+        text = _read_text(metadata) if metadata is not None else str(inside)
+        packets = _trimmed(listed, text)
+    else:
+        raise InputError(
+            f"{recording}: a {recording.suffix or 'nameless'} recording is not supported; give a .pcap or a "
+            "ROS 1 .bag of raw packets"
+        )
+    return _write_in_place(bag, text, packets)
+
+
+def _write_in_place(bag: Path, metadata: str, packets: Iterable[RecordedPacket]) -> dict[str, int]:
+    """Write the whole bag under its own name in a folder beside, then put it in its place."""
+    bag.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(prefix=".import-", dir=bag.parent) as beside:
+        fresh = Path(beside) / bag.name
+        counts = _write_bag(fresh, metadata, packets)
+        if bag.exists():
+            bag.rename(Path(beside) / "replaced")
+        fresh.rename(bag)
+    return counts
