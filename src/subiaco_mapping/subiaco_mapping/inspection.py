@@ -125,7 +125,8 @@ def _warnings(facts: dict[str, Any]) -> list[str]:
         warnings.append(f"{lidar['lost']} LiDAR packets lost ({share:.1%})")
     if abs(lidar.get("clock_offset_s") or 0.0) > 1.0:
         warnings.append(
-            f"LiDAR clock is {lidar['clock_offset_s']} s off the log time; set decode.time_base or time_offset_ns"
+            f"LiDAR clock is {lidar['clock_offset_s']} s off the log time; "
+            "set decode.time_base or decode.time_offset_ns"
         )
     warnings += [
         f"{t}: {f['gaps']} gaps, the longest {f['longest_gap_s']} s"
