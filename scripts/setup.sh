@@ -200,7 +200,8 @@ build_once() {
     if [ "$(cat "$file" 2>/dev/null)" = "$wanted" ]; then return; fi
     say "building $*"
     local name
-    if [ -e "$file.building" ]; then # interrupted last time
+    # Afresh after an interruption; Python packages always, as a symlink install keeps links to files that have gone.
+    if [ -e "$file.building" ] || [ "${file##*/}" = .python ]; then
         for name; do rm -rf "${WS:?}/build/$name" "${WS:?}/install/$name"; done
     fi
     mkdir -p "$WS/install"
