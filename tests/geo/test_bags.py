@@ -125,10 +125,15 @@ def test_a_cut_packet_message_is_refused() -> None:
         packet_from_cdr(b"\x00\x00")
 
 
-def test_a_failed_writer_leaves_nothing_behind(tmp_path: Path) -> None:
-    with pytest.raises(RuntimeError, match="cable"), BagWriter(tmp_path / "b") as writer:
+def record_until_the_cable_is_pulled(path: Path) -> None:
+    with BagWriter(path) as writer:
         writer.write_raw(topics.LIDAR_PACKETS, topics.PACKET_TYPE, packet_to_cdr(b"x"), 1)
         raise RuntimeError("cable pulled")
+
+
+def test_a_failed_writer_leaves_nothing_behind(tmp_path: Path) -> None:
+    with pytest.raises(RuntimeError, match="cable"):
+        record_until_the_cable_is_pulled(tmp_path / "b")
     assert list(tmp_path.iterdir()) == []
 
 

@@ -197,7 +197,7 @@ def test_beams_are_looked_up_where_they_went() -> None:
 
 def test_a_point_beyond_the_reach_of_the_keys_was_never_seen() -> None:
     near = np.array([[100.1, 200.1, 0.1]])
-    alias = near + [0.0, 0.0, 0.5 * 2**21]  # the same packed key, were it not refused
+    alias = near + np.array([0.0, 0.0, 0.5 * 2**21])  # the same packed key, were it not refused
     assert grid().observed(np.vstack([near, alias, [[1e9, 0, 0]]])).tolist() == [True, False, False]
 
 
@@ -307,11 +307,16 @@ def test_merging_leaves_its_arguments_alone() -> None:
 # --- whole outputs and errors ----------------------------------------------------------------------
 
 
-def test_a_directory_appears_whole_or_not_at_all(tmp_path: Path) -> None:
-    target = tmp_path / "out" / "map"
-    with pytest.raises(RuntimeError), whole_directory(target) as partial:
+def fail_half_way(target: Path, overwrite: bool = False) -> None:
+    with whole_directory(target, overwrite=overwrite) as partial:
         (partial / "a").write_text("half")
         raise RuntimeError("power cut")
+
+
+def test_a_directory_appears_whole_or_not_at_all(tmp_path: Path) -> None:
+    target = tmp_path / "out" / "map"
+    with pytest.raises(RuntimeError, match="power cut"):
+        fail_half_way(target)
     assert list((tmp_path / "out").iterdir()) == []
     with whole_directory(target) as partial:
         (partial / "a").write_text("whole")
@@ -323,8 +328,8 @@ def test_the_old_directory_stays_until_the_new_one_is_whole(tmp_path: Path) -> N
     target = tmp_path / "map"
     with whole_directory(target) as partial:
         (partial / "a").write_text("old")
-    with pytest.raises(RuntimeError), whole_directory(target, overwrite=True):
-        raise RuntimeError("power cut")
+    with pytest.raises(RuntimeError, match="power cut"):
+        fail_half_way(target, overwrite=True)
     assert (target / "a").read_text() == "old"
     with whole_directory(target, overwrite=True, marker="a") as partial:
         (partial / "b").write_text("new")
@@ -339,12 +344,17 @@ def test_a_file_is_not_replaced_by_a_directory(tmp_path: Path) -> None:
     assert (tmp_path / "map").read_text() == "I am a file"
 
 
+def fill_the_disk(path: Path) -> None:
+    with whole_file(path) as temporary:
+        temporary.write_text("half")
+        raise RuntimeError("disk full")
+
+
 def test_a_file_keeps_its_old_content_when_writing_fails(tmp_path: Path) -> None:
     path = tmp_path / "a.txt"
     path.write_text("old")
-    with pytest.raises(RuntimeError), whole_file(path) as temporary:
-        temporary.write_text("half")
-        raise RuntimeError("disk full")
+    with pytest.raises(RuntimeError, match="disk full"):
+        fill_the_disk(path)
     assert path.read_text() == "old"
     with whole_file(path) as temporary:
         assert temporary.suffix == ".txt"

@@ -185,7 +185,7 @@ def test_a_damaged_part_is_named(tmp_path: Path, name: str, match: str) -> None:
 def test_a_cloud_exchanged_for_one_of_another_crs_is_noticed(tmp_path: Path) -> None:
     write_map(tmp_path / "m", some_survey())
     write_cloud(tmp_path / "m" / "map.ply", some_survey(crs="EPSG:28350").cloud)
-    with pytest.raises(InputError, match="map.yaml says CRS EPSG:7850, the cloud says EPSG:28350"):
+    with pytest.raises(InputError, match=r"map\.yaml says CRS EPSG:7850, the cloud says EPSG:28350"):
         read_map(tmp_path / "m")
 
 
