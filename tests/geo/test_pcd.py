@@ -140,10 +140,10 @@ def test_a_pcd_header_that_makes_no_sense_is_refused(tmp_path: Path, header: str
     assert_refused(path, "header")
 
 
-def test_real_pcd_in_float32_utm_is_refused_and_unpacked_right(shared_data: Path, tmp_path: Path) -> None:
+def test_real_compressed_pcd_in_float32_utm_is_refused(shared_data: Path, tmp_path: Path) -> None:
     path = tmp_path / "samp11.pcd"
     path.write_bytes(gzip.decompress((shared_data / "isprs_filter" / "samp11-utm.pcd.gz").read_bytes()))
-    assert_refused(path, "x holds projected coordinates as float32")
+    assert_refused(path, r"x holds projected coordinates as float32, which steps by 0\.03125 m")
 
 
 def test_a_pcd_without_points_is_refused(tmp_path: Path) -> None:
