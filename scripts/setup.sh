@@ -102,7 +102,7 @@ require_system_packages() {
 # ---------------------------------------------------------------- virtual environment
 
 venv_stamp() {
-    echo "$(digest requirements.lock scripts/setup.sh scripts/patch_wheel_cmake.py) $VENV $(has_apt_ros && echo apt-ros)"
+    echo "$(digest requirements.lock scripts/patch_wheel_cmake.py) $VENV $(has_apt_ros && echo apt-ros)"
 }
 
 # A venv is kept when it is whole, runs, sits where it was made and has the asked-for interpreter.
