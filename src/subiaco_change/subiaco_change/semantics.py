@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
+from scipy.spatial import cKDTree
 from subiaco_geo.clouds import PointCloud, sort_spatially
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
@@ -35,12 +36,11 @@ class SemanticsConfig(StrictModel):
     ground_close: float = Field(
         0.15, gt=0, description="band in which kerbs and markings are closed into ground [m]"
     )
-    planarity: float = Field(
-        0.4, gt=0, lt=1, description="planarity of a point that may join a patch (paper: 0.6 a superpoint)"
+    max_linearity: float = Field(
+        0.92, gt=0, lt=1, description="linearity of a point that may join a patch; lines have no normal"
     )
     plane_angle_deg: float = Field(10.0, gt=0, description="angle between coplanar neighbours [deg], paper")
     plane_offset: float = Field(0.08, gt=0, description="distance to the neighbour's plane [m], paper")
-    plane_residual: float = Field(0.15, gt=0, description="root mean square residual of a merged patch [m]")
     plane_area: float = Field(6.0, gt=0, description="planar area of a facade or roof [m2], paper")
     facade_slope: float = Field(0.25, gt=0, description="|n.e_z| of a facade, paper")
     facade_top: float = Field(
@@ -50,6 +50,9 @@ class SemanticsConfig(StrictModel):
         2.0, gt=0, description="height above which any planar patch is a roof [m], Decision in C3"
     )
     attach: float = Field(1.0, ge=0, description="reach of a building over its small parts [m]")
+    edge: float = Field(
+        0.6, ge=0, description="reach of a building over rough points: edges look like foliage [m]"
+    )
     scatter: float = Field(
         0.30,
         gt=0,
@@ -60,6 +63,12 @@ class SemanticsConfig(StrictModel):
     cluster_voxel: float = Field(0.4, gt=0, description="voxel in which the rest falls into clusters [m]")
     mobile_length: float = Field(5.5, gt=0, description="longest side of a vehicle [m] (paper: 5)")
     mobile_height: float = Field(3.0, gt=0, description="top of a vehicle [m], paper")
+    mobile_top: float = Field(
+        2.6, gt=0, description="height below which vehicles are looked for, under crowns [m]"
+    )
+    mobile_hard: float = Field(
+        0.4, ge=0, le=1, description="share of a vehicle that does not look like foliage"
+    )
     mobile_volume: float = Field(60.0, gt=0, description="box of a vehicle [m3], paper")
     mobile_min_width: float = Field(0.8, gt=0, description="narrower things are posts and fences [m]")
 
@@ -139,8 +148,13 @@ def _find_ground(
     distance = group_reduce(parts, np.abs(height), count)
     share = np.bincount(parts, level, count) / np.maximum(np.bincount(parts, minlength=count), 1)
     claimed = (distance < config.ground_distance) & (share >= config.ground_share)
-    near = np.abs(height) < config.ground_close
-    return np.asarray((claimed[parts] & (np.abs(height) < 2 * config.ground_close)) | near | (height < 0))
+    steep = (np.abs(features.normals[:, 2]) < 0.5) & (features.roughness < config.plane_offset)
+    near = (
+        (height < config.ground_close)
+        & (height > -2 * config.ground_close)
+        & ~(steep & (height > 0.5 * config.ground_distance))
+    )
+    return np.asarray((claimed[parts] & (np.abs(height) < 2 * config.ground_close)) | near)
 
 
 def _find_foliage(height: Floats, features: Features, parts: Ints, config: SemanticsConfig) -> Mask:
@@ -156,52 +170,54 @@ def _find_buildings(
     xyz: Floats, height: Floats, features: Features, free: Mask, foliage: Mask, config: SemanticsConfig
 ) -> Mask:
     """Facades, roofs, and the small parts that hang on them."""
-    candidate = free & (features.planarity > config.planarity) & (features.roughness < config.plane_offset)
+    candidate = (
+        free & (features.linearity < config.max_linearity) & (features.roughness < config.plane_offset)
+    )
     patches = planar_patches(xyz, features, candidate, config.plane_angle_deg, config.plane_offset)
-    core = _building_patches(patches, height, config)
+    core = _building_patches(patches, np.abs(features.normals[:, 2]), height, config)
     inside = np.zeros(len(xyz), dtype=bool)
     inside[patches.label >= 0] = core[patches.label[patches.label >= 0]]
     if not inside.any():
         return inside
-    return _attach_parts(xyz, height, inside, free & ~foliage, config)
+    return _attach_parts(xyz, inside, free, foliage, config)
 
 
-def _building_patches(patches: Patches, height: Floats, config: SemanticsConfig) -> Mask:
+def _building_patches(patches: Patches, level: Floats, height: Floats, config: SemanticsConfig) -> Mask:
+    """Tell which smooth patches (hips and gables chain into one) are facades or roofs."""
     inside = patches.label >= 0
     count = len(patches.area)
     top = group_reduce(patches.label[inside], height[inside], count, "maximum")
     middle = group_reduce(patches.label[inside], height[inside], count, "median")
-    large = (patches.area > config.plane_area) & (patches.residual < config.plane_residual)
-    facade = (np.abs(patches.normal[:, 2]) < config.facade_slope) & (top > config.facade_top)
-    roof = ~(np.abs(patches.normal[:, 2]) < config.facade_slope) & (middle > config.roof_height)
+    upright = group_reduce(patches.label[inside], level[inside], count) < config.facade_slope
+    facade = upright & (top > config.facade_top)
+    roof = ~upright & (middle > config.roof_height)
+    large = patches.area > config.plane_area
     return np.asarray(large & (facade | roof))
 
 
-def _attach_parts(xyz: Floats, height: Floats, core: Mask, free: Mask, config: SemanticsConfig) -> Mask:
-    """Add free points within reach of the core, as far as voxels of them connect."""
+def _attach_parts(xyz: Floats, core: Mask, free: Mask, foliage: Mask, config: SemanticsConfig) -> Mask:
+    """Add the free points within reach of the core; rough ones from less far."""
     attached = core.copy()
-    loose = np.flatnonzero(free & ~core & (height > 2 * 0.15))
-    if len(loose) == 0:
-        return attached
-    near = _within(xyz[loose], xyz[core], config.attach)
-    attached[loose[near]] = True
+    loose = np.flatnonzero(free & ~core)
+    distance = _distance_to(xyz[loose], xyz[core], config.attach)
+    reach = np.where(foliage[loose], config.edge, config.attach)
+    attached[loose[distance < reach]] = True
     return attached
 
 
-def _within(query: Floats, reference: Floats, distance: float) -> Mask:
-    from scipy.spatial import cKDTree
-
-    found, _ = cKDTree(reference).query(query, distance_upper_bound=distance, workers=1)
-    return np.asarray(np.isfinite(found))
+def _distance_to(query: Floats, reference: Floats, limit: float) -> Floats:
+    """Distance (N,) to the nearest reference point, inf beyond a limit [m]."""
+    return np.asarray(cKDTree(reference).query(query, distance_upper_bound=limit)[0])
 
 
 def _split_rest(xyz: Floats, height: Floats, foliage: Mask, config: SemanticsConfig) -> NDArray[np.uint8]:
     """Label what is neither ground nor building: foliage, vehicles, trunks, poles."""
     semantic = np.where(foliage, Semantic.VEGETATION, Semantic.OTHER).astype(np.uint8)
-    hard = np.flatnonzero(~foliage & (height < config.mobile_height + 0.5))
-    for members in group_indices(voxel_clusters(xyz[hard], config.cluster_voxel)):
-        if _is_vehicle(xyz[hard[members]], height[hard[members]], config):
-            semantic[hard[members]] = Semantic.MOBILE
+    low = np.flatnonzero(height < config.mobile_top)
+    for members in group_indices(voxel_clusters(xyz[low], config.cluster_voxel)):
+        hard = 1.0 - float(foliage[low[members]].mean())
+        if hard > config.mobile_hard and _is_vehicle(xyz[low[members]], height[low[members]], config):
+            semantic[low[members]] = Semantic.MOBILE
     return _vote_clusters(xyz, height, semantic, config)
 
 
@@ -212,7 +228,7 @@ def _is_vehicle(xyz: Floats, height: Floats, config: SemanticsConfig) -> bool:
     length, width = box_sides(xyz[:, :2])
     top = float(np.quantile(height, 0.98))
     low = float(np.quantile(height, 0.02))
-    row_of_cars = config.mobile_min_width < width < 3.2 and top < 2.6
+    row_of_cars = 1.4 < width < 3.2 and top < 2.4
     return bool(
         width > config.mobile_min_width
         and length > 1.4

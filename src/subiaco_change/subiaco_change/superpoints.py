@@ -53,10 +53,11 @@ def partition(features: Floats, neighbours: NDArray[np.int32], config: Superpoin
     """
     edges = graph_edges(neighbours[:, : config.neighbours + 1])
     weights = edge_weights(features, edges)
+    order = value_orders(features)
     labels = np.arange(len(features))
     for step in range(config.rounds):
         eta = config.strength * 2.0 ** (step + 1 - config.rounds)
-        labels = _merge_round(features, labels, edges, weights, eta)
+        labels = _merge_round(features, labels, edges, weights, eta, order)
     one = np.zeros(len(features), dtype=np.int64)
     energies = [potts_energy(features, trial, edges, weights, config.strength) for trial in (labels, one)]
     single = float(config.strength * weights.sum())
@@ -90,31 +91,46 @@ def potts_energy(features: Floats, labels: Ints, edges: Ints, weights: Floats, s
     return float(data + strength * weights[cut].sum())
 
 
-def region_medians(features: Floats, labels: Ints) -> Floats:
-    """Median features (R, F) of regions 0..R-1 (lower median, exact for the L1 term)."""
-    starts = np.searchsorted(np.sort(labels), np.arange(labels.max() + 1))
-    counts = np.bincount(labels)
-    medians = np.empty((len(starts), features.shape[1]))
-    for column, values in enumerate(features.T):
-        by_value = np.argsort(values, kind="stable")
-        order = by_value[np.argsort(labels[by_value], kind="stable")]
-        medians[:, column] = values[order][starts + (counts - 1) // 2]
+def region_medians(features: Floats, labels: Ints, order: Ints | None = None) -> Floats:
+    """Lower median features (R, F) of regions 0..R-1, exact for the L1 term; ``order`` as of value_orders."""
+    order = value_orders(features) if order is None else order
+    return _medians(features, labels, order, np.bincount(labels))
+
+
+def value_orders(features: Floats) -> Ints:
+    """Order (N, F) of the points by each feature."""
+    return np.argsort(features, axis=0, kind="stable")
+
+
+@numba.njit(cache=True)
+def _medians(features: Floats, labels: Ints, order: Ints, counts: Ints) -> Floats:
+    medians = np.empty((len(counts), features.shape[1]))
+    for f in range(features.shape[1]):
+        met = np.zeros(len(counts), dtype=np.int64)
+        for position in range(len(labels)):
+            i = order[position, f]
+            region = labels[i]
+            if met[region] == (counts[region] - 1) // 2:
+                medians[region, f] = features[i, f]
+            met[region] += 1
     return medians
 
 
-def _merge_round(features: Floats, labels: Ints, edges: Ints, weights: Floats, eta: float) -> Ints:
+def _merge_round(
+    features: Floats, labels: Ints, edges: Ints, weights: Floats, eta: float, order: Ints
+) -> Ints:
     """Merge regions while the energy at this eta falls; boundaries are summed beforehand."""
     _, compact = np.unique(labels, return_inverse=True)
     pairs, boundary = _region_boundaries(compact, edges, weights)
     if len(pairs) == 0:
         return compact
-    models = region_medians(features, compact)
+    models = region_medians(features, compact, order)
     sizes = np.bincount(compact)
     gap = np.abs(models[pairs[:, 0]] - models[pairs[:, 1]]).sum(axis=1)
     cost = gap * np.minimum(sizes[pairs[:, 0]], sizes[pairs[:, 1]]) / np.maximum(boundary, 1e-12)
-    order = np.argsort(cost, kind="stable")
-    order = order[cost[order] < 2 * eta]
-    parents = merge_regions(pairs[order], boundary[order], models, sizes.astype(np.int64), eta)
+    cheap = np.argsort(cost, kind="stable")
+    cheap = cheap[cost[cheap] < 2 * eta]
+    parents = merge_regions(pairs[cheap], boundary[cheap], models, sizes.astype(np.int64), eta)
     return parents[compact]
 
 
