@@ -130,7 +130,7 @@ def _ground_heights(level: Level, cell: float) -> tuple[Floats, Floats]:
     first = np.ones(len(order), dtype=bool)
     first[1:] = np.any(np.diff(ij[order], axis=0) != 0, axis=1)
     lowest = order[first]
-    return (ij[lowest] + 0.5) * cell, flat[lowest, 2]
+    return np.asarray((ij[lowest] + 0.5) * cell, dtype=np.float64), flat[lowest, 2]
 
 
 def _height_offset(pose: Floats, before: Level, after: Level, cell: float = 3.0) -> float:

@@ -53,7 +53,7 @@ class RegistrationConfig(StrictModel):
         "auto", description="search without priors: auto = when identity does not hold and a CRS is missing"
     )
     coarse_pixel: float = Field(2.0, gt=0, description="bird's-eye pictures of the coarse search [m]")
-    coarse_candidates: int = Field(12, ge=1, le=200, description="start poses that are refined and judged")
+    coarse_candidates: int = Field(40, ge=1, le=200, description="start poses that are refined and judged")
     ndt_iterations: int = Field(30, ge=1, description="NDT iterations a cell size")
     ndt_leaves_per_cell: float = Field(4.0, ge=2, description="NDT cell edge in leaves of the level")
     tukey: float = Field(0.3, gt=0, description="Tukey biweight of point-to-plane residuals [m]")
@@ -89,10 +89,10 @@ class _Side:
     levels: list[Level]
     grids: dict[float, Distributions]
 
-    def grid(self, leaf_index: int, cell: float) -> Distributions:
-        """Gaussians of a level, kept for the next call."""
+    def grid(self, cell: float) -> Distributions:
+        """Gaussians of the finest points, kept for the next call."""
         if cell not in self.grids:
-            self.grids[cell] = distributions(self.levels[leaf_index].xyz, cell)
+            self.grids[cell] = distributions(self.levels[-1].xyz, cell)
         return self.grids[cell]
 
 
@@ -167,7 +167,7 @@ def _refine_coarsely(
     """NDT on the coarsest level, from large cells to small."""
     for factor in factors:
         cell = factor * config.ndt_leaves_per_cell * config.leaves[0]
-        pose = align_ndt(before.grid(0, cell), after.grid(0, cell), pose, config.ndt_iterations).pose
+        pose = align_ndt(before.grid(cell), after.grid(cell), pose, config.ndt_iterations).pose
     return pose
 
 
@@ -175,26 +175,20 @@ def _refine(
     before: _Side, after: _Side, targets: list[Target], pose: Floats, start: str, config: RegistrationConfig
 ) -> _Fit:
     """Coarse to fine: NDT, then point-to-plane ICP, on every level (method B3)."""
-    ndt_pose, step, pairs = pose, None, None
+    ndt_pose = pose
     for i, target in enumerate(targets):
         source = _thinned(before.levels[i], config.icp_points)
-        cells = (2.0, 1.0) if i == 0 else (1.0,)
-        ndt_pose = pose
-        for factor in cells:
-            cell = factor * config.ndt_leaves_per_cell * config.leaves[i]
-            grids = before.grid(i, cell), after.grid(i, cell)
-            ndt_pose = align_ndt(*grids, ndt_pose, config.ndt_iterations).pose
+        cell = config.ndt_leaves_per_cell * config.leaves[i]
+        ndt_pose = align_ndt(before.grid(cell), after.grid(cell), pose, config.ndt_iterations).pose
         ndt_pose = _remapped(pose, ndt_pose, source, target, config)
-        pose, pairs, step = align_icp(
-            source, target, ndt_pose, tukey=config.tukey, huber=config.huber,
-            min_eigenvalue=config.min_eigenvalue, max_iterations=config.icp_iterations, reach=2.0 * source.leaf,
+        pose, _, step = align_icp(
+            source, target, ndt_pose, tukey=config.tukey, huber=config.huber, reach=2.0 * source.leaf,
+            min_eigenvalue=config.min_eigenvalue, max_iterations=config.icp_iterations,
         )  # fmt: skip
         if step is None:
             raise RegistrationError(
-                f"{start}: fewer than 50 point pairs at the {source.leaf} m level: the epochs do not overlap; "
-                "check that they show the same place, or give --transform"
+                f"{start}: fewer than 50 point pairs at the {source.leaf} m level: the epochs do not overlap"
             )
-    assert step is not None and pairs is not None
     return _judge(before, targets, pose, ndt_pose, start, config)
 
 
@@ -288,7 +282,7 @@ def _from_search(before: _Side, after: _Side, targets: list[Target], config: Reg
             "coarse: nothing stands in the clouds that could fix a position; give --transform"
         )
     poses = [candidate.pose for candidate in candidates]
-    for cells, keep in (((2.0,), 4), ((1.0, 0.5), 1)):
+    for cells, keep in (((2.0, 1.0), 5), ((0.5,), 1)):
         moved = [_refine_coarsely(before, after, pose, config, cells) for pose in poses]
         scores = [measure_quality(before.levels[0], targets[0], pose, config.tukey).score for pose in moved]
         best = np.argsort(scores, kind="stable")[::-1][:keep]

@@ -92,7 +92,7 @@ def pair_weights(pairs: Pairs, tukey: float, huber: float) -> Floats:
 
 
 def jacobian(pairs: Pairs, centre: Floats) -> Floats:
-    """Derivative (K, 6) of the residuals by a left twist about a centre."""
+    """Return the derivative (K, 6) of the residuals by a left twist about a centre."""
     turning = np.cross(pairs.points - centre, pairs.normals)
     return np.hstack([turning, pairs.normals])
 
