@@ -34,6 +34,7 @@ from subiaco_change.evaluation_scores import (
     scores,
 )
 from subiaco_change.evaluation_trajectories import absolute_error, relative_error
+from subiaco_change.outputs_json import plain
 from subiaco_change.records import Change, Semantic
 from subiaco_change.truth import SurveyTruth, read_truth
 from subiaco_geo.clouds import PointCloud
@@ -96,7 +97,8 @@ def evaluate(pairs: Sequence[tuple[Path, Path]], config: EvaluationConfig | None
     Returns
     -------
     dict
-        Content of ``evaluation.json``; units are in the names of the keys.
+        Content of ``evaluation.json``; units are in the names of the keys, what
+        does not exist is None.
     """
     settings = config or EvaluationConfig()
     if not pairs:
@@ -111,7 +113,7 @@ def evaluate(pairs: Sequence[tuple[Path, Path]], config: EvaluationConfig | None
         found.append(
             score_scene(read_prediction(said, truth), truth, settings, scene_name(truth, truth_path))
         )
-    return pool(found, settings) | {"truth_is_simulated": True}
+    return {"truth_is_simulated": True, **plain(pool(found, settings))}
 
 
 def evaluate_published(root: Path, run: str, config: EvaluationConfig | None = None) -> dict[str, Any]:
@@ -125,7 +127,7 @@ def evaluate_published(root: Path, run: str, config: EvaluationConfig | None = N
         matrix = confusion(loop.truth.ravel(), loop.predicted.ravel())
         empty = (np.zeros(0), np.zeros(0))
         found.append(SceneScore(loop.name, matrix, np.zeros((5, 6), np.int64), semantics, empty, 0, 0))
-    return pool(found, settings) | {"truth_is_simulated": False, "run": run}
+    return {"truth_is_simulated": False, "run": run, **plain(pool(found, settings))}
 
 
 def score_scene(

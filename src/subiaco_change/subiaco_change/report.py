@@ -74,7 +74,7 @@ def build_report(directory: Path) -> Path:
     whole = pictures.overview(change.before, change.after, blocks, marks)
     context = report_context(change) | {
         "overview": _data_uri(whole),
-        "blocks": [_block_context(change, block, marks) for block in blocks],
+        "blocks": open_fullest([_block_context(change, block, marks) for block in blocks]),
         "evaluation": _evaluation(directory),
     }
     with whole_file(directory / "overview.png") as path:
@@ -223,6 +223,12 @@ def _block_context(
             {"kind": kind, "caption": pictures.KINDS[kind], "uri": _data_uri(drawn[kind])} for kind in _SHOWN
         ],
     }
+
+
+def open_fullest(blocks: list[dict[str, Any]], most: int = 2) -> list[dict[str, Any]]:
+    """Mark the blocks with most changed objects as open; the others unfold on demand."""
+    ranked = sorted(range(len(blocks)), key=lambda i: (-len(blocks[i]["changed"]), i))[:most]
+    return [block | {"open": index in ranked} for index, block in enumerate(blocks)]
 
 
 def _data_uri(png: bytes) -> str:
