@@ -7,10 +7,11 @@ from dataclasses import replace
 
 import numpy as np
 
-from subiaco_sim.buildings import House, Shed
+from subiaco_geo.frames import Floats
+from subiaco_sim.buildings import House
 from subiaco_sim.ground import ROAD_HALF, Patch
 from subiaco_sim.plants import Hedge, Tree
-from subiaco_sim.scene import GroundItem, Item, Placed
+from subiaco_sim.scene import GroundItem, Item
 from subiaco_sim.suburb import SETBACK, Layout, random_car, walk_lots
 
 Edit = Callable[[Item, np.random.Generator], Item]
@@ -33,7 +34,8 @@ def removed(item: Item, _: np.random.Generator) -> Item:
 
 
 def _house(item: Item) -> House:
-    assert item.before is not None and isinstance(item.before.shape, House)
+    assert item.before is not None
+    assert isinstance(item.before.shape, House)
     return item.before.shape
 
 
@@ -61,7 +63,8 @@ def reroofed(item: Item, _: np.random.Generator) -> Item:
 
 
 def _tree(item: Item) -> Tree:
-    assert item.before is not None and isinstance(item.before.shape, Tree)
+    assert item.before is not None
+    assert isinstance(item.before.shape, Tree)
     return item.before.shape
 
 
@@ -118,10 +121,15 @@ def apply_changes(layout: Layout, rounds: int) -> list[Item]:
     return [_natural(item, layout.rng) for item in edited.values()]
 
 
-def _candidates(layout: Layout, kind: str, centre: object, count: int) -> list[Item]:
-    """Return the items of a kind nearest to a place, every other one left alone."""
-    items = [i for i in layout.items if i.kind == kind and i.before is not None]
-    items.sort(key=lambda i: float(np.hypot(i.before.x - centre[0], i.before.y - centre[1])))  # type: ignore
+def _distance(item: Item, place: Floats) -> float:
+    state = item.before or item.after
+    assert state is not None
+    return float(np.hypot(state.x - place[0], state.y - place[1]))
+
+
+def _candidates(layout: Layout, kind: str, centre: Floats, count: int) -> list[Item]:
+    """Return the items of a kind nearest to a place, every other one left alone where there are enough."""
+    items = sorted((i for i in layout.items if i.kind == kind), key=lambda i: _distance(i, centre))
     spread = items[::2] if len(items) >= 2 * count else items
     chosen = spread[:count]
     order = layout.rng.permutation(len(chosen))
@@ -149,12 +157,14 @@ def ground_changes(layout: Layout, first_id: int, rounds: int) -> list[GroundIte
     """Resurface a strip, dig a patch, and two that stay under the thresholds."""
     kinds = [
         ("resurfaced", 16.0, 2.6, 0.25, ROAD_HALF - 1.6),
-        ("excavated", 7.5, 4.6, -0.30, 9.8),
+        ("excavated", 7.5, 4.6, -0.30, 8.2),
         ("thin overlay", 12.0, 2.6, 0.08, ROAD_HALF - 1.6),
-        ("small pit", 3.2, 2.6, -0.30, 9.8),
+        ("small pit", 3.2, 2.6, -0.30, 8.2),
     ]
     lots = list(walk_lots(layout.centreline, 14.0))
-    lots.sort(key=lambda lot: float(np.hypot(*(layout.centreline[len(layout.centreline) // 2] - (lot.x, lot.y)))))
+    lots.sort(
+        key=lambda lot: float(np.hypot(*(layout.centreline[len(layout.centreline) // 2] - (lot.x, lot.y))))
+    )
     found = []
     for number in range(rounds * len(kinds)):
         event, length, width, rise, offset = kinds[number % len(kinds)]
@@ -164,6 +174,3 @@ def ground_changes(layout: Layout, first_id: int, rounds: int) -> list[GroundIte
         y = float(lot.y + np.cos(lot.yaw) * inward)
         found.append(GroundItem(first_id + number, Patch(x, y, length, width, lot.yaw, rise), event))
     return found
-
-
-__all__ = ["Placed", "Shed", "apply_changes", "ground_changes", "replaced_cars"]

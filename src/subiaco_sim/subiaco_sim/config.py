@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-from enum import Enum
+from enum import StrEnum
 
 from pydantic import Field
+
 from subiaco_geo.config import StrictModel
 
 
-class LidarMode(str, Enum):
+class LidarMode(StrEnum):
     """Columns a revolution x revolutions a second."""
 
     COLUMNS_512 = "512x10"
@@ -21,7 +22,7 @@ class LidarMode(str, Enum):
         return int(self.value.split("x")[0])
 
 
-class EpochChoice(str, Enum):
+class EpochChoice(StrEnum):
     """Which drives to simulate."""
 
     BEFORE = "before"
@@ -76,7 +77,9 @@ class FaultConfig(StrictModel):
 
     packet_loss: float = Field(0.0, ge=0.0, lt=1.0, description="LiDAR packets lost [fraction]")
     duplicates: float = Field(0.0, ge=0.0, lt=1.0, description="LiDAR packets sent twice [fraction]")
-    reordered: float = Field(0.0, ge=0.0, lt=1.0, description="LiDAR packets swapped with the next [fraction]")
+    reordered: float = Field(
+        0.0, ge=0.0, lt=1.0, description="LiDAR packets swapped with the next [fraction]"
+    )
 
 
 class TruthConfig(StrictModel):
@@ -89,7 +92,9 @@ class TruthConfig(StrictModel):
     own_body: float = Field(
         2.0, ge=0.0, description="A changed object hides its own earlier or later self up to this depth [m]"
     )
-    pose_spacing: float = Field(1.0, gt=0.0, description="Distance between tested poses of the other drive [m]")
+    pose_spacing: float = Field(
+        1.0, gt=0.0, description="Distance between tested poses of the other drive [m]"
+    )
 
 
 class SimulationConfig(StrictModel):
@@ -104,6 +109,9 @@ class SimulationConfig(StrictModel):
     )
     mode: LidarMode = Field(LidarMode.COLUMNS_1024, description="Columns x revolutions a second")
     dual_return: bool = Field(False, description="Two returns a beam, strongest first")
+    ground_cell: float | None = Field(
+        None, ge=0.1, le=2.0, description="Edge of the ground mesh [m]; the preset's when null"
+    )
     map_leaf: float = Field(0.25, gt=0.0, le=2.0, description="Leaf of the fused maps [m]")
     lidar: LidarConfig = LidarConfig()
     imu: ImuConfig = ImuConfig()

@@ -7,9 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from ouster.sdk.core import SensorInfo
+
 from subiaco_geo.crs import EnuFrame
 from subiaco_geo.frames import Floats, Ints
-
 from subiaco_sim.config import SimulationConfig
 from subiaco_sim.lidar import SCAN_NS, Lidar, SimulatedScan, column_times, points_of
 from subiaco_sim.motion import Motion, drive
@@ -70,7 +70,7 @@ class ScanPoints:
 def plan_survey(config: SimulationConfig) -> Survey:
     """Build the scene and both drives."""
     preset = find_preset(config.preset)
-    scene = build_scene(config.preset, config.seed)
+    scene = build_scene(config.preset, config.seed, config.ground_cell)
     duration = config.duration or preset.duration
     drives = {}
     for number, epoch in enumerate(EPOCHS):
@@ -100,6 +100,6 @@ def scans_of(survey: Survey, drive: Drive, lidar: Lidar) -> Iterator[SimulatedSc
 def first_points(survey: Survey, lidar: Lidar, scan: SimulatedScan) -> ScanPoints:
     """Return the measured first returns at the true poses, with their objects."""
     found = scan.first.range_mm > 0
-    xyz = points_of(lidar.beams, scan, scan.first.range_mm * 1e-3)[found]
+    xyz = points_of(lidar.beams, scan, scan.first.range_mm.astype(np.float64) * 1e-3)[found]
     object_id = ground_object(survey.scene, xyz, scan.first.object_id[found])
     return ScanPoints(xyz, scan.first.reflectivity[found].astype(np.float64), object_id)

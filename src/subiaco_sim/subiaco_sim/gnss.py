@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from subiaco_geo.frames import Floats, Ints
 
+from subiaco_geo.frames import Floats, Ints
 from subiaco_sim.config import GnssConfig
 from subiaco_sim.motion import Motion
 from subiaco_sim.vehicle import GNSS

@@ -10,8 +10,8 @@ from scipy.spatial import cKDTree
 from shapely import affinity
 from shapely.geometry import Polygon
 from shapely.geometry import box as shapely_box
-from subiaco_geo.frames import Floats
 
+from subiaco_geo.frames import Floats
 from subiaco_sim.primitives import Material, Mesh
 
 ROAD_HALF = 3.7  # kerb to crown [m]
@@ -48,21 +48,33 @@ class Patch:
         return affinity.translate(turned, self.x, self.y)
 
 
+class Road:
+    """Distances to the crown of a road, given as a dense centreline (N, 2) [m]."""
+
+    def __init__(self, centreline: Floats) -> None:
+        self.centreline = centreline
+        self._tree = cKDTree(centreline)
+
+    def distance(self, x: Floats, y: Floats) -> Floats:
+        """Return distances of places of any shape [m]."""
+        distance, _ = self._tree.query(np.stack([np.ravel(x), np.ravel(y)], axis=1))
+        return np.asarray(distance).reshape(np.shape(x))
+
+
 @dataclass(frozen=True)
 class Terrain:
     """Ground height over the scene.
 
     Parameters
     ----------
-    centreline : (N, 2) float64
-        Dense crown of the road [m].
+    road : Road
     bounds : (west, south, east, north) [m]
     slope : (2,) rise per metre to the east and to the north
     cell : edge of the ground mesh [m]
     patches : places dug or filled in this epoch
     """
 
-    centreline: Floats
+    road: Road
     bounds: tuple[float, float, float, float]
     slope: tuple[float, float]
     cell: float
@@ -72,17 +84,15 @@ class Terrain:
         """Return the same land with more places changed."""
         return replace(self, patches=(*self.patches, *patches))
 
-    def road_distance(self, x: Floats, y: Floats) -> Floats:
-        """Return distances to the crown of the road [m]."""
-        query = np.stack([np.ravel(x), np.ravel(y)], axis=1)
-        distance, _ = cKDTree(self.centreline).query(query)
-        return np.asarray(distance).reshape(np.shape(x))
+    def without_patches(self) -> Terrain:
+        """Return the land as it was laid out."""
+        return replace(self, patches=())
 
     def height(self, x: Floats, y: Floats) -> Floats:
         """Return ground heights at places of any shape [m]."""
         land = self.slope[0] * x + self.slope[1] * y
         land = land + 0.35 * np.sin(x / 41.0 + 0.5) * np.cos(y / 37.0)
-        height = land + road_profile(self.road_distance(x, y))
+        height = land + road_profile(self.road.distance(x, y))
         for patch in self.patches:
             height = height + np.where(patch.contains(x, y), patch.rise, 0.0)
         return np.asarray(height)
@@ -101,7 +111,7 @@ class Terrain:
         a, b, c, d = (i.ravel() for i in (index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]))
         triangles = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
         centre = vertices[triangles].mean(axis=1)
-        return Mesh(vertices, triangles, road_material(self.road_distance(centre[:, 0], centre[:, 1])))
+        return Mesh(vertices, triangles, road_material(self.road.distance(centre[:, 0], centre[:, 1])))
 
 
 def road_profile(distance: Floats) -> Floats:

@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from enum import IntEnum
 
 import numpy as np
+
 from subiaco_geo.clouds import voxel_keys
 from subiaco_geo.frames import Floats, Ints
-
+from subiaco_sim.plants import Hedge, Tree
 from subiaco_sim.primitives import sample_surface
-from subiaco_sim.scene import BUILDING, GROUND, VEGETATION, GroundItem, Item, Placed, Scene, item_mesh
+from subiaco_sim.scene import BUILDING, GROUND, VEGETATION, GroundItem, Item, Scene, foot_height, item_mesh
 
 COLUMN = 0.5  # edge of the columns in which bodies are compared [m]
 
@@ -83,14 +84,20 @@ class TrueChange:
     iou: float = np.nan
 
 
-def body_of(placed: Placed | None, scene: Scene, epoch: str) -> Body | None:
-    """Measure the columns of a placed shape above the ground of its epoch."""
+def body_of(item: Item, scene: Scene, epoch: str) -> Body | None:
+    """Measure the columns of an item above the ground of an epoch; None where it does not stand.
+
+    Foliage is measured by its form: which leaves it happens to carry is no change.
+    """
+    placed = item.at(epoch)
     if placed is None:
         return None
     terrain = scene.terrain_at(epoch)
-    mesh = item_mesh(placed, terrain)
+    if isinstance(placed.shape, Tree | Hedge):
+        placed = replace(placed, shape=placed.shape.solid())
+    mesh = item_mesh(placed, item.semantic, terrain)
     points = sample_surface(mesh, 0.08, np.random.default_rng(0))
-    foot = terrain.height_at(placed.x, placed.y)
+    foot = foot_height(placed, item.semantic, terrain)
     points = points[points[:, 2] > foot + 0.02]
     columns = np.floor(points[:, :2] / COLUMN).astype(np.int64)
     keys = voxel_keys(np.column_stack([columns, np.zeros(len(columns), dtype=np.int64)]))
@@ -110,7 +117,7 @@ def column_iou(first: Body, second: Body) -> float:
 
 def true_change(item: Item, scene: Scene) -> TrueChange:
     """Apply the thresholds of the item's class to its true geometry."""
-    before, after = (body_of(item.at(epoch), scene, epoch) for epoch in ("before", "after"))
+    before, after = (body_of(item, scene, epoch) for epoch in ("before", "after"))
     if before is None or after is None:
         return TrueChange(Change.ADDED if before is None else Change.REMOVED, before, after)
     delta_h = after.h95 - before.h95

@@ -7,14 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from ouster.sdk.core import SensorInfo, XYZLut
-from subiaco_geo.frames import Floats, Ints
 
+from subiaco_geo.frames import Floats, Ints
 from subiaco_sim.config import LidarConfig
 from subiaco_sim.primitives import REFLECTIVITY, Material
 from subiaco_sim.scene import CompiledScene, Hits
 
 ROWS = 128
 SCAN_NS = 100_000_000
+_STRENGTH = 56_000.0  # [m2]; a 10 % target across the beam returns half the time at 90 m
 _SECOND_STEP = 0.25  # the sensor cannot part two returns nearer than this [m]
 
 
@@ -68,8 +69,13 @@ def column_times(start_ns: int, scan: int, columns: int) -> Ints:
 def points_of(beams: Beams, scan: SimulatedScan, ranges: Floats) -> Floats:
     """Return ENU points (rows, columns, 3) at given ranges [m]."""
     local = beams.offset + ranges[..., None] * beams.direction
-    rotation, shift = scan.T_enu_lidar[:, :3, :3], scan.T_enu_lidar[:, :3, 3]
-    return np.asarray(np.einsum("cij,rcj->rci", rotation, local) + shift)
+    return turned(scan.T_enu_lidar, local) + scan.T_enu_lidar[:, :3, 3]
+
+
+def turned(T_enu_lidar: Floats, vectors: Floats) -> Floats:
+    """Rotate vectors (rows, columns, 3), each by the pose of its column (columns, 4, 4)."""
+    by_column = np.matmul(T_enu_lidar[:, :3, :3], vectors.transpose(1, 2, 0))
+    return np.ascontiguousarray(by_column.transpose(2, 0, 1))
 
 
 class Lidar:
@@ -89,7 +95,12 @@ class Lidar:
         self._dual = dual
 
     def scan(
-        self, scene: CompiledScene, frame_id: int, times_ns: Ints, T_enu_lidar: Floats, rng: np.random.Generator
+        self,
+        scene: CompiledScene,
+        frame_id: int,
+        times_ns: Ints,
+        T_enu_lidar: Floats,
+        rng: np.random.Generator,
     ) -> SimulatedScan:
         """Simulate one revolution with a pose a column (columns, 4, 4)."""
         origins, directions = self._rays(T_enu_lidar)
@@ -101,18 +112,17 @@ class Lidar:
         return SimulatedScan(frame_id, times_ns, T_enu_lidar, first, second)
 
     def _rays(self, T_enu_lidar: Floats) -> tuple[Floats, Floats]:
-        rotation, shift = T_enu_lidar[:, :3, :3], T_enu_lidar[:, :3, 3]
-        directions = np.einsum("cij,rcj->rci", rotation, self.beams.direction).reshape(-1, 3)
-        origins = np.einsum("cij,rcj->rci", rotation, self.beams.offset) + shift
-        return origins.reshape(-1, 3), directions
+        directions = turned(T_enu_lidar, self.beams.direction)
+        origins = turned(T_enu_lidar, self.beams.offset) + T_enu_lidar[:, :3, 3]
+        return origins.reshape(-1, 3), directions.reshape(-1, 3)
 
     def _measure(self, hits: Hits, distance: Floats, rng: np.random.Generator) -> Return:
         """Turn true distances into what the sensor would report."""
         config = self._config
         found = np.isfinite(distance) & (distance < config.max_range) & (distance > config.min_range)
         metres = np.where(found, distance, 1.0)
-        lambert = REFLECTIVITY[hits.material] * (0.15 + 0.85 * hits.cosine)
-        chance = 1 - np.exp(-lambert * 60.0 / (metres / 10.0) ** 2 * hits.cosine)
+        lambert = REFLECTIVITY[hits.material] * (0.03 + 0.97 * hits.cosine)
+        chance = 1 - np.exp(-_STRENGTH * lambert / metres**2)
         draw = rng.random((3, len(distance)), dtype=np.float32)
         found &= (draw[0] > config.dropout) & (draw[1] < chance)
         found &= (hits.material != Material.GLASS) | (draw[2] < 0.5)

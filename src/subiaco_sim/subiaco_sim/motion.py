@@ -7,9 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
+
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints, make_pose
-
 from subiaco_sim.ground import Terrain
 
 STANDING = 1.0  # s at rest before moving off
@@ -128,7 +128,9 @@ def _ride(
 
     moving = 1 - np.exp(-distance)
     phases = rng.uniform(0, 6.28, 6)
-    swing = [moving * np.sin(2 * np.pi * f * seconds + p) for f, p in zip((1.1, 1.7, 0.6) * 2, phases, strict=True)]
+    swing = [
+        moving * np.sin(2 * np.pi * f * seconds + p) for f, p in zip((1.1, 1.7, 0.6) * 2, phases, strict=True)
+    ]
     height = _smoothed(terrain.height(xy[:, 0], xy[:, 1])) + 0.012 * swing[0]
     pitch = -np.arctan(slope(heading)) + 0.004 * swing[1] + 0.003 * swing[2]
     roll = np.arctan(slope(left)) + 0.005 * swing[4] + 0.003 * swing[5]

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
-from subiaco_geo.frames import Floats
 
+from subiaco_geo.frames import Floats
 from subiaco_sim.primitives import Material, Mesh, cylinder, facets, join
 
 
@@ -32,6 +32,10 @@ class Tree:
         stem = cylinder(self.trunk, bare + 0.4 * self.crown + 0.3, Material.BARK, 8).placed(0, 0, -0.3)
         return join([stem, *self._branches(bare), self._foliage()])
 
+    def solid(self) -> Tree:
+        """Return the same form with dense leaves that do not depend on the season."""
+        return replace(self, leaves=0, density=4.0)
+
     def _branches(self, bare: float) -> list[Mesh]:
         rng = np.random.default_rng([self.form, 1])
         parts = []
@@ -44,7 +48,7 @@ class Tree:
     def _foliage(self) -> Mesh:
         lobes = self._lobes()
         rng = np.random.default_rng([self.leaves, 2])
-        count = int(self.density * 55.0 * self.radius * self.crown)
+        count = int(self.density * 80.0 * self.radius * self.crown)
         which = rng.integers(0, len(lobes), count)
         direction = rng.normal(size=(count, 3))
         direction /= np.linalg.norm(direction, axis=1, keepdims=True)
@@ -73,14 +77,19 @@ class Hedge:
     width: float
     height: float
     leaves: int
+    density: float = 1.0
+
+    def solid(self) -> Hedge:
+        """Return the same form with dense leaves that do not depend on the season."""
+        return replace(self, leaves=0, density=4.0)
 
     def mesh(self) -> Mesh:
         """Return the hedge on z = 0: leaf facets in a shell of the block."""
         rng = np.random.default_rng([self.leaves, 4])
-        count = int(130 * self.length * (self.height + self.width / 2))
+        count = int(130 * self.density * self.length * (self.height + self.width / 2))
         size = np.array([self.length, self.width, self.height])
         points = rng.uniform(-0.5, 0.5, (count, 3))
         axis = rng.choice(3, count, p=[0.1, 0.55, 0.35])
         side = np.where(axis == 2, 1.0, rng.choice([-1.0, 1.0], count))
         points[np.arange(count), axis] = side * rng.uniform(0.35, 0.5, count)
-        return facets((points + (0, 0, 0.5)) * size, 0.09, rng, Material.LEAF)
+        return facets((points + np.array([0.0, 0.0, 0.5])) * size, 0.09, rng, Material.LEAF)

@@ -6,9 +6,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
-
 from subiaco_sim.changes import apply_changes, ground_changes, replaced_cars
 from subiaco_sim.scene import Scene
 from subiaco_sim.suburb import dense_route, lay_out, make_terrain
@@ -69,13 +69,13 @@ def find_preset(name: str) -> Preset:
     return PRESETS[name]
 
 
-def build_scene(name: str, seed: int) -> Scene:
+def build_scene(name: str, seed: int, ground_cell: float | None = None) -> Scene:
     """Build the scene of a preset; the same name and seed give the same scene."""
     preset = find_preset(name)
     rng = np.random.default_rng([seed, 7])
     route = dense_route(preset.waypoints())
     layout = lay_out(route, preset.frontage, rng)
-    terrain = make_terrain(route, preset.margin, preset.cell, rng)
+    terrain = make_terrain(route, preset.margin, ground_cell or preset.cell, rng)
     items = replaced_cars(apply_changes(layout, preset.rounds), rng)
     ground = ground_changes(layout, len(items) + 1, preset.rounds)
     return Scene(terrain, tuple(items), tuple(ground), route)

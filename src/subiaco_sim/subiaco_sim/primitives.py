@@ -8,6 +8,7 @@ from enum import IntEnum
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+
 from subiaco_geo.frames import Floats, Ints
 
 
@@ -47,7 +48,7 @@ class Mesh:
         """Return the mesh turned about its own z and moved [m, rad]."""
         c, s = np.cos(yaw), np.sin(yaw)
         turned = self.vertices @ np.array([[c, s, 0.0], [-s, c, 0.0], [0.0, 0.0, 1.0]])
-        return Mesh(turned + (x, y, z), self.triangles, self.material)
+        return Mesh(turned + np.array([x, y, z]), self.triangles, self.material)
 
     def corners(self) -> Floats:
         """Return the corners of every triangle (T, 3, 3)."""

@@ -6,13 +6,14 @@ import heapq
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any, TypeAlias
 
 import numpy as np
 from scipy.spatial.transform import Rotation
+
 from subiaco_geo import topics
 from subiaco_geo.bags import TYPESTORE, BagWriter, packet_to_cdr
-from subiaco_geo.frames import quaternion_from_pose
-
+from subiaco_geo.frames import Floats, quaternion_from_pose
 from subiaco_sim.config import FaultConfig
 from subiaco_sim.drives import WORLD
 from subiaco_sim.gnss import HEADING_SIGMA, NONE, GnssSeries
@@ -23,6 +24,8 @@ from subiaco_sim.vehicle import MOUNTINGS
 _PACKET_DELAY_NS = 300_000
 _IMU_DELAY_NS = 1_000_000
 _FIX_DELAY_NS = 60_000_000
+
+Msg: TypeAlias = Any  # message objects of the type store
 
 _T = TYPESTORE.types
 
@@ -49,26 +52,26 @@ def write_bag(path: Path, metadata_json: str, start_ns: int, streams: Iterable[I
             writer.write_raw(arrival.topic, topics.MESSAGE_TYPES[arrival.topic], arrival.cdr, arrival.log_ns)
 
 
-def stamp(time_ns: int) -> object:
+def stamp(time_ns: int) -> Msg:
     """Return a builtin_interfaces/Time."""
     return _T["builtin_interfaces/msg/Time"](sec=time_ns // 10**9, nanosec=time_ns % 10**9)
 
 
-def _header(time_ns: int, frame: str) -> object:
+def _header(time_ns: int, frame: str) -> Msg:
     return _T["std_msgs/msg/Header"](stamp=stamp(time_ns), frame_id=frame)
 
 
-def _vector(values: Iterable[float]) -> object:
+def _vector(values: Iterable[float]) -> Msg:
     x, y, z = (float(v) for v in values)
     return _T["geometry_msgs/msg/Vector3"](x=x, y=y, z=z)
 
 
-def _quaternion(values: Iterable[float]) -> object:
+def _quaternion(values: Iterable[float]) -> Msg:
     x, y, z, w = (float(v) for v in values)
     return _T["geometry_msgs/msg/Quaternion"](x=x, y=y, z=z, w=w)
 
 
-def tf_message(time_ns: int) -> object:
+def tf_message(time_ns: int) -> Msg:
     """Return base_link to every sensor frame."""
     transforms = []
     for frame, mounting in MOUNTINGS.items():
@@ -95,7 +98,7 @@ def packet_arrivals(
 
 
 def _imu_message(
-    time_ns: int, frame: str, orientation: object, covariance: np.ndarray, gyro: object, accel: object
+    time_ns: int, frame: str, orientation: Msg, covariance: Floats, gyro: Msg, accel: Msg
 ) -> bytes:
     unknown = np.zeros(9)
     message = _T["sensor_msgs/msg/Imu"](

@@ -9,8 +9,8 @@ from typing import Protocol
 import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
-from subiaco_geo.frames import Floats, Ints
 
+from subiaco_geo.frames import Floats, Ints
 from subiaco_sim.ground import Patch, Terrain
 from subiaco_sim.primitives import Mesh, join
 
@@ -84,9 +84,15 @@ class Scene:
         return self.terrain.with_patches(*(g.patch for g in self.ground_items))
 
 
-def item_mesh(placed: Placed, terrain: Terrain) -> Mesh:
-    """Return the mesh of a placed shape on the ground of the scene."""
-    z = terrain.height_at(placed.x, placed.y)
+def foot_height(placed: Placed, semantic: int, terrain: Terrain) -> float:
+    """Return the height on which a thing stands [m]: what moves stands on new ground, the rest stays."""
+    ground = terrain if semantic == MOBILE else terrain.without_patches()
+    return ground.height_at(placed.x, placed.y)
+
+
+def item_mesh(placed: Placed, semantic: int, terrain: Terrain) -> Mesh:
+    """Return the mesh of a placed shape on the ground of an epoch."""
+    z = foot_height(placed, semantic, terrain)
     return placed.shape.mesh().placed(placed.x, placed.y, z, placed.yaw)
 
 
@@ -149,7 +155,7 @@ def compile_scene(scene: Scene, epoch: str, threads: int = 0) -> CompiledScene:
     for item in scene.items:
         placed = item.at(epoch)
         if placed is not None:
-            meshes.append((item.object_id, item_mesh(placed, terrain)))
+            meshes.append((item.object_id, item_mesh(placed, item.semantic, terrain)))
     return compile_meshes(meshes, threads)
 
 

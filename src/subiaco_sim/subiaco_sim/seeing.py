@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+
 from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.frames import Floats, Ints
-
 from subiaco_sim.config import TruthConfig
 from subiaco_sim.scene import CompiledScene
 
@@ -58,7 +58,9 @@ def seen_from(
             open_cells = np.flatnonzero(~seen)
             near = open_cells[_in_view(pose, places[open_cells] + lift, drive.max_range)]
             if len(near):
-                reach = _reaches(drive.scene, pose[:3, 3], places[near], lift, owner[near], grown[near], config)
+                reach = _reaches(
+                    drive.scene, pose[:3, 3], places[near], lift, owner[near], grown[near], config
+                )
                 seen[near[reach]] = True
     return np.asarray(seen[inverse.ravel()])
 

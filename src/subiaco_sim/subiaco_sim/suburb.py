@@ -8,13 +8,13 @@ from dataclasses import dataclass, field
 import numpy as np
 from scipy.interpolate import CubicSpline
 from shapely import affinity
-from shapely.geometry import LineString, Point, Polygon
+from shapely.geometry import LineString, Polygon
 from shapely.geometry import box as shapely_box
-from subiaco_geo.frames import Floats
 
+from subiaco_geo.frames import Floats
 from subiaco_sim.buildings import House, Shed
 from subiaco_sim.furniture import Bin, Car, Fence, Pole
-from subiaco_sim.ground import ROAD_HALF, Terrain
+from subiaco_sim.ground import ROAD_HALF, Road, Terrain
 from subiaco_sim.plants import Hedge, Tree
 from subiaco_sim.primitives import Material
 from subiaco_sim.scene import BUILDING, MOBILE, OTHER, VEGETATION, Item, Placed, Shape
@@ -123,10 +123,7 @@ def lay_out(centreline: Floats, frontage: float, rng: np.random.Generator) -> La
     layout = Layout(centreline, rng)
     road = LineString(centreline).buffer(8.5)
     layout.taken.append(road)
-    lots = []
-    for lot in walk_lots(centreline, frontage):
-        if _add_house(layout, lot, frontage):
-            lots.append(lot)
+    lots = [lot for lot in walk_lots(centreline, frontage) if _add_house(layout, lot, frontage)]
     for lot in lots:
         _add_garden(layout, lot, frontage)
     _add_street_furniture(layout)
@@ -200,10 +197,4 @@ def make_terrain(centreline: Floats, margin: float, cell: float, rng: np.random.
     west, south = centreline.min(axis=0) - margin
     east, north = centreline.max(axis=0) + margin
     slope = (float(rng.uniform(-0.02, 0.02)), float(rng.uniform(-0.015, 0.015)))
-    return Terrain(centreline, (float(west), float(south), float(east), float(north)), slope, cell)
-
-
-def distance_between(first: Item, second: Item) -> float:
-    """Return the distance of two items as they stand before [m]."""
-    assert first.before is not None and second.before is not None
-    return Point(first.before.x, first.before.y).distance(Point(second.before.x, second.before.y))
+    return Terrain(Road(centreline), (float(west), float(south), float(east), float(north)), slope, cell)

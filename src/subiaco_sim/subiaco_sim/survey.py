@@ -9,9 +9,9 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
+
 from subiaco_geo.atomic import whole_directory
 from subiaco_geo.frames import Ints
-
 from subiaco_sim.collect import FirstPoints
 from subiaco_sim.config import SimulationConfig
 from subiaco_sim.drives import Drive, Survey, first_points, plan_survey, scans_of
@@ -139,5 +139,3 @@ def _record(path: Path, survey: Survey, drive: Drive, scans: Iterator[SimulatedS
     ]
     write_bag(path, survey.info.to_json_string(), drive.motion.start_ns, streams)
     return digest.hexdigest()
-
-

@@ -7,14 +7,15 @@ import hashlib
 import json
 from dataclasses import asdict
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import yaml
 from numpy.typing import NDArray
+
 from subiaco_geo.config import config_hash
 from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.trajectories import Trajectory, write_tum
-
 from subiaco_sim.drives import MAP_CRS, START_NS, WORLD, Drive, Survey
 from subiaco_sim.labels import Change, Labels, TrueChange
 from subiaco_sim.scene import CLASS_NAMES, GROUND, CompiledScene, GroundItem, Item
@@ -40,17 +41,17 @@ def point_changes(
     return np.where(seen, labels.change[object_id], Change.UNSEEN).astype(np.uint8)
 
 
-def write_points(directory: Path, labels: Labels, xyz: Floats, object_id: Ints, change: NDArray[np.uint8]) -> None:
+def write_points(
+    directory: Path, labels: Labels, xyz: Floats, object_id: Ints, change: NDArray[np.uint8]
+) -> None:
     """Write points.npz: xyz in the map CRS, object, class, change."""
-    np.savez_compressed(
-        directory / "points.npz",
-        **{
-            "xyz": WORLD.points_to_map(xyz, MAP_CRS),
-            "object": object_id.astype(np.int32),
-            "class": labels.semantic[object_id].astype(np.uint8),
-            "change": change,
-        },
-    )
+    arrays: dict[str, Any] = {
+        "xyz": WORLD.points_to_map(xyz, MAP_CRS),
+        "object": object_id.astype(np.int32),
+        "class": labels.semantic[object_id].astype(np.uint8),
+        "change": change,
+    }
+    np.savez(directory / "points.npz", **arrays)
 
 
 def _round(value: float) -> float | str:
@@ -136,7 +137,7 @@ def scene_hash(scenes: list[CompiledScene]) -> str:
 def write_scene(path: Path, survey: Survey, labels: Labels, bags: dict[str, str]) -> None:
     """Write scene.yaml: everything that is needed to judge or to repeat the survey."""
     config = survey.config
-    items = [*survey.scene.items, *survey.scene.ground_items]
+    items: list[Item | GroundItem] = [*survey.scene.items, *survey.scene.ground_items]
     document = {
         "preset": config.preset,
         "seed": config.seed,
@@ -151,7 +152,11 @@ def write_scene(path: Path, survey: Survey, labels: Labels, bags: dict[str, str]
             epoch: {"start_ns": START_NS[epoch], "scans": d.scans, "packets_sha256": bags.get(epoch, "")}
             for epoch, d in survey.drives.items()
         },
-        "lidar": {"model": survey.info.prod_line, "mode": config.mode.value, "dual_return": config.dual_return},
+        "lidar": {
+            "model": survey.info.prod_line,
+            "mode": config.mode.value,
+            "dual_return": config.dual_return,
+        },
         "mountings_in_base_link": {name: asdict(m) for name, m in MOUNTINGS.items()},
         "classes": dict(enumerate(CLASS_NAMES)),
         "changes": {int(c): c.label for c in Change},
