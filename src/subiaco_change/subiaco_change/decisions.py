@@ -33,6 +33,12 @@ class DecisionConfig(StrictModel):
     min_observed: float = Field(
         0.3, ge=0, le=1, description="observed share below which nothing is claimed, Decision 14"
     )
+    min_observed_free: float = Field(
+        0.1,
+        ge=0,
+        le=1,
+        description="the same for an unmatched object whose observed part is free almost everywhere",
+    )
     min_empty: float = Field(
         0.5, ge=0, le=1, description="share of the observed place that must be free in the other epoch"
     )
@@ -68,7 +74,7 @@ def decide(
         Median level of detection of its points [m]; inf where none is known.
     config : DecisionConfig
     """
-    if measures.observed_fraction < config.min_observed or measures.seen_voxels < config.min_voxels:
+    if not _enough_seen(measures, in_before and in_after, config):
         share = measures.observed_fraction
         return Decision(Change.UNOBSERVED, f"the other epoch observed {share:.0%} of the place", 1.0 - share)
     if not (in_before and in_after):
@@ -81,6 +87,18 @@ def decide(
             Change.UNCHANGED, f"matched, but overlap {measures.iou:.2f} is too small to compare", 0.5
         )
     return _matched(semantic, measures, max(config.lod_factor * lod, config.lod_floor), rules)
+
+
+def _enough_seen(measures: Measures, matched: bool, config: DecisionConfig) -> bool:
+    """Tell whether the other epoch observed enough of the place to claim anything."""
+    if measures.seen_voxels < config.min_voxels:
+        return False
+    if measures.observed_fraction >= config.min_observed:
+        return True
+    free = (
+        max(measures.gone_share, measures.new_share) >= 0.9 and measures.seen_voxels >= 4 * config.min_voxels
+    )
+    return not matched and free and measures.observed_fraction >= config.min_observed_free
 
 
 def _single(in_after: bool, measures: Measures, config: DecisionConfig) -> Decision:

@@ -30,6 +30,9 @@ class GroundChangeConfig(StrictModel):
     max_spread: float = Field(
         0.12, gt=0, description="spread of heights in a cell beyond which it is no clean ground [m]"
     )
+    bridge: int = Field(
+        3, ge=1, description="window over which an empty cell takes its neighbours' height [cells]"
+    )
     bias_tile: float = Field(20.0, gt=0, description="tile of the bias field between epochs [m]")
     bias_reach: int = Field(2, ge=0, description="tiles on each side whose median is the bias (Decision 3)")
     bias_limit: float = Field(0.10, ge=0, description="largest bias taken as one of registration [m]")
@@ -88,12 +91,13 @@ def compare_ground(
         _cell_heights(v, m, corner, (rows, columns), config)
         for v, m in zip((before, after), ground, strict=True)
     ]
-    raw = cells[1][0] - cells[0][0]
+    heights = _bridge(cells[0][0], cells[1][0], config)
+    raw = heights[1] - heights[0]
     if not np.isfinite(raw).any():
         return None
     bias = _bias_field(raw, config)
     dz = raw - bias
-    lod = np.fmax(cells[0][1], cells[1][1])
+    lod = fill_gaps(np.fmax(cells[0][1], cells[1][1]))
     patch, patches = _find_patches(dz, lod, corner, config)
     return GroundComparison(corner, config.cell, dz, lod, bias, patch, patches)
 
@@ -114,6 +118,26 @@ def _cell_heights(
     level = np.bincount(flat, finite, size) / safe
     good = (count > 0) & (spread < config.max_spread)
     return np.where(good, mean, np.nan).reshape(shape), np.where(good, level, np.nan).reshape(shape)
+
+
+def _bridge(before: Floats, after: Floats, config: GroundChangeConfig) -> tuple[Floats, Floats]:
+    """Bridge empty cells next to known ones, so that sparse ground stays contiguous.
+
+    Heights are carried over relative to a smooth surface through both
+    epochs: on a slope nothing is gained or lost.
+    """
+    known = [np.isfinite(v) for v in (before, after)]
+    if not all(k.any() for k in known):
+        return before, after
+    smooth = ndimage.gaussian_filter(fill_gaps(np.fmin(before, after)), 2.0 / config.cell, mode="nearest")
+    bridged = []
+    for values, mask in zip((before, after), known, strict=True):
+        weight = ndimage.uniform_filter(mask.astype(float), config.bridge, mode="constant")
+        total = ndimage.uniform_filter(np.where(mask, values - smooth, 0.0), config.bridge, mode="constant")
+        mean = smooth + total / np.maximum(weight, 1e-9)
+        enough = weight * config.bridge**2 > 1.5
+        bridged.append(np.where(mask, values, np.where(enough, mean, np.nan)))
+    return bridged[0], bridged[1]
 
 
 def _bias_field(raw: Floats, config: GroundChangeConfig) -> Floats:

@@ -7,7 +7,6 @@ from dataclasses import dataclass
 
 import numpy as np
 import shapely
-from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial import cKDTree
 from shapely.geometry.base import BaseGeometry
@@ -22,10 +21,13 @@ class MeasureConfig(StrictModel):
 
     voxel: float = Field(0.5, gt=0, description="edge of the voxels, paper [m]")
     tolerance: float = Field(
-        0.5,
-        gt=0,
-        description="distance at which a voxel counts as occupied in both epochs: undoes voxel aliasing [m]",
+        0.5, gt=0, description="distance of voxels of two objects that overlap: undoes voxel aliasing [m]"
     )
+    same_low: float = Field(0.35, gt=0, description="least distance at which a place counts as occupied [m]")
+    same_high: float = Field(
+        2.0, gt=0, description="largest such distance, where the other epoch is sparse [m]"
+    )
+    same_factor: float = Field(1.25, gt=0, description="that distance in spacings of the other epoch")
     bins: int = Field(10, ge=2, description="bins of the height histogram, paper")
     top_quantile: float = Field(0.95, gt=0.5, le=1, description="h95, paper")
 
@@ -55,41 +57,48 @@ class Measures:
 def measure(before: Voxels, after: Voxels, config: MeasureConfig) -> Measures:
     """Compare the voxels of one object in two epochs; either may be empty."""
     seen_b, seen_a = before.select(before.seen), after.select(after.seen)
-    seen = len(seen_b) + len(seen_a)
-    total = len(before) + len(after)
-    iou, d_perp = _overlap(seen_b, seen_a, config)
-    volume_b, volume_a, delta_v = column_volumes(seen_b, seen_a, config.voxel)
-    lonely_b, lonely_a = np.count_nonzero(~seen_b.still), np.count_nonzero(~seen_a.still)
+    lonely_b, lonely_a = int(np.count_nonzero(~seen_b.still)), int(np.count_nonzero(~seen_a.still))
+    whole_b, whole_a = _completed(seen_b, seen_a), _completed(seen_a, seen_b)
+    volume_b, volume_a = column_volume(whole_b, config.voxel), column_volume(whole_a, config.voxel)
+    common = 0.5 * (len(seen_b) - lonely_b + len(seen_a) - lonely_a)
+    both = len(before) > 0 and len(after) > 0
     return Measures(
-        iou=iou,
-        d_perp=d_perp,
-        delta_c=_distance(seen_b, seen_a),
-        delta_h=_top(seen_a, config) - _top(seen_b, config),
-        delta_v=delta_v,
+        iou=common / max(common + lonely_b + lonely_a, 1e-9) if both else 0.0,
+        d_perp=_separation(seen_b, seen_a, config),
+        delta_c=_distance(whole_b, whole_a) if both else float("nan"),
+        delta_h=_top(whole_a, config) - _top(whole_b, config) if both else float("nan"),
+        delta_v=volume_a - volume_b,
         delta_v_surface=float(lonely_a - lonely_b) * config.voxel**3,
         volume=max(volume_b, volume_a),
         chi2=histogram_distance(seen_b.height, seen_a.height, config.bins),
         gone_share=lonely_b / max(len(seen_b), 1),
         new_share=lonely_a / max(len(seen_a), 1),
-        observed_fraction=seen / max(total, 1),
-        seen_voxels=seen,
+        observed_fraction=(len(seen_b) + len(seen_a)) / max(len(before) + len(after), 1),
+        seen_voxels=len(seen_b) + len(seen_a),
     )
 
 
-def _overlap(before: Voxels, after: Voxels, config: MeasureConfig) -> tuple[float, float]:
-    """Occupancy IoU, and the median distance along the normal of *before*, over the shared voxels."""
+def _completed(own: Voxels, other: Voxels) -> Voxels:
+    """Add to an epoch's voxels those of the other epoch that it occupies too.
+
+    Two samplings of one surface then differ only by what is new or gone, not
+    by where the beams happened to fall (Decision 13).
+    """
+    shared = other.select(other.still)
+    names = Voxels.__dataclass_fields__
+    return Voxels(*(np.concatenate([getattr(own, name), getattr(shared, name)]) for name in names))
+
+
+def _separation(before: Voxels, after: Voxels, config: MeasureConfig) -> float:
+    """Median distance along the normal of *before* over the shared voxels [m]."""
     if len(before) == 0 or len(after) == 0:
-        return 0.0, float("nan")
-    tree = cKDTree(after.xyz)
-    distance, slot = tree.query(before.xyz)
-    shared = distance <= config.tolerance
-    back = cKDTree(before.xyz).query(after.xyz)[0] <= config.tolerance
-    common = 0.5 * (np.count_nonzero(shared) + np.count_nonzero(back))
-    iou = common / (len(before) + len(after) - common)
+        return float("nan")
+    distance, slot = cKDTree(after.xyz).query(before.xyz, distance_upper_bound=config.tolerance)
+    shared = np.isfinite(distance)
     if not shared.any():
-        return float(iou), float("nan")
+        return float("nan")
     step = after.xyz[slot[shared]] - before.xyz[shared]
-    return float(iou), float(np.median(np.einsum("ij,ij->i", before.normal[shared], step)))
+    return float(np.median(np.einsum("ij,ij->i", before.normal[shared], step)))
 
 
 def _distance(before: Voxels, after: Voxels) -> float:
@@ -102,37 +111,15 @@ def _top(voxels: Voxels, config: MeasureConfig) -> float:
     return float(np.quantile(voxels.height, config.top_quantile)) if len(voxels) else float("nan")
 
 
-def column_volumes(before: Voxels, after: Voxels, cell: float) -> tuple[float, float, float]:
-    """Volumes under the tops of the columns [m3], and their difference.
-
-    A column that only one epoch has, and whose top the other epoch still
-    occupies, is a gap in the sampling: it does not count as a difference.
-    """
-    top_b, top_a = _column_tops(before, cell), _column_tops(after, cell)
-    volume_b = sum(top for top, _ in top_b.values()) * cell**2
-    volume_a = sum(top for top, _ in top_a.values()) * cell**2
-    delta = 0.0
-    for key in sorted(top_b.keys() | top_a.keys()):
-        if key in top_b and key in top_a:
-            delta += top_a[key][0] - top_b[key][0]
-        elif key in top_a:
-            delta += 0.0 if top_a[key][1] else top_a[key][0]
-        else:
-            delta -= 0.0 if top_b[key][1] else top_b[key][0]
-    return volume_b, volume_a, delta * cell**2
-
-
-def _column_tops(voxels: Voxels, cell: float) -> dict[tuple[int, int], tuple[float, bool]]:
-    """Height of the highest voxel of every column, and whether the other epoch still has it."""
+def column_volume(voxels: Voxels, cell: float) -> float:
+    """Volume between the ground and the tops of the columns [m3]."""
+    if len(voxels) == 0:
+        return 0.0
     index = np.floor(voxels.xyz[:, :2] / cell).astype(np.int64)
-    order = np.lexsort((voxels.height, index[:, 1], index[:, 0]))
-    tops = {}
-    for i in order.tolist():
-        tops[(int(index[i, 0]), int(index[i, 1]))] = (
-            max(float(voxels.height[i]), 0.0),
-            bool(voxels.still[i]),
-        )
-    return tops
+    _, column = np.unique(index, axis=0, return_inverse=True)
+    tops = np.zeros(int(column.max()) + 1)
+    np.maximum.at(tops, column.ravel(), voxels.height)
+    return float(tops.sum()) * cell**2
 
 
 def histogram_distance(before: Floats, after: Floats, bins: int) -> float:
@@ -163,9 +150,3 @@ def footprint(parts: Sequence[Floats], cell: float = 0.5) -> BaseGeometry:
     boxes = shapely.box(cells[:, 0], cells[:, 1], cells[:, 0] + cell, cells[:, 1] + cell)
     outline = shapely.union_all(boxes).buffer(cell, join_style="mitre").buffer(-cell, join_style="mitre")
     return outline.simplify(0.2 * cell)
-
-
-def padded_bounds(xyz: NDArray[np.float64], pad: float) -> tuple[float, float, float, float]:
-    """West, south, east, north of points (N, 3), widened [m]."""
-    low, high = xyz[:, :2].min(axis=0) - pad, xyz[:, :2].max(axis=0) + pad
-    return float(low[0]), float(low[1]), float(high[0]), float(high[1])

@@ -14,7 +14,7 @@ from subiaco_change.confidence import confidence, paper_score
 from subiaco_change.decisions import Decision, DecisionConfig, decide
 from subiaco_change.ground import Mask
 from subiaco_change.measures import MeasureConfig, Measures, footprint, measure
-from subiaco_change.objects import EpochView, Thing, Voxels, build_things, build_voxels
+from subiaco_change.objects import EpochView, Reach, Thing, Voxels, build_things, build_voxels
 from subiaco_change.records import ChangeRecord, Semantic
 
 Observed = Callable[[Floats], Mask]
@@ -56,8 +56,9 @@ def compare_objects(
 ) -> list[ObjectChange]:
     """Match, measure and decide every object of two epochs in one local frame."""
     edge, tolerance = rules.measures.voxel, rules.measures.tolerance
-    things_b = build_things(before, build_voxels(before, after, seen_by_after, edge, tolerance))
-    things_a = build_things(after, build_voxels(after, before, seen_by_before, edge, tolerance))
+    reach = Reach(rules.measures.same_low, rules.measures.same_high, rules.measures.same_factor)
+    things_b = build_things(before, build_voxels(before, after, seen_by_after, edge, reach))
+    things_a = build_things(after, build_voxels(after, before, seen_by_before, edge, reach))
     things_b, things_a = agree_on_classes(things_b, things_a, rules.association, tolerance)
     changes = []
     for semantic in (Semantic.BUILDING, Semantic.VEGETATION, Semantic.MOBILE, Semantic.OTHER):

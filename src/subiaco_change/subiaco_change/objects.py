@@ -70,7 +70,7 @@ class Thing:
 
 
 def build_voxels(
-    view: EpochView, other: EpochView, observed: Callable[[Floats], Mask], edge: float, tolerance: float
+    view: EpochView, other: EpochView, observed: Callable[[Floats], Mask], edge: float, reach: Reach
 ) -> Voxels:
     """Group the object points of an epoch into voxels and ask the other epoch about each.
 
@@ -82,18 +82,42 @@ def build_voxels(
         (M, 3) points of that frame -> (M,) bool, seen by the other epoch.
     edge : float
         Voxel edge [m].
-    tolerance : float
-        Distance within which something of the other epoch occupies the place [m].
+    reach : Reach
+        When something of the other epoch occupies the place.
     """
     members = np.flatnonzero(view.instance >= 0)
     owner, normal, height, xyz = _voxel_means(view, members, edge)
-    standing = other.xyz[other.semantic != Semantic.GROUND]
-    still = np.zeros(len(owner), dtype=bool)
-    if len(standing) and len(owner):
-        distance, _ = cKDTree(standing).query(xyz, distance_upper_bound=tolerance)
-        still = np.isfinite(distance)
-    seen = (observed(xyz) | still) if len(xyz) else np.zeros(0, dtype=bool)
-    return Voxels(owner, xyz, normal, height, seen, still)
+    if len(owner) == 0:
+        none = np.zeros(0, dtype=bool)
+        return Voxels(owner, xyz, normal, height, none, none)
+    still = occupied(xyz, other.xyz[other.semantic != Semantic.GROUND], reach)
+    return Voxels(owner, xyz, normal, height, observed(xyz) | still, still)
+
+
+@dataclass(frozen=True)
+class Reach:
+    """Distance [m] at which points of another sampling count as the same place.
+
+    ``factor`` times the spacing of the other sampling there, within ``low`` and ``high``: where an epoch is
+    sparse, the nearest of its points is far although nothing changed.
+    """
+
+    low: float
+    high: float
+    factor: float
+
+
+def occupied(query: Floats, points: Floats, reach: Reach) -> Mask:
+    """Tell which places (M, 3) something among points (N, 3) occupies."""
+    if len(points) < 5:
+        return np.zeros(len(query), dtype=bool)
+    tree = cKDTree(points)
+    distance, slot = tree.query(query, distance_upper_bound=reach.high)
+    found = np.isfinite(distance)
+    spacing = tree.query(points[slot[found]], k=[5])[0][:, 0]
+    still = np.zeros(len(query), dtype=bool)
+    still[found] = distance[found] <= np.clip(reach.factor * spacing, reach.low, reach.high)
+    return still
 
 
 def _voxel_means(view: EpochView, members: Ints, edge: float) -> tuple[Ints, Floats, Floats, Floats]:
