@@ -72,7 +72,7 @@ def node_environment() -> Iterator[dict[str, str]]:
     ``ROS_DOMAIN_ID`` is taken from the caller's environment where it is set,
     else a free one is held until the end.
     """
-    import domain_coordinator  # of the ROS environment: an apt installation has it on its own path
+    import domain_coordinator  # type: ignore[import-untyped]  # comes with ROS
 
     with TemporaryDirectory(prefix="subiaco-ros-") as logs:
         environment = _with_defaults(workspace_environment(), logs)

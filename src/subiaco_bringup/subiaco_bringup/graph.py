@@ -69,9 +69,7 @@ def ros_value(name: str, value: Any) -> Any:
         return ros_parameters(value, name) or None
     if isinstance(value, (list, tuple)):
         if any(isinstance(item, (list, tuple, Mapping)) for item in value):
-            raise InputError(
-                f"{name}: a list of lists cannot be a ROS parameter; give it in the in-process verbs"
-            )
+            raise InputError(f"{name}: a list of lists cannot be a ROS parameter; use the in-process verb")
         kinds = {type(item) for item in value}
         return [float(item) for item in value] if kinds == {int, float} else list(value)
     return str(value) if isinstance(value, Path) else value
@@ -84,7 +82,11 @@ def ros_parameters(values: Mapping[str, Any], prefix: str = "") -> dict[str, Any
 
 
 def parameter_file(parameters: Mapping[str, Any]) -> Path:
-    """Write parameters in ROS form; equal parameters give the same file."""
+    """Write parameters in ROS form; equal parameters give the same file.
+
+    One merged file a node, because ROS keeps the earlier of two values where
+    a later file or ``-p`` gives a fraction for what was a whole number.
+    """
     document = {"/**": {"ros__parameters": ros_parameters(parameters)}}
     text = yaml.safe_dump(document, sort_keys=True)
     name = hashlib.sha256(text.encode()).hexdigest()[:16]

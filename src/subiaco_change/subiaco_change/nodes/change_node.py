@@ -41,9 +41,7 @@ POLL = 0.1
 class ChangeParameters(StrictModel):
     """Parameters of the change node; everything else is the change configuration."""
 
-    before: str = Field(
-        "", description="map to compare at start, with after and output; empty waits for goals"
-    )
+    before: str = Field("", description="map to compare at start; empty waits for goals")
     after: str = Field("", description="the later map")
     output: str = Field("", description="change directory to write")
     overwrite: bool = Field(False, description="replace an existing change directory")

@@ -133,7 +133,7 @@ class PoseGraphApp:
 
     def _create_subscriptions(self, node: Node) -> None:
         handlers: tuple[tuple[Any, str, Callable[[Any], object], Any], ...] = (
-            (TFMessage, TF_STATIC, lambda m: self._transforms.add(m), latched(100)),
+            (TFMessage, TF_STATIC, self._on_tf_static, latched(100)),
             (NavSatFix, FIX, self._on_fix, reliable(1000)),
             (Odometry, ODOMETRY, lambda m: self._on_part(ODOMETRY, m), reliable(32)),
             (ScanQuality, QUALITY, lambda m: self._on_part(QUALITY, m), reliable(32)),
@@ -209,6 +209,9 @@ class PoseGraphApp:
             self._backend.start_sequence(self._sequence, self._extrinsics)
         return self._extrinsics
 
+    def _on_tf_static(self, message: TFMessage) -> bool:
+        return self._transforms.add(message)
+
     def _on_fix(self, message: NavSatFix) -> None:
         self._started()
         self._backend.on_fix(fix_from_msg(message))
@@ -253,9 +256,7 @@ class PoseGraphApp:
 
     def _finish(self) -> None:
         if self._matcher.dropped:
-            raise SubiacoError(
-                f"{self._matcher.dropped} scans arrived in part; this is a fault of the transport"
-            )
+            raise SubiacoError(f"{self._matcher.dropped} scans arrived in part: the transport lost messages")
         if self._own.output_directory:
             self._save(Path(self._own.output_directory), overwrite=self._own.overwrite)
         else:

@@ -28,7 +28,7 @@ class ReplayPort(Protocol):
     def mark(self, topic: str, name: str, counts: Mapping[str, int]) -> None:
         """Announce a sequence or the end, with counts by topic."""
 
-    def publish(self, message: BagMessage, latched: bool) -> None:
+    def publish(self, message: BagMessage) -> None:
         """Publish the raw bytes of one message."""
 
     def clock(self, time_ns: int) -> None:
@@ -91,7 +91,7 @@ class Replay:
         self.done = False
 
     def step(self) -> bool:
-        """Do a little; return whether there is more to do at once (False: wait for consumers or the clock)."""
+        """Do a little; return False where consumers or the clock must be waited for."""
         busy = next(self._steps, None)
         self.done = busy is None
         return bool(busy)
@@ -112,7 +112,7 @@ class Replay:
         chosen = self._topics & reader.topics.keys()
         if not chosen:
             raise InputError(
-                f"{reader.path}: holds none of {', '.join(sorted(self._topics))}; remap or record them"
+                f"{reader.path}: none of {', '.join(sorted(self._topics))}; record or remap them"
             )
         check_types(reader, chosen)
         return chosen
@@ -156,7 +156,7 @@ class Replay:
             if paced and message.log_time_ns - clock_ns >= CLOCK_STEP_NS:
                 clock_ns = message.log_time_ns
                 self._port.clock(clock_ns)
-            self._port.publish(message, latched=message.topic in LATCHED)
+            self._port.publish(message)
             self._flow.published(message.topic)
             self._played += 1
             self._on_progress(self._played / self._total)

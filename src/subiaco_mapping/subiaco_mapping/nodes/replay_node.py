@@ -65,8 +65,8 @@ class NodePort:
         """Announce a sequence or the end."""
         self._publishers[topic].publish(counts_message(name, counts))
 
-    def publish(self, message: BagMessage, latched: bool) -> None:
-        """Publish raw bytes; whether a topic is latched was settled when its publisher was made."""
+    def publish(self, message: BagMessage) -> None:
+        """Publish raw bytes."""
         self._publishers[message.topic].publish(message.raw)
 
     def clock(self, time_ns: int) -> None:
@@ -99,7 +99,7 @@ class ReplayApp:
         """Publish a burst; wait for callbacks only where the replay has to wait."""
         if not self._flow.ready and time.monotonic() > self._deadline:
             raise SubiacoError(
-                f"replay: no sign of {', '.join(self._flow.missing)} within {self._timeout:.0f} s; start them, "
+                f"no sign of {', '.join(self._flow.missing)} within {self._timeout:.0f} s; start them "
                 "or leave them out of the parameter consumers"
             )
         busy = all(self._replay.step() for _ in range(BURST))

@@ -134,7 +134,8 @@ class ProgressLog:
         last_stage, last = self._last
         if stage != last_stage or fraction - last >= self._step or (fraction >= 1.0 > last):
             self._last = (stage, fraction)
-            self._logger.info(f"progress: {stage} {100 * fraction:.0f} %")
+            text = f"progress: {stage} {100 * fraction:.0f} %"
+            self._logger.info(text)
 
 
 class Diagnostics:
@@ -171,17 +172,12 @@ def _orphaned() -> bool:
     return supervisor is not None and os.getppid() != int(supervisor)
 
 
-def spin(node: Node, app: App) -> None:
+def _spin(executor: SingleThreadedExecutor, app: App) -> None:
     """Run callbacks and steps in one thread until the app is done."""
-    executor = SingleThreadedExecutor()
-    executor.add_node(node)
-    try:
-        while not app.done:
-            executor.spin_once(timeout_sec=app.step())
-            if _orphaned():
-                raise ExternalShutdownException
-    finally:
-        executor.shutdown(timeout_sec=1.0)
+    while not app.done:
+        executor.spin_once(timeout_sec=app.step())
+        if _orphaned():
+            raise ExternalShutdownException
 
 
 def _attach_logging(node: Node) -> None:
@@ -218,10 +214,13 @@ def run_node(name: str, build: Callable[[Node], App], argv: Sequence[str] | None
 
 
 def _run(node: Node, build: Callable[[Node], App]) -> int:
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
     try:
-        app = build(node)
-        spin(node, app)
+        _spin(executor, build(node))
     except SubiacoError as error:
         node.get_logger().fatal(str(error))
         return error.exit_code
+    finally:
+        executor.shutdown(timeout_sec=1.0)
     return 0

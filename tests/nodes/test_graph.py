@@ -1,0 +1,178 @@
+"""The graph description: one source for launch files, supervisor and parameters."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+import types
+from pathlib import Path
+from typing import Any
+
+import pytest
+import yaml
+
+from subiaco_bringup.graph import (
+    change_graph,
+    command_lines,
+    mapping_graph,
+    merged_config,
+    process_command,
+    ros_parameters,
+)
+from subiaco_geo.config import load_config
+from subiaco_geo.errors import InputError
+from subiaco_mapping.config import MappingConfig
+
+LAUNCH = Path(__file__).resolve().parents[2] / "src" / "subiaco_bringup" / "launch"
+
+
+def write_yaml(path: Path, **values: Any) -> Path:
+    path.write_text(yaml.safe_dump({"/**": {"ros__parameters": values}}))
+    return path
+
+
+def parameters_of(command: list[str]) -> dict[str, Any]:
+    text = Path(command[command.index("--params-file") + 1]).read_text()
+    return dict(yaml.safe_load(text)["/**"]["ros__parameters"])
+
+
+def test_every_node_gets_the_same_configuration_as_the_command_line(tmp_path: Path) -> None:
+    file = write_yaml(
+        tmp_path / "m.yaml",
+        odometry={"voxel": 0.7},
+        sensors={"lidar": {"translation": [1, 0.5, 2]}, "imu": None},
+    )
+    settings = ["odometry.voxel=0.9", "crs=EPSG:7851"]
+    graph = mapping_graph([tmp_path / "bag"], tmp_path / "out", [file], settings)
+    expected = load_config(MappingConfig, [file], settings)
+    own = {"use_sim_time", "exit_at_end", "consumers", "output_directory", "overwrite", "bags"}
+    for command in command_lines(graph)[1:]:
+        given = {k: v for k, v in parameters_of(command).items() if k not in own}
+        assert MappingConfig.model_validate(given) == expected
+
+
+def test_what_ros_parameters_cannot_hold_is_left_out_or_made_uniform() -> None:
+    values = {"a": [1, 2.5], "b": None, "c": {"d": None}, "e": [], "f": {"g": ("x", "y")}, "h": Path("/p")}
+    assert ros_parameters(values) == {"a": [1.0, 2.5], "f": {"g": ["x", "y"]}, "h": "/p"}
+    with pytest.raises(InputError, match=r"a\.b: a list of lists"):
+        ros_parameters({"a": {"b": [[1, 2]]}})
+
+
+def test_equal_graphs_have_equal_command_lines_and_others_not(tmp_path: Path) -> None:
+    lines = [
+        command_lines(mapping_graph([tmp_path / "bag"], tmp_path / "out", rate=rate)) for rate in (0, 0, 2)
+    ]
+    assert lines[0] == lines[1]
+    assert lines[0] != lines[2]
+
+
+def test_the_replay_waits_for_every_other_node(tmp_path: Path) -> None:
+    replay, *others = mapping_graph([tmp_path / "bag"], tmp_path / "out").nodes
+    assert replay.parameters["consumers"] == [node.name for node in others]
+    assert [node.name for node in others if node.principal] == ["pose_graph"]
+
+
+def test_settings_win_over_files_and_later_files_over_earlier_ones(tmp_path: Path) -> None:
+    files = [write_yaml(tmp_path / f"{v}.yaml", odometry={"voxel": v, "max_range": v}) for v in (1.0, 2.0)]
+    merged = merged_config(files, ["odometry.voxel=3.0"])
+    assert merged == {"odometry": {"voxel": 3.0, "max_range": 2.0}}
+
+
+def test_processes_are_started_with_this_interpreter(tmp_path: Path) -> None:
+    node = change_graph(tmp_path / "a", tmp_path / "b", tmp_path / "c").nodes[0]
+    command = process_command(node)
+    assert command[:3] == [sys.executable, "-m", "subiaco_change.nodes.change_node"]
+    assert command[3:] == command_lines(change_graph(tmp_path / "a", tmp_path / "b", tmp_path / "c"))[0][2:]
+
+
+class Action:
+    """Stands for every class of ``launch``: keeps what it was given."""
+
+    def __init__(self, *given: Any, **named: Any) -> None:
+        self.given, self.named = given, named
+
+
+class Node(Action):
+    """Stands for launch_ros.actions.Node."""
+
+
+class OpaqueFunction(Action):
+    """Stands for launch.actions.OpaqueFunction."""
+
+
+class Configuration:
+    """Stands for LaunchConfiguration; the context is a plain dict."""
+
+    def __init__(self, name: str) -> None:
+        self.name = name
+
+    def perform(self, context: dict[str, str]) -> str:
+        return context[self.name]
+
+
+@pytest.fixture
+def launch_stub(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Put a minimal ``launch`` in place: the real one is not on PyPI."""
+    contents = {
+        "launch": {"LaunchDescription": Action},
+        "launch.actions": {
+            "DeclareLaunchArgument": Action,
+            "EmitEvent": Action,
+            "OpaqueFunction": OpaqueFunction,
+            "RegisterEventHandler": Action,
+        },
+        "launch.substitutions": {"LaunchConfiguration": Configuration},
+        "launch.event_handlers": {"OnProcessExit": Action},
+        "launch.events": {"Shutdown": Action},
+        "launch_ros": {},
+        "launch_ros.actions": {"Node": Node},
+    }
+    for name, members in contents.items():
+        module = types.ModuleType(name)
+        vars(module).update(members)
+        monkeypatch.setitem(sys.modules, name, module)
+
+
+def launched_lines(file: Path, **arguments: str) -> list[list[str]]:
+    """Expand a launch file as ``ros2 launch`` would, and return the command lines of its nodes."""
+    spec = importlib.util.spec_from_file_location("launched", file)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    description = module.generate_launch_description()
+    declared = [a for a in description.given[0] if not isinstance(a, OpaqueFunction)]
+    context = {a.given[0]: a.named["default_value"] for a in declared} | arguments
+    assert not [name for name, value in context.items() if value is None]
+    (expand,) = [a for a in description.given[0] if isinstance(a, OpaqueFunction)]
+    nodes = [a.named for a in expand.named["function"](context) if isinstance(a, Node)]
+    return [[n["package"], n["executable"], *n["arguments"]] for n in nodes]
+
+
+@pytest.mark.usefixtures("launch_stub")
+def test_launch_file_and_supervisor_start_the_same_mapping_command_lines(tmp_path: Path) -> None:
+    from subiaco_bringup.defaults import config_files
+
+    bags = [tmp_path / "one", tmp_path / "two words"]
+    launched = launched_lines(
+        LAUNCH / "mapping.launch.py",
+        bag=f"{bags[0]} '{bags[1]}'",
+        output=str(tmp_path / "out"),
+        set="odometry.voxel=0.8",
+        rate="2.0",
+        overwrite="true",
+    )
+    graph = mapping_graph(
+        bags, tmp_path / "out", config_files("mapping"), ["odometry.voxel=0.8"], rate=2.0, overwrite=True
+    )
+    assert launched == command_lines(graph)
+
+
+@pytest.mark.usefixtures("launch_stub")
+def test_launch_file_and_supervisor_start_the_same_change_command_line(tmp_path: Path) -> None:
+    from subiaco_bringup.defaults import config_files
+
+    names = {name: str(tmp_path / name) for name in ("before", "after", "output")}
+    launched = launched_lines(LAUNCH / "change.launch.py", **names)
+    graph = change_graph(*(Path(path) for path in names.values()), config_files("change"))
+    assert launched == command_lines(graph)
