@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+
 from subiaco_geo.clouds import unpack_voxel_keys, voxel_indices, voxel_keys
 from subiaco_geo.errors import InputError
 from subiaco_geo.raywalk import VisibilityAccumulator, accumulate_visibility, merge_grids

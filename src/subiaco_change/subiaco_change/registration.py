@@ -52,7 +52,7 @@ class RegistrationConfig(StrictModel):
     coarse: Literal["auto", "always", "never"] = Field(
         "auto", description="search without priors: auto = when identity does not hold and a CRS is missing"
     )
-    coarse_pixel: float = Field(2.0, gt=0, description="bird's-eye pictures of the coarse search [m]")
+    coarse_pixel: float = Field(1.0, gt=0, description="bird's-eye pictures of the coarse search [m]")
     coarse_candidates: int = Field(40, ge=1, le=200, description="start poses that are refined and judged")
     ndt_iterations: int = Field(30, ge=1, description="NDT iterations a cell size")
     ndt_leaves_per_cell: float = Field(4.0, ge=2, description="NDT cell edge in leaves of the level")

@@ -1,0 +1,95 @@
+"""Gone, or not seen? A box on a street, a wall, and a car that drove by."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from subiaco_change.evidence import EvidenceConfig, make_observer
+from subiaco_geo.clouds import PointCloud, voxel_downsample
+from subiaco_geo.errors import InputError
+from subiaco_geo.frames import make_pose
+from subiaco_geo.maps import SurveyMap
+from subiaco_geo.raywalk import accumulate_visibility
+from subiaco_geo.trajectories import Trajectory
+
+ORIGIN = np.array([391_000.0, 6_464_000.0, 10.0])
+# where a box stood in the other epoch: on the open street, and in the yard behind the wall
+OPEN = np.array([[10.0, 5.0, 0.7], [10.5, 5.0, 0.8], [9.6, 5.3, 1.2]]) + ORIGIN
+HIDDEN = np.array([[10.0, 12.0, 0.7], [11.0, 13.0, 0.3], [9.0, 12.5, 1.2]]) + ORIGIN
+CONFIG = EvidenceConfig()
+
+
+def seen_points():
+    """Street (y < 8) and the near face of a 4 m wall at y = 8; nothing behind it."""
+    rng = np.random.default_rng(1)
+    street = np.column_stack(
+        [rng.uniform(-10, 30, 12_000), rng.uniform(-6, 8, 12_000), rng.normal(0, 0.01, 12_000)]
+    )
+    wall = np.column_stack([rng.uniform(-10, 30, 4000), np.full(4000, 8.0), rng.uniform(0, 4, 4000)])
+    return voxel_downsample(PointCloud(np.vstack([street, wall]), ORIGIN, "EPSG:7850"), 0.25)
+
+
+def drive():
+    x = np.arange(-8.0, 28.0, 1.0)
+    positions = np.column_stack([x, np.zeros_like(x), np.full_like(x, 2.0)]) + ORIGIN
+    poses = make_pose(np.tile(np.eye(3), (len(x), 1, 1)), positions)
+    return Trajectory(np.arange(len(x), dtype=np.int64) * 10**8, poses)
+
+
+def test_a_removed_box_that_beams_passed_is_observed_gone_and_one_behind_a_wall_is_not():
+    cloud = seen_points()
+    world = cloud.world()
+    sensor = drive().positions[np.abs(world[:, None, 0] - drive().positions[None, :, 0]).argmin(axis=1)]
+    grid = accumulate_visibility(sensor, world, ORIGIN - 50.0, 0.5)
+    observer = make_observer(SurveyMap(cloud, visibility=grid), CONFIG)
+    assert observer.kind == "observed"
+    assert observer.observed(OPEN).all()
+    assert observer.empty(OPEN).all()
+    assert not observer.observed(HIDDEN).any()
+    assert not observer.empty(HIDDEN).any()
+
+
+def test_a_trajectory_gives_the_same_verdicts_without_a_visibility_layer():
+    observer = make_observer(SurveyMap(seen_points(), trajectory=drive()), CONFIG)
+    assert observer.kind == "trajectory"
+    assert observer.observed(OPEN).all()
+    assert observer.empty(OPEN).all()
+    assert not observer.observed(HIDDEN).any()
+
+
+def test_points_alone_give_a_conservative_verdict():
+    observer = make_observer(SurveyMap(seen_points()), CONFIG)
+    assert observer.kind == "shadow"
+    assert observer.observed(OPEN).all()
+    assert not observer.observed(HIDDEN).any()
+
+
+def test_points_of_the_wall_are_observed_but_not_empty():
+    cloud = seen_points()
+    on_wall = np.array([[10.0, 8.0, 2.0], [3.0, 8.0, 1.0]]) + ORIGIN
+    for survey in (SurveyMap(cloud, trajectory=drive()), SurveyMap(cloud)):
+        observer = make_observer(survey, CONFIG)
+        assert observer.observed(on_wall).all()
+        assert not observer.empty(on_wall).any()
+
+
+def test_the_papers_rule_is_taken_only_on_request_and_says_so():
+    observer = make_observer(SurveyMap(seen_points()), EvidenceConfig(source="assumed"))
+    assert observer.kind == "assumed"
+    assert observer.observed(HIDDEN).all()
+
+
+def test_evidence_that_the_map_lacks_is_refused():
+    for source in ("observed", "trajectory"):
+        with pytest.raises(InputError, match=source):
+            make_observer(SurveyMap(seen_points()), EvidenceConfig(source=source))
+
+
+def test_a_visibility_layer_in_another_frame_is_asked_there():
+    cloud = seen_points()
+    shift = np.array([1.5, -0.5, 0.0])
+    grid = accumulate_visibility(np.tile(OPEN[:1] + (0, -4, 1), (3, 1)), OPEN, ORIGIN - 50.0, 0.5)
+    observer = make_observer(SurveyMap(cloud, visibility=grid), CONFIG, to_own=lambda world: world - shift)
+    assert observer.observed(OPEN + shift).all()
+    assert observer.observed(np.zeros((0, 3))).shape == (0,)
