@@ -9,9 +9,7 @@ from html.parser import HTMLParser
 import numpy as np
 import pandas as pd
 import pytest
-from result_scene import SceneConfig, scene_result
 
-from subiaco_change.outputs import ChangeInputs, write_change_directory
 from subiaco_change.report import CHANGED_LABELS, build_report, number, summary
 from subiaco_geo.errors import InputError
 
@@ -100,14 +98,12 @@ def test_it_says_in_words_what_the_registration_and_the_detection_limit_mean(pag
     assert "EPSG:7850" in text
 
 
-def test_an_uncalibrated_confidence_is_called_so_and_a_calibrated_one_is_not(html, tmp_path):
+def test_an_uncalibrated_confidence_is_called_so(html):
     assert "Confidence is not calibrated" in html
-    target = tmp_path / "out"
-    write_change_directory(target, scene_result(), SceneConfig(), ChangeInputs(calibrated=True))
-    assert "not calibrated" not in (target / "report.html").read_text()
+    assert "It is not calibrated yet" in html
 
 
-def test_it_is_rebuilt_from_the_directory_alone_and_shows_an_evaluation_as_simulated(
+def test_it_is_rebuilt_from_the_directory_alone_with_its_evaluation_and_calibration(
     change_directory, tmp_path
 ):
     target = tmp_path / "copy"
@@ -121,8 +117,11 @@ def test_it_is_rebuilt_from_the_directory_alone_and_shows_an_evaluation_as_simul
     part |= {"f1_percent": dict.fromkeys(labels) | {"Added": 88.8}}
     document = {"truth_is_simulated": True, "labels": labels, "grid": part, "objects": None}
     (target / "evaluation.json").write_text(json.dumps(document))
+    run = json.loads((target / "run.json").read_text()) | {"confidence_calibrated": True}
+    (target / "run.json").write_text(json.dumps(run))
     text = build_report(target).read_text()
     assert "against simulated truth" in text
+    assert "not calibrated" not in text
     assert "81.2 %" in text
     assert "88.8" in text
 

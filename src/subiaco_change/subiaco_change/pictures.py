@@ -96,6 +96,7 @@ def block_pictures(
     frame = Frame(*block.bounds, _PIXEL)
     near = [_crop(cloud, block) for cloud in (before, after)]
     heights = height_range(near)
+    inside = [mark for mark in marks if block.holds(mark.x, mark.y)]
     drawn = {}
     for kind in KINDS:
         figure = Figure(figsize=(10.4, 5.75), dpi=100, facecolor="white")
@@ -104,7 +105,8 @@ def block_pictures(
             axis.imshow(paint(cloud, frame, kind, heights), extent=frame.extent, interpolation="nearest")
             _dress(axis, title, frame)
         if kind == "change":
-            _draw_marks(axes[1], [m for m in marks if block.holds(m.x, m.y)])
+            for axis in axes:
+                _draw_marks(axis, inside)
         _explain(figure, kind, heights)
         drawn[kind] = _png(figure)
     return drawn
