@@ -55,17 +55,22 @@ def tree(rng, x, y, height=7.0, radius=2.0):
 
 def car(rng, x, y, length=4.4, width=1.8, height=1.5):
     """A body and a cabin."""
-    z = ground_z(x, y) + 0.25
-    low, parts = 0.55, []
-    for base, tall, long in ((z, low, length), (z + low, height - low - 0.25, length * 0.55)):
-        west, south = x - long / 2, y - width / 2
+    z, low, cabin = ground_z(x, y) + 0.2, 0.8, 0.55 * length
+    west, south = x - length / 2, y - width / 2
+    front = (length - cabin) / 2
+    parts = [
+        rectangle(rng, (west + shift, south, z + low), (front, 0, 0), (0, width, 0), 80)
+        for shift in (0, length - front)
+    ]
+    for base, tall, long in ((z, low, length), (z + low, height - low - 0.2, cabin)):
+        west = x - long / 2
         parts += [
             rectangle(rng, (west, south, base), (long, 0, 0), (0, 0, tall), 80),
             rectangle(rng, (west, south + width, base), (long, 0, 0), (0, 0, tall), 80),
             rectangle(rng, (west, south, base), (0, width, 0), (0, 0, tall), 80),
             rectangle(rng, (west + long, south, base), (0, width, 0), (0, 0, tall), 80),
-            rectangle(rng, (west, south, base + tall), (long, 0, 0), (0, width, 0), 80),
         ]
+    parts.append(rectangle(rng, (x - cabin / 2, south, z + height - 0.2), (cabin, 0, 0), (0, width, 0), 80))
     return np.concatenate(parts)
 
 

@@ -216,21 +216,23 @@ def _split_rest(xyz: Floats, height: Floats, foliage: Mask, config: SemanticsCon
     low = np.flatnonzero(height < config.mobile_top)
     for members in group_indices(voxel_clusters(xyz[low], config.cluster_voxel)):
         hard = 1.0 - float(foliage[low[members]].mean())
-        if hard > config.mobile_hard and _is_vehicle(xyz[low[members]], height[low[members]], config):
+        if _is_vehicle(xyz[low[members]], height[low[members]], hard, config):
             semantic[low[members]] = Semantic.MOBILE
     return _vote_clusters(xyz, height, semantic, config)
 
 
-def _is_vehicle(xyz: Floats, height: Floats, config: SemanticsConfig) -> bool:
-    """Tell a compact thing that stands on the ground and fits the box of a vehicle."""
+def _is_vehicle(xyz: Floats, height: Floats, hard: float, config: SemanticsConfig) -> bool:
+    """Tell a compact thing that stands on the ground and fits the box of a vehicle; cars may look softer."""
     if len(xyz) < 15:
         return False
     length, width = box_sides(xyz[:, :2])
     top = float(np.quantile(height, 0.98))
     low = float(np.quantile(height, 0.02))
     row_of_cars = 1.4 < width < 3.2 and top < 2.4
+    car = 3.2 < length < config.mobile_length and 1.4 < width < 2.4 and 1.2 < top < 2.2
     return bool(
-        width > config.mobile_min_width
+        hard > (0.5 * config.mobile_hard if car else config.mobile_hard)
+        and width > config.mobile_min_width
         and length > 1.4
         and (length < config.mobile_length or row_of_cars)
         and 0.8 < top < config.mobile_height
