@@ -76,7 +76,7 @@ class Street:
             n = rng.poisson(radius**3 * 4.2 * density / 4)
             crown = rng.normal(0, 1, (n, 3))
             crown *= (radius * rng.random((n, 1)) ** (1 / 3)) / np.linalg.norm(crown, axis=1, keepdims=True)
-            parts.append(crown + (x, y, ground_height(x, y) + radius + 2))
+            parts.append(crown + np.array([x, y, ground_height(x, y) + radius + 2]))
         for (x, y), yaw in self.cars:
             parts.append(box(rng, (x, y, ground_height(x, y)), (4.4, 1.8, 1.5), density, yaw))
         points = np.vstack(parts)

@@ -89,7 +89,7 @@ def test_evidence_that_the_map_lacks_is_refused():
 def test_a_visibility_layer_in_another_frame_is_asked_there():
     cloud = seen_points()
     shift = np.array([1.5, -0.5, 0.0])
-    grid = accumulate_visibility(np.tile(OPEN[:1] + (0, -4, 1), (3, 1)), OPEN, ORIGIN - 50.0, 0.5)
+    grid = accumulate_visibility(np.tile(OPEN[:1] + np.array([0, -4, 1]), (3, 1)), OPEN, ORIGIN - 50.0, 0.5)
     observer = make_observer(SurveyMap(cloud, visibility=grid), CONFIG, to_own=lambda world: world - shift)
     assert observer.observed(OPEN + shift).all()
     assert observer.observed(np.zeros((0, 3))).shape == (0,)

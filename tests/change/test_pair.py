@@ -21,7 +21,7 @@ def survey(crs="EPSG:7850", shift=(0.0, 0.0, 0.0), origin=PERTH, seed=1):
 
 
 def test_both_clouds_come_back_about_one_origin_at_the_leaf_with_their_world_coordinates_kept():
-    after = survey(origin=PERTH + (100.0, -200.0, 0.0), shift=(-100.0, 200.0, 0.0), seed=2)
+    after = survey(origin=PERTH + np.array([100.0, -200.0, 0.0]), shift=(-100.0, 200.0, 0.0), seed=2)
     before, after, info = check_pair(survey(), after, leaf=1.0)
     assert np.array_equal(before.cloud.origin, after.cloud.origin)
     assert np.abs(before.cloud.world() - PERTH).max() < 51

@@ -1,4 +1,4 @@
-"""Registration of synthetic streets whose transform is known. Seeds name the layout; epochs are sampled anew."""
+"""Registration of synthetic streets whose transform is known; seeds name layouts."""
 
 from __future__ import annotations
 
@@ -96,7 +96,9 @@ def test_different_places_are_an_error_that_says_why(street):
         register(cloud(street.sample(1)), cloud(other.sample(2)), CONFIG)
     with pytest.raises(RegistrationError, match="disjoint"):
         register(
-            cloud(street.sample(1), "EPSG:7850"), cloud(street.sample(2) + (500.0, 0, 0), "EPSG:7850"), CONFIG
+            cloud(street.sample(1), "EPSG:7850"),
+            cloud(street.sample(2) + np.array([500.0, 0, 0]), "EPSG:7850"),
+            CONFIG,
         )
 
 

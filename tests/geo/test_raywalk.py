@@ -96,6 +96,6 @@ def test_beams_that_are_not_finite_or_too_far_are_refused():
         accumulate_visibility(good, np.full((1, 3), np.nan), np.zeros(3), 0.5)
     with pytest.raises(InputError, match="nearer origin"):
         accumulate_visibility(good, np.full((1, 3), 1e7), np.zeros(3), 0.5)
-    with pytest.raises(InputError, match="share|differ"):
-        a = accumulate_visibility(good, good, np.zeros(3), 0.5)
-        merge_grids([a, accumulate_visibility(good, good, np.zeros(3), 0.25)])
+    coarse, fine = (accumulate_visibility(good, good, np.zeros(3), voxel) for voxel in (0.5, 0.25))
+    with pytest.raises(InputError, match="differ in origin or voxel"):
+        merge_grids([coarse, fine])

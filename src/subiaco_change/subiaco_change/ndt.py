@@ -219,7 +219,7 @@ def align_ndt(
     while iteration < max_iterations:
         iteration += 1
         damped = hessian + damping * np.diag(np.maximum(np.diag(hessian), 1e-9))
-        twist: Floats = -np.linalg.lstsq(damped, gradient, rcond=None)[0]
+        twist = np.asarray(-np.linalg.lstsq(damped, gradient, rcond=None)[0], dtype=np.float64)
         trial = about(centre, twist) @ pose
         new_score, new_gradient, new_hessian = _score_at(trial, centre, source, target)
         if new_score < score:

@@ -53,7 +53,7 @@ class RegistrationConfig(StrictModel):
         "auto", description="search without priors: auto = when identity does not hold and a CRS is missing"
     )
     coarse_pixel: float = Field(1.0, gt=0, description="bird's-eye pictures of the coarse search [m]")
-    coarse_candidates: int = Field(40, ge=1, le=200, description="start poses that are refined and judged")
+    coarse_candidates: int = Field(25, ge=1, le=200, description="start poses that are refined and judged")
     ndt_iterations: int = Field(30, ge=1, description="NDT iterations a cell size")
     ndt_leaves_per_cell: float = Field(4.0, ge=2, description="NDT cell edge in leaves of the level")
     tukey: float = Field(0.3, gt=0, description="Tukey biweight of point-to-plane residuals [m]")
@@ -67,11 +67,14 @@ class RegistrationConfig(StrictModel):
     min_standing: float = Field(
         0.35, ge=0, lt=1, description="smallest share of walls in the overlap that match"
     )
+    min_standing_search: float = Field(
+        0.5, ge=0, lt=1, description="the same after a search without priors, which must be surer"
+    )
     min_lying: float = Field(
         0.35, ge=0, lt=1, description="smallest share of ground in the overlap that matches"
     )
     max_rmse: float = Field(0.15, gt=0, description="largest robust point-to-plane RMSE [m]")
-    max_disagreement: float = Field(0.15, gt=0, description="largest distance of NDT and ICP solutions [m]")
+    max_disagreement: float = Field(0.10, gt=0, description="largest distance of NDT and ICP solutions [m]")
     max_disagreement_deg: float = Field(
         0.3, gt=0, description="largest angle between NDT and ICP solutions [deg]"
     )
@@ -162,7 +165,7 @@ def _refine_coarsely(
     after: _Side,
     pose: Floats,
     config: RegistrationConfig,
-    factors: tuple[float, ...] = (2.0, 1.0, 0.5),
+    factors: tuple[float, ...] = (1.0, 0.5),
 ) -> Floats:
     """NDT on the coarsest level, from large cells to small."""
     for factor in factors:
@@ -224,11 +227,12 @@ def _judge(
 def _complaints(fit: _Fit, config: RegistrationConfig) -> list[str]:
     """Say in words which checks a fit fails."""
     q = fit.quality
+    least = config.min_standing_search if fit.start == "coarse" else config.min_standing
     checks = [
         (q.overlap < config.min_overlap, f"overlap {q.overlap:.2f} < {config.min_overlap}"),
         (
-            q.n_standing >= 100 and q.standing < config.min_standing,
-            f"only {q.standing:.2f} of the walls in the overlap match (< {config.min_standing})",
+            q.n_standing >= 100 and q.standing < least,
+            f"only {q.standing:.2f} of the walls in the overlap match (< {least})",
         ),
         (
             q.lying < config.min_lying,
@@ -282,7 +286,7 @@ def _from_search(before: _Side, after: _Side, targets: list[Target], config: Reg
             "coarse: nothing stands in the clouds that could fix a position; give --transform"
         )
     poses = [candidate.pose for candidate in candidates]
-    for cells, keep in (((2.0, 1.0), 5), ((0.5,), 1)):
+    for cells, keep in (((1.0,), 5), ((0.5,), 1)):
         moved = [_refine_coarsely(before, after, pose, config, cells) for pose in poses]
         scores = [measure_quality(before.levels[0], targets[0], pose, config.tukey).score for pose in moved]
         best = np.argsort(scores, kind="stable")[::-1][:keep]
