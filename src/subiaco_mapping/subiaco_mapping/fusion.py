@@ -133,7 +133,7 @@ class VoxelAccumulator:
             raise InputError("fused map: points are not finite or too far from the local origin")
         for start in range(0, len(xyz), 1 << 14):
             part = slice(start, start + (1 << 14))
-            if self._used + (1 << 14) > _MAX_LOAD * len(self._keys):
+            while self._used + (1 << 14) > _MAX_LOAD * len(self._keys):
                 old = self._keys, self._counts, self._sums
                 self._allocate(2 * len(self._keys))
                 _reinsert(*old, self._keys, self._counts, self._sums)
