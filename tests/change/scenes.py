@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import numpy as np
+
 from subiaco_geo.clouds import PointCloud, voxel_downsample
 from subiaco_geo.maps import SurveyMap
 

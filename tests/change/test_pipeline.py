@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scenes import Scene, ground_z
+
 from subiaco_change.config import ChangeConfig
 from subiaco_change.pipeline import detect_changes
 from subiaco_change.records import Change, Semantic
@@ -163,6 +164,7 @@ def test_what_the_other_epoch_could_not_see_is_unobserved():
 def test_the_same_input_gives_the_same_table():
     small = Scene(houses=[(-15, 12)], trees=[(10, -6)], cars=[], poles=[])
     tables = [
-        detect_changes(survey(small, 5), survey(small, 6), ChangeConfig(), transform=IDENTITY).records for _ in "ab"
+        detect_changes(survey(small, 5), survey(small, 6), ChangeConfig(), transform=IDENTITY).records
+        for _ in "ab"
     ]
     assert [repr(r) for r in tables[0]] == [repr(r) for r in tables[1]]

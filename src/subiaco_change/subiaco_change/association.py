@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,11 +12,14 @@ from pydantic import Field
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, min_weight_full_bipartite_matching
 from scipy.spatial import cKDTree
-from subiaco_geo.config import StrictModel
-from subiaco_geo.frames import Floats, Ints
 
 from subiaco_change.measures import histogram_distance, oriented_rectangle, rectangle_iou
 from subiaco_change.objects import Thing
+from subiaco_geo.config import StrictModel
+from subiaco_geo.frames import Floats, Ints
+
+#: A scipy sparse array; scipy has no types.
+Sparse = Any
 
 
 class AssociationConfig(StrictModel):
@@ -59,12 +63,18 @@ class Match:
 
 def overlap_counts(
     before: Sequence[Thing], after: Sequence[Thing], tolerance: float
-) -> tuple[Floats, Floats]:
-    """Count voxels of every object whose nearest voxel of the other epoch, within reach [m], is in each object.
+) -> tuple[Sparse, Sparse]:
+    """Count voxels of every object whose nearest voxel of the other epoch is in each object there.
+
+    Parameters
+    ----------
+    before, after : sequence of Thing
+    tolerance : float
+        Voxels farther apart do not overlap [m].
 
     Returns
     -------
-    forward, backward : (B, A) and (A, B) scipy sparse arrays
+    forward, backward : (B, A) and (A, B) sparse arrays
         Of voxels of *before* in *after*, and the other way round.
     """
     first, second = _stack(before), _stack(after)
@@ -84,7 +94,7 @@ def _stack(things: Sequence[Thing]) -> tuple[Floats, Ints]:
 
 def _nearest_counts(
     source: tuple[Floats, Ints], target: tuple[Floats, Ints], shape: tuple[int, int], tolerance: float
-) -> Floats:
+) -> Sparse:
     if len(source[0]) == 0 or len(target[0]) == 0:
         return coo_array(shape).tocsr()
     distance, slot = cKDTree(target[0]).query(source[0], distance_upper_bound=tolerance)
@@ -122,7 +132,7 @@ def _unmatched(before: Sequence[Thing], after: Sequence[Thing]) -> list[Match]:
 
 
 def _group_fragments(
-    things: Sequence[Thing], counts: Floats, config: AssociationConfig
+    things: Sequence[Thing], counts: Sparse, config: AssociationConfig
 ) -> list[tuple[int, ...]]:
     """Group the fragments that lie in the same object of the other epoch; the others stand alone."""
     sizes = np.maximum([len(t.voxels) for t in things], 1)
@@ -141,7 +151,7 @@ def _adopt(
     matches: list[Match],
     before: Sequence[Thing],
     after: Sequence[Thing],
-    counts: tuple[Floats, Floats],
+    counts: tuple[Sparse, Sparse],
     used: tuple[set[int], set[int]],
     config: AssociationConfig,
 ) -> list[Match]:
@@ -157,7 +167,7 @@ def _adopt(
 
 
 def _inside(
-    things: Sequence[Thing], counts: Floats, hosts: tuple[int, ...], used: set[int], config: AssociationConfig
+    things: Sequence[Thing], counts: Sparse, hosts: tuple[int, ...], used: set[int], config: AssociationConfig
 ) -> list[int]:
     column = np.asarray(counts[:, list(hosts)].sum(axis=1)).ravel()
     found = np.flatnonzero(column).tolist()
@@ -220,7 +230,7 @@ def _near_pairs(
     """Pairs of groups whose circles come within the gate."""
     tree = cKDTree([s.centroid[:2] for s in shapes_a])
     widest = max(s.reach for s in shapes_a)
-    pairs = []
+    pairs: list[tuple[int, int]] = []
     for i, shape in enumerate(shapes_b):
         reach = config.gate_distance + shape.reach + widest
         pairs.extend((i, j) for j in sorted(tree.query_ball_point(shape.centroid[:2], reach)))

@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+
 from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.frames import Floats, Ints
 
@@ -63,11 +66,13 @@ def group_indices(labels: Ints) -> list[NDArray[np.int64]]:
     """Return the point indices of every label 0..max; labels below 0 are left out."""
     order = np.argsort(labels, kind="stable")
     bounds = np.searchsorted(labels[order], np.arange(labels.max(initial=-1) + 2))
-    return [order[a:b] for a, b in zip(bounds[:-1], bounds[1:], strict=True)]
+    return [order[a:b] for a, b in pairwise(bounds.tolist())]
 
 
 def group_reduce(labels: Ints, values: NDArray[np.generic], size: int, how: str = "median") -> Floats:
     """Reduce values (N,) by label 0..size-1: median, mean, minimum or maximum; NaN where empty."""
+    if len(labels) == 0:
+        return np.full(size, np.nan)
     index = np.arange(size)
     function = getattr(ndimage, how)
     counts = np.bincount(labels, minlength=size)

@@ -6,11 +6,11 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from subiaco_geo.clouds import PointCloud
-from subiaco_geo.frames import Floats, invert_pose, transform_points
 
 from subiaco_change.ground import Mask
 from subiaco_change.records import Registration
+from subiaco_geo.clouds import PointCloud
+from subiaco_geo.frames import Floats, invert_pose, transform_points
 
 
 @dataclass(frozen=True)

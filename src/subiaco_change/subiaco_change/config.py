@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from pydantic import Field
-from subiaco_geo.config import StrictModel
 
 from subiaco_change.association import AssociationConfig
 from subiaco_change.decisions import DecisionConfig
@@ -14,6 +13,7 @@ from subiaco_change.lod import LodConfig
 from subiaco_change.measures import MeasureConfig
 from subiaco_change.registration import RegistrationConfig
 from subiaco_change.semantics import SemanticsConfig
+from subiaco_geo.config import StrictModel
 
 
 class ChangeConfig(StrictModel):

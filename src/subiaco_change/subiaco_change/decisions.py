@@ -6,10 +6,10 @@ import math
 from dataclasses import dataclass
 
 from pydantic import Field
-from subiaco_geo.config import StrictModel
 
 from subiaco_change.measures import Measures
 from subiaco_change.records import Change, Semantic
+from subiaco_geo.config import StrictModel
 
 
 class ClassRules(StrictModel):
@@ -121,7 +121,7 @@ def _mobile(measures: Measures, config: DecisionConfig) -> Decision:
 
 
 def _matched(semantic: Semantic, measures: Measures, gate: float, rules: ClassRules) -> Decision:
-    """Increased or Decreased by height or volume; where both fire, the volume's sign decides (Decision 12)."""
+    """Decide by height or volume; where both directions fire, the volume's sign wins (Decision 12)."""
     relative = measures.delta_v / max(measures.volume, 1e-6)
     limit = max(rules.height, gate)
     height = measures.delta_h / limit if math.isfinite(measures.delta_h) else 0.0
@@ -129,7 +129,8 @@ def _matched(semantic: Semantic, measures: Measures, gate: float, rules: ClassRu
     if not math.isfinite(gate):
         return Decision(Change.UNCHANGED, "no level of detection here, so no change is claimed", 0.0)
     up, down = max(height, volume), max(-height, -volume)
-    evidence = f"height {measures.delta_h:+.2f} m (gate {limit:.2f}), volume {relative:+.0%} (gate {rules.volume:.0%})"
+    evidence = f"height {measures.delta_h:+.2f} m (gate {limit:.2f})"
+    evidence += f", volume {relative:+.0%} (gate {rules.volume:.0%})"
     if up <= 1 and down <= 1:
         return Decision(Change.UNCHANGED, evidence, max(up, down))
     if up > 1 and down > 1:

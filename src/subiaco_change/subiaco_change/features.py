@@ -9,6 +9,7 @@ import numpy as np
 import pgeof
 from numpy.typing import NDArray
 from pydantic import Field
+
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats
 

@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 from scipy import ndimage
+
 from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
@@ -34,6 +35,9 @@ class GroundConfig(StrictModel):
         0.8, gt=0, description="depth below the neighbours at which a cell is noise [m]"
     )
     refit_band: float = Field(0.30, gt=0, description="points this near the first surface refit it [m]")
+    max_spread: float = Field(
+        0.07, gt=0, description="spread of heights in a cell beyond which it is no ground [m]"
+    )
     support: float = Field(
         4.0, gt=0, description="farthest a ground cell may be for a height to count as known [m]"
     )
@@ -108,7 +112,8 @@ def fit_ground(xyz: Floats, config: GroundConfig) -> GroundModel:
     surface = fill_gaps(np.where(is_ground, lowest, np.nan))
     surface, is_ground = _refit(xyz, flat, surface, is_ground, config)
     distance = ndimage.distance_transform_edt(~is_ground) * config.cell
-    return GroundModel(*south_west.tolist(), config.cell, surface, np.asarray(distance <= config.support))
+    west, south = south_west.tolist()
+    return GroundModel(west, south, config.cell, surface, np.asarray(distance <= config.support))
 
 
 def _cells(xyz: Floats, south_west: Floats, cell: float) -> tuple[tuple[int, int], NDArray[np.int64]]:
@@ -146,7 +151,10 @@ def fill_gaps(raster: Floats) -> Floats:
     coarse = fill_gaps(np.where(count > 0, total / np.maximum(count, 1), np.nan))
     row, column = np.mgrid[:rows, :columns]
     pushed = ndimage.map_coordinates(coarse, [(row - 0.5) / 2, (column - 0.5) / 2], order=1, mode="nearest")
-    return np.where(known, raster, pushed)
+    filled = np.where(known, raster, pushed)
+    for _ in range(8):  # relaxation on every level: slopes run on through the gap
+        filled = np.where(known, raster, ndimage.uniform_filter(filled, 3, mode="nearest"))
+    return filled
 
 
 def _reject_low(lowest: Floats, config: GroundConfig) -> Floats:
@@ -189,11 +197,19 @@ def _refit(
     """Move the low surface to the mean of the points near it: the lowest of many is biased by noise."""
     low = surface.ravel()[flat]
     near = (np.abs(xyz[:, 2] - low) < config.refit_band) & is_ground.ravel()[flat]
-    size = surface.size
     for _ in range(2):
-        count = np.bincount(flat[near], minlength=size)
-        total = np.bincount(flat[near], weights=xyz[near, 2], minlength=size)
-        mean = np.where(count > 0, total / np.maximum(count, 1), np.nan)
+        mean, spread = _cell_moments(xyz[near, 2], flat[near], surface.size)
         near &= np.abs(xyz[:, 2] - mean[flat]) < 0.5 * config.refit_band
+        near &= spread[flat] < config.max_spread  # the foot of a wall, or leaves
+    mean, _ = _cell_moments(xyz[near, 2], flat[near], surface.size)
     mean = mean.reshape(surface.shape)
     return fill_gaps(mean), np.isfinite(mean)
+
+
+def _cell_moments(z: Floats, flat: NDArray[np.int64], size: int) -> tuple[Floats, Floats]:
+    """Mean and standard deviation of the heights of every cell, NaN where empty."""
+    count = np.bincount(flat, minlength=size)
+    safe = np.maximum(count, 1)
+    mean = np.where(count > 0, np.bincount(flat, z, size) / safe, np.nan)
+    spread = np.sqrt(np.bincount(flat, (z - mean[flat]) ** 2, size) / safe)
+    return mean, np.where(count > 0, spread, np.nan)

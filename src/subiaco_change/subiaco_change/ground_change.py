@@ -11,12 +11,12 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy import ndimage
 from shapely.geometry.base import BaseGeometry
-from subiaco_geo.config import StrictModel
-from subiaco_geo.frames import Floats, Ints
 
 from subiaco_change.ground import Mask, fill_gaps
 from subiaco_change.objects import EpochView
 from subiaco_change.records import Change, GroundChange, Semantic
+from subiaco_geo.config import StrictModel
+from subiaco_geo.frames import Floats, Ints
 
 
 class GroundChangeConfig(StrictModel):
@@ -73,7 +73,7 @@ class GroundComparison:
         index = np.floor((xy - self.corner) / self.cell).astype(np.int64)
         inside = ((index >= 0) & (index < np.array(self.dz.shape[::-1]))).all(axis=1)
         clipped = np.clip(index, 0, np.array(self.dz.shape[::-1]) - 1)
-        return clipped[:, 1], clipped[:, 0], inside
+        return clipped[:, 1], clipped[:, 0], np.asarray(inside)
 
 
 def compare_ground(

@@ -7,13 +7,13 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy import ndimage
 from scipy.spatial import cKDTree
-from subiaco_geo.clouds import PointCloud
-from subiaco_geo.config import StrictModel
-from subiaco_geo.frames import Floats, Ints
 
 from subiaco_change.clustering import cell_clusters, group_indices, voxel_clusters
 from subiaco_change.records import Semantic
 from subiaco_change.semantics import SemanticResult
+from subiaco_geo.clouds import PointCloud
+from subiaco_geo.config import StrictModel
+from subiaco_geo.frames import Floats, Ints
 
 
 class InstanceConfig(StrictModel):
@@ -27,7 +27,7 @@ class InstanceConfig(StrictModel):
     crown_radius: float = Field(
         2.0, gt=0, description="smoothing and least half distance of two crown tops [m]"
     )
-    crown_drop: float = Field(0.8, gt=0, description="depth of the dip that parts two crowns [m]")
+    crown_drop: float = Field(0.5, gt=0, description="depth of the dip that parts two crowns [m]")
     mobile_gap: float = Field(
         0.3, gt=0, description="cell in which points of a vehicle touch, after the split [m]"
     )
@@ -37,7 +37,7 @@ class InstanceConfig(StrictModel):
     other_gap: float = Field(0.6, gt=0, description="voxel in which other things touch [m]")
     min_points: tuple[int, int, int, int] = Field(
         (60, 40, 25, 12),
-        description="smallest building, plant, vehicle, other, in points at a 0.25 m leaf; scales with 1/leaf^2 (Decision 7)",
+        description="smallest building, plant, vehicle, other: points at a 0.25 m leaf, times 1/leaf^2 (Decision 7)",
     )
     leaf: float = Field(0.25, gt=0, description="leaf of the clouds, set by the run [m]")
 
@@ -60,7 +60,7 @@ def segment(cloud: PointCloud, result: SemanticResult, config: InstanceConfig) -
         members = np.flatnonzero(result.semantic == semantic)
         if len(members) == 0:
             continue
-        labels = function(cloud.xyz[members], result.height_above_ground[members], config)
+        labels = function(cloud.xyz[members], result.height_above_ground[members].astype(np.float64), config)
         smallest = config.min_points[position] * (0.25 / config.leaf) ** 2
         labels = _renumber(cloud.xyz[members], labels, max(3, round(smallest)))
         instance[members] = np.where(labels >= 0, labels + following, -1)

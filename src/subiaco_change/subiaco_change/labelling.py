@@ -10,13 +10,13 @@ import numpy as np
 import shapely.affinity
 from numpy.typing import NDArray
 from scipy.special import ndtr
-from subiaco_geo.frames import Floats, Ints
 
 from subiaco_change.ground import Mask
 from subiaco_change.ground_change import GroundComparison, patch_points
 from subiaco_change.object_changes import ObjectChange
 from subiaco_change.objects import EpochView
 from subiaco_change.records import Change, ChangeRecord, Semantic
+from subiaco_geo.frames import Floats, Ints
 
 
 @dataclass(frozen=True)
@@ -113,10 +113,8 @@ def ground_records(
     records = []
     for number, patch in enumerate(ground.patches):
         centre = patch.outline.centroid
-        row, column, _ = ground.cell_of(np.array([[centre.x, centre.y]]))
         inside = (patch_points(ground, views[1]) == number).nonzero()[0]
         z = float(np.median(views[1].xyz[inside, 2])) if len(inside) else math.nan
-        del row, column
         records.append(
             ChangeRecord(
                 object_id=first_id + number,
@@ -142,7 +140,7 @@ def ground_records(
                 y=float(centre.y + origin[1]),
                 z=z + float(origin[2]),
                 footprint=shapely.affinity.translate(patch.outline, float(origin[0]), float(origin[1])),
-                reason=f"{patch.area:.0f} m2 of ground moved by {patch.dz:+.2f} m (sd {patch.dz_spread:.2f} m)",
+                reason=f"{patch.area:.0f} m2 of ground moved {patch.dz:+.2f} m (sd {patch.dz_spread:.2f} m)",
             )
         )
     return records

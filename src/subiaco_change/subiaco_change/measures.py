@@ -10,10 +10,10 @@ import shapely
 from pydantic import Field
 from scipy.spatial import cKDTree
 from shapely.geometry.base import BaseGeometry
-from subiaco_geo.config import StrictModel
-from subiaco_geo.frames import Floats
 
 from subiaco_change.objects import Voxels
+from subiaco_geo.config import StrictModel
+from subiaco_geo.frames import Floats
 
 
 class MeasureConfig(StrictModel):

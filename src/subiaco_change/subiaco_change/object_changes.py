@@ -7,7 +7,6 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from subiaco_geo.frames import Floats, Ints
 
 from subiaco_change.association import AssociationConfig, Match, associate, overlap_counts
 from subiaco_change.confidence import confidence, paper_score
@@ -16,6 +15,7 @@ from subiaco_change.ground import Mask
 from subiaco_change.measures import MeasureConfig, Measures, footprint, measure
 from subiaco_change.objects import EpochView, Reach, Thing, Voxels, build_things, build_voxels
 from subiaco_change.records import ChangeRecord, Semantic
+from subiaco_geo.frames import Floats, Ints
 
 Observed = Callable[[Floats], Mask]
 
@@ -37,7 +37,7 @@ class ObjectChange:
         return max(t.lod for t in (*self.before, *self.after))
 
     def points(self, epoch: str) -> Ints:
-        """Indices of its points in the cloud of an epoch, ``before`` or ``after``."""
+        """Return the indices of its points in the cloud of an epoch, ``before`` or ``after``."""
         parts = [t.points for t in getattr(self, epoch)]
         return np.concatenate(parts) if parts else np.zeros(0, dtype=np.int64)
 
@@ -64,8 +64,8 @@ def compare_objects(
     for semantic in (Semantic.BUILDING, Semantic.VEGETATION, Semantic.MOBILE, Semantic.OTHER):
         of_b = [t for t in things_b if t.semantic is semantic]
         of_a = [t for t in things_a if t.semantic is semantic]
-        for match in associate(of_b, of_a, rules.association, tolerance):
-            changes.append(_decide(match, of_b, of_a, semantic, rules))
+        matches = associate(of_b, of_a, rules.association, tolerance)
+        changes.extend(_decide(match, of_b, of_a, semantic, rules) for match in matches)
     return changes
 
 

@@ -9,9 +9,6 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
-from subiaco_geo.clouds import PointCloud
-from subiaco_geo.frames import Floats
-from subiaco_geo.maps import SurveyMap
 
 from subiaco_change.common_frame import CommonFrame, seen_through
 from subiaco_change.config import ChangeConfig
@@ -28,6 +25,9 @@ from subiaco_change.pair import check_pair
 from subiaco_change.records import Change, ChangeRecord, ChangeResult, Registration
 from subiaco_change.registration import given_registration, register
 from subiaco_change.semantics import SemanticResult, label_points
+from subiaco_geo.clouds import PointCloud
+from subiaco_geo.frames import Floats
+from subiaco_geo.maps import SurveyMap
 
 _LOG = logging.getLogger(__name__)
 Progress = Callable[[str, float], None]
@@ -177,7 +177,7 @@ def _compare(
     return _Comparison(frame, moved, views, (seen_by_before, seen_by_after), objects, ground)
 
 
-def _view(cloud: PointCloud, epoch: _Epoch, lod: Floats) -> EpochView:
+def _view(cloud: PointCloud, epoch: _Epoch, lod: NDArray[np.float32]) -> EpochView:
     semantic = epoch.semantic
     own = np.take_along_axis(semantic.scores, semantic.semantic[:, None].astype(np.int64), axis=1)[:, 0]
     return EpochView(

@@ -5,12 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from subiaco_geo.clouds import voxel_keys
-from subiaco_geo.frames import Floats, Ints
 
 from subiaco_change.clustering import connect, count_distinct
 from subiaco_change.features import Features
 from subiaco_change.ground import Mask
+from subiaco_geo.clouds import voxel_keys
+from subiaco_geo.frames import Floats, Ints
 
 
 @dataclass(frozen=True)
@@ -93,4 +93,5 @@ def _plane_area(delta: Floats, own: Ints, normal: Floats, cell: float = 0.5) -> 
     v = np.cross(normal, u)
     coordinates = [np.einsum("ij,ij->i", delta, axis[own]) for axis in (u, v)]
     index = np.floor(np.stack([*coordinates, np.zeros(len(own))], axis=1) / cell).astype(np.int64)
-    return count_distinct(own, voxel_keys(index), len(normal)) * cell**2
+    cells = count_distinct(own, voxel_keys(index), len(normal))
+    return np.asarray(cells * cell**2, dtype=np.float64)

@@ -8,9 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial import cKDTree
-from subiaco_geo.clouds import PointCloud, sort_spatially
-from subiaco_geo.config import StrictModel
-from subiaco_geo.frames import Floats, Ints
 
 from subiaco_change.clustering import group_indices, group_reduce, voxel_clusters
 from subiaco_change.features import FeatureConfig, Features, compute_features
@@ -18,6 +15,9 @@ from subiaco_change.ground import GroundConfig, GroundModel, Mask, fit_ground
 from subiaco_change.planes import Patches, planar_patches
 from subiaco_change.records import Semantic
 from subiaco_change.superpoints import SuperpointConfig, partition
+from subiaco_geo.clouds import PointCloud, sort_spatially
+from subiaco_geo.config import StrictModel
+from subiaco_geo.frames import Floats, Ints
 
 
 class SemanticsConfig(StrictModel):

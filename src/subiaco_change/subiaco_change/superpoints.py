@@ -15,6 +15,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
+
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
 
@@ -142,7 +143,8 @@ def _region_boundaries(labels: Ints, edges: Ints, weights: Floats) -> tuple[Ints
     count = int(labels.max()) + 1
     keys, inverse = np.unique(low * count + high, return_inverse=True)
     pairs = np.stack([keys // count, keys % count], axis=1)
-    return pairs, np.bincount(inverse, weights=weights[cut], minlength=len(keys))
+    total = np.bincount(inverse, weights=weights[cut], minlength=len(keys))
+    return pairs, np.asarray(total, dtype=np.float64)
 
 
 @numba.njit(cache=True)

@@ -1,0 +1,91 @@
+"""The assignment is optimal, and splits, merges and storeys stay one object."""
+
+import itertools
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from subiaco_change.association import AssociationConfig, assign, associate
+from subiaco_change.objects import Thing, Voxels
+from subiaco_change.records import Semantic
+
+
+def brute_force(costs, unmatched):
+    """The least total over every partial matching."""
+    count_b, count_a = costs.shape
+    best = np.inf
+    for columns in itertools.product(range(-1, count_a), repeat=count_b):
+        used = [c for c in columns if c >= 0]
+        if len(set(used)) < len(used):
+            continue
+        total = sum(costs[i, c] for i, c in enumerate(columns) if c >= 0)
+        best = min(best, total + unmatched * (count_b + count_a - 2 * len(used)))
+    return best
+
+
+@given(
+    st.integers(1, 4),
+    st.integers(1, 4),
+    st.lists(st.floats(0, 20), min_size=16, max_size=16),
+    st.lists(st.booleans(), min_size=16, max_size=16),
+    st.floats(0.5, 8),
+)
+def test_the_assignment_is_optimal(count_b, count_a, values, gates, unmatched):
+    costs = np.array(values).reshape(4, 4)[:count_b, :count_a]
+    gate = np.array(gates).reshape(4, 4)[:count_b, :count_a]
+    rows, columns = np.nonzero(gate)
+    pairs = assign(count_b, count_a, rows, columns, costs[rows, columns], unmatched)
+    assert len({i for i, _ in pairs}) == len(pairs) == len({j for _, j in pairs})
+    assert all(gate[i, j] for i, j in pairs)
+    total = sum(costs[i, j] for i, j in pairs) + unmatched * (count_b + count_a - 2 * len(pairs))
+    assert total == pytest.approx(brute_force(np.where(gate, costs, np.inf), unmatched))
+
+
+def block(instance, west, south, east, north, top):
+    """A thing that fills a box with 0.5 m voxels."""
+    axes = [np.arange(a, b, 0.5) + 0.25 for a, b in ((west, east), (south, north), (0, top))]
+    xyz = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    count = len(xyz)
+    yes = np.ones(count, dtype=bool)
+    voxels = Voxels(np.full(count, instance), xyz, np.tile([0.0, 0.0, 1.0], (count, 1)), xyz[:, 2], yes, yes)
+    return Thing(instance, Semantic.BUILDING, 0.9, np.arange(count), voxels, 0.03)
+
+
+def matches(before, after):
+    found = associate(before, after, AssociationConfig(), 0.5)
+    return sorted((m.before, m.after, m.kind) for m in found)
+
+
+def test_a_house_that_gains_a_storey_is_one_object():
+    assert matches([block(0, 0, 0, 8, 10, 3)], [block(0, 0, 0, 8, 10, 6)]) == [((0,), (0,), "one_to_one")]
+
+
+def test_a_house_that_falls_into_two_parts_is_a_split():
+    after = [block(0, 0, 0, 4, 10, 4), block(1, 5, 0, 10, 10, 4)]
+    assert matches([block(0, 0, 0, 10, 10, 4)], after) == [((0,), (0, 1), "split")]
+
+
+def test_two_parts_that_grow_together_are_a_merge():
+    before = [block(0, 0, 0, 4, 10, 4), block(1, 5, 0, 10, 10, 4)]
+    assert matches(before, [block(0, 0, 0, 10, 10, 4)]) == [((0, 1), (0,), "merge")]
+
+
+def test_things_far_apart_stay_unmatched():
+    found = matches([block(0, 0, 0, 4, 4, 4)], [block(0, 30, 0, 34, 4, 4)])
+    assert found == [((), (0,), "none"), ((0,), (), "none")]
+
+
+def test_neighbours_are_not_confused():
+    row = [block(i, 12 * i, 0, 12 * i + 9, 9, 4) for i in range(4)]
+    shifted = [block(i, 12 * i + 0.5, 0, 12 * i + 9.5, 9, 4) for i in range(4)]
+    assert matches(row, shifted[::-1]) == [((i,), (3 - i,), "one_to_one") for i in range(4)]
+
+
+def test_every_object_is_in_exactly_one_match():
+    before = [block(i, 6 * i, 0, 6 * i + 5, 5, 3) for i in range(5)]
+    after = [block(i, 7 * i, 0, 7 * i + 5, 5, 3) for i in range(4)]
+    found = matches(before, after)
+    assert sorted(i for b, _, _ in found for i in b) == list(range(5))
+    assert sorted(j for _, a, _ in found for j in a) == list(range(4))

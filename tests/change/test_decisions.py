@@ -1,0 +1,89 @@
+"""The rules of the decision table, one by one."""
+
+import math
+from dataclasses import replace
+
+import pytest
+
+from subiaco_change.confidence import confidence, paper_score
+from subiaco_change.decisions import DecisionConfig, decide
+from subiaco_change.measures import Measures
+from subiaco_change.records import Change, Semantic
+
+SAME = Measures(
+    iou=0.9, d_perp=0.0, delta_c=0.1, delta_h=0.0, delta_v=0.0, delta_v_surface=0.0, volume=100.0, chi2=0.0,
+    gone_share=0.0, new_share=0.0, observed_fraction=1.0, seen_voxels=500,
+)  # fmt: skip
+CONFIG = DecisionConfig()
+
+
+def label(semantic=Semantic.BUILDING, lod=0.03, before=True, after=True, **changes):
+    return decide(semantic, before, after, replace(SAME, **changes), lod, CONFIG).change
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({}, Change.UNCHANGED),
+        ({"delta_h": 0.49}, Change.UNCHANGED),
+        ({"delta_h": 0.51}, Change.INCREASED),
+        ({"delta_h": -0.51}, Change.DECREASED),
+        ({"delta_v": 10.1}, Change.INCREASED),
+        ({"delta_v": -10.1}, Change.DECREASED),
+        ({"delta_h": 0.6, "delta_v": -20.0}, Change.DECREASED),
+        ({"delta_h": -0.6, "delta_v": 20.0}, Change.INCREASED),
+        ({"delta_h": 3.0, "iou": 0.10}, Change.UNCHANGED),
+    ],
+)
+def test_buildings_follow_the_table(changes, expected):
+    assert label(**changes) is expected
+
+
+def test_a_height_change_below_the_gate_is_not_claimed():
+    assert label(delta_h=0.8, lod=0.7) is Change.UNCHANGED
+    assert label(delta_h=0.9, lod=0.7) is Change.INCREASED
+
+
+def test_no_level_of_detection_means_no_claim():
+    assert label(delta_h=3.0, lod=math.inf) is Change.UNCHANGED
+
+
+@pytest.mark.parametrize(("dh", "expected"), [(0.29, Change.UNCHANGED), (0.31, Change.INCREASED)])
+def test_vegetation_has_finer_thresholds(dh, expected):
+    assert label(Semantic.VEGETATION, delta_h=dh) is expected
+
+
+def test_one_sided_objects_need_a_place_that_was_seen_empty():
+    assert label(before=False, new_share=0.9) is Change.ADDED
+    assert label(after=False, gone_share=0.9) is Change.REMOVED
+    assert label(after=False, gone_share=0.2) is Change.UNCHANGED
+    assert label(after=False, gone_share=0.9, observed_fraction=0.05) is Change.UNOBSERVED
+    assert label(before=False, new_share=1.0, seen_voxels=2) is Change.UNOBSERVED
+
+
+def test_moved_vehicles_are_left_out_of_the_report():
+    assert label(Semantic.MOBILE) is Change.UNCHANGED
+    assert label(Semantic.MOBILE, delta_c=2.1) is Change.NOT_REPORTED
+
+
+def test_every_decision_gives_its_reason():
+    assert (
+        "height +3.00 m"
+        in decide(Semantic.BUILDING, True, True, replace(SAME, delta_h=3.0), 0.03, CONFIG).reason
+    )
+
+
+def test_confidence_rises_with_the_margin_and_with_what_was_seen():
+    def trust(**changes):
+        measures = replace(SAME, **changes)
+        return confidence(decide(Semantic.BUILDING, True, True, measures, 0.03, CONFIG), measures, 0.9)
+
+    assert trust(delta_h=0.55) < trust(delta_h=1.0) < trust(delta_h=3.0) <= 1.0
+    assert trust(delta_h=1.0, observed_fraction=0.4) < trust(delta_h=1.0)
+    assert trust(delta_h=0.45) < trust(delta_h=0.0)
+
+
+def test_the_papers_score_is_never_below_one_half_and_empty_where_it_has_no_weights():
+    assert paper_score(Semantic.BUILDING, SAME, 0.03) >= 0.5
+    assert paper_score(Semantic.BUILDING, replace(SAME, delta_h=3.0), 0.03) > 0.99
+    assert math.isnan(paper_score(Semantic.MOBILE, SAME, 0.03))

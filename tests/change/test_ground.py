@@ -1,0 +1,92 @@
+"""The ground model follows slopes and kerbs, runs under houses, and never holds NaN."""
+
+import gzip
+
+import numpy as np
+import pytest
+from scenes import Scene, ground_z
+
+from subiaco_change.ground import GroundConfig, fill_gaps, fit_ground
+from subiaco_geo.errors import InputError
+
+
+def plane(slope, kerb=0.0, seed=0):
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform(-25, 25, (40_000, 2))
+    z = slope * xy[:, 0] + kerb * (xy[:, 1] > 0) + rng.normal(0, 0.015, len(xy))
+    return np.column_stack([xy, z])
+
+
+@pytest.mark.parametrize("slope", [0.0, 0.05, 0.12])
+def test_heights_of_a_slope_are_unbiased(slope):
+    xyz = plane(slope)
+    inner = (abs(xyz[:, :2]) < 23).all(axis=1)
+    residual = xyz[inner, 2] - fit_ground(xyz, GroundConfig()).height(xyz[inner, :2])
+    assert abs(residual.mean()) < 0.01
+    assert residual.std() < 0.03
+
+
+def test_a_kerb_stays_a_step():
+    model = fit_ground(plane(0.02, kerb=0.15), GroundConfig())
+    step = model.height(np.array([[0.0, 1.0]])) - model.height(np.array([[0.0, -1.0]]))
+    assert step[0] == pytest.approx(0.15, abs=0.03)
+
+
+def test_the_ground_runs_on_under_houses_and_trees():
+    model = fit_ground(Scene().survey(1).cloud.xyz, GroundConfig())
+    xy = np.array([[-15.0, 12.0], [20.0, -13.0], [-20.0, -8.0], [-10.0, 0.0]])
+    assert model.height(xy) == pytest.approx(ground_z(xy[:, 0], xy[:, 1]), abs=0.15)
+
+
+def test_normals_tilt_with_the_slope():
+    normal = fit_ground(plane(0.1), GroundConfig()).normal(np.array([[0.0, 0.0]]))[0]
+    assert normal == pytest.approx(np.array([-0.1, 0, 1]) / np.sqrt(1.01), abs=0.01)
+
+
+def test_places_far_from_ground_are_marked_unsupported_but_have_a_height():
+    xyz = plane(0.0)
+    xyz = xyz[(abs(xyz[:, 0]) > 10) | (abs(xyz[:, 1]) > 10)]
+    model = fit_ground(xyz, GroundConfig())
+    places = np.array([[0.0, 0.0], [20.0, 20.0], [500.0, 0.0]])
+    assert model.supported(places[:2]).tolist() == [False, True]
+    assert np.isfinite(model.height(places)).all()
+
+
+def test_gaps_are_filled_within_the_bounds_of_what_is_known():
+    rng = np.random.default_rng(0)
+    raster = np.where(rng.random((37, 52)) < 0.05, rng.random((37, 52)), np.nan)
+    filled = fill_gaps(raster)
+    known = np.isfinite(raster)
+    assert np.array_equal(filled[known], raster[known])
+    assert raster[known].min() <= filled.min() <= filled.max() <= raster[known].max()
+
+
+def test_an_empty_cloud_is_refused():
+    with pytest.raises(InputError, match="no points"):
+        fit_ground(np.zeros((0, 3)), GroundConfig())
+
+
+def test_real_reference_samples_are_filtered_with_little_error(shared_data):
+    """ISPRS sample 12 (town): total error of |height| < 0.5 m as ground."""
+    import open3d as o3d
+
+    clouds = []
+    for name in ("samp12-utm", "samp12-utm-ground"):
+        data = gzip.decompress((shared_data / "isprs_filter" / f"{name}.pcd.gz").read_bytes())
+        import tempfile
+        from pathlib import Path
+
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "x.pcd"
+            path.write_bytes(data)
+            clouds.append(
+                np.asarray(o3d.t.io.read_point_cloud(str(path)).point.positions.numpy(), dtype=float)
+            )
+    xyz, truth = clouds
+    is_ground = np.isin(
+        xyz.round(2).view([("", float)] * 3).ravel(), truth.round(2).view([("", float)] * 3).ravel()
+    )
+    local = xyz - xyz.mean(axis=0)
+    model = fit_ground(local, GroundConfig())
+    found = abs(local[:, 2] - model.height(local[:, :2])) < 0.5
+    assert (found != is_ground).mean() < 0.08

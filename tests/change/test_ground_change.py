@@ -1,0 +1,73 @@
+"""Ground patches: what is large enough, high enough, and not a bias of the registration."""
+
+import numpy as np
+import pytest
+
+from subiaco_change.ground_change import GroundChangeConfig, compare_ground, ground_raster
+from subiaco_change.objects import EpochView
+from subiaco_change.records import Change, Semantic
+
+
+def view(lift=None, seed=0, size=100.0, lod=0.03):
+    rng = np.random.default_rng(seed)
+    xy = rng.uniform(0, size, (int(size * size * 12), 2))
+    z = 0.03 * xy[:, 0] + rng.normal(0, 0.01, len(xy))
+    if lift is not None:
+        z += lift(xy[:, 0], xy[:, 1])
+    n = len(xy)
+    return EpochView(
+        np.column_stack([xy, z]), np.tile([0.0, 0, 1], (n, 1)), np.full(n, Semantic.GROUND, dtype=np.uint8),
+        np.full(n, -1, dtype=np.int32), np.zeros(n), np.full(n, lod), np.ones(n),
+    )  # fmt: skip
+
+
+def patches(lift, **config):
+    found = compare_ground(view(seed=1), view(lift, seed=2), GroundChangeConfig(**config))
+    return found.patches
+
+
+def test_a_change_that_fills_a_tile_survives_the_removal_of_the_bias():
+    found = patches(lambda x, y: -0.3 * ((x > 20) & (x < 40) & (y > 40) & (y < 60)))
+    assert [p.change for p in found] == [Change.DECREASED]
+    assert found[0].dz == pytest.approx(-0.3, abs=0.02)
+    assert found[0].area == pytest.approx(400, rel=0.1)
+
+
+def test_a_narrow_strip_is_found():
+    found = patches(lambda x, y: 0.2 * ((x > 50) & (x < 51) & (y > 20) & (y < 60)))
+    assert [p.change for p in found] == [Change.INCREASED]
+    assert found[0].dz == pytest.approx(0.2, abs=0.03)
+
+
+@pytest.mark.parametrize(
+    "lift",
+    [
+        lambda x, y: 0.1 * ((x > 20) & (x < 60)),
+        lambda x, y: 0.4 * ((x > 20) & (x < 24) & (y > 20) & (y < 24)),
+        lambda x, y: 0.08 * np.sin(x / 60.0),
+        lambda x, y: 0.05 + 0.0 * x,
+    ],
+    ids=["camber", "small", "warp", "offset"],
+)
+def test_low_small_and_long_wave_differences_are_no_changes(lift):
+    assert patches(lift) == ()
+
+
+def test_nothing_is_claimed_below_the_level_of_detection():
+    rough = [view(seed=1, lod=0.3), view(lambda x, y: 0.2 * (x < 30), seed=2, lod=0.3)]
+    assert compare_ground(*rough, GroundChangeConfig()).patches == ()
+
+
+def test_epochs_without_common_ground_are_not_compared():
+    first, second = view(seed=1, size=20.0), view(seed=2, size=20.0)
+    second.xyz[:, 0] += 500.0
+    assert compare_ground(first, second, GroundChangeConfig()) is None
+
+
+def test_the_raster_is_in_world_coordinates_with_north_up():
+    comparison = compare_ground(
+        view(seed=1, size=40.0), view(lambda x, y: 0.3 * (y > 30), seed=2, size=40.0), GroundChangeConfig()
+    )
+    raster = ground_raster(comparison, np.array([1000.0, 5000.0, 0.0]), GroundChangeConfig())
+    assert (raster.west, raster.north, raster.cell) == (1000.0, 5040.0, 2.0)
+    assert raster.dz[1].mean() - raster.dz[-2].mean() == pytest.approx(0.3, abs=0.03)
