@@ -269,6 +269,19 @@ def test_fixes_without_a_lever_arm_are_bad_input(ros: Any) -> None:
         ros.until(lambda: bench.backend.fixes)
 
 
+def test_without_a_replay_the_data_itself_starts_a_sequence(ros: Any, tmp_path: Path) -> None:
+    from subiaco_msgs.srv import SaveMap
+
+    bench = Bench(ros, FakeBackend())
+    bench.scan()
+    bench.scan()
+    ros.until(lambda: len(bench.backend.taken) == 2)
+    assert [name for name, _ in bench.backend.sequences] == ["live"]
+    request = SaveMap.Request(directory=str(tmp_path / "map"))
+    assert call(ros, bench.user, SaveMap, "pose_graph/save_map", request).success
+    assert len(read_map(tmp_path / "map").cloud) == 100
+
+
 def call(ros: Any, user: Any, kind: Any, name: str, request: Any) -> Any:
     client = user.create_client(kind, name)
     ros.until(client.service_is_ready)

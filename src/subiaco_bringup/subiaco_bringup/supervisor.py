@@ -86,6 +86,8 @@ class NodeProcess:
             self._take(line.rstrip("\n"))
 
     def _take(self, line: str) -> None:
+        if not line.strip():
+            return
         progress = _PROGRESS.search(line)
         if progress is not None:
             if self._progress is not None:

@@ -43,7 +43,15 @@ from subiaco_mapping.nodes.names import (
     QUALITY,
     SEQUENCE,
 )
-from subiaco_mapping.nodes.runtime import App, Diagnostics, latched, read_models, reliable, run_node
+from subiaco_mapping.nodes.runtime import (
+    App,
+    Diagnostics,
+    latched,
+    overridable,
+    read_models,
+    reliable,
+    run_node,
+)
 from subiaco_msgs.msg import ReplayCounts, ScanQuality
 from tf2_msgs.msg import TFMessage
 
@@ -140,13 +148,20 @@ class OdometryApp:
             (ReplayCounts, END, self._on_end, latched(1)),
         )
         for kind, topic, handler, profile in handlers:
-            node.create_subscription(kind, topic.lstrip("/"), self._counting(topic, handler), profile)
+            node.create_subscription(
+                kind,
+                topic.lstrip("/"),
+                self._counting(topic, handler),
+                profile,
+                qos_overriding_options=overridable(),
+            )
         node.create_subscription(
             PacketMsg,
             LIDAR_PACKETS.lstrip("/"),
             self._counting(LIDAR_PACKETS, self._on_packet),
             reliable(1000),
             raw=True,
+            qos_overriding_options=overridable(),
         )
 
     def _counting(self, topic: str, handler: Callable[[Any], object]) -> Callable[[Any], None]:

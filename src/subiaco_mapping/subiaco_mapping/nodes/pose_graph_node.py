@@ -47,6 +47,7 @@ from subiaco_mapping.nodes.runtime import (
     Diagnostics,
     ProgressLog,
     latched,
+    overridable,
     read_models,
     reliable,
     run_node,
@@ -141,7 +142,13 @@ class PoseGraphApp:
             (String, FACTS, self._on_facts, reliable(32)),
         )
         for kind, topic, handler, profile in handlers:
-            node.create_subscription(kind, topic.lstrip("/"), self._counting(topic, handler), profile)
+            node.create_subscription(
+                kind,
+                topic.lstrip("/"),
+                self._counting(topic, handler),
+                profile,
+                qos_overriding_options=overridable(),
+            )
         for topic in (ODOMETRY_SEQUENCE, ODOMETRY_END):
             node.create_subscription(ReplayCounts, topic.lstrip("/"), self._marking(topic), latched(1))
         node.create_subscription(ReplayCounts, SEQUENCE.lstrip("/"), self._on_announced, latched(1))

@@ -18,6 +18,7 @@ from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
 from rclpy.node import Node
 from rclpy.publisher import Publisher
 from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from subiaco_geo.config import StrictModel, merge, validate
 from subiaco_geo.errors import InputError, SubiacoError
@@ -26,6 +27,9 @@ INTERRUPTED = 130
 
 #: Parameters that ROS itself declares.
 _ROS_OWN = ("use_sim_time", "qos_overrides", "start_type_description_service")
+
+#: Loggers whose information is shown; of other libraries only warnings.
+_OURS = ("__main__", "subiaco_geo", "subiaco_mapping", "subiaco_change")
 
 Model = TypeVar("Model", bound=StrictModel)
 
@@ -59,6 +63,11 @@ def latched(depth: int = 1) -> QoSProfile:
         reliability=ReliabilityPolicy.RELIABLE,
         durability=DurabilityPolicy.TRANSIENT_LOCAL,
     )
+
+
+def overridable() -> QoSOverridingOptions:
+    """Let ``qos_overrides`` parameters fit a subscription to what a driver offers."""
+    return QoSOverridingOptions.with_default_policies()
 
 
 def nested(flat: Mapping[str, Any]) -> dict[str, Any]:
@@ -183,7 +192,9 @@ def _spin(executor: SingleThreadedExecutor, app: App) -> None:
 def _attach_logging(node: Node) -> None:
     root = logging.getLogger()
     root.handlers = [_RosLogHandler(node)]
-    root.setLevel(logging.INFO)
+    root.setLevel(logging.WARNING)
+    for name in _OURS:
+        logging.getLogger(name).setLevel(logging.INFO)
 
 
 def run_node(name: str, build: Callable[[Node], App], argv: Sequence[str] | None = None) -> int:

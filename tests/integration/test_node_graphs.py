@@ -1,0 +1,229 @@
+"""The two jobs through real processes and real ROS 2 topics, against the same jobs in process."""
+
+from __future__ import annotations
+
+import logging
+import os
+import re
+import signal
+import subprocess
+import sys
+from collections import Counter
+from pathlib import Path
+
+import numpy as np
+import pandas as pd
+import pytest
+
+from subiaco_bringup.environment import node_environment
+from subiaco_bringup.graph import GraphSpec, NodeSpec, mapping_graph
+from subiaco_bringup.jobs import run_change_graph, run_mapping_graph
+from subiaco_bringup.supervisor import Supervisor
+from subiaco_geo.bags import BagReader
+from subiaco_geo.clouds import voxel_indices, voxel_keys
+from subiaco_geo.config import load_config
+from subiaco_geo.errors import InputError, RegistrationError, SubiacoError
+from subiaco_geo.maps import SurveyMap, read_map, write_map
+from subiaco_mapping.config import MappingConfig
+from subiaco_mapping.pipeline import map_survey
+
+pytestmark = [pytest.mark.ros, pytest.mark.slow]
+
+SETTINGS = ["gnss.min_length=6.0"]  # the simulated drives are short
+
+
+@pytest.fixture(scope="module", autouse=True)
+def workspace() -> None:
+    pytest.importorskip("subiaco_msgs.msg", reason="workspace not sourced: source ros2_ws/env.sh")
+
+
+@pytest.fixture(scope="module")
+def survey(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Both epochs of a few seconds of street, seed 5."""
+    from subiaco_sim.config import SimulationConfig
+    from subiaco_sim.survey import simulate
+
+    out = tmp_path_factory.mktemp("survey") / "sim"
+    simulate(out, SimulationConfig(preset="easy", mode="512x10", duration=5.0, seed=5, ground_cell=0.8))
+    return out
+
+
+@pytest.fixture(scope="module")
+def in_process(survey: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[str, Path]:
+    """Map directories of both epochs, made in process."""
+    config = load_config(MappingConfig, [], SETTINGS)
+    folder = tmp_path_factory.mktemp("maps")
+    for epoch in ("before", "after"):
+        write_map(folder / epoch, map_survey([survey / epoch], config))
+    return {epoch: folder / epoch for epoch in ("before", "after")}
+
+
+def voxels(survey: SurveyMap, origin: np.ndarray, leaf: float) -> set[int]:
+    cloud = survey.cloud.rebased(origin)
+    return set(voxel_keys(voxel_indices(cloud.xyz, leaf)).tolist())
+
+
+def test_the_mapping_graph_loses_no_packet_and_gives_the_map_of_the_process(
+    survey: Path, in_process: dict[str, Path], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    caplog.set_level(logging.INFO)
+    stages: list[str] = []
+    run_mapping_graph(
+        [survey / "before"],
+        tmp_path / "map",
+        settings=SETTINGS,
+        progress=lambda stage, fraction: stages.append(f"{stage} {fraction:.2f}"),
+    )
+    with BagReader(survey / "before") as reader:
+        recorded = {topic: info.count for topic, info in reader.topics.items()}
+    said = [record.getMessage() for record in caplog.records]
+    line = next(message for message in said if "played and consumed" in message)
+    played = {topic: int(n) for topic, n in re.findall(r"(/\S+) (\d+)", line)}
+    assert {topic: played[topic] for topic in recorded} == recorded
+    assert "replay 1.00" in stages
+
+    through, direct = read_map(tmp_path / "map"), read_map(in_process["before"])
+    packets = through.manifest["sequences"]["before"]["packets"]
+    assert packets["packets"] == recorded["/ouster/lidar_packets"]
+    assert packets["lost"] == 0
+    assert through.crs == direct.crs == "EPSG:7850"
+    assert through.trajectory is not None
+    assert direct.trajectory is not None
+    np.testing.assert_array_equal(through.trajectory.times_ns, direct.trajectory.times_ns)
+    # Poses travel as doubles, points as float32 in the sensor frame (4 um at 70 m), which moves a point
+    # over a step of the 2 mm spool or a voxel face now and then.
+    assert np.abs(through.trajectory.positions - direct.trajectory.positions).max() < 1e-3
+    ours, theirs = (voxels(m, direct.cloud.origin, 0.25) for m in (through, direct))
+    assert len(ours & theirs) >= 0.999 * len(ours | theirs)
+    assert through.info["config_hash"] == direct.info["config_hash"]
+    assert through.info["inputs"] == direct.info["inputs"]
+    assert through.manifest == direct.manifest
+
+
+def test_two_bags_are_two_sequences_of_one_map(survey: Path, tmp_path: Path) -> None:
+    run_mapping_graph([survey / "before", survey / "after"], tmp_path / "map", settings=SETTINGS, rate=0.0)
+    both = read_map(tmp_path / "map")
+    assert sorted(both.odometry) == ["after", "before"]
+    for epoch in ("before", "after"):
+        with BagReader(survey / epoch) as reader:
+            count = reader.topics["/ouster/lidar_packets"].count
+        assert both.manifest["sequences"][epoch]["packets"]["packets"] == count
+
+
+def test_the_change_graph_gives_the_table_of_the_process(
+    in_process: dict[str, Path], tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    from subiaco_change.config import ChangeConfig
+    from subiaco_change.pipeline import detect_changes
+
+    caplog.set_level(logging.INFO)
+    before, after = in_process["before"], in_process["after"]
+    run_change_graph(before, after, tmp_path / "change")
+    expected = detect_changes(read_map(before), read_map(after), ChangeConfig())
+    table = pd.read_csv(tmp_path / "change" / "changes.csv")
+    labels = Counter(record.change.label for record in expected.records)
+    assert len(table) == len(expected.records) > 0
+    assert Counter(table["label"]) == labels
+    by_id = {record.object_id: record for record in expected.records}
+    for row in table.to_dict("records"):
+        record = by_id[row["object_id"]]
+        assert (row["label"], row["class"]) == (record.change.label, record.semantic.label)
+        # The same library steps on the same files: the rounding of the table is all that differs.
+        for name in ("x", "y", "z", "confidence", "delta_h_m", "delta_v_m3", "lod95_m"):
+            expected_value = getattr(record, name)
+            assert row[name] == pytest.approx(expected_value, abs=1e-3, nan_ok=True), name
+    assert (tmp_path / "change" / "report.html").is_file()
+    assert any("objects:" in record.getMessage() for record in caplog.records)
+
+
+def test_a_missing_bag_is_one_line_and_exit_code_2(tmp_path: Path) -> None:
+    finished = subprocess.run(
+        [sys.executable, "-m", "subiaco_bringup.cli.main", "graph", "mapping", str(tmp_path / "none"), "-o",
+         str(tmp_path / "map")],
+        capture_output=True, text=True, timeout=120, check=False,
+    )  # fmt: skip
+    assert finished.returncode == 2
+    lines = [line for line in finished.stderr.splitlines() if line.strip()]
+    assert len(lines) == 1
+    assert "none: no such bag" in lines[0]
+    assert not (tmp_path / "map").exists()
+
+
+def run(graph: GraphSpec) -> Supervisor:
+    with node_environment() as environment:
+        supervisor = Supervisor(graph, environment)
+        try:
+            supervisor.run()
+        finally:
+            assert all(process.code is not None for process in supervisor.processes)
+        return supervisor
+
+
+def test_a_bag_that_only_the_replay_finds_bad_stops_the_whole_graph_with_its_line(
+    survey: Path, tmp_path: Path
+) -> None:
+    bag = next((survey / "before" / "bag").glob("*.mcap"))
+    cut = tmp_path / "cut.mcap"
+    cut.write_bytes(bag.read_bytes()[: bag.stat().st_size // 2])
+    with pytest.raises(InputError, match=r"cut\.mcap.*cut"):
+        run(mapping_graph([cut], tmp_path / "map"))
+    assert not (tmp_path / "map").exists()
+
+
+def test_maps_that_cannot_be_registered_are_exit_code_3(tmp_path: Path) -> None:
+    from subiaco_geo.cloud_io import write_cloud
+    from subiaco_geo.clouds import PointCloud
+
+    rng = np.random.default_rng(7)
+    for name in ("a", "b"):
+        noise = rng.uniform(-20, 20, (4_000, 3))
+        write_cloud(tmp_path / f"{name}.ply", PointCloud(noise))
+    with pytest.raises(RegistrationError):
+        run_change_graph(tmp_path / "a.ply", tmp_path / "b.ply", tmp_path / "change")
+    assert not (tmp_path / "change").exists()
+
+
+def test_a_crash_is_noticed_and_named_and_nothing_is_left_running(survey: Path, tmp_path: Path) -> None:
+    graph = mapping_graph([survey / "before"], tmp_path / "map", settings=SETTINGS, rate=0.5)
+    with node_environment() as environment:
+        supervisor: Supervisor
+
+        def kill_odometry(stage: str, fraction: float) -> None:
+            if stage == "replay" and fraction > 0:
+                supervisor.processes[1].send(signal.SIGKILL)
+
+        supervisor = Supervisor(graph, environment, kill_odometry)
+        with pytest.raises(SubiacoError, match="node odometry was killed by SIGKILL"):
+            supervisor.run()
+    assert all(process.code is not None for process in supervisor.processes)
+    assert not (tmp_path / "map").exists()
+
+
+def test_an_interrupted_job_ends_with_130_and_leaves_nothing(survey: Path, tmp_path: Path) -> None:
+    process = subprocess.Popen(
+        [sys.executable, "-m", "subiaco_bringup.cli.main", "graph", "mapping", str(survey / "before"), "-o",
+         str(tmp_path / "map"), "--rate", "0.2"],
+        stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
+    )  # fmt: skip
+    assert process.stdout is not None
+    for line in process.stdout:
+        if "replay" in line:
+            break
+    process.send_signal(signal.SIGINT)
+    process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert list(tmp_path.iterdir()) == []
+    left = subprocess.run(["ps", "-eo", "args"], capture_output=True, text=True, check=True).stdout
+    assert str(tmp_path) not in left
+
+
+def test_runs_side_by_side_have_domains_of_their_own() -> None:
+    with node_environment() as one, node_environment() as two:
+        if "ROS_DOMAIN_ID" not in os.environ:
+            assert one["ROS_DOMAIN_ID"] != two["ROS_DOMAIN_ID"]
+
+
+def test_a_node_that_cannot_start_is_named() -> None:
+    graph = GraphSpec("odd", (NodeSpec("ghost", "subiaco_mapping", "ghost_node", {}, principal=True),))
+    with pytest.raises(SubiacoError, match=r"node ghost crashed \(exit code 1\): .*ghost_node"):
+        run(graph)
