@@ -1,5 +1,6 @@
 """The 77 real KITTI scans as a bag of clouds: 10 Hz stamps, already deskewed, no GNSS."""
 
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -11,7 +12,7 @@ def kitti_clouds(folder: Path) -> tuple[list[np.ndarray], list[np.ndarray]]:
     with np.load(folder / "kitti_0926_scans_000_076.npz") as data:
         xyz = data["xyz_i16"].astype(np.float64) * float(data["scale"])
         intensity, offsets = data["intensity_u8"], data["offsets"]
-    cuts = list(zip(offsets[:-1], offsets[1:], strict=True))
+    cuts = list(pairwise(offsets))
     return [xyz[a:b] for a, b in cuts], [intensity[a:b] for a, b in cuts]
 
 

@@ -5,6 +5,7 @@ from pathlib import Path
 import numpy as np
 from ouster.sdk import core, pcap
 from scipy.spatial.transform import Rotation
+
 from subiaco_geo.bags import TYPESTORE, BagWriter
 from subiaco_geo.frames import invert_pose, make_pose
 from subiaco_geo.topics import MESSAGE_TYPES, POINTS
@@ -48,8 +49,13 @@ def cast(poses: np.ndarray, beams: np.ndarray) -> np.ndarray:
     start = poses[:, :3, 3]
     direction = np.einsum("nij,nj->ni", poses[:, :3, :3], beams)
     with np.errstate(divide="ignore"):
-        reach = np.max(np.stack([(ROOM - start) / direction, (-ROOM - start) / direction]), axis=0).min(axis=1)
-        for low, high in ((np.array([4, 3, -3.0]), np.array([6, 5, 1.0])), (np.array([-8, -6, -3.0]), np.array([-6, -3, 0]))):
+        reach = np.max(np.stack([(ROOM - start) / direction, (-ROOM - start) / direction]), axis=0).min(
+            axis=1
+        )
+        for low, high in (
+            (np.array([4, 3, -3.0]), np.array([6, 5, 1.0])),
+            (np.array([-8, -6, -3.0]), np.array([-6, -3, 0])),
+        ):
             a, b = (low - start) / direction, (high - start) / direction
             near, far = np.minimum(a, b).max(axis=1), np.maximum(a, b).min(axis=1)
             hit = (near > 0) & (near < far)
@@ -84,7 +90,8 @@ def point_cloud_message(xyz: np.ndarray, stamp_ns: int, **columns: np.ndarray) -
         points[name] = values
     field = types["sensor_msgs/msg/PointField"]
     fields = [
-        field(name=n, offset=dtype.fields[n][1], datatype=codes[dtype[n].str[1:]], count=1) for n in dtype.names
+        field(name=n, offset=dtype.fields[n][1], datatype=codes[dtype[n].str[1:]], count=1)
+        for n in dtype.names
     ]
     time = types["builtin_interfaces/msg/Time"](sec=stamp_ns // SECOND, nanosec=stamp_ns % SECOND)
     return types["sensor_msgs/msg/PointCloud2"](

@@ -4,10 +4,11 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from mapping_scenes import pcap_bufs, sdk_frames
 from ouster.sdk import core
+
 from subiaco_geo.errors import InputError
 from subiaco_mapping.config import DecodeConfig
 from subiaco_mapping.decode import PacketDecoder, complete_times
@@ -116,6 +117,7 @@ def test_duplicates_are_counted_and_change_nothing() -> None:
     np.testing.assert_array_equal(scans[0].first.xyz, whole[0].first.xyz)
 
 
+@settings(max_examples=20)
 @given(st.randoms(use_true_random=False))
 def test_packets_reordered_within_the_window_give_the_same_scans(random) -> None:
     bufs, metadata = synthetic(frames=2)

@@ -3,8 +3,9 @@
 import numpy as np
 import pytest
 from mapping_scenes import SECOND, START_NS, cast, turning_pose
-from subiaco_geo.frames import invert_pose, make_pose
 from scipy.spatial.transform import Rotation
+
+from subiaco_geo.frames import invert_pose, make_pose
 from subiaco_mapping.config import DeskewConfig
 from subiaco_mapping.deskew import Deskewer, body_twist
 from subiaco_mapping.measurements import Extrinsics, ImuSample, Returns, Scan
@@ -96,9 +97,16 @@ def test_the_gyro_bias_is_learned_standing_only() -> None:
     standing, driving = (Deskewer(DeskewConfig(), WITH_IMU) for _ in range(2))
     for deskewer, twist in ((standing, np.zeros(6)), (driving, TWIST)):
         for k in range(120):
-            deskewer.push_imu(ImuSample(START_NS + k * SECOND // 100, np.full(3, 0.004), np.array([0, 0, 9.8])))
+            deskewer.push_imu(
+                ImuSample(START_NS + k * SECOND // 100, np.full(3, 0.004), np.array([0, 0, 9.8]))
+            )
         for k in range(1, 11):
-            empty = Returns(np.zeros((1, 3)), np.array([START_NS + k * PERIOD]), np.zeros(1, np.float32), np.zeros(1, np.uint16))
+            empty = Returns(
+                np.zeros((1, 3)),
+                np.array([START_NS + k * PERIOD]),
+                np.zeros(1, np.float32),
+                np.zeros(1, np.uint16),
+            )
             deskewer.deskew(Scan(START_NS + (k - 1) * PERIOD, START_NS + k * PERIOD, empty), twist)
     assert standing.gyro_bias == pytest.approx(np.full(3, 0.004), abs=1e-3)
     assert driving.gyro_bias == pytest.approx(np.zeros(3))

@@ -4,14 +4,14 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from subiaco_geo.clouds import voxel_indices, voxel_keys
+
+from subiaco_geo.clouds import PointCloud, voxel_indices, voxel_keys
 from subiaco_geo.errors import InputError
 from subiaco_mapping.config import FusionConfig
 from subiaco_mapping.fusion import VoxelAccumulator, fused_cloud, keep_inliers
 from subiaco_mapping.heights import height_table
 from subiaco_mapping.measurements import DeskewedScan
 from subiaco_mapping.spool import Spool
-from subiaco_geo.clouds import PointCloud
 
 SENSOR = np.array([0.0, 0.0, 2.0])
 
@@ -35,7 +35,9 @@ def test_voxel_sums_equal_plain_numpy_whatever_the_batches() -> None:
         points = expected[int(key)]
         assert n == len(points)
         np.testing.assert_allclose(mean, points.mean(axis=0), atol=1e-12)
-        np.testing.assert_allclose(covariance, np.cov(points.T, bias=True) if n > 1 else np.zeros((3, 3)), atol=1e-9)
+        np.testing.assert_allclose(
+            covariance, np.cov(points.T, bias=True) if n > 1 else np.zeros((3, 3)), atol=1e-9
+        )
 
 
 def test_the_table_grows_without_losing_a_point() -> None:
@@ -106,7 +108,9 @@ def test_ground_heights_of_a_slope_with_houses_are_those_of_the_slope() -> None:
     ground = rng.uniform(0, 60, (40_000, 2))
     slope = np.column_stack([ground, 5.0 + 0.03 * ground[:, 0]])
     house = np.column_stack([rng.uniform(4, 12, (4000, 2)), rng.uniform(5, 12, 4000)])
-    table = height_table(PointCloud(np.vstack([slope, house]), origin=np.array([388000.0, 6464000.0, 0.0])), 20.0)
+    table = height_table(
+        PointCloud(np.vstack([slope, house]), origin=np.array([388000.0, 6464000.0, 0.0])), 20.0
+    )
     assert len(table) == 9
     np.testing.assert_allclose(table[:, 2], 5.0 + 0.03 * (table[:, 0] - 388000.0), atol=0.06)
     np.testing.assert_allclose(table[:, 4], np.arctan(0.03), atol=0.005)

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from mapping_scenes import SECOND, START_NS, relative, turning_pose
 from scipy.spatial.transform import Rotation
+
 from subiaco_geo.crs import EnuFrame
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import exp_se3, make_pose
@@ -35,7 +36,9 @@ def fix_at(enu: np.ndarray, time_ns: int, status: int = 2, sigma: float = 0.01) 
     return GnssFix(time_ns, latitude, longitude, height, np.eye(3) * sigma**2, status)
 
 
-def drive(tmp_path: Path, count: int = 100, drift: float = 0.0, config: MappingConfig = CONFIG, seed: int = 3):
+def drive(
+    tmp_path: Path, count: int = 100, drift: float = 0.0, config: MappingConfig = CONFIG, seed: int = 3
+):
     """A back end fed with a drive of `count` scans; returns it with the true poses."""
     rng = np.random.default_rng(seed)
     truth = truth_poses(count)
@@ -56,7 +59,9 @@ def drive(tmp_path: Path, count: int = 100, drift: float = 0.0, config: MappingC
     return backend, truth
 
 
-def add_fixes(backend: MappingBackend, truth: np.ndarray, seed: int = 4, sigma: float = 0.01, jump=None) -> None:
+def add_fixes(
+    backend: MappingBackend, truth: np.ndarray, seed: int = 4, sigma: float = 0.01, jump=None
+) -> None:
     rng = np.random.default_rng(seed)
     stamps = START_NS + np.arange(len(truth)) * STEP
     from subiaco_geo.frames import interpolate_poses
@@ -161,7 +166,9 @@ def test_an_attached_fix_sees_the_antenna_from_the_nearest_scan() -> None:
 
 def test_a_fix_inside_a_gap_of_scans_is_not_attached() -> None:
     stamps = START_NS + np.array([0, 1, 30, 31]) * STEP
-    found = gnss.attach(np.array([stamps[1] + SECOND]), stamps, np.tile(np.eye(4), (4, 1, 1)), LEVER, SECOND // 2)
+    found = gnss.attach(
+        np.array([stamps[1] + SECOND]), stamps, np.tile(np.eye(4), (4, 1, 1)), LEVER, SECOND // 2
+    )
     assert not found.kept.any()
 
 

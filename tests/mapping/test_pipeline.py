@@ -5,7 +5,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 from kitti import kitti_scans_to_bag
-from mapping_scenes import SECOND, START_NS, point_cloud_message, room_scan, transform_message, turning_pose, write_clouds
+from mapping_scenes import (
+    SECOND,
+    START_NS,
+    point_cloud_message,
+    room_scan,
+    transform_message,
+    turning_pose,
+    write_clouds,
+)
+
 from subiaco_geo.bags import TYPESTORE, BagWriter
 from subiaco_geo.config import load_config
 from subiaco_geo.errors import InputError
@@ -124,7 +133,9 @@ def test_extrinsics_come_from_tf_and_config_fills_or_overrides() -> None:
         transform_message("base_link", "mast", T_base_mast),
         transform_message("mast", "lidar_link", make_pose(np.diag([-1.0, -1.0, 1.0]), [0.2, 0.0, 0.4])),
     ]
-    filled = SensorsConfig(gnss=FramePose(translation=(1.0, 2.0, 3.0)), lidar=FramePose(translation=(9.0, 9.0, 9.0)))
+    filled = SensorsConfig(
+        gnss=FramePose(translation=(1.0, 2.0, 3.0)), lidar=FramePose(translation=(9.0, 9.0, 9.0))
+    )
     found = extrinsics_from_tf(transforms, filled, {"gnss"})
     np.testing.assert_allclose(found.T_base_lidar[:3, 3], [0.2, 0.0, 1.9])
     np.testing.assert_allclose(found.t_base_gnss, [1.0, 2.0, 3.0])
@@ -176,7 +187,9 @@ def test_an_imported_ros1_bag_decodes(shared_data: Path, tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("name", ["empty_pcap.pcap", "crc_test.json"])
-def test_broken_recordings_are_refused_and_leave_nothing(shared_data: Path, tmp_path: Path, name: str) -> None:
+def test_broken_recordings_are_refused_and_leave_nothing(
+    shared_data: Path, tmp_path: Path, name: str
+) -> None:
     metadata = shared_data / "ouster" / "OS-1-128_v2.3.0_1024x10.json"
     with pytest.raises(InputError) as caught:
         import_recording(shared_data / "ouster" / "negative" / name, tmp_path / "bag", metadata=metadata)
@@ -200,6 +213,7 @@ def test_the_files_in_config_validate(repository: Path) -> None:
 @pytest.mark.slow
 def test_a_simulated_survey_is_mapped_within_centimetres_of_the_truth(tmp_path: Path) -> None:
     from scipy.spatial import cKDTree
+
     from subiaco_geo.trajectories import read_tum
     from subiaco_sim.config import EpochChoice, LidarMode, SimulationConfig
     from subiaco_sim.survey import simulate

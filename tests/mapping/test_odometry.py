@@ -1,0 +1,152 @@
+"""Odometry recovers known motions, and says how well it does."""
+
+import dataclasses
+from pathlib import Path
+
+import numpy as np
+import pytest
+from kitti import kitti_clouds, kitti_reference
+from mapping_scenes import SECOND, START_NS, relative, room_scan, turning_pose
+
+from subiaco_geo.frames import invert_pose
+from subiaco_mapping.config import MappingConfig, OdometryConfig
+from subiaco_mapping.frontend import OdometryFrontend
+from subiaco_mapping.measurements import DeskewedScan, Extrinsics, Returns, Scan
+from subiaco_mapping.odometry import KissOdometry
+
+STEP = SECOND // 10
+SMALL = OdometryConfig(voxel=0.5)
+
+
+def deskewed(xyz: np.ndarray, stamp_ns: int, motion: np.ndarray | None = None) -> DeskewedScan:
+    return DeskewedScan(stamp_ns, xyz, np.zeros(len(xyz), np.float32), "none", motion)
+
+
+def run_room(stamps: np.ndarray, predict: bool, config: OdometryConfig = SMALL):
+    truth = turning_pose(stamps, speed=2.0, rate=0.3)
+    odometry = KissOdometry(config)
+    found = []
+    for k, (stamp, pose) in enumerate(zip(stamps, truth, strict=True)):
+        motion = invert_pose(truth[k - 1]) @ pose if predict and k else None
+        found.append(odometry.register(deskewed(room_scan(pose, 8000, k, 0.01), int(stamp), motion)))
+    return found, relative(truth)
+
+
+def test_motion_in_a_room_is_recovered_within_centimetres() -> None:
+    found, truth = run_room(START_NS + np.arange(15) * STEP, predict=False)
+    error = [
+        np.linalg.norm((invert_pose(t) @ f.T_odom_lidar)[:3, 3]) for f, t in zip(found, truth, strict=True)
+    ]
+    assert max(error) < 0.05
+    assert {f.segment for f in found} == {0}
+    assert not any(f.degenerate or f.predicted for f in found)
+
+
+def test_the_covariance_is_of_the_size_of_the_errors() -> None:
+    found, truth = run_room(START_NS + np.arange(15) * STEP, predict=True)
+    poses = np.array([f.T_odom_lidar for f in found])
+    motion = invert_pose(poses[:-1]) @ poses[1:]
+    true_motion = invert_pose(truth[:-1]) @ truth[1:]
+    error = (invert_pose(true_motion) @ motion)[:, :3, 3]
+    sigma = np.sqrt(np.array([np.diag(f.covariance)[3:] for f in found[1:]]))
+    ratio = np.sqrt((error**2 / sigma**2).mean())
+    assert 0.05 < ratio < 2.0
+
+
+def test_a_corridor_is_reported_degenerate() -> None:
+    rng = np.random.default_rng(5)
+    odometry, found = KissOdometry(OdometryConfig(voxel=0.5)), None
+    for k in range(3):
+        x, side = rng.uniform(-30, 30, 6000), rng.choice([-1.0, 1.0], 6000)
+        walls = np.column_stack([x, 2.0 * side, rng.uniform(-1.5, 2, 6000)])
+        floor = np.column_stack([rng.uniform(-30, 30, 3000), rng.uniform(-2, 2, 3000), np.full(3000, -1.5)])
+        found = odometry.register(deskewed(np.vstack([walls, floor]), START_NS + k * STEP))
+    assert found is not None
+    along, across = np.sqrt(np.diag(found.covariance))[3:5]
+    assert along > 3 * across
+
+
+def test_a_gap_within_the_limit_keeps_the_segment_and_inflates_the_covariance() -> None:
+    stamps = START_NS + np.array([0, 1, 2, 3, 9]) * STEP
+    found, truth = run_room(stamps, predict=True)
+    assert found[-1].segment == 0
+    assert np.linalg.norm((invert_pose(truth[-1]) @ found[-1].T_odom_lidar)[:3, 3]) < 0.05
+    assert found[-1].covariance[3, 3] > 5 * found[-2].covariance[3, 3]
+
+
+def test_a_gap_beyond_the_limit_starts_a_segment_and_goes_on() -> None:
+    stamps = START_NS + np.array([0, 1, 2, 60, 61, 62]) * STEP
+    found, _ = run_room(stamps, predict=False)
+    assert [f.segment for f in found] == [0, 0, 0, 1, 1, 1]
+    assert found[-1].inliers > 100
+
+
+def test_scans_that_match_nothing_are_predicted_and_never_end_the_run() -> None:
+    odometry = KissOdometry(OdometryConfig(voxel=0.5, max_failures=2))
+    odometry.register(deskewed(room_scan(np.eye(4), 6000, 0), START_NS))
+    far = np.add(room_scan(np.eye(4), 6000, 1), [50.0, 50.0, 0.0])
+    found = [odometry.register(deskewed(far, START_NS + k * STEP)) for k in range(1, 6)]
+    assert found[0].predicted
+    assert found[-1].segment == 1
+    assert not found[-1].predicted
+
+
+def test_an_older_stamp_is_refused() -> None:
+    odometry = KissOdometry(OdometryConfig())
+    odometry.register(deskewed(room_scan(np.eye(4), 2000, 0), START_NS))
+    with pytest.raises(ValueError, match="not newer"):
+        odometry.register(deskewed(room_scan(np.eye(4), 2000, 0), START_NS))
+
+
+def as_scan(xyz: np.ndarray, stamp_ns: int) -> Scan:
+    count = len(xyz)
+    first = Returns(xyz, np.full(count, stamp_ns), np.zeros(count, np.float32), np.zeros(count, np.uint16))
+    return Scan(stamp_ns, stamp_ns, first, deskewed=True)
+
+
+def test_77_real_scans_agree_with_the_reference_poses(shared_data: Path) -> None:
+    clouds, _ = kitti_clouds(shared_data / "kitti_scans")
+    reference = kitti_reference(shared_data / "kitti_scans")
+    frontend = OdometryFrontend(MappingConfig(deskewed=True), Extrinsics())
+    outputs = []
+    for k, xyz in enumerate(clouds):
+        outputs += frontend.on_points(as_scan(xyz[np.linalg.norm(xyz, axis=1) > 1.0], START_NS + k * STEP))
+    outputs += frontend.finish()
+    difference = np.array([o.pose.T_odom_lidar for o in outputs])[:, :3, 3] - reference[:, :3, 3]
+    largest = np.linalg.norm(difference, axis=1).max()
+    assert len(outputs) == 77
+    assert largest < 0.06, f"largest difference {largest:.3f} m over 28.9 m"
+
+
+def test_the_front_end_drops_empty_scans_and_counts_them() -> None:
+    frontend = OdometryFrontend(MappingConfig(deskewed=True), Extrinsics())
+    assert frontend.on_points(as_scan(np.zeros((0, 3)), START_NS)) == []
+    assert frontend.dropped_scans == 1
+
+
+def test_the_result_does_not_depend_on_how_the_topics_interleave() -> None:
+    from mapping_scenes import cast
+
+    from subiaco_mapping.measurements import ImuSample
+
+    extrinsics = dataclasses.replace(Extrinsics(), T_base_imu=np.eye(4))
+    samples = [
+        ImuSample(START_NS + k * SECOND // 100, np.array([0, 0, 0.4]), np.array([0, 0, 9.8]))
+        for k in range(80)
+    ]
+    scans = []
+    for k in range(1, 6):
+        rng = np.random.default_rng(k)
+        times = np.sort(START_NS + k * STEP + rng.integers(0, STEP, 3000))
+        beams = rng.normal(size=(3000, 3))
+        xyz = cast(turning_pose(times), beams / np.linalg.norm(beams, axis=1, keepdims=True))
+        first = Returns(xyz, times, np.zeros(3000, np.float32), np.zeros(3000, np.uint16))
+        scans.append(Scan(int(times[0]), int(times[-1]), first))
+    poses = []
+    for imu_first in (True, False):
+        frontend = OdometryFrontend(MappingConfig(), extrinsics)
+        steps = [lambda f, s=s: f.on_imu(s) for s in samples], [lambda f, s=s: f.on_points(s) for s in scans]
+        order = steps[0] + steps[1] if imu_first else steps[1] + steps[0]
+        outputs = [output for step in order for output in step(frontend)] + frontend.finish()
+        poses.append([output.pose.T_odom_lidar for output in outputs])
+    np.testing.assert_array_equal(poses[0], poses[1])
