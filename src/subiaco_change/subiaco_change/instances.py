@@ -37,7 +37,7 @@ class InstanceConfig(StrictModel):
     other_gap: float = Field(0.6, gt=0, description="voxel in which other things touch [m]")
     min_points: tuple[int, int, int, int] = Field(
         (60, 40, 25, 12),
-        description="smallest building, plant, vehicle, other: points at a 0.25 m leaf, times 1/leaf^2 (Decision 7)",
+        description="smallest building, plant, vehicle, other: points at 0.25 m, as 1/leaf^2 (Decision 7)",
     )
     leaf: float = Field(0.25, gt=0, description="leaf of the clouds, set by the run [m]")
 

@@ -60,7 +60,7 @@ def compare_objects(
     things_b = build_things(before, build_voxels(before, after, seen_by_after, edge, reach))
     things_a = build_things(after, build_voxels(after, before, seen_by_before, edge, reach))
     things_b, things_a = agree_on_classes(things_b, things_a, rules.association, tolerance)
-    changes = []
+    changes: list[ObjectChange] = []
     for semantic in (Semantic.BUILDING, Semantic.VEGETATION, Semantic.MOBILE, Semantic.OTHER):
         of_b = [t for t in things_b if t.semantic is semantic]
         of_a = [t for t in things_a if t.semantic is semantic]
