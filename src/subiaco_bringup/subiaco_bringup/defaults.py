@@ -17,12 +17,12 @@ CONFIG_FILES: dict[str, tuple[str, ...]] = {
 def _candidate_directories() -> list[Path]:
     directories = [Path(__file__).resolve().parents[3] / "config"]
     try:
-        from ament_index_python.packages import PackageNotFoundError, get_package_share_directory
+        from ament_index_python.packages import get_package_share_directory
     except ImportError:
         return directories
     try:
         share = Path(get_package_share_directory("subiaco_bringup"))
-    except PackageNotFoundError:
+    except (LookupError, OSError):  # not installed, or no workspace sourced
         return directories
     return [share / "config", *directories]
 
