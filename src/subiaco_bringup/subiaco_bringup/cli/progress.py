@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 import time
 from types import TracebackType
-from typing import Self
+from typing import Never, Self
 
 from tqdm import tqdm
 
@@ -24,7 +24,7 @@ class Progress:
 
     def __init__(self, *, quiet: bool = False) -> None:
         self._quiet = quiet
-        self._bar: tqdm[int] | None = None
+        self._bar: tqdm[Never] | None = None
         self._terminal = sys.stderr.isatty()
         self._stage = ""
         self._last_line = 0.0
@@ -55,11 +55,12 @@ class Progress:
         if stage != self._stage:
             self._close_bar()
             self._stage = stage
-        if self._bar is None:
+        bar = self._bar
+        if bar is None:
             layout = "{desc:<34}{percentage:3.0f}% |{bar}| {elapsed}"
-            self._bar = tqdm(total=100, desc=stage, bar_format=layout, file=sys.stderr)
-        self._bar.n = round(100 * fraction)
-        self._bar.refresh()
+            bar = self._bar = tqdm(total=100, desc=stage, bar_format=layout, file=sys.stderr)
+        bar.n = round(100 * fraction)
+        bar.refresh()
 
     def _print_line(self, stage: str, fraction: float) -> None:
         now = time.monotonic()
