@@ -8,8 +8,6 @@ from typing import Annotated
 
 import numpy as np
 import typer
-from subiaco_geo.config import load_config
-from subiaco_geo.errors import InputError
 
 from subiaco_bringup.cli.options import (
     AsJson,
@@ -25,6 +23,8 @@ from subiaco_bringup.cli.options import (
 )
 from subiaco_bringup.cli.progress import Progress
 from subiaco_bringup.defaults import config_files
+from subiaco_geo.config import load_config
+from subiaco_geo.errors import InputError
 
 Epoch = Annotated[Path, typer.Argument(help="Map directory, or a bare .ply .las .laz .pcd cloud.")]
 TrajectoryFile = Annotated[Path | None, typer.Option(metavar="F", help="TUM trajectory of a bare cloud.")]

@@ -7,13 +7,13 @@ import traceback
 from collections.abc import Sequence
 
 import typer
-from subiaco_geo.errors import SubiacoError
 
 from subiaco_bringup.cli import change_verbs, graph_verbs, survey_verbs
+from subiaco_geo.errors import SubiacoError
 
 EPILOG = (
-    "A survey in four commands:  subiaco simulate bags/demo  |  subiaco map bags/demo/before -o out/before  |  "
-    "subiaco map bags/demo/after -o out/after  |  subiaco change out/before out/after -o out/change.  "
+    "A survey in four commands:  subiaco simulate bags/demo  |  subiaco map bags/demo/before -o out/before"
+    "  |  subiaco map bags/demo/after -o out/after  |  subiaco change out/before out/after -o out/change.  "
     "Exit codes: 0 done, 2 bad input, 3 registration not to be trusted, 1 a fault of ours, 130 interrupted."
 )
 
@@ -67,7 +67,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except (KeyboardInterrupt, typer.Abort):
         _report("interrupted; nothing was left under a final name")
         return 130
-    except Exception as error:  # the border: anything else is a fault of ours
+    except Exception as error:  # noqa: BLE001 - the border: anything else is a fault of ours
         if verbose:
             traceback.print_exc()
         _report(f"fault: {type(error).__name__}: {error} (run again with -v for the traceback)")

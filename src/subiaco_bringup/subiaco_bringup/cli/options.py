@@ -29,7 +29,9 @@ AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON o
 def set_up_logging(verbose: bool, quiet: bool) -> None:
     """Send log lines to stderr at the level the user asked for."""
     level = logging.DEBUG if verbose else logging.ERROR if quiet else logging.WARNING
-    logging.basicConfig(level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr)
+    logging.basicConfig(
+        level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr
+    )
     for name in ("geo", "sim", "mapping", "change", "bringup"):
         logging.getLogger(f"subiaco_{name}").setLevel(level)
 

@@ -6,7 +6,6 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import typer
-from subiaco_geo.config import load_config
 
 from subiaco_bringup.cli.options import (
     AsJson,
@@ -22,6 +21,7 @@ from subiaco_bringup.cli.options import (
 )
 from subiaco_bringup.cli.progress import Progress
 from subiaco_bringup.defaults import config_files
+from subiaco_geo.config import load_config
 
 
 def _settings(given: list[str] | None, **named: object) -> list[str]:
@@ -110,7 +110,7 @@ def import_(
 
 
 def map_(
-    bags: Annotated[list[Path], typer.Argument(metavar="BAG...", help="Bags of one epoch; one is a sequence.")],
+    bags: Annotated[list[Path], typer.Argument(metavar="BAG...", help="Bags of one epoch, each a sequence.")],
     output: Output,
     config: ConfigFiles = None,
     settings: Settings = None,
