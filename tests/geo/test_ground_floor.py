@@ -261,7 +261,7 @@ def test_a_written_configuration_loads_to_the_same_object_and_hash(tmp_path: Pat
         ("a..b=3", "expected key=value"),
         ("seed=[1", "not valid YAML"),
         ("odometry.voxel=-1", "odometry.voxel: Input should be greater than 0"),
-        ("odometry.vocsel=1", "odometry.vocsel: Extra inputs are not permitted"),
+        ("odometry.vocsel=1", "odometry.vocsel: no such setting; did you mean voxel"),
     ],
 )
 def test_bad_settings_are_refused_in_one_line(setting: str, match: str) -> None:

@@ -8,15 +8,15 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-from subiaco_geo.atomic import refuse_existing
+
+from subiaco_change.config import ChangeConfig
+from subiaco_change.outputs import MARKER, ChangeInputs, write_change_directory
+from subiaco_change.pipeline import detect_changes
+from subiaco_change.records import ChangeResult
+from subiaco_geo.atomic import refuse_existing, refuse_foreign
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
 from subiaco_geo.maps import load_epoch
-
-from subiaco_change.config import ChangeConfig
-from subiaco_change.outputs import ChangeInputs, write_change_directory
-from subiaco_change.pipeline import detect_changes
-from subiaco_change.records import ChangeResult
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,9 @@ def read_transform(path: Path) -> Floats:
         else:
             values = np.loadtxt(path, dtype=np.float64)
     except (OSError, ValueError, KeyError, TypeError) as error:
-        raise InputError(f"{path}: no transform could be read ({error}); give four rows of four numbers") from error
+        raise InputError(
+            f"{path}: no transform could be read ({error}); give four rows of four numbers"
+        ) from error
     if values.shape != (4, 4):
         raise InputError(f"{path}: expected a 4x4 transform, found shape {values.shape}")
     return values
@@ -77,11 +79,13 @@ def run_change(
         Nothing is left under ``job.output`` then.
     """
     refuse_existing(job.output, job.overwrite)
+    refuse_foreign(job.output, MARKER)
     before = load_epoch(job.before, job.trajectory_before)
     after = load_epoch(job.after, job.trajectory_after)
     result = detect_changes(before, after, config, progress, transform=job.transform)
     if progress is not None:
         progress("writing", 0.97)
-    inputs = ChangeInputs(job.before, job.after)
+    known = all(survey.info.get("heights") == "ellipsoidal" for survey in (before, after))
+    inputs = ChangeInputs(job.before, job.after, ellipsoidal=known)
     write_change_directory(job.output, result, config, inputs, overwrite=job.overwrite)
     return result

@@ -22,11 +22,13 @@ from subiaco_change.outputs_raster import build_coverage, write_coverage, write_
 from subiaco_change.outputs_read import ChangeDirectory, read_change_directory
 from subiaco_change.records import ChangeResult, Registration
 from subiaco_change.report import build_report
-from subiaco_geo.atomic import refuse_existing, whole_directory
+from subiaco_geo.atomic import refuse_existing, refuse_foreign, whole_directory
 from subiaco_geo.config import StrictModel, config_hash, write_config
 
 __all__ = ["ChangeDirectory", "ChangeInputs", "read_change_directory", "write_change_directory"]
 
+#: What tells a change directory from another folder.
+MARKER = "run.json"
 _PACKAGES = (
     "subiaco-geo",
     "subiaco-mapping",
@@ -46,13 +48,15 @@ class ChangeInputs:
     """Where the two epochs came from; ``notes`` are further facts for ``run.json``.
 
     ``calibrated`` tells whether the confidences were calibrated; the report
-    warns where they were not.
+    warns where they were not. ``ellipsoidal`` tells that heights are known to
+    be ellipsoidal, so that the LAZ files may say so.
     """
 
     before: Path | None = None
     after: Path | None = None
     notes: Mapping[str, Any] = field(default_factory=dict)
     calibrated: bool = False
+    ellipsoidal: bool = False
 
 
 def registration_document(registration: Registration, crs: str | None) -> dict[str, Any]:
@@ -139,15 +143,16 @@ def write_change_directory(
         The directory exists and ``overwrite`` is false, or a cloud lacks a field.
     """
     refuse_existing(directory, overwrite)
+    refuse_foreign(directory, MARKER)
     crs = result.after.crs
     table = outputs_table.build_table(result.records, crs)
     previous = outputs_table.read_reviewed(directory)
     if previous is not None:
         table = outputs_table.carry_reviews(table, previous)
-    with whole_directory(directory, overwrite=overwrite) as target:
+    with whole_directory(directory, overwrite=overwrite, marker=MARKER) as target:
         _write_table(target, table)
-        write_labelled(target, "before", result.before)
-        write_labelled(target, "after", result.after)
+        write_labelled(target, "before", result.before, ellipsoidal=inputs.ellipsoidal)
+        write_labelled(target, "after", result.after, ellipsoidal=inputs.ellipsoidal)
         if result.ground is not None:
             write_ground_change(target / "ground_change.tif", result.ground, crs)
         write_coverage(target / "coverage.tif", build_coverage(result.before, result.after), crs)

@@ -74,12 +74,19 @@ def _check_codes(values: NDArray[np.generic], name: str, allowed: list[int]) -> 
         raise InputError(f"labelled cloud: {name} holds code {strange[0]}; allowed are {allowed}")
 
 
-def write_labelled(directory: Path, epoch: str, cloud: PointCloud) -> None:
-    """Write ``<epoch>_labelled.ply`` and ``.laz``; the LAZ adds ASPRS ``classification``."""
+def write_labelled(directory: Path, epoch: str, cloud: PointCloud, *, ellipsoidal: bool = False) -> None:
+    """Write ``<epoch>_labelled.ply`` and ``.laz``; the LAZ adds ASPRS ``classification``.
+
+    ``ellipsoidal`` lets the LAZ state its heights as ellipsoidal: only where that is known.
+    """
     labelled = labelled_cloud(cloud)
     write_cloud(directory / f"{epoch}_labelled.ply", labelled)
     codes = asprs_lookup()[labelled.fields["semantic"].astype(np.int64)]
-    write_cloud(directory / f"{epoch}_labelled.laz", labelled.with_fields(classification=codes))
+    write_cloud(
+        directory / f"{epoch}_labelled.laz",
+        labelled.with_fields(classification=codes),
+        ellipsoidal=ellipsoidal,
+    )
 
 
 def read_labelled(directory: Path, epoch: str) -> PointCloud:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +21,7 @@ from subiaco_change.labelling import Labels, ground_records, label_epoch
 from subiaco_change.lod import level_of_detection
 from subiaco_change.object_changes import ObjectChange, ObjectRules, compare_objects, make_record
 from subiaco_change.objects import EpochView
-from subiaco_change.pair import check_pair
+from subiaco_change.pair import PairInfo, check_pair
 from subiaco_change.records import Change, ChangeRecord, ChangeResult, Registration
 from subiaco_change.registration import given_registration, register
 from subiaco_change.semantics import SemanticResult, label_points
@@ -127,7 +127,7 @@ def detect_changes(
             result = _compare(epochs[0], epochs[1], again, config, stages)
         registration = again if result.frame.registration is again else registration
     stages.start("table", 0.95)
-    return _assemble(result, epochs[0], epochs[1], config, stages, info.warnings)
+    return _assemble(result, epochs[0], epochs[1], config, stages, info)
 
 
 def _with_normals(cloud: PointCloud, config: ChangeConfig) -> PointCloud:
@@ -221,7 +221,7 @@ def _assemble(
     after: _Epoch,
     config: ChangeConfig,
     stages: _Stages,
-    warnings: tuple[str, ...],
+    info: PairInfo,
 ) -> ChangeResult:
     origin = result.frame.origin
     evidence = _weaker(before.observer.kind, after.observer.kind)
@@ -239,10 +239,18 @@ def _assemble(
     raster = None if result.ground is None else ground_raster(result.ground, origin, config.ground)
     clouds = [_labelled(c, v) for c, v in zip((result.before, after.cloud), labels, strict=True)]
     stages.start("", 1.0)
-    registration = result.frame.registration
+    registration = _with_operation(result.frame.registration, info)
     return ChangeResult(
-        (*records, *patches), clouds[0], clouds[1], registration, raster, stages.seconds, warnings
+        (*records, *patches), clouds[0], clouds[1], registration, raster, stages.seconds, info.warnings
     )
+
+
+def _with_operation(registration: Registration, info: PairInfo) -> Registration:
+    """Record how exact the coordinate operation was that brought *before* into the CRS of *after*."""
+    if info.operation == "none":
+        return registration
+    accuracy = {"crs_operation_accuracy_m": info.accuracy_m}
+    return replace(registration, details={**registration.details, **accuracy})
 
 
 def _weaker(first: str, second: str) -> str:

@@ -17,14 +17,16 @@ def refuse_existing(path: Path, overwrite: bool) -> None:
         raise InputError(f"{path}: exists already; choose another place or pass --overwrite")
 
 
-def _refuse_foreign(path: Path, marker: str | None) -> None:
-    """Raise where the directory to be replaced does not look like an output of ours."""
+def refuse_foreign(path: Path, marker: str | None) -> None:
+    """Raise where the directory to be replaced does not look like an output of ours (no ``marker`` in it)."""
     if not path.exists():
         return
     if not path.is_dir():
         raise InputError(f"{path}: is a file, not a directory; choose another place")
     if marker is not None and any(path.iterdir()) and not (path / marker).exists():
-        raise InputError(f"{path}: holds other things (no {marker}), not replaced; choose another place")
+        raise InputError(
+            f"{path}: holds other things (no {marker}) and is not replaced; choose another place"
+        )
 
 
 @contextmanager
@@ -54,7 +56,7 @@ def whole_directory(path: Path, *, overwrite: bool = False, marker: str | None =
     """
     path = path.absolute()
     refuse_existing(path, overwrite)
-    _refuse_foreign(path, marker)
+    refuse_foreign(path, marker)
     path.parent.mkdir(parents=True, exist_ok=True)
     temporary = path.with_name(f".{path.name}.{os.getpid()}.partial")
     shutil.rmtree(temporary, ignore_errors=True)

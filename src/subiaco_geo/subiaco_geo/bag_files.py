@@ -15,6 +15,7 @@ from subiaco_geo.errors import InputError
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
 _STORAGE_SUFFIXES = (".mcap", ".db3")
+_RECORDINGS = {".bag": "a ROS 1 bag", ".pcap": "a packet capture", ".pcapng": "a packet capture"}
 #: What reading a damaged bag raises.
 READ_FAULTS = (
     ReaderError, OSError, EOFError, struct.error, zstd.ZstdError,
@@ -56,8 +57,9 @@ def find_storage(path: Path) -> Path:
                 f"{path}: {len(files)} mcap files but no metadata.yaml; run 'ros2 bag reindex {path}'"
             )
         raise InputError(f"{path}: not a bag (no metadata.yaml, no .mcap); give a rosbag2 folder or an .mcap")
-    if path.suffix == ".bag":
-        raise InputError(f"{path}: a ROS 1 bag; convert it first with 'subiaco import {path} -o BAG'")
+    if path.suffix in _RECORDINGS:
+        kind = _RECORDINGS[path.suffix]
+        raise InputError(f"{path}: {kind}, not a bag; convert it first with 'subiaco import {path} -o BAG'")
     if path.suffix not in _STORAGE_SUFFIXES:
         raise InputError(f"{path}: not a bag; give a rosbag2 folder, an .mcap or a simulated epoch folder")
     return path

@@ -16,6 +16,7 @@ from __future__ import annotations
 import hashlib
 import json
 from collections.abc import Iterable, Mapping, Sequence
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -85,25 +86,68 @@ def parse_setting(setting: str) -> dict[str, Any]:
     return dict(value)
 
 
+def _known_names(model: type[BaseModel], path: Sequence[int | str]) -> list[str]:
+    """Return the names that a model, or a slice of it, knows."""
+    for part in path:
+        field = model.model_fields.get(str(part))
+        inner = None if field is None else field.annotation
+        if not (isinstance(inner, type) and issubclass(inner, BaseModel)):
+            return []
+        model = inner
+    return sorted(model.model_fields)
+
+
+def _complaint(model: type[BaseModel], error: ValidationError) -> tuple[tuple[int | str, ...], str]:
+    """Return where the first fault lies and what to do about it, in one line."""
+    first = error.errors()[0]
+    place = first["loc"]
+    where = ".".join(str(part) for part in place)
+    if first["type"] != "extra_forbidden":
+        return place, f"{where}: {first['msg']}, got {first['input']!r}"
+    known = _known_names(model, place[:-1])
+    close = get_close_matches(str(place[-1]), known, n=1)
+    advice = f"did you mean {close[0]}?" if close else f"known are {', '.join(known) or 'none'}"
+    return place, f"{where}: no such setting; {advice}"
+
+
 def validate(model: type[Model], values: Mapping[str, Any], source: str) -> Model:
     """Validate values, turning the first complaint into one clear line."""
     try:
         return model.model_validate(dict(values))
     except ValidationError as error:
-        first = error.errors()[0]
-        where = ".".join(str(part) for part in first["loc"])
-        raise InputError(f"{source}: {where}: {first['msg']}") from error
+        raise InputError(f"{source}: {_complaint(model, error)[1]}") from error
+
+
+def _holds(values: object, place: Sequence[int | str]) -> bool:
+    """Tell whether nested values reach a place, or stop at a value on the way to it."""
+    for part in place:
+        if not isinstance(values, Mapping):
+            return True
+        if part not in values:
+            return False
+        values = values[part]
+    return True
 
 
 def load_config(model: type[Model], files: Sequence[Path] = (), settings: Iterable[str] = ()) -> Model:
-    """Load a model from files and ``key=value`` settings, later ones winning."""
+    """Load a model from files and ``key=value`` settings, later ones winning.
+
+    Raises
+    ------
+    InputError
+        Names the file or setting at fault, the field, and what it may be.
+    """
+    sources = [(str(path), read_parameters(Path(path))) for path in files]
+    sources += [(f"--set {setting}", parse_setting(setting)) for setting in settings]
     values: dict[str, Any] = {}
-    for path in files:
-        values = merge(values, read_parameters(Path(path)))
-    for setting in settings:
-        values = merge(values, parse_setting(setting))
-    source = ", ".join([*(str(p) for p in files), *settings]) or "configuration"
-    return validate(model, values, source)
+    for _, given in sources:
+        values = merge(values, given)
+    try:
+        return model.model_validate(values)
+    except ValidationError as error:
+        place, complaint = _complaint(model, error)
+        guilty = [name for name, given in sources if _holds(given, place)]
+        raise InputError(f"{guilty[-1] if guilty else 'configuration'}: {complaint}") from error
 
 
 def config_hash(config: StrictModel) -> str:

@@ -16,7 +16,7 @@ from ouster.sdk import core, pcap
 from rosbags.rosbag1 import Reader as Ros1Reader
 from rosbags.rosbag1 import ReaderError
 
-from subiaco_geo.atomic import refuse_existing
+from subiaco_geo.atomic import refuse_existing, refuse_foreign
 from subiaco_geo.bags import TYPESTORE, BagWriter, packet_to_cdr
 from subiaco_geo.errors import InputError
 from subiaco_geo.topics import IMU_PACKETS, LATCHED, LIDAR_PACKETS, MESSAGE_TYPES, METADATA
@@ -121,7 +121,9 @@ def _trimmed(packets: Iterable[RecordedPacket], metadata: str) -> Iterator[Recor
         yield RecordedPacket(packet.topic, packet.time_ns, packet.buf[:size] if size else packet.buf)
 
 
-def _write_bag(bag: Path, metadata: str, packets: Iterable[RecordedPacket]) -> dict[str, int]:
+def _write_bag(
+    recording: Path, bag: Path, metadata: str, packets: Iterable[RecordedPacket]
+) -> dict[str, int]:
     counts: dict[str, int] = {}
     with BagWriter(bag) as writer:
         for packet in packets:
@@ -145,7 +147,9 @@ def _write_bag(bag: Path, metadata: str, packets: Iterable[RecordedPacket]) -> d
             )
             counts[packet.topic] = counts.get(packet.topic, 0) + 1
         if LIDAR_PACKETS not in counts:
-            raise InputError("no LiDAR packet of this sensor in the recording; check file and metadata")
+            raise InputError(
+                f"{recording}: no LiDAR packet of this sensor in it; check recording and metadata"
+            )
     return counts
 
 
@@ -177,6 +181,7 @@ def import_recording(
     """
     recording, bag = Path(recording), Path(bag)
     refuse_existing(bag, overwrite)
+    refuse_foreign(bag, "metadata.yaml")
     if not recording.is_file():
         raise InputError(f"{recording}: no such recording; give a .pcap or a ROS 1 .bag")
     if recording.suffix in _PCAP_SUFFIXES:
@@ -193,15 +198,17 @@ def import_recording(
             f"{recording}: a {recording.suffix or 'nameless'} recording is not supported; give a .pcap or a "
             "ROS 1 .bag of raw packets"
         )
-    return _write_in_place(bag, text, packets)
+    return _write_in_place(recording, bag, text, packets)
 
 
-def _write_in_place(bag: Path, metadata: str, packets: Iterable[RecordedPacket]) -> dict[str, int]:
+def _write_in_place(
+    recording: Path, bag: Path, metadata: str, packets: Iterable[RecordedPacket]
+) -> dict[str, int]:
     """Write the whole bag under its own name in a folder beside, then put it in its place."""
     bag.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=".import-", dir=bag.parent) as beside:
         fresh = Path(beside) / bag.name
-        counts = _write_bag(fresh, metadata, packets)
+        counts = _write_bag(recording, fresh, metadata, packets)
         if bag.exists():
             bag.rename(Path(beside) / "replaced")
         fresh.rename(bag)

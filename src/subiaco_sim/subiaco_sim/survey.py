@@ -57,7 +57,7 @@ def simulate(
         ``out`` exists, the preset does not, or the street is shorter than the drive.
     """
     say = progress or (lambda stage, share: _log.debug("%s %.0f %%", stage, 100 * share))
-    with whole_directory(out, overwrite=overwrite) as folder:
+    with whole_directory(out, overwrite=overwrite, marker="truth") as folder:
         say("scene", 0.0)
         survey = plan_survey(config)
         labels = label_scene(survey.scene)
