@@ -170,6 +170,12 @@ def test_a_bag_that_only_the_replay_finds_bad_stops_the_whole_graph_with_its_lin
     assert not (tmp_path / "map").exists()
 
 
+def test_an_unknown_crs_is_bad_input_through_the_graph_too(survey: Path, tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="EPSG:99999"):
+        run_mapping_graph([survey / "before"], tmp_path / "map", settings=["crs=EPSG:99999"])
+    assert not (tmp_path / "map").exists()
+
+
 def test_maps_that_cannot_be_registered_are_exit_code_3(tmp_path: Path) -> None:
     from subiaco_geo.cloud_io import write_cloud
     from subiaco_geo.clouds import PointCloud

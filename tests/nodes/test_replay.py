@@ -7,11 +7,12 @@ from pathlib import Path
 
 import pytest
 
+from subiaco_geo.bag_files import sequence_name
 from subiaco_geo.bags import TYPESTORE, BagMessage, BagWriter, packet_to_cdr
 from subiaco_geo.errors import InputError
 from subiaco_geo.topics import IMU, LIDAR_PACKETS, METADATA, PACKET_TYPE
 from subiaco_mapping.nodes.flow import FlowControl
-from subiaco_mapping.nodes.replay import END, SEQUENCE, Replay, sequence_name
+from subiaco_mapping.nodes.replay import END, SEQUENCE, Replay
 
 CONSUMED = (METADATA, LIDAR_PACKETS, SEQUENCE, END)
 

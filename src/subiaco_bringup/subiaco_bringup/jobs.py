@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
@@ -10,10 +11,14 @@ from subiaco_bringup.graph import GraphSpec, change_graph, mapping_graph
 from subiaco_bringup.supervisor import Report, Supervisor
 from subiaco_geo.atomic import refuse_existing
 from subiaco_geo.config import load_config
+from subiaco_geo.errors import InputError
+
+LOGGER = logging.getLogger(__name__)
 
 
 def _run(graph: GraphSpec, progress: Report | None) -> None:
     with node_environment() as environment:
+        LOGGER.info("to watch the graph, use its domain: ROS_DOMAIN_ID=%s", environment["ROS_DOMAIN_ID"])
         Supervisor(graph, environment, progress).run()
 
 
@@ -28,6 +33,8 @@ def run_mapping_graph(
     progress: Report | None = None,
 ) -> None:
     """Replay bags of one epoch through the ROS 2 nodes into a map directory.
+
+    The nodes run in a ROS domain of their own; set ``ROS_DOMAIN_ID`` to choose it, e.g. for a viewer.
 
     Parameters
     ----------
@@ -53,6 +60,8 @@ def run_mapping_graph(
     from subiaco_geo.bags import find_storage
     from subiaco_mapping.config import MappingConfig
 
+    if not bags:
+        raise InputError("no bag given; name at least one rosbag2 folder, .mcap or simulated epoch folder")
     files, given = list(config_files), list(settings)
     load_config(MappingConfig, files, given)
     refuse_existing(Path(output), overwrite)

@@ -58,7 +58,7 @@ def launch_description(
     from launch.actions import DeclareLaunchArgument, OpaqueFunction
     from launch.substitutions import LaunchConfiguration
 
-    from launch import LaunchDescription
+    from launch import LaunchDescription  # type: ignore[attr-defined,unused-ignore]
 
     def expand(context: Any) -> list[Any]:
         values = {name: LaunchConfiguration(name).perform(context) for name, _, _ in arguments}

@@ -65,6 +65,12 @@ def find_storage(path: Path) -> Path:
     return path
 
 
+def sequence_name(path: Path) -> str:
+    """Return the name of a bag's sequence: its stem, or that of the epoch folder around ``bag/``."""
+    path = Path(path).resolve()
+    return path.parent.name if path.name == "bag" else path.stem
+
+
 def storage_files(path: Path) -> list[Path]:
     """Return the files that hold a bag's messages, in name order."""
     storage = find_storage(path)

@@ -7,6 +7,7 @@ import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
+from subiaco_geo.bag_files import sequence_name
 from subiaco_geo.bags import BagReader, hash_bag, packet_from_cdr, require_topic
 from subiaco_geo.crs import require_map_crs
 from subiaco_geo.errors import InputError
@@ -19,12 +20,6 @@ from subiaco_mapping.frontend import FrontendOutput, OdometryFrontend
 from subiaco_mapping.measurements import Extrinsics
 
 logger = logging.getLogger(__name__)
-
-
-def sequence_name(bag: Path) -> str:
-    """Return the name of a bag's sequence: its stem, or that of the epoch folder around ``bag/``."""
-    path = bag.resolve()
-    return path.parent.name if path.name == "bag" else path.stem
 
 
 def lidar_topic(reader: BagReader) -> str:

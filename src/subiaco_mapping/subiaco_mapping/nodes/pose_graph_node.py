@@ -17,6 +17,7 @@ from sensor_msgs.msg import NavSatFix, PointCloud2
 from std_msgs.msg import String
 
 from subiaco_geo.atomic import refuse_existing
+from subiaco_geo.bag_files import sequence_name
 from subiaco_geo.bags import hash_bag
 from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError, SubiacoError
@@ -41,7 +42,6 @@ from subiaco_mapping.nodes.names import (
     QUALITY,
     SEQUENCE,
 )
-from subiaco_mapping.nodes.replay import sequence_name
 from subiaco_mapping.nodes.runtime import (
     App,
     Diagnostics,

@@ -8,6 +8,7 @@ from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from pathlib import Path
 from typing import Protocol
 
+from subiaco_geo.bag_files import sequence_name
 from subiaco_geo.bags import BagMessage, BagReader
 from subiaco_geo.errors import InputError
 from subiaco_geo.topics import LATCHED, MESSAGE_TYPES
@@ -36,12 +37,6 @@ class ReplayPort(Protocol):
 
     def connected(self, topic: str) -> int:
         """Return how many subscribers of a topic are matched."""
-
-
-def sequence_name(path: Path) -> str:
-    """Return the name of a bag's sequence: its stem, or that of the epoch folder around ``bag/``."""
-    path = Path(path).resolve()
-    return path.parent.name if path.name == "bag" else path.stem
 
 
 def check_types(reader: BagReader, topics: Collection[str]) -> None:
