@@ -9,8 +9,8 @@ sys.path.insert(0, str(Path(__file__).parent))  # the made-up scenes beside the 
 
 from result_scene import SceneConfig, scene_result
 
-from subiaco_change import outputs
-from subiaco_change.outputs import ChangeInputs, write_change_directory
+from subiaco_change.outputs import directory as outputs
+from subiaco_change.outputs.directory import ChangeInputs, write_change_directory
 
 
 @pytest.fixture(scope="session")

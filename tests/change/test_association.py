@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from subiaco_change.association import AssociationConfig, assign, associate
-from subiaco_change.objects import Thing, Voxels
+from subiaco_change.changes.association import AssociationConfig, assign, associate
+from subiaco_change.changes.objects import Thing, Voxels
 from subiaco_change.records import Semantic
 
 

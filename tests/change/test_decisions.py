@@ -5,9 +5,9 @@ from dataclasses import replace
 
 import pytest
 
-from subiaco_change.confidence import confidence, paper_score
-from subiaco_change.decisions import DecisionConfig, decide
-from subiaco_change.measures import Measures
+from subiaco_change.changes.confidence import confidence, paper_score
+from subiaco_change.changes.decisions import DecisionConfig, decide
+from subiaco_change.changes.measures import Measures
 from subiaco_change.records import Change, Semantic
 
 SAME = Measures(

@@ -10,17 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from result_scene import SceneConfig, scene_result
 
-from subiaco_change import evaluation_objects as objects
-from subiaco_change.evaluation import (
-    EvaluationConfig,
-    evaluate,
-    evaluate_published,
-    registration_error,
-    write_evaluation,
-)
-from subiaco_change.evaluation_grid import GridConfig, cell_keys, cell_rule, look_up, rasterise
-from subiaco_change.evaluation_layout import read_published_pair
-from subiaco_change.evaluation_scores import (
+from subiaco_change.evaluation import objects
+from subiaco_change.evaluation.grid import GridConfig, cell_keys, cell_rule, look_up, rasterise
+from subiaco_change.evaluation.layouts import read_published_pair
+from subiaco_change.evaluation.scores import (
     bootstrap,
     class_f1,
     class_iou,
@@ -29,8 +22,15 @@ from subiaco_change.evaluation_scores import (
     risk_coverage,
     scores,
 )
-from subiaco_change.evaluation_trajectories import absolute_error, relative_error
-from subiaco_change.outputs import ChangeInputs, write_change_directory
+from subiaco_change.evaluation.scoring import (
+    EvaluationConfig,
+    evaluate,
+    evaluate_published,
+    registration_error,
+    write_evaluation,
+)
+from subiaco_change.evaluation.trajectories import absolute_error, relative_error
+from subiaco_change.outputs.directory import ChangeInputs, write_change_directory
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import exp_se3, invert_pose, make_pose

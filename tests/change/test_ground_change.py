@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from subiaco_change.ground_change import GroundChangeConfig, compare_ground, ground_raster
-from subiaco_change.objects import EpochView
+from subiaco_change.changes.ground_change import GroundChangeConfig, compare_ground, ground_raster
+from subiaco_change.changes.objects import EpochView
 from subiaco_change.records import Change, Semantic
 
 

@@ -6,12 +6,18 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scenes import Scene, car, house, pole, tree
 
-from subiaco_change.clustering import voxel_clusters
-from subiaco_change.features import FeatureConfig, compute_features, neighbour_covariance
-from subiaco_change.instances import InstanceConfig, segment
 from subiaco_change.records import Semantic
-from subiaco_change.semantics import SemanticsConfig, label_points
-from subiaco_change.superpoints import SuperpointConfig, edge_weights, graph_edges, partition, potts_energy
+from subiaco_change.semantics.classes import SemanticsConfig, label_points
+from subiaco_change.semantics.clustering import voxel_clusters
+from subiaco_change.semantics.features import FeatureConfig, compute_features, neighbour_covariance
+from subiaco_change.semantics.instances import InstanceConfig, segment
+from subiaco_change.semantics.superpoints import (
+    SuperpointConfig,
+    edge_weights,
+    graph_edges,
+    partition,
+    potts_energy,
+)
 from subiaco_geo.clouds import PointCloud
 
 SCENE = Scene()

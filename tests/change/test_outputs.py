@@ -15,11 +15,11 @@ import rasterio
 import yaml
 from result_scene import OBJECTS, ORIGIN, SceneConfig, ground_raster
 
-from subiaco_change import outputs
-from subiaco_change.outputs_clouds import ASPRS_CODES, POINT_FIELDS, labelled_cloud
-from subiaco_change.outputs_raster import build_coverage
-from subiaco_change.outputs_style import categorised_qml
-from subiaco_change.outputs_table import ALL_COLUMNS, COLUMNS, build_table, object_uids, table_hash
+from subiaco_change.outputs import directory as outputs
+from subiaco_change.outputs.clouds import ASPRS_CODES, POINT_FIELDS, labelled_cloud
+from subiaco_change.outputs.raster import build_coverage
+from subiaco_change.outputs.style import categorised_qml
+from subiaco_change.outputs.table import ALL_COLUMNS, COLUMNS, build_table, object_uids, table_hash
 from subiaco_change.records import CHANGE_COLOURS, Change, Semantic
 from subiaco_geo.cloud_io import read_cloud
 from subiaco_geo.clouds import PointCloud

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from subiaco_change.pair import check_pair
+from subiaco_change.registration.pair import check_pair
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import make_pose

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from subiaco_change.report import CHANGED_LABELS, build_report, number, summary
+from subiaco_change.report.page import CHANGED_LABELS, build_report, number, summary
 from subiaco_geo.errors import InputError
 
 VOID = {"meta", "img", "input", "br", "link", "hr"}

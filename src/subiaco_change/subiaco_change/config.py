@@ -4,15 +4,15 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from subiaco_change.association import AssociationConfig
-from subiaco_change.decisions import DecisionConfig
-from subiaco_change.evidence import EvidenceConfig
-from subiaco_change.ground_change import GroundChangeConfig
-from subiaco_change.instances import InstanceConfig
-from subiaco_change.lod import LodConfig
-from subiaco_change.measures import MeasureConfig
-from subiaco_change.registration import RegistrationConfig
-from subiaco_change.semantics import SemanticsConfig
+from subiaco_change.changes.association import AssociationConfig
+from subiaco_change.changes.decisions import DecisionConfig
+from subiaco_change.changes.ground_change import GroundChangeConfig
+from subiaco_change.changes.measures import MeasureConfig
+from subiaco_change.observation.evidence import EvidenceConfig
+from subiaco_change.observation.lod import LodConfig
+from subiaco_change.registration.register import RegistrationConfig
+from subiaco_change.semantics.classes import SemanticsConfig
+from subiaco_change.semantics.instances import InstanceConfig
 from subiaco_geo.config import StrictModel
 
 

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from subiaco_change.config import ChangeConfig
-from subiaco_change.outputs import MARKER, ChangeInputs, write_change_directory
+from subiaco_change.outputs.directory import MARKER, ChangeInputs, write_change_directory
 from subiaco_change.pipeline import detect_changes
 from subiaco_change.records import ChangeResult
 from subiaco_geo.atomic import refuse_existing, refuse_foreign

@@ -10,21 +10,21 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from subiaco_change.common_frame import CommonFrame, seen_through
+from subiaco_change.changes.ground_change import GroundComparison, compare_ground, ground_raster
+from subiaco_change.changes.labelling import Labels, ground_records, label_epoch
+from subiaco_change.changes.object_changes import ObjectChange, ObjectRules, compare_objects, make_record
+from subiaco_change.changes.objects import EpochView
 from subiaco_change.config import ChangeConfig
-from subiaco_change.evidence import Observer, make_observer
 from subiaco_change.geometry import estimate_normals
-from subiaco_change.ground import Mask
-from subiaco_change.ground_change import GroundComparison, compare_ground, ground_raster
-from subiaco_change.instances import segment
-from subiaco_change.labelling import Labels, ground_records, label_epoch
-from subiaco_change.lod import level_of_detection
-from subiaco_change.object_changes import ObjectChange, ObjectRules, compare_objects, make_record
-from subiaco_change.objects import EpochView
-from subiaco_change.pair import PairInfo, check_pair
+from subiaco_change.observation.common_frame import CommonFrame, seen_through
+from subiaco_change.observation.evidence import Observer, make_observer
+from subiaco_change.observation.lod import level_of_detection
 from subiaco_change.records import Change, ChangeRecord, ChangeResult, Registration
-from subiaco_change.registration import given_registration, register
-from subiaco_change.semantics import SemanticResult, label_points
+from subiaco_change.registration.pair import PairInfo, check_pair
+from subiaco_change.registration.register import given_registration, register
+from subiaco_change.semantics.classes import SemanticResult, label_points
+from subiaco_change.semantics.ground import Mask
+from subiaco_change.semantics.instances import segment
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.frames import Floats
 from subiaco_geo.maps import SurveyMap

@@ -9,6 +9,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
+
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.frames import Floats
 

@@ -184,7 +184,7 @@ def make_detect(config: ChangeConfig) -> Detect:
     """Bind the library's steps to a configuration."""
 
     def detect(request: Request, report: Report) -> Outcome:
-        from subiaco_change.outputs import ChangeInputs, write_change_directory
+        from subiaco_change.outputs.directory import ChangeInputs, write_change_directory
         from subiaco_change.pipeline import detect_changes
         from subiaco_geo.atomic import refuse_existing
         from subiaco_geo.maps import load_epoch

@@ -11,9 +11,9 @@ import numpy as np
 import pandas as pd
 from pydantic import Field
 
-from subiaco_change import evaluation_objects as objects
-from subiaco_change.evaluation_grid import GridConfig, look_up, rasterise
-from subiaco_change.evaluation_layout import (
+from subiaco_change.evaluation import objects
+from subiaco_change.evaluation.grid import GridConfig, look_up, rasterise
+from subiaco_change.evaluation.layouts import (
     Prediction,
     in_after_frame,
     is_published,
@@ -21,8 +21,7 @@ from subiaco_change.evaluation_layout import (
     read_published_loops,
     scene_name,
 )
-from subiaco_change.evaluation_report import write_evaluation
-from subiaco_change.evaluation_scores import (
+from subiaco_change.evaluation.scores import (
     LABELS,
     bootstrap,
     class_iou,
@@ -33,10 +32,11 @@ from subiaco_change.evaluation_scores import (
     risk_coverage,
     scores,
 )
-from subiaco_change.evaluation_trajectories import absolute_error, relative_error
-from subiaco_change.outputs_json import plain
+from subiaco_change.evaluation.trajectories import absolute_error, relative_error
+from subiaco_change.evaluation.truth import SurveyTruth, read_truth
+from subiaco_change.evaluation.writing import write_evaluation
+from subiaco_change.outputs.json_text import plain
 from subiaco_change.records import Change, Semantic
-from subiaco_change.truth import SurveyTruth, read_truth
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError
@@ -90,7 +90,7 @@ def evaluate(pairs: Sequence[tuple[Path, Path]], config: EvaluationConfig | None
     ----------
     pairs : sequence of (Path, Path)
         A change directory or labels by another method
-        (:func:`~subiaco_change.evaluation_layout.read_prediction`), and the
+        (:func:`~subiaco_change.evaluation.layouts.read_prediction`), and the
         output of ``subiaco simulate``.
     config : EvaluationConfig, optional
 

@@ -9,7 +9,7 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from subiaco_change.outputs_json import plain
+from subiaco_change.outputs.json_text import plain
 from subiaco_geo.atomic import whole_file
 
 

@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial import cKDTree
 
-from subiaco_change.clustering import group_indices, group_reduce, voxel_clusters
-from subiaco_change.features import FeatureConfig, Features, compute_features
-from subiaco_change.ground import GroundConfig, GroundModel, Mask, fit_ground
-from subiaco_change.planes import Patches, planar_patches
 from subiaco_change.records import Semantic
-from subiaco_change.superpoints import SuperpointConfig, partition
+from subiaco_change.semantics.clustering import group_indices, group_reduce, voxel_clusters
+from subiaco_change.semantics.features import FeatureConfig, Features, compute_features
+from subiaco_change.semantics.ground import GroundConfig, GroundModel, Mask, fit_ground
+from subiaco_change.semantics.planes import Patches, planar_patches
+from subiaco_change.semantics.superpoints import SuperpointConfig, partition
 from subiaco_geo.clouds import PointCloud, sort_spatially
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from subiaco_change.ground import Mask
 from subiaco_change.records import Registration
+from subiaco_change.semantics.ground import Mask
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.frames import Floats, invert_pose, transform_points
 

@@ -8,13 +8,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from subiaco_change.association import AssociationConfig, Match, associate, overlap_counts
-from subiaco_change.confidence import confidence, paper_score
-from subiaco_change.decisions import Decision, DecisionConfig, decide
-from subiaco_change.ground import Mask
-from subiaco_change.measures import MeasureConfig, Measures, footprint, measure
-from subiaco_change.objects import EpochView, Reach, Thing, Voxels, build_things, build_voxels
+from subiaco_change.changes.association import AssociationConfig, Match, associate, overlap_counts
+from subiaco_change.changes.confidence import confidence, paper_score
+from subiaco_change.changes.decisions import Decision, DecisionConfig, decide
+from subiaco_change.changes.measures import MeasureConfig, Measures, footprint, measure
+from subiaco_change.changes.objects import EpochView, Reach, Thing, Voxels, build_things, build_voxels
 from subiaco_change.records import ChangeRecord, Semantic
+from subiaco_change.semantics.ground import Mask
 from subiaco_geo.frames import Floats, Ints
 
 Observed = Callable[[Floats], Mask]

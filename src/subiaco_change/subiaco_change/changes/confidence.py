@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 
-from subiaco_change.decisions import Decision
-from subiaco_change.measures import Measures
+from subiaco_change.changes.decisions import Decision
+from subiaco_change.changes.measures import Measures
 from subiaco_change.records import Change, Semantic
 
 #: Weights h, v, o, c, p of the paper.

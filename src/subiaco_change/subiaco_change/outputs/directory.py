@@ -14,14 +14,14 @@ from typing import Any
 import geopandas as gpd
 import pandas as pd
 
-from subiaco_change import outputs_table
-from subiaco_change.outputs_clouds import write_labelled
-from subiaco_change.outputs_hash import hash_path
-from subiaco_change.outputs_json import write_json
-from subiaco_change.outputs_raster import build_coverage, write_coverage, write_ground_change
-from subiaco_change.outputs_read import ChangeDirectory, read_change_directory
+from subiaco_change.outputs import table as outputs_table
+from subiaco_change.outputs.clouds import write_labelled
+from subiaco_change.outputs.hashing import hash_path
+from subiaco_change.outputs.json_text import write_json
+from subiaco_change.outputs.raster import build_coverage, write_coverage, write_ground_change
+from subiaco_change.outputs.reading import ChangeDirectory, read_change_directory
 from subiaco_change.records import ChangeResult, Registration
-from subiaco_change.report import build_report
+from subiaco_change.report.page import build_report
 from subiaco_geo.atomic import refuse_existing, refuse_foreign, whole_directory
 from subiaco_geo.config import StrictModel, config_hash, write_config
 

@@ -15,7 +15,7 @@ import pandas as pd
 from shapely.geometry import MultiPolygon, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from subiaco_change.outputs_style import embed_styles
+from subiaco_change.outputs.style import embed_styles
 from subiaco_change.records import ChangeRecord, Semantic
 from subiaco_geo.errors import InputError
 

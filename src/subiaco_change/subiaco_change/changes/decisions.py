@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 from pydantic import Field
 
-from subiaco_change.measures import Measures
+from subiaco_change.changes.measures import Measures
 from subiaco_change.records import Change, Semantic
 from subiaco_geo.config import StrictModel
 

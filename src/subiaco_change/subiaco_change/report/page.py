@@ -12,10 +12,10 @@ import numpy as np
 import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
-from subiaco_change import pictures
-from subiaco_change.outputs_raster import Coverage, build_coverage
-from subiaco_change.outputs_read import ChangeDirectory, read_change_directory
+from subiaco_change.outputs.raster import Coverage, build_coverage
+from subiaco_change.outputs.reading import ChangeDirectory, read_change_directory
 from subiaco_change.records import CHANGE_COLOURS, Change, Semantic
+from subiaco_change.report import pictures
 from subiaco_geo.atomic import whole_file
 from subiaco_geo.frames import rotation_angle
 

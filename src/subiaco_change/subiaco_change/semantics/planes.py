@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from subiaco_change.clustering import connect, count_distinct
-from subiaco_change.features import Features
-from subiaco_change.ground import Mask
+from subiaco_change.semantics.clustering import connect, count_distinct
+from subiaco_change.semantics.features import Features
+from subiaco_change.semantics.ground import Mask
 from subiaco_geo.clouds import voxel_keys
 from subiaco_geo.frames import Floats, Ints
 

@@ -10,8 +10,8 @@ from typing import Any
 
 import geopandas as gpd
 
-from subiaco_change import outputs_table
-from subiaco_change.outputs_clouds import read_labelled
+from subiaco_change.outputs import table as outputs_table
+from subiaco_change.outputs.clouds import read_labelled
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.errors import InputError
 

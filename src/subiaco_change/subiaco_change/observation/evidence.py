@@ -195,7 +195,7 @@ def make_observer(
     Parameters
     ----------
     survey : SurveyMap
-        In its own frame; after :func:`subiaco_change.pair.check_pair` only the
+        In its own frame; after :func:`subiaco_change.registration.pair.check_pair` only the
         visibility layer is still in the original CRS.
     config : EvidenceConfig
     to_own : callable, optional

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from subiaco_change.geometry import Level, nearest
-from subiaco_change.registration_icp import Pairs, Target, jacobian
+from subiaco_change.registration.icp import Pairs, Target, jacobian
 from subiaco_geo.frames import Floats, transform_points
 
 

@@ -12,9 +12,9 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from subiaco_change.outputs_read import read_change_directory
+from subiaco_change.evaluation.truth import SurveyTruth
+from subiaco_change.outputs.reading import read_change_directory
 from subiaco_change.records import Change
-from subiaco_change.truth import SurveyTruth
 from subiaco_geo.cloud_io import read_cloud
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.errors import InputError

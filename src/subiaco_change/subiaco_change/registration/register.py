@@ -11,17 +11,16 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial.transform import Rotation
 
-from subiaco_change.coarse import propose
 from subiaco_change.geometry import Level, build_pyramid, remove_outliers
-from subiaco_change.ndt import Distributions, about, align_ndt, distributions
 from subiaco_change.records import Registration
-from subiaco_change.registration_checks import (
+from subiaco_change.registration.checks import (
     Quality,
     Uncertainty,
     estimate_uncertainty,
     measure_quality,
 )
-from subiaco_change.registration_icp import (
+from subiaco_change.registration.coarse import propose
+from subiaco_change.registration.icp import (
     Pairs,
     Target,
     align_icp,
@@ -30,6 +29,7 @@ from subiaco_change.registration_icp import (
     pair_weights,
     solve,
 )
+from subiaco_change.registration.ndt import Distributions, about, align_ndt, distributions
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError, RegistrationError

@@ -11,11 +11,11 @@ import shapely.affinity
 from numpy.typing import NDArray
 from scipy.special import ndtr
 
-from subiaco_change.ground import Mask
-from subiaco_change.ground_change import GroundComparison, patch_points
-from subiaco_change.object_changes import ObjectChange
-from subiaco_change.objects import EpochView
+from subiaco_change.changes.ground_change import GroundComparison, patch_points
+from subiaco_change.changes.object_changes import ObjectChange
+from subiaco_change.changes.objects import EpochView
 from subiaco_change.records import Change, ChangeRecord, Semantic
+from subiaco_change.semantics.ground import Mask
 from subiaco_geo.frames import Floats, Ints
 
 

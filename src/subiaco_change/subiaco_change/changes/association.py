@@ -13,8 +13,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, min_weight_full_bipartite_matching
 from scipy.spatial import cKDTree
 
-from subiaco_change.measures import histogram_distance, oriented_rectangle, rectangle_iou
-from subiaco_change.objects import Thing
+from subiaco_change.changes.measures import histogram_distance, oriented_rectangle, rectangle_iou
+from subiaco_change.changes.objects import Thing
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
 

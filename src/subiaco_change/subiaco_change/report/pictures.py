@@ -16,9 +16,9 @@ from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 from PIL import Image
 
-from subiaco_change.pictures_paint import height_range, paint
-from subiaco_change.pictures_raster import Frame
 from subiaco_change.records import CHANGE_COLOURS, SEMANTIC_COLOURS, Change, Semantic
+from subiaco_change.report.paint import height_range, paint
+from subiaco_change.report.raster import Frame
 from subiaco_geo.clouds import PointCloud
 
 #: The five pictures of a block, in the order of the report, with their captions.

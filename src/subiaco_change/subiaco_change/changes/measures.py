@@ -11,7 +11,7 @@ from pydantic import Field
 from scipy.spatial import cKDTree
 from shapely.geometry.base import BaseGeometry
 
-from subiaco_change.objects import Voxels
+from subiaco_change.changes.objects import Voxels
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from subiaco_change.geometry import ColumnIndex, Level, LocalPlanes, build_index, nearest
-from subiaco_change.ndt import about
+from subiaco_change.registration.ndt import about
 from subiaco_geo.frames import Floats, transform_points
 
 _AXES = ("roll", "pitch", "yaw", "x", "y", "z")

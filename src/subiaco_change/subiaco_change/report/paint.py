@@ -9,9 +9,9 @@ from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from numpy.typing import NDArray
 
-from subiaco_change.outputs_clouds import change_palette
-from subiaco_change.pictures_raster import Frame, fill_holes, hillshade, top_view
+from subiaco_change.outputs.clouds import change_palette
 from subiaco_change.records import SEMANTIC_COLOURS, Change
+from subiaco_change.report.raster import Frame, fill_holes, hillshade, top_view
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.frames import Floats, Ints
 

@@ -1,0 +1,1 @@
+"""Objects of two epochs: association, measures, decisions (method, parts D and E)."""

@@ -1,0 +1,1 @@
+"""Scores against truth, by the published protocol and by object."""

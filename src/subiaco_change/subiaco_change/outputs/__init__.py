@@ -1,0 +1,1 @@
+"""The change directory (contracts of the table, clouds and rasters)."""

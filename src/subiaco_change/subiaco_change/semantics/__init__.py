@@ -1,0 +1,1 @@
+"""Ground, features, superpoints, classes and instances of one epoch (method, part C)."""
