@@ -26,21 +26,29 @@ from subiaco_bringup.defaults import config_files
 from subiaco_geo.config import load_config
 from subiaco_geo.errors import InputError
 
-Epoch = Annotated[Path, typer.Argument(help="Map directory, or a bare .ply .las .laz .pcd cloud.")]
-TrajectoryFile = Annotated[Path | None, typer.Option(metavar="F", help="TUM trajectory of a bare cloud.")]
+_EPOCH_HELP = "Map directory, or a bare cloud: .ply, .las, .laz, .copc.laz, .pcd."
+Before = Annotated[Path, typer.Argument(metavar="BEFORE", help=_EPOCH_HELP)]
+After = Annotated[Path, typer.Argument(metavar="AFTER", help=_EPOCH_HELP)]
+TrajectoryFile = Annotated[
+    Path | None, typer.Option(metavar="F", help="Where the scanner went (TUM), for a bare cloud.")
+]
 
 
 def change(
-    before: Epoch,
-    after: Epoch,
+    before: Before,
+    after: After,
     output: Output,
     trajectory_before: TrajectoryFile = None,
     trajectory_after: TrajectoryFile = None,
     transform: Annotated[
-        Path | None, typer.Option(metavar="F", help="Given T_after_before: 4x4 text or registration.json.")
+        Path | None,
+        typer.Option(
+            metavar="F",
+            help="Known transform from BEFORE to AFTER: 4 rows of 4 numbers, or registration.json.",
+        ),
     ] = None,
     registration: Annotated[
-        str | None, typer.Option(help="'identity' takes the two epochs as registered already.")
+        str | None, typer.Option(help="'identity' takes the two epochs as aligned already.")
     ] = None,
     config: ConfigFiles = None,
     settings: Settings = None,
@@ -69,8 +77,16 @@ def change(
 
 
 def evaluate(
-    pairs: Annotated[list[Path], typer.Argument(metavar="CHANGE_DIR TRUTH...", help="One or more pairs.")],
-    output: Annotated[Path | None, typer.Option("-o", "--output", metavar="DIR")] = None,
+    pairs: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="CHANGE_DIR TRUTH",
+            help="What was found, and the simulated survey it was found in; more pairs are scored together.",
+        ),
+    ],
+    output: Annotated[
+        Path | None, typer.Option("-o", "--output", metavar="DIR", help="Also write the scores there.")
+    ] = None,
     as_json: AsJson = False,
     verbose: Verbose = False,
     quiet: Quiet = False,
@@ -79,8 +95,8 @@ def evaluate(
 
     Example: subiaco evaluate out/change bags/demo -o out/evaluation
     """
-    from subiaco_change.evaluation import evaluate as score
-    from subiaco_change.evaluation_report import evaluation_markdown, write_evaluation
+    from subiaco_change.evaluation.scoring import evaluate as score
+    from subiaco_change.evaluation.writing import evaluation_markdown, write_evaluation
 
     set_up_logging(verbose, quiet)
     if len(pairs) % 2:
@@ -95,7 +111,9 @@ def evaluate(
 
 
 def report(
-    change_directory: Annotated[Path, typer.Argument(metavar="CHANGE_DIR")],
+    change_directory: Annotated[
+        Path, typer.Argument(metavar="CHANGE_DIR", help="What 'subiaco change' wrote.")
+    ],
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
@@ -103,7 +121,7 @@ def report(
 
     Example: subiaco report out/change
     """
-    from subiaco_change.report import build_report
+    from subiaco_change.report.page import build_report
 
     set_up_logging(verbose, quiet)
     say(f"report: {build_report(change_directory)}", quiet=quiet)
@@ -111,6 +129,6 @@ def report(
 
 def register(app: typer.Typer) -> None:
     """Add these verbs to the command."""
-    app.command("change")(change)
-    app.command("evaluate")(evaluate)
-    app.command("report")(report)
+    app.command("change", short_help="Find what changed between two maps.")(change)
+    app.command("evaluate", short_help="Score what was found against truth.")(evaluate)
+    app.command("report", short_help="Build report.html of a change directory again.")(report)

@@ -21,13 +21,19 @@ from subiaco_bringup.cli.progress import Progress
 from subiaco_bringup.defaults import config_files
 
 graph = typer.Typer(
-    help="Run a job through the ROS 2 node graph.", no_args_is_help=True, rich_markup_mode=None
+    help="Run a job through the ROS 2 nodes, each a process of its own; the result is that of "
+    "'subiaco map' or 'subiaco change'.\n\nExample: subiaco graph mapping bags/demo/before -o out/before",
+    short_help="Run a job through the ROS 2 nodes: mapping or change.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
 )
 
 
 @graph.command("mapping")
 def mapping(
-    bags: Annotated[list[Path], typer.Argument(metavar="BAG...", help="Bags of one epoch.")],
+    bags: Annotated[
+        list[Path], typer.Argument(metavar="BAG", help="One or more bags of one epoch, each a drive.")
+    ],
     output: Output,
     config: ConfigFiles = None,
     settings: Settings = None,
@@ -58,8 +64,8 @@ def mapping(
 
 @graph.command("change")
 def change(
-    before: Path,
-    after: Path,
+    before: Annotated[Path, typer.Argument(metavar="BEFORE", help="Map directory or bare cloud.")],
+    after: Annotated[Path, typer.Argument(metavar="AFTER", help="Map directory or bare cloud.")],
     output: Output,
     config: ConfigFiles = None,
     settings: Settings = None,

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import errno
 import sys
 import traceback
 from collections.abc import Sequence
@@ -11,10 +12,22 @@ import typer
 from subiaco_bringup.cli import change_verbs, graph_verbs, survey_verbs
 from subiaco_geo.errors import SubiacoError
 
-EPILOG = (
-    "A survey in four commands:  subiaco simulate bags/demo  |  subiaco map bags/demo/before -o out/before"
-    "  |  subiaco map bags/demo/after -o out/after  |  subiaco change out/before out/after -o out/change.  "
-    "Exit codes: 0 done, 2 bad input, 3 registration not to be trusted, 1 a fault of ours, 130 interrupted."
+EPILOG = """\b
+A survey in four commands:
+  subiaco simulate bags/demo
+  subiaco map bags/demo/before -o out/before
+  subiaco map bags/demo/after -o out/after
+  subiaco change out/before out/after -o out/change
+
+'subiaco VERB --help' shows an example of each.
+
+\b
+Exit codes: 0 done, 2 bad input or usage, 3 a registration that failed or
+cannot be trusted, 1 a fault of ours, 130 interrupted.
+"""
+#: What a file system refuses for reasons that are the user's to mend.
+_DISK_REFUSALS = frozenset(
+    {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.ENOTDIR, errno.ENAMETOOLONG}
 )
 
 app = typer.Typer(
@@ -44,6 +57,17 @@ def _report_usage(message: str) -> None:
         _report(f"{message} (see 'subiaco --help')")
 
 
+def _report_unexpected(error: Exception) -> int:
+    """Report a fault of ours, or rights, room and paths that the file system refused: the user's to mend."""
+    if isinstance(error, OSError) and error.errno in _DISK_REFUSALS and error.filename is not None:
+        reason = (error.strerror or "refused").lower()
+        _report(f"{error.filename}: {reason}; choose another place, or make room or rights there")
+        return 2
+    reason = " ".join(str(error).split())
+    _report(f"fault: {type(error).__name__}: {reason} (run again with -v for the traceback)")
+    return 1
+
+
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run one command and return its exit code.
 
@@ -70,8 +94,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except Exception as error:  # noqa: BLE001 - the border: anything else is a fault of ours
         if verbose:
             traceback.print_exc()
-        _report(f"fault: {type(error).__name__}: {error} (run again with -v for the traceback)")
-        return 1
+        return _report_unexpected(error)
     return int(outcome or 0)
 
 

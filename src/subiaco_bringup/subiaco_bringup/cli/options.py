@@ -13,15 +13,24 @@ import typer
 
 ConfigFiles = Annotated[
     list[Path] | None,
-    typer.Option("--config", metavar="FILE", help="YAML in ROS parameter form; repeatable, later wins."),
+    typer.Option(
+        "--config", metavar="FILE", help="YAML of settings (ROS parameter form); repeatable, later wins."
+    ),
 ]
 Settings = Annotated[
     list[str] | None,
-    typer.Option("--set", metavar="KEY=VALUE", help="One value, e.g. odometry.voxel=0.8; repeatable."),
+    typer.Option(
+        "--set",
+        metavar="KEY=VALUE",
+        help="One setting by its dotted name; repeatable, wins over files. "
+        "config.yaml in every map and change directory lists the names.",
+    ),
 ]
-Output = Annotated[Path, typer.Option("-o", "--output", metavar="DIR", help="Directory to write.")]
-Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an output that exists.")]
-Verbose = Annotated[bool, typer.Option("-v", "--verbose", help="Say more; tracebacks on faults.")]
+Output = Annotated[
+    Path, typer.Option("-o", "--output", metavar="DIR", help="Directory to write; it must not exist yet.")
+]
+Overwrite = Annotated[bool, typer.Option("--overwrite", help="Replace an earlier output of this command.")]
+Verbose = Annotated[bool, typer.Option("-v", "--verbose", help="Say more; show the traceback of a fault.")]
 Quiet = Annotated[bool, typer.Option("-q", "--quiet", help="Say only errors.")]
 AsJson = Annotated[bool, typer.Option("--json", help="Print the result as JSON on stdout.")]
 

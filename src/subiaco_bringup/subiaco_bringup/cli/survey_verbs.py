@@ -31,14 +31,23 @@ def _settings(given: list[str] | None, **named: object) -> list[str]:
 
 def simulate(
     out: Annotated[Path, typer.Argument(metavar="OUT", help="Survey directory to write.")],
-    seed: Annotated[int | None, typer.Option(help="Seed of scene, changes and noise.")] = None,
-    preset: Annotated[str | None, typer.Option(help="Scene: easy or default.")] = None,
-    epoch: Annotated[str | None, typer.Option(help="before, after or both.")] = None,
+    seed: Annotated[
+        int | None,
+        typer.Option(
+            help="Number that scene, changes and noise follow from; the same gives the same survey."
+        ),
+    ] = None,
+    preset: Annotated[
+        str | None, typer.Option(help="Scene: easy (one street, as shipped) or default (round a block).")
+    ] = None,
+    epoch: Annotated[str | None, typer.Option(help="Which drive to simulate: before, after or both.")] = None,
     maps_only: Annotated[
         bool, typer.Option("--maps-only", help="Write fused maps with truth instead of bags.")
     ] = False,
-    duration: Annotated[float | None, typer.Option(help="Length of each drive [s].")] = None,
-    mode: Annotated[str | None, typer.Option(help="512x10, 1024x10 or 2048x10.")] = None,
+    duration: Annotated[float | None, typer.Option(help="Length of each drive in seconds.")] = None,
+    mode: Annotated[
+        str | None, typer.Option(help="LiDAR columns x turns a second: 512x10, 1024x10 or 2048x10.")
+    ] = None,
     config: ConfigFiles = None,
     settings: Settings = None,
     overwrite: Overwrite = False,
@@ -69,7 +78,9 @@ def simulate(
 
 
 def inspect(
-    bag: Annotated[Path, typer.Argument(metavar="BAG", help="rosbag2 folder, .mcap or simulated epoch.")],
+    bag: Annotated[
+        Path, typer.Argument(metavar="BAG", help="rosbag2 folder, .mcap file or simulated epoch folder.")
+    ],
     as_json: AsJson = False,
     verbose: Verbose = False,
 ) -> None:
@@ -88,10 +99,16 @@ def inspect(
 
 
 def import_(
-    recording: Annotated[Path, typer.Argument(metavar="RECORDING", help=".pcap, ROS 1 .bag or .osf.")],
+    recording: Annotated[
+        Path,
+        typer.Argument(metavar="RECORDING", help="Raw Ouster packets: .pcap with its .json, or ROS 1 .bag."),
+    ],
     output: Output,
     metadata: Annotated[
-        Path | None, typer.Option(help="Ouster metadata JSON; found beside the pcap by name.")
+        Path | None,
+        typer.Option(
+            metavar="FILE", help="Ouster metadata JSON; without it, the one beside the pcap of the same name."
+        ),
     ] = None,
     overwrite: Overwrite = False,
     verbose: Verbose = False,
@@ -110,26 +127,37 @@ def import_(
 
 
 def map_(
-    bags: Annotated[list[Path], typer.Argument(metavar="BAG...", help="Bags of one epoch, each a sequence.")],
+    bags: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="BAG",
+            help="One or more bags of one epoch, each a drive: rosbag2 folder, .mcap or simulated epoch.",
+        ),
+    ],
     output: Output,
     config: ConfigFiles = None,
     settings: Settings = None,
-    threads: Annotated[int | None, typer.Option(help="1 gives the same map every time.")] = None,
+    threads: Annotated[
+        int | None, typer.Option(help="Processor threads; 1 gives the same map every time.")
+    ] = None,
     overwrite: Overwrite = False,
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
     """Build one georeferenced map from the bags of one epoch.
 
+    A bag without usable GNSS fixes gives a map in a local frame, without CRS.
+
     Example: subiaco map bags/demo/before -o out/before
     """
-    from subiaco_geo.atomic import refuse_existing
+    from subiaco_geo.atomic import refuse_existing, refuse_foreign
     from subiaco_geo.maps import write_map
     from subiaco_mapping.config import MappingConfig
     from subiaco_mapping.pipeline import map_survey
 
     set_up_logging(verbose, quiet)
     refuse_existing(output, overwrite)
+    refuse_foreign(output, "map.yaml")
     files = config_files("mapping", tuple(config or ()))
     model = load_config(MappingConfig, files, _settings(settings, threads=threads))
     with Progress(quiet=quiet) as progress:
@@ -142,7 +170,7 @@ def map_(
 
 def register(app: typer.Typer) -> None:
     """Add these verbs to the command."""
-    app.command("simulate")(simulate)
-    app.command("inspect")(inspect)
-    app.command("import")(import_)
-    app.command("map")(map_)
+    app.command("simulate", short_help="Simulate a survey of two epochs, with truth.")(simulate)
+    app.command("inspect", short_help="Say what a bag holds before you trust it.")(inspect)
+    app.command("import", short_help="Turn a recording of raw packets into a bag.")(import_)
+    app.command("map", short_help="Build one georeferenced map from bags.")(map_)
