@@ -15,10 +15,12 @@ from sensor_msgs.msg import NavSatFix, PointCloud2
 from visualization_msgs.msg import MarkerArray
 
 from subiaco_change.config import ChangeConfig
-from subiaco_change.nodes.job import Detect, Job, JobCancelledError, Outcome, Report, Request
+from subiaco_change.job import ChangeJob, run_change
+from subiaco_change.nodes.job import Detect, Job, JobCancelledError, Outcome, Report
 from subiaco_change.nodes.messages import change_cloud_message, marker_message, table_message
 from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError, SubiacoError
+from subiaco_geo.trajectories import read_tum
 from subiaco_mapping.nodes.frame import frame_at_origin
 from subiaco_mapping.nodes.messages import origin_message
 from subiaco_mapping.nodes.runtime import (
@@ -48,14 +50,14 @@ class ChangeParameters(StrictModel):
     map_frame: str = Field("map", description="frame of the published clouds")
     exit_at_end: bool = Field(False, description="end when the comparison given by parameters is done")
 
-    def request(self) -> Request | None:
+    def request(self) -> ChangeJob | None:
         """Return the comparison that the parameters ask for, if they do."""
         given = (self.before, self.after, self.output)
         if not any(given):
             return None
         if not all(given):
             raise InputError("change node: parameters before, after and output go together; one is missing")
-        return Request(Path(self.before), Path(self.after), Path(self.output), self.overwrite)
+        return ChangeJob(Path(self.before), Path(self.after), Path(self.output), overwrite=self.overwrite)
 
 
 class _NextSpin:
@@ -136,7 +138,7 @@ class ChangeApp:
 
     async def _execute(self, handle: Any) -> DetectChanges.Result:
         goal = handle.request
-        request = Request(Path(goal.before), Path(goal.after), Path(goal.output), goal.overwrite)
+        request = ChangeJob(Path(goal.before), Path(goal.after), Path(goal.output), overwrite=goal.overwrite)
         job = self._job = Job(request, self._detect)
         while not job.finished:
             if handle.is_cancel_requested:
@@ -180,24 +182,18 @@ class ChangeApp:
         return table
 
 
+def survey_end_ns(path: Path) -> int:
+    """Return when the survey of a map directory ended, 0 where the map does not say."""
+    trajectory = path / "trajectory.tum"
+    return int(read_tum(trajectory).times_ns[-1]) if trajectory.is_file() else 0
+
+
 def make_detect(config: ChangeConfig) -> Detect:
-    """Bind the library's steps to a configuration."""
+    """Bind the library's step to a configuration."""
 
-    def detect(request: Request, report: Report) -> Outcome:
-        from subiaco_change.outputs.directory import ChangeInputs, write_change_directory
-        from subiaco_change.pipeline import detect_changes
-        from subiaco_geo.atomic import refuse_existing
-        from subiaco_geo.maps import load_epoch
-
-        refuse_existing(request.output, request.overwrite)
+    def detect(request: ChangeJob, report: Report) -> Outcome:
         report("reading maps", 0.0)
-        before, after = load_epoch(request.before), load_epoch(request.after)
-        result = detect_changes(before, after, config, report)
-        report("writing", 0.95)
-        inputs = ChangeInputs(before=request.before, after=request.after)
-        write_change_directory(request.output, result, config, inputs, overwrite=request.overwrite)
-        end_ns = 0 if after.trajectory is None else int(after.trajectory.times_ns[-1])
-        return Outcome(result, end_ns)
+        return Outcome(run_change(request, config, report), survey_end_ns(request.after))
 
     return detect
 

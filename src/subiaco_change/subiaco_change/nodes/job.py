@@ -5,22 +5,12 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass
-from pathlib import Path
 
+from subiaco_change.job import ChangeJob
 from subiaco_change.records import ChangeResult
 from subiaco_geo.errors import InputError, SubiacoError
 
 Report = Callable[[str, float], None]
-
-
-@dataclass(frozen=True)
-class Request:
-    """What to compare, and where the result goes."""
-
-    before: Path
-    after: Path
-    output: Path
-    overwrite: bool
 
 
 @dataclass(frozen=True)
@@ -32,7 +22,7 @@ class Outcome:
 
 
 #: The step that the node wraps; it raises SubiacoError, and lets what ``report`` raises pass.
-Detect = Callable[[Request, Report], Outcome]
+Detect = Callable[[ChangeJob, Report], Outcome]
 
 
 class JobCancelledError(SubiacoError):
@@ -44,11 +34,11 @@ class Job:
 
     Parameters
     ----------
-    request : Request
+    request : ChangeJob
     detect : callable
     """
 
-    def __init__(self, request: Request, detect: Detect) -> None:
+    def __init__(self, request: ChangeJob, detect: Detect) -> None:
         self.request = request
         self.stage, self.fraction = "waiting", 0.0
         self.outcome: Outcome | None = None
