@@ -130,8 +130,9 @@ def test_the_change_graph_gives_the_table_of_the_process(
         assert (row["label"], row["class"]) == (record.change.label, record.semantic.label)
         # The same library steps on the same files: the rounding of the table is all that differs.
         for name in ("x", "y", "z", "confidence", "delta_h_m", "delta_v_m3", "lod95_m"):
-            expected_value = getattr(record, name)
-            assert row[name] == pytest.approx(expected_value, abs=1e-3, nan_ok=True), name
+            value = getattr(record, name)
+            known = value if np.isfinite(value) else np.nan  # the table leaves unknown and endless empty
+            assert row[name] == pytest.approx(known, abs=1e-3, nan_ok=True), name
     assert (tmp_path / "change" / "report.html").is_file()
     assert any("objects:" in record.getMessage() for record in caplog.records)
 

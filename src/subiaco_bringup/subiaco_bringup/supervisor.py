@@ -96,6 +96,8 @@ class NodeProcess:
         self._tail = [*self._tail[-19:], line]
         match = _LEVEL.match(line)
         level, text = (match[1], match[2]) if match else ("INFO", line)
+        if not text.strip():
+            return
         if level == "FATAL":
             self.fatal = text
         LOGGER.log(_LEVELS[level], "[%s] %s", self.spec.name, text)
