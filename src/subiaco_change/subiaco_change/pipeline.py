@@ -49,7 +49,7 @@ class _Stages:
             self.seconds[self._name] = self.seconds.get(self._name, 0.0) + now - self._started
         self._started, self._name = now, name
         _LOG.info("%s", name)
-        if self.progress is not None:
+        if self.progress is not None and name:
             self.progress(name, fraction)
 
 

@@ -12,9 +12,14 @@ from subiaco_geo.errors import InputError
 
 
 def refuse_existing(path: Path, overwrite: bool) -> None:
-    """Raise where an output stands already and may not be replaced."""
+    """Raise where an output stands already and may not be replaced, or where none can be written."""
     if path.exists() and not overwrite:
         raise InputError(f"{path}: exists already; choose another place or pass --overwrite")
+    ground = next(place for place in path.absolute().parents if place.exists())
+    if not ground.is_dir():
+        raise InputError(f"{ground}: is a file, so {path} cannot be written; choose another place")
+    if not os.access(ground, os.W_OK | os.X_OK):
+        raise InputError(f"{ground}: may not be written to; choose another place or ask for the rights")
 
 
 def refuse_foreign(path: Path, marker: str | None) -> None:

@@ -72,7 +72,11 @@ def run_sequence(
     name = sequence_name(reader.path)
     backend.start_sequence(name, extrinsics)
 
+    scans = 0
+
     def feed(outputs: list[FrontendOutput]) -> None:
+        nonlocal scans
+        scans += len(outputs)
         for output in outputs:
             backend.on_odometry(output.pose, output.scan)
 
@@ -91,6 +95,11 @@ def run_sequence(
             shown = percent
             progress(f"odometry {name}", percent / 100)
     feed(frontend.finish())
+    if scans == 0:
+        raise InputError(
+            f"{reader.path}: no scan with points came out of {lidar}; check the sensor's recording, "
+            "its metadata and decode.min_range, decode.max_range"
+        )
     backend.add_facts(**frontend.facts())
 
 

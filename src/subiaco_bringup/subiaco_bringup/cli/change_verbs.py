@@ -66,6 +66,8 @@ def change(
     set_up_logging(verbose, quiet)
     if registration not in (None, "identity"):
         raise InputError(f"--registration {registration}: only 'identity' is known; leave it out to register")
+    if registration is not None and transform is not None:
+        raise InputError("--transform and --registration identity exclude each other; give one of them")
     given = np.eye(4) if registration else None if transform is None else read_transform(transform)
     model = load_config(ChangeConfig, config_files("change", tuple(config or ())), settings or [])
     job = ChangeJob(before, after, output, trajectory_before, trajectory_after, given, overwrite)

@@ -29,6 +29,7 @@ cannot be trusted, 1 a fault of ours, 130 interrupted.
 _DISK_REFUSALS = frozenset(
     {errno.EACCES, errno.EPERM, errno.EROFS, errno.ENOSPC, errno.EDQUOT, errno.ENOTDIR, errno.ENAMETOOLONG}
 )
+_INTERRUPTED = 130
 
 app = typer.Typer(
     name="subiaco",
@@ -89,12 +90,13 @@ def run(arguments: Sequence[str] | None = None) -> int:
         _report_usage(error.format_message())
         return 2
     except (KeyboardInterrupt, typer.Abort):
-        _report("interrupted; nothing was left under a final name")
-        return 130
+        outcome = _INTERRUPTED
     except Exception as error:  # noqa: BLE001 - the border: anything else is a fault of ours
         if verbose:
             traceback.print_exc()
         return _report_unexpected(error)
+    if outcome == _INTERRUPTED:  # typer turns Ctrl-C into this code without a word
+        _report("interrupted; nothing was left under a final name")
     return int(outcome or 0)
 
 

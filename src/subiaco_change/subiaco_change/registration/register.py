@@ -373,7 +373,9 @@ def given_registration(
     T_world = np.asarray(T_after_before, dtype=np.float64)
     rotation = T_world[:3, :3] if T_world.shape == (4, 4) else np.zeros((3, 3))
     if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6) or np.linalg.det(rotation) < 0:
-        raise InputError("the given transform is not a rigid 4x4 matrix (rotation must be orthonormal)")
+        raise InputError(
+            "transform: not rigid (rotation not orthonormal); give a rotation and a shift without scale"
+        )
     origin = before.origin
     after_here = after.rebased(origin)
     sides = (_prepare(before, None, "before", config), _prepare(after_here, None, "after", config))

@@ -1,0 +1,214 @@
+"""Epochs that cannot be compared: exit 2 or 3, one line, the remedy, nothing left."""
+
+from __future__ import annotations
+
+import json
+import shutil
+
+import laspy
+import numpy as np
+import pytest
+from small_clouds import ORIGIN, street, write_ply, write_street
+
+from subiaco_geo.clouds import PointCloud
+from subiaco_geo.maps import SurveyMap, write_map
+
+
+@pytest.fixture
+def good(tmp_path):
+    return write_street(tmp_path / "good.ply")
+
+
+def pair(before, after, tmp_path, *options):
+    return ["change", before, after, "-o", tmp_path / "out", *options]
+
+
+def test_a_missing_cloud(refused, tmp_path, good):
+    refused(pair(good, tmp_path / "none.ply", tmp_path), "none.ply: no such map or cloud", "give a map")
+
+
+def test_a_folder_without_a_map(refused, tmp_path, good):
+    (tmp_path / "photos").mkdir()
+    refused(pair(tmp_path / "photos", good, tmp_path), "photos: holds no map", "subiaco map")
+
+
+def test_an_unknown_ending(refused, tmp_path, good):
+    (tmp_path / "cloud.e57").write_bytes(b"ASTM-E57")
+    refused(pair(tmp_path / "cloud.e57", good, tmp_path), "cloud.e57", "'.e57'", ".laz")
+
+
+@pytest.mark.parametrize("ending", [".ply", ".las", ".laz", ".pcd"])
+def test_text_under_the_name_of_a_cloud(refused, tmp_path, good, ending):
+    bad = tmp_path / f"letter{ending}"
+    bad.write_text("Dear surveyor,\nplease find enclosed no points at all.\n" * 20)
+    refused(pair(bad, good, tmp_path), bad.name, "export")
+
+
+@pytest.mark.parametrize("ending", [".ply", ".las", ".laz"])
+def test_a_cut_cloud(refused, tmp_path, good, ending):
+    bad = write_street(tmp_path / f"cut{ending}")
+    data = bad.read_bytes()
+    bad.write_bytes(data[: len(data) // 2])
+    refused(pair(good, bad, tmp_path), bad.name, "cut", "copy or export it again")
+
+
+def test_a_cloud_file_without_bytes(refused, tmp_path, good):
+    (tmp_path / "blank.laz").touch()
+    refused(pair(good, tmp_path / "blank.laz", tmp_path), "blank.laz", "no bytes", "again")
+
+
+def test_a_cloud_without_points(refused, tmp_path, good):
+    bad = write_ply(tmp_path / "hollow.ply", np.zeros((0, 3)))
+    refused(pair(bad, good, tmp_path), "hollow.ply: the cloud is empty", "give a cloud with points")
+
+
+def test_nan_coordinates(refused, tmp_path, good):
+    xyz = street()
+    xyz[:7, 1] = np.nan
+    bad = write_ply(tmp_path / "gaps.ply", xyz)
+    refused(pair(bad, good, tmp_path), "gaps.ply: 7 of", "NaN", "remove them")
+
+
+def test_projected_coordinates_in_single_precision(refused, tmp_path, good):
+    bad = write_ply(tmp_path / "coarse.ply", street() + ORIGIN, "float")
+    refused(pair(bad, good, tmp_path), "coarse.ply", "float32", "export again with double")
+
+
+def test_a_cloud_comment_with_an_unknown_crs(refused, tmp_path, good):
+    bad = write_ply(tmp_path / "lost.ply", street() + ORIGIN, comment="comment crs EPSG:999999")
+    refused(pair(bad, good, tmp_path), "lost.ply", "EPSG:999999", "give an EPSG code")
+
+
+def test_epochs_in_different_places_though_both_carry_a_crs(refused, tmp_path, good):
+    far = write_street(tmp_path / "far.ply", shift=(2000.0, 0.0, 0.0))
+    refused(pair(good, far, tmp_path), "different places", "E 391200 to", "E 393200 to", "CRS are right")
+
+
+def test_two_crs_with_only_a_ballpark_operation_between_them(refused, tmp_path, good):
+    old = write_street(tmp_path / "agd66.ply", crs="EPSG:20250")
+    refused(pair(old, good, tmp_path), "EPSG:20250", "EPSG:7850", "ballpark", "reproject")
+
+
+def test_local_epochs_that_do_not_overlap_after_registration(refused, tmp_path):
+    first = write_ply(tmp_path / "street.ply", street())
+    rng = np.random.default_rng(5)
+    flat = np.column_stack([rng.uniform(500, 506, (4000, 2)), rng.normal(0, 2.0, 4000)])
+    other = write_ply(tmp_path / "bush.ply", flat)
+    line = refused(pair(first, other, tmp_path), code=3)
+    assert "could not be registered" in line
+    assert "give the transform (--transform F)" in line
+
+
+def test_a_given_transform_that_cannot_be_read(refused, tmp_path, good):
+    refused(pair(good, good, tmp_path, "--transform", tmp_path / "none.txt"), "none.txt", "four rows")
+    (tmp_path / "short.txt").write_text("1 0 0\n0 1 0\n")
+    refused(pair(good, good, tmp_path, "--transform", tmp_path / "short.txt"), "short.txt", "4x4")
+    (tmp_path / "odd.json").write_text("{}")
+    refused(pair(good, good, tmp_path, "--transform", tmp_path / "odd.json"), "odd.json", "T_after_before")
+
+
+def test_a_given_transform_that_is_not_rigid(refused, tmp_path, good):
+    np.savetxt(tmp_path / "skewed.txt", np.diag([2.0, 1.0, 1.0, 1.0]))
+    refused(
+        pair(good, good, tmp_path, "--transform", tmp_path / "skewed.txt"),
+        "transform: not rigid",
+        "without scale",
+    )
+
+
+def test_a_registration_that_is_not_known(refused, tmp_path, good):
+    refused(pair(good, good, tmp_path, "--registration", "magic"), "magic", "'identity'")
+
+
+def test_transform_and_identity_at_once(refused, tmp_path, good):
+    np.savetxt(tmp_path / "T.txt", np.eye(4))
+    options = ["--transform", tmp_path / "T.txt", "--registration", "identity"]
+    refused(pair(good, good, tmp_path, *options), "--transform", "--registration", "one of")
+
+
+def test_a_trajectory_that_cannot_be_read(refused, tmp_path, good):
+    refused(pair(good, good, tmp_path, "--trajectory-before", tmp_path / "none.tum"), "none.tum", ";")
+    (tmp_path / "odd.tum").write_text("here and there\n")
+    refused(pair(good, good, tmp_path, "--trajectory-after", tmp_path / "odd.tum"), "odd.tum", ";")
+
+
+@pytest.fixture(scope="session")
+def gda94_change(tmp_path_factory):
+    """Return the change directory of a street in GDA94 against the same in GDA2020, and how it ended."""
+    from subiaco_bringup.cli import main
+
+    folder = tmp_path_factory.mktemp("gda")
+    before = write_street(folder / "gda94.ply", crs="EPSG:28350")
+    after = write_street(folder / "gda2020.ply", shift=(0.6, 1.5, 0.0), seed=2)
+    options = ["--registration", "identity", "-q", "--set", "leaf=0.5"]
+    code = main.run(["change", str(before), str(after), "-o", str(folder / "out"), *options])
+    assert code == 0
+    return folder / "out"
+
+
+def test_gda94_is_brought_to_gda2020_and_its_accuracy_recorded(gda94_change):
+    registration = json.loads((gda94_change / "registration.json").read_text())
+    run = json.loads((gda94_change / "run.json").read_text())
+    accuracy = registration["details"]["crs_operation_accuracy_m"]
+    assert 0.0 < accuracy <= 0.05  # GDA94 to GDA2020 is stated to a centimetre
+    assert run["crs"] == "EPSG:7850"
+    (note,) = [text for text in run["warnings"] if "EPSG:28350" in text]
+    assert "EPSG:7850" in note
+    assert str(accuracy) in note
+    assert "GDA94 to GDA2020" in note
+
+
+def test_heights_of_bare_clouds_are_not_claimed_to_be_ellipsoidal(gda94_change):
+    with laspy.open(gda94_change / "after_labelled.laz") as reader:
+        text = "".join(vlr.string for vlr in reader.header.vlrs if hasattr(vlr, "string"))
+    assert "GDA2020" in text
+    assert "llipsoid" not in text.replace("SPHEROID", ""), "no vertical datum is known"
+    assert "VERT_CS" not in text
+
+
+def test_heights_of_our_own_maps_are_stated_as_ellipsoidal(command, tmp_path):
+    for epoch, seed in (("before", 1), ("after", 2)):
+        write_map(tmp_path / epoch, SurveyMap(PointCloud(street(seed), ORIGIN, "EPSG:7850")))
+    options = ["--registration", "identity", "--set", "leaf=0.5"]
+    ran = command("change", tmp_path / "before", tmp_path / "after", "-o", tmp_path / "out", *options)
+    assert ran.code == 0, ran.err
+    with laspy.open(tmp_path / "out" / "after_labelled.laz") as reader:
+        text = "".join(vlr.string for vlr in reader.header.vlrs if hasattr(vlr, "string"))
+    assert "VERT_CS" in text
+    assert "ellipsoidal height" in text
+
+
+def test_an_earlier_change_directory_is_replaced_only_when_asked(refused, gda94_change, tmp_path):
+    good = write_street(tmp_path / "good.ply")
+    refused(["change", good, good, "-o", gda94_change], "out: exists already", "--overwrite")
+
+
+def test_a_folder_of_other_things_is_not_replaced_even_when_asked(refused, tmp_path, good):
+    (tmp_path / "home").mkdir()
+    (tmp_path / "home" / "thesis.tex").write_text("years of work")
+    arguments = ["change", good, good, "-o", tmp_path / "home", "--overwrite"]
+    refused(arguments, "home: holds other things", "choose another place")
+
+
+@pytest.mark.parametrize("verb", ["report", "evaluate"])
+def test_what_is_no_change_directory(refused, tmp_path, verb):
+    (tmp_path / "photos").mkdir()
+    more = [tmp_path / "truth"] if verb == "evaluate" else []
+    refused([verb, tmp_path / "photos", *more], "missing" if more else "photos", "subiaco")
+    refused([verb, tmp_path / "none", *more], "truth" if more else "none", "subiaco")
+
+
+def test_evaluate_with_a_truth_but_no_change_directory(refused, tmp_path, survey_of_both):
+    (tmp_path / "photos").mkdir()
+    refused(["evaluate", tmp_path / "photos", survey_of_both], "photos", "expected")
+    refused(["evaluate", tmp_path / "none", survey_of_both], "none: no such directory", "give")
+
+
+def test_evaluate_with_half_a_pair(refused, tmp_path):
+    refused(["evaluate", tmp_path / "change"], "CHANGE_DIR and TRUTH in pairs")
+
+
+def test_a_report_of_a_directory_with_a_damaged_file(refused, tmp_path, gda94_change):
+    shutil.copytree(gda94_change, tmp_path / "change")
+    (tmp_path / "change" / "run.json").write_text("{ half")
+    refused(["report", tmp_path / "change"], "run.json", "subiaco change")

@@ -1,0 +1,206 @@
+"""Usage and configuration at fault, outputs that exist, interruptions, faults of ours."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+
+import pytest
+from small_bags import points_bag, room
+from small_clouds import write_street
+
+CONFIG = "/**:\n  ros__parameters:\n    {line}\n"
+
+
+@pytest.fixture
+def bag(tmp_path):
+    return points_bag(tmp_path / "bag", [room()])
+
+
+@pytest.fixture
+def good(tmp_path):
+    return write_street(tmp_path / "good.ply")
+
+
+@pytest.mark.parametrize("verb", ["explode", "record", "baseline"])
+def test_an_unknown_verb(refused, verb):
+    refused([verb], verb, "subiaco --help")
+
+
+@pytest.mark.parametrize("verb", ["map", "change", "simulate", "inspect", "report"])
+def test_an_unknown_option(refused, verb):
+    refused([verb, "--frobnicate"], "--frobnicate", "--help")
+
+
+def test_a_missing_argument_and_a_missing_output(refused, good):
+    refused(["map"], "BAG", "--help")
+    refused(["change", good, good], "--output", "--help")
+
+
+def test_a_number_that_is_none(refused, tmp_path):
+    refused(["simulate", tmp_path / "out", "--duration", "long"], "--duration", "valid number", "--help")
+
+
+def test_a_configuration_file_that_is_missing(refused, bag, tmp_path):
+    arguments = ["map", bag, "-o", tmp_path / "out", "--config", tmp_path / "none.yaml"]
+    refused(arguments, "none.yaml: cannot be read", "No such file")
+
+
+def test_a_configuration_file_that_is_not_yaml(refused, bag, tmp_path):
+    (tmp_path / "odd.yaml").write_text("/**: [unclosed\n")
+    arguments = ["map", bag, "-o", tmp_path / "out", "--config", tmp_path / "odd.yaml"]
+    refused(arguments, "odd.yaml: not valid YAML")
+
+
+def test_a_configuration_file_without_the_ros_form(refused, bag, tmp_path):
+    (tmp_path / "flat.yaml").write_text("crs: EPSG:7850\n")
+    arguments = ["map", bag, "-o", tmp_path / "out", "--config", tmp_path / "flat.yaml"]
+    refused(arguments, "flat.yaml", "'/**:'", "'ros__parameters:'")
+
+
+def test_an_unknown_key_names_its_file_and_the_nearest_known_one(refused, bag, tmp_path):
+    (tmp_path / "typo.yaml").write_text(CONFIG.format(line="odometry: {voxl: 1.0}"))
+    (tmp_path / "fine.yaml").write_text(CONFIG.format(line="fusion: {leaf: 0.3}"))
+    files = ["--config", tmp_path / "typo.yaml", "--config", tmp_path / "fine.yaml"]
+    line = refused(
+        ["map", bag, "-o", tmp_path / "out", *files], "typo.yaml: odometry.voxl", "did you mean voxel?"
+    )
+    assert "fine.yaml" not in line
+
+
+def test_an_unknown_section_lists_what_is_known(refused, good, tmp_path):
+    arguments = ["change", good, good, "-o", tmp_path / "out", "--set", "qqq=1"]
+    refused(arguments, "--set qqq=1: qqq: no such setting", "leaf", "registration")
+
+
+@pytest.mark.parametrize("setting", ["leaf", "=1", "a..b=1", ".leaf=1"])
+def test_a_malformed_setting(refused, good, tmp_path, setting):
+    arguments = ["change", good, good, "-o", tmp_path / "out", "--set", setting]
+    refused(arguments, f"--set {setting}", "expected key=value")
+
+
+def test_a_setting_whose_value_is_not_yaml(refused, good, tmp_path):
+    arguments = ["change", good, good, "-o", tmp_path / "out", "--set", "leaf=[1"]
+    refused(arguments, "--set leaf=[1", "quote it")
+
+
+@pytest.mark.parametrize(("setting", "field"), [("leaf=-1", "leaf"), ("leaf=wide", "leaf"), ("lod=3", "lod")])
+def test_a_setting_out_of_bounds_or_of_the_wrong_kind(refused, good, tmp_path, setting, field):
+    arguments = ["change", good, good, "-o", tmp_path / "out", "--set", setting]
+    refused(arguments, f"--set {setting}: {field}: Input should be")
+
+
+def test_an_unknown_preset(refused, tmp_path):
+    refused(["simulate", tmp_path / "out", "--preset", "castle"], "castle", "easy, default")
+
+
+@pytest.mark.parametrize(
+    ("option", "value", "known"),
+    [("--mode", "5x5", "512x10"), ("--epoch", "never", "before"), ("--duration", "0.1", "greater than 1")],
+)
+def test_simulation_options_out_of_bounds(refused, tmp_path, option, value, known):
+    refused(["simulate", tmp_path / "out", option, value], option.lstrip("-"), value, known)
+
+
+def test_an_output_that_exists(refused, good, bag, tmp_path):
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "mine.txt").write_text("keep me")
+    (tmp_path / "drive.pcap").write_bytes(b"")
+    for arguments in (
+        ["change", good, good, "-o", tmp_path / "out"],
+        ["map", bag, "-o", tmp_path / "out"],
+        ["import", tmp_path / "drive.pcap", "-o", tmp_path / "out"],
+        ["simulate", tmp_path / "out"],
+    ):
+        refused(arguments, "out: exists already", "--overwrite")
+
+
+def test_a_folder_of_other_things_is_never_replaced(refused, good, bag, tmp_path):
+    (tmp_path / "home").mkdir()
+    (tmp_path / "home" / "thesis.tex").write_text("years of work")
+    (tmp_path / "drive.pcap").write_bytes(b"")
+    for arguments in (
+        ["change", good, good, "-o", tmp_path / "home"],
+        ["map", bag, "-o", tmp_path / "home"],
+        ["import", tmp_path / "drive.pcap", "-o", tmp_path / "home"],
+        ["simulate", tmp_path / "home"],
+    ):
+        refused([*arguments, "--overwrite"], "home: holds other things", "choose another place")
+
+
+def test_an_output_under_a_file(refused, good, tmp_path):
+    refused(["change", good, good, "-o", good / "out"], "good.ply: is a file", "choose another place")
+
+
+def interrupt(*_, **__):
+    raise KeyboardInterrupt
+
+
+def break_down(*_, **__):
+    raise ZeroDivisionError("division by zero\nin two lines")
+
+
+def test_an_interruption_leaves_nothing(refused, bag, tmp_path, monkeypatch):
+    monkeypatch.setattr("subiaco_mapping.pipeline.map_survey", interrupt)
+    refused(["map", bag, "-o", tmp_path / "out"], "interrupted", "nothing was left", code=130)
+
+
+def test_an_interruption_while_writing_leaves_nothing(refused, good, tmp_path, monkeypatch):
+    monkeypatch.setattr("subiaco_change.outputs.directory.build_report", interrupt)
+    options = ["--registration", "identity", "--set", "leaf=0.5"]
+    refused(["change", good, good, "-o", tmp_path / "out", *options], "interrupted", code=130)
+
+
+def test_an_interruption_while_simulating_leaves_nothing(refused, tmp_path, monkeypatch):
+    monkeypatch.setattr("subiaco_sim.survey.plan_survey", interrupt)
+    refused(["simulate", tmp_path / "out"], "interrupted", code=130)
+
+
+def test_a_fault_of_ours_is_called_one_and_shows_no_traceback(refused, bag, tmp_path, monkeypatch):
+    monkeypatch.setattr("subiaco_mapping.pipeline.map_survey", break_down)
+    words = ("fault: ZeroDivisionError: division by zero in two lines", "-v")
+    refused(["map", bag, "-o", tmp_path / "out"], *words, code=1)
+
+
+def test_a_fault_of_ours_shows_the_traceback_with_v(command, bag, tmp_path, monkeypatch):
+    monkeypatch.setattr("subiaco_mapping.pipeline.map_survey", break_down)
+    ran = command("map", bag, "-o", tmp_path / "out", "-v")
+    assert ran.code == 1
+    assert "Traceback" in ran.err
+    assert "break_down" in ran.err
+    assert "subiaco: fault" in ran.err
+    assert not (tmp_path / "out").exists()
+
+
+def test_bad_input_shows_the_traceback_only_with_v(command, tmp_path):
+    assert "Traceback" not in command("inspect", tmp_path / "none").err
+    assert "Traceback" in command("inspect", tmp_path / "none", "-v").err
+
+
+def process(*words, **environment):
+    return subprocess.run(
+        [sys.executable, "-m", "subiaco_bringup.cli.main", *map(str, words)],
+        check=False,
+        capture_output=True,
+        text=True,
+        env={**os.environ, **environment},
+        timeout=120,
+    )
+
+
+def test_a_process_ends_with_the_code_and_one_line(tmp_path):
+    ran = process("map", tmp_path / "none", "-o", tmp_path / "out")
+    assert ran.returncode == 2
+    assert ran.stdout == ""
+    assert ran.stderr.count("\n") == 1
+    assert ran.stderr.startswith(f"subiaco: {tmp_path / 'none'}: no such bag")
+
+
+def test_a_process_of_a_fault_writes_nothing_on_stdout(tmp_path):
+    (tmp_path / "e.ply").write_bytes(b"ply\n")
+    ran = process("change", tmp_path / "e.ply", tmp_path / "e.ply", "-o", tmp_path / "out")
+    assert ran.returncode == 2
+    assert ran.stdout == ""
+    assert "e.ply" in ran.stderr
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["e.ply"]
