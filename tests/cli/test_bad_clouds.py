@@ -107,6 +107,15 @@ def test_a_given_transform_that_cannot_be_read(refused, tmp_path, good):
     refused(pair(good, good, tmp_path, "--transform", tmp_path / "odd.json"), "odd.json", "T_after_before")
 
 
+def test_a_given_transform_under_which_nothing_overlaps(refused, tmp_path):
+    cloud = write_ply(tmp_path / "street.ply", street())
+    T = np.eye(4)
+    T[0, 3] = 500.0
+    np.savetxt(tmp_path / "T.txt", T)
+    arguments = pair(cloud, cloud, tmp_path, "--transform", tmp_path / "T.txt")
+    refused(arguments, "do not overlap", "check the transform", code=3)
+
+
 def test_a_given_transform_that_is_not_rigid(refused, tmp_path, good):
     np.savetxt(tmp_path / "skewed.txt", np.diag([2.0, 1.0, 1.0, 1.0]))
     refused(
@@ -169,9 +178,12 @@ def test_heights_of_bare_clouds_are_not_claimed_to_be_ellipsoidal(gda94_change):
 def test_heights_of_our_own_maps_are_stated_as_ellipsoidal(command, tmp_path):
     for epoch, seed in (("before", 1), ("after", 2)):
         write_map(tmp_path / epoch, SurveyMap(PointCloud(street(seed), ORIGIN, "EPSG:7850")))
-    options = ["--registration", "identity", "--set", "leaf=0.5"]
+    (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "run.json").write_text("of an earlier run")
+    options = ["--registration", "identity", "--set", "leaf=0.5", "--overwrite"]
     ran = command("change", tmp_path / "before", tmp_path / "after", "-o", tmp_path / "out", *options)
     assert ran.code == 0, ran.err
+    assert "of an earlier run" not in (tmp_path / "out" / "run.json").read_text()
     with laspy.open(tmp_path / "out" / "after_labelled.laz") as reader:
         text = "".join(vlr.string for vlr in reader.header.vlrs if hasattr(vlr, "string"))
     assert "VERT_CS" in text

@@ -23,14 +23,14 @@ def good(tmp_path):
     return write_street(tmp_path / "good.ply")
 
 
-@pytest.mark.parametrize("verb", ["explode", "record", "baseline"])
+@pytest.mark.parametrize("verb", ["explode", "record", "export"])
 def test_an_unknown_verb(refused, verb):
     refused([verb], verb, "subiaco --help")
 
 
 @pytest.mark.parametrize("verb", ["map", "change", "simulate", "inspect", "report"])
 def test_an_unknown_option(refused, verb):
-    refused([verb, "--frobnicate"], "--frobnicate", "--help")
+    refused([verb, "--frobnicate"], "--frobnicate", f"see 'subiaco {verb} --help'")
 
 
 def test_a_missing_argument_and_a_missing_output(refused, good):

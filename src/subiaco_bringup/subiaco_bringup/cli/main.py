@@ -51,11 +51,11 @@ def _report(message: str) -> None:
     sys.stderr.write(f"subiaco: {first}\n")
 
 
-def _report_usage(message: str) -> None:
+def _report_usage(message: str, command: str) -> None:
     if message.startswith("Usage:"):  # a verb group called without a verb
         sys.stderr.write(message + "\n")
     else:
-        _report(f"{message} (see 'subiaco --help')")
+        _report(f"{' '.join(message.split())} (see '{command} --help')")
 
 
 def _report_unexpected(error: Exception) -> int:
@@ -87,7 +87,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
         _report(str(error))
         return error.exit_code
     except typer.TyperException as error:
-        _report_usage(error.format_message())
+        _report_usage(error.format_message(), getattr(getattr(error, "ctx", None), "command_path", "subiaco"))
         return 2
     except (KeyboardInterrupt, typer.Abort):
         outcome = _INTERRUPTED
