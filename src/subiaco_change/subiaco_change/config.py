@@ -10,7 +10,7 @@ from subiaco_change.changes.ground_change import GroundChangeConfig
 from subiaco_change.changes.measures import MeasureConfig
 from subiaco_change.observation.evidence import EvidenceConfig
 from subiaco_change.observation.lod import LodConfig
-from subiaco_change.registration.register import RegistrationConfig
+from subiaco_change.registration.config import RegistrationConfig
 from subiaco_change.semantics.classes import SemanticsConfig
 from subiaco_change.semantics.instances import InstanceConfig
 from subiaco_geo.config import StrictModel

@@ -1,0 +1,53 @@
+"""Settings of the registration of two epochs."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+from pydantic import Field
+
+from subiaco_geo.config import StrictModel
+
+
+class RegistrationConfig(StrictModel):
+    """Registration of two epochs (method part B; the paper's values where it gives them)."""
+
+    leaves: tuple[float, ...] = Field(
+        (1.0, 0.5, 0.25), min_length=1, description="pyramid leaves, coarse first [m]"
+    )
+    normal_radius: float = Field(0.8, gt=0, description="normals: max(this, 2.5 leaf) [m]")
+    outlier_neighbours: int = Field(10, ge=1, description="statistical outlier removal: neighbours")
+    outlier_sigmas: float = Field(3.0, gt=0, description="statistical outlier removal: standard deviations")
+    coarse: Literal["auto", "always", "never"] = Field(
+        "auto", description="search without priors: auto = when identity does not hold and a CRS is missing"
+    )
+    coarse_pixel: float = Field(1.0, gt=0, description="bird's-eye pictures of the coarse search [m]")
+    coarse_candidates: int = Field(25, ge=1, le=200, description="start poses that are refined and judged")
+    ndt_iterations: int = Field(30, ge=1, description="NDT iterations a cell size")
+    ndt_leaves_per_cell: float = Field(4.0, ge=2, description="NDT cell edge in leaves of the level")
+    tukey: float = Field(0.3, gt=0, description="Tukey biweight of point-to-plane residuals [m]")
+    huber: float = Field(0.5, gt=0, description="Huber weight of the distance of a pair [m]")
+    icp_iterations: int = Field(20, ge=1, description="ICP iterations a level")
+    icp_points: int = Field(200_000, ge=1000, description="points of before used by ICP at any level")
+    min_eigenvalue: float = Field(
+        2e-3, gt=0, lt=1 / 3, description="information a unit weight below which a direction is degenerate"
+    )
+    min_overlap: float = Field(0.15, gt=0, lt=1, description="smallest overlap, share of the smaller cloud")
+    min_standing: float = Field(
+        0.35, ge=0, lt=1, description="smallest share of walls in the overlap that match"
+    )
+    min_standing_search: float = Field(
+        0.5, ge=0, lt=1, description="the same after a search without priors, which must be surer"
+    )
+    min_lying: float = Field(
+        0.35, ge=0, lt=1, description="smallest share of ground in the overlap that matches"
+    )
+    max_rmse: float = Field(0.15, gt=0, description="largest robust point-to-plane RMSE [m]")
+    max_disagreement: float = Field(0.10, gt=0, description="largest distance of NDT and ICP solutions [m]")
+    max_disagreement_deg: float = Field(
+        0.3, gt=0, description="largest angle between NDT and ICP solutions [deg]"
+    )
+    block: float = Field(20.0, gt=0, description="blocks of correlated residuals [m]")
+    draws: int = Field(200, ge=10, description="block bootstrap draws")
+    sigma_floor: float = Field(0.003, ge=0, description="smallest sigma_reg [m]")
+    seed: int = Field(0, ge=0, description="seed of the bootstrap")
