@@ -19,7 +19,7 @@ from subiaco_geo.config import StrictModel
 class ChangeConfig(StrictModel):
     """Everything that decides what a change run says."""
 
-    leaf: float = Field(0.25, gt=0, description="working leaf of both clouds [m], paper")
+    leaf: float = Field(0.25, gt=0, le=0.5, description="working leaf of both clouds [m], paper")
     seed: int = Field(0, ge=0, description="seed of every random choice")
     threads: int = Field(1, ge=1, description="threads; results do not depend on it")
     normal_radius: float = Field(0.8, gt=0, description="radius of normals at the working leaf [m]")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
@@ -22,25 +23,12 @@ from subiaco_msgs.msg import ChangeTable
 
 #: What happened nowhere is not marked.
 _QUIET = frozenset({Change.UNCHANGED, Change.NOT_REPORTED, Change.UNOBSERVED})
-_SAME_NAME = (
-    "match_kind",
-    "delta_h_m",
-    "delta_v_m3",
-    "delta_v_surface_m3",
-    "delta_c_m",
-    "iou_3d",
-    "d_perp_m",
-    "lod95_m",
-    "observed_fraction",
-    "evidence",
-    "score_paper",
-    "confidence",
-    "n_before",
-    "n_after",
-    "x",
-    "y",
-    "z",
-    "reason",
+#: Columns that message and record share by name; those set by hand are left out.
+_SAME_NAME = tuple(
+    field.name
+    for field in fields(ChangeRecord)
+    if field.name in ChangeRecordMessage.get_fields_and_field_types()
+    and field.name not in {"object_id", "id_before", "id_after"}
 )
 
 
