@@ -6,8 +6,8 @@ import pytest
 
 from subiaco_bringup.cli.main import EPILOG
 
-VERBS = ["simulate", "inspect", "import", "map", "change", "evaluate", "report", "graph"]
-LATER = ["record", "recover", "export", "check", "baseline"]
+VERBS = ["simulate", "inspect", "import", "map", "change", "evaluate", "report", "baseline", "graph"]
+LATER = ["record", "recover", "export", "check"]
 OPTIONS = {
     "simulate": ["--seed", "--preset", "--epoch", "--maps-only", "--duration", "--mode", "--overwrite"],
     "inspect": ["--json"],
@@ -22,6 +22,7 @@ OPTIONS = {
         "identity",
         "--overwrite",
     ],
+    "baseline": ["dsm|nn|m3c2|c2c", "--output", "--transform", "--registration", "identity", "--overwrite"],
     "evaluate": ["--output", "--json"],
     "report": ["CHANGE_DIR"],
 }

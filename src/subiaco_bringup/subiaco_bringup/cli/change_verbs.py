@@ -8,6 +8,7 @@ from typing import Annotated
 
 import numpy as np
 import typer
+from numpy.typing import NDArray
 
 from subiaco_bringup.cli.options import (
     AsJson,
@@ -33,6 +34,30 @@ TrajectoryFile = Annotated[
     Path | None, typer.Option(metavar="F", help="Where the scanner went (TUM), for a bare cloud.")
 ]
 
+TransformFile = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="F",
+        help="Known transform from BEFORE to AFTER: 4 rows of 4 numbers, or registration.json.",
+    ),
+]
+RegistrationName = Annotated[
+    str | None, typer.Option(help="'identity' takes the two epochs as aligned already.")
+]
+
+
+def known_transform(transform: Path | None, registration: str | None) -> NDArray[np.float64] | None:
+    """Return the T_after_before (4, 4) that the options give, None to register."""
+    from subiaco_change.job import read_transform
+
+    if registration not in (None, "identity"):
+        raise InputError(f"--registration {registration}: only 'identity' is known; leave it out to register")
+    if registration is not None and transform is not None:
+        raise InputError("--transform and --registration identity exclude each other; give one of them")
+    if registration is not None:
+        return np.eye(4)
+    return None if transform is None else read_transform(transform)
+
 
 def change(
     before: Before,
@@ -40,16 +65,8 @@ def change(
     output: Output,
     trajectory_before: TrajectoryFile = None,
     trajectory_after: TrajectoryFile = None,
-    transform: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="F",
-            help="Known transform from BEFORE to AFTER: 4 rows of 4 numbers, or registration.json.",
-        ),
-    ] = None,
-    registration: Annotated[
-        str | None, typer.Option(help="'identity' takes the two epochs as aligned already.")
-    ] = None,
+    transform: TransformFile = None,
+    registration: RegistrationName = None,
     config: ConfigFiles = None,
     settings: Settings = None,
     overwrite: Overwrite = False,
@@ -61,14 +78,10 @@ def change(
     Example: subiaco change out/before out/after -o out/change
     """
     from subiaco_change.config import ChangeConfig
-    from subiaco_change.job import ChangeJob, read_transform, run_change
+    from subiaco_change.job import ChangeJob, run_change
 
     set_up_logging(verbose, quiet)
-    if registration not in (None, "identity"):
-        raise InputError(f"--registration {registration}: only 'identity' is known; leave it out to register")
-    if registration is not None and transform is not None:
-        raise InputError("--transform and --registration identity exclude each other; give one of them")
-    given = np.eye(4) if registration else None if transform is None else read_transform(transform)
+    given = known_transform(transform, registration)
     model = load_config(ChangeConfig, config_files("change", tuple(config or ())), settings or [])
     job = ChangeJob(before, after, output, trajectory_before, trajectory_after, given, overwrite)
     with Progress(quiet=quiet) as progress:

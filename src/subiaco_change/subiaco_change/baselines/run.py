@@ -1,0 +1,132 @@
+"""A simple method from two survey maps to a change result, and from two paths to a change directory."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from subiaco_change.baselines.cells import Pair, Verdict, make_pair
+from subiaco_change.baselines.config import BaselineConfig
+from subiaco_change.baselines.dsm import difference_surfaces
+from subiaco_change.baselines.m3c2 import difference_along_normals
+from subiaco_change.baselines.nearest import difference_by_lod, difference_by_threshold
+from subiaco_change.baselines.patches import connect, label_points, make_records
+from subiaco_change.geometry import estimate_normals
+from subiaco_change.job import ChangeJob
+from subiaco_change.observation.common_frame import CommonFrame
+from subiaco_change.outputs.directory import MARKER, ChangeInputs, write_change_directory
+from subiaco_change.records import ChangeResult
+from subiaco_change.registration.pair import check_pair
+from subiaco_change.registration.register import given_registration, register
+from subiaco_geo.atomic import refuse_existing, refuse_foreign
+from subiaco_geo.errors import InputError
+from subiaco_geo.frames import Floats
+from subiaco_geo.maps import SurveyMap, load_epoch
+
+Progress = Callable[[str, float], None]
+
+#: The methods by the name of the command.
+METHODS: dict[str, Callable[[Pair, BaselineConfig], Verdict]] = {
+    "dsm": difference_surfaces,
+    "nn": difference_by_lod,
+    "m3c2": difference_along_normals,
+    "c2c": difference_by_threshold,
+}
+_CAUTION = "baseline {}: no visibility, no objects, no classes; its confidence is no probability"
+
+
+def prepare_pair(
+    before: SurveyMap, after: SurveyMap, config: BaselineConfig, transform: Floats | None = None
+) -> tuple[Pair, tuple[str, ...]]:
+    """Bring two epochs into one frame, as the change stage does, and into cells; also returns warnings.
+
+    Parameters
+    ----------
+    before, after : SurveyMap
+    config : BaselineConfig
+    transform : (4, 4) float64, optional
+        Given ``T_after_before`` in world coordinates; without it the epochs
+        are registered by our own registration, once.
+    """
+    before, after, info = check_pair(before, after, config.leaf)
+    clouds = [
+        survey.cloud.with_fields(normals=estimate_normals(survey.cloud.xyz, config.normal_radius))
+        for survey in (before, after)
+    ]
+    if transform is None:
+        registration = register(clouds[0], clouds[1], config.registration)
+    else:
+        method = "identity" if np.array_equal(transform, np.eye(4)) else "given"
+        registration = given_registration(transform, clouds[0], clouds[1], config.registration, method)
+    moved = CommonFrame(registration, clouds[1].origin).bring(clouds[0])
+    return make_pair(moved, clouds[1], registration, config), info.warnings
+
+
+def compare_pair(pair: Pair, method: str, config: BaselineConfig) -> ChangeResult:
+    """Run a method on a prepared pair."""
+    verdict = METHODS[method](pair, config)
+    number, names = connect(verdict.code)
+    clouds = label_points(pair, verdict, number, config)
+    records = make_records(pair, verdict, number, names, clouds, method)
+    warnings = (_CAUTION.format(method),)
+    return ChangeResult(records, clouds[0], clouds[1], pair.registration, None, {}, warnings)
+
+
+def detect_simply(
+    before: SurveyMap,
+    after: SurveyMap,
+    method: str,
+    config: BaselineConfig,
+    progress: Progress | None = None,
+    *,
+    transform: Floats | None = None,
+) -> ChangeResult:
+    """Find what changed between two epochs by a simple method.
+
+    Returns
+    -------
+    ChangeResult
+        Rows are contiguous cells of one label; Unchanged ones make no row.
+
+    Raises
+    ------
+    InputError, RegistrationError
+    """
+    if method not in METHODS:
+        raise InputError(f"baseline {method}: known are {', '.join(METHODS)}")
+    say = progress or (lambda _name, _fraction: None)
+    started = time.perf_counter()
+    say("registration", 0.05)
+    pair, warnings = prepare_pair(before, after, config, transform)
+    prepared = time.perf_counter()
+    say(method, 0.6)
+    result = compare_pair(pair, method, config)
+    seconds = {"preparation": prepared - started, method: time.perf_counter() - prepared}
+    return ChangeResult(
+        result.records, result.before, result.after, result.registration, None, seconds,
+        (*warnings, *result.warnings),
+    )  # fmt: skip
+
+
+def run_baseline(
+    job: ChangeJob, method: str, config: BaselineConfig, progress: Progress | None = None
+) -> ChangeResult:
+    """Load two epochs, compare them by a simple method, write the change directory.
+
+    Raises
+    ------
+    InputError, RegistrationError
+        Nothing is left under ``job.output`` then.
+    """
+    refuse_existing(job.output, job.overwrite)
+    refuse_foreign(job.output, MARKER)
+    before, after = load_epoch(job.before, job.trajectory_before), load_epoch(job.after, job.trajectory_after)
+    result = detect_simply(before, after, method, config, progress, transform=job.transform)
+    if progress is not None:
+        progress("writing", 0.97)
+    known = all(survey.info.get("heights") == "ellipsoidal" for survey in (before, after))
+    inputs = ChangeInputs(job.before, job.after, notes={"baseline": method}, ellipsoidal=known)
+    write_change_directory(job.output, result, config, inputs, overwrite=job.overwrite)
+    return result
