@@ -94,13 +94,16 @@ def test_the_spool_gives_scans_back_to_a_millimetre(tmp_path: Path) -> None:
     xyz, last = rng.uniform(-50, 50, (1000, 3)), rng.uniform(-30, 30, (20, 3))
     spool = Spool(tmp_path / "s", 70.0)
     spool.append(
-        DeskewedScan(1, xyz, np.arange(1000, dtype=np.float32), "gyro", None, last, np.ones(20, np.float32))
+        DeskewedScan(
+            1, xyz, np.arange(1000, dtype=np.float32), "gyro", None, last, np.ones(20, np.float32), last[:7]
+        )
     )
     scan = spool.read(0)
     kept = np.linalg.norm(xyz, axis=1) <= 70.0
     assert np.abs(scan.xyz - xyz[kept]).max() < 0.0011
     np.testing.assert_array_equal(scan.intensity, np.arange(1000)[kept])
     assert np.abs(scan.last_xyz - last).max() < 0.0011
+    assert np.abs(scan.sky_xyz - last[:7]).max() < 0.0011
 
 
 def test_ground_heights_of_a_slope_with_houses_are_those_of_the_slope() -> None:

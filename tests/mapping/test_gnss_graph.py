@@ -21,7 +21,7 @@ LEVER = np.array([-0.4, 0.3, 0.9])
 T_BASE_LIDAR = make_pose(Rotation.from_euler("xyz", [2, 5, 30], degrees=True).as_matrix(), [0.3, 0.0, 1.9])
 EXTRINSICS = Extrinsics(T_BASE_LIDAR, None, T_BASE_LIDAR[:3, :3] @ LEVER + T_BASE_LIDAR[:3, 3])
 STEP = SECOND // 10
-CONFIG = MappingConfig()
+CONFIG = MappingConfig(gnss=GnssConfig(correlated_share=0.0))  # errors here are white
 
 
 def truth_poses(count: int) -> np.ndarray:
@@ -182,3 +182,24 @@ def test_gravity_is_found_under_acceleration() -> None:
     assert len(found.index) >= 4
     up = found.up @ tilt.T
     assert np.degrees(np.arccos(up[:, 2])).max() < 0.1
+
+
+@pytest.mark.parametrize("span_s", [5, 60, 600])
+def test_the_inflation_is_what_slow_errors_do_to_a_mean(span_s: int) -> None:
+    config = GnssConfig(correlation_time=20.0, correlated_share=0.6)
+    count, rng = 2 * span_s, np.random.default_rng(5)
+    keep = np.exp(-0.5 / 20.0)
+    slow = rng.standard_normal(4000)
+    mean = np.zeros(4000)
+    for _ in range(count):
+        mean += (np.sqrt(0.6) * slow + np.sqrt(0.4) * rng.standard_normal(4000)) / count
+        slow = keep * slow + np.sqrt(1 - keep**2) * rng.standard_normal(4000)
+    times = START_NS + np.arange(count) * SECOND // 2
+    assert mean.var() * count == pytest.approx(gnss.correlation_inflation(times, config), rel=0.1)
+
+
+def test_white_errors_are_not_inflated() -> None:
+    times = START_NS + np.arange(50) * SECOND // 5
+    assert gnss.correlation_inflation(times, GnssConfig(correlation_time=0.0)) == 1.0
+    assert gnss.correlation_inflation(times, GnssConfig(correlated_share=0.0)) == 1.0
+    assert gnss.correlation_inflation(times[:1], GnssConfig()) == 1.0

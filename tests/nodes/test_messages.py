@@ -38,6 +38,7 @@ def make_scan(seed: int = 1, accel: np.ndarray | None = None) -> DeskewedScan:
         mode="gyro",
         last_xyz=rng.uniform(-100, 100, (40, 3)),
         last_intensity=rng.uniform(0, 4000, 40).astype(np.float32),
+        sky_xyz=rng.uniform(-40, 40, (30, 3)),
         accel=accel,
         lost_columns=16,
         dropped_points=3,
@@ -70,6 +71,7 @@ def test_a_scan_survives_the_wire_to_a_hundredth_of_a_millimetre(accel: np.ndarr
     assert back.stamp_ns == STAMP_NS
     np.testing.assert_allclose(back.xyz, scan.xyz, atol=1e-5)  # float32 at 100 m
     np.testing.assert_allclose(back.last_xyz, scan.last_xyz, atol=1e-5)
+    np.testing.assert_allclose(back.sky_xyz, scan.sky_xyz, atol=1e-5)
     np.testing.assert_array_equal(back.intensity, scan.intensity)
     np.testing.assert_array_equal(back.last_intensity, scan.last_intensity)
     assert (back.mode, back.lost_columns, back.dropped_points) == ("gyro", 16, 3)

@@ -20,7 +20,7 @@ from subiaco_geo.raywalk import VisibilityAccumulator
 from subiaco_geo.trajectories import Trajectory
 from subiaco_mapping import gnss
 from subiaco_mapping.config import MappingConfig
-from subiaco_mapping.fusion import VoxelAccumulator, add_scan, fused_cloud
+from subiaco_mapping.fusion import VoxelAccumulator, add_scan, fused_cloud, walked_beams
 from subiaco_mapping.graph import Chain, ChainSolution, GnssPriors, gravity_priors, solve
 from subiaco_mapping.heights import height_table
 from subiaco_mapping.manifest import describe_sequence
@@ -132,7 +132,8 @@ class MappingBackend:
             raise InputError(f"sequence {name!r}: two bags have this name; rename one")
         if extrinsics is not None:
             self._extrinsics = extrinsics
-        spool = Spool(self._spool / f"{len(self._sequences):03d}", self._config.fusion.max_range)
+        folder = self._spool / f"{len(self._sequences):03d}"
+        spool = Spool(folder, self._config.fusion.max_range, self._config.decode.sky_range)
         self._sequences.append(_Sequence(name, self._extrinsics, spool))
 
     def add_facts(self, **facts: Any) -> None:
@@ -241,7 +242,14 @@ class MappingBackend:
         else:
             fixes, attachment = self._attached(sequence, frame)
             fixes = fixes.select(attachment.kept)
-            priors = GnssPriors(attachment.index, fixes.enu, fixes.covariance, attachment.levers)
+            priors = GnssPriors(
+                attachment.index,
+                fixes.enu,
+                attachment.levers,
+                fixes.covariance,
+                fixes.status,
+                gnss.correlation_inflation(fixes.times_ns, self._config.gnss),
+            )
             at = poses[attachment.index]
             antenna = np.einsum("nij,nj->ni", at[:, :3, :3], attachment.levers) + at[:, :3, 3]
             sigma = np.sqrt(fixes.covariance[:, 0, 0])
@@ -328,10 +336,10 @@ class MappingBackend:
                 scan = spool.read(k)
                 add_scan(first, scan.xyz, scan.intensity, pose)
                 add_scan(last, scan.last_xyz, scan.last_intensity, pose)
-                beams = scan.xyz[:: fusion.visibility_stride]
+                beams, returned = walked_beams(scan, pose, fusion)
                 ends = (beams @ pose[:3, :3].T + pose[:3, 3]) @ matrices[k].T + offsets[k]
                 origin = matrices[k] @ pose[:3, 3] + offsets[k]
-                visibility.add(np.broadcast_to(origin, ends.shape), ends)
+                visibility.add(np.broadcast_to(origin, ends.shape), ends, returned)
                 done += 1
                 if done % 10 == 0 or done == total:
                     report("fusing scans", done / total)

@@ -39,6 +39,12 @@ class DecodeConfig(StrictModel):
     time_offset_ns: int = Field(0, description="added to every column time [ns]")
     min_range: float = Field(1.0, ge=0, description="nearer returns are dropped (the car itself) [m]")
     max_range: float = Field(100.0, gt=0, description="farther returns are dropped [m]")
+    sky_range: float = Field(
+        40.0,
+        ge=0,
+        le=100.0,
+        description="beams that met nothing prove empty air up to here; 0: never [m]",
+    )
     reorder_packets: int = Field(8, ge=0, description="packets of a newer frame before an open one is closed")
     stamp_tolerance_ns: int = Field(
         20_000_000, gt=0, description="a column time farther from the line is replaced [ns]"
@@ -81,7 +87,7 @@ class OdometryConfig(StrictModel):
         30.0, ge=1, description="points that share one error: variance is multiplied by it"
     )
     sigma_rotation: float = Field(4e-4, gt=0, description="floor a scan [rad]")
-    sigma_translation: float = Field(0.008, gt=0, description="floor a scan [m]")
+    sigma_translation: float = Field(0.004, gt=0, description="floor a scan [m]")
     degenerate_sigma: float = Field(0.15, gt=0, description="a weaker direction is degenerate [m]")
     min_inlier_ratio: float = Field(0.3, ge=0, le=1, description="fewer matched keypoints is a failure")
     max_gap_ns: int = Field(2_000_000_000, gt=0, description="a longer gap starts a new segment [ns]")
@@ -100,6 +106,12 @@ class GnssConfig(StrictModel):
     vertical_factor: float = Field(1.5, gt=0, description="vertical floor over horizontal floor")
     time_offset_ns: int = Field(0, description="added to every fix stamp [ns]")
     max_pose_gap_ns: int = Field(500_000_000, gt=0, description="no prior inside a longer gap of scans [ns]")
+    correlation_time: float = Field(
+        20.0, ge=0, description="of the slow part of a fix's error (atmosphere, multipath); 0: white [s]"
+    )
+    correlated_share: float = Field(
+        0.6, ge=0, le=1, description="share of a fix's variance that is slow, not new with every fix"
+    )
     kernel: float = Field(3.0, gt=0, description="Cauchy kernel on the whitened fix error [sigma]")
     min_fixes: int = Field(10, ge=3, description="fixes needed to place a sequence")
     min_length: float = Field(20.0, gt=0, description="way they must span [m]")
@@ -111,6 +123,9 @@ class GraphConfig(StrictModel):
     max_iterations: int = Field(50, ge=1, description="Levenberg-Marquardt iterations")
     sigma_gravity: float = Field(0.01, gt=0, description="attitude from one window of accelerometer [rad]")
     gravity_window_ns: int = Field(1_000_000_000, gt=0, description="length of such a window [ns]")
+    sigma_jitter: float = Field(
+        0.012, ge=0, description="of one scan against its neighbours, not handed on by the chain [m]"
+    )
     covariance_stride: int = Field(10, ge=1, description="poses between two marginal covariances")
     segment_sigma_translation: float = Field(20.0, gt=0, description="between two segments [m]")
     segment_sigma_rotation: float = Field(0.5, gt=0, description="between two segments [rad]")
@@ -127,6 +142,9 @@ class FusionConfig(StrictModel):
     normal_neighbours: int = Field(15, ge=5, description="neighbours of a normal")
     visibility_voxel: float = Field(0.5, gt=0, description="voxel of the visibility layer [m]")
     visibility_stride: int = Field(8, ge=1, description="one beam in so many is walked; 0.5 m needs no more")
+    sky_elevation_deg: float = Field(
+        3.0, ge=0, lt=90, description="beams that met nothing count above this elevation only [deg]"
+    )
     height_tile: float = Field(20.0, gt=0, description="tile of the height table [m]")
 
 

@@ -14,6 +14,7 @@ from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
 from subiaco_mapping.config import DecodeConfig
 from subiaco_mapping.measurements import Returns, Scan
+from subiaco_mapping.sky import sky_mask, thinned
 
 logger = logging.getLogger(__name__)
 
@@ -64,6 +65,7 @@ class _Layout:
     direction: Floats = field(repr=False)
     offset: Floats = field(repr=False)
     expected: NDArray[np.bool_] = field(repr=False)
+    azimuth_column: Ints = field(repr=False)
     column_ns: float = 0.0
 
 
@@ -106,6 +108,7 @@ def _layout(text: str) -> _Layout:
         direction=np.asarray(lut.direction).reshape(height, width, 3),
         offset=np.asarray(lut.offset).reshape(height, width, 3),
         expected=_expected_columns(info),
+        azimuth_column=(np.arange(width) - np.array(info.format.pixel_shift_by_row)[:, None]) % width,
         column_ns=1e9 / (info.format.fps * width),
     )
 
@@ -296,6 +299,7 @@ class PacketDecoder:
             end_ns=int(utc_ns[sent[-1]]),
             first=self._returns(frame, "RANGE", "REFLECTIVITY", utc_ns),
             last=second,
+            sky=self._sky(frame, utc_ns) if self._config.sky_range > 0 else None,
             lost_columns=missing,
             frame_id=frame.number,
         )
@@ -305,8 +309,22 @@ class PacketDecoder:
         distance = frame.fields[range_name]
         near, far = self._config.min_range * 1e3, self._config.max_range * 1e3
         row, column = np.nonzero((distance > 0) & (distance >= near) & (distance <= far))
-        reach = distance[row, column].astype(np.float64)[:, None]
-        xyz = self._layout.direction[row, column] * reach + self._layout.offset[row, column]
+        xyz = self._points(row, column, distance[row, column].astype(np.float64))
         intensity = frame.fields.get(intensity_name)
         values = np.zeros(len(row)) if intensity is None else intensity[row, column]
         return Returns(xyz, times_ns[column], values.astype(np.float32), row.astype(np.uint16))
+
+    def _points(self, row: Ints, column: Ints, reach_mm: Floats | float) -> Floats:
+        """Return where beams (N,) are at a range [mm], (N, 3) [m]."""
+        along = np.broadcast_to(reach_mm, row.shape)[:, None]
+        return np.asarray(self._layout.direction[row, column] * along + self._layout.offset[row, column])
+
+    def _sky(self, frame: _Frame, times_ns: Ints) -> Returns:
+        """Return where a lattice of the beams that met nothing would be at ``sky_range``."""
+        ring = np.arange(self._layout.height)[:, None]
+        staggered = self._layout.azimuth_column
+        mask = sky_mask(frame.fields["RANGE"][ring, staggered] > 0, frame.valid[staggered])
+        row, azimuth = thinned(mask, frame.number)
+        column = staggered[row, azimuth]
+        xyz = self._points(row, column, self._config.sky_range * 1e3)
+        return Returns(xyz, times_ns[column], np.zeros(len(row), np.float32), row.astype(np.uint16))

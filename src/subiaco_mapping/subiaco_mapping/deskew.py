@@ -155,6 +155,7 @@ class Deskewer:
         mode = "none" if scan.deskewed or unknown else motion.mode
         first = self._straighten(scan.first, motion, scan.end_ns, mode)
         last = self._straighten(scan.last, motion, scan.end_ns, mode) if scan.last is not None else None
+        sky = self._straighten(scan.sky, motion, scan.end_ns, mode) if scan.sky is not None else None
         self._forget(scan.end_ns)
         return DeskewedScan(
             stamp_ns=scan.end_ns,
@@ -164,6 +165,7 @@ class Deskewer:
             motion=predicted,
             last_xyz=last if last is not None else np.zeros((0, 3)),
             last_intensity=scan.last.intensity if scan.last is not None else np.zeros(0, dtype=np.float32),
+            sky_xyz=sky if sky is not None else np.zeros((0, 3)),
             accel=self._mean_accel(used),
             lost_columns=scan.lost_columns,
             dropped_points=scan.dropped_points,

@@ -15,6 +15,7 @@ from subiaco_geo.clouds import PointCloud, from_world, unpack_voxel_keys
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints, transform_points
 from subiaco_mapping.config import FusionConfig
+from subiaco_mapping.spool import SpooledScan
 
 _EMPTY = -1
 _LIMIT = 1 << 20
@@ -238,3 +239,29 @@ def add_scan(
 ) -> None:
     """Add one deskewed scan (N, 3) in ``lidar_link`` from its pose."""
     accumulator.add(transform_points(T_local_lidar, xyz), intensity, T_local_lidar[:3, 3])
+
+
+def walked_beams(
+    scan: SpooledScan, T_local_lidar: Floats, config: FusionConfig
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """Choose the beams of a scan that the visibility layer walks.
+
+    Parameters
+    ----------
+    scan : SpooledScan
+    T_local_lidar : (4, 4) float64
+        The local frame's z is up.
+    config : FusionConfig
+
+    Returns
+    -------
+    ends : (N, 3) float64
+        In ``lidar_link`` [m].
+    returned : (N,) bool
+        False where the beam met nothing up to its end.
+    """
+    hits, sky = scan.xyz[:: config.visibility_stride], scan.sky_xyz
+    rise = sky @ T_local_lidar[2, :3]
+    above = rise > np.sin(np.radians(config.sky_elevation_deg)) * np.linalg.norm(sky, axis=1)
+    ends = np.concatenate([hits, sky[above]])
+    return ends, np.arange(len(ends)) < len(hits)

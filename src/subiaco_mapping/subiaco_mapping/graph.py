@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, TypeAlias
 
 import gtsam
 import numpy as np
@@ -19,15 +19,33 @@ logger = logging.getLogger(__name__)
 
 GRAVITY_BOUNDS = (9.2, 10.4)
 
+RobustGnss: TypeAlias = tuple[Callable[[float], Any], float]  # makes a kernel, its width [sigma]
+
 
 @dataclass(frozen=True)
 class GnssPriors:
-    """Antenna positions acting on scans: index (N,), enu (N, 3), covariance, levers (N, 3) [m]."""
+    """Antenna positions acting on scans.
+
+    Parameters
+    ----------
+    index : (N,) int64
+        Scan.
+    enu, levers : (N, 3) float64
+        Fix, and antenna in the scan's ``lidar_link`` [m].
+    covariance : (N, 3, 3) float64
+        Of one fix [m2].
+    status : (N,) int64
+    inflation : float
+        Of the variance, since errors of neighbouring fixes are alike. Outliers are still judged
+        by ``covariance``.
+    """
 
     index: Ints
     enu: Floats
-    covariance: Floats
     levers: Floats
+    covariance: Floats
+    status: Ints
+    inflation: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -137,14 +155,14 @@ def _add_odometry(graph: Any, chain: Chain, offset: int, config: GraphConfig) ->
         graph.add(gtsam.BetweenFactorPose3(offset + k - 1, offset + k, gtsam.Pose3(motion), noise))
 
 
-def _add_priors(graph: Any, chain: Chain, offset: int, config: GraphConfig, kernel: Any | None) -> None:
+def _add_priors(graph: Any, chain: Chain, offset: int, config: GraphConfig, robust: RobustGnss) -> None:
     up = gtsam.Unit3(np.array([0.0, 0.0, 1.0]))
     huber = gtsam.noiseModel.mEstimator.Huber.Create(2.0)
     noise = _robust(huber, np.eye(2) * config.sigma_gravity**2)
     for index, direction in zip(chain.gravity.index, chain.gravity.up, strict=True):
         graph.add(gtsam.AttitudeFactorPose3(offset + int(index), up, noise, gtsam.Unit3(direction)))
     has_gravity = len(chain.gravity.index) > 0
-    if chain.gnss is None or kernel is None:
+    if chain.gnss is None:
         loose = 0.5 if has_gravity else 1e-4
         sigmas = np.array([loose, loose, 1e-4, 1e-3, 1e-3, 1e-3])
         first = gtsam.Pose3(chain.T_world_odom @ chain.T_odom_lidar[0])
@@ -154,17 +172,18 @@ def _add_priors(graph: Any, chain: Chain, offset: int, config: GraphConfig, kern
         level = chain.T_world_odom[:3, :3] @ chain.T_odom_lidar[0, :3, :3]
         direction = gtsam.Unit3(level.T @ np.array([0.0, 0.0, 1.0]))
         graph.add(gtsam.AttitudeFactorPose3(offset, up, _diagonal(np.full(2, 0.05)), direction))
-    gnss = chain.gnss
+    gnss, (make_kernel, width) = chain.gnss, robust
+    kernel = make_kernel(width / np.sqrt(gnss.inflation))
     for i, index in enumerate(gnss.index):
-        noise = _robust(kernel, gnss.covariance[i])
+        noise = _robust(kernel, gnss.covariance[i] * gnss.inflation)
         graph.add(gtsam.GPSFactorArm(offset + int(index), gnss.enu[i], gnss.levers[i], noise))
 
 
-def _build(chains: Sequence[Chain], config: GraphConfig, kernel: Any | None) -> Any:
+def _build(chains: Sequence[Chain], config: GraphConfig, robust: RobustGnss) -> Any:
     graph, offset = gtsam.NonlinearFactorGraph(), 0
     for chain in chains:
         _add_odometry(graph, chain, offset, config)
-        _add_priors(graph, chain, offset, config, kernel)
+        _add_priors(graph, chain, offset, config, robust)
         offset += len(chain)
     return graph
 
@@ -227,13 +246,14 @@ def solve(chains: Sequence[Chain], config: GraphConfig, gnss_kernel: float) -> l
             values.insert(offset + k, gtsam.Pose3(gtsam.Rot3(rotation), pose[:3, 3]))
         offset += len(chain)
     estimator = gtsam.noiseModel.mEstimator
-    for kernel in (estimator.Huber.Create(gnss_kernel), estimator.Cauchy.Create(gnss_kernel)):
-        graph = _build(chains, config, kernel)
+    for make_kernel in (estimator.Huber.Create, estimator.Cauchy.Create):
+        graph = _build(chains, config, (make_kernel, gnss_kernel))
         values = _optimize(graph, values, config)
     solutions, offset = [], 0
     for chain in chains:
         poses = np.array([values.atPose3(offset + k).matrix() for k in range(len(chain))])
         covariance = _world_covariances(graph, values, poses, offset, config.covariance_stride)
+        covariance[:, range(3, 6), range(3, 6)] += config.sigma_jitter**2
         solutions.append(ChainSolution(poses, covariance, *_gnss_residuals(chain, poses, gnss_kernel)))
         offset += len(chain)
     return solutions

@@ -73,12 +73,16 @@ class Returns:
 
 @dataclass(frozen=True)
 class Scan:
-    """One turn of the LiDAR; ``end_ns`` is the time of its last column."""
+    """One turn of the LiDAR; ``end_ns`` is the time of its last column.
+
+    ``sky`` holds where beams that met nothing would be at ``decode.sky_range``.
+    """
 
     start_ns: int
     end_ns: int
     first: Returns
     last: Returns | None = None
+    sky: Returns | None = None
     lost_columns: int = 0
     frame_id: int = 0
     dropped_points: int = 0
@@ -102,6 +106,8 @@ class DeskewedScan:
         Predicted ``T_previous_current`` since the scan before, None where unknown.
     last_xyz, last_intensity : arrays
         The second return, (0, 3) and (0,) where the sensor gives one only.
+    sky_xyz : (K, 3) float64
+        How far beams that met nothing prove the air empty [m]; see :mod:`subiaco_mapping.sky`.
     accel : (3,) float64 or None
         Mean specific force over the scan in ``lidar_link`` [m/s2].
     lost_columns, dropped_points : int
@@ -114,6 +120,7 @@ class DeskewedScan:
     motion: Floats | None = None
     last_xyz: Floats = field(default_factory=lambda: np.zeros((0, 3)))
     last_intensity: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, dtype=np.float32))
+    sky_xyz: Floats = field(default_factory=lambda: np.zeros((0, 3)))
     accel: Floats | None = None
     lost_columns: int = 0
     dropped_points: int = 0

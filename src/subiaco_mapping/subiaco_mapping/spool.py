@@ -13,28 +13,31 @@ from subiaco_mapping.measurements import DeskewedScan
 
 _POINT = np.dtype([("xyz", "<i2", 3), ("intensity", "<u2")])
 _FULL_SCALE = 32767
+_BEAM_OFFSET = 5.0  # of a beam's start from the sensor at the stamp, the motion in a scan included [m]
 
 
 @dataclass(frozen=True)
 class SpooledScan:
-    """Both returns of a scan: xyz (N, 3) [m] in ``lidar_link`` and intensity (N,)."""
+    """Both returns of a scan, xyz (N, 3) [m] in ``lidar_link`` and intensity (N,), and its sky."""
 
     xyz: Floats
     intensity: NDArray[np.float32]
     last_xyz: Floats
     last_intensity: NDArray[np.float32]
+    sky_xyz: Floats
 
 
 class Spool:
     """Scans of one sequence in a folder, 8 bytes a point.
 
-    Coordinates are stored in steps of ``max_range / 32767`` (2 mm at 70 m, a mean error of half a
-    millimetre, far under the sensor's noise); points beyond ``max_range`` are left out.
+    Coordinates are stored in steps of the longest range / 32767 (2 mm at 70 m, a mean error of half
+    a millimetre, far under the sensor's noise); points beyond ``max_range`` are left out.
     """
 
-    def __init__(self, folder: Path, max_range: float) -> None:
+    def __init__(self, folder: Path, max_range: float, sky_range: float = 0.0) -> None:
         self._folder = folder
-        self._step = max_range / _FULL_SCALE
+        self._longest = max(max_range, sky_range + _BEAM_OFFSET)
+        self._step = self._longest / _FULL_SCALE
         self._max_range = max_range
         self._count = 0
         folder.mkdir(parents=True, exist_ok=True)
@@ -44,24 +47,26 @@ class Spool:
 
     def append(self, scan: DeskewedScan) -> None:
         """Write the next scan."""
-        first = self._pack(scan.xyz, scan.intensity)
-        last = self._pack(scan.last_xyz, scan.last_intensity)
+        first = self._pack(scan.xyz, scan.intensity, self._max_range)
+        last = self._pack(scan.last_xyz, scan.last_intensity, self._max_range)
+        sky = self._pack(scan.sky_xyz, np.zeros(len(scan.sky_xyz), np.float32), self._longest)
         with self._path(self._count).open("wb") as stream:
             np.save(stream, first)
             np.save(stream, last)
+            np.save(stream, sky)
         self._count += 1
 
     def read(self, index: int) -> SpooledScan:
         """Read a scan back."""
         with self._path(index).open("rb") as stream:
-            first, last = np.load(stream), np.load(stream)
-        return SpooledScan(*self._unpack(first), *self._unpack(last))
+            first, last, sky = (np.load(stream) for _ in range(3))
+        return SpooledScan(*self._unpack(first), *self._unpack(last), self._unpack(sky)[0])
 
     def _path(self, index: int) -> Path:
         return self._folder / f"{index:06d}.npy"
 
-    def _pack(self, xyz: Floats, intensity: NDArray[np.float32]) -> NDArray[np.void]:
-        keep = (xyz * xyz).sum(axis=1) <= self._max_range**2
+    def _pack(self, xyz: Floats, intensity: NDArray[np.float32], limit: float) -> NDArray[np.void]:
+        keep = (xyz * xyz).sum(axis=1) <= limit**2
         points = np.empty(int(keep.sum()), dtype=_POINT)
         points["xyz"] = np.round(xyz[keep] / self._step)
         points["intensity"] = np.clip(intensity[keep], 0, 65535)

@@ -35,8 +35,10 @@ _POINT_TYPES: dict[str, int] = {
     "f8": PointField.FLOAT64,
 }
 
-#: One point of ``points_deskewed``: 17 bytes; ``last`` marks the second return.
-SCAN_POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("last", "u1")])
+#: One point of ``points_deskewed``: 17 bytes; ``kind`` is one of the three below.
+SCAN_POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("kind", "u1")])
+#: Strongest return, second return, and no return: how far a beam proves the air empty.
+STRONGEST, SECOND, SKY = 0, 1, 2
 
 
 def stamp_message(time_ns: int) -> Time:
@@ -73,20 +75,20 @@ def cloud_message(points: NDArray[np.void], frame_id: str, time_ns: int) -> Poin
 
 
 def scan_points(scan: DeskewedScan) -> NDArray[np.void]:
-    """Stack both returns of a scan as :data:`SCAN_POINT` rows."""
-    first, last = len(scan.xyz), len(scan.last_xyz)
-    points = np.zeros(first + last, SCAN_POINT)
+    """Stack both returns and the sky of a scan as :data:`SCAN_POINT` rows."""
+    parts = (scan.xyz, scan.last_xyz, scan.sky_xyz)
+    xyz = np.concatenate(parts)
+    points = np.zeros(len(xyz), SCAN_POINT)
     for axis, name in enumerate("xyz"):
-        points[name][:first] = scan.xyz[:, axis]
-        points[name][first:] = scan.last_xyz[:, axis]
-    points["intensity"][:first] = scan.intensity
-    points["intensity"][first:] = scan.last_intensity
-    points["last"][first:] = 1
+        points[name] = xyz[:, axis]
+    returns = len(scan.xyz) + len(scan.last_xyz)
+    points["intensity"][:returns] = np.concatenate([scan.intensity, scan.last_intensity])
+    points["kind"] = np.repeat([STRONGEST, SECOND, SKY], [len(part) for part in parts])
     return points
 
 
 def scan_message(scan: DeskewedScan, frame_id: str) -> PointCloud2:
-    """Build the message of a deskewed scan: both returns, float32, in ``lidar_link``."""
+    """Build the message of a deskewed scan: returns and sky, float32, in ``lidar_link``."""
     return cloud_message(scan_points(scan), frame_id, scan.stamp_ns)
 
 
@@ -114,8 +116,7 @@ def _stack_xyz(points: NDArray[np.void]) -> Floats:
 def scan_from_messages(cloud: Any, quality: Any) -> DeskewedScan:
     """Rebuild a deskewed scan from cloud and quality of one stamp."""
     points = cloud_array(cloud)
-    is_last = points["last"].astype(bool)
-    first, last = points[~is_last], points[is_last]
+    first, last, sky = (points[points["kind"] == kind] for kind in (STRONGEST, SECOND, SKY))
     accel = np.array(quality.accel, dtype=np.float64)
     return DeskewedScan(
         stamp_ns=stamp_ns(cloud.header.stamp),
@@ -124,6 +125,7 @@ def scan_from_messages(cloud: Any, quality: Any) -> DeskewedScan:
         mode=quality.mode,
         last_xyz=_stack_xyz(last),
         last_intensity=last["intensity"].astype(np.float32),
+        sky_xyz=_stack_xyz(sky),
         accel=None if np.isnan(accel).any() else accel,
         lost_columns=quality.lost_columns,
         dropped_points=quality.dropped_points,

@@ -1,0 +1,65 @@
+"""Beams that met nothing: which of them prove that the air was empty.
+
+A beam comes back with nothing from the open sky, but also from glass, from a wet road that mirrors it
+away, from black paint, from twigs thinner than the beam, and now and then from a plain wall (an isolated
+drop-out). Only the sky may be walked as free space, so a beam is taken where
+
+* all of its neighbourhood of 3 rings x 5 columns returned nothing, in columns that were received: that
+  leaves out drop-outs, edges and lost packets;
+* hardly anything returned from the rings above it in its own column: a window or a glass door has its
+  lintel, wall and roof above, the sky has a wire at most;
+* it points above the horizon, asked later where the vertical is known
+  (``fusion.sky_elevation_deg``): that leaves out wet roads and water.
+
+A glass front up to the roof line still passes; ``decode.sky_range: 0`` leaves all such beams out.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from subiaco_geo.frames import Ints
+
+RING_STEP = 2
+COLUMNS_PER_TURN = 256  # with every second ring a lattice of 0.7 x 1.4 deg, moved on every scan
+MAX_CLUTTER = 0.1  # share of the rings above that may have returned
+_RING_REACH, _COLUMN_REACH = 1, 2
+
+Flags = NDArray[np.bool_]
+
+
+def sky_mask(returned: Flags, received: Flags) -> Flags:
+    """Mark the beams of one turn that are surely sky.
+
+    Parameters
+    ----------
+    returned : (rings, columns) bool
+        Something came back; destaggered (columns are azimuths), highest ring first.
+    received : (rings, columns) bool
+        The beam's column arrived.
+
+    Returns
+    -------
+    (rings, columns) bool
+        Beyond the highest and lowest ring nothing is asked; azimuth closes in itself.
+    """
+    nothing = received & ~returned
+    calm = nothing.copy()
+    for step in range(1, _RING_REACH + 1):
+        calm[step:] &= nothing[:-step]
+        calm[:-step] &= nothing[step:]
+    level = calm.copy()
+    for step in range(1, _COLUMN_REACH + 1):
+        level &= np.roll(calm, step, axis=1) & np.roll(calm, -step, axis=1)
+    above = np.cumsum(returned, axis=0, dtype=np.int32)
+    rings = np.arange(1, len(returned) + 1, dtype=np.float32)[:, None]
+    return np.asarray(level & (above <= MAX_CLUTTER * rings))
+
+
+def thinned(mask: Flags, turn: int) -> tuple[Ints, Ints]:
+    """Return rings and columns of a lattice of the marked beams; each turn takes another one."""
+    step = max(mask.shape[1] // COLUMNS_PER_TURN, 1)
+    first_column, first_ring = turn % step, (turn // step) % RING_STEP
+    ring, column = np.nonzero(mask[first_ring::RING_STEP, first_column::step])
+    return ring * RING_STEP + first_ring, column * step + first_column
