@@ -56,7 +56,7 @@ def test_every_scan_comes_back_through_the_sensor_makers_decoder_with_the_ranges
     sample: Any, frames: list[LidarFrame]
 ) -> None:
     drive = sample.survey.drives["before"]
-    lidar = Lidar(sample.survey.info, sample.survey.config.lidar, False)
+    lidar = Lidar(drive.info, sample.survey.config.lidar, False)
     assert len(frames) == drive.scans == 40
     for scan, frame in zip(scans_of(sample.survey, drive, lidar), frames[:3], strict=False):
         assert frame.frame_id == scan.frame_id
@@ -91,7 +91,7 @@ def test_a_decoded_scan_at_its_true_pose_lies_on_the_truth_points(
 ) -> None:
     """At rest one pose serves the whole scan, so the chain decoder, extrinsics, truth must close."""
     frame = frames[4]  # the vehicle moves off at 1 s
-    xyz = np.asarray(XYZLut(sample.survey.info, False)(frame))[frame.field("RANGE") > 0]
+    xyz = np.asarray(XYZLut(sample.survey.drives["before"].info, False)(frame))[frame.field("RANGE") > 0]
     truth = read_tum(sample.folder / "before" / "truth" / "trajectory.tum")
     world = transform_points(truth.poses[4], xyz)
     points = np.load(sample.folder / "before" / "truth" / "points.npz")["xyz"]
@@ -156,8 +156,10 @@ def test_the_same_seed_gives_the_same_packets_and_another_seed_others(sample: An
 
     def first_packet(seed: int) -> bytes:
         survey = plan_survey(config.model_copy(update={"seed": seed}))
-        scans = scans_of(survey, survey.drives["after"], Lidar(survey.info, config.lidar, False))
-        return next(PacketMaker(survey.info).packets(next(scans))).buf
+        scans = scans_of(
+            survey, survey.drives["after"], Lidar(survey.drives["after"].info, config.lidar, False)
+        )
+        return next(PacketMaker(survey.drives["after"].info).packets(next(scans))).buf
 
     assert first_packet(4) != first_packet(3)
 

@@ -29,6 +29,8 @@ class House:
     chimney: bool = False
     wall: Material = Material.BRICK
     cover: Material = Material.TILE
+    wing: float = 0.0  # depth of a wing towards the street, left half: an L [m]
+    carport: float = 0.0  # width of a roof on posts at the right side [m]
 
     @property
     def eaves(self) -> float:
@@ -42,6 +44,10 @@ class House:
             parts += self._veranda()
         if self.extension > 0:
             parts.append(self._extension())
+        if self.wing > 0:
+            parts.append(self._wing())
+        if self.carport > 0:
+            parts += self._carport()
         if self.chimney:
             stack = box(0.7, 0.7, 1.6, Material.BRICK)
             parts.append(stack.placed(self.width / 4, 0.6, self.eaves + 0.5 * self.pitch * self.depth - 0.8))
@@ -54,6 +60,8 @@ class House:
         if self.roof == "flat":
             return box(self.width + 0.3, self.depth + 0.3, 0.35, self.cover).placed(0, 0, self.eaves)
         x, y = self.width / 2 + self.overhang, self.depth / 2 + self.overhang
+        if self.roof == "skillion":
+            return self._skillion(x, y)
         rise = self.pitch * y
         ridge = x if self.roof == "gable" else max(x - y, 0.3)
         base = self.eaves - self.pitch * self.overhang
@@ -62,6 +70,25 @@ class House:
         roof = polygons(vertices, [(0, 1, 5, 4), (2, 3, 4, 5), (0, 1, 2, 3)], self.cover)
         ends = polygons(vertices, [(1, 2, 5), (3, 0, 4)], self.wall if self.roof == "gable" else self.cover)
         return join([roof, ends])
+
+    def _skillion(self, x: float, y: float) -> Mesh:
+        """One plane that falls to the back."""
+        low, high = self.eaves, self.eaves + 0.3 * self.pitch * 2 * y
+        slab = [(-x, -y, high), (x, -y, high), (x, y, low), (-x, y, low)]
+        under = [(-x, -y, self.eaves - 0.2), (x, -y, self.eaves - 0.2), (x, y, low - 0.2), (-x, y, low - 0.2)]
+        faces = [(0, 1, 2, 3), (4, 5, 6, 7), (0, 1, 5, 4), (1, 2, 6, 5), (2, 3, 7, 6), (3, 0, 4, 7)]
+        return polygons([*slab, *under], faces, self.cover)
+
+    def _wing(self) -> Mesh:
+        shape = House(self.width / 2, self.wing + 1.0, "hip", self.storeys, self.pitch, wall=self.wall)
+        return shape.mesh().placed(-self.width / 4, -(self.depth + self.wing - 1.0) / 2, 0)
+
+    def _carport(self) -> list[Mesh]:
+        x, length = (self.width + self.carport) / 2, 5.6
+        roof = box(self.carport, length, 0.12, Material.SHEET_METAL).placed(x, -self.depth / 2 + 1.0, 2.35)
+        post = box(0.1, 0.1, 2.35 + SUNK, Material.SHEET_METAL)
+        edge, front = x + self.carport / 2 - 0.1, -self.depth / 2 + 1.0
+        return [roof, *(post.placed(edge, front + s * (length / 2 - 0.1), -SUNK) for s in (-1, 1))]
 
     def _openings(self) -> list[Mesh]:
         """Windows and a door, 4 cm proud of the front and side walls."""

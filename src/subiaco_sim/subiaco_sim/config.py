@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from enum import StrEnum
+from typing import Literal
 
 from pydantic import Field
 
@@ -22,6 +23,10 @@ class LidarMode(StrEnum):
         return int(self.value.split("x")[0])
 
 
+#: Sensors there are: OS1-64 and OS1-128.
+Beams = Literal[64, 128]
+
+
 class EpochChoice(StrEnum):
     """Which drives to simulate."""
 
@@ -36,7 +41,7 @@ class EpochChoice(StrEnum):
 
 
 class LidarConfig(StrictModel):
-    """The moving OS1-128."""
+    """The moving OS1."""
 
     max_range: float = Field(100.0, gt=5.0, le=200.0, description="Longest range that returns [m]")
     min_range: float = Field(0.5, gt=0.0, description="Shortest range that returns [m]")
@@ -92,8 +97,13 @@ class TruthConfig(StrictModel):
     own_body: float = Field(
         2.0, ge=0.0, description="A changed object hides its own earlier or later self up to this depth [m]"
     )
+    seen_range: float = Field(
+        60.0,
+        gt=0.0,
+        description="Farther than this the other drive counts as blind [m]",
+    )
     pose_spacing: float = Field(
-        1.0, gt=0.0, description="Distance between tested poses of the other drive [m]"
+        1.5, gt=0.0, description="Distance between tested poses of the other drive [m]"
     )
 
 
@@ -108,10 +118,13 @@ class SimulationConfig(StrictModel):
         None, gt=1.0, le=3600.0, description="Length of each drive [s]; the preset's when null"
     )
     mode: LidarMode = Field(LidarMode.COLUMNS_1024, description="Columns x revolutions a second")
+    beams_before: Beams | None = Field(None, description="Beams of the earlier drive; the preset's when null")
+    beams_after: Beams | None = Field(None, description="Beams of the later drive; the preset's when null")
     dual_return: bool = Field(False, description="Two returns a beam, strongest first")
     ground_cell: float | None = Field(
         None, ge=0.1, le=2.0, description="Edge of the ground mesh [m]; the preset's when null"
     )
+    map_every: int = Field(1, ge=1, le=10, description="Scans that enter fused maps: one in so many")
     map_leaf: float = Field(0.25, gt=0.0, le=2.0, description="Leaf of the fused maps [m]")
     lidar: LidarConfig = LidarConfig()
     imu: ImuConfig = ImuConfig()

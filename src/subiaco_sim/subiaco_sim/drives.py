@@ -13,6 +13,7 @@ from subiaco_geo.frames import Floats, Ints
 from subiaco_sim.config import SimulationConfig
 from subiaco_sim.lidar import SCAN_NS, Lidar, SimulatedScan, column_times, points_of
 from subiaco_sim.motion import Motion, drive
+from subiaco_sim.movers import freeze
 from subiaco_sim.packets import sensor_info
 from subiaco_sim.presets import build_scene, find_preset
 from subiaco_sim.scene import EPOCHS, CompiledScene, Scene, compile_scene, ground_object
@@ -33,6 +34,7 @@ class Drive:
     compiled: CompiledScene
     columns: int
     scans: int
+    info: SensorInfo
 
     def rng(self, seed: int, purpose: int, part: int = 0) -> np.random.Generator:
         """Return the random source of one purpose and part of this drive."""
@@ -50,12 +52,11 @@ class Drive:
 
 @dataclass(frozen=True)
 class Survey:
-    """A scene, both drives through it, and the sensor."""
+    """A scene and both drives through it."""
 
     config: SimulationConfig
     scene: Scene
     drives: dict[str, Drive]
-    info: SensorInfo
 
 
 @dataclass(frozen=True)
@@ -82,19 +83,27 @@ def plan_survey(config: SimulationConfig) -> Survey:
             preset.speed,
             reverse=epoch == "after",
             seed=config.seed * 2 + number,
+            place=preset.place[number],
         )
         scans = int(duration * 1e9 // SCAN_NS)
+        beams = (config.beams_before, config.beams_after)[number] or preset.beams[number]
+        info = sensor_info(config.mode, config.dual_return, beams)
         compiled = compile_scene(scene, epoch)
-        drives[epoch] = Drive(epoch, number, motion, compiled, config.mode.columns, scans)
-    return Survey(config, scene, drives, sensor_info(config.mode, config.dual_return))
+        drives[epoch] = Drive(epoch, number, motion, compiled, config.mode.columns, scans, info)
+    return Survey(config, scene, drives)
 
 
 def scans_of(survey: Survey, drive: Drive, lidar: Lidar) -> Iterator[SimulatedScan]:
-    """Yield every scan of a drive."""
-    for k in range(drive.scans):
+    """Yield every scan of a drive; for fused maps, those that enter them."""
+    scene, config = survey.scene, survey.config
+    terrain = scene.terrain_at(drive.epoch)
+    movers = [mover for mover in scene.moving if mover.epoch == drive.epoch]
+    for k in range(0, drive.scans, config.map_every if config.maps_only else 1):
         times_ns = column_times(drive.motion.start_ns, k, drive.columns)
-        rng = drive.rng(survey.config.seed, 1, k)
-        yield lidar.scan(drive.compiled, k, times_ns, drive.lidar_poses(times_ns), rng)
+        poses = drive.lidar_poses(times_ns)
+        seconds = float(drive.motion.seconds(times_ns[:1])[0])
+        now = freeze(drive.compiled, movers, terrain, scene.route, seconds, poses[0, :3, 3])
+        yield lidar.scan(now, k, times_ns, poses, drive.rng(config.seed, 1, k))
 
 
 def first_points(survey: Survey, lidar: Lidar, scan: SimulatedScan) -> ScanPoints:

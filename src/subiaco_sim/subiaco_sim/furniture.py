@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from subiaco_sim.primitives import Material, Mesh, box, cylinder, extrude_across, join
+from subiaco_sim.primitives import Material, Mesh, box, cylinder, extrude_across, join, polygons
 
 
 @dataclass(frozen=True)
@@ -78,3 +78,102 @@ class Bin:
     def mesh(self) -> Mesh:
         """Return the bin on z = 0."""
         return box(0.6, 0.6, self.height, Material.PAINT)
+
+
+@dataclass(frozen=True)
+class Truck:
+    """A truck with a box body, x forward [m]."""
+
+    length: float = 7.2
+    width: float = 2.3
+    height: float = 3.2
+
+    def mesh(self) -> Mesh:
+        """Return the truck on z = 0."""
+        cab = box(1.9, self.width, 2.1, Material.PAINT).placed(self.length / 2 - 0.95, 0, 0.45)
+        pane = box(0.08, 0.85 * self.width, 0.7, Material.GLASS).placed(self.length / 2, 0, 1.6)
+        body = box(self.length - 2.1, self.width, self.height - 0.9, Material.PAINT)
+        frame = box(self.length - 0.4, 0.9 * self.width, 0.5, Material.SHEET_METAL).placed(0, 0, 0.4)
+        wheel = cylinder(0.45, 0.9, Material.ASPHALT, 8)
+        wheels = [
+            wheel.placed(a * self.length, b * 0.42 * self.width, 0) for a in (-0.3, 0.32) for b in (-1, 1)
+        ]
+        return join([cab, pane, body.placed(-1.05, 0, 0.9), frame, *wheels])
+
+
+@dataclass(frozen=True)
+class Sign:
+    """A traffic sign on a post [m]."""
+
+    height: float = 2.6
+
+    def mesh(self) -> Mesh:
+        """Return the sign on z = 0."""
+        post = cylinder(0.035, self.height + 0.3, Material.SHEET_METAL, 6).placed(0, 0, -0.3)
+        return join([post, box(0.05, 0.65, 0.65, Material.PAINT).placed(0.06, 0, self.height - 0.7)])
+
+
+@dataclass(frozen=True)
+class BusShelter:
+    """A bus shelter with a bench, open towards -y [m]."""
+
+    length: float = 4.0
+
+    def mesh(self) -> Mesh:
+        """Return the shelter on z = 0."""
+        back = box(self.length, 0.06, 2.0, Material.GLASS).placed(0, 0.7, 0.2)
+        sides = [box(0.06, 1.2, 2.0, Material.GLASS).placed(s * self.length / 2, 0.1, 0.2) for s in (-1, 1)]
+        roof = box(self.length + 0.4, 1.9, 0.12, Material.SHEET_METAL).placed(0, 0, 2.4)
+        posts = [
+            cylinder(0.05, 2.7, Material.SHEET_METAL, 6).placed(s * self.length / 2, 0.7, -0.3)
+            for s in (-1, 1)
+        ]
+        bench = box(0.7 * self.length, 0.4, 0.45, Material.TIMBER).placed(0, 0.4, 0)
+        return join([back, *sides, roof, *posts, bench])
+
+
+@dataclass(frozen=True)
+class Wires:
+    """Power lines from one pole towards +x: span, height of the poles, sag, rise of the far end [m]."""
+
+    span: float
+    height: float = 8.2
+    sag: float = 0.6
+    rise: float = 0.0
+    lines: int = 3
+
+    def mesh(self) -> Mesh:
+        """Return the wires, their poles not included."""
+        parts, pieces = [], 8
+        for line in range(self.lines):
+            y = 0.45 * (line - (self.lines - 1) / 2)
+            for k in range(pieces):
+                a, b = k / pieces, (k + 1) / pieces
+                ends = [self.height + self.rise * t - 4 * self.sag * t * (1 - t) for t in (a, b)]
+                parts.append(self._piece(a * self.span, b * self.span, y, ends))
+        return join(parts)
+
+    @staticmethod
+    def _piece(start: float, end: float, y: float, ends: list[float]) -> Mesh:
+        corners = [(x, y + d, z) for x, z in ((start, ends[0]), (end, ends[1])) for d in (-0.015, 0.015)]
+        above = [(x, y, z + 0.025) for x, _, z in corners[::2]]
+        return polygons([*corners, *above], [(0, 1, 3, 2), (0, 2, 5, 4), (1, 3, 5, 4)], Material.SHEET_METAL)
+
+
+@dataclass(frozen=True)
+class Person:
+    """Somebody on foot, or on a bicycle along x [m]."""
+
+    height: float = 1.72
+    cycling: bool = False
+
+    def mesh(self) -> Mesh:
+        """Return the person on z = 0."""
+        lift = 0.35 if self.cycling else 0.0
+        body = cylinder(0.21, self.height - 0.3, Material.PAINT, 7).placed(0, 0, lift)
+        head = cylinder(0.11, 0.28, Material.PAINT, 6).placed(0, 0, self.height - 0.28 + lift)
+        parts = [body, head]
+        if self.cycling:
+            parts += [box(0.66, 0.05, 0.66, Material.SHEET_METAL).placed(x, 0, 0) for x in (-0.5, 0.5)]
+            parts.append(box(1.0, 0.05, 0.1, Material.SHEET_METAL).placed(0, 0, 0.6))
+        return join(parts)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
-from shapely import affinity
+from shapely import affinity, contains_xy
 from shapely.geometry import Polygon
 from shapely.geometry import box as shapely_box
 
@@ -48,17 +48,71 @@ class Patch:
         return affinity.translate(turned, self.x, self.y)
 
 
+@dataclass(frozen=True)
+class Strip:
+    """A strip of changed ground along a line: its corners in order, area and rise (negative: dug) [m]."""
+
+    corners: tuple[tuple[float, float], ...]
+    rise: float
+
+    @property
+    def area(self) -> float:
+        """Area [m2]."""
+        return float(Polygon(self.corners).area)
+
+    @property
+    def x(self) -> float:
+        """A place inside, east [m]."""
+        return float(Polygon(self.corners).representative_point().x)
+
+    @property
+    def y(self) -> float:
+        """A place inside, north [m]."""
+        return float(Polygon(self.corners).representative_point().y)
+
+    def contains(self, x: Floats, y: Floats) -> NDArray[np.bool_]:
+        """Tell which places lie inside."""
+        low, high = np.min(self.corners, axis=0), np.max(self.corners, axis=0)
+        inside = (x >= low[0]) & (x <= high[0]) & (y >= low[1]) & (y <= high[1])
+        inside[inside] = contains_xy(self.outline(), x[inside], y[inside])
+        return np.asarray(inside)
+
+    def outline(self) -> Polygon:
+        """Return the footprint in scene coordinates."""
+        return Polygon(self.corners)
+
+
+def strip_along(line: Floats, start: int, stop: int, offset: float, width: float, rise: float) -> Strip:
+    """Return a strip beside part of a dense line (N, 2); ``offset`` of its middle, positive to the left."""
+    tangent = np.gradient(line, axis=0)
+    tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
+    left = np.column_stack([-tangent[:, 1], tangent[:, 0]])
+    part = slice(start, stop, 4)
+    sides = [line[part] + (offset + side * width / 2) * left[part] for side in (-1, 1)]
+    corners = np.concatenate([sides[0], sides[1][::-1]])
+    return Strip(tuple((float(x), float(y)) for x, y in corners), rise)
+
+
 class Road:
     """Distances to the crown of a road, given as a dense centreline (N, 2) [m]."""
 
     def __init__(self, centreline: Floats) -> None:
         self.centreline = centreline
         self._tree = cKDTree(centreline)
+        self._grid: tuple[tuple[object, float], tuple[Floats, Floats, Floats]] | None = None
 
     def distance(self, x: Floats, y: Floats) -> Floats:
         """Return distances of places of any shape [m]."""
         distance, _ = self._tree.query(np.stack([np.ravel(x), np.ravel(y)], axis=1))
         return np.asarray(distance).reshape(np.shape(x))
+
+    def grid(self, bounds: tuple[float, float, float, float], cell: float) -> tuple[Floats, Floats, Floats]:
+        """Return x, y and distance (rows, columns) on a grid; the last one is kept [m]."""
+        if self._grid is None or self._grid[0] != (bounds, cell):
+            west, south, east, north = bounds
+            x, y = np.meshgrid(np.arange(west, east, cell), np.arange(south, north, cell))
+            self._grid = ((bounds, cell), (x, y, self.distance(x, y)))
+        return self._grid[1]
 
 
 @dataclass(frozen=True)
@@ -78,9 +132,9 @@ class Terrain:
     bounds: tuple[float, float, float, float]
     slope: tuple[float, float]
     cell: float
-    patches: tuple[Patch, ...] = ()
+    patches: tuple[Patch | Strip, ...] = ()
 
-    def with_patches(self, *patches: Patch) -> Terrain:
+    def with_patches(self, *patches: Patch | Strip) -> Terrain:
         """Return the same land with more places changed."""
         return replace(self, patches=(*self.patches, *patches))
 
@@ -90,9 +144,12 @@ class Terrain:
 
     def height(self, x: Floats, y: Floats) -> Floats:
         """Return ground heights at places of any shape [m]."""
+        return self._shaped(x, y, self.road.distance(x, y))
+
+    def _shaped(self, x: Floats, y: Floats, distance: Floats) -> Floats:
         land = self.slope[0] * x + self.slope[1] * y
         land = land + 0.35 * np.sin(x / 41.0 + 0.5) * np.cos(y / 37.0)
-        height = land + road_profile(self.road.distance(x, y))
+        height = land + road_profile(distance)
         for patch in self.patches:
             height = height + np.where(patch.contains(x, y), patch.rise, 0.0)
         return np.asarray(height)
@@ -103,15 +160,12 @@ class Terrain:
 
     def mesh(self) -> Mesh:
         """Return the ground as a fine grid of triangles."""
-        west, south, east, north = self.bounds
-        xs, ys = np.arange(west, east, self.cell), np.arange(south, north, self.cell)
-        x, y = np.meshgrid(xs, ys)
-        vertices = np.stack([x, y, self.height(x, y)], axis=-1).reshape(-1, 3)
+        x, y, distance = self.road.grid(self.bounds, self.cell)
+        vertices = np.stack([x, y, self._shaped(x, y, distance)], axis=-1).reshape(-1, 3)
         index = np.arange(x.size).reshape(x.shape)
         a, b, c, d = (i.ravel() for i in (index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]))
         triangles = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
-        centre = vertices[triangles].mean(axis=1)
-        return Mesh(vertices, triangles, road_material(self.road.distance(centre[:, 0], centre[:, 1])))
+        return Mesh(vertices, triangles, road_material(distance.ravel()[triangles].mean(axis=1)))
 
 
 def road_profile(distance: Floats) -> Floats:

@@ -9,9 +9,21 @@ import numpy as np
 
 from subiaco_geo.clouds import voxel_keys
 from subiaco_geo.frames import Floats, Ints
-from subiaco_sim.plants import Hedge, Tree
 from subiaco_sim.primitives import sample_surface
-from subiaco_sim.scene import BUILDING, GROUND, VEGETATION, GroundItem, Item, Scene, foot_height, item_mesh
+from subiaco_sim.scene import (
+    BUILDING,
+    EPOCHS,
+    GROUND,
+    MOBILE,
+    VEGETATION,
+    Foliage,
+    GroundItem,
+    Item,
+    Scene,
+    Shape,
+    foot_height,
+    item_mesh,
+)
 
 COLUMN = 0.5  # edge of the columns in which bodies are compared [m]
 
@@ -93,8 +105,7 @@ def body_of(item: Item, scene: Scene, epoch: str) -> Body | None:
     if placed is None:
         return None
     terrain = scene.terrain_at(epoch)
-    if isinstance(placed.shape, Tree | Hedge):
-        placed = replace(placed, shape=placed.shape.solid())
+    placed = replace(placed, shape=solid_form(placed.shape))
     mesh = item_mesh(placed, item.semantic, terrain)
     points = sample_surface(mesh, 0.08, np.random.default_rng(0))
     foot = foot_height(placed, item.semantic, terrain)
@@ -108,6 +119,20 @@ def body_of(item: Item, scene: Scene, epoch: str) -> Body | None:
     return Body(cells, tops, middle)
 
 
+def solid_form(shape: Shape) -> Shape:
+    """Return a shape that does not depend on the leaves of the season."""
+    return shape.solid() if isinstance(shape, Foliage) else shape
+
+
+def _same_form(item: Item, scene: Scene) -> bool:
+    """Tell whether both epochs hold the same body, without building it."""
+    first, second = item.before, item.after
+    if first is None or second is None or (first.x, first.y, first.yaw) != (second.x, second.y, second.yaw):
+        return False
+    feet = [foot_height(first, item.semantic, scene.terrain_at(epoch)) for epoch in EPOCHS]
+    return solid_form(first.shape) == solid_form(second.shape) and feet[0] == feet[1]
+
+
 def column_iou(first: Body, second: Body) -> float:
     """Return the intersection over union of two bodies of columns."""
     shared, a, b = np.intersect1d(first.cells, second.cells, return_indices=True)
@@ -117,7 +142,8 @@ def column_iou(first: Body, second: Body) -> float:
 
 def true_change(item: Item, scene: Scene) -> TrueChange:
     """Apply the thresholds of the item's class to its true geometry."""
-    before, after = (body_of(item, scene, epoch) for epoch in ("before", "after"))
+    before = body_of(item, scene, "before")
+    after = before if _same_form(item, scene) else body_of(item, scene, "after")
     if before is None or after is None:
         return TrueChange(Change.ADDED if before is None else Change.REMOVED, before, after)
     delta_h = after.h95 - before.h95
@@ -171,7 +197,7 @@ class Labels:
 def label_scene(scene: Scene) -> Labels:
     """Label every object of a scene."""
     measured = {item.object_id: true_change(item, scene) for item in scene.items}
-    size = 1 + len(scene.items) + len(scene.ground_items)
+    size = 1 + len(scene.items) + len(scene.ground_items) + len(scene.moving)
     semantic = np.full(size, GROUND, dtype=np.int64)
     change = np.full(size, Change.UNCHANGED, dtype=np.int64)
     for item in scene.items:
@@ -179,4 +205,7 @@ def label_scene(scene: Scene) -> Labels:
         change[item.object_id] = measured[item.object_id].change
     for ground in scene.ground_items:
         change[ground.object_id] = ground_change(ground)
+    for mover in scene.moving:
+        semantic[mover.object_id] = MOBILE
+        change[mover.object_id] = Change.NOT_REPORTED
     return Labels(semantic, change, measured)

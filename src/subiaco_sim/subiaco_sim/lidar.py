@@ -11,9 +11,8 @@ from ouster.sdk.core import SensorInfo, XYZLut
 from subiaco_geo.frames import Floats, Ints
 from subiaco_sim.config import LidarConfig
 from subiaco_sim.primitives import REFLECTIVITY, Material
-from subiaco_sim.scene import CompiledScene, Hits
+from subiaco_sim.scene import Castable, Hits
 
-ROWS = 128
 SCAN_NS = 100_000_000
 _STRENGTH = 56_000.0  # [m2]; a 10 % target across the beam returns half the time at 90 m
 _SECOND_STEP = 0.25  # the sensor cannot part two returns nearer than this [m]
@@ -96,7 +95,7 @@ class Lidar:
 
     def scan(
         self,
-        scene: CompiledScene,
+        scene: Castable,
         frame_id: int,
         times_ns: Ints,
         T_enu_lidar: Floats,
@@ -139,7 +138,7 @@ class Lidar:
 
     def _second(
         self,
-        scene: CompiledScene,
+        scene: Castable,
         origins: Floats,
         directions: Floats,
         hits: Hits,

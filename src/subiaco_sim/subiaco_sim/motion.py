@@ -75,9 +75,19 @@ def travelled(seconds: Floats, speed: float, phase: float) -> Floats:
 
 
 def drive(
-    route: Floats, terrain: Terrain, start_ns: int, duration: float, speed: float, reverse: bool, seed: int
+    route: Floats,
+    terrain: Terrain,
+    start_ns: int,
+    duration: float,
+    speed: float,
+    reverse: bool,
+    seed: int,
+    place: float = 0.5,
 ) -> Motion:
-    """Drive along a dense centreline, centred on its middle, on the left of the road.
+    """Drive along a dense centreline on the left of the road.
+
+    ``place`` says where along the spare length of the route: 0 from its very
+    start, 0.5 centred on its middle.
 
     Raises
     ------
@@ -94,7 +104,7 @@ def drive(
     if needed > arc[-1]:
         longest = duration * arc[-1] / needed
         raise InputError(f"duration {duration:g} s: the street is too short; at most {longest:.0f} s")
-    station = distance + 0.5 * (arc[-1] - needed)
+    station = distance + place * (arc[-1] - needed)
     smooth = CubicSpline(arc[::20], line[::20])
     xy, tangent = smooth(station), smooth(station, 1)
     z, pitch, roll = _ride(terrain, xy, tangent, seconds, distance, rng)

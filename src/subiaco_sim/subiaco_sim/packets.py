@@ -10,25 +10,25 @@ from ouster.sdk import core
 from ouster.sdk.core import HeaderType, PacketFormat, SensorInfo, TimestampMode, UDPProfileLidar
 
 from subiaco_sim.config import FaultConfig, LidarMode
-from subiaco_sim.lidar import ROWS, Return, SimulatedScan
+from subiaco_sim.lidar import Return, SimulatedScan
 
 COLUMNS_PER_PACKET = 16
 SINGLE = UDPProfileLidar.RNG19_RFL8_SIG16_NIR16
 DUAL = UDPProfileLidar.RNG19_RFL8_SIG16_NIR16_DUAL
 
 
-def sensor_info(mode: LidarMode, dual: bool) -> SensorInfo:
-    """Return the metadata of a simulated OS1-128: +-22.5 deg, four staggered azimuths."""
+def sensor_info(mode: LidarMode, dual: bool, beams: int = 128) -> SensorInfo:
+    """Return the metadata of a simulated OS1-64 or OS1-128: +-22.5 deg, four staggered azimuths."""
     lidar_mode = core.LidarMode(mode.columns, 10)
     info = SensorInfo.from_default(lidar_mode)
-    info.prod_line, info.sn, info.fw_rev = "OS-1-128", 992300000001, "v3.1.0"
-    info.beam_altitude_angles = np.round(np.linspace(22.5, -22.5, ROWS), 2)
-    info.beam_azimuth_angles = np.tile([4.21, 1.41, -1.40, -4.22], ROWS // 4)
+    info.prod_line, info.sn, info.fw_rev = f"OS-1-{beams}", 992300000001, "v3.1.0"
+    info.beam_altitude_angles = np.round(np.linspace(22.5, -22.5, beams), 2)
+    info.beam_azimuth_angles = np.tile([4.21, 1.41, -1.40, -4.22], beams // 4)
     form = info.format
-    form.pixels_per_column, form.columns_per_packet = ROWS, COLUMNS_PER_PACKET
+    form.pixels_per_column, form.columns_per_packet = beams, COLUMNS_PER_PACKET
     form.udp_profile_lidar = DUAL if dual else SINGLE
     form.header_type = HeaderType.STANDARD
-    form.pixel_shift_by_row = [k * mode.columns // 1024 for k in (24, 16, 8, 0)] * (ROWS // 4)
+    form.pixel_shift_by_row = [k * mode.columns // 1024 for k in (24, 16, 8, 0)] * (beams // 4)
     info.format = form
     settings = info.config
     settings.udp_port_lidar, settings.udp_port_imu = 7502, 7503

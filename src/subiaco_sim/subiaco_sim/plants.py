@@ -25,6 +25,7 @@ class Tree:
     form: int
     leaves: int
     density: float = 1.0
+    sway: float = 0.0  # how far the wind leans the crown, in a direction of its own [m]
 
     def mesh(self) -> Mesh:
         """Return the tree on z = 0."""
@@ -34,7 +35,7 @@ class Tree:
 
     def solid(self) -> Tree:
         """Return the same form with dense leaves that do not depend on the season."""
-        return replace(self, leaves=0, density=4.0)
+        return replace(self, leaves=0, density=4.0, sway=0.0)
 
     def _branches(self, bare: float) -> list[Mesh]:
         rng = np.random.default_rng([self.form, 1])
@@ -56,6 +57,10 @@ class Tree:
         scale = np.array([1.0, 1.0, self.crown / (2 * self.radius)]) * 0.5 * self.radius
         points = lobes[which] + depth * direction * scale
         points[:, 2] = np.clip(points[:, 2], self.height - self.crown, self.height)
+        if self.sway:
+            lean = np.clip((points[:, 2:] - 0.5 * self.height) / (0.5 * self.height), 0.0, 1.0)
+            turn = rng.uniform(0, 2 * np.pi)
+            points += self.sway * lean * np.array([np.cos(turn), np.sin(turn), 0.0])
         return facets(points, 0.13, rng, Material.LEAF)
 
     def _lobes(self) -> Floats:
@@ -93,3 +98,27 @@ class Hedge:
         side = np.where(axis == 2, 1.0, rng.choice([-1.0, 1.0], count))
         points[np.arange(count), axis] = side * rng.uniform(0.35, 0.5, count)
         return facets((points + np.array([0.0, 0.0, 0.5])) * size, 0.09, rng, Material.LEAF)
+
+
+@dataclass(frozen=True)
+class Palm:
+    """A palm: total height [m]; a bare stem and a tuft of hanging fronds."""
+
+    height: float
+    leaves: int
+    density: float = 1.0
+
+    def solid(self) -> Palm:
+        """Return the same form with fronds that do not depend on the season."""
+        return replace(self, leaves=0, density=3.0)
+
+    def mesh(self) -> Mesh:
+        """Return the palm on z = 0."""
+        rng = np.random.default_rng([self.leaves, 5])
+        stem = cylinder(0.17, self.height - 1.0 + 0.3, Material.BARK, 8).placed(0, 0, -0.3)
+        count = int(420 * self.density)
+        turn = rng.integers(0, 14, count) * (2 * np.pi / 14) + rng.normal(0, 0.05, count)
+        reach = rng.uniform(0.1, 2.2, count)
+        drop = 0.25 * reach**2 - 0.35 * reach
+        points = np.stack([reach * np.cos(turn), reach * np.sin(turn), self.height - 0.4 - drop], axis=1)
+        return join([stem, facets(points, 0.12, rng, Material.LEAF)])

@@ -10,8 +10,14 @@ import numpy as np
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
 from subiaco_sim.changes import apply_changes, ground_changes, replaced_cars
+from subiaco_sim.config import Beams
+from subiaco_sim.events import Seasons, let_time_pass, work_the_ground
+from subiaco_sim.movers import random_movers
+from subiaco_sim.neighbourhood import Character, lay_out_crowded
 from subiaco_sim.scene import Scene
 from subiaco_sim.suburb import dense_route, lay_out, make_terrain
+
+_SEASONS = Seasons()
 
 
 @dataclass(frozen=True)
@@ -25,6 +31,11 @@ class Preset:
     cell: float  # edge of the ground mesh [m]
     duration: float  # of each drive [s]
     speed: float  # [m/s]
+    beams: tuple[Beams, Beams] = (128, 128)  # before, after
+    place: tuple[float, float] = (0.5, 0.5)  # where along the route the drives lie
+    character: Character | None = None  # crowded where given
+    seasons: Seasons = _SEASONS
+    slope: float = 0.02  # steepest lie of the land [m per m]
 
 
 def winding_street() -> Floats:
@@ -34,25 +45,37 @@ def winding_street() -> Floats:
 
 
 def block_loop() -> Floats:
-    """Once around a block of 170 m x 120 m with rounded corners, open at the start."""
-    half_x, half_y, radius = 85.0, 60.0, 32.0
+    """Once around a block of 110 m x 84 m with rounded corners, and 30 m into it again."""
+    half_x, half_y, radius = 55.0, 42.0, 17.0
     corners = [(half_x, -half_y), (half_x, half_y), (-half_x, half_y), (-half_x, -half_y)]
-    points = [np.array([[0.0, -half_y], [30.0, -half_y]])]
+    points = [np.array([[0.0, -half_y]])]
     for turn, (x, y) in enumerate(corners):
-        angle = np.radians(np.linspace(-90, 0, 5) + 90 * turn)
+        angle = np.radians(np.linspace(-90, 0, 4) + 90 * turn)
         centre = np.array([x - np.sign(x) * radius, y - np.sign(y) * radius])
         points.append(centre + radius * np.column_stack([np.cos(angle), np.sin(angle)]))
         if turn in (0, 2):
             points.append(np.array([[x, 0.0]]))
         if turn == 1:
-            points.append(np.array([[25.0, y], [-25.0, y]]))
-    points.append(np.array([[-30.0, -half_y], [0.0, -half_y]]))
+            points.append(np.array([[12.0, y], [-12.0, y]]))
+    points.append(np.array([[0.0, -half_y]]))
     return np.concatenate(points)
 
 
 PRESETS: dict[str, Preset] = {
     "easy": Preset(winding_street, 15.5, 1, 45.0, 0.3, 20.0, 6.5),
-    "default": Preset(block_loop, 15.0, 3, 45.0, 0.3, 60.0, 7.0),
+    "default": Preset(
+        block_loop,
+        15.0,
+        1,
+        38.0,
+        0.3,
+        42.0,
+        7.0,
+        beams=(64, 128),
+        place=(0.0, 0.0),
+        character=Character(),
+        slope=0.04,
+    ),
 }
 
 
@@ -74,8 +97,22 @@ def build_scene(name: str, seed: int, ground_cell: float | None = None) -> Scene
     preset = find_preset(name)
     rng = np.random.default_rng([seed, 7])
     route = dense_route(preset.waypoints())
+    if preset.character is not None:
+        return _crowded_scene(preset, preset.character, route, ground_cell or preset.cell, rng)
     layout = lay_out(route, preset.frontage, rng)
     terrain = make_terrain(route, preset.margin, ground_cell or preset.cell, rng)
     items = replaced_cars(apply_changes(layout, preset.rounds), rng)
     ground = ground_changes(layout, len(items) + 1, preset.rounds)
     return Scene(terrain, tuple(items), tuple(ground), route)
+
+
+def _crowded_scene(
+    preset: Preset, character: Character, route: Floats, cell: float, rng: np.random.Generator
+) -> Scene:
+    terrain = make_terrain(route, preset.margin, cell, rng, preset.slope)
+    layout = lay_out_crowded(route, preset.frontage, rng, character)
+    items = let_time_pass(layout, preset.seasons)
+    ground = work_the_ground(layout, len(items) + 1)
+    length = 0.25 * len(route)
+    movers = random_movers(len(items) + len(ground) + 1, length, rng)
+    return Scene(terrain, tuple(items), tuple(ground), route, movers)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 import numpy as np
 import open3d as o3d
 from numpy.typing import NDArray
 
 from subiaco_geo.frames import Floats, Ints
-from subiaco_sim.ground import Patch, Terrain
+from subiaco_sim.ground import Patch, Strip, Terrain
 from subiaco_sim.primitives import Mesh, join
 
 EPOCHS = ("before", "after")
@@ -27,6 +27,51 @@ class Shape(Protocol):
 
     def mesh(self) -> Mesh:
         """Return the mesh, standing on z = 0."""
+        ...
+
+
+@runtime_checkable
+class Foliage(Protocol):
+    """A shape whose leaves change with the season while its form stays."""
+
+    def solid(self) -> Shape:
+        """Return the same form with dense leaves that do not depend on the season."""
+        ...
+
+
+class Moving(Protocol):
+    """Something that moves; it is in no table, and its points are not reported."""
+
+    @property
+    def object_id(self) -> int:
+        """Id of its points."""
+        ...
+
+    @property
+    def epoch(self) -> str:
+        """When it moves."""
+        ...
+
+    @property
+    def shape(self) -> Shape:
+        """What it is."""
+        ...
+
+    @property
+    def radius(self) -> float:
+        """Of a ball about its middle that holds it [m]."""
+        ...
+
+    def at(self, route: Floats, seconds: float) -> tuple[float, float, float]:
+        """Return x, y [m] and heading [rad]."""
+        ...
+
+
+class Castable(Protocol):
+    """What rays can be cast into."""
+
+    def cast(self, origins: Floats, directions: Floats) -> Hits:
+        """Cast rays (N, 3), unit directions."""
         ...
 
 
@@ -64,7 +109,7 @@ class GroundItem:
     """A place where the ground itself may change."""
 
     object_id: int
-    patch: Patch
+    patch: Patch | Strip
     event: str
 
 
@@ -76,6 +121,7 @@ class Scene:
     items: tuple[Item, ...]
     ground_items: tuple[GroundItem, ...]
     route: Floats  # (N, 2) centreline that the vehicle follows
+    moving: tuple[Moving, ...] = ()
 
     def terrain_at(self, epoch: str) -> Terrain:
         """Return the ground of an epoch."""

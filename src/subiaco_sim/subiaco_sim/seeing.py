@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.frames import Floats, Ints
@@ -53,20 +54,33 @@ def seen_from(
     places, owner = xyz[first], object_id[first]
     grown = np.isin(owner, reshaped)
     seen = np.zeros(len(places), dtype=np.bool_)
-    for pose in drive.spaced(config.pose_spacing):
+    poses = drive.spaced(config.pose_spacing)
+    nearest = _nearest_poses(poses, places, min(drive.max_range, config.seen_range))
+    for rank in range(nearest.shape[1]):
         for lift in (np.zeros(3), _LIFT):
-            open_cells = np.flatnonzero(~seen)
-            near = open_cells[_in_view(pose, places[open_cells] + lift, drive.max_range)]
+            near = np.flatnonzero(~seen & (nearest[:, rank] < len(poses)))
+            pose = poses[nearest[near, rank]]
+            inside = _in_view(pose, places[near] + lift, drive.max_range)
+            near, pose = near[inside], pose[inside]
             if len(near):
                 reach = _reaches(
-                    drive.scene, pose[:3, 3], places[near], lift, owner[near], grown[near], config
+                    drive.scene, pose[:, :3, 3], places[near], lift, owner[near], grown[near], config
                 )
                 seen[near[reach]] = True
     return np.asarray(seen[inverse.ravel()])
 
 
-def _in_view(pose: Floats, places: Floats, max_range: float) -> NDArray[np.bool_]:
-    local = (places - pose[:3, 3]) @ pose[:3, :3]
+def _nearest_poses(poses: Floats, places: Floats, reach: float) -> Ints:
+    """Return the poses around every place, nearest first (N, K); their number where there are no more."""
+    spots = poses[:, :3, 3]
+    tree = cKDTree(spots)
+    most = int(tree.query_ball_point(places, reach, return_length=True).max(initial=0))
+    _, index = tree.query(places, k=range(1, most + 1), distance_upper_bound=reach)
+    return np.asarray(index, dtype=np.int64).reshape(len(places), most)
+
+
+def _in_view(poses: Floats, places: Floats, max_range: float) -> NDArray[np.bool_]:
+    local = np.einsum("nji,nj->ni", poses[:, :3, :3], places - poses[:, :3, 3])
     distance = np.linalg.norm(local, axis=1)
     elevation = np.arcsin(np.clip(local[:, 2] / np.maximum(distance, 1e-6), -1, 1))
     return np.asarray((distance < max_range) & (distance > 0.5) & (np.abs(elevation) < _HALF_VIEW))
@@ -74,18 +88,18 @@ def _in_view(pose: Floats, places: Floats, max_range: float) -> NDArray[np.bool_
 
 def _reaches(
     scene: CompiledScene,
-    eye: Floats,
+    eyes: Floats,
     places: Floats,
     lift: Floats,
     owner: Ints,
     grown: NDArray[np.bool_],
     config: TruthConfig,
 ) -> NDArray[np.bool_]:
-    ray = places + lift - eye
+    ray = places + lift - eyes
     distance = np.linalg.norm(ray, axis=1)
     direction = ray / distance[:, None]
-    hits = scene.cast(np.broadcast_to(eye, places.shape), direction)
-    stop = eye + np.minimum(hits.distance, distance)[:, None] * direction
+    hits = scene.cast(eyes, direction)
+    stop = eyes + np.minimum(hits.distance, distance)[:, None] * direction
     gap = np.linalg.norm(stop - places, axis=1)
     own = grown & (hits.object_id == owner) & (gap < config.own_body)
     return np.asarray((gap < config.seen_radius) | own)

@@ -192,9 +192,14 @@ def _add_street_furniture(layout: Layout) -> None:
             layout.add("car", MOBILE, Placed(random_car(rng), x, y, lot.yaw + turn))
 
 
-def make_terrain(centreline: Floats, margin: float, cell: float, rng: np.random.Generator) -> Terrain:
-    """Return gently sloping land around a street."""
+def make_terrain(
+    centreline: Floats, margin: float, cell: float, rng: np.random.Generator, steepest: float = 0.02
+) -> Terrain:
+    """Return sloping land around a street; ``steepest`` to the east, three quarters of it to the north."""
     west, south = centreline.min(axis=0) - margin
     east, north = centreline.max(axis=0) + margin
-    slope = (float(rng.uniform(-0.02, 0.02)), float(rng.uniform(-0.015, 0.015)))
+    slope = (
+        float(rng.uniform(-steepest, steepest)),
+        float(rng.uniform(-0.75 * steepest, 0.75 * steepest)),
+    )
     return Terrain(Road(centreline), (float(west), float(south), float(east), float(north)), slope, cell)

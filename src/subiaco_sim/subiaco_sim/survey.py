@@ -77,7 +77,7 @@ def _simulate_epoch(
     """Drive one epoch; returns points by object (all, seen) and the hash of the packets."""
     config, drive = survey.config, survey.drives[epoch]
     (folder / "truth").mkdir(parents=True)
-    lidar = Lidar(survey.info, config.lidar, config.dual_return)
+    lidar = Lidar(drive.info, config.lidar, config.dual_return)
     points = FirstPoints(config.truth.leaf)
     fuser = MapFuser(config.map_leaf, drive) if config.maps_only else None
     scans = _observed(survey, drive, lidar, points, fuser, say)
@@ -121,7 +121,7 @@ def _record(path: Path, survey: Survey, drive: Drive, scans: Iterator[SimulatedS
     """Write the bag of a drive and return the hash of its packets."""
     config = survey.config
     digest = hashlib.sha256()
-    maker = PacketMaker(survey.info)
+    maker = PacketMaker(drive.info)
 
     def packets() -> Iterator[TimedPacket]:
         for scan in scans:
@@ -137,5 +137,5 @@ def _record(path: Path, survey: Survey, drive: Drive, scans: Iterator[SimulatedS
         fix_arrivals(gnss),
         heading_arrivals(gnss),
     ]
-    write_bag(path, survey.info.to_json_string(), drive.motion.start_ns, streams)
+    write_bag(path, drive.info.to_json_string(), drive.motion.start_ns, streams)
     return digest.hexdigest()

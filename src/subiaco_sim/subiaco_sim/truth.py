@@ -149,11 +149,16 @@ def write_scene(path: Path, survey: Survey, labels: Labels, bags: dict[str, str]
         "origin": {"latitude": WORLD.latitude_deg, "longitude": WORLD.longitude_deg, "height": WORLD.height},
         "T_after_before": np.eye(4).tolist(),
         "epochs": {
-            epoch: {"start_ns": START_NS[epoch], "scans": d.scans, "packets_sha256": bags.get(epoch, "")}
+            epoch: {
+                "start_ns": START_NS[epoch],
+                "scans": d.scans,
+                "lidar": d.info.prod_line,
+                "packets_sha256": bags.get(epoch, ""),
+            }
             for epoch, d in survey.drives.items()
         },
         "lidar": {
-            "model": survey.info.prod_line,
+            "model": survey.drives["after"].info.prod_line,
             "mode": config.mode.value,
             "dual_return": config.dual_return,
         },
@@ -161,6 +166,7 @@ def write_scene(path: Path, survey: Survey, labels: Labels, bags: dict[str, str]
         "classes": dict(enumerate(CLASS_NAMES)),
         "changes": {int(c): c.label for c in Change},
         "item_class": {i.object_id: int(labels.semantic[i.object_id]) for i in items},
+        "moving": [m.object_id for m in survey.scene.moving],
         "item_change": {i.object_id: int(labels.change[i.object_id]) for i in items},
     }
     path.write_text(yaml.safe_dump(document, sort_keys=False))
