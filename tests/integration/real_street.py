@@ -15,7 +15,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 from shapely.geometry.base import BaseGeometry
 
-from subiaco_change.records import Change, ChangeRecord, ChangeResult
+from subiaco_change.records import Change, ChangeRecord, ChangeResult, Semantic
 from subiaco_geo.clouds import PointCloud, from_world, voxel_downsample
 from subiaco_geo.frames import Floats, transform_points
 from subiaco_geo.maps import SurveyMap
@@ -180,7 +180,7 @@ def _try_places(item: RealObject, site: _Site, places: Floats, sensors: Floats) 
     """Return the object at the first place where it fits, and where its points could be seen."""
     for place in places:
         index, _ = site.ground.place(place[None])
-        xyz = item.xyz + [*place, site.ground.height[index[0, 0], index[0, 1]]]
+        xyz = item.xyz + np.append(place, site.ground.height[index[0, 0], index[0, 1]])
         if not site.fits(xyz):
             continue
         visible = xyz[below_top_beam(xyz, sensors)]
@@ -208,11 +208,12 @@ def moved(survey: SurveyMap, T_new_old: Floats) -> SurveyMap:
 
 @dataclass(frozen=True)
 class Found:
-    """What became of one object: share of its points with the right label, and the common label."""
+    """What became of one object: share of its points with the right label, its common label and class."""
 
     placed: Placed
     share: float
     label: str
+    semantic: str
 
     @property
     def hit(self) -> bool:
@@ -230,9 +231,9 @@ def look_up(
     for item in placed:
         near = tree.query(transform_points(T_after_map, item.xyz))[1]
         labels = cloud.fields["change"][near]
-        codes, counts = np.unique(labels, return_counts=True)
-        common = Change(int(codes[counts.argmax()]))
-        found.append(Found(item, float((labels == change).mean()), common.label))
+        label = Change(int(np.bincount(labels).argmax())).label
+        semantic = Semantic(int(np.bincount(cloud.fields["semantic"][near]).argmax())).label
+        found.append(Found(item, float((labels == change).mean()), label, semantic))
     return found
 
 

@@ -7,13 +7,12 @@ report a change where there is none, 0.2 and 0.3 on 1000 m2. The bounds below le
 
 from __future__ import annotations
 
+import logging
 from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.spatial.transform import Rotation
-
 from real_data import read_kitti, write_kitti_bag
 from real_street import (
     Found,
@@ -28,6 +27,8 @@ from real_street import (
     read_objects,
     with_objects,
 )
+from scipy.spatial.transform import Rotation
+
 from subiaco_bringup.cli.main import run
 from subiaco_change.config import ChangeConfig
 from subiaco_change.pipeline import detect_changes
@@ -37,10 +38,13 @@ from subiaco_geo.frames import Floats, invert_pose, make_pose
 from subiaco_geo.maps import SurveyMap, read_map
 from subiaco_geo.trajectories import Trajectory
 
+LOGGER = logging.getLogger(__name__)
+
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
 #: Objects of DALES that are low and small enough for the street, in the order in which they are put there.
-OBJECTS = "018 110 126 132 180 186 190 120 402 412 438 454 458 374 354 292 268 206 040".split()
+OBJECTS = ["018", "110", "126", "132", "180", "186", "190", "120", "402", "412", "438", "454", "458"]
+OBJECTS += ["374", "354", "292", "268", "206", "040"]
 SEED = 1
 
 #: The frame of *after* in that of *before*: what registration has to find.
@@ -79,9 +83,10 @@ def test_trajectory_of_the_drive_agrees_with_the_reference_poses(
     poses = invert_pose(survey.trajectory.poses[0]) @ survey.trajectory.poses
     away = np.linalg.norm(poses[:, :3, 3] - reference[:, :3, 3], axis=1)
     turn = Rotation.from_matrix(np.swapaxes(reference[:, :3, :3], 1, 2) @ poses[:, :3, :3])
-    print(f"largest difference {away.max():.3f} m, {np.degrees(turn.magnitude()).max():.3f} deg")
+    degrees = float(np.degrees(turn.magnitude()).max())
+    LOGGER.info("largest difference %.3f m, %.3f deg", away.max(), degrees)
     assert away.max() < 0.10
-    assert np.degrees(turn.magnitude()).max() < 0.20
+    assert degrees < 0.20
 
 
 @dataclass(frozen=True)
@@ -119,18 +124,16 @@ def street(survey: SurveyMap, shared_data: Path) -> Street:
 
 
 def describe(found: list[Found], alarms: list[str], area: float) -> None:
-    """Print what the docs quote (pytest -s)."""
+    """Log what docs/real-data.md quotes (pytest --log-cli-level=INFO)."""
     for item in found:
         size = " x ".join(f"{s:.1f}" for s in item.placed.size)
-        print(
-            f"{item.placed.kind:9s}{item.placed.name}  {size} m  {item.share:.2f} {item.label}"
-            f"{'' if item.hit else '  missed'}"
-        )
-    hits = sum(item.hit for item in found)
-    print(
-        f"found {hits} of {len(found)}; false alarms {len(alarms)}, {1000 * len(alarms) / area:.2f} on 1000 m2"
-    )
-    print("\n".join(alarms))
+        outcome = "found" if item.hit else "missed"
+        placed = f"{item.placed.kind} {item.placed.name}, {size} m"
+        LOGGER.info("%s: %s, %.2f of it; %s %s", placed, outcome, item.share, item.semantic, item.label)
+    hits, rate = sum(item.hit for item in found), 1000 * len(alarms) / area
+    LOGGER.info("found %d of %d; false alarms: %d, %.2f on 1000 m2", hits, len(found), len(alarms), rate)
+    for alarm in alarms:
+        LOGGER.info("false alarm: %s", alarm)
 
 
 def registration_error(result: ChangeResult) -> tuple[float, float]:

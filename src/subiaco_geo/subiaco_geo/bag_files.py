@@ -66,7 +66,7 @@ def find_storage(path: Path) -> Path:
 
 
 def sequence_name(path: Path) -> str:
-    """Return the name of a bag's sequence: its own without ``.mcap``, or that of the folder around ``bag/``."""
+    """Return the name of a bag's sequence: its own without ``.mcap``, or the folder's around ``bag/``."""
     path = Path(path).resolve()
     return path.parent.name if path.name == "bag" else path.name.removesuffix(".mcap")
 
