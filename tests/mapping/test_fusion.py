@@ -117,3 +117,24 @@ def test_ground_heights_of_a_slope_with_houses_are_those_of_the_slope() -> None:
     assert len(table) == 9
     np.testing.assert_allclose(table[:, 2], 5.0 + 0.03 * (table[:, 0] - 388000.0), atol=0.06)
     np.testing.assert_allclose(table[:, 4], np.arctan(0.03), atol=0.005)
+
+
+def test_a_tile_without_enough_ground_has_neither_height_nor_tilt() -> None:
+    rng = np.random.default_rng(12)
+    street = np.column_stack([rng.uniform(0, 20, (4000, 2)), np.full(4000, 3.0)])
+    roof = np.column_stack([rng.uniform(20, 40, 4000), rng.uniform(0, 20, 4000), np.zeros(4000)])
+    roof[:, 2] = 6.0 + 0.6 * (roof[:, 0] - 20.0)
+    few = np.column_stack([rng.uniform(40, 43, (300, 2)) - [0, 40], rng.uniform(2, 9, 300)])
+    table = height_table(PointCloud(np.vstack([street, roof, few]), origin=np.zeros(3)), 20.0)
+    np.testing.assert_allclose(table[:, 0], [10.0, 30.0, 50.0])
+    assert table[0, 2] == pytest.approx(3.0)
+    assert table[0, 4] == pytest.approx(0.0, abs=1e-9)
+    assert np.isnan(table[1:, [2, 4]]).all()
+
+
+def test_a_strip_of_ground_gives_a_height_but_no_tilt() -> None:
+    rng = np.random.default_rng(13)
+    strip = np.column_stack([rng.uniform(0, 20, 4000), rng.uniform(0, 5, 4000), rng.normal(2.0, 0.01, 4000)])
+    (row,) = height_table(PointCloud(strip, origin=np.zeros(3)), 20.0)
+    assert row[2] == pytest.approx(2.0, abs=0.03)
+    assert np.isnan(row[4])

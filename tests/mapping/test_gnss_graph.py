@@ -14,6 +14,7 @@ from subiaco_mapping import gnss
 from subiaco_mapping.backend import MappingBackend
 from subiaco_mapping.config import GnssConfig, MappingConfig
 from subiaco_mapping.graph import gravity_priors
+from subiaco_mapping.manifest import describe_fixes
 from subiaco_mapping.measurements import DeskewedScan, Extrinsics, GnssFix, OdometryPose
 
 FRAME = EnuFrame(-31.948, 115.825, 12.0)
@@ -203,3 +204,36 @@ def test_white_errors_are_not_inflated() -> None:
     assert gnss.correlation_inflation(times, GnssConfig(correlation_time=0.0)) == 1.0
     assert gnss.correlation_inflation(times, GnssConfig(correlated_share=0.0)) == 1.0
     assert gnss.correlation_inflation(times[:1], GnssConfig()) == 1.0
+
+
+def test_the_manifest_tells_the_residuals_of_every_rtk_state(tmp_path: Path) -> None:
+    status = np.array([2, 2, 1, 0])
+    residuals = np.array([[0.03, 0.04, 0.0], [0.03, 0.04, 0.0], [0.0, 0.3, 0.4], [1.0, 0.0, 2.0]])
+    found = describe_fixes(status, [2, 2, 2, 1, 0], residuals, np.array([1.0, 0.1, 1.0, 1.0]))
+    assert found["fixed"] == {
+        "received": 3,
+        "used": 2,
+        "downweighted": 1,
+        "rmse_horizontal_m": 0.05,
+        "rmse_vertical_m": 0.0,
+    }
+    assert (found["float"]["rmse_horizontal_m"], found["float"]["rmse_vertical_m"]) == (0.3, 0.4)
+    assert found["single"]["used"] == 1
+
+
+def test_every_key_of_the_manifest_is_explained(tmp_path: Path) -> None:
+    backend, truth = drive(tmp_path)
+    add_fixes(backend, truth)
+    manifest = backend._manifest(backend.optimize())
+    names = {"sequences", "drive", "gyro", "packets", "fixed", "legend"}
+
+    def keys(part: object) -> set[str]:
+        if isinstance(part, list):
+            return set().union(*(keys(item) for item in part))
+        if not isinstance(part, dict):
+            return set()
+        return set(part).union(*(keys(item) for item in part.values()))
+
+    legend = manifest.pop("legend")
+    assert keys(manifest) - names <= set(legend)
+    assert {"packet_loss", "without_rtk_fixed", "variance_inflation"} <= set(legend)

@@ -56,9 +56,7 @@ class FakeBackend:
         poses = np.array([pose.T_odom_lidar for pose, _ in self.taken])
         covariance = np.zeros((len(stamps), 6, 6))
         used = len(self.fixes)
-        sequence = SequenceSolution(
-            self.sequences[0][0], stamps, poses, covariance, np.eye(4), used, 0, 0, 0, 0.01
-        )
+        sequence = SequenceSolution(self.sequences[0][0], stamps, poses, covariance, np.eye(4), used, 0, 0, 0)
         return GraphSolution((sequence,), ENU if self.crs else None, None if self.crs else "no fix")
 
     def build_map(self, progress: Any = None, inputs: Any = None) -> SurveyMap:

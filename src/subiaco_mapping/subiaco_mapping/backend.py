@@ -23,7 +23,7 @@ from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.fusion import VoxelAccumulator, add_scan, fused_cloud, walked_beams
 from subiaco_mapping.graph import Chain, ChainSolution, GnssPriors, gravity_priors, solve
 from subiaco_mapping.heights import height_table
-from subiaco_mapping.manifest import describe_sequence
+from subiaco_mapping.manifest import LEGEND, describe_fixes, describe_sequence
 from subiaco_mapping.measurements import DeskewedScan, Extrinsics, GnssFix, OdometryPose
 from subiaco_mapping.projection import Projection
 from subiaco_mapping.spool import Spool
@@ -76,8 +76,10 @@ class SequenceSolution:
     T_local_odom : (4, 4) float64
         At the newest scan: what carries fresh odometry over.
     fixes_used, fixes_refused, fixes_unattached, fixes_downweighted : int
-    gnss_rmse : float
-        Antenna against fixes [m], NaN without GNSS.
+    gnss_states : dict
+        Counts and residuals by RTK state, see :func:`subiaco_mapping.manifest.describe_fixes`.
+    gnss_inflation : float
+        Of the fixes' variance.
     """
 
     name: str
@@ -89,7 +91,8 @@ class SequenceSolution:
     fixes_refused: int
     fixes_unattached: int
     fixes_downweighted: int
-    gnss_rmse: float
+    gnss_states: dict[str, Any] = field(default_factory=dict)
+    gnss_inflation: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -267,7 +270,8 @@ class MappingBackend:
     @staticmethod
     def _summary(sequence: _Sequence, chain: Chain, solution: ChainSolution) -> SequenceSolution:
         used = len(solution.residuals)
-        square = (solution.residuals**2).sum(axis=1)
+        status = np.zeros(0, dtype=np.int64) if chain.gnss is None else chain.gnss.status
+        received = [fix.status for fix in sequence.fixes]
         return SequenceSolution(
             name=sequence.name,
             stamps_ns=chain.stamps_ns,
@@ -278,7 +282,8 @@ class MappingBackend:
             fixes_refused=sequence.refused_fixes,
             fixes_unattached=len(sequence.fixes) - used if chain.gnss is not None else len(sequence.fixes),
             fixes_downweighted=int((solution.weights < 0.3).sum()),
-            gnss_rmse=float(np.sqrt(square.mean())) if used else float("nan"),
+            gnss_states=describe_fixes(status, received, solution.residuals, solution.weights),
+            gnss_inflation=1.0 if chain.gnss is None else chain.gnss.inflation,
         )
 
     def build_map(
@@ -388,7 +393,8 @@ class MappingBackend:
                 "refused": solved.fixes_refused,
                 "unattached": solved.fixes_unattached,
                 "downweighted": solved.fixes_downweighted,
-                "rmse_m": None if np.isnan(solved.gnss_rmse) else round(solved.gnss_rmse, 4),
+                "variance_inflation": round(solved.gnss_inflation, 1),
+                "states": solved.gnss_states,
             }
             facts["dropped_points"] = sequence.dropped_points
             described[sequence.name] = {**facts, **sequence.facts}
@@ -396,6 +402,7 @@ class MappingBackend:
             "georeferenced": solution.frame is not None,
             "reason": solution.reason,
             "sequences": described,
+            "legend": LEGEND,
         }
 
 

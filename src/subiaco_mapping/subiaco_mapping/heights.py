@@ -8,7 +8,9 @@ from subiaco_geo.clouds import PointCloud
 from subiaco_geo.frames import Floats
 
 _CELL = 1.0
-_MIN_CELLS = 10
+_MIN_SHARE = 0.15  # of a tile's cells that must show ground
+_MIN_SPREAD = 0.15  # of the tile's edge: standard deviation of these cells along their narrow side
+_MAX_TILT = np.radians(20.0)  # steeper is a roof or a hedge, not ground
 _TUKEY = 0.3
 
 
@@ -38,6 +40,21 @@ def _robust_plane(xyz: Floats) -> tuple[Floats, Floats]:
     return plane, weight
 
 
+def _ground_of_tile(lowest: Floats, tile: float) -> tuple[float, int, float]:
+    """Return median ground height [m], ground cells and tilt [rad] of one tile; NaN where unknown."""
+    enough = max(_MIN_SHARE * (tile / _CELL) ** 2, 4)
+    if len(lowest) < enough:
+        return np.nan, 0, np.nan
+    plane, weight = _robust_plane(lowest)
+    ground = lowest[weight > 0]
+    tilt = float(np.arctan(np.hypot(plane[0], plane[1])))
+    if len(ground) < enough or tilt > _MAX_TILT:
+        return np.nan, len(ground), np.nan
+    narrow = np.sqrt(max(np.linalg.eigvalsh(np.cov(ground[:, :2].T))[0], 0.0))
+    held = narrow >= _MIN_SPREAD * tile
+    return float(np.median(ground[:, 2])), len(ground), tilt if held else np.nan
+
+
 def height_table(cloud: PointCloud, tile: float) -> Floats:
     """Fit the ground of every tile.
 
@@ -50,8 +67,9 @@ def height_table(cloud: PointCloud, tile: float) -> Floats:
     Returns
     -------
     (K, 5) float64
-        Columns of ``subiaco_geo.maps.HEIGHT_COLUMNS``; tiles with fewer than ten ground cells are
-        left out.
+        Columns of ``subiaco_geo.maps.HEIGHT_COLUMNS``, a row for every tile with points. Height and
+        tilt are NaN where too few of the tile's 1 m cells (15 %) show ground; the tilt alone is NaN
+        where these lie in a narrow strip that cannot hold a plane.
     """
     lowest = _lowest_of_cells(cloud.world())
     index = np.floor(lowest[:, :2] / tile).astype(np.int64)
@@ -60,11 +78,5 @@ def height_table(cloud: PointCloud, tile: float) -> Floats:
     for number, corner in enumerate(tiles):
         centre = (corner + 0.5) * tile
         local = lowest[member.ravel() == number] - np.append(centre, 0.0)
-        if len(local) < _MIN_CELLS:
-            continue
-        plane, weight = _robust_plane(local)
-        ground = local[weight > 0]
-        if len(ground) >= _MIN_CELLS:
-            tilt = np.arctan(np.hypot(plane[0], plane[1]))
-            rows.append([*centre, np.median(ground[:, 2]), len(ground), tilt])
+        rows.append([*centre, *_ground_of_tile(local, tile)])
     return np.array(rows, dtype=np.float64).reshape(-1, 5)

@@ -13,6 +13,81 @@ from subiaco_geo.frames import Floats, Ints
 from subiaco_mapping.config import ManifestConfig
 from subiaco_mapping.measurements import GnssFix, OdometryPose
 
+STATES = {2: "fixed", 1: "float", 0: "single"}
+
+#: What every key of the manifest means; written into it, so that its reader need not look elsewhere.
+LEGEND = {
+    "georeferenced": "GNSS placed the map in its CRS; false: local axes, first scan at the origin",
+    "reason": "why the map is local, empty where it is georeferenced",
+    "sequences": "one entry a recording, named after its bag",
+    "scans": "registered LiDAR turns; in packets: turns decoded",
+    "length_m": "way driven [m]",
+    "start_s": "first scan, UTC seconds since 1970",
+    "end_s": "last scan, UTC seconds since 1970",
+    "lost_columns": "LiDAR columns that never arrived",
+    "deskew": "scans by how motion inside them was removed: gyro, constant_velocity, none",
+    "segments": "stretches of unbroken odometry; 1 is right",
+    "flagged": "stretches that deserve a second look, by reason; empty is right",
+    "packet_loss": "flag: more LiDAR columns lost than manifest.max_lost_ratio",
+    "degenerate": "flag: the scene did not hold the position in some direction",
+    "unregistered": "flag: registration failed, the pose is predicted",
+    "segment_start": "flag: the odometry broke before this scan",
+    "without_gyro": "flag: deskewed by constant velocity, the IMU was missing",
+    "without_rtk_fixed": "flag: no RTK fixed solution within manifest.rtk_gap_ns",
+    "gnss": "fixes and how the map agrees with them",
+    "states": "fixes by RTK state: fixed, float, single",
+    "received": "fixes that came with this state",
+    "used": "fixes that act on the map",
+    "refused": "fixes without a solution or with NaN",
+    "unattached": "fixes before, after or in a gap of the scans",
+    "downweighted": "fixes that the robust kernel left less than 30 % of their weight",
+    "rmse_horizontal_m": "antenna on the map against the fixes used, horizontal [m]",
+    "rmse_vertical_m": "the same, vertical [m]",
+    "variance_inflation": "how many times less a fix weighs because its neighbours share its error",
+    "dropped_points": "points that were not finite",
+    "packets": "LiDAR packets of the whole recording: received, lost, late, duplicate, malformed",
+    "dropped_scans": "scans without points or out of order",
+    "imu_out_of_order": "IMU samples that were not newer than the one before",
+    "gyro_bias": "subtracted from the gyro, x y z [rad/s]",
+}
+
+
+def describe_fixes(
+    status: Ints, received: Sequence[int], residuals: Floats, weights: Floats
+) -> dict[str, dict[str, Any]]:
+    """Return counts and residuals by RTK state.
+
+    Parameters
+    ----------
+    status : (N,) int64
+        Of the fixes used.
+    received : sequence of int
+        States of all usable fixes.
+    residuals : (N, 3) float64
+        Antenna minus fix, east north up [m].
+    weights : (N,) float64
+        What the robust kernel left.
+    """
+    found = {}
+    for number, name in STATES.items():
+        chosen = np.minimum(status, 2) == number
+        count = sum(min(state, 2) == number for state in received)
+        if count == 0:
+            continue
+        square = (residuals[chosen] ** 2).mean(axis=0) if chosen.any() else np.full(3, np.nan)
+        found[name] = {
+            "received": count,
+            "used": int(chosen.sum()),
+            "downweighted": int((weights[chosen] < 0.3).sum()),
+            "rmse_horizontal_m": _rounded(np.sqrt(square[0] + square[1])),
+            "rmse_vertical_m": _rounded(np.sqrt(square[2])),
+        }
+    return found
+
+
+def _rounded(value: float) -> float | None:
+    return None if np.isnan(value) else round(float(value), 4)
+
 
 def stretches(flags: NDArray[np.bool_], stamps_ns: Ints, positions: Floats) -> list[dict[str, Any]]:
     """Return start, end [UTC s] and length [m] of every run of flagged scans (S,)."""
@@ -76,6 +151,5 @@ def describe_sequence(
         "lost_columns": int(lost.sum()),
         "deskew": dict(Counter(modes)),
         "segments": int(segments[-1] - segments[0] + 1),
-        "gnss_states": {str(k): v for k, v in sorted(Counter(fix.status for fix in fixes).items())},
         "flagged": found,
     }
