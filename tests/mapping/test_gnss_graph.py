@@ -12,7 +12,7 @@ from subiaco_geo.errors import InputError
 from subiaco_geo.frames import exp_se3, make_pose
 from subiaco_mapping import gnss
 from subiaco_mapping.backend import MappingBackend
-from subiaco_mapping.config import GnssConfig, MappingConfig
+from subiaco_mapping.config import GnssConfig, GraphConfig, MappingConfig
 from subiaco_mapping.graph import gravity_priors
 from subiaco_mapping.manifest import describe_fixes
 from subiaco_mapping.measurements import DeskewedScan, Extrinsics, GnssFix, OdometryPose
@@ -22,7 +22,8 @@ LEVER = np.array([-0.4, 0.3, 0.9])
 T_BASE_LIDAR = make_pose(Rotation.from_euler("xyz", [2, 5, 30], degrees=True).as_matrix(), [0.3, 0.0, 1.9])
 EXTRINSICS = Extrinsics(T_BASE_LIDAR, None, T_BASE_LIDAR[:3, :3] @ LEVER + T_BASE_LIDAR[:3, 3])
 STEP = SECOND // 10
-CONFIG = MappingConfig(gnss=GnssConfig(correlated_share=0.0))  # errors here are white
+# errors here are white, of fixes and of odometry steps
+CONFIG = MappingConfig(gnss=GnssConfig(correlated_share=0.0), graph=GraphConfig(drift_share=1.0))
 
 
 def truth_poses(count: int) -> np.ndarray:

@@ -261,6 +261,7 @@ class MappingBackend:
             stamps_ns=stamps_ns,
             T_odom_lidar=poses,
             covariance=np.array([pose.covariance for pose in sequence.poses]),
+            held=np.array([not (pose.degenerate or pose.predicted) for pose in sequence.poses]),
             segment=np.array([pose.segment for pose in sequence.poses], dtype=np.int64),
             T_world_odom=T_world_odom,
             gnss=priors,

@@ -123,8 +123,11 @@ class GraphConfig(StrictModel):
     max_iterations: int = Field(50, ge=1, description="Levenberg-Marquardt iterations")
     sigma_gravity: float = Field(0.01, gt=0, description="attitude from one window of accelerometer [rad]")
     gravity_window_ns: int = Field(1_000_000_000, gt=0, description="length of such a window [ns]")
-    sigma_jitter: float = Field(
-        0.012, ge=0, description="of one scan against its neighbours, not handed on by the chain [m]"
+    drift_share: float = Field(
+        0.1,
+        gt=0,
+        le=1,
+        description="share of a registration's variance that the chain hands on; rest: jitter",
     )
     covariance_stride: int = Field(10, ge=1, description="poses between two marginal covariances")
     segment_sigma_translation: float = Field(20.0, gt=0, description="between two segments [m]")

@@ -9,6 +9,7 @@ from typing import Any, TypeAlias
 
 import gtsam
 import numpy as np
+from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from subiaco_geo.errors import SubiacoError
@@ -66,6 +67,8 @@ class Chain:
     T_odom_lidar : (S, 4, 4) float64
     covariance : (S, 6, 6) float64
         Of the motion from the scan before; the first is not used.
+    held : (S,) bool
+        Registered, and no direction is free.
     segment : (S,) int64
     T_world_odom : (4, 4) float64
         First guess of the placement.
@@ -76,6 +79,7 @@ class Chain:
     stamps_ns: Ints
     T_odom_lidar: Floats
     covariance: Floats
+    held: NDArray[np.bool_]
     segment: Ints
     T_world_odom: Floats
     gnss: GnssPriors | None
@@ -148,10 +152,11 @@ def _robust(kernel: Any, covariance: Floats) -> Any:
 
 def _add_odometry(graph: Any, chain: Chain, offset: int, config: GraphConfig) -> None:
     broken = _diagonal(np.repeat([config.segment_sigma_rotation, config.segment_sigma_translation], 3))
+    covariance = _handed_on(chain, config)[:, None, None] * chain.covariance
     for k in range(1, len(chain)):
         motion = invert_pose(chain.T_odom_lidar[k - 1]) @ chain.T_odom_lidar[k]
         same = chain.segment[k] == chain.segment[k - 1]
-        noise = gtsam.noiseModel.Gaussian.Covariance(chain.covariance[k]) if same else broken
+        noise = gtsam.noiseModel.Gaussian.Covariance(covariance[k]) if same else broken
         graph.add(gtsam.BetweenFactorPose3(offset + k - 1, offset + k, gtsam.Pose3(motion), noise))
 
 
@@ -199,6 +204,29 @@ def _optimize(graph: Any, values: Any, config: GraphConfig) -> Any:
     return result
 
 
+def _handed_on(chain: Chain, config: GraphConfig) -> Floats:
+    """Return the share (S,) of each registration's variance that later scans inherit.
+
+    Scans are registered to a local map of the last hundred metres, so that the error of one is
+    mostly its own: measured over 1, 10 and 100 scans of a simulated street it is 18, 29 and 27 mm
+    (x), where independent steps would give 18, 57 and 180 mm. Where the scene does not hold a
+    direction, or registration failed, the whole error goes on.
+    """
+    return np.where(chain.held, config.drift_share, 1.0)
+
+
+def _jitter(chain: Chain, config: GraphConfig) -> Floats:
+    """Return the covariance (S, 6, 6) of single scans about the chain: half of a motion's."""
+    rest = (1.0 - _handed_on(chain, config))[:, None, None]
+    return np.asarray(0.5 * rest * chain.covariance)
+
+
+def _in_world(poses: Floats, covariance: Floats) -> Floats:
+    turn = np.zeros((len(poses), 6, 6))
+    turn[:, :3, :3] = turn[:, 3:, 3:] = poses[:, :3, :3]
+    return np.asarray(turn @ covariance @ np.swapaxes(turn, 1, 2))
+
+
 def _world_covariances(graph: Any, values: Any, poses: Floats, offset: int, stride: int) -> Floats:
     """Return marginals (S, 6, 6) in world axes, every ``stride``-th solved, the rest interpolated."""
     count = len(poses)
@@ -211,9 +239,7 @@ def _world_covariances(graph: Any, values: Any, poses: Floats, offset: int, stri
         raise SubiacoError(
             f"pose graph: a pose is not determined ({first}); check GNSS and extrinsics"
         ) from error
-    turn = np.zeros((len(solved), 6, 6))
-    turn[:, :3, :3] = turn[:, 3:, 3:] = poses[solved, :3, :3]
-    world = (turn @ blocks @ np.swapaxes(turn, 1, 2)).reshape(len(solved), 36)
+    world = _in_world(poses[solved], blocks).reshape(len(solved), 36)
     rows = [np.interp(np.arange(count), solved, world[:, i]) for i in range(36)]
     return np.stack(rows, axis=1).reshape(count, 6, 6)
 
@@ -253,7 +279,7 @@ def solve(chains: Sequence[Chain], config: GraphConfig, gnss_kernel: float) -> l
     for chain in chains:
         poses = np.array([values.atPose3(offset + k).matrix() for k in range(len(chain))])
         covariance = _world_covariances(graph, values, poses, offset, config.covariance_stride)
-        covariance[:, range(3, 6), range(3, 6)] += config.sigma_jitter**2
+        covariance += _in_world(poses, _jitter(chain, config))
         solutions.append(ChainSolution(poses, covariance, *_gnss_residuals(chain, poses, gnss_kernel)))
         offset += len(chain)
     return solutions
