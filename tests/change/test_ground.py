@@ -90,3 +90,33 @@ def test_real_reference_samples_are_filtered_with_little_error(shared_data):
     model = fit_ground(local, GroundConfig())
     found = abs(local[:, 2] - model.height(local[:, :2])) < 0.5
     assert (found != is_ground).mean() < 0.08
+
+
+def test_a_house_at_the_end_of_what_was_seen_is_no_ground():
+    rng = np.random.default_rng(4)
+    street = np.column_stack([rng.uniform([-30, -8], [30, 0], (30_000, 2)), rng.normal(0, 0.015, 30_000)])
+    roof = np.column_stack([rng.uniform([-30, 2], [-8, 12], (12_000, 2)), rng.normal(3, 0.015, 12_000)])
+    model = fit_ground(np.concatenate([street, roof]), GroundConfig())
+    assert abs(model.height(roof[:, :2])).max() < 0.3
+
+
+@pytest.mark.parametrize("slope", [0.2, 0.35])
+def test_houses_fall_off_a_steep_hill_and_the_hill_stays(slope):
+    xyz = plane(slope, seed=5)
+    house = (abs(xyz[:, 0]) < 5) & (abs(xyz[:, 1]) < 5)
+    xyz[house, 2] = 5 * slope + 4
+    model = fit_ground(xyz, GroundConfig())
+    residual = xyz[:, 2] - model.height(xyz[:, :2])
+    inner = (abs(xyz[:, :2]) < 23).all(axis=1) & ~house
+    assert (abs(residual[inner]) < 0.15).mean() > 0.99
+    assert residual[house].min() > 2
+
+
+def test_ground_seen_through_gaps_in_leaves_is_kept_and_a_lone_ghost_below_is_not():
+    rng = np.random.default_rng(6)
+    xyz = plane(0.02, seed=6)
+    xyz[rng.random(len(xyz)) < 0.995, 2] += 5
+    ghost = np.array([[3.0, 3.0, -4.0]])
+    model = fit_ground(np.concatenate([xyz, ghost]), GroundConfig())
+    places = rng.uniform(-20, 20, (200, 2))
+    assert model.height(places) == pytest.approx(0.02 * places[:, 0], abs=0.25)

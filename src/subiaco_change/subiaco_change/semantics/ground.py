@@ -13,6 +13,8 @@ from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
 
+_ABSENT = 1e9  # height of a cell that nobody saw [m]
+
 Mask = NDArray[np.bool_]
 
 
@@ -31,12 +33,18 @@ class GroundConfig(StrictModel):
     step: float = Field(
         0.30, gt=0, description="height above the opened surface that a kerb or drive may have [m]"
     )
-    low_outlier: float = Field(
-        0.8, gt=0, description="depth below the neighbours at which a cell is noise [m]"
+    slope_reach: float = Field(4.0, gt=0, description="largest radius over which the slope may add up [m]")
+    trend: float = Field(4.0, gt=0, description="smoothing of the slope that is taken out [m]")
+    thin_step: float = Field(
+        0.07, gt=0, description="the same for each cell of radius: feet of walls are thin and low [m]"
     )
+    low_outlier: float = Field(
+        0.8, gt=0, description="depth below all cells around at which a cell is noise [m]"
+    )
+    low_reach: float = Field(4.0, gt=0, description="radius of these surroundings [m]")
     refit_band: float = Field(0.30, gt=0, description="points this near the first surface refit it [m]")
     max_spread: float = Field(
-        0.07, gt=0, description="spread of heights in a cell beyond which it is no ground [m]"
+        0.06, gt=0, description="spread of heights in a cell beyond which it is no ground [m]"
     )
     support: float = Field(
         4.0, gt=0, description="farthest a ground cell may be for a height to count as known [m]"
@@ -158,23 +166,46 @@ def fill_gaps(raster: Floats) -> Floats:
 
 
 def _reject_low(lowest: Floats, config: GroundConfig) -> Floats:
-    """Remove single cells far below their surroundings (multipath, basements seen through grates)."""
-    filled = fill_gaps(lowest)
-    closed = ndimage.grey_closing(filled, size=(5, 5), mode="nearest")
-    return np.where(closed - filled > config.low_outlier, np.nan, lowest)
+    """Remove cells far below all others around (multipath, cellars seen through grates).
+
+    Ground seen through leaves is a pit too, but other pits as deep are near it.
+    """
+    seen = np.where(np.isfinite(lowest), lowest, _ABSENT)
+    reach = max(2, round(config.low_reach / config.cell))
+    ring = np.ones((2 * reach + 1, 2 * reach + 1), dtype=bool)
+    ring[reach - 1 : reach + 2, reach - 1 : reach + 2] = False
+    around = ndimage.minimum_filter(seen, footprint=ring, mode="constant", cval=_ABSENT)
+    return np.where((around < _ABSENT) & (around - seen > config.low_outlier), np.nan, lowest)
 
 
 def _progressive_filter(lowest: Floats, config: GroundConfig) -> Mask:
-    """Tell which cells (rows, columns) hold ground: openings of growing radius, as SMRF does."""
+    """Tell which cells (rows, columns) hold ground: openings twice, then without the slope."""
+    first = _openings(lowest, config)
+    if not first.any():
+        return first
+    filled = fill_gaps(np.where(first, lowest, np.nan))
+    slope = ndimage.gaussian_filter(filled, config.trend / config.cell, mode="nearest")
+    return _openings(lowest - slope, config)
+
+
+def _openings(lowest: Floats, config: GroundConfig) -> Mask:
+    """Tell which cells survive openings of growing radius, as in SMRF.
+
+    Unseen cells take no part: a roof at the end of what was seen then stands above all seen cells
+    in reach, and falls, where a surface filled in behind it would have kept it.
+    """
     known = np.isfinite(lowest)
-    surface = _fill_nearest(lowest)
+    surface = np.where(known, lowest, _ABSENT)
     obstacle = np.zeros(surface.shape, dtype=bool)
-    largest = max(1, round(config.max_window / config.cell))
-    for radius in _radii(largest):
-        opened = ndimage.grey_opening(surface, size=(2 * radius + 1, 2 * radius + 1), mode="nearest")
-        limit = config.step + config.slope * min(radius * config.cell, 4.0)
-        obstacle |= surface - opened > limit
-        surface = opened
+    for radius in _radii(max(1, round(config.max_window / config.cell))):
+        size = 2 * radius + 1
+        eroded = ndimage.minimum_filter(surface, size, mode="constant", cval=_ABSENT)
+        low = np.where(known, eroded, -_ABSENT)
+        opened = ndimage.maximum_filter(low, size, mode="constant", cval=-_ABSENT)
+        reach = radius * config.cell
+        limit = min(config.step, config.thin_step * radius) + config.slope * min(reach, config.slope_reach)
+        obstacle |= known & (surface - opened > limit)
+        surface = np.where(known, opened, _ABSENT)
     return np.asarray(known & ~obstacle)
 
 
@@ -186,17 +217,13 @@ def _radii(largest: int) -> list[int]:
     return radii
 
 
-def _fill_nearest(raster: Floats) -> Floats:
-    index = ndimage.distance_transform_edt(np.isnan(raster), return_distances=False, return_indices=True)
-    return np.asarray(raster[tuple(index)])
-
-
 def _refit(
     xyz: Floats, flat: NDArray[np.int64], surface: Floats, is_ground: Mask, config: GroundConfig
 ) -> tuple[Floats, Mask]:
     """Move the low surface to the mean of the points near it: the lowest of many is biased by noise."""
     low = surface.ravel()[flat]
     near = (np.abs(xyz[:, 2] - low) < config.refit_band) & is_ground.ravel()[flat]
+    near &= ~_foot_of_wall(xyz[:, 2] - low, flat, surface.size, config)[flat]
     for _ in range(2):
         mean, spread = _cell_moments(xyz[near, 2], flat[near], surface.size)
         near &= np.abs(xyz[:, 2] - mean[flat]) < 0.5 * config.refit_band
@@ -204,6 +231,13 @@ def _refit(
     mean, _ = _cell_moments(xyz[near, 2], flat[near], surface.size)
     mean = mean.reshape(surface.shape)
     return fill_gaps(mean), np.isfinite(mean)
+
+
+def _foot_of_wall(above: Floats, flat: NDArray[np.int64], size: int, config: GroundConfig) -> Mask:
+    """Tell which cells (size,) go on upwards: as many points in the next metre as near the lowest."""
+    near = np.bincount(flat[above < config.refit_band], minlength=size)
+    higher = (above >= config.refit_band) & (above < config.refit_band + 1.0)
+    return np.bincount(flat[higher], minlength=size) > np.maximum(near, 1)
 
 
 def _cell_moments(z: Floats, flat: NDArray[np.int64], size: int) -> tuple[Floats, Floats]:

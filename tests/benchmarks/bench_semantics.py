@@ -1,0 +1,278 @@
+"""Per-class figures of the labels on real and simulated points, beside plain threshold rules; time per step.
+
+    python tests/benchmarks/bench_semantics.py oakland-tune oakland-report
+    python tests/benchmarks/bench_semantics.py sim --surveys out/sim1 out/sim2
+    python tests/benchmarks/bench_semantics.py speed --surveys out/sim1
+
+What was used to choose constants ends in ``-tune`` and is never reported as a result: Oakland aj, ak, al; ISPRS
+12, 21, 31; the first IGN tile; simulated seeds from 101. Real data: ``../shared/data`` or $SUBIACO_TEST_DATA.
+"""
+
+from __future__ import annotations
+
+import argparse
+import gzip
+import os
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from subiaco_change.records import Semantic
+from subiaco_change.semantics.classes import SemanticResult, SemanticsConfig, label_points
+from subiaco_change.semantics.features import FeatureConfig, compute_features
+from subiaco_change.semantics.instances import InstanceConfig, segment
+from subiaco_geo.clouds import (
+    PointCloud,
+    from_world,
+    sort_spatially,
+    voxel_downsample,
+    voxel_indices,
+    voxel_keys,
+)
+
+LEAF = 0.25
+UNKNOWN = 255
+NAMES = [s.label for s in Semantic]
+DATA = Path(os.environ.get("SUBIACO_TEST_DATA", Path(__file__).resolve().parents[3] / "shared" / "data"))
+
+
+@dataclass(frozen=True)
+class Sample:
+    """A cloud with the true class (N,) uint8 of every point, 255 where nobody knows, and its true object."""
+
+    name: str
+    cloud: PointCloud
+    truth: NDArray[np.uint8]
+    objects: NDArray[np.int64] | None = None
+
+
+def thin(name: str, cloud: PointCloud, truth: NDArray[np.uint8], objects: NDArray[np.int64] | None) -> Sample:
+    """Reduce to the working leaf; a voxel has the class of most of its points."""
+    keys, inverse = np.unique(voxel_keys(voxel_indices(cloud.xyz, LEAF)), return_inverse=True)
+    votes = np.zeros((len(keys), 6), dtype=np.int32)
+    np.add.at(votes, (inverse, np.where(truth == UNKNOWN, 5, truth)), 1)
+    winner = votes.argmax(axis=1)
+    members = None
+    if objects is not None:
+        agrees = np.flatnonzero(truth == winner[inverse])
+        members = np.full(len(keys), -1, dtype=np.int64)
+        members[inverse[agrees]] = objects[agrees]
+    return Sample(
+        name, voxel_downsample(cloud, LEAF), np.where(winner == 5, UNKNOWN, winner).astype(np.uint8), members
+    )
+
+
+def oakland(*parts: str) -> Sample:
+    """Street of Oakland part 3: joined pieces of one drive."""
+    files = [DATA / "oakland_mls" / f"oakland_part3_{p}.xyz_label_conf.gz" for p in parts]
+    rows = np.concatenate([np.loadtxt(gzip.open(f)) for f in files])
+    code = rows[:, 3].astype(int)
+    truth = np.full(len(rows), UNKNOWN, dtype=np.uint8)
+    family = code // 100
+    for hundred, semantic in ((11, 4), (12, 0), (13, 2), (14, 1), (15, 3)):
+        truth[family == hundred] = semantic
+    truth[code == 1301] = 0  # grass
+    return thin("oakland " + "+".join(parts), from_world(rows[:, :3]), truth, None)
+
+
+def ign(tile: str) -> Sample:
+    """Airborne tile of the IGN: no walls; unclassified points (cars among them) are left out."""
+    import laspy
+
+    las = laspy.read(DATA / "ign_lidarhd" / f"test_data_{tile}_LA93_IGN69.laz")
+    code = np.asarray(las.classification)
+    truth = np.full(len(code), UNKNOWN, dtype=np.uint8)
+    for number, semantic in ((2, 0), (3, 2), (4, 2), (5, 2), (6, 1)):
+        truth[code == number] = semantic
+    return thin(f"ign {tile}", from_world(las.xyz), truth, None)
+
+
+def isprs(number: int) -> Sample:
+    """Airborne filter sample, all returns, not thinned (about a point a square metre); ground or not (other)."""
+    everything, ground = (_float_pcd(f"samp{number}-utm{kind}") for kind in ("", "-ground"))
+    rows = [a.view([("", a.dtype)] * 3).ravel() for a in (everything, ground)]
+    truth = np.where(np.isin(*rows), 0, 4).astype(np.uint8)
+    return Sample(f"isprs {number}", from_world(everything.astype(np.float64)), truth)
+
+
+def _float_pcd(name: str) -> NDArray[np.float32]:
+    """Read a PCD of float x y z, which the package refuses: UTM northings in it step by 0.5 m."""
+    import open3d
+
+    with tempfile.NamedTemporaryFile(suffix=".pcd") as file:
+        file.write(gzip.decompress((DATA / "isprs_filter" / f"{name}.pcd.gz").read_bytes()))
+        file.flush()
+        cloud = open3d.t.io.read_point_cloud(file.name)
+    return np.ascontiguousarray(cloud.point.positions.numpy())
+
+
+def simulated(path: Path) -> Sample:
+    """Epoch *before* of a simulated survey with maps."""
+    with np.load(path / "before" / "truth" / "points.npz") as data:
+        xyz, truth, objects = data["xyz"], data["class"].astype(np.uint8), data["object"].astype(np.int64)
+    return thin(f"simulated {path.name}", from_world(xyz), truth, objects)
+
+
+SETS: dict[str, Callable[[], list[Sample]]] = {
+    "oakland-tune": lambda: [oakland("aj", "ak", "al")],
+    "oakland-report": lambda: [oakland("am", "an", "ao", "ap")],
+    "ign-tune": lambda: [ign("77050_627755")],
+    "ign-report": lambda: [ign("77050_627760"), ign("77055_627755")],
+    "isprs-tune": lambda: [isprs(n) for n in (12, 21, 31)],
+    "isprs-report": lambda: [isprs(n) for n in (11, 22, 23, 24)],
+}
+
+
+def threshold_rules(cloud: PointCloud) -> NDArray[np.uint8]:
+    """Plain thresholds of the paper's public code: 5 m cells, normals, their variance."""
+    order = sort_spatially(cloud.xyz)
+    xyz = cloud.xyz[order]
+    features = compute_features(xyz, FeatureConfig())
+    cell = np.unique(voxel_keys(voxel_indices(xyz * [1, 1, 0], 5.0)), return_inverse=True)[1]
+    by_cell = np.lexsort((xyz[:, 2], cell))
+    starts = np.searchsorted(cell[by_cell], np.arange(cell.max() + 1))
+    rank = starts + (0.05 * np.bincount(cell)).astype(int)
+    height = xyz[:, 2] - xyz[by_cell[rank], 2][cell]
+    level = np.abs(features.normals[:, 2])
+    variance = features.normals[features.neighbours].var(axis=1).sum(axis=1)
+    label = np.full(len(xyz), Semantic.OTHER, dtype=np.uint8)
+    label[(variance > 0.15) & (height > 0.5)] = Semantic.VEGETATION
+    label[(level < 0.25) & (height > 2.0)] = Semantic.BUILDING
+    label[(height < 0.3) & (level > 0.85)] = Semantic.GROUND
+    back = np.empty_like(label)
+    back[order] = label
+    return back
+
+
+def confusion(truth: NDArray[np.uint8], found: NDArray[np.uint8]) -> NDArray[np.int64]:
+    """Count (5, 5) points, rows true, columns found."""
+    known = truth != UNKNOWN
+    pair = truth[known].astype(np.int64) * 5 + found[known]
+    return np.bincount(pair, minlength=25).reshape(5, 5)
+
+
+def ious(matrix: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Intersection over union (5,) in percent; NaN for a class that is neither there nor found."""
+    union = matrix.sum(axis=0) + matrix.sum(axis=1) - np.diag(matrix)
+    return 100 * np.where(matrix.sum(axis=1) > 0, np.diag(matrix) / np.maximum(union, 1), np.nan)
+
+
+def panoptic(sample: Sample, semantic: NDArray[np.uint8], instance: NDArray[np.int32]) -> list[float]:
+    """Panoptic quality in percent of building, vegetation, mobile: sum of IoU over 0.5 / (TP + FP/2 + FN/2)."""
+    if sample.objects is None:
+        return []
+    values = []
+    for kind in (1, 2, 3):
+        mine = np.where((semantic == kind) & (instance >= 0), instance, -1)
+        yours = np.where((sample.truth == kind), sample.objects, -1)
+        ids, a = np.unique(mine, return_inverse=True)
+        names, b = np.unique(yours, return_inverse=True)
+        table = np.zeros((len(ids), len(names)), dtype=np.int64)
+        np.add.at(table, (a, b), 1)
+        union = table.sum(axis=1)[:, None] + table.sum(axis=0) - table
+        iou = (table / union)[ids >= 0][:, names >= 0]
+        size = table.sum(axis=0)[names >= 0]
+        matched = iou[iou > 0.5]
+        seen = (size >= 40) | (iou > 0.5).any(axis=0)  # a few stray returns are no object to be found
+        values.append(100 * matched.sum() / max(0.5 * (iou.shape[0] + seen.sum()), 1))
+    return values
+
+
+# ruff: noqa: T201
+def row(values: NDArray[np.float64]) -> str:
+    return " | ".join("–" if np.isnan(v) else f"{v:.1f}" for v in values)
+
+
+def report(samples: list[Sample], pictures: Path | None) -> None:
+    """Print one table row a sample and method, then the confusion of the labels over all samples."""
+    print(f"\n| sample | points | method | {' | '.join(NAMES)} | CPU s | PQ building, plant, vehicle |")
+    print("|---" * 10 + "|")
+    total = np.zeros((5, 5), dtype=np.int64)
+    for sample in samples:
+        plain = confusion(sample.truth, threshold_rules(sample.cloud))
+        start = time.process_time()
+        result = label_points(sample.cloud, SemanticsConfig())
+        instance = segment(sample.cloud, result, InstanceConfig())
+        spent = time.process_time() - start
+        matrix = confusion(sample.truth, result.semantic)
+        total += matrix
+        quality = ", ".join(f"{q:.0f}" for q in panoptic(sample, result.semantic, instance))
+        head = f"| {sample.name} | {len(sample.cloud)} |"
+        print(f"{head} ours | {row(ious(matrix))} | {spent:.1f} | {quality} |")
+        print(f"{head} plain rules | {row(ious(plain))} | | |")
+        if sample.name.startswith("isprs"):
+            print(f"  {sample.name}: total error {filter_errors(sample, result)}")
+        if pictures is not None:
+            draw(sample, result, pictures / f"{sample.name.replace(' ', '_')}.png")
+    print("confusion, rows true:\n" + str(total))
+
+
+def filter_errors(sample: Sample, result: SemanticResult) -> str:
+    """Ground or not: by the 0.5 m band around the model that filter comparisons use, and by our labels."""
+    is_ground = sample.truth == Semantic.GROUND
+    slope = result.ground.normal(sample.cloud.xyz[:, :2])[:, 2]
+    band = np.abs(result.height_above_ground) * slope < 0.5
+    label = result.semantic == Semantic.GROUND
+    text = []
+    for name, found in (("0.5 m band", band), ("labels", label)):
+        lost, won = (is_ground & ~found).mean(), (~is_ground & found).mean()
+        text.append(
+            f"{name} {100 * (lost + won):.1f} % (ground lost {100 * lost:.1f}, gained {100 * won:.1f})"
+        )
+    return "; ".join(text)
+
+
+COLOURS = np.array(
+    [[150, 130, 110], [220, 60, 50], [50, 150, 60], [40, 80, 220], [240, 190, 30], [200, 200, 200]]
+)
+
+
+def draw(sample: Sample, result: SemanticResult, path: Path) -> None:
+    """Truth, labels, and wrong points from above (highest point of each pixel)."""
+    import matplotlib.pyplot as plt
+
+    truth = np.where(sample.truth == UNKNOWN, 5, sample.truth)
+    wrong = (sample.truth != UNKNOWN) & (sample.truth != result.semantic)
+    figure, axes = plt.subplots(1, 3, figsize=(21, 8), sharex=True, sharey=True)
+    order = np.argsort(sample.cloud.xyz[:, 2])
+    x, y = sample.cloud.xyz[order, :2].T
+    shown = (
+        COLOURS[truth],
+        COLOURS[result.semantic],
+        np.where(wrong[:, None], COLOURS[result.semantic], 235),
+    )
+    for axis, colour, title in zip(
+        axes, shown, ("truth", "labels", "wrong, coloured as labelled"), strict=True
+    ):
+        axis.scatter(x, y, s=0.6, c=colour[order] / 255, linewidths=0)
+        axis.set(title=f"{sample.name}: {title}", aspect="equal")
+    figure.tight_layout()
+    path.parent.mkdir(parents=True, exist_ok=True)
+    figure.savefig(path, dpi=70)
+    plt.close(figure)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("sets", nargs="+", choices=[*SETS, "sim", "speed"])
+    parser.add_argument(
+        "--surveys", nargs="*", type=Path, default=[], help="outputs of subiaco simulate --maps-only"
+    )
+    parser.add_argument("--pictures", type=Path, help="folder for pictures of truth, labels and wrong points")
+    arguments = parser.parse_args()
+    for name in arguments.sets:
+        if name == "speed":
+            continue
+        samples = [simulated(p) for p in arguments.surveys] if name == "sim" else SETS[name]()
+        report(samples, arguments.pictures)
+
+
+if __name__ == "__main__":
+    main()
