@@ -182,8 +182,10 @@ class VisibilityAccumulator:
 
 
 @numba.njit(cache=True)
-def _stop(starts: Floats, ends: Floats, keys: Ints, skip: float) -> Floats:
-    """Move every end (voxel units) back to the first occupied voxel on its way."""
+def _stop(
+    starts: Floats, ends: Floats, keys: Ints, rows: NDArray[np.uint32], spans: Floats, skip: float
+) -> Floats:
+    """Move every end (voxel units) back to the first voxel on its way that it meets within its span."""
     stopped = ends.copy()
     for ray in range(len(starts)):
         direction = ends[ray] - starts[ray]
@@ -196,14 +198,21 @@ def _stop(starts: Floats, ends: Floats, keys: Ints, skip: float) -> Floats:
             p = starts[ray] + t * direction
             x, y, z = np.int64(np.floor(p[0])), np.int64(np.floor(p[1])), np.int64(np.floor(p[2]))
             key = ((x + _LIMIT) << 42) | ((y + _LIMIT) << 21) | (z + _LIMIT)
-            if keys[_slot(keys, key)] == key:
+            slot = _slot(keys, key)
+            if keys[slot] == key and spans[rows[slot], 0] <= p[2] <= spans[rows[slot], 1]:
                 stopped[ray] = p
                 break
     return stopped
 
 
 def stop_at_surfaces(
-    starts: Floats, ends: Floats, occupied: Ints, origin: Floats, voxel: float, skip: float = 1.0
+    starts: Floats,
+    ends: Floats,
+    occupied: Ints,
+    origin: Floats,
+    voxel: float,
+    skip: float = 1.0,
+    spans: Floats | None = None,
 ) -> Floats:
     """Shorten lines of sight to the first occupied voxel on their way.
 
@@ -219,6 +228,10 @@ def stop_at_surfaces(
         The grid [m].
     skip : float
         First stretch of a line in which nothing stops it [m].
+    spans : (M, 2) float64, optional
+        Lowest and highest world height of what is in each voxel [m]. A line that passes above or
+        below it goes on: else lines over the ground end far short of where they hit it. Without
+        spans a voxel is full.
 
     Returns
     -------
@@ -227,10 +240,12 @@ def stop_at_surfaces(
     """
     first, last = _beams(starts, ends, origin, voxel)
     table: Ints = np.full(1 << int(np.ceil(np.log2(2 * len(occupied) + 2))), _EMPTY, dtype=np.int64)
-    zeros = np.zeros(len(occupied), dtype=np.uint32)
-    counts = np.zeros((2, len(table)), dtype=np.uint32)
-    _reinsert(np.asarray(occupied, dtype=np.int64), zeros, zeros, table, counts[0], counts[1])
-    return np.asarray(_stop(first, last, table, skip / voxel) * voxel + origin)
+    numbers = np.arange(len(occupied), dtype=np.uint32)
+    rows = np.zeros((2, len(table)), dtype=np.uint32)
+    _reinsert(np.asarray(occupied, dtype=np.int64), numbers, numbers, table, rows[0], rows[1])
+    full = np.broadcast_to(np.array([-np.inf, np.inf]), (len(occupied), 2))
+    limits = np.ascontiguousarray(full if spans is None else (spans - origin[2]) / voxel)
+    return np.asarray(_stop(first, last, table, rows[0], limits, skip / voxel) * voxel + origin)
 
 
 def accumulate_visibility(

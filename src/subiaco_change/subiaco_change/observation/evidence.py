@@ -16,7 +16,7 @@ from subiaco_change.geometry import ColumnIndex, build_index, nearest
 from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError
-from subiaco_geo.frames import Floats
+from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.maps import SurveyMap
 from subiaco_geo.raywalk import accumulate_visibility, stop_at_surfaces
 from subiaco_geo.visibility import VisibilityGrid
@@ -25,6 +25,7 @@ _LOG = logging.getLogger(__name__)
 
 Flags = NDArray[np.bool_]
 Kind = Literal["observed", "trajectory", "shadow", "assumed"]
+_PAD = 0.05  # above and below the points of a voxel, a line of sight is stopped [m]
 
 
 class EvidenceConfig(StrictModel):
@@ -38,6 +39,9 @@ class EvidenceConfig(StrictModel):
     max_range: float = Field(60.0, gt=0, description="longest line of sight from a trajectory [m]")
     pose_spacing: float = Field(3.0, gt=0, description="distance between poses that look around [m]")
     views: int = Field(4, ge=1, description="poses from which a point is looked at")
+    view_step: int = Field(
+        3, ge=1, description="step through the poses nearest to a point: 3 takes the 1st, 4th, 7th ..."
+    )
     shadow_radius: float = Field(
         1.0, gt=0, description="without trajectory: points this near prove sight [m]"
     )
@@ -147,9 +151,9 @@ class Observer:
 def draw_lines_of_sight(world: Floats, positions: Floats, config: EvidenceConfig) -> VisibilityGrid:
     """Rebuild a visibility layer from the poses of a survey and its points.
 
-    Every occupied voxel is looked at from the nearest few poses; a line ends
-    at the first occupied voxel on its way, so nothing behind a surface is
-    ever called seen.
+    Every occupied voxel is looked at from a few poses around; a line ends
+    where it meets the points of another voxel on its way, so nothing behind a
+    surface is called seen.
 
     Parameters
     ----------
@@ -160,15 +164,28 @@ def draw_lines_of_sight(world: Floats, positions: Floats, config: EvidenceConfig
     config : EvidenceConfig
     """
     origin = np.floor(world.min(axis=0)) - 2.0 * config.voxel
-    keys, first = np.unique(voxel_keys(voxel_indices(world - origin, config.voxel)), return_index=True)
+    points = voxel_keys(voxel_indices(world - origin, config.voxel))
+    keys, first, voxel = np.unique(points, return_index=True, return_inverse=True)
     targets = world[first]
     poses = _spaced(positions, config.pose_spacing)
-    views = min(config.views, len(poses))
-    distance, pose = cKDTree(poses).query(targets, k=views, distance_upper_bound=config.max_range)
-    pairs = np.argwhere(np.isfinite(np.reshape(distance, (len(targets), views))))
-    starts = poses[np.reshape(pose, (len(targets), views))[pairs[:, 0], pairs[:, 1]]]
-    ends = stop_at_surfaces(starts, targets[pairs[:, 0]], keys, origin, config.voxel)
+    ranks = 1 + config.view_step * np.arange(config.views)
+    ranks = np.unique(np.minimum(ranks, len(poses)))
+    distance, pose = cKDTree(poses).query(targets, k=ranks, distance_upper_bound=config.max_range)
+    target, view = np.nonzero(np.isfinite(distance))
+    starts = poses[pose[target, view]]
+    spans = _height_spans(world[:, 2], voxel, len(keys))
+    ends = stop_at_surfaces(starts, targets[target], keys, origin, config.voxel, spans=spans)
+    # What holds a point was seen, whether or not one of the drawn lines gets there.
+    starts, ends = np.concatenate([starts, targets]), np.concatenate([ends, targets])
     return accumulate_visibility(starts, ends, origin, config.voxel)
+
+
+def _height_spans(height: Floats, voxel: Ints, count: int) -> Floats:
+    """Height (count, 2) from just below the lowest to just above the highest point of every voxel [m]."""
+    spans = np.tile([np.inf, -np.inf], (count, 1))
+    np.minimum.at(spans[:, 0], voxel, height)
+    np.maximum.at(spans[:, 1], voxel, height)
+    return spans + np.array([-_PAD, _PAD])
 
 
 def _spaced(positions: Floats, spacing: float) -> Floats:
