@@ -53,38 +53,56 @@ class NearestConfig(StrictModel):
     """Nearest-neighbour differencing against a level of detection."""
 
     lod_factor: float = Field(1.2, ge=0, description="gate as a multiple of the level of detection, paper")
-    minimum: float = Field(0.5, ge=0, description="smallest distance of a change [m]; the leaf spaces points")
+    minimum: float = Field(0.75, ge=0, description="smallest distance of a change [m]; tuned")
     radius: float = Field(1.0, gt=0, description="neighbourhood of the level of detection [m], paper")
-    noise: float = Field(0.01, ge=0, description="floor of the roughness term of an epoch [m]")
-    opening: int = Field(0, ge=0, description="radius of the morphological opening [cells], 0 for none")
-    min_area: float = Field(1.0, ge=0, description="smallest contiguous change [m2]")
-    voids: Voids = Field("ground", description="what a changed cell without points in the other epoch is")
+    noise: float = Field(0.01, ge=0, description="floor of the roughness term of an epoch [m], as of ours")
+    opening: int = Field(
+        0, ge=0, description="radius of the morphological opening [cells], 0 for none; tuned"
+    )
+    min_area: float = Field(4.0, ge=0, description="smallest contiguous change [m2]; tuned")
+    voids: Voids = Field(
+        "unchanged", description="what a changed cell without points in the other epoch is; tuned"
+    )
 
 
 class CloudToCloudConfig(StrictModel):
     """Nearest-neighbour distance (C2C) against one fixed threshold."""
 
-    threshold: float = Field(0.5, gt=0, description="distance of a change [m]")
-    opening: int = Field(0, ge=0, description="radius of the morphological opening [cells], 0 for none")
-    min_area: float = Field(1.0, ge=0, description="smallest contiguous change [m2]")
-    voids: Voids = Field("ground", description="what a changed cell without points in the other epoch is")
+    threshold: float = Field(0.75, gt=0, description="distance of a change [m]; tuned")
+    opening: int = Field(
+        0, ge=0, description="radius of the morphological opening [cells], 0 for none; tuned"
+    )
+    min_area: float = Field(4.0, ge=0, description="smallest contiguous change [m2]; tuned")
+    voids: Voids = Field(
+        "unchanged", description="what a changed cell without points in the other epoch is; tuned"
+    )
 
 
 class M3c2Config(StrictModel):
     """M3C2 (Lague, Brodu and Leroux 2013) against its own level of detection."""
 
-    normal_radius: float = Field(2.0, gt=0, description="radius of the normals (half of D) [m]")
-    radius: float = Field(1.0, gt=0, description="radius of the cylinder (half of d) [m]")
-    half_length: float = Field(5.0, gt=0, description="half length of the cylinder, in either epoch [m]")
-    min_count: int = Field(4, ge=1, description="points below which no distance is stated; 4 in Lague et al.")
-    noise: float = Field(0.0, ge=0, description="floor of s / sqrt(N) [m]; the published form has none")
-    minimum: float = Field(0.10, ge=0, description="smallest distance of a change [m], the paper's gate")
-    no_counterpart: Literal["unchanged", "changed"] = Field(
-        "changed", description="what a point is whose cylinder is empty in the other epoch"
+    normal_radius: float = Field(
+        2.0, gt=0, description="radius of the normals (half of D) [m], common practice"
     )
-    opening: int = Field(0, ge=0, description="radius of the morphological opening [cells], 0 for none")
-    min_area: float = Field(1.0, ge=0, description="smallest contiguous change [m2]")
-    voids: Voids = Field("ground", description="what a changed cell without points in the other epoch is")
+    radius: float = Field(1.0, gt=0, description="radius of the cylinder (half of d) [m], paper")
+    half_length: float = Field(
+        1.0, gt=0, description="half length of the cylinder in either epoch [m]; tuned"
+    )
+    min_count: int = Field(4, ge=1, description="points below which no distance is stated, Lague et al.")
+    noise: float = Field(0.0, ge=0, description="floor of s / sqrt(N) [m]; the published form has none")
+    minimum: float = Field(
+        0.10, ge=0, description="smallest distance of a change [m], the paper's gate; tuned"
+    )
+    no_counterpart: Literal["unchanged", "changed"] = Field(
+        "changed", description="what a point is whose cylinder is empty in the other epoch; tuned"
+    )
+    opening: int = Field(
+        1, ge=0, description="radius of the morphological opening [cells], 0 for none; tuned"
+    )
+    min_area: float = Field(1.0, ge=0, description="smallest contiguous change [m2]; tuned")
+    voids: Voids = Field(
+        "unchanged", description="what a changed cell without points in the other epoch is; tuned"
+    )
 
 
 class BaselineConfig(StrictModel):
