@@ -108,7 +108,7 @@ def test_beams_that_are_not_finite_or_too_far_are_refused():
 
 def test_line_goes_on_above_what_a_voxel_holds_and_stops_where_it_meets_it() -> None:
     starts = np.array([[0.1, 0.25, 0.45], [0.1, 0.25, 0.05]])
-    ends = starts + [9.0, 0.0, 0.0]
+    ends = starts + np.array([9.0, 0.0, 0.0])
     wall = voxel_keys(np.array([[10, 0, 0]]))  # 5.0 to 5.5 m ahead, 0 to 0.5 m high
     grid = (wall, np.zeros(3), 0.5)
     low = np.array([[0.0, 0.2]])
