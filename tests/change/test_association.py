@@ -49,7 +49,9 @@ def block(instance, west, south, east, north, top):
     xyz = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     count = len(xyz)
     yes = np.ones(count, dtype=bool)
-    voxels = Voxels(np.full(count, instance), xyz, np.tile([0.0, 0.0, 1.0], (count, 1)), xyz[:, 2], yes, yes)
+    voxels = Voxels(
+        np.full(count, instance), xyz, np.tile([0.0, 0.0, 1.0], (count, 1)), xyz[:, 2], yes, yes, ~yes
+    )
     return Thing(instance, Semantic.BUILDING, 0.9, np.arange(count), voxels, 0.03)
 
 

@@ -12,12 +12,16 @@ from subiaco_change.records import Change, Semantic
 
 SAME = Measures(
     iou=0.9, d_perp=0.0, delta_c=0.1, delta_h=0.0, delta_v=0.0, delta_v_surface=0.0, volume=100.0, chi2=0.0,
-    gone_share=0.0, new_share=0.0, observed_fraction=1.0, seen_voxels=500,
+    gone_share=0.0, new_share=0.0, observed_fraction=1.0, seen_voxels=500, carried=0.0,
 )  # fmt: skip
 CONFIG = DecisionConfig()
 
 
 def label(semantic=Semantic.BUILDING, lod=0.03, before=True, after=True, **changes):
+    """Decide with just enough surface, new or gone as volume or height say, to carry a change."""
+    rules = CONFIG.vegetation if semantic is Semantic.VEGETATION else CONFIG.building
+    way = changes.get("delta_v", 0.0) or changes.get("delta_h", 0.0)
+    changes.setdefault("carried", math.copysign(rules.carried, way) if way else 0.0)
     return decide(semantic, before, after, replace(SAME, **changes), lod, CONFIG).change
 
 
@@ -42,6 +46,22 @@ def test_buildings_follow_the_table(changes, expected):
 def test_a_height_change_below_the_gate_is_not_claimed():
     assert label(delta_h=0.8, lod=0.7) is Change.UNCHANGED
     assert label(delta_h=0.9, lod=0.7) is Change.INCREASED
+
+
+@pytest.mark.parametrize("semantic", [Semantic.BUILDING, Semantic.VEGETATION])
+@pytest.mark.parametrize(("dh", "dv"), [(3.0, 50.0), (-3.0, -50.0), (0.0, -17.0)])
+def test_a_change_that_no_new_or_gone_surface_carries_is_coverage(semantic, dh, dv):
+    assert label(semantic, delta_h=dh, delta_v=dv, carried=0.0) is Change.UNCHANGED
+    assert label(semantic, delta_h=dh, delta_v=dv, carried=-math.copysign(0.5, dv)) is not label(
+        semantic, delta_h=dh, delta_v=dv, carried=math.copysign(0.5, dv)
+    )
+
+
+@pytest.mark.parametrize(("semantic", "share"), [(Semantic.BUILDING, 0.071), (Semantic.VEGETATION, 0.151)])
+def test_a_wing_whose_roof_is_out_of_sight_shows_in_its_walls(semantic, share):
+    assert label(semantic, carried=share) is Change.INCREASED
+    assert label(semantic, carried=-share) is Change.DECREASED
+    assert label(semantic, carried=0.9 * share) is Change.UNCHANGED
 
 
 def test_no_level_of_detection_means_no_claim():
@@ -69,13 +89,13 @@ def test_moved_vehicles_are_left_out_of_the_report():
 def test_every_decision_gives_its_reason():
     assert (
         "height +3.00 m"
-        in decide(Semantic.BUILDING, True, True, replace(SAME, delta_h=3.0), 0.03, CONFIG).reason
+        in decide(Semantic.BUILDING, True, True, replace(SAME, delta_h=3.0, carried=0.3), 0.03, CONFIG).reason
     )
 
 
 def test_confidence_rises_with_the_margin_and_with_what_was_seen():
     def trust(**changes):
-        measures = replace(SAME, **changes)
+        measures = replace(SAME, carried=0.05, **changes)
         return confidence(decide(Semantic.BUILDING, True, True, measures, 0.03, CONFIG), measures, 0.9)
 
     assert trust(delta_h=0.55) < trust(delta_h=1.0) < trust(delta_h=3.0) <= 1.0

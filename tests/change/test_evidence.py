@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from subiaco_change.observation.evidence import EvidenceConfig, make_observer
+from subiaco_change.observation.evidence import EvidenceConfig, ground_observed, make_observer
 from subiaco_geo.clouds import PointCloud, voxel_downsample
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import make_pose
@@ -93,3 +93,26 @@ def test_a_visibility_layer_in_another_frame_is_asked_there():
     observer = make_observer(SurveyMap(cloud, visibility=grid), CONFIG, to_own=lambda world: world - shift)
     assert observer.observed(OPEN + shift).all()
     assert observer.observed(np.zeros((0, 3))).shape == (0,)
+
+
+def test_ground_between_beams_is_seen_and_the_shadow_of_a_house_is_not():
+    """Beams meet the ground in lines 1.2 m apart; behind x = 20 m a house hides everything."""
+
+    def observed(xyz):
+        return (np.mod(xyz[:, 0], 1.2) < 0.45) & (xyz[:, 0] < 20.0) & (abs(xyz[:, 2]) < 0.25)
+
+    rng = np.random.default_rng(0)
+    ground = np.column_stack([rng.uniform(2, 40, 4000), rng.uniform(-20, 20, 4000), np.zeros(4000)])
+    seen = ground_observed(observed, ground, EvidenceConfig())
+    assert observed(ground)[ground[:, 0] < 19].mean() < 0.4
+    assert seen[ground[:, 0] < 19].mean() > 0.6
+    assert not seen[ground[:, 0] > 20.2].any()
+
+
+def test_ground_under_a_grazing_beam_is_seen():
+    def observed(xyz):
+        return xyz[:, 2] > 0.3
+
+    ground = np.zeros((3, 3))
+    assert ground_observed(observed, ground, EvidenceConfig()).all()
+    assert not ground_observed(observed, ground, EvidenceConfig(ground_lift=0.2)).any()

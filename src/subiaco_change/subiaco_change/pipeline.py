@@ -233,7 +233,15 @@ def _assemble(
         records.append(make_record(change, number, origin, kind))
     patches = ground_records(result.ground, result.views, origin, len(records), evidence)
     labels = [
-        label_epoch(result.views[e], name, result.objects, records, result.ground, result.seen_by[1 - e])
+        label_epoch(
+            result.views[e],
+            name,
+            result.objects,
+            records,
+            result.ground,
+            result.seen_by[1 - e],
+            config.evidence,
+        )
         for e, name in enumerate(("before", "after"))
     ]
     raster = None if result.ground is None else ground_raster(result.ground, origin, config.ground)

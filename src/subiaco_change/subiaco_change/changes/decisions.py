@@ -20,13 +20,26 @@ class ClassRules(StrictModel):
     height: float = Field(gt=0, description="height change [m]")
     volume: float = Field(gt=0, description="volume change relative to the volume")
     shift: float = Field(gt=0, description="centroid distance of an unchanged object [m]")
+    carried: float = Field(
+        0.0,
+        ge=0,
+        description="share of the surface, new or gone where the other epoch looked across it, that a change"
+        " must be carried by (Decision 13); 0 asks for none",
+    )
+    surface: float = Field(
+        math.inf, gt=0, description="that share from which it is a change of volume by itself; inf: never"
+    )
 
 
 class DecisionConfig(StrictModel):
     """Table of section E; defaults are the paper's."""
 
-    building: ClassRules = ClassRules(min_iou=0.10, height=0.50, volume=0.10, shift=1.5)
-    vegetation: ClassRules = ClassRules(min_iou=0.08, height=0.30, volume=0.15, shift=2.0)
+    building: ClassRules = ClassRules(
+        min_iou=0.10, height=0.50, volume=0.10, shift=1.5, carried=0.04, surface=0.07
+    )
+    vegetation: ClassRules = ClassRules(
+        min_iou=0.08, height=0.30, volume=0.15, shift=2.0, carried=0.10, surface=0.15
+    )
     mobile: ClassRules = ClassRules(min_iou=0.20, height=math.inf, volume=math.inf, shift=2.0)
     lod_factor: float = Field(1.2, gt=0, description="gate as a multiple of the level of detection, paper")
     lod_floor: float = Field(0.10, ge=0, description="least gate [m], Decision 4")
@@ -122,15 +135,15 @@ def _mobile(measures: Measures, config: DecisionConfig) -> Decision:
 
 def _matched(semantic: Semantic, measures: Measures, gate: float, rules: ClassRules) -> Decision:
     """Decide by height or volume; where both directions fire, the volume's sign wins (Decision 12)."""
-    relative = measures.delta_v / max(measures.volume, 1e-6)
-    limit = max(rules.height, gate)
-    height = measures.delta_h / limit if math.isfinite(measures.delta_h) else 0.0
-    volume = relative / rules.volume
     if not math.isfinite(gate):
         return Decision(Change.UNCHANGED, "no level of detection here, so no change is claimed", 0.0)
-    up, down = max(height, volume), max(-height, -volume)
+    limit = max(rules.height, gate)
+    relative = measures.delta_v / max(measures.volume, 1e-6)
+    height = measures.delta_h / limit if math.isfinite(measures.delta_h) else 0.0
+    up, down = _strengths(height, relative / rules.volume, measures, rules)
     evidence = f"height {measures.delta_h:+.2f} m (gate {limit:.2f})"
     evidence += f", volume {relative:+.0%} (gate {rules.volume:.0%})"
+    evidence += f", {measures.carried:+.0%} of the surface new or gone"
     if up <= 1 and down <= 1:
         return Decision(Change.UNCHANGED, evidence, max(up, down))
     if up > 1 and down > 1:
@@ -141,3 +154,19 @@ def _matched(semantic: Semantic, measures: Measures, gate: float, rules: ClassRu
         rising = up > 1
     change = Change.INCREASED if rising else Change.DECREASED
     return Decision(change, evidence, up if rising else down)
+
+
+def _strengths(height: float, volume: float, measures: Measures, rules: ClassRules) -> tuple[float, float]:
+    """How far the rules for more and for less are met; at most 1 where no surface carries the change.
+
+    Columns tell the volume where their tops were seen. A wing or a crown
+    whose top lies out of sight shows in its sides: there the share of new or
+    gone surface speaks.
+    """
+    side = measures.carried / rules.surface
+    up, down = max(height, volume, side), max(-height, -volume, -side)
+    if measures.carried < rules.carried:
+        up = min(up, 1.0)
+    if -measures.carried < rules.carried:
+        down = min(down, 1.0)
+    return up, down

@@ -14,6 +14,7 @@ from scipy.special import ndtr
 from subiaco_change.changes.ground_change import GroundComparison, patch_points
 from subiaco_change.changes.object_changes import ObjectChange
 from subiaco_change.changes.objects import EpochView
+from subiaco_change.observation.evidence import EvidenceConfig, ground_observed
 from subiaco_change.records import Change, ChangeRecord, Semantic
 from subiaco_change.semantics.ground import Mask
 from subiaco_geo.frames import Floats, Ints
@@ -41,6 +42,7 @@ def label_epoch(
     records: Sequence[ChangeRecord],
     ground: GroundComparison | None,
     seen_by_other: Callable[[Floats], Mask],
+    evidence: EvidenceConfig,
 ) -> Labels:
     """Label the points of one epoch, ``before`` or ``after``.
 
@@ -58,7 +60,10 @@ def label_epoch(
         change[members], semantic[members] = record.change, record.semantic
         instance[members], confidence[members] = record.object_id, record.confidence
     loose = np.flatnonzero(instance < 0)
-    seen = seen_by_other(view.xyz[loose]) | _compared(ground, view, loose)
+    is_ground = view.semantic[loose] == Semantic.GROUND
+    seen = _compared(ground, view, loose)
+    seen[~is_ground] = seen_by_other(view.xyz[loose[~is_ground]])
+    seen[is_ground] |= ground_observed(seen_by_other, view.xyz[loose[is_ground]], evidence)
     change[loose[~seen]] = Change.UNOBSERVED
     if ground is not None:
         _label_ground(ground, view, len(records), change, instance, confidence)

@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 from pydantic import Field
+from scipy import ndimage
 from scipy.spatial import cKDTree
 from shapely.geometry.base import BaseGeometry
 
@@ -28,6 +29,12 @@ class MeasureConfig(StrictModel):
         2.0, gt=0, description="largest such distance, where the other epoch is sparse [m]"
     )
     same_factor: float = Field(1.25, gt=0, description="that distance in spacings of the other epoch")
+    crossing: float = Field(
+        1.0, gt=0, description="looked so far on both sides of a surface, an epoch crossed its place [m]"
+    )
+    closing: float = Field(
+        1.5, ge=0, description="columns out of sight between others up to twice this apart are filled [m]"
+    )
     bins: int = Field(10, ge=2, description="bins of the height histogram, paper")
     top_quantile: float = Field(0.95, gt=0.5, le=1, description="h95, paper")
 
@@ -38,6 +45,8 @@ class Measures:
 
     Lengths [m], volumes [m3]; NaN where a side is empty. ``volume`` is the
     larger column volume of the two; ``seen_voxels`` the number that entered.
+    ``carried`` is the share of the surface that is new (positive) or gone
+    (negative) on balance, counting only places that the other epoch looked across.
     """
 
     iou: float
@@ -52,6 +61,7 @@ class Measures:
     new_share: float
     observed_fraction: float
     seen_voxels: int
+    carried: float = 0.0
 
 
 def measure(before: Voxels, after: Voxels, config: MeasureConfig) -> Measures:
@@ -59,7 +69,7 @@ def measure(before: Voxels, after: Voxels, config: MeasureConfig) -> Measures:
     seen_b, seen_a = before.select(before.seen), after.select(after.seen)
     lonely_b, lonely_a = int(np.count_nonzero(~seen_b.still)), int(np.count_nonzero(~seen_a.still))
     whole_b, whole_a = _completed(seen_b, seen_a), _completed(seen_a, seen_b)
-    volume_b, volume_a = column_volume(whole_b, config.voxel), column_volume(whole_a, config.voxel)
+    volume_b, volume_a = (column_volume(v, config.voxel, config.closing) for v in (whole_b, whole_a))
     common = 0.5 * (len(seen_b) - lonely_b + len(seen_a) - lonely_a)
     both = len(before) > 0 and len(after) > 0
     return Measures(
@@ -75,7 +85,14 @@ def measure(before: Voxels, after: Voxels, config: MeasureConfig) -> Measures:
         new_share=lonely_a / max(len(seen_a), 1),
         observed_fraction=(len(seen_b) + len(seen_a)) / max(len(before) + len(after), 1),
         seen_voxels=len(seen_b) + len(seen_a),
+        carried=_carried(seen_b, seen_a),
     )
+
+
+def _carried(before: Voxels, after: Voxels) -> float:
+    """Surface that is new less surface that is gone, relative to the mean surface of the two."""
+    net = int(np.count_nonzero(after.crossed)) - int(np.count_nonzero(before.crossed))
+    return net / max(0.5 * (len(before) + len(after)), 1.0)
 
 
 def _completed(own: Voxels, other: Voxels) -> Voxels:
@@ -111,14 +128,22 @@ def _top(voxels: Voxels, config: MeasureConfig) -> float:
     return float(np.quantile(voxels.height, config.top_quantile)) if len(voxels) else float("nan")
 
 
-def column_volume(voxels: Voxels, cell: float) -> float:
-    """Volume between the ground and the tops of the columns [m3]."""
+def column_volume(voxels: Voxels, cell: float, closing: float = 0.0) -> float:
+    """Volume between the ground and the tops of the columns [m3].
+
+    Columns that nobody looked into, but that stand between others no more
+    than twice ``closing`` [m] apart, are filled to the lower of these: a wing
+    whose walls were seen has a volume although its roof was not.
+    """
     if len(voxels) == 0:
         return 0.0
     index = np.floor(voxels.xyz[:, :2] / cell).astype(np.int64)
-    _, column = np.unique(index, axis=0, return_inverse=True)
-    tops = np.zeros(int(column.max()) + 1)
-    np.maximum.at(tops, column.ravel(), voxels.height)
+    margin = round(closing / cell)
+    index += margin - index.min(axis=0)
+    tops = np.zeros(tuple((index.max(axis=0) + 1 + margin).tolist()))
+    np.maximum.at(tops, (index[:, 0], index[:, 1]), voxels.height)
+    if margin > 0:
+        tops = ndimage.grey_closing(tops, size=(2 * margin + 1, 2 * margin + 1), mode="constant")
     return float(tops.sum()) * cell**2
 
 

@@ -13,7 +13,7 @@ from subiaco_change.changes.confidence import confidence, paper_score
 from subiaco_change.changes.decisions import Decision, DecisionConfig, decide
 from subiaco_change.changes.measures import MeasureConfig, Measures, footprint, measure
 from subiaco_change.changes.objects import EpochView, Reach, Thing, Voxels, build_things, build_voxels
-from subiaco_change.records import ChangeRecord, Semantic
+from subiaco_change.records import Change, ChangeRecord, Semantic
 from subiaco_change.semantics.ground import Mask
 from subiaco_geo.frames import Floats, Ints
 
@@ -57,8 +57,9 @@ def compare_objects(
     """Match, measure and decide every object of two epochs in one local frame."""
     edge, tolerance = rules.measures.voxel, rules.measures.tolerance
     reach = Reach(rules.measures.same_low, rules.measures.same_high, rules.measures.same_factor)
-    things_b = build_things(before, build_voxels(before, after, seen_by_after, edge, reach))
-    things_a = build_things(after, build_voxels(after, before, seen_by_before, edge, reach))
+    step = rules.measures.crossing
+    things_b = build_things(before, build_voxels(before, after, seen_by_after, edge, reach, step))
+    things_a = build_things(after, build_voxels(after, before, seen_by_before, edge, reach, step))
     things_b, things_a = agree_on_classes(things_b, things_a, rules.association, tolerance)
     changes: list[ObjectChange] = []
     for semantic in (Semantic.BUILDING, Semantic.VEGETATION, Semantic.MOBILE, Semantic.OTHER):
@@ -66,7 +67,59 @@ def compare_objects(
         of_a = [t for t in things_a if t.semantic is semantic]
         matches = associate(of_b, of_a, rules.association, tolerance)
         changes.extend(_decide(match, of_b, of_a, semantic, rules) for match in matches)
-    return changes
+    return adopt_fragments(changes, things_b, things_a, rules.association, tolerance)
+
+
+def adopt_fragments(
+    changes: list[ObjectChange],
+    things_b: Sequence[Thing],
+    things_a: Sequence[Thing],
+    config: AssociationConfig,
+    tolerance: float,
+) -> list[ObjectChange]:
+    """Let left-over fragments join the changed object that the other epoch holds in their place.
+
+    A part of a wall may look like a hedge in one epoch: its class keeps it
+    from its partner, its place does not, and every point of a changed object
+    carries its label. Statistics stay those of the object without them.
+    """
+    if not things_b or not things_a:
+        return changes
+    overlaps = overlap_counts(things_b, things_a, tolerance)
+    slots = [{t.instance: i for i, t in enumerate(things)} for things in (things_b, things_a)]
+    hosts = {
+        (epoch, part.instance): number
+        for number, change in enumerate(changes)
+        if change.decision.change in (Change.INCREASED, Change.DECREASED)
+        for epoch, parts in enumerate((change.before, change.after))
+        for part in parts
+    }
+    joined: dict[int, list[int]] = {}
+    for number, change in enumerate(changes):
+        if change.match_kind != "none" or change.decision.change is not Change.UNCHANGED:
+            continue
+        epoch = 0 if change.before else 1
+        part = (*change.before, *change.after)[0]
+        row = overlaps[epoch][[slots[epoch][part.instance]], :].tocoo()
+        if row.nnz == 0 or row.data.max() <= config.contained * len(part.voxels):
+            continue
+        other = (things_a, things_b)[epoch][int(row.col[row.data.argmax()])]
+        host = hosts.get((1 - epoch, other.instance))
+        if host is not None:
+            joined.setdefault(host, []).append(number)
+    gone = {number for numbers in joined.values() for number in numbers}
+    return [
+        _with_parts(change, [changes[k] for k in joined.get(number, [])])
+        for number, change in enumerate(changes)
+        if number not in gone
+    ]
+
+
+def _with_parts(change: ObjectChange, fragments: Sequence[ObjectChange]) -> ObjectChange:
+    before = (*change.before, *(t for f in fragments for t in f.before))
+    after = (*change.after, *(t for f in fragments for t in f.after))
+    kind = Match(tuple(range(len(before))), tuple(range(len(after)))).kind
+    return replace(change, before=before, after=after, match_kind=kind)
 
 
 def agree_on_classes(
@@ -105,7 +158,9 @@ def _join(things: Sequence[Thing]) -> Voxels:
     """Concatenate the voxels of the parts of an object."""
     if not things:
         flags = np.zeros(0, dtype=bool)
-        return Voxels(np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), flags, flags)
+        return Voxels(
+            np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), flags, flags, flags
+        )
     names = Voxels.__dataclass_fields__
     return Voxels(*(np.concatenate([getattr(t.voxels, name) for t in things]) for name in names))
 

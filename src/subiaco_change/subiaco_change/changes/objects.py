@@ -39,7 +39,9 @@ class Voxels:
 
     ``owner`` (M,) instance; ``xyz`` (M, 3) and ``normal`` (M, 3); ``height`` (M,)
     above ground [m]; ``seen`` (M,): the other epoch observed the place;
-    ``still`` (M,): the other epoch has something other than ground there.
+    ``still`` (M,): the other epoch has something other than ground there;
+    ``crossed`` (M,): it is not, and the other epoch looked on both sides of the
+    surface, so that it would have met it.
     """
 
     owner: Ints
@@ -48,6 +50,7 @@ class Voxels:
     height: Floats
     seen: Mask
     still: Mask
+    crossed: Mask
 
     def __len__(self) -> int:
         return len(self.owner)
@@ -70,7 +73,12 @@ class Thing:
 
 
 def build_voxels(
-    view: EpochView, other: EpochView, observed: Callable[[Floats], Mask], edge: float, reach: Reach
+    view: EpochView,
+    other: EpochView,
+    observed: Callable[[Floats], Mask],
+    edge: float,
+    reach: Reach,
+    step: float = 1.0,
 ) -> Voxels:
     """Group the object points of an epoch into voxels and ask the other epoch about each.
 
@@ -84,14 +92,29 @@ def build_voxels(
         Voxel edge [m].
     reach : Reach
         When something of the other epoch occupies the place.
+    step : float
+        How far on both sides of a surface the other epoch must have looked to
+        have crossed it [m].
     """
     members = np.flatnonzero(view.instance >= 0)
     owner, normal, height, xyz = _voxel_means(view, members, edge)
     if len(owner) == 0:
         none = np.zeros(0, dtype=bool)
-        return Voxels(owner, xyz, normal, height, none, none)
+        return Voxels(owner, xyz, normal, height, none, none, none)
     still = occupied(xyz, other.xyz[other.semantic != Semantic.GROUND], reach)
-    return Voxels(owner, xyz, normal, height, observed(xyz) | still, still)
+    seen = observed(xyz) | still
+    crossed = seen & ~still
+    crossed[crossed] = looked_across(xyz[crossed], normal[crossed], observed, step)
+    return Voxels(owner, xyz, normal, height, seen, still, crossed)
+
+
+def looked_across(xyz: Floats, normal: Floats, observed: Callable[[Floats], Mask], step: float) -> Mask:
+    """Tell at which surface places (M, 3) an epoch observed what lies before and behind.
+
+    A beam that grazes a standing wall passes through the wall's own voxel,
+    never through the one behind it: coverage cannot pass for absence.
+    """
+    return observed(xyz + step * normal) & observed(xyz - step * normal)
 
 
 @dataclass(frozen=True)

@@ -42,6 +42,15 @@ class EvidenceConfig(StrictModel):
     view_step: int = Field(
         3, ge=1, description="step through the poses nearest to a point: 3 takes the 1st, 4th, 7th ..."
     )
+    ground_lift: float = Field(
+        0.4, ge=0, description="ground is seen too where the place so far above it was [m]"
+    )
+    ground_ring: float = Field(
+        1.0, gt=0, description="radius of the ring of eight places that stand in for ground between beams [m]"
+    )
+    ground_share: float = Field(
+        0.6, gt=0, le=1, description="share of that ring that must have been seen (Decision 14)"
+    )
     shadow_radius: float = Field(
         1.0, gt=0, description="without trajectory: points this near prove sight [m]"
     )
@@ -146,6 +155,34 @@ class Observer:
     def empty(self, world: Floats) -> Flags:
         """Tell which points (N, 3) this epoch saw to be empty: beams went on, nothing came back."""
         return self.test.passed(self._own(world))
+
+
+def ground_observed(observed: Callable[[Floats], Flags], xyz: Floats, config: EvidenceConfig) -> Flags:
+    """Tell which ground places (N, 3) an epoch saw, between its beams too.
+
+    Far from the road beams meet the ground metres apart; the voxel of a
+    ground point is then empty although the ground there was in plain view. A
+    place counts as seen when its own voxel was, or the place ``ground_lift``
+    above it (a beam that grazes the ground), or most of a ring around it: a
+    shadow is open on one side at most along its border.
+
+    Parameters
+    ----------
+    observed : callable
+        (N, 3) points -> (N,) bool, seen by the epoch.
+    xyz : (N, 3) float64
+        In the frame that ``observed`` takes.
+    config : EvidenceConfig
+    """
+    lift = np.array([0.0, 0.0, config.ground_lift])
+    seen = observed(xyz) | observed(xyz + lift)
+    open_ = np.flatnonzero(~seen)
+    turned = np.zeros(len(open_))
+    for angle in np.arange(8) * (np.pi / 4):
+        place = xyz[open_] + config.ground_ring * np.array([np.cos(angle), np.sin(angle), 0.0])
+        turned += observed(place) | observed(place + lift)
+    seen[open_] = turned >= 8 * config.ground_share
+    return seen
 
 
 def draw_lines_of_sight(world: Floats, positions: Floats, config: EvidenceConfig) -> VisibilityGrid:

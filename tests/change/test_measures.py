@@ -1,0 +1,106 @@
+"""Volumes, and surfaces that the other epoch looked across."""
+
+import numpy as np
+import pytest
+
+from subiaco_change.changes.association import AssociationConfig
+from subiaco_change.changes.decisions import Decision
+from subiaco_change.changes.measures import MeasureConfig, column_volume, measure
+from subiaco_change.changes.object_changes import ObjectChange, adopt_fragments
+from subiaco_change.changes.objects import Thing, Voxels, looked_across
+from subiaco_change.records import Change, Semantic
+
+
+def voxels(xyz, instance=0, still=True, crossed=False):
+    xyz = np.asarray(xyz, dtype=float).reshape(-1, 3)
+    count = len(xyz)
+    up = np.tile([0.0, 0.0, 1.0], (count, 1))
+    flags = [np.full(count, value) for value in (True, still, crossed)]
+    return Voxels(np.full(count, instance), xyz, up, xyz[:, 2], *flags)
+
+
+def block(low, high, step=0.5):
+    axes = [np.arange(a, b, step) + step / 2 for a, b in zip(low, high, strict=True)]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def walls(length, width, height):
+    solid = block((0, 0, 0), (length, width, height))
+    inner = (
+        (solid[:, 0] > 0.5) & (solid[:, 0] < length - 0.5) & (solid[:, 1] > 0.5) & (solid[:, 1] < width - 0.5)
+    )
+    return solid[~inner]
+
+
+def test_a_solid_block_has_its_own_volume():
+    assert column_volume(voxels(block((0, 0, 0), (4, 3, 2))), 0.5) == pytest.approx(4 * 3 * 1.75)
+
+
+def test_a_wing_of_three_metres_is_filled_between_its_walls_and_a_court_of_eight_is_not():
+    wing, court = voxels(walls(8, 3, 2)), voxels(walls(8, 8, 2))
+    assert column_volume(wing, 0.5, closing=1.5) == pytest.approx(8 * 3 * 1.75)
+    assert column_volume(court, 0.5, closing=1.5) == pytest.approx(column_volume(court, 0.5))
+
+
+def test_a_beam_that_grazes_a_wall_has_not_looked_across_it():
+    wall = np.array([[0.0, y, 1.0] for y in np.arange(0, 5, 0.5)])
+    normal = np.tile([1.0, 0.0, 0.0], (len(wall), 1))
+
+    def in_front(xyz):
+        return xyz[:, 0] > -0.4
+
+    def everywhere(xyz):
+        return np.ones(len(xyz), dtype=bool)
+
+    assert not looked_across(wall, normal, in_front, 1.0).any()
+    assert looked_across(wall, normal, everywhere, 1.0).all()
+
+
+def test_what_is_new_and_gone_balances_over_the_mean_surface():
+    config = MeasureConfig()
+    before = voxels(block((0, 0, 0), (5, 5, 2)))
+    wing = voxels(block((5, 0, 0), (6, 5, 2)), still=False, crossed=True)
+    after = Voxels(
+        *(np.concatenate([getattr(before, n), getattr(wing, n)]) for n in Voxels.__dataclass_fields__)
+    )
+    share = len(wing) / (0.5 * (len(before) + len(after)))
+    assert measure(before, after, config).carried == pytest.approx(share)
+    assert measure(after, before, config).carried == pytest.approx(-share)
+
+
+def test_voxels_that_were_not_looked_across_carry_nothing():
+    before = voxels(block((0, 0, 0), (5, 5, 2)), still=False, crossed=False)
+    after = voxels(block((0, 0, 0), (5, 2, 2)))
+    assert measure(before, after, MeasureConfig()).carried == 0.0
+
+
+def thing(xyz, instance, semantic):
+    cells = voxels(xyz, instance)
+    return Thing(instance, semantic, 0.9, np.arange(len(cells)), cells, 0.03)
+
+
+def change_of(before, after, semantic, change):
+    cells = [t.voxels for t in (*before, *after)]
+    kind = "one_to_one" if before and after else "none"
+    measures = measure(cells[0], cells[-1], MeasureConfig())
+    return ObjectChange(before, after, semantic, kind, measures, Decision(change, "", 1.0))
+
+
+@pytest.mark.parametrize(
+    ("label", "joins"), [(Change.INCREASED, True), (Change.DECREASED, True), (Change.UNCHANGED, False)]
+)
+def test_a_fragment_of_another_class_joins_the_changed_house_in_its_place(label, joins):
+    house_b = thing(block((0, 0, 0), (4, 4, 3)), 0, Semantic.BUILDING)
+    house_a = thing(block((0, 0, 0), (6, 4, 3)), 0, Semantic.BUILDING)
+    hedge = thing(block((4, 0, 0), (6, 4, 3)), 1, Semantic.VEGETATION)
+    far = thing(block((20, 0, 0), (21, 1, 3)), 2, Semantic.VEGETATION)
+    changes = [
+        change_of((house_b,), (house_a,), Semantic.BUILDING, label),
+        change_of((hedge,), (), Semantic.VEGETATION, Change.UNCHANGED),
+        change_of((far,), (), Semantic.VEGETATION, Change.UNCHANGED),
+    ]
+    found = adopt_fragments(changes, [house_b, hedge, far], [house_a], AssociationConfig(), 0.5)
+    assert len(found) == (2 if joins else 3)
+    assert found[0].before == ((house_b, hedge) if joins else (house_b,))
+    assert found[0].match_kind == ("merge" if joins else "one_to_one")
+    assert found[-1].before == (far,)
