@@ -96,17 +96,22 @@ def test_a_visibility_layer_in_another_frame_is_asked_there():
 
 
 def test_ground_between_beams_is_seen_and_the_shadow_of_a_house_is_not():
-    """Beams meet the ground in lines 1.2 m apart; behind x = 20 m a house hides everything."""
+    """Beams met two voxels in three of the street; behind x = 20 m a house hides everything."""
+    met = np.random.default_rng(4).random((84, 84)) < 0.65
 
     def observed(xyz):
-        return (np.mod(xyz[:, 0], 1.2) < 0.45) & (xyz[:, 0] < 20.0) & (abs(xyz[:, 2]) < 0.25)
+        cell = np.floor((xyz[:, :2] + [0.0, 21.0]) / 0.5).astype(int)
+        inside = (cell >= 0).all(axis=1) & (cell < 84).all(axis=1) & (xyz[:, 0] < 20.0)
+        clipped = np.clip(cell, 0, 83)
+        return inside & met[clipped[:, 0], clipped[:, 1]] & (abs(xyz[:, 2]) < 0.25)
 
     rng = np.random.default_rng(0)
-    ground = np.column_stack([rng.uniform(2, 40, 4000), rng.uniform(-20, 20, 4000), np.zeros(4000)])
+    ground = np.column_stack([rng.uniform(2, 40, 4000), rng.uniform(-18, 18, 4000), np.zeros(4000)])
     seen = ground_observed(observed, ground, EvidenceConfig())
-    assert observed(ground)[ground[:, 0] < 19].mean() < 0.4
-    assert seen[ground[:, 0] < 19].mean() > 0.6
-    assert not seen[ground[:, 0] > 20.2].any()
+    street = ground[:, 0] < 18.9
+    assert observed(ground)[street].mean() < 0.68
+    assert seen[street].mean() > 0.9
+    assert not seen[ground[:, 0] > 20.0].any()
 
 
 def test_ground_under_a_grazing_beam_is_seen():
