@@ -48,6 +48,15 @@ class LidarConfig(StrictModel):
     range_sigma: float = Field(0.012, ge=0.0, description="Range noise, standard deviation [m]")
     range_sigma_slope: float = Field(1e-4, ge=0.0, description="Growth of the range noise [m per m]")
     dropout: float = Field(0.005, ge=0.0, le=1.0, description="Beams lost at random [fraction]")
+    divergence: float | None = Field(
+        None,
+        ge=0.0,
+        le=0.01,
+        description="Spread of a beam, standard deviation: edges smear; the preset's when null [rad]",
+    )
+    wet_road: float = Field(
+        0.0, ge=0.0, le=1.0, description="Grazing beams that a wet road swallows [fraction]"
+    )
     second_return: float = Field(
         0.45, ge=0.0, le=1.0, description="Beams through a leaf edge that return twice [fraction]"
     )
@@ -60,6 +69,7 @@ class ImuConfig(StrictModel):
     gyro_noise: float = Field(2e-4, ge=0.0, description="Noise density [rad/s per sqrt(Hz)]")
     accel_noise: float = Field(2e-3, ge=0.0, description="Noise density [m/s2 per sqrt(Hz)]")
     gyro_bias: float = Field(2e-3, ge=0.0, description="Constant bias, standard deviation per axis [rad/s]")
+    ouster_packets: bool = Field(False, description="Also record the inertial packets of the LiDAR itself")
     accel_bias: float = Field(0.03, ge=0.0, description="Constant bias, standard deviation per axis [m/s2]")
 
 
@@ -85,6 +95,21 @@ class FaultConfig(StrictModel):
     reordered: float = Field(
         0.0, ge=0.0, lt=1.0, description="LiDAR packets swapped with the next [fraction]"
     )
+    pps_lost: float | None = Field(
+        None, ge=0.0, description="From this second of the drive the LiDAR's clock runs free [s]"
+    )
+    clock_drift: float = Field(
+        20e-6, ge=-1e-3, le=1e-3, description="Rate error of a LiDAR clock that runs free [s per s]"
+    )
+    stamps_zeroed: float = Field(
+        0.0, ge=0.0, lt=1.0, description="LiDAR packets whose column stamps are zero [fraction]"
+    )
+    clock_leap: float = Field(0.0, description="Leap of the LiDAR's stamps in the middle of the drive [s]")
+    canyons: bool = Field(False, description="Fixes degrade down to none where the sky is hidden")
+    multipath: int = Field(
+        0, ge=0, le=100, description="Stretches of 4 s with fixes off by metres that claim RTK fixed"
+    )
+    multipath_size: float = Field(1.5, gt=0.0, description="Size of such an error [m]")
 
 
 class TruthConfig(StrictModel):

@@ -93,6 +93,15 @@ def plan_survey(config: SimulationConfig) -> Survey:
     return Survey(config, scene, drives)
 
 
+def lidar_of(survey: Survey, drive: Drive) -> Lidar:
+    """Return the sensor of a drive, with the beam spread of the preset where none is asked for."""
+    config = survey.config.lidar
+    if config.divergence is None:
+        spread = find_preset(survey.config.preset).divergence
+        config = config.model_copy(update={"divergence": spread})
+    return Lidar(drive.info, config, survey.config.dual_return)
+
+
 def scans_of(survey: Survey, drive: Drive, lidar: Lidar) -> Iterator[SimulatedScan]:
     """Yield every scan of a drive; for fused maps, those that enter them."""
     scene, config = survey.scene, survey.config

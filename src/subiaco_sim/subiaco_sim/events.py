@@ -149,11 +149,12 @@ def let_time_pass(layout: Layout, seasons: Seasons) -> list[Item]:
     items = {item.object_id: item for item in layout.items}
     for kind, quotas in QUOTAS.items():
         alike = [item for item in layout.items if item.kind == kind]
-        order = iter(rng.permutation(len(alike)).tolist())
+        order = rng.permutation(len(alike)).tolist()
         for edit, share in quotas:
-            for _ in range(_count(share * len(alike), rng)):
-                item = alike[next(order)]
-                items[item.object_id] = edit(item, rng)
+            number = _count(share * len(alike), rng)
+            chosen, order = order[:number], order[number:]
+            for k in chosen:
+                items[alike[k].object_id] = edit(alike[k], rng)
     return [_weathered(item, seasons, rng) for item in items.values()]
 
 

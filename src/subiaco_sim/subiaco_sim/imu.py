@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import struct
+from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,6 +14,7 @@ from subiaco_sim.motion import Motion
 from subiaco_sim.vehicle import IMU
 
 GRAVITY = 9.7940  # Perth [m/s2]
+STANDARD_GRAVITY = 9.80665
 
 
 @dataclass(frozen=True)
@@ -25,14 +28,15 @@ class ImuSeries:
     accel_bias: Floats
 
 
-def simulate_imu(motion: Motion, config: ImuConfig, rng: np.random.Generator) -> ImuSeries:
+def simulate_imu(
+    motion: Motion, config: ImuConfig, rng: np.random.Generator, T_base_imu: Floats = IMU.T_base_sensor
+) -> ImuSeries:
     """Sample the motion; sampling begins before the first column and ends after the last."""
     step_ns = round(1e9 / config.rate)
     # an IMU keeps its own clock phase: samples fall beside the column times
     count = int((motion.duration + 0.2) * config.rate)
     times_ns = motion.start_ns - 100_000_000 + 1_234_567 + np.arange(count, dtype=np.int64) * step_ns
     seconds = motion.seconds(times_ns)
-    T_base_imu = IMU.T_base_sensor
     force = motion.acceleration(seconds, T_base_imu[:3, 3]) + np.array([0.0, 0.0, GRAVITY])
     accel = motion.rotation(seconds).inv().apply(force) @ T_base_imu[:3, :3]
     gyro = motion.body_rate(seconds) @ T_base_imu[:3, :3]
@@ -42,3 +46,10 @@ def simulate_imu(motion: Motion, config: ImuConfig, rng: np.random.Generator) ->
     gyro = gyro + gyro_bias + config.gyro_noise * root * rng.standard_normal(gyro.shape)
     accel = accel + accel_bias + config.accel_noise * root * rng.standard_normal(accel.shape)
     return ImuSeries(times_ns, gyro, accel, gyro_bias, accel_bias)
+
+
+def ouster_packets(series: ImuSeries) -> Iterator[tuple[int, bytes]]:
+    """Yield time and bytes of the sensor's own inertial packets: g and degrees a second."""
+    accel, gyro = series.accel / STANDARD_GRAVITY, np.degrees(series.gyro)
+    for time_ns, a, w in zip(series.times_ns.tolist(), accel, gyro, strict=True):
+        yield time_ns, struct.pack("<3Q6f", time_ns, time_ns, time_ns, *a, *w)

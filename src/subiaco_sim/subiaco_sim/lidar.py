@@ -77,6 +77,12 @@ def turned(T_enu_lidar: Floats, vectors: Floats) -> Floats:
     return np.ascontiguousarray(by_column.transpose(2, 0, 1))
 
 
+def _spread(directions: Floats, sigma: float, rng: np.random.Generator) -> Floats:
+    """Let the part of a beam that returns lie off its axis: at edges it belongs to either side."""
+    off = directions + sigma * rng.standard_normal(directions.shape, dtype=np.float32)
+    return np.asarray(off / np.linalg.norm(off, axis=1, keepdims=True))
+
+
 class Lidar:
     """Casts scans into a compiled scene.
 
@@ -103,6 +109,8 @@ class Lidar:
     ) -> SimulatedScan:
         """Simulate one revolution with a pose a column (columns, 4, 4)."""
         origins, directions = self._rays(T_enu_lidar)
+        if self._config.divergence:
+            directions = _spread(directions, self._config.divergence, rng)
         hits = scene.cast(origins, directions)
         first = self._measure(hits, hits.distance, rng)
         second = None
@@ -125,6 +133,8 @@ class Lidar:
         draw = rng.random((3, len(distance)), dtype=np.float32)
         found &= (draw[0] > config.dropout) & (draw[1] < chance)
         found &= (hits.material != Material.GLASS) | (draw[2] < 0.5)
+        swallowed = config.wet_road * (1.0 - hits.cosine)
+        found &= (hits.material != Material.ASPHALT) | (draw[2] >= swallowed)
         sigma = config.range_sigma + config.range_sigma_slope * metres
         noisy = metres + sigma * rng.standard_normal(len(distance), dtype=np.float32)
         shape = self.beams.direction.shape[:2]

@@ -9,8 +9,10 @@ import numpy as np
 from ouster.sdk import core
 from ouster.sdk.core import HeaderType, PacketFormat, SensorInfo, TimestampMode, UDPProfileLidar
 
+from subiaco_geo.frames import Floats, Ints
 from subiaco_sim.config import FaultConfig, LidarMode
 from subiaco_sim.lidar import Return, SimulatedScan
+from subiaco_sim.vehicle import LIDAR
 
 COLUMNS_PER_PACKET = 16
 SINGLE = UDPProfileLidar.RNG19_RFL8_SIG16_NIR16
@@ -39,6 +41,13 @@ def sensor_info(mode: LidarMode, dual: bool, beams: int = 128) -> SensorInfo:
     return SensorInfo(info.to_json_string())
 
 
+def inner_imu(info: SensorInfo) -> Floats:
+    """Return T_base_imu (4, 4) of the unit inside the LiDAR; its metadata are in millimetres."""
+    inside = np.array(info.imu_to_sensor_transform, dtype=np.float64)
+    inside[:3, 3] *= 1e-3
+    return LIDAR.T_base_sensor @ inside
+
+
 @dataclass(frozen=True)
 class TimedPacket:
     """The bytes of one packet and the time of its last column [ns]."""
@@ -54,11 +63,11 @@ class PacketMaker:
         self._info = info
         self._format = PacketFormat(info)
 
-    def packets(self, scan: SimulatedScan) -> Iterator[TimedPacket]:
-        """Yield the packets of a scan in the order of their columns."""
+    def packets(self, scan: SimulatedScan, stamps: Ints | None = None) -> Iterator[TimedPacket]:
+        """Yield the packets of a scan in the order of their columns, with stamps of their own if given."""
         frame = core.LidarFrame(self._info)
         frame.frame_id = scan.frame_id % (self._format.max_frame_id + 1)
-        frame.timestamp[:] = scan.times_ns
+        frame.timestamp[:] = scan.times_ns if stamps is None else stamps
         frame.measurement_id[:] = np.arange(frame.w)
         frame.status[:] = 1
         _fill(frame, scan.first, "")

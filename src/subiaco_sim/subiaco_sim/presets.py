@@ -35,6 +35,7 @@ class Preset:
     place: tuple[float, float] = (0.5, 0.5)  # where along the route the drives lie
     character: Character | None = None  # crowded where given
     seasons: Seasons = _SEASONS
+    divergence: float = 0.0  # of the beams [rad]
     slope: float = 0.02  # steepest lie of the land [m per m]
 
 
@@ -75,6 +76,7 @@ PRESETS: dict[str, Preset] = {
         place=(0.0, 0.0),
         character=Character(),
         slope=0.04,
+        divergence=8e-4,
     ),
 }
 

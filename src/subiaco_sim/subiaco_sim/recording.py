@@ -17,7 +17,7 @@ from subiaco_geo.frames import Floats, quaternion_from_pose
 from subiaco_sim.config import FaultConfig
 from subiaco_sim.drives import WORLD
 from subiaco_sim.gnss import HEADING_SIGMA, NONE, GnssSeries
-from subiaco_sim.imu import ImuSeries
+from subiaco_sim.imu import ImuSeries, ouster_packets
 from subiaco_sim.packets import TimedPacket, with_faults
 from subiaco_sim.vehicle import MOUNTINGS
 
@@ -120,6 +120,12 @@ def imu_arrivals(series: ImuSeries) -> Iterator[Arrival]:
     for time_ns, gyro, accel in zip(series.times_ns.tolist(), series.gyro, series.accel, strict=True):
         cdr = _imu_message(time_ns, "imu_link", nothing, absent, _vector(gyro), _vector(accel))
         yield Arrival(time_ns + _IMU_DELAY_NS, topics.IMU, cdr)
+
+
+def imu_packet_arrivals(series: ImuSeries) -> Iterator[Arrival]:
+    """Yield the inertial packets of the LiDAR itself."""
+    for time_ns, buf in ouster_packets(series):
+        yield Arrival(time_ns + _IMU_DELAY_NS, topics.IMU_PACKETS, packet_to_cdr(buf))
 
 
 def fix_arrivals(series: GnssSeries) -> Iterator[Arrival]:

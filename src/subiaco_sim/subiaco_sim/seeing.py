@@ -49,8 +49,7 @@ def seen_from(
 
     Decided once a 0.25 m cell and object; every point of the cell shares it.
     """
-    keys = np.stack([voxel_keys(voxel_indices(xyz, _CELL)), object_id], axis=1)
-    _, first, inverse = np.unique(keys, axis=0, return_index=True, return_inverse=True)
+    first, inverse = _distinct(voxel_keys(voxel_indices(xyz, _CELL)), object_id)
     places, owner = xyz[first], object_id[first]
     grown = np.isin(owner, reshaped)
     seen = np.zeros(len(places), dtype=np.bool_)
@@ -67,7 +66,17 @@ def seen_from(
                     drive.scene, pose[:, :3, 3], places[near], lift, owner[near], grown[near], config
                 )
                 seen[near[reach]] = True
-    return np.asarray(seen[inverse.ravel()])
+    return np.asarray(seen[inverse])
+
+
+def _distinct(keys: Ints, object_id: Ints) -> tuple[Ints, Ints]:
+    """Return the first place of every pair of key and object, and the pair of every place (N,)."""
+    order = np.lexsort((object_id, keys))
+    new = np.ones(len(order), dtype=np.bool_)
+    new[1:] = (np.diff(keys[order]) != 0) | (np.diff(object_id[order]) != 0)
+    inverse = np.empty(len(order), dtype=np.int64)
+    inverse[order] = np.cumsum(new) - 1
+    return order[new], inverse
 
 
 def _nearest_poses(poses: Floats, places: Floats, reach: float) -> Ints:

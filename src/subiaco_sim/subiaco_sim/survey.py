@@ -12,19 +12,21 @@ from numpy.typing import NDArray
 
 from subiaco_geo.atomic import whole_directory
 from subiaco_geo.frames import Ints
+from subiaco_sim.clock import LidarClock
 from subiaco_sim.collect import FirstPoints
 from subiaco_sim.config import SimulationConfig
-from subiaco_sim.drives import Drive, Survey, first_points, plan_survey, scans_of
+from subiaco_sim.drives import Drive, Survey, first_points, lidar_of, plan_survey, scans_of
 from subiaco_sim.fused import MapFuser
 from subiaco_sim.gnss import simulate_gnss
 from subiaco_sim.imu import simulate_imu
 from subiaco_sim.labels import Change, Labels, label_scene
 from subiaco_sim.lidar import Lidar, SimulatedScan
-from subiaco_sim.packets import PacketMaker, TimedPacket
+from subiaco_sim.packets import COLUMNS_PER_PACKET, PacketMaker, TimedPacket, inner_imu
 from subiaco_sim.recording import (
     fix_arrivals,
     heading_arrivals,
     imu_arrivals,
+    imu_packet_arrivals,
     packet_arrivals,
     write_bag,
 )
@@ -77,7 +79,7 @@ def _simulate_epoch(
     """Drive one epoch; returns points by object (all, seen) and the hash of the packets."""
     config, drive = survey.config, survey.drives[epoch]
     (folder / "truth").mkdir(parents=True)
-    lidar = Lidar(drive.info, config.lidar, config.dual_return)
+    lidar = lidar_of(survey, drive)
     points = FirstPoints(config.truth.leaf)
     fuser = MapFuser(config.map_leaf, drive) if config.maps_only else None
     scans = _observed(survey, drive, lidar, points, fuser, say)
@@ -90,11 +92,16 @@ def _simulate_epoch(
     say(f"{epoch} truth", 0.0)
     write_trajectory(folder / "truth", drive)
     xyz, object_id = points.result()
-    change = point_changes(survey, epoch, labels, xyz, object_id)
+    fused = fuser.result() if fuser is not None else None
+    if fused is None:
+        change = point_changes(survey, epoch, labels, xyz, object_id)
+    else:  # one test for both: most cells are the same
+        every = np.concatenate([xyz, fused[0]]), np.concatenate([object_id, fused[2]])
+        change = point_changes(survey, epoch, labels, *every)
+    if fuser is not None and fused is not None:
+        fuser.write(folder, labels, fused, change[len(xyz) :])
+    change = change[: len(xyz)]
     write_points(folder / "truth", labels, xyz, object_id, change)
-    if fuser is not None:
-        fused = fuser.result()
-        fuser.write(folder, labels, fused, point_changes(survey, epoch, labels, fused[0], fused[2]))
     say(f"{epoch} truth", 1.0)
     return _count(object_id, change, len(labels.change)), digest
 
@@ -122,20 +129,27 @@ def _record(path: Path, survey: Survey, drive: Drive, scans: Iterator[SimulatedS
     config = survey.config
     digest = hashlib.sha256()
     maker = PacketMaker(drive.info)
+    clock = LidarClock(config.faults, drive.motion.start_ns, drive.motion.duration)
 
     def packets() -> Iterator[TimedPacket]:
         for scan in scans:
-            for packet in maker.packets(scan):
+            rng = drive.rng(config.seed, 5, scan.frame_id)
+            stamps = clock.stamps(scan.times_ns, COLUMNS_PER_PACKET, rng)
+            for packet in maker.packets(scan, stamps):
                 digest.update(packet.buf)
                 yield packet
 
     imu = simulate_imu(drive.motion, config.imu, drive.rng(config.seed, 2))
-    gnss = simulate_gnss(drive.motion, config.gnss, drive.rng(config.seed, 3))
+    rng = drive.rng(config.seed, 3)
+    gnss = simulate_gnss(drive.motion, config.gnss, rng, config.faults, drive.compiled)
     streams = [
         packet_arrivals(packets(), config.faults, drive.rng(config.seed, 4)),
         imu_arrivals(imu),
         fix_arrivals(gnss),
         heading_arrivals(gnss),
     ]
+    if config.imu.ouster_packets:
+        inner = simulate_imu(drive.motion, config.imu, drive.rng(config.seed, 6), inner_imu(drive.info))
+        streams.append(imu_packet_arrivals(inner))
     write_bag(path, drive.info.to_json_string(), drive.motion.start_ns, streams)
     return digest.hexdigest()
