@@ -1,8 +1,8 @@
 """77 real KITTI scans through the node graph, and the street they make against itself with known changes.
 
 Seen when this was written (see docs/real-data.md): the trajectory differs from the kiss-icp reference by at
-most 0.033 m and 0.069 deg on 28.9 m; 13 of 16 objects put in and 14 of 16 taken out are found; 1 and 2 rows
-report a change where there is none, 0.2 and 0.3 on 1000 m2. The bounds below leave room around that.
+most 0.033 m and 0.034 deg on 28.9 m; 15 of 16 objects put in and 15 of 16 taken out are found; 4 and 3 rows
+report a change where there is none, 0.7 and 0.5 on 1000 m2. The bounds below leave room around that.
 """
 
 from __future__ import annotations
@@ -164,10 +164,10 @@ def test_real_objects_put_into_a_real_street_are_found_and_little_else(
     assert degrees < 0.03
     assert {r.evidence for r in result.records} == {"trajectory"}
     assert len(found) >= 14
-    assert sum(item.hit for item in found) >= 0.65 * len(found)
+    assert sum(item.hit for item in found) >= 0.75 * len(found)
     for kind in ("building", "car", "tree"):
         assert any(item.hit for item in found if item.placed.kind == kind)
     opposite = Change.REMOVED if change is Change.ADDED else Change.ADDED
     assert not any(item.label == opposite.label for item in found)
-    assert len(alarms) <= 5
+    assert len(alarms) <= 8
     assert area > 4000
