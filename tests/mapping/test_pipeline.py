@@ -20,7 +20,7 @@ from subiaco_geo.config import load_config
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import make_pose
 from subiaco_geo.topics import IMU, LIDAR_PACKETS, MESSAGE_TYPES, METADATA, POINTS
-from subiaco_mapping.config import FramePose, GnssConfig, MappingConfig, OdometryConfig, SensorsConfig
+from subiaco_mapping.config import FramePose, MappingConfig, OdometryConfig, SensorsConfig
 from subiaco_mapping.conversions import extrinsics_from_tf, scan_from_points
 from subiaco_mapping.importers import import_recording
 from subiaco_mapping.inspection import describe, inspect_bag
@@ -208,28 +208,3 @@ def test_kitti_scans_give_a_local_map(shared_data: Path, tmp_path: Path) -> None
 def test_the_files_in_config_validate(repository: Path) -> None:
     config = load_config(MappingConfig, [repository / "config" / n for n in ("mapping.yaml", "sensors.yaml")])
     assert config == MappingConfig()
-
-
-@pytest.mark.slow
-def test_a_simulated_survey_is_mapped_within_centimetres_of_the_truth(tmp_path: Path) -> None:
-    from scipy.spatial import cKDTree
-
-    from subiaco_geo.trajectories import read_tum
-    from subiaco_sim.config import EpochChoice, LidarMode, SimulationConfig
-    from subiaco_sim.survey import simulate
-
-    config = SimulationConfig(
-        preset="easy", mode=LidarMode.COLUMNS_512, duration=6.0, epoch=EpochChoice.BEFORE, seed=1
-    )
-    simulate(tmp_path / "sim", config, None)
-    epoch = tmp_path / "sim" / "before"
-    survey = map_survey([epoch], MappingConfig(gnss=GnssConfig(min_length=8.0)))
-    truth = read_tum(epoch / "truth" / "trajectory.tum")
-    assert survey.cloud.crs == "EPSG:7850"
-    error = survey.trajectory.positions - truth.at(survey.trajectory.times_ns)[:, :3, 3]
-    assert np.sqrt((error**2).sum(axis=1).mean()) < 0.10
-    with np.load(epoch / "truth" / "points.npz") as points:
-        tree = cKDTree(points["xyz"] - survey.cloud.origin)
-    distance, _ = tree.query(survey.cloud.xyz[::10])
-    assert np.median(distance) < 0.10
-    assert survey.manifest["sequences"]["before"]["packets"]["lost"] == 0
