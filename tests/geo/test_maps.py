@@ -204,6 +204,17 @@ def test_an_epoch_is_a_map_a_bare_cloud_or_a_folder_with_one(tmp_path: Path) -> 
         assert bare.visibility is None
 
 
+def test_what_lies_beside_a_bare_map_in_its_folder_is_taken_up(tmp_path: Path) -> None:
+    survey = some_survey()
+    write_map(tmp_path / "m", survey)
+    (tmp_path / "sim").mkdir()
+    for name in ("map.ply", "visibility.npz", "trajectory.tum"):
+        (tmp_path / "m" / name).rename(tmp_path / "sim" / name)
+    bare = load_epoch(tmp_path / "sim")
+    np.testing.assert_array_equal(bare.visibility.keys, survey.visibility.keys)
+    assert len(bare.trajectory) == len(survey.trajectory)
+
+
 def test_a_trajectory_given_beside_replaces_the_maps_own(tmp_path: Path) -> None:
     write_map(tmp_path / "m", some_survey())
     other = some_trajectory(np.random.default_rng(9), 3, PERTH)

@@ -179,7 +179,8 @@ def load_epoch(path: Path, trajectory: Path | None = None) -> SurveyMap:
     ----------
     path : Path
         A map directory, a cloud file, or a folder whose ``map.ply`` (or
-        ``map.laz``) is the cloud, as a simulation without bags leaves it.
+        ``map.laz``) is the cloud, as a simulation without bags leaves it;
+        ``visibility.npz`` and ``trajectory.tum`` beside it are taken up.
     trajectory : Path, optional
         TUM file that says where the sensor went; replaces the map's own.
     """
@@ -191,8 +192,17 @@ def load_epoch(path: Path, trajectory: Path | None = None) -> SurveyMap:
     if (path / "map.yaml").is_file():
         survey = read_map(path, with_last=False)
     else:
-        survey = SurveyMap(read_cloud(_bare_cloud(path)), info={"source": path.name})
+        survey = _read_bare(path)
     return survey if trajectory is None else replace(survey, trajectory=read_tum(Path(trajectory)))
+
+
+def _read_bare(path: Path) -> SurveyMap:
+    return SurveyMap(
+        read_cloud(_bare_cloud(path)),
+        _optional_trajectory(path / "trajectory.tum"),
+        _optional_visibility(path / "visibility.npz"),
+        info={"source": path.name},
+    )
 
 
 def _bare_cloud(path: Path) -> Path:
