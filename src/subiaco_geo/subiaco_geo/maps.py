@@ -189,10 +189,7 @@ def load_epoch(path: Path, trajectory: Path | None = None) -> SurveyMap:
         raise InputError(
             f"{path}: no such map or cloud; give a map directory or a .ply, .las, .laz or .pcd file"
         )
-    if (path / "map.yaml").is_file():
-        survey = read_map(path, with_last=False)
-    else:
-        survey = _read_bare(path)
+    survey = read_map(path, with_last=False) if (path / "map.yaml").is_file() else _read_bare(path)
     return survey if trajectory is None else replace(survey, trajectory=read_tum(Path(trajectory)))
 
 
