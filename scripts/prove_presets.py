@@ -58,8 +58,10 @@ def survey_of(work: Path, preset: str, seed: int) -> Path:
 
 
 def run_method(survey: Path, method: str) -> Path:
-    """Compare the fused maps of a survey at their true registration."""
+    """Compare the fused maps of a survey at their true registration, unless that is there already."""
     out = survey.with_name(f"{survey.name}-{method}")
+    if out.exists():
+        return out
     truth = yaml.safe_load((survey / "truth" / "scene.yaml").read_text())
     job = ChangeJob(
         survey / "before" / "map.ply",
@@ -83,9 +85,9 @@ def prove(work: Path, preset: str, seeds: list[int], keep: bool) -> list[Row]:
             pairs[method].append(pair)
             rows.append(Row(method, str(seed), evaluate([pair])["grid"]))
             print(rows[-1].text(), flush=True)
-    for method in LIMITS:
+    for method, limit in LIMITS.items():
         rows.append(Row(method, "all", evaluate(pairs[method])["grid"]))
-        print(rows[-1].text(), f"(limit {LIMITS[method]:g})")
+        print(rows[-1].text(), f"(limit {limit:g})")
     if not keep:
         shutil.rmtree(work)
     return rows

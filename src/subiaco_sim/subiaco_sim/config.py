@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from enum import StrEnum
+from pathlib import Path
 from typing import Literal
 
 from pydantic import Field
@@ -112,6 +113,20 @@ class FaultConfig(StrictModel):
     multipath_size: float = Field(1.5, gt=0.0, description="Size of such an error [m]")
 
 
+class MapErrorConfig(StrictModel):
+    """Errors of the fused map of the earlier epoch, as an older survey has them; each a switch."""
+
+    shift: float = Field(0.0, ge=0.0, description="How far off the map lies, horizontally [m]")
+    rotation_deg: float = Field(0.0, description="How far it is turned about the vertical [deg]")
+    tilt_deg: float = Field(0.0, ge=0.0, description="How far it is tilted [deg]")
+    drift: float = Field(0.0, ge=0.0, description="Slow bending over some 200 m, amplitude at most [m]")
+    shear: float = Field(0.0, ge=0.0, description="Local shear within 25 m of one place [m]")
+    duplicates: float = Field(
+        0.0, ge=0.0, le=1.0, description="Share of the drive whose facades stand twice in the map"
+    )
+    duplicate_offset: float = Field(0.3, gt=0.0, description="Distance of such a second facade [m]")
+
+
 class TruthConfig(StrictModel):
     """How the truth is thinned and how seeing is tested."""
 
@@ -135,7 +150,7 @@ class TruthConfig(StrictModel):
 class SimulationConfig(StrictModel):
     """One simulated survey."""
 
-    preset: str = Field("default", description="easy or default (hard and city do not exist yet)")
+    preset: str = Field("default", description="easy, default or hard (city does not exist yet)")
     seed: int = Field(1, ge=0, description="Everything random follows from it")
     epoch: EpochChoice = Field(EpochChoice.BOTH, description="before, after or both")
     maps_only: bool = Field(False, description="Write fused maps from true poses, no bags")
@@ -151,8 +166,12 @@ class SimulationConfig(StrictModel):
     )
     map_every: int = Field(1, ge=1, le=10, description="Scans that enter fused maps: one in so many")
     map_leaf: float = Field(0.25, gt=0.0, le=2.0, description="Leaf of the fused maps [m]")
+    recorded_drive: Path | None = Field(
+        None, description="Folder of a recorded drive (gnss*.pos, imu*.csv.gz) whose speed and swing to take"
+    )
     lidar: LidarConfig = LidarConfig()
     imu: ImuConfig = ImuConfig()
     gnss: GnssConfig = GnssConfig()
     faults: FaultConfig = FaultConfig()
+    maps: MapErrorConfig = MapErrorConfig()
     truth: TruthConfig = TruthConfig()

@@ -10,12 +10,14 @@ from ouster.sdk.core import SensorInfo
 
 from subiaco_geo.crs import EnuFrame
 from subiaco_geo.frames import Floats, Ints
-from subiaco_sim.config import SimulationConfig
+from subiaco_sim.config import MapErrorConfig, SimulationConfig
 from subiaco_sim.lidar import SCAN_NS, Lidar, SimulatedScan, column_times, points_of
+from subiaco_sim.map_errors import MapWarp
 from subiaco_sim.motion import Motion, drive
 from subiaco_sim.movers import freeze
 from subiaco_sim.packets import sensor_info
-from subiaco_sim.presets import build_scene, find_preset
+from subiaco_sim.presets import build_scene, find_preset, with_preset
+from subiaco_sim.recorded import read_recorded_drive
 from subiaco_sim.scene import EPOCHS, CompiledScene, Scene, compile_scene, ground_object
 from subiaco_sim.vehicle import LIDAR
 
@@ -69,10 +71,13 @@ class ScanPoints:
 
 
 def plan_survey(config: SimulationConfig) -> Survey:
-    """Build the scene and both drives."""
+    """Build the scene and both drives; the survey's settings are complete with those of the preset."""
     preset = find_preset(config.preset)
+    config = with_preset(config)
     scene = build_scene(config.preset, config.seed, config.ground_cell)
     duration = config.duration or preset.duration
+    folder = config.recorded_drive
+    recorded = read_recorded_drive(folder) if folder is not None else None
     drives = {}
     for number, epoch in enumerate(EPOCHS):
         motion = drive(
@@ -84,22 +89,27 @@ def plan_survey(config: SimulationConfig) -> Survey:
             reverse=epoch == "after",
             seed=config.seed * 2 + number,
             place=preset.place[number],
+            recorded=recorded,
         )
         scans = int(duration * 1e9 // SCAN_NS)
-        beams = (config.beams_before, config.beams_after)[number] or preset.beams[number]
+        beams = (config.beams_before, config.beams_after)[number] or 128
         info = sensor_info(config.mode, config.dual_return, beams)
         compiled = compile_scene(scene, epoch)
         drives[epoch] = Drive(epoch, number, motion, compiled, config.mode.columns, scans, info)
     return Survey(config, scene, drives)
 
 
+def warp_of(survey: Survey, epoch: str) -> MapWarp:
+    """Return the errors of the fused map of an epoch; a drive that is recorded has none."""
+    config = survey.config
+    wrong = config.maps if config.maps_only and epoch == "before" else MapErrorConfig()
+    middle = survey.scene.route[len(survey.scene.route) // 2]
+    return MapWarp(wrong, np.append(middle, 0.0), config.seed)
+
+
 def lidar_of(survey: Survey, drive: Drive) -> Lidar:
-    """Return the sensor of a drive, with the beam spread of the preset where none is asked for."""
-    config = survey.config.lidar
-    if config.divergence is None:
-        spread = find_preset(survey.config.preset).divergence
-        config = config.model_copy(update={"divergence": spread})
-    return Lidar(drive.info, config, survey.config.dual_return)
+    """Return the sensor of a drive."""
+    return Lidar(drive.info, survey.config.lidar, survey.config.dual_return)
 
 
 def scans_of(survey: Survey, drive: Drive, lidar: Lidar) -> Iterator[SimulatedScan]:

@@ -208,7 +208,8 @@ def _strips(layout: Layout) -> list[tuple[str, Strip]]:
         rise = {"resurfaced": rise, "milled": -rise, "settled": -float(rng.uniform(0.05, 0.12))}[event]
         stop = min(start + int(4 * length), len(line) - 1)
         if stop - start > 40:
-            offset = side * (ROAD_HALF - 0.1 - width / 2)
+            kerb = ROAD_HALF + layout.setback - SETBACK
+            offset = side * (kerb - 0.1 - width / 2)
             made.append((event, strip_along(line, start, stop, offset, width, rise)))
     return made
 
@@ -216,7 +217,7 @@ def _strips(layout: Layout) -> list[tuple[str, Strip]]:
 def _plots(layout: Layout) -> list[tuple[str, Patch]]:
     """Return places in front gardens that are dug, filled, or too small or shallow to count."""
     rng = layout.rng
-    lots = list(walk_lots(layout.centreline, 14.0))
+    lots = list(walk_lots(layout.centreline, 14.0, layout.setback))
     kinds = (
         ("excavated", 7.5, 4.4, -0.35),
         ("filled", 7.0, 4.6, 0.35),

@@ -94,16 +94,24 @@ def strip_along(line: Floats, start: int, stop: int, offset: float, width: float
 
 
 class Road:
-    """Distances to the crown of a road, given as a dense centreline (N, 2) [m]."""
+    """Distances to the crown of a road, given as a dense centreline (N, 2) [m].
 
-    def __init__(self, centreline: Floats) -> None:
+    ``widen`` makes each half of the road wider (for a lane of parked cars):
+    distances are counted from there on. Places within ``median`` of the
+    centreline are on a raised median and have the distance -1.
+    """
+
+    def __init__(self, centreline: Floats, widen: float = 0.0, median: float = 0.0) -> None:
         self.centreline = centreline
+        self.widen = widen
+        self.median = median
         self._tree = cKDTree(centreline)
         self._grid: tuple[tuple[object, float], tuple[Floats, Floats, Floats]] | None = None
 
     def distance(self, x: Floats, y: Floats) -> Floats:
         """Return distances of places of any shape [m]."""
-        distance, _ = self._tree.query(np.stack([np.ravel(x), np.ravel(y)], axis=1))
+        true, _ = self._tree.query(np.stack([np.ravel(x), np.ravel(y)], axis=1))
+        distance = np.where(true < self.median, -1.0, np.maximum(true - self.widen, 0.0))
         return np.asarray(distance).reshape(np.shape(x))
 
     def grid(self, bounds: tuple[float, float, float, float], cell: float) -> tuple[Floats, Floats, Floats]:
@@ -173,7 +181,7 @@ def road_profile(distance: Floats) -> Floats:
     corners = [0.0, ROAD_HALF, ROAD_HALF + 0.1, FOOTPATH[1], 14.0, 60.0]
     edge = -0.025 * ROAD_HALF
     heights = [0.0, edge, edge + KERB_HEIGHT, edge + KERB_HEIGHT + 0.06, 0.35, 0.5]
-    return np.interp(distance, corners, heights)
+    return np.where(distance < -0.5, KERB_HEIGHT, np.interp(distance, corners, heights))
 
 
 def road_material(distance: Floats) -> NDArray[np.uint8]:
@@ -181,5 +189,6 @@ def road_material(distance: Floats) -> NDArray[np.uint8]:
     kind = np.full(distance.shape, Material.GRASS, dtype=np.uint8)
     kind[distance < ROAD_HALF + 0.4] = Material.CONCRETE
     kind[distance < ROAD_HALF] = Material.ASPHALT
+    kind[distance < -0.5] = Material.GRASS
     kind[(distance > FOOTPATH[0]) & (distance < FOOTPATH[1])] = Material.CONCRETE
     return kind

@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints, make_pose
 from subiaco_sim.ground import Terrain
+from subiaco_sim.recorded import RecordedDrive
 
 STANDING = 1.0  # s at rest before moving off
 ACCELERATION = 1.8  # m/s2
@@ -83,11 +84,13 @@ def drive(
     reverse: bool,
     seed: int,
     place: float = 0.5,
+    recorded: RecordedDrive | None = None,
 ) -> Motion:
     """Drive along a dense centreline on the left of the road.
 
     ``place`` says where along the spare length of the route: 0 from its very
-    start, 0.5 centred on its middle.
+    start, 0.5 centred on its middle. With ``recorded``, speed and swing are those
+    of a stretch of a real drive, slower where the route is too short for it.
 
     Raises
     ------
@@ -99,6 +102,10 @@ def drive(
     rng = np.random.default_rng([seed, 11])
     seconds = np.arange(-2.0, duration + 2.0, KNOT)
     distance = travelled(seconds, speed, float(rng.uniform(0, 6.28)))
+    stretch = recorded.stretch(duration, rng) if recorded is not None else None
+    if stretch is not None:
+        distance = stretch.travelled(seconds)
+        distance = _smoothed(distance * min(1.0, 0.98 * arc[-1] / distance[-1]))
     distance -= np.interp(0.0, seconds, distance)
     needed = float(distance[-1])
     if needed > arc[-1]:
@@ -108,6 +115,9 @@ def drive(
     smooth = CubicSpline(arc[::20], line[::20])
     xy, tangent = smooth(station), smooth(station, 1)
     z, pitch, roll = _ride(terrain, xy, tangent, seconds, distance, rng)
+    if stretch is not None:
+        swing = stretch.swing(seconds)
+        pitch, roll = pitch + swing[0], roll + swing[1]
     yaw = np.unwrap(np.arctan2(tangent[:, 1], tangent[:, 0]))
     return Motion(
         start_ns,

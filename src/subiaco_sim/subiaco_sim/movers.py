@@ -96,14 +96,16 @@ def freeze(
     return MovingScene(standing, compile_meshes(meshes, standing.threads), np.array(centres), np.array(radii))
 
 
-def random_movers(first_id: int, route_length: float, rng: np.random.Generator) -> tuple[Mover, ...]:
+def random_movers(
+    first_id: int, route_length: float, widen: float, rng: np.random.Generator
+) -> tuple[Mover, ...]:
     """Draw the traffic of both epochs: about one vehicle each 90 m, one person each 60 m."""
     made: list[Mover] = []
     for epoch, way in (("before", -1.0), ("after", 1.0)):
         for _ in range(max(1, round(route_length / 90))):
             made.append(_vehicle(first_id + len(made), epoch, way, route_length, rng))
         for _ in range(max(1, round(route_length / 60))):
-            made.append(_person(first_id + len(made), epoch, route_length, rng))
+            made.append(_person(first_id + len(made), epoch, route_length, widen, rng))
     return tuple(made)
 
 
@@ -114,11 +116,11 @@ def _vehicle(number: int, epoch: str, way: float, length: float, rng: np.random.
     return Mover(number, shape, epoch, float(rng.uniform(0, length)), speed, way * 1.75, 4.2)
 
 
-def _person(number: int, epoch: str, length: float, rng: np.random.Generator) -> Mover:
+def _person(number: int, epoch: str, length: float, widen: float, rng: np.random.Generator) -> Mover:
     cycling = bool(rng.random() < 0.3)
     pace = rng.uniform(3.5, 6.0) if cycling else rng.uniform(0.9, 1.7)
     way, side = rng.choice([-1.0, 1.0], 2)
-    offset = side * float(rng.uniform(5.5, 6.8))
+    offset = side * (widen + float(rng.uniform(5.5, 6.8)))
     return Mover(
         number, Person(cycling=cycling), epoch, float(rng.uniform(0, length)), way * pace, offset, 1.5
     )

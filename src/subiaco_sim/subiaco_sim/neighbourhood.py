@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -42,15 +43,17 @@ class Character:
     parked: float = 0.42
     trucks: float = 0.10  # of what is parked
     wires: bool = True
+    widen: float = 1.3  # lane of parked cars on either side [m]
+    median: float = 0.0  # half width of a raised median [m]
 
 
 def lay_out_crowded(
     centreline: Floats, frontage: float, rng: np.random.Generator, character: Character
 ) -> Layout:
     """Lay out a street: buildings, then gardens, then the street itself."""
-    layout = Layout(centreline, rng)
-    layout.taken.append(LineString(centreline).buffer(8.5))
-    for lot in walk_lots(centreline, frontage):
+    layout = Layout(centreline, rng, SETBACK + character.widen)
+    layout.taken.append(LineString(centreline).buffer(8.5 + character.widen))
+    for lot in _lots(layout, frontage):
         plot = rectangle(*from_lot(lot, 0.0, 8.0), lot.yaw, frontage - 0.8, 20.0)
         if layout.free(plot):
             layout.taken.append(plot)
@@ -59,6 +62,10 @@ def lay_out_crowded(
     _park(layout, character)
     _furnish(layout, character)
     return layout
+
+
+def _lots(layout: Layout, frontage: float) -> Iterator[Lot]:
+    return walk_lots(layout.centreline, frontage, layout.setback)
 
 
 def _put(
@@ -160,7 +167,7 @@ def _add_sheds(layout: Layout, lot: Lot) -> None:
 def _plant_street(layout: Layout, character: Character) -> None:
     """Plant large trees at the kerb, whose crowns hang over the parked cars and the road."""
     rng = layout.rng
-    for lot in walk_lots(layout.centreline, 8.5):
+    for lot in _lots(layout, 8.5):
         if rng.random() < character.street_trees:
             tree = random_tree(rng, (6.5, 10.5))
             tree = replace(tree, crown=min(tree.crown, tree.height - 2.6))
@@ -178,7 +185,7 @@ def random_vehicle(rng: np.random.Generator, trucks: float) -> Car | Truck:
 
 def _park(layout: Layout, character: Character) -> None:
     rng = layout.rng
-    for lot in walk_lots(layout.centreline, 8.2):
+    for lot in _lots(layout, 8.2):
         if rng.random() < character.parked:
             vehicle = random_vehicle(rng, character.trucks)
             kind = "truck" if isinstance(vehicle, Truck) else "car"
@@ -188,7 +195,7 @@ def _park(layout: Layout, character: Character) -> None:
 
 def _furnish(layout: Layout, character: Character) -> None:
     rng = layout.rng
-    for lot in walk_lots(layout.centreline, 11.0):
+    for lot in _lots(layout, 11.0):
         drawn = rng.random()
         if drawn < 0.3:
             _put(layout, lot, "bin", OTHER, Bin(), (3.4, ROAD_HALF + 0.6 - SETBACK, 0.1))
@@ -196,7 +203,7 @@ def _furnish(layout: Layout, character: Character) -> None:
             _put(layout, lot, "sign", OTHER, Sign(), (-3.0, ROAD_HALF + 0.5 - SETBACK, np.pi / 2))
         elif drawn < 0.44:
             _put(layout, lot, "bus shelter", OTHER, BusShelter(), (0.0, 7.6 - SETBACK, np.pi))
-    poles = [lot for lot in walk_lots(layout.centreline, 26.0) if lot.side > 0]
+    poles = [lot for lot in _lots(layout, 26.0) if lot.side > 0]
     places = [from_lot(lot, 0.0, ROAD_HALF + 0.6 - SETBACK) for lot in poles]
     for k, (lot, (x, y)) in enumerate(zip(poles, places, strict=True)):
         layout.add("pole", OTHER, Placed(Pole(8.4), x, y, lot.yaw - np.pi / 2))

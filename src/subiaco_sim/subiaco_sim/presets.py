@@ -2,22 +2,28 @@
 
 from __future__ import annotations
 
+import hashlib
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
+from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
 from subiaco_sim.changes import apply_changes, ground_changes, replaced_cars
-from subiaco_sim.config import Beams
+from subiaco_sim.config import Beams, FaultConfig, MapErrorConfig, SimulationConfig
 from subiaco_sim.events import Seasons, let_time_pass, work_the_ground
+from subiaco_sim.ground import Road
 from subiaco_sim.movers import random_movers
 from subiaco_sim.neighbourhood import Character, lay_out_crowded
 from subiaco_sim.scene import Scene
 from subiaco_sim.suburb import dense_route, lay_out, make_terrain
 
 _SEASONS = Seasons()
+_NO_FAULTS = FaultConfig()
+_NO_ERRORS = MapErrorConfig()
 
 
 @dataclass(frozen=True)
@@ -36,7 +42,11 @@ class Preset:
     character: Character | None = None  # crowded where given
     seasons: Seasons = _SEASONS
     divergence: float = 0.0  # of the beams [rad]
+    wet_road: float = 0.0
+    faults: FaultConfig = _NO_FAULTS
+    maps: MapErrorConfig = _NO_ERRORS
     slope: float = 0.02  # steepest lie of the land [m per m]
+    gentlest: float = 0.0  # least slope along x [m per m]
 
 
 def winding_street() -> Floats:
@@ -62,6 +72,12 @@ def block_loop() -> Floats:
     return np.concatenate(points)
 
 
+def winding_road() -> Floats:
+    """Return a road of some 440 m that winds up a hillside."""
+    x = np.linspace(-200.0, 200.0, 21)
+    return np.column_stack([x, 30.0 * np.sin(x / 62.0) + 6.0 * np.sin(x / 23.0)])
+
+
 PRESETS: dict[str, Preset] = {
     "easy": Preset(winding_street, 15.5, 1, 45.0, 0.3, 20.0, 6.5),
     "default": Preset(
@@ -77,6 +93,33 @@ PRESETS: dict[str, Preset] = {
         character=Character(),
         slope=0.04,
         divergence=8e-4,
+    ),
+    "hard": Preset(
+        winding_road,
+        14.0,
+        1,
+        38.0,
+        0.3,
+        42.0,
+        8.5,
+        beams=(64, 128),
+        place=(0.0, 0.25),  # of a road that both run along, each leaves another end out
+        character=Character(
+            terraces=0.16,
+            shops=0.12,
+            apartments=0.12,
+            street_trees=0.85,
+            parked=0.6,
+            trucks=0.22,
+            median=0.4,
+        ),
+        seasons=Seasons(deciduous=0.5, bare=0.2, sway=0.4, growth=0.04),
+        slope=0.08,
+        gentlest=0.055,
+        divergence=1.2e-3,
+        wet_road=0.5,
+        faults=FaultConfig(packet_loss=0.002, reordered=0.005, canyons=True, multipath=2),
+        maps=MapErrorConfig(shift=1.2, rotation_deg=0.8, drift=0.08, shear=0.06, duplicates=0.1),
     ),
 }
 
@@ -102,7 +145,7 @@ def build_scene(name: str, seed: int, ground_cell: float | None = None) -> Scene
     if preset.character is not None:
         return _crowded_scene(preset, preset.character, route, ground_cell or preset.cell, rng)
     layout = lay_out(route, preset.frontage, rng)
-    terrain = make_terrain(route, preset.margin, ground_cell or preset.cell, rng)
+    terrain = make_terrain(Road(route), preset.margin, ground_cell or preset.cell, rng)
     items = replaced_cars(apply_changes(layout, preset.rounds), rng)
     ground = ground_changes(layout, len(items) + 1, preset.rounds)
     return Scene(terrain, tuple(items), tuple(ground), route)
@@ -111,10 +154,51 @@ def build_scene(name: str, seed: int, ground_cell: float | None = None) -> Scene
 def _crowded_scene(
     preset: Preset, character: Character, route: Floats, cell: float, rng: np.random.Generator
 ) -> Scene:
-    terrain = make_terrain(route, preset.margin, cell, rng, preset.slope)
+    road = Road(route, character.widen, character.median)
+    terrain = make_terrain(road, preset.margin, cell, rng, preset.slope)
+    east = np.copysign(max(abs(terrain.slope[0]), preset.gentlest), terrain.slope[0])
+    terrain = replace(terrain, slope=(float(east), terrain.slope[1]))
     layout = lay_out_crowded(route, preset.frontage, rng, character)
     items = let_time_pass(layout, preset.seasons)
     ground = work_the_ground(layout, len(items) + 1)
     length = 0.25 * len(route)
-    movers = random_movers(len(items) + len(ground) + 1, length, rng)
+    movers = random_movers(len(items) + len(ground) + 1, length, character.widen, rng)
     return Scene(terrain, tuple(items), tuple(ground), route, movers)
+
+
+def with_preset(config: SimulationConfig) -> SimulationConfig:
+    """Return the settings with those of the preset wherever nothing else was asked for."""
+    preset = find_preset(config.preset)
+
+    def merged(base: StrictModel, asked: StrictModel) -> StrictModel:
+        return base.model_copy(update={name: getattr(asked, name) for name in asked.model_fields_set})
+
+    lidar = {"divergence": preset.divergence, "wet_road": preset.wet_road}
+    asked = {name for name in config.lidar.model_fields_set if getattr(config.lidar, name) is not None}
+    return config.model_copy(
+        update={
+            "duration": config.duration or preset.duration,
+            "ground_cell": config.ground_cell or preset.cell,
+            "beams_before": config.beams_before or preset.beams[0],
+            "beams_after": config.beams_after or preset.beams[1],
+            "lidar": config.lidar.model_copy(update={k: v for k, v in lidar.items() if k not in asked}),
+            "faults": merged(preset.faults, config.faults),
+            "maps": merged(preset.maps, config.maps),
+        }
+    )
+
+
+def simulator_hash() -> str:
+    """Return a short hash of the simulator's own source: the same hash and seed give the same survey."""
+    digest = hashlib.sha256()
+    for path in sorted(Path(__file__).parent.glob("*.py")):
+        digest.update(path.name.encode() + path.read_bytes())
+    return digest.hexdigest()[:16]
+
+
+def preset_hash(name: str) -> str:
+    """Return a short hash of everything that a preset says."""
+    preset = find_preset(name)
+    said = {k: str(v) for k, v in vars(preset).items() if k != "waypoints"}
+    text = repr(sorted(said.items())).encode() + preset.waypoints().round(6).tobytes()
+    return hashlib.sha256(text).hexdigest()[:16]

@@ -39,6 +39,7 @@ class Layout:
 
     centreline: Floats
     rng: np.random.Generator
+    setback: float = SETBACK  # crown of the road to the front wall [m]
     items: list[Item] = field(default_factory=list)
     taken: list[Polygon] = field(default_factory=list)
 
@@ -78,7 +79,7 @@ def from_lot(lot: Lot, along: float, inward: float) -> tuple[float, float]:
     return float(lot.x + c * along - s * inward), float(lot.y + s * along + c * inward)
 
 
-def walk_lots(centreline: Floats, frontage: float) -> Iterator[Lot]:
+def walk_lots(centreline: Floats, frontage: float, setback: float = SETBACK) -> Iterator[Lot]:
     """Yield lots on both sides of a dense centreline, one every ``frontage`` [m]."""
     spacing = float(np.linalg.norm(centreline[1] - centreline[0]))
     step = int(frontage / spacing)
@@ -88,7 +89,7 @@ def walk_lots(centreline: Floats, frontage: float) -> Iterator[Lot]:
         for side in (1, -1):
             yaw = heading + (0.0 if side > 0 else np.pi)
             normal = np.array([-np.sin(yaw), np.cos(yaw)])
-            x, y = centreline[k] + SETBACK * normal
+            x, y = centreline[k] + setback * normal
             yield Lot(k * spacing, side, float(x), float(y), yaw)
 
 
@@ -193,13 +194,14 @@ def _add_street_furniture(layout: Layout) -> None:
 
 
 def make_terrain(
-    centreline: Floats, margin: float, cell: float, rng: np.random.Generator, steepest: float = 0.02
+    road: Road, margin: float, cell: float, rng: np.random.Generator, steepest: float = 0.02
 ) -> Terrain:
     """Return sloping land around a street; ``steepest`` to the east, three quarters of it to the north."""
+    centreline = road.centreline
     west, south = centreline.min(axis=0) - margin
     east, north = centreline.max(axis=0) + margin
     slope = (
         float(rng.uniform(-steepest, steepest)),
         float(rng.uniform(-0.75 * steepest, 0.75 * steepest)),
     )
-    return Terrain(Road(centreline), (float(west), float(south), float(east), float(north)), slope, cell)
+    return Terrain(road, (float(west), float(south), float(east), float(north)), slope, cell)

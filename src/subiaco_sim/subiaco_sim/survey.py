@@ -15,7 +15,7 @@ from subiaco_geo.frames import Ints
 from subiaco_sim.clock import LidarClock
 from subiaco_sim.collect import FirstPoints
 from subiaco_sim.config import SimulationConfig
-from subiaco_sim.drives import Drive, Survey, first_points, lidar_of, plan_survey, scans_of
+from subiaco_sim.drives import Drive, Survey, first_points, lidar_of, plan_survey, scans_of, warp_of
 from subiaco_sim.fused import MapFuser
 from subiaco_sim.gnss import simulate_gnss
 from subiaco_sim.imu import simulate_imu
@@ -30,6 +30,7 @@ from subiaco_sim.recording import (
     packet_arrivals,
     write_bag,
 )
+from subiaco_sim.scene import BUILDING
 from subiaco_sim.truth import point_changes, write_objects, write_points, write_scene, write_trajectory
 
 Progress = Callable[[str, float], None]
@@ -81,7 +82,9 @@ def _simulate_epoch(
     (folder / "truth").mkdir(parents=True)
     lidar = lidar_of(survey, drive)
     points = FirstPoints(config.truth.leaf)
-    fuser = MapFuser(config.map_leaf, drive) if config.maps_only else None
+    warp = warp_of(survey, epoch)
+    building = labels.semantic == BUILDING
+    fuser = MapFuser(config.map_leaf, drive, warp, lidar.beams, building) if config.maps_only else None
     scans = _observed(survey, drive, lidar, points, fuser, say)
     digest = ""
     if fuser is None:
@@ -90,7 +93,7 @@ def _simulate_epoch(
         for _ in scans:
             pass
     say(f"{epoch} truth", 0.0)
-    write_trajectory(folder / "truth", drive)
+    write_trajectory(folder / "truth", drive, warp)
     xyz, object_id = points.result()
     fused = fuser.result() if fuser is not None else None
     if fused is None:
@@ -101,7 +104,7 @@ def _simulate_epoch(
     if fuser is not None and fused is not None:
         fuser.write(folder, labels, fused, change[len(xyz) :])
     change = change[: len(xyz)]
-    write_points(folder / "truth", labels, xyz, object_id, change)
+    write_points(folder / "truth", labels, xyz, object_id, change, warp)
     say(f"{epoch} truth", 1.0)
     return _count(object_id, change, len(labels.change)), digest
 

@@ -16,17 +16,20 @@ from numpy.typing import NDArray
 from subiaco_geo.config import config_hash
 from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.trajectories import Trajectory, write_tum
-from subiaco_sim.drives import MAP_CRS, START_NS, WORLD, Drive, Survey
+from subiaco_sim.drives import MAP_CRS, START_NS, WORLD, Drive, Survey, warp_of
 from subiaco_sim.labels import Change, Labels, TrueChange
+from subiaco_sim.map_errors import MapWarp
+from subiaco_sim.presets import preset_hash, simulator_hash
 from subiaco_sim.scene import CLASS_NAMES, GROUND, CompiledScene, GroundItem, Item
 from subiaco_sim.seeing import OtherDrive, seen_from
 from subiaco_sim.vehicle import MOUNTINGS
 
 
-def write_trajectory(directory: Path, drive: Drive) -> Trajectory:
-    """Write lidar_link in the map CRS at every scan's last column."""
+def write_trajectory(directory: Path, drive: Drive, warp: MapWarp) -> Trajectory:
+    """Write lidar_link in the map CRS at every scan's last column, where the epoch's map has it."""
     times_ns = drive.scan_end_ns()
-    trajectory = Trajectory(times_ns, WORLD.poses_to_map(drive.lidar_poses(times_ns), MAP_CRS))
+    poses = warp.pose(drive.lidar_poses(times_ns))
+    trajectory = Trajectory(times_ns, WORLD.poses_to_map(poses, MAP_CRS))
     write_tum(directory / "trajectory.tum", trajectory)
     return trajectory
 
@@ -42,11 +45,11 @@ def point_changes(
 
 
 def write_points(
-    directory: Path, labels: Labels, xyz: Floats, object_id: Ints, change: NDArray[np.uint8]
+    directory: Path, labels: Labels, xyz: Floats, object_id: Ints, change: NDArray[np.uint8], warp: MapWarp
 ) -> None:
-    """Write points.npz: xyz in the map CRS, object, class, change."""
+    """Write points.npz: xyz in the map CRS, where the epoch's map has them, object, class, change."""
     arrays: dict[str, Any] = {
-        "xyz": WORLD.points_to_map(xyz, MAP_CRS),
+        "xyz": WORLD.points_to_map(warp.apply(xyz), MAP_CRS),
         "object": object_id.astype(np.int32),
         "class": labels.semantic[object_id].astype(np.uint8),
         "change": change,
@@ -141,13 +144,15 @@ def write_scene(path: Path, survey: Survey, labels: Labels, bags: dict[str, str]
     document = {
         "preset": config.preset,
         "seed": config.seed,
+        "simulator_hash": simulator_hash(),
+        "preset_hash": preset_hash(config.preset),
         "scene_hash": scene_hash([d.compiled for d in survey.drives.values()]),
         "config_hash": config_hash(config),
         "config": json.loads(config.model_dump_json()),
         "crs": MAP_CRS,
         "height": "ellipsoidal (GDA2020)",
         "origin": {"latitude": WORLD.latitude_deg, "longitude": WORLD.longitude_deg, "height": WORLD.height},
-        "T_after_before": np.eye(4).tolist(),
+        "T_after_before": warp_of(survey, "before").T_true_map(WORLD, MAP_CRS).tolist(),
         "epochs": {
             epoch: {
                 "start_ns": START_NS[epoch],
