@@ -1,11 +1,12 @@
+# ruff: noqa: T201
 """Per-class figures of the labels on real and simulated points, beside plain threshold rules; time per step.
 
     python tests/benchmarks/bench_semantics.py oakland-tune oakland-report
     python tests/benchmarks/bench_semantics.py sim --surveys out/sim1 out/sim2
     python tests/benchmarks/bench_semantics.py speed --surveys out/sim1
 
-What was used to choose constants ends in ``-tune`` and is never reported as a result: Oakland aj, ak, al; ISPRS
-12, 21, 31; the first IGN tile; simulated seeds from 101. Real data: ``../shared/data`` or $SUBIACO_TEST_DATA.
+What was used to choose constants ends in ``-tune`` and is never reported as a result: Oakland aj, ak, al;
+ISPRS 12, 21, 31; the first IGN tile; simulated seeds from 101. Real data: ``../shared/data`` or $SUBIACO_TEST_DATA.
 """
 
 from __future__ import annotations
@@ -70,7 +71,7 @@ def thin(name: str, cloud: PointCloud, truth: NDArray[np.uint8], objects: NDArra
 def oakland(*parts: str) -> Sample:
     """Street of Oakland part 3: joined pieces of one drive."""
     files = [DATA / "oakland_mls" / f"oakland_part3_{p}.xyz_label_conf.gz" for p in parts]
-    rows = np.concatenate([np.loadtxt(gzip.open(f)) for f in files])
+    rows = np.concatenate([np.loadtxt(f) for f in files])
     code = rows[:, 3].astype(int)
     truth = np.full(len(rows), UNKNOWN, dtype=np.uint8)
     family = code // 100
@@ -93,7 +94,7 @@ def ign(tile: str) -> Sample:
 
 
 def isprs(number: int) -> Sample:
-    """Airborne filter sample, all returns, not thinned (about a point a square metre); ground or not (other)."""
+    """Airborne filter sample, all returns, not thinned (a point a square metre); ground or not."""
     everything, ground = (_float_pcd(f"samp{number}-utm{kind}") for kind in ("", "-ground"))
     rows = [a.view([("", a.dtype)] * 3).ravel() for a in (everything, ground)]
     truth = np.where(np.isin(*rows), 0, 4).astype(np.uint8)
@@ -163,7 +164,7 @@ def ious(matrix: NDArray[np.int64]) -> NDArray[np.float64]:
 
 
 def panoptic(sample: Sample, semantic: NDArray[np.uint8], instance: NDArray[np.int32]) -> list[float]:
-    """Panoptic quality in percent of building, vegetation, mobile: sum of IoU over 0.5 / (TP + FP/2 + FN/2)."""
+    """Panoptic quality in percent of building, vegetation, mobile: sum of IoU > 0.5 / (TP + FP/2 + FN/2)."""
     if sample.objects is None:
         return []
     values = []
@@ -183,7 +184,6 @@ def panoptic(sample: Sample, semantic: NDArray[np.uint8], instance: NDArray[np.i
     return values
 
 
-# ruff: noqa: T201
 def row(values: NDArray[np.float64]) -> str:
     return " | ".join("–" if np.isnan(v) else f"{v:.1f}" for v in values)
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from scenes import Scene, car, house, pole, tree
+from scenes import Scene, car, ground_z, house, pole, tree
+from scipy.spatial import cKDTree
 
 from subiaco_change.records import Semantic
 from subiaco_change.semantics.classes import SemanticsConfig, label_points
@@ -18,7 +19,7 @@ from subiaco_change.semantics.superpoints import (
     partition,
     potts_energy,
 )
-from subiaco_geo.clouds import PointCloud
+from subiaco_geo.clouds import PointCloud, voxel_downsample
 
 SCENE = Scene()
 
@@ -32,7 +33,6 @@ def labelled():
 
 def near(cloud, things, maker):
     """Points within 0.15 m of a dense sampling of things."""
-    from scipy.spatial import cKDTree
 
     dense = np.concatenate([maker(np.random.default_rng(9), *values) for values in things])
     return cKDTree(dense).query(cloud.xyz)[0] < 0.15
@@ -140,3 +140,49 @@ def test_clusters_are_connected_voxels():
 
 def segment_of_nothing():
     return len(voxel_clusters(PointCloud(np.zeros((0, 3))).xyz, 1.0))
+
+
+def box(rng, x, y, length, width, height):
+    """Four upright sides and a top, a hand's breadth above the ground, 400 points a square metre of plan."""
+    count = 6000
+    u, v, w = rng.uniform(-0.5, 0.5, (3, count))
+    side = rng.integers(0, 5, count)
+    u = np.where(side == 0, 0.5, np.where(side == 1, -0.5, u))
+    v = np.where(side == 2, 0.5, np.where(side == 3, -0.5, v))
+    w = np.where(side == 4, 0.5, w)
+    z = ground_z(x, y) + 0.3 + (w + 0.5) * height
+    return np.column_stack([x + u * length, y + v * width, z])
+
+
+def with_things(*things):
+    scene = Scene(houses=[(-15, 12)], trees=[], cars=[], poles=[])
+    cloud = scene.survey(4).cloud
+    xyz = np.concatenate([cloud.xyz, *things])
+    return voxel_downsample(PointCloud(xyz), 0.25)
+
+
+def test_a_bus_is_a_vehicle_though_its_sides_are_planes():
+    bus = box(np.random.default_rng(0), 8.0, 0.0, 11.0, 2.6, 3.0)
+    cloud = with_things(bus)
+    found = label_points(cloud, SemanticsConfig()).semantic
+    mine = cKDTree(bus).query(cloud.xyz)[0] < 0.1
+    assert (found[mine] == Semantic.MOBILE).mean() > 0.9
+
+
+def test_a_chimney_belongs_to_its_house():
+    chimney = box(np.random.default_rng(1), -15.0, 12.0, 0.6, 0.6, 0.8) + np.array([0, 0, 5.0])
+    cloud = with_things(chimney)
+    found = label_points(cloud, SemanticsConfig()).semantic
+    mine = cKDTree(chimney).query(cloud.xyz)[0] < 0.1
+    assert (found[mine] == Semantic.BUILDING).mean() > 0.9
+
+
+def test_a_bundle_of_wires_is_no_facade():
+    rng = np.random.default_rng(2)
+    along = rng.uniform(-20, 20, 4000)
+    sag = 8 + 0.002 * along**2 + rng.integers(0, 3, 4000) * 0.3
+    wires = np.column_stack([along, np.full(4000, 2.0) + rng.normal(0, 0.02, 4000), sag])
+    cloud = with_things(wires)
+    found = label_points(cloud, SemanticsConfig()).semantic
+    mine = cKDTree(wires).query(cloud.xyz)[0] < 0.1
+    assert (found[mine] == Semantic.BUILDING).mean() < 0.05

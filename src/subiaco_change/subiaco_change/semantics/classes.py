@@ -7,10 +7,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
+from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from subiaco_change.records import Semantic
-from subiaco_change.semantics.clustering import group_indices, group_reduce, voxel_clusters
+from subiaco_change.semantics.clustering import cell_clusters, group_indices, group_reduce, voxel_clusters
 from subiaco_change.semantics.features import FeatureConfig, Features, compute_features
 from subiaco_change.semantics.ground import GroundConfig, GroundModel, Mask, fit_ground
 from subiaco_change.semantics.planes import Patches, planar_patches
@@ -42,6 +43,10 @@ class SemanticsConfig(StrictModel):
     plane_angle_deg: float = Field(10.0, gt=0, description="angle between coplanar neighbours [deg], paper")
     plane_offset: float = Field(0.08, gt=0, description="distance to the neighbour's plane [m], paper")
     plane_area: float = Field(6.0, gt=0, description="planar area of a facade or roof [m2], paper")
+    plane_inner: float = Field(
+        0.4, ge=0, le=1, description="share of a raised facade away from its border; wires have less"
+    )
+    wire_height: float = Field(4.0, gt=0, description="lowest wire [m]")
     facade_slope: float = Field(0.25, gt=0, description="|n.e_z| of a facade, paper")
     facade_top: float = Field(
         2.3, gt=0, description="height that a facade reaches; lower walls are other [m]"
@@ -49,12 +54,22 @@ class SemanticsConfig(StrictModel):
     roof_height: float = Field(
         2.0, gt=0, description="height above which any planar patch is a roof [m], Decision in C3"
     )
+    roof_level: float = Field(0.5, gt=0, lt=1, description="|n.e_z| of a roof's points")
+    roof_cell: float = Field(0.5, gt=0, description="cell of the footprint of roofs [m]")
+    chimney: float = Field(1.2, ge=0, description="height above a roof that still belongs to it [m]")
+    truck_length: float = Field(13.0, gt=0, description="longest truck or bus [m]")
+    truck_width: float = Field(3.3, gt=0, description="widest truck or bus [m]")
+    truck_min_width: float = Field(
+        0.8, gt=0, description="least width seen of a truck [m]; a lone wall has less"
+    )
+    truck_top: float = Field(3.8, gt=0, description="highest truck or bus [m]")
+    truck_gap: float = Field(0.5, gt=0, description="cell in which parts of a truck touch [m]")
     attach: float = Field(1.0, ge=0, description="reach of a building over its small parts [m]")
     edge: float = Field(
         0.6, ge=0, description="reach of a building over rough points: edges look like foliage [m]"
     )
     scatter: float = Field(
-        0.30,
+        0.25,
         gt=0,
         description="ratio of standard deviations sqrt(l3 / l1) of foliage (paper: l3 / l1 > 0.35)",
     )
@@ -135,6 +150,13 @@ def _classify(
     is_building = _find_buildings(xyz, height, features, ~is_ground, foliage, config)
     semantic[is_building] = Semantic.BUILDING
     rest = ~is_ground & ~is_building
+    trucks = _large_vehicles(xyz, height, is_building, config)
+    if trucks.any():
+        open_points = np.flatnonzero(rest & (height < config.truck_top))
+        near = _distance_to(xyz[open_points], xyz[trucks], config.edge) < config.edge
+        trucks[open_points[near]] = True
+        semantic[trucks] = Semantic.MOBILE
+        rest &= ~trucks
     semantic[rest] = _split_rest(xyz[rest], height[rest], foliage[rest], config)
     return semantic
 
@@ -179,7 +201,9 @@ def _find_buildings(
     inside[patches.label >= 0] = core[patches.label[patches.label >= 0]]
     if not inside.any():
         return inside
-    return _attach_parts(xyz, inside, free, foliage, config)
+    roof = inside & (np.abs(features.normals[:, 2]) > config.roof_level)
+    within = _within_roofs(xyz, roof, free, config)
+    return _attach_parts(xyz, inside | within, free, foliage, config)
 
 
 def _building_patches(patches: Patches, level: Floats, height: Floats, config: SemanticsConfig) -> Mask:
@@ -191,8 +215,44 @@ def _building_patches(patches: Patches, level: Floats, height: Floats, config: S
     upright = group_reduce(patches.label[inside], level[inside], count) < config.facade_slope
     facade = upright & (top > config.facade_top)
     roof = ~upright & (middle > config.roof_height)
-    large = patches.area > config.plane_area
+    bottom = group_reduce(patches.label[inside], height[inside], count, "minimum")
+    wires = upright & (bottom > config.wire_height) & (patches.inner < config.plane_inner * patches.area)
+    large = (patches.area > config.plane_area) & ~wires
     return np.asarray(large & (facade | roof))
+
+
+def _within_roofs(xyz: Floats, roof: Mask, free: Mask, config: SemanticsConfig) -> Mask:
+    """Tell which free points lie in the footprint of a roof and not far above it: chimneys, gables, walls."""
+    if not roof.any():
+        return roof
+    cell = np.floor(xyz[:, :2] / config.roof_cell).astype(np.int64)
+    cell -= cell.min(axis=0) - 2
+    shape = tuple((cell.max(axis=0) + 3).tolist())
+    top = np.full(shape, -np.inf)
+    np.maximum.at(top, tuple(cell[roof].T), xyz[roof, 2])
+    top = ndimage.grey_closing(top, size=(3, 3))
+    return np.asarray(free & (xyz[:, 2] < top[tuple(cell.T)] + config.chimney))
+
+
+def _large_vehicles(xyz: Floats, height: Floats, building: Mask, config: SemanticsConfig) -> Mask:
+    """Tell which building-like points are trucks and buses: boxes on the ground that nothing touches.
+
+    They exceed the box of the paper's vehicles; two sides must be seen, else a lone wall would pass.
+    """
+    members = np.flatnonzero(building)
+    large = np.zeros(len(xyz), dtype=bool)
+    for group in group_indices(cell_clusters(xyz[members, :2], config.truck_gap)):
+        mine = members[group]
+        if _is_truck(xyz[mine], height[mine], config):
+            large[mine] = True
+    return large
+
+
+def _is_truck(xyz: Floats, height: Floats, config: SemanticsConfig) -> bool:
+    if len(xyz) < 40 or np.quantile(height, 0.99) > config.truck_top or np.quantile(height, 0.02) > 0.8:
+        return False
+    length, width = box_sides(xyz[:, :2])
+    return bool(2.8 < length < config.truck_length and config.truck_min_width < width < config.truck_width)
 
 
 def _attach_parts(xyz: Floats, core: Mask, free: Mask, foliage: Mask, config: SemanticsConfig) -> Mask:

@@ -19,7 +19,7 @@ class FeatureConfig(StrictModel):
 
     neighbours: int = Field(20, ge=4, le=64, description="neighbours in the k-NN graph")
     radius: float = Field(0.6, gt=0, description="radius of the eigen-features [m]")
-    min_neighbours: int = Field(8, ge=3, description="taken from farther away where the radius holds fewer")
+    min_neighbours: int = Field(12, ge=3, description="taken from farther away where the radius holds fewer")
 
 
 @dataclass(frozen=True)

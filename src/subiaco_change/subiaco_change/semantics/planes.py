@@ -6,11 +6,12 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from subiaco_change.semantics.clustering import connect, count_distinct
+from subiaco_change.semantics.clustering import connect
 from subiaco_change.semantics.features import Features
 from subiaco_change.semantics.ground import Mask
-from subiaco_geo.clouds import voxel_keys
 from subiaco_geo.frames import Floats, Ints
+
+_HALF_PLANE = 1 << 14  # cells on either side of a patch's centre
 
 
 @dataclass(frozen=True)
@@ -18,7 +19,8 @@ class Patches:
     """Planar patches of a cloud.
 
     ``label`` (N,) is -1 for points of none; ``normal`` (P, 3), ``centre``
-    (P, 3) [m], ``area`` (P,) [m2] of occupied 0.5 m cells in the plane, and
+    (P, 3) [m], ``area`` (P,) [m2] of occupied 0.5 m cells in the plane, ``inner``
+    (P,) [m2] of those whose four neighbours are occupied too (none in a bundle of wires), and
     ``residual`` (P,) the root mean square distance to the plane [m].
     """
 
@@ -26,6 +28,7 @@ class Patches:
     normal: Floats
     centre: Floats
     area: Floats
+    inner: Floats
     residual: Floats
 
 
@@ -81,17 +84,33 @@ def _measure(xyz: Floats, label: Ints) -> Patches:
     values, vectors = np.linalg.eigh(covariance)
     normal = vectors[:, :, 0]
     residual = np.sqrt(np.maximum(values[:, 0], 0.0))
-    return Patches(label, normal, centre, _plane_area(delta, own, normal), residual)
+    area, inner = _plane_area(delta, own, normal)
+    return Patches(label, normal, centre, area, inner, residual)
 
 
-def _plane_area(delta: Floats, own: Ints, normal: Floats, cell: float = 0.5) -> Floats:
-    """Area [m2] of the occupied cells of every patch, in its own plane."""
+def _plane_area(delta: Floats, own: Ints, normal: Floats, cell: float = 0.5) -> tuple[Floats, Floats]:
+    """Area [m2] of the occupied cells of every patch in its own plane, and of those inside it."""
     flat = np.abs(normal[:, 2]) > 0.95
     reference = np.where(flat[:, None], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0])
     u = np.cross(reference, normal)
     u /= np.maximum(np.linalg.norm(u, axis=1, keepdims=True), 1e-12)
     v = np.cross(normal, u)
-    coordinates = [np.einsum("ij,ij->i", delta, axis[own]) for axis in (u, v)]
-    index = np.floor(np.stack([*coordinates, np.zeros(len(own))], axis=1) / cell).astype(np.int64)
-    cells = count_distinct(own, voxel_keys(index), len(normal))
-    return np.asarray(cells * cell**2, dtype=np.float64)
+    column, row = (
+        np.floor(np.einsum("ij,ij->i", delta, axis[own]) / cell).astype(np.int64) for axis in (u, v)
+    )
+    half = _HALF_PLANE
+    keys = np.unique(
+        (own * 2 * half + np.clip(column, 1 - half, half - 2) + half) * 2 * half
+        + np.clip(row, 1 - half, half - 2)
+        + half
+    )
+    inside = np.ones(len(keys), dtype=bool)
+    for step in (1, -1, 2 * half, -2 * half):
+        slot = np.minimum(np.searchsorted(keys, keys + step), len(keys) - 1)
+        inside &= keys[slot] == keys + step
+    patch = keys // (4 * half * half)
+    count = len(normal)
+    return (
+        np.asarray(np.bincount(patch, minlength=count) * cell**2, dtype=np.float64),
+        np.asarray(np.bincount(patch, inside, minlength=count) * cell**2, dtype=np.float64),
+    )
