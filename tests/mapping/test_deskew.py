@@ -119,3 +119,20 @@ def test_nan_and_backward_samples_are_counted_and_dropped() -> None:
     deskewer.push_imu(ImuSample(START_NS + 1, np.full(3, np.nan), np.zeros(3)))
     assert deskewer.out_of_order == 2
     assert deskewer.latest_imu_ns == START_NS
+
+
+def test_points_moved_by_their_columns_equal_points_moved_by_their_times() -> None:
+    rng = np.random.default_rng(21)
+    column = rng.integers(0, 64, 500)
+    column_ns = START_NS + np.arange(64) * 1_500_000
+    xyz = rng.normal(0, 20, (500, 3))
+    rest = (xyz, column_ns[column], np.zeros(500, np.float32), np.zeros(500, np.uint16))
+    twist = np.array([0.1, -0.05, 0.4, 9.0, 0.3, -0.1])
+    found = [
+        Deskewer(DeskewConfig(), Extrinsics()).deskew(
+            Scan(int(column_ns[0]), int(column_ns[-1]), returns), twist
+        )
+        for returns in (Returns(*rest), Returns(*rest, column, column_ns))
+    ]
+    np.testing.assert_allclose(found[0].xyz, found[1].xyz, atol=1e-12)
+    assert np.abs(found[0].xyz - xyz).max() > 0.5

@@ -14,7 +14,7 @@ from subiaco_geo.raywalk import VisibilityAccumulator
 from subiaco_mapping.config import DecodeConfig, FusionConfig
 from subiaco_mapping.decode import PacketDecoder
 from subiaco_mapping.fusion import walked_beams
-from subiaco_mapping.sky import MAX_CLUTTER, RING_STEP, sky_mask, thinned
+from subiaco_mapping.sky import COLUMNS_PER_TURN, MAX_CLUTTER, RING_STEP, sky_mask, thinned
 from subiaco_mapping.spool import SpooledScan
 
 
@@ -77,9 +77,10 @@ def test_every_sky_beam_has_an_empty_neighbourhood_whatever_returned(seed: int, 
 def test_turn_by_turn_the_lattice_comes_round_to_every_beam() -> None:
     everything = np.ones((4, 1024), bool)
     seen = np.zeros_like(everything)
-    for turn in range(4 * RING_STEP):
+    step = 1024 // COLUMNS_PER_TURN
+    for turn in range(step * RING_STEP):
         ring, column = thinned(everything, turn)
-        assert len(ring) == 4 * 1024 // (4 * RING_STEP)
+        assert len(ring) == 4 * 1024 // (step * RING_STEP)
         seen[ring, column] = True
     assert seen.all()
 

@@ -56,12 +56,9 @@ def _walk(  # noqa: C901, PLR0912, PLR0915
     the next beam and the number of new entries.
     """
     added = 0
+    cell, left, step = np.empty(3, np.int64), np.empty(3, np.int64), np.empty(3, np.int64)
+    t_next, t_delta = np.empty(3), np.empty(3)
     for ray in range(first, len(starts)):
-        cell = np.empty(3, np.int64)
-        left = np.empty(3, np.int64)
-        step = np.empty(3, np.int64)
-        t_next = np.empty(3)
-        t_delta = np.empty(3)
         steps = 0
         for axis in range(3):
             cell[axis] = np.int64(np.floor(starts[ray, axis]))

@@ -105,8 +105,8 @@ def _layout(text: str) -> _Layout:
         packets=core.PacketFormat(info),
         height=height,
         width=width,
-        direction=np.asarray(lut.direction).reshape(height, width, 3),
-        offset=np.asarray(lut.offset).reshape(height, width, 3),
+        direction=np.ascontiguousarray(lut.direction, dtype=np.float64).reshape(-1, 3),
+        offset=np.ascontiguousarray(lut.offset, dtype=np.float64).reshape(-1, 3),
         expected=_expected_columns(info),
         azimuth_column=(np.arange(width) - np.array(info.format.pixel_shift_by_row)[:, None]) % width,
         column_ns=1e9 / (info.format.fps * width),
@@ -192,7 +192,9 @@ class PacketDecoder:
             self.counts.late += 1
             return scans
         self._newest = number if self._newest is None else max(self._newest, number)
-        self._store(self._open.setdefault(number, self._new_frame(number)), data)
+        if number not in self._open:
+            self._open[number] = self._new_frame(number)
+        self._store(self._open[number], data)
         return scans + self._close_ready(number)
 
     def flush(self) -> list[Scan]:
@@ -248,8 +250,12 @@ class PacketDecoder:
         frame.seen[column] = True
         frame.valid[column] = valid
         frame.times_ns[column] = packets.packet_header(core.ColHeader.TIMESTAMP, data).astype(np.int64)
+        whole = bool(valid.all()) and int(column[-1] - column[0]) == len(column) - 1
         for name, values in frame.fields.items():
-            values[:, column[valid]] = packets.packet_field(name, data)[:, valid]
+            if whole:  # the rule: one block instead of scattered columns
+                values[:, column[0] : column[-1] + 1] = packets.packet_field(name, data)
+            else:
+                values[:, column[valid]] = packets.packet_field(name, data)[:, valid]
 
     def _close_ready(self, number: int) -> list[Scan]:
         """Close frames that are complete, or that newer packets have left behind."""
@@ -312,12 +318,17 @@ class PacketDecoder:
         xyz = self._points(row, column, distance[row, column].astype(np.float64))
         intensity = frame.fields.get(intensity_name)
         values = np.zeros(len(row)) if intensity is None else intensity[row, column]
-        return Returns(xyz, times_ns[column], values.astype(np.float32), row.astype(np.uint16))
+        ring = row.astype(np.uint16)
+        return Returns(xyz, times_ns[column], values.astype(np.float32), ring, column, times_ns)
 
     def _points(self, row: Ints, column: Ints, reach_mm: Floats | float) -> Floats:
         """Return where beams (N,) are at a range [mm], (N, 3) [m]."""
+        pixel = row * self._layout.width + column
         along = np.broadcast_to(reach_mm, row.shape)[:, None]
-        return np.asarray(self._layout.direction[row, column] * along + self._layout.offset[row, column])
+        xyz = self._layout.direction.take(pixel, axis=0)
+        xyz *= along
+        xyz += self._layout.offset.take(pixel, axis=0)
+        return xyz
 
     def _sky(self, frame: _Frame, times_ns: Ints) -> Returns:
         """Return where a lattice of the beams that met nothing would be at ``sky_range``."""
@@ -327,4 +338,5 @@ class PacketDecoder:
         row, azimuth = thinned(mask, frame.number)
         column = staggered[row, azimuth]
         xyz = self._points(row, column, self._config.sky_range * 1e3)
-        return Returns(xyz, times_ns[column], np.zeros(len(row), np.float32), row.astype(np.uint16))
+        nothing = np.zeros(len(row), np.float32)
+        return Returns(xyz, times_ns[column], nothing, row.astype(np.uint16), column, times_ns)

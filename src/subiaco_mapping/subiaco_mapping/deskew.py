@@ -10,6 +10,7 @@ from __future__ import annotations
 from collections import deque
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
@@ -53,6 +54,19 @@ class Motion:
         """Return ``T_start_end`` (4, 4)."""
         rotation, position = self.at(np.array([start_ns, end_ns]))
         return make_pose(rotation[0].T @ rotation[1], rotation[0].T @ (position[1] - position[0]))
+
+
+@numba.njit(cache=True)
+def _moved(xyz: Floats, index: Ints, rotation: Floats, shift: Floats) -> Floats:
+    """Return ``rotation[index] @ xyz + shift[index]`` of points (N, 3)."""
+    moved = np.empty_like(xyz)
+    for i in range(len(xyz)):
+        turn, step = rotation[index[i]], shift[index[i]]
+        for row in range(3):
+            moved[i, row] = (
+                turn[row, 0] * xyz[i, 0] + turn[row, 1] * xyz[i, 1] + turn[row, 2] * xyz[i, 2] + step[row]
+            )
+    return moved
 
 
 def integrate(knots_ns: Ints, rates: Floats, velocity: Floats, mode: str) -> Motion:
@@ -207,13 +221,12 @@ class Deskewer:
     def _straighten(returns: Returns, motion: Motion, end_ns: int, mode: str) -> Floats:
         if mode == "none" or len(returns) == 0:
             return returns.xyz
-        times_ns, inverse = np.unique(returns.times_ns, return_inverse=True)
+        times_ns, index = returns.by_time()
         rotation, position = motion.at(times_ns)
         end_rotation, end_position = motion.at(np.array([end_ns]))
         relative = end_rotation[0].T @ rotation
         shift = (position - end_position[0]) @ end_rotation[0]
-        moved = np.einsum("nij,nj->ni", relative[inverse], returns.xyz)
-        return np.asarray(moved + shift[inverse])
+        return _moved(returns.xyz, index, relative, shift)
 
     def _mean_accel(self, used: list[ImuSample]) -> Floats | None:
         if not used or self._R_lidar_imu is None:

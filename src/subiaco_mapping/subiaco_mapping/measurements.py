@@ -60,15 +60,27 @@ class Returns:
     times_ns : (N,) int64
     intensity : (N,) float32
     ring : (N,) uint16
+    column : (N,) int64, optional
+        Firing of each point where beams fire together; with ``column_ns`` (W,), their times, it
+        spares the search for equal times.
     """
 
     xyz: Floats
     times_ns: Ints
     intensity: NDArray[np.float32]
     ring: NDArray[np.uint16]
+    column: Ints | None = None
+    column_ns: Ints | None = None
 
     def __len__(self) -> int:
         return len(self.xyz)
+
+    def by_time(self) -> tuple[Ints, Ints]:
+        """Return times (W,) and each point's index among them (N,)."""
+        if self.column is not None and self.column_ns is not None:
+            return self.column_ns, self.column
+        times_ns, index = np.unique(self.times_ns, return_inverse=True)
+        return times_ns, index
 
 
 @dataclass(frozen=True)

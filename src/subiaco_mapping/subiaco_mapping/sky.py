@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from subiaco_geo.frames import Ints
 
 RING_STEP = 2
-COLUMNS_PER_TURN = 256  # with every second ring a lattice of 0.7 x 1.4 deg, moved on every scan
+COLUMNS_PER_TURN = 128  # with every second ring a lattice of 0.7 x 2.8 deg, moved on every scan
 MAX_CLUTTER = 0.1  # share of the rings above that may have returned
 _RING_REACH, _COLUMN_REACH = 1, 2
 
