@@ -95,6 +95,10 @@ def test_the_mapping_graph_loses_no_packet_and_gives_the_map_of_the_process(
     assert np.abs(through.trajectory.positions - direct.trajectory.positions).max() < 1e-3
     ours, theirs = (voxels(m, direct.cloud.origin, 0.25) for m in (through, direct))
     assert len(ours & theirs) >= 0.999 * len(ours | theirs)
+    assert through.visibility is not None
+    assert direct.visibility is not None
+    seen, seen_too = (set(m.visibility.keys.tolist()) for m in (through, direct))
+    assert len(seen & seen_too) >= 0.999 * len(seen | seen_too)  # sky beams travel through the graph too
     assert through.info["config_hash"] == direct.info["config_hash"]
     assert through.info["inputs"] == direct.info["inputs"]
     assert through.manifest == direct.manifest
