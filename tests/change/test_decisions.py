@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import pytest
 
-from subiaco_change.changes.confidence import confidence, paper_score
+from subiaco_change.changes.confidence import ConfidenceConfig, confidence, paper_score
 from subiaco_change.changes.decisions import DecisionConfig, decide
 from subiaco_change.changes.measures import Measures
 from subiaco_change.records import Change, Semantic
@@ -93,13 +93,14 @@ def test_every_decision_gives_its_reason():
     )
 
 
-def test_confidence_rises_with_the_margin_and_with_what_was_seen():
+def test_confidence_rises_with_the_margin_and_with_the_size_of_what_was_seen():
     def trust(**changes):
-        measures = replace(SAME, carried=0.05, **changes)
-        return confidence(decide(Semantic.BUILDING, True, True, measures, 0.03, CONFIG), measures, 0.9)
+        measures = replace(SAME, carried=0.07 if changes["delta_h"] > 0.5 else 0.0, **changes)
+        decision = decide(Semantic.BUILDING, True, True, measures, 0.03, CONFIG)
+        return confidence(decision, measures, Semantic.BUILDING, 0.9, ConfidenceConfig())
 
     assert trust(delta_h=0.55) < trust(delta_h=1.0) < trust(delta_h=3.0) <= 1.0
-    assert trust(delta_h=1.0, observed_fraction=0.4) < trust(delta_h=1.0)
+    assert trust(delta_h=1.0, seen_voxels=20) < trust(delta_h=1.0)
     assert trust(delta_h=0.45) < trust(delta_h=0.0)
 
 

@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from pydantic import Field
 
+from subiaco_change.changes.ablation import Part
 from subiaco_change.changes.association import AssociationConfig
+from subiaco_change.changes.confidence import ConfidenceConfig
 from subiaco_change.changes.decisions import DecisionConfig
 from subiaco_change.changes.ground_change import GroundChangeConfig
 from subiaco_change.changes.measures import MeasureConfig
@@ -14,6 +18,7 @@ from subiaco_change.registration.config import RegistrationConfig
 from subiaco_change.semantics.classes import SemanticsConfig
 from subiaco_change.semantics.instances import InstanceConfig
 from subiaco_geo.config import StrictModel
+from subiaco_geo.errors import InputError
 
 
 class ChangeConfig(StrictModel):
@@ -29,6 +34,7 @@ class ChangeConfig(StrictModel):
     second_shift: float = Field(
         0.005, ge=0, description="shift from which the second estimate is worth a new pass [m]"
     )
+    without: tuple[Part, ...] = Field((), description="parts left out, for ablations")
     registration: RegistrationConfig = RegistrationConfig()
     lod: LodConfig = LodConfig()
     evidence: EvidenceConfig = EvidenceConfig()
@@ -38,3 +44,19 @@ class ChangeConfig(StrictModel):
     association: AssociationConfig = AssociationConfig()
     decisions: DecisionConfig = DecisionConfig()
     ground: GroundChangeConfig = GroundChangeConfig()
+    confidence: ConfidenceConfig = ConfidenceConfig()
+
+
+def left_out(config: ChangeConfig, parts: Sequence[str]) -> ChangeConfig:
+    """Return the configuration with these parts left out too.
+
+    Raises
+    ------
+    InputError
+        A part is not known.
+    """
+    known = [part.value for part in Part]
+    for name in parts:
+        if name not in known:
+            raise InputError(f"--without {name}: not known; choose from {', '.join(known)}")
+    return config.model_copy(update={"without": tuple(sorted({*config.without, *map(Part, parts)}))})

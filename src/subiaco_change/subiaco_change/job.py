@@ -86,6 +86,7 @@ def run_change(
     if progress is not None:
         progress("writing", 0.97)
     known = all(survey.info.get("heights") == "ellipsoidal" for survey in (before, after))
-    inputs = ChangeInputs(job.before, job.after, ellipsoidal=known)
+    calibrated = config.confidence.calibrated
+    inputs = ChangeInputs(job.before, job.after, calibrated=calibrated, ellipsoidal=known)
     write_change_directory(job.output, result, config, inputs, overwrite=job.overwrite)
     return result

@@ -10,16 +10,17 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from subiaco_change.changes.ablation import Part, pointwise, view_without
 from subiaco_change.changes.ground_change import GroundComparison, compare_ground, ground_raster
 from subiaco_change.changes.labelling import Labels, ground_records, label_epoch
 from subiaco_change.changes.object_changes import ObjectChange, ObjectRules, compare_objects, make_record
-from subiaco_change.changes.objects import EpochView
+from subiaco_change.changes.objects import EpochView, Reach
 from subiaco_change.config import ChangeConfig
 from subiaco_change.geometry import estimate_normals
 from subiaco_change.observation.common_frame import CommonFrame, seen_through
 from subiaco_change.observation.evidence import Observer, make_observer
 from subiaco_change.observation.lod import level_of_detection
-from subiaco_change.records import Change, ChangeRecord, ChangeResult, Registration
+from subiaco_change.records import Change, ChangeRecord, ChangeResult, Registration, Semantic
 from subiaco_change.registration.pair import PairInfo, check_pair
 from subiaco_change.registration.register import given_registration, register
 from subiaco_change.semantics.classes import SemanticResult, label_points
@@ -167,14 +168,25 @@ def _compare(
         level_of_detection(after.cloud, moved, sigma, config.lod),
     )
     stages.start("objects", 0.7)
-    views = (_view(moved, before, lods[0]), _view(after.cloud, after, lods[1]))
+    full = (_view(moved, before, lods[0]), _view(after.cloud, after, lods[1]))
+    first, second = (view_without(view, config.without, config.measures.voxel) for view in full)
+    views = (first, second)
     seen_by_before = seen_through(before.observer.observed, frame.before_world)
     seen_by_after = seen_through(after.observer.observed, frame.after_world)
-    rules = ObjectRules(config.measures, config.association, config.decisions)
+    rules = _rules(config)
     objects = compare_objects(*views, seen_by_before, seen_by_after, rules)
     stages.start("ground", 0.73)
     ground = compare_ground(*views, config.ground)
     return _Comparison(frame, moved, views, (seen_by_before, seen_by_after), objects, ground)
+
+
+def _rules(config: ChangeConfig) -> ObjectRules:
+    """Rules of the objects, less what is left out."""
+    decisions = config.decisions
+    if Part.LOD in config.without:
+        decisions = decisions.model_copy(update={"lod_floor": 0.0})
+    by_class = Part.CLASS_ASSOCIATION not in config.without
+    return ObjectRules(config.measures, config.association, decisions, by_class)
 
 
 def _view(cloud: PointCloud, epoch: _Epoch, lod: NDArray[np.float32]) -> EpochView:
@@ -230,7 +242,7 @@ def _assemble(
         kind = (
             evidence if change.before and change.after else (before if change.after else after).observer.kind
         )
-        records.append(make_record(change, number, origin, kind))
+        records.append(make_record(change, number, origin, kind, config.confidence))
     patches = ground_records(result.ground, result.views, origin, len(records), evidence)
     labels = [
         label_epoch(
@@ -244,6 +256,8 @@ def _assemble(
         )
         for e, name in enumerate(("before", "after"))
     ]
+    if Part.OBJECTS in config.without:
+        labels = [_by_point(result, e, labels[e], config) for e in (0, 1)]
     raster = None if result.ground is None else ground_raster(result.ground, origin, config.ground)
     clouds = [_labelled(c, v) for c, v in zip((result.before, after.cloud), labels, strict=True)]
     stages.start("", 1.0)
@@ -251,6 +265,15 @@ def _assemble(
     return ChangeResult(
         (*records, *patches), clouds[0], clouds[1], registration, raster, stages.seconds, info.warnings
     )
+
+
+def _by_point(result: _Comparison, epoch: int, labels: Labels, config: ChangeConfig) -> Labels:
+    """Label what is not ground point by point."""
+    m = config.measures
+    reach = Reach(m.same_low, m.same_high, m.same_factor)
+    view, other = result.views[epoch], result.views[1 - epoch]
+    alone = pointwise(view, other, result.seen_by[1 - epoch], ("before", "after")[epoch], reach)
+    return replace(labels, change=np.where(view.semantic == Semantic.GROUND, labels.change, alone))
 
 
 def _with_operation(registration: Registration, info: PairInfo) -> Registration:

@@ -99,6 +99,7 @@ class ChangeRecord:
     z: float
     footprint: BaseGeometry  # world coordinates
     reason: str = ""  # the rule that decided, in words
+    features: tuple[float, ...] = ()  # what the confidence rests on (changes.confidence.FEATURES)
 
 
 @dataclass(frozen=True)

@@ -67,6 +67,13 @@ def change(
     trajectory_after: TrajectoryFile = None,
     transform: TransformFile = None,
     registration: RegistrationName = None,
+    without: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="PART",
+            help="Leave a part out: lod, class_association, semantics or objects; may be repeated.",
+        ),
+    ] = None,
     config: ConfigFiles = None,
     settings: Settings = None,
     overwrite: Overwrite = False,
@@ -77,12 +84,14 @@ def change(
 
     Example: subiaco change out/before out/after -o out/change
     """
-    from subiaco_change.config import ChangeConfig
+    from subiaco_change.config import ChangeConfig, left_out
     from subiaco_change.job import ChangeJob, run_change
 
     set_up_logging(verbose, quiet)
     given = known_transform(transform, registration)
     model = load_config(ChangeConfig, config_files("change", tuple(config or ())), settings or [])
+    if without:
+        model = left_out(model, without)
     job = ChangeJob(before, after, output, trajectory_before, trajectory_after, given, overwrite)
     with Progress(quiet=quiet) as progress:
         result = run_change(job, model, progress)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +20,8 @@ from subiaco_geo.frames import Floats, Ints
 
 #: A scipy sparse array; scipy has no types.
 Sparse = Any
+#: Weights of centroid distance [1/m], 1 - IoU and histogram distance, paper.
+_PAPER_COST = (1.0, 2.0, 0.5)
 
 
 class AssociationConfig(StrictModel):
@@ -36,6 +38,9 @@ class AssociationConfig(StrictModel):
     spread_overlap: float = Field(0.35, gt=0, description="spread of 1 - footprint IoU of the same object")
     spread_histogram: float = Field(
         0.35, gt=0, description="spread of the histogram distance of the same object"
+    )
+    cost: Literal["scaled", "plain"] = Field(
+        "scaled", description="plain adds metres and ratios with the paper's weights 1, 2, 0.5 (Decision 11)"
     )
     unmatched: float = Field(6.0, gt=0, description="price of one unmatched object, on the chi-square scale")
     contained: float = Field(
@@ -191,21 +196,25 @@ def candidate_costs(
         distance = float(np.linalg.norm(b.centroid - a.centroid))
         if distance > config.gate_distance and overlap < config.gate_overlap:
             continue
-        spread = config.spread_distance + config.spread_relative * max(b.size, a.size)
-        histogram = histogram_distance(b.heights, a.heights, 10)
-        terms = (
-            distance / spread,
-            (1 - overlap) / config.spread_overlap,
-            histogram / config.spread_histogram,
-        )
         rows.append(i)
         columns.append(j)
-        costs.append(sum(t**2 for t in terms))
+        costs.append(_cost(distance, overlap, b, a, config))
     return (
         np.array(rows, dtype=np.int64),
         np.array(columns, dtype=np.int64),
         np.array(costs, dtype=np.float64),
     )
+
+
+def _cost(distance: float, overlap: float, b: _Shape, a: _Shape, config: AssociationConfig) -> float:
+    """Price of calling two groups one object: a chi-square, or the paper's plain sum."""
+    histogram = histogram_distance(b.heights, a.heights, 10)
+    if config.cost == "plain":
+        weights = _PAPER_COST
+        return weights[0] * distance + weights[1] * (1 - overlap) + weights[2] * histogram
+    spread = config.spread_distance + config.spread_relative * max(b.size, a.size)
+    terms = (distance / spread, (1 - overlap) / config.spread_overlap, histogram / config.spread_histogram)
+    return sum(t**2 for t in terms)
 
 
 @dataclass(frozen=True)

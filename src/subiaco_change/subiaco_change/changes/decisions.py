@@ -35,7 +35,7 @@ class DecisionConfig(StrictModel):
     """Table of section E; defaults are the paper's."""
 
     building: ClassRules = ClassRules(
-        min_iou=0.10, height=0.50, volume=0.10, shift=1.5, carried=0.04, surface=0.07
+        min_iou=0.10, height=0.50, volume=0.10, shift=1.5, carried=0.07, surface=0.07
     )
     vegetation: ClassRules = ClassRules(
         min_iou=0.08, height=0.30, volume=0.15, shift=2.0, carried=0.10, surface=0.15

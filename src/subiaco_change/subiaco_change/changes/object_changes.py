@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from subiaco_change.changes.association import AssociationConfig, Match, associate, overlap_counts
-from subiaco_change.changes.confidence import confidence, paper_score
+from subiaco_change.changes.confidence import ConfidenceConfig, confidence, features, paper_score
 from subiaco_change.changes.decisions import Decision, DecisionConfig, decide
 from subiaco_change.changes.measures import MeasureConfig, Measures, footprint, measure
 from subiaco_change.changes.objects import EpochView, Reach, Thing, Voxels, build_things, build_voxels
@@ -49,6 +49,7 @@ class ObjectRules:
     measures: MeasureConfig
     association: AssociationConfig
     decisions: DecisionConfig
+    by_class: bool = True  # objects of different classes are never one
 
 
 def compare_objects(
@@ -60,14 +61,24 @@ def compare_objects(
     step = rules.measures.crossing
     things_b = build_things(before, build_voxels(before, after, seen_by_after, edge, reach, step))
     things_a = build_things(after, build_voxels(after, before, seen_by_before, edge, reach, step))
-    things_b, things_a = agree_on_classes(things_b, things_a, rules.association, tolerance)
+    if rules.by_class:
+        things_b, things_a = agree_on_classes(things_b, things_a, rules.association, tolerance)
     changes: list[ObjectChange] = []
+    if not rules.by_class:
+        matches = associate(things_b, things_a, rules.association, tolerance)
+        return [_decide(m, things_b, things_a, _better(m, things_b, things_a), rules) for m in matches]
     for semantic in (Semantic.BUILDING, Semantic.VEGETATION, Semantic.MOBILE, Semantic.OTHER):
         of_b = [t for t in things_b if t.semantic is semantic]
         of_a = [t for t in things_a if t.semantic is semantic]
         matches = associate(of_b, of_a, rules.association, tolerance)
         changes.extend(_decide(match, of_b, of_a, semantic, rules) for match in matches)
     return adopt_fragments(changes, things_b, things_a, rules.association, tolerance)
+
+
+def _better(match: Match, things_b: Sequence[Thing], things_a: Sequence[Thing]) -> Semantic:
+    """Class of the better-scored part of a match."""
+    parts = [*(things_b[i] for i in match.before), *(things_a[j] for j in match.after)]
+    return max(parts, key=lambda t: t.score).semantic
 
 
 def adopt_fragments(
@@ -165,7 +176,9 @@ def _join(things: Sequence[Thing]) -> Voxels:
     return Voxels(*(np.concatenate([getattr(t.voxels, name) for t in things]) for name in names))
 
 
-def make_record(change: ObjectChange, object_id: int, origin: Floats, evidence: str) -> ChangeRecord:
+def make_record(
+    change: ObjectChange, object_id: int, origin: Floats, evidence: str, trust: ConfidenceConfig
+) -> ChangeRecord:
     """Turn an object into a row of the table, in world coordinates."""
     import shapely.affinity
 
@@ -191,7 +204,7 @@ def make_record(change: ObjectChange, object_id: int, origin: Floats, evidence: 
         observed_fraction=m.observed_fraction,
         evidence=evidence,
         score_paper=paper_score(change.semantic, m, change.lod),
-        confidence=confidence(change.decision, m, score),
+        confidence=confidence(change.decision, m, change.semantic, score, trust),
         n_before=int(sum(len(t.points) for t in change.before)),
         n_after=int(sum(len(t.points) for t in change.after)),
         x=float(xyz[:, 0].mean() + origin[0]),
@@ -199,4 +212,5 @@ def make_record(change: ObjectChange, object_id: int, origin: Floats, evidence: 
         z=float(xyz[:, 2].mean() + origin[2]),
         footprint=shapely.affinity.translate(outline, float(origin[0]), float(origin[1])),
         reason=change.decision.reason,
+        features=tuple(features(change.decision, m, change.semantic, score).tolist()),
     )

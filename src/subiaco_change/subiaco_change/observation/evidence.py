@@ -49,7 +49,7 @@ class EvidenceConfig(StrictModel):
         1.0, gt=0, description="radius of the ring of eight places that stand in for ground between beams [m]"
     )
     ground_share: float = Field(
-        0.6, gt=0, le=1, description="share of that ring that must have been seen (Decision 14)"
+        0.75, gt=0, le=1, description="share of that ring that must have been seen (Decision 14)"
     )
     shadow_radius: float = Field(
         1.0, gt=0, description="without trajectory: points this near prove sight [m]"

@@ -1,0 +1,85 @@
+"""Parts of the method left out: each switch changes what it should, and nothing else."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from subiaco_change.changes.ablation import Part, pointwise, view_without
+from subiaco_change.changes.association import AssociationConfig
+from subiaco_change.changes.decisions import DecisionConfig
+from subiaco_change.changes.measures import MeasureConfig
+from subiaco_change.changes.object_changes import ObjectRules, compare_objects
+from subiaco_change.changes.objects import EpochView, Reach
+from subiaco_change.config import ChangeConfig, left_out
+from subiaco_change.records import Change, Semantic
+from subiaco_geo.errors import InputError
+
+REACH = Reach(0.35, 2.0, 1.25)
+
+
+def box(x, size=3.0):
+    axes = [np.arange(0, size, 0.25)] * 3
+    solid = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+    skin = (solid < 0.1).any(axis=1) | (solid > size - 0.35).any(axis=1)
+    return solid[skin] + np.array([x, 0.0, 0.3])
+
+
+def view(*things):
+    """Boxes at x with a class, on a strip of ground."""
+    ground = np.stack([np.arange(0, 40, 0.25), np.zeros(160), np.zeros(160)], axis=1)
+    parts = [ground, *(box(x) for x, _ in things)]
+    xyz = np.concatenate(parts)
+    count = [len(p) for p in parts]
+    semantic = np.repeat([int(Semantic.GROUND), *(int(s) for _, s in things)], count).astype(np.uint8)
+    instance = np.repeat([-1, *range(len(things))], count).astype(np.int32)
+    up = np.tile([0.0, 0.0, 1.0], (len(xyz), 1))
+    return EpochView(xyz, up, semantic, instance, xyz[:, 2], np.full(len(xyz), 0.05), np.full(len(xyz), 0.9))
+
+
+def everywhere(xyz):
+    return np.ones(len(xyz), dtype=bool)
+
+
+def changes(before, after, by_class):
+    rules = ObjectRules(MeasureConfig(), AssociationConfig(same_place=1.0), DecisionConfig(), by_class)
+    return compare_objects(before, after, everywhere, everywhere, rules)
+
+
+def test_without_classes_in_the_association_a_hedge_and_a_wall_in_one_place_are_one():
+    before = view((5.0, Semantic.BUILDING))
+    after = view((6.0, Semantic.VEGETATION))
+    assert [c.match_kind for c in changes(before, after, by_class=True)] == ["none", "none"]
+    assert [c.match_kind for c in changes(before, after, by_class=False)] == ["one_to_one"]
+
+
+def test_without_semantics_what_touches_is_one_thing_with_the_rules_of_buildings():
+    whole = view((5.0, Semantic.BUILDING), (8.0, Semantic.VEGETATION), (20.0, Semantic.MOBILE))
+    bare = view_without(whole, [Part.SEMANTICS], 0.5)
+    off = whole.semantic != Semantic.GROUND
+    assert set(bare.semantic[off]) == {int(Semantic.BUILDING)}
+    assert len(np.unique(bare.instance[off])) == 2
+    assert (bare.instance[~off] == -1).all()
+
+
+def test_without_the_level_of_detection_it_is_zero_and_nothing_else_changes():
+    whole = view((5.0, Semantic.BUILDING))
+    bare = view_without(whole, [Part.LOD], 0.5)
+    assert (bare.lod == 0).all()
+    assert np.array_equal(replace(bare, lod=whole.lod).instance, whole.instance)
+
+
+def test_without_objects_every_point_answers_for_itself():
+    before, after = view((5.0, Semantic.BUILDING), (12.0, Semantic.BUILDING)), view((5.0, Semantic.BUILDING))
+    labels = pointwise(before, after, lambda xyz: xyz[:, 0] < 13.0, "before", REACH)
+    second = before.instance == 1
+    assert (labels[~second] == Change.UNCHANGED).all()
+    assert set(labels[second & (before.xyz[:, 0] < 13.0)]) == {int(Change.REMOVED)}
+    assert set(labels[second & (before.xyz[:, 0] >= 13.0)]) == {int(Change.UNOBSERVED)}
+
+
+def test_parts_are_named_once_in_order_and_unknown_ones_refused():
+    config = left_out(ChangeConfig(without=("semantics",)), ["lod", "semantics"])
+    assert config.without == (Part.LOD, Part.SEMANTICS)
+    with pytest.raises(InputError, match="colour: not known"):
+        left_out(ChangeConfig(), ["colour"])
