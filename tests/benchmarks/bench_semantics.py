@@ -6,7 +6,8 @@
     python tests/benchmarks/bench_semantics.py speed --surveys out/sim1
 
 What was used to choose constants ends in ``-tune`` and is never reported as a result: Oakland aj, ak, al;
-ISPRS 12, 21, 31; the first IGN tile; simulated seeds from 101. Real data: ``../shared/data`` or $SUBIACO_TEST_DATA.
+ISPRS 12, 21, 31; the first IGN tile; simulated seeds from 101. Real data: ``../shared/data``
+or $SUBIACO_TEST_DATA.
 """
 
 from __future__ import annotations
@@ -14,16 +15,20 @@ from __future__ import annotations
 import argparse
 import gzip
 import os
+import resource
 import tempfile
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
 
 from subiaco_change.records import Semantic
+from subiaco_change.semantics import classes
 from subiaco_change.semantics.classes import SemanticResult, SemanticsConfig, label_points
 from subiaco_change.semantics.features import FeatureConfig, compute_features
 from subiaco_change.semantics.instances import InstanceConfig, segment
@@ -257,6 +262,71 @@ def draw(sample: Sample, result: SemanticResult, path: Path) -> None:
     plt.close(figure)
 
 
+def speed(sample: Sample, millions: list[float]) -> None:
+    """CPU seconds of every step over copies of one street side by side, and the exponent in points."""
+    totals = []
+    for million in millions:
+        cloud = repeated(sample.cloud, round(million * 1e6))
+        seconds: dict[str, float] = {}
+        with timed(classes, STEPS, seconds):
+            start = time.process_time()
+            result = label_points(cloud, SemanticsConfig())
+            seconds["labels, all"] = time.process_time() - start
+        start = time.process_time()
+        segment(cloud, result, InstanceConfig())
+        seconds["instances"] = time.process_time() - start
+        totals.append((len(cloud), seconds["labels, all"] + seconds["instances"]))
+        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
+        steps = ", ".join(f"{name.strip('_')} {value:.1f}" for name, value in seconds.items())
+        print(f"{len(cloud)} points: {totals[-1][1]:.1f} CPU s, peak {peak:.1f} GB ({steps})")
+    if len(totals) > 1:
+        points, spent = np.log(np.array(totals)).T
+        print(f"time grows with points to the power {np.polyfit(points, spent, 1)[0]:.2f}")
+
+
+STEPS = (
+    "fit_ground",
+    "compute_features",
+    "partition",
+    "_find_ground",
+    "_find_buildings",
+    "_split_rest",
+    "_scores",
+)
+
+
+@contextmanager
+def timed(module: ModuleType, names: tuple[str, ...], seconds: dict[str, float]) -> Iterator[None]:
+    """Add up the CPU seconds of functions of a module while the context lasts."""
+    plain = {name: getattr(module, name) for name in names}
+
+    def wrap(name: str) -> Callable[..., object]:
+        def call(*arguments: object) -> object:
+            start = time.process_time()
+            try:
+                return plain[name](*arguments)
+            finally:
+                seconds[name] = seconds.get(name, 0.0) + time.process_time() - start
+
+        return call
+
+    for name in names:
+        setattr(module, name, wrap(name))
+    try:
+        yield
+    finally:
+        for name, function in plain.items():
+            setattr(module, name, function)
+
+
+def repeated(cloud: PointCloud, count: int) -> PointCloud:
+    """Copies of a cloud in rows of four, side by side, cut off at the number of points."""
+    step = np.ptp(cloud.xyz, axis=0) * [1.05, 1.05, 0]
+    copies = -(-count // len(cloud))
+    parts = [cloud.xyz + step * [i % 4, i // 4, 0] for i in range(copies)]
+    return PointCloud(np.concatenate(parts)[:count])
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
@@ -266,9 +336,13 @@ def main() -> None:
         "--surveys", nargs="*", type=Path, default=[], help="outputs of subiaco simulate --maps-only"
     )
     parser.add_argument("--pictures", type=Path, help="folder for pictures of truth, labels and wrong points")
+    parser.add_argument(
+        "--millions", nargs="*", type=float, default=[0.25, 0.5, 1.0, 2.0], help="sizes for speed"
+    )
     arguments = parser.parse_args()
     for name in arguments.sets:
         if name == "speed":
+            speed(simulated(arguments.surveys[0]), arguments.millions)
             continue
         samples = [simulated(p) for p in arguments.surveys] if name == "sim" else SETS[name]()
         report(samples, arguments.pictures)

@@ -44,7 +44,7 @@ class SemanticsConfig(StrictModel):
     plane_offset: float = Field(0.08, gt=0, description="distance to the neighbour's plane [m], paper")
     plane_area: float = Field(6.0, gt=0, description="planar area of a facade or roof [m2], paper")
     plane_inner: float = Field(
-        0.4, ge=0, le=1, description="share of a raised facade away from its border; wires have less"
+        0.3, ge=0, le=1, description="share of a raised facade away from its border; wires have less"
     )
     wire_height: float = Field(4.0, gt=0, description="lowest wire [m]")
     facade_slope: float = Field(0.25, gt=0, description="|n.e_z| of a facade, paper")
@@ -84,6 +84,10 @@ class SemanticsConfig(StrictModel):
     mobile_hard: float = Field(
         0.4, ge=0, le=1, description="share of a vehicle that does not look like foliage"
     )
+    split_band: float = Field(0.3, ge=0, description="band above ground that joins vehicle and hedge [m]")
+    split_gap: float = Field(0.3, gt=0, description="cell in which parts of one vehicle touch [m]")
+    shed_top: float = Field(2.1, gt=0, description="height from which a short box is a shed [m]")
+    shed_length: float = Field(4.4, gt=0, description="length below which a high box is a shed [m]")
     mobile_volume: float = Field(60.0, gt=0, description="box of a vehicle [m3], paper")
     mobile_min_width: float = Field(0.8, gt=0, description="narrower things are posts and fences [m]")
 
@@ -158,6 +162,10 @@ def _classify(
         semantic[trucks] = Semantic.MOBILE
         rest &= ~trucks
     semantic[rest] = _split_rest(xyz[rest], height[rest], foliage[rest], config)
+    upright = (np.abs(features.normals[:, 2]) < config.facade_slope) & (
+        features.roughness < config.plane_offset
+    )
+    semantic[_sheds(xyz, height, upright, semantic == Semantic.MOBILE, config)] = Semantic.BUILDING
     return semantic
 
 
@@ -275,10 +283,23 @@ def _split_rest(xyz: Floats, height: Floats, foliage: Mask, config: SemanticsCon
     semantic = np.where(foliage, Semantic.VEGETATION, Semantic.OTHER).astype(np.uint8)
     low = np.flatnonzero(height < config.mobile_top)
     for members in group_indices(voxel_clusters(xyz[low], config.cluster_voxel)):
-        hard = 1.0 - float(foliage[low[members]].mean())
-        if _is_vehicle(xyz[low[members]], height[low[members]], hard, config):
-            semantic[low[members]] = Semantic.MOBILE
+        for mine in _vehicle_parts(xyz, height, foliage, low[members], config):
+            semantic[mine] = Semantic.MOBILE
     return _vote_clusters(xyz, height, semantic, config)
+
+
+def _vehicle_parts(
+    xyz: Floats, height: Floats, foliage: Mask, members: NDArray[np.int64], config: SemanticsConfig
+) -> list[NDArray[np.int64]]:
+    """Vehicles in a low cluster: all of it, or what is left apart once leaves and the lowest band are out."""
+    hard = 1.0 - float(foliage[members].mean())
+    if _is_vehicle(xyz[members], height[members], hard, config):
+        return [members]
+    core = members[~foliage[members] & (height[members] > config.split_band)]
+    if len(core) == 0 or len(core) == len(members):
+        return []
+    groups = [core[g] for g in group_indices(cell_clusters(xyz[core, :2], config.split_gap))]
+    return [g for g in groups if _is_vehicle(xyz[g], height[g], 1.0, config)]
 
 
 def _is_vehicle(xyz: Floats, height: Floats, hard: float, config: SemanticsConfig) -> bool:
@@ -299,6 +320,19 @@ def _is_vehicle(xyz: Floats, height: Floats, hard: float, config: SemanticsConfi
         and low < 0.8
         and length * width * top < config.mobile_volume
     )
+
+
+def _sheds(xyz: Floats, height: Floats, upright: Mask, mobile: Mask, config: SemanticsConfig) -> Mask:
+    """Tell which points of vehicles are sheds: short, high, with walls to the top (planarity goes back)."""
+    members = np.flatnonzero(mobile)
+    shed = np.zeros(len(xyz), dtype=bool)
+    for group in group_indices(voxel_clusters(xyz[members], config.cluster_voxel)):
+        mine = members[group]
+        upper = mine[height[mine] > 0.5 * config.shed_top]
+        high = np.quantile(height[mine], 0.95) > config.shed_top
+        if high and upright[upper].mean() > 0.5 and box_sides(xyz[mine, :2])[0] < config.shed_length:
+            shed[mine] = True
+    return shed
 
 
 def box_sides(xy: Floats) -> tuple[float, float]:
