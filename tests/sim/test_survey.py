@@ -190,9 +190,9 @@ def test_an_output_that_exists_is_left_alone(sample: Any) -> None:
         simulate(sample.folder, sample.survey.config)
 
 
-@pytest.mark.parametrize("preset", ["city", "moon"])
+@pytest.mark.parametrize("preset", ["castle", "moon"])
 def test_a_preset_that_does_not_exist_is_refused_and_nothing_is_left(tmp_path: Path, preset: str) -> None:
-    with pytest.raises(InputError, match="choose one of easy, default, hard"):
+    with pytest.raises(InputError, match="choose one of easy, default, hard, city"):
         simulate(tmp_path / "out", SimulationConfig(preset=preset))
     assert list(tmp_path.iterdir()) == []
 
@@ -200,3 +200,28 @@ def test_a_preset_that_does_not_exist_is_refused_and_nothing_is_left(tmp_path: P
 def test_a_drive_longer_than_the_street_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="street is too short"):
         simulate(tmp_path / "out", SimulationConfig(preset="easy", duration=200.0))
+
+
+def test_a_city_is_one_survey_a_loop_each_in_its_own_place_of_one_frame(tmp_path: Path) -> None:
+    config = SimulationConfig(
+        preset="city",
+        seed=3,
+        city_loops=2,
+        duration=1.2,
+        mode="512x10",
+        ground_cell=2.0,
+        epoch="before",
+        maps_only=True,
+    )
+    simulate(tmp_path / "city", config)
+    listed = yaml.safe_load((tmp_path / "city" / "truth" / "city.yaml").read_text())["loops"]
+    assert listed == ["loop_01", "loop_02"]
+    scenes = [
+        yaml.safe_load((tmp_path / "city" / name / "truth" / "scene.yaml").read_text()) for name in listed
+    ]
+    assert scenes[0]["scene_hash"] != scenes[1]["scene_hash"]
+    assert scenes[0]["simulator_hash"] == scenes[1]["simulator_hash"]
+    starts = [
+        read_tum(tmp_path / "city" / name / "before" / "truth" / "trajectory.tum").poses[0] for name in listed
+    ]
+    np.testing.assert_allclose(starts[1][0, 3] - starts[0][0, 3], 190.0, atol=1.0)  # the loops' pitch

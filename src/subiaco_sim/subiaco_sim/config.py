@@ -150,8 +150,10 @@ class TruthConfig(StrictModel):
 class SimulationConfig(StrictModel):
     """One simulated survey."""
 
-    preset: str = Field("default", description="easy, default or hard (city does not exist yet)")
+    preset: str = Field("default", description="easy, default, hard or city")
     seed: int = Field(1, ge=0, description="Everything random follows from it")
+    city_loops: int = Field(20, ge=1, le=400, description="Loops of the preset city, a survey each")
+    city_loop: int | None = Field(None, ge=0, le=399, description="Only this loop of the preset city, from 0")
     epoch: EpochChoice = Field(EpochChoice.BOTH, description="before, after or both")
     maps_only: bool = Field(False, description="Write fused maps from true poses, no bags")
     duration: float | None = Field(

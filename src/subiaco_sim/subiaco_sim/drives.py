@@ -74,7 +74,7 @@ def plan_survey(config: SimulationConfig) -> Survey:
     """Build the scene and both drives; the survey's settings are complete with those of the preset."""
     preset = find_preset(config.preset)
     config = with_preset(config)
-    scene = build_scene(config.preset, config.seed, config.ground_cell)
+    scene = build_scene(config.preset, config.seed, config.ground_cell, config.city_loop or 0)
     duration = config.duration or preset.duration
     folder = config.recorded_drive
     recorded = read_recorded_drive(folder) if folder is not None else None
@@ -87,7 +87,7 @@ def plan_survey(config: SimulationConfig) -> Survey:
             duration,
             preset.speed,
             reverse=epoch == "after",
-            seed=config.seed * 2 + number,
+            seed=config.seed * 2 + number + 1_000_003 * (config.city_loop or 0),
             place=preset.place[number],
             recorded=recorded,
         )

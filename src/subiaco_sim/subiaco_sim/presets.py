@@ -21,6 +21,7 @@ from subiaco_sim.neighbourhood import Character, lay_out_crowded
 from subiaco_sim.scene import Scene
 from subiaco_sim.suburb import dense_route, lay_out, make_terrain
 
+CITY_ROW = 5  # loops side by side
 _SEASONS = Seasons()
 _NO_FAULTS = FaultConfig()
 _NO_ERRORS = MapErrorConfig()
@@ -47,6 +48,7 @@ class Preset:
     maps: MapErrorConfig = _NO_ERRORS
     slope: float = 0.02  # steepest lie of the land [m per m]
     gentlest: float = 0.0  # least slope along x [m per m]
+    pitch: tuple[float, float] | None = None  # between the loops of a city, east and north [m]
 
 
 def winding_street() -> Floats:
@@ -103,7 +105,7 @@ PRESETS: dict[str, Preset] = {
         42.0,
         8.5,
         beams=(64, 128),
-        place=(0.0, 0.25),  # of a road that both run along, each leaves another end out
+        place=(0.35, 0.35),  # each from its own end: either leaves out what the other begins with
         character=Character(
             terraces=0.16,
             shops=0.12,
@@ -121,6 +123,21 @@ PRESETS: dict[str, Preset] = {
         faults=FaultConfig(packet_loss=0.002, reordered=0.005, canyons=True, multipath=2),
         maps=MapErrorConfig(shift=1.2, rotation_deg=0.8, drift=0.08, shear=0.06, duplicates=0.1),
     ),
+    "city": Preset(
+        block_loop,
+        15.0,
+        1,
+        38.0,
+        0.3,
+        42.0,
+        7.0,
+        beams=(64, 128),
+        place=(0.0, 0.0),
+        character=Character(),
+        slope=0.04,
+        divergence=8e-4,
+        pitch=(190.0, 165.0),
+    ),
 }
 
 
@@ -137,11 +154,11 @@ def find_preset(name: str) -> Preset:
     return PRESETS[name]
 
 
-def build_scene(name: str, seed: int, ground_cell: float | None = None) -> Scene:
-    """Build the scene of a preset; the same name and seed give the same scene."""
+def build_scene(name: str, seed: int, ground_cell: float | None = None, loop: int = 0) -> Scene:
+    """Build the scene of a preset, or of one loop of a city; the same arguments give the same scene."""
     preset = find_preset(name)
-    rng = np.random.default_rng([seed, 7])
-    route = dense_route(preset.waypoints())
+    rng = np.random.default_rng([seed, 7] if loop == 0 else [seed, 7, loop])
+    route = dense_route(preset.waypoints() + loop_offset(preset, loop))
     if preset.character is not None:
         return _crowded_scene(preset, preset.character, route, ground_cell or preset.cell, rng)
     layout = lay_out(route, preset.frontage, rng)
@@ -149,6 +166,13 @@ def build_scene(name: str, seed: int, ground_cell: float | None = None) -> Scene
     items = replaced_cars(apply_changes(layout, preset.rounds), rng)
     ground = ground_changes(layout, len(items) + 1, preset.rounds)
     return Scene(terrain, tuple(items), tuple(ground), route)
+
+
+def loop_offset(preset: Preset, loop: int) -> Floats:
+    """Return where a loop of a city lies (2,): rows of five, eastwards, then northwards [m]."""
+    if preset.pitch is None:
+        return np.zeros(2)
+    return np.array([loop % CITY_ROW, loop // CITY_ROW]) * np.array(preset.pitch)
 
 
 def _crowded_scene(

@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
+import yaml
 from numpy.typing import NDArray
 
 from subiaco_geo.atomic import whole_directory
@@ -22,6 +23,7 @@ from subiaco_sim.imu import simulate_imu
 from subiaco_sim.labels import Change, Labels, label_scene
 from subiaco_sim.lidar import Lidar, SimulatedScan
 from subiaco_sim.packets import COLUMNS_PER_PACKET, PacketMaker, TimedPacket, inner_imu
+from subiaco_sim.presets import find_preset, simulator_hash
 from subiaco_sim.recording import (
     fix_arrivals,
     heading_arrivals,
@@ -47,7 +49,8 @@ def simulate(
     Parameters
     ----------
     out : Path
-        Folder to make: ``<epoch>/bag`` or ``<epoch>/map.ply``, ``<epoch>/truth``, ``truth``.
+        Folder to make: ``<epoch>/bag`` or ``<epoch>/map.ply``, ``<epoch>/truth``, ``truth``; of a
+        city, one such folder a loop.
     config : SimulationConfig
     progress : callable, optional
         Called with the stage and the share done, 0 to 1.
@@ -61,17 +64,41 @@ def simulate(
     """
     say = progress or (lambda stage, share: _log.debug("%s %.0f %%", stage, 100 * share))
     with whole_directory(out, overwrite=overwrite, marker="truth") as folder:
-        say("scene", 0.0)
-        survey = plan_survey(config)
-        labels = label_scene(survey.scene)
-        say("scene", 1.0)
-        counts, hashes = {}, {}
-        for epoch in config.epoch.names:
-            counts[epoch], hashes[epoch] = _simulate_epoch(folder / epoch, survey, epoch, labels, say)
-        truth = folder / "truth"
-        truth.mkdir()
-        write_objects(truth / "objects.csv", survey, labels, counts)
-        write_scene(truth / "scene.yaml", survey, labels, hashes)
+        if find_preset(config.preset).pitch is not None and config.city_loop is None:
+            _simulate_city(folder, config, say)
+        else:
+            _simulate_loop(folder, config, say)
+
+
+def _simulate_city(folder: Path, config: SimulationConfig, say: Progress) -> None:
+    """Write one survey a loop, in one map frame; only one loop is in memory at a time."""
+    listed = []
+    for loop in range(config.city_loops):
+        name = f"loop_{loop + 1:02d}"
+
+        def within(stage: str, share: float, *, loop: int = loop) -> None:
+            say(f"loop {loop + 1} {stage}", share)
+
+        _simulate_loop(folder / name, config.model_copy(update={"city_loop": loop}), within)
+        listed.append(name)
+    (folder / "truth").mkdir()
+    city = {"preset": config.preset, "seed": config.seed, "simulator_hash": simulator_hash(), "loops": listed}
+    (folder / "truth" / "city.yaml").write_text(yaml.safe_dump(city, sort_keys=False))
+
+
+def _simulate_loop(folder: Path, config: SimulationConfig, say: Progress) -> None:
+    """Write one survey: both epochs of one drive."""
+    say("scene", 0.0)
+    survey = plan_survey(config)
+    labels = label_scene(survey.scene)
+    say("scene", 1.0)
+    counts, hashes = {}, {}
+    for epoch in config.epoch.names:
+        counts[epoch], hashes[epoch] = _simulate_epoch(folder / epoch, survey, epoch, labels, say)
+    truth = folder / "truth"
+    truth.mkdir()
+    write_objects(truth / "objects.csv", survey, labels, counts)
+    write_scene(truth / "scene.yaml", survey, labels, hashes)
 
 
 def _simulate_epoch(

@@ -144,6 +144,7 @@ def write_scene(path: Path, survey: Survey, labels: Labels, bags: dict[str, str]
     document = {
         "preset": config.preset,
         "seed": config.seed,
+        "city_loop": config.city_loop,
         "simulator_hash": simulator_hash(),
         "preset_hash": preset_hash(config.preset),
         "scene_hash": scene_hash([d.compiled for d in survey.drives.values()]),
