@@ -41,6 +41,16 @@ class Partition:
     energy_one: float
 
 
+@dataclass(frozen=True)
+class _Regions:
+    """Region (N,) of points, model (R, F) of regions, pairs (E, 2) that touch, their boundary (E,)."""
+
+    labels: Ints
+    models: Floats
+    pairs: Ints
+    boundary: Floats
+
+
 def partition(features: Floats, neighbours: NDArray[np.int32], config: SuperpointConfig) -> Partition:
     """Minimise the energy over a k-NN graph.
 
@@ -55,12 +65,15 @@ def partition(features: Floats, neighbours: NDArray[np.int32], config: Superpoin
     edges = graph_edges(neighbours[:, : config.neighbours + 1])
     weights = edge_weights(features, edges)
     order = value_orders(features)
-    labels = np.arange(len(features))
+    regions = _Regions(np.arange(len(features)), features, edges, weights)
     for step in range(config.rounds):
         eta = config.strength * 2.0 ** (step + 1 - config.rounds)
-        labels = _merge_round(features, labels, edges, weights, eta, order)
+        regions = _merge_round(features, regions, eta, order)
+    labels = regions.labels
     one = np.zeros(len(features), dtype=np.int64)
-    energies = [potts_energy(features, trial, edges, weights, config.strength) for trial in (labels, one)]
+    energies = [
+        potts_energy(features, trial, edges, weights, config.strength, order) for trial in (labels, one)
+    ]
     single = float(config.strength * weights.sum())
     best = [labels, one, np.arange(len(features))][int(np.argmin([*energies, single]))]
     return Partition(best, min(*energies, single), single, energies[1])
@@ -68,12 +81,28 @@ def partition(features: Floats, neighbours: NDArray[np.int32], config: Superpoin
 
 def graph_edges(neighbours: NDArray[np.int32]) -> Ints:
     """Return the undirected edges (E, 2) of neighbour lists (N, k), each once."""
-    count = len(neighbours)
-    source = np.repeat(np.arange(count), neighbours.shape[1])
-    target = neighbours.ravel().astype(np.int64)
-    low, high = np.minimum(source, target), np.maximum(source, target)
-    keys = np.unique((low * count + high)[low != high])
-    return np.stack([keys // count, keys % count], axis=1)
+    keep = _first_mention(np.ascontiguousarray(neighbours))
+    source, column = np.nonzero(keep)
+    target = neighbours[source, column].astype(np.int64)
+    return np.stack([np.minimum(source, target), np.maximum(source, target)], axis=1)
+
+
+@numba.njit(cache=True)
+def _first_mention(neighbours: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Tell which entries (N, k) name an edge that the lower of its two ends does not name."""
+    count, k = neighbours.shape
+    keep = np.zeros((count, k), dtype=np.bool_)
+    for i in range(count):
+        for column in range(k):
+            j = neighbours[i, column]
+            if i < j:
+                keep[i, column] = True
+            elif j < i:
+                keep[i, column] = True
+                for back in range(k):
+                    if neighbours[j, back] == i:
+                        keep[i, column] = False
+    return keep
 
 
 def edge_weights(features: Floats, edges: Ints) -> Floats:
@@ -84,10 +113,12 @@ def edge_weights(features: Floats, edges: Ints) -> Floats:
     return np.asarray(np.exp(-squared / max(float(np.median(squared)), 1e-9)))
 
 
-def potts_energy(features: Floats, labels: Ints, edges: Ints, weights: Floats, strength: float) -> float:
+def potts_energy(
+    features: Floats, labels: Ints, edges: Ints, weights: Floats, strength: float, order: Ints | None = None
+) -> float:
     """Energy of a partition (N,) with the median feature of each region as its model."""
     _, compact = np.unique(labels, return_inverse=True)
-    data = np.abs(features - region_medians(features, compact)[compact]).sum()
+    data = np.abs(features - region_medians(features, compact, order)[compact]).sum()
     cut = labels[edges[:, 0]] != labels[edges[:, 1]]
     return float(data + strength * weights[cut].sum())
 
@@ -117,34 +148,43 @@ def _medians(features: Floats, labels: Ints, order: Ints, counts: Ints) -> Float
     return medians
 
 
-def _merge_round(
-    features: Floats, labels: Ints, edges: Ints, weights: Floats, eta: float, order: Ints
-) -> Ints:
+def _merge_round(features: Floats, regions: _Regions, eta: float, order: Ints) -> _Regions:
     """Merge regions while the energy at this eta falls; boundaries are summed beforehand."""
-    _, compact = np.unique(labels, return_inverse=True)
-    pairs, boundary = _region_boundaries(compact, edges, weights)
+    pairs, boundary, models = regions.pairs, regions.boundary, regions.models
     if len(pairs) == 0:
-        return compact
-    models = region_medians(features, compact, order)
-    sizes = np.bincount(compact)
-    gap = np.abs(models[pairs[:, 0]] - models[pairs[:, 1]]).sum(axis=1)
+        return regions
+    sizes = np.bincount(regions.labels)
+    gap = _gaps(models, pairs)
     cost = gap * np.minimum(sizes[pairs[:, 0]], sizes[pairs[:, 1]]) / np.maximum(boundary, 1e-12)
-    cheap = np.argsort(cost, kind="stable")
-    cheap = cheap[cost[cheap] < 2 * eta]
-    parents = merge_regions(pairs[cheap], boundary[cheap], models, sizes.astype(np.int64), eta)
-    return parents[compact]
+    cheap = np.flatnonzero(cost < 2 * eta)
+    cheap = cheap[np.argsort(cost[cheap], kind="stable")]
+    roots = merge_regions(pairs[cheap], boundary[cheap], models, sizes.astype(np.int64), eta)
+    number = np.cumsum(roots == np.arange(len(roots))) - 1
+    renamed = number[roots]
+    labels = renamed[regions.labels]
+    pairs, boundary = _sum_boundaries(renamed[pairs], boundary)
+    return _Regions(labels, region_medians(features, labels, order), pairs, boundary)
 
 
-def _region_boundaries(labels: Ints, edges: Ints, weights: Floats) -> tuple[Ints, Floats]:
-    first, second = labels[edges[:, 0]], labels[edges[:, 1]]
-    cut = first != second
-    low = np.minimum(first[cut], second[cut])
-    high = np.maximum(first[cut], second[cut])
-    count = int(labels.max()) + 1
+@numba.njit(cache=True)
+def _gaps(models: Floats, pairs: Ints) -> Floats:
+    """L1 distance (E,) of the models of every pair."""
+    gaps = np.zeros(len(pairs))
+    for e in range(len(pairs)):
+        for f in range(models.shape[1]):
+            gaps[e] += abs(models[pairs[e, 0], f] - models[pairs[e, 1], f])
+    return gaps
+
+
+def _sum_boundaries(pairs: Ints, boundary: Floats) -> tuple[Ints, Floats]:
+    """Add up the boundaries (E,) of pairs (E, 2) that are the same, and drop those within a region."""
+    cut = pairs[:, 0] != pairs[:, 1]
+    first, second = pairs[cut, 0], pairs[cut, 1]
+    low, high = np.minimum(first, second), np.maximum(first, second)
+    count = int(high.max(initial=0)) + 1
     keys, inverse = np.unique(low * count + high, return_inverse=True)
-    pairs = np.stack([keys // count, keys % count], axis=1)
-    total = np.bincount(inverse, weights=weights[cut], minlength=len(keys))
-    return pairs, np.asarray(total, dtype=np.float64)
+    total = np.bincount(inverse, weights=boundary[cut], minlength=len(keys))
+    return np.stack([keys // count, keys % count], axis=1), np.asarray(total, dtype=np.float64)
 
 
 @numba.njit(cache=True)
