@@ -31,7 +31,11 @@ MOST = 600_000  # points drawn an epoch
 def draw(survey: Path, picture: Path) -> None:
     """Draw both epochs side by side; what is higher covers what is lower."""
     scene = yaml.safe_load((survey / "truth" / "scene.yaml").read_text())
-    figure, axes = plt.subplots(1, 2, figsize=(15, 7.2), sharex=True, sharey=True, layout="constrained")
+    with np.load(survey / "before" / "truth" / "points.npz") as data:
+        low, high = np.percentile(data["xyz"][:, :2], [1, 99], axis=0)
+    wide = high[0] - low[0] > 1.8 * (high[1] - low[1])
+    rows, size = ((2, 1), (14, 10.5)) if wide else ((1, 2), (15, 7.2))
+    figure, axes = plt.subplots(*rows, figsize=size, sharex=True, sharey=True, layout="constrained")
     middle = None
     for axis, epoch in zip(axes, ("before", "after"), strict=True):
         with np.load(survey / epoch / "truth" / "points.npz") as data:
@@ -50,7 +54,7 @@ def draw(survey: Path, picture: Path) -> None:
     figure.suptitle(f"simulated survey, preset {scene['preset']}, seed {scene['seed']}")
     figure.savefig(picture, dpi=72)
     with Image.open(picture) as image:
-        image.convert("RGB").quantize(48).save(picture, optimize=True)
+        image.convert("RGB").quantize(200, method=Image.Quantize.MAXCOVERAGE).save(picture, optimize=True)
 
 
 if __name__ == "__main__":
