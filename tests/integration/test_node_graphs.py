@@ -66,7 +66,7 @@ def voxels(survey: SurveyMap, origin: np.ndarray, leaf: float) -> set[int]:
 def test_the_mapping_graph_loses_no_packet_and_gives_the_map_of_the_process(
     survey: Path, in_process: dict[str, Path], tmp_path: Path, caplog: pytest.LogCaptureFixture
 ) -> None:
-    caplog.set_level(logging.INFO)
+    caplog.set_level(logging.INFO, logger="subiaco_bringup")
     stages: list[str] = []
     run_mapping_graph(
         [survey / "before"],
@@ -120,7 +120,7 @@ def test_the_change_graph_gives_the_table_of_the_process(
     from subiaco_change.config import ChangeConfig
     from subiaco_change.pipeline import detect_changes
 
-    caplog.set_level(logging.INFO)
+    caplog.set_level(logging.INFO, logger="subiaco_bringup")
     before, after = in_process["before"], in_process["after"]
     run_change_graph(before, after, tmp_path / "change")
     expected = detect_changes(read_map(before), read_map(after), ChangeConfig())
