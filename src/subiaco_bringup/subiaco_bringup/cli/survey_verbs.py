@@ -38,7 +38,11 @@ def simulate(
         ),
     ] = None,
     preset: Annotated[
-        str | None, typer.Option(help="Scene: easy (one street, as shipped) or default (round a block).")
+        str | None,
+        typer.Option(
+            help="Scene: easy (one street, as shipped), default (round a block), "
+            "hard (a hillside road with faults) or city (20 loops)."
+        ),
     ] = None,
     epoch: Annotated[str | None, typer.Option(help="Which drive to simulate: before, after or both.")] = None,
     maps_only: Annotated[
