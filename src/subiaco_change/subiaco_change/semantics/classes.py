@@ -11,11 +11,12 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from subiaco_change.records import Semantic
-from subiaco_change.semantics.clustering import cell_clusters, group_indices, group_reduce, voxel_clusters
+from subiaco_change.semantics.clustering import group_indices, group_reduce, voxel_clusters
 from subiaco_change.semantics.features import FeatureConfig, Features, compute_features
 from subiaco_change.semantics.ground import GroundConfig, GroundModel, Mask, fit_ground
 from subiaco_change.semantics.planes import Patches, planar_patches
 from subiaco_change.semantics.superpoints import SuperpointConfig, partition
+from subiaco_change.semantics.vehicles import VehicleConfig, large_vehicles, sheds, vehicle_parts
 from subiaco_geo.clouds import PointCloud, sort_spatially
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
@@ -27,6 +28,7 @@ class SemanticsConfig(StrictModel):
     ground: GroundConfig = GroundConfig()
     features: FeatureConfig = FeatureConfig()
     superpoints: SuperpointConfig = SuperpointConfig()
+    vehicles: VehicleConfig = VehicleConfig()
     ground_distance: float = Field(
         0.10, gt=0, description="median distance of ground to its model [m], paper"
     )
@@ -57,13 +59,6 @@ class SemanticsConfig(StrictModel):
     roof_level: float = Field(0.5, gt=0, lt=1, description="|n.e_z| of a roof's points")
     roof_cell: float = Field(0.5, gt=0, description="cell of the footprint of roofs [m]")
     chimney: float = Field(1.2, ge=0, description="height above a roof that still belongs to it [m]")
-    truck_length: float = Field(13.0, gt=0, description="longest truck or bus [m]")
-    truck_width: float = Field(3.3, gt=0, description="widest truck or bus [m]")
-    truck_min_width: float = Field(
-        0.8, gt=0, description="least width seen of a truck [m]; a lone wall has less"
-    )
-    truck_top: float = Field(3.8, gt=0, description="highest truck or bus [m]")
-    truck_gap: float = Field(0.5, gt=0, description="cell in which parts of a truck touch [m]")
     attach: float = Field(1.0, ge=0, description="reach of a building over its small parts [m]")
     edge: float = Field(
         0.6, ge=0, description="reach of a building over rough points: edges look like foliage [m]"
@@ -76,20 +71,6 @@ class SemanticsConfig(StrictModel):
     roughness: float = Field(0.06, gt=0, description="root of the smallest eigenvalue in foliage [m]")
     vegetation_height: float = Field(0.5, gt=0, description="median height of vegetation [m], paper")
     cluster_voxel: float = Field(0.4, gt=0, description="voxel in which the rest falls into clusters [m]")
-    mobile_length: float = Field(5.5, gt=0, description="longest side of a vehicle [m] (paper: 5)")
-    mobile_height: float = Field(3.0, gt=0, description="top of a vehicle [m], paper")
-    mobile_top: float = Field(
-        2.6, gt=0, description="height below which vehicles are looked for, under crowns [m]"
-    )
-    mobile_hard: float = Field(
-        0.4, ge=0, le=1, description="share of a vehicle that does not look like foliage"
-    )
-    split_band: float = Field(0.3, ge=0, description="band above ground that joins vehicle and hedge [m]")
-    split_gap: float = Field(0.3, gt=0, description="cell in which parts of one vehicle touch [m]")
-    shed_top: float = Field(2.1, gt=0, description="height from which a short box is a shed [m]")
-    shed_length: float = Field(4.4, gt=0, description="length below which a high box is a shed [m]")
-    mobile_volume: float = Field(60.0, gt=0, description="box of a vehicle [m3], paper")
-    mobile_min_width: float = Field(0.8, gt=0, description="narrower things are posts and fences [m]")
 
 
 @dataclass(frozen=True)
@@ -154,9 +135,9 @@ def _classify(
     is_building = _find_buildings(xyz, height, features, ~is_ground, foliage, config)
     semantic[is_building] = Semantic.BUILDING
     rest = ~is_ground & ~is_building
-    trucks = _large_vehicles(xyz, height, is_building, config)
+    trucks = large_vehicles(xyz, height, is_building, config.vehicles)
     if trucks.any():
-        open_points = np.flatnonzero(rest & (height < config.truck_top))
+        open_points = np.flatnonzero(rest & (height < config.vehicles.truck_top))
         near = _distance_to(xyz[open_points], xyz[trucks], config.edge) < config.edge
         trucks[open_points[near]] = True
         semantic[trucks] = Semantic.MOBILE
@@ -165,7 +146,9 @@ def _classify(
     upright = (np.abs(features.normals[:, 2]) < config.facade_slope) & (
         features.roughness < config.plane_offset
     )
-    semantic[_sheds(xyz, height, upright, semantic == Semantic.MOBILE, config)] = Semantic.BUILDING
+    semantic[
+        sheds(xyz, height, upright, semantic == Semantic.MOBILE, config.cluster_voxel, config.vehicles)
+    ] = Semantic.BUILDING
     return semantic
 
 
@@ -242,27 +225,6 @@ def _within_roofs(xyz: Floats, roof: Mask, free: Mask, config: SemanticsConfig) 
     return np.asarray(free & (xyz[:, 2] < top[tuple(cell.T)] + config.chimney))
 
 
-def _large_vehicles(xyz: Floats, height: Floats, building: Mask, config: SemanticsConfig) -> Mask:
-    """Tell which building-like points are trucks and buses: boxes on the ground that nothing touches.
-
-    They exceed the box of the paper's vehicles; two sides must be seen, else a lone wall would pass.
-    """
-    members = np.flatnonzero(building)
-    large = np.zeros(len(xyz), dtype=bool)
-    for group in group_indices(cell_clusters(xyz[members, :2], config.truck_gap)):
-        mine = members[group]
-        if _is_truck(xyz[mine], height[mine], config):
-            large[mine] = True
-    return large
-
-
-def _is_truck(xyz: Floats, height: Floats, config: SemanticsConfig) -> bool:
-    if len(xyz) < 40 or np.quantile(height, 0.99) > config.truck_top or np.quantile(height, 0.02) > 0.8:
-        return False
-    length, width = box_sides(xyz[:, :2])
-    return bool(2.8 < length < config.truck_length and config.truck_min_width < width < config.truck_width)
-
-
 def _attach_parts(xyz: Floats, core: Mask, free: Mask, foliage: Mask, config: SemanticsConfig) -> Mask:
     """Add the free points within reach of the core; rough ones from less far."""
     attached = core.copy()
@@ -281,68 +243,11 @@ def _distance_to(query: Floats, reference: Floats, limit: float) -> Floats:
 def _split_rest(xyz: Floats, height: Floats, foliage: Mask, config: SemanticsConfig) -> NDArray[np.uint8]:
     """Label what is neither ground nor building: foliage, vehicles, trunks, poles."""
     semantic = np.where(foliage, Semantic.VEGETATION, Semantic.OTHER).astype(np.uint8)
-    low = np.flatnonzero(height < config.mobile_top)
+    low = np.flatnonzero(height < config.vehicles.mobile_top)
     for members in group_indices(voxel_clusters(xyz[low], config.cluster_voxel)):
-        for mine in _vehicle_parts(xyz, height, foliage, low[members], config):
+        for mine in vehicle_parts(xyz, height, foliage, low[members], config.vehicles):
             semantic[mine] = Semantic.MOBILE
     return _vote_clusters(xyz, height, semantic, config)
-
-
-def _vehicle_parts(
-    xyz: Floats, height: Floats, foliage: Mask, members: NDArray[np.int64], config: SemanticsConfig
-) -> list[NDArray[np.int64]]:
-    """Vehicles in a low cluster: all of it, or what is left apart once leaves and the lowest band are out."""
-    hard = 1.0 - float(foliage[members].mean())
-    if _is_vehicle(xyz[members], height[members], hard, config):
-        return [members]
-    core = members[~foliage[members] & (height[members] > config.split_band)]
-    if len(core) == 0 or len(core) == len(members):
-        return []
-    groups = [core[g] for g in group_indices(cell_clusters(xyz[core, :2], config.split_gap))]
-    return [g for g in groups if _is_vehicle(xyz[g], height[g], 1.0, config)]
-
-
-def _is_vehicle(xyz: Floats, height: Floats, hard: float, config: SemanticsConfig) -> bool:
-    """Tell a compact thing that stands on the ground and fits the box of a vehicle; cars may look softer."""
-    if len(xyz) < 15:
-        return False
-    length, width = box_sides(xyz[:, :2])
-    top = float(np.quantile(height, 0.98))
-    low = float(np.quantile(height, 0.02))
-    row_of_cars = 1.4 < width < 3.2 and top < 2.4
-    car = 3.2 < length < config.mobile_length and 1.4 < width < 2.4 and 1.2 < top < 2.2
-    return bool(
-        hard > (0.5 * config.mobile_hard if car else config.mobile_hard)
-        and width > config.mobile_min_width
-        and length > 1.4
-        and (length < config.mobile_length or row_of_cars)
-        and 0.8 < top < config.mobile_height
-        and low < 0.8
-        and length * width * top < config.mobile_volume
-    )
-
-
-def _sheds(xyz: Floats, height: Floats, upright: Mask, mobile: Mask, config: SemanticsConfig) -> Mask:
-    """Tell which points of vehicles are sheds: short, high, with walls to the top (planarity goes back)."""
-    members = np.flatnonzero(mobile)
-    shed = np.zeros(len(xyz), dtype=bool)
-    for group in group_indices(voxel_clusters(xyz[members], config.cluster_voxel)):
-        mine = members[group]
-        upper = mine[height[mine] > 0.5 * config.shed_top]
-        high = np.quantile(height[mine], 0.95) > config.shed_top
-        if high and upright[upper].mean() > 0.5 and box_sides(xyz[mine, :2])[0] < config.shed_length:
-            shed[mine] = True
-    return shed
-
-
-def box_sides(xy: Floats) -> tuple[float, float]:
-    """Long and short side [m] of the smallest-area rectangle around points, tried every 3 deg."""
-    angles = np.radians(np.arange(0, 90, 3.0))
-    u = xy @ np.stack([np.cos(angles), np.sin(angles)])
-    v = xy @ np.stack([-np.sin(angles), np.cos(angles)])
-    sides = np.stack([np.ptp(u, axis=0), np.ptp(v, axis=0)])
-    best = sides[:, np.argmin(sides[0] * sides[1])]
-    return float(best.max()), float(best.min())
 
 
 def _vote_clusters(
