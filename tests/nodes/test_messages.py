@@ -40,6 +40,7 @@ def make_scan(seed: int = 1, accel: np.ndarray | None = None) -> DeskewedScan:
         last_intensity=rng.uniform(0, 4000, 40).astype(np.float32),
         sky_xyz=rng.uniform(-40, 40, (30, 3)),
         accel=accel,
+        columns=1024,
         lost_columns=16,
         dropped_points=3,
     )
@@ -74,7 +75,7 @@ def test_a_scan_survives_the_wire_to_a_hundredth_of_a_millimetre(accel: np.ndarr
     np.testing.assert_allclose(back.sky_xyz, scan.sky_xyz, atol=1e-5)
     np.testing.assert_array_equal(back.intensity, scan.intensity)
     np.testing.assert_array_equal(back.last_intensity, scan.last_intensity)
-    assert (back.mode, back.lost_columns, back.dropped_points) == ("gyro", 16, 3)
+    assert (back.mode, back.columns, back.lost_columns, back.dropped_points) == ("gyro", 1024, 16, 3)
     assert (back.accel is None) == (accel is None)
     if accel is not None:
         np.testing.assert_array_equal(back.accel, accel)

@@ -47,7 +47,7 @@ class _Sequence:
     poses: list[OdometryPose] = field(default_factory=list)
     accel: list[Floats] = field(default_factory=list)
     modes: list[str] = field(default_factory=list)
-    lost_columns: list[int] = field(default_factory=list)
+    columns: list[tuple[int, int]] = field(default_factory=list)  # lost, sent
     dropped_points: int = 0
     fixes: list[GnssFix] = field(default_factory=list)
     refused_fixes: int = 0
@@ -158,7 +158,7 @@ class MappingBackend:
         current.poses.append(pose)
         current.accel.append(np.full(3, np.nan) if scan.accel is None else scan.accel)
         current.modes.append(scan.mode)
-        current.lost_columns.append(scan.lost_columns)
+        current.columns.append((scan.lost_columns, scan.columns))
         current.dropped_points += scan.dropped_points
         self._solution = None
 
@@ -383,7 +383,7 @@ class MappingBackend:
         for sequence, solved in zip(sequences, solution.sequences, strict=True):
             facts = describe_sequence(
                 sequence.poses,
-                sequence.lost_columns,
+                sequence.columns,
                 sequence.modes,
                 sequence.fixes,
                 solved.T_local_lidar[:, :3, 3],

@@ -156,7 +156,9 @@ class FusionConfig(StrictModel):
 class ManifestConfig(StrictModel):
     """What the manifest flags."""
 
-    max_lost_ratio: float = Field(0.01, ge=0, le=1, description="share of lost packets")
+    max_lost_ratio: float = Field(
+        0.01, ge=0, le=1, description="share of lost columns from which a scan is flagged"
+    )
     rtk_gap_ns: int = Field(
         2_000_000_000, gt=0, description="longer without a fixed solution is flagged [ns]"
     )

@@ -306,6 +306,7 @@ class PacketDecoder:
             first=self._returns(frame, "RANGE", "REFLECTIVITY", utc_ns),
             last=second,
             sky=self._sky(frame, utc_ns) if self._config.sky_range > 0 else None,
+            columns=len(sent),
             lost_columns=missing,
             frame_id=frame.number,
         )

@@ -181,6 +181,7 @@ class Deskewer:
             last_intensity=scan.last.intensity if scan.last is not None else np.zeros(0, dtype=np.float32),
             sky_xyz=sky if sky is not None else np.zeros((0, 3)),
             accel=self._mean_accel(used),
+            columns=scan.columns,
             lost_columns=scan.lost_columns,
             dropped_points=scan.dropped_points,
         )

@@ -28,7 +28,7 @@ LEGEND = {
     "deskew": "scans by how motion inside them was removed: gyro, constant_velocity, none",
     "segments": "stretches of unbroken odometry; 1 is right",
     "flagged": "stretches that deserve a second look, by reason; empty is right",
-    "packet_loss": "flag: more LiDAR columns lost than manifest.max_lost_ratio",
+    "packet_loss": "flag: a larger share of the LiDAR columns lost than manifest.max_lost_ratio",
     "degenerate": "flag: the scene did not hold the position in some direction",
     "unregistered": "flag: registration failed, the pose is predicted",
     "segment_start": "flag: the odometry broke before this scan",
@@ -120,7 +120,7 @@ def without_fixed(stamps_ns: Ints, fixes: Sequence[GnssFix], gap_ns: int) -> NDA
 
 def describe_sequence(
     poses: Sequence[OdometryPose],
-    lost_columns: Sequence[int],
+    columns: Sequence[tuple[int, int]],
     modes: Sequence[str],
     fixes: Sequence[GnssFix],
     positions: Floats,
@@ -128,12 +128,11 @@ def describe_sequence(
 ) -> dict[str, Any]:
     """Return the flagged stretches of one sequence."""
     stamps_ns = np.array([pose.stamp_ns for pose in poses], dtype=np.int64)
-    lost = np.asarray(lost_columns, dtype=np.float64)
-    columns = max(float(lost.max(initial=0.0)), 512.0)
+    lost, sent = np.array(columns, dtype=np.int64).reshape(-1, 2).T
     segments = np.array([pose.segment for pose in poses])
     broken = np.concatenate([[False], np.diff(segments) > 0])
     flags = {
-        "packet_loss": lost > config.max_lost_ratio * columns,
+        "packet_loss": lost > config.max_lost_ratio * sent,
         "degenerate": np.array([pose.degenerate for pose in poses]),
         "unregistered": np.array([pose.predicted for pose in poses]),
         "segment_start": broken,

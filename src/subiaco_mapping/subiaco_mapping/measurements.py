@@ -87,7 +87,8 @@ class Returns:
 class Scan:
     """One turn of the LiDAR; ``end_ns`` is the time of its last column.
 
-    ``sky`` holds where beams that met nothing would be at ``decode.sky_range``.
+    ``sky`` holds where beams that met nothing would be at ``decode.sky_range``;
+    ``columns`` are those that the sensor sends a turn, 0 where it sends none.
     """
 
     start_ns: int
@@ -95,6 +96,7 @@ class Scan:
     first: Returns
     last: Returns | None = None
     sky: Returns | None = None
+    columns: int = 0
     lost_columns: int = 0
     frame_id: int = 0
     dropped_points: int = 0
@@ -122,7 +124,8 @@ class DeskewedScan:
         How far beams that met nothing prove the air empty [m]; see :mod:`subiaco_mapping.sky`.
     accel : (3,) float64 or None
         Mean specific force over the scan in ``lidar_link`` [m/s2].
-    lost_columns, dropped_points : int
+    columns, lost_columns, dropped_points : int
+        Columns that the sensor sends a turn (0 where it sends none), and those that never arrived.
     """
 
     stamp_ns: int
@@ -134,6 +137,7 @@ class DeskewedScan:
     last_intensity: NDArray[np.float32] = field(default_factory=lambda: np.zeros(0, dtype=np.float32))
     sky_xyz: Floats = field(default_factory=lambda: np.zeros((0, 3)))
     accel: Floats | None = None
+    columns: int = 0
     lost_columns: int = 0
     dropped_points: int = 0
 

@@ -102,6 +102,7 @@ def quality_message(pose: OdometryPose, scan: DeskewedScan, frame_id: str) -> Sc
         degenerate=bool(pose.degenerate),
         predicted=bool(pose.predicted),
         mode=scan.mode,
+        columns=scan.columns,
         lost_columns=scan.lost_columns,
         dropped_points=scan.dropped_points,
         accel=np.full(3, np.nan) if scan.accel is None else np.asarray(scan.accel, np.float64),
@@ -127,6 +128,7 @@ def scan_from_messages(cloud: Any, quality: Any) -> DeskewedScan:
         last_intensity=last["intensity"].astype(np.float32),
         sky_xyz=_stack_xyz(sky),
         accel=None if np.isnan(accel).any() else accel,
+        columns=quality.columns,
         lost_columns=quality.lost_columns,
         dropped_points=quality.dropped_points,
     )
