@@ -1,6 +1,7 @@
 """Scores on grids and points whose answer is known by hand."""
 
 import json
+import shutil
 
 import numpy as np
 import pandas as pd
@@ -388,6 +389,23 @@ def test_several_pairs_pool_and_get_intervals(perfect, tmp_path):
     page = (tmp_path / "evaluation.md").read_text()
     assert page.startswith("# Evaluation against simulated truth")
     assert "| cells | 100.0 | 100.0 | 100.0 | 100.0 | 0.0 |" in page
+
+
+def test_a_score_names_the_simulated_survey_it_holds_for(perfect, tmp_path):
+    scene = tmp_path / "truth" / "truth" / "scene.yaml"
+    shutil.copytree(perfect[1], tmp_path / "truth")
+    named = {
+        "preset": "easy",
+        "seed": 7,
+        "simulator_hash": "ab12",
+        "preset_hash": "cd34",
+        "scene_hash": "ef56",
+    }
+    scene.write_text(yaml.safe_dump({**yaml.safe_load(scene.read_text()), **named}))
+    result = evaluate([(perfect[0], tmp_path / "truth")])
+    assert result["simulations"] == [named]
+    write_evaluation(result, tmp_path / "out")
+    assert "simulator ab12, preset cd34, scene ef56" in (tmp_path / "out" / "evaluation.md").read_text()
 
 
 def test_labels_that_do_not_fit_the_truth_are_refused(tmp_path, perfect):

@@ -46,6 +46,10 @@ from subiaco_geo.trajectories import Trajectory, read_tum
 __all__ = ["EvaluationConfig", "evaluate", "evaluate_published", "write_evaluation"]
 
 
+#: What names a simulated survey for good: a figure holds for this simulator and scene only.
+_SIMULATION = ("preset", "seed", "simulator_hash", "preset_hash", "scene_hash")
+
+
 class EvaluationConfig(StrictModel):
     """How predictions are scored."""
 
@@ -103,17 +107,18 @@ def evaluate(pairs: Sequence[tuple[Path, Path]], config: EvaluationConfig | None
     settings = config or EvaluationConfig()
     if not pairs:
         raise InputError("evaluate: no pairs; give CHANGE_DIR TRUTH")
-    found = []
+    found, simulations = [], []
     for said, truth_path in pairs:
         if is_published(truth_path):
             raise InputError(
                 f"{truth_path}: published files have no points; use evaluate_published with a run"
             )
         truth = read_truth(truth_path)
+        simulations.append({key: truth.scene.get(key) for key in _SIMULATION})
         found.append(
             score_scene(read_prediction(said, truth), truth, settings, scene_name(truth, truth_path))
         )
-    return {"truth_is_simulated": True, **plain(pool(found, settings))}
+    return {"truth_is_simulated": True, "simulations": plain(simulations), **plain(pool(found, settings))}
 
 
 def evaluate_published(root: Path, run: str, config: EvaluationConfig | None = None) -> dict[str, Any]:
