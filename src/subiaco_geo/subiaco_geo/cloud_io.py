@@ -12,11 +12,6 @@ from subiaco_geo.ply_io import read_ply, write_ply
 READABLE = (".ply", ".las", ".laz", ".pcd")
 
 
-def is_cloud_file(path: Path) -> bool:
-    """Tell whether a name ends like a cloud that we can read."""
-    return path.suffix.lower() in READABLE
-
-
 def read_cloud(path: Path) -> PointCloud:
     """Read a ``.ply``, ``.las``, ``.laz``, ``.copc.laz`` or ``.pcd`` file.
 

@@ -56,12 +56,6 @@ def cell_clusters(xy: Floats, cell: float) -> Ints:
     return voxel_clusters(flat, cell)
 
 
-def count_distinct(labels: Ints, keys: Ints, size: int) -> Ints:
-    """Count the distinct keys (N,) of every label, giving (size,)."""
-    pairs = np.unique(np.stack([labels, keys], axis=1), axis=0)
-    return np.bincount(pairs[:, 0], minlength=size)
-
-
 def group_indices(labels: Ints) -> list[NDArray[np.int64]]:
     """Return the point indices of every label 0..max; labels below 0 are left out."""
     order = np.argsort(labels, kind="stable")
