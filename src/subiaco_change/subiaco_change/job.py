@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -14,9 +14,10 @@ from subiaco_change.outputs.directory import MARKER, ChangeInputs, write_change_
 from subiaco_change.pipeline import detect_changes
 from subiaco_change.records import ChangeResult
 from subiaco_geo.atomic import refuse_existing, refuse_foreign
+from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
-from subiaco_geo.maps import load_epoch
+from subiaco_geo.maps import SurveyMap, load_epoch
 
 
 @dataclass(frozen=True)
@@ -68,10 +69,29 @@ def read_transform(path: Path) -> Floats:
     return values
 
 
-def run_change(
-    job: ChangeJob, config: ChangeConfig, progress: Callable[[str, float], None] | None = None
+def run_job(
+    job: ChangeJob,
+    config: StrictModel,
+    detect: Callable[[SurveyMap, SurveyMap], ChangeResult],
+    progress: Callable[[str, float], None] | None = None,
+    *,
+    notes: Mapping[str, str] | None = None,
+    calibrated: bool = False,
 ) -> ChangeResult:
-    """Load two epochs, find what changed, write the change directory.
+    """Load two epochs, find changes by any method, write the change directory.
+
+    Parameters
+    ----------
+    job : ChangeJob
+    config : StrictModel
+        Of the method; written beside the result.
+    detect : callable
+        The method, given *before* and *after*.
+    progress : callable, optional
+    notes : mapping, optional
+        Further facts for ``run.json``.
+    calibrated : bool
+        Whether the method's confidences are calibrated.
 
     Raises
     ------
@@ -82,11 +102,21 @@ def run_change(
     refuse_foreign(job.output, MARKER)
     before = load_epoch(job.before, job.trajectory_before)
     after = load_epoch(job.after, job.trajectory_after)
-    result = detect_changes(before, after, config, progress, transform=job.transform)
+    result = detect(before, after)
     if progress is not None:
         progress("writing", 0.97)
     known = all(survey.info.get("heights") == "ellipsoidal" for survey in (before, after))
-    calibrated = config.confidence.calibrated
-    inputs = ChangeInputs(job.before, job.after, calibrated=calibrated, ellipsoidal=known)
+    inputs = ChangeInputs(job.before, job.after, notes or {}, calibrated=calibrated, ellipsoidal=known)
     write_change_directory(job.output, result, config, inputs, overwrite=job.overwrite)
     return result
+
+
+def run_change(
+    job: ChangeJob, config: ChangeConfig, progress: Callable[[str, float], None] | None = None
+) -> ChangeResult:
+    """Run our own method on two epochs; errors as for :func:`run_job`."""
+
+    def detect(before: SurveyMap, after: SurveyMap) -> ChangeResult:
+        return detect_changes(before, after, config, progress, transform=job.transform)
+
+    return run_job(job, config, detect, progress, calibrated=config.confidence.calibrated)

@@ -14,16 +14,14 @@ from subiaco_change.baselines.m3c2 import difference_along_normals
 from subiaco_change.baselines.nearest import difference_by_lod, difference_by_threshold
 from subiaco_change.baselines.patches import connect, label_points, make_records
 from subiaco_change.geometry import estimate_normals
-from subiaco_change.job import ChangeJob
+from subiaco_change.job import ChangeJob, run_job
 from subiaco_change.observation.common_frame import CommonFrame
-from subiaco_change.outputs.directory import MARKER, ChangeInputs, write_change_directory
 from subiaco_change.records import ChangeResult
 from subiaco_change.registration.pair import check_pair
 from subiaco_change.registration.register import given_registration, register
-from subiaco_geo.atomic import refuse_existing, refuse_foreign
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
-from subiaco_geo.maps import SurveyMap, load_epoch
+from subiaco_geo.maps import SurveyMap
 
 Progress = Callable[[str, float], None]
 
@@ -113,20 +111,9 @@ def detect_simply(
 def run_baseline(
     job: ChangeJob, method: str, config: BaselineConfig, progress: Progress | None = None
 ) -> ChangeResult:
-    """Load two epochs, compare them by a simple method, write the change directory.
+    """Run a simple method on two epochs; errors as for :func:`subiaco_change.job.run_job`."""
 
-    Raises
-    ------
-    InputError, RegistrationError
-        Nothing is left under ``job.output`` then.
-    """
-    refuse_existing(job.output, job.overwrite)
-    refuse_foreign(job.output, MARKER)
-    before, after = load_epoch(job.before, job.trajectory_before), load_epoch(job.after, job.trajectory_after)
-    result = detect_simply(before, after, method, config, progress, transform=job.transform)
-    if progress is not None:
-        progress("writing", 0.97)
-    known = all(survey.info.get("heights") == "ellipsoidal" for survey in (before, after))
-    inputs = ChangeInputs(job.before, job.after, notes={"baseline": method}, ellipsoidal=known)
-    write_change_directory(job.output, result, config, inputs, overwrite=job.overwrite)
-    return result
+    def detect(before: SurveyMap, after: SurveyMap) -> ChangeResult:
+        return detect_simply(before, after, method, config, progress, transform=job.transform)
+
+    return run_job(job, config, detect, progress, notes={"baseline": method})
