@@ -27,7 +27,6 @@ from types import ModuleType
 import numpy as np
 from numpy.typing import NDArray
 
-from subiaco_change.records import Semantic
 from subiaco_change.semantics import classes
 from subiaco_change.semantics.classes import SemanticResult, SemanticsConfig, label_points
 from subiaco_change.semantics.features import FeatureConfig, compute_features
@@ -40,6 +39,7 @@ from subiaco_geo.clouds import (
     voxel_indices,
     voxel_keys,
 )
+from subiaco_geo.codes import Semantic
 
 LEAF = 0.25
 UNKNOWN = 255

@@ -6,8 +6,9 @@ import numpy as np
 from numpy.typing import NDArray
 from shapely.geometry import box
 
-from subiaco_change.records import Change, ChangeRecord, ChangeResult, GroundChange, Registration, Semantic
+from subiaco_change.records import ChangeRecord, ChangeResult, GroundChange, Registration
 from subiaco_geo.clouds import PointCloud
+from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import exp_se3
 

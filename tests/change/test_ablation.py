@@ -12,7 +12,7 @@ from subiaco_change.changes.measures import MeasureConfig
 from subiaco_change.changes.object_changes import ObjectRules, compare_objects
 from subiaco_change.changes.objects import EpochView, Reach
 from subiaco_change.config import ChangeConfig, left_out
-from subiaco_change.records import Change, Semantic
+from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.errors import InputError
 
 REACH = Reach(0.35, 2.0, 1.25)

@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from subiaco_change.changes.association import AssociationConfig, assign, associate
 from subiaco_change.changes.objects import Thing, Voxels
-from subiaco_change.records import Semantic
+from subiaco_geo.codes import Semantic
 
 
 def brute_force(costs, unmatched):

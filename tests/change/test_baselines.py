@@ -8,8 +8,8 @@ from subiaco_change.baselines.cells import clean, make_pair
 from subiaco_change.baselines.config import BaselineConfig, DsmConfig
 from subiaco_change.baselines.dsm import difference_surfaces
 from subiaco_change.baselines.run import METHODS, compare_pair, detect_simply, prepare_pair
-from subiaco_change.records import Change, Semantic
 from subiaco_geo.clouds import PointCloud
+from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.errors import InputError, RegistrationError
 from subiaco_geo.maps import SurveyMap
 

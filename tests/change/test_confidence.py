@@ -15,7 +15,7 @@ from subiaco_change.changes.confidence import (
 )
 from subiaco_change.changes.decisions import Decision
 from subiaco_change.changes.measures import Measures
-from subiaco_change.records import Change, Semantic
+from subiaco_geo.codes import Change, Semantic
 
 TYPICAL = Measures(
     iou=0.9, d_perp=0.0, delta_c=0.1, delta_h=0.0, delta_v=0.0, delta_v_surface=0.0, volume=100.0, chi2=0.0,

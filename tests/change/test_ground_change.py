@@ -5,7 +5,7 @@ import pytest
 
 from subiaco_change.changes.ground_change import GroundChangeConfig, compare_ground, ground_raster
 from subiaco_change.changes.objects import EpochView
-from subiaco_change.records import Change, Semantic
+from subiaco_geo.codes import Change, Semantic
 
 
 def view(lift=None, seed=0, size=100.0, lod=0.03):

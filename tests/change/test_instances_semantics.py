@@ -7,7 +7,6 @@ from hypothesis import strategies as st
 from scenes import Scene, car, ground_z, house, pole, tree
 from scipy.spatial import cKDTree
 
-from subiaco_change.records import Semantic
 from subiaco_change.semantics.classes import SemanticsConfig, label_points
 from subiaco_change.semantics.clustering import voxel_clusters
 from subiaco_change.semantics.features import FeatureConfig, compute_features, neighbour_covariance
@@ -20,6 +19,7 @@ from subiaco_change.semantics.superpoints import (
     potts_energy,
 )
 from subiaco_geo.clouds import PointCloud, voxel_downsample
+from subiaco_geo.codes import Semantic
 
 SCENE = Scene()
 

@@ -8,7 +8,7 @@ from subiaco_change.changes.decisions import Decision
 from subiaco_change.changes.measures import MeasureConfig, column_volume, measure
 from subiaco_change.changes.object_changes import ObjectChange, adopt_fragments
 from subiaco_change.changes.objects import Thing, Voxels, looked_across
-from subiaco_change.records import Change, Semantic
+from subiaco_geo.codes import Change, Semantic
 
 
 def voxels(xyz, instance=0, still=True, crossed=False):

@@ -20,9 +20,10 @@ from subiaco_change.outputs.clouds import ASPRS_CODES, POINT_FIELDS, labelled_cl
 from subiaco_change.outputs.raster import build_coverage
 from subiaco_change.outputs.style import categorised_qml
 from subiaco_change.outputs.table import ALL_COLUMNS, COLUMNS, build_table, object_uids, table_hash
-from subiaco_change.records import CHANGE_COLOURS, Change, Semantic
+from subiaco_change.records import CHANGE_COLOURS
 from subiaco_geo.cloud_io import read_cloud
 from subiaco_geo.clouds import PointCloud
+from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.errors import InputError
 
 CONTRACT = """

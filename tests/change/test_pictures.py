@@ -8,11 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from PIL import Image
 
-from subiaco_change.records import CHANGE_COLOURS, Change
+from subiaco_change.records import CHANGE_COLOURS
 from subiaco_change.report import pictures
 from subiaco_change.report.paint import BACKGROUND, instance_colours, paint
 from subiaco_change.report.raster import Frame, fill_holes, hillshade, top_view
 from subiaco_geo.clouds import PointCloud
+from subiaco_geo.codes import Change
 
 FRAME = Frame(0.0, 0.0, 2.0, 1.0, 0.5)
 

@@ -6,8 +6,8 @@ from scenes import Scene, ground_z
 
 from subiaco_change.config import ChangeConfig
 from subiaco_change.pipeline import detect_changes
-from subiaco_change.records import Change, Semantic
 from subiaco_geo.clouds import voxel_indices, voxel_keys
+from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.maps import SurveyMap
 from subiaco_geo.visibility import VisibilityGrid
 

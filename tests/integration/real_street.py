@@ -15,8 +15,9 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 from shapely.geometry.base import BaseGeometry
 
-from subiaco_change.records import Change, ChangeRecord, ChangeResult, Semantic
+from subiaco_change.records import ChangeRecord, ChangeResult
 from subiaco_geo.clouds import PointCloud, from_world, voxel_downsample
+from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats, transform_points
 from subiaco_geo.maps import SurveyMap
 from subiaco_geo.trajectories import Trajectory

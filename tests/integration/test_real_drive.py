@@ -32,8 +32,9 @@ from scipy.spatial.transform import Rotation
 from subiaco_bringup.cli.main import run
 from subiaco_change.config import ChangeConfig
 from subiaco_change.pipeline import detect_changes
-from subiaco_change.records import Change, ChangeResult
+from subiaco_change.records import ChangeResult
 from subiaco_geo.clouds import PointCloud
+from subiaco_geo.codes import Change
 from subiaco_geo.frames import Floats, invert_pose, make_pose
 from subiaco_geo.maps import SurveyMap, read_map
 from subiaco_geo.trajectories import Trajectory

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from shapely.geometry import box
 
-from subiaco_change.records import Change, ChangeRecord, ChangeResult, Registration, Semantic
+from subiaco_change.records import ChangeRecord, ChangeResult, Registration
 from subiaco_geo.clouds import PointCloud
+from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.errors import InputError, RegistrationError
 
 pytestmark = pytest.mark.ros

@@ -8,11 +8,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from subiaco_geo.codes import Change
 from subiaco_sim.config import SimulationConfig
 from subiaco_sim.drives import Survey, plan_survey
 from subiaco_sim.events import QUOTAS
 from subiaco_sim.ground import FOOTPATH, KERB_HEIGHT, ROAD_HALF, Road, Terrain, strip_along
-from subiaco_sim.labels import GROUND_AREA, Change, Labels, label_scene
+from subiaco_sim.labels import GROUND_AREA, Labels, label_scene
 from subiaco_sim.movers import freeze
 from subiaco_sim.plants import Hedge, Palm, Tree
 from subiaco_sim.presets import build_scene, preset_hash, simulator_hash

@@ -7,12 +7,13 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from subiaco_geo.codes import Change
 from subiaco_geo.frames import make_pose
 from subiaco_sim.buildings import House, Shed
 from subiaco_sim.collect import FirstPoints, MeanPoints
 from subiaco_sim.config import TruthConfig
 from subiaco_sim.ground import Patch, Road, Terrain
-from subiaco_sim.labels import Change, decide, ground_change, true_change
+from subiaco_sim.labels import decide, ground_change, true_change
 from subiaco_sim.primitives import Material, box, sample_surface
 from subiaco_sim.scene import BUILDING, MOBILE, VEGETATION, GroundItem, Item, Placed, Scene, compile_meshes
 from subiaco_sim.seeing import OtherDrive, seen_from

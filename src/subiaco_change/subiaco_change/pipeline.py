@@ -20,13 +20,14 @@ from subiaco_change.geometry import estimate_normals
 from subiaco_change.observation.common_frame import CommonFrame, seen_through
 from subiaco_change.observation.evidence import Observer, make_observer
 from subiaco_change.observation.lod import level_of_detection
-from subiaco_change.records import Change, ChangeRecord, ChangeResult, Registration, Semantic
+from subiaco_change.records import ChangeRecord, ChangeResult, Registration
 from subiaco_change.registration.pair import PairInfo, check_pair
 from subiaco_change.registration.register import given_registration, register
 from subiaco_change.semantics.classes import SemanticResult, label_points
 from subiaco_change.semantics.ground import Mask
 from subiaco_change.semantics.instances import segment
 from subiaco_geo.clouds import PointCloud
+from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats
 from subiaco_geo.maps import SurveyMap
 

@@ -4,47 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from enum import IntEnum
 
 import numpy as np
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
 from subiaco_geo.clouds import PointCloud
+from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats
-
-
-class Change(IntEnum):
-    """Point codes of the published evaluation, and the two outcomes beside them."""
-
-    ADDED = 0
-    REMOVED = 1
-    INCREASED = 2
-    DECREASED = 3
-    UNCHANGED = 4
-    NOT_REPORTED = 254
-    UNOBSERVED = 255
-
-    @property
-    def label(self) -> str:
-        """Name in the table, e.g. ``Added``."""
-        return self.name.title().replace("_", "")
-
-
-class Semantic(IntEnum):
-    """Point classes of the published evaluation."""
-
-    GROUND = 0
-    BUILDING = 1
-    VEGETATION = 2
-    MOBILE = 3
-    OTHER = 4
-
-    @property
-    def label(self) -> str:
-        """Name in the table, e.g. ``building``."""
-        return self.name.lower()
-
 
 #: Colours of the paper, red green blue 0-255.
 CHANGE_COLOURS: dict[Change, tuple[int, int, int]] = {

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from enum import IntEnum
 
 import numpy as np
 
 from subiaco_geo.clouds import voxel_keys
+from subiaco_geo.codes import Change
 from subiaco_geo.frames import Floats, Ints
 from subiaco_sim.primitives import sample_surface
 from subiaco_sim.scene import (
@@ -26,23 +26,6 @@ from subiaco_sim.scene import (
 )
 
 COLUMN = 0.5  # edge of the columns in which bodies are compared [m]
-
-
-class Change(IntEnum):
-    """Point codes of the published evaluation, and two outcomes beside them."""
-
-    ADDED = 0
-    REMOVED = 1
-    INCREASED = 2
-    DECREASED = 3
-    UNCHANGED = 4
-    NOT_REPORTED = 254
-    UNSEEN = 255
-
-    @property
-    def label(self) -> str:
-        """Name in tables, e.g. ``Added``."""
-        return self.name.title().replace("_", "")
 
 
 @dataclass(frozen=True)

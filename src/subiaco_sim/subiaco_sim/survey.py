@@ -12,6 +12,7 @@ import yaml
 from numpy.typing import NDArray
 
 from subiaco_geo.atomic import whole_directory
+from subiaco_geo.codes import Change
 from subiaco_geo.frames import Ints
 from subiaco_sim.clock import LidarClock
 from subiaco_sim.collect import FirstPoints
@@ -20,7 +21,7 @@ from subiaco_sim.drives import Drive, Survey, first_points, lidar_of, plan_surve
 from subiaco_sim.fused import MapFuser
 from subiaco_sim.gnss import simulate_gnss
 from subiaco_sim.imu import simulate_imu
-from subiaco_sim.labels import Change, Labels, label_scene
+from subiaco_sim.labels import Labels, label_scene
 from subiaco_sim.lidar import Lidar, SimulatedScan
 from subiaco_sim.packets import COLUMNS_PER_PACKET, PacketMaker, TimedPacket, inner_imu
 from subiaco_sim.presets import find_preset, simulator_hash
@@ -137,7 +138,7 @@ def _simulate_epoch(
 
 
 def _count(object_id: Ints, change: NDArray[np.uint8], size: int) -> Counts:
-    seen = object_id[change != Change.UNSEEN]
+    seen = object_id[change != Change.UNOBSERVED]
     return np.bincount(object_id, minlength=size), np.bincount(seen, minlength=size)
 
 

@@ -13,11 +13,12 @@ import numpy as np
 import yaml
 from numpy.typing import NDArray
 
+from subiaco_geo.codes import Change
 from subiaco_geo.config import config_hash
 from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.trajectories import Trajectory, write_tum
 from subiaco_sim.drives import MAP_CRS, START_NS, WORLD, Drive, Survey, warp_of
-from subiaco_sim.labels import Change, Labels, TrueChange
+from subiaco_sim.labels import Labels, TrueChange
 from subiaco_sim.map_errors import MapWarp
 from subiaco_sim.presets import preset_hash, simulator_hash
 from subiaco_sim.scene import CLASS_NAMES, GROUND, CompiledScene, GroundItem, Item
@@ -41,7 +42,7 @@ def point_changes(
     other = survey.drives["after" if epoch == "before" else "before"]
     view = OtherDrive(other.compiled, other.lidar_poses(other.scan_end_ns()), survey.config.lidar.max_range)
     seen = seen_from(view, xyz, object_id, labels.reshaped, survey.config.truth)
-    return np.where(seen, labels.change[object_id], Change.UNSEEN).astype(np.uint8)
+    return np.where(seen, labels.change[object_id], Change.UNOBSERVED).astype(np.uint8)
 
 
 def write_points(

@@ -10,9 +10,10 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from subiaco_change.baselines.config import BaselineConfig, CellConfig, Voids
-from subiaco_change.records import Change, Registration
+from subiaco_change.records import Registration
 from subiaco_change.semantics.ground import GroundModel, Mask, fit_ground
 from subiaco_geo.clouds import PointCloud
+from subiaco_geo.codes import Change
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
 

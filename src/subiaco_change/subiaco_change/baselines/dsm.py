@@ -6,7 +6,7 @@ import numpy as np
 
 from subiaco_change.baselines.cells import Codes, Pair, Verdict, clean, name_changes
 from subiaco_change.baselines.config import BaselineConfig
-from subiaco_change.records import Change
+from subiaco_geo.codes import Change
 from subiaco_geo.frames import Floats
 
 

@@ -10,9 +10,10 @@ from scipy import ndimage
 
 from subiaco_change.baselines.cells import Codes, Pair, Side, Verdict
 from subiaco_change.baselines.config import BaselineConfig
-from subiaco_change.records import Change, ChangeRecord, Semantic
+from subiaco_change.records import ChangeRecord
 from subiaco_change.semantics.ground import Mask
 from subiaco_geo.clouds import PointCloud
+from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats, Ints
 
 _CLAIMS = (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED)

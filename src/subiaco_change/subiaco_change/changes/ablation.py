@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from subiaco_change.changes.objects import EpochView, Reach, occupied
-from subiaco_change.records import Change, Semantic
 from subiaco_change.semantics.clustering import voxel_clusters
 from subiaco_change.semantics.ground import Mask
+from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats
 
 

@@ -13,7 +13,7 @@ from scipy.special import expit
 
 from subiaco_change.changes.decisions import Decision
 from subiaco_change.changes.measures import Measures
-from subiaco_change.records import Change, Semantic
+from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from pydantic import Field
 
 from subiaco_change.changes.measures import Measures
-from subiaco_change.records import Change, Semantic
+from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.config import StrictModel
 
 

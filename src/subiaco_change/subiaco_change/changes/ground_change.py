@@ -13,8 +13,9 @@ from scipy import ndimage
 from shapely.geometry.base import BaseGeometry
 
 from subiaco_change.changes.objects import EpochView
-from subiaco_change.records import Change, GroundChange, Semantic
+from subiaco_change.records import GroundChange
 from subiaco_change.semantics.ground import Mask, fill_gaps
+from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
 

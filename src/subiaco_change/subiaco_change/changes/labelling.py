@@ -15,8 +15,9 @@ from subiaco_change.changes.ground_change import GroundComparison, patch_points
 from subiaco_change.changes.object_changes import ObjectChange
 from subiaco_change.changes.objects import EpochView
 from subiaco_change.observation.evidence import EvidenceConfig, ground_observed
-from subiaco_change.records import Change, ChangeRecord, Semantic
+from subiaco_change.records import ChangeRecord
 from subiaco_change.semantics.ground import Mask
+from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats, Ints
 
 

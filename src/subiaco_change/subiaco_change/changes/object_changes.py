@@ -13,8 +13,9 @@ from subiaco_change.changes.confidence import ConfidenceConfig, confidence, feat
 from subiaco_change.changes.decisions import Decision, DecisionConfig, decide
 from subiaco_change.changes.measures import MeasureConfig, Measures, footprint, measure
 from subiaco_change.changes.objects import EpochView, Reach, Thing, Voxels, build_things, build_voxels
-from subiaco_change.records import Change, ChangeRecord, Semantic
+from subiaco_change.records import ChangeRecord
 from subiaco_change.semantics.ground import Mask
+from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats, Ints
 
 Observed = Callable[[Floats], Mask]

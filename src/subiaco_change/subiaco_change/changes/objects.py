@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from subiaco_change.records import Semantic
 from subiaco_change.semantics.clustering import group_indices
 from subiaco_change.semantics.ground import Mask
 from subiaco_geo.clouds import voxel_indices, voxel_keys
+from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats, Ints
 
 

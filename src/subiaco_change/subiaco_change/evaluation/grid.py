@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from subiaco_change.records import Change
+from subiaco_geo.codes import Change
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
 

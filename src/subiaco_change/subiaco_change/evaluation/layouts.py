@@ -14,9 +14,9 @@ from numpy.typing import NDArray
 
 from subiaco_change.evaluation.truth import SurveyTruth
 from subiaco_change.outputs.reading import read_change_directory
-from subiaco_change.records import Change
 from subiaco_geo.cloud_io import read_cloud
 from subiaco_geo.clouds import PointCloud
+from subiaco_geo.codes import Change
 from subiaco_geo.errors import InputError
 
 _CLOUD_NAMES = {

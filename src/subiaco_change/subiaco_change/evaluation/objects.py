@@ -10,8 +10,8 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from subiaco_change.records import Change
 from subiaco_geo.clouds import PointCloud, sort_spatially
+from subiaco_geo.codes import Change
 from subiaco_geo.frames import Ints
 
 NO_TRUTH = 255

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from subiaco_change.records import Change
+from subiaco_geo.codes import Change
 from subiaco_geo.frames import Floats, Ints
 
 #: The five scored labels in the order of rows and columns; the sixth column is *not decided*.

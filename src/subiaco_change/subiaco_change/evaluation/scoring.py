@@ -36,8 +36,8 @@ from subiaco_change.evaluation.trajectories import absolute_error, relative_erro
 from subiaco_change.evaluation.truth import SurveyTruth, read_truth
 from subiaco_change.evaluation.writing import write_evaluation
 from subiaco_change.outputs.json_text import plain
-from subiaco_change.records import Change, Semantic
 from subiaco_geo.clouds import PointCloud
+from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints, rotation_angle

@@ -12,8 +12,8 @@ import pandas as pd
 import yaml
 from numpy.typing import NDArray
 
-from subiaco_change.records import Change, Semantic
 from subiaco_geo.clouds import PointCloud, from_world
+from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
 from subiaco_geo.trajectories import Trajectory, read_tum

@@ -13,8 +13,9 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from subiaco_change.records import CHANGE_COLOURS, Change, ChangeRecord, ChangeResult
+from subiaco_change.records import CHANGE_COLOURS, ChangeRecord, ChangeResult
 from subiaco_geo.clouds import PointCloud
+from subiaco_geo.codes import Change
 from subiaco_geo.frames import Floats
 from subiaco_mapping.nodes.frame import LocalFrame
 from subiaco_mapping.nodes.messages import cloud_message, header, xyz_cloud

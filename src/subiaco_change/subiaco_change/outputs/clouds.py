@@ -7,9 +7,10 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from subiaco_change.records import CHANGE_COLOURS, Change, Semantic
+from subiaco_change.records import CHANGE_COLOURS
 from subiaco_geo.cloud_io import read_cloud, write_cloud
 from subiaco_geo.clouds import PointCloud
+from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.errors import InputError
 
 #: ASPRS classification of LAS 1.4 for each of our classes; 64 is the first user code.

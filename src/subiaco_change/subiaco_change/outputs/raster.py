@@ -10,8 +10,9 @@ import rasterio
 from numpy.typing import NDArray
 from rasterio.transform import from_origin
 
-from subiaco_change.records import Change, GroundChange
+from subiaco_change.records import GroundChange
 from subiaco_geo.clouds import PointCloud
+from subiaco_geo.codes import Change
 from subiaco_geo.frames import Floats
 
 #: Codes of ``coverage.tif`` band 1.

@@ -8,7 +8,8 @@ from contextlib import closing
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
-from subiaco_change.records import CHANGE_COLOURS, Change
+from subiaco_change.records import CHANGE_COLOURS
+from subiaco_geo.codes import Change
 
 _CREATE = """
 create table if not exists layer_styles (

@@ -16,7 +16,8 @@ from shapely.geometry import MultiPolygon, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 
 from subiaco_change.outputs.style import embed_styles
-from subiaco_change.records import ChangeRecord, Semantic
+from subiaco_change.records import ChangeRecord
+from subiaco_geo.codes import Semantic
 from subiaco_geo.errors import InputError
 
 #: Columns of the contract, in its order.

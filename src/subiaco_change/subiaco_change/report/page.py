@@ -14,9 +14,10 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescap
 
 from subiaco_change.outputs.raster import Coverage, build_coverage
 from subiaco_change.outputs.reading import ChangeDirectory, read_change_directory
-from subiaco_change.records import CHANGE_COLOURS, Change, Semantic
+from subiaco_change.records import CHANGE_COLOURS
 from subiaco_change.report import pictures
 from subiaco_geo.atomic import whole_file
+from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import rotation_angle
 
 CHANGED_LABELS = tuple(c.label for c in (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED))

@@ -16,10 +16,11 @@ from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 from PIL import Image
 
-from subiaco_change.records import CHANGE_COLOURS, SEMANTIC_COLOURS, Change, Semantic
+from subiaco_change.records import CHANGE_COLOURS, SEMANTIC_COLOURS
 from subiaco_change.report.paint import height_range, paint
 from subiaco_change.report.raster import Frame
 from subiaco_geo.clouds import PointCloud
+from subiaco_geo.codes import Change, Semantic
 
 #: The five pictures of a block, in the order of the report, with their captions.
 KINDS = {

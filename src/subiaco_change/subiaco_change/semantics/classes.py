@@ -10,7 +10,6 @@ from pydantic import Field
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from subiaco_change.records import Semantic
 from subiaco_change.semantics.clustering import group_indices, group_reduce, voxel_clusters
 from subiaco_change.semantics.features import FeatureConfig, Features, compute_features
 from subiaco_change.semantics.ground import GroundConfig, GroundModel, Mask, fit_ground
@@ -18,6 +17,7 @@ from subiaco_change.semantics.planes import Patches, planar_patches
 from subiaco_change.semantics.superpoints import SuperpointConfig, partition
 from subiaco_change.semantics.vehicles import VehicleConfig, large_vehicles, sheds, vehicle_parts
 from subiaco_geo.clouds import PointCloud, sort_spatially
+from subiaco_geo.codes import Semantic
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
 

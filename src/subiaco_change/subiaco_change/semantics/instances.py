@@ -8,10 +8,10 @@ from pydantic import Field
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from subiaco_change.records import Semantic
 from subiaco_change.semantics.classes import SemanticResult
 from subiaco_change.semantics.clustering import cell_clusters, group_indices, voxel_clusters
 from subiaco_geo.clouds import PointCloud
+from subiaco_geo.codes import Semantic
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
 

@@ -1,0 +1,37 @@
+"""Change and class codes of points and table rows: the ones of the published evaluation."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+
+class Change(IntEnum):
+    """Point codes of the published evaluation, and the two outcomes beside them."""
+
+    ADDED = 0
+    REMOVED = 1
+    INCREASED = 2
+    DECREASED = 3
+    UNCHANGED = 4
+    NOT_REPORTED = 254
+    UNOBSERVED = 255
+
+    @property
+    def label(self) -> str:
+        """Name in the table, e.g. ``Added``."""
+        return self.name.title().replace("_", "")
+
+
+class Semantic(IntEnum):
+    """Point classes of the published evaluation."""
+
+    GROUND = 0
+    BUILDING = 1
+    VEGETATION = 2
+    MOBILE = 3
+    OTHER = 4
+
+    @property
+    def label(self) -> str:
+        """Name in the table, e.g. ``building``."""
+        return self.name.lower()
