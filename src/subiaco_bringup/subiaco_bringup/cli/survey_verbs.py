@@ -22,6 +22,7 @@ from subiaco_bringup.cli.options import (
 from subiaco_bringup.cli.progress import Progress
 from subiaco_bringup.defaults import config_files
 from subiaco_geo.config import load_config
+from subiaco_geo.errors import InputError
 
 
 def _settings(given: list[str] | None, **named: object) -> list[str]:
@@ -172,9 +173,46 @@ def map_(
     say(f"map: {output} ({len(survey.cloud):,} points in {place})", quiet=quiet)
 
 
+def check(
+    survey: Annotated[Path, typer.Argument(metavar="MAP", help="Map directory, or a cloud with a CRS.")],
+    control: Annotated[
+        Path,
+        typer.Option(
+            metavar="CSV",
+            help="name,east,north,height (ellipsoidal) and, where somebody picked the points in the map, "
+            "map_east,map_north,map_height.",
+        ),
+    ],
+    crs: Annotated[
+        str | None,
+        typer.Option(metavar="EPSG:N", help="CRS of the control points; that of the map if absent."),
+    ] = None,
+    as_json: AsJson = False,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Compare a map with surveyed control points: residuals and RMSE.
+
+    Example: subiaco check out/before --control points.csv
+    """
+    from subiaco_geo.maps import load_epoch
+    from subiaco_mapping.control import check_control, describe_control, read_control
+
+    set_up_logging(verbose, quiet)
+    cloud = load_epoch(survey).cloud
+    if cloud.crs is None:
+        raise InputError(f"{survey}: the map has no CRS, so control points cannot be placed in it")
+    residuals = check_control(cloud, read_control(control, cloud.crs, crs))
+    if as_json:
+        print_json(residuals.summary())
+    else:
+        typer.echo(describe_control(residuals))
+
+
 def register(app: typer.Typer) -> None:
     """Add these verbs to the command."""
     app.command("simulate", short_help="Simulate a survey of two epochs, with truth.")(simulate)
     app.command("inspect", short_help="Say what a bag holds before you trust it.")(inspect)
     app.command("import", short_help="Turn a recording of raw packets into a bag.")(import_)
     app.command("map", short_help="Build one georeferenced map from bags.")(map_)
+    app.command("check", short_help="Compare a map with surveyed control points.")(check)

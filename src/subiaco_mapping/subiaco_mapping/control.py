@@ -1,0 +1,215 @@
+"""A map against surveyed control points: residuals, and the accuracy figures people sign."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from subiaco_geo.clouds import PointCloud
+from subiaco_geo.crs import transformer
+from subiaco_geo.errors import InputError
+from subiaco_geo.frames import Floats
+
+#: Fewer points than this make no accuracy statement (ASPRS Positional Accuracy Standards, edition 2, 2023).
+ENOUGH = 30
+_SURVEYED = ("east", "north", "height")
+_PICKED = ("map_east", "map_north", "map_height")
+_RADIUS = 0.75  # map points around a control point that carry its surface [m]
+_REACH = 1.0  # above or below the control point, map points are another surface [m]
+_TRIM = 3.0  # points so many robust deviations off the fitted plane are left out
+_FEW = 8  # fewer map points carry no plane
+
+
+@dataclass(frozen=True)
+class ControlPoints:
+    """Surveyed points, in the CRS of the map.
+
+    Parameters
+    ----------
+    names : tuple of str
+    surveyed : (N, 3) float64
+        East, north, ellipsoidal height [m].
+    picked : (N, 3) float64
+        Where a person found the points in the map [m]; NaN where nobody did.
+    """
+
+    names: tuple[str, ...]
+    surveyed: Floats
+    picked: Floats
+
+
+@dataclass(frozen=True)
+class ControlResiduals:
+    """Map minus survey [m]; NaN where a residual could not be taken.
+
+    Parameters
+    ----------
+    points : ControlPoints
+    horizontal : (N, 2) float64
+        East and north, of picked points.
+    vertical : (N,) float64
+        Of the picked point where its height is given, else of the map's surface.
+    support : (N,) int64
+        Map points that carry the surface.
+    """
+
+    points: ControlPoints
+    horizontal: Floats
+    vertical: Floats
+    support: np.ndarray[Any, np.dtype[np.int64]]
+
+    def summary(self) -> dict[str, Any]:
+        """Return RMSE, bias and counts; a figure without points is None."""
+        east_north = self.horizontal[np.isfinite(self.horizontal).all(axis=1)]
+        heights = self.vertical[np.isfinite(self.vertical)]
+        return {
+            "points": len(self.points.names),
+            "horizontal_points": len(east_north),
+            "rmse_horizontal_m": _rms(np.linalg.norm(east_north, axis=1)),
+            "bias_east_north_m": None if len(east_north) == 0 else east_north.mean(axis=0).tolist(),
+            "vertical_points": len(heights),
+            "rmse_vertical_m": _rms(heights),
+            "bias_vertical_m": None if len(heights) == 0 else float(heights.mean()),
+            "warnings": self._warnings(len(east_north), len(heights)),
+        }
+
+    def _warnings(self, horizontal: int, vertical: int) -> list[str]:
+        found = []
+        if horizontal == 0:
+            found.append(
+                f"no horizontal residual: columns {', '.join(_PICKED[:2])} say where a point lies in the map"
+            )
+        for name, count in (("horizontal", horizontal), ("vertical", vertical)):
+            if 0 < count < ENOUGH:
+                found.append(
+                    f"{count} {name} points: {ENOUGH} or more are needed for a statement of accuracy"
+                )
+        bare = [n for n, v in zip(self.points.names, self.vertical, strict=True) if not np.isfinite(v)]
+        if bare:
+            found.append(f"no map surface at {', '.join(bare)}: outside the map, or too few points there")
+        return found
+
+
+def read_control(path: Path, map_crs: str, crs: str | None = None) -> ControlPoints:
+    """Read ``name,east,north,height`` and, where picked in the map, ``map_east,map_north,map_height``.
+
+    Parameters
+    ----------
+    path : Path
+        CSV with a header line. Heights are ellipsoidal [m].
+    map_crs : str
+        CRS of the map.
+    crs : str, optional
+        CRS of the surveyed coordinates, that of the map where absent.
+
+    Raises
+    ------
+    InputError
+        A column or a number is missing, or PROJ cannot bring the points to the map.
+    """
+    try:
+        with path.open(newline="", encoding="utf-8-sig") as stream:
+            rows = list(csv.DictReader(stream))
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: cannot be read ({error}); give a CSV of control points") from error
+    if not rows:
+        raise InputError(f"{path}: holds no control points; give a CSV with {','.join(('name', *_SURVEYED))}")
+    for column in ("name", *_SURVEYED):
+        if column not in rows[0]:
+            raise InputError(f"{path}: column {column} is missing; expected name,{','.join(_SURVEYED)}")
+    surveyed = _numbers(path, rows, _SURVEYED)
+    if not np.isfinite(surveyed).all():
+        line = 2 + int(np.flatnonzero(~np.isfinite(surveyed).all(axis=1))[0])
+        raise InputError(
+            f"{path}: line {line}: a surveyed coordinate is missing; fill it in or drop the line"
+        )
+    if crs is not None:
+        surveyed = transformer(crs, map_crs).apply(surveyed)
+    return ControlPoints(tuple(row["name"] for row in rows), surveyed, _numbers(path, rows, _PICKED))
+
+
+def _numbers(path: Path, rows: list[dict[str, str]], columns: tuple[str, ...]) -> Floats:
+    values = np.full((len(rows), len(columns)), np.nan)
+    for line, row in enumerate(rows):
+        for place, column in enumerate(columns):
+            text = (row.get(column) or "").strip()
+            try:
+                values[line, place] = float(text) if text else np.nan
+            except ValueError as error:
+                raise InputError(f"{path}: line {line + 2}: {column} is {text!r}, not a number") from error
+    return values
+
+
+def check_control(cloud: PointCloud, points: ControlPoints) -> ControlResiduals:
+    """Compare a map with surveyed points.
+
+    The vertical residual is that of a plane through the map points within
+    0.75 m, taken at the surveyed place, unless a height was picked. The
+    horizontal one needs a picked place: a flat surface does not tell where on
+    it a point lies.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        The map.
+    points : ControlPoints
+        In the CRS of the map.
+    """
+    local = points.surveyed - cloud.origin
+    near = cKDTree(cloud.xyz[:, :2]).query_ball_point(local[:, :2], _RADIUS)
+    vertical = points.picked[:, 2] - points.surveyed[:, 2]
+    support = np.zeros(len(local), dtype=np.int64)
+    for row, indices in enumerate(near):
+        around = cloud.xyz[indices]
+        around = around[np.abs(around[:, 2] - local[row, 2]) < _REACH] - local[row]
+        support[row] = len(around)
+        if np.isnan(vertical[row]):
+            vertical[row] = _surface_offset(around)
+    return ControlResiduals(points, (points.picked - points.surveyed)[:, :2], vertical, support)
+
+
+def _surface_offset(around: Floats) -> float:
+    """Height at the origin of a plane through points (N, 3), NaN where too few carry one [m]."""
+    kept = np.ones(len(around), dtype=bool)
+    plane = np.zeros(3)
+    for _ in range(3):
+        if np.count_nonzero(kept) < _FEW:
+            return float("nan")
+        design = np.column_stack([around[:, :2], np.ones(len(around))])
+        plane, _, rank, _ = np.linalg.lstsq(design[kept], around[kept, 2], rcond=None)
+        if rank < len(plane):
+            return float("nan")
+        off = np.abs(around[:, 2] - design @ plane)
+        kept = off <= _TRIM * 1.4826 * max(float(np.median(off[kept])), 1e-4)
+    return float(plane[2])
+
+
+def _rms(values: Floats) -> float | None:
+    return None if len(values) == 0 else float(np.sqrt(np.mean(np.square(values))))
+
+
+def describe_control(residuals: ControlResiduals) -> str:
+    """Return the residuals as a text table, with the summary under it."""
+    lines = [f"{'point':<16}{'east':>9}{'north':>9}{'up':>9}   map points"]
+    for name, flat, up, support in zip(
+        residuals.points.names, residuals.horizontal, residuals.vertical, residuals.support, strict=True
+    ):
+        cells = "".join(f"{'-':>9}" if np.isnan(v) else f"{v:>+9.3f}" for v in (*flat, up))
+        lines.append(f"{name:<16}{cells}   {support}")
+    summary = residuals.summary()
+    lines.append("")
+    lines += [_line(summary, "horizontal"), _line(summary, "vertical")]
+    lines += [f"warning: {text}" for text in summary["warnings"]]
+    return "\n".join(lines)
+
+
+def _line(summary: Mapping[str, Any], kind: str) -> str:
+    rmse = summary[f"rmse_{kind}_m"]
+    figure = "none" if rmse is None else f"{rmse:.3f} m"
+    return f"RMSE {kind}: {figure} over {summary[f'{kind}_points']} points (map minus survey)"
