@@ -11,6 +11,7 @@ import numpy as np
 
 from subiaco_change.config import ChangeConfig
 from subiaco_change.outputs.directory import MARKER, ChangeInputs, write_change_directory
+from subiaco_change.outputs.parcels import read_lots
 from subiaco_change.pipeline import detect_changes
 from subiaco_change.records import ChangeResult
 from subiaco_geo.atomic import refuse_existing, refuse_foreign
@@ -45,6 +46,7 @@ class ChangeJob:
     trajectory_after: Path | None = None
     transform: Floats | None = None
     overwrite: bool = False
+    parcels: Path | None = None
 
 
 def read_transform(path: Path) -> Floats:
@@ -102,11 +104,19 @@ def run_job(
     refuse_foreign(job.output, MARKER)
     before = load_epoch(job.before, job.trajectory_before)
     after = load_epoch(job.after, job.trajectory_after)
+    lots = None if job.parcels is None else read_lots(job.parcels, after.crs)
     result = detect(before, after)
     if progress is not None:
         progress("writing", 0.97)
     known = all(survey.info.get("heights") == "ellipsoidal" for survey in (before, after))
-    inputs = ChangeInputs(job.before, job.after, notes or {}, calibrated=calibrated, ellipsoidal=known)
+    inputs = ChangeInputs(
+        job.before,
+        job.after,
+        notes or {},
+        calibrated=calibrated,
+        ellipsoidal=known,
+        lots=lots,
+    )
     write_change_directory(job.output, result, config, inputs, overwrite=job.overwrite)
     return result
 

@@ -74,6 +74,10 @@ def change(
             help="Leave a part out: lod, class_association, semantics or objects; may be repeated.",
         ),
     ] = None,
+    parcels: Annotated[
+        Path | None,
+        typer.Option(metavar="LOTS", help="Polygons (.gpkg, .geojson, .shp) to add the changes up by."),
+    ] = None,
     config: ConfigFiles = None,
     settings: Settings = None,
     overwrite: Overwrite = False,
@@ -92,7 +96,7 @@ def change(
     model = load_config(ChangeConfig, config_files("change", tuple(config or ())), settings or [])
     if without:
         model = left_out(model, without)
-    job = ChangeJob(before, after, output, trajectory_before, trajectory_after, given, overwrite)
+    job = ChangeJob(before, after, output, trajectory_before, trajectory_after, given, overwrite, parcels)
     with Progress(quiet=quiet) as progress:
         result = run_change(job, model, progress)
     counts = Counter(record.change.label for record in result.records)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import platform
 import resource
 import sys
+import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
@@ -18,6 +19,7 @@ from subiaco_change.outputs import table as outputs_table
 from subiaco_change.outputs.clouds import write_labelled
 from subiaco_change.outputs.hashing import hash_path
 from subiaco_change.outputs.json_text import write_json
+from subiaco_change.outputs.parcels import build_parcels, coverage_polygons
 from subiaco_change.outputs.raster import build_coverage, write_coverage, write_ground_change
 from subiaco_change.outputs.reading import ChangeDirectory, read_change_directory
 from subiaco_change.records import ChangeResult, Registration
@@ -49,7 +51,8 @@ class ChangeInputs:
 
     ``calibrated`` tells whether the confidences were calibrated; the report
     warns where they were not. ``ellipsoidal`` tells that heights are known to
-    be ellipsoidal, so that the LAZ files may say so.
+    be ellipsoidal, so that the LAZ files may say so. ``lots`` are
+    those of :func:`~subiaco_change.outputs.parcels.read_lots`, for the layer ``parcels``.
     """
 
     before: Path | None = None
@@ -57,6 +60,7 @@ class ChangeInputs:
     notes: Mapping[str, Any] = field(default_factory=dict)
     calibrated: bool = False
     ellipsoidal: bool = False
+    lots: gpd.GeoDataFrame | None = None
 
 
 def registration_document(registration: Registration, crs: str | None) -> dict[str, Any]:
@@ -149,17 +153,30 @@ def write_change_directory(
     previous = outputs_table.read_reviewed(directory)
     if previous is not None:
         table = outputs_table.carry_reviews(table, previous)
+    coverage = build_coverage(result.before, result.after)
     with whole_directory(directory, overwrite=overwrite, marker=MARKER) as target:
         _write_table(target, table)
+        write_layer(target / "changes.gpkg", "coverage", coverage_polygons(coverage, crs))
+        if inputs.lots is not None:
+            parcels = build_parcels(table, inputs.lots, coverage)
+            write_layer(target / "changes.gpkg", "parcels", parcels)
+            parcels.drop(columns="geometry").to_csv(target / "parcels.csv", index=False)
         write_labelled(target, "before", result.before, ellipsoidal=inputs.ellipsoidal)
         write_labelled(target, "after", result.after, ellipsoidal=inputs.ellipsoidal)
         if result.ground is not None:
             write_ground_change(target / "ground_change.tif", result.ground, crs)
-        write_coverage(target / "coverage.tif", build_coverage(result.before, result.after), crs)
+        write_coverage(target / "coverage.tif", coverage, crs)
         write_json(target / "registration.json", registration_document(result.registration, crs))
         write_config(target / "config.yaml", config)
         write_json(target / "run.json", run_document(result, config, inputs, table))
         build_report(target)
+
+
+def write_layer(package: Path, name: str, frame: gpd.GeoDataFrame) -> None:
+    """Add a layer of polygons to a GeoPackage."""
+    with warnings.catch_warnings():  # a local map has no CRS, and says so elsewhere
+        warnings.filterwarnings("ignore", message="'crs' was not provided")
+        frame.to_file(package, layer=name, driver="GPKG", engine="pyogrio", geometry_type="MultiPolygon")
 
 
 def _write_table(target: Path, table: gpd.GeoDataFrame) -> None:

@@ -1,0 +1,135 @@
+"""Changes by parcel: what owners and councils ask, one row for every lot."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+import pyogrio
+from rasterio.features import rasterize, shapes
+from rasterio.transform import from_origin
+from shapely.geometry import MultiPolygon, shape
+
+from subiaco_change.outputs.raster import COVERAGE, Coverage
+from subiaco_geo.codes import Change
+from subiaco_geo.errors import InputError
+from subiaco_geo.frames import Floats, Ints
+
+#: Labels that count as a change.
+CHANGED = (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED)
+OUTSIDE = "outside all lots"  # name of the row that takes what lies on no lot
+_BOTH = next(code for code, name in COVERAGE.items() if name == "both")
+
+
+def read_lots(path: Path, crs: str | None) -> gpd.GeoDataFrame:
+    """Read lots from any vector file, in the CRS of the change table.
+
+    Parameters
+    ----------
+    path : Path
+        GeoPackage, GeoJSON, shapefile ...; its first layer.
+    crs : str or None
+        Of the table; None where the maps are local.
+
+    Returns
+    -------
+    GeoDataFrame
+        ``lot`` (the file's ``lot_id``, ``lot``, ``id`` or ``name``, else the row number), ``geometry``.
+
+    Raises
+    ------
+    InputError
+        No file, no polygons, no CRS, or a map without CRS.
+    """
+    if crs is None:
+        raise InputError(
+            f"{path}: the maps have no CRS, so lots cannot be placed on them; leave --parcels out"
+        )
+    try:
+        frame = gpd.read_file(path, engine="pyogrio")
+    except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, OSError) as error:
+        raise InputError(f"{path}: no lots could be read ({error}); give a GeoPackage or GeoJSON") from error
+    if "geometry" not in frame.columns or frame.crs is None:
+        raise InputError(f"{path}: lots need polygons with a CRS; assign one in QGIS and export again")
+    areas = frame[frame.geometry.geom_type.isin(["Polygon", "MultiPolygon"])]
+    if len(areas) == 0:
+        raise InputError(f"{path}: holds no polygons; give a layer of lots")
+    names = {str(column).lower(): column for column in areas.columns}
+    key = next((names[k] for k in ("lot_id", "lot", "id", "name") if k in names), None)
+    lots = [str(v) for v in (areas.index if key is None else areas[key])]
+    return gpd.GeoDataFrame({"lot": lots}, geometry=areas.geometry.to_crs(crs).make_valid().values, crs=crs)
+
+
+def build_parcels(table: gpd.GeoDataFrame, lots: gpd.GeoDataFrame, coverage: Coverage) -> gpd.GeoDataFrame:
+    """Add up the changes of every lot.
+
+    An object counts once, on the lot that holds most of its footprint; its
+    volume is shared by footprint area. What lies on no lot stands in a last
+    row, so that the rows add up to the table.
+
+    Returns
+    -------
+    GeoDataFrame
+        ``lot``, a count for every label, ``net_m3`` (2.5D), ``area_m2``, ``observed_fraction``.
+    """
+    owner, place, share = _shares(table, lots)
+    home = np.full(len(table), len(lots))
+    home[owner] = place  # pairs are sorted by share: the largest is written last
+    size = len(lots) + 1
+    columns: dict[str, object] = {"lot": [*lots["lot"], OUTSIDE]}
+    for change in (*CHANGED, Change.UNCHANGED, Change.UNOBSERVED):
+        chosen = (table["label"] == change.label).to_numpy()
+        columns[change.label.lower()] = np.bincount(home[chosen], minlength=size)
+    changed = table["label"].isin([c.label for c in CHANGED]).to_numpy()
+    volume = np.where(changed, table["delta_v_m3"].fillna(0.0).to_numpy(dtype=np.float64), 0.0)
+    columns["net_m3"] = np.round(np.bincount(place, volume[owner] * share, minlength=size), 3)
+    area = lots.geometry.area.to_numpy()
+    columns["area_m2"] = np.round([*area, np.nan], 1)
+    columns["observed_fraction"] = np.round([*_observed(lots, area, coverage), np.nan], 3)
+    geometry = [*lots.geometry, MultiPolygon()]
+    return gpd.GeoDataFrame(columns, geometry=geometry, crs=lots.crs)
+
+
+def _shares(table: gpd.GeoDataFrame, lots: gpd.GeoDataFrame) -> tuple[Ints, Ints, Floats]:
+    """Return objects, lots and footprint shares as pairs (P,) sorted by share.
+
+    The shares of an object add up to one: where lots overlap they divide the
+    footprint, and what lies on none goes to the row after the last lot.
+    """
+    owner, lot = lots.sindex.query(table.geometry.values, predicate="intersects")
+    cut = table.geometry.values[owner].intersection(lots.geometry.values[lot]).area
+    on_lots = np.bincount(owner, cut, minlength=len(table))
+    whole = np.maximum(table.geometry.area.to_numpy(), on_lots)
+    rest = np.arange(len(table))
+    owner, lot = np.concatenate([owner, rest]), np.concatenate([lot, np.full(len(table), len(lots))])
+    share = np.concatenate([cut, whole - on_lots]) / np.maximum(whole, 1e-12)[owner]
+    order = np.argsort(share, kind="stable")
+    return owner[order], lot[order], share[order]
+
+
+def _observed(lots: gpd.GeoDataFrame, area: Floats, coverage: Coverage) -> Floats:
+    """Share of every lot that both epochs saw; what lies off the raster was not seen."""
+    rows, columns = coverage.code.shape
+    transform = from_origin(coverage.west, coverage.north, coverage.cell, coverage.cell)
+    pairs = [(geometry, number + 1) for number, geometry in enumerate(lots.geometry)]
+    index = rasterize(pairs, (rows, columns), transform=transform, dtype=np.int32)
+    seen = np.bincount(index[coverage.code == _BOTH], minlength=len(lots) + 1)[1:]
+    return np.minimum(seen * coverage.cell**2 / np.maximum(area, 1e-9), 1.0)
+
+
+def coverage_polygons(coverage: Coverage, crs: str | None) -> gpd.GeoDataFrame:
+    """Return what was seen as polygons: ``seen`` (both, only ...), ``area_m2``, median ``lod95_m``."""
+    transform = from_origin(coverage.west, coverage.north, coverage.cell, coverage.cell)
+    rows = []
+    for code, name in COVERAGE.items():
+        mask = coverage.code == code
+        if name == "neither" or not mask.any():
+            continue
+        parts = [shape(outline) for outline, _ in shapes(coverage.code, mask, transform=transform)]
+        lod = coverage.lod95[mask]
+        lod95 = float(np.median(lod[np.isfinite(lod)])) if np.isfinite(lod).any() else np.nan
+        rows.append((name, coverage.area(code), round(lod95, 4), MultiPolygon(parts)))
+    frame = pd.DataFrame(rows, columns=["seen", "area_m2", "lod95_m", "geometry"])
+    return gpd.GeoDataFrame(frame, geometry="geometry", crs=crs)
