@@ -15,6 +15,7 @@ from subiaco_mapping.backend import MappingBackend
 from subiaco_mapping.config import GnssConfig, GraphConfig, MappingConfig
 from subiaco_mapping.graph import gravity_priors
 from subiaco_mapping.manifest import describe_fixes
+from subiaco_mapping.map_builder import describe
 from subiaco_mapping.measurements import DeskewedScan, Extrinsics, GnssFix, OdometryPose
 
 FRAME = EnuFrame(-31.948, 115.825, 12.0)
@@ -225,7 +226,7 @@ def test_the_manifest_tells_the_residuals_of_every_rtk_state(tmp_path: Path) -> 
 def test_every_key_of_the_manifest_is_explained(tmp_path: Path) -> None:
     backend, truth = drive(tmp_path)
     add_fixes(backend, truth)
-    manifest = backend._manifest(backend.optimize())
+    manifest = describe(backend._sequences, backend.optimize(), CONFIG.manifest)
     names = {"sequences", "drive", "gyro", "packets", "fixed", "legend"}
 
     def keys(part: object) -> set[str]:

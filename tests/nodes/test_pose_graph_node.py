@@ -48,7 +48,7 @@ class FakeBackend:
         self.fixes.append(fix)
 
     def optimize(self) -> Any:
-        from subiaco_mapping.backend import GraphSolution, SequenceSolution
+        from subiaco_mapping.solution import GraphSolution, SequenceSolution
 
         if not self.taken:
             raise InputError("no scan")

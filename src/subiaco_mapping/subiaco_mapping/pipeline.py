@@ -13,10 +13,11 @@ from subiaco_geo.crs import require_map_crs
 from subiaco_geo.errors import InputError
 from subiaco_geo.maps import SurveyMap
 from subiaco_geo.topics import FIX, IMU, LIDAR_PACKETS, MESSAGE_TYPES, METADATA, POINTS, TF_STATIC
-from subiaco_mapping.backend import MappingBackend, ProgressCallback, silent
+from subiaco_mapping.backend import MappingBackend
 from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.conversions import extrinsics_from_tf, fix_from_msg, imu_from_msg, scan_from_points
 from subiaco_mapping.frontend import FrontendOutput, OdometryFrontend
+from subiaco_mapping.map_builder import ProgressCallback, silent
 from subiaco_mapping.measurements import Extrinsics
 
 logger = logging.getLogger(__name__)

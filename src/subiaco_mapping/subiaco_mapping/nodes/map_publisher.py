@@ -9,7 +9,6 @@ from sensor_msgs.msg import NavSatFix, PointCloud2
 
 from subiaco_geo.frames import Floats
 from subiaco_geo.maps import SurveyMap
-from subiaco_mapping.backend import GraphSolution
 from subiaco_mapping.nodes.frame import LocalFrame, earth_from_enu
 from subiaco_mapping.nodes.messages import (
     cloud_message,
@@ -19,6 +18,7 @@ from subiaco_mapping.nodes.messages import (
     xyz_cloud,
 )
 from subiaco_mapping.nodes.runtime import latched, reliable, wait_until_received
+from subiaco_mapping.solution import GraphSolution
 from tf2_msgs.msg import TFMessage
 
 #: Most poses on the path; a viewer needs no more.

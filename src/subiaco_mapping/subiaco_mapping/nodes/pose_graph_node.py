@@ -23,7 +23,7 @@ from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError, SubiacoError
 from subiaco_geo.maps import SurveyMap, write_map
 from subiaco_geo.topics import FIX, TF_STATIC
-from subiaco_mapping.backend import GraphSolution, MappingBackend
+from subiaco_mapping.backend import MappingBackend
 from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.conversions import fix_from_msg, stamp_ns
 from subiaco_mapping.measurements import DeskewedScan, Extrinsics, GnssFix, OdometryPose
@@ -52,6 +52,7 @@ from subiaco_mapping.nodes.runtime import (
     reliable,
     run_node,
 )
+from subiaco_mapping.solution import GraphSolution
 from subiaco_msgs.msg import ReplayCounts, ScanQuality
 from subiaco_msgs.srv import Optimize, SaveMap
 from tf2_msgs.msg import TFMessage

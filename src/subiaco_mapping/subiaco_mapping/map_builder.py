@@ -1,0 +1,180 @@
+"""Scans at their solved poses to one survey map."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from subiaco_geo.clouds import PointCloud, from_world
+from subiaco_geo.config import config_hash
+from subiaco_geo.frames import invert_pose
+from subiaco_geo.maps import PoseUncertainty, SurveyMap
+from subiaco_geo.raywalk import VisibilityAccumulator
+from subiaco_geo.trajectories import Trajectory
+from subiaco_mapping.config import FusionConfig, ManifestConfig, MappingConfig
+from subiaco_mapping.fusion import VoxelAccumulator, add_scan, fused_cloud, walked_beams
+from subiaco_mapping.heights import height_table
+from subiaco_mapping.manifest import LEGEND, describe_sequence
+from subiaco_mapping.projection import Projection
+from subiaco_mapping.sequences import SequenceRecord
+from subiaco_mapping.solution import GraphSolution
+
+ProgressCallback = Callable[[str, float], None]
+
+
+def silent(_stage: str, _fraction: float) -> None:
+    """Report to nobody."""
+
+
+def build_map(
+    sequences: Sequence[SequenceRecord],
+    solution: GraphSolution,
+    config: MappingConfig,
+    report: ProgressCallback = silent,
+    inputs: Mapping[str, str] | None = None,
+) -> SurveyMap:
+    """Fuse every scan at its solved pose.
+
+    Parameters
+    ----------
+    sequences : sequence of SequenceRecord
+        In the order of the solution.
+    solution : GraphSolution
+    config : MappingConfig
+    report : callable
+        Told stage and fraction.
+    inputs : mapping of str to str, optional
+        Names and hashes of the recordings, for ``map.yaml``.
+
+    Returns
+    -------
+    SurveyMap
+    """
+    projection = Projection(solution.frame, config.crs if solution.frame is not None else None)
+    first, last, visibility = _fuse(sequences, solution, config.fusion, projection, report)
+    report("finishing the map", 0.0)
+    fusion, threads = config.fusion, config.threads
+    cloud = fused_cloud(first, fusion, threads, projection.points, projection.directions, projection.crs)
+    trajectory, uncertainty = _trajectory(solution, projection)
+    report("finishing the map", 1.0)
+    return SurveyMap(
+        cloud=cloud,
+        trajectory=trajectory,
+        visibility=visibility.grid(),
+        uncertainty=uncertainty,
+        info=_info(solution, trajectory, config, inputs or {}),
+        last=_plain_cloud(last, projection) if len(last) else None,
+        odometry=_odometry(sequences),
+        manifest=describe(sequences, solution, config.manifest),
+        heights=height_table(cloud, fusion.height_tile),
+        config=config.model_dump(mode="json"),
+    )
+
+
+def _fuse(
+    sequences: Sequence[SequenceRecord],
+    solution: GraphSolution,
+    fusion: FusionConfig,
+    projection: Projection,
+    report: ProgressCallback,
+) -> tuple[VoxelAccumulator, VoxelAccumulator, VisibilityAccumulator]:
+    first, last = VoxelAccumulator(fusion.leaf), VoxelAccumulator(fusion.leaf)
+    start = projection.points(solution.sequences[0].T_local_lidar[:1, :3, 3])[0]
+    visibility = VisibilityAccumulator(np.floor(start / 100.0) * 100.0, fusion.visibility_voxel)
+    total = sum(len(sequence.stamps_ns) for sequence in solution.sequences)
+    done = 0
+    spools = [s.spool for s in sequences]
+    for spool, sequence in zip(spools, solution.sequences, strict=True):
+        matrices, offsets = projection.affine(sequence.T_local_lidar[:, :3, 3])
+        for k, pose in enumerate(sequence.T_local_lidar):
+            scan = spool.read(k)
+            add_scan(first, scan.xyz, scan.intensity, pose)
+            add_scan(last, scan.last_xyz, scan.last_intensity, pose)
+            beams, returned = walked_beams(scan, pose, fusion)
+            ends = (beams @ pose[:3, :3].T + pose[:3, 3]) @ matrices[k].T + offsets[k]
+            origin = matrices[k] @ pose[:3, 3] + offsets[k]
+            visibility.add(np.broadcast_to(origin, ends.shape), ends, returned)
+            done += 1
+            if done % 10 == 0 or done == total:
+                report("fusing scans", done / total)
+    return first, last, visibility
+
+
+def _odometry(sequences: Sequence[SequenceRecord]) -> dict[str, Trajectory]:
+    found = {}
+    for sequence in sequences:
+        poses = invert_pose(sequence.T_odom_lidar[0]) @ sequence.T_odom_lidar
+        found[sequence.name] = Trajectory(sequence.stamps_ns, poses)
+    return found
+
+
+def _info(
+    solution: GraphSolution, trajectory: Trajectory, config: MappingConfig, inputs: Mapping[str, str]
+) -> dict[str, Any]:
+    start_s = int(trajectory.times_ns[0]) * 1e-9
+    frame = solution.frame
+    return {
+        "epoch": round(1970.0 + start_s / (365.2425 * 86400), 3),
+        "leaf": config.fusion.leaf,
+        "scans": len(trajectory),
+        "sequences": [sequence.name for sequence in solution.sequences],
+        "inputs": dict(inputs),
+        "config_hash": config_hash(config),
+        "georeferenced": frame is not None,
+        "local_because": solution.reason,
+        "enu_origin": None if frame is None else [frame.latitude_deg, frame.longitude_deg, frame.height],
+        "vertical_sigma_floor_m": config.gnss.sigma_fixed * config.gnss.vertical_factor,
+    }
+
+
+def describe(
+    sequences: Sequence[SequenceRecord], solution: GraphSolution, config: ManifestConfig
+) -> dict[str, Any]:
+    """Return the manifest."""
+    described = {}
+    for sequence, solved in zip(sequences, solution.sequences, strict=True):
+        facts = describe_sequence(
+            sequence.poses,
+            sequence.columns,
+            sequence.modes,
+            sequence.fixes,
+            solved.T_local_lidar[:, :3, 3],
+            config,
+        )
+        facts["gnss"] = {
+            "used": solved.fixes_used,
+            "refused": solved.fixes_refused,
+            "unattached": solved.fixes_unattached,
+            "downweighted": solved.fixes_downweighted,
+            "variance_inflation": round(solved.gnss_inflation, 1),
+            "states": solved.gnss_states,
+        }
+        facts["dropped_points"] = sequence.dropped_points
+        described[sequence.name] = {**facts, **sequence.facts}
+    return {
+        "georeferenced": solution.frame is not None,
+        "reason": solution.reason,
+        "sequences": described,
+        "legend": LEGEND,
+    }
+
+
+def _plain_cloud(accumulator: VoxelAccumulator, projection: Projection) -> PointCloud:
+    found = accumulator.statistics()
+    return from_world(projection.points(found.mean), projection.crs, intensity=found.intensity, n=found.n)
+
+
+def _trajectory(solution: GraphSolution, projection: Projection) -> tuple[Trajectory, PoseUncertainty]:
+    """Return all sequences in time order, world coordinates, with covariances in map axes."""
+    stamps_ns = np.concatenate([s.stamps_ns for s in solution.sequences])
+    local = np.concatenate([s.T_local_lidar for s in solution.sequences])
+    covariance = np.concatenate([s.covariance for s in solution.sequences])
+    names = np.repeat([s.name for s in solution.sequences], [len(s.stamps_ns) for s in solution.sequences])
+    _, order = np.unique(stamps_ns, return_index=True)
+    turn = np.zeros((len(order), 6, 6))
+    turn[:, :3, :3] = turn[:, 3:, 3:] = projection.axes(local[order, :3, 3])
+    rotated = turn @ covariance[order] @ np.swapaxes(turn, 1, 2)
+    trajectory = Trajectory(stamps_ns[order], projection.poses(local[order]))
+    return trajectory, PoseUncertainty(stamps_ns[order], [str(n) for n in names[order]], rotated)

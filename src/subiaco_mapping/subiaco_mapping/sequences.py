@@ -1,0 +1,59 @@
+"""What one recording has brought so far."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+
+from subiaco_geo.errors import InputError
+from subiaco_geo.frames import Floats, Ints
+from subiaco_mapping.measurements import DeskewedScan, Extrinsics, GnssFix, OdometryPose
+from subiaco_mapping.spool import Spool
+
+
+@dataclass
+class SequenceRecord:
+    """One recording: its scans on disk, everything else in memory."""
+
+    name: str
+    extrinsics: Extrinsics
+    spool: Spool
+    poses: list[OdometryPose] = field(default_factory=list)
+    accel: list[Floats] = field(default_factory=list)
+    modes: list[str] = field(default_factory=list)
+    columns: list[tuple[int, int]] = field(default_factory=list)  # lost, sent
+    dropped_points: int = 0
+    fixes: list[GnssFix] = field(default_factory=list)
+    refused_fixes: int = 0
+    facts: dict[str, Any] = field(default_factory=dict)
+
+    @property
+    def stamps_ns(self) -> Ints:
+        """Stamps (S,) of the scans."""
+        return np.array([pose.stamp_ns for pose in self.poses], dtype=np.int64)
+
+    @property
+    def T_odom_lidar(self) -> Floats:
+        """Odometry (S, 4, 4)."""
+        return np.array([pose.T_odom_lidar for pose in self.poses])
+
+    def add(self, pose: OdometryPose, scan: DeskewedScan) -> None:
+        """Take one registered scan, stamps increasing."""
+        if self.poses and pose.stamp_ns <= self.poses[-1].stamp_ns:
+            raise InputError(f"{self.name}: scan at {pose.stamp_ns} ns is not newer than the one before")
+        self.spool.append(scan)
+        self.poses.append(pose)
+        self.accel.append(np.full(3, np.nan) if scan.accel is None else scan.accel)
+        self.modes.append(scan.mode)
+        self.columns.append((scan.lost_columns, scan.columns))
+        self.dropped_points += scan.dropped_points
+
+    def add_fix(self, fix: GnssFix) -> bool:
+        """Take one fix; one without a solution or with NaN is counted, left out and answered False."""
+        if fix.is_usable():
+            self.fixes.append(fix)
+            return True
+        self.refused_fixes += 1
+        return False
