@@ -216,6 +216,26 @@ def test_reviews_survive_a_rerun_and_changed_evidence_is_flagged(tmp_path, resul
     assert rows.loc[1, "review"] == ""
 
 
+def test_a_review_survives_other_parameters_that_move_the_object_and_its_label(
+    tmp_path, result, cheap_report
+):
+    target = tmp_path / "out"
+    outputs.write_change_directory(target, result, SceneConfig(), outputs.ChangeInputs())
+    frame = pd.read_csv(target / "changes.csv", dtype=str, keep_default_na=False).set_index("object_id")
+    frame.loc["1", "review"], frame.loc["2", "review"] = "confirmed", "rejected"
+    uid = frame.loc["1", "object_uid"]
+    frame.reset_index()[list(ALL_COLUMNS)].to_csv(target / "changes.csv", index=False)
+    moved = dataclasses.replace(
+        next(r for r in result.records if r.object_id == 1), object_id=77, x=result.records[0].x + 1.4
+    )
+    again = dataclasses.replace(result, records=(moved,))
+    outputs.write_change_directory(target, again, SceneConfig(), outputs.ChangeInputs(), overwrite=True)
+    rows = outputs.read_change_directory(target).table.set_index("object_id")
+    assert rows.loc[77, ["object_uid", "review"]].tolist() == [uid, "confirmed"]
+    lost = pd.read_csv(target / "reviews_without_object.csv")
+    assert lost[["object_id", "review"]].to_numpy().tolist() == [[2, "rejected"]]
+
+
 def test_missing_and_foreign_directories_are_refused_with_the_remedy(tmp_path):
     with pytest.raises(InputError, match="no such directory"):
         outputs.read_change_directory(tmp_path / "nowhere")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import platform
 import resource
 import sys
@@ -22,12 +23,15 @@ from subiaco_change.outputs.json_text import write_json
 from subiaco_change.outputs.parcels import build_parcels, coverage_polygons
 from subiaco_change.outputs.raster import build_coverage, write_coverage, write_ground_change
 from subiaco_change.outputs.reading import ChangeDirectory, read_change_directory
+from subiaco_change.outputs.reviews import carry_reviews, read_reviewed
 from subiaco_change.records import ChangeResult, Registration
 from subiaco_change.report.page import build_report
 from subiaco_geo.atomic import refuse_existing, refuse_foreign, whole_directory
 from subiaco_geo.config import StrictModel, config_hash, write_config
 
 __all__ = ["ChangeDirectory", "ChangeInputs", "read_change_directory", "write_change_directory"]
+
+_LOG = logging.getLogger(__name__)
 
 #: What tells a change directory from another folder.
 MARKER = "run.json"
@@ -150,12 +154,20 @@ def write_change_directory(
     refuse_foreign(directory, MARKER)
     crs = result.after.crs
     table = outputs_table.build_table(result.records, crs)
-    previous = outputs_table.read_reviewed(directory)
+    previous = read_reviewed(directory)
+    lost = table.iloc[:0]
     if previous is not None:
-        table = outputs_table.carry_reviews(table, previous)
+        table, lost = carry_reviews(table, previous)
     coverage = build_coverage(result.before, result.after)
     with whole_directory(directory, overwrite=overwrite, marker=MARKER) as target:
         _write_table(target, table)
+        if len(lost):
+            lost.to_csv(target / "reviews_without_object.csv", index=False)
+            _LOG.warning(
+                "%s: %d reviewed rows have no object now; see reviews_without_object.csv",
+                directory,
+                len(lost),
+            )
         write_layer(target / "changes.gpkg", "coverage", coverage_polygons(coverage, crs))
         if inputs.lots is not None:
             parcels = build_parcels(table, inputs.lots, coverage)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import sqlite3
 import warnings
 from collections import Counter
 from collections.abc import Sequence
@@ -73,10 +72,6 @@ STATISTICS = (
     "confidence",
 )
 _DECIMALS = dict.fromkeys(STATISTICS, 4) | {"x": 3, "y": 3, "z": 3}
-_REVIEWS = """
-select object_uid, review, reviewer, note from objects
-union all select object_uid, review, reviewer, note from ground
-"""
 _POINT_RADIUS = 0.25  # half a voxel of the decisions [m]: footprint of an object without area
 _CELL = 1.0  # rounding of positions in object_uid [m]
 
@@ -159,8 +154,8 @@ def build_table(records: Sequence[ChangeRecord], crs: str | None) -> gpd.GeoData
 
 
 def table_hash(table: pd.DataFrame) -> str:
-    """Return a hash of every computed column and footprint, but not of the review."""
-    computed = table[[*COLUMNS, "object_uid", "reason"]]
+    """Return a hash of every computed column and footprint, but not of names and reviews of earlier runs."""
+    computed = table[[*COLUMNS, "reason"]]
     digest = hashlib.sha256(computed.to_csv(index=False, lineterminator="\n").encode())
     for shape in table.geometry:
         digest.update(shape.normalize().wkt.encode())
@@ -202,47 +197,3 @@ def write_geopackage(path: Path, table: gpd.GeoDataFrame) -> None:
 def write_parquet(path: Path, table: gpd.GeoDataFrame) -> None:
     """Write GeoParquet with every row and column."""
     table.to_parquet(path, index=False)
-
-
-def carry_reviews(table: gpd.GeoDataFrame, previous: pd.DataFrame) -> gpd.GeoDataFrame:
-    """Copy what people wrote from a previous table of the same pair.
-
-    Rows are the same object where ``object_uid`` agrees. A reviewed row whose
-    label or statistics moved says so in ``evidence_changed``.
-    """
-    if "object_uid" not in previous.columns:
-        return table
-    result = table.copy()
-    old = previous.drop_duplicates("object_uid").set_index("object_uid")
-    for row, uid in result["object_uid"].items():
-        if uid not in old.index:
-            continue
-        for name in REVIEW_COLUMNS:
-            result.loc[row, name] = old.at[uid, name] if name in old.columns else ""
-        if any(result.loc[row, list(REVIEW_COLUMNS)] != ""):
-            result.loc[row, "evidence_changed"] = _difference(result.loc[row], old.loc[uid])
-    return result
-
-
-def _difference(new: pd.Series, old: pd.Series) -> str:
-    """Name what differs between two rows of one object, ``""`` for nothing."""
-    if new["label"] != old["label"]:
-        return f"label was {old['label']}"
-    moved = [n for n in STATISTICS if not np.isclose(new[n], old[n], atol=1e-3, equal_nan=True)]
-    return "; ".join(f"{n} was {old[n]}" for n in moved)
-
-
-def read_reviewed(directory: Path) -> pd.DataFrame | None:
-    """Return the previous table with the reviews typed into its CSV or its GeoPackage."""
-    if not (directory / "changes.csv").is_file():
-        return None
-    frame = read_csv(directory / "changes.csv")
-    package = directory / "changes.gpkg"
-    if not package.is_file():
-        return frame
-    with sqlite3.connect(package) as connection:
-        edited = pd.read_sql_query(_REVIEWS, connection).fillna("").set_index("object_uid")
-    for name in REVIEW_COLUMNS:
-        typed = frame["object_uid"].map(edited[name]).fillna("")
-        frame[name] = frame[name].where(frame[name] != "", typed)
-    return frame
