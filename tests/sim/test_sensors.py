@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from subiaco_geo.frames import make_pose
 from subiaco_sim.config import FaultConfig, GnssConfig, ImuConfig, LidarConfig, LidarMode
-from subiaco_sim.gnss import FIXED, NONE, simulate_gnss
+from subiaco_sim.gnss import FIXED, NONE, gauss_markov, simulate_gnss
 from subiaco_sim.ground import Road, Terrain
 from subiaco_sim.imu import GRAVITY, simulate_imu
 from subiaco_sim.lidar import Lidar, column_times, points_of
@@ -84,6 +84,29 @@ def test_imu_bias_and_noise_are_as_configured(motion: Motion) -> None:
     rest = noisy.gyro - clean.gyro - noisy.gyro_bias
     assert rest.std() == pytest.approx(config.gyro_noise * 10, rel=0.05)
     assert np.abs(noisy.gyro_bias).max() > 0
+
+
+def test_an_imu_of_73_hz_keeps_its_rate_and_covers_the_whole_drive(motion: Motion) -> None:
+    series = simulate_imu(motion, replace_rate(ImuConfig(), 73.0), np.random.default_rng(8))
+    assert set(np.diff(series.times_ns).tolist()) == {round(1e9 / 73)}
+    assert series.times_ns[0] < motion.start_ns
+    assert series.times_ns[-1] > motion.start_ns + 15 * 10**9
+
+
+def test_the_slow_part_of_a_fixs_error_is_correlated_as_long_as_asked() -> None:
+    series = gauss_markov(200_000, 0.2, 20.0, np.random.default_rng(3))
+    assert series.std(axis=0) == pytest.approx([1.0] * 3, abs=0.1)
+    for lag_s, expected in ((10.0, np.exp(-0.5)), (20.0, np.exp(-1.0)), (100.0, np.exp(-5.0))):
+        lag = round(lag_s / 0.2)
+        found = np.mean(series[lag:] * series[:-lag]) / np.mean(series**2)
+        assert found == pytest.approx(expected, abs=0.08)
+
+
+def test_one_antenna_gives_no_heading(motion: Motion) -> None:
+    config = GnssConfig(heading_sigma_deg=None)
+    assert np.isnan(simulate_gnss(motion, config, np.random.default_rng(2)).yaw).all()
+    two = simulate_gnss(motion, GnssConfig(), np.random.default_rng(2))
+    np.testing.assert_array_equal(np.isfinite(two.yaw), two.status > 0)
 
 
 def test_a_fix_is_the_pose_applied_to_the_lever_arm_with_the_stated_error(motion: Motion) -> None:

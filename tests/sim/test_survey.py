@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterator
+from itertools import islice
 from pathlib import Path
 from typing import Any
 
@@ -19,10 +20,14 @@ from subiaco_geo.cloud_io import read_cloud
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import transform_points
 from subiaco_geo.trajectories import read_tum
-from subiaco_sim.config import EpochChoice, SimulationConfig
-from subiaco_sim.drives import MAP_CRS, WORLD, plan_survey, scans_of
+from subiaco_sim.config import EpochChoice, MapErrorConfig, SimulationConfig
+from subiaco_sim.drives import MAP_CRS, WORLD, first_points, lidar_of, plan_survey, scans_of
+from subiaco_sim.fused import MapFuser
+from subiaco_sim.labels import label_scene
 from subiaco_sim.lidar import Lidar, column_times
+from subiaco_sim.map_errors import MapWarp
 from subiaco_sim.packets import PacketMaker
+from subiaco_sim.scene import BUILDING
 from subiaco_sim.survey import simulate
 
 LABELS = {"Added", "Removed", "Increased", "Decreased", "Unchanged"}
@@ -84,6 +89,25 @@ def test_messages_arrive_in_order_with_the_rates_that_were_asked_for(sample: Any
     assert counts[topics.IMU] == 420
     assert counts[topics.METADATA] == counts[topics.TF_STATIC] == 1
     assert np.all(np.diff(arrivals) >= 0)
+
+
+def test_the_two_antennas_give_the_true_yaw_of_the_vehicle_with_its_covariance(sample: Any) -> None:
+    motion = sample.survey.drives["after"].motion
+    with BagReader(sample.folder / "after") as bag:
+        found = [bag.deserialize(message) for message in bag.messages([topics.HEADING])]
+    assert 15 < len(found) < 20  # none while the fix is single or lost
+    times = np.array([m.header.stamp.sec * 10**9 + m.header.stamp.nanosec for m in found])
+    turned = np.array([[m.orientation.z, m.orientation.w] for m in found])
+    yaw = 2 * np.arctan2(turned[:, 0], turned[:, 1])
+    off = (yaw - motion.angles(motion.seconds(times))[:, 0] + np.pi) % (2 * np.pi) - np.pi
+    sigma = np.radians(sample.survey.config.gnss.heading_sigma_deg)
+    assert 0.4 * sigma < off.std() < 2 * sigma
+    assert np.abs(off).max() < 4 * sigma
+    assert {m.orientation_covariance[8] for m in found} == {sigma**2}
+    assert {m.header.frame_id for m in found} == {"base_link"}
+    assert {(m.angular_velocity_covariance[0], m.linear_acceleration_covariance[0]) for m in found} == {
+        (-1.0, -1.0)
+    }
 
 
 def test_a_decoded_scan_at_its_true_pose_lies_on_the_truth_points(
@@ -183,6 +207,30 @@ def test_fused_maps_carry_truth_and_what_the_drive_saw(tmp_path: Path) -> None:
     assert len(np.unique(voxels, axis=0)) > 0.98 * len(cloud)
     assert (tmp_path / "maps" / "before" / "visibility.npz").is_file()
     assert not (tmp_path / "maps" / "before" / "bag").exists()
+
+
+def test_duplicate_facades_stand_beside_the_buildings_of_the_middle_of_the_drive_alone(sample: Any) -> None:
+    survey, drive = sample.survey, sample.survey.drives["before"]
+    building = label_scene(survey.scene).semantic == BUILDING
+    lidar = lidar_of(survey, drive)
+    errors = (MapErrorConfig(), MapErrorConfig(duplicates=0.5))
+    warps = [MapWarp(wrong, np.zeros(3), 3) for wrong in errors]
+    fusers = [MapFuser(0.25, drive, warp, lidar.beams, building) for warp in warps]
+    for scan in islice(scans_of(survey, drive, lidar), 0, None, 5):
+        points = first_points(survey, lidar, scan)
+        for fuser in fusers:
+            fuser.add(scan, points)
+    fused = [fuser.result() for fuser in fusers]
+    facades = [building[object_id] for _, _, object_id, _ in fused]
+    true, doubled = (count[facade].sum() for (_, _, _, count), facade in zip(fused, facades, strict=True))
+    assert 1.3 < doubled / true < 1.7
+    assert fused[1][3].sum() - fused[0][3].sum() == pytest.approx(doubled - true, rel=0.01)
+    gaps = [
+        drive.compiled.distance_to_surface(xyz[facade])
+        for (xyz, _, _, _), facade in zip(fused, facades, strict=True)
+    ]
+    assert np.percentile(gaps[0], 98) < 0.15
+    assert 0.15 < np.percentile(gaps[1], 98) <= 0.35
 
 
 def test_an_output_that_exists_is_left_alone(sample: Any) -> None:

@@ -53,13 +53,15 @@ class LidarConfig(StrictModel):
         None,
         ge=0.0,
         le=0.01,
-        description="Spread of a beam, standard deviation: edges smear; the preset's when null [rad]",
+        description="Spread of a beam, standard deviation; mixed and twofold returns at edges follow; "
+        "the preset's when null [rad]",
     )
+    glass: float = Field(0.5, ge=0.0, le=1.0, description="Beams that glass swallows or lets by [fraction]")
     wet_road: float = Field(
         0.0, ge=0.0, le=1.0, description="Grazing beams that a wet road swallows [fraction]"
     )
     second_return: float = Field(
-        0.45, ge=0.0, le=1.0, description="Beams through a leaf edge that return twice [fraction]"
+        0.45, ge=0.0, le=1.0, description="Beams that go on past a leaf or a wire and return twice [fraction]"
     )
 
 
@@ -86,6 +88,9 @@ class GnssConfig(StrictModel):
     float_share: float = Field(0.06, ge=0.0, le=1.0, description="Part of the drive with float fixes")
     single_share: float = Field(0.03, ge=0.0, le=1.0, description="Part of the drive with single fixes")
     none_share: float = Field(0.03, ge=0.0, le=1.0, description="Part of the drive without a fix (NaN)")
+    heading_sigma_deg: float | None = Field(
+        0.15, gt=0.0, description="Heading of the two antennas; null for one antenna, no heading [deg]"
+    )
 
 
 class FaultConfig(StrictModel):

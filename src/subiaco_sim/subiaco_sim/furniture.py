@@ -157,7 +157,7 @@ class Wires:
     def _piece(start: float, end: float, y: float, ends: list[float]) -> Mesh:
         corners = [(x, y + d, z) for x, z in ((start, ends[0]), (end, ends[1])) for d in (-0.015, 0.015)]
         above = [(x, y, z + 0.025) for x, _, z in corners[::2]]
-        return polygons([*corners, *above], [(0, 1, 3, 2), (0, 2, 5, 4), (1, 3, 5, 4)], Material.SHEET_METAL)
+        return polygons([*corners, *above], [(0, 1, 3, 2), (0, 2, 5, 4), (1, 3, 5, 4)], Material.WIRE)
 
 
 @dataclass(frozen=True)

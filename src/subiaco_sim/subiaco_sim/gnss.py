@@ -13,18 +13,21 @@ from subiaco_sim.scene import Castable
 from subiaco_sim.vehicle import GNSS
 
 FIXED, FLOAT, SINGLE, NONE = 2, 1, 0, -1
-HEADING_SIGMA = np.radians(0.15)
-
 
 @dataclass(frozen=True)
 class GnssSeries:
-    """Fixes: times (N,), antenna in ENU (N, 3) [m] with NaN where none, status (N,), sigma (N, 3)."""
+    """Fixes: times (N,), antenna in ENU (N, 3) [m] with NaN where none, status (N,), sigma (N, 3).
+
+    ``yaw`` (N,) of base_link from east, counter-clockwise, NaN where the two
+    antennas give none; ``yaw_sigma`` [rad].
+    """
 
     times_ns: Ints
     enu: Floats
     status: Ints
     sigma: Floats
-    yaw: Floats  # of base_link from east, counter-clockwise [rad]
+    yaw: Floats
+    yaw_sigma: float
 
 
 def simulate_gnss(
@@ -56,8 +59,10 @@ def simulate_gnss(
         times = np.arange(count) / config.rate
         false = multipath(times, faults, rng)
         error += np.where((status == FIXED)[:, None], false, 0.0)
-    yaw = motion.angles(motion.seconds(times_ns))[:, 0] + HEADING_SIGMA * rng.standard_normal(count)
-    return GnssSeries(times_ns, antenna + error, status, sigma, yaw)
+    yaw_sigma = np.radians(config.heading_sigma_deg or np.nan)
+    yaw = motion.angles(motion.seconds(times_ns))[:, 0] + yaw_sigma * rng.standard_normal(count)
+    yaw[status < FLOAT] = np.nan  # the baseline needs the carrier phase of both
+    return GnssSeries(times_ns, antenna + error, status, sigma, yaw, float(yaw_sigma))
 
 
 def states(count: int, config: GnssConfig) -> Ints:

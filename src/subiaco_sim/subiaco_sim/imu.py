@@ -48,8 +48,8 @@ def simulate_imu(
     return ImuSeries(times_ns, gyro, accel, gyro_bias, accel_bias)
 
 
-def ouster_packets(series: ImuSeries) -> Iterator[tuple[int, bytes]]:
-    """Yield time and bytes of the sensor's own inertial packets: g and degrees a second."""
+def ouster_packets(series: ImuSeries, stamps: Ints) -> Iterator[bytes]:
+    """Yield the sensor's own inertial packets with stamps (N,) [ns]: g and degrees a second."""
     accel, gyro = series.accel / STANDARD_GRAVITY, np.degrees(series.gyro)
-    for time_ns, a, w in zip(series.times_ns.tolist(), accel, gyro, strict=True):
-        yield time_ns, struct.pack("<3Q6f", time_ns, time_ns, time_ns, *a, *w)
+    for stamp, a, w in zip(stamps.tolist(), accel, gyro, strict=True):
+        yield struct.pack("<3Q6f", stamp, stamp, stamp, *a, *w)

@@ -1,4 +1,4 @@
-"""A moving OS1-128: every column has its own time and pose; ranges, intensities, second returns."""
+"""A moving OS1: every column has its own time and pose; ranges, intensities, second returns."""
 
 from __future__ import annotations
 
@@ -10,12 +10,13 @@ from ouster.sdk.core import SensorInfo, XYZLut
 
 from subiaco_geo.frames import Floats, Ints
 from subiaco_sim.config import LidarConfig
+from subiaco_sim.footprint import PARTING, Echoes, Neighbours, merge, nothing, whole
 from subiaco_sim.primitives import REFLECTIVITY, Material
 from subiaco_sim.scene import Castable, Hits
 
 SCAN_NS = 100_000_000
 _STRENGTH = 56_000.0  # [m2]; a 10 % target across the beam returns half the time at 90 m
-_SECOND_STEP = 0.25  # the sensor cannot part two returns nearer than this [m]
+_POROUS = (Material.LEAF, Material.WIRE)  # narrower than a beam: some of its light goes by
 
 
 @dataclass(frozen=True)
@@ -78,9 +79,14 @@ def turned(T_enu_lidar: Floats, vectors: Floats) -> Floats:
 
 
 def _spread(directions: Floats, sigma: float, rng: np.random.Generator) -> Floats:
-    """Let the part of a beam that returns lie off its axis: at edges it belongs to either side."""
+    """Let the part of a beam that returns lie off its axis."""
     off = directions + sigma * rng.standard_normal(directions.shape, dtype=np.float32)
     return np.asarray(off / np.linalg.norm(off, axis=1, keepdims=True))
+
+
+def _lambert(hits: Hits) -> Floats:
+    """Return the part of the light that comes back towards the sensor (N,)."""
+    return np.asarray(REFLECTIVITY[hits.material] * (0.03 + 0.97 * hits.cosine))
 
 
 class Lidar:
@@ -96,6 +102,7 @@ class Lidar:
 
     def __init__(self, info: SensorInfo, config: LidarConfig, dual: bool) -> None:
         self.beams = beams_of(info)
+        self._neighbours = Neighbours(self.beams.direction)
         self._config = config
         self._dual = dual
 
@@ -108,65 +115,79 @@ class Lidar:
         rng: np.random.Generator,
     ) -> SimulatedScan:
         """Simulate one revolution with a pose a column (columns, 4, 4)."""
-        origins, directions = self._rays(T_enu_lidar)
-        if self._config.divergence:
-            directions = _spread(directions, self._config.divergence, rng)
-        hits = scene.cast(origins, directions)
-        first = self._measure(hits, hits.distance, rng)
-        second = None
-        if self._dual:
-            second = self._second(scene, origins, directions, hits, first, rng)
-        return SimulatedScan(frame_id, times_ns, T_enu_lidar, first, second)
+        origins, axes = self._rays(T_enu_lidar)
+        first, second = self._echoes(scene, origins, axes, rng)
+        found = self._measure(first, rng)
+        if not self._dual:
+            return SimulatedScan(frame_id, times_ns, T_enu_lidar, found, None)
+        if self._config.second_return:
+            self._go_by(scene, origins, axes, first, second, rng)
+        return SimulatedScan(frame_id, times_ns, T_enu_lidar, found, self._measure(second, rng))
 
     def _rays(self, T_enu_lidar: Floats) -> tuple[Floats, Floats]:
         directions = turned(T_enu_lidar, self.beams.direction)
         origins = turned(T_enu_lidar, self.beams.offset) + T_enu_lidar[:, :3, 3]
         return origins.reshape(-1, 3), directions.reshape(-1, 3)
 
-    def _measure(self, hits: Hits, distance: Floats, rng: np.random.Generator) -> Return:
+    def _echoes(
+        self, scene: Castable, origins: Floats, axes: Floats, rng: np.random.Generator
+    ) -> tuple[Echoes, Echoes]:
+        """Return what the light of every beam meets: the stronger echo and, at edges, the other one."""
+        spread = self._config.divergence or 0.0
+        hits = scene.cast(origins, _spread(axes, spread, rng) if spread else axes)
+        first, second = whole(hits), nothing(len(origins))
+        if spread:
+            edge = self._neighbours.at_edges(hits.distance.reshape(self.beams.direction.shape[:2]))
+            beside = scene.cast(origins[edge], _spread(axes[edge], spread, rng))
+            on_axis = hits.rows(edge)
+            strength = (self._strength(on_axis), self._strength(beside))
+            stronger, weaker = merge(on_axis, beside, strength, spread)
+            first.put(edge, stronger)
+            second.put(edge, weaker)
+        return first, second
+
+    def _strength(self, hits: Hits) -> Floats:
+        reached = (hits.distance > self._config.min_range) & (hits.distance < self._config.max_range)
+        return np.asarray(np.where(reached, _lambert(hits) / hits.distance**2, 0.0))
+
+    def _measure(self, echoes: Echoes, rng: np.random.Generator) -> Return:
         """Turn true distances into what the sensor would report."""
-        config = self._config
+        config, hits, distance = self._config, echoes.hits, echoes.hits.distance
         found = np.isfinite(distance) & (distance < config.max_range) & (distance > config.min_range)
         metres = np.where(found, distance, 1.0)
-        lambert = REFLECTIVITY[hits.material] * (0.03 + 0.97 * hits.cosine)
-        chance = 1 - np.exp(-_STRENGTH * lambert / metres**2)
+        light = echoes.share * _lambert(hits)
+        chance = 1 - np.exp(-_STRENGTH * light / metres**2)
         draw = rng.random((3, len(distance)), dtype=np.float32)
         found &= (draw[0] > config.dropout) & (draw[1] < chance)
-        found &= (hits.material != Material.GLASS) | (draw[2] < 0.5)
+        found &= (hits.material != Material.GLASS) | (draw[2] >= config.glass)
         swallowed = config.wet_road * (1.0 - hits.cosine)
         found &= (hits.material != Material.ASPHALT) | (draw[2] >= swallowed)
         sigma = config.range_sigma + config.range_sigma_slope * metres
         noisy = metres + sigma * rng.standard_normal(len(distance), dtype=np.float32)
         shape = self.beams.direction.shape[:2]
-        signal = np.clip(3000.0 * lambert / (1 + (metres / 12.0) ** 2), 1, 65535)
+        signal = np.clip(3000.0 * light / (1 + (metres / 12.0) ** 2), 1, 65535)
         return Return(
             np.where(found, np.round(1000 * noisy), 0).astype(np.uint32).reshape(shape),
-            np.where(found, np.clip(100 * lambert, 1, 255), 0).astype(np.uint8).reshape(shape),
+            np.where(found, np.clip(100 * light, 1, 255), 0).astype(np.uint8).reshape(shape),
             np.where(found, signal, 0).astype(np.uint16).reshape(shape),
             np.where(found, hits.object_id, -1).reshape(shape),
         )
 
-    def _second(
+    def _go_by(
         self,
         scene: Castable,
         origins: Floats,
-        directions: Floats,
-        hits: Hits,
-        first: Return,
+        axes: Floats,
+        first: Echoes,
+        second: Echoes,
         rng: np.random.Generator,
-    ) -> Return:
-        """Let some beams that met a leaf go on to what lies behind it."""
-        leafy = (hits.material == Material.LEAF) & (first.range_mm.ravel() > 0)
-        through = np.flatnonzero(leafy & (rng.random(len(leafy)) < self._config.second_return))
-        step = hits.distance[through] + _SECOND_STEP
-        beyond = scene.cast(origins[through] + step[:, None] * directions[through], directions[through])
-        full = Hits(
-            np.full(len(leafy), np.inf),
-            np.full(len(leafy), -1, dtype=np.int64),
-            np.zeros(len(leafy), dtype=np.uint8),
-            np.zeros(len(leafy)),
-        )
-        full.distance[through] = beyond.distance + step
-        for name in ("object_id", "material", "cosine"):
-            getattr(full, name)[through] = getattr(beyond, name)
-        return self._measure(full, full.distance, rng)
+    ) -> None:
+        """Let some beams that met a leaf or a wire, and nothing else yet, go on to what lies behind it."""
+        open_ = np.isin(first.hits.material, _POROUS) & np.isfinite(first.hits.distance)
+        open_ &= np.isinf(second.hits.distance) & (rng.random(len(open_)) < self._config.second_return)
+        through = np.flatnonzero(open_)
+        step = first.hits.distance[through] + PARTING
+        beyond = scene.cast(origins[through] + step[:, None] * axes[through], axes[through])
+        beyond.distance[:] += step
+        second.put(through, whole(beyond))
+        second.share[through] = 0.5

@@ -27,10 +27,11 @@ class Material(IntEnum):
     PAINT = 9
     GLASS = 10
     TIMBER = 11
+    WIRE = 12
 
 
 #: Diffuse reflectivity at 865 nm, by material (typical textbook values).
-REFLECTIVITY = np.array([0.12, 0.35, 0.45, 0.30, 0.60, 0.28, 0.50, 0.50, 0.22, 0.45, 0.06, 0.35])
+REFLECTIVITY = np.array([0.12, 0.35, 0.45, 0.30, 0.60, 0.28, 0.50, 0.50, 0.22, 0.45, 0.06, 0.35, 0.25])
 
 
 @dataclass(frozen=True)

@@ -13,10 +13,10 @@ from scipy.spatial.transform import Rotation
 
 from subiaco_geo import topics
 from subiaco_geo.bags import TYPESTORE, BagWriter, packet_to_cdr
-from subiaco_geo.frames import Floats, quaternion_from_pose
+from subiaco_geo.frames import Floats, Ints, quaternion_from_pose
 from subiaco_sim.config import FaultConfig
 from subiaco_sim.drives import WORLD
-from subiaco_sim.gnss import HEADING_SIGMA, NONE, GnssSeries
+from subiaco_sim.gnss import NONE, GnssSeries
 from subiaco_sim.imu import ImuSeries, ouster_packets
 from subiaco_sim.packets import TimedPacket, with_faults
 from subiaco_sim.vehicle import MOUNTINGS
@@ -97,34 +97,36 @@ def packet_arrivals(
         yield Arrival(latest, topics.LIDAR_PACKETS, packet_to_cdr(packet.buf))
 
 
+_ABSENT = np.array([-1.0, *[0.0] * 8])  # covariance of what a message does not give
+_UNKNOWN = np.zeros(9)
+
+
 def _imu_message(
-    time_ns: int, frame: str, orientation: Msg, covariance: Floats, gyro: Msg, accel: Msg
+    time_ns: int, frame: str, orientation: Msg, covariance: Floats, gyro: Msg, accel: Msg, other: Floats
 ) -> bytes:
-    unknown = np.zeros(9)
     message = _T["sensor_msgs/msg/Imu"](
         header=_header(time_ns, frame),
         orientation=orientation,
         orientation_covariance=covariance,
         angular_velocity=gyro,
-        angular_velocity_covariance=unknown,
+        angular_velocity_covariance=other,
         linear_acceleration=accel,
-        linear_acceleration_covariance=unknown,
+        linear_acceleration_covariance=other,
     )
     return bytes(TYPESTORE.serialize_cdr(message, "sensor_msgs/msg/Imu"))
 
 
 def imu_arrivals(series: ImuSeries) -> Iterator[Arrival]:
     """Yield inertial samples; orientation is declared absent (-1)."""
-    absent = np.array([-1.0, *[0.0] * 8])
     nothing = _quaternion((0, 0, 0, 1))
     for time_ns, gyro, accel in zip(series.times_ns.tolist(), series.gyro, series.accel, strict=True):
-        cdr = _imu_message(time_ns, "imu_link", nothing, absent, _vector(gyro), _vector(accel))
+        cdr = _imu_message(time_ns, "imu_link", nothing, _ABSENT, _vector(gyro), _vector(accel), _UNKNOWN)
         yield Arrival(time_ns + _IMU_DELAY_NS, topics.IMU, cdr)
 
 
-def imu_packet_arrivals(series: ImuSeries) -> Iterator[Arrival]:
-    """Yield the inertial packets of the LiDAR itself."""
-    for time_ns, buf in ouster_packets(series):
+def imu_packet_arrivals(series: ImuSeries, stamps: Ints) -> Iterator[Arrival]:
+    """Yield the inertial packets of the LiDAR itself, stamped by its clock (N,) [ns]."""
+    for time_ns, buf in zip(series.times_ns.tolist(), ouster_packets(series, stamps), strict=True):
         yield Arrival(time_ns + _IMU_DELAY_NS, topics.IMU_PACKETS, packet_to_cdr(buf))
 
 
@@ -150,12 +152,11 @@ def fix_arrivals(series: GnssSeries) -> Iterator[Arrival]:
 
 
 def heading_arrivals(series: GnssSeries) -> Iterator[Arrival]:
-    """Yield the yaw of base_link from east, where both antennas have a fix."""
-    covariance = np.diag([1e6, 1e6, HEADING_SIGMA**2]).ravel()
+    """Yield the yaw of base_link from east, where both antennas have a fix; the rest is absent (-1)."""
+    covariance = np.diag([1e6, 1e6, series.yaw_sigma**2]).ravel()
     still = _vector((0, 0, 0))
-    for time_ns, yaw, status in zip(series.times_ns.tolist(), series.yaw, series.status, strict=True):
-        if status <= 0:
-            continue
+    known = np.isfinite(series.yaw)
+    for time_ns, yaw in zip(series.times_ns[known].tolist(), series.yaw[known], strict=True):
         orientation = _quaternion(Rotation.from_euler("Z", yaw).as_quat())
-        cdr = _imu_message(time_ns, "base_link", orientation, covariance, still, still)
+        cdr = _imu_message(time_ns, "base_link", orientation, covariance, still, still, _ABSENT)
         yield Arrival(time_ns + _FIX_DELAY_NS, topics.HEADING, cdr)

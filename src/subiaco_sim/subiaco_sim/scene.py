@@ -151,6 +151,10 @@ class Hits:
     material: NDArray[np.uint8]
     cosine: Floats  # |cos| of the incidence angle
 
+    def rows(self, index: Ints) -> Hits:
+        """Return what the rays of an index (M,) met."""
+        return Hits(self.distance[index], self.object_id[index], self.material[index], self.cosine[index])
+
 
 @dataclass
 class CompiledScene:

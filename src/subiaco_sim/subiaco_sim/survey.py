@@ -181,6 +181,7 @@ def _record(path: Path, survey: Survey, drive: Drive, scans: Iterator[SimulatedS
     ]
     if config.imu.ouster_packets:
         inner = simulate_imu(drive.motion, config.imu, drive.rng(config.seed, 6), inner_imu(drive.info))
-        streams.append(imu_packet_arrivals(inner))
+        stamps = clock.stamps(inner.times_ns, 1, drive.rng(config.seed, 7))
+        streams.append(imu_packet_arrivals(inner, stamps))
     write_bag(path, drive.info.to_json_string(), drive.motion.start_ns, streams)
     return digest.hexdigest()
