@@ -1,9 +1,11 @@
 """The baseline verb: the same change directory as ours, and refusals in one line."""
 
 import json
+import shutil
 
 import numpy as np
 import pytest
+import yaml
 from test_baselines import AFTER, BEFORE
 
 from subiaco_bringup.cli.main import run
@@ -60,6 +62,23 @@ def test_without_a_transform_the_epochs_are_registered(clouds, tmp_path):
     document = json.loads((out / "registration.json").read_text())
     assert document["method"] not in ("identity", "given")
     assert np.allclose(document["T_after_before"], np.eye(4), atol=0.05)
+
+
+@pytest.mark.usefixtures("cheap_report")
+def test_a_run_on_simulated_maps_names_their_simulator_and_one_on_others_none(clouds, tmp_path):
+    named = dict.fromkeys(("preset", "simulator_hash", "preset_hash", "scene_hash"), "ab12") | {"seed": 7}
+    survey = tmp_path / "survey"
+    for cloud in clouds:
+        (survey / cloud.stem).mkdir(parents=True)
+        shutil.copy(cloud, survey / cloud.stem / "map.ply")
+    (survey / "truth").mkdir()
+    (survey / "truth" / "scene.yaml").write_text(yaml.safe_dump(named))
+    simulated = [survey / cloud.stem for cloud in clouds]
+    for pair, expected in ((simulated, [named]), (clouds, None)):
+        words = ["baseline", "dsm", *map(str, pair), "-o", str(tmp_path / "out"), "--overwrite"]
+        assert run([*words, "--registration", "identity", "-q"]) == 0
+        notes = json.loads((tmp_path / "out" / "run.json").read_text())["notes"]
+        assert notes.get("simulations") == expected
 
 
 @pytest.mark.parametrize(

@@ -19,6 +19,7 @@ from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
 from subiaco_geo.maps import SurveyMap, load_epoch
+from subiaco_geo.simulated import SIMULATIONS, distinct
 
 
 @dataclass(frozen=True)
@@ -108,11 +109,12 @@ def run_job(
     result = detect(before, after)
     if progress is not None:
         progress("writing", 0.97)
+    named = distinct(name for survey in (before, after) for name in survey.info.get(SIMULATIONS, []))
     known = all(survey.info.get("heights") == "ellipsoidal" for survey in (before, after))
     inputs = ChangeInputs(
         job.before,
         job.after,
-        notes or {},
+        {**(notes or {}), **named},
         calibrated=calibrated,
         ellipsoidal=known,
         lots=lots,

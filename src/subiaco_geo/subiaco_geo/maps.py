@@ -18,6 +18,7 @@ from subiaco_geo.clouds import PointCloud
 from subiaco_geo.config import read_parameters
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
+from subiaco_geo.simulated import mark_simulated
 from subiaco_geo.trajectories import (
     Trajectory,
     format_seconds,
@@ -194,12 +195,14 @@ def load_epoch(path: Path, trajectory: Path | None = None) -> SurveyMap:
 
 
 def _read_bare(path: Path) -> SurveyMap:
-    return SurveyMap(
-        read_cloud(_bare_cloud(path)),
+    cloud = _bare_cloud(path)
+    survey = SurveyMap(
+        read_cloud(cloud),
         _optional_trajectory(path / "trajectory.tum"),
         _optional_visibility(path / "visibility.npz"),
         info={"source": path.name},
     )
+    return mark_simulated(survey, [cloud])
 
 
 def _bare_cloud(path: Path) -> Path:

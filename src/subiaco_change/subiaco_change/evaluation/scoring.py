@@ -41,13 +41,10 @@ from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints, rotation_angle
+from subiaco_geo.simulated import name_simulation
 from subiaco_geo.trajectories import Trajectory, read_tum
 
 __all__ = ["EvaluationConfig", "evaluate", "evaluate_published", "write_evaluation"]
-
-
-#: What names a simulated survey for good: a figure holds for this simulator and scene only.
-_SIMULATION = ("preset", "seed", "simulator_hash", "preset_hash", "scene_hash")
 
 
 class EvaluationConfig(StrictModel):
@@ -114,7 +111,7 @@ def evaluate(pairs: Sequence[tuple[Path, Path]], config: EvaluationConfig | None
                 f"{truth_path}: published files have no points; use evaluate_published with a run"
             )
         truth = read_truth(truth_path)
-        simulations.append({key: truth.scene.get(key) for key in _SIMULATION})
+        simulations.append(name_simulation(truth.scene))
         found.append(
             score_scene(read_prediction(said, truth), truth, settings, scene_name(truth, truth_path))
         )

@@ -22,6 +22,7 @@ from subiaco_geo.bags import hash_bag
 from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError, SubiacoError
 from subiaco_geo.maps import SurveyMap, write_map
+from subiaco_geo.simulated import mark_simulated
 from subiaco_geo.topics import FIX, TF_STATIC
 from subiaco_mapping.backend import MappingBackend
 from subiaco_mapping.config import MappingConfig
@@ -256,6 +257,7 @@ class PoseGraphApp:
         refuse_existing(directory, overwrite)
         inputs = {sequence_name(Path(bag)): hash_bag(Path(bag)) for bag in self._own.bags}
         survey = self._backend.build_map(self._progress, inputs)
+        survey = mark_simulated(survey, map(Path, self._own.bags))
         self._publish_solution(self._backend.optimize())
         self._map.publish_map(survey, self._backend.optimize())
         write_map(directory, survey, overwrite=overwrite)
