@@ -152,7 +152,7 @@ def _register(
 
 
 def _prepare(cloud: PointCloud, observer: Observer, config: ChangeConfig) -> _Epoch:
-    semantic = label_points(cloud, config.semantics)
+    semantic = label_points(cloud, config.semantics, observer.passes(cloud.world()))
     instances = config.instances.model_copy(update={"leaf": config.leaf})
     return _Epoch(cloud, semantic, segment(cloud, semantic, instances), observer)
 

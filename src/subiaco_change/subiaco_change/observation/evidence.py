@@ -156,6 +156,13 @@ class Observer:
         """Tell which points (N, 3) this epoch saw to be empty: beams went on, nothing came back."""
         return self.test.passed(self._own(world))
 
+    def passes(self, world: Floats) -> Floats | None:
+        """Beams (N,) that passed for each that returned at points (N, 3); None where nothing counted them."""
+        if self.kind != "observed" or not isinstance(self.test, _Grid):
+            return None
+        hits, passes = self.test.grid.lookup(self._own(world))
+        return np.asarray(passes / np.maximum(hits, 1), dtype=np.float64)
+
 
 def ground_observed(observed: Callable[[Floats], Flags], xyz: Floats, config: EvidenceConfig) -> Flags:
     """Tell which ground places (N, 3) an epoch saw, between its beams too.

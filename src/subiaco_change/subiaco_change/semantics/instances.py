@@ -43,7 +43,7 @@ class InstanceConfig(StrictModel):
 
 
 def segment(cloud: PointCloud, result: SemanticResult, config: InstanceConfig) -> NDArray[np.int32]:
-    """Return the instance (N,) of every point, -1 for ground and fragments.
+    """Return the instance (N,) of every point, -1 for ground, trails of what moved, and fragments.
 
     Ids count from 0 by class and then from the south-west, so that they do not
     depend on the order of the points.
@@ -57,7 +57,7 @@ def segment(cloud: PointCloud, result: SemanticResult, config: InstanceConfig) -
     }
     following = 0
     for position, (semantic, function) in enumerate(split.items()):
-        members = np.flatnonzero(result.semantic == semantic)
+        members = np.flatnonzero((result.semantic == semantic) & ~result.moving)
         if len(members) == 0:
             continue
         labels = function(cloud.xyz[members], result.height_above_ground[members].astype(np.float64), config)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
+from scipy.spatial import cKDTree
 
 from subiaco_change.semantics.clustering import cell_clusters, group_indices, voxel_clusters
 from subiaco_change.semantics.ground import Mask
@@ -21,7 +22,11 @@ class VehicleConfig(StrictModel):
         0.8, gt=0, description="least width seen of a truck [m]; a lone wall has less"
     )
     truck_top: float = Field(3.8, gt=0, description="highest truck or bus [m]")
-    truck_gap: float = Field(0.5, gt=0, description="cell in which parts of a truck touch [m]")
+    truck_gap: float = Field(0.4, gt=0, description="cell in which parts of a truck touch [m]")
+    truck_planes: float = Field(
+        0.25, ge=0, le=1, description="share of a truck that lies in planes of a facade's size"
+    )
+    truck_edge: float = Field(0.7, ge=0, description="reach of a truck over its small parts [m]")
     mobile_length: float = Field(5.5, gt=0, description="longest side of a vehicle [m] (paper: 5)")
     mobile_height: float = Field(3.0, gt=0, description="top of a vehicle [m], paper")
     mobile_top: float = Field(
@@ -38,18 +43,38 @@ class VehicleConfig(StrictModel):
     mobile_min_width: float = Field(0.8, gt=0, description="narrower things are posts and fences [m]")
 
 
-def large_vehicles(xyz: Floats, height: Floats, building: Mask, config: VehicleConfig) -> Mask:
-    """Tell which building-like points are trucks and buses: boxes on the ground that nothing touches.
+def large_vehicles(xyz: Floats, height: Floats, core: Mask, hard: Mask, config: VehicleConfig) -> Mask:
+    """Tell which points are trucks and buses: boxes on the ground, alone, with sides like facades.
 
     They exceed the box of the paper's vehicles; two sides must be seen, else a lone wall would pass.
+
+    Parameters
+    ----------
+    xyz, height : (N, 3), (N,) float64 [m]
+    core : (N,) bool
+        Planes that are facades or roofs.
+    hard : (N,) bool
+        Points that may belong to such a box: neither ground nor foliage.
+    config : VehicleConfig
     """
-    members = np.flatnonzero(building)
+    low = (height > config.split_band) & (height < config.truck_top + config.truck_gap)
+    members = np.flatnonzero((core | hard) & low)
     large = np.zeros(len(xyz), dtype=bool)
     for group in group_indices(cell_clusters(xyz[members, :2], config.truck_gap)):
         mine = members[group]
-        if _is_truck(xyz[mine], height[mine], config):
+        if core[mine].mean() > config.truck_planes and _is_truck(xyz[mine], height[mine], config):
             large[mine] = True
-    return large
+    return _reach_out(xyz, large, height < config.truck_top, config.truck_edge)
+
+
+def _reach_out(xyz: Floats, found: Mask, open_: Mask, reach: float) -> Mask:
+    """Add the open points within reach [m] of the found ones."""
+    loose = np.flatnonzero(open_ & ~found)
+    grown = found.copy()
+    if found.any() and len(loose):
+        near = cKDTree(xyz[found]).query(xyz[loose], distance_upper_bound=reach)[0]
+        grown[loose[np.isfinite(near)]] = True
+    return grown
 
 
 def _is_truck(xyz: Floats, height: Floats, config: VehicleConfig) -> bool:

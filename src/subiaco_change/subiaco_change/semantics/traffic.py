@@ -1,0 +1,69 @@
+"""Trails of what moved while the survey drove by (method, part A, *moving things*).
+
+A fused map shows moving vehicles and people as trails in the air above the road. What stands still
+stops about as many beams as it lets by; a trail was there for a moment only, so that a voxel of it
+saw hundreds of beams pass for each that returned.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field
+
+from subiaco_change.semantics.clustering import voxel_clusters
+from subiaco_change.semantics.features import Features
+from subiaco_change.semantics.ground import Mask
+from subiaco_geo.config import StrictModel
+from subiaco_geo.frames import Floats, Ints
+
+
+class TrafficConfig(StrictModel):
+    """Evidence of movement: beams that passed through a voxel for each that returned from it."""
+
+    ratio: float = Field(
+        25.0, gt=1, description="mean passes a return around a point from which it surely moved"
+    )
+    spread_ratio: float = Field(10.0, gt=1, description="the same for points that touch such ones")
+    core_share: float = Field(0.3, gt=0, le=1, description="share of sure points in a trail")
+    bottom: float = Field(0.15, ge=0, description="lowest point of a trail; lower ones are ground [m]")
+    top: float = Field(3.8, gt=0, description="highest point of a trail: a bus [m]")
+    reach: float = Field(1.0, gt=0, description="neighbours that are averaged [m]")
+    touch: float = Field(0.5, gt=0, description="voxel in which points of a trail touch [m]")
+
+
+def moving_points(
+    xyz: Floats, height: Floats, features: Features, passed: Floats, free: Mask, config: TrafficConfig
+) -> Mask:
+    """Tell which free points (N,) belong to trails.
+
+    Parameters
+    ----------
+    xyz : (N, 3) float64 [m]
+    height : (N,) float64
+        Above the ground model [m].
+    features : Features
+        Neighbours and their distances are used.
+    passed : (N,) float
+        Beams that passed through the voxel of a point for each that returned from it.
+    free : (N,) bool
+    config : TrafficConfig
+    """
+    low = free & (height > config.bottom) & (height < config.top)
+    members = np.flatnonzero(low)
+    mean = _local_mean(np.log(np.maximum(passed, 0.1)), low, features, members, config.reach)
+    open_ = members[mean > np.log(config.spread_ratio)]
+    moving = np.zeros(len(xyz), dtype=bool)
+    if len(open_) == 0:
+        return moving
+    sure = (mean > np.log(config.ratio))[mean > np.log(config.spread_ratio)]
+    trail = voxel_clusters(xyz[open_], config.touch)
+    share = np.bincount(trail, sure) / np.bincount(trail)
+    moving[open_[share[trail] > config.core_share]] = True
+    return moving
+
+
+def _local_mean(values: Floats, among: Mask, features: Features, members: Ints, reach: float) -> Floats:
+    """Mean (M,) of the values (N,) of those neighbours of members (M,) that are in a mask and in reach."""
+    neighbours = features.neighbours[members]
+    weight = among[neighbours] & (features.distances[members] < reach)
+    return np.asarray((values[neighbours] * weight).sum(axis=1) / np.maximum(weight.sum(axis=1), 1))

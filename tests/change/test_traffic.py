@@ -1,0 +1,68 @@
+"""Trails of traffic are told by beams that went through them; what stands still is left alone."""
+
+import numpy as np
+import pytest
+from scenes import Scene, ground_z
+from scipy.spatial import cKDTree
+
+from subiaco_change.observation.evidence import EvidenceConfig, make_observer
+from subiaco_change.semantics.classes import SemanticsConfig, label_points
+from subiaco_change.semantics.instances import InstanceConfig, segment
+from subiaco_geo.clouds import PointCloud, voxel_downsample, voxel_indices, voxel_keys
+from subiaco_geo.codes import Semantic
+from subiaco_geo.maps import SurveyMap
+from subiaco_geo.visibility import VisibilityGrid
+
+SCENE = Scene(cars=[(-10, 3), (12, 4)])
+
+
+def trail(seed=0, count=2500):
+    """What a car leaves that drives along the street: returns all through the way of its body."""
+    rng = np.random.default_rng(seed)
+    xyz = rng.uniform([-28, -2.7, 0.2], [28, -0.9, 1.5], (count, 3))
+    xyz[:, 2] += ground_z(xyz[:, 0], xyz[:, 1])
+    return xyz
+
+
+@pytest.fixture(scope="module")
+def labelled():
+    ghosts = trail()
+    cloud = voxel_downsample(PointCloud(np.concatenate([SCENE.cloud(4).xyz, ghosts])), 0.25)
+    ghostly = cKDTree(ghosts).query(cloud.xyz)[0] < 0.1
+    passed = np.where(ghostly, 300.0, 2.0)
+    result = label_points(cloud, SemanticsConfig(), passed)
+    return cloud, ghostly, result, segment(cloud, result, InstanceConfig())
+
+
+def test_a_trail_is_mobile_and_no_object(labelled):
+    _, ghostly, result, instance = labelled
+    mine = ghostly & (result.height_above_ground > 0.25)
+    assert (result.semantic[mine] == Semantic.MOBILE).mean() > 0.95
+    assert result.moving[mine].mean() > 0.95
+    assert np.all(instance[result.moving] == -1)
+
+
+def test_what_stands_beside_a_trail_keeps_its_class(labelled):
+    cloud, _, result, _ = labelled
+    plain = label_points(cloud, SemanticsConfig())
+    apart = cKDTree(trail()).query(cloud.xyz)[0] > 0.7
+    assert not result.moving[apart].any()
+    assert not plain.moving.any()
+    still = np.abs(cloud.xyz[:, 1] + 1.8) > 2.5
+    assert (result.semantic[still] == plain.semantic[still]).mean() > 0.99
+
+
+def test_few_passes_are_no_movement():
+    cloud = SCENE.survey(4).cloud
+    assert not label_points(cloud, SemanticsConfig(), np.full(len(cloud), 5.0)).moving.any()
+
+
+def test_an_observer_counts_the_beams_of_its_visibility_layer():
+    world = np.array([[0.2, 0.2, 0.2], [5.2, 0.2, 0.2], [9.2, 0.2, 0.2]])
+    keys = voxel_keys(voxel_indices(world[:2], 0.5))
+    order = np.argsort(keys)
+    hits, passes = np.array([4, 0], np.uint32)[order], np.array([8, 60], np.uint32)[order]
+    grid = VisibilityGrid(np.zeros(3), 0.5, keys[order], hits, passes)
+    survey = SurveyMap(PointCloud(world), visibility=grid)
+    assert make_observer(survey, EvidenceConfig()).passes(world) == pytest.approx([2.0, 60.0, 0.0])
+    assert make_observer(survey, EvidenceConfig(source="shadow")).passes(world) is None
