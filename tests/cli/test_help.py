@@ -6,8 +6,8 @@ import pytest
 
 from subiaco_bringup.cli.main import EPILOG
 
-VERBS = ["simulate", "inspect", "import", "map", "change", "evaluate", "report", "baseline", "graph"]
-LATER = ["record", "recover", "export", "check"]
+VERBS = ["simulate", "inspect", "import", "map", "check", "change", "evaluate", "report", "baseline", "graph"]
+LATER = ["record", "recover", "export"]
 OPTIONS = {
     "simulate": ["--seed", "--preset", "--epoch", "--maps-only", "--duration", "--mode", "--overwrite"],
     "inspect": ["--json"],
@@ -20,8 +20,10 @@ OPTIONS = {
         "--transform",
         "--registration",
         "identity",
+        "--parcels",
         "--overwrite",
     ],
+    "check": ["--control", "--crs", "--json"],
     "baseline": ["dsm|nn|m3c2|c2c", "--output", "--transform", "--registration", "identity", "--overwrite"],
     "evaluate": ["--output", "--json"],
     "report": ["CHANGE_DIR"],

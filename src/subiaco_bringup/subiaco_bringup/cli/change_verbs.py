@@ -60,8 +60,10 @@ def known_transform(transform: Path | None, registration: str | None) -> NDArray
 
 
 def change(
-    before: Before,
-    after: After,
+    epochs: Annotated[
+        list[Path],
+        typer.Argument(metavar="BEFORE AFTER", help=f"{_EPOCH_HELP} More than two: in the order of time."),
+    ],
     output: Output,
     trajectory_before: TrajectoryFile = None,
     trajectory_after: TrajectoryFile = None,
@@ -86,16 +88,33 @@ def change(
 ) -> None:
     """Find what changed between two maps: labelled clouds, a table, a report.
 
+    More than two epochs: every pair that follows, and history.csv, which follows each object through all.
+
     Example: subiaco change out/before out/after -o out/change
     """
     from subiaco_change.config import ChangeConfig, left_out
+    from subiaco_change.history import run_epochs
     from subiaco_change.job import ChangeJob, run_change
 
     set_up_logging(verbose, quiet)
+    if len(epochs) < 2:
+        raise InputError("change: give two epochs or more, BEFORE AFTER")
     given = known_transform(transform, registration)
     model = load_config(ChangeConfig, config_files("change", tuple(config or ())), settings or [])
     if without:
         model = left_out(model, without)
+    if len(epochs) > 2:
+        if trajectory_before or trajectory_after or transform:
+            raise InputError(
+                "change: --trajectory-* and --transform go with two epochs; give map directories"
+            )
+        with Progress(quiet=quiet) as progress:
+            history = run_epochs(
+                epochs, output, model, progress, transform=given, overwrite=overwrite, parcels=parcels
+            )
+        say(f"history: {output / 'history.csv'} ({len(history)} objects)", quiet=quiet)
+        return
+    before, after = epochs
     job = ChangeJob(before, after, output, trajectory_before, trajectory_after, given, overwrite, parcels)
     with Progress(quiet=quiet) as progress:
         result = run_change(job, model, progress)

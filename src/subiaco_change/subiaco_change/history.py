@@ -1,0 +1,222 @@
+"""More than two epochs: one identity an object, from when to when it was seen."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
+from shapely.geometry import MultiPolygon
+
+from subiaco_change.config import ChangeConfig
+from subiaco_change.job import ChangeJob, run_change
+from subiaco_change.outputs.directory import write_layer
+from subiaco_change.outputs.reading import read_change_directory
+from subiaco_change.outputs.reviews import same_objects
+from subiaco_geo.atomic import refuse_existing, refuse_foreign, whole_directory
+from subiaco_geo.codes import Change, Semantic
+from subiaco_geo.errors import InputError
+from subiaco_geo.frames import Floats, Ints
+
+#: What tells a directory of several epochs from another folder.
+MARKER = "history.csv"
+COLUMNS = (
+    "history_id",
+    "class",
+    "first_seen",
+    "last_seen",
+    "appeared_after",
+    "gone_by",
+    "not_seen",
+    "changes",
+    "confidence",
+    "object_uids",
+)
+_CHANGED = (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED)
+
+
+@dataclass(frozen=True)
+class Step:
+    """The table between two epochs that follow each other, and their names."""
+
+    before: str
+    after: str
+    table: gpd.GeoDataFrame
+
+
+def run_epochs(
+    epochs: Sequence[Path],
+    output: Path,
+    config: ChangeConfig,
+    progress: Callable[[str, float], None] | None = None,
+    *,
+    transform: Floats | None = None,
+    overwrite: bool = False,
+    parcels: Path | None = None,
+) -> gpd.GeoDataFrame:
+    """Compare epochs that follow each other, and follow every object through all of them.
+
+    Parameters
+    ----------
+    epochs : sequence of Path
+        Three or more map directories or clouds, in the order of time.
+    output : Path
+        A change directory ``<before>_to_<after>`` for every pair, ``history.csv`` and ``history.gpkg``.
+    config : ChangeConfig
+    progress : callable, optional
+    transform : (4, 4) float64, optional
+        Identity where all epochs are registered already.
+    overwrite : bool
+    parcels : Path, optional
+        Vector file of lots, for every pair.
+
+    Returns
+    -------
+    GeoDataFrame
+        See :func:`build_history`.
+
+    Raises
+    ------
+    InputError, RegistrationError
+        Nothing is left under ``output`` then.
+    """
+    names = _names(epochs)
+    refuse_existing(output, overwrite)
+    refuse_foreign(output, MARKER)
+    steps = []
+    with whole_directory(output, overwrite=overwrite, marker=MARKER) as target:
+        for number, ((first, second), (before, after)) in enumerate(
+            zip(pairwise(epochs), pairwise(names), strict=True)
+        ):
+            job = ChangeJob(
+                first, second, target / f"{before}_to_{after}", transform=transform, parcels=parcels
+            )
+            run_change(job, config, _share(progress, number, len(names) - 1, f"{before} to {after}"))
+            steps.append(Step(before, after, read_change_directory(job.output).table))
+        history = build_history(steps)
+        history.drop(columns="geometry").to_csv(target / MARKER, index=False, lineterminator="\n")
+        write_layer(target / "history.gpkg", "history", history)
+    return history
+
+
+def _names(epochs: Sequence[Path]) -> list[str]:
+    """Name the epochs after their directories or files."""
+    names = [path.resolve().name if path.is_dir() else path.stem for path in epochs]
+    for name in names:
+        if names.count(name) > 1:
+            raise InputError(f"two epochs are called {name}; rename one of the directories")
+    return names
+
+
+def _share(
+    progress: Callable[[str, float], None] | None, number: int, count: int, pair: str
+) -> Callable[[str, float], None] | None:
+    """Give a pair its share of the progress of all."""
+    if progress is None:
+        return None
+    return lambda stage, fraction: progress(f"{pair}: {stage}", (number + fraction) / count)
+
+
+def build_history(steps: Sequence[Step]) -> gpd.GeoDataFrame:
+    """Follow every object through the tables of epochs that follow each other.
+
+    Two rows are one object where they share an instance of the epoch
+    between them, or where that epoch did not see the place and their
+    footprints agree. A changed ground patch has no instances and stands alone.
+    Moving things are left out.
+
+    Parameters
+    ----------
+    steps : sequence of Step
+        In the order of time; each begins where the one before ends.
+
+    Returns
+    -------
+    GeoDataFrame
+        One row an object: :data:`COLUMNS` and the footprint of its last row.
+        ``appeared_after`` is the last epoch that saw it absent, ``gone_by`` the
+        first that saw it gone again, both empty where the object outlives the
+        surveys; ``not_seen`` names epochs that could not tell.
+    """
+    kept = [replace(s, table=s.table[s.table["class"] != Semantic.MOBILE.label]) for s in steps]
+    starts = np.cumsum([0, *(len(s.table) for s in kept)])
+    links = [
+        _links(first.table, second.table) + starts[number : number + 2]
+        for number, (first, second) in enumerate(pairwise(kept))
+    ]
+    pairs = np.concatenate([*links, np.empty((0, 2), dtype=np.int64)])
+    size = int(starts[-1])
+    graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), (size, size))
+    _, component = connected_components(graph, directed=False)
+    order = np.argsort(component, kind="stable")
+    groups = np.split(order, np.flatnonzero(np.diff(component[order])) + 1) if size else []
+    rows = [_history(kept, starts, members) for members in groups]
+    frame = pd.DataFrame(rows, columns=[*COLUMNS, "geometry"])
+    return gpd.GeoDataFrame(frame, geometry="geometry", crs=kept[-1].table.crs)
+
+
+def _links(first: gpd.GeoDataFrame, second: gpd.GeoDataFrame) -> Ints:
+    """Rows (P, 2) of two tables that are one object, by the epoch between them."""
+    instances = _instances(second["id_before"])
+    pairs = [
+        (row, other)
+        for row, text in enumerate(first["id_after"])
+        for instance in text.split(";")
+        for other in instances.get(instance, ())
+    ]
+    unseen = [
+        np.flatnonzero((table["label"] == Change.UNOBSERVED.label) & (table[end] == ""))
+        for table, end in ((first, "id_after"), (second, "id_before"))
+    ]
+    new, old = same_objects(second.iloc[unseen[1]], first.iloc[unseen[0]])
+    pairs += list(zip(unseen[0][old], unseen[1][new], strict=True))
+    return np.array(sorted(set(pairs)), dtype=np.int64).reshape(-1, 2)
+
+
+def _instances(column: pd.Series) -> dict[str, list[int]]:
+    found: dict[str, list[int]] = {}
+    for row, text in enumerate(column):
+        for instance in filter(None, text.split(";")):
+            found.setdefault(instance, []).append(row)
+    return found
+
+
+def _history(steps: Sequence[Step], starts: Ints, members: Ints) -> tuple[Any, ...]:
+    """Sum up the rows of one object."""
+    names = [steps[0].before, *(s.after for s in steps)]
+    seen, absent, unknown = set[int](), set[int](), set[int]()
+    changes, uids, confidences = [], [], []
+    for member in members:
+        number = int(np.searchsorted(starts, member, side="right")) - 1
+        step, row = steps[number], steps[number].table.iloc[member - starts[number]]
+        is_ground = row["class"] == Semantic.GROUND.label
+        for epoch, ids in ((number, row["id_before"]), (number + 1, row["id_after"])):
+            missing = unknown if row["label"] == Change.UNOBSERVED.label else absent
+            (seen if ids or is_ground else missing).add(epoch)
+        uids.append(row["object_uid"])
+        if row["label"] in [c.label for c in _CHANGED]:
+            changes.append(f"{step.before} to {step.after}: {row['label']}")
+            confidences.append(float(row["confidence"]))
+    first, last = min(seen, default=0), max(seen, default=0)
+    before = [e for e in absent if e < first]
+    later = [e for e in absent if e > last]
+    return (
+        uids[0],
+        row["class"],
+        names[first],
+        names[last],
+        names[max(before)] if before else "",
+        names[min(later)] if later else "",
+        ";".join(names[e] for e in sorted(unknown - seen)),
+        "; ".join(changes),
+        min(confidences, default=float("nan")),
+        ";".join(uids),
+        row.geometry if isinstance(row.geometry, MultiPolygon) else MultiPolygon([row.geometry]),
+    )
