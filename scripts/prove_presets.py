@@ -1,6 +1,7 @@
 """Prove that a simulated preset is hard: score simple differencing with the true registration over seeds.
 
-Example: python scripts/prove_presets.py --preset default --seeds reporting --work /tmp/proof
+python scripts/prove_presets.py --preset default --seeds reporting --work out/proof
+python scripts/prove_presets.py --tune --seeds tuning --work out/tuning   # the simple methods' settings
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ from typing import Any
 
 import numpy as np
 import yaml
+from tune_baselines import SEARCHED, tune
 
 from subiaco_change.baselines.config import BaselineConfig
 from subiaco_change.baselines.run import run_baseline
@@ -93,17 +95,39 @@ def prove(work: Path, preset: str, seeds: list[int], keep: bool) -> list[Row]:
     return rows
 
 
+def tuned(options: argparse.Namespace) -> int:
+    """Tabulate settings of the simple methods; exit 2 where a seed is for reporting."""
+    seeds = seeds_of(options.seeds or "tuning")
+    if reported := sorted(set(seeds) & set(seeds_of("reporting"))):
+        print(
+            f"seeds {reported}: figures are reported on them; tune on others ({SEEDS_FILE})", file=sys.stderr
+        )
+        return 2
+    surveys = [survey_of(options.work, options.preset, seed) for seed in seeds]
+    best = tune(surveys, options.methods, options.rounds)
+    if options.json:
+        options.json.write_text(json.dumps({"seeds": seeds, "best": best}, indent=1))
+    if not options.keep:
+        shutil.rmtree(options.work)
+    return 0
+
+
 def main() -> int:
     """Run the proof; exit 1 where a pooled score is over its limit."""
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--preset", default="default")
-    parser.add_argument("--seeds", default="reporting", help="tuning, reporting, or numbers with commas")
+    parser.add_argument("--seeds", help="tuning, reporting (the default), or numbers with commas")
+    parser.add_argument("--tune", action="store_true", help="tabulate the methods' settings, on tuning seeds")
+    parser.add_argument("--methods", nargs="+", default=list(SEARCHED), choices=SEARCHED, help="to tune")
+    parser.add_argument("--rounds", type=int, default=1, help="of tuning, each over every setting")
     parser.add_argument("--work", type=Path, required=True, help="folder for surveys and results")
     parser.add_argument("--keep", action="store_true", help="leave them there, and use what is there")
     parser.add_argument("--json", type=Path, help="also write the table here")
     options = parser.parse_args()
     options.work.mkdir(parents=True, exist_ok=True)
-    rows = prove(options.work, options.preset, seeds_of(options.seeds), options.keep)
+    if options.tune:
+        return tuned(options)
+    rows = prove(options.work, options.preset, seeds_of(options.seeds or "reporting"), options.keep)
     if options.json:
         options.json.write_text(json.dumps([vars(row) for row in rows], indent=1))
     pooled = {row.method: row.scores["miou_percent"] for row in rows if row.seed == "all"}
