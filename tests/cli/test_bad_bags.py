@@ -37,8 +37,8 @@ def test_a_cut_recording(refused, tmp_path, survey, kept, as_folder):
     data = file.read_bytes()
     file.write_bytes(data[: int(len(data) * kept)])
     path = bag if as_folder else file
-    refused(["map", path, "-o", tmp_path / "out"], file.name, "is cut", "mcap recover")
-    refused(["inspect", path], file.name, "is cut", "mcap recover")
+    refused(["map", path, "-o", tmp_path / "out"], file.name, "is cut", "subiaco recover")
+    refused(["inspect", path], file.name, "is cut", "subiaco recover")
 
 
 def test_a_recording_with_damaged_bytes_in_the_middle(refused, tmp_path, survey):
@@ -49,7 +49,7 @@ def test_a_recording_with_damaged_bytes_in_the_middle(refused, tmp_path, survey)
     middle = len(data) // 2
     data[middle : middle + 400] = bytes(400)
     file.write_bytes(data)
-    refused(["map", bag, "-o", tmp_path / "out"], "damaged", "record again")
+    refused(["map", bag, "-o", tmp_path / "out"], "damaged", "subiaco recover")
 
 
 def packets_without_metadata(path: Path, survey: Path, as_type: str | None = None) -> Path:

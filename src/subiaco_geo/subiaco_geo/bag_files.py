@@ -24,7 +24,7 @@ READ_FAULTS = (
 
 
 def _is_bag_folder(path: Path) -> bool:
-    return (path / "metadata.yaml").is_file() or any(path.glob("*.mcap"))
+    return (path / "metadata.yaml").is_file() or any(path.glob("*.mcap")) or any(path.glob("*.mcap.partial"))
 
 
 def find_storage(path: Path) -> Path:
@@ -54,7 +54,11 @@ def find_storage(path: Path) -> Path:
             return files[0]
         if files:
             raise InputError(
-                f"{path}: {len(files)} mcap files but no metadata.yaml; run 'ros2 bag reindex {path}'"
+                f"{path}: {len(files)} mcap files but no metadata.yaml; run 'subiaco recover {path}'"
+            )
+        if any(path.glob("*.mcap.partial")):
+            raise InputError(
+                f"{path}: the recording was cut before its first file was whole; run 'subiaco recover {path}'"
             )
         raise InputError(f"{path}: not a bag (no metadata.yaml, no .mcap); give a rosbag2 folder or an .mcap")
     if path.suffix in _RECORDINGS:
@@ -101,9 +105,9 @@ def _complaint(path: Path, error: BaseException) -> str:
         if head != MCAP_MAGIC:
             return f"{file}: not an mcap file (wrong first bytes); give the bag that the recorder wrote"
         if tail != MCAP_MAGIC or file.stat().st_size < 45:
-            return f"{file}: the recording is cut (no end record); record again, or run 'mcap recover {file}'"
+            return f"{file}: the recording is cut (no end record); run 'subiaco recover {file}'"
     reason = " ".join(str(error).split()) or type(error).__name__
-    return f"{path}: the bag is damaged ({reason}); record again, or run 'mcap recover'"
+    return f"{path}: the bag is damaged ({reason}); run 'subiaco recover {path}', or record again"
 
 
 @contextmanager

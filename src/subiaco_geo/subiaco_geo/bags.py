@@ -37,20 +37,21 @@ from subiaco_geo.topics import PACKET_TYPE
 
 __all__ = [
     "TYPESTORE", "BagMessage", "BagReader", "BagWriter", "TopicInfo", "find_storage", "hash_bag",
-    "packet_from_cdr", "packet_to_cdr", "require_topic", "storage_files",
+    "make_typestore", "packet_from_cdr", "packet_to_cdr", "require_topic", "storage_files",
 ]  # fmt: skip
 
 _CDR_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 
 
-def _make_typestore() -> Typestore:
+def make_typestore() -> Typestore:
+    """Return a store of the types of ROS 2 Jazzy and the Ouster packet, to learn more into."""
     store = get_typestore(Stores.ROS2_JAZZY)
     store.register(get_types_from_msg("uint8[] buf", PACKET_TYPE))
     return store
 
 
 #: Message types of ROS 2 Jazzy, with the raw Ouster packet.
-TYPESTORE: Typestore = _make_typestore()
+TYPESTORE: Typestore = make_typestore()
 
 
 def _qos(latched: bool) -> Qos:
@@ -279,7 +280,7 @@ class BagReader:
         if message.msg_type in TYPESTORE.fielddefs:
             return TYPESTORE
         if self._own_types is None:
-            self._own_types = _make_typestore()
+            self._own_types = make_typestore()
             for connection in self._opened().connections:
                 self._learn(self._own_types, connection)
         if message.msg_type not in self._own_types.fielddefs:

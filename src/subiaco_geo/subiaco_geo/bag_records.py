@@ -1,0 +1,135 @@
+"""Walk over the records of an mcap file that may be cut or damaged, as far as they can be read."""
+
+from __future__ import annotations
+
+import struct
+import zlib
+from collections.abc import Iterator
+from io import BytesIO
+from typing import BinaryIO
+
+import lz4.frame
+import zstandard
+from mcap.data_stream import ReadDataStream
+from mcap.exceptions import McapError
+from mcap.opcode import Opcode
+from mcap.reader import make_reader
+from mcap.records import Channel, Chunk, Message, Schema
+from mcap.stream_reader import breakup_chunk
+
+from subiaco_geo.bag_files import MCAP_MAGIC
+
+_RECORD_HEAD = struct.Struct("<BQ")
+#: No recorder writes a larger record or chunk; a larger number is damage.
+_MAX_RECORD = 1 << 30
+_DAMAGE = (
+    McapError, ValueError, KeyError, TypeError, AssertionError, EOFError, struct.error, zlib.error,
+    zstandard.ZstdError, RuntimeError, MemoryError, UnicodeDecodeError,
+)  # fmt: skip
+
+
+class RecordWalk:
+    """Walk over the records of an mcap file up to the first that is not whole.
+
+    Attributes
+    ----------
+    good_end : int
+        Where the last whole record ends [bytes].
+    ended : bool
+        The file's own end was reached.
+    damaged_chunks, damaged_bytes, unnamed : int
+        Records left out, their size, and messages of a topic whose description was lost with one.
+    """
+
+    def __init__(self, stream: BinaryIO, size: int) -> None:
+        self._stream = stream
+        self._size = size
+        self.schemas: dict[int, Schema] = {}
+        self.channels: dict[int, Channel] = {}
+        self.good_end = len(MCAP_MAGIC)
+        self.ended = False
+        self.damaged_chunks = 0
+        self.damaged_bytes = 0
+        self.unnamed = 0
+
+    def messages(self) -> Iterator[tuple[Channel, Message]]:
+        """Yield what can be read."""
+        self._stream.seek(self.good_end)
+        while not self.ended:
+            record = self._next_record()
+            if record is None:
+                return
+            opcode, body = record
+            if opcode == Opcode.FOOTER:
+                self.ended = self._stream.read(len(MCAP_MAGIC)) == MCAP_MAGIC
+                return
+            yield from self._unpack(opcode, body)
+
+    def _next_record(self) -> tuple[int, bytes] | None:
+        """Return the next whole record, None at a cut."""
+        head = self._stream.read(_RECORD_HEAD.size)
+        if len(head) < _RECORD_HEAD.size:
+            return None
+        opcode, length = _RECORD_HEAD.unpack(head)
+        end = self.good_end + _RECORD_HEAD.size + length
+        if opcode == 0 or length > _MAX_RECORD or end > self._size:
+            return None
+        body = self._stream.read(length)
+        self.good_end = end
+        return opcode, body
+
+    def _unpack(self, opcode: int, body: bytes) -> Iterator[tuple[Channel, Message]]:
+        try:
+            records = list(_contents(opcode, body))
+        except _DAMAGE:
+            self.damaged_chunks += 1
+            self.damaged_bytes += len(body) + _RECORD_HEAD.size
+            return
+        for record in records:
+            if isinstance(record, Schema):
+                self.schemas[record.id] = record
+            elif isinstance(record, Channel):
+                self.channels[record.id] = record
+            elif record.channel_id in self.channels:
+                yield self.channels[record.channel_id], record
+            else:
+                self.unnamed += 1
+
+    def learn_summary(self) -> None:
+        """Take the topics from the summary, where there is one: a damaged chunk may have held them."""
+        try:
+            summary = make_reader(self._stream).get_summary()
+        except (*_DAMAGE, OSError):
+            return
+        if summary is not None:
+            self.schemas.update(summary.schemas)
+            self.channels.update(summary.channels)
+
+
+def _contents(opcode: int, body: bytes) -> Iterator[Schema | Channel | Message]:
+    """Yield schemas, channels and messages in one record; raise where it is damaged."""
+    stream = ReadDataStream(BytesIO(body))
+    if opcode == Opcode.CHUNK:
+        chunk = Chunk.read(stream)
+        _check_size(chunk)
+        for record in breakup_chunk(chunk, validate_crc=True):
+            if isinstance(record, (Schema, Channel, Message)):
+                yield record
+    elif opcode == Opcode.SCHEMA:
+        yield Schema.read(stream)
+    elif opcode == Opcode.CHANNEL:
+        yield Channel.read(stream)
+    elif opcode == Opcode.MESSAGE:
+        yield Message.read(stream, len(body))
+
+
+def _check_size(chunk: Chunk) -> None:
+    """Refuse a chunk that would unpack to more than it says, before any memory is taken."""
+    if chunk.compression == "zstd":
+        inside = zstandard.frame_content_size(chunk.data)
+    elif chunk.compression == "lz4":
+        inside = lz4.frame.get_frame_info(chunk.data)["content_size"] or chunk.uncompressed_size
+    else:
+        inside = len(chunk.data)
+    if chunk.uncompressed_size > _MAX_RECORD or inside > chunk.uncompressed_size:
+        raise ValueError("the chunk's size is damaged")
