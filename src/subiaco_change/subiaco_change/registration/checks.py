@@ -8,7 +8,7 @@ import numpy as np
 
 from subiaco_change.geometry import Level, nearest
 from subiaco_change.registration.icp import Pairs, Target, jacobian
-from subiaco_geo.frames import Floats, transform_points
+from subiaco_geo.frames import Floats, Ints, transform_points
 
 
 @dataclass(frozen=True)
@@ -40,16 +40,10 @@ class Quality:
         return self.n_standing * (self.standing - (1.0 - self.standing) / 3.0)
 
 
-def _columns(xyz: Floats, cell: float) -> set[tuple[int, int]]:
-    ij = np.unique(np.floor(xyz[:, :2] / cell).astype(np.int64), axis=0)
-    return set(map(tuple, ij.tolist()))
-
-
-def _inside(xyz: Floats, columns: set[tuple[int, int]], cell: float) -> np.ndarray:
-    """Tell which points (N,) stand in a set of columns."""
-    ij, inverse = np.unique(np.floor(xyz[:, :2] / cell).astype(np.int64), axis=0, return_inverse=True)
-    member = np.array([tuple(c) in columns for c in ij.tolist()], dtype=bool)
-    return np.asarray(member[inverse.ravel()])
+def _columns(xyz: Floats, cell: float) -> Ints:
+    """Return the number (N,) of the column of an edge [m] that each point stands in."""
+    ij = np.floor(xyz[:, :2] / cell).astype(np.int64)
+    return np.asarray((ij[:, 0] << 32) + ij[:, 1])
 
 
 def measure_quality(
@@ -57,10 +51,11 @@ def measure_quality(
 ) -> Quality:
     """Judge a pose ``T_after_before`` on one level; ``tolerance`` is the largest residual [m]."""
     moved = transform_points(pose, source.xyz)
-    columns_target, columns_source = _columns(target.level.xyz, cell), _columns(moved, cell)
-    shared = columns_target & columns_source
-    overlap = len(shared) / max(min(len(columns_target), len(columns_source)), 1)
-    planar = (source.planes.curvature < 0.03) & _inside(moved, shared, cell)
+    column = _columns(moved, cell)
+    ours, theirs = np.unique(column), np.unique(_columns(target.level.xyz, cell))
+    shared = np.intersect1d(ours, theirs, assume_unique=True)
+    overlap = len(shared) / max(min(len(ours), len(theirs)), 1)
+    planar = (source.planes.curvature < 0.03) & np.isin(column, shared)
     normals = source.planes.normals @ pose[:3, :3].T
     found, _ = nearest(target.index, moved, 2.0 * source.leaf)
     other = target.level.planes.normals[found]

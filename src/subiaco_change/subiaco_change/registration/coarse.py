@@ -11,7 +11,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import fft, ndimage
+from scipy import fft
 from scipy.spatial.transform import Rotation
 
 from subiaco_change.geometry import Level, LocalPlanes
@@ -50,13 +50,18 @@ def levelling(level: Level) -> Floats:
 
 
 def _picture(xy: Floats, corner: Floats, pixel: float, size: int) -> Floats:
-    """Band-passed density (size, size) of standing points, in pixels [m]."""
+    """Density (size, size) of standing points, in pixels [m]."""
     ij = np.floor((xy - corner) / pixel).astype(np.int64)
     keep = np.all((ij >= 0) & (ij < size), axis=1)
     flat = np.bincount(ij[keep, 0] * size + ij[keep, 1], minlength=size * size)
-    density = np.log1p(flat.reshape(size, size).astype(np.float32))
-    fine = ndimage.gaussian_filter(density, 0.8, mode="constant")
-    return np.asarray(fine - ndimage.gaussian_filter(density, 5.0, mode="constant"))
+    return np.log1p(flat.reshape(size, size).astype(np.float32))
+
+
+def _band(size: int, fine: float = 0.8, broad: float = 5.0) -> Floats:
+    """Spectrum (size, size // 2 + 1) of a difference of Gaussians of two widths [pixels]."""
+    squared = fft.fftfreq(size)[:, None] ** 2 + fft.rfftfreq(size)[None] ** 2
+    low, high = (np.exp(-2.0 * (np.pi * width) ** 2 * squared) for width in (broad, fine))
+    return np.asarray((high - low).astype(np.float32))
 
 
 @dataclass(frozen=True)
@@ -111,7 +116,8 @@ def _search(before_xy: Floats, after_xy: Floats, pixel: float, count: int) -> li
     pixel = max(pixel, reach / 250.0)
     size = fft.next_fast_len(int(2.0 * (radius + reach) / pixel) + 12, real=True)
     corner = np.full(2, -0.5 * size * pixel)
-    spectrum = fft.rfft2(_picture(after_xy, corner, pixel, size))
+    # both pictures are band-passed: once here for both of them
+    spectrum = fft.rfft2(_picture(after_xy, corner, pixel, size)) * _band(size) ** 2
     steps = int(np.clip(np.ceil(2 * np.pi * radius / (1.5 * pixel)), 120, 720))
     peaks = []
     for yaw in 2 * np.pi * np.arange(steps) / steps:

@@ -9,6 +9,16 @@ from pydantic import Field
 from subiaco_geo.config import StrictModel
 
 
+class FeatureConfig(StrictModel):
+    """The paper's coarse alignment; its values, except the FPFH radius, which it does not give."""
+
+    salient_radius: float = Field(1.5, gt=0, description="ISS: radius of the scatter matrix [m]")
+    support_radius: float = Field(2.0, gt=0, description="ISS: radius of non-maximum suppression [m]")
+    fpfh_radius: float = Field(5.0, gt=0, description="FPFH: radius [m], ours")
+    inlier: float = Field(0.6, gt=0, description="RANSAC: largest distance of a pair that agrees [m]")
+    iterations: int = Field(20_000, ge=1, le=10_000_000, description="RANSAC: samples")
+
+
 class RegistrationConfig(StrictModel):
     """Registration of two epochs (method part B; the paper's values where it gives them)."""
 
@@ -21,6 +31,10 @@ class RegistrationConfig(StrictModel):
     coarse: Literal["auto", "always", "never"] = Field(
         "auto", description="search without priors: auto = when identity does not hold and a CRS is missing"
     )
+    coarse_method: Literal["pictures", "features"] = Field(
+        "pictures", description="search: pictures from above (ours) or ISS, FPFH and RANSAC (paper)"
+    )
+    features: FeatureConfig = FeatureConfig()
     coarse_pixel: float = Field(1.0, gt=0, description="bird's-eye pictures of the coarse search [m]")
     coarse_candidates: int = Field(25, ge=1, le=200, description="start poses that are refined and judged")
     ndt_iterations: int = Field(30, ge=1, description="NDT iterations a cell size")
@@ -29,6 +43,9 @@ class RegistrationConfig(StrictModel):
     huber: float = Field(0.5, gt=0, description="Huber weight of the distance of a pair [m]")
     icp_iterations: int = Field(20, ge=1, description="ICP iterations a level")
     icp_points: int = Field(200_000, ge=1000, description="points of before used by ICP at any level")
+    plane_weight: float = Field(
+        0.1, ge=0, description="lambda of the plane-to-plane term at the finest level, 0 = none, paper"
+    )
     min_eigenvalue: float = Field(
         2e-3, gt=0, lt=1 / 3, description="information a unit weight below which a direction is degenerate"
     )
@@ -42,6 +59,9 @@ class RegistrationConfig(StrictModel):
     min_lying: float = Field(
         0.35, ge=0, lt=1, description="smallest share of ground in the overlap that matches"
     )
+    max_rival: float = Field(
+        0.7, gt=0, le=1, description="largest score of another place, share of the best, in a search"
+    )
     max_rmse: float = Field(0.15, gt=0, description="largest robust point-to-plane RMSE [m]")
     max_disagreement: float = Field(0.10, gt=0, description="largest distance of NDT and ICP solutions [m]")
     max_disagreement_deg: float = Field(
@@ -50,4 +70,4 @@ class RegistrationConfig(StrictModel):
     block: float = Field(20.0, gt=0, description="blocks of correlated residuals [m]")
     draws: int = Field(200, ge=10, description="block bootstrap draws")
     sigma_floor: float = Field(0.003, ge=0, description="smallest sigma_reg [m]")
-    seed: int = Field(0, ge=0, description="seed of the bootstrap")
+    seed: int = Field(0, ge=0, description="seed of the bootstrap and of RANSAC")

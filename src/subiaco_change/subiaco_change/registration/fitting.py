@@ -23,6 +23,7 @@ from subiaco_change.registration.icp import (
     solve,
 )
 from subiaco_change.registration.ndt import Distributions, about, align_ndt, distributions
+from subiaco_change.registration.planes import PlanePairs, extract_planes, match_planes
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.errors import InputError, RegistrationError
 from subiaco_geo.frames import Floats, invert_pose, rotation_angle
@@ -125,20 +126,30 @@ def refine(
 ) -> Fit:
     """Coarse to fine: NDT, then point-to-plane ICP, on every level (method B3)."""
     ndt_pose = pose
+    finest = len(targets) - 1
     for i, target in enumerate(targets):
         source = _thinned(before.levels[i], config.icp_points)
         cell = config.ndt_leaves_per_cell * config.leaves[i]
         ndt_pose = align_ndt(before.grid(cell), after.grid(cell), pose, config.ndt_iterations).pose
         ndt_pose = _remapped(pose, ndt_pose, source, target, config)
+        planes = _same_planes(before, after, ndt_pose, config) if i == finest else None
         pose, _, step = align_icp(
             source, target, ndt_pose, tukey=config.tukey, huber=config.huber, reach=2.0 * source.leaf,
-            min_eigenvalue=config.min_eigenvalue, max_iterations=config.icp_iterations,
+            min_eigenvalue=config.min_eigenvalue, max_iterations=config.icp_iterations, planes=planes,
         )  # fmt: skip
         if step is None:
             raise RegistrationError(
                 f"{start}: fewer than 50 point pairs at the {source.leaf} m level: the epochs do not overlap"
             )
     return judge(before, targets, pose, ndt_pose, start, config)
+
+
+def _same_planes(before: Side, after: Side, pose: Floats, config: RegistrationConfig) -> PlanePairs | None:
+    """Pair the planes of both epochs for the plane-to-plane term, where it is wanted."""
+    if config.plane_weight == 0:
+        return None
+    found = [extract_planes(side.levels[-1], config.seed) for side in (before, after)]
+    return match_planes(found[0], found[1], pose, config.plane_weight)
 
 
 def judge(
@@ -171,8 +182,8 @@ def judge(
     )  # fmt: skip
 
 
-def complaints(fit: Fit, config: RegistrationConfig) -> list[str]:
-    """Say in words which checks a fit fails."""
+def complaints(fit: Fit, trusted: bool, config: RegistrationConfig) -> list[str]:
+    """Say in words which checks a fit fails; ``trusted`` says that a prior vouches for its start."""
     q = fit.quality
     least = config.min_standing_search if fit.start == "coarse" else config.min_standing
     checks = [
@@ -191,7 +202,7 @@ def complaints(fit: Fit, config: RegistrationConfig) -> list[str]:
             f"NDT and ICP disagree by {fit.disagreement:.2f} m, {fit.disagreement_deg:.2f} deg",
         ),
         (
-            fit.start == "coarse" and bool(fit.degenerate),
+            bool(fit.degenerate) and not trusted,
             f"nothing fixes {', '.join(fit.degenerate)} and there is no prior",
         ),
     ]

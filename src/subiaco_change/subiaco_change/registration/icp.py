@@ -8,6 +8,7 @@ import numpy as np
 
 from subiaco_change.geometry import ColumnIndex, Level, LocalPlanes, build_index, nearest
 from subiaco_change.registration.ndt import about
+from subiaco_change.registration.planes import PlanePairs, normal_equations
 from subiaco_geo.frames import Floats, transform_points
 
 _AXES = ("roll", "pitch", "yaw", "x", "y", "z")
@@ -112,13 +113,20 @@ def _name(vector: Floats) -> str:
     return _AXES[int(np.argmax(np.abs(vector)))]
 
 
-def solve(pairs: Pairs, weights: Floats, centre: Floats, min_eigenvalue: float) -> Step:
+def solve(
+    pairs: Pairs,
+    weights: Floats,
+    centre: Floats,
+    min_eigenvalue: float,
+    turning: tuple[Floats, Floats] | None = None,
+) -> Step:
     """Solve the weighted normal equations, ignoring ill-conditioned directions.
 
     Rotations are scaled by the RMS distance of the pairs from the centre, so
     that all six eigenvalues of the information a unit weight are comparable;
     an update along an eigenvector below ``min_eigenvalue`` is rejected
-    (solution remapping, Zhang et al. 2016) and reported.
+    (solution remapping, Zhang et al. 2016) and reported. ``turning`` holds a
+    further Hessian (3, 3) and gradient (3,) of the rotation [rad].
     """
     length = max(float(np.sqrt(np.mean(np.sum((pairs.points - centre) ** 2, axis=1)))), 1e-6)
     scale = np.array([length] * 3 + [1.0] * 3)
@@ -127,11 +135,14 @@ def solve(pairs: Pairs, weights: Floats, centre: Floats, min_eigenvalue: float) 
     information = (rows.T * weights) @ rows / total
     right = -(rows.T * weights) @ pairs.residuals / total
     values, vectors = np.linalg.eigh(information)
-    good = values >= min_eigenvalue
-    inverse = np.where(good, 1.0 / np.maximum(values, 1e-300), 0.0)
-    twist = (vectors * inverse) @ (vectors.T @ right) / scale
+    basis = vectors[:, values >= min_eigenvalue]
+    full = information.copy()
+    if turning is not None:
+        full[:3, :3] += turning[0] / (total * length**2)
+        right[:3] -= turning[1] / (total * length)
+    twist = basis @ np.linalg.solve(basis.T @ full @ basis, basis.T @ right) / scale
     hessian = information * total * np.outer(scale, scale)
-    names = tuple(dict.fromkeys(_name(v) for v in vectors.T[~good]))
+    names = tuple(dict.fromkeys(_name(v) for v in vectors.T[values < min_eigenvalue]))
     return Step(twist, hessian, names, values)
 
 
@@ -145,8 +156,9 @@ def align_icp(
     min_eigenvalue: float,
     max_iterations: int,
     reach: float,
+    planes: PlanePairs | None = None,
 ) -> tuple[Floats, Pairs, Step | None]:
-    """Iterate pairs and Gauss-Newton steps from a start pose.
+    """Iterate pairs and Gauss-Newton steps from a start pose; ``planes`` adds the plane-to-plane term.
 
     Returns
     -------
@@ -162,7 +174,8 @@ def align_icp(
         if len(pairs.residuals) < 50:
             return pose, pairs, None
         centre = pairs.points.mean(axis=0)
-        step = solve(pairs, pair_weights(pairs, tukey, huber), centre, min_eigenvalue)
+        turning = None if planes is None else normal_equations(planes, pose[:3, :3])
+        step = solve(pairs, pair_weights(pairs, tukey, huber), centre, min_eigenvalue, turning)
         pose = about(centre, step.twist) @ pose
         if np.linalg.norm(step.twist[3:]) < 2e-4 and np.linalg.norm(step.twist[:3]) < 2e-6:
             break

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable
 
 import numpy as np
 
+from subiaco_change.geometry import Level
 from subiaco_change.records import Registration
 from subiaco_change.registration.checks import (
     Uncertainty,
@@ -14,6 +16,7 @@ from subiaco_change.registration.checks import (
 )
 from subiaco_change.registration.coarse import propose
 from subiaco_change.registration.config import RegistrationConfig
+from subiaco_change.registration.features import propose_by_features
 from subiaco_change.registration.fitting import (
     Fit,
     Mask,
@@ -31,7 +34,7 @@ from subiaco_change.registration.icp import (
 )
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.errors import InputError, RegistrationError
-from subiaco_geo.frames import Floats
+from subiaco_geo.frames import Floats, transform_points
 
 _LOG = logging.getLogger(__name__)
 
@@ -65,35 +68,61 @@ def _from_identity(before: Side, after: Side, targets: list[Target], config: Reg
 
 def _from_search(before: Side, after: Side, targets: list[Target], config: RegistrationConfig) -> Fit:
     """Refine the best of the proposed start poses."""
-    candidates = propose(before.levels[0], after.levels[0], config.coarse_pixel, config.coarse_candidates)
+    coarsest = before.levels[0], after.levels[0]
+    if config.coarse_method == "features":
+        candidates = propose_by_features(*coarsest, config.features, config.seed)
+    else:
+        candidates = propose(*coarsest, config.coarse_pixel, config.coarse_candidates)
     if not candidates:
-        raise RegistrationError(
-            "coarse: nothing stands in the clouds that could fix a position; give --transform"
-        )
+        raise RegistrationError("coarse: nothing in the clouds could fix a position; give --transform")
     poses = [candidate.pose for candidate in candidates]
-    for cells, keep in (((1.0,), 5), ((0.5,), 1)):
+    for cells in ((1.0,), (0.5,)):
         moved = [refine_coarsely(before, after, pose, config, cells) for pose in poses]
-        scores = [measure_quality(before.levels[0], targets[0], pose, config.tukey).score for pose in moved]
-        best = np.argsort(scores, kind="stable")[::-1][:keep]
-        _LOG.debug("coarse candidates score %s", np.round(scores))
-        poses = [moved[i] for i in best]
+        poses, scores = _places(moved, before.levels[0], targets[0], config.tukey)
+        _LOG.debug("coarse poses score %s", np.round(scores))
+    if len(scores) > 1 and scores[1] > config.max_rival * scores[0]:
+        raise RegistrationError(
+            "coarse: the place is ambiguous: another pose fits "
+            f"{scores[1] / max(scores[0], 1e-9):.2f} times as well (> {config.max_rival}); give --transform"
+        )
     return refine(before, after, targets, poses[0], "coarse", config)
 
 
-def _attempt(before: Side, after: Side, georeferenced: bool, config: RegistrationConfig) -> Fit:
+def _places(
+    poses: list[Floats], source: Level, target: Target, tolerance: float, count: int = 5, gap: float = 2.0
+) -> tuple[list[Floats], list[float]]:
+    """Return the best poses that place the points more than a gap [m] apart, best first, and their scores."""
+    scores = [measure_quality(source, target, pose, tolerance).score for pose in poses]
+    sample = source.xyz[:: max(len(source.xyz) // 100, 1)]
+    placed = [transform_points(pose, sample) for pose in poses]
+    kept: list[int] = []
+    for i in np.argsort(scores, kind="stable")[::-1]:
+        if all(np.linalg.norm(placed[i] - placed[k], axis=1).mean() > gap for k in kept):
+            kept.append(int(i))
+    return [poses[i] for i in kept[:count]], [scores[i] for i in kept[:count]]
+
+
+def _attempt(
+    before: Side, after: Side, start: Floats | None, georeferenced: bool, config: RegistrationConfig
+) -> Fit:
     """Try the start poses that the inputs allow, and return the first fit that passes every check."""
     targets = [make_target(level) for level in after.levels]
-    attempts = [] if config.coarse == "always" else [_from_identity]
-    if config.coarse == "always" or (config.coarse == "auto" and not georeferenced):
-        attempts.append(_from_search)
+    attempts: list[Callable[[], Fit]]
+    if start is not None:
+        attempts = [lambda: refine(before, after, targets, start, "earlier fit", config)]
+    else:
+        attempts = [lambda: _from_identity(before, after, targets, config)]
+        if config.coarse == "always" or (config.coarse == "auto" and not georeferenced):
+            attempts.append(lambda: _from_search(before, after, targets, config))
+        attempts = attempts[1:] if config.coarse == "always" else attempts
     reasons = []
     for attempt in attempts:
         try:
-            fit = attempt(before, after, targets, config)
+            fit = attempt()
         except RegistrationError as error:
             reasons.append(str(error))
             continue
-        failed = complaints(fit, config)
+        failed = complaints(fit, georeferenced or start is not None, config)
         if not failed:
             return fit
         reasons.append(f"{fit.start}: " + "; ".join(failed))
@@ -105,12 +134,21 @@ def _attempt(before: Side, after: Side, georeferenced: bool, config: Registratio
     )
 
 
+def _between(T_world: Floats, sides: tuple[Side, Side], origin: Floats) -> Floats:
+    """Bring a world transform to the centred frames of two sides about one origin (3,)."""
+    local = T_world.copy()
+    centres = origin + sides[0].centre, origin + sides[1].centre
+    local[:3, 3] = T_world[:3, :3] @ centres[0] + T_world[:3, 3] - centres[1]
+    return local
+
+
 def register(
     before: PointCloud,
     after: PointCloud,
     config: RegistrationConfig,
     exclude_before: Mask | None = None,
     exclude_after: Mask | None = None,
+    start: Registration | None = None,
 ) -> Registration:
     """Find the rigid transform from *before* to *after*.
 
@@ -121,6 +159,8 @@ def register(
     config : RegistrationConfig
     exclude_before, exclude_after : (N,) bool, optional
         Points that must not take part, e.g. what a first pass calls changed.
+    start : Registration, optional
+        An earlier fit of the same clouds, refined instead of searching anew.
 
     Returns
     -------
@@ -137,7 +177,8 @@ def register(
         prepare(after_here, exclude_after, "after", config),
     )
     georeferenced = before.crs is not None and after.crs is not None
-    fit = _attempt(*sides, georeferenced, config)
+    pose = None if start is None else _between(start.T_after_before, sides, before.origin)
+    fit = _attempt(*sides, pose, georeferenced, config)
     return _report(fit, sides, before.origin, f"{fit.start} + NDT + point-to-plane ICP", config)
 
 
@@ -164,8 +205,7 @@ def given_registration(
     origin = before.origin
     after_here = after.rebased(origin)
     sides = (prepare(before, None, "before", config), prepare(after_here, None, "after", config))
-    local = T_world.copy()
-    local[:3, 3] = rotation @ (origin + sides[0].centre) + T_world[:3, 3] - (origin + sides[1].centre)
+    local = _between(T_world, sides, origin)
     targets = [make_target(level) for level in sides[1].levels]
     try:
         fit = judge(sides[0], targets, local, local, method, config)
