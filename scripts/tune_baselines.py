@@ -54,12 +54,13 @@ class Case:
     def score(self, method: str, config: BaselineConfig) -> Ints:
         """Return the 5x6 matrix of a method."""
         said = compare_pair(self.pair, method, config)
-        codes, _ = look_up(_cells(said.before, said.after), self.truth.keys)
+        codes, _ = look_up(cells_of(said.before, said.after), self.truth.keys)
         labelled = (self.truth.codes < 5) & (codes != 254)
         return confusion(self.truth.codes[labelled], codes[labelled])
 
 
-def _cells(before: PointCloud, after: PointCloud) -> Cells:
+def cells_of(before: PointCloud, after: PointCloud) -> Cells:
+    """Return the cells of labelled points of both epochs, by the published protocol."""
     clouds = (before, after)
     return rasterise(
         np.concatenate([c.world() for c in clouds]),
@@ -75,7 +76,7 @@ def prepare(survey: Path, config: BaselineConfig) -> Case:
     epochs = (load_epoch(survey / epoch) for epoch in ("before", "after"))
     pair, _ = prepare_pair(*epochs, config, truth.T_after_before)
     real = in_after_frame(truth)
-    return Case(pair, _cells(real["before"], real["after"]))
+    return Case(pair, cells_of(real["before"], real["after"]))
 
 
 def pooled(cases: Iterable[Case], method: str, config: BaselineConfig) -> float:

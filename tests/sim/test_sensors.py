@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from ouster.sdk.core import FrameBatcher, LidarFrame, LidarPacket, PacketFormat
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
@@ -16,7 +17,7 @@ from subiaco_sim.ground import Road, Terrain
 from subiaco_sim.imu import GRAVITY, simulate_imu
 from subiaco_sim.lidar import Lidar, column_times, points_of
 from subiaco_sim.motion import Motion, drive
-from subiaco_sim.packets import TimedPacket, sensor_info, with_faults
+from subiaco_sim.packets import PacketMaker, TimedPacket, sensor_info, with_faults
 from subiaco_sim.plants import Tree
 from subiaco_sim.primitives import Material, box
 from subiaco_sim.scene import CompiledScene, compile_meshes
@@ -152,6 +153,34 @@ def test_a_second_return_lies_behind_the_first_and_only_where_foliage_let_the_be
     assert (scan.first.object_id[both] == 1).all()
     assert (scan.second.range_mm[both] > scan.first.range_mm[both] + 150).all()
     assert (scan.second.range_mm[~both] == 0).all()
+
+
+@pytest.mark.parametrize("dual", [False, True])
+@pytest.mark.parametrize("beams", [64, 128])
+@pytest.mark.parametrize("mode", list(LidarMode))
+def test_every_sensor_there_is_comes_back_through_the_sensor_makers_decoder(
+    mode: LidarMode, beams: int, dual: bool
+) -> None:
+    info = sensor_info(mode, dual, beams)
+    lidar = Lidar(info, LidarConfig(divergence=1e-3), dual)
+    tree = Tree(9.0, 3.0, 6.0, 0.2, form=1, leaves=2).mesh().placed(8.0, 0.0, 0.0)
+    scene = compile_meshes([(0, box(300, 300, 1.0, Material.CONCRETE).placed(0, 0, -1.0)), (1, tree)])
+    pose = np.tile(make_pose(np.eye(3), [0.0, 0.0, 2.0]), (mode.columns, 1, 1))
+    times_ns = column_times(START_NS, 0, mode.columns)
+    scan = lidar.scan(scene, 0, times_ns, pose, np.random.default_rng(4))
+    layout, batcher, frame = PacketFormat(info), FrameBatcher(info), LidarFrame(info)
+    for packet in PacketMaker(info).packets(scan):
+        raw = LidarPacket(layout)
+        raw.buf[:] = np.frombuffer(packet.buf, np.uint8)
+        batcher.batch(raw, frame)
+    assert frame.complete()
+    assert scan.first.range_mm.shape == (beams, mode.columns)
+    np.testing.assert_array_equal(frame.timestamp.astype(np.int64), times_ns)
+    np.testing.assert_array_equal(frame.field("RANGE"), scan.first.range_mm)
+    assert ("RANGE2" in frame.fields) == dual
+    if scan.second is not None:
+        assert (scan.second.range_mm > 0).sum() > 20
+        np.testing.assert_array_equal(frame.field("RANGE2"), scan.second.range_mm)
 
 
 def numbered(count: int) -> list[TimedPacket]:
