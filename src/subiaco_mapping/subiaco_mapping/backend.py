@@ -11,9 +11,9 @@ from subiaco_geo.errors import InputError
 from subiaco_geo.maps import SurveyMap
 from subiaco_mapping.chains import chain_of, place_sequences, summary
 from subiaco_mapping.config import MappingConfig
-from subiaco_mapping.graph import solve
+from subiaco_mapping.graph.solver import solve
 from subiaco_mapping.map_builder import ProgressCallback, build_map, silent
-from subiaco_mapping.measurements import DeskewedScan, Extrinsics, GnssFix, OdometryPose
+from subiaco_mapping.measurements import DeskewedScan, Extrinsics, GnssFix, HeadingSample, OdometryPose
 from subiaco_mapping.sequences import SequenceRecord
 from subiaco_mapping.solution import GraphSolution
 from subiaco_mapping.spool import Spool
@@ -74,6 +74,11 @@ class MappingBackend:
         if self._current.add_fix(fix):
             self._solution = None
 
+    def on_heading(self, heading: HeadingSample) -> None:
+        """Take one heading of the antenna baseline; an unusable one is counted and left out."""
+        if self._current.add_heading(heading):
+            self._solution = None
+
     def optimize(self) -> GraphSolution:
         """Solve the graph of everything taken so far.
 
@@ -98,8 +103,8 @@ class MappingBackend:
         sequences = self._filled()
         frame, reason = place_sequences(sequences, self._config.gnss)
         chains = [chain_of(sequence, frame, self._config) for sequence in sequences]
-        solutions = solve(chains, self._config.graph, self._config.gnss.kernel)
-        found = zip(sequences, chains, solutions, strict=True)
+        solved = solve(chains, self._config.graph, self._config.gnss)
+        found = zip(sequences, chains, solved.chains, strict=True)
         return GraphSolution(tuple(summary(*item) for item in found), frame, reason)
 
     def build_map(

@@ -8,10 +8,11 @@ import numpy as np
 
 from subiaco_geo.crs import EnuFrame
 from subiaco_geo.errors import InputError
-from subiaco_geo.frames import invert_pose, make_pose
+from subiaco_geo.frames import interpolate_poses, invert_pose, make_pose
 from subiaco_mapping import gnss
 from subiaco_mapping.config import GnssConfig, MappingConfig
-from subiaco_mapping.graph import Chain, ChainSolution, GnssPriors, gravity_priors
+from subiaco_mapping.graph.gravity import gravity_priors
+from subiaco_mapping.graph.records import Chain, ChainSolution, GnssPriors, HeadingPriors
 from subiaco_mapping.manifest import describe_fixes
 from subiaco_mapping.sequences import SequenceRecord
 from subiaco_mapping.solution import SequenceSolution
@@ -72,24 +73,16 @@ def chain_of(sequence: SequenceRecord, frame: EnuFrame | None, config: MappingCo
     base_up = poses[0, :3, :3] @ sequence.extrinsics.T_base_lidar[2, :3]
     ups = np.einsum("nij,nj->ni", poses[gravity.index, :3, :3], gravity.up)
     up_odom = ups.mean(axis=0) if len(ups) else base_up
-    priors = None
+    priors, heading = None, None
     if frame is None:
         T_world_odom = make_pose(gnss.level_rotation(up_odom), np.zeros(3)) if len(ups) else np.eye(4)
     else:
-        fixes, attachment = _attached(sequence, frame, config.gnss)
-        fixes = fixes.select(attachment.kept)
-        priors = GnssPriors(
-            attachment.index,
-            fixes.enu,
-            attachment.levers,
-            fixes.covariance,
-            fixes.status,
-            gnss.correlation_inflation(fixes.times_ns, config.gnss),
-        )
-        at = poses[attachment.index]
-        antenna = np.einsum("nij,nj->ni", at[:, :3, :3], attachment.levers) + at[:, :3, 3]
-        sigma = np.sqrt(fixes.covariance[:, 0, 0])
-        T_world_odom = gnss.place(antenna, fixes.enu, sigma, up_odom)
+        priors = _fixes_of(sequence, frame, config.gnss)
+        heading = _headings_of(sequence, config.gnss)
+        at = poses[priors.index]
+        antenna = np.einsum("nij,nj->ni", at[:, :3, :3], priors.levers) + at[:, :3, 3]
+        sigma = np.sqrt(priors.covariance[:, 0, 0])
+        T_world_odom = gnss.place(antenna, priors.enu, sigma, up_odom)
     return Chain(
         stamps_ns=stamps_ns,
         T_odom_lidar=poses,
@@ -97,9 +90,41 @@ def chain_of(sequence: SequenceRecord, frame: EnuFrame | None, config: MappingCo
         held=np.array([not (pose.degenerate or pose.predicted) for pose in sequence.poses]),
         segment=np.array([pose.segment for pose in sequence.poses], dtype=np.int64),
         T_world_odom=T_world_odom,
-        gnss=priors,
         gravity=gravity,
+        gnss=priors,
+        heading=heading,
+        anchored=frame is None,
     )
+
+
+def _fixes_of(sequence: SequenceRecord, frame: EnuFrame, config: GnssConfig) -> GnssPriors:
+    fixes, attachment = _attached(sequence, frame, config)
+    fixes = fixes.select(attachment.kept)
+    return GnssPriors(
+        index=attachment.index,
+        times_ns=fixes.times_ns,
+        enu=fixes.enu,
+        levers=attachment.levers,
+        covariance=fixes.covariance,
+        status=fixes.status,
+    )
+
+
+def _headings_of(sequence: SequenceRecord, config: GnssConfig) -> HeadingPriors | None:
+    """Return headings at the scans nearest to them; true north, as ENU is."""
+    if not config.heading or not sequence.headings:
+        return None
+    times_ns = np.array([h.time_ns for h in sequence.headings], dtype=np.int64) + config.time_offset_ns
+    stamps_ns, poses = sequence.stamps_ns, sequence.T_odom_lidar
+    seen = gnss.attach(times_ns, stamps_ns, poses, np.zeros(3), config.max_pose_gap_ns)
+    if len(seen.index) == 0:
+        return None
+    moved = np.swapaxes(poses[seen.index, :3, :3], 1, 2)
+    moved = moved @ interpolate_poses(stamps_ns, poses, times_ns[seen.kept])[:, :3, :3]
+    yaw = np.array([h.yaw for h in sequence.headings])[seen.kept] - np.radians(config.heading_offset_deg)
+    sigma = np.array([h.sigma for h in sequence.headings])[seen.kept]
+    floored = np.hypot(sigma, np.radians(config.heading_sigma_deg))
+    return HeadingPriors(seen.index, yaw, floored, moved @ sequence.extrinsics.T_base_lidar[:3, :3].T)
 
 
 def summary(sequence: SequenceRecord, chain: Chain, solution: ChainSolution) -> SequenceSolution:
@@ -117,6 +142,6 @@ def summary(sequence: SequenceRecord, chain: Chain, solution: ChainSolution) -> 
         fixes_refused=sequence.refused_fixes,
         fixes_unattached=len(sequence.fixes) - used if chain.gnss is not None else len(sequence.fixes),
         fixes_downweighted=int((solution.weights < 0.3).sum()),
-        gnss_states=describe_fixes(status, received, solution.residuals, solution.weights),
-        gnss_inflation=1.0 if chain.gnss is None else chain.gnss.inflation,
+        gnss_states=describe_fixes(status, received, solution),
+        headings_used=0 if chain.heading is None else len(chain.heading.index),
     )

@@ -114,7 +114,15 @@ class GnssConfig(StrictModel):
     correlated_share: float = Field(
         0.6, ge=0, le=1, description="share of a fix's variance that is slow, not new with every fix"
     )
+    epoch_gap_ns: int = Field(
+        2_000_000_000, gt=0, description="after a longer gap, or another status, slow errors start anew [ns]"
+    )
     kernel: float = Field(3.0, gt=0, description="Cauchy kernel on the whitened fix error [sigma]")
+    heading: bool = Field(True, description="use /gnss/heading where it is recorded")
+    heading_offset_deg: float = Field(
+        0.0, ge=-360, le=360, description="heading of the antenna baseline less that of base_link, ccw [deg]"
+    )
+    heading_sigma_deg: float = Field(0.2, gt=0, description="floor of a heading, in quadrature [deg]")
     min_fixes: int = Field(10, ge=3, description="fixes needed to place a sequence")
     min_length: float = Field(20.0, gt=0, description="way they must span [m]")
 
@@ -131,6 +139,7 @@ class GraphConfig(StrictModel):
         le=1,
         description="share of a registration's variance that the chain hands on; rest: jitter",
     )
+    loop_kernel: float = Field(2.0, gt=0, description="Cauchy kernel on the whitened error of a loop [sigma]")
     covariance_stride: int = Field(10, ge=1, description="poses between two marginal covariances")
     segment_sigma_translation: float = Field(20.0, gt=0, description="between two segments [m]")
     segment_sigma_rotation: float = Field(0.5, gt=0, description="between two segments [rad]")

@@ -13,8 +13,14 @@ from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints, invert_pose, make_pose, pose_from_quaternion
 from subiaco_geo.topics import POINTS, TF_STATIC
 from subiaco_mapping.config import FramePose, MappingConfig, SensorsConfig
-from subiaco_mapping.measurements import Extrinsics, GnssFix, ImuSample, Returns, Scan
-
+from subiaco_mapping.measurements import (
+    Extrinsics,
+    GnssFix,
+    HeadingSample,
+    ImuSample,
+    Returns,
+    Scan,
+)
 _FORMATS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 TIME_FIELDS = ("t", "time", "timestamp", "time_stamp", "offset_time", "timeStamp")
 _ABSOLUTE_SECONDS = 1e8
@@ -49,6 +55,15 @@ def fix_from_msg(message: Any) -> GnssFix:
         covariance=np.array(message.position_covariance, dtype=np.float64).reshape(3, 3),
         status=int(message.status.status),
     )
+
+
+def heading_from_msg(message: Any) -> HeadingSample:
+    """Convert the sensor_msgs/Imu of a dual antenna; without a heading its sigma is NaN."""
+    covariance = np.array(message.orientation_covariance, dtype=np.float64)
+    q = message.orientation
+    yaw = np.arctan2(2 * (q.w * q.z + q.x * q.y), 1 - 2 * (q.y**2 + q.z**2))
+    sigma = np.sqrt(covariance[8]) if covariance[0] >= 0 and covariance[8] > 0 else np.nan
+    return HeadingSample(stamp_ns(message.header.stamp), float(yaw), float(sigma))
 
 
 def cloud_array(message: Any) -> NDArray[np.void]:

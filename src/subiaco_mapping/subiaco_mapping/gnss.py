@@ -191,34 +191,6 @@ def place(antenna_odom: Floats, enu: Floats, sigma: Floats, up_odom: Floats) -> 
     return make_pose(turn @ level, shift)
 
 
-def correlation_inflation(times_ns: Ints, config: GnssConfig) -> float:
-    """Return by how much the variance of a mean of fixes exceeds that of independent ones.
-
-    The slow part of a fix's error is a first-order Gauss-Markov process; the mean of its N samples
-    over a span T has the variance ``2 x (1 - x (1 - exp(-1 / x)))``, x the correlation time over T,
-    of a single sample, where independent errors would give 1 / N. Weighting every fix by this factor
-    makes a batch of them as good as it is; one alone is then trusted too little, which the chain of
-    scans makes harmless.
-
-    Parameters
-    ----------
-    times_ns : (N,) int64
-        In time order.
-    config : GnssConfig
-
-    Returns
-    -------
-    float
-        1 where errors are white, up to N.
-    """
-    if len(times_ns) < 2 or config.correlation_time == 0:
-        return 1.0
-    x = config.correlation_time / (float(times_ns[-1] - times_ns[0]) * 1e-9)
-    of_mean = 2 * x * (1 + x * np.expm1(-1 / x))
-    slow = max(len(times_ns) * of_mean, 1.0)
-    return float(1 - config.correlated_share + config.correlated_share * slow)
-
-
 def enough_to_place(enu: Floats, config: GnssConfig) -> str | None:
     """Return None where fixes (N, 3) suffice to place a sequence, else the reason why not."""
     if len(enu) < config.min_fixes:

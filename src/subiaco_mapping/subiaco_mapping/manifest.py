@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from subiaco_geo.frames import Floats, Ints
 from subiaco_mapping.config import ManifestConfig
+from subiaco_mapping.graph.records import ChainSolution
 from subiaco_mapping.measurements import GnssFix, OdometryPose
 
 STATES = {2: "fixed", 1: "float", 0: "single"}
@@ -43,7 +44,8 @@ LEGEND = {
     "downweighted": "fixes that the robust kernel left less than 30 % of their weight",
     "rmse_horizontal_m": "antenna on the map against the fixes used, horizontal [m]",
     "rmse_vertical_m": "the same, vertical [m]",
-    "variance_inflation": "how many times less a fix weighs because its neighbours share its error",
+    "slow_rms_m": "what of that the graph takes for slow errors of the receiver, shared by neighbours [m]",
+    "headings_used": "headings of the antenna baseline that act on the map",
     "dropped_points": "points that were not finite",
     "packets": "LiDAR packets of the whole recording: received, lost, late, duplicate, malformed",
     "dropped_scans": "scans without points or out of order",
@@ -53,7 +55,7 @@ LEGEND = {
 
 
 def describe_fixes(
-    status: Ints, received: Sequence[int], residuals: Floats, weights: Floats
+    status: Ints, received: Sequence[int], solution: ChainSolution
 ) -> dict[str, dict[str, Any]]:
     """Return counts and residuals by RTK state.
 
@@ -63,30 +65,33 @@ def describe_fixes(
         Of the fixes used.
     received : sequence of int
         States of all usable fixes.
-    residuals : (N, 3) float64
-        Antenna minus fix, east north up [m].
-    weights : (N,) float64
-        What the robust kernel left.
+    solution : ChainSolution
+        Residuals, slow errors and weights of the fixes used.
     """
-    found = {}
+    found: dict[str, dict[str, Any]] = {}
     for number, name in STATES.items():
         chosen = np.minimum(status, 2) == number
         count = sum(min(state, 2) == number for state in received)
         if count == 0:
             continue
-        square = (residuals[chosen] ** 2).mean(axis=0) if chosen.any() else np.full(3, np.nan)
+        if not chosen.any():
+            found[name] = {"received": count, "used": 0}
+            continue
+        square = (solution.residuals[chosen] ** 2).mean(axis=0)
+        slow = (solution.slow[chosen] ** 2).sum(axis=1).mean()
         found[name] = {
             "received": count,
             "used": int(chosen.sum()),
-            "downweighted": int((weights[chosen] < 0.3).sum()),
+            "downweighted": int((solution.weights[chosen] < 0.3).sum()),
             "rmse_horizontal_m": _rounded(np.sqrt(square[0] + square[1])),
             "rmse_vertical_m": _rounded(np.sqrt(square[2])),
+            "slow_rms_m": _rounded(np.sqrt(slow)),
         }
     return found
 
 
-def _rounded(value: float) -> float | None:
-    return None if np.isnan(value) else round(float(value), 4)
+def _rounded(value: float) -> float:
+    return round(float(value), 4)
 
 
 def stretches(flags: NDArray[np.bool_], stamps_ns: Ints, positions: Floats) -> list[dict[str, Any]]:

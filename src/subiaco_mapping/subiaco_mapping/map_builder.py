@@ -148,7 +148,7 @@ def describe(
             "refused": solved.fixes_refused,
             "unattached": solved.fixes_unattached,
             "downweighted": solved.fixes_downweighted,
-            "variance_inflation": round(solved.gnss_inflation, 1),
+            "headings_used": solved.headings_used,
             "states": solved.gnss_states,
         }
         facts["dropped_points"] = sequence.dropped_points

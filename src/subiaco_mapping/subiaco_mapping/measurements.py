@@ -44,9 +44,23 @@ class GnssFix:
     status: int
 
     def is_usable(self) -> bool:
-        """Tell whether every number is finite and the status claims a solution."""
+        """Tell whether the numbers are finite, on the earth, and the status claims a solution."""
         numbers = np.array([self.latitude, self.longitude, self.altitude, *self.covariance.ravel()])
-        return bool(self.status >= 0 and np.isfinite(numbers).all())
+        on_earth = abs(self.latitude) <= 90 and abs(self.longitude) <= 360
+        return bool(self.status >= 0 and np.isfinite(numbers).all() and on_earth)
+
+
+@dataclass(frozen=True)
+class HeadingSample:
+    """Yaw of the antenna baseline from east, counter-clockwise [rad], and its sigma [rad]."""
+
+    time_ns: int
+    yaw: float
+    sigma: float
+
+    def is_usable(self) -> bool:
+        """Tell whether both numbers are finite and the sigma claims a heading."""
+        return bool(np.isfinite([self.yaw, self.sigma]).all() and 0 <= self.sigma < 0.5)
 
 
 @dataclass(frozen=True)

@@ -12,10 +12,16 @@ from subiaco_geo.bags import BagReader, hash_bag, packet_from_cdr, require_topic
 from subiaco_geo.crs import require_map_crs
 from subiaco_geo.errors import InputError
 from subiaco_geo.maps import SurveyMap
-from subiaco_geo.topics import FIX, IMU, LIDAR_PACKETS, MESSAGE_TYPES, METADATA, POINTS, TF_STATIC
+from subiaco_geo.topics import FIX, HEADING, IMU, LIDAR_PACKETS, MESSAGE_TYPES, METADATA, POINTS, TF_STATIC
 from subiaco_mapping.backend import MappingBackend
 from subiaco_mapping.config import MappingConfig
-from subiaco_mapping.conversions import extrinsics_from_tf, fix_from_msg, imu_from_msg, scan_from_points
+from subiaco_mapping.conversions import (
+    extrinsics_from_tf,
+    fix_from_msg,
+    heading_from_msg,
+    imu_from_msg,
+    scan_from_points,
+)
 from subiaco_mapping.frontend import FrontendOutput, OdometryFrontend
 from subiaco_mapping.map_builder import ProgressCallback, silent
 from subiaco_mapping.measurements import Extrinsics
@@ -64,7 +70,7 @@ def run_sequence(
 ) -> None:
     """Feed one bag through the front end into the back end."""
     lidar = lidar_topic(reader)
-    for topic in (IMU, FIX):
+    for topic in (IMU, FIX, HEADING):
         if topic in reader.topics:
             require_topic(reader, topic, MESSAGE_TYPES[topic])
     extrinsics = read_extrinsics(reader, config)
@@ -86,10 +92,11 @@ def run_sequence(
         POINTS: lambda m: feed(frontend.on_points(scan_from_points(reader.deserialize(m), config))),
         IMU: lambda m: feed(frontend.on_imu(imu_from_msg(reader.deserialize(m)))),
         FIX: lambda m: backend.on_fix(fix_from_msg(reader.deserialize(m))),
+        HEADING: lambda m: backend.on_heading(heading_from_msg(reader.deserialize(m))),
     }
     span_ns = max(reader.end_ns - reader.start_ns, 1)
     shown = -1
-    for message in reader.messages({lidar, IMU, FIX}):
+    for message in reader.messages({lidar, IMU, FIX, HEADING}):
         steps[message.topic](message)
         percent = 100 * (message.log_time_ns - reader.start_ns) // span_ns
         if percent > shown:

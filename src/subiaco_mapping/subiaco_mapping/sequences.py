@@ -9,7 +9,7 @@ import numpy as np
 
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
-from subiaco_mapping.measurements import DeskewedScan, Extrinsics, GnssFix, OdometryPose
+from subiaco_mapping.measurements import DeskewedScan, Extrinsics, GnssFix, HeadingSample, OdometryPose
 from subiaco_mapping.spool import Spool
 
 
@@ -27,6 +27,8 @@ class SequenceRecord:
     dropped_points: int = 0
     fixes: list[GnssFix] = field(default_factory=list)
     refused_fixes: int = 0
+    headings: list[HeadingSample] = field(default_factory=list)
+    refused_headings: int = 0
     facts: dict[str, Any] = field(default_factory=dict)
 
     @property
@@ -56,4 +58,12 @@ class SequenceRecord:
             self.fixes.append(fix)
             return True
         self.refused_fixes += 1
+        return False
+
+    def add_heading(self, heading: HeadingSample) -> bool:
+        """Take one heading; one without a usable sigma is counted, left out and answered False."""
+        if heading.is_usable():
+            self.headings.append(heading)
+            return True
+        self.refused_headings += 1
         return False

@@ -25,8 +25,7 @@ class SequenceSolution:
     fixes_used, fixes_refused, fixes_unattached, fixes_downweighted : int
     gnss_states : dict
         Counts and residuals by RTK state, see :func:`subiaco_mapping.manifest.describe_fixes`.
-    gnss_inflation : float
-        Of the fixes' variance.
+    headings_used : int
     """
 
     name: str
@@ -39,7 +38,7 @@ class SequenceSolution:
     fixes_unattached: int
     fixes_downweighted: int
     gnss_states: dict[str, Any] = field(default_factory=dict)
-    gnss_inflation: float = 1.0
+    headings_used: int = 0
 
 
 @dataclass(frozen=True)

@@ -13,7 +13,7 @@ from typing import Any, Protocol
 from nav_msgs.msg import Odometry
 from pydantic import Field
 from rclpy.node import Node
-from sensor_msgs.msg import NavSatFix, PointCloud2
+from sensor_msgs.msg import Imu, NavSatFix, PointCloud2
 from std_msgs.msg import String
 
 from subiaco_geo.atomic import refuse_existing
@@ -23,11 +23,17 @@ from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError, SubiacoError
 from subiaco_geo.maps import SurveyMap, write_map
 from subiaco_geo.simulated import mark_simulated
-from subiaco_geo.topics import FIX, TF_STATIC
+from subiaco_geo.topics import FIX, HEADING, TF_STATIC
 from subiaco_mapping.backend import MappingBackend
 from subiaco_mapping.config import MappingConfig
-from subiaco_mapping.conversions import fix_from_msg, stamp_ns
-from subiaco_mapping.measurements import DeskewedScan, Extrinsics, GnssFix, OdometryPose
+from subiaco_mapping.conversions import fix_from_msg, heading_from_msg, stamp_ns
+from subiaco_mapping.measurements import (
+    DeskewedScan,
+    Extrinsics,
+    GnssFix,
+    HeadingSample,
+    OdometryPose,
+)
 from subiaco_mapping.nodes.counts import ConsumptionReporter
 from subiaco_mapping.nodes.extrinsics import StaticTransforms, sensors_needed
 from subiaco_mapping.nodes.flow import ConsumedCounter
@@ -60,7 +66,18 @@ from tf2_msgs.msg import TFMessage
 
 LOGGER = logging.getLogger(__name__)
 
-INPUTS = (TF_STATIC, FIX, ODOMETRY, CLOUD, QUALITY, FACTS, ODOMETRY_SEQUENCE, ODOMETRY_END, SEQUENCE)
+INPUTS = (
+    TF_STATIC,
+    FIX,
+    HEADING,
+    ODOMETRY,
+    CLOUD,
+    QUALITY,
+    FACTS,
+    ODOMETRY_SEQUENCE,
+    ODOMETRY_END,
+    SEQUENCE,
+)
 
 Progress = Callable[[str, float], None]
 
@@ -93,6 +110,9 @@ class Backend(Protocol):
 
     def on_fix(self, fix: GnssFix) -> None:
         """Take a fix."""
+
+    def on_heading(self, heading: HeadingSample) -> None:
+        """Take a heading."""
 
     def optimize(self) -> GraphSolution:
         """Solve."""
@@ -138,6 +158,7 @@ class PoseGraphApp:
         handlers: tuple[tuple[Any, str, Callable[[Any], object], Any], ...] = (
             (TFMessage, TF_STATIC, self._on_tf_static, latched(100)),
             (NavSatFix, FIX, self._on_fix, reliable(1000)),
+            (Imu, HEADING, self._on_heading, reliable(1000)),
             (Odometry, ODOMETRY, lambda m: self._on_part(ODOMETRY, m), reliable(32)),
             (ScanQuality, QUALITY, lambda m: self._on_part(QUALITY, m), reliable(32)),
             (PointCloud2, CLOUD, lambda m: self._on_part(CLOUD, m), reliable(32)),
@@ -224,6 +245,10 @@ class PoseGraphApp:
     def _on_fix(self, message: NavSatFix) -> None:
         self._started()
         self._backend.on_fix(fix_from_msg(message))
+
+    def _on_heading(self, message: Imu) -> None:
+        self._started()
+        self._backend.on_heading(heading_from_msg(message))
 
     def _on_facts(self, message: String) -> None:
         self._started()
