@@ -1,4 +1,4 @@
-"""Ground patches: what is large enough, high enough, and not a bias of the registration."""
+"""Ground patches: what is large enough and high enough."""
 
 import numpy as np
 import pytest
@@ -26,7 +26,7 @@ def patches(lift, **config):
     return found.patches
 
 
-def test_a_change_that_fills_a_tile_survives_the_removal_of_the_bias():
+def test_a_change_that_fills_a_tile_is_one_patch():
     found = patches(lambda x, y: -0.3 * ((x > 20) & (x < 40) & (y > 40) & (y < 60)))
     assert [p.change for p in found] == [Change.DECREASED]
     assert found[0].dz == pytest.approx(-0.3, abs=0.02)
@@ -44,12 +44,10 @@ def test_a_narrow_strip_is_found():
     [
         lambda x, y: 0.1 * ((x > 20) & (x < 60)),
         lambda x, y: 0.4 * ((x > 20) & (x < 24) & (y > 20) & (y < 24)),
-        lambda x, y: 0.08 * np.sin(x / 60.0),
-        lambda x, y: 0.05 + 0.0 * x,
     ],
-    ids=["camber", "small", "warp", "offset"],
+    ids=["camber", "small"],
 )
-def test_low_small_and_long_wave_differences_are_no_changes(lift):
+def test_low_and_small_differences_are_no_changes(lift):
     assert patches(lift) == ()
 
 

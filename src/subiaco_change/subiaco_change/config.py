@@ -14,6 +14,7 @@ from subiaco_change.changes.ground_change import GroundChangeConfig
 from subiaco_change.changes.measures import MeasureConfig
 from subiaco_change.observation.evidence import EvidenceConfig
 from subiaco_change.observation.lod import LodConfig
+from subiaco_change.observation.placing import PlacingConfig
 from subiaco_change.registration.config import RegistrationConfig
 from subiaco_change.semantics.classes import SemanticsConfig
 from subiaco_change.semantics.instances import InstanceConfig
@@ -36,6 +37,7 @@ class ChangeConfig(StrictModel):
     )
     without: tuple[Part, ...] = Field((), description="parts left out, for ablations")
     registration: RegistrationConfig = RegistrationConfig()
+    placing: PlacingConfig = PlacingConfig()
     lod: LodConfig = LodConfig()
     evidence: EvidenceConfig = EvidenceConfig()
     semantics: SemanticsConfig = SemanticsConfig()

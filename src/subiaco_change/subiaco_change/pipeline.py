@@ -19,7 +19,7 @@ from subiaco_change.config import ChangeConfig
 from subiaco_change.geometry import estimate_normals
 from subiaco_change.observation.common_frame import CommonFrame, seen_through
 from subiaco_change.observation.evidence import Observer, make_observer
-from subiaco_change.observation.lod import level_of_detection
+from subiaco_change.observation.placing import place
 from subiaco_change.records import ChangeRecord, ChangeResult, Registration
 from subiaco_change.registration.pair import PairInfo, check_pair
 from subiaco_change.registration.register import given_registration, register
@@ -28,6 +28,7 @@ from subiaco_change.semantics.ground import Mask
 from subiaco_change.semantics.instances import segment
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Change, Semantic
+from subiaco_geo.errors import RegistrationError
 from subiaco_geo.frames import Floats
 from subiaco_geo.maps import SurveyMap
 
@@ -57,8 +58,9 @@ class _Stages:
 
 @dataclass(frozen=True)
 class _Epoch:
-    """One epoch at the working leaf: its cloud with normals, its labels, and its observer."""
+    """One epoch at the working leaf: its map, cloud with normals, labels, and observer."""
 
+    survey: SurveyMap
     cloud: PointCloud
     semantic: SemanticResult
     instance: NDArray[np.int32]
@@ -118,16 +120,16 @@ def detect_changes(
     stages.start("registration", 0.05)
     registration = _register(clouds[0], clouds[1], config, transform)
     epochs = []
-    for number, (cloud, observer) in enumerate(zip(clouds, observers, strict=True)):
+    for number, survey in enumerate((before, after)):
         stages.start("semantics", 0.25 + 0.2 * number)
-        epochs.append(_prepare(cloud, observer, config))
+        epochs.append(_prepare(survey, clouds[number], observers[number], config))
     result = _compare(epochs[0], epochs[1], registration, config, stages)
     if transform is None and config.second_registration:
         stages.start("second registration", 0.75)
-        again = _register(clouds[0], clouds[1], config, None, _changed(result, 0), _changed(result, 1))
+        changed = _changed(result, 0), _changed(result, 1)
+        again = _again(registration, clouds, changed, config)
         if _shift(registration, again, clouds[0]) > config.second_shift:
-            result = _compare(epochs[0], epochs[1], again, config, stages)
-        registration = again if result.frame.registration is again else registration
+            result = _compare(epochs[0], epochs[1], again, config, stages, changed)
     stages.start("table", 0.95)
     return _assemble(result, epochs[0], epochs[1], config, stages, info)
 
@@ -138,36 +140,54 @@ def _with_normals(cloud: PointCloud, config: ChangeConfig) -> PointCloud:
 
 
 def _register(
-    before: PointCloud,
-    after: PointCloud,
-    config: ChangeConfig,
-    transform: Floats | None,
-    exclude_before: Mask | None = None,
-    exclude_after: Mask | None = None,
+    before: PointCloud, after: PointCloud, config: ChangeConfig, transform: Floats | None
 ) -> Registration:
     if transform is None:
-        return register(before, after, config.registration, exclude_before, exclude_after)
+        return register(before, after, config.registration)
     method = "identity" if np.array_equal(transform, np.eye(4)) else "given"
     return given_registration(transform, before, after, config.registration, method)
 
 
-def _prepare(cloud: PointCloud, observer: Observer, config: ChangeConfig) -> _Epoch:
+def _again(
+    first: Registration, clouds: list[PointCloud], changed: tuple[Mask, Mask], config: ChangeConfig
+) -> Registration:
+    """Refine a registration without what its pass calls changed; what passes no check leaves it as it is."""
+    try:
+        return register(clouds[0], clouds[1], config.registration, *changed, start=first)
+    except RegistrationError as error:
+        note = f"the second estimate, without changed places, failed and the first is kept: {error}"
+        _LOG.warning(note)
+        return replace(first, warnings=(*first.warnings, note))
+
+
+def _prepare(survey: SurveyMap, cloud: PointCloud, observer: Observer, config: ChangeConfig) -> _Epoch:
     semantic = label_points(cloud, config.semantics, observer.passes(cloud.world()))
     instances = config.instances.model_copy(update={"leaf": config.leaf})
-    return _Epoch(cloud, semantic, segment(cloud, semantic, instances), observer)
+    return _Epoch(survey, cloud, semantic, segment(cloud, semantic, instances), observer)
 
 
 def _compare(
-    before: _Epoch, after: _Epoch, registration: Registration, config: ChangeConfig, stages: _Stages
+    before: _Epoch,
+    after: _Epoch,
+    registration: Registration,
+    config: ChangeConfig,
+    stages: _Stages,
+    changed: tuple[Mask, Mask] | None = None,
 ) -> _Comparison:
-    frame = CommonFrame(registration, after.cloud.origin)
-    moved = frame.bring(before.cloud)
     stages.start("level of detection", 0.65)
-    sigma = registration.sigma_reg_m
-    lods = (
-        level_of_detection(moved, after.cloud, sigma, config.lod),
-        level_of_detection(after.cloud, moved, sigma, config.lod),
+    unsteady = [np.isin(e.semantic.semantic, (Semantic.VEGETATION, Semantic.MOBILE)) for e in (before, after)]
+    if changed is not None:
+        unsteady = [mask | extra for mask, extra in zip(unsteady, changed, strict=True)]
+    placed = place(
+        (before.cloud, after.cloud),
+        registration,
+        (before.survey, after.survey),
+        (before.semantic.semantic == Semantic.GROUND, after.semantic.semantic == Semantic.GROUND),
+        (unsteady[0], unsteady[1]),
+        config.placing,
+        config.lod,
     )
+    frame, moved, lods = placed.frame, placed.before, placed.lods
     stages.start("objects", 0.7)
     full = (_view(moved, before, lods[0]), _view(after.cloud, after, lods[1]))
     first, second = (view_without(view, config.without, config.measures.voxel) for view in full)

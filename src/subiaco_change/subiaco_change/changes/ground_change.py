@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,9 +33,6 @@ class GroundChangeConfig(StrictModel):
     bridge: int = Field(
         3, ge=1, description="window over which an empty cell takes its neighbours' height [cells]"
     )
-    bias_tile: float = Field(20.0, gt=0, description="tile of the bias field between epochs [m]")
-    bias_reach: int = Field(2, ge=0, description="tiles on each side whose median is the bias (Decision 3)")
-    bias_limit: float = Field(0.10, ge=0, description="largest bias taken as one of registration [m]")
 
 
 @dataclass(frozen=True)
@@ -57,15 +53,13 @@ class GroundComparison:
     """Differences, after minus before, on cells of the common frame.
 
     ``dz`` (rows, columns), row 0 in the south, NaN where either epoch has no
-    ground; ``patch`` (rows, columns) index into ``patches`` or -1; ``bias`` the
-    long-wavelength difference that was removed [m].
+    ground; ``patch`` (rows, columns) index into ``patches`` or -1.
     """
 
     corner: Floats
     cell: float
     dz: Floats
     lod: Floats
-    bias: Floats
     patch: Ints
     patches: tuple[GroundPatch, ...]
 
@@ -93,14 +87,12 @@ def compare_ground(
         for v, m in zip((before, after), ground, strict=True)
     ]
     heights = _bridge(cells[0][0], cells[1][0], config)
-    raw = heights[1] - heights[0]
-    if not np.isfinite(raw).any():
+    dz = heights[1] - heights[0]
+    if not np.isfinite(dz).any():
         return None
-    bias = _bias_field(raw, config)
-    dz = raw - bias
     lod = fill_gaps(np.fmax(cells[0][1], cells[1][1]))
     patch, patches = _find_patches(dz, lod, corner, config)
-    return GroundComparison(corner, config.cell, dz, lod, bias, patch, patches)
+    return GroundComparison(corner, config.cell, dz, lod, patch, patches)
 
 
 def _cell_heights(
@@ -139,35 +131,6 @@ def _bridge(before: Floats, after: Floats, config: GroundChangeConfig) -> tuple[
         enough = weight * config.bridge**2 > 1.5
         bridged.append(np.where(mask, values, np.where(enough, mean, np.nan)))
     return bridged[0], bridged[1]
-
-
-def _bias_field(raw: Floats, config: GroundChangeConfig) -> Floats:
-    """Estimate the long-wavelength difference: the median of tile medians over a wide window.
-
-    A change that fills a tile, or a few, does not move the median of the
-    window; what exceeds ``bias_limit`` is never taken for a bias.
-    """
-    per_tile = round(config.bias_tile / config.cell)
-    rows, columns = (-(-n // per_tile) for n in raw.shape)
-    padded = np.full((rows * per_tile, columns * per_tile), np.nan)
-    padded[: raw.shape[0], : raw.shape[1]] = raw
-    tiles = padded.reshape(rows, per_tile, columns, per_tile).transpose(0, 2, 1, 3).reshape(rows, columns, -1)
-    medians = np.full((rows, columns), np.nan)
-    filled = np.isfinite(tiles).sum(axis=2) >= 0.02 * per_tile**2
-    medians[filled] = np.nanmedian(tiles[filled], axis=1)
-    if not filled.any():
-        return np.full(raw.shape, float(np.clip(np.nanmedian(raw), -config.bias_limit, config.bias_limit)))
-    window = 2 * config.bias_reach + 1
-    wide = ndimage.generic_filter(medians, _nan_median, size=window, mode="constant", cval=np.nan)
-    smooth = fill_gaps(np.clip(wide, -config.bias_limit, config.bias_limit))
-    row, column = np.mgrid[: raw.shape[0], : raw.shape[1]]
-    where = [(row + 0.5) / per_tile - 0.5, (column + 0.5) / per_tile - 0.5]
-    return np.asarray(ndimage.map_coordinates(smooth, where, order=1, mode="nearest"))
-
-
-def _nan_median(values: Floats) -> float:
-    known = values[np.isfinite(values)]
-    return float(np.median(known)) if len(known) else math.nan
 
 
 def _find_patches(

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from subiaco_change.observation.smooth_field import SmoothField
 from subiaco_change.records import Registration
 from subiaco_change.semantics.ground import Mask
 from subiaco_geo.clouds import PointCloud
@@ -15,16 +16,36 @@ from subiaco_geo.frames import Floats, invert_pose, transform_points
 
 @dataclass(frozen=True)
 class CommonFrame:
-    """The local frame of *after*: its world coordinates minus ``origin`` [m]."""
+    """The local frame of *after*: its world coordinates minus ``origin`` [m].
+
+    ``corrections`` move *before* after the rigid transform, one upon the
+    other. They serve the comparison; ``T_after_before`` stays rigid.
+    """
 
     registration: Registration
     origin: Floats
+    corrections: tuple[SmoothField, ...] = ()
+
+    def corrected(self, correction: SmoothField | None) -> CommonFrame:
+        """Return the frame with one more correction, if there is one."""
+        if correction is None:
+            return self
+        return replace(self, corrections=(*self.corrections, correction))
+
+    @property
+    def T_frame_before(self) -> Floats:
+        """Rigid 4x4 from world coordinates of *before* to the frame."""
+        T = self.registration.T_after_before.copy()
+        T[:3, 3] -= self.origin
+        return T
 
     def bring(self, before: PointCloud) -> PointCloud:
         """Move *before* into the frame, its CRS becoming that of *after*; normals turn with it."""
         r = self.registration
         centred = before.xyz + (before.origin - r.origin)
         xyz = transform_points(r.T_local, centred) + (r.origin - self.origin)
+        for correction in self.corrections:
+            xyz = xyz + correction.at(xyz)
         fields = dict(before.fields)
         if "normals" in fields:
             fields["normals"] = np.asarray(fields["normals"], dtype=np.float64) @ r.T_local[:3, :3].T
@@ -33,6 +54,9 @@ class CommonFrame:
     def before_world(self, xyz: Floats) -> Floats:
         """World coordinates that points (N, 3) of the frame have in *before*."""
         r = self.registration
+        for correction in reversed(self.corrections):
+            # so smooth a field differs by micrometres between a place and where it came from
+            xyz = xyz - correction.at(xyz)
         return transform_points(invert_pose(r.T_local), xyz + (self.origin - r.origin)) + r.origin
 
     def after_world(self, xyz: Floats) -> Floats:

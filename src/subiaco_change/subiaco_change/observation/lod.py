@@ -24,8 +24,10 @@ class LodConfig(StrictModel):
     """Level of detection (method B7, Decision 4)."""
 
     radius: float = Field(1.0, gt=0, description="radius of the cylinder along the point's own normal [m]")
-    self_half_length: float = Field(0.5, gt=0, description="cylinder in the own epoch: half length [m]")
-    half_length: float = Field(1.0, gt=0, description="cylinder in the other epoch: half length [m]")
+    self_half_length: float = Field(0.5, gt=0, description="cylinder in both epochs: half length [m]")
+    half_length: float = Field(
+        1.0, gt=0, description="half length in the other epoch where the short one holds too little [m]"
+    )
     min_count: int = Field(8, ge=1, description="points below which nothing is claimed (infinite LoD)")
     normal_agreement: float = Field(
         0.5,
@@ -159,6 +161,75 @@ def combine(variance: Floats, sigma_reg: Floats | float, how: str) -> Floats:
     return _Z95 * np.sqrt(variance + sigma**2)
 
 
+@dataclass(frozen=True)
+class Displacements:
+    """Cylinder means of two epochs compared at every point of one; see :class:`LodResult`.
+
+    ``variance`` (N,) [m2] is that of ``distance``, without registration and
+    without floors, ``floored`` the same with each epoch's share not below
+    ``noise^2``. NaN where nothing is claimed.
+    """
+
+    distance: Floats
+    variance: Floats
+    floored: Floats
+    own: CylinderStats
+    other: CylinderStats
+
+
+def measure_displacements(
+    cloud_self: PointCloud, cloud_other: PointCloud, config: LodConfig
+) -> Displacements:
+    """Measure displacement and its variance at every point of one epoch.
+
+    Both epochs are looked at through the same short cylinder. Only where the
+    other epoch has too little in it does its longer one count: a longer look in one epoch
+    alone takes in what lies beside the surface, and calls that a displacement.
+
+    Raises
+    ------
+    InputError
+        The clouds have different origins.
+    """
+    if not np.array_equal(cloud_self.origin, cloud_other.origin):
+        raise InputError("the two clouds have different origins; rebase them to one first")
+    normals = _normals_of(cloud_self, config.normal_radius)
+    normals_other = _normals_of(cloud_other, config.normal_radius)
+
+    def look(points: Floats, point_normals: Floats, half_length: float) -> CylinderStats:
+        return cylinder_stats(
+            cloud_self.xyz, normals, points, point_normals, config.radius, half_length,
+            config.normal_agreement,
+        )  # fmt: skip
+
+    own = look(cloud_self.xyz, normals, config.self_half_length)
+    other = look(cloud_other.xyz, normals_other, config.half_length)
+    if config.half_length > config.self_half_length:
+        near = look(cloud_other.xyz, normals_other, config.self_half_length)
+        enough = near.count >= config.min_count
+        other = CylinderStats(
+            np.where(enough, near.mean, other.mean),
+            np.where(enough, near.std, other.std),
+            np.where(enough, near.count, other.count),
+        )
+    known = (own.count >= config.min_count) & (other.count >= config.min_count)
+    shares = [s.std**2 / np.maximum(s.count, 1) for s in (own, other)]
+    floored = [np.maximum(share, config.noise**2) for share in shares]
+    return Displacements(
+        np.where(known, other.mean - own.mean, np.nan),
+        np.where(known, shares[0] + shares[1], np.nan),
+        np.where(known, floored[0] + floored[1], np.nan),
+        own,
+        other,
+    )
+
+
+def lod_of(found: Displacements, sigma_reg: Floats | float, config: LodConfig) -> NDArray[np.float32]:
+    """Return LoD95 (N,) [m] of measured displacements; infinite where nothing is claimed."""
+    lod = combine(found.floored, sigma_reg, config.combine)
+    return np.where(np.isfinite(lod), lod, np.inf).astype(np.float32)
+
+
 def compare_epochs(
     cloud_self: PointCloud, cloud_other: PointCloud, sigma_reg: Floats | float, config: LodConfig
 ) -> LodResult:
@@ -179,25 +250,13 @@ def compare_epochs(
     and N of the point's own cylinder and each ``s^2/N`` not below ``noise^2``
     (Decision 4).
     """
-    if not np.array_equal(cloud_self.origin, cloud_other.origin):
-        raise InputError("the two clouds have different origins; rebase them to one first")
-    normals = _normals_of(cloud_self, config.normal_radius)
-    own = cylinder_stats(
-        cloud_self.xyz, normals, cloud_self.xyz, normals, config.radius, config.self_half_length,
-        config.normal_agreement,
-    )  # fmt: skip
-    other = cylinder_stats(
-        cloud_self.xyz, normals, cloud_other.xyz, _normals_of(cloud_other, config.normal_radius),
-        config.radius, config.half_length, config.normal_agreement,
-    )  # fmt: skip
-    variance = sum(np.maximum(s.std**2 / np.maximum(s.count, 1), config.noise**2) for s in (own, other))
-    known = (own.count >= config.min_count) & (other.count >= config.min_count)
-    lod = np.where(known, combine(np.asarray(variance), sigma_reg, config.combine), np.inf)
-    distance = np.where(known, other.mean - own.mean, np.nan)
-    s_self, s_other = (np.where(s.count > 0, s.std, np.nan).astype(np.float32) for s in (own, other))
+    found = measure_displacements(cloud_self, cloud_other, config)
+    s_self, s_other = (
+        np.where(s.count > 0, s.std, np.nan).astype(np.float32) for s in (found.own, found.other)
+    )
     return LodResult(
-        lod.astype(np.float32), distance.astype(np.float32), s_self, s_other,
-        own.count.astype(np.int32), other.count.astype(np.int32),
+        lod_of(found, sigma_reg, config), found.distance.astype(np.float32), s_self, s_other,
+        found.own.count.astype(np.int32), found.other.count.astype(np.int32),
     )  # fmt: skip
 
 
