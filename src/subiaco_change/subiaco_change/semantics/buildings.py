@@ -7,7 +7,7 @@ from pydantic import Field
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from subiaco_change.semantics.clustering import group_reduce
+from subiaco_change.semantics.clustering import group_reduce, voxel_clusters
 from subiaco_change.semantics.features import Features
 from subiaco_change.semantics.ground import Mask
 from subiaco_change.semantics.planes import Patches, planar_patches
@@ -28,6 +28,9 @@ class BuildingConfig(StrictModel):
     wire_linearity: float = Field(
         0.42, gt=0, lt=1, description="mean linearity from which a patch so high is a bundle of lines"
     )
+    wire_roughness: float = Field(0.045, gt=0, description="largest roughness of a point of wires [m]")
+    wire_length: float = Field(4.0, gt=0, description="shortest run of wires seen from above [m]")
+    wire_touch: float = Field(0.4, gt=0, description="voxel in which points of wires touch [m]")
     facade_slope: float = Field(0.25, gt=0, description="|n.e_z| of a facade, paper")
     facade_top: float = Field(
         2.3, gt=0, description="height that a facade reaches; lower walls are other [m]"
@@ -95,3 +98,19 @@ def attach_parts(xyz: Floats, core: Mask, free: Mask, foliage: Mask, config: Bui
         reach = np.where(foliage[loose], config.edge, config.attach)
         attached[loose[distance < reach]] = True
     return attached
+
+
+def find_wires(xyz: Floats, height: Floats, roughness: Floats, hard: Mask, config: BuildingConfig) -> Mask:
+    """Tell which hard points are wires, high, thin and long: no part of the crowns around them."""
+    thin = np.flatnonzero(hard & (height > config.wire_height) & (roughness < config.wire_roughness))
+    wires = np.zeros(len(xyz), dtype=bool)
+    if len(thin) == 0:
+        return wires
+    run = voxel_clusters(xyz[thin], config.wire_touch)
+    count = int(run.max()) + 1
+    lows, highs = (
+        np.stack([group_reduce(run, xyz[thin, axis], count, how) for axis in (0, 1)])
+        for how in ("minimum", "maximum")
+    )
+    wires[thin[np.hypot(*(highs - lows))[run] > config.wire_length]] = True
+    return wires

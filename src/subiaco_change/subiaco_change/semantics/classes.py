@@ -8,7 +8,13 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from subiaco_change.semantics.buildings import BuildingConfig, attach_parts, building_core, within_roofs
+from subiaco_change.semantics.buildings import (
+    BuildingConfig,
+    attach_parts,
+    building_core,
+    find_wires,
+    within_roofs,
+)
 from subiaco_change.semantics.clustering import group_indices, group_reduce, voxel_clusters
 from subiaco_change.semantics.features import FeatureConfig, Features, compute_features
 from subiaco_change.semantics.ground import GroundConfig, GroundModel, Mask, fit_ground
@@ -40,6 +46,10 @@ class SemanticsConfig(StrictModel):
     ground_close: float = Field(
         0.15, gt=0, description="band in which kerbs and markings are closed into ground [m]"
     )
+    foot_roughness: float = Field(
+        0.06, gt=0, description="roughness of a point where something stands on the ground [m]"
+    )
+    foot_height: float = Field(0.04, ge=0, description="lowest point of such a foot that is no ground [m]")
     scatter: float = Field(
         0.25,
         gt=0,
@@ -121,13 +131,14 @@ def _classify(
     semantic = np.full(len(xyz), Semantic.OTHER, dtype=np.uint8)
     is_ground = _find_ground(xyz, height, features, parts, ground, config)
     semantic[is_ground] = Semantic.GROUND
+    rest = ~is_ground
+    core = building_core(xyz, height, features, rest, config.buildings)
     moving = np.zeros(len(xyz), dtype=bool)
     if passed is not None:
-        moving = moving_points(xyz, height, features, passed, ~is_ground, config.traffic)
+        moving = moving_points(xyz, height, features, passed, rest & ~core, config.traffic)
     semantic[moving] = Semantic.MOBILE
-    rest = ~is_ground & ~moving
+    rest &= ~moving
     foliage = _find_foliage(height, features, parts, config) & rest
-    core = building_core(xyz, height, features, rest, config.buildings)
     trucks = large_vehicles(xyz, height, core, rest & ~foliage, config.vehicles)
     trucks &= rest
     semantic[trucks] = Semantic.MOBILE
@@ -137,6 +148,7 @@ def _classify(
     is_building = attach_parts(xyz, core, rest, foliage, config.buildings)
     semantic[is_building] = Semantic.BUILDING
     rest &= ~is_building
+    rest &= ~find_wires(xyz, height, features.roughness, rest & ~foliage, config.buildings)
     semantic[rest] = _split_rest(xyz[rest], height[rest], foliage[rest], config)
     upright = (np.abs(features.normals[:, 2]) < config.buildings.facade_slope) & (
         features.roughness < config.buildings.plane_offset
@@ -161,7 +173,10 @@ def _find_ground(
         & (height > -2 * config.ground_close)
         & ~(steep & (height > 0.5 * config.ground_distance))
     )
-    return np.asarray((claimed[parts] & (np.abs(height) < 2 * config.ground_close)) | near)
+    few = min(config.features.min_neighbours, features.distances.shape[1] - 1)
+    dense = features.distances[:, few] < config.features.radius  # else roughness is that of the terrain
+    foot = dense & (features.roughness > config.foot_roughness) & (height > config.foot_height)
+    return np.asarray(((claimed[parts] & (np.abs(height) < 2 * config.ground_close)) | near) & ~foot)
 
 
 def _find_foliage(height: Floats, features: Features, parts: Ints, config: SemanticsConfig) -> Mask:

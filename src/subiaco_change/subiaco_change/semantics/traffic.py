@@ -21,9 +21,9 @@ class TrafficConfig(StrictModel):
     """Evidence of movement: beams that passed through a voxel for each that returned from it."""
 
     ratio: float = Field(
-        25.0, gt=1, description="mean passes a return around a point from which it surely moved"
+        20.0, gt=1, description="mean passes a return around a point from which it surely moved"
     )
-    spread_ratio: float = Field(10.0, gt=1, description="the same for points that touch such ones")
+    spread_ratio: float = Field(7.0, gt=1, description="the same for points that touch such ones")
     core_share: float = Field(0.3, gt=0, le=1, description="share of sure points in a trail")
     bottom: float = Field(0.15, ge=0, description="lowest point of a trail; lower ones are ground [m]")
     top: float = Field(3.8, gt=0, description="highest point of a trail: a bus [m]")
