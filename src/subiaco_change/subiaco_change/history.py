@@ -18,8 +18,7 @@ from shapely.geometry import MultiPolygon
 from subiaco_change.config import ChangeConfig
 from subiaco_change.job import ChangeJob, run_change
 from subiaco_change.outputs.directory import write_layer
-from subiaco_change.outputs.reading import read_change_directory
-from subiaco_change.outputs.reviews import same_objects
+from subiaco_change.outputs.reviews import read_reviewed, same_objects
 from subiaco_geo.atomic import refuse_existing, refuse_foreign, whole_directory
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.errors import InputError
@@ -99,7 +98,9 @@ def run_epochs(
                 first, second, target / f"{before}_to_{after}", transform=transform, parcels=parcels
             )
             run_change(job, config, _share(progress, number, len(names) - 1, f"{before} to {after}"))
-            steps.append(Step(before, after, read_change_directory(job.output).table))
+            table = read_reviewed(job.output)
+            assert table is not None, "written just now"
+            steps.append(Step(before, after, table))
         history = build_history(steps)
         history.drop(columns="geometry").to_csv(target / MARKER, index=False, lineterminator="\n")
         write_layer(target / "history.gpkg", "history", history)

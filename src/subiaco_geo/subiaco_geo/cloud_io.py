@@ -5,6 +5,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from subiaco_geo.clouds import PointCloud
+from subiaco_geo.copc_io import write_copc
 from subiaco_geo.errors import InputError
 from subiaco_geo.las_io import read_las, write_las
 from subiaco_geo.ply_io import read_ply, write_ply
@@ -47,7 +48,7 @@ def read_cloud(path: Path) -> PointCloud:
 
 
 def write_cloud(path: Path, cloud: PointCloud, *, ellipsoidal: bool = True) -> None:
-    """Write a ``.ply``, ``.laz`` or ``.las`` file, whole or not at all.
+    """Write a ``.ply``, ``.laz``, ``.las`` or ``.copc.laz`` file, whole or not at all.
 
     Parameters
     ----------
@@ -65,8 +66,8 @@ def write_cloud(path: Path, cloud: PointCloud, *, ellipsoidal: bool = True) -> N
     path = Path(path)
     suffix = path.suffix.lower()
     if path.name.lower().endswith(".copc.laz"):
-        raise InputError(f"{path}: COPC is not written here; write a plain .laz and convert it")
-    if suffix == ".ply":
+        write_copc(path, cloud, ellipsoidal=ellipsoidal)
+    elif suffix == ".ply":
         write_ply(path, cloud)
     elif suffix in (".laz", ".las"):
         write_las(path, cloud, ellipsoidal=ellipsoidal)

@@ -120,6 +120,13 @@ def write_las(path: Path, cloud: PointCloud, *, ellipsoidal: bool = True) -> Non
     InputError
         Empty cloud, NaN coordinates, unknown CRS, or a field that does not fit.
     """
+    las = las_data(path, cloud, ellipsoidal=ellipsoidal)
+    with whole_file(path) as temporary:
+        las.write(temporary, do_compress=path.suffix.lower() == ".laz")
+
+
+def las_data(path: Path, cloud: PointCloud, *, ellipsoidal: bool = True) -> laspy.LasData:
+    """Return a cloud as LAS 1.4 records, ``path`` for errors; see :func:`write_las`."""
     check_coordinates(path, cloud.xyz)
     crs = read_crs(path, cloud.crs)
     columns = scalar_columns(path, cloud)
@@ -130,8 +137,7 @@ def write_las(path: Path, cloud: PointCloud, *, ellipsoidal: bool = True) -> Non
     las.points = laspy.ScaleAwarePointRecord.zeros(len(cloud), header=header)
     _set_coordinates(path, las, cloud, header.offsets)
     _set_fields(path, las, columns)
-    with whole_file(path) as temporary:
-        las.write(temporary, do_compress=path.suffix.lower() == ".laz")
+    return las
 
 
 def _header(path: Path, cloud: PointCloud, columns: dict[str, Column]) -> laspy.LasHeader:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections import Counter
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
@@ -174,8 +175,52 @@ def report(
     say(f"report: {build_report(change_directory)}", quiet=quiet)
 
 
+class ExportKind(StrEnum):
+    """A form that other programs ask for."""
+
+    LAZ = "laz"
+    COPC = "copc"
+    PLY = "ply"
+    GPKG = "gpkg"
+    PARQUET = "parquet"
+    GEOJSON = "geojson"
+    KITTI = "kitti"
+
+
+def export(
+    directory: Annotated[Path, typer.Argument(metavar="MAP_OR_CHANGE_DIR", help="What to export.")],
+    output: Output,
+    to: Annotated[
+        ExportKind,
+        typer.Option(
+            metavar="FORM", help="Clouds: laz, copc, ply. Tables: gpkg, parquet, geojson. Trajectory: kitti."
+        ),
+    ],
+    cloudcompare: Annotated[
+        bool,
+        typer.Option("--cloudcompare", help="Name PLY fields so that CloudCompare loads them."),
+    ] = False,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Write a map or a change directory in a form that other programs ask for.
+
+    Example: subiaco export out/2025 --to copc -o out/2025_copc
+    """
+    from subiaco_change.outputs.exports import export_changes
+    from subiaco_geo.exports import export_map
+
+    set_up_logging(verbose, quiet)
+    if cloudcompare and to is not ExportKind.PLY:
+        raise InputError(f"--cloudcompare names the fields of a PLY; it does not go with --to {to}")
+    run = export_map if (directory / "map.yaml").is_file() else export_changes
+    files = run(directory, output, to.value, cloudcompare=cloudcompare)
+    say(f"{to}: {', '.join(str(file) for file in files)}", quiet=quiet)
+
+
 def register(app: typer.Typer) -> None:
     """Add these verbs to the command."""
     app.command("change", short_help="Find what changed between two maps.")(change)
     app.command("evaluate", short_help="Score what was found against truth.")(evaluate)
     app.command("report", short_help="Build report.html of a change directory again.")(report)
+    app.command("export", short_help="Write a map or changes in a form other programs ask for.")(export)
