@@ -357,11 +357,6 @@ def test_an_unknown_ending_is_refused(tmp_path: Path, name: str) -> None:
         write_cloud(tmp_path / name, street())
 
 
-def test_copc_is_not_written_under_a_plain_laz(tmp_path: Path) -> None:
-    with pytest.raises(InputError, match="COPC"):
-        write_cloud(tmp_path / "a.copc.laz", street())
-
-
 def test_a_field_name_with_a_space_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="'two words' cannot be written"):
         write_cloud(tmp_path / "a.ply", PointCloud(np.eye(3), fields={"two words": np.zeros(3)}))
