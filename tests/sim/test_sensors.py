@@ -11,6 +11,7 @@ from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
 from subiaco_geo.frames import make_pose
+from subiaco_sim.ahead import ahead
 from subiaco_sim.config import FaultConfig, GnssConfig, ImuConfig, LidarConfig, LidarMode
 from subiaco_sim.gnss import FIXED, NONE, gauss_markov, simulate_gnss
 from subiaco_sim.ground import Road, Terrain
@@ -181,6 +182,29 @@ def test_every_sensor_there_is_comes_back_through_the_sensor_makers_decoder(
     if scan.second is not None:
         assert (scan.second.range_mm > 0).sum() > 20
         np.testing.assert_array_equal(frame.field("RANGE2"), scan.second.range_mm)
+
+
+def test_work_made_ahead_comes_in_order_and_its_failure_too() -> None:
+    def make(k: int) -> int:
+        if k == 30:
+            raise ValueError("thirty")
+        return k * k
+
+    assert list(ahead(make, range(30))) == [k * k for k in range(30)]
+    stream = ahead(make, range(40))
+    assert [next(stream) for _ in range(30)] == [k * k for k in range(30)]
+    with pytest.raises(ValueError, match="thirty"):
+        next(stream)
+
+
+def test_what_is_made_ahead_stays_within_one_a_worker() -> None:
+    begun: list[int] = []
+    stream = ahead(lambda k: begun.append(k) or k, range(100), workers=2)
+    for used in range(1, 20):
+        next(stream)
+        assert len(begun) <= used + 2
+    stream.close()
+    assert len(begun) < 25
 
 
 def numbered(count: int) -> list[TimedPacket]:

@@ -170,6 +170,7 @@ class CompiledScene:
         vertices = o3d.core.Tensor(self.mesh.vertices.astype(np.float32))
         triangles = o3d.core.Tensor(self.mesh.triangles.astype(np.uint32))
         self._engine.add_triangles(vertices, triangles)
+        self.cast(np.zeros((1, 3)), np.array([[0.0, 0.0, -1.0]]))  # builds the tree, before threads come
 
     def cast(self, origins: Floats, directions: Floats) -> Hits:
         """Cast rays (N, 3), unit directions, and return what they met first."""
