@@ -69,14 +69,13 @@ def partition(features: Floats, neighbours: NDArray[np.int32], config: Superpoin
     for step in range(config.rounds):
         eta = config.strength * 2.0 ** (step + 1 - config.rounds)
         regions = _merge_round(features, regions, eta, order)
-    labels = regions.labels
-    one = np.zeros(len(features), dtype=np.int64)
-    energies = [
-        potts_energy(features, trial, edges, weights, config.strength, order) for trial in (labels, one)
-    ]
+    labels, one = regions.labels, np.zeros(len(features), dtype=np.int64)
+    merged = _energy(features, labels, regions.models, edges, weights * config.strength)
+    whole = float(np.abs(features - region_medians(features, one, order)).sum())
     single = float(config.strength * weights.sum())
-    best = [labels, one, np.arange(len(features))][int(np.argmin([*energies, single]))]
-    return Partition(best, min(*energies, single), single, energies[1])
+    energies = [merged, whole, single]
+    best = [labels, one, np.arange(len(features))][int(np.argmin(energies))]
+    return Partition(best, min(energies), single, whole)
 
 
 def graph_edges(neighbours: NDArray[np.int32]) -> Ints:
@@ -109,18 +108,30 @@ def edge_weights(features: Floats, edges: Ints) -> Floats:
     """Boundary weights (E,): exp(-d^2 / sigma_f^2), sigma_f the median feature distance."""
     if len(edges) == 0:
         return np.zeros(0)
-    squared = ((features[edges[:, 0]] - features[edges[:, 1]]) ** 2).sum(axis=1)
+    squared = _squared_gaps(features, edges)
     return np.asarray(np.exp(-squared / max(float(np.median(squared)), 1e-9)))
 
 
-def potts_energy(
-    features: Floats, labels: Ints, edges: Ints, weights: Floats, strength: float, order: Ints | None = None
-) -> float:
+@numba.njit(cache=True)
+def _squared_gaps(features: Floats, edges: Ints) -> Floats:
+    """Squared distance (E,) of the features of both ends."""
+    squared = np.zeros(len(edges))
+    for e in range(len(edges)):
+        for f in range(features.shape[1]):
+            squared[e] += (features[edges[e, 0], f] - features[edges[e, 1], f]) ** 2
+    return squared
+
+
+def potts_energy(features: Floats, labels: Ints, edges: Ints, weights: Floats, strength: float) -> float:
     """Energy of a partition (N,) with the median feature of each region as its model."""
-    _, compact = np.unique(labels, return_inverse=True)
-    data = np.abs(features - region_medians(features, compact, order)[compact]).sum()
+    compact = np.unique(labels, return_inverse=True)[1]
+    return _energy(features, compact, region_medians(features, compact), edges, weights * strength)
+
+
+def _energy(features: Floats, labels: Ints, models: Floats, edges: Ints, prices: Floats) -> float:
+    """Sum the data term of regions 0..R-1 with models (R, F) and the prices (E,) of the edges cut."""
     cut = labels[edges[:, 0]] != labels[edges[:, 1]]
-    return float(data + strength * weights[cut].sum())
+    return float(np.abs(features - models[labels]).sum() + prices[cut].sum())
 
 
 def region_medians(features: Floats, labels: Ints, order: Ints | None = None) -> Floats:
@@ -178,13 +189,39 @@ def _gaps(models: Floats, pairs: Ints) -> Floats:
 
 def _sum_boundaries(pairs: Ints, boundary: Floats) -> tuple[Ints, Floats]:
     """Add up the boundaries (E,) of pairs (E, 2) that are the same, and drop those within a region."""
-    cut = pairs[:, 0] != pairs[:, 1]
-    first, second = pairs[cut, 0], pairs[cut, 1]
-    low, high = np.minimum(first, second), np.maximum(first, second)
-    count = int(high.max(initial=0)) + 1
-    keys, inverse = np.unique(low * count + high, return_inverse=True)
-    total = np.bincount(inverse, weights=boundary[cut], minlength=len(keys))
-    return np.stack([keys // count, keys % count], axis=1), np.asarray(total, dtype=np.float64)
+    return _sum_sorted(pairs, boundary, int(pairs.max(initial=0)) + 1)
+
+
+@numba.njit(cache=True)
+def _sum_sorted(pairs: Ints, boundary: Floats, count: int) -> tuple[Ints, Floats]:
+    """Sort pairs by their lower region, then sum those with the same higher one."""
+    starts = np.zeros(count + 1, dtype=np.int64)
+    for e in range(len(pairs)):
+        if pairs[e, 0] != pairs[e, 1]:
+            starts[min(pairs[e, 0], pairs[e, 1]) + 1] += 1
+    starts = np.cumsum(starts)
+    filled = starts.copy()
+    order = np.empty(starts[-1], dtype=np.int64)
+    for e in range(len(pairs)):
+        if pairs[e, 0] != pairs[e, 1]:
+            low = min(pairs[e, 0], pairs[e, 1])
+            order[filled[low]] = e
+            filled[low] += 1
+    slot = np.full(count, -1, dtype=np.int64)
+    summed = np.empty((len(order), 2), dtype=np.int64)
+    total = np.zeros(len(order))
+    used = 0
+    for low in range(count):
+        first = used
+        for position in range(starts[low], starts[low + 1]):
+            e = order[position]
+            high = max(pairs[e, 0], pairs[e, 1])
+            if slot[high] < first:
+                slot[high] = used
+                summed[used, 0], summed[used, 1] = low, high
+                used += 1
+            total[slot[high]] += boundary[e]
+    return summed[:used].copy(), total[:used].copy()
 
 
 @numba.njit(cache=True)
