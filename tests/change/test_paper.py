@@ -6,27 +6,11 @@ from pathlib import Path
 import pytest
 
 from subiaco_change.config import ChangeConfig
+from subiaco_change.evaluation.ablating import DECISIONS, variants
 from subiaco_geo.config import load_config
 
 PAPER = Path(__file__).parents[2] / "config" / "paper.yaml"
 
-#: Decision -> fields of the change configuration that paper.yaml reverts.
-SWITCHES = {
-    2: ("second_registration",),
-    7: ("instances.min_points",),
-    8: ("association.gate_overlap",),
-    9: ("association.contained",),
-    11: ("association.cost", "association.unmatched"),
-    12: ("ground.cell",),
-    13: (
-        "evidence.source",
-        "decisions.building.carried",
-        "decisions.building.surface",
-        "decisions.vegetation.carried",
-        "decisions.vegetation.surface",
-    ),
-    14: ("decisions.min_observed", "decisions.min_observed_free", "decisions.min_voxels"),
-}
 #: Decision -> why the printed form cannot run, or where it is found.
 REASONS = {
     1: "a matter of mapping: zeroed heights in xyz would contradict the CRS that the file names",
@@ -52,12 +36,26 @@ def paper():
 
 @pytest.mark.parametrize("decision", range(1, 16))
 def test_every_decision_has_a_switch_or_a_reason(decision, paper):
-    assert (decision in SWITCHES) != (decision in REASONS)
+    assert (decision in DECISIONS) != (decision in REASONS)
     ours = ChangeConfig()
-    for dotted in SWITCHES.get(decision, ()):
+    for dotted in DECISIONS.get(decision, ()):
         assert field(paper, dotted) != field(ours, dotted), dotted
 
 
 def test_every_switch_is_named_by_its_decision_in_the_file():
     named = {int(number) for number in re.findall(r"Decision (\d+)", PAPER.read_text())}
-    assert named == set(SWITCHES)
+    assert named == set(DECISIONS)
+
+
+def test_a_variant_reverts_its_decision_and_nothing_else(paper):
+    ours = ChangeConfig()
+    found = variants(ours, paper)
+    assert found["full"] == ours
+    assert found["Decision 12 reverted"].ground == ours.ground.model_copy(update={"cell": paper.ground.cell})
+    for number, fields in DECISIONS.items():
+        reverted = found[f"Decision {number} reverted"]
+        touched = {name.split(".")[0] for name in fields}
+        for name in ChangeConfig.model_fields:
+            assert (getattr(reverted, name) != getattr(ours, name)) == (name in touched), name
+        for dotted in fields:
+            assert field(reverted, dotted) == field(paper, dotted)

@@ -17,6 +17,7 @@ VERBS = [
     "report",
     "export",
     "baseline",
+    "ablate",
     "graph",
 ]
 OPTIONS = {

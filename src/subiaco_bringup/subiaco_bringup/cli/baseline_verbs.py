@@ -1,9 +1,10 @@
-"""The verb that runs the simple methods people use today: baseline."""
+"""Verbs that put the method beside others and beside itself: baseline, ablate."""
 
 from __future__ import annotations
 
 from collections import Counter
 from enum import StrEnum
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -20,7 +21,9 @@ from subiaco_bringup.cli.options import (
     set_up_logging,
 )
 from subiaco_bringup.cli.progress import Progress
+from subiaco_bringup.defaults import config_directory, config_files
 from subiaco_geo.config import load_config
+from subiaco_geo.errors import InputError
 
 
 class Method(StrEnum):
@@ -72,6 +75,48 @@ def baseline(
     say(f"{method.value}: {output} ({listed or 'no change'}); open {output / 'report.html'}", quiet=quiet)
 
 
+def ablate(
+    cases: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="BEFORE AFTER TRUTH", help="Two epochs and their truth; more triples are scored together."
+        ),
+    ],
+    output: Output,
+    only: Annotated[
+        list[str] | None,
+        typer.Option(metavar="VARIANT", help="Run this variant alone, beside the full method; repeatable."),
+    ] = None,
+    registration: RegistrationName = None,
+    config: ConfigFiles = None,
+    settings: Settings = None,
+    overwrite: Overwrite = False,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Turn each part of the method off, and each Decision back to the paper, and score what that costs.
+
+    Example: subiaco ablate bags/demo/before bags/demo/after bags/demo -o out/ablations
+    """
+    from subiaco_change.config import ChangeConfig
+    from subiaco_change.evaluation.ablating import Case, ablations_markdown, run_ablations
+
+    set_up_logging(verbose, quiet)
+    if len(cases) % 3:
+        raise InputError("ablate: give BEFORE AFTER TRUTH in threes; one of them is missing")
+    given = known_transform(None, registration)
+    files = config_files("change", tuple(config or ()))
+    ours = load_config(ChangeConfig, files, settings or [])
+    paper = load_config(ChangeConfig, [*files, config_directory() / "paper.yaml"], settings or [])
+    triples = [Case(*cases[start : start + 3]) for start in range(0, len(cases), 3)]
+    with Progress(quiet=quiet) as progress:
+        table = run_ablations(
+            triples, output, ours, paper, progress, only=only or (), transform=given, overwrite=overwrite
+        )
+    typer.echo(ablations_markdown(table))
+
+
 def register(app: typer.Typer) -> None:
-    """Add this verb to the command."""
+    """Add these verbs to the command."""
     app.command("baseline")(baseline)
+    app.command("ablate", short_help="Score the method with each of its parts left out.")(ablate)
