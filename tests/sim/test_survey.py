@@ -272,4 +272,4 @@ def test_a_city_is_one_survey_a_loop_each_in_its_own_place_of_one_frame(tmp_path
     starts = [
         read_tum(tmp_path / "city" / name / "before" / "truth" / "trajectory.tum").poses[0] for name in listed
     ]
-    np.testing.assert_allclose(starts[1][0, 3] - starts[0][0, 3], 190.0, atol=1.0)  # the loops' pitch
+    np.testing.assert_allclose(starts[1][0, 3] - starts[0][0, 3], 110.0, atol=1.0)  # the loops' pitch

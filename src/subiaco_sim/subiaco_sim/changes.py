@@ -11,6 +11,7 @@ from subiaco_geo.frames import Floats
 from subiaco_sim.buildings import House
 from subiaco_sim.ground import ROAD_HALF, Patch
 from subiaco_sim.plants import Hedge, Tree
+from subiaco_sim.primitives import Material
 from subiaco_sim.scene import GroundItem, Item
 from subiaco_sim.suburb import SETBACK, Layout, random_car, walk_lots
 
@@ -59,7 +60,8 @@ def extended(item: Item, _: np.random.Generator) -> Item:
 
 def reroofed(item: Item, _: np.random.Generator) -> Item:
     """Replace the cladding and take the chimney down: no change by the rules."""
-    return _reshaped(item, "re-roofed", chimney=False)
+    cover = Material.TILE if _house(item).cover is Material.SHEET_METAL else Material.SHEET_METAL
+    return _reshaped(item, "re-roofed", chimney=False, cover=cover)
 
 
 def _tree(item: Item) -> Tree:

@@ -9,6 +9,7 @@ from typing import Literal
 from pydantic import Field
 
 from subiaco_geo.config import StrictModel
+from subiaco_sim.scene_config import SceneConfig
 
 
 class LidarMode(StrEnum):
@@ -167,6 +168,13 @@ class SimulationConfig(StrictModel):
     mode: LidarMode = Field(LidarMode.COLUMNS_1024, description="Columns x revolutions a second")
     beams_before: Beams | None = Field(None, description="Beams of the earlier drive; the preset's when null")
     beams_after: Beams | None = Field(None, description="Beams of the later drive; the preset's when null")
+    lane_before: int | None = Field(
+        None, ge=0, le=2, description="Lane of the earlier drive, 0 beside the crown; the preset's when null"
+    )
+    lane_after: int | None = Field(
+        None, ge=0, le=2, description="Lane of the later drive, 0 beside the crown; the preset's when null"
+    )
+    reverse_after: bool = Field(True, description="The later drive goes the other way")
     dual_return: bool = Field(False, description="Two returns a beam, strongest first")
     ground_cell: float | None = Field(
         None, ge=0.1, le=2.0, description="Edge of the ground mesh [m]; the preset's when null"
@@ -176,6 +184,7 @@ class SimulationConfig(StrictModel):
     recorded_drive: Path | None = Field(
         None, description="Folder of a recorded drive (gnss*.pos, imu*.csv.gz) whose speed and swing to take"
     )
+    scene: SceneConfig = SceneConfig()
     lidar: LidarConfig = LidarConfig()
     imu: ImuConfig = ImuConfig()
     gnss: GnssConfig = GnssConfig()

@@ -9,16 +9,19 @@ import numpy as np
 from ouster.sdk.core import SensorInfo
 
 from subiaco_geo.crs import EnuFrame
+from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
+from subiaco_sim.ahead import ahead
 from subiaco_sim.config import MapErrorConfig, SimulationConfig
 from subiaco_sim.lidar import SCAN_NS, Lidar, SimulatedScan, column_times, points_of
 from subiaco_sim.map_errors import MapWarp
-from subiaco_sim.motion import Motion, drive
+from subiaco_sim.motion import LANE, Motion, drive
 from subiaco_sim.movers import freeze
 from subiaco_sim.packets import sensor_info
 from subiaco_sim.presets import build_scene, find_preset, with_preset
 from subiaco_sim.recorded import read_recorded_drive
 from subiaco_sim.scene import EPOCHS, CompiledScene, Scene, compile_scene, ground_object
+from subiaco_sim.scene_config import LANE_WIDTH
 from subiaco_sim.vehicle import LIDAR
 
 MAP_CRS = "EPSG:7850"
@@ -74,7 +77,14 @@ def plan_survey(config: SimulationConfig) -> Survey:
     """Build the scene and both drives; the survey's settings are complete with those of the preset."""
     preset = find_preset(config.preset)
     config = with_preset(config)
-    scene = build_scene(config.preset, config.seed, config.ground_cell, config.city_loop or 0)
+    scene = build_scene(
+        config.preset,
+        config.seed,
+        config.ground_cell,
+        config.city_loop or 0,
+        config.scene,
+        config.reverse_after,
+    )
     duration = config.duration or preset.duration
     folder = config.recorded_drive
     recorded = read_recorded_drive(folder) if folder is not None else None
@@ -86,10 +96,11 @@ def plan_survey(config: SimulationConfig) -> Survey:
             START_NS[epoch],
             duration,
             preset.speed,
-            reverse=epoch == "after",
+            reverse=epoch == "after" and config.reverse_after,
             seed=config.seed * 2 + number + 1_000_003 * (config.city_loop or 0),
             place=preset.place[number],
             recorded=recorded,
+            lane=_lane(config, number),
         )
         scans = int(duration * 1e9 // SCAN_NS)
         beams = (config.beams_before, config.beams_after)[number] or 128
@@ -97,6 +108,17 @@ def plan_survey(config: SimulationConfig) -> Survey:
         compiled = compile_scene(scene, epoch)
         drives[epoch] = Drive(epoch, number, motion, compiled, config.mode.columns, scans, info)
     return Survey(config, scene, drives)
+
+
+def _lane(config: SimulationConfig, number: int) -> float:
+    """Return how far off the crown an epoch's lane lies [m]."""
+    lane = (config.lane_before, config.lane_after)[number] or 0
+    lanes = config.scene.character.lanes
+    if lane >= lanes:
+        raise InputError(
+            f"lane_{EPOCHS[number]} {lane}: there are {lanes} each way; ask for 0 to {lanes - 1}"
+        )
+    return LANE + LANE_WIDTH * lane
 
 
 def warp_of(survey: Survey, epoch: str) -> MapWarp:
@@ -117,12 +139,15 @@ def scans_of(survey: Survey, drive: Drive, lidar: Lidar) -> Iterator[SimulatedSc
     scene, config = survey.scene, survey.config
     terrain = scene.terrain_at(drive.epoch)
     movers = [mover for mover in scene.moving if mover.epoch == drive.epoch]
-    for k in range(0, drive.scans, config.map_every if config.maps_only else 1):
+
+    def scan_at(k: int) -> SimulatedScan:
         times_ns = column_times(drive.motion.start_ns, k, drive.columns)
         poses = drive.lidar_poses(times_ns)
         seconds = float(drive.motion.seconds(times_ns[:1])[0])
         now = freeze(drive.compiled, movers, terrain, scene.route, seconds, poses[0, :3, 3])
-        yield lidar.scan(now, k, times_ns, poses, drive.rng(config.seed, 1, k))
+        return lidar.scan(now, k, times_ns, poses, drive.rng(config.seed, 1, k))
+
+    yield from ahead(scan_at, range(0, drive.scans, config.map_every if config.maps_only else 1))
 
 
 def first_points(survey: Survey, lidar: Lidar, scan: SimulatedScan) -> ScanPoints:

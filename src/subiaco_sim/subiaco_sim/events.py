@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import replace
 
 import numpy as np
 
+from subiaco_geo.errors import InputError
 from subiaco_sim.blocks import Apartments
 from subiaco_sim.buildings import House, Shed
 from subiaco_sim.changes import added, extended, part_demolished, removed, reroofed, storey_added
@@ -14,19 +15,11 @@ from subiaco_sim.ground import ROAD_HALF, Patch, Strip, strip_along
 from subiaco_sim.neighbourhood import random_vehicle
 from subiaco_sim.plants import Hedge, Palm, Tree
 from subiaco_sim.scene import GroundItem, Item, Shape
-from subiaco_sim.suburb import SETBACK, Layout, from_lot, walk_lots
+from subiaco_sim.scene_config import Seasons
+from subiaco_sim.suburb import SETBACK, Layout, from_lot
 
 Edit = Callable[[Item, np.random.Generator], Item]
-
-
-@dataclass(frozen=True)
-class Seasons:
-    """What nature and the wind do between the epochs; no change by the rules."""
-
-    deciduous: float = 0.35  # share of trees that lose leaves
-    bare: float = 0.3  # leaf density that remains
-    sway: float = 0.25  # lean of crowns [m]
-    growth: float = 0.03  # of a crown at most
+_GROWTH = 0.15  # of a crown upwards at most, half of what counts [m]
 
 
 def _shape(item: Item) -> Shape:
@@ -99,7 +92,7 @@ def replaced(item: Item, rng: np.random.Generator) -> Item:
     assert item.after is not None
     along, across = rng.uniform(-0.6, 0.6), rng.uniform(-0.15, 0.15)
     c, s = np.cos(item.after.yaw), np.sin(item.after.yaw)
-    trucks = 0.6 if item.kind == "truck" else 0.04
+    trucks = 0.6 if item.kind == "truck" else 0.0  # a car's bay is too short for one
     shape = random_vehicle(rng, trucks)
     x, y = item.after.x + c * along - s * across, item.after.y + s * along + c * across
     return replace(item, after=replace(item.after, shape=shape, x=x, y=y), event="another vehicle")
@@ -143,11 +136,34 @@ QUOTAS: dict[str, tuple[tuple[Edit, float], ...]] = {
 }
 
 
-def let_time_pass(layout: Layout, seasons: Seasons) -> list[Item]:
+def quotas_with(shares: Mapping[str, Mapping[str, float]]) -> dict[str, tuple[tuple[Edit, float], ...]]:
+    """Return the quotas with other shares of some events.
+
+    Raises
+    ------
+    InputError
+        A kind or an event of it is not known, or the shares of a kind exceed all there is.
+    """
+    quotas = dict(QUOTAS)
+    for kind, asked in shares.items():
+        known = {edit.__name__: share for edit, share in QUOTAS.get(kind, ())}
+        if unknown := sorted(asked.keys() - known.keys()):
+            raise InputError(f"scene.shares.{kind}: {unknown[0]} is not one of {', '.join(known) or 'any'}")
+        known |= asked
+        if min(known.values()) < 0 or sum(known.values()) > 1.0:
+            raise InputError(f"scene.shares.{kind}: shares must be positive and at most 1 in all")
+        quotas[kind] = tuple((edit, known[edit.__name__]) for edit, _ in QUOTAS[kind])
+    return quotas
+
+
+def let_time_pass(
+    layout: Layout, seasons: Seasons, shares: Mapping[str, Mapping[str, float]] | None = None
+) -> list[Item]:
     """Deal every kind's quotas to items at random; all other plants live through the seasons."""
     rng = layout.rng
     items = {item.object_id: item for item in layout.items}
-    for kind, quotas in QUOTAS.items():
+    items |= {item.object_id: item for item in _crowns_meet_and_part(layout)}
+    for kind, quotas in quotas_with(shares or {}).items():
         alike = [item for item in layout.items if item.kind == kind]
         order = rng.permutation(len(alike)).tolist()
         for edit, share in quotas:
@@ -156,6 +172,28 @@ def let_time_pass(layout: Layout, seasons: Seasons) -> list[Item]:
             for k in chosen:
                 items[alike[k].object_id] = edit(alike[k], rng)
     return [_weathered(item, seasons, rng) for item in items.values()]
+
+
+def _crowns_meet_and_part(layout: Layout) -> Iterator[Item]:
+    """Let most twins grow into one another, and cut most joined crowns apart."""
+    for kind, event, overlap in (("twin tree", "grown together", 0.6), ("joined tree", "cut apart", -0.5)):
+        twins = [item for item in layout.items if item.kind == kind]
+        for one, other in zip(twins[::2], twins[1::2], strict=True):
+            if layout.rng.random() < 0.75:
+                factor = (_gap(one, other) + overlap) / sum(_tree_of(item).radius for item in (one, other))
+                yield from (_crown(item, event, factor) for item in (one, other))
+
+
+def _tree_of(item: Item) -> Tree:
+    tree = _shape(item)
+    assert isinstance(tree, Tree)
+    return tree
+
+
+def _gap(one: Item, other: Item) -> float:
+    assert one.after is not None
+    assert other.after is not None
+    return float(np.hypot(one.after.x - other.after.x, one.after.y - other.after.y))
 
 
 def _count(expected: float, rng: np.random.Generator) -> int:
@@ -171,7 +209,8 @@ def _weathered(item: Item, seasons: Seasons, rng: np.random.Generator) -> Item:
     if isinstance(shape, Tree):
         sheds = rng.random() < seasons.deciduous and not item.event
         density = seasons.bare if sheds else float(rng.uniform(0.7, 1.2))
-        factor = 1.0 if item.event else 1.0 + float(rng.uniform(0.0, seasons.growth))
+        natural = min(float(rng.uniform(0.0, seasons.growth)), _GROWTH / shape.crown)
+        factor = 1.0 if item.event else 1.0 + natural
         shape = replace(
             shape,
             density=density,
@@ -186,7 +225,7 @@ def _weathered(item: Item, seasons: Seasons, rng: np.random.Generator) -> Item:
 def work_the_ground(layout: Layout, first_id: int) -> list[GroundItem]:
     """Resurface strips along the kerb, dig and fill behind it, and settle less than counts."""
     found: list[GroundItem] = []
-    worked: list[tuple[str, Strip | Patch]] = [*_strips(layout), *_plots(layout)]
+    worked: list[tuple[str, Strip | Patch]] = [*_strips(layout), *_plots(layout), *_yards(layout)]
     for event, patch in worked:
         if not any(patch.outline().intersects(other.patch.outline()) for other in found):
             found.append(GroundItem(first_id + len(found), patch, event))
@@ -194,30 +233,31 @@ def work_the_ground(layout: Layout, first_id: int) -> list[GroundItem]:
 
 
 def _strips(layout: Layout) -> list[tuple[str, Strip]]:
-    """Return kerb-side strips: 1 to 2 m wide with 0.20 to 0.50 m, settlement, camber."""
+    """Return strips: kerb-side, 1 to 2 m wide with 0.20 to 0.50 m; settlement; a lane's camber made up."""
     rng, line = layout.rng, layout.centreline
     made = []
     count = max(3, len(line) // 200)  # one each 50 m
     starts = (np.arange(count) + rng.uniform(0.0, 0.3, count)) * len(line) / count
     for number, start in enumerate(starts.astype(int).tolist()):
-        side = 1.0 if rng.random() < 0.5 else -1.0
+        side = float(rng.choice(layout.sides))
         width = float(rng.uniform(1.0, 1.8))
         length = 28.0 / width + float(rng.uniform(2.0, 8.0))
         rise = float(rng.uniform(0.20, 0.50))
-        event = ("resurfaced", "milled", "settled", "resurfaced")[number % 4]
-        rise = {"resurfaced": rise, "milled": -rise, "settled": -float(rng.uniform(0.05, 0.12))}[event]
+        event = ("resurfaced", "milled", "settled", "resurfaced", "cambered")[number % 5]
+        little = float(rng.uniform(0.05, 0.12))
+        rise = {"resurfaced": rise, "milled": -rise, "settled": -little, "cambered": little}[event]
         stop = min(start + int(4 * length), len(line) - 1)
         if stop - start > 40:
             kerb = ROAD_HALF + layout.setback - SETBACK
-            offset = side * (kerb - 0.1 - width / 2)
+            offset = side * (1.7 if event == "cambered" else kerb - 0.1 - width / 2)
             made.append((event, strip_along(line, start, stop, offset, width, rise)))
     return made
 
 
 def _plots(layout: Layout) -> list[tuple[str, Patch]]:
-    """Return places in front gardens that are dug, filled, or too small or shallow to count."""
+    """Return places in gardens that are dug, filled, or too small or shallow to count."""
     rng = layout.rng
-    lots = list(walk_lots(layout.centreline, 14.0, layout.setback))
+    lots = list(layout.lots(14.0))
     kinds = (
         ("excavated", 7.5, 4.4, -0.35),
         ("filled", 7.0, 4.6, 0.35),
@@ -231,4 +271,16 @@ def _plots(layout: Layout) -> list[tuple[str, Patch]]:
         event, length, width, rise = kinds[number % len(kinds)]
         x, y = from_lot(lots[k], 0.0, 9.8 - SETBACK)
         made.append((event, Patch(x, y, length, width, lots[k].yaw, rise)))
+    return made
+
+
+def _yards(layout: Layout) -> list[tuple[str, Patch]]:
+    """Return strips behind some gates, beside the house, that are dug or filled out of sight."""
+    rng, made = layout.rng, []
+    for gate in (item.after for item in layout.items if item.kind == "gate" and item.after is not None):
+        if rng.random() < 0.25:
+            event, rise = ("yard excavated", -0.4) if rng.random() < 0.5 else ("yard filled", 0.4)
+            inward = np.array([-np.sin(gate.yaw), np.cos(gate.yaw)])
+            x, y = (gate.x, gate.y) + 5.4 * inward
+            made.append((event, Patch(float(x), float(y), 10.2, 2.6, gate.yaw + np.pi / 2, rise)))
     return made

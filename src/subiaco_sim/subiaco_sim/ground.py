@@ -12,10 +12,11 @@ from shapely.geometry import Polygon
 from shapely.geometry import box as shapely_box
 
 from subiaco_geo.frames import Floats
-from subiaco_sim.primitives import Material, Mesh
+from subiaco_sim.primitives import Material, Mesh, join, make_mesh
 
 ROAD_HALF = 3.7  # kerb to crown [m]
 KERB_HEIGHT = 0.13
+_PAINT = 0.008  # how far paint lies above the ground mesh [m]
 FOOTPATH = (5.4, 6.9)  # from the crown [m]
 
 
@@ -93,6 +94,23 @@ def strip_along(line: Floats, start: int, stop: int, offset: float, width: float
     return Strip(tuple((float(x), float(y)) for x, y in corners), rise)
 
 
+@dataclass(frozen=True)
+class Line:
+    """A painted line on the road: its middle, its direction and its size [m, rad]."""
+
+    x: float
+    y: float
+    yaw: float
+    length: float
+    width: float = 0.12
+
+    def corners(self) -> Floats:
+        """Return its corners in order (4, 2)."""
+        c, s = np.cos(self.yaw), np.sin(self.yaw)
+        half = 0.5 * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]]) * (self.length, self.width)
+        return np.asarray(half @ np.array([[c, s], [-s, c]]) + (self.x, self.y))
+
+
 class Road:
     """Distances to the crown of a road, given as a dense centreline (N, 2) [m].
 
@@ -134,6 +152,7 @@ class Terrain:
     slope : (2,) rise per metre to the east and to the north
     cell : edge of the ground mesh [m]
     patches : places dug or filled in this epoch
+    lines : what is painted on the road
     """
 
     road: Road
@@ -141,6 +160,7 @@ class Terrain:
     slope: tuple[float, float]
     cell: float
     patches: tuple[Patch | Strip, ...] = ()
+    lines: tuple[Line, ...] = ()
 
     def with_patches(self, *patches: Patch | Strip) -> Terrain:
         """Return the same land with more places changed."""
@@ -173,7 +193,16 @@ class Terrain:
         index = np.arange(x.size).reshape(x.shape)
         a, b, c, d = (i.ravel() for i in (index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]))
         triangles = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
-        return Mesh(vertices, triangles, road_material(distance.ravel()[triangles].mean(axis=1)))
+        land = Mesh(vertices, triangles, road_material(distance.ravel()[triangles].mean(axis=1)))
+        return join([land, self._paint()]) if self.lines else land
+
+    def _paint(self) -> Mesh:
+        """Return the painted lines, just above the ground."""
+        xy = np.concatenate([line.corners() for line in self.lines])
+        vertices = np.column_stack([xy, self.height(xy[:, 0], xy[:, 1]) + _PAINT])
+        first = 4 * np.arange(len(self.lines))[:, None]
+        triangles = np.concatenate([first + np.array(half) for half in ([0, 1, 2], [0, 2, 3])])
+        return make_mesh(vertices, triangles, Material.PAINT)
 
 
 def road_profile(distance: Floats) -> Floats:

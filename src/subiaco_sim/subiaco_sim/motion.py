@@ -85,8 +85,9 @@ def drive(
     seed: int,
     place: float = 0.5,
     recorded: RecordedDrive | None = None,
+    lane: float = LANE,
 ) -> Motion:
-    """Drive along a dense centreline on the left of the road.
+    """Drive along a dense centreline on the left of the road, ``lane`` off its crown [m].
 
     ``place`` says where along the spare length of the route: 0 from its very
     start, 0.5 centred on its middle. With ``recorded``, speed and swing are those
@@ -97,7 +98,7 @@ def drive(
     InputError
         The drive is longer than the route.
     """
-    line = _lane(route[::-1] if reverse else route)
+    line = _lane(route[::-1] if reverse else route, lane)
     arc = np.append(0.0, np.cumsum(np.linalg.norm(np.diff(line, axis=0), axis=1)))
     rng = np.random.default_rng([seed, 11])
     seconds = np.arange(-2.0, duration + 2.0, KNOT)
@@ -127,11 +128,11 @@ def drive(
     )
 
 
-def _lane(route: Floats) -> Floats:
-    """Shift a dense centreline to the left lane."""
+def _lane(route: Floats, lane: float) -> Floats:
+    """Shift a dense centreline to the left."""
     tangent = np.gradient(route, axis=0)
     tangent /= np.linalg.norm(tangent, axis=1, keepdims=True)
-    return np.asarray(route + LANE * np.column_stack([-tangent[:, 1], tangent[:, 0]]))
+    return np.asarray(route + lane * np.column_stack([-tangent[:, 1], tangent[:, 0]]))
 
 
 def _ride(

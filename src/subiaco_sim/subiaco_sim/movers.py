@@ -12,6 +12,7 @@ from subiaco_geo.frames import Floats
 from subiaco_sim.furniture import Person, Truck
 from subiaco_sim.ground import Terrain
 from subiaco_sim.scene import Castable, CompiledScene, Hits, Moving, Shape, compile_meshes
+from subiaco_sim.scene_config import LANE_WIDTH, Character
 from subiaco_sim.suburb import random_car
 
 _NEAR = 70.0  # movers farther from the sensor are not cast [m]
@@ -66,11 +67,14 @@ class MovingScene:
         return hits
 
     def _might_meet(self, origins: Floats, directions: Floats) -> NDArray[np.bool_]:
+        """Tell which rays may pass through the ball about a mover; all begin near one another."""
+        eye = origins.mean(axis=0)
+        slack = np.linalg.norm(origins - eye, axis=1).max(initial=0.0) + 0.01
+        ahead = directions.astype(np.float32)
         found = np.zeros(len(origins), dtype=np.bool_)
-        for centre, radius in zip(self.centres, self.radii, strict=True):
-            towards = centre - origins
-            along = np.einsum("ij,ij->i", towards, directions)
-            found |= np.einsum("ij,ij->i", towards, towards) - along * np.abs(along) < radius**2
+        for towards, reach in zip((self.centres - eye).astype(np.float32), self.radii + slack, strict=True):
+            clear = float(towards @ towards) - reach**2
+            found |= ahead @ towards > (np.sqrt(clear) if clear > 0 else -np.inf)
         return found
 
 
@@ -97,23 +101,30 @@ def freeze(
 
 
 def random_movers(
-    first_id: int, route_length: float, widen: float, rng: np.random.Generator
+    first_id: int,
+    route_length: float,
+    character: Character,
+    ways: tuple[float, float],
+    rng: np.random.Generator,
 ) -> tuple[Mover, ...]:
-    """Draw the traffic of both epochs: about one vehicle each 90 m, one person each 60 m."""
+    """Draw the traffic of both epochs, either way (1 or -1): a vehicle each 90 m, a person each 60 m."""
     made: list[Mover] = []
-    for epoch, way in (("before", -1.0), ("after", 1.0)):
+    for epoch, way in zip(("before", "after"), ways, strict=True):
         for _ in range(max(1, round(route_length / 90))):
-            made.append(_vehicle(first_id + len(made), epoch, way, route_length, rng))
+            made.append(_vehicle(first_id + len(made), epoch, way, route_length, character.lanes, rng))
         for _ in range(max(1, round(route_length / 60))):
-            made.append(_person(first_id + len(made), epoch, route_length, widen, rng))
+            made.append(_person(first_id + len(made), epoch, route_length, character.widen, rng))
     return tuple(made)
 
 
-def _vehicle(number: int, epoch: str, way: float, length: float, rng: np.random.Generator) -> Mover:
+def _vehicle(
+    number: int, epoch: str, way: float, length: float, lanes: int, rng: np.random.Generator
+) -> Mover:
     """Draw oncoming traffic: on the other side, against the way of the survey vehicle."""
     shape = Truck() if rng.random() < 0.2 else random_car(rng)
     speed = way * float(rng.uniform(5.0, 11.0))
-    return Mover(number, shape, epoch, float(rng.uniform(0, length)), speed, way * 1.75, 4.2)
+    lane = 1.75 + LANE_WIDTH * int(rng.integers(lanes))
+    return Mover(number, shape, epoch, float(rng.uniform(0, length)), speed, way * lane, 4.2)
 
 
 def _person(number: int, epoch: str, length: float, widen: float, rng: np.random.Generator) -> Mover:

@@ -6,6 +6,7 @@ import hashlib
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
@@ -13,16 +14,17 @@ from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
 from subiaco_sim.changes import apply_changes, ground_changes, replaced_cars
+from subiaco_sim.city import BLOCK, CITY_ROW, city_block, city_road, city_tile
 from subiaco_sim.config import Beams, FaultConfig, MapErrorConfig, SimulationConfig
-from subiaco_sim.events import Seasons, let_time_pass, work_the_ground
+from subiaco_sim.events import let_time_pass, work_the_ground
 from subiaco_sim.ground import Road
 from subiaco_sim.movers import random_movers
-from subiaco_sim.neighbourhood import Character, lay_out_crowded
+from subiaco_sim.neighbourhood import lay_out_crowded
 from subiaco_sim.scene import Scene
+from subiaco_sim.scene_config import Character, SceneConfig, Seasons
 from subiaco_sim.suburb import dense_route, lay_out, make_terrain
 
-CITY_ROW = 5  # loops side by side
-_SEASONS = Seasons()
+AnyModel = TypeVar("AnyModel", bound=StrictModel)
 _NO_FAULTS = FaultConfig()
 _NO_ERRORS = MapErrorConfig()
 
@@ -40,8 +42,8 @@ class Preset:
     speed: float  # [m/s]
     beams: tuple[Beams, Beams] = (128, 128)  # before, after
     place: tuple[float, float] = (0.5, 0.5)  # where along the route the drives lie
-    character: Character | None = None  # crowded where given
-    seasons: Seasons = _SEASONS
+    lanes: tuple[int, int] = (0, 0)  # of the two drives, counted from the crown
+    scene: SceneConfig | None = None  # crowded where given
     divergence: float = 0.0  # of the beams [rad]
     wet_road: float = 0.0
     faults: FaultConfig = _NO_FAULTS
@@ -91,7 +93,7 @@ PRESETS: dict[str, Preset] = {
         42.0,
         7.0,
         beams=(64, 128),
-        character=Character(),
+        scene=SceneConfig(),
         slope=0.04,
         divergence=8e-4,
     ),
@@ -99,22 +101,26 @@ PRESETS: dict[str, Preset] = {
         winding_road,
         14.0,
         1,
-        38.0,
+        42.0,
         0.3,
         42.0,
         8.5,
         beams=(64, 128),
         place=(0.35, 0.35),  # each from its own end: either leaves out what the other begins with
-        character=Character(
-            terraces=0.16,
-            shops=0.12,
-            apartments=0.12,
-            street_trees=0.85,
-            parked=0.6,
-            trucks=0.22,
-            median=0.4,
+        lanes=(0, 1),
+        scene=SceneConfig(
+            character=Character(
+                terraces=0.16,
+                shops=0.12,
+                apartments=0.12,
+                street_trees=0.85,
+                parked=0.6,
+                trucks=0.22,
+                lanes=2,
+                median=0.4,
+            ),
+            seasons=Seasons(deciduous=0.5, bare=0.2, sway=0.4, growth=0.04),
         ),
-        seasons=Seasons(deciduous=0.5, bare=0.2, sway=0.4, growth=0.04),
         slope=0.08,
         gentlest=0.055,
         divergence=1.2e-3,
@@ -123,18 +129,18 @@ PRESETS: dict[str, Preset] = {
         maps=MapErrorConfig(shift=1.2, rotation_deg=0.8, drift=0.08, shear=0.06, duplicates=0.1),
     ),
     "city": Preset(
-        block_loop,
+        city_block,
         15.0,
         1,
         38.0,
         0.3,
-        42.0,
-        7.0,
+        56.0,
+        6.0,
         beams=(64, 128),
-        character=Character(),
+        scene=SceneConfig(),
         slope=0.04,
         divergence=8e-4,
-        pitch=(190.0, 165.0),
+        pitch=BLOCK,
     ),
 }
 
@@ -152,15 +158,27 @@ def find_preset(name: str) -> Preset:
     return PRESETS[name]
 
 
-def build_scene(name: str, seed: int, ground_cell: float | None = None, loop: int = 0) -> Scene:
+def build_scene(
+    name: str,
+    seed: int,
+    ground_cell: float | None = None,
+    loop: int = 0,
+    asked: SceneConfig | None = None,
+    reverse_after: bool = True,
+) -> Scene:
     """Build the scene of a preset, or of one loop of a city; the same arguments give the same scene."""
     preset = find_preset(name)
     rng = np.random.default_rng([seed, 7] if loop == 0 else [seed, 7, loop])
     route = dense_route(preset.waypoints() + loop_offset(preset, loop))
-    if preset.character is not None:
-        return _crowded_scene(preset, preset.character, route, ground_cell or preset.cell, rng)
+    cell = ground_cell or preset.cell
+    if preset.scene is not None:
+        told = _merged(preset.scene, asked) if asked else preset.scene
+        ways = (-1.0, 1.0 if reverse_after else -1.0)  # of the traffic, against the survey vehicle
+        if preset.pitch is not None:
+            return _city_scene(preset, told, route, cell, (seed, loop), ways)
+        return _crowded_scene(preset, told, route, cell, rng, ways)
     layout = lay_out(route, preset.frontage, rng)
-    terrain = make_terrain(Road(route), preset.margin, ground_cell or preset.cell, rng)
+    terrain = make_terrain(Road(route), preset.margin, cell, rng)
     items = replaced_cars(apply_changes(layout, preset.rounds), rng)
     ground = ground_changes(layout, len(items) + 1, preset.rounds)
     return Scene(terrain, tuple(items), tuple(ground), route)
@@ -174,27 +192,60 @@ def loop_offset(preset: Preset, loop: int) -> Floats:
 
 
 def _crowded_scene(
-    preset: Preset, character: Character, route: Floats, cell: float, rng: np.random.Generator
+    preset: Preset,
+    told: SceneConfig,
+    route: Floats,
+    cell: float,
+    rng: np.random.Generator,
+    ways: tuple[float, float],
 ) -> Scene:
+    character = told.character
     road = Road(route, character.widen, character.median)
     terrain = make_terrain(road, preset.margin, cell, rng, preset.slope)
     east = np.copysign(max(abs(terrain.slope[0]), preset.gentlest), terrain.slope[0])
-    terrain = replace(terrain, slope=(float(east), terrain.slope[1]))
     layout = lay_out_crowded(route, preset.frontage, rng, character)
-    items = let_time_pass(layout, preset.seasons)
+    terrain = replace(terrain, slope=(float(east), terrain.slope[1]), lines=tuple(layout.lines))
+    items = let_time_pass(layout, told.seasons, told.shares)
     ground = work_the_ground(layout, len(items) + 1)
-    length = 0.25 * len(route)
-    movers = random_movers(len(items) + len(ground) + 1, length, character.widen, rng)
+    movers = random_movers(len(items) + len(ground) + 1, 0.25 * len(route), character, ways, rng)
     return Scene(terrain, tuple(items), tuple(ground), route, movers)
+
+
+def _city_scene(
+    preset: Preset,
+    told: SceneConfig,
+    route: Floats,
+    cell: float,
+    which: tuple[int, int],
+    ways: tuple[float, float],
+) -> Scene:
+    """Build one loop (seed, loop) of a city: its block and as much of the neighbours as is in sight."""
+    seed, loop = which
+    land = np.random.default_rng([seed, 7])  # the lie of the land is the city's
+    terrain = make_terrain(Road(route), preset.margin, cell, land, preset.slope)
+    road = city_road(loop % CITY_ROW, loop // CITY_ROW, told.character.widen)
+    tile = city_tile(loop, preset.frontage, told, seed, terrain.bounds)
+    terrain = replace(terrain, road=road, lines=tuple(tile.lines))
+    rng = np.random.default_rng([seed, 8, loop])
+    first = len(tile.items) + len(tile.ground) + 1
+    movers = random_movers(first, 0.25 * len(route), told.character, ways, rng)
+    return Scene(terrain, tuple(tile.items), tuple(tile.ground), route, movers)
+
+
+def _merged(base: AnyModel, asked: AnyModel) -> AnyModel:
+    """Return settings with those that were asked for, to any depth."""
+    update = {}
+    for name in asked.model_fields_set:
+        old, new = getattr(base, name), getattr(asked, name)
+        update[name] = _merged(old, new) if isinstance(old, StrictModel) else new
+    return base.model_copy(update=update)
 
 
 def with_preset(config: SimulationConfig) -> SimulationConfig:
     """Return the settings with those of the preset wherever nothing else was asked for."""
     preset = find_preset(config.preset)
-
-    def merged(base: StrictModel, asked: StrictModel) -> StrictModel:
-        return base.model_copy(update={name: getattr(asked, name) for name in asked.model_fields_set})
-
+    if preset.scene is None and config.scene != SceneConfig():
+        raise InputError(f"scene: preset {config.preset} has none of these settings; take a crowded preset")
     lidar = {"divergence": preset.divergence, "wet_road": preset.wet_road}
     asked = {name for name in config.lidar.model_fields_set if getattr(config.lidar, name) is not None}
     return config.model_copy(
@@ -203,9 +254,12 @@ def with_preset(config: SimulationConfig) -> SimulationConfig:
             "ground_cell": config.ground_cell or preset.cell,
             "beams_before": config.beams_before or preset.beams[0],
             "beams_after": config.beams_after or preset.beams[1],
+            "lane_before": preset.lanes[0] if config.lane_before is None else config.lane_before,
+            "lane_after": preset.lanes[1] if config.lane_after is None else config.lane_after,
+            "scene": _merged(preset.scene or SceneConfig(), config.scene),
             "lidar": config.lidar.model_copy(update={k: v for k, v in lidar.items() if k not in asked}),
-            "faults": merged(preset.faults, config.faults),
-            "maps": merged(preset.maps, config.maps),
+            "faults": _merged(preset.faults, config.faults),
+            "maps": _merged(preset.maps, config.maps),
         }
     )
 

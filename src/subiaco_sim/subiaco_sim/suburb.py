@@ -14,7 +14,7 @@ from shapely.geometry import box as shapely_box
 from subiaco_geo.frames import Floats
 from subiaco_sim.buildings import House, Shed
 from subiaco_sim.furniture import Bin, Car, Fence, Pole
-from subiaco_sim.ground import ROAD_HALF, Road, Terrain
+from subiaco_sim.ground import ROAD_HALF, Line, Road, Terrain
 from subiaco_sim.plants import Hedge, Tree
 from subiaco_sim.primitives import Material
 from subiaco_sim.scene import BUILDING, MOBILE, OTHER, VEGETATION, Item, Placed, Shape
@@ -31,6 +31,7 @@ class Lot:
     x: float
     y: float
     yaw: float  # x along the street, -y towards the road
+    bend: float = 0.0  # curvature of the street, positive where the lot is on the inside [1/m]
 
 
 @dataclass
@@ -40,8 +41,14 @@ class Layout:
     centreline: Floats
     rng: np.random.Generator
     setback: float = SETBACK  # crown of the road to the front wall [m]
+    sides: tuple[int, ...] = (1, -1)  # of the centreline that are laid out, 1 is the left
+    lines: list[Line] = field(default_factory=list)
     items: list[Item] = field(default_factory=list)
     taken: list[Polygon] = field(default_factory=list)
+
+    def lots(self, frontage: float) -> Iterator[Lot]:
+        """Yield the lots of this layout, one every ``frontage`` [m]."""
+        return walk_lots(self.centreline, frontage, self.setback, self.sides)
 
     def add(self, kind: str, semantic: int, placed: Placed, *, area: Polygon | None = None) -> Item:
         """Add an item that stands in both epochs."""
@@ -79,18 +86,29 @@ def from_lot(lot: Lot, along: float, inward: float) -> tuple[float, float]:
     return float(lot.x + c * along - s * inward), float(lot.y + s * along + c * inward)
 
 
-def walk_lots(centreline: Floats, frontage: float, setback: float = SETBACK) -> Iterator[Lot]:
-    """Yield lots on both sides of a dense centreline, one every ``frontage`` [m]."""
+def walk_lots(
+    centreline: Floats, frontage: float, setback: float = SETBACK, sides: tuple[int, ...] = (1, -1)
+) -> Iterator[Lot]:
+    """Yield lots beside a dense centreline, one every ``frontage`` [m]; none inside a sharp bend."""
     spacing = float(np.linalg.norm(centreline[1] - centreline[0]))
     step = int(frontage / spacing)
     for k in range(step // 2, len(centreline) - step // 2, step):
         ahead, behind = centreline[min(k + 8, len(centreline) - 1)], centreline[max(k - 8, 0)]
         heading = float(np.arctan2(*(ahead - behind)[::-1]))
-        for side in (1, -1):
+        bend = _bend(behind, centreline[k], ahead)
+        for side in sides:
+            if side * bend * setback >= 1.0:
+                continue
             yaw = heading + (0.0 if side > 0 else np.pi)
             normal = np.array([-np.sin(yaw), np.cos(yaw)])
             x, y = centreline[k] + setback * normal
-            yield Lot(k * spacing, side, float(x), float(y), yaw)
+            yield Lot(k * spacing, side, float(x), float(y), yaw, side * bend)
+
+
+def _bend(behind: Floats, here: Floats, ahead: Floats) -> float:
+    """Return the curvature of the circle through three places, positive to the left [1/m]."""
+    a, b, c = here - behind, ahead - here, ahead - behind
+    return float(2.0 * (a[0] * b[1] - a[1] * b[0]) / np.prod([np.linalg.norm(v) for v in (a, b, c)]))
 
 
 def random_house(rng: np.random.Generator) -> House:
