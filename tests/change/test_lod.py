@@ -15,7 +15,6 @@ from subiaco_change.observation.lod import (
     compare_epochs,
     cylinder_stats,
     level_of_detection,
-    lod_raster,
 )
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.errors import InputError
@@ -117,14 +116,22 @@ def test_the_kernel_agrees_with_its_numpy_twin():
         assert stats.std[i] == pytest.approx(along[keep].std(), abs=1e-9)
 
 
-def test_the_raster_holds_medians_and_infinity_where_nothing_is_claimed():
-    cloud = flat(1, size=20.0, origin=(391_000.0, 6_464_000.0, 0.0))
-    lod = np.where(cloud.xyz[:, 0] < 10, 0.02, np.inf).astype(np.float32)
-    raster = lod_raster(cloud, lod, LodConfig())
-    assert raster.lod95.shape == (4, 4)
-    assert (raster.west, raster.north) == (391_000.0, 6_464_020.0)
-    assert np.allclose(raster.lod95[:, :2], 0.02)
-    assert np.isinf(raster.lod95[:, 2:]).all()
+def test_the_same_cylinder_in_both_epochs_keeps_what_stands_beside_the_surface_out():
+    def with_shelf(seed):
+        ground = flat(seed)
+        rng = np.random.default_rng(seed + 50)
+        n = 30 * 30 * 8
+        shelf = np.column_stack([rng.uniform(0, 30, (n, 2)), 0.75 + rng.normal(0, 0.01, n)])
+        xyz = np.vstack([ground.xyz, shelf])
+        return PointCloud(xyz, fields={"normals": np.tile(UP, (len(xyz), 1))})
+
+    result = compare_epochs(with_shelf(1), with_shelf(2), 0.0, LodConfig(noise=0.0))
+    assert np.quantile(np.abs(result.distance[np.isfinite(result.distance)]), 0.999) < 0.05
+
+
+def test_a_surface_beyond_the_short_cylinder_is_found_by_the_long_one():
+    result = compare_epochs(flat(1), flat(2, z=0.8), 0.0, LodConfig())
+    assert np.median(result.distance) == pytest.approx(0.8, abs=0.01)
 
 
 def test_clouds_about_different_origins_are_refused():

@@ -17,7 +17,7 @@ from result_scene import OBJECTS, ORIGIN, SceneConfig, ground_raster
 
 from subiaco_change.outputs import directory as outputs
 from subiaco_change.outputs.clouds import ASPRS_CODES, POINT_FIELDS, labelled_cloud
-from subiaco_change.outputs.raster import build_coverage
+from subiaco_change.outputs.raster import build_coverage, build_lod_raster, write_lod
 from subiaco_change.outputs.style import categorised_qml
 from subiaco_change.outputs.table import ALL_COLUMNS, COLUMNS, build_table, object_uids, table_hash
 from subiaco_change.records import CHANGE_COLOURS
@@ -285,3 +285,36 @@ def test_duplicate_object_ids_are_refused(result):
 
 def test_every_label_is_in_the_scene():
     assert {spec[2] for spec in OBJECTS} == set(Change)
+
+
+def test_the_lod_raster_holds_medians_of_both_epochs_north_up_and_says_where_nothing_is_claimed(tmp_path):
+    rng = np.random.default_rng(3)
+    xyz = np.column_stack([rng.uniform(0, 20, (4000, 2)), np.zeros(4000)])
+    lod = np.where(xyz[:, 0] < 10, 0.02, np.inf).astype(np.float32)
+    lod[(xyz[:, 1] > 15) & (xyz[:, 0] < 5)] = 0.08
+    clouds = [
+        PointCloud(xyz[part], np.array([391_000.0, 6_464_000.0, 0.0]), "EPSG:7850", {"lod95": lod[part]})
+        for part in (slice(0, None, 2), slice(1, None, 2))
+    ]
+    write_lod(tmp_path / "lod95.tif", build_lod_raster(*clouds), "EPSG:7850")
+    with rasterio.open(tmp_path / "lod95.tif") as dataset:
+        assert dataset.descriptions == ("lod95", "claimed")
+        assert dataset.res == (5.0, 5.0)
+        assert dataset.bounds[:] == (391_000.0, 6_464_000.0, 391_020.0, 6_464_020.0)
+        lod95, claimed = dataset.read()
+    assert lod95[0, 0] == pytest.approx(0.08)
+    assert np.allclose(lod95[1:, :2], 0.02)
+    assert np.isnan(lod95[:, 2:]).all()
+    assert np.array_equal(claimed, np.tile([1.0, 1.0, 0.0, 0.0], (4, 1)))
+
+
+def test_registration_is_reported_block_by_block(tmp_path, result):
+    blocks = pd.DataFrame({"east": [391_010.0], "north": [6_464_010.0], "sigma_standing_m": [0.0123]})
+    outputs.write_change_directory(
+        tmp_path / "out",
+        dataclasses.replace(result, blocks=blocks),
+        SceneConfig(),
+        outputs.ChangeInputs(),
+    )
+    assert (tmp_path / "out" / "lod95.tif").is_file()
+    pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "out" / "registration_blocks.csv"), blocks)

@@ -17,9 +17,9 @@ from subiaco_change.changes.object_changes import ObjectChange, ObjectRules, com
 from subiaco_change.changes.objects import EpochView, Reach
 from subiaco_change.config import ChangeConfig
 from subiaco_change.geometry import estimate_normals
-from subiaco_change.observation.common_frame import CommonFrame, seen_through
+from subiaco_change.observation.common_frame import seen_through
 from subiaco_change.observation.evidence import Observer, make_observer
-from subiaco_change.observation.placing import place
+from subiaco_change.observation.placing import Placed, block_table, place
 from subiaco_change.records import ChangeRecord, ChangeResult, Registration
 from subiaco_change.registration.pair import PairInfo, check_pair
 from subiaco_change.registration.register import given_registration, register
@@ -71,8 +71,7 @@ class _Epoch:
 class _Comparison:
     """One pass over two registered epochs."""
 
-    frame: CommonFrame
-    before: PointCloud
+    placed: Placed
     views: tuple[EpochView, EpochView]
     seen_by: tuple[Callable[[Floats], Mask], Callable[[Floats], Mask]]
     objects: list[ObjectChange]
@@ -198,7 +197,7 @@ def _compare(
     objects = compare_objects(*views, seen_by_before, seen_by_after, rules)
     stages.start("ground", 0.73)
     ground = compare_ground(*views, config.ground)
-    return _Comparison(frame, moved, views, (seen_by_before, seen_by_after), objects, ground)
+    return _Comparison(placed, views, (seen_by_before, seen_by_after), objects, ground)
 
 
 def _rules(config: ChangeConfig) -> ObjectRules:
@@ -256,7 +255,7 @@ def _assemble(
     stages: _Stages,
     info: PairInfo,
 ) -> ChangeResult:
-    origin = result.frame.origin
+    origin = result.placed.frame.origin
     evidence = _weaker(before.observer.kind, after.observer.kind)
     records: list[ChangeRecord] = []
     for number, change in enumerate(result.objects):
@@ -280,11 +279,18 @@ def _assemble(
     if Part.OBJECTS in config.without:
         labels = [_by_point(result, e, labels[e], config) for e in (0, 1)]
     raster = None if result.ground is None else ground_raster(result.ground, origin, config.ground)
-    clouds = [_labelled(c, v) for c, v in zip((result.before, after.cloud), labels, strict=True)]
+    clouds = [_labelled(c, v) for c, v in zip((result.placed.before, after.cloud), labels, strict=True)]
     stages.start("", 1.0)
-    registration = _with_operation(result.frame.registration, info)
+    registration = _with_operation(result.placed.frame.registration, info)
     return ChangeResult(
-        (*records, *patches), clouds[0], clouds[1], registration, raster, stages.seconds, info.warnings
+        (*records, *patches),
+        clouds[0],
+        clouds[1],
+        registration,
+        raster,
+        stages.seconds,
+        info.warnings,
+        block_table(result.placed),
     )
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
@@ -120,7 +121,9 @@ class ChangeResult:
     ``before`` and ``after`` are clouds at the working leaf in the frame of
     *after*, with fields ``change`` uint8, ``semantic`` uint8, ``instance``
     int32, ``confidence`` float32, ``lod95`` float32 and, where known,
-    ``intensity`` float32 and ``normals``.
+    ``intensity`` float32 and ``normals``. ``blocks`` has a row for every 20 m
+    block that tells of the registration: see
+    :func:`subiaco_change.observation.placing.block_table`.
     """
 
     records: tuple[ChangeRecord, ...]
@@ -130,3 +133,4 @@ class ChangeResult:
     ground: GroundChange | None
     seconds: Mapping[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
+    blocks: pd.DataFrame | None = None

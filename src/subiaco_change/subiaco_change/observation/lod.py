@@ -17,7 +17,6 @@ from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
 
 _Z95 = 1.96
-_BUDGET = 1 << 24  # raster cells
 
 
 class LodConfig(StrictModel):
@@ -40,7 +39,6 @@ class LodConfig(StrictModel):
         "quadrature", description="how sigma_reg joins: quadrature (paper), linear (M3C2)"
     )
     normal_radius: float = Field(0.8, gt=0, description="radius of normals where a cloud has none [m]")
-    raster_cell: float = Field(5.0, gt=0, description="cell of the reported raster [m]")
 
 
 @dataclass(frozen=True)
@@ -206,7 +204,7 @@ def measure_displacements(
     other = look(cloud_other.xyz, normals_other, config.half_length)
     if config.half_length > config.self_half_length:
         near = look(cloud_other.xyz, normals_other, config.self_half_length)
-        enough = near.count >= config.min_count
+        enough = (near.count >= config.min_count) | (4 * near.count >= own.count)
         other = CylinderStats(
             np.where(enough, near.mean, other.mean),
             np.where(enough, near.std, other.std),
@@ -265,35 +263,3 @@ def level_of_detection(
 ) -> NDArray[np.float32]:
     """Return LoD95 (N,) [m] at the points of one epoch; see :func:`compare_epochs`."""
     return compare_epochs(cloud_self, cloud_other, sigma_reg, config).lod95
-
-
-@dataclass(frozen=True)
-class LodRaster:
-    """LoD95 on a grid, row 0 in the north; infinite where nothing is claimed.
-
-    ``west`` and ``north`` are world coordinates of the outer corner [m].
-    """
-
-    lod95: NDArray[np.float32]
-    west: float
-    north: float
-    cell: float
-
-
-def lod_raster(cloud: PointCloud, lod95: NDArray[np.float32], config: LodConfig) -> LodRaster:
-    """Reduce per-point LoD95 (N,) to the median of the finite values in each cell."""
-    cell = config.raster_cell
-    xy = cloud.world()[:, :2]
-    low, high = np.floor(xy.min(axis=0) / cell), np.floor(xy.max(axis=0) / cell) + 1
-    columns, rows = (high - low).astype(int)
-    if rows * columns > _BUDGET:
-        raise InputError(f"a LoD raster of {rows} x {columns} cells is too large; raise lod.raster_cell")
-    raster = np.full(rows * columns, np.inf, dtype=np.float32)
-    finite = np.flatnonzero(np.isfinite(lod95))
-    ij = np.floor(xy[finite] / cell) - low
-    place = ((rows - 1 - ij[:, 1]) * columns + ij[:, 0]).astype(np.int64)
-    order = np.lexsort((lod95[finite], place))
-    cells, first, count = np.unique(place[order], return_index=True, return_counts=True)
-    values = lod95[finite][order]
-    raster[cells] = 0.5 * (values[first + (count - 1) // 2] + values[first + count // 2])
-    return LodRaster(raster.reshape(rows, columns), float(low[0] * cell), float(high[1] * cell), cell)

@@ -6,6 +6,7 @@ import logging
 from dataclasses import dataclass, replace
 
 import numpy as np
+import pandas as pd
 from numpy.typing import NDArray
 
 from subiaco_change.observation.common_frame import CommonFrame
@@ -139,3 +140,38 @@ def _stated(registration: Registration, sigma: NDArray[np.float64], bias: Smooth
             "vertical_bias_max_m": float(height.max()),
         }
     return replace(registration, sigma_reg_m=median, details=details)
+
+
+def block_table(placed: Placed) -> pd.DataFrame:
+    """Report the registration block by block.
+
+    Returns
+    -------
+    pandas.DataFrame
+        ``east north`` of the centre in the world; ``sigma_standing_m`` and
+        ``sigma_lying_m``, what the epochs lie apart on walls and on level
+        surfaces beyond the noise of their points; ``n_standing n_lying``,
+        residuals behind them (thin blocks borrow from their neighbours);
+        ``shift_east_m shift_north_m shift_up_m``, what was added to *before*
+        beyond the rigid transform.
+    """
+    sigma, origin = placed.sigma, placed.frame.origin
+    centres = sigma.grid.centres()
+    place = np.column_stack([centres, np.zeros(len(centres))])
+    shift = np.zeros_like(place)
+    for correction in placed.frame.corrections:
+        shift += correction.at(place)
+    table = pd.DataFrame(
+        {
+            "east": centres[:, 0] + origin[0],
+            "north": centres[:, 1] + origin[1],
+            "sigma_standing_m": sigma.bias[:, 0],
+            "sigma_lying_m": sigma.bias[:, 1],
+            "n_standing": sigma.count[:, 0],
+            "n_lying": sigma.count[:, 1],
+            "shift_east_m": shift[:, 0],
+            "shift_north_m": shift[:, 1],
+            "shift_up_m": shift[:, 2],
+        }
+    )
+    return table[sigma.count.sum(axis=1) > 0].reset_index(drop=True)

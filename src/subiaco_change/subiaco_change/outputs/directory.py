@@ -21,7 +21,13 @@ from subiaco_change.outputs.clouds import write_labelled
 from subiaco_change.outputs.hashing import hash_path
 from subiaco_change.outputs.json_text import write_json
 from subiaco_change.outputs.parcels import build_parcels, coverage_polygons
-from subiaco_change.outputs.raster import build_coverage, write_coverage, write_ground_change
+from subiaco_change.outputs.raster import (
+    build_coverage,
+    build_lod_raster,
+    write_coverage,
+    write_ground_change,
+    write_lod,
+)
 from subiaco_change.outputs.reading import ChangeDirectory, read_change_directory
 from subiaco_change.outputs.reviews import carry_reviews, read_reviewed
 from subiaco_change.records import ChangeResult, Registration
@@ -178,6 +184,9 @@ def write_change_directory(
         if result.ground is not None:
             write_ground_change(target / "ground_change.tif", result.ground, crs)
         write_coverage(target / "coverage.tif", coverage, crs)
+        write_lod(target / "lod95.tif", build_lod_raster(result.before, result.after), crs)
+        if result.blocks is not None:
+            result.blocks.to_csv(target / "registration_blocks.csv", index=False, float_format="%.4f")
         write_json(target / "registration.json", registration_document(result.registration, crs))
         write_config(target / "config.yaml", config)
         write_json(target / "run.json", run_document(result, config, inputs, table))

@@ -1,4 +1,4 @@
-"""Rasters of a change directory: ground change, and what each epoch saw."""
+"""Rasters of a change directory: ground change, what each epoch saw, level of detection."""
 
 from __future__ import annotations
 
@@ -13,10 +13,13 @@ from rasterio.transform import from_origin
 from subiaco_change.records import GroundChange
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Change
+from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
 
 #: Codes of ``coverage.tif`` band 1.
 COVERAGE = {0: "neither", 1: "both", 2: "only before", 3: "only after"}
+
+_BUDGET = 1 << 24  # cells
 
 
 @dataclass(frozen=True)
@@ -34,8 +37,27 @@ class Coverage:
         return float(np.count_nonzero(self.code == code) * self.cell**2)
 
 
+@dataclass(frozen=True)
+class LodRaster:
+    """Level of detection per cell, row 0 north.
+
+    ``lod95`` is the median of the points of both epochs that claim anything
+    [m], NaN where none does; ``claimed`` the share of points that do, NaN
+    without points.
+    """
+
+    lod95: NDArray[np.float32]
+    claimed: NDArray[np.float32]
+    west: float
+    north: float
+    cell: float
+
+
 def _write(
-    path: Path, bands: dict[str, NDArray[np.float32]], raster: GroundChange | Coverage, crs: str | None
+    path: Path,
+    bands: dict[str, NDArray[np.float32]],
+    raster: GroundChange | Coverage | LodRaster,
+    crs: str | None,
 ) -> None:
     arrays = list(bands.values())
     profile = {
@@ -64,6 +86,29 @@ def write_ground_change(path: Path, ground: GroundChange, crs: str | None) -> No
 def write_coverage(path: Path, coverage: Coverage, crs: str | None) -> None:
     """Write coverage codes and median LoD95 [m] as a two-band GeoTIFF."""
     _write(path, {"coverage": coverage.code.astype(np.float32), "lod95": coverage.lod95}, coverage, crs)
+
+
+def write_lod(path: Path, raster: LodRaster, crs: str | None) -> None:
+    """Write LoD95 [m] and the share of points that claim one as a two-band GeoTIFF."""
+    _write(path, {"lod95": raster.lod95, "claimed": raster.claimed}, raster, crs)
+
+
+def build_lod_raster(before: PointCloud, after: PointCloud, cell: float = 5.0) -> LodRaster:
+    """Reduce LoD95 of the labelled clouds to cells of an edge [m] on whole multiples of it."""
+    world = np.concatenate([before.world()[:, :2], after.world()[:, :2]])
+    lod95 = np.concatenate([np.asarray(c.fields["lod95"], dtype=np.float64) for c in (before, after)])
+    low, high = np.floor(world.min(axis=0) / cell), np.floor(world.max(axis=0) / cell) + 1
+    columns, rows = (high - low).astype(int).tolist()
+    if rows * columns > _BUDGET:
+        raise InputError(f"a raster of {rows} x {columns} cells is too large; remove far outliers")
+    ij = (np.floor(world / cell) - low).astype(np.int64)
+    flat = (rows - 1 - ij[:, 1]) * columns + ij[:, 0]
+    median = _median_per_cell(flat, lod95, rows * columns)
+    total = np.bincount(flat, minlength=rows * columns)
+    claims = np.bincount(flat, np.isfinite(lod95), rows * columns)
+    share = np.where(total > 0, claims / np.maximum(total, 1), np.nan).astype(np.float32)
+    west, north = float(low[0] * cell), float(high[1] * cell)
+    return LodRaster(median.reshape(rows, columns), share.reshape(rows, columns), west, north, cell)
 
 
 def build_coverage(before: PointCloud, after: PointCloud, cell: float = 2.0) -> Coverage:
