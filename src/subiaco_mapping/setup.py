@@ -23,6 +23,8 @@ setup(
     entry_points={
         "console_scripts": [
             "replay_node = subiaco_mapping.nodes.replay_node:main",
+            "recorder_node = subiaco_mapping.nodes.recorder_node:main",
+            "monitor_node = subiaco_mapping.nodes.monitor_node:main",
             "odometry_node = subiaco_mapping.nodes.odometry_node:main",
             "pose_graph_node = subiaco_mapping.nodes.pose_graph_node:main",
         ],

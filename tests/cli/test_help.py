@@ -19,6 +19,8 @@ VERBS = [
     "baseline",
     "ablate",
     "graph",
+    "record",
+    "recover",
 ]
 OPTIONS = {
     "simulate": ["--seed", "--preset", "--epoch", "--maps-only", "--duration", "--mode", "--overwrite"],
@@ -37,6 +39,8 @@ OPTIONS = {
     ],
     "export": ["--to", "copc", "--output", "--cloudcompare"],
     "check": ["--control", "--crs", "--json"],
+    "record": ["--output", "--resume", "--duration", "--remap", "--config", "--set", "--quiet", "--verbose"],
+    "recover": ["--output", "--in-place", "--thorough", "--json"],
     "baseline": ["dsm|nn|m3c2|c2c", "--output", "--transform", "--registration", "identity", "--overwrite"],
     "evaluate": ["--output", "--json"],
     "report": ["CHANGE_DIR"],

@@ -11,6 +11,7 @@ CONFIG_FILES: dict[str, tuple[str, ...]] = {
     "simulation": ("simulation.yaml",),
     "mapping": ("mapping.yaml", "sensors.yaml"),
     "change": ("change.yaml",),
+    "record": (),
 }
 
 

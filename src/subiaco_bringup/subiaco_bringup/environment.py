@@ -66,17 +66,18 @@ def _with_defaults(environment: dict[str, str], log_directory: str) -> dict[str,
 
 
 @contextmanager
-def node_environment() -> Iterator[dict[str, str]]:
+def node_environment(*, shared: bool = False) -> Iterator[dict[str, str]]:
     """Yield the environment of one run; runs side by side do not hear each other.
 
     ``ROS_DOMAIN_ID`` is taken from the caller's environment where it is set,
-    else a free one is held until the end.
+    else a free one is held until the end. ``shared`` runs stay in the caller's
+    domain, or the default one, because they listen to nodes that are not ours.
     """
     import domain_coordinator  # type: ignore[import-untyped]  # comes with ROS
 
     with TemporaryDirectory(prefix="subiaco-ros-") as logs:
         environment = _with_defaults(workspace_environment(), logs)
-        if "ROS_DOMAIN_ID" in os.environ:
+        if shared or "ROS_DOMAIN_ID" in os.environ:
             yield environment
             return
         held = domain_coordinator.domain_id()  # not as a `with`: it would swallow an OSError of ours

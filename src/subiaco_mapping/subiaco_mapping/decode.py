@@ -87,7 +87,7 @@ def parse_metadata(text: str) -> Any:
         ) from error
 
 
-def _expected_columns(info: Any) -> NDArray[np.bool_]:
+def expected_columns(info: Any) -> NDArray[np.bool_]:
     """Mark (W,) the columns that the sensor sends: packets that touch its azimuth window."""
     width, per_packet = info.format.columns_per_frame, info.format.columns_per_packet
     start, end = info.format.column_window
@@ -107,7 +107,7 @@ def _layout(text: str) -> _Layout:
         width=width,
         direction=np.ascontiguousarray(lut.direction, dtype=np.float64).reshape(-1, 3),
         offset=np.ascontiguousarray(lut.offset, dtype=np.float64).reshape(-1, 3),
-        expected=_expected_columns(info),
+        expected=expected_columns(info),
         azimuth_column=(np.arange(width) - np.array(info.format.pixel_shift_by_row)[:, None]) % width,
         column_ns=1e9 / (info.format.fps * width),
     )
@@ -150,6 +150,13 @@ def complete_times(
     filled[after] = relative[index[-1]] + (column[after] - index[-1]) * column_ns
     exact = np.where(usable, times_ns, base + np.round(filled).astype(np.int64))
     return exact.astype(np.int64), int(known.sum() - usable.sum())
+
+
+def utc_shift_ns(config: DecodeConfig) -> int:
+    """Return what makes UTC of the sensor's time [ns]."""
+    shift_s = {"utc": 0, "tai": -config.leap_seconds}
+    shift_s["gps"] = shift_s["tai"] - GPS_MINUS_TAI_S
+    return shift_s[config.time_base] * 10**9 + config.time_offset_ns
 
 
 class PacketDecoder:
@@ -287,10 +294,7 @@ class PacketDecoder:
         return self._scan(frame, missing)
 
     def _utc(self, times_ns: Ints) -> Ints:
-        shift_s = {"utc": 0, "tai": -self._config.leap_seconds}
-        shift_s["gps"] = shift_s["tai"] - GPS_MINUS_TAI_S
-        offset_ns = shift_s[self._config.time_base] * 10**9 + self._config.time_offset_ns
-        return np.asarray(times_ns + offset_ns)
+        return np.asarray(times_ns + utc_shift_ns(self._config))
 
     def _scan(self, frame: _Frame, missing: int) -> Scan:
         times_ns, bad = complete_times(

@@ -9,7 +9,7 @@ from collections.abc import Sequence
 
 import typer
 
-from subiaco_bringup.cli import baseline_verbs, change_verbs, graph_verbs, survey_verbs
+from subiaco_bringup.cli import baseline_verbs, change_verbs, graph_verbs, record_verbs, survey_verbs
 from subiaco_geo.errors import SubiacoError
 
 EPILOG = """\b
@@ -45,6 +45,7 @@ survey_verbs.register(app)
 change_verbs.register(app)
 baseline_verbs.register(app)
 graph_verbs.register(app)
+record_verbs.register(app)
 
 
 def _report(message: str) -> None:

@@ -7,7 +7,7 @@ import os
 import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from typing import Any, Protocol, TypeVar
+from typing import Any, Protocol, TypeVar, runtime_checkable
 
 import rclpy
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
@@ -43,6 +43,14 @@ class App(Protocol):
 
     def step(self) -> float:
         """Do what is not a callback; return the seconds that may be spent waiting for callbacks."""
+
+
+@runtime_checkable
+class Closing(Protocol):
+    """An app that must put something away, however its process ends."""
+
+    def close(self) -> None:
+        """Put it away."""
 
 
 def reliable(depth: int) -> QoSProfile:
@@ -154,10 +162,13 @@ class Diagnostics:
         self._node = node
         self._publisher = node.create_publisher(DiagnosticArray, "diagnostics", 10)
 
-    def report(self, message: str, values: Mapping[str, object], *, warn: bool = False) -> None:
+    def report(
+        self, message: str, values: Mapping[str, object], *, warn: bool = False, error: bool = False
+    ) -> None:
         """Publish a status line with values."""
+        calm = DiagnosticStatus.WARN if warn else DiagnosticStatus.OK
         status = DiagnosticStatus(
-            level=DiagnosticStatus.WARN if warn else DiagnosticStatus.OK,
+            level=DiagnosticStatus.ERROR if error else calm,
             name=self._node.get_name(),
             message=message,
             values=[KeyValue(key=key, value=str(value)) for key, value in values.items()],
@@ -227,11 +238,15 @@ def run_node(name: str, build: Callable[[Node], App], argv: Sequence[str] | None
 def _run(node: Node, build: Callable[[Node], App]) -> int:
     executor = SingleThreadedExecutor()
     executor.add_node(node)
+    app: App | None = None
     try:
-        _spin(executor, build(node))
+        app = build(node)
+        _spin(executor, app)
     except SubiacoError as error:
         node.get_logger().fatal(str(error))
         return error.exit_code
     finally:
+        if isinstance(app, Closing):
+            app.close()
         executor.shutdown(timeout_sec=1.0)
     return 0

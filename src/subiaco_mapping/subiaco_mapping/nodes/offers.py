@@ -1,0 +1,114 @@
+"""What publishers offer, and the subscription that takes it all."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from importlib import import_module
+from typing import Any
+
+from rclpy.duration import Duration
+from rclpy.node import Node
+from rclpy.qos import DurabilityPolicy, HistoryPolicy, QoSProfile, ReliabilityPolicy
+from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
+
+from subiaco_geo.errors import InputError
+
+
+@dataclass(frozen=True)
+class Offer:
+    """What the publishers of one topic offer together.
+
+    Parameters
+    ----------
+    msg_type, type_hash : str
+    profiles : tuple of Qos
+        The distinct ones.
+    reliable, latched : bool
+        Every publisher is reliable; every one keeps its messages for late listeners.
+    mixed : bool
+        The publishers differ, so that the weaker one is taken.
+    """
+
+    msg_type: str
+    type_hash: str
+    profiles: tuple[Qos, ...]
+    reliable: bool
+    latched: bool
+    mixed: bool
+
+    @property
+    def key(self) -> tuple[str, bool, bool]:
+        """What a subscription depends on."""
+        return self.msg_type, self.reliable, self.latched
+
+
+def _time(duration: Duration) -> QosTime:
+    return QosTime(duration.nanoseconds // 10**9, duration.nanoseconds % 10**9)
+
+
+def _member(kind: Any, name: str) -> Any:
+    return kind.__members__.get(name, kind.UNKNOWN)
+
+
+def offered_qos(profile: QoSProfile) -> Qos:
+    """Return a discovered profile in the terms of a bag; history is never known, as in rosbag2."""
+    return Qos(
+        history=_member(QosHistory, profile.history.name),
+        depth=profile.depth,
+        reliability=_member(QosReliability, profile.reliability.name),
+        durability=_member(QosDurability, profile.durability.name),
+        deadline=_time(profile.deadline),
+        lifespan=_time(profile.lifespan),
+        liveliness=_member(QosLiveliness, profile.liveliness.name),
+        liveliness_lease_duration=_time(profile.liveliness_lease_duration),
+        avoid_ros_namespace_conventions=profile.avoid_ros_namespace_conventions,
+    )
+
+
+def _hash_text(endpoint: Any) -> str:
+    text = str(endpoint.topic_type_hash)
+    return text if text.startswith("RIHS01_") and set(text[7:]) != {"0"} else ""
+
+
+def read_offer(node: Node, topic: str) -> Offer | None:
+    """Return what is offered on a topic (resolved name), None while nobody publishes it."""
+    endpoints: Sequence[Any] = node.get_publishers_info_by_topic(topic)
+    if not endpoints:
+        return None
+    profiles = tuple(dict.fromkeys(offered_qos(endpoint.qos_profile) for endpoint in endpoints))
+    reliable = {endpoint.qos_profile.reliability == ReliabilityPolicy.RELIABLE for endpoint in endpoints}
+    latched = {endpoint.qos_profile.durability == DurabilityPolicy.TRANSIENT_LOCAL for endpoint in endpoints}
+    return Offer(
+        msg_type=endpoints[0].topic_type,
+        type_hash=_hash_text(endpoints[0]),
+        profiles=profiles,
+        reliable=reliable == {True},
+        latched=latched == {True},
+        mixed=len(reliable) > 1 or len(latched) > 1,
+    )
+
+
+def wanted_qos(offer: Offer, depth: int) -> QoSProfile:
+    """Return the profile of a subscription that matches every publisher and loses as little as it can."""
+    return QoSProfile(
+        history=HistoryPolicy.KEEP_LAST,
+        depth=depth,
+        reliability=ReliabilityPolicy.RELIABLE if offer.reliable else ReliabilityPolicy.BEST_EFFORT,
+        durability=DurabilityPolicy.TRANSIENT_LOCAL if offer.latched else DurabilityPolicy.VOLATILE,
+    )
+
+
+def message_class(msg_type: str) -> Any:
+    """Return the Python class of ``package/msg/Name``.
+
+    Raises
+    ------
+    InputError
+        Its package is not installed, or not sourced.
+    """
+    try:
+        package, kind, name = msg_type.split("/")
+        return getattr(import_module(f"{package}.{kind}"), name)
+    except (ValueError, ImportError, AttributeError) as error:
+        raise InputError(f"{msg_type}: message package not found; install or source it") from error

@@ -1,0 +1,52 @@
+"""Configuration of the recorder."""
+
+from __future__ import annotations
+
+from typing import Literal, Self
+
+from pydantic import Field, model_validator
+
+from subiaco_geo.config import StrictModel
+from subiaco_geo.topics import MESSAGE_TYPES
+
+
+class RecordConfig(StrictModel):
+    """What is recorded, how it is cut into files, and what the disk must keep free."""
+
+    topics: tuple[str, ...] = Field(
+        (*MESSAGE_TYPES, "/diagnostics"), description="topics to record, by the names that the bag gets"
+    )
+    all_topics: bool = Field(False, description="record every other topic of the graph too")
+    exclude: tuple[str, ...] = Field(
+        ("/clock", "/rosout", "/parameter_events"), description="left out of all_topics"
+    )
+    split_duration: float = Field(60.0, gt=0, description="a new file after so long [s]")
+    chunk_bytes: int = Field(1 << 20, ge=1 << 12, le=1 << 26, description="a chunk is closed at this size")
+    flush_interval: float = Field(
+        0.4, gt=0, le=1.0, description="and at latest after so long: what a kill can cost [s]"
+    )
+    fsync: Literal["chunk", "flush", "close"] = Field(
+        "flush", description="when the disk must have it: every chunk, every flush_interval, every file"
+    )
+    queue_mb: int = Field(
+        512, ge=16, description="messages held while the disk is slow; more are dropped [MB]"
+    )
+    warn_free_gb: float = Field(20.0, ge=0, description="less free space is a warning [GB]")
+    stop_free_gb: float = Field(2.0, ge=0, description="less free space ends the recording, whole [GB]")
+    exit_when_stopped: bool = Field(
+        True, description="end the process then; false: stay and say so on diagnostics"
+    )
+    packet_depth: int = Field(2048, ge=256, description="packets that the middleware keeps for us")
+    depth: int = Field(512, ge=1, description="messages of other topics likewise; a tenth of whole clouds")
+
+    @model_validator(mode="after")
+    def _watermarks_in_order(self) -> Self:
+        if self.warn_free_gb < self.stop_free_gb:
+            raise ValueError("warn_free_gb must not be below stop_free_gb")
+        return self
+
+
+class RecordingConfig(StrictModel):
+    """The configuration file of ``subiaco record``."""
+
+    record: RecordConfig = RecordConfig()

@@ -1,0 +1,245 @@
+"""Counters that reveal every loss: on the way from the publisher, and from the sensor to its driver."""
+
+from __future__ import annotations
+
+import struct
+from collections import deque
+from dataclasses import asdict, dataclass, field
+from typing import Any
+
+import numpy as np
+
+from subiaco_geo.bags import packet_from_cdr
+from subiaco_geo.errors import InputError
+from subiaco_geo.topics import FIX, IMU, MESSAGE_TYPES, POINTS
+
+_STAMP = struct.Struct("<iI")
+_CDR_HEAD = 4
+#: Packets this far behind or ahead are another run of the sensor, not a loss.
+_RESTART_FRAMES = 600
+_REMEMBERED = 4096
+#: Types of sensors with a steady rate; all begin with a header.
+PERIODIC_TYPES = frozenset(MESSAGE_TYPES[topic] for topic in (IMU, FIX, POINTS))
+
+
+class SequenceCounter:
+    """Losses between publishers and us, from the numbers that the middleware gives to messages.
+
+    Every publisher counts from 1; several on one topic are told apart by continuity.
+    """
+
+    def __init__(self) -> None:
+        self.lost = 0
+        self.before = 0
+        self._next: list[int] = []
+
+    def take(self, number: int) -> int:
+        """Note one message; return how many were lost just before it."""
+        if number in self._next:
+            self._next[self._next.index(number)] = number + 1
+            return 0
+        behind = [expected for expected in self._next if expected < number]
+        if number == 1 or not behind:  # a publisher not seen so far
+            self.before += number - 1
+            self._next.append(number + 1)
+            self._next = self._next[-16:]
+            return 0
+        expected = max(behind)
+        self._next[self._next.index(expected)] = number + 1
+        self.lost += number - expected
+        return number - expected
+
+
+class StampCounter:
+    """Losses of a periodic sensor, from gaps between the stamps of its headers."""
+
+    def __init__(self) -> None:
+        self.lost = 0
+        self.backward = 0
+        self.repeated = 0
+        self._last: int | None = None
+        self._steps: deque[int] = deque(maxlen=51)
+
+    @property
+    def period_ns(self) -> int | None:
+        """Median time between messages [ns], once ten steps are known."""
+        if len(self._steps) < 10:
+            return None
+        return int(np.median(self._steps))
+
+    def take(self, stamp_ns: int) -> int:
+        """Note one stamp; return how many messages are missing just before it."""
+        last, self._last = self._last, stamp_ns
+        if last is None:
+            return 0
+        step = stamp_ns - last
+        if step <= 0:
+            self.backward += step < 0
+            self.repeated += step == 0
+            return 0
+        period = self.period_ns
+        missing = 0 if period is None else max(0, round(step / period) - 1)
+        self.lost += missing
+        self._steps.append(step)
+        return missing
+
+
+@dataclass
+class PacketCounts:
+    """Packets that are missing, and other oddities of their order.
+
+    ``late`` ones had been counted as lost and came after all.
+    """
+
+    lost_at_sensor: int = 0
+    late: int = 0
+    duplicate: int = 0
+    malformed: int = 0
+    restarts: int = 0
+
+
+class PacketCounter:
+    """Losses between the LiDAR and its driver, from the frame and measurement ids of its packets.
+
+    Parameters
+    ----------
+    metadata_json : str
+        The sensor's metadata.
+    counts : PacketCounts, optional
+        Counts to go on with, where the sensor changed its mode.
+    """
+
+    def __init__(self, metadata_json: str, counts: PacketCounts | None = None) -> None:
+        from ouster.sdk import core
+
+        from subiaco_mapping.decode import expected_columns, parse_metadata
+
+        info = parse_metadata(metadata_json)
+        self.metadata = metadata_json
+        self.counts = counts or PacketCounts()
+        self._column_id = core.ColHeader.MEASUREMENT_ID
+        self._format: Any = core.PacketFormat(info)
+        self._modulus = int(self._format.max_frame_id) + 1
+        self._per_packet = int(info.format.columns_per_packet)
+        sent = expected_columns(info).reshape(-1, self._per_packet).any(axis=1)
+        self._place: list[int] = np.where(sent, np.cumsum(sent) - 1, -1).tolist()
+        self._in_frame = int(sent.sum())
+        self._newest: int | None = None
+        self._init_id: int | None = None
+        self._missing: dict[int, None] = {}
+
+    def take(self, raw: bytes | memoryview) -> None:
+        """Note one serialised packet message."""
+        try:
+            data = np.frombuffer(packet_from_cdr(raw), dtype=np.uint8)
+        except InputError:
+            self.counts.malformed += 1
+            return
+        place = self._placed(data) if len(data) == self._format.lidar_packet_size else -1
+        if place < 0:
+            self.counts.malformed += 1
+            return
+        frame_id, init_id = int(self._format.frame_id(data)), int(self._format.init_id(data))
+        if self._newest is None or init_id != self._init_id:
+            self._begin(frame_id, place, restarted=self._newest is not None)
+        else:
+            self._follow(self._newest, frame_id, place)
+        self._init_id = init_id
+
+    def _placed(self, data: Any) -> int:
+        """Return which packet of its frame this is, -1 where it cannot be one."""
+        index = int(self._format.packet_header(self._column_id, data)[0]) // self._per_packet
+        return self._place[index] if index < len(self._place) else -1
+
+    def _begin(self, frame_id: int, place: int, *, restarted: bool) -> None:
+        self.counts.restarts += restarted
+        self._newest = frame_id * self._in_frame + place
+        self._missing.clear()
+
+    def _follow(self, newest: int, frame_id: int, place: int) -> None:
+        turn = newest // self._in_frame
+        step = (frame_id - turn + self._modulus // 2) % self._modulus - self._modulus // 2
+        number = (turn + step) * self._in_frame + place
+        if abs(step) > _RESTART_FRAMES:
+            self._begin(frame_id, place, restarted=True)
+        elif number > newest:
+            self._advance(newest, number)
+        elif number in self._missing:
+            del self._missing[number]
+            self.counts.lost_at_sensor -= 1
+            self.counts.late += 1
+        else:
+            self.counts.duplicate += 1
+
+    def _advance(self, newest: int, number: int) -> None:
+        self._newest = number
+        if number == newest + 1:
+            return
+        self.counts.lost_at_sensor += number - newest - 1
+        self._missing.update(dict.fromkeys(range(max(newest + 1, number - _REMEMBERED), number)))
+        for old in list(self._missing)[:-_REMEMBERED]:
+            del self._missing[old]
+
+
+def header_stamp_ns(raw: bytes | memoryview) -> int | None:
+    """Return the header stamp of a serialised message [ns], None where the bytes are too few."""
+    if len(raw) < _CDR_HEAD + _STAMP.size or raw[1] != 1:
+        return None
+    seconds, nanoseconds = _STAMP.unpack_from(raw, _CDR_HEAD)
+    return int(seconds) * 10**9 + int(nanoseconds)
+
+
+@dataclass
+class TopicCounter:
+    """Everything counted on one topic.
+
+    Parameters
+    ----------
+    stamped : bool
+        The messages begin with a header and come at a steady rate.
+    """
+
+    stamped: bool = False
+    received: int = 0
+    dropped: int = 0
+    last_ns: int = 0
+    transport: SequenceCounter = field(default_factory=SequenceCounter)
+    stamps: StampCounter = field(default_factory=StampCounter)
+    packets: PacketCounter | None = None
+
+    def take(self, raw: bytes | memoryview, received_ns: int, sequence: int | None) -> None:
+        """Note one message."""
+        self.received += 1
+        self.last_ns = received_ns
+        if sequence is not None:
+            self.transport.take(sequence)
+        if self.stamped:
+            stamp = header_stamp_ns(raw)
+            if stamp is not None:
+                self.stamps.take(stamp)
+        if self.packets is not None:
+            self.packets.take(raw)
+
+    @property
+    def lost(self) -> int:
+        """Messages known to be missing from the recording, whatever the cause."""
+        sensor = self.stamps.lost if self.packets is None else self.packets.counts.lost_at_sensor
+        return max(self.transport.lost, sensor) + self.dropped
+
+    def facts(self) -> dict[str, int]:
+        """Return the counts by name."""
+        facts = {
+            "received": self.received,
+            "lost": self.lost,
+            "lost_in_transport": self.transport.lost,
+            "before_start": self.transport.before,
+            "dropped_disk_slow": self.dropped,
+        }
+        if self.stamped:
+            stamps = self.stamps
+            facts |= {
+                "lost_by_stamp": stamps.lost,
+                "stamps_backward": stamps.backward,
+                "stamps_repeated": stamps.repeated,
+            }
+        return facts | (asdict(self.packets.counts) if self.packets is not None else {})

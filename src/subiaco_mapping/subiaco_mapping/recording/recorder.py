@@ -1,0 +1,380 @@
+"""The recorder: takes serialised messages from any thread, writes them in one of its own."""
+
+from __future__ import annotations
+
+import logging
+import shutil
+import threading
+import time
+from collections import deque
+from collections.abc import Callable, Mapping
+from contextlib import ExitStack
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import yaml
+
+from subiaco_geo.atomic import refuse_existing, whole_file
+from subiaco_geo.bag_metadata import SegmentInfo, describe_segment, write_bag_metadata
+from subiaco_geo.bag_segments import (
+    PARTIAL,
+    RecordedTopic,
+    SegmentWriter,
+    natural_order,
+    segment_path,
+    sole_writer,
+)
+from subiaco_geo.bags import TYPESTORE
+from subiaco_geo.errors import InputError
+from subiaco_mapping.recording.config import RecordConfig
+
+LOGGER = logging.getLogger(__name__)
+
+COUNTS_NAME = "recording.yaml"
+_GB, _MB = 10**9, 10**6
+_NAP = 0.02  # woken by time and not by every message: many are written in one go
+_DISK_INTERVAL = 0.25
+_RATE_MEMORY = 10.0
+
+State = Literal["recording", "disk full", "failed", "closed"]
+Facts = Callable[[], Mapping[str, Any]]
+
+
+@dataclass(frozen=True, slots=True)
+class Entry:
+    """One message on its way to the disk."""
+
+    topic: RecordedTopic
+    data: bytes
+    log_time_ns: int
+    publish_time_ns: int
+    sequence: int
+    latched: bool
+
+
+@dataclass(frozen=True)
+class RecorderStatus:
+    """How a recording stands.
+
+    ``minutes_left`` is until the disk's lower watermark at the present rate, None where nothing is
+    written; ``slowest_sync_s`` is the longest wait for the disk so far.
+    """
+
+    state: State
+    reason: str
+    file: str
+    files: int
+    messages: int
+    written_bytes: int
+    queued_bytes: int
+    dropped: int
+    free_bytes: int
+    rate_bytes: float
+    minutes_left: float | None
+    slowest_sync_s: float
+    warnings: tuple[str, ...]
+
+
+def free_bytes(folder: Path) -> int:
+    """Return the free space of the disk that a folder is on."""
+    return shutil.disk_usage(folder).free
+
+
+def latched_key(entry: Entry) -> tuple[str, ...]:
+    """Return what a later message on a latched topic must share to replace this one.
+
+    Several nodes publish static transforms: one replaces another where it speaks of the same frames.
+    """
+    if entry.topic.msg_type != "tf2_msgs/msg/TFMessage":
+        return (entry.topic.name,)
+    try:
+        message: Any = TYPESTORE.deserialize_cdr(entry.data, entry.topic.msg_type)
+        return (entry.topic.name, *sorted(t.child_frame_id for t in message.transforms))
+    except Exception:  # noqa: BLE001 - damaged bytes are recorded as they came
+        return (entry.topic.name,)
+
+
+def _prepare(folder: Path, resume: bool) -> None:
+    if resume and folder.is_dir():
+        return
+    refuse_existing(folder, overwrite=False)
+    folder.mkdir(parents=True)
+
+
+def _existing(folder: Path) -> tuple[list[SegmentInfo], int]:
+    """Return the whole files of an earlier start, and the next free number."""
+    whole = sorted(folder.glob("*.mcap"), key=natural_order)
+    taken = [path.name.removesuffix(PARTIAL) for path in (*whole, *folder.glob(f"*.mcap{PARTIAL}"))]
+    index = 0
+    while any(name >= segment_path(folder, index).name for name in taken):
+        index += 1
+    return [describe_segment(path) for path in whole], index
+
+
+class Recorder:
+    """Write messages into a folder of mcap files, so that a kill costs little and a full disk nothing.
+
+    Parameters
+    ----------
+    folder : Path
+        The rosbag2 folder to make.
+    config : RecordConfig
+    resume : bool
+        Go on with a new file where the folder exists.
+    facts : callable, optional
+        Counts of the receiving side, for ``recording.yaml``.
+    free : callable
+        Folder to free bytes; replaced in tests.
+
+    Raises
+    ------
+    InputError
+        The folder exists, or somebody else records into it.
+    """
+
+    def __init__(
+        self,
+        folder: Path,
+        config: RecordConfig,
+        *,
+        resume: bool = False,
+        facts: Facts | None = None,
+        free: Callable[[Path], int] = free_bytes,
+    ) -> None:
+        self.folder = Path(folder).absolute()
+        self._config = config
+        self._facts = facts or dict
+        self._free = free
+        _prepare(self.folder, resume)
+        self._held = ExitStack()
+        self._held.enter_context(sole_writer(self.folder))
+        self._segments, self._index = _existing(self.folder)
+        self._segment: SegmentWriter | None = None
+        self._latched: dict[tuple[str, ...], Entry] = {}
+        self._queue: deque[Entry] = deque()
+        self._queued_bytes = 0
+        self._wake = threading.Condition()
+        self._ending = False
+        self._state: State = "recording"
+        self._reason = ""
+        self._messages = self._dropped = self._closed_bytes = self._repeated = 0
+        self._slowest_sync = 0.0
+        self._rate = 0.0
+        now = time.monotonic()
+        self._flushed = self._looked = self._split = now
+        self._looked_bytes = 0
+        self._free_bytes = free(self.folder)
+        self._refuse_full_disk()
+        self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
+        self._thread.start()
+
+    def _refuse_full_disk(self) -> None:
+        if self._free_bytes < self._config.stop_free_gb * _GB:
+            self._held.close()
+            raise InputError(
+                f"{self.folder}: only {self._free_bytes / _GB:.1f} GB are free, "
+                f"{self._config.stop_free_gb:g} must stay free (record.stop_free_gb); make room"
+            )
+
+    # The receiving side ---------------------------------------------------------------------------
+
+    def add(
+        self,
+        topic: RecordedTopic,
+        data: bytes,
+        log_time_ns: int,
+        publish_time_ns: int = 0,
+        sequence: int = 0,
+        *,
+        latched: bool = False,
+    ) -> bool:
+        """Take one message; False where it had to be dropped, because the disk is too slow or full.
+
+        Never waits for the disk. ``latched`` messages are repeated at the head of every file.
+        """
+        with self._wake:
+            full = self._queued_bytes + len(data) > self._config.queue_mb * _MB
+            if full or self._state != "recording" or self._ending:
+                self._dropped += 1
+                return False
+            publish = publish_time_ns or log_time_ns
+            self._queue.append(Entry(topic, data, log_time_ns, publish, sequence & 0xFFFFFFFF, latched))
+            self._queued_bytes += len(data)
+        return True
+
+    @property
+    def stopped(self) -> bool:
+        """Whether nothing is recorded any more."""
+        return self._state != "recording"
+
+    def status(self) -> RecorderStatus:
+        """Return how the recording stands."""
+        segment = self._segment
+        spare = max(0.0, self._free_bytes - self._config.stop_free_gb * _GB)
+        return RecorderStatus(
+            state=self._state,
+            reason=self._reason,
+            file="" if segment is None else segment.path.name,
+            files=len(self._segments) + (segment is not None),
+            messages=self._messages,
+            written_bytes=self._closed_bytes + (0 if segment is None else segment.size),
+            queued_bytes=self._queued_bytes,
+            dropped=self._dropped,
+            free_bytes=self._free_bytes,
+            rate_bytes=self._rate,
+            minutes_left=spare / self._rate / 60.0 if self._rate > 0 else None,
+            slowest_sync_s=self._slowest_sync,
+            warnings=tuple(self._warnings()),
+        )
+
+    def _warnings(self) -> list[str]:
+        warnings = [self._reason] if self._reason else []
+        if self._state == "recording" and self._free_bytes < self._config.warn_free_gb * _GB:
+            warnings.append(f"only {self._free_bytes / _GB:.1f} GB free on the disk")
+        if self._queued_bytes > 0.5 * self._config.queue_mb * _MB:
+            warnings.append(f"the disk is too slow: {self._queued_bytes / _MB:.0f} MB wait for it")
+        if self._dropped:
+            warnings.append(f"{self._dropped} messages not recorded")
+        return warnings
+
+    def close(self) -> RecorderStatus:
+        """Write what waits, finish the file, and return how the recording ended."""
+        with self._wake:
+            self._ending = True
+            self._wake.notify()
+        self._thread.join()
+        self._held.close()
+        return self.status()
+
+    # The writing thread ---------------------------------------------------------------------------
+
+    def _run(self) -> None:
+        try:
+            while not (self._ending and not self._queue) and self._state == "recording":
+                for entry in self._take():
+                    self._write(entry)
+                self._tend()
+            self._finish_segment()
+            if self._state == "recording":
+                self._state = "closed"
+        except OSError as error:
+            self._fail(error)
+        except Exception as error:
+            LOGGER.exception("the recorder's writing thread")
+            self._fail(error)
+        self._write_counts()
+
+    def _take(self) -> list[Entry]:
+        """Return what waits, a little at a time so that the clock is looked at in between."""
+        with self._wake:
+            if not self._queue and not self._ending:
+                self._wake.wait(_NAP)
+            batch = [self._queue.popleft() for _ in range(min(64, len(self._queue)))]
+            self._queued_bytes -= sum(len(entry.data) for entry in batch)
+        return batch
+
+    def _write(self, entry: Entry) -> None:
+        if self._segment is None:
+            self._open_segment(entry)
+        assert self._segment is not None
+        if entry.latched:
+            self._latched[latched_key(entry)] = entry
+        self._put(self._segment, entry, entry.log_time_ns)
+        self._messages += 1
+        if self._segment.pending_bytes >= self._config.chunk_bytes:
+            self._flush(sync=self._config.fsync == "chunk")
+
+    @staticmethod
+    def _put(segment: SegmentWriter, entry: Entry, log_time_ns: int) -> None:
+        segment.write(entry.topic, entry.data, log_time_ns, entry.publish_time_ns, entry.sequence)
+
+    def _open_segment(self, first: Entry) -> None:
+        """Begin a file with what a late listener needs, as of the time of its first message."""
+        self._segment = SegmentWriter(segment_path(self.folder, self._index))
+        self._index += 1
+        self._split = time.monotonic()
+        for latched in self._latched.values():
+            self._put(self._segment, latched, first.log_time_ns)
+            self._repeated += 1
+
+    def _flush(self, *, sync: bool) -> None:
+        assert self._segment is not None
+        begun = time.monotonic()
+        self._segment.flush(sync=sync)
+        if sync:
+            self._slowest_sync = max(self._slowest_sync, time.monotonic() - begun)
+
+    def _tend(self) -> None:
+        """Do what is due by the clock: flush, look at the disk, begin a new file."""
+        now = time.monotonic()
+        if now - self._flushed >= self._config.flush_interval:
+            self._flushed = now
+            if self._segment is not None and self._segment.pending_bytes:
+                self._flush(sync=self._config.fsync != "close")
+        if now - self._looked >= _DISK_INTERVAL:
+            self._look_at_disk(now)
+        if self._segment is not None and now - self._split >= self._config.split_duration:
+            self._finish_segment()
+
+    def _look_at_disk(self, now: float) -> None:
+        written = self.status().written_bytes
+        share = min(1.0, (now - self._looked) / _RATE_MEMORY)
+        rate = (written - self._looked_bytes) / (now - self._looked)
+        self._rate = rate if self._rate == 0 else (1 - share) * self._rate + share * rate
+        self._looked, self._looked_bytes = now, written
+        self._free_bytes = self._free(self.folder)
+        if self._free_bytes < self._config.stop_free_gb * _GB:
+            self._stop(
+                "disk full", f"stopped, all files whole: only {self._free_bytes / _GB:.2f} GB are free"
+            )
+
+    def _stop(self, state: State, reason: str) -> None:
+        with self._wake:
+            self._state, self._reason = state, f"{self.folder}: {reason}"
+            self._dropped += len(self._queue)
+            self._queue.clear()
+            self._queued_bytes = 0
+        LOGGER.error("%s", self._reason)
+
+    def _fail(self, error: Exception) -> None:
+        """Give up on a disk that refuses; what was flushed stays in the partial file."""
+        segment, self._segment = self._segment, None
+        if segment is not None:
+            segment.abandon()
+            self._messages -= segment.pending_messages
+            self._dropped += segment.pending_messages
+        reason = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
+        advice = f"run 'subiaco recover {self.folder}'" if segment is not None else "choose another disk"
+        self._stop("failed", f"{reason.lower()}; {advice}")
+
+    def _finish_segment(self) -> None:
+        segment = self._segment
+        if segment is None:
+            return
+        segment.close()
+        self._segment = None
+        if segment.messages:
+            self._closed_bytes += segment.path.stat().st_size
+            self._segments.append(describe_segment(segment.path))
+            write_bag_metadata(self.folder, self._segments, {"recorder": "subiaco"})
+            self._write_counts()
+
+    def _write_counts(self) -> None:
+        """Keep the counts beside the files: what was lost must be known from the recording alone."""
+        facts = {
+            "state": self._state,
+            "reason": self._reason,
+            "files": len(self._segments),
+            "messages": self._messages,
+            "repeated_latched": self._repeated,
+            "dropped": self._dropped,
+            "bytes": self._closed_bytes,
+            "slowest_sync_s": round(self._slowest_sync, 3),
+            "topics": dict(self._facts()),
+        }
+        try:
+            with whole_file(self.folder / COUNTS_NAME) as temporary:
+                temporary.write_text(yaml.safe_dump(facts, sort_keys=False), "utf-8")
+        except OSError as error:
+            LOGGER.warning("%s: %s cannot be written (%s)", self.folder, COUNTS_NAME, error.strerror)

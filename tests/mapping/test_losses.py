@@ -1,0 +1,153 @@
+"""Counters of the recorder: every loss shows, and nothing else does."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from ouster.sdk import core
+from pydantic import ValidationError
+
+from subiaco_geo.bags import packet_to_cdr
+from subiaco_mapping.recording.config import RecordConfig
+from subiaco_mapping.recording.losses import (
+    PacketCounter,
+    SequenceCounter,
+    StampCounter,
+    TopicCounter,
+    header_stamp_ns,
+)
+from subiaco_sim.config import LidarMode
+from subiaco_sim.packets import sensor_info
+
+PERIOD_NS = 10_000_000
+
+
+@given(st.lists(st.booleans(), min_size=1, max_size=200))
+def test_sequence_numbers_reveal_exactly_what_is_missing_between_first_and_last(kept: list[bool]) -> None:
+    counter = SequenceCounter()
+    numbers = [k + 1 for k, keep in enumerate(kept) if keep]
+    for number in numbers:
+        counter.take(number)
+    expected = numbers[-1] - numbers[0] + 1 - len(numbers) if numbers else 0
+    assert counter.lost == expected
+    assert counter.before == (numbers[0] - 1 if numbers else 0)
+
+
+def test_a_publisher_that_starts_again_and_two_at_once_are_no_loss() -> None:
+    counter = SequenceCounter()
+    for number in [1, 2, 3, 1, 4, 2, 5, 3, 1, 2]:
+        counter.take(number)
+    assert counter.lost == 0
+
+
+def test_a_loss_of_one_of_two_publishers_is_counted_once() -> None:
+    counter = SequenceCounter()
+    for number in [*range(1, 100), 1, 100, 2, 101, 5, 102, 6]:
+        counter.take(number)
+    assert counter.lost == 2
+
+
+def test_stamps_reveal_missing_samples_under_jitter() -> None:
+    rng = np.random.default_rng(5)
+    counter = StampCounter()
+    missing = {40, 41, 42, 90, 150}
+    for k in range(200):
+        if k not in missing:
+            counter.take(k * PERIOD_NS + int(rng.normal(0, PERIOD_NS * 0.08)))
+    assert counter.lost == len(missing)
+    assert counter.period_ns == pytest.approx(PERIOD_NS, rel=0.05)
+
+
+def test_a_new_rate_is_learnt_and_backward_and_repeated_stamps_are_counted() -> None:
+    counter = StampCounter()
+    stamps = [k * PERIOD_NS for k in range(60)]
+    stamps += [stamps[-1] + (k + 1) * 4 * PERIOD_NS for k in range(100)]
+    for stamp in [*stamps, stamps[-1], stamps[-1] - 7]:
+        counter.take(stamp)
+    assert counter.period_ns == 4 * PERIOD_NS
+    assert counter.lost < 3 * 51
+    assert (counter.repeated, counter.backward) == (1, 1)
+
+
+def sensor() -> tuple[str, list[bytes]]:
+    """Metadata of a 512x10 sensor, and its packets of six frames from the wrap of the frame id on."""
+    info = sensor_info(LidarMode.COLUMNS_512, dual=False, beams=64)
+    layout = core.PacketFormat(info)
+    per_packet = info.format.columns_per_packet
+    packets = []
+    for frame in range(6):
+        for first in range(0, info.format.columns_per_frame, per_packet):
+            packet = core.LidarPacket(layout)
+            layout.set_frame_id(packet, (layout.max_frame_id - 2 + frame) % (layout.max_frame_id + 1))
+            for column in range(per_packet):
+                layout.set_col_measurement_id(packet, column, first + column)
+            packets.append(packet_to_cdr(bytes(packet.buf)))
+    return info.to_json_string(), packets
+
+
+METADATA, PACKETS = sensor()
+
+
+def count(raws: list[bytes]) -> PacketCounter:
+    counter = PacketCounter(METADATA)
+    for raw in raws:
+        counter.take(raw)
+    return counter
+
+
+def test_a_whole_stream_of_packets_has_no_loss_over_the_wrap_of_the_frame_id() -> None:
+    counts = count(PACKETS).counts
+    assert vars(counts) == {
+        "lost_at_sensor": 0, "late": 0, "duplicate": 0, "malformed": 0, "restarts": 0
+    }  # fmt: skip
+
+
+@given(st.sets(st.integers(1, len(PACKETS) - 2), max_size=60))
+def test_packet_ids_reveal_exactly_what_is_missing(missing: set[int]) -> None:
+    kept = [packet for k, packet in enumerate(PACKETS) if k not in missing]
+    assert count(kept).counts.lost_at_sensor == len(missing)
+
+
+@given(st.integers(1, len(PACKETS) - 10), st.integers(1, 8))
+def test_a_late_packet_is_given_back_and_a_duplicate_is_no_loss(place: int, delay: int) -> None:
+    order = PACKETS.copy()
+    order.insert(place + delay, order.pop(place))
+    counts = count([*order[:50], order[49], *order[50:]]).counts
+    assert (counts.lost_at_sensor, counts.late, counts.duplicate) == (0, 1, 1)
+
+
+def test_whole_lost_frames_count_and_damaged_packets_are_told_apart() -> None:
+    per_frame = len(PACKETS) // 6
+    counts = count(
+        [*PACKETS[:per_frame], *PACKETS[3 * per_frame :], b"\0\1\0\0", packet_to_cdr(bytes(9))]
+    ).counts
+    assert counts.lost_at_sensor == 2 * per_frame
+    assert counts.malformed == 2
+
+
+def test_a_topic_adds_up_transport_sensor_and_disk() -> None:
+    counter = TopicCounter(stamped=True)
+    for k in range(100):
+        if k not in (50, 51):
+            stamp = (k * PERIOD_NS).to_bytes(8, "little")
+            nanoseconds = int.from_bytes(stamp, "little")
+            raw = b"\0\1\0\0" + (7).to_bytes(4, "little") + nanoseconds.to_bytes(4, "little") + bytes(20)
+            counter.take(raw, k, k + 1)
+    counter.dropped = 3
+    facts = counter.facts()
+    assert (facts["received"], facts["lost_in_transport"], facts["lost_by_stamp"]) == (98, 2, 2)
+    assert facts["lost"] == 5
+
+
+def test_header_stamps_are_read_from_serialised_bytes_only_where_there_are_enough() -> None:
+    raw = b"\0\1\0\0" + (5).to_bytes(4, "little") + (6).to_bytes(4, "little")
+    assert header_stamp_ns(raw) == 5_000_000_006
+    assert header_stamp_ns(raw[:-1]) is None
+    assert header_stamp_ns(b"\0\0" + raw[2:]) is None
+
+
+def test_watermarks_must_be_in_order() -> None:
+    with pytest.raises(ValidationError, match="warn_free_gb must not be below stop_free_gb"):
+        RecordConfig(warn_free_gb=1.0, stop_free_gb=2.0)
