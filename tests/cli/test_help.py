@@ -18,9 +18,9 @@ VERBS = [
     "export",
     "baseline",
     "ablate",
-    "graph",
     "record",
     "recover",
+    "graph",
 ]
 OPTIONS = {
     "simulate": ["--seed", "--preset", "--epoch", "--maps-only", "--duration", "--mode", "--overwrite"],
