@@ -14,6 +14,7 @@ from subiaco_sim.vehicle import GNSS
 
 FIXED, FLOAT, SINGLE, NONE = 2, 1, 0, -1
 
+
 @dataclass(frozen=True)
 class GnssSeries:
     """Fixes: times (N,), antenna in ENU (N, 3) [m] with NaN where none, status (N,), sigma (N, 3).
