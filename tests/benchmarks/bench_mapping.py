@@ -81,7 +81,7 @@ def compare(bag: Path, limit: int) -> tuple[Clock, list[Floats], list[FrontendOu
         backend = MappingBackend(config, extrinsics, Path(spool))
         for message in reader.messages({LIDAR_PACKETS, IMU, FIX}):
             if message.topic == FIX:
-                clock.run("graph", backend.on_fix, fix_from_msg(reader.deserialize(message)))
+                clock.run("graph", backend.on_fix, fix_from_msg(reader.deserialize(message), config.gnss))
                 continue
             if message.topic == IMU:
                 step, item = frontend.on_imu, clock.run("read", imu_from_msg, reader.deserialize(message))

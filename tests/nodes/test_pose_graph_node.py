@@ -79,6 +79,10 @@ class FakeBackend:
         return SurveyMap(PointCloud(world - origin, origin, self.crs, fields), Trajectory(stamps, poses))
 
 
+#: Where the sensors sit, by parameters; else live topics wait for /tf_static.
+PLACES = {"sensors__lidar__translation": [0.0, 0.0, 2.0], "sensors__gnss__translation": [0.0, 0.0, 2.2]}
+
+
 class Bench:
     """A pose-graph node with a fake back end, and a tester that plays odometry and replay."""
 
@@ -270,7 +274,7 @@ def test_fixes_without_a_lever_arm_are_bad_input(ros: Any) -> None:
 def test_without_a_replay_the_data_itself_starts_a_sequence(ros: Any, tmp_path: Path) -> None:
     from subiaco_msgs.srv import SaveMap
 
-    bench = Bench(ros, FakeBackend())
+    bench = Bench(ros, FakeBackend(), **PLACES)
     bench.scan()
     bench.scan()
     ros.until(lambda: len(bench.backend.taken) == 2)
@@ -278,6 +282,22 @@ def test_without_a_replay_the_data_itself_starts_a_sequence(ros: Any, tmp_path: 
     request = SaveMap.Request(directory=str(tmp_path / "map"))
     assert call(ros, bench.user, SaveMap, "pose_graph/save_map", request).success
     assert len(read_map(tmp_path / "map").cloud) == 100
+
+
+def test_on_live_topics_path_and_map_grow_and_an_interrupted_survey_leaves_its_map(
+    ros: Any, tmp_path: Path
+) -> None:
+    parameters = {"live_period": 0.2, "save_on_exit": True, "output_directory": str(tmp_path / "map")}
+    bench = Bench(ros, FakeBackend(), **PLACES, **parameters)
+    bench.scan()
+    ros.until(lambda: bench.paths and bench.points)
+    bench.scan()
+    ros.until(lambda: len(bench.paths[-1].poses) == 2)
+    assert len(bench.paths) >= 2
+    assert not (tmp_path / "map").exists()
+    bench.app.close()
+    assert len(read_map(tmp_path / "map").cloud) == 100
+    bench.app.close()  # once is enough
 
 
 def call(ros: Any, user: Any, kind: Any, name: str, request: Any) -> Any:

@@ -7,6 +7,8 @@ from typing import Literal
 from pydantic import Field
 
 from subiaco_geo.config import StrictModel
+from subiaco_mapping.drivers import DriverName
+from subiaco_mapping.watch.config import WatchConfig
 
 Triple = tuple[float, float, float]
 
@@ -100,6 +102,17 @@ class GnssConfig(StrictModel):
     """Fixes to priors."""
 
     required: bool = Field(False, description="refuse a bag that GNSS cannot place")
+    driver: DriverName = Field(
+        "subiaco",
+        description="what a status means: subiaco (2 fixed, 1 float, 0 single), ublox, nmea, septentrio, or "
+        "covariance (any other)",
+    )
+    fixed_below: float = Field(
+        0.1, gt=0, description="where the status cannot tell: a smaller stated sigma is RTK fixed [m]"
+    )
+    float_below: float = Field(
+        1.5, gt=0, description="where the status cannot tell: a smaller stated sigma is RTK float [m]"
+    )
     declared_frame: Literal["GDA2020", "ITRF2014"] = Field("GDA2020", description="frame of the fixes")
     epoch: float | None = Field(None, description="decimal year of ITRF coordinates")
     sigma_fixed: float = Field(0.015, gt=0, description="floor for status 2 [m]")
@@ -187,3 +200,4 @@ class MappingConfig(StrictModel):
     graph: GraphConfig = GraphConfig()
     fusion: FusionConfig = FusionConfig()
     manifest: ManifestConfig = ManifestConfig()
+    watch: WatchConfig = WatchConfig()

@@ -12,7 +12,8 @@ from scipy.spatial.transform import Rotation
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints, invert_pose, make_pose, pose_from_quaternion
 from subiaco_geo.topics import POINTS, TF_STATIC
-from subiaco_mapping.config import FramePose, MappingConfig, SensorsConfig
+from subiaco_mapping.config import FramePose, GnssConfig, MappingConfig, SensorsConfig
+from subiaco_mapping.drivers import rtk_state
 from subiaco_mapping.measurements import (
     Extrinsics,
     GnssFix,
@@ -21,6 +22,7 @@ from subiaco_mapping.measurements import (
     Returns,
     Scan,
 )
+
 _FORMATS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
 TIME_FIELDS = ("t", "time", "timestamp", "time_stamp", "offset_time", "timeStamp")
 _ABSOLUTE_SECONDS = 1e8
@@ -45,15 +47,23 @@ def imu_from_msg(message: Any) -> ImuSample:
     )
 
 
-def fix_from_msg(message: Any) -> GnssFix:
-    """Convert a sensor_msgs/NavSatFix; its status is kept as the driver gave it."""
+def fix_from_msg(message: Any, config: GnssConfig) -> GnssFix:
+    """Convert a sensor_msgs/NavSatFix; the driver profile says what its status means."""
+    covariance = np.array(message.position_covariance, dtype=np.float64).reshape(3, 3)
     return GnssFix(
         time_ns=stamp_ns(message.header.stamp),
         latitude=float(message.latitude),
         longitude=float(message.longitude),
         altitude=float(message.altitude),
-        covariance=np.array(message.position_covariance, dtype=np.float64).reshape(3, 3),
-        status=int(message.status.status),
+        covariance=covariance,
+        status=rtk_state(
+            int(message.status.status),
+            covariance,
+            int(message.position_covariance_type),
+            config.driver,
+            config.fixed_below,
+            config.float_below,
+        ),
     )
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from subiaco_geo.bags import BagReader, packet_from_cdr, require_topic
 from subiaco_geo.topics import FIX, IMU, LIDAR_PACKETS, MESSAGE_TYPES, METADATA, POINTS, TF_STATIC
-from subiaco_mapping.config import DecodeConfig
+from subiaco_mapping.config import DecodeConfig, GnssConfig
 from subiaco_mapping.conversions import fix_from_msg, stamp_ns
 from subiaco_mapping.decode import PacketDecoder
 from subiaco_mapping.pipeline import read_metadata
@@ -34,7 +34,7 @@ def _rate_facts(times_ns: list[int], msg_type: str) -> dict[str, Any]:
 
 
 def _gnss_facts(reader: BagReader) -> dict[str, Any]:
-    fixes = [(m.log_time_ns, fix_from_msg(reader.deserialize(m))) for m in reader.messages({FIX})]
+    fixes = [(m.log_time_ns, fix_from_msg(reader.deserialize(m), GnssConfig())) for m in reader.messages({FIX})]
     states = Counter(fix.status for _, fix in fixes)
     return {
         "states": {_STATES.get(status, str(status)): count for status, count in sorted(states.items())},

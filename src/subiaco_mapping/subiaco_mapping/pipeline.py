@@ -12,6 +12,7 @@ from subiaco_geo.bags import BagReader, hash_bag, packet_from_cdr, require_topic
 from subiaco_geo.crs import require_map_crs
 from subiaco_geo.errors import InputError
 from subiaco_geo.maps import SurveyMap
+from subiaco_geo.simulated import mark_simulated
 from subiaco_geo.topics import FIX, HEADING, IMU, LIDAR_PACKETS, MESSAGE_TYPES, METADATA, POINTS, TF_STATIC
 from subiaco_mapping.backend import MappingBackend
 from subiaco_mapping.config import MappingConfig
@@ -25,6 +26,7 @@ from subiaco_mapping.conversions import (
 from subiaco_mapping.frontend import FrontendOutput, OdometryFrontend
 from subiaco_mapping.map_builder import ProgressCallback, silent
 from subiaco_mapping.measurements import Extrinsics
+from subiaco_mapping.watch.files import with_watched
 
 logger = logging.getLogger(__name__)
 
@@ -91,7 +93,7 @@ def run_sequence(
         LIDAR_PACKETS: lambda m: feed(frontend.on_packet(packet_from_cdr(m.raw))),
         POINTS: lambda m: feed(frontend.on_points(scan_from_points(reader.deserialize(m), config))),
         IMU: lambda m: feed(frontend.on_imu(imu_from_msg(reader.deserialize(m)))),
-        FIX: lambda m: backend.on_fix(fix_from_msg(reader.deserialize(m))),
+        FIX: lambda m: backend.on_fix(fix_from_msg(reader.deserialize(m), config.gnss)),
         HEADING: lambda m: backend.on_heading(heading_from_msg(reader.deserialize(m))),
     }
     span_ns = max(reader.end_ns - reader.start_ns, 1)
@@ -144,4 +146,6 @@ def map_survey(
             with BagReader(Path(bag)) as reader:
                 run_sequence(reader, backend, config, report)
             inputs[sequence_name(Path(bag))] = hash_bag(Path(bag))
-        return backend.build_map(report, inputs)
+        return with_watched(
+            mark_simulated(backend.build_map(report, inputs), [Path(bag) for bag in bags]), bags
+        )

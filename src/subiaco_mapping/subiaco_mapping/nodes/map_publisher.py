@@ -7,7 +7,7 @@ from nav_msgs.msg import Path as PathMessage
 from rclpy.node import Node
 from sensor_msgs.msg import NavSatFix, PointCloud2
 
-from subiaco_geo.frames import Floats
+from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.maps import SurveyMap
 from subiaco_mapping.nodes.frame import LocalFrame, earth_from_enu
 from subiaco_mapping.nodes.messages import (
@@ -78,6 +78,15 @@ class MapPublisher:
         fields = {"intensity": np.asarray(cloud.fields["intensity"], np.float32)}
         stamp_ns = int(solution.sequences[-1].stamps_ns[-1])
         self._points.publish(cloud_message(xyz_cloud(local, **fields), self._frames[1], stamp_ns))
+
+    def publish_growing(self, times_ns: Ints, poses: Floats, xyz: Floats, T_map_odom: Floats) -> None:
+        """Publish what there is of a live map: path (S, 4, 4) and points (N, 3) in ``map``."""
+        _, map_frame, odom = self._frames
+        stamp_ns = int(times_ns[-1])
+        self._path.publish(path_message(times_ns, poses, map_frame))
+        self._points.publish(cloud_message(xyz_cloud(xyz), map_frame, stamp_ns))
+        moving = transform_message(T_map_odom, map_frame, odom, stamp_ns)
+        self._tf.publish(TFMessage(transforms=[moving]))
 
     def wait_until_received(self) -> None:
         """Wait until matched subscribers have everything."""

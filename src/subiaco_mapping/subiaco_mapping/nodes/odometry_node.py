@@ -5,7 +5,9 @@ from __future__ import annotations
 import json
 import logging
 import sys
+import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any, Protocol
 
 from nav_msgs.msg import Odometry
@@ -27,6 +29,7 @@ from subiaco_mapping.nodes.counts import ConsumptionReporter, counts_message, li
 from subiaco_mapping.nodes.covariance import PoseCovariance
 from subiaco_mapping.nodes.extrinsics import StaticTransforms, sensors_needed
 from subiaco_mapping.nodes.flow import ConsumedCounter, FlowControl
+from subiaco_mapping.nodes.live import PatientStart
 from subiaco_mapping.nodes.messages import (
     odometry_message,
     quality_message,
@@ -52,6 +55,7 @@ from subiaco_mapping.nodes.runtime import (
     reliable,
     run_node,
 )
+from subiaco_mapping.preview import OneChain
 from subiaco_msgs.msg import ReplayCounts, ScanQuality
 from tf2_msgs.msg import TFMessage
 
@@ -120,6 +124,8 @@ class OdometryApp:
         self._extrinsics = Extrinsics()
         self._covariance: PoseCovariance | None = None
         self._ended = False
+        self._start = PatientStart(("imu",))
+        self._run = 0
         self.flow = FlowControl(own.consumers, dict.fromkeys(OUTPUTS, SCAN_WINDOW))
         self._diagnostics = Diagnostics(node)
         self._create_publishers(node)
@@ -190,16 +196,24 @@ class OdometryApp:
         return self._transforms.add(message)
 
     def _on_packet(self, raw: bytes) -> None:
-        self._publish(self._sequence_frontend().on_packet(packet_from_cdr(raw)))
+        if not self._announced and self._metadata is None:
+            self._start.waiting_for(f"{METADATA}: the driver has not sent the sensor's metadata yet")
+            return
+        frontend = self._sequence_frontend()
+        if frontend is not None:
+            self._publish(frontend.on_packet(packet_from_cdr(raw)))
 
     def _on_points(self, message: PointCloud2) -> None:
         if LIDAR_PACKETS in self._announced:
             return
-        scan = scan_from_points(message, self._config)
-        self._publish(self._sequence_frontend().on_points(scan))
+        frontend = self._sequence_frontend()
+        if frontend is not None:
+            self._publish(frontend.on_points(scan_from_points(message, self._config)))
 
     def _on_imu(self, message: Imu) -> None:
-        self._publish(self._sequence_frontend().on_imu(imu_from_msg(message)))
+        frontend = self._sequence_frontend()
+        if frontend is not None:
+            self._publish(frontend.on_imu(imu_from_msg(message)))
 
     def _on_sequence(self, message: ReplayCounts) -> None:
         self._finish_sequence()
@@ -218,9 +232,17 @@ class OdometryApp:
     def _output_counts(self) -> dict[str, int]:
         return {topic: self.flow.totals[topic] for topic in (ODOMETRY, CLOUD, QUALITY, FACTS)}
 
-    def _sequence_frontend(self) -> Frontend:
+    def _sequence_frontend(self) -> Frontend | None:
+        """Return the front end of the sequence; on live topics None until the sensors' places are known."""
         if self._frontend is None:
-            self._extrinsics = self._transforms.extrinsics(sensors_needed(self._announced))
+            if self._announced:
+                extrinsics = self._transforms.extrinsics(sensors_needed(self._announced))
+            else:
+                known = self._start.extrinsics(self._transforms)
+                if known is None:
+                    return None
+                extrinsics, self._run = known, OneChain.RUN * int(time.time() % 2_000_000)
+            self._extrinsics = extrinsics
             self._covariance = PoseCovariance(self._extrinsics.T_base_lidar)
             self._frontend = self._make_frontend(self._extrinsics, self._metadata)
         return self._frontend
@@ -237,6 +259,8 @@ class OdometryApp:
 
     def _publish_one(self, output: FrontendOutput) -> None:
         assert self._covariance is not None
+        if self._run:  # a live odometry that is restarted is told from the one before
+            output = replace(output, pose=replace(output.pose, segment=output.pose.segment + self._run))
         sensors, odom = self._config.sensors, self._own.odom_frame
         message = odometry_message(
             output.pose,

@@ -6,6 +6,7 @@ import json
 import logging
 import sys
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any, Protocol
@@ -37,6 +38,7 @@ from subiaco_mapping.measurements import (
 from subiaco_mapping.nodes.counts import ConsumptionReporter
 from subiaco_mapping.nodes.extrinsics import StaticTransforms, sensors_needed
 from subiaco_mapping.nodes.flow import ConsumedCounter
+from subiaco_mapping.nodes.live import LiveMap, PatientStart
 from subiaco_mapping.nodes.map_publisher import MapPublisher
 from subiaco_mapping.nodes.matching import StampMatcher
 from subiaco_mapping.nodes.messages import pose_from_messages, scan_from_messages
@@ -59,7 +61,9 @@ from subiaco_mapping.nodes.runtime import (
     reliable,
     run_node,
 )
+from subiaco_mapping.preview import OneChain
 from subiaco_mapping.solution import GraphSolution
+from subiaco_mapping.watch.files import extended, read_manifest, with_watched
 from subiaco_msgs.msg import ReplayCounts, ScanQuality
 from subiaco_msgs.srv import Optimize, SaveMap
 from tf2_msgs.msg import TFMessage
@@ -91,9 +95,15 @@ class PoseGraphParameters(StrictModel):
     output_directory: str = Field("", description="map directory to write at the end; empty writes none")
     overwrite: bool = Field(False, description="replace an existing map directory")
     bags: tuple[str, ...] = Field((), description="the replayed bags, named with hashes in map.yaml")
-    update_scans: int = Field(0, ge=0, description="scans between two updates of the path; 0 only on request")
     preview_points: int = Field(1_000_000, gt=0, le=1_000_000, description="most points on map/points")
     exit_at_end: bool = Field(False, description="end with the odometry")
+    live_period: float = Field(
+        0.0, ge=0, description="between two updates of path and map while driving; 0: at the end only [s]"
+    )
+    live_voxel: float = Field(0.4, gt=0, description="one point a voxel on map/points while driving [m]")
+    live_points: int = Field(300_000, gt=0, le=1_000_000, description="most points on map/points likewise")
+    save_on_exit: bool = Field(False, description="write output_directory when interrupted, too")
+    watch_manifest: str = Field("", description="manifest.yaml of the monitor, which the map's extends")
 
 
 class Backend(Protocol):
@@ -144,15 +154,29 @@ class PoseGraphApp:
         self._announced: ReplayCounts | None = None
         self._marker: tuple[str, ReplayCounts] | None = None
         self._sequence = "live"
+        self._start = PatientStart(("gnss",))
+        self._chain = OneChain()
         self._scans = 0
         self._ending = self._finished = False
         self._progress = ProgressLog(node)
         self._diagnostics = Diagnostics(node)
         self._map = MapPublisher(node, own.map_frame, own.odom_frame, own.earth_frame, own.preview_points)
+        self._live = self._make_live() if own.live_period > 0 else None
         self._reporter = ConsumptionReporter(node, ConsumedCounter(INPUTS))
         self._create_subscriptions(node)
         node.create_service(Optimize, "pose_graph/optimize", self._on_optimize)
         node.create_service(SaveMap, "pose_graph/save_map", self._on_save_map)
+
+    def _make_live(self) -> LiveMap:
+        own = self._own
+        return LiveMap(
+            self._map,
+            self._backend.optimize,
+            self._publish_solution,
+            period=own.live_period,
+            voxel=own.live_voxel,
+            points=own.live_points,
+        )
 
     def _create_subscriptions(self, node: Node) -> None:
         handlers: tuple[tuple[Any, str, Callable[[Any], object], Any], ...] = (
@@ -202,7 +226,21 @@ class PoseGraphApp:
             self._reporter.flush()
             self._finish()
             self._finished = True
+        if self._live is not None and not self._finished:
+            self._live.step()
         return 0.1
+
+    def close(self) -> None:
+        """Leave a whole map behind a live survey that was ended."""
+        if not (self._own.save_on_exit and self._own.output_directory and self._scans) or self._finished:
+            return
+        LOGGER.info("ending: writing the map of %d scans", self._scans)
+        try:
+            directory = Path(self._own.output_directory)
+            write_map(directory, self._built(directory, self._own.overwrite), overwrite=self._own.overwrite)
+        except SubiacoError as error:
+            LOGGER.error("no map: %s", error)
+        self._finished = True
 
     def _on_announced(self, message: ReplayCounts) -> None:
         self._announced = message
@@ -231,45 +269,52 @@ class PoseGraphApp:
         self._extrinsics = None
         self._transforms = StaticTransforms(self._config.sensors, (self._own.map_frame,))
 
-    def _started(self) -> Extrinsics:
-        """Return the extrinsics of the sequence; its first data starts it in the back end."""
+    def _started(self) -> Extrinsics | None:
+        """Return the extrinsics of the sequence; its first data starts it in the back end.
+
+        On live topics None until it is known where the sensors sit.
+        """
         if self._extrinsics is None:
-            topics = [] if self._announced is None else self._announced.topics
-            self._extrinsics = self._transforms.extrinsics(sensors_needed(topics))
-            self._backend.start_sequence(self._sequence, self._extrinsics)
+            if self._announced is None:
+                self._extrinsics = self._start.extrinsics(self._transforms)
+            else:
+                self._extrinsics = self._transforms.extrinsics(sensors_needed(self._announced.topics))
+            if self._extrinsics is not None:
+                self._backend.start_sequence(self._sequence, self._extrinsics)
         return self._extrinsics
 
     def _on_tf_static(self, message: TFMessage) -> bool:
         return self._transforms.add(message)
 
     def _on_fix(self, message: NavSatFix) -> None:
-        self._started()
-        self._backend.on_fix(fix_from_msg(message))
+        if self._started() is not None:
+            self._backend.on_fix(fix_from_msg(message, self._config.gnss))
 
     def _on_heading(self, message: Imu) -> None:
-        self._started()
-        self._backend.on_heading(heading_from_msg(message))
+        if self._started() is not None:
+            self._backend.on_heading(heading_from_msg(message))
 
     def _on_facts(self, message: String) -> None:
-        self._started()
-        self._backend.add_facts(**json.loads(message.data))
+        if self._started() is not None:
+            self._backend.add_facts(**json.loads(message.data))
 
     def _on_part(self, kind: str, message: Any) -> None:
         found = self._matcher.add(kind, stamp_ns(message.header.stamp), message)
         if found is None:
             return
+        extrinsics = self._started()
+        if extrinsics is None:
+            return
         odometry, quality, cloud = found
-        pose = pose_from_messages(odometry, quality, self._started().T_base_lidar)
-        self._backend.on_odometry(pose, scan_from_messages(cloud, quality))
+        pose = pose_from_messages(odometry, quality, extrinsics.T_base_lidar)
+        scan = scan_from_messages(cloud, quality)
+        if self._announced is None:
+            segment, T_odom_lidar = self._chain.take(pose.segment, pose.T_odom_lidar)
+            pose = replace(pose, segment=segment, T_odom_lidar=T_odom_lidar)
+        self._backend.on_odometry(pose, scan)
         self._scans += 1
-        if self._own.update_scans and self._scans % self._own.update_scans == 0:
-            self._preview()
-
-    def _preview(self) -> None:
-        try:
-            self._publish_solution(self._backend.optimize())
-        except InputError as error:
-            LOGGER.info("no path yet: %s", error)
+        if self._live is not None:
+            self._live.add(pose.stamp_ns, pose.T_odom_lidar, scan, self._chain.T_chain_odom)
 
     def _publish_solution(self, solution: GraphSolution) -> None:
         self._map.publish_solution(solution)
@@ -278,11 +323,18 @@ class PoseGraphApp:
         lost = self._matcher.dropped
         self._diagnostics.report("solved", {"poses": poses, "fixes": used, "lost_sets": lost}, warn=lost > 0)
 
-    def _save(self, directory: Path, *, overwrite: bool) -> SurveyMap:
+    def _built(self, directory: Path, overwrite: bool) -> SurveyMap:
         refuse_existing(directory, overwrite)
         inputs = {sequence_name(Path(bag)): hash_bag(Path(bag)) for bag in self._own.bags}
         survey = self._backend.build_map(self._progress, inputs)
         survey = mark_simulated(survey, map(Path, self._own.bags))
+        if not self._own.watch_manifest:
+            return with_watched(survey, self._own.bags)
+        watched = read_manifest(Path(self._own.watch_manifest))
+        return replace(survey, manifest=extended(survey.manifest, watched))
+
+    def _save(self, directory: Path, *, overwrite: bool) -> SurveyMap:
+        survey = self._built(directory, overwrite)
         self._publish_solution(self._backend.optimize())
         self._map.publish_map(survey, self._backend.optimize())
         write_map(directory, survey, overwrite=overwrite)

@@ -1,0 +1,312 @@
+"""Node: watch a live vehicle (or a replay) and say what is wrong."""
+
+from __future__ import annotations
+
+import json
+import os
+import shutil
+import sys
+import time
+from collections.abc import Callable, Sequence
+from importlib import import_module
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from nav_msgs.msg import Odometry
+from pydantic import Field
+from rclpy.clock import Clock, ClockType
+from rclpy.node import Node
+from sensor_msgs.msg import Imu, NavSatFix, PointCloud2, TimeReference
+from std_msgs.msg import String
+from visualization_msgs.msg import MarkerArray
+
+from ouster_sensor_msgs.msg import PacketMsg
+from subiaco_geo.config import StrictModel
+from subiaco_geo.crs import EnuFrame
+from subiaco_geo.errors import InputError
+from subiaco_geo.topics import FIX, IMU, LIDAR_PACKETS, METADATA, POINTS
+from subiaco_mapping.config import MappingConfig
+from subiaco_mapping.conversions import fix_from_msg, imu_from_msg, stamp_ns
+from subiaco_mapping.nodes.markers import street_markers
+from subiaco_mapping.nodes.matching import StampMatcher
+from subiaco_mapping.nodes.names import ODOMETRY, QUALITY
+from subiaco_mapping.nodes.offered import OfferedSubscription
+from subiaco_mapping.nodes.runtime import App, latched, read_models, run_node
+from subiaco_mapping.recording.losses import header_stamp_ns
+from subiaco_mapping.watch.dop import dop_of_gps_fix, dop_of_nmea
+from subiaco_mapping.watch.files import SurveyFiles
+from subiaco_mapping.watch.monitor import Monitor, OdometryNote
+from subiaco_mapping.watch.routes import read_route
+from subiaco_mapping.watch.snapshot import Snapshot, take_snapshot
+from subiaco_msgs.msg import ScanQuality
+
+LOOK_INTERVAL = 0.2
+TICK_INTERVAL = 0.1
+STATUS_INTERVAL = 0.5
+MARKER_INTERVAL = 2.0
+FILE_INTERVAL = 5.0
+OWN = "monitor: "
+
+
+class MonitorParameters(StrictModel):
+    """Parameters of the monitor node; everything else is the mapping configuration."""
+
+    output_directory: str = Field(
+        "", description="where manifest.yaml and quality.geojson go; empty: nowhere"
+    )
+    sequence: str = Field("live", description="name of the drive in the manifest")
+    route: str = Field("", description="planned route: GeoJSON, or CSV with lat and lon")
+    disk_path: str = Field("", description="a folder on the disk to be watched; empty: output_directory")
+    map_frame: str = Field("map", description="frame of the markers")
+    pps_words: tuple[str, ...] = Field(
+        ("pps", "sync pulse", "time pulse"),
+        description="a status on /diagnostics whose name holds one of these tells the lock on the pulse",
+    )
+
+
+class StreamTime:
+    """Two times of now: one that never jumps, and the host's clock.
+
+    With ``use_sim_time`` both are that of the replay, 0 until it speaks.
+    """
+
+    def __init__(self, node: Node) -> None:
+        self._node = node
+        self._simulated = bool(node.get_parameter("use_sim_time").value)
+        self._offset_ns = time.time_ns() - time.monotonic_ns()
+
+    def __call__(self) -> tuple[int, int]:
+        """Return ``(now_ns, arrival_ns)``."""
+        if self._simulated:
+            now_ns = int(self._node.get_clock().now().nanoseconds)
+            return now_ns, now_ns
+        return time.monotonic_ns() + self._offset_ns, time.time_ns()
+
+
+class MonitorApp:
+    """Hand messages to the watch, publish and write what it says.
+
+    Parameters
+    ----------
+    node : Node
+    own : MonitorParameters
+    monitor : Monitor
+    files : SurveyFiles or None
+    times : callable
+        Returns ``(now_ns, arrival_ns)``.
+    free : callable
+        Returns the free space of the disk [bytes].
+    """
+
+    done = False
+
+    def __init__(
+        self,
+        node: Node,
+        own: MonitorParameters,
+        monitor: Monitor,
+        files: SurveyFiles | None,
+        times: Callable[[], tuple[int, int]],
+        free: Callable[[], float],
+    ) -> None:
+        self._node = node
+        self._own = own
+        self._monitor = monitor
+        self._files = files
+        self._times = times
+        self._free = free
+        self._origin: EnuFrame | None = None
+        self._matcher = StampMatcher((ODOMETRY, QUALITY))
+        self._view = "SUBIACO_SUPERVISOR" in os.environ
+        self._diagnostics = node.create_publisher(DiagnosticArray, "diagnostics", 10)
+        self._markers = node.create_publisher(MarkerArray, "quality/markers", latched(1))
+        self._geojson = node.create_publisher(String, "quality/geojson", latched(1))
+        self._subscriptions = self._make_subscriptions()
+        steady = Clock(clock_type=ClockType.STEADY_TIME)
+        for interval, handler in (
+            (LOOK_INTERVAL, self._look),
+            (TICK_INTERVAL, self._tick),
+            (STATUS_INTERVAL, self._publish),
+            (MARKER_INTERVAL, self._publish_streets),
+            (FILE_INTERVAL, self._write),
+        ):
+            node.create_timer(interval, handler, clock=steady)
+
+    def step(self) -> float:
+        """Nothing to do between callbacks."""
+        return 0.1
+
+    def close(self) -> None:
+        """Leave complete files."""
+        self._write()
+
+    def _make_subscriptions(self) -> dict[str, OfferedSubscription]:
+        handlers: list[tuple[Any, str, Callable[[Any], None], int, bool]] = [
+            (PacketMsg, LIDAR_PACKETS, self._on_packet, 2048, True),
+            (String, METADATA, lambda m: self._monitor.on_metadata(m.data), 1, False),
+            (PointCloud2, POINTS, self._on_points, 8, True),
+            (Imu, IMU, self._on_imu, 512, False),
+            (NavSatFix, FIX, self._on_fix, 64, False),
+            (TimeReference, "/gnss/time_reference", self._on_time_reference, 16, False),
+            (Odometry, ODOMETRY, lambda m: self._on_part(ODOMETRY, m), 32, False),
+            (ScanQuality, QUALITY, lambda m: self._on_part(QUALITY, m), 32, False),
+            (NavSatFix, "/map/origin", self._on_origin, 1, False),
+            (DiagnosticArray, "/diagnostics", self._on_diagnostics, 64, False),
+        ]
+        for kind, topic, handler in (
+            ("gps_msgs.msg:GPSFix", "/gnss/gps_fix", self._on_gps_fix),
+            ("nmea_msgs.msg:Sentence", "/gnss/nmea_sentence", self._on_sentence),
+        ):
+            found = _optional(kind)
+            if found is not None:
+                handlers.append((found, topic, handler, 64, False))
+        return {
+            topic: OfferedSubscription(self._node, kind, topic.lstrip("/"), handler, depth, raw)
+            for kind, topic, handler, depth, raw in handlers
+        }
+
+    def _look(self) -> None:
+        for topic, subscription in self._subscriptions.items():
+            if subscription.look() and topic == LIDAR_PACKETS:
+                self._monitor.on_offer(subscription.reliable, self._times()[0])
+            if subscription.wrong_type:
+                self._node.get_logger().error(
+                    f"{topic} {subscription.wrong_type}; remap the right topic", throttle_duration_sec=10.0
+                )
+
+    def _tick(self) -> None:
+        now_ns = self._times()[0]
+        if now_ns > 0:
+            self._monitor.on_disk(self._free(), now_ns)
+
+    def _on_packet(self, raw: bytes) -> None:
+        self._monitor.on_packet(raw, *self._times())
+
+    def _on_points(self, raw: bytes) -> None:
+        stamp = header_stamp_ns(raw)
+        if stamp is not None:
+            self._monitor.on_points(stamp, *self._times())
+
+    def _on_imu(self, message: Imu) -> None:
+        self._monitor.on_imu(imu_from_msg(message), *self._times())
+
+    def _on_fix(self, message: NavSatFix) -> None:
+        self._monitor.on_fix(fix_from_msg(message, self._monitor.config.gnss), *self._times())
+
+    def _on_time_reference(self, _message: TimeReference) -> None:
+        self._monitor.on_time_reference(self._times()[0])
+
+    def _on_gps_fix(self, message: Any) -> None:
+        self._monitor.on_dop(*dop_of_gps_fix(message), self._times()[0])
+
+    def _on_sentence(self, message: Any) -> None:
+        found = dop_of_nmea(message.sentence)
+        if found is not None:
+            self._monitor.on_dop(*found, self._times()[0])
+
+    def _on_origin(self, message: NavSatFix) -> None:
+        self._origin = EnuFrame(message.latitude, message.longitude, message.altitude)
+
+    def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        for status in message.status:
+            name = status.name.lower()
+            if not name.startswith(OWN) and any(word in name for word in self._own.pps_words):
+                locked = status.level == DiagnosticStatus.OK
+                self._monitor.on_pps_lock(locked, f"{status.name}: {status.message}", self._times()[0])
+
+    def _on_part(self, kind: str, message: Any) -> None:
+        found = self._matcher.add(kind, stamp_ns(message.header.stamp), message)
+        if found is None:
+            return
+        odometry, quality = found
+        position = odometry.pose.pose.position
+        note = OdometryNote(
+            np.array([position.x, position.y, position.z]),
+            quality.degenerate,
+            quality.predicted,
+            quality.segment,
+            quality.columns,
+            quality.lost_columns,
+        )
+        self._monitor.on_odometry(note, self._times()[0])
+
+    def _publish(self) -> None:
+        snapshot = take_snapshot(
+            self._monitor, float("nan") if self._files is None else self._files.remaining
+        )
+        self._diagnostics.publish(diagnostic_array(snapshot, self._node.get_clock().now().to_msg()))
+        if self._view:
+            self._node.get_logger().info(f"status: {json.dumps(snapshot.as_dict())}")
+
+    def _publish_streets(self) -> None:
+        frame = self._monitor.positions.frame
+        if frame is None:
+            return
+        collection = self._monitor.streets.geojson(frame)
+        self._geojson.publish(String(data=json.dumps(collection)))
+        if self._origin is not None:
+            self._markers.publish(street_markers(collection, self._origin, self._own.map_frame))
+
+    def _write(self) -> None:
+        if self._files is not None and self._monitor.start_ns is not None:
+            self._files.write(self._monitor)
+
+
+def _optional(name: str) -> Any:
+    """Return a message class of a package that may not be installed."""
+    module, _, kind = name.partition(":")
+    try:
+        return getattr(import_module(module), kind)
+    except ImportError:
+        return None
+
+
+def diagnostic_array(snapshot: Snapshot, stamp: Any) -> DiagnosticArray:
+    """Build the message of a snapshot: one status a line, and one for the street."""
+    levels = (DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR, DiagnosticStatus.STALE)
+    array = DiagnosticArray()
+    array.header.stamp = stamp
+    for line in snapshot.lines:
+        values = [KeyValue(key=key, value=value) for key, value in line.values.items()]
+        array.status.append(
+            DiagnosticStatus(
+                level=levels[line.level], name=OWN + line.name, message=line.message, values=values
+            )
+        )
+    level = {"red": 2, "amber": 1}.get(snapshot.light, 0)
+    counts = [KeyValue(key=key, value=str(value)) for key, value in snapshot.counts.items()]
+    words = snapshot.light + (": " + ", ".join(snapshot.reasons) if snapshot.reasons else "")
+    street = DiagnosticStatus(level=levels[level], name=OWN + "street", message=words, values=counts)
+    array.status.append(street)
+    return array
+
+
+def build(node: Node) -> App:
+    """Put the node together from its parameters."""
+    own, config = read_models(node, MonitorParameters, MappingConfig)
+    directory = Path(own.output_directory) if own.output_directory else None
+    routes = read_route(Path(own.route)) if own.route else []
+    if directory is None and routes:
+        raise InputError("route: needs output_directory, where quality.geojson goes")
+    files = None if directory is None else SurveyFiles(directory, own.sequence, routes)
+    disk = Path(own.disk_path) if own.disk_path else directory
+    return MonitorApp(node, own, Monitor(config), files, StreamTime(node), lambda: free_space(disk))
+
+
+def free_space(path: Path | None) -> float:
+    """Return the free space of the disk that holds a path, which need not exist yet; NaN without one."""
+    if path is None:
+        return float("nan")
+    standing = next(place for place in (path.absolute(), *path.absolute().parents) if place.exists())
+    return float(shutil.disk_usage(standing).free)
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the node."""
+    return run_node("monitor", build, argv)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

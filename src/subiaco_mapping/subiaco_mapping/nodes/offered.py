@@ -1,0 +1,67 @@
+"""A subscription that takes what is offered: reliable where the publisher is, best effort where not."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+from rclpy.node import Node
+from rclpy.subscription import Subscription
+
+from subiaco_mapping.nodes.offers import read_offer, wanted_qos
+
+
+class OfferedSubscription:
+    """Subscribe as soon as somebody publishes, and anew where the offer changes.
+
+    Parameters
+    ----------
+    node : Node
+    kind : type
+        Message class.
+    topic : str
+        Relative name; remappings hold.
+    handler : callable
+    depth : int
+    raw : bool
+        Give serialised bytes.
+    """
+
+    def __init__(
+        self, node: Node, kind: Any, topic: str, handler: Callable[[Any], None], depth: int, raw: bool = False
+    ) -> None:
+        self._node = node
+        self._kind = kind
+        self._topic = topic
+        self._handler = handler
+        self._depth = depth
+        self._raw = raw
+        self._key: tuple[str, bool, bool] | None = None
+        self._subscription: Subscription | None = None
+        self.reliable = True
+        self.wrong_type = ""
+
+    def look(self) -> bool:
+        """Look who publishes; return whether anybody does."""
+        offer = read_offer(self._node, self._node.resolve_topic_name(self._topic))
+        if offer is None:
+            return False
+        if offer.key == self._key:
+            return True
+        self._key = offer.key
+        expected = _type_name(self._kind)
+        self.wrong_type = "" if offer.msg_type == expected else f"is {offer.msg_type}, expected {expected}"
+        if self._subscription is not None:
+            self._node.destroy_subscription(self._subscription)
+            self._subscription = None
+        if not self.wrong_type:
+            self.reliable = offer.reliable
+            self._subscription = self._node.create_subscription(
+                self._kind, self._topic, self._handler, wanted_qos(offer, self._depth), raw=self._raw
+            )
+        return True
+
+
+def _type_name(kind: Any) -> str:
+    package, folder = kind.__module__.split(".")[:2]
+    return f"{package}/{folder}/{kind.__name__}"
