@@ -67,7 +67,8 @@ class SemanticResult:
     ``semantic`` (N,) uint8; ``scores`` (N, 5) float32, rows sum to 1;
     ``height_above_ground`` (N,) float32 [m]; ``ground`` in the cloud's local
     frame; ``superpoint`` (N,) int32; ``energy`` of the partition; ``moving`` (N,)
-    bool, the part of *mobile* that is the trail of something that moved.
+    bool, the part of *mobile* that is the trail of something that moved; ``large``
+    (N,) bool, the trucks and buses among *mobile*, beyond the paper's box.
     """
 
     semantic: NDArray[np.uint8]
@@ -77,6 +78,7 @@ class SemanticResult:
     superpoint: NDArray[np.int32]
     energy: float
     moving: Mask
+    large: Mask
 
 
 def label_points(cloud: PointCloud, config: SemanticsConfig, passed: Floats | None = None) -> SemanticResult:
@@ -98,7 +100,7 @@ def label_points(cloud: PointCloud, config: SemanticsConfig, passed: Floats | No
     features = compute_features(xyz, config.features)
     parts = partition(_superpoint_features(features, height, config), features.neighbours, config.superpoints)
     through = None if passed is None else np.asarray(passed, dtype=np.float64)[order]
-    semantic, moving = _classify(xyz, height, features, parts.labels, ground, through, config)
+    semantic, moving, large = _classify(xyz, height, features, parts.labels, ground, through, config)
     scores = _scores(semantic, features)
     back = np.argsort(order, kind="stable")
     return SemanticResult(
@@ -109,6 +111,7 @@ def label_points(cloud: PointCloud, config: SemanticsConfig, passed: Floats | No
         np.unique(parts.labels, return_inverse=True)[1][back].astype(np.int32),
         parts.energy,
         moving[back],
+        large[back],
     )
 
 
@@ -125,8 +128,8 @@ def _classify(
     ground: GroundModel,
     passed: Floats | None,
     config: SemanticsConfig,
-) -> tuple[NDArray[np.uint8], Mask]:
-    """Apply the classes in the order of their priority; what none claims is *other*. Also tell what moved."""
+) -> tuple[NDArray[np.uint8], Mask, Mask]:
+    """Apply the classes in the order of their priority; the rest is *other*. Tell trails and trucks."""
     parts = np.unique(parts, return_inverse=True)[1]
     semantic = np.full(len(xyz), Semantic.OTHER, dtype=np.uint8)
     is_ground = _find_ground(xyz, height, features, parts, ground, config)
@@ -155,7 +158,7 @@ def _classify(
     )
     parked = (semantic == Semantic.MOBILE) & ~moving
     semantic[sheds(xyz, height, upright, parked, config.cluster_voxel, config.vehicles)] = Semantic.BUILDING
-    return semantic, moving
+    return semantic, moving, trucks & (semantic == Semantic.MOBILE)
 
 
 def _find_ground(

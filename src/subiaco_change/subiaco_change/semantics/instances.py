@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from subiaco_change.semantics.classes import SemanticResult
 from subiaco_change.semantics.clustering import cell_clusters, group_indices, voxel_clusters
+from subiaco_change.semantics.terraces import TerraceConfig, split_row
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Semantic
 from subiaco_geo.config import StrictModel
@@ -20,8 +21,9 @@ class InstanceConfig(StrictModel):
     """How points of a class fall into objects."""
 
     building_gap: float = Field(
-        1.0, gt=0, description="cell in which parts of one building touch, seen from above [m]"
+        0.8, gt=0, description="cell in which parts of one building touch, seen from above [m]"
     )
+    terraces: TerraceConfig = TerraceConfig()
     vegetation_gap: float = Field(0.8, gt=0, description="least clustering distance of foliage, paper [m]")
     vegetation_density: float = Field(1.8, gt=0, description="clustering distance times cbrt(density), paper")
     crown_radius: float = Field(
@@ -79,9 +81,12 @@ def _renumber(xyz: Floats, labels: Ints, smallest: int) -> Ints:
 
 
 def _buildings(xyz: Floats, height: Floats, config: InstanceConfig) -> Ints:
-    """Join walls and roofs whose footprints touch."""
-    del height
-    return cell_clusters(xyz[:, :2], config.building_gap)
+    """Join walls and roofs whose footprints touch, then part rows of houses."""
+    labels = cell_clusters(xyz[:, :2], config.building_gap)
+    parts = np.zeros(len(xyz), dtype=np.int64)
+    for members in group_indices(labels):
+        parts[members] = split_row(xyz[members, :2], height[members], config.terraces)
+    return np.unique(labels * (int(parts.max()) + 1) + parts, return_inverse=True)[1].astype(np.int64)
 
 
 def _vehicles(xyz: Floats, height: Floats, config: InstanceConfig) -> Ints:

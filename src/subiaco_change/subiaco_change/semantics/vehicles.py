@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial import cKDTree
 
+from subiaco_change.semantics.boxes import box_sides
 from subiaco_change.semantics.clustering import cell_clusters, group_indices, voxel_clusters
 from subiaco_change.semantics.ground import Mask
 from subiaco_geo.config import StrictModel
@@ -131,13 +132,3 @@ def sheds(
         if high and upright[upper].mean() > 0.5 and box_sides(xyz[mine, :2])[0] < config.shed_length:
             shed[mine] = True
     return shed
-
-
-def box_sides(xy: Floats) -> tuple[float, float]:
-    """Long and short side [m] of the smallest-area rectangle around points, tried every 3 deg."""
-    angles = np.radians(np.arange(0, 90, 3.0))
-    u = xy @ np.stack([np.cos(angles), np.sin(angles)])
-    v = xy @ np.stack([-np.sin(angles), np.cos(angles)])
-    sides = np.stack([np.ptp(u, axis=0), np.ptp(v, axis=0)])
-    best = sides[:, np.argmin(sides[0] * sides[1])]
-    return float(best.max()), float(best.min())

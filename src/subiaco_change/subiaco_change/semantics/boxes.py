@@ -1,0 +1,25 @@
+"""Smallest rectangles around points seen from above."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from subiaco_geo.frames import Floats
+
+
+def box_coordinates(xy: Floats) -> Floats:
+    """Turn points (N, 2) to the long and short side of their smallest rectangle, tried every 3 deg."""
+    angles = np.radians(np.arange(0, 90, 3.0))
+    centred = xy - xy.mean(axis=0)
+    u = centred @ np.stack([np.cos(angles), np.sin(angles)])
+    v = centred @ np.stack([-np.sin(angles), np.cos(angles)])
+    sides = np.stack([np.ptp(u, axis=0), np.ptp(v, axis=0)])
+    best = int(np.argmin(sides[0] * sides[1]))
+    pair = (u, v) if sides[0, best] >= sides[1, best] else (v, u)
+    return np.stack([axis[:, best] for axis in pair], axis=1)
+
+
+def box_sides(xy: Floats) -> tuple[float, float]:
+    """Long and short side [m] of that rectangle."""
+    long, short = np.ptp(box_coordinates(xy), axis=0).tolist()
+    return long, short
