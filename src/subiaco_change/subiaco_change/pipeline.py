@@ -17,7 +17,7 @@ from subiaco_change.changes.object_changes import ObjectChange, ObjectRules, com
 from subiaco_change.changes.objects import EpochView, Reach
 from subiaco_change.config import ChangeConfig
 from subiaco_change.geometry import estimate_normals
-from subiaco_change.observation.common_frame import seen_through
+from subiaco_change.observation.common_frame import levelled, seen_through
 from subiaco_change.observation.evidence import Observer, make_observer
 from subiaco_change.observation.placing import Placed, block_table, place
 from subiaco_change.records import ChangeRecord, ChangeResult, Registration
@@ -160,9 +160,10 @@ def _again(
 
 
 def _prepare(survey: SurveyMap, cloud: PointCloud, observer: Observer, config: ChangeConfig) -> _Epoch:
-    semantic = label_points(cloud, config.semantics, observer.passes(cloud.world()))
+    upright = levelled(cloud)
+    semantic = label_points(upright, config.semantics, observer.passes(cloud.world()))
     instances = config.instances.model_copy(update={"leaf": config.leaf})
-    return _Epoch(survey, cloud, semantic, segment(cloud, semantic, instances), observer)
+    return _Epoch(survey, cloud, semantic, segment(upright, semantic, instances), observer)
 
 
 def _compare(

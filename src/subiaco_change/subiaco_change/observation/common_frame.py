@@ -7,11 +7,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from subiaco_change.geometry import Level, fit_planes
 from subiaco_change.observation.smooth_field import SmoothField
 from subiaco_change.records import Registration
+from subiaco_change.registration.coarse import levelling
 from subiaco_change.semantics.ground import Mask
-from subiaco_geo.clouds import PointCloud
+from subiaco_geo.clouds import PointCloud, voxel_downsample
 from subiaco_geo.frames import Floats, invert_pose, transform_points
+
+_UPRIGHT_DEG = 2.0  # streets of an upright map slope as much on the whole
 
 
 @dataclass(frozen=True)
@@ -62,6 +66,24 @@ class CommonFrame:
     def after_world(self, xyz: Floats) -> Floats:
         """World coordinates of points (N, 3) of the frame in *after*."""
         return xyz + self.origin
+
+
+def levelled(cloud: PointCloud) -> PointCloud:
+    """Turn a local cloud so that its streets lie level on the whole; one with a CRS is upright already.
+
+    For labelling alone: nothing turned is handed on, else a mean slope would tilt the city.
+    """
+    if cloud.crs is not None or len(cloud) == 0:
+        return cloud
+    points = voxel_downsample(PointCloud(cloud.xyz), 1.0).xyz
+    turn = levelling(Level(1.0, points, fit_planes(points, 2.5)))[:3, :3]
+    if turn[2, 2] > np.cos(np.radians(_UPRIGHT_DEG)):
+        return cloud
+    middle = points.mean(axis=0)
+    fields = dict(cloud.fields)
+    if "normals" in fields:
+        fields["normals"] = np.asarray(fields["normals"], dtype=np.float64) @ turn.T
+    return PointCloud((cloud.xyz - middle) @ turn.T + middle, cloud.origin, None, fields)
 
 
 def seen_through(
