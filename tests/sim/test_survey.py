@@ -154,6 +154,18 @@ def test_every_label_occurs_and_nothing_changes_without_an_event(sample: Any) ->
     assert all(row["label"] != "Unchanged" for row in rows if row["event"] not in quiet)
 
 
+def test_things_that_stand_in_both_epochs_may_be_seen_in_one_alone_and_are_then_undecidable(
+    sample: Any,
+) -> None:
+    standing = {i.object_id for i in sample.survey.scene.items if i.before and i.after}
+    rows = [row for row in read_objects(sample.folder) if int(row["object_id"]) in standing]
+    for epoch, other in (("before", "after"), ("after", "before")):
+        alone = [row for row in rows if int(row[f"n_{epoch}"]) >= 5 and int(row[f"n_{other}"]) == 0]
+        assert alone
+        shares = [int(row[f"n_{epoch}_seen"]) / int(row[f"n_{epoch}"]) for row in alone]
+        assert np.mean(shares) < 0.5
+
+
 def test_points_carry_the_label_of_their_object_or_255(sample: Any) -> None:
     change_of = {int(row["object_id"]): int(row["change"]) for row in read_objects(sample.folder)}
     change_of[0] = 4
