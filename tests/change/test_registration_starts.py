@@ -10,7 +10,9 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from subiaco_change.config import ChangeConfig
 from subiaco_change.geometry import build_pyramid
+from subiaco_change.pipeline import _again
 from subiaco_change.registration.config import FeatureConfig, RegistrationConfig
 from subiaco_change.registration.features import propose_by_features, ransac
 from subiaco_change.registration.icp import Pairs, solve
@@ -154,6 +156,15 @@ def test_an_earlier_fit_is_refined_without_the_points_left_out(bare_street):
     off = [errors(r.T_after_before, FAR, near.origin)[0] for r in (pulled, freed)]
     assert freed.method.startswith("earlier fit")
     assert off[1] < 0.008 < off[0]
+
+
+def test_a_second_estimate_that_fails_keeps_the_first_and_warns(bare_street):
+    clouds = [cloud(points) for points in bare_street]
+    first = given_registration(FAR, *clouds, CONFIG)
+    everything = tuple(np.ones(len(c), dtype=bool) for c in clouds)
+    kept, warnings = _again(first, clouds, everything, ChangeConfig())
+    assert kept is first
+    assert "the first is kept" in warnings[0]
 
 
 def box_level():

@@ -126,7 +126,8 @@ def detect_changes(
     if transform is None and config.second_registration:
         stages.start("second registration", 0.75)
         changed = _changed(result, 0), _changed(result, 1)
-        again = _again(registration, clouds, changed, config)
+        again, failed = _again(registration, clouds, changed, config)
+        info = replace(info, warnings=(*info.warnings, *failed))
         if _shift(registration, again, clouds[0]) > config.second_shift:
             result = _compare(epochs[0], epochs[1], again, config, stages, changed)
     stages.start("table", 0.95)
@@ -149,14 +150,14 @@ def _register(
 
 def _again(
     first: Registration, clouds: list[PointCloud], changed: tuple[Mask, Mask], config: ChangeConfig
-) -> Registration:
-    """Refine a registration without what its pass calls changed; what passes no check leaves it as it is."""
+) -> tuple[Registration, tuple[str, ...]]:
+    """Refine a registration without what its pass calls changed; what fails leaves it, and a warning."""
     try:
-        return register(clouds[0], clouds[1], config.registration, *changed, start=first)
+        return register(clouds[0], clouds[1], config.registration, *changed, start=first), ()
     except RegistrationError as error:
         note = f"the second estimate, without changed places, failed and the first is kept: {error}"
         _LOG.warning(note)
-        return replace(first, warnings=(*first.warnings, note))
+        return first, (note,)
 
 
 def _prepare(survey: SurveyMap, cloud: PointCloud, observer: Observer, config: ChangeConfig) -> _Epoch:
