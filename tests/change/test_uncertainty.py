@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from placing_scene import UP, rigid, street
 
-from subiaco_change.observation.lod import LodConfig, measure_displacements
+from subiaco_change.observation.lod import LodConfig, combine, measure_displacements
 from subiaco_change.observation.uncertainty import (
     PoseErrors,
     UncertaintyConfig,
@@ -81,6 +81,29 @@ def test_known_changes_are_left_out_entirely():
     other = street(2)
     sigma = field(moved, other, exclude=(changed, within(35, 85)(other.xyz) > 0))
     assert at(sigma, 60, 30, UP) < 0.02
+
+
+def test_means_under_a_drift_of_short_waves_exceed_the_lod_as_rarely_as_it_says():
+    rng = np.random.default_rng(7)
+    waves = rng.normal(0, 1, (40, 2)) * (2 * np.pi / rng.uniform(8, 25, (40, 1)))
+    phases = rng.uniform(0, 2 * np.pi, 40)
+
+    def drift(p):
+        rise = 0.012 * np.sqrt(2 / 40) * np.cos(p[:, :2] @ waves.T + phases).sum(axis=1)
+        return np.outer(rise, UP)
+
+    before, after = street(1, drift), street(2)
+    sigma = field(before, after, config={"floor": 0.0})
+    found = measure_displacements(before, after, LodConfig())
+    lies = (np.abs(before.fields["normals"][:, 2]) > 0.9) & np.isfinite(found.distance)
+    _, first = np.unique(np.floor(before.xyz[lies, :2] / 2.5).astype(int), axis=0, return_index=True)
+    chosen = np.flatnonzero(lies)[first]
+    stated = sigma.at(before.xyz[chosen], before.fields["normals"][chosen])
+    lod = combine(found.variance[chosen], stated, "quadrature")
+    assert len(chosen) > 1000
+    assert 0.92 < np.mean(np.abs(found.distance[chosen]) <= lod) < 0.98
+    bare = combine(found.variance[chosen], 0.0, "quadrature")
+    assert np.mean(np.abs(found.distance[chosen]) <= bare) < 0.75
 
 
 def test_the_transform_counts_more_the_farther_a_point_is_from_its_centre():
