@@ -18,6 +18,7 @@ VERBS = [
     "export",
     "baseline",
     "ablate",
+    "inject",
     "record",
     "recover",
     "graph",

@@ -9,7 +9,14 @@ from collections.abc import Sequence
 
 import typer
 
-from subiaco_bringup.cli import baseline_verbs, change_verbs, graph_verbs, record_verbs, survey_verbs
+from subiaco_bringup.cli import (
+    baseline_verbs,
+    change_verbs,
+    graph_verbs,
+    record_verbs,
+    survey_verbs,
+    trust_verbs,
+)
 from subiaco_geo.errors import SubiacoError
 
 EPILOG = """\b
@@ -44,6 +51,7 @@ app = typer.Typer(
 survey_verbs.register(app)
 change_verbs.register(app)
 baseline_verbs.register(app)
+trust_verbs.register(app)
 graph_verbs.register(app)
 record_verbs.register(app)
 
