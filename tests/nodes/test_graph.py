@@ -176,3 +176,44 @@ def test_launch_file_and_supervisor_start_the_same_change_command_line(tmp_path:
     launched = launched_lines(LAUNCH / "change.launch.py", **names)
     graph = change_graph(*(Path(path) for path in names.values()), config_files("change"))
     assert launched == command_lines(graph)
+
+
+@pytest.mark.usefixtures("launch_stub")
+def test_launch_file_and_supervisor_start_the_same_recorder(tmp_path: Path) -> None:
+    from subiaco_bringup.recording import record_graph
+
+    launched = launched_lines(
+        LAUNCH / "record.launch.py",
+        output=str(tmp_path / "drive"),
+        set="record.split_duration=5.0",
+        remap="/gnss/fix:=/ublox/fix",
+    )
+    remappings = [("/gnss/fix", "/ublox/fix")]
+    graph = record_graph(tmp_path / "drive", (), ["record.split_duration=5.0"], remappings=remappings)
+    assert launched == command_lines(graph)
+    assert launched[0][:6] == [
+        "subiaco_mapping", "recorder_node", "--ros-args", "-r", "__node:=recorder", "-r"
+    ]  # fmt: skip
+    assert launched[0][6] == "gnss/fix:=/ublox/fix"
+
+
+def test_the_recorder_gets_its_slice_of_the_configuration_alone(tmp_path: Path) -> None:
+    from subiaco_bringup.recording import recorder_spec
+
+    config = {"crs": "EPSG:7850", "record": {"split_duration": 5.0}}
+    parameters = recorder_spec(config, tmp_path / "drive").parameters
+    assert parameters == {
+        "record": {"split_duration": 5.0},
+        "output": str(tmp_path / "drive"),
+        "resume": True,
+        "duration": 0.0,
+    }
+
+
+@pytest.mark.parametrize("text", ["/gnss/fix", ":=/ublox/fix", "/gnss/fix:="])
+def test_a_remapping_that_is_none_says_how_one_looks(text: str) -> None:
+    from subiaco_bringup.recording import parse_remapping
+    from subiaco_geo.errors import InputError
+
+    with pytest.raises(InputError, match="expected OUR_TOPIC:=SOURCE"):
+        parse_remapping(text)
