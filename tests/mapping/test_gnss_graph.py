@@ -253,7 +253,7 @@ def test_a_hundred_fixes_that_share_one_error_do_not_claim_a_millimetre() -> Non
             np.arange(100), np.zeros(100), np.full(100, 0.01), np.tile(np.eye(3), (100, 1, 1))
         ),
     )
-    found = solve([chain], GraphConfig(drift_share=1.0), config).chains[0]
+    found = solve({0: chain}, GraphConfig(drift_share=1.0), config).chains[0]
     lag = np.abs(times[:, None] - times) * 1e-9 / 20.0
     slow, white = 0.6 * 0.02**2 * np.exp(-lag), 0.4 * 0.02**2 * np.eye(100)
     expected = 1.0 / np.linalg.inv(slow + white).sum()

@@ -9,14 +9,14 @@ from typing import Any
 from subiaco_geo.crs import require_map_crs
 from subiaco_geo.errors import InputError
 from subiaco_geo.maps import SurveyMap
-from subiaco_mapping.chains import chain_of, place_sequences, summary
 from subiaco_mapping.config import MappingConfig
-from subiaco_mapping.graph.solver import solve
+from subiaco_mapping.loops.submaps import SubmapBuilder
 from subiaco_mapping.map_builder import ProgressCallback, build_map, silent
 from subiaco_mapping.measurements import DeskewedScan, Extrinsics, GnssFix, HeadingSample, OdometryPose
 from subiaco_mapping.sequences import SequenceRecord
 from subiaco_mapping.solution import GraphSolution
 from subiaco_mapping.spool import Spool
+from subiaco_mapping.survey_graph import SurveyGraph
 
 
 class MappingBackend:
@@ -42,6 +42,7 @@ class MappingBackend:
         self._extrinsics = extrinsics
         self._spool = spool
         self._sequences: list[SequenceRecord] = []
+        self._graph = SurveyGraph(config)
         self._solution: GraphSolution | None = None
 
     def start_sequence(self, name: str, extrinsics: Extrinsics | None = None) -> None:
@@ -52,7 +53,9 @@ class MappingBackend:
             self._extrinsics = extrinsics
         folder = self._spool / f"{len(self._sequences):03d}"
         spool = Spool(folder, self._config.fusion.max_range, self._config.decode.sky_range)
-        self._sequences.append(SequenceRecord(name, self._extrinsics, spool))
+        loops = self._config.loops
+        submaps = SubmapBuilder(loops, folder / "submaps") if loops.enabled else None
+        self._sequences.append(SequenceRecord(name, self._extrinsics, spool, submaps))
 
     def add_facts(self, **facts: Any) -> None:
         """Note facts about the current sequence for the manifest, e.g. packet counts."""
@@ -85,10 +88,10 @@ class MappingBackend:
         Raises
         ------
         InputError
-            No scans; GNSS cannot place a sequence although there are several, or it is required.
+            No scans, or a sequence cannot be placed: see :class:`SurveyGraph`.
         """
         if self._solution is None:
-            self._solution = self._solve()
+            self._solution = self._graph.solve(self._filled())
         return self._solution
 
     def _filled(self) -> list[SequenceRecord]:
@@ -98,14 +101,6 @@ class MappingBackend:
                 "no scan came out of the recording; check LiDAR topic, metadata and range limits"
             )
         return filled
-
-    def _solve(self) -> GraphSolution:
-        sequences = self._filled()
-        frame, reason = place_sequences(sequences, self._config.gnss)
-        chains = [chain_of(sequence, frame, self._config) for sequence in sequences]
-        solved = solve(chains, self._config.graph, self._config.gnss)
-        found = zip(sequences, chains, solved.chains, strict=True)
-        return GraphSolution(tuple(summary(*item) for item in found), frame, reason)
 
     def build_map(
         self, progress: ProgressCallback | None = None, inputs: Mapping[str, str] | None = None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import logging
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -17,27 +17,36 @@ from subiaco_mapping.manifest import describe_fixes
 from subiaco_mapping.sequences import SequenceRecord
 from subiaco_mapping.solution import SequenceSolution
 
-logger = logging.getLogger(__name__)
+
+@dataclass(frozen=True)
+class Placement:
+    """Where sequences can be placed by their fixes.
+
+    Parameters
+    ----------
+    frame : EnuFrame or None
+        None where no sequence can.
+    reasons : tuple of str or None
+        Of every sequence, why not; None where it can.
+    """
+
+    frame: EnuFrame | None
+    reasons: tuple[str | None, ...]
 
 
-def place_sequences(
-    sequences: list[SequenceRecord], config: GnssConfig
-) -> tuple[EnuFrame | None, str | None]:
-    """Return the ENU frame, or None and why the map stays local."""
-    fixes = [fix for sequence in sequences for fix in sequence.fixes]
-    frame = gnss.local_frame(fixes, config)
-    for sequence in sequences:
-        reason = "no usable GNSS fix" if frame is None else _why_not(sequence, frame, config)
-        if reason is None:
-            continue
-        if config.required or len(sequences) > 1:
-            raise InputError(
-                f"{sequence.name}: cannot be georeferenced ({reason}); record GNSS over a longer way"
-                + (", or map it alone" if len(sequences) > 1 else ", or set gnss.required: false")
-            )
-        logger.warning("%s: %s; the map is local, without CRS", sequence.name, reason)
-        return None, reason
-    return frame, None
+def place_sequences(sequences: list[SequenceRecord], config: GnssConfig) -> Placement:
+    """Find out which sequences GNSS places.
+
+    Raises
+    ------
+    InputError
+        A sequence has fixes and no lever arm.
+    """
+    frame = gnss.local_frame([fix for sequence in sequences for fix in sequence.fixes], config)
+    if frame is None:
+        return Placement(None, ("no usable GNSS fix",) * len(sequences))
+    reasons = tuple(_why_not(sequence, frame, config) for sequence in sequences)
+    return Placement(None if all(reasons) else frame, reasons)
 
 
 def _why_not(sequence: SequenceRecord, frame: EnuFrame, config: GnssConfig) -> str | None:
@@ -65,20 +74,20 @@ def _attached(
     return fixes, attachment
 
 
-def chain_of(sequence: SequenceRecord, frame: EnuFrame | None, config: MappingConfig) -> Chain:
-    """Return the chain of a sequence, placed by its fixes, or level on its own without a frame."""
+def chain_of(
+    sequence: SequenceRecord, frame: EnuFrame | None, config: MappingConfig, *, placed: bool
+) -> Chain:
+    """Return the chain of a sequence, placed by its fixes, or level on its own."""
     stamps_ns, poses = sequence.stamps_ns, sequence.T_odom_lidar
     window_ns = config.graph.gravity_window_ns
     gravity = gravity_priors(stamps_ns, poses, np.array(sequence.accel), window_ns)
     base_up = poses[0, :3, :3] @ sequence.extrinsics.T_base_lidar[2, :3]
     ups = np.einsum("nij,nj->ni", poses[gravity.index, :3, :3], gravity.up)
     up_odom = ups.mean(axis=0) if len(ups) else base_up
-    priors, heading = None, None
-    if frame is None:
-        T_world_odom = make_pose(gnss.level_rotation(up_odom), np.zeros(3)) if len(ups) else np.eye(4)
-    else:
-        priors = _fixes_of(sequence, frame, config.gnss)
-        heading = _headings_of(sequence, config.gnss)
+    T_world_odom = make_pose(gnss.level_rotation(up_odom), np.zeros(3)) if len(ups) else np.eye(4)
+    priors = None if frame is None else _fixes_of(sequence, frame, config.gnss)
+    heading = None if frame is None else _headings_of(sequence, config.gnss)
+    if placed and priors is not None:
         at = poses[priors.index]
         antenna = np.einsum("nij,nj->ni", at[:, :3, :3], priors.levers) + at[:, :3, 3]
         sigma = np.sqrt(priors.covariance[:, 0, 0])
@@ -93,7 +102,7 @@ def chain_of(sequence: SequenceRecord, frame: EnuFrame | None, config: MappingCo
         gravity=gravity,
         gnss=priors,
         heading=heading,
-        anchored=frame is None,
+        anchored=frame is None and placed,
     )
 
 

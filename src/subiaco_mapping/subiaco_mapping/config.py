@@ -8,6 +8,7 @@ from pydantic import Field
 
 from subiaco_geo.config import StrictModel
 from subiaco_mapping.drivers import DriverName
+from subiaco_mapping.loops.config import LoopConfig
 from subiaco_mapping.watch.config import WatchConfig
 
 Triple = tuple[float, float, float]
@@ -198,6 +199,7 @@ class MappingConfig(StrictModel):
     odometry: OdometryConfig = OdometryConfig()
     gnss: GnssConfig = GnssConfig()
     graph: GraphConfig = GraphConfig()
+    loops: LoopConfig = LoopConfig()
     fusion: FusionConfig = FusionConfig()
     manifest: ManifestConfig = ManifestConfig()
     watch: WatchConfig = WatchConfig()

@@ -157,6 +157,7 @@ def describe(
         "georeferenced": solution.frame is not None,
         "reason": solution.reason,
         "sequences": described,
+        "loops": solution.loops.described(),
         "legend": LEGEND,
     }
 

@@ -9,6 +9,7 @@ import numpy as np
 
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
+from subiaco_mapping.loops.submaps import SubmapBuilder
 from subiaco_mapping.measurements import DeskewedScan, Extrinsics, GnssFix, HeadingSample, OdometryPose
 from subiaco_mapping.spool import Spool
 
@@ -20,6 +21,7 @@ class SequenceRecord:
     name: str
     extrinsics: Extrinsics
     spool: Spool
+    submaps: SubmapBuilder | None = None
     poses: list[OdometryPose] = field(default_factory=list)
     accel: list[Floats] = field(default_factory=list)
     modes: list[str] = field(default_factory=list)
@@ -46,6 +48,8 @@ class SequenceRecord:
         if self.poses and pose.stamp_ns <= self.poses[-1].stamp_ns:
             raise InputError(f"{self.name}: scan at {pose.stamp_ns} ns is not newer than the one before")
         self.spool.append(scan)
+        if self.submaps is not None:
+            self.submaps.add(pose, scan)
         self.poses.append(pose)
         self.accel.append(np.full(3, np.nan) if scan.accel is None else scan.accel)
         self.modes.append(scan.mode)

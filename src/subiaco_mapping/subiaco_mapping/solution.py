@@ -5,6 +5,9 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from subiaco_geo.crs import EnuFrame
 from subiaco_geo.frames import Floats, Ints
 
@@ -42,9 +45,47 @@ class SequenceSolution:
 
 
 @dataclass(frozen=True)
+class LoopFacts:
+    """Places seen twice.
+
+    Parameters
+    ----------
+    counts : dict of str to int
+        Proposed, refused by reason, verified.
+    between : (L,) bool
+        Loops between two sequences; the others are within one.
+    weights : (L,) float64
+        What the robust kernel left.
+    seams : (L,) float64
+        How far the solved map is off the registration of both visits [m].
+    """
+
+    counts: dict[str, int] = field(default_factory=dict)
+    between: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+    weights: Floats = field(default_factory=lambda: np.zeros(0))
+    seams: Floats = field(default_factory=lambda: np.zeros(0))
+
+    def described(self) -> dict[str, Any]:
+        """Return plain values for the manifest."""
+        found: dict[str, Any] = dict(self.counts)
+        found["downweighted"] = int((self.weights < 0.3).sum())
+        for name, chosen in (("within", ~self.between), ("between", self.between)):
+            seams = self.seams[chosen]
+            found[name] = {"loops": len(seams)}
+            if len(seams):
+                median, high = np.quantile(seams, [0.5, 0.95])
+                found[name] |= {
+                    "seam_median_m": round(float(median), 4),
+                    "seam_p95_m": round(float(high), 4),
+                }
+        return found
+
+
+@dataclass(frozen=True)
 class GraphSolution:
     """All sequences; ``frame`` is None for a local map, ``reason`` then says why."""
 
     sequences: tuple[SequenceSolution, ...]
     frame: EnuFrame | None
     reason: str | None
+    loops: LoopFacts = field(default_factory=LoopFacts)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from typing import Any, TypeAlias
 
 import gtsam
@@ -162,7 +162,7 @@ def _add_slow_errors(graph: Any, values: Any, number: int, slow: Any) -> None:
             graph.add(gtsam.BetweenFactorPoint3(key - 1, key, zero, _diagonal(link)))
 
 
-def add_loops(graph: Any, loops: list[LoopEdge], kernel: Any) -> None:
+def add_loops(graph: Any, loops: Sequence[LoopEdge], kernel: Any) -> None:
     """Add places seen twice."""
     for loop in loops:
         noise = _robust(kernel, loop.covariance)

@@ -137,7 +137,8 @@ class ChainSolution:
 
 @dataclass(frozen=True)
 class Solved:
-    """All chains; ``loop_weights`` (L,) is what the robust kernel left of every loop."""
+    """All chains by number; of every loop (L,) what the robust kernel left, and how far it is off [m]."""
 
-    chains: list[ChainSolution]
+    chains: dict[int, ChainSolution]
     loop_weights: Floats
+    seams: Floats

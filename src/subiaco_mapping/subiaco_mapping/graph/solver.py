@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any
 
 import gtsam
@@ -29,15 +29,16 @@ from subiaco_mapping.graph.slow_errors import slow_errors
 
 
 def _build(
-    chains: Sequence[Chain],
-    poses: Sequence[Floats],
-    loops: list[LoopEdge],
+    chains: Mapping[int, Chain],
+    poses: Mapping[int, Floats],
+    loops: Sequence[LoopEdge],
     configs: tuple[GraphConfig, GnssConfig],
     make: MakeKernel,
 ) -> tuple[Any, Any]:
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     config, gnss = configs
-    for number, (chain, own) in enumerate(zip(chains, poses, strict=True)):
+    for number, chain in chains.items():
+        own = poses[number]
         for k, pose in enumerate(own):
             values.insert(pose_key(number, k), as_pose(pose))
         add_odometry(graph, number, chain, config)
@@ -122,18 +123,20 @@ def _gnss_residuals(
     return residuals, states, 1.0 / (1.0 + whitened / config.kernel**2)
 
 
-def _loop_weights(poses: Sequence[Floats], loops: list[LoopEdge], kernel: float) -> Floats:
-    weights = np.zeros(len(loops))
+def _loops_in(poses: Mapping[int, Floats], loops: Sequence[LoopEdge], kernel: float) -> tuple[Floats, Floats]:
+    """Return what the robust kernel leaves of loops (L,), and how far they are off (L,) [m]."""
+    weights, seams = np.zeros(len(loops)), np.zeros(len(loops))
     for k, loop in enumerate(loops):
         first, second = (poses[chain][scan] for chain, scan in (loop.first, loop.second))
         between = as_pose(loop.T_first_second).between(as_pose(np.linalg.solve(first, second)))
         error = gtsam.Pose3.Logmap(between)
         weights[k] = 1.0 / (1.0 + error @ np.linalg.solve(loop.covariance, error) / kernel**2)
-    return weights
+        seams[k] = np.linalg.norm(error[3:])
+    return weights, seams
 
 
 def solve(
-    chains: Sequence[Chain], config: GraphConfig, gnss: GnssConfig, loops: Sequence[LoopEdge] = ()
+    chains: Mapping[int, Chain], config: GraphConfig, gnss: GnssConfig, loops: Sequence[LoopEdge] = ()
 ) -> Solved:
     """Solve all sequences together: first with Huber, from there with Cauchy on fixes and loops.
 
@@ -144,17 +147,18 @@ def solve(
     SubiacoError
         The solution is not finite or a pose is not determined.
     """
-    poses = [chain.T_world_odom @ chain.T_odom_lidar for chain in chains]
+    poses = {number: chain.T_world_odom @ chain.T_odom_lidar for number, chain in chains.items()}
     estimator = gtsam.noiseModel.mEstimator
     for make in (estimator.Huber.Create, estimator.Cauchy.Create):
-        graph, values = _build(chains, poses, list(loops), (config, gnss), make)
+        graph, values = _build(chains, poses, loops, (config, gnss), make)
         values = _optimize(graph, values, config)
-        poses = [chain_poses(values, number, chain) for number, chain in enumerate(chains)]
+        poses = {number: chain_poses(values, number, chain) for number, chain in chains.items()}
     marginals = marginals_of(graph, values)
-    solutions = []
-    for number, (chain, own) in enumerate(zip(chains, poses, strict=True)):
+    solutions = {}
+    for number, chain in chains.items():
+        own = poses[number]
         covariance = _world_covariances(marginals, number, own, config.covariance_stride)
         covariance += _in_world(own, _jitter(chain, config))
         residuals = _gnss_residuals(values, number, chain, own, gnss)
-        solutions.append(ChainSolution(own, covariance, *residuals))
-    return Solved(solutions, _loop_weights(poses, list(loops), config.loop_kernel))
+        solutions[number] = ChainSolution(own, covariance, *residuals)
+    return Solved(solutions, *_loops_in(poses, loops, config.loop_kernel))

@@ -1,0 +1,1 @@
+"""Places seen twice: submaps, their descriptors, registration, and what the graph thinks of it."""

@@ -1,0 +1,129 @@
+"""One joint graph of a survey: sequences placed, joined, their loops closed, solved."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from subiaco_geo.errors import InputError
+from subiaco_mapping.chains import Placement, chain_of, place_sequences, summary
+from subiaco_mapping.config import MappingConfig
+from subiaco_mapping.graph.records import Chain, LoopEdge, Solved
+from subiaco_mapping.graph.solver import solve
+from subiaco_mapping.loops.finder import LoopFinder, Place, level_axes
+from subiaco_mapping.loops.joining import join
+from subiaco_mapping.sequences import SequenceRecord
+from subiaco_mapping.solution import GraphSolution, LoopFacts
+
+logger = logging.getLogger(__name__)
+
+
+@dataclass
+class _State:
+    """What is placed so far."""
+
+    chains: dict[int, Chain]
+    waiting: dict[int, Chain]
+    joints: list[LoopEdge]
+
+
+class SurveyGraph:
+    """Solve what sequences have brought; registrations are kept from one time to the next.
+
+    Parameters
+    ----------
+    config : MappingConfig
+    """
+
+    def __init__(self, config: MappingConfig) -> None:
+        self._config = config
+        self._finder = LoopFinder(config.loops, config.threads)
+
+    def solve(self, sequences: list[SequenceRecord]) -> GraphSolution:
+        """Place, join, close loops, solve.
+
+        Raises
+        ------
+        InputError
+            A sequence can be placed neither by GNSS nor by what it shares with the others, or GNSS is
+            required and does not place one.
+        """
+        placement = place_sequences(sequences, self._config.gnss)
+        state = self._start(sequences, placement)
+        while state.waiting:
+            self._join(sequences, state, placement)
+        solved = self._solved(state.chains, state.joints)
+        edges: list[LoopEdge] = []
+        if self._config.loops.enabled:
+            edges = self._finder.close(self._places(sequences, state.chains, solved))
+            solved = self._solved(state.chains, edges) if edges else solved
+        order = range(len(sequences))
+        found = tuple(summary(sequences[k], state.chains[k], solved.chains[k]) for k in order)
+        reason = None if placement.frame is not None else placement.reasons[0]
+        between = np.array([e.first[0] != e.second[0] for e in edges], dtype=np.bool_)
+        facts = LoopFacts(dict(self._finder.counts), between, solved.loop_weights, solved.seams)
+        return GraphSolution(found, placement.frame, reason, facts if edges else LoopFacts(facts.counts))
+
+    def _solved(self, chains: dict[int, Chain], edges: list[LoopEdge]) -> Solved:
+        return solve(chains, self._config.graph, self._config.gnss, edges)
+
+    def _start(self, sequences: list[SequenceRecord], placement: Placement) -> _State:
+        """Take what GNSS places; of a local map, the first sequence."""
+        placed = [reason is None for reason in placement.reasons]
+        for sequence, reason in zip(sequences, placement.reasons, strict=True):
+            if reason is not None and self._config.gnss.required:
+                raise InputError(
+                    f"{sequence.name}: cannot be georeferenced ({reason}); record GNSS over a longer way, "
+                    "or set gnss.required: false"
+                )
+        if placement.frame is None:
+            logger.warning("%s: %s; the map is local, without CRS", sequences[0].name, placement.reasons[0])
+            placed[0] = True
+        chains = {
+            k: chain_of(sequence, placement.frame, self._config, placed=placed[k])
+            for k, sequence in enumerate(sequences)
+        }
+        ready = {k: chain for k, chain in chains.items() if placed[k]}
+        return _State(ready, {k: chain for k, chain in chains.items() if not placed[k]}, [])
+
+    def _join(self, sequences: list[SequenceRecord], state: _State, placement: Placement) -> None:
+        """Place one of the waiting chains by its loops."""
+        waiting = {k: chain.T_odom_lidar for k, chain in state.waiting.items()}
+        found = None
+        if self._config.loops.enabled:
+            solved = self._solved(state.chains, state.joints)
+            places = self._places(sequences, {**state.chains, **state.waiting}, solved)
+            found = join(self._finder, places, waiting)
+        if found is None:
+            number = min(waiting)
+            raise InputError(
+                f"{sequences[number].name}: cannot be georeferenced ({placement.reasons[number]}), and too "
+                "few places of it were found in the other sequences; record GNSS over a longer way, drive "
+                "an overlap, or map it alone"
+            )
+        number, T_world_odom, edges = found
+        logger.info("%s: joined by %d places seen twice", sequences[number].name, len(edges))
+        state.chains[number] = replace(state.waiting.pop(number), T_world_odom=T_world_odom)
+        state.joints.extend(edges)
+
+    def _places(
+        self, sequences: list[SequenceRecord], chains: dict[int, Chain], solved: Solved
+    ) -> list[Place]:
+        found = []
+        for number in sorted(chains):
+            sequence, chain = sequences[number], chains[number]
+            solution = solved.chains.get(number)
+            submaps = [] if sequence.submaps is None else sequence.submaps.done
+            for k, submap in enumerate(submaps):
+                at = submap.anchor
+                guess = chain.T_world_odom @ chain.T_odom_lidar[at]
+                pose = guess if solution is None else solution.T_world_lidar[at]
+                covariance = np.eye(6) if solution is None else solution.covariance[at]
+                axes = level_axes(
+                    pose[:3, :3].T @ np.array([0.0, 0.0, 1.0]), sequence.extrinsics.T_base_lidar
+                )
+                known = None if solution is None else pose
+                found.append(Place((number, k), submap, axes, known, covariance))
+        return found
