@@ -86,6 +86,16 @@ def test_cars_bumper_to_bumper_stay_apart():
     assert len(np.unique(instance[(result.semantic == Semantic.MOBILE) & (instance >= 0)])) == 3
 
 
+@pytest.mark.parametrize("seed", [3, 4, 5])
+@pytest.mark.parametrize("step", [(4.7, 0.0), (0.0, 2.1)])
+def test_parked_cars_a_hand_apart_are_one_object_each(step, seed):
+    cars = [(k * step[0], k * step[1]) for k in range(3)]
+    cloud = Scene(houses=[], trees=[], poles=[], cars=cars).survey(seed).cloud
+    result = label_points(cloud, SemanticsConfig())
+    instance = segment(cloud, result, InstanceConfig())
+    assert len(np.unique(instance[(result.semantic == Semantic.MOBILE) & (instance >= 0)])) == 3
+
+
 def test_two_touching_crowns_are_two_trees():
     scene = Scene(houses=[], cars=[], poles=[], trees=[(0, 0, 8, 2.3), (5, 0, 8, 2.3)])
     cloud = scene.survey(3).cloud

@@ -19,7 +19,7 @@ from subiaco_change.semantics.clustering import group_indices, group_reduce, vox
 from subiaco_change.semantics.features import FeatureConfig, Features, compute_features
 from subiaco_change.semantics.ground import GroundConfig, GroundModel, Mask, fit_ground
 from subiaco_change.semantics.superpoints import SuperpointConfig, partition
-from subiaco_change.semantics.traffic import TrafficConfig, moving_points
+from subiaco_change.semantics.traffic import TrafficConfig, moving_points, still_blocks
 from subiaco_change.semantics.vehicles import VehicleConfig, large_vehicles, sheds, vehicle_parts
 from subiaco_geo.clouds import PointCloud, sort_spatially
 from subiaco_geo.codes import Semantic
@@ -138,7 +138,9 @@ def _classify(
     core = building_core(xyz, height, features, rest, config.buildings)
     moving = np.zeros(len(xyz), dtype=bool)
     if passed is not None:
-        moving = moving_points(xyz, height, features, passed, rest & ~core, config.traffic)
+        moving = moving_points(xyz, height, features, passed, rest, config.traffic)
+        moving &= ~still_blocks(xyz, core, moving, config.traffic)
+        core &= ~moving
     semantic[moving] = Semantic.MOBILE
     rest &= ~moving
     foliage = _find_foliage(height, features, parts, config) & rest

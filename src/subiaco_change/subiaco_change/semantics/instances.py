@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from subiaco_change.semantics.classes import SemanticResult
 from subiaco_change.semantics.clustering import cell_clusters, group_indices, voxel_clusters
+from subiaco_change.semantics.rows import RowConfig, split_rows
 from subiaco_change.semantics.terraces import TerraceConfig, split_row
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Semantic
@@ -33,6 +34,7 @@ class InstanceConfig(StrictModel):
     mobile_gap: float = Field(
         0.3, gt=0, description="cell in which points of a vehicle touch, after the split [m]"
     )
+    rows: RowConfig = RowConfig()
     mobile_erosion: float = Field(
         0.15, ge=0, description="band above ground left out when clustering, paper [m]"
     )
@@ -93,7 +95,9 @@ def _vehicles(xyz: Floats, height: Floats, config: InstanceConfig) -> Ints:
     """Cluster seen from above without the lowest band, which bridges vehicles; that band joins afterwards."""
     raised = height > config.mobile_erosion
     labels = np.full(len(xyz), -1, dtype=np.int64)
-    labels[raised] = cell_clusters(xyz[raised, :2], config.mobile_gap)
+    labels[raised] = split_rows(
+        xyz[raised, :2], height[raised], cell_clusters(xyz[raised, :2], config.mobile_gap), config.rows
+    )
     return _join_nearest(xyz, labels, 1.0)
 
 

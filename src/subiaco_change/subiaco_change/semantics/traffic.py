@@ -25,6 +25,9 @@ class TrafficConfig(StrictModel):
     )
     spread_ratio: float = Field(7.0, gt=1, description="the same for points that touch such ones")
     core_share: float = Field(0.3, gt=0, le=1, description="share of sure points in a trail")
+    block_share: float = Field(
+        0.5, gt=0, le=1, description="share from which joined planes are a trail, not a building"
+    )
     bottom: float = Field(0.15, ge=0, description="lowest point of a trail; lower ones are ground [m]")
     top: float = Field(3.8, gt=0, description="highest point of a trail: a bus [m]")
     reach: float = Field(1.0, gt=0, description="neighbours that are averaged [m]")
@@ -60,6 +63,17 @@ def moving_points(
     share = np.bincount(trail, sure) / np.bincount(trail)
     moving[open_[share[trail] > config.core_share]] = True
     return moving
+
+
+def still_blocks(xyz: Floats, core: Mask, moving: Mask, config: TrafficConfig) -> Mask:
+    """Tell which points of walls and roofs (N,) stand still: most of their block was not seen through."""
+    members = np.flatnonzero(core)
+    still = np.zeros(len(xyz), dtype=bool)
+    if len(members):
+        block = voxel_clusters(xyz[members], config.touch)
+        share = np.bincount(block, moving[members]) / np.bincount(block)
+        still[members[share[block] < config.block_share]] = True
+    return still
 
 
 def _local_mean(values: Floats, among: Mask, features: Features, members: Ints, reach: float) -> Floats:

@@ -10,6 +10,7 @@ from scipy.spatial import cKDTree
 from subiaco_change.semantics.boxes import box_sides
 from subiaco_change.semantics.clustering import cell_clusters, group_indices, voxel_clusters
 from subiaco_change.semantics.ground import Mask
+from subiaco_change.semantics.rows import RowConfig, split_rows
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats
 
@@ -38,6 +39,7 @@ class VehicleConfig(StrictModel):
     )
     split_band: float = Field(0.3, ge=0, description="band above ground that joins vehicle and hedge [m]")
     split_gap: float = Field(0.3, gt=0, description="cell in which parts of one vehicle touch [m]")
+    rows: RowConfig = RowConfig()
     shed_top: float = Field(2.1, gt=0, description="height from which a short box is a shed [m]")
     shed_length: float = Field(4.4, gt=0, description="length below which a high box is a shed [m]")
     mobile_volume: float = Field(60.0, gt=0, description="box of a vehicle [m3], paper")
@@ -93,9 +95,11 @@ def vehicle_parts(
     if _is_vehicle(xyz[members], height[members], hard, config):
         return [members]
     core = members[~foliage[members] & (height[members] > config.split_band)]
-    if len(core) == 0 or len(core) == len(members):
+    if len(core) == 0:
         return []
-    groups = [core[g] for g in group_indices(cell_clusters(xyz[core, :2], config.split_gap))]
+    labels = cell_clusters(xyz[core, :2], config.split_gap)
+    labels = split_rows(xyz[core, :2], height[core], labels, config.rows)
+    groups = [core[g] for g in group_indices(labels)]
     return [g for g in groups if _is_vehicle(xyz[g], height[g], 1.0, config)]
 
 
