@@ -203,7 +203,7 @@ def test_the_recorder_gets_its_slice_of_the_configuration_alone(tmp_path: Path) 
     config = {"crs": "EPSG:7850", "record": {"split_duration": 5.0}}
     parameters = recorder_spec(config, tmp_path / "drive").parameters
     assert parameters == {
-        "record": {"split_duration": 5.0},
+        "record": {"exit_when_stopped": False, "split_duration": 5.0},
         "output": str(tmp_path / "drive"),
         "resume": True,
         "duration": 0.0,

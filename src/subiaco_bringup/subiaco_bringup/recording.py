@@ -41,10 +41,10 @@ def recorder_spec(
     duration : float
         End after so long [s]; 0 never.
     principal : bool
-        The job is done when the recorder has ended.
+        The job is done when the recorder has ended; any other stays when the disk is full, to say so.
     """
     parameters = {
-        "record": config.get("record", {}),
+        "record": {"exit_when_stopped": principal, **config.get("record", {})},
         "output": str(Path(output).resolve()),
         "resume": True,
         "duration": float(duration),
