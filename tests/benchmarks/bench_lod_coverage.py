@@ -11,8 +11,9 @@
 ``coverage`` bends the map of *before* as the simulator's switches do, registers every pair by the default
 chain, and counts cylinder means under LoD95 on ground, buildings, fences and poles that nothing happened
 to, at least 1.5 m from anything that something did happen to (plants always: leaves and wind); one
-every 2 m. Classes are the true ones. ``sigmas`` cuts every pair into squares and divides the
-registration errors by ``pose_std``. Constants are tuned on tuning seeds (config/seeds.yaml) alone.
+every 2 m. Classes are the true ones. ``pool`` joins the printed tables of several runs. ``sigmas`` cuts
+every pair into squares and divides the registration errors by ``pose_std``. Constants are tuned on
+tuning seeds (config/seeds.yaml) alone.
 """
 
 from __future__ import annotations
@@ -190,13 +191,10 @@ def coverage(arguments: argparse.Namespace) -> None:
             low, high = counted.shares()
             print(f"seed {seed}, {name}: {low:.3f} without floors, {high:.3f} with, n {len(counted.range)}")
             parts.append(counted)
-    total = joined(parts)
-    tables(total)
-    if arguments.picture is not None:
-        draw(total, arguments.picture, sorted(map(seed_of, arguments.surveys)))
+    show(tables(joined(parts)), arguments.picture)
 
 
-def rows(total: Counted) -> Iterator[tuple[str, Counted]]:
+def cuts(total: Counted) -> Iterator[tuple[str, Counted]]:
     """Cut the counts by map error, class and range."""
     yield "all", total
     for number, name in enumerate(SETTINGS):
@@ -207,57 +205,90 @@ def rows(total: Counted) -> Iterator[tuple[str, Counted]]:
         yield f"range: {low:.0f} to {high:.0f} m", total.select((total.range >= low) & (total.range < high))
 
 
-def tables(total: Counted) -> None:
-    """Print one row a cut."""
-    print("\n| where | means | without floors, % | with, % | median sigma_reg, mm | median LoD95, mm |")
-    print("|---" * 6 + "|")
-    for name, part in rows(total):
-        if len(part.range) == 0:
-            continue
-        bare, floored = (100 * share for share in part.shares())
-        print(
-            f"| {name} | {len(part.range)} | {bare:.1f} | {floored:.1f} | {1e3 * np.median(part.sigma):.1f} "
-            f"| {1e3 * np.median(part.floored):.0f} |"
+@dataclass(frozen=True)
+class Row:
+    """One cut: means, percent under LoD95 without and with floors, medians of sigma_reg and LoD95 [mm]."""
+
+    name: str
+    means: int
+    bare: float
+    floored: float
+    sigma: float
+    lod: float
+
+    def text(self) -> str:
+        """Return the row of the table."""
+        return (
+            f"| {self.name} | {self.means} | {self.bare:.1f} | {self.floored:.1f} | {self.sigma:.1f} "
+            f"| {self.lod:.0f} |"
         )
 
 
-def draw(total: Counted, path: Path, seeds: list[int]) -> None:
-    """Draw the share over range by class and by map error."""
+def tables(total: Counted) -> list[Row]:
+    """Reduce the counts to one row a cut."""
+    return [
+        Row(
+            name,
+            len(part.range),
+            *(100 * share for share in part.shares()),
+            1e3 * float(np.median(part.sigma)),
+            1e3 * float(np.median(part.floored)),
+        )
+        for name, part in cuts(total)
+        if len(part.range) > 0
+    ]
+
+
+def show(table: list[Row], picture: Path | None) -> None:
+    """Print the table, and draw it."""
+    print("\n| where | means | without floors, % | with, % | median sigma_reg, mm | median LoD95, mm |")
+    print("|---" * 6 + "|")
+    for row in table:
+        print(row.text())
+    if picture is not None:
+        draw(table, picture)
+
+
+def pool(arguments: argparse.Namespace) -> None:
+    """Join tables that earlier runs printed, weighting by the means behind every row."""
+    found: dict[str, list[list[float]]] = {}
+    for path in arguments.surveys:
+        for line in path.read_text().splitlines():
+            cells = [cell.strip() for cell in line.strip("|").split("|")]
+            if len(cells) == 6 and cells[1].isdigit():
+                found.setdefault(cells[0], []).append([float(cell) for cell in cells[1:]])
+    table = []
+    for name, values in found.items():
+        array = np.array(values)
+        joint = np.average(array[:, 1:], axis=0, weights=array[:, 0])
+        table.append(Row(name, int(array[:, 0].sum()), *joint.tolist()))
+    show(table, arguments.picture)
+
+
+def draw(table: list[Row], path: Path) -> None:
+    """Draw the shares over range, and by class and map error."""
     import matplotlib.pyplot as plt
 
     figure, axes = plt.subplots(1, 2, figsize=(11, 4.2), sharey=True)
-    middle = [0.5 * (a + b) for a, b in pairwise(RANGES)]
-    cuts = (
-        ("class", {n: total.semantic == s for n, s in CLASSES.items()}),
-        ("map error", {n: total.setting == k for k, n in enumerate(SETTINGS)}),
-    )
-    for axis, (title, masks) in zip(axes, cuts, strict=True):
-        for number, (name, mask) in enumerate(masks.items()):
-            for floors, style in ((0, "-"), (1, ":")):
-                values = [
-                    100 * part.shares()[floors] if len(part.range) >= 50 else np.nan
-                    for low, high in pairwise(RANGES)
-                    for part in (total.select(mask & (total.range >= low) & (total.range < high)),)
-                ]
-                axis.plot(
-                    middle,
-                    values,
-                    style,
-                    color=f"C{number}",
-                    marker="o",
-                    ms=4,
-                    label=name if not floors else None,
-                )
-        axis.axhspan(93, 97, color="0.9", zorder=0)
-        axis.set(xlabel="range to the nearest pose [m]", title=f"by {title}", ylim=(80, 100.5))
-        axis.legend(fontsize=8, loc="lower left")
-    axes[0].set_ylabel("unchanged means under LoD95 [%]")
-    figure.suptitle(
-        f"Simulated, seeds {seeds}. Solid: without floors; dotted: with; grey: 93 to 97 %", fontsize=10
-    )
+    for axis in axes:
+        axis.axhspan(93, 97, color="0.88", zorder=0)
+    over = [row for row in table if row.name.startswith("range")]
+    labels = [row.name.removeprefix("range: ") for row in over]
+    axes[0].plot(labels, [row.bare for row in over], "o-", color="C0", label="without floors")
+    axes[0].plot(labels, [row.floored for row in over], "o:", color="C1", label="with floors")
+    axes[0].set(xlabel="range to the nearest pose", ylabel="unchanged means under LoD95 [%]", ylim=(80, 100))
+    axes[0].legend(loc="lower left")
+    others = [row for row in table if row.name.startswith(("class", "map"))]
+    place = np.arange(len(others))
+    axes[1].plot(place, [row.bare for row in others], "o", color="C0")
+    axes[1].plot(place, [row.floored for row in others], "o", color="C1")
+    axes[1].set_xticks(place, [r.name.split(": ")[1] for r in others], rotation=25, ha="right", fontsize=8)
+    axes[1].set_title("map error, and class", fontsize=10)
+    figure.suptitle("Simulated. Grey: 93 to 97 %", fontsize=10)
     figure.tight_layout()
     path.parent.mkdir(parents=True, exist_ok=True)
-    figure.savefig(path, dpi=110)
+    figure.savefig(path, dpi=100)
+    plt.close(figure)
     print(f"drawn: {path}")
 
 
@@ -311,12 +342,17 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("what", choices=["coverage", "sigmas"])
-    parser.add_argument("surveys", nargs="+", type=Path, help="outputs of subiaco simulate --maps-only")
+    parser.add_argument("what", choices=["coverage", "pool", "sigmas"])
+    parser.add_argument(
+        "surveys",
+        nargs="+",
+        type=Path,
+        help="outputs of subiaco simulate --maps-only; for pool, printed tables",
+    )
     parser.add_argument("--edge", type=float, default=50.0, help="of the squares of sigmas [m]")
     parser.add_argument("--picture", type=Path, help="where to draw the curve of coverage")
     arguments = parser.parse_args()
-    {"coverage": coverage, "sigmas": sigmas}[arguments.what](arguments)
+    {"coverage": coverage, "pool": pool, "sigmas": sigmas}[arguments.what](arguments)
 
 
 if __name__ == "__main__":
