@@ -12,16 +12,10 @@ from mcap.reader import make_reader
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 from rosbags.rosbag2 import Reader
 
+from subiaco_geo.bag_files import PARTIAL
 from subiaco_geo.bag_metadata import describe_segment, write_bag_metadata
 from subiaco_geo.bag_recovery import recover_bag
-from subiaco_geo.bag_segments import (
-    PARTIAL,
-    RecordedTopic,
-    SegmentWriter,
-    natural_order,
-    qos_text,
-    sole_writer,
-)
+from subiaco_geo.bag_segments import RecordedTopic, SegmentWriter, natural_order, qos_text, sole_writer
 from subiaco_geo.bags import TYPESTORE, BagReader, packet_to_cdr
 from subiaco_geo.errors import InputError
 from subiaco_geo.topics import IMU_PACKETS, LIDAR_PACKETS, PACKET_TYPE
@@ -105,6 +99,17 @@ def test_several_files_are_read_as_one_bag_before_and_after_recovery(recording: 
         assert reader.topics[LIDAR_PACKETS].count == 224
         assert reader.topics[IMU_PACKETS].count == 56
         assert (reader.start_ns, reader.end_ns) == (START_NS, START_NS + 279 * 10**6)
+
+
+def test_reading_a_recording_with_a_cut_file_says_that_it_is_left_out(
+    recording: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    numbers(recording)
+    assert f"run 'subiaco recover {recording}'" in caplog.text
+    caplog.clear()
+    recover_bag(recording, in_place=True)
+    numbers(recording)
+    assert not caplog.records
 
 
 def test_recovery_says_what_was_kept_and_leaves_the_original_alone(recording: Path) -> None:

@@ -16,8 +16,9 @@ from pathlib import Path
 import pytest
 import yaml
 
+from subiaco_geo.bag_files import PARTIAL
 from subiaco_geo.bag_recovery import recover_bag
-from subiaco_geo.bag_segments import PARTIAL, RecordedTopic, SegmentWriter
+from subiaco_geo.bag_segments import RecordedTopic, SegmentWriter
 from subiaco_geo.bags import TYPESTORE, BagMessage, BagReader, packet_to_cdr
 from subiaco_geo.errors import InputError
 from subiaco_geo.topics import LIDAR_PACKETS, METADATA, PACKET_TYPE, TF_STATIC

@@ -14,6 +14,8 @@ from rosbags.rosbag2 import ReaderError
 from subiaco_geo.errors import InputError
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
+#: What stands after the name of a file that is being written, or was cut.
+PARTIAL = ".partial"
 _STORAGE_SUFFIXES = (".mcap", ".db3")
 _RECORDINGS = {".bag": "a ROS 1 bag", ".pcap": "a packet capture", ".pcapng": "a packet capture"}
 #: What reading a damaged bag raises.
@@ -24,7 +26,9 @@ READ_FAULTS = (
 
 
 def _is_bag_folder(path: Path) -> bool:
-    return (path / "metadata.yaml").is_file() or any(path.glob("*.mcap")) or any(path.glob("*.mcap.partial"))
+    return (
+        (path / "metadata.yaml").is_file() or any(path.glob("*.mcap")) or any(path.glob(f"*.mcap{PARTIAL}"))
+    )
 
 
 def find_storage(path: Path) -> Path:
@@ -56,7 +60,7 @@ def find_storage(path: Path) -> Path:
             raise InputError(
                 f"{path}: {len(files)} mcap files but no metadata.yaml; run 'subiaco recover {path}'"
             )
-        if any(path.glob("*.mcap.partial")):
+        if any(path.glob(f"*.mcap{PARTIAL}")):
             raise InputError(
                 f"{path}: the recording was cut before its first file was whole; run 'subiaco recover {path}'"
             )

@@ -10,10 +10,10 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 from subiaco_geo.atomic import refuse_existing, whole_directory
-from subiaco_geo.bag_files import MCAP_MAGIC
+from subiaco_geo.bag_files import MCAP_MAGIC, PARTIAL
 from subiaco_geo.bag_metadata import METADATA_NAME, describe_segment, recorded_topic, write_bag_metadata
 from subiaco_geo.bag_records import RecordWalk
-from subiaco_geo.bag_segments import CHUNK_BYTES, PARTIAL, SegmentWriter, natural_order, sole_writer
+from subiaco_geo.bag_segments import CHUNK_BYTES, SegmentWriter, natural_order, sole_writer
 from subiaco_geo.errors import InputError
 
 _RECOVERING = ".recovering"

@@ -20,9 +20,9 @@ from mcap.writer import Writer
 from rosbags.interfaces import Qos
 from rosbags.rosbag2.metadata import dump_qos_v9
 
+from subiaco_geo.bag_files import PARTIAL
 from subiaco_geo.errors import InputError
 
-PARTIAL = ".partial"
 CHUNK_BYTES = 1 << 20
 _NEVER_BY_SIZE = 1 << 62
 QOS_KEY = "offered_qos_profiles"

@@ -6,6 +6,7 @@ packets is walked at the speed of the disk.
 
 from __future__ import annotations
 
+import logging
 import shutil
 import struct
 from collections.abc import Collection, Iterator
@@ -31,7 +32,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from subiaco_geo.atomic import refuse_existing
-from subiaco_geo.bag_files import READ_FAULTS, find_storage, hash_bag, reading, storage_files
+from subiaco_geo.bag_files import PARTIAL, READ_FAULTS, find_storage, hash_bag, reading, storage_files
 from subiaco_geo.errors import InputError
 from subiaco_geo.topics import PACKET_TYPE
 
@@ -39,6 +40,8 @@ __all__ = [
     "TYPESTORE", "BagMessage", "BagReader", "BagWriter", "TopicInfo", "find_storage", "hash_bag",
     "make_typestore", "packet_from_cdr", "packet_to_cdr", "require_topic", "storage_files",
 ]  # fmt: skip
+
+LOGGER = logging.getLogger(__name__)
 
 _CDR_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 
@@ -209,6 +212,11 @@ class BagReader:
         self.end_ns = 0
 
     def __enter__(self) -> Self:
+        if self._storage.is_dir() and any(self._storage.glob(f"*.mcap{PARTIAL}")):
+            LOGGER.warning(
+                "%s: one of its files is cut or still being written, and left out; "
+                "run 'subiaco recover %s'", self.path, self.path
+            )  # fmt: skip
         with reading(self.path):
             self._reader = Reader(self._storage)
             self._reader.open()

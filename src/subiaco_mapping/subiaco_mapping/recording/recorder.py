@@ -16,15 +16,9 @@ from typing import Any, Literal
 import yaml
 
 from subiaco_geo.atomic import refuse_existing, whole_file
+from subiaco_geo.bag_files import PARTIAL
 from subiaco_geo.bag_metadata import SegmentInfo, describe_segment, write_bag_metadata
-from subiaco_geo.bag_segments import (
-    PARTIAL,
-    RecordedTopic,
-    SegmentWriter,
-    natural_order,
-    segment_path,
-    sole_writer,
-)
+from subiaco_geo.bag_segments import RecordedTopic, SegmentWriter, natural_order, segment_path, sole_writer
 from subiaco_geo.bags import TYPESTORE
 from subiaco_geo.errors import InputError
 from subiaco_mapping.recording.config import RecordConfig
