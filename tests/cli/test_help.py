@@ -19,6 +19,7 @@ VERBS = [
     "baseline",
     "ablate",
     "inject",
+    "calibrate",
     "record",
     "recover",
     "graph",

@@ -1,4 +1,4 @@
-"""Verbs that tell how far to trust results on one's own city: inject."""
+"""Verbs that tell how far to trust results on one's own city: inject, calibrate."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from subiaco_bringup.cli.change_verbs import RegistrationName, TrajectoryFile, known_transform
 from subiaco_bringup.cli.options import (
     ConfigFiles,
     Output,
@@ -18,7 +19,17 @@ from subiaco_bringup.cli.options import (
     set_up_logging,
 )
 from subiaco_bringup.cli.progress import Progress
+from subiaco_bringup.defaults import config_files
 from subiaco_geo.config import load_config
+
+ObjectFolder = Annotated[
+    Path | None,
+    typer.Option(
+        metavar="DIR",
+        help="Clouds of objects to put, one a file, named by class (building*, tree*, car* ...); "
+        "objects of the map itself where absent.",
+    ),
+]
 
 
 def inject(
@@ -26,17 +37,8 @@ def inject(
         Path, typer.Argument(metavar="MAP", help="Map directory, or a cloud with --trajectory.")
     ],
     output: Output,
-    objects: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR",
-            help="Clouds of objects to put, one a file, named by class (building*, tree*, car* ...); "
-            "objects of the map itself where absent.",
-        ),
-    ] = None,
-    trajectory: Annotated[
-        Path | None, typer.Option(metavar="F", help="Where the scanner went (TUM), for a bare cloud.")
-    ] = None,
+    objects: ObjectFolder = None,
+    trajectory: TrajectoryFile = None,
     seed: Annotated[int | None, typer.Option(help="Seed of every choice.")] = None,
     config: ConfigFiles = None,
     settings: Settings = None,
@@ -71,6 +73,61 @@ def inject(
     say(f"injected: {output} ({len(injected.rows)} changes{left})", quiet=quiet)
 
 
+def calibrate(
+    survey: Annotated[
+        Path, typer.Argument(metavar="MAP", help="Map directory, or a cloud with --trajectory.")
+    ],
+    output: Output,
+    objects: ObjectFolder = None,
+    trajectory: TrajectoryFile = None,
+    copies: Annotated[int | None, typer.Option(help="Injected copies that the fit rests on.")] = None,
+    registration: RegistrationName = None,
+    config: ConfigFiles = None,
+    change_config: Annotated[
+        list[Path] | None, typer.Option(metavar="FILE", help="Settings of 'subiaco change'; repeatable.")
+    ] = None,
+    settings: Settings = None,
+    overwrite: Overwrite = False,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Find out on one's own map how small a change is still found, and how far confidences hold.
+
+    It runs change detection on injected copies of MAP; 'subiaco change --config DIR/confidence.yaml' takes
+    the confidences from there.
+
+    Example: subiaco calibrate out/2025 -o out/calibration
+    """
+    import pandas as pd
+
+    from subiaco_change.config import ChangeConfig
+    from subiaco_change.injection.calibrate import CalibrationConfig, write_calibration
+    from subiaco_change.injection.calibrate import calibrate as run
+    from subiaco_change.injection.inject import read_donors
+    from subiaco_geo.atomic import refuse_existing, refuse_foreign
+    from subiaco_geo.maps import load_epoch
+
+    set_up_logging(verbose, quiet)
+    refuse_existing(output, overwrite)
+    refuse_foreign(output, "calibration.json")
+    chosen = [*(settings or []), *([] if copies is None else [f"copies={copies}"])]
+    model = load_config(CalibrationConfig, tuple(config or ()), chosen)
+    change = load_config(ChangeConfig, config_files("change", tuple(change_config or ())), [])
+    donors = () if objects is None else tuple(read_donors(objects, model.injection.leaf))
+    given = known_transform(None, registration)
+    with Progress(quiet=quiet) as progress:
+        result = run(load_epoch(survey, trajectory), change, model, donors, progress, given)
+        document = write_calibration(output, result, model, survey, overwrite)
+    table = pd.read_csv(output / "detectable.csv")
+    typer.echo(table.to_string(index=False, na_rep="not reached"))
+    say(
+        f"calibration: {output} ({document['found']} of {document['injected_changes']} changes found; "
+        f"calibration error of changed rows {document['held_out_ece']:.2f})",
+        quiet=quiet,
+    )
+
+
 def register(app: typer.Typer) -> None:
-    """Add this verb to the command."""
+    """Add these verbs to the command."""
     app.command("inject", short_help="Put known changes into a map.")(inject)
+    app.command("calibrate", short_help="Find out how small a change is found on one's own map.")(calibrate)

@@ -53,12 +53,13 @@ class LodRaster:
     cell: float
 
 
-def _write(
+def write_bands(
     path: Path,
     bands: dict[str, NDArray[np.float32]],
     raster: GroundChange | Coverage | LodRaster,
     crs: str | None,
 ) -> None:
+    """Write named bands as a float32 GeoTIFF on the grid of a raster, NaN where nothing is known."""
     arrays = list(bands.values())
     profile = {
         "driver": "GTiff",
@@ -80,17 +81,17 @@ def _write(
 
 def write_ground_change(path: Path, ground: GroundChange, crs: str | None) -> None:
     """Write elevation change [m] and its confidence as a two-band GeoTIFF."""
-    _write(path, {"dz": ground.dz, "confidence": ground.confidence}, ground, crs)
+    write_bands(path, {"dz": ground.dz, "confidence": ground.confidence}, ground, crs)
 
 
 def write_coverage(path: Path, coverage: Coverage, crs: str | None) -> None:
     """Write coverage codes and median LoD95 [m] as a two-band GeoTIFF."""
-    _write(path, {"coverage": coverage.code.astype(np.float32), "lod95": coverage.lod95}, coverage, crs)
+    write_bands(path, {"coverage": coverage.code.astype(np.float32), "lod95": coverage.lod95}, coverage, crs)
 
 
 def write_lod(path: Path, raster: LodRaster, crs: str | None) -> None:
     """Write LoD95 [m] and the share of points that claim one as a two-band GeoTIFF."""
-    _write(path, {"lod95": raster.lod95, "claimed": raster.claimed}, raster, crs)
+    write_bands(path, {"lod95": raster.lod95, "claimed": raster.claimed}, raster, crs)
 
 
 def build_lod_raster(before: PointCloud, after: PointCloud, cell: float = 5.0) -> LodRaster:

@@ -1,0 +1,203 @@
+"""How far to trust results on one's own city: change detection on injected copies of its very map."""
+
+from __future__ import annotations
+
+import datetime as dt
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import matplotlib as mpl
+import numpy as np
+import pandas as pd
+import yaml
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+from pydantic import Field
+
+from subiaco_change.config import ChangeConfig
+from subiaco_change.evaluation.confidence_fit import fit_confidence, held_out_error, judged_rows, pair_points
+from subiaco_change.injection.config import InjectionConfig
+from subiaco_change.injection.detectability import (
+    PROBABILITY,
+    Curve,
+    fit_curves,
+    holding,
+    outcomes,
+    smallest_table,
+)
+from subiaco_change.injection.edits import Donor
+from subiaco_change.injection.inject import inject
+from subiaco_change.outputs.json_text import write_json
+from subiaco_change.outputs.raster import LodRaster, build_lod_raster, write_bands
+from subiaco_change.pipeline import detect_changes
+from subiaco_geo.atomic import whole_directory
+from subiaco_geo.config import StrictModel
+from subiaco_geo.errors import InputError
+from subiaco_geo.frames import Floats
+from subiaco_geo.maps import SurveyMap
+
+#: What tells a calibration from another folder.
+MARKER = "calibration.json"
+
+
+class CalibrationConfig(StrictModel):
+    """How many copies, and what is done to them."""
+
+    copies: int = Field(4, ge=2, description="injected copies that the fit rests on")
+    fresh: int = Field(1, ge=0, description="further copies on which the statement is tried")
+    injection: InjectionConfig = InjectionConfig()
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """Rows and changes of all copies; ``fresh_changes`` are those of copies that nothing was fitted on."""
+
+    rows: pd.DataFrame
+    changes: pd.DataFrame
+    fresh_changes: pd.DataFrame
+    lod: LodRaster
+    crs: str | None
+    left_out: dict[str, int]
+
+    def curves(self) -> dict[tuple[str, str], Curve]:
+        """Return the fitted curves by class and kind."""
+        return fit_curves(self.changes)
+
+
+def calibrate(
+    survey: SurveyMap,
+    change: ChangeConfig,
+    config: CalibrationConfig,
+    donors: tuple[Donor, ...] = (),
+    progress: Callable[[str, float], None] | None = None,
+    transform: Floats | None = None,
+) -> Calibration:
+    """Run change detection on injected copies of a map.
+
+    Parameters
+    ----------
+    survey : SurveyMap
+        With a trajectory.
+    change : ChangeConfig
+    config : CalibrationConfig
+    donors : tuple of Donor
+        Objects to put; those of the map itself where there are none.
+    progress : callable, optional
+    transform : (4, 4) float64, optional
+        Identity skips the registration, and leaves its error out of the statement.
+
+    Raises
+    ------
+    InputError
+        The map has no trajectory, or no change fitted anywhere.
+    RegistrationError
+    """
+    rows, changes, left_out = [], [], dict[str, int]()
+    lod, crs = None, None
+    total = config.copies + config.fresh
+    for copy in range(total):
+        if progress is not None:
+            progress(f"copy {copy + 1} of {total}", copy / total)
+        settings = config.injection.model_copy(update={"seed": config.injection.seed + copy})
+        injected = inject(survey, settings, donors)
+        result = detect_changes(injected.before, injected.after, change, transform=transform)
+        points = pair_points(result, injected.before.cloud, injected.after.cloud)
+        if copy < config.copies:
+            rows.append(judged_rows(result, points, f"copy {copy}"))
+        changes.append(outcomes(pd.DataFrame(injected.rows), points, result, copy))
+        for name, count in injected.left_out.items():
+            left_out[name] = left_out.get(name, 0) + count
+        lod = lod or build_lod_raster(result.before, result.after)
+        crs = result.after.crs
+    every = pd.concat(changes, ignore_index=True)
+    if len(every) == 0 or lod is None:
+        raise InputError("calibrate: no change fitted anywhere in this map; is it large enough?")
+    fresh = every["copy"] >= config.copies
+    return Calibration(pd.concat(rows), every[~fresh], every[fresh], lod, crs, left_out)
+
+
+def write_calibration(
+    directory: Path, result: Calibration, config: CalibrationConfig, source: Path, overwrite: bool = False
+) -> dict[str, Any]:
+    """Write ``confidence.yaml``, ``detectable.csv .png .tif``, ``changes.csv`` and ``calibration.json``.
+
+    Returns
+    -------
+    dict
+        Content of ``calibration.json``.
+    """
+    curves = result.curves()
+    today = dt.datetime.now(dt.UTC).date()
+    fitted_on = f"{config.copies} injected copies of {source.name}; {today}"
+    stated, found = holding(result.fresh_changes, curves)
+    document: dict[str, Any] = {
+        "source": str(source),
+        "copies": config.copies,
+        "fresh_copies": config.fresh,
+        "injected_changes": len(result.changes),
+        "found": int(result.changes["found"].sum()),
+        "probability": PROBABILITY,
+        "held_out_ece": held_out_error(result.rows),
+        "fresh_changes_at_or_above_the_stated_size": stated,
+        "of_them_found": found,
+        "fitted_nowhere": result.left_out,
+    }
+    with whole_directory(directory, overwrite=overwrite, marker=MARKER) as target:
+        slice_ = {"confidence": fit_confidence(result.rows, fitted_on)}
+        (target / "confidence.yaml").write_text(
+            yaml.safe_dump({"/**": {"ros__parameters": slice_}}, sort_keys=False)
+        )
+        every = pd.concat([result.changes, result.fresh_changes], ignore_index=True)
+        every.round(4).to_csv(target / "changes.csv", index=False)
+        smallest_table(result.changes, curves).to_csv(target / "detectable.csv", index=False)
+        draw_curves(target / "detectable.png", result.changes, curves)
+        ground = curves.get(("ground", "shift"))
+        if ground is not None:
+            band = {"smallest_95": detectable_ground(result.lod, ground)}
+            write_bands(target / "detectable_ground.tif", band, result.lod, result.crs)
+        write_json(target / MARKER, document)
+    return document
+
+
+def detectable_ground(lod: LodRaster, curve: Curve) -> NDArray[np.float32]:
+    """Return the smallest rise or fall of the ground that is found, cell by cell [m]."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        smallest = np.where(lod.lod95 > 0, curve.smallest(lod.lod95.astype(np.float64)), np.nan)
+    return np.asarray(smallest, dtype=np.float32)
+
+
+def draw_curves(path: Path, changes: pd.DataFrame, curves: dict[tuple[str, str], Curve]) -> None:
+    """Draw found and missed changes and the fitted curve, a panel a class and kind."""
+    groups = list(changes.groupby(["class_name", "kind"]))
+    columns = min(3, max(1, len(groups)))
+    lines = -(-len(groups) // columns)
+    with mpl.rc_context({"font.size": 9}):
+        figure = Figure(figsize=(4.2 * columns, 3.0 * lines), layout="constrained")
+        FigureCanvasAgg(figure)
+        axes = np.ravel(figure.subplots(lines, columns, squeeze=False))
+        for axis, ((name, kind), part) in zip(axes, groups, strict=False):
+            _panel(axis, str(name), str(kind), part, curves.get((str(name), str(kind))))
+        for axis in axes[len(groups) :]:
+            axis.set_axis_off()
+        figure.savefig(path, dpi=130)
+
+
+def _panel(axis: Any, name: str, kind: str, part: pd.DataFrame, curve: Curve | None) -> None:
+    axis.plot(part["magnitude_m"], part["found"].astype(float), "|", color="0.3", markersize=10)
+    lod = float(part["lod95_m"].median())
+    said = "too few changes for a curve"
+    if curve is not None and np.isfinite(lod):
+        sizes = np.linspace(curve.tested[0], curve.tested[1], 200)
+        axis.plot(sizes, curve.probability(sizes, lod), color="#1f77b4")
+        smallest = float(curve.smallest(lod))
+        said = "95 % not reached in what was tested"
+        if np.isfinite(smallest):
+            axis.axvline(smallest, color="#d62728", linestyle=":")
+            said = f"95 % from {smallest:.2f} m"
+    axis.set_title(f"{name}, {'shift' if kind == 'shift' else 'put or taken away'}: {said}", fontsize=9)
+    axis.set_xlabel("shift in height [m]" if kind == "shift" else "height of the object [m]")
+    axis.set_ylabel("found")
+    axis.set_ylim(-0.05, 1.05)
