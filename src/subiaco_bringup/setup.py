@@ -19,6 +19,7 @@ setup(
         ("share/ament_index/resource_index/packages", ["resource/" + NAME]),
         ("share/" + NAME, ["package.xml"]),
         ("share/" + NAME + "/config", glob("config/*.yaml")),
+        ("share/" + NAME + "/config/drivers", glob("config/drivers/*.yaml")),
         ("share/" + NAME + "/launch", glob("launch/*.launch.py")),
         ("share/" + NAME + "/rviz", glob("rviz/*.rviz")),
         ("share/" + NAME + "/foxglove", glob("foxglove/*.json")),

@@ -217,3 +217,56 @@ def test_a_remapping_that_is_none_says_how_one_looks(text: str) -> None:
 
     with pytest.raises(InputError, match="expected OUR_TOPIC:=SOURCE"):
         parse_remapping(text)
+
+
+@pytest.mark.usefixtures("launch_stub")
+def test_launch_file_and_supervisor_start_the_same_live_command_lines(tmp_path: Path) -> None:
+    from subiaco_bringup.defaults import config_files
+    from subiaco_bringup.live_graph import live_graph
+
+    driver = LAUNCH.parents[2] / "config" / "drivers" / "ublox.yaml"
+    launched = launched_lines(
+        LAUNCH / "live.launch.py",
+        output=str(tmp_path / "drive"),
+        config=str(driver),
+        set="watch.gnss.max_hdop=2.0 record.split_duration=30",
+        remap="/imu/data:=/xsens/imu",
+        route=str(tmp_path / "plan.geojson"),
+    )
+    graph = live_graph(
+        tmp_path / "drive",
+        config_files("mapping", (driver,)),
+        ["watch.gnss.max_hdop=2.0", "record.split_duration=30"],
+        remappings=[("/imu/data", "/xsens/imu")],
+        route=tmp_path / "plan.geojson",
+    )
+    assert launched == command_lines(graph)
+
+
+def test_every_driver_profile_gives_valid_nodes_that_hear_the_drivers_topics(tmp_path: Path) -> None:
+    from subiaco_bringup.live_graph import live_graph
+    from subiaco_mapping.nodes.monitor_node import MonitorParameters
+
+    profiles = sorted((LAUNCH.parents[2] / "config" / "drivers").glob("*.yaml"))
+    assert len(profiles) >= 5
+    for profile in profiles:
+        graph = live_graph(tmp_path / "drive", [profile], ["record.queue_mb=64"])
+        recorder, monitor, *_ = graph.nodes
+        assert recorder.parameters["record"]["queue_mb"] == 64
+        assert all(node.remappings == monitor.remappings for node in graph.nodes)
+        assert monitor.remappings, f"{profile.name} names no topic"
+        own = set(MonitorParameters.model_fields) | {"use_sim_time"}
+        given = {k: v for k, v in ros_parameters(monitor.parameters).items() if k not in own}
+        config = MappingConfig.model_validate(given)
+        assert {ours.lstrip("/") for ours, _ in config.topics.remappings()} == {
+            ours for ours, _ in monitor.remappings
+        }
+
+
+def test_only_what_can_be_started_again_without_harm_is(tmp_path: Path) -> None:
+    from subiaco_bringup.live_graph import live_graph
+
+    nodes = {node.name: node for node in live_graph(tmp_path / "drive").nodes}
+    assert [name for name, node in nodes.items() if node.restart] == ["recorder", "monitor", "odometry"]
+    assert not nodes["pose_graph"].essential
+    assert "recorder" not in {node.name for node in live_graph(tmp_path / "drive", record=False).nodes}

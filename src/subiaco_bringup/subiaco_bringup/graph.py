@@ -33,6 +33,12 @@ class NodeSpec:
     remappings : tuple of (from, to)
     principal : bool
         The job is done when this node has ended.
+    restart : bool
+        It can be started again after a crash without harm.
+    essential : bool
+        The job has failed where this node has; the others go on without any other.
+    grace : float
+        Seconds that it needs to put everything away when interrupted.
     """
 
     name: str
@@ -41,6 +47,9 @@ class NodeSpec:
     parameters: Mapping[str, Any]
     remappings: tuple[tuple[str, str], ...] = ()
     principal: bool = False
+    restart: bool = False
+    essential: bool = True
+    grace: float = 10.0
 
     def arguments(self) -> list[str]:
         """Return the arguments after the executable; the parameters go into a file."""

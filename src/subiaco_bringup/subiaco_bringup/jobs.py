@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Iterable, Sequence
+from contextlib import suppress
 from pathlib import Path
+from typing import Any
 
 from subiaco_bringup.environment import node_environment
-from subiaco_bringup.graph import GraphSpec, change_graph, mapping_graph
-from subiaco_bringup.supervisor import Report, Supervisor
+from subiaco_bringup.graph import GraphSpec, change_graph, mapping_graph, merged_config
+from subiaco_bringup.supervisor import Death, OnStatus, Report, Supervisor
 from subiaco_geo.atomic import refuse_existing
-from subiaco_geo.config import load_config
+from subiaco_geo.config import load_config, validate
 from subiaco_geo.errors import InputError
 
 LOGGER = logging.getLogger(__name__)
@@ -91,3 +93,74 @@ def run_change_graph(
     load_config(ChangeConfig, files, given)
     refuse_existing(Path(output), overwrite)
     _run(change_graph(before, after, output, files, given, overwrite=overwrite), progress)
+
+
+def run_live_graph(
+    output: Path,
+    config_files: Iterable[Path] = (),
+    settings: Iterable[str] = (),
+    *,
+    remappings: Sequence[tuple[str, str]] = (),
+    route: Path | None = None,
+    record: bool = True,
+    sim_time: bool = False,
+    progress: Report | None = None,
+    on_status: OnStatus | None = None,
+) -> None:
+    """Record, watch and map live topics until interrupted: that is how a live survey ends.
+
+    The drivers are looked for in the caller's ROS domain.
+
+    Parameters
+    ----------
+    output : Path
+        Folder of the drive; see :func:`subiaco_bringup.live_graph.live_graph` for the rest.
+    on_status : callable, optional
+        Told what the monitor sees, twice a second.
+
+    Raises
+    ------
+    InputError
+        The configuration or the route is at fault, or the folder holds something.
+    SubiacoError
+        A node that the survey cannot do without failed again and again.
+    """
+    from subiaco_bringup.live_graph import SEQUENCE, live_graph
+    from subiaco_mapping.config import MappingConfig
+    from subiaco_mapping.recording.config import RecordingConfig
+    from subiaco_mapping.watch.files import MANIFEST, add_stretches
+    from subiaco_mapping.watch.routes import read_route
+
+    files, given = list(config_files), list(settings)
+    values = merged_config(files, given)
+    recorder = {"record": values.pop("record", {})}
+    validate(RecordingConfig, recorder, "configuration")
+    validate(MappingConfig, values, "configuration")
+    if route is not None:
+        read_route(route)
+    if output.exists() and (not output.is_dir() or any(output.iterdir())):
+        raise InputError(f"{output}: exists already; give every drive a folder of its own")
+    graph = live_graph(
+        output, files, given, remappings=remappings, route=route, record=record, sim_time=sim_time
+    )
+    output.mkdir(parents=True, exist_ok=True)
+    with node_environment(shared=True) as environment:
+        supervisor = Supervisor(graph, environment, progress, on_status=on_status)
+        try:
+            with suppress(KeyboardInterrupt):
+                supervisor.run()
+        finally:
+            deaths = [_stretch(death) for death in supervisor.deaths]
+            add_stretches(output / MANIFEST, SEQUENCE, "node_died", deaths)
+
+
+def _stretch(death: Death) -> dict[str, Any]:
+    seconds = round(death.time_ns * 1e-9, 3)
+    return {
+        "start_s": seconds,
+        "end_s": seconds,
+        "scans": 0,
+        "length_m": 0.0,
+        "source": death.node,
+        "detail": death.how,
+    }

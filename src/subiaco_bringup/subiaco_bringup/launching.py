@@ -36,6 +36,10 @@ def launch_actions(graph: GraphSpec) -> list[Any]:
             executable=spec.executable,
             arguments=spec.arguments(),
             output="screen",
+            respawn=spec.restart,
+            respawn_delay=1.0,
+            sigterm_timeout=str(spec.grace),
+            sigkill_timeout=str(spec.grace),
         )
         actions.append(node)
         if spec.principal:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import logging
 import re
 import signal
@@ -10,7 +11,9 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
+from dataclasses import dataclass
 from types import FrameType
+from typing import Any
 
 from subiaco_bringup.graph import GraphSpec, NodeSpec, process_command
 from subiaco_geo.errors import InputError, RegistrationError, SubiacoError
@@ -19,6 +22,9 @@ LOGGER = logging.getLogger(__name__)
 
 Report = Callable[[str, float], None]
 
+OnStatus = Callable[[dict[str, Any]], None]
+
+_STATUS = re.compile(r"status: (\{.*\})$")
 _PROGRESS = re.compile(r"progress: (.+) (\d+) %$")
 _LEVEL = re.compile(r"^\[(DEBUG|INFO|WARN|ERROR|FATAL)\] ?(.*)$")
 _LEVELS = {
@@ -29,6 +35,10 @@ _LEVELS = {
     "FATAL": logging.DEBUG,  # raised as the error of the job instead
 }
 _POLL = 0.05
+#: A node that goes with bad input this soon will not do better the next time [s].
+_SETTLING = 15.0
+_MOST_RESTARTS = 5
+_RESTART_DELAY = 1.0
 INTERRUPTED = 130
 
 
@@ -41,10 +51,20 @@ class NodeProcess:
     environment : mapping
     progress : callable, optional
         Told ``(stage, fraction)`` from the node's progress lines.
+    on_status : callable, optional
+        Told the values of the node's status lines.
     """
 
-    def __init__(self, spec: NodeSpec, environment: Mapping[str, str], progress: Report | None) -> None:
+    def __init__(
+        self,
+        spec: NodeSpec,
+        environment: Mapping[str, str],
+        progress: Report | None,
+        on_status: OnStatus | None = None,
+    ) -> None:
         self.spec = spec
+        self.started = time.monotonic()
+        self._on_status = on_status
         self.fatal = ""
         self._tail: list[str] = []
         self._progress = progress
@@ -93,6 +113,11 @@ class NodeProcess:
             if self._progress is not None:
                 self._progress(progress[1], int(progress[2]) / 100.0)
             return
+        status = _STATUS.search(line)
+        if status is not None:
+            if self._on_status is not None:
+                self._on_status(json.loads(status[1]))
+            return
         self._tail = [*self._tail[-19:], line]
         match = _LEVEL.match(line)
         level, text = (match[1], match[2]) if match else ("INFO", line)
@@ -139,8 +164,20 @@ def _sigterm_interrupts() -> Iterator[None]:
         signal.signal(signal.SIGTERM, before)
 
 
+@dataclass(frozen=True)
+class Death:
+    """A node that ended unasked, and what became of it."""
+
+    node: str
+    time_ns: int
+    how: str
+
+
 class Supervisor:
     """Run one graph to its end.
+
+    A node that may be restarted is, a few times; one that the job can do without is named and done
+    without; any other ends the job.
 
     Parameters
     ----------
@@ -149,7 +186,9 @@ class Supervisor:
         See :func:`subiaco_bringup.environment.node_environment`.
     progress : callable, optional
     grace : float
-        Seconds that a node gets to end after SIGINT, and again after SIGTERM.
+        Least seconds that a node gets to end after SIGINT, and again after SIGTERM.
+    on_status : callable, optional
+        Told the values of the nodes' status lines.
     linger : float
         Seconds that the others get to end after the principal node.
     """
@@ -161,13 +200,17 @@ class Supervisor:
         progress: Report | None = None,
         grace: float = 10.0,
         linger: float = 20.0,
+        on_status: OnStatus | None = None,
     ) -> None:
         self._graph = graph
         self._environment = environment
         self._progress = progress
         self._grace = grace
         self._linger = linger
+        self._on_status = on_status
         self.processes: list[NodeProcess] = []
+        self.deaths: list[Death] = []
+        self._due: list[tuple[float, NodeSpec]] = []
 
     def run(self) -> None:
         """Start every node, wait for the end, and leave nothing running.
@@ -182,15 +225,21 @@ class Supervisor:
         with _sigterm_interrupts():
             try:
                 for spec in self._graph.nodes:
-                    self.processes.append(NodeProcess(spec, self._environment, self._progress))
+                    self._start(spec)
                 self._wait()
             finally:
                 self._stop()
 
+    def _start(self, spec: NodeSpec) -> None:
+        self.processes.append(NodeProcess(spec, self._environment, self._progress, self._on_status))
+
     def _wait(self) -> None:
         deadline: float | None = None
-        while any(process.code is None for process in self.processes):
+        while True:
             self._check()
+            self._start_due()
+            if not self._due and all(process.code is not None for process in self.processes):
+                break
             if deadline is None and self._principal_done():
                 deadline = time.monotonic() + self._linger
             if deadline is not None and time.monotonic() > deadline:
@@ -201,13 +250,39 @@ class Supervisor:
     def _principal_done(self) -> bool:
         return any(process.spec.principal and process.code == 0 for process in self.processes)
 
+    def _start_due(self) -> None:
+        now = time.monotonic()
+        for when, spec in [item for item in self._due if item[0] <= now]:
+            self._due.remove((when, spec))
+            self._start(spec)
+
     def _check(self) -> None:
         failed = [process for process in self.processes if process.code not in (None, 0)]
-        if not failed:
+        fatal = [process for process in failed if not self._survived(process)]
+        if not fatal:
             return
-        if all(process.code == INTERRUPTED for process in failed):
+        if all(process.code == INTERRUPTED for process in fatal):
             raise KeyboardInterrupt
-        raise failure(next(process for process in failed if process.code != INTERRUPTED))
+        raise failure(next(process for process in fatal if process.code != INTERRUPTED))
+
+    def _survived(self, process: NodeProcess) -> bool:
+        """Restart a failed node, or go on without it, where that is safe."""
+        spec = process.spec
+        refused = process.code in (InputError.exit_code, RegistrationError.exit_code)
+        if refused and time.monotonic() - process.started < _SETTLING:
+            return False
+        before = sum(death.node == spec.name for death in self.deaths)
+        again = spec.restart and before < _MOST_RESTARTS
+        if not again and spec.essential:
+            return False
+        what = "starting it again" if again else "going on without it"
+        how = str(failure(process))
+        LOGGER.error("%s; %s", how, what)
+        self.deaths.append(Death(spec.name, time.time_ns(), f"{how}; {what}"))
+        self.processes.remove(process)
+        if again:
+            self._due.append((time.monotonic() + _RESTART_DELAY * (1 + before), spec))
+        return True
 
     def _stop(self) -> None:
         for number in (signal.SIGINT, signal.SIGTERM, signal.SIGKILL):
@@ -221,6 +296,6 @@ class Supervisor:
             process.finish_reading()
 
     def _await_end(self, running: list[NodeProcess]) -> None:
-        deadline = time.monotonic() + self._grace
+        deadline = time.monotonic() + max([self._grace, *(process.spec.grace for process in running)])
         while any(process.code is None for process in running) and time.monotonic() < deadline:
             time.sleep(_POLL)

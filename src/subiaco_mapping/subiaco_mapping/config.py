@@ -9,6 +9,7 @@ from pydantic import Field
 from subiaco_geo.config import StrictModel
 from subiaco_mapping.drivers import DriverName
 from subiaco_mapping.loops.config import LoopConfig
+from subiaco_mapping.topic_names import TopicsConfig
 from subiaco_mapping.watch.config import WatchConfig
 
 Triple = tuple[float, float, float]
@@ -193,6 +194,7 @@ class MappingConfig(StrictModel):
     crs: str = Field("EPSG:7850", description="CRS of the map: GDA2020 / MGA zone 50")
     threads: int = Field(1, ge=1, description="1 is deterministic")
     deskewed: bool = Field(False, description="point clouds come without point times, already deskewed")
+    topics: TopicsConfig = TopicsConfig()
     sensors: SensorsConfig = SensorsConfig()
     decode: DecodeConfig = DecodeConfig()
     deskew: DeskewConfig = DeskewConfig()

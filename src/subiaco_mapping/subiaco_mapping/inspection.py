@@ -1,4 +1,4 @@
-"""The manifest of a bag before it is trusted: topics, rates, gaps, lost packets, RTK states."""
+"""A bag before it is trusted: whether it is usable and why not, topics, rates, losses, RTK states."""
 
 from __future__ import annotations
 
@@ -10,11 +10,14 @@ from typing import Any
 import numpy as np
 
 from subiaco_geo.bags import BagReader, packet_from_cdr, require_topic
-from subiaco_geo.topics import FIX, IMU, LIDAR_PACKETS, MESSAGE_TYPES, METADATA, POINTS, TF_STATIC
-from subiaco_mapping.config import DecodeConfig, GnssConfig
-from subiaco_mapping.conversions import fix_from_msg, stamp_ns
+from subiaco_geo.topics import FIX, IMU, LIDAR_PACKETS, MESSAGE_TYPES, METADATA, POINTS
+from subiaco_mapping.config import DecodeConfig, GnssConfig, MappingConfig
+from subiaco_mapping.conversions import TIME_FIELDS, fix_from_msg, stamp_ns
 from subiaco_mapping.decode import PacketDecoder
+from subiaco_mapping.named_bags import NamedBagReader, guess_names
 from subiaco_mapping.pipeline import read_metadata
+from subiaco_mapping.watch.bags import watch_bag
+from subiaco_mapping.watch.verdict import judge
 
 _STATES = {2: "rtk fixed", 1: "float", 0: "single", -1: "none", -2: "unknown"}
 _GAP_FACTOR = 5.0
@@ -33,8 +36,8 @@ def _rate_facts(times_ns: list[int], msg_type: str) -> dict[str, Any]:
     return facts
 
 
-def _gnss_facts(reader: BagReader) -> dict[str, Any]:
-    fixes = [(m.log_time_ns, fix_from_msg(reader.deserialize(m), GnssConfig())) for m in reader.messages({FIX})]
+def _gnss_facts(reader: BagReader, config: GnssConfig) -> dict[str, Any]:
+    fixes = [(m.log_time_ns, fix_from_msg(reader.deserialize(m), config)) for m in reader.messages({FIX})]
     states = Counter(fix.status for _, fix in fixes)
     return {
         "states": {_STATES.get(status, str(status)): count for status, count in sorted(states.items())},
@@ -48,9 +51,9 @@ def _offset(differences_ns: list[int]) -> float | None:
     return round(float(np.median(differences_ns)) * 1e-9, 4) if differences_ns else None
 
 
-def _packet_facts(reader: BagReader, metadata: str) -> dict[str, Any]:
+def _packet_facts(reader: BagReader, metadata: str, config: DecodeConfig) -> dict[str, Any]:
     """Decode every packet and count what is missing."""
-    decoder = PacketDecoder(metadata, DecodeConfig())
+    decoder = PacketDecoder(metadata, config)
     points, second, offsets = [], [], []
     for message in reader.messages({LIDAR_PACKETS}):
         for scan in decoder.push(packet_from_cdr(message.raw)):
@@ -68,57 +71,75 @@ def _packet_facts(reader: BagReader, metadata: str) -> dict[str, Any]:
     }
 
 
-def inspect_bag(bag: Path) -> dict[str, Any]:
+def inspect_bag(bag: Path, config: MappingConfig | None = None) -> dict[str, Any]:
     """Look a bag over.
+
+    Topics of other names than ours are found by ``config.topics``, else by their types.
 
     Returns
     -------
     dict
-        ``topics`` (type, count, rate, gaps), ``duration_s``, ``lidar`` (packets lost, late,
-        duplicate; points), ``gnss`` (states, unusable), ``imu``, ``warnings``.
+        ``verdict`` (usable, usable with care, not usable), ``forbids`` and ``cares`` with the reasons,
+        ``flagged`` (stretches, as the live manifest has them), ``topics`` (type, count, rate, gaps),
+        ``taken_as`` (guessed names), ``duration_s``, ``lidar`` (packets lost, late, duplicate; points),
+        ``gnss`` (states, unusable), ``imu``, ``warnings``.
 
     Raises
     ------
     InputError
         The bag cannot be read, or the packets' metadata is not what it should be.
     """
-    with BagReader(Path(bag)) as reader:
-        times: dict[str, list[int]] = {topic: [] for topic in reader.topics}
-        for message in reader.messages():
-            times[message.topic].append(message.log_time_ns)
-        facts: dict[str, Any] = {
-            "bag": str(bag),
-            "start_s": round(reader.start_ns * 1e-9, 3),
-            "duration_s": round((reader.end_ns - reader.start_ns) * 1e-9, 3),
-            "topics": {t: _rate_facts(times[t], info.msg_type) for t, info in sorted(reader.topics.items())},
-        }
-        if LIDAR_PACKETS in reader.topics:
-            require_topic(reader, LIDAR_PACKETS, MESSAGE_TYPES[LIDAR_PACKETS])
-            require_topic(reader, METADATA, MESSAGE_TYPES[METADATA])
-            facts["lidar"] = _packet_facts(reader, str(read_metadata(reader)))
-        if FIX in reader.topics:
-            require_topic(reader, FIX, MESSAGE_TYPES[FIX])
-            facts["gnss"] = _gnss_facts(reader)
-        if IMU in reader.topics:
-            require_topic(reader, IMU, MESSAGE_TYPES[IMU])
-            stamped = ((m.log_time_ns, reader.deserialize(m)) for m in reader.messages({IMU}))
-            differences = [log - stamp_ns(imu.header.stamp) for log, imu in stamped]
-            facts["imu"] = {"clock_offset_s": _offset(differences)}
-        facts["warnings"] = _warnings(facts)
+    config = config or MappingConfig()
+    with BagReader(Path(bag)) as plain:
+        guessed = guess_names(plain.topics, config.topics)
+    names = {theirs: ours for ours, theirs in config.topics.remappings()} | guessed
+    with NamedBagReader(Path(bag), names) as reader:
+        facts = _facts(bag, reader, config)
+        monitor = watch_bag(reader, config)
+        verdict = judge(monitor, reader.topics, facts["duration_s"], config.deskewed or _has_times(reader))
+    facts["taken_as"] = guessed
+    facts["flagged"] = monitor.flags.flagged(monitor.now_ns)
+    facts |= {"verdict": verdict.word, "forbids": list(verdict.forbids), "cares": list(verdict.cares)}
+    return facts
+
+
+def _has_times(reader: BagReader) -> bool:
+    """Whether the first cloud carries point times; true where packets or nothing come instead."""
+    if LIDAR_PACKETS in reader.topics or POINTS not in reader.topics:
+        return True
+    first = next(reader.messages({POINTS}), None)
+    names = () if first is None else tuple(field.name for field in reader.deserialize(first).fields)
+    return any(name in names for name in TIME_FIELDS)
+
+
+def _facts(bag: Path, reader: BagReader, config: MappingConfig) -> dict[str, Any]:
+    times: dict[str, list[int]] = {topic: [] for topic in reader.topics}
+    for message in reader.messages():
+        times[message.topic].append(message.log_time_ns)
+    facts: dict[str, Any] = {
+        "bag": str(bag),
+        "start_s": round(reader.start_ns * 1e-9, 3),
+        "duration_s": round((reader.end_ns - reader.start_ns) * 1e-9, 3),
+        "topics": {t: _rate_facts(times[t], info.msg_type) for t, info in sorted(reader.topics.items())},
+    }
+    for topic in (LIDAR_PACKETS, POINTS, FIX, IMU):
+        if topic in reader.topics:
+            require_topic(reader, topic, MESSAGE_TYPES[topic])
+    if LIDAR_PACKETS in reader.topics:
+        require_topic(reader, METADATA, MESSAGE_TYPES[METADATA])
+        facts["lidar"] = _packet_facts(reader, str(read_metadata(reader)), config.decode)
+    if FIX in reader.topics:
+        facts["gnss"] = _gnss_facts(reader, config.gnss)
+    if IMU in reader.topics:
+        stamped = ((m.log_time_ns, reader.deserialize(m)) for m in reader.messages({IMU}))
+        differences = [log - stamp_ns(imu.header.stamp) for log, imu in stamped]
+        facts["imu"] = {"clock_offset_s": _offset(differences)}
+    facts["warnings"] = _warnings(facts)
     return facts
 
 
 def _warnings(facts: dict[str, Any]) -> list[str]:
-    topics = facts["topics"]
-    warnings = []
-    if LIDAR_PACKETS not in topics and POINTS not in topics:
-        warnings.append(f"no LiDAR topic ({LIDAR_PACKETS} or {POINTS})")
-    if IMU not in topics:
-        warnings.append(f"no {IMU}: deskew falls back to constant velocity")
-    if FIX not in topics:
-        warnings.append(f"no {FIX}: the map will be local, without CRS")
-    if TF_STATIC not in topics:
-        warnings.append(f"no {TF_STATIC}: extrinsics must come from config/sensors.yaml")
+    topics, warnings = facts["topics"], []
     lidar = facts.get("lidar", {})
     if lidar.get("lost"):
         share = lidar["lost"] / (lidar["packets"] + lidar["lost"])
@@ -137,13 +158,16 @@ def _warnings(facts: dict[str, Any]) -> list[str]:
 
 
 def describe(facts: dict[str, Any]) -> str:
-    """Write the facts of :func:`inspect_bag` as text for people."""
-    lines = [f"{facts['bag']}: {facts['duration_s']} s"]
+    """Write the facts of :func:`inspect_bag` as one screen for people: the verdict first."""
+    lines = [f"{facts['bag']}: {facts['duration_s']} s", f"verdict: {facts['verdict'].upper()}"]
+    lines += [f"  why not: {text}" for text in facts["forbids"]]
+    lines += [f"  care: {text}" for text in facts["cares"]]
+    lines += [f"  taken as {ours}: {theirs}" for theirs, ours in facts["taken_as"].items()]
+    lines.append("topics:")
     for topic, values in facts["topics"].items():
         rate = f", {values['rate_hz']} Hz" if "rate_hz" in values else ""
         lines.append(f"  {topic}  {values['count']} {values['type']}{rate}")
     for name in ("lidar", "gnss", "imu"):
         listed = ", ".join(f"{key} {value}" for key, value in facts.get(name, {}).items())
         lines += [f"{name}: {listed}"] if listed else []
-    lines += [f"warning: {text}" for text in facts["warnings"]]
     return "\n".join(lines)

@@ -26,6 +26,7 @@ from subiaco_mapping.conversions import (
 from subiaco_mapping.frontend import FrontendOutput, OdometryFrontend
 from subiaco_mapping.map_builder import ProgressCallback, silent
 from subiaco_mapping.measurements import Extrinsics
+from subiaco_mapping.named_bags import open_bag
 from subiaco_mapping.watch.files import with_watched
 
 logger = logging.getLogger(__name__)
@@ -143,7 +144,7 @@ def map_survey(
         backend = MappingBackend(config, Extrinsics(), Path(spool))
         inputs = {}
         for bag in bags:
-            with BagReader(Path(bag)) as reader:
+            with open_bag(Path(bag), config.topics) as reader:
                 run_sequence(reader, backend, config, report)
             inputs[sequence_name(Path(bag))] = hash_bag(Path(bag))
         return with_watched(

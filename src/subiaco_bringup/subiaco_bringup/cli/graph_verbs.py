@@ -23,7 +23,7 @@ from subiaco_bringup.defaults import config_files
 graph = typer.Typer(
     help="Run a job through the ROS 2 nodes, each a process of its own; the result is that of "
     "'subiaco map' or 'subiaco change'.\n\nExample: subiaco graph mapping bags/demo/before -o out/before",
-    short_help="Run a job through the ROS 2 nodes: mapping or change.",
+    short_help="Run a job through the ROS 2 nodes: mapping, change or live.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
@@ -91,6 +91,64 @@ def change(
             progress=progress,
         )
     say(f"changes: {output}; open {output / 'report.html'}", quiet=quiet)
+
+
+@graph.command("live")
+def live(
+    output: Annotated[
+        Path,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="DIR",
+            help="Folder of the drive: gets bag/, map/, manifest.yaml, quality.geojson.",
+        ),
+    ],
+    config: ConfigFiles = None,
+    settings: Settings = None,
+    remap: Annotated[
+        list[str] | None,
+        typer.Option(metavar="OURS:=DRIVERS", help="Where a driver publishes a topic of ours. Repeatable."),
+    ] = None,
+    route: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Planned route: GeoJSON line, or CSV with columns lat,lon."),
+    ] = None,
+    no_record: Annotated[
+        bool, typer.Option("--no-record", help="Do not record: somebody else does, or a bag is played.")
+    ] = False,
+    sim_time: Annotated[
+        bool, typer.Option("--sim-time", help="Follow /clock, for 'ros2 bag play --clock'.")
+    ] = False,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Record, watch and map a live vehicle until Ctrl-C; then the map is written.
+
+    The screen shows the light of the street being driven: green, amber or red with the reason.
+
+    Example: subiaco graph live -o surveys/2025-03-14_am --config config/drivers/ublox.yaml
+    """
+    from subiaco_bringup.jobs import run_live_graph
+    from subiaco_bringup.live_view import LiveView
+    from subiaco_bringup.recording import parse_remapping
+
+    set_up_logging(verbose, quiet)
+    with Progress(quiet=quiet) as progress, LiveView(quiet=quiet) as view:
+        run_live_graph(
+            output,
+            config_files("mapping", tuple(config or ())),
+            settings or [],
+            remappings=[parse_remapping(text) for text in remap or []],
+            route=route,
+            record=not no_record,
+            sim_time=sim_time,
+            progress=progress,
+            on_status=view,
+        )
+    for name in ("bag", "map", "manifest.yaml", "quality.geojson"):
+        if (output / name).exists():
+            say(f"{output / name}", quiet=quiet)
 
 
 def register(app: typer.Typer) -> None:

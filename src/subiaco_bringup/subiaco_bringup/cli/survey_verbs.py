@@ -86,17 +86,23 @@ def inspect(
     bag: Annotated[
         Path, typer.Argument(metavar="BAG", help="rosbag2 folder, .mcap file or simulated epoch folder.")
     ],
+    config: ConfigFiles = None,
+    settings: Settings = None,
     as_json: AsJson = False,
     verbose: Verbose = False,
 ) -> None:
-    """Say what a bag holds before you trust it: topics, rates, gaps, losses, RTK states.
+    """Say whether a bag is usable, and why not: topics, rates, losses, clocks, RTK states, IMU.
+
+    Topics of other names are recognised by their types, or named by the configuration.
 
     Example: subiaco inspect bags/demo/before
     """
+    from subiaco_mapping.config import MappingConfig
     from subiaco_mapping.inspection import describe, inspect_bag
 
     set_up_logging(verbose, quiet=False)
-    facts = inspect_bag(bag)
+    model = load_config(MappingConfig, config_files("mapping", tuple(config or ())), settings or [])
+    facts = inspect_bag(bag, model)
     if as_json:
         print_json(facts)
     else:

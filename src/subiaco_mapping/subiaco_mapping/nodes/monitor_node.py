@@ -32,9 +32,10 @@ from subiaco_mapping.conversions import fix_from_msg, imu_from_msg, stamp_ns
 from subiaco_mapping.nodes.markers import street_markers
 from subiaco_mapping.nodes.matching import StampMatcher
 from subiaco_mapping.nodes.names import ODOMETRY, QUALITY
-from subiaco_mapping.nodes.offered import OfferedSubscription
+from subiaco_mapping.nodes.offered import OfferedSubscription, Wanted, follow_offers
 from subiaco_mapping.nodes.runtime import App, latched, read_models, run_node
 from subiaco_mapping.recording.losses import header_stamp_ns
+from subiaco_mapping.topic_names import GPS_FIX, NMEA_SENTENCE, TIME_REFERENCE
 from subiaco_mapping.watch.dop import dop_of_gps_fix, dop_of_nmea
 from subiaco_mapping.watch.files import SurveyFiles
 from subiaco_mapping.watch.monitor import Monitor, OdometryNote
@@ -42,7 +43,6 @@ from subiaco_mapping.watch.routes import read_route
 from subiaco_mapping.watch.snapshot import Snapshot, take_snapshot
 from subiaco_msgs.msg import ScanQuality
 
-LOOK_INTERVAL = 0.2
 TICK_INTERVAL = 0.1
 STATUS_INTERVAL = 0.5
 MARKER_INTERVAL = 2.0
@@ -126,7 +126,6 @@ class MonitorApp:
         self._subscriptions = self._make_subscriptions()
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         for interval, handler in (
-            (LOOK_INTERVAL, self._look),
             (TICK_INTERVAL, self._tick),
             (STATUS_INTERVAL, self._publish),
             (MARKER_INTERVAL, self._publish_streets),
@@ -143,42 +142,31 @@ class MonitorApp:
         self._write()
 
     def _make_subscriptions(self) -> dict[str, OfferedSubscription]:
-        handlers: list[tuple[Any, str, Callable[[Any], None], int, bool]] = [
+        wanted: list[Wanted] = [
             (PacketMsg, LIDAR_PACKETS, self._on_packet, 2048, True),
             (String, METADATA, lambda m: self._monitor.on_metadata(m.data), 1, False),
             (PointCloud2, POINTS, self._on_points, 8, True),
             (Imu, IMU, self._on_imu, 512, False),
             (NavSatFix, FIX, self._on_fix, 64, False),
-            (TimeReference, "/gnss/time_reference", self._on_time_reference, 16, False),
+            (TimeReference, TIME_REFERENCE, self._on_time_reference, 16, False),
             (Odometry, ODOMETRY, lambda m: self._on_part(ODOMETRY, m), 32, False),
             (ScanQuality, QUALITY, lambda m: self._on_part(QUALITY, m), 32, False),
             (NavSatFix, "/map/origin", self._on_origin, 1, False),
             (DiagnosticArray, "/diagnostics", self._on_diagnostics, 64, False),
         ]
         for kind, topic, handler in (
-            ("gps_msgs.msg:GPSFix", "/gnss/gps_fix", self._on_gps_fix),
-            ("nmea_msgs.msg:Sentence", "/gnss/nmea_sentence", self._on_sentence),
+            ("gps_msgs.msg:GPSFix", GPS_FIX, self._on_gps_fix),
+            ("nmea_msgs.msg:Sentence", NMEA_SENTENCE, self._on_sentence),
         ):
             found = _optional(kind)
             if found is not None:
-                handlers.append((found, topic, handler, 64, False))
-        return {
-            topic: OfferedSubscription(self._node, kind, topic.lstrip("/"), handler, depth, raw)
-            for kind, topic, handler, depth, raw in handlers
-        }
-
-    def _look(self) -> None:
-        for topic, subscription in self._subscriptions.items():
-            if subscription.look() and topic == LIDAR_PACKETS:
-                self._monitor.on_offer(subscription.reliable, self._times()[0])
-            if subscription.wrong_type:
-                self._node.get_logger().error(
-                    f"{topic} {subscription.wrong_type}; remap the right topic", throttle_duration_sec=10.0
-                )
+                wanted.append((found, topic, handler, 64, False))
+        return follow_offers(self._node, wanted)
 
     def _tick(self) -> None:
         now_ns = self._times()[0]
         if now_ns > 0:
+            self._monitor.on_offer(self._subscriptions[LIDAR_PACKETS].reliable, now_ns)
             self._monitor.on_disk(self._free(), now_ns)
 
     def _on_packet(self, raw: bytes) -> None:

@@ -46,6 +46,7 @@ from subiaco_mapping.nodes.names import (
     QUALITY,
     SEQUENCE,
 )
+from subiaco_mapping.nodes.offered import follow_offers
 from subiaco_mapping.nodes.runtime import (
     App,
     Diagnostics,
@@ -74,6 +75,9 @@ class OdometryParameters(StrictModel):
     odom_frame: str = Field("odom", description="frame of the odometry")
     consumers: tuple[str, ...] = Field((), description="nodes whose counts of our output are waited for")
     exit_at_end: bool = Field(False, description="end with the replay")
+    follow_offers: bool = Field(
+        False, description="take the sensors' topics as reliable or best effort as drivers offer them"
+    )
 
 
 class Frontend(Protocol):
@@ -145,29 +149,36 @@ class OdometryApp:
         self._tf = node.create_publisher(TFMessage, "tf", reliable(100))
 
     def _create_subscriptions(self, node: Node) -> None:
+        sensors: tuple[tuple[Any, str, Callable[[Any], object], int, bool], ...] = (
+            (Imu, IMU, self._on_imu, 1000, False),
+            (PointCloud2, POINTS, self._on_points, 16, False),
+            (PacketMsg, LIDAR_PACKETS, self._on_packet, 1000, True),
+        )
+        wanted = [
+            (kind, topic, self._counting(topic, handler), depth, raw)
+            for kind, topic, handler, depth, raw in sensors
+        ]
+        if self._own.follow_offers:
+            follow_offers(node, wanted)
+        else:
+            for kind, topic, handler, depth, raw in wanted:
+                self._subscribe(node, kind, topic, handler, reliable(depth), raw)
         handlers: tuple[tuple[Any, str, Callable[[Any], object], Any], ...] = (
             (String, METADATA, self._on_metadata, latched(1)),
             (TFMessage, TF_STATIC, self._on_tf_static, latched(100)),
-            (Imu, IMU, self._on_imu, reliable(1000)),
-            (PointCloud2, POINTS, self._on_points, reliable(16)),
             (ReplayCounts, SEQUENCE, self._on_sequence, latched(1)),
             (ReplayCounts, END, self._on_end, latched(1)),
         )
-        for kind, topic, handler, profile in handlers:
-            node.create_subscription(
-                kind,
-                topic.lstrip("/"),
-                self._counting(topic, handler),
-                profile,
-                qos_overriding_options=overridable(),
-            )
+        for kind, topic, on_message, profile in handlers:
+            self._subscribe(node, kind, topic, self._counting(topic, on_message), profile)
+
+    @staticmethod
+    def _subscribe(
+        node: Node, kind: Any, topic: str, handler: Callable[[Any], None], profile: Any, raw: bool = False
+    ) -> None:
+        overrides = overridable()
         node.create_subscription(
-            PacketMsg,
-            LIDAR_PACKETS.lstrip("/"),
-            self._counting(LIDAR_PACKETS, self._on_packet),
-            reliable(1000),
-            raw=True,
-            qos_overriding_options=overridable(),
+            kind, topic.lstrip("/"), handler, profile, raw=raw, qos_overriding_options=overrides
         )
 
     def _counting(self, topic: str, handler: Callable[[Any], object]) -> Callable[[Any], None]:

@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from typing import Any
 
+from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 from rclpy.subscription import Subscription
 
@@ -60,6 +61,31 @@ class OfferedSubscription:
                 self._kind, self._topic, self._handler, wanted_qos(offer, self._depth), raw=self._raw
             )
         return True
+
+
+LOOK_INTERVAL = 0.2
+
+#: Kind, our topic, handler, depth, raw.
+Wanted = tuple[Any, str, Callable[[Any], None], int, bool]
+
+
+def follow_offers(node: Node, wanted: Iterable[Wanted]) -> dict[str, OfferedSubscription]:
+    """Subscribe to topics as they are offered, looking again and again; return them by topic."""
+    found = {
+        topic: OfferedSubscription(node, kind, topic.lstrip("/"), handler, depth, raw)
+        for kind, topic, handler, depth, raw in wanted
+    }
+
+    def look() -> None:
+        for topic, subscription in found.items():
+            subscription.look()
+            if subscription.wrong_type:
+                node.get_logger().error(
+                    f"{topic} {subscription.wrong_type}; remap the right topic", throttle_duration_sec=10.0
+                )
+
+    node.create_timer(LOOK_INTERVAL, look, clock=Clock(clock_type=ClockType.STEADY_TIME))
+    return found
 
 
 def _type_name(kind: Any) -> str:

@@ -51,6 +51,7 @@ from subiaco_mapping.nodes.names import (
     QUALITY,
     SEQUENCE,
 )
+from subiaco_mapping.nodes.offered import follow_offers
 from subiaco_mapping.nodes.runtime import (
     App,
     Diagnostics,
@@ -62,7 +63,7 @@ from subiaco_mapping.nodes.runtime import (
     run_node,
 )
 from subiaco_mapping.preview import OneChain
-from subiaco_mapping.solution import GraphSolution
+from subiaco_mapping.solution import GraphSolution, LiveEstimate
 from subiaco_mapping.watch.files import extended, read_manifest, with_watched
 from subiaco_msgs.msg import ReplayCounts, ScanQuality
 from subiaco_msgs.srv import Optimize, SaveMap
@@ -97,6 +98,9 @@ class PoseGraphParameters(StrictModel):
     bags: tuple[str, ...] = Field((), description="the replayed bags, named with hashes in map.yaml")
     preview_points: int = Field(1_000_000, gt=0, le=1_000_000, description="most points on map/points")
     exit_at_end: bool = Field(False, description="end with the odometry")
+    follow_offers: bool = Field(
+        False, description="take fixes and headings as reliable or best effort as drivers offer them"
+    )
     live_period: float = Field(
         0.0, ge=0, description="between two updates of path and map while driving; 0: at the end only [s]"
     )
@@ -126,6 +130,9 @@ class Backend(Protocol):
 
     def optimize(self) -> GraphSolution:
         """Solve."""
+
+    def preview(self) -> LiveEstimate:
+        """Solve incrementally."""
 
     def build_map(
         self, progress: Progress | None = None, inputs: Mapping[str, str] | None = None
@@ -181,13 +188,19 @@ class PoseGraphApp:
     def _create_subscriptions(self, node: Node) -> None:
         handlers: tuple[tuple[Any, str, Callable[[Any], object], Any], ...] = (
             (TFMessage, TF_STATIC, self._on_tf_static, latched(100)),
-            (NavSatFix, FIX, self._on_fix, reliable(1000)),
-            (Imu, HEADING, self._on_heading, reliable(1000)),
             (Odometry, ODOMETRY, lambda m: self._on_part(ODOMETRY, m), reliable(32)),
             (ScanQuality, QUALITY, lambda m: self._on_part(QUALITY, m), reliable(32)),
             (PointCloud2, CLOUD, lambda m: self._on_part(CLOUD, m), reliable(32)),
             (String, FACTS, self._on_facts, reliable(32)),
         )
+        sensors: tuple[tuple[Any, str, Callable[[Any], object]], ...] = (
+            (NavSatFix, FIX, self._on_fix),
+            (Imu, HEADING, self._on_heading),
+        )
+        if self._own.follow_offers:
+            follow_offers(node, [(k, t, self._counting(t, h), 1000, False) for k, t, h in sensors])
+        else:
+            handlers += tuple((kind, topic, handler, reliable(1000)) for kind, topic, handler in sensors)
         for kind, topic, handler, profile in handlers:
             node.create_subscription(
                 kind,
@@ -316,7 +329,7 @@ class PoseGraphApp:
         if self._live is not None:
             self._live.add(pose.stamp_ns, pose.T_odom_lidar, scan, self._chain.T_chain_odom)
 
-    def _publish_solution(self, solution: GraphSolution) -> None:
+    def _publish_solution(self, solution: GraphSolution | LiveEstimate) -> None:
         self._map.publish_solution(solution)
         used = sum(sequence.fixes_used for sequence in solution.sequences)
         poses = sum(len(sequence.stamps_ns) for sequence in solution.sequences)

@@ -1,0 +1,192 @@
+"""Whether a bag is usable, and why not: ours, theirs, and broken ones."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from streams import START_NS, small_sensor, turn_packets
+
+from subiaco_geo.bags import TYPESTORE, BagReader, BagWriter
+from subiaco_geo.topics import FIX, IMU, LIDAR_PACKETS, MESSAGE_TYPES, METADATA, POINTS, TF_STATIC
+from subiaco_mapping.config import MappingConfig
+from subiaco_mapping.inspection import describe, inspect_bag
+from subiaco_mapping.named_bags import NamedBagReader, open_bag
+from subiaco_mapping.topic_names import TopicsConfig
+
+T = TYPESTORE.types
+Keep = Callable[[float], bool]
+
+
+def header(time_ns: int, frame: str) -> Any:
+    stamp = T["builtin_interfaces/msg/Time"](sec=time_ns // 10**9, nanosec=time_ns % 10**9)
+    return T["std_msgs/msg/Header"](stamp=stamp, frame_id=frame)
+
+
+def imu(time_ns: int, k: int) -> Any:
+    vector, turn = T["geometry_msgs/msg/Vector3"], T["geometry_msgs/msg/Quaternion"]
+    return T["sensor_msgs/msg/Imu"](
+        header=header(time_ns, "imu_link"),
+        orientation=turn(x=0.0, y=0.0, z=0.0, w=1.0),
+        orientation_covariance=np.array([-1.0, *[0.0] * 8]),
+        angular_velocity=vector(x=0.001 * (k % 7), y=0.0, z=0.0),
+        angular_velocity_covariance=np.zeros(9),
+        linear_acceleration=vector(x=0.0, y=0.01 * (k % 5), z=9.81),
+        linear_acceleration_covariance=np.zeros(9),
+    )
+
+
+def fix(time_ns: int, status: int, sigma: float) -> Any:
+    return T["sensor_msgs/msg/NavSatFix"](
+        header=header(time_ns, "gps"),
+        status=T["sensor_msgs/msg/NavSatStatus"](status=status, service=1),
+        latitude=-31.95 + (time_ns - START_NS) * 1e-9 * 7e-5,
+        longitude=115.83,
+        altitude=20.0,
+        position_covariance=np.diag([sigma, sigma, 2 * sigma]).ravel() ** 2,
+        position_covariance_type=2,
+    )
+
+
+def cloud(time_ns: int, times: bool) -> Any:
+    """Return a small PointCloud2 as ouster_ros makes it: x y z intensity, and t [ns] if so."""
+    names = [("x", 7), ("y", 7), ("z", 7), ("intensity", 7)] + ([("t", 6)] if times else [])
+    field = T["sensor_msgs/msg/PointField"]
+    fields = [field(name=n, offset=4 * k, datatype=kind, count=1) for k, (n, kind) in enumerate(names)]
+    step = 4 * len(names)
+    return T["sensor_msgs/msg/PointCloud2"](
+        header=header(time_ns, "os_lidar"), height=1, width=3, fields=fields, is_bigendian=False,
+        point_step=step, row_step=3 * step, data=np.zeros(3 * step, np.uint8), is_dense=True,
+    )  # fmt: skip
+
+
+def drive_bag(
+    path: Path,
+    names: dict[str, str] | None = None,
+    *,
+    seconds: float = 8.0,
+    lidar: str = "packets",
+    lidar_on: Keep = lambda _s: True,
+    imu_on: Keep = lambda _s: True,
+    gnss_on: Keep = lambda _s: True,
+    clock: float = 0.0,
+    status: int = 2,
+    sigma: float = 0.014,
+) -> Path:
+    """Write a drive; ``names`` are those of the bag for ours."""
+    called = names or {}
+    messages: list[tuple[int, str, Any]] = [(START_NS, TF_STATIC, T["tf2_msgs/msg/TFMessage"](transforms=[]))]
+    if lidar == "packets":
+        text = T["std_msgs/msg/String"](data=small_sensor().to_json_string())
+        messages.append((START_NS, METADATA, text))
+    for k in range(int(seconds * 100)):
+        time_ns = START_NS + k * 10_000_000
+        if imu_on(k / 100):
+            messages.append((time_ns + 1_000_000, IMU, imu(time_ns, k)))
+        if k % 20 == 0 and gnss_on(k / 100):
+            messages.append((time_ns + 60_000_000, FIX, fix(time_ns, status, sigma)))
+        if k % 10 == 0 and lidar_on(k / 100):
+            stamp_ns = time_ns + int(clock * 1e9)
+            if lidar == "packets":
+                turn = turn_packets(k // 10, stamp_ns)
+                messages += [
+                    (time_ns + (j + 1) * 3_125_000, LIDAR_PACKETS, raw) for j, raw in enumerate(turn)
+                ]
+            else:
+                messages.append((time_ns + 100_000_000, POINTS, cloud(stamp_ns, times=lidar == "timed")))
+    with BagWriter(path) as writer:
+        for time_ns, topic, message in sorted(messages, key=lambda item: item[0]):
+            name, kind = called.get(topic, topic), MESSAGE_TYPES[topic]
+            if isinstance(message, bytes):
+                writer.write_raw(name, kind, message, time_ns)
+            else:
+                writer.write(name, kind, message, time_ns)
+    return path
+
+
+def test_a_sound_drive_is_usable_without_a_word_against_it(tmp_path: Path) -> None:
+    facts = inspect_bag(drive_bag(tmp_path / "bag"))
+    assert (facts["verdict"], facts["forbids"], facts["cares"]) == ("usable", [], [])
+    assert facts["flagged"] == {}
+    assert describe(facts).splitlines()[1] == "verdict: USABLE"
+    assert len(describe(facts).splitlines()) < 24, "one screen"
+    json.dumps(facts)
+
+
+THEIRS = {
+    LIDAR_PACKETS: "/front/lidar_packets",
+    METADATA: "/front/metadata",
+    IMU: "/xsens/imu/data",
+    FIX: "/ublox_gps_node/fix",
+}
+
+
+def test_their_bag_is_recognised_by_its_types(tmp_path: Path) -> None:
+    facts = inspect_bag(drive_bag(tmp_path / "bag", THEIRS))
+    assert facts["taken_as"] == {theirs: ours for ours, theirs in THEIRS.items()}
+    assert facts["verdict"] == "usable"
+    assert "taken as /gnss/fix: /ublox_gps_node/fix" in describe(facts)
+
+
+def test_their_fixes_are_judged_by_their_drivers_habits(tmp_path: Path) -> None:
+    bag = drive_bag(tmp_path / "bag", {FIX: "/ublox_gps_node/fix"}, status=0, sigma=0.4)
+    config = MappingConfig.model_validate({"gnss": {"driver": "ublox"}})
+    assert inspect_bag(bag, config)["gnss"]["states"] == {"float": 40}
+    facts = inspect_bag(bag)
+    assert facts["verdict"] == "usable with care"
+    assert any(text.startswith("without_rtk_fixed once") for text in facts["cares"])
+
+
+def test_a_configured_name_is_read_and_wins(tmp_path: Path) -> None:
+    bag = drive_bag(tmp_path / "bag", {FIX: "/navsatfix"})
+    with open_bag(bag, TopicsConfig(fix="/navsatfix")) as reader:
+        assert reader.topics[FIX].count == 40
+        assert "/navsatfix" not in reader.topics
+        assert {message.topic for message in reader.messages({FIX})} == {FIX}
+    with NamedBagReader(bag, {"/navsatfix": FIX, "/nobody": IMU}) as reader, BagReader(bag) as plain:
+        assert reader.topics[IMU].count == plain.topics[IMU].count
+        assert len(list(reader.messages())) == len(list(plain.messages()))
+
+
+@pytest.mark.parametrize(
+    ("faults", "word", "reason"),
+    [
+        ({"lidar_on": lambda s: s < 3}, "not usable", "lidar_silent once, 5.0 s in all"),
+        ({"lidar_on": lambda s: not 3 <= s < 3.7}, "usable with care", "lidar_silent once, 0.8 s in all"),
+        ({"imu_on": lambda _s: False}, "usable with care", "no /imu/data"),
+        ({"gnss_on": lambda _s: False}, "usable with care", "no /gnss/fix: the map will be local"),
+        ({"status": -1}, "usable with care", "no usable fix on /gnss/fix"),
+        ({"gnss_on": lambda s: s < 4}, "usable with care", "gnss_silent once"),
+        ({"clock": 37.0}, "not usable", "clock_disagreement once"),
+        ({"clock": -START_NS * 1e-9 + 60.0}, "not usable", "not_utc (lidar) once"),
+        ({"lidar": "untimed"}, "not usable", "no time for each point"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_said_with_its_weight(
+    tmp_path: Path, faults: dict[str, Any], word: str, reason: str
+) -> None:
+    facts = inspect_bag(drive_bag(tmp_path / "bag", **faults))
+    reasons = facts["forbids"] if word == "not usable" else facts["cares"]
+    assert facts["verdict"] == word
+    assert any(text.startswith(reason) or reason in text for text in reasons), (
+        facts["forbids"],
+        facts["cares"],
+    )
+
+
+def test_clouds_of_ouster_ros_with_times_are_usable(tmp_path: Path) -> None:
+    facts = inspect_bag(drive_bag(tmp_path / "bag", {POINTS: "/ouster/points"}, lidar="timed"))
+    assert facts["verdict"] == "usable"
+    assert facts["taken_as"] == {"/ouster/points": POINTS}
+
+
+def test_a_bag_of_other_things_is_not_usable_and_says_how_to_name_a_lidar(tmp_path: Path) -> None:
+    with BagWriter(tmp_path / "talk") as writer:
+        writer.write("/chatter", "std_msgs/msg/String", T["std_msgs/msg/String"](data="hi"), START_NS)
+    facts = inspect_bag(tmp_path / "talk")
+    assert facts["verdict"] == "not usable"
+    assert "--set topics.points=" in facts["forbids"][0]

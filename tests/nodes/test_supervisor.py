@@ -1,0 +1,98 @@
+"""What the supervisor does when a node goes: start it again, go on without, or end the job."""
+
+from __future__ import annotations
+
+import os
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from subiaco_bringup import supervisor as module
+from subiaco_bringup.graph import GraphSpec, NodeSpec
+from subiaco_bringup.supervisor import Supervisor
+from subiaco_geo.errors import InputError, SubiacoError
+
+
+@pytest.fixture
+def scripts(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[[NodeSpec, str], NodeSpec]:
+    """Let nodes be small scripts instead; ``tally`` counts the starts of each."""
+    programs: dict[str, str] = {}
+
+    def command(spec: NodeSpec) -> list[str]:
+        head = f"open({str(tmp_path / spec.name)!r}, 'a').write('x')\n"
+        return [sys.executable, "-c", head + programs[spec.name]]
+
+    def script(spec: NodeSpec, program: str) -> NodeSpec:
+        programs[spec.name] = program
+        return spec
+
+    monkeypatch.setattr(module, "process_command", command)
+    monkeypatch.setattr(module, "_RESTART_DELAY", 0.05)
+    return script
+
+
+def node(name: str, **how: Any) -> NodeSpec:
+    return NodeSpec(name, "package", "executable", {}, **how)
+
+
+def tally(folder: Path, name: str) -> int:
+    path = folder / name
+    return len(path.read_text()) if path.exists() else 0
+
+
+WAITS = "import time\ntime.sleep(60)"
+
+
+def run_until(supervisor: Supervisor, until: Callable[[], bool]) -> None:
+    """Run; kill the principal once a condition holds."""
+
+    def watch() -> None:
+        deadline = time.monotonic() + 30
+        while not until() and time.monotonic() < deadline:
+            time.sleep(0.02)
+        for process in list(supervisor.processes):
+            if process.spec.principal:
+                process.send(module.signal.SIGKILL)
+
+    threading.Thread(target=watch, daemon=True).start()
+    supervisor.run()
+
+
+def test_a_node_that_dies_is_named_and_started_again_a_few_times(scripts: Any, tmp_path: Path) -> None:
+    dies = scripts(node("dies", restart=True), "import sys\nsys.exit(7)")
+    with pytest.raises(SubiacoError, match=r"node dies crashed \(exit code 7\)"):
+        Supervisor(GraphSpec("test", (dies,)), dict(os.environ)).run()
+    assert tally(tmp_path, "dies") == 6
+
+
+def test_the_others_go_on_meanwhile_and_without_a_node_that_nobody_needs(
+    scripts: Any, tmp_path: Path
+) -> None:
+    gone = scripts(node("gone", essential=False), "raise RuntimeError('no more')")
+    stays = scripts(node("stays", principal=True), WAITS)
+    supervisor = Supervisor(GraphSpec("test", (gone, stays)), dict(os.environ), grace=5.0)
+    with pytest.raises(SubiacoError, match="node stays was killed"):
+        run_until(supervisor, lambda: len(supervisor.deaths) == 1)
+    (death,) = supervisor.deaths
+    assert death.node == "gone"
+    assert "no more; going on without it" in death.how
+    assert (tally(tmp_path, "gone"), tally(tmp_path, "stays")) == (1, 1)
+
+
+def test_bad_input_at_the_start_ends_the_job_at_once(scripts: Any, tmp_path: Path) -> None:
+    refused = scripts(node("refused", restart=True), "print('[FATAL] no such thing')\nraise SystemExit(2)")
+    with pytest.raises(InputError, match="no such thing"):
+        Supervisor(GraphSpec("test", (refused,)), dict(os.environ)).run()
+    assert tally(tmp_path, "refused") == 1
+
+
+def test_status_lines_reach_whoever_shows_them(scripts: Any) -> None:
+    seen: list[dict[str, Any]] = []
+    says = scripts(node("says", principal=True), """print('[INFO] status: {"light": "red", "lines": []}')""")
+    Supervisor(GraphSpec("test", (says,)), dict(os.environ), on_status=seen.append).run()
+    assert seen == [{"light": "red", "lines": []}]
