@@ -15,7 +15,6 @@ import argparse
 import json
 import tempfile
 import time
-from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
@@ -49,44 +48,30 @@ def feed_fixes(backend: MappingBackend, survey: Survey, kind: str, heading: bool
             backend.on_heading(HeadingSample(time_ns, float(series.yaw[k]), HEADING_SIGMA))
 
 
-@dataclass(frozen=True)
-class Case:
-    """What one fault costs."""
-
-    backend: MappingBackend
-    solution: GraphSolution
-    error: dict[str, Floats]  # (S, 3) by sequence
-    seconds: dict[str, float]
-
-
-def run_case(
-    surveys: dict[str, Survey],
-    odometry: dict[str, CachedOdometry],
-    kind: str,
-    spool: Path,
-    config: MappingConfig,
-    heading: bool,
-) -> Case:
-    """Replay both sequences with the fixes of a fault."""
+def fed_backend(odometry: dict[str, CachedOdometry], spool: Path, config: MappingConfig) -> MappingBackend:
+    """Give a back end the odometry of all sequences."""
     backend = MappingBackend(config, Extrinsics(), spool)
-    begin = time.process_time()
-    for name, survey in surveys.items():
-        cached = odometry[name]
+    for name, cached in odometry.items():
         backend.start_sequence(name, cached.extrinsics)
         for k, pose in enumerate(cached.poses):
             backend.on_odometry(pose, cached.scan(k))
-        feed_fixes(backend, survey, kind, heading)
-    fed = time.process_time()
-    solution = backend.optimize()
-    seconds = {"feed": fed - begin, "solve": time.process_time() - fed}
-    return Case(backend, solution, errors(surveys, solution), seconds)
+    return backend
+
+
+def swap_fixes(backend: MappingBackend, surveys: dict[str, Survey], kind: str, heading: bool) -> None:
+    """Give every sequence the fixes of a fault in place of those it had; scans and submaps stay."""
+    records = list(backend._sequences)
+    for record in records:
+        record.fixes.clear()
+        record.headings.clear()
+        backend._sequences = [record]  # fixes go to the last
+        feed_fixes(backend, surveys[record.name], kind, heading)
+    backend._sequences, backend._solution = records, None
 
 
 def errors(surveys: dict[str, Survey], solution: GraphSolution) -> dict[str, Floats]:
     """Return position errors (S, 3) by sequence, scene's frame; a local map is brought to one true pose."""
-    truth = {
-        s.name: surveys[s.name].drives["before"].lidar_poses(s.stamps_ns) for s in solution.sequences
-    }
+    truth = {s.name: surveys[s.name].drives["before"].lidar_poses(s.stamps_ns) for s in solution.sequences}
     found = {}
     first = solution.sequences[0]
     T_world_local = truth[first.name][0] @ invert_pose(first.T_local_lidar[0])
@@ -124,14 +109,39 @@ def drift(survey: Survey, cached: CachedOdometry) -> dict[str, float]:
     }
 
 
-def map_error(case: Case, survey: Survey) -> dict[str, float]:
+def map_error(backend: MappingBackend, survey: Survey) -> dict[str, float]:
     """Return how far map points lie off the true surfaces [m]."""
-    built = case.backend.build_map()
+    built = backend.build_map()
     seen = np.flatnonzero(np.asarray(built.cloud.fields["n"]) >= 3)
     chosen = np.random.default_rng(0).choice(seen, min(len(seen), 100_000), replace=False)
     xyz = WORLD.points_from_map(built.cloud.world()[chosen], MAP_CRS)
     distance = survey.drives["before"].compiled.distance_to_surface(xyz)
     return {"points": len(built.cloud), "median_m": float(np.median(distance))}
+
+
+def measured(
+    backend: MappingBackend, surveys: dict[str, Survey], kind: str, heading: bool
+) -> dict[str, object]:
+    """Solve with the fixes of a fault, and measure."""
+    swap_fixes(backend, surveys, kind, heading)
+    begin = time.process_time()
+    solution = backend.optimize()
+    seconds = time.process_time() - begin
+    error = errors(surveys, solution)
+    both = np.concatenate(list(error.values()))
+    sigma = np.concatenate(
+        [np.sqrt(np.diagonal(s.covariance, axis1=1, axis2=2)[:, 3:]) for s in solution.sequences]
+    )
+    figures = {
+        "ate_m": rmse(both),
+        **{f"ate_{name}_m": rmse(own) for name, own in error.items()},
+        "vertical_m": float(np.sqrt((both[:, 2] ** 2).mean())),
+        "max_m": float(np.linalg.norm(both, axis=1).max()),
+        "error_over_sigma": float(np.sqrt((both**2 / sigma**2).mean())),
+        "solve_cpu_s": seconds,
+    }
+    rounded = {name: round(value, 4) for name, value in figures.items()}
+    return {"limit_m": LIMITS.get(kind), **rounded, "loops": solution.loops.described()}
 
 
 def main() -> None:
@@ -157,24 +167,21 @@ def main() -> None:
         name: cached_odometry(folder / f"odo_{name}_{given.odometry}", bags[name], given.odometry, config)
         for name in NAMES
     }
+    variant = f"{given.odometry}{'_heading' * given.heading}{'_no_loops' * given.no_loops}"
     result: dict[str, object] = {"seed": given.seed, "odometry": given.odometry, "heading": given.heading}
     for name in NAMES:
         result[f"drift {name}"] = drift(surveys[name], odometry[name])
         print(f"odometry {name}: {result[f'drift {name}']}")
-    for kind in given.kinds:
-        with tempfile.TemporaryDirectory() as spool:
-            case = run_case(surveys, odometry, kind, Path(spool), config, given.heading)
-            both = np.concatenate(list(case.error.values()))
-            row = {"ate_m": rmse(both), "limit_m": LIMITS.get(kind)}
-            row |= {f"ate {name}": rmse(error) for name, error in case.error.items()}
-            row |= {"max_m": float(np.linalg.norm(both, axis=1).max())}
-            row |= {"vertical_m": float(np.sqrt((both[:, 2] ** 2).mean()))}
-            row |= {f"{k}_s": round(v, 1) for k, v in case.seconds.items()}
-            if given.map and kind == given.kinds[0]:
-                row |= {f"map {k}": v for k, v in map_error(case, surveys["there"]).items()}
-        result[kind] = row
-        print(kind, {k: round(v, 4) if isinstance(v, float) else v for k, v in row.items()}, flush=True)
-    variant = f"{given.odometry}{'_heading' * given.heading}{'_no_loops' * given.no_loops}"
+    with tempfile.TemporaryDirectory() as spool:
+        backend = fed_backend(odometry, Path(spool), config)
+        for kind in given.kinds:
+            result[kind] = measured(backend, surveys, kind, given.heading)
+            print(kind, json.dumps(result[kind]), flush=True)
+            (folder / f"result_{variant}.json").write_text(json.dumps(result, indent=1))
+        if given.map:
+            swap_fixes(backend, surveys, given.kinds[0], given.heading)
+            result["map"] = map_error(backend, surveys["there"])
+            print("map", given.kinds[0], result["map"])
     (folder / f"result_{variant}.json").write_text(json.dumps(result, indent=1))
 
 

@@ -316,3 +316,41 @@ def test_every_key_of_the_manifest_is_explained(tmp_path: Path) -> None:
     legend = manifest.pop("legend")
     assert keys(manifest) - names <= set(legend)
     assert {"packet_loss", "without_rtk_fixed", "slow_rms_m"} <= set(legend)
+
+
+def test_the_live_graph_grows_to_what_the_batch_finds(tmp_path: Path) -> None:
+    backend, truth = drive(tmp_path / "whole", count=200, drift=0.01)
+    add_fixes(backend, truth)
+    whole = backend.optimize().sequences[0].T_local_lidar
+    record = backend._sequences[0]
+    record.submaps = None
+    poses, fixes = list(record.poses), list(record.fixes)
+    record.poses.clear()
+    record.fixes.clear()
+    accel = list(record.accel)
+    record.accel.clear()
+    for k, pose in enumerate(poses):
+        record.poses.append(pose)
+        record.accel.append(accel[k])
+        record.fixes.extend(f for f in fixes if k and poses[k - 1].stamp_ns < f.time_ns <= pose.stamp_ns)
+        if k >= 60 and k % 20 == 19:
+            preview = backend.preview()
+            assert len(preview.sequences[0].T_local_lidar) == k + 1
+    live = preview.sequences[0]
+    assert preview.frame is not None
+    assert live.fixes_used == len(fixes)
+    assert np.linalg.norm((live.T_local_lidar - whole)[:, :3, 3], axis=1).max() < 0.03
+    carried = live.T_local_odom @ poses[-1].T_odom_lidar
+    np.testing.assert_allclose(carried, live.T_local_lidar[-1], atol=1e-9)
+
+
+def test_a_preview_that_cannot_be_georeferenced_yet_is_local_and_starts_anew_when_it_can(
+    tmp_path: Path,
+) -> None:
+    backend, truth = drive(tmp_path, count=100)
+    assert backend.preview().frame is None
+    add_fixes(backend, truth)
+    preview = backend.preview()
+    assert preview.frame is not None
+    expected = preview.frame.from_geodetic(*FRAME.to_geodetic(truth[:, :3, 3]).T)
+    assert np.linalg.norm(preview.sequences[0].T_local_lidar[:, :3, 3] - expected, axis=1).max() < 0.05

@@ -185,6 +185,8 @@ def test_two_drives_without_gnss_are_joined_by_what_both_saw(tmp_path: Path) -> 
     found = [solved.T_local_lidar for solved in solution.sequences]
     off = invert_pose(there[0]) @ back - invert_pose(found[0][0]) @ found[1]
     assert np.linalg.norm(off[:, :3, 3], axis=1).max() < 0.15
+    live = backend.preview()  # of the first alone: the second waits for the batch to be joined
+    assert [sequence.name for sequence in live.sequences] == ["there"]
     facts = solution.loops.described()
     assert facts["between"]["loops"] >= 3
     assert facts["between"]["seam_median_m"] < 0.05

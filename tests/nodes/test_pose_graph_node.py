@@ -59,6 +59,9 @@ class FakeBackend:
         sequence = SequenceSolution(self.sequences[0][0], stamps, poses, covariance, np.eye(4), used, 0, 0, 0)
         return GraphSolution((sequence,), ENU if self.crs else None, None if self.crs else "no fix")
 
+    def preview(self) -> Any:
+        return self.optimize()
+
     def build_map(self, progress: Any = None, inputs: Any = None) -> SurveyMap:
         self.inputs = dict(inputs or {})
         if progress is not None:

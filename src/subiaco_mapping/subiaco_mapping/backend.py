@@ -14,7 +14,7 @@ from subiaco_mapping.loops.submaps import SubmapBuilder
 from subiaco_mapping.map_builder import ProgressCallback, build_map, silent
 from subiaco_mapping.measurements import DeskewedScan, Extrinsics, GnssFix, HeadingSample, OdometryPose
 from subiaco_mapping.sequences import SequenceRecord
-from subiaco_mapping.solution import GraphSolution
+from subiaco_mapping.solution import GraphSolution, LiveEstimate
 from subiaco_mapping.spool import Spool
 from subiaco_mapping.survey_graph import SurveyGraph
 
@@ -93,6 +93,16 @@ class MappingBackend:
         if self._solution is None:
             self._solution = self._graph.solve(self._filled())
         return self._solution
+
+    def preview(self) -> LiveEstimate:
+        """Solve incrementally what has come since the last time; for display while driving.
+
+        Raises
+        ------
+        InputError
+            No scans yet, or GNSS is required and does not place a sequence.
+        """
+        return self._graph.preview(self._filled())
 
     def _filled(self) -> list[SequenceRecord]:
         filled = [sequence for sequence in self._sequences if sequence.poses]

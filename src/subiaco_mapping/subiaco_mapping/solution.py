@@ -89,3 +89,23 @@ class GraphSolution:
     frame: EnuFrame | None
     reason: str | None
     loops: LoopFacts = field(default_factory=LoopFacts)
+
+
+@dataclass(frozen=True)
+class LiveSequence:
+    """One sequence while driving; see :class:`SequenceSolution`."""
+
+    name: str
+    stamps_ns: Ints
+    T_local_lidar: Floats
+    T_local_odom: Floats
+    fixes_used: int
+
+
+@dataclass(frozen=True)
+class LiveEstimate:
+    """What is known while driving: no covariances, and sequences not yet placed are left out."""
+
+    sequences: tuple[LiveSequence, ...]
+    frame: EnuFrame | None
+    reason: str | None

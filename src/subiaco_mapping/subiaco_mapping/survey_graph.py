@@ -3,19 +3,23 @@
 from __future__ import annotations
 
 import logging
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from subiaco_geo.crs import EnuFrame
 from subiaco_geo.errors import InputError
+from subiaco_geo.frames import Floats, invert_pose
 from subiaco_mapping.chains import Placement, chain_of, place_sequences, summary
 from subiaco_mapping.config import MappingConfig
+from subiaco_mapping.graph.live import LiveGraph
 from subiaco_mapping.graph.records import Chain, LoopEdge, Solved
 from subiaco_mapping.graph.solver import solve
 from subiaco_mapping.loops.finder import LoopFinder, Place, level_axes
 from subiaco_mapping.loops.joining import join
 from subiaco_mapping.sequences import SequenceRecord
-from subiaco_mapping.solution import GraphSolution, LoopFacts
+from subiaco_mapping.solution import GraphSolution, LiveEstimate, LiveSequence, LoopFacts
 
 logger = logging.getLogger(__name__)
 
@@ -29,6 +33,15 @@ class _State:
     joints: list[LoopEdge]
 
 
+@dataclass
+class _Live:
+    """The graph while driving; it starts anew where another frame is found."""
+
+    frame: EnuFrame | None
+    graph: LiveGraph
+    places: dict[tuple[int, int], Floats] = field(default_factory=dict)  # covariance when first seen
+
+
 class SurveyGraph:
     """Solve what sequences have brought; registrations are kept from one time to the next.
 
@@ -40,6 +53,7 @@ class SurveyGraph:
     def __init__(self, config: MappingConfig) -> None:
         self._config = config
         self._finder = LoopFinder(config.loops, config.threads)
+        self._live: _Live | None = None
 
     def solve(self, sequences: list[SequenceRecord]) -> GraphSolution:
         """Place, join, close loops, solve.
@@ -57,7 +71,7 @@ class SurveyGraph:
         solved = self._solved(state.chains, state.joints)
         edges: list[LoopEdge] = []
         if self._config.loops.enabled:
-            edges = self._finder.close(self._places(sequences, state.chains, solved))
+            edges = self._finder.close(self._solved_places(sequences, state.chains, solved))
             solved = self._solved(state.chains, edges) if edges else solved
         order = range(len(sequences))
         found = tuple(summary(sequences[k], state.chains[k], solved.chains[k]) for k in order)
@@ -65,6 +79,51 @@ class SurveyGraph:
         between = np.array([e.first[0] != e.second[0] for e in edges], dtype=np.bool_)
         facts = LoopFacts(dict(self._finder.counts), between, solved.loop_weights, solved.seams)
         return GraphSolution(found, placement.frame, reason, facts if edges else LoopFacts(facts.counts))
+
+    def preview(self, sequences: list[SequenceRecord]) -> LiveEstimate:
+        """Take what is new since the last time, by ISAM2; loops by the present estimate alone.
+
+        Raises
+        ------
+        InputError
+            GNSS is required and does not place a sequence.
+        """
+        placement = place_sequences(sequences, self._config.gnss)
+        state = self._start(sequences, placement)
+        if self._live is None or self._live.frame != placement.frame:
+            self._live = _Live(placement.frame, LiveGraph(self._config.graph, self._config.gnss))
+        live = self._live
+        poses = live.graph.update(state.chains)
+        edges = self._live_loops(sequences, state.chains, poses, live)
+        if edges:
+            poses = live.graph.update(state.chains, edges)
+        found = []
+        for number, chain in sorted(state.chains.items()):
+            own = poses[number]
+            odom = own[-1] @ invert_pose(chain.T_odom_lidar[-1])
+            fixes = 0 if chain.gnss is None else len(chain.gnss.index)
+            found.append(LiveSequence(sequences[number].name, chain.stamps_ns, own, odom, fixes))
+        reason = None if placement.frame is not None else placement.reasons[0]
+        return LiveEstimate(tuple(found), placement.frame, reason)
+
+    def _live_loops(
+        self,
+        sequences: list[SequenceRecord],
+        chains: dict[int, Chain],
+        poses: dict[int, Floats],
+        live: _Live,
+    ) -> list[LoopEdge]:
+        """Close loops of the submaps that are new."""
+        new = set()
+        for number in chains:
+            submaps = sequences[number].submaps
+            for k, submap in enumerate([] if submaps is None else submaps.done):
+                if (number, k) not in live.places:
+                    new.add((number, k))
+                    live.places[number, k] = live.graph.covariance(number, submap.anchor)
+        places = self._places(sequences, chains, poses, live.places)
+        near = [c for c in self._finder.by_estimate(places) if c.first.key in new or c.second.key in new]
+        return self._finder.borne_out(near)
 
     def _solved(self, chains: dict[int, Chain], edges: list[LoopEdge]) -> Solved:
         return solve(chains, self._config.graph, self._config.gnss, edges)
@@ -94,7 +153,7 @@ class SurveyGraph:
         found = None
         if self._config.loops.enabled:
             solved = self._solved(state.chains, state.joints)
-            places = self._places(sequences, {**state.chains, **state.waiting}, solved)
+            places = self._solved_places(sequences, {**state.chains, **state.waiting}, solved)
             found = join(self._finder, places, waiting)
         if found is None:
             number = min(waiting)
@@ -109,21 +168,33 @@ class SurveyGraph:
         state.joints.extend(edges)
 
     def _places(
-        self, sequences: list[SequenceRecord], chains: dict[int, Chain], solved: Solved
+        self,
+        sequences: list[SequenceRecord],
+        chains: dict[int, Chain],
+        poses: Mapping[int, Floats],
+        covariances: Mapping[tuple[int, int], Floats],
     ) -> list[Place]:
+        """Return the submaps where they are; those of chains without ``poses`` have none."""
         found = []
         for number in sorted(chains):
             sequence, chain = sequences[number], chains[number]
-            solution = solved.chains.get(number)
             submaps = [] if sequence.submaps is None else sequence.submaps.done
             for k, submap in enumerate(submaps):
                 at = submap.anchor
-                guess = chain.T_world_odom @ chain.T_odom_lidar[at]
-                pose = guess if solution is None else solution.T_world_lidar[at]
-                covariance = np.eye(6) if solution is None else solution.covariance[at]
-                axes = level_axes(
-                    pose[:3, :3].T @ np.array([0.0, 0.0, 1.0]), sequence.extrinsics.T_base_lidar
-                )
-                known = None if solution is None else pose
+                known = poses[number][at] if number in poses else None
+                pose = chain.T_world_odom @ chain.T_odom_lidar[at] if known is None else known
+                axes = level_axes(pose[2, :3], sequence.extrinsics.T_base_lidar)
+                covariance = covariances.get((number, k), np.eye(6))
                 found.append(Place((number, k), submap, axes, known, covariance))
         return found
+
+    def _solved_places(
+        self, sequences: list[SequenceRecord], chains: dict[int, Chain], solved: Solved
+    ) -> list[Place]:
+        poses = {number: solution.T_world_lidar for number, solution in solved.chains.items()}
+        covariances = {}
+        for number, solution in solved.chains.items():
+            submaps = sequences[number].submaps
+            for k, submap in enumerate([] if submaps is None else submaps.done):
+                covariances[number, k] = solution.covariance[submap.anchor]
+        return self._places(sequences, chains, poses, covariances)

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from subiaco_geo.frames import Floats, invert_pose
 from subiaco_mapping.config import GnssConfig, GraphConfig
-from subiaco_mapping.graph.records import Chain, LoopEdge
+from subiaco_mapping.graph.records import Chain, GnssPriors, LoopEdge
 from subiaco_mapping.graph.slow_errors import link_precision, own_precision, slow_errors
 
 MakeKernel: TypeAlias = Callable[[float], Any]
@@ -75,16 +75,17 @@ def add_odometry(graph: Any, number: int, chain: Chain, config: GraphConfig, sta
         graph.add(gtsam.BetweenFactorPose3(before, after, gtsam.Pose3(motion), noise))
 
 
-def add_gravity(graph: Any, number: int, chain: Chain, config: GraphConfig, start: int = 0) -> None:
-    """Add the vertical where the accelerometer gives it, else a weak one at the first scan."""
+def add_gravity(
+    graph: Any, number: int, chain: Chain, config: GraphConfig, start: int = 0, *, weak: bool = True
+) -> None:
+    """Add the vertical where the accelerometer gives it, else, if ``weak``, one at the first scan."""
     up = gtsam.Unit3(np.array([0.0, 0.0, 1.0]))
     huber = gtsam.noiseModel.mEstimator.Huber.Create(2.0)
     noise = _robust(huber, np.eye(2) * config.sigma_gravity**2)
-    for index, direction in zip(chain.gravity.index, chain.gravity.up, strict=True):
-        if index >= start:
-            key = pose_key(number, int(index))
-            graph.add(gtsam.AttitudeFactorPose3(key, up, noise, gtsam.Unit3(direction)))
-    if len(chain.gravity.index) == 0 and chain.gnss is not None and start == 0:
+    for index, direction in zip(chain.gravity.index[start:], chain.gravity.up[start:], strict=True):
+        key = pose_key(number, int(index))
+        graph.add(gtsam.AttitudeFactorPose3(key, up, noise, gtsam.Unit3(direction)))
+    if weak and len(chain.gravity.index) == 0 and chain.gnss is not None:
         level = chain.T_world_odom[:3, :3] @ chain.T_odom_lidar[0, :3, :3]
         direction = gtsam.Unit3(level.T @ np.array([0.0, 0.0, 1.0]))
         graph.add(gtsam.AttitudeFactorPose3(pose_key(number, 0), up, _diagonal(np.full(2, 0.05)), direction))
@@ -98,7 +99,7 @@ def add_anchor(graph: Any, number: int, chain: Chain) -> None:
     graph.add(gtsam.PriorFactorPose3(pose_key(number, 0), first, _diagonal(sigmas)))
 
 
-def add_heading(graph: Any, number: int, chain: Chain, poses: Floats) -> None:
+def add_heading(graph: Any, number: int, chain: Chain, poses: Floats, start: int = 0) -> None:
     """Add the antenna baseline's yaw about the vertical at the present ``poses`` (S, 4, 4)."""
     if chain.heading is None:
         return
@@ -108,11 +109,12 @@ def add_heading(graph: Any, number: int, chain: Chain, poses: Floats) -> None:
     base = rotations @ heading.R_lidar_base
     off = heading.yaw - np.arctan2(base[:, 1, 0], base[:, 0, 0])
     measured = Rotation.from_rotvec(np.outer(off, [0.0, 0.0, 1.0])).as_matrix() @ rotations
-    for k, index in enumerate(heading.index):
+    for k in range(start, len(heading.index)):
         axis = np.outer(rotations[k, 2], rotations[k, 2])  # the vertical in lidar_link
         covariance = heading.sigma[k] ** 2 * axis + _FREE**2 * (np.eye(3) - axis)
         noise = _robust(huber, covariance)
-        graph.add(gtsam.PoseRotationPrior3D(pose_key(number, int(index)), gtsam.Rot3(measured[k]), noise))
+        key = pose_key(number, int(heading.index[k]))
+        graph.add(gtsam.PoseRotationPrior3D(key, gtsam.Rot3(measured[k]), noise))
 
 
 def add_fixes(
@@ -128,10 +130,7 @@ def add_fixes(
     gnss, slow = chain.gnss, slow_errors(chain.gnss, config)
     kernel = make(config.kernel)
     if slow is None:
-        for i, index in enumerate(gnss.index):
-            noise = _robust(kernel, gnss.covariance[i])
-            key = pose_key(number, int(index))
-            graph.add(gtsam.GPSFactorArm(key, gnss.enu[i], gnss.levers[i], noise))
+        _add_plain_fixes(graph, number, gnss, kernel, 1.0)
         return
     _add_slow_errors(graph, values, number, slow)
     tight = _diagonal(np.full(3, _LEVER_SIGMA))
@@ -147,6 +146,28 @@ def add_fixes(
         noise = _robust(kernel, (1.0 - config.correlated_share) * gnss.covariance[i])
         of_knot = slow_key(number, int(slow.knot[i]))
         graph.add(gtsam.BetweenFactorPoint3(of_knot, antenna, gnss.enu[i], noise))
+
+
+def _add_plain_fixes(
+    graph: Any, number: int, gnss: GnssPriors, kernel: Any, inflation: float, start: int = 0
+) -> None:
+    for i in range(start, len(gnss.index)):
+        noise = _robust(kernel, inflation * gnss.covariance[i])
+        key = pose_key(number, int(gnss.index[i]))
+        graph.add(gtsam.GPSFactorArm(key, gnss.enu[i], gnss.levers[i], noise))
+
+
+def add_white_fixes(graph: Any, number: int, chain: Chain, config: GnssConfig, start: int) -> None:
+    """Add fixes ``start`` and later as white errors of the same density; outliers are judged as ever."""
+    assert chain.gnss is not None
+    gnss = chain.gnss
+    if len(gnss.index) <= start:
+        return
+    span = max(float(gnss.times_ns[-1] - gnss.times_ns[0]) * 1e-9, 1e-3)
+    slow = max(2 * config.correlation_time * len(gnss.index) / span, 1.0)
+    inflation = 1.0 - config.correlated_share + config.correlated_share * slow
+    kernel = gtsam.noiseModel.mEstimator.Cauchy.Create(config.kernel / np.sqrt(inflation))
+    _add_plain_fixes(graph, number, gnss, kernel, inflation, start)
 
 
 def _add_slow_errors(graph: Any, values: Any, number: int, slow: Any) -> None:

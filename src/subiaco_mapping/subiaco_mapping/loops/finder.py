@@ -141,8 +141,12 @@ class LoopFinder:
             proposed_by_descriptor=len(alike),
             refused_graph=len(alike) - len(possible),
         )
+        return self.borne_out([*near, *possible])
+
+    def borne_out(self, candidates: Sequence[Candidate]) -> list[LoopEdge]:
+        """Return the loops of candidates that geometry and the present estimate bear out."""
         edges = []
-        for candidate, result in self.verified([*near, *possible]):
+        for candidate, result in self.verified(candidates):
             edge = edge_of(candidate, result)
             if disagreement(edge, candidate.first, candidate.second) > self.config.gate:
                 self.counts["refused_graph"] += 1

@@ -18,7 +18,7 @@ from subiaco_mapping.nodes.messages import (
     xyz_cloud,
 )
 from subiaco_mapping.nodes.runtime import latched, reliable, wait_until_received
-from subiaco_mapping.solution import GraphSolution
+from subiaco_mapping.solution import GraphSolution, LiveEstimate
 from tf2_msgs.msg import TFMessage
 
 #: Most poses on the path; a viewer needs no more.
@@ -52,7 +52,7 @@ class MapPublisher:
         self._tf = node.create_publisher(TFMessage, "tf", reliable(100))
         self._tf_static = node.create_publisher(TFMessage, "tf_static", latched(1))
 
-    def publish_solution(self, solution: GraphSolution) -> None:
+    def publish_solution(self, solution: GraphSolution | LiveEstimate) -> None:
         """Publish path, origin, ``earth -> map`` and ``map -> odom``."""
         earth, map_frame, odom = self._frames
         times_ns = np.concatenate([s.stamps_ns for s in solution.sequences])
