@@ -201,7 +201,11 @@ class SegmentWriter:
         self._writer.flush()  # type: ignore[no-untyped-call]
         self.pending_bytes = self.pending_messages = 0
         if sync:
-            self._output.sync()
+            self.sync()
+
+    def sync(self) -> None:
+        """Wait until the disk has what was flushed."""
+        self._output.sync()
 
     def close(self) -> None:
         """Finish the file and give it its name; a file without messages is removed."""
@@ -209,9 +213,17 @@ class SegmentWriter:
             self.abandon()
             self.partial.unlink()
             return
+        self.finish()
+        self.settle()
+
+    def finish(self) -> None:
+        """Hand the rest and the file's end to the system; nothing may be written any more."""
         self._writer.finish()  # type: ignore[no-untyped-call]
         self._output.flush()
-        self._output.sync()
+
+    def settle(self) -> None:
+        """Wait until the disk has a finished file, and give it its name."""
+        self.sync()
         self._output.close()
         self.partial.rename(self.path)
         sync_directory(self.path.parent)

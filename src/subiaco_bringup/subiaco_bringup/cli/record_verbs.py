@@ -58,7 +58,7 @@ def record(
 ) -> None:
     """Record the topics of a live vehicle, raw, until Ctrl-C; what is lost is counted and said.
 
-    Files are whole every minute and flushed twice a second: a kill or a loss of power costs less
+    Files are whole every minute and flushed four times a second: a kill or a loss of power costs less
     than a second. A disk that runs full ends the recording with every file whole.
 
     Example: subiaco record -o bags/2025-03-14_am --remap /gnss/fix:=/ublox_gps_node/fix

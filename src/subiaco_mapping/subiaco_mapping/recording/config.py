@@ -23,7 +23,7 @@ class RecordConfig(StrictModel):
     split_duration: float = Field(60.0, gt=0, description="a new file after so long [s]")
     chunk_bytes: int = Field(1 << 20, ge=1 << 12, le=1 << 26, description="a chunk is closed at this size")
     flush_interval: float = Field(
-        0.4, gt=0, le=1.0, description="and at latest after so long: what a kill can cost [s]"
+        0.25, gt=0, le=1.0, description="and at latest after so long: what a kill can cost [s]"
     )
     fsync: Literal["chunk", "flush", "close"] = Field(
         "flush", description="when the disk must have it: every chunk, every flush_interval, every file"

@@ -8,6 +8,7 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -145,6 +146,8 @@ class Recorder:
         self._held.enter_context(sole_writer(self.folder))
         self._segments, self._index = _existing(self.folder)
         self._segment: SegmentWriter | None = None
+        self._disk = ThreadPoolExecutor(1, "disk")  # waits for the disk, so that writing need not
+        self._at_disk: deque[Future[None]] = deque()
         self._latched: dict[tuple[str, ...], Entry] = {}
         self._queue: deque[Entry] = deque()
         self._queued_bytes = 0
@@ -250,6 +253,8 @@ class Recorder:
                     self._write(entry)
                 self._tend()
             self._finish_segment()
+            self._disk.shutdown(wait=True)
+            self._see_to_disk()
             if self._state == "recording":
                 self._state = "closed"
         except OSError as error:
@@ -293,14 +298,25 @@ class Recorder:
             self._repeated += 1
 
     def _flush(self, *, sync: bool) -> None:
+        """Hand the chunk to the system: safe from a kill at once, from a loss of power when synced."""
         assert self._segment is not None
+        self._segment.flush()
+        if sync and not self._at_disk:
+            self._at_disk.append(self._disk.submit(self._sync, self._segment))
+
+    def _sync(self, segment: SegmentWriter) -> None:
         begun = time.monotonic()
-        self._segment.flush(sync=sync)
-        if sync:
-            self._slowest_sync = max(self._slowest_sync, time.monotonic() - begun)
+        segment.sync()
+        self._slowest_sync = max(self._slowest_sync, time.monotonic() - begun)
+
+    def _see_to_disk(self) -> None:
+        """Forget what the disk has done, and raise what it refused."""
+        while self._at_disk and self._at_disk[0].done():
+            self._at_disk.popleft().result()
 
     def _tend(self) -> None:
         """Do what is due by the clock: flush, look at the disk, begin a new file."""
+        self._see_to_disk()
         now = time.monotonic()
         if now - self._flushed >= self._config.flush_interval:
             self._flushed = now
@@ -333,6 +349,7 @@ class Recorder:
 
     def _fail(self, error: Exception) -> None:
         """Give up on a disk that refuses; what was flushed stays in the partial file."""
+        self._disk.shutdown(wait=True)
         segment, self._segment = self._segment, None
         if segment is not None:
             segment.abandon()
@@ -343,16 +360,18 @@ class Recorder:
         self._stop("failed", f"{reason.lower()}; {advice}")
 
     def _finish_segment(self) -> None:
-        segment = self._segment
-        if segment is None:
+        if self._segment is None:
             return
-        segment.close()
+        self._segment.finish()
+        self._closed_bytes += self._segment.size
+        self._at_disk.append(self._disk.submit(self._settle, self._segment))
         self._segment = None
-        if segment.messages:
-            self._closed_bytes += segment.path.stat().st_size
-            self._segments.append(describe_segment(segment.path))
-            write_bag_metadata(self.folder, self._segments, {"recorder": "subiaco"})
-            self._write_counts()
+
+    def _settle(self, segment: SegmentWriter) -> None:
+        segment.settle()
+        self._segments.append(describe_segment(segment.path))
+        write_bag_metadata(self.folder, self._segments, {"recorder": "subiaco"})
+        self._write_counts()
 
     def _write_counts(self) -> None:
         """Keep the counts beside the files: what was lost must be known from the recording alone."""
