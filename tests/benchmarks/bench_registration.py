@@ -7,7 +7,7 @@
     done
     python tests/benchmarks/bench_registration.py pairs out/reg/* --rows out/reg/rows.csv
     python tests/benchmarks/bench_registration.py strangers out/reg/*
-    python tests/benchmarks/bench_registration.py table out/reg/1 --rows out/reg/rows.csv --picture out/reg/pairs.png
+    python tests/benchmarks/bench_registration.py table out/reg/1 --rows out/reg/rows.csv --picture pairs.png
     python tests/benchmarks/bench_registration.py planes out/reg/1
     python tests/benchmarks/bench_registration.py speed out/reg/large
 
