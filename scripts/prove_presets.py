@@ -16,12 +16,10 @@ from typing import Any
 
 import numpy as np
 import yaml
-from tune_baselines import SEARCHED, tune
+from tune_baselines import SEARCHED, prepare, tune
 
 from subiaco_change.baselines.config import BaselineConfig
-from subiaco_change.baselines.run import run_baseline
-from subiaco_change.evaluation.scoring import evaluate
-from subiaco_change.job import ChangeJob
+from subiaco_change.evaluation.scores import describe
 from subiaco_sim.config import SimulationConfig
 from subiaco_sim.survey import simulate
 
@@ -59,36 +57,20 @@ def survey_of(work: Path, preset: str, seed: int) -> Path:
     return out
 
 
-def run_method(survey: Path, method: str) -> Path:
-    """Compare the fused maps of a survey at their true registration, unless that is there already."""
-    out = survey.with_name(f"{survey.name}-{method}")
-    if out.exists():
-        return out
-    truth = yaml.safe_load((survey / "truth" / "scene.yaml").read_text())
-    job = ChangeJob(
-        survey / "before" / "map.ply",
-        survey / "after" / "map.ply",
-        out,
-        transform=np.array(truth["T_after_before"], dtype=np.float64),
-        overwrite=True,
-    )
-    run_baseline(job, method, BaselineConfig())
-    return out
-
-
 def prove(work: Path, preset: str, seeds: list[int], keep: bool) -> list[Row]:
-    """Score every method on every seed, and on all of them together."""
-    pairs: dict[str, list[tuple[Path, Path]]] = {method: [] for method in LIMITS}
+    """Score every method on every seed at the true registration, and on all of them together."""
+    config = BaselineConfig()
+    pooled = {method: np.zeros((5, 6), dtype=np.int64) for method in LIMITS}
     rows = []
     for seed in seeds:
-        survey = survey_of(work, preset, seed)
+        case = prepare(survey_of(work, preset, seed), config)
         for method in LIMITS:
-            pair = (run_method(survey, method), survey)
-            pairs[method].append(pair)
-            rows.append(Row(method, str(seed), evaluate([pair])["grid"]))
+            matrix = case.score(method, config)
+            pooled[method] += matrix
+            rows.append(Row(method, str(seed), describe(matrix)))
             print(rows[-1].text(), flush=True)
     for method, limit in LIMITS.items():
-        rows.append(Row(method, "all", evaluate(pairs[method])["grid"]))
+        rows.append(Row(method, "all", describe(pooled[method])))
         print(rows[-1].text(), f"(limit {limit:g})")
     if not keep:
         shutil.rmtree(work)
