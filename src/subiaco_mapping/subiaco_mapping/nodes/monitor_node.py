@@ -48,6 +48,7 @@ STATUS_INTERVAL = 0.5
 MARKER_INTERVAL = 2.0
 FILE_INTERVAL = 5.0
 OWN = "monitor: "
+_MOST_WAIT_NS = 10_000_000_000
 
 
 class MonitorParameters(StrictModel):
@@ -118,6 +119,8 @@ class MonitorApp:
         self._times = times
         self._free = free
         self._origin: EnuFrame | None = None
+        self._received_ns = 0
+        self._simulated = bool(node.get_parameter("use_sim_time").value)
         self._matcher = StampMatcher((ODOMETRY, QUALITY))
         self._view = "SUBIACO_SUPERVISOR" in os.environ
         self._diagnostics = node.create_publisher(DiagnosticArray, "diagnostics", 10)
@@ -161,7 +164,28 @@ class MonitorApp:
             found = _optional(kind)
             if found is not None:
                 wanted.append((found, topic, handler, 64, False))
-        return follow_offers(self._node, wanted)
+        timed = [
+            (kind, topic, self._timed(handler), depth, raw) for kind, topic, handler, depth, raw in wanted
+        ]
+        return follow_offers(self._node, timed)
+
+    def _timed(self, handler: Callable[[Any], None]) -> Callable[[Any, Any], None]:
+        """Let a handler know when its message reached this host, however long it waited for us."""
+
+        def on_message(message: Any, info: Any) -> None:
+            self._received_ns = int(info["received_timestamp"])
+            handler(message)
+            self._received_ns = 0
+
+        return on_message
+
+    def _when(self) -> tuple[int, int]:
+        """Return ``(now_ns, arrival_ns)`` of the message being handled."""
+        now_ns, arrival_ns = self._times()
+        waited = arrival_ns - self._received_ns
+        if self._received_ns and not self._simulated and 0 <= waited < _MOST_WAIT_NS:
+            return now_ns - waited, arrival_ns - waited
+        return now_ns, arrival_ns
 
     def _tick(self) -> None:
         now_ns = self._times()[0]
@@ -170,29 +194,29 @@ class MonitorApp:
             self._monitor.on_disk(self._free(), now_ns)
 
     def _on_packet(self, raw: bytes) -> None:
-        self._monitor.on_packet(raw, *self._times())
+        self._monitor.on_packet(raw, *self._when())
 
     def _on_points(self, raw: bytes) -> None:
         stamp = header_stamp_ns(raw)
         if stamp is not None:
-            self._monitor.on_points(stamp, *self._times())
+            self._monitor.on_points(stamp, *self._when())
 
     def _on_imu(self, message: Imu) -> None:
-        self._monitor.on_imu(imu_from_msg(message), *self._times())
+        self._monitor.on_imu(imu_from_msg(message), *self._when())
 
     def _on_fix(self, message: NavSatFix) -> None:
-        self._monitor.on_fix(fix_from_msg(message, self._monitor.config.gnss), *self._times())
+        self._monitor.on_fix(fix_from_msg(message, self._monitor.config.gnss), *self._when())
 
     def _on_time_reference(self, _message: TimeReference) -> None:
-        self._monitor.on_time_reference(self._times()[0])
+        self._monitor.on_time_reference(self._when()[0])
 
     def _on_gps_fix(self, message: Any) -> None:
-        self._monitor.on_dop(*dop_of_gps_fix(message), self._times()[0])
+        self._monitor.on_dop(*dop_of_gps_fix(message), self._when()[0])
 
     def _on_sentence(self, message: Any) -> None:
         found = dop_of_nmea(message.sentence)
         if found is not None:
-            self._monitor.on_dop(*found, self._times()[0])
+            self._monitor.on_dop(*found, self._when()[0])
 
     def _on_origin(self, message: NavSatFix) -> None:
         self._origin = EnuFrame(message.latitude, message.longitude, message.altitude)
@@ -202,7 +226,7 @@ class MonitorApp:
             name = status.name.lower()
             if not name.startswith(OWN) and any(word in name for word in self._own.pps_words):
                 locked = status.level == DiagnosticStatus.OK
-                self._monitor.on_pps_lock(locked, f"{status.name}: {status.message}", self._times()[0])
+                self._monitor.on_pps_lock(locked, f"{status.name}: {status.message}", self._when()[0])
 
     def _on_part(self, kind: str, message: Any) -> None:
         found = self._matcher.add(kind, stamp_ns(message.header.stamp), message)
@@ -218,7 +242,7 @@ class MonitorApp:
             quality.columns,
             quality.lost_columns,
         )
-        self._monitor.on_odometry(note, self._times()[0])
+        self._monitor.on_odometry(note, self._when()[0])
 
     def _publish(self) -> None:
         snapshot = take_snapshot(

@@ -23,13 +23,14 @@ class OfferedSubscription:
     topic : str
         Relative name; remappings hold.
     handler : callable
+        Takes the message, and its info where it has a second argument.
     depth : int
     raw : bool
         Give serialised bytes.
     """
 
     def __init__(
-        self, node: Node, kind: Any, topic: str, handler: Callable[[Any], None], depth: int, raw: bool = False
+        self, node: Node, kind: Any, topic: str, handler: Callable[..., None], depth: int, raw: bool = False
     ) -> None:
         self._node = node
         self._kind = kind
@@ -66,7 +67,7 @@ class OfferedSubscription:
 LOOK_INTERVAL = 0.2
 
 #: Kind, our topic, handler, depth, raw.
-Wanted = tuple[Any, str, Callable[[Any], None], int, bool]
+Wanted = tuple[Any, str, Callable[..., None], int, bool]
 
 
 def follow_offers(node: Node, wanted: Iterable[Wanted]) -> dict[str, OfferedSubscription]:
