@@ -191,6 +191,8 @@ def test_a_file_of_which_nothing_can_be_kept_is_reported_without_a_target(tmp_pa
     assert result.files[0].target is None
     assert result.messages == 0
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
+    recover_bag(path, in_place=True)
+    assert not list(tmp_path.iterdir()), "a file that was opened and never written to goes"
 
 
 def test_recovery_refuses_what_is_no_recording(tmp_path: Path) -> None:

@@ -215,6 +215,8 @@ def _recover_here(sources: list[Path], good: Collection[Path]) -> list[FileRecov
             fresh.replace(target)
             if source != target:
                 source.unlink()
+        elif not result.bytes_lost:  # opened, and never written to
+            source.unlink()
         files.append(FileRecovery(**{**vars(result), "target": target if result.target else None}))
     return files
 

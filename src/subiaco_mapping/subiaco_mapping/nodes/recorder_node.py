@@ -19,7 +19,8 @@ from subiaco_geo.errors import InputError
 from subiaco_mapping.nodes.listening import Listener
 from subiaco_mapping.nodes.runtime import Diagnostics, read_models, run_node
 from subiaco_mapping.recording.config import RecordConfig, RecordingConfig
-from subiaco_mapping.recording.recorder import Recorder, RecorderStatus
+from subiaco_mapping.recording.entries import RecorderStatus
+from subiaco_mapping.recording.recorder import Recorder
 
 LOOK_INTERVAL = 0.2
 REPORT_INTERVAL = 1.0

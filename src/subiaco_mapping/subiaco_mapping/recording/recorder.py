@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import logging
-import shutil
 import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import yaml
 
@@ -20,9 +18,9 @@ from subiaco_geo.atomic import refuse_existing, whole_file
 from subiaco_geo.bag_files import PARTIAL
 from subiaco_geo.bag_metadata import SegmentInfo, describe_segment, write_bag_metadata
 from subiaco_geo.bag_segments import RecordedTopic, SegmentWriter, natural_order, segment_path, sole_writer
-from subiaco_geo.bags import TYPESTORE
 from subiaco_geo.errors import InputError
 from subiaco_mapping.recording.config import RecordConfig
+from subiaco_mapping.recording.entries import Entry, RecorderStatus, State, free_bytes, latched_key
 
 LOGGER = logging.getLogger(__name__)
 
@@ -32,62 +30,7 @@ _NAP = 0.02  # woken by time and not by every message: many are written in one g
 _DISK_INTERVAL = 0.25
 _RATE_MEMORY = 10.0
 
-State = Literal["recording", "disk full", "failed", "closed"]
 Facts = Callable[[], Mapping[str, Any]]
-
-
-@dataclass(frozen=True, slots=True)
-class Entry:
-    """One message on its way to the disk."""
-
-    topic: RecordedTopic
-    data: bytes
-    log_time_ns: int
-    publish_time_ns: int
-    sequence: int
-    latched: bool
-
-
-@dataclass(frozen=True)
-class RecorderStatus:
-    """How a recording stands.
-
-    ``minutes_left`` is until the disk's lower watermark at the present rate, None where nothing is
-    written; ``slowest_sync_s`` is the longest wait for the disk so far.
-    """
-
-    state: State
-    reason: str
-    file: str
-    files: int
-    messages: int
-    written_bytes: int
-    queued_bytes: int
-    dropped: int
-    free_bytes: int
-    rate_bytes: float
-    minutes_left: float | None
-    slowest_sync_s: float
-    warnings: tuple[str, ...]
-
-
-def free_bytes(folder: Path) -> int:
-    """Return the free space of the disk that a folder is on."""
-    return shutil.disk_usage(folder).free
-
-
-def latched_key(entry: Entry) -> tuple[str, ...]:
-    """Return what a later message on a latched topic must share to replace this one.
-
-    Several nodes publish static transforms: one replaces another where it speaks of the same frames.
-    """
-    if entry.topic.msg_type != "tf2_msgs/msg/TFMessage":
-        return (entry.topic.name,)
-    try:
-        message: Any = TYPESTORE.deserialize_cdr(entry.data, entry.topic.msg_type)
-        return (entry.topic.name, *sorted(t.child_frame_id for t in message.transforms))
-    except Exception:  # noqa: BLE001 - damaged bytes are recorded as they came
-        return (entry.topic.name,)
 
 
 def _prepare(folder: Path, resume: bool) -> None:
