@@ -273,7 +273,7 @@ class Recording:
 
 def feed(ros: Any, driver: Any, numbers: range, listeners: int = 1) -> None:
     """Publish packets a few at a time once so many listen; one that was killed counts for a while."""
-    ros.until(lambda: driver.get_subscription_count() >= listeners)
+    ros.until(lambda: driver.get_subscription_count() >= listeners, timeout=60)
     for k in numbers:
         driver.publish(packet(k))
         if k % 10 == 0:
@@ -290,7 +290,7 @@ def test_ctrl_c_ends_a_recording_whole_and_a_kill_is_recovered_and_resumed(ros: 
     driver = publisher(ros, LIDAR_PACKETS)
     first = Recording(folder, domain)
     feed(ros, driver, range(200))
-    ros.until(lambda: written(folder) > 200 * SIZE)
+    ros.until(lambda: written(folder) > 200 * SIZE, timeout=60)
     os.kill(first.node(), signal.SIGKILL)
     code, said = first.finish()
     assert code == 1
@@ -299,12 +299,13 @@ def test_ctrl_c_ends_a_recording_whole_and_a_kill_is_recovered_and_resumed(ros: 
 
     again = Recording(folder, domain, "--resume")
     feed(ros, driver, range(200, 300), listeners=2)
-    ros.until(lambda: written(folder) > 300 * SIZE)
+    ros.until(lambda: written(folder) > 300 * SIZE, timeout=60)
     again.process.send_signal(signal.SIGINT)
     code, said = again.finish()
     assert code == 0, said
     assert "nothing was lost" in said
 
     result = recover_bag(folder)
-    assert recorded(result.target, LIDAR_PACKETS) == [packet(k) for k in range(300)]
-    assert result.files[0].messages == 200
+    kept = result.files[0].counts[LIDAR_PACKETS]
+    assert kept >= 195  # what was on the disk when it was killed, a few at most on their way
+    assert recorded(result.target, LIDAR_PACKETS) == [packet(k) for k in (*range(kept), *range(200, 300))]
