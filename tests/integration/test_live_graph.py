@@ -26,6 +26,20 @@ SECONDS = 7.0
 SETTINGS = ["gnss.min_length=2.0"]  # the drive is short
 
 
+RUNS: list[LiveRun] = []
+
+
+@pytest.fixture(autouse=True)
+def leave_nothing_running() -> Iterator[None]:
+    """End a run whose test failed; its nodes notice that their supervisor is gone."""
+    yield
+    while RUNS:
+        run = RUNS.pop()
+        if run.process.poll() is None:
+            run.process.kill()
+            run.process.wait(timeout=10)
+
+
 class LiveRun:
     """``subiaco graph live`` in a process, and what it says."""
 
@@ -34,6 +48,7 @@ class LiveRun:
         for setting in SETTINGS:
             command += ["--set", setting]
         self.process = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True)
+        RUNS.append(self)
         self.lines: list[str] = []
         self._reader = threading.Thread(target=self._read, daemon=True)
         self._reader.start()
