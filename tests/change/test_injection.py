@@ -7,7 +7,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from subiaco_change.evaluation.scoring import evaluate
 from subiaco_change.evaluation.truth import read_truth
+from subiaco_change.evaluation.writing import evaluation_markdown
 from subiaco_change.injection.config import InjectionConfig, RepeatConfig, SightConfig
 from subiaco_change.injection.edits import (
     Donor,
@@ -256,3 +258,17 @@ def test_objects_come_from_a_folder_by_the_names_of_their_files(tmp_path):
 def test_a_map_without_a_drive_is_refused(survey):
     with pytest.raises(InputError, match="no trajectory"):
         inject(replace(survey, trajectory=None), SMALL)
+
+
+def test_scores_of_injected_changes_say_what_they_are(survey, tmp_path):
+    injected = inject(survey, SMALL)
+    write_injected(tmp_path / "copy", tmp_path / "map", injected, SMALL)
+    labels = tmp_path / "labels"
+    labels.mkdir()
+    for epoch, cloud in (("before", injected.before.cloud), ("after", injected.after.cloud)):
+        np.save(labels / f"{epoch}.npy", cloud.fields["change"])
+    result = evaluate([(labels, tmp_path / "copy")])
+    assert result["changes_are_injected"] is True
+    assert result["simulations"] == []
+    assert result["points"]["accuracy_percent"] == 100.0
+    assert "injected changes" in evaluation_markdown(result)

@@ -135,21 +135,31 @@ def evaluate(
     output: Annotated[
         Path | None, typer.Option("-o", "--output", metavar="DIR", help="Also write the scores there.")
     ] = None,
+    published: Annotated[
+        str | None,
+        typer.Option(metavar="RUN", help="The one path is a folder in the published layout; score this run."),
+    ] = None,
     as_json: AsJson = False,
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
     """Score change directories against truth, by the published protocol and by object.
 
+    Labels made by any other method are scored too: a folder of clouds or arrays in place of CHANGE_DIR.
+
     Example: subiaco evaluate out/change bags/demo -o out/evaluation
     """
     from subiaco_change.evaluation.scoring import evaluate as score
+    from subiaco_change.evaluation.scoring import evaluate_published
     from subiaco_change.evaluation.writing import evaluation_markdown, write_evaluation
 
     set_up_logging(verbose, quiet)
-    if len(pairs) % 2:
-        raise InputError("evaluate: give CHANGE_DIR and TRUTH in pairs; one of them is missing")
-    result = score(list(zip(pairs[::2], pairs[1::2], strict=True)))
+    if published is not None and len(pairs) == 1:
+        result = evaluate_published(pairs[0], published)
+    elif published is not None or len(pairs) % 2:
+        raise InputError("evaluate: give CHANGE_DIR and TRUTH in pairs, or one folder with --published")
+    else:
+        result = score(list(zip(pairs[::2], pairs[1::2], strict=True)))
     if output is not None:
         write_evaluation(result, output)
     if as_json:

@@ -104,18 +104,19 @@ def evaluate(pairs: Sequence[tuple[Path, Path]], config: EvaluationConfig | None
     settings = config or EvaluationConfig()
     if not pairs:
         raise InputError("evaluate: no pairs; give CHANGE_DIR TRUTH")
-    found, simulations = [], []
+    found, simulations, injected = [], [], []
     for said, truth_path in pairs:
         if is_published(truth_path):
-            raise InputError(
-                f"{truth_path}: published files have no points; use evaluate_published with a run"
-            )
+            raise InputError(f"{truth_path}: published files have no points; give --published RUN")
         truth = read_truth(truth_path)
-        simulations.append(name_simulation(truth.scene))
+        if truth.scene.get("simulator_hash"):
+            simulations.append(name_simulation(truth.scene))
+        injected.append(truth.scene.get("preset") == "injected")
         found.append(
             score_scene(read_prediction(said, truth), truth, settings, scene_name(truth, truth_path))
         )
-    return {"truth_is_simulated": True, "simulations": plain(simulations), **plain(pool(found, settings))}
+    origin = {"truth_is_simulated": True, "changes_are_injected": all(injected)}
+    return {**origin, "simulations": plain(simulations), **plain(pool(found, settings))}
 
 
 def evaluate_published(root: Path, run: str, config: EvaluationConfig | None = None) -> dict[str, Any]:
@@ -129,7 +130,8 @@ def evaluate_published(root: Path, run: str, config: EvaluationConfig | None = N
         matrix = confusion(loop.truth.ravel(), loop.predicted.ravel())
         empty = (np.zeros(0), np.zeros(0))
         found.append(SceneScore(loop.name, matrix, np.zeros((5, 6), np.int64), semantics, empty, 0, 0))
-    return {"truth_is_simulated": False, "run": run, **plain(pool(found, settings))}
+    origin = {"truth_is_simulated": False, "changes_are_injected": False, "run": run}
+    return {**origin, **plain(pool(found, settings))}
 
 
 def score_scene(
