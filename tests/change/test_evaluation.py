@@ -30,12 +30,10 @@ from subiaco_change.evaluation.scoring import (
     registration_error,
     write_evaluation,
 )
-from subiaco_change.evaluation.trajectories import absolute_error, relative_error
 from subiaco_change.outputs.directory import ChangeInputs, write_change_directory
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import exp_se3, invert_pose, make_pose
-from subiaco_geo.trajectories import Trajectory
 
 PLAIN = GridConfig(leaf=0.0)
 
@@ -223,33 +221,6 @@ def test_registration_error_is_measured_at_the_origin_of_the_registration():
     assert error["rotation_error_deg"] == pytest.approx(0.1, abs=1e-6)
     assert error["translation_error_m"] == pytest.approx(0.05, abs=1e-6)
     assert registration_error(None, true) is None
-
-
-def straight(offset=(0.0, 0.0, 0.0), scale=1.0):
-    steps = np.arange(101)
-    positions = np.outer(steps * scale, [1.0, 0, 0]) + offset
-    return Trajectory(steps * 100_000_000, make_pose(np.tile(np.eye(3), (101, 1, 1)), positions))
-
-
-def test_an_offset_is_an_absolute_error_but_no_relative_one():
-    absolute = absolute_error(straight(offset=(0.0, 0.3, 0.4)), straight())
-    assert absolute["ate_rmse_m"] == pytest.approx(0.5)
-    assert absolute["ate_vertical_rmse_m"] == pytest.approx(0.4)
-    assert absolute["rotation_rmse_deg"] == pytest.approx(0.0, abs=1e-6)
-    relative = relative_error(straight(offset=(0.0, 0.3, 0.4)), straight(), 10.0)
-    assert relative["rpe_translation_rmse_m"] == pytest.approx(0.0, abs=1e-9)
-    assert relative["pairs"] == 91
-
-
-def test_a_scale_of_one_percent_is_a_drift_of_one_percent():
-    relative = relative_error(straight(scale=1.01), straight(), 10.0)
-    assert relative["rpe_translation_percent"] == pytest.approx(1.0)
-
-
-def test_trajectories_that_share_no_time_are_refused():
-    late = Trajectory(straight().times_ns + 10**12, straight().poses)
-    with pytest.raises(InputError, match="clock"):
-        absolute_error(late, straight())
 
 
 # -- points and objects

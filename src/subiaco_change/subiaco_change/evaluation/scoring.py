@@ -32,7 +32,6 @@ from subiaco_change.evaluation.scores import (
     risk_coverage,
     scores,
 )
-from subiaco_change.evaluation.trajectories import absolute_error, relative_error
 from subiaco_change.evaluation.truth import SurveyTruth, read_truth
 from subiaco_change.evaluation.writing import write_evaluation
 from subiaco_change.outputs.json_text import plain
@@ -43,6 +42,7 @@ from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints, rotation_angle
 from subiaco_geo.simulated import name_simulation
 from subiaco_geo.trajectories import Trajectory, read_tum
+from subiaco_geo.trajectory_errors import absolute_error, relative_error
 
 __all__ = ["EvaluationConfig", "evaluate", "evaluate_published", "write_evaluation"]
 
