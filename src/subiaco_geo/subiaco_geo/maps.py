@@ -92,6 +92,8 @@ class SurveyMap:
         See :data:`HEIGHT_COLUMNS`.
     config : mapping
         The configuration as resolved.
+    pages : mapping of str to str
+        Reports to lay beside the map: file name and text; not read back.
     """
 
     cloud: PointCloud
@@ -104,6 +106,7 @@ class SurveyMap:
     manifest: Mapping[str, Any] = field(default_factory=dict)
     heights: Floats | None = None
     config: Mapping[str, Any] = field(default_factory=dict)
+    pages: Mapping[str, str] = field(default_factory=dict)
 
     @property
     def crs(self) -> str | None:
@@ -116,7 +119,7 @@ def write_map(directory: Path, survey: SurveyMap, overwrite: bool = False) -> No
 
     ``map.laz map.ply map.yaml manifest.yaml config.yaml`` always;
     ``trajectory.tum visibility.npz uncertainty.csv heights.csv last.laz
-    odometry/<sequence>.txt (.times.txt)`` where the survey has them.
+    odometry/<sequence>.txt (.times.txt)`` and reports where the survey has them.
 
     Raises
     ------
@@ -136,6 +139,8 @@ def write_map(directory: Path, survey: SurveyMap, overwrite: bool = False) -> No
         _write_yaml(out / "map.yaml", _map_info(survey))
         _write_yaml(out / "manifest.yaml", survey.manifest)
         _write_yaml(out / "config.yaml", {"/**": {"ros__parameters": survey.config}})
+        for name, text in survey.pages.items():
+            (out / name).write_text(text, encoding="utf-8")
 
 
 def read_map(directory: Path, *, with_last: bool = True) -> SurveyMap:

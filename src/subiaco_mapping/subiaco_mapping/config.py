@@ -9,6 +9,7 @@ from pydantic import Field
 from subiaco_geo.config import StrictModel
 from subiaco_mapping.drivers import DriverName
 from subiaco_mapping.loops.config import LoopConfig
+from subiaco_mapping.quality.config import QualityConfig
 from subiaco_mapping.topic_names import TopicsConfig
 from subiaco_mapping.watch.config import WatchConfig
 
@@ -204,4 +205,5 @@ class MappingConfig(StrictModel):
     loops: LoopConfig = LoopConfig()
     fusion: FusionConfig = FusionConfig()
     manifest: ManifestConfig = ManifestConfig()
+    quality: QualityConfig = QualityConfig()
     watch: WatchConfig = WatchConfig()

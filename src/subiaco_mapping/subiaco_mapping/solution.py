@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from subiaco_geo.crs import EnuFrame
 from subiaco_geo.frames import Floats, Ints
+from subiaco_mapping.graph.records import Chain, LoopEdge, Solved
 
 
 @dataclass(frozen=True)
@@ -82,6 +83,15 @@ class LoopFacts:
 
 
 @dataclass(frozen=True)
+class SolvedGraph:
+    """What was solved and how it fits: chains by number, loops in the order of ``solved``."""
+
+    chains: dict[int, Chain]
+    loops: tuple[LoopEdge, ...]
+    solved: Solved
+
+
+@dataclass(frozen=True)
 class GraphSolution:
     """All sequences; ``frame`` is None for a local map, ``reason`` then says why."""
 
@@ -89,6 +99,7 @@ class GraphSolution:
     frame: EnuFrame | None
     reason: str | None
     loops: LoopFacts = field(default_factory=LoopFacts)
+    graph: SolvedGraph | None = None
 
 
 @dataclass(frozen=True)

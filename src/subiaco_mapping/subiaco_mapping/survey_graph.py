@@ -19,7 +19,7 @@ from subiaco_mapping.graph.solver import solve
 from subiaco_mapping.loops.finder import LoopFinder, Place, level_axes
 from subiaco_mapping.loops.joining import join
 from subiaco_mapping.sequences import SequenceRecord
-from subiaco_mapping.solution import GraphSolution, LiveEstimate, LiveSequence, LoopFacts
+from subiaco_mapping.solution import GraphSolution, LiveEstimate, LiveSequence, LoopFacts, SolvedGraph
 
 logger = logging.getLogger(__name__)
 
@@ -78,7 +78,10 @@ class SurveyGraph:
         reason = None if placement.frame is not None else placement.reasons[0]
         between = np.array([e.first[0] != e.second[0] for e in edges], dtype=np.bool_)
         facts = LoopFacts(dict(self._finder.counts), between, solved.loop_weights, solved.seams)
-        return GraphSolution(found, placement.frame, reason, facts if edges else LoopFacts(facts.counts))
+        graph = SolvedGraph(state.chains, tuple(edges or state.joints), solved)
+        return GraphSolution(
+            found, placement.frame, reason, facts if edges else LoopFacts(facts.counts), graph
+        )
 
     def preview(self, sequences: list[SequenceRecord]) -> LiveEstimate:
         """Take what is new since the last time, by ISAM2; loops by the present estimate alone.

@@ -1,0 +1,1 @@
+"""How good a map is, told to the surveyor who has to sign it."""
