@@ -21,12 +21,12 @@ from subiaco_geo.frames import Floats
 
 #: Decision of the method -> fields that ``config/paper.yaml`` reverts.
 DECISIONS: dict[int, tuple[str, ...]] = {
-    2: ("second_registration", "registration.coarse_method"),
+    2: ("second_registration", "registration.coarse_method", "registration.polish"),
     7: ("instances.min_points",),
     8: ("association.gate_overlap",),
-    9: ("association.contained",),
+    9: ("association.contained", "association.parts"),
     11: ("association.cost", "association.unmatched"),
-    12: ("ground.cell",),
+    12: ("ground.cell", "ground.closing"),
     13: ("evidence.source", "decisions.building", "decisions.vegetation"),
     14: ("decisions.min_observed", "decisions.min_observed_free", "decisions.min_voxels"),
 }

@@ -137,7 +137,8 @@ def estimate_uncertainty(
     for k, times in enumerate(drawn):
         h = basis.T @ np.einsum("b,bij->ij", times, hessians) @ basis
         shifts[k] = -basis @ np.linalg.lstsq(h, basis.T @ (times @ gradients), rcond=None)[0]
-    block_cov = shifts.T @ shifts / draws
+    free = max(count - len(basis.T), 1)  # a few blocks fit their own residuals
+    block_cov = shifts.T @ shifts / draws * (count / free)
     bias = _block_bias(points, pairs.normals[keep], w, r, block)
     return Uncertainty(
         np.sqrt(np.diag(hessian_cov)) / scale,

@@ -40,6 +40,12 @@ class RegistrationConfig(StrictModel):
     ndt_iterations: int = Field(30, ge=1, description="NDT iterations a cell size")
     ndt_leaves_per_cell: float = Field(4.0, ge=2, description="NDT cell edge in leaves of the level")
     tukey: float = Field(0.3, gt=0, description="Tukey biweight of point-to-plane residuals [m]")
+    polish: float = Field(
+        4.685,
+        ge=0,
+        description="Tukey biweight of the last fits, in robust standard deviations of the residuals (95 % "
+        "efficiency): what changed by less than tukey does not pull; 0 = none, paper",
+    )
     huber: float = Field(0.5, gt=0, description="Huber weight of the distance of a pair [m]")
     icp_iterations: int = Field(20, ge=1, description="ICP iterations a level")
     icp_points: int = Field(200_000, ge=1000, description="points of before used by ICP at any level")

@@ -29,6 +29,8 @@ from subiaco_geo.errors import InputError, RegistrationError
 from subiaco_geo.frames import Floats, invert_pose, rotation_angle
 
 Mask = NDArray[np.bool_]
+_POLISHES = 2  # the second takes its width from the residuals of the first
+_NARROWEST = 0.02  # biweight of a fit [m]
 
 
 @dataclass(frozen=True)
@@ -141,7 +143,29 @@ def refine(
             raise RegistrationError(
                 f"{start}: fewer than 50 point pairs at the {source.leaf} m level: the epochs do not overlap"
             )
+    pose = _polished(source, targets[-1], pose, planes, config)
     return judge(before, targets, pose, ndt_pose, start, config)
+
+
+def _polished(
+    source: Level, target: Target, pose: Floats, planes: PlanePairs | None, config: RegistrationConfig
+) -> Floats:
+    """Fit again with a biweight as narrow as the residuals are.
+
+    A hedge grown by 0.1 m or ground raised by 0.2 m lies well inside the 0.3 m of the method and
+    pulls the fit by millimetres (Decision 2).
+    """
+    for _ in range(_POLISHES if config.polish > 0 else 0):
+        pairs = find_pairs(source.xyz, source.planes, target, pose, 2.0 * source.leaf)
+        if len(pairs.residuals) < 50:
+            break
+        spread = 1.4826 * float(np.median(np.abs(pairs.residuals)))
+        width = min(max(config.polish * spread, _NARROWEST), config.tukey)
+        pose, _, _ = align_icp(
+            source, target, pose, tukey=width, huber=config.huber, reach=2.0 * source.leaf,
+            min_eigenvalue=config.min_eigenvalue, max_iterations=config.icp_iterations, planes=planes,
+        )  # fmt: skip
+    return pose
 
 
 def _same_planes(before: Side, after: Side, pose: Floats, config: RegistrationConfig) -> PlanePairs | None:

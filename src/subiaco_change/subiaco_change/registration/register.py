@@ -223,6 +223,7 @@ def _report(
     fit: Fit, sides: tuple[Side, Side], origin: Floats, method: str, config: RegistrationConfig
 ) -> Registration:
     """Put a fit into world terms about the overlap centroid, with its uncertainty."""
+    # The wide biweight: what changed widens the stated spread although it no longer pulls the fit.
     weights = pair_weights(fit.pairs, config.tukey, config.huber)
     centre = np.average(fit.pairs.points, axis=0, weights=weights)
     spread = estimate_uncertainty(
