@@ -32,7 +32,7 @@ _CLEANING: dict[str, tuple[Any, ...]] = {
 }  # fmt: skip
 #: Values that are tried, by method and setting.
 SEARCHED: dict[str, dict[str, tuple[Any, ...]]] = {
-    "dsm": {"threshold": (0.15, 0.3, 0.5, 0.75, 1.0, 1.5, 2.0), **_CLEANING},
+    "dsm": {"threshold": (0.1, 0.15, 0.3, 0.5, 0.75, 1.0, 1.5, 2.0), **_CLEANING},
     "nn": {"minimum": (0.1, 0.2, 0.35, 0.5, 0.75, 1.0, 1.5), **_CLEANING},
     "c2c": {"threshold": (0.2, 0.35, 0.5, 0.75, 1.0, 1.5), **_CLEANING},
     "m3c2": {
