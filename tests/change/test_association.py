@@ -79,6 +79,11 @@ def test_things_far_apart_stay_unmatched():
     assert found == [((), (0,), "none"), ((0,), (), "none")]
 
 
+def test_what_is_left_of_a_large_object_is_that_object_however_small():
+    large, left = block(0, 0, 0, 20, 20, 8), block(0, 0, 0, 3, 3, 2)
+    assert matches([large], [left]) == [((0,), (0,), "one_to_one")]
+
+
 def test_neighbours_are_not_confused():
     row = [block(i, 12 * i, 0, 12 * i + 9, 9, 4) for i in range(4)]
     shifted = [block(i, 12 * i + 0.5, 0, 12 * i + 9.5, 9, 4) for i in range(4)]

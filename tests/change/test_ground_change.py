@@ -56,6 +56,37 @@ def test_nothing_is_claimed_below_the_level_of_detection():
     assert compare_ground(*rough, GroundChangeConfig()).patches == ()
 
 
+def blind_there(lift, where, seed=2):
+    """An epoch without a level of detection where ``where`` holds."""
+    found = view(lift, seed=seed)
+    found.lod[where(found.xyz[:, 0], found.xyz[:, 1])] = np.inf
+    return found
+
+
+def box(x, y, length, width):
+    return lambda px, py: (px > x) & (px < x + length) & (py > y) & (py < y + width)
+
+
+def test_a_patch_too_sparse_for_a_level_of_detection_is_found_as_a_whole():
+    where = box(30, 30, 6, 6)
+    dug = blind_there(lambda x, y: -0.3 * where(x, y), where)
+    found = compare_ground(view(seed=1), dug, GroundChangeConfig()).patches
+    assert [p.change for p in found] == [Change.DECREASED]
+    assert found[0].dz == pytest.approx(-0.3, abs=0.03)
+    assert found[0].lod < 0.1
+    assert compare_ground(view(seed=1), blind_there(None, where), GroundChangeConfig()).patches == ()
+
+
+@pytest.mark.parametrize(("side", "count"), [(5.5, 1), (3.0, 0)])
+def test_the_floor_that_the_edge_of_a_pit_hides_counts_towards_its_area(side, count):
+    """Of 30 m2 dug, 5 m2 along one edge are out of sight; a pit of 9 m2 stays too small."""
+    pit, hidden = box(30, 30, side, side), box(30, 30, 1.0, side)
+    dug = view(lambda x, y: -0.3 * pit(x, y), seed=2)
+    kept = ~hidden(dug.xyz[:, 0], dug.xyz[:, 1])
+    seen = EpochView(*(getattr(dug, n)[kept] for n in EpochView.__dataclass_fields__))
+    assert len(compare_ground(view(seed=1), seen, GroundChangeConfig()).patches) == count
+
+
 def test_epochs_without_common_ground_are_not_compared():
     first, second = view(seed=1, size=20.0), view(seed=2, size=20.0)
     second.xyz[:, 0] += 500.0

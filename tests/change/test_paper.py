@@ -51,7 +51,8 @@ def test_a_variant_reverts_its_decision_and_nothing_else(paper):
     ours = ChangeConfig()
     found = variants(ours, paper)
     assert found["full"] == ours
-    assert found["Decision 12 reverted"].ground == ours.ground.model_copy(update={"cell": paper.ground.cell})
+    literal = {"cell": paper.ground.cell, "closing": paper.ground.closing}
+    assert found["Decision 12 reverted"].ground == ours.ground.model_copy(update=literal)
     for number, fields in DECISIONS.items():
         reverted = found[f"Decision {number} reverted"]
         touched = {name.split(".")[0] for name in fields}

@@ -275,6 +275,7 @@ def _assemble(
             result.ground,
             result.seen_by[1 - e],
             config.evidence,
+            result.views[1 - e],
         )
         for e, name in enumerate(("before", "after"))
     ]

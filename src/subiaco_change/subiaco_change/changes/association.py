@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 
 from subiaco_change.changes.measures import histogram_distance, oriented_rectangle, rectangle_iou
 from subiaco_change.changes.objects import Thing
+from subiaco_change.changes.parts import PartConfig
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
 
@@ -46,6 +47,7 @@ class AssociationConfig(StrictModel):
     contained: float = Field(
         0.5, gt=0, le=1, description="share of its voxels that puts a fragment inside an object (Decision 9)"
     )
+    parts: PartConfig = PartConfig()
     same_place: float = Field(0.5, gt=0, le=1, description="voxel overlap of one thing with two classes (C6)")
 
 
@@ -127,13 +129,60 @@ def associate(
     used_b = {i for match in matches for i in match.before}
     used_a = {j for match in matches for j in match.after}
     matches = _adopt(matches, before, after, (forward, backward), (used_b, used_a), config)
-    rest_b = [Match((i,), ()) for i in range(len(before)) if i not in used_b]
-    rest_a = [Match((), (j,)) for j in range(len(after)) if j not in used_a]
-    return [*matches, *rest_b, *rest_a]
+    rest_b = [i for i in range(len(before)) if i not in used_b]
+    rest_a = [j for j in range(len(after)) if j not in used_a]
+    return [*matches, *_match_contained(rest_b, rest_a, before, after, (forward, backward), config)]
+
+
+def _match_contained(
+    rest_b: Sequence[int],
+    rest_a: Sequence[int],
+    before: Sequence[Thing],
+    after: Sequence[Thing],
+    counts: tuple[Sparse, Sparse],
+    config: AssociationConfig,
+) -> list[Match]:
+    """Match left-over objects of which one lies inside the other, however little their shapes agree.
+
+    A tree cut apart leaves a small piece of a large crown: its centre, outline
+    and heights are others, its place is not.
+    """
+    sides = ((before, rest_b, rest_a, counts[0]), (after, rest_a, rest_b, counts[1]))
+    links = [_contained(things, own, other, count, config) for things, own, other, count in sides]
+    graph = links[0] + links[1].T
+    nodes = len(rest_b) + len(rest_a)
+    rows, columns = graph.nonzero()
+    square = coo_array((np.ones(len(rows)), (rows, columns + len(rest_b))), shape=(nodes, nodes))
+    group = connected_components(square.tocsr(), directed=False)[1] if nodes else np.zeros(0, dtype=np.int64)
+    found = []
+    for number in range(int(group.max(initial=-1)) + 1):
+        members = np.flatnonzero(group == number).tolist()
+        found.append(
+            Match(
+                tuple(rest_b[k] for k in members if k < len(rest_b)),
+                tuple(rest_a[k - len(rest_b)] for k in members if k >= len(rest_b)),
+            )
+        )
+    return found
 
 
 def _unmatched(before: Sequence[Thing], after: Sequence[Thing]) -> list[Match]:
     return [*(Match((i,), ()) for i in range(len(before))), *(Match((), (j,)) for j in range(len(after)))]
+
+
+def _contained(
+    things: Sequence[Thing],
+    own: Sequence[int],
+    other: Sequence[int],
+    counts: Sparse,
+    config: AssociationConfig,
+) -> Sparse:
+    """Mark which of a few things lie mostly inside which of a few of the other epoch."""
+    inside = counts[list(own), :][:, list(other)].tocoo()
+    sizes = np.array([len(things[i].voxels) for i in own], dtype=np.float64)
+    mostly = inside.data > config.contained * sizes[inside.row]
+    where = (inside.row[mostly], inside.col[mostly])
+    return coo_array((np.ones(int(mostly.sum())), where), shape=inside.shape).tocsr()
 
 
 def _group_fragments(

@@ -8,8 +8,11 @@ from dataclasses import dataclass
 from pydantic import Field
 
 from subiaco_change.changes.measures import Measures
+from subiaco_change.changes.outline import Outline
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.config import StrictModel
+
+_CERTAIN = 3.0  # standard errors by which an outline must have moved
 
 
 class ClassRules(StrictModel):
@@ -29,6 +32,11 @@ class ClassRules(StrictModel):
     surface: float = Field(
         math.inf, gt=0, description="that share from which it is a change of volume by itself; inf: never"
     )
+    outline: float = Field(
+        math.inf,
+        gt=0,
+        description="shift of the outline relative to its reach that is a change by itself; inf: never",
+    )
 
 
 class DecisionConfig(StrictModel):
@@ -38,7 +46,7 @@ class DecisionConfig(StrictModel):
         min_iou=0.10, height=0.50, volume=0.10, shift=1.5, carried=0.07, surface=0.07
     )
     vegetation: ClassRules = ClassRules(
-        min_iou=0.08, height=0.30, volume=0.15, shift=2.0, carried=0.10, surface=0.15
+        min_iou=0.08, height=0.30, volume=0.15, shift=2.0, carried=0.10, surface=0.15, outline=0.08
     )
     mobile: ClassRules = ClassRules(min_iou=0.20, height=math.inf, volume=math.inf, shift=2.0)
     lod_factor: float = Field(1.2, gt=0, description="gate as a multiple of the level of detection, paper")
@@ -137,6 +145,9 @@ def _matched(semantic: Semantic, measures: Measures, gate: float, rules: ClassRu
     """Decide by height or volume; where both directions fire, the volume's sign wins (Decision 12)."""
     if not math.isfinite(gate):
         return Decision(Change.UNCHANGED, "no level of detection here, so no change is claimed", 0.0)
+    moved = _outline(measures.outline, rules)
+    if moved is not None:
+        return moved
     limit = max(rules.height, gate)
     relative = measures.delta_v / max(measures.volume, 1e-6)
     height = measures.delta_h / limit if math.isfinite(measures.delta_h) else 0.0
@@ -154,6 +165,22 @@ def _matched(semantic: Semantic, measures: Measures, gate: float, rules: ClassRu
         rising = up > 1
     change = Change.INCREASED if rising else Change.DECREASED
     return Decision(change, evidence, up if rising else down)
+
+
+def _outline(outline: Outline, rules: ClassRules) -> Decision | None:
+    """Decide by the outline, where it moved far enough and beyond doubt."""
+    if not outline.known or not math.isfinite(rules.outline):
+        return None
+    strength = abs(outline.relative) / rules.outline
+    if (
+        strength <= 1
+        or abs(outline.shift) <= _CERTAIN * outline.sigma
+        or outline.shift * outline.relative < 0
+    ):
+        return None
+    reason = f"outline {outline.shift:+.2f} m (sd {outline.sigma:.2f}), {outline.relative:+.0%} of its reach"
+    change = Change.INCREASED if outline.shift > 0 else Change.DECREASED
+    return Decision(change, f"{reason} (gate {rules.outline:.0%})", strength)
 
 
 def _strengths(height: float, volume: float, measures: Measures, rules: ClassRules) -> tuple[float, float]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,6 +19,8 @@ from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
 
+_NO_CLAIM = 10.0  # level of detection shown where there is none [m]
+
 
 class GroundChangeConfig(StrictModel):
     """Ground differencing."""
@@ -32,6 +35,12 @@ class GroundChangeConfig(StrictModel):
     )
     bridge: int = Field(
         3, ge=1, description="window over which an empty cell takes its neighbours' height [cells]"
+    )
+    closing: int = Field(
+        3,
+        ge=0,
+        description="cells out of sight between changed ones up to twice this apart are filled, and count"
+        " towards the area this far around, doubling it at most [cells]",
     )
 
 
@@ -90,9 +99,10 @@ def compare_ground(
     dz = heights[1] - heights[0]
     if not np.isfinite(dz).any():
         return None
-    lod = fill_gaps(np.fmax(cells[0][1], cells[1][1]))
+    lod = np.maximum(cells[0][1], cells[1][1])  # NaN where either has none
     patch, patches = _find_patches(dz, lod, corner, config)
-    return GroundComparison(corner, config.cell, dz, lod, patch, patches)
+    shown = fill_gaps(lod) if np.isfinite(lod).any() else np.full_like(lod, _NO_CLAIM)
+    return GroundComparison(corner, config.cell, dz, np.where(np.isfinite(lod), lod, shown), patch, patches)
 
 
 def _cell_heights(
@@ -107,8 +117,10 @@ def _cell_heights(
     safe = np.maximum(count, 1)
     mean = np.bincount(flat, xyz[:, 2], size) / safe
     spread = np.sqrt(np.bincount(flat, (xyz[:, 2] - mean[flat]) ** 2, size) / safe)
-    finite = np.where(np.isfinite(lod), lod, 10.0)
-    level = np.bincount(flat, finite, size) / safe
+    finite = np.isfinite(lod)
+    level = np.bincount(flat, np.where(finite, lod, 0.0), size)
+    some = np.bincount(flat, finite, size)
+    level = np.where(some > 0, level / np.maximum(some, 1), np.nan)
     good = (count > 0) & (spread < config.max_spread)
     return np.where(good, mean, np.nan).reshape(shape), np.where(good, level, np.nan).reshape(shape)
 
@@ -136,33 +148,61 @@ def _bridge(before: Floats, after: Floats, config: GroundChangeConfig) -> tuple[
 def _find_patches(
     dz: Floats, lod: Floats, corner: Floats, config: GroundChangeConfig
 ) -> tuple[Ints, tuple[GroundPatch, ...]]:
-    """Connect cells of one sign beyond the gate, and keep what is large enough."""
+    """Connect cells of one sign beyond the gate, and keep what is large enough and stands out as a whole.
+
+    A cell with too few points for a level of detection of its own (NaN) is
+    gated by the threshold alone; its patch then answers for it with the level
+    of detection of its mean.
+    """
     patch = np.full(dz.shape, -1, dtype=np.int64)
     patches: list[GroundPatch] = []
     gate = np.fmax(config.threshold, config.lod_factor * lod)
+    typical = float(np.nanmedian(lod)) if np.isfinite(lod).any() else _NO_CLAIM
     for sign, change in ((1.0, Change.INCREASED), (-1.0, Change.DECREASED)):
         over = np.nan_to_num(sign * dz, nan=-1.0) > gate
-        labels, count = ndimage.label(over, structure=np.ones((3, 3)))
-        sizes = np.bincount(labels.ravel(), minlength=count + 1)
+        blind = ~np.isfinite(dz)
+        labels, count = ndimage.label(_closed(over, blind, config), structure=np.ones((3, 3)))
+        sizes = _possible_sizes(labels, count, blind, config)
         for number in np.flatnonzero(sizes * config.cell**2 > config.area).tolist():
-            if number == 0:
-                continue
-            where = labels == number
-            patch[where] = len(patches)
-            patches.append(_make_patch(change, where, dz, lod, corner, config.cell))
+            found = _make_patch(change, labels == number, dz, lod, corner, config.cell, typical)
+            if abs(found.dz) > max(config.threshold, config.lod_factor * found.lod):
+                patch[labels == number] = len(patches)
+                patches.append(found)
     return patch, tuple(patches)
 
 
+def _closed(over: Mask, blind: Mask, config: GroundChangeConfig) -> Mask:
+    """Add the blind cells that lie between changed ones."""
+    if config.closing == 0:
+        return over
+    size = 2 * config.closing + 1
+    return np.asarray(over | (blind & ndimage.binary_closing(over, structure=np.ones((size, size)))))
+
+
+def _possible_sizes(labels: Ints, count: int, blind: Mask, config: GroundChangeConfig) -> Ints:
+    """Cells of every patch and blind ones around it: the edge of a pit hides its floor."""
+    sizes = np.bincount(labels.ravel(), minlength=count + 1)
+    sizes[0] = 0
+    size = 2 * config.closing + 1
+    around = np.where(blind & (labels == 0), ndimage.grey_dilation(labels, size=(size, size)), 0)
+    hidden = np.bincount(around.ravel(), minlength=count + 1)
+    hidden[0] = 0
+    return np.asarray(sizes + np.minimum(hidden, sizes))
+
+
 def _make_patch(
-    change: Change, where: Mask, dz: Floats, lod: Floats, corner: Floats, cell: float
+    change: Change, where: Mask, dz: Floats, lod: Floats, corner: Floats, cell: float, typical: float
 ) -> GroundPatch:
     cells = np.argwhere(where)
     west_south = corner + cells[:, ::-1] * cell
     boxes = shapely.box(west_south[:, 0], west_south[:, 1], west_south[:, 0] + cell, west_south[:, 1] + cell)
     outline = shapely.union_all(boxes)
-    values = dz[where]
+    values = dz[where & np.isfinite(dz)]
     area = len(cells) * cell**2
-    level = float(np.median(lod[where]))
+    known = lod[where & np.isfinite(lod)]
+    level = float(np.median(known)) if len(known) else typical
+    if len(known) < 0.5 * len(values):  # mostly sparse: the spread of the differences speaks for their mean
+        level = math.hypot(level, 1.96 * float(values.std()) / math.sqrt(len(values)))
     return GroundPatch(change, area, float(np.median(values)), float(values.std()), level, cells, outline)
 
 

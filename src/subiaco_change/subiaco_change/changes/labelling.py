@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 import shapely.affinity
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 from scipy.special import ndtr
 
 from subiaco_change.changes.ground_change import GroundComparison, patch_points
@@ -19,6 +20,8 @@ from subiaco_change.records import ChangeRecord
 from subiaco_change.semantics.ground import Mask
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats, Ints
+
+_AROUND = 12  # nearest points that tell whether a place lies among them
 
 
 @dataclass(frozen=True)
@@ -44,8 +47,9 @@ def label_epoch(
     ground: GroundComparison | None,
     seen_by_other: Callable[[Floats], Mask],
     evidence: EvidenceConfig,
+    other: EpochView,
 ) -> Labels:
-    """Label the points of one epoch, ``before`` or ``after``.
+    """Label the points of one epoch, ``before`` or ``after``; ``other`` is the other one.
 
     Points of an object carry its label; points of a ground patch the patch's;
     the others are Unchanged where the other epoch observed the place, else
@@ -64,11 +68,29 @@ def label_epoch(
     is_ground = view.semantic[loose] == Semantic.GROUND
     seen = _compared(ground, view, loose)
     seen[~is_ground] = seen_by_other(view.xyz[loose[~is_ground]])
-    seen[is_ground] |= ground_observed(seen_by_other, view.xyz[loose[is_ground]], evidence)
+    places = view.xyz[loose[is_ground]]
+    known = other.xyz[other.semantic == Semantic.GROUND]
+    seen[is_ground] |= ground_observed(seen_by_other, places, evidence)
+    seen[is_ground] |= surrounded(places[:, :2], known[:, :2], evidence.ground_between)
     change[loose[~seen]] = Change.UNOBSERVED
     if ground is not None:
         _label_ground(ground, view, len(records), change, instance, confidence)
     return Labels(change, semantic, instance, confidence, view.lod.astype(np.float32))
+
+
+def surrounded(xy: Floats, points: Floats, reach: float) -> Mask:
+    """Tell which places (M, 2) have points (N, 2) within reach [m] on at least three of their four sides.
+
+    Between beams that met the ground metres apart, the ground is known; beyond the last one it is not.
+    """
+    if len(points) == 0 or len(xy) == 0:
+        return np.zeros(len(xy), dtype=bool)
+    distance, slot = cKDTree(points).query(xy, k=_AROUND, distance_upper_bound=reach)
+    found = np.isfinite(distance)
+    step = points[np.where(found, slot, 0)] - xy[:, None]
+    quadrant = 2 * (step[..., 0] > 0) + (step[..., 1] > 0)
+    sides = sum(np.any((quadrant == q) & found, axis=1).astype(int) for q in range(4))
+    return np.asarray(sides >= 3)
 
 
 def _compared(ground: GroundComparison | None, view: EpochView, members: Ints) -> Mask:

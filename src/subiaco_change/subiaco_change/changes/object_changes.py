@@ -13,6 +13,9 @@ from subiaco_change.changes.confidence import ConfidenceConfig, confidence, feat
 from subiaco_change.changes.decisions import Decision, DecisionConfig, decide
 from subiaco_change.changes.measures import MeasureConfig, Measures, footprint, measure
 from subiaco_change.changes.objects import EpochView, Reach, Thing, Voxels, build_things, build_voxels
+from subiaco_change.changes.outline import compare_outlines
+from subiaco_change.changes.parts import part_things
+from subiaco_change.changes.wings import find_wings
 from subiaco_change.records import ChangeRecord
 from subiaco_change.semantics.ground import Mask
 from subiaco_geo.codes import Change, Semantic
@@ -62,6 +65,7 @@ def compare_objects(
     step = rules.measures.crossing
     things_b = build_things(before, build_voxels(before, after, seen_by_after, edge, reach, step))
     things_a = build_things(after, build_voxels(after, before, seen_by_before, edge, reach, step))
+    things_b, things_a = (part_things(things, rules.association.parts) for things in (things_b, things_a))
     if rules.by_class:
         things_b, things_a = agree_on_classes(things_b, things_a, rules.association, tolerance)
     changes: list[ObjectChange] = []
@@ -73,7 +77,31 @@ def compare_objects(
         of_a = [t for t in things_a if t.semantic is semantic]
         matches = associate(of_b, of_a, rules.association, tolerance)
         changes.extend(_decide(match, of_b, of_a, semantic, rules) for match in matches)
+    changes = join_wings(changes, rules)
     return adopt_fragments(changes, things_b, things_a, rules.association, tolerance)
+
+
+def join_wings(changes: list[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
+    """Make wings built onto a building, or taken from it, one object with it, and decide it anew."""
+    numbers = [
+        i
+        for i, change in enumerate(changes)
+        if change.semantic is Semantic.BUILDING and change.decision.change is not Change.UNOBSERVED
+    ]
+    if rules.association.parts.points == 0:
+        return changes
+    pairs = [(_join(changes[i].before), _join(changes[i].after)) for i in numbers]
+    wings = {numbers[w]: numbers[h] for w, h in find_wings(pairs, rules.association.parts).items()}
+    joined = list(changes)
+    for host in sorted(set(wings.values())):
+        parts = [changes[host], *(changes[w] for w, h in wings.items() if h == host)]
+        before, after = ([t for part in parts for t in getattr(part, e)] for e in ("before", "after"))
+        joined[host] = _decide(Match(_all(before), _all(after)), before, after, Semantic.BUILDING, rules)
+    return [change for i, change in enumerate(joined) if i not in wings]
+
+
+def _all(things: Sequence[Thing]) -> tuple[int, ...]:
+    return tuple(range(len(things)))
 
 
 def _better(match: Match, things_b: Sequence[Thing], things_a: Sequence[Thing]) -> Semantic:
@@ -161,6 +189,9 @@ def _decide(
     before = tuple(things_b[i] for i in match.before)
     after = tuple(things_a[j] for j in match.after)
     measures = measure(_join(before), _join(after), rules.measures)
+    if semantic is Semantic.VEGETATION and before and after:
+        first, second = (np.concatenate([t.xyz for t in things]) for things in (before, after))
+        measures = replace(measures, outline=compare_outlines(first, second, rules.measures.outline))
     lod = max(t.lod for t in (*before, *after))
     decision = decide(semantic, bool(before), bool(after), measures, lod, rules.decisions)
     return ObjectChange(before, after, semantic, match.kind, measures, decision)

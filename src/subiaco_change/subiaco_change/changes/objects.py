@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,7 +62,7 @@ class Voxels:
 
 @dataclass(frozen=True)
 class Thing:
-    """One instance of one epoch: its class, points (indices) and voxels."""
+    """One instance of one epoch: its class, points (indices and places) and voxels."""
 
     instance: int
     semantic: Semantic
@@ -70,6 +70,7 @@ class Thing:
     points: Ints
     voxels: Voxels
     lod: float
+    xyz: Floats = field(default_factory=lambda: np.zeros((0, 3)))
 
 
 def build_voxels(
@@ -173,5 +174,6 @@ def build_things(view: EpochView, voxels: Voxels) -> list[Thing]:
         finite = lods[np.isfinite(lods)]
         lod = float(np.median(finite)) if len(finite) else float("inf")
         score = float(view.score[members].mean())
-        things.append(Thing(instance, semantic, score, members, voxels.select(by_voxel[instance]), lod))
+        own = voxels.select(by_voxel[instance])
+        things.append(Thing(instance, semantic, score, members, own, lod, view.xyz[members]))
     return things

@@ -51,6 +51,9 @@ class EvidenceConfig(StrictModel):
     ground_share: float = Field(
         0.75, gt=0, le=1, description="share of that ring that must have been seen (Decision 14)"
     )
+    ground_between: float = Field(
+        3.0, gt=0, description="ground between ground points this near on three sides was seen [m]"
+    )
     shadow_radius: float = Field(
         1.0, gt=0, description="without trajectory: points this near prove sight [m]"
     )

@@ -1,0 +1,117 @@
+"""Parts of an instance that stand in one epoch alone: a new hedge at an old one, a house gone from a row."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from pydantic import Field
+from scipy.spatial import cKDTree
+
+from subiaco_change.changes.objects import Thing
+from subiaco_change.semantics.clustering import group_indices, voxel_clusters
+from subiaco_change.semantics.ground import Mask
+from subiaco_geo.clouds import voxel_indices, voxel_keys
+from subiaco_geo.config import StrictModel
+from subiaco_geo.frames import Ints
+
+_CELL = 0.5  # columns of a part [m]
+
+
+class PartConfig(StrictModel):
+    """What makes a part of an instance an object of its own."""
+
+    points: int = Field(20, ge=0, description="least points of a part; 0: instances are never parted")
+    gap: float = Field(0.75, gt=0, description="voxel in which pieces of one part touch [m]")
+    length: float = Field(0.8, gt=0, description="least longest side, seen from above [m]")
+    foot: float = Field(0.9, gt=0, description="a part stands when it begins below this height [m]")
+    whole: float = Field(
+        0.75,
+        gt=0,
+        le=1,
+        description="share of its columns, from bottom to top, that stands in one epoch alone",
+    )
+    remainder: float = Field(
+        0.1, ge=0, lt=1, description="share of the instance that must be left when the part is taken out"
+    )
+    touch: float = Field(1.5, gt=0, description="distance at which a part touches a building [m]")
+    subordinate: float = Field(
+        1.0, gt=0, description="a part of less than this share of the building's volume is a wing of it"
+    )
+
+
+def part_things(things: Sequence[Thing], config: PartConfig) -> list[Thing]:
+    """Split every instance into what the other epoch holds too and the parts that stand alone.
+
+    What grew or was trimmed stays with its object: it hangs over columns that
+    stood in both epochs. A part of its own stands on the ground, in columns
+    that the other epoch saw free from bottom to top.
+    """
+    if config.points == 0:
+        return list(things)
+    parted: list[Thing] = []
+    following = max((t.instance for t in things), default=-1) + 1
+    for thing in things:
+        labels = _parts_of(thing, config)
+        if not labels.any():
+            parted.append(thing)
+            continue
+        owner = labels[cKDTree(thing.voxels.xyz).query(thing.xyz)[1]]
+        for number in range(int(labels.max()) + 1):
+            instance = thing.instance if number == 0 else following + number - 1
+            part = replace(
+                thing,
+                instance=instance,
+                points=thing.points[owner == number],
+                voxels=thing.voxels.select(labels == number),
+                xyz=thing.xyz[owner == number],
+            )
+            parted.append(part)
+        following += int(labels.max())
+    return parted
+
+
+def _parts_of(thing: Thing, config: PartConfig) -> Ints:
+    """Return the part (M,) of every voxel of an instance, 0 for what is left."""
+    voxels = thing.voxels
+    labels = np.zeros(len(voxels), dtype=np.int64)
+    alone = voxels.seen & ~voxels.still
+    if len(thing.xyz) < config.points or not alone.any() or alone.all():
+        return labels
+    members = np.flatnonzero(alone)
+    column = voxel_keys(voxel_indices(voxels.xyz * (1.0, 1.0, 0.0), _CELL))
+    count = 0
+    for group in group_indices(voxel_clusters(voxels.xyz[members], config.gap)):
+        piece = members[group]
+        if _stands(thing, piece, column, alone, config):
+            count += 1
+            labels[piece] = count
+    if count == 0:
+        return labels
+    return _with_unseen(thing, labels, config)
+
+
+def _stands(thing: Thing, piece: Ints, column: Ints, alone: Mask, config: PartConfig) -> bool:
+    voxels = thing.voxels
+    if voxels.height[piece].min() > config.foot:
+        return False
+    if np.linalg.norm(np.ptp(voxels.xyz[piece, :2], axis=0)) + _CELL < config.length:
+        return False
+    inside = np.isin(column, column[piece]) & voxels.seen
+    return bool(np.count_nonzero(alone & inside) >= config.whole * np.count_nonzero(inside))
+
+
+def _with_unseen(thing: Thing, labels: Ints, config: PartConfig) -> Ints:
+    """Give what the other epoch did not see to the nearest part or rest; drop parts that are too small."""
+    known = thing.voxels.seen
+    if not known.all():
+        nearest = cKDTree(thing.voxels.xyz[known]).query(thing.voxels.xyz[~known])[1]
+        labels[~known] = labels[known][nearest]
+    points = np.bincount(labels[cKDTree(thing.voxels.xyz).query(thing.xyz)[1]], minlength=labels.max() + 1)
+    if points[0] < config.remainder * len(thing.xyz):
+        return np.zeros_like(labels)
+    large = points >= config.points
+    large[0] = True
+    number = np.where(large, np.cumsum(large) - 1, 0)
+    return np.asarray(number[labels])

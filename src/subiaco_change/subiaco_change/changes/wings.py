@@ -1,0 +1,73 @@
+"""Which unmatched buildings are wings of a matched one: built onto it, or taken from it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import shapely
+from scipy.spatial import cKDTree
+
+from subiaco_change.changes.objects import Voxels
+from subiaco_change.changes.parts import PartConfig
+from subiaco_change.semantics.clustering import cell_clusters
+from subiaco_geo.frames import Floats
+
+
+def find_wings(pairs: Sequence[tuple[Voxels, Voxels]], config: PartConfig) -> dict[int, int]:
+    """Map wings to their hosts, both positions in a list of buildings.
+
+    Parameters
+    ----------
+    pairs : sequence of (Voxels, Voxels)
+        A building in *before* and *after*; one that stands in one epoch alone
+        is empty in the other.
+    config : PartConfig
+
+    Returns
+    -------
+    dict
+        A wing touches its host, is smaller than ``subordinate`` of it, and
+        does not stand between parts of it that would be apart without it: a
+        house pulled from a row was no wing.
+    """
+    hosts = [i for i, pair in enumerate(pairs) if len(pair[0]) and len(pair[1])]
+    wings: dict[int, int] = {}
+    for number, pair in enumerate(pairs):
+        epoch = 0 if len(pair[0]) else 1
+        if len(pair[1 - epoch]) or not len(pair[epoch]):
+            continue
+        wing = pair[epoch].xyz
+        contact = [_contact(wing, pairs[i][epoch].xyz, config) for i in hosts]
+        if not contact or max(contact) == 0:
+            continue
+        if len(contact) > 1 and sorted(contact)[-2] > 0.5 * max(contact):  # between two buildings
+            continue
+        host = hosts[int(np.argmax(contact))]
+        body = pairs[host][epoch]
+        if _bulk(pair[epoch]) < config.subordinate * _bulk(body) and not _between(wing, body.xyz, config):
+            wings[number] = host
+    return wings
+
+
+def _contact(wing: Floats, host: Floats, config: PartConfig) -> int:
+    low, high = host[:, :2].min(axis=0) - config.touch, host[:, :2].max(axis=0) + config.touch
+    near = wing[((wing[:, :2] >= low) & (wing[:, :2] <= high)).all(axis=1), :2]
+    if len(near) == 0:
+        return 0
+    return int(np.isfinite(cKDTree(host[:, :2]).query(near, distance_upper_bound=config.touch)[0]).sum())
+
+
+def _bulk(voxels: Voxels) -> float:
+    """Volume of the upright body around voxels [m3]: walls alone were seen of many a house."""
+    area = shapely.MultiPoint(voxels.xyz[:, :2]).convex_hull.buffer(0.25).area
+    return float(area * np.quantile(voxels.height, 0.95))
+
+
+def _between(wing: Floats, host: Floats, config: PartConfig) -> bool:
+    """Tell whether the wing touches parts of the host that do not touch each other."""
+    labels = cell_clusters(host[:, :2], config.touch)
+    touching = np.isfinite(cKDTree(wing[:, :2]).query(host[:, :2], distance_upper_bound=config.touch)[0])
+    sizes = np.bincount(labels)
+    parts = [k for k in np.unique(labels[touching]) if sizes[k] >= 0.1 * len(host)]
+    return len(parts) > 1

@@ -1,0 +1,69 @@
+"""The outline of a crown: how far it moved, whatever was seen of it."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_decisions import CONFIG, SAME
+
+from subiaco_change.changes.decisions import decide
+from subiaco_change.changes.outline import Outline, OutlineConfig, compare_outlines
+from subiaco_geo.codes import Change, Semantic
+
+
+def crown(count, radius, seed, side=None):
+    """Leaves in the outer fifth of a ball 5 m up; ``side`` keeps those with x above it."""
+    rng = np.random.default_rng(seed)
+    way = rng.normal(size=(count, 3))
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    xyz = way * (radius * rng.uniform(0.8, 1.0, (count, 1))) + (0.0, 0.0, 5.0)
+    return xyz if side is None else xyz[xyz[:, 0] > side]
+
+
+@pytest.mark.parametrize("seed", range(4))
+@pytest.mark.parametrize("change", [0.3, -0.3])
+def test_a_crown_that_grew_or_was_pruned_by_a_third_of_a_metre_is_measured(seed, change):
+    found = compare_outlines(crown(900, 2.0, seed), crown(900, 2.0 + change, seed + 10), OutlineConfig())
+    assert found.shift == pytest.approx(change, abs=0.06)
+    assert found.relative == pytest.approx(change / (2.0 + change / 2), abs=0.03)
+    assert found.sigma < 0.03
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_fewer_leaves_of_the_same_crown_move_nothing(seed):
+    found = compare_outlines(crown(2000, 2.0, seed), crown(300, 2.0, seed + 10), OutlineConfig())
+    assert abs(found.relative) < 0.04
+
+
+def test_a_crown_seen_from_one_side_in_one_epoch_did_not_move():
+    found = compare_outlines(crown(2000, 2.0, 1), crown(2000, 2.0, 2, side=0.0), OutlineConfig())
+    assert found.known
+    assert abs(found.relative) < 0.04
+
+
+def test_too_few_directions_tell_nothing():
+    assert not compare_outlines(crown(20, 2.0, 1), crown(900, 2.0, 2), OutlineConfig()).known
+
+
+@pytest.mark.parametrize(
+    ("outline", "expected"),
+    [
+        (Outline(0.30, 0.05, 0.15), Change.INCREASED),
+        (Outline(-0.30, 0.05, -0.15), Change.DECREASED),
+        (Outline(0.30, 0.15, 0.15), Change.UNCHANGED),
+        (Outline(0.15, 0.02, 0.07), Change.UNCHANGED),
+        (Outline(), Change.UNCHANGED),
+    ],
+    ids=["grown", "pruned", "uncertain", "little", "unknown"],
+)
+def test_an_outline_decides_where_it_moved_far_and_surely(outline, expected):
+    decision = decide(Semantic.VEGETATION, True, True, replace(SAME, outline=outline), 0.03, CONFIG)
+    assert decision.change is expected
+    assert ("outline" in decision.reason) == (expected is not Change.UNCHANGED)
+
+
+def test_buildings_have_no_outline_rule():
+    assert math.isinf(CONFIG.building.outline)
+    moved = replace(SAME, outline=Outline(1.0, 0.01, 0.5))
+    assert decide(Semantic.BUILDING, True, True, moved, 0.03, CONFIG).change is Change.UNCHANGED
