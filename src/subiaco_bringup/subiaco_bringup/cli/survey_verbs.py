@@ -1,4 +1,4 @@
-"""Verbs that make surveys and maps: simulate, inspect, import, map."""
+"""Verbs that make surveys and maps: simulate, inspect, import, map, trajectory."""
 
 from __future__ import annotations
 
@@ -215,6 +215,39 @@ def check(
         typer.echo(describe_control(residuals))
 
 
+def trajectory(
+    estimate: Annotated[Path, typer.Argument(metavar="ESTIMATE", help="TUM file to judge.")],
+    reference: Annotated[Path, typer.Argument(metavar="REFERENCE", help="TUM file to judge it by.")],
+    output: Output,
+    align: Annotated[
+        bool, typer.Option("--align", help="Move the estimate rigidly onto the reference first.")
+    ] = False,
+    overwrite: Overwrite = False,
+    as_json: AsJson = False,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Compare two trajectories: absolute and relative errors, a table and plots.
+
+    Both are taken as they are, so that an offset is an error too, unless --align is given.
+
+    Example: subiaco trajectory out/before/trajectory.tum surveyed.tum -o out/compared
+    """
+    from subiaco_geo.atomic import refuse_existing
+    from subiaco_geo.trajectories import read_tum
+    from subiaco_mapping.quality.compare import compare, table, write_comparison
+
+    set_up_logging(verbose, quiet)
+    refuse_existing(output, overwrite)
+    found = compare(read_tum(estimate), read_tum(reference), align=align)
+    write_comparison(output, found, overwrite=overwrite)
+    if as_json:
+        print_json(found.described())
+    else:
+        typer.echo(table(found.described()), nl=False)
+    say(f"comparison: {output}", quiet=quiet)
+
+
 def register(app: typer.Typer) -> None:
     """Add these verbs to the command."""
     app.command("simulate", short_help="Simulate a survey of two epochs, with truth.")(simulate)
@@ -222,3 +255,4 @@ def register(app: typer.Typer) -> None:
     app.command("import", short_help="Turn a recording of raw packets into a bag.")(import_)
     app.command("map", short_help="Build one georeferenced map from bags.")(map_)
     app.command("check", short_help="Compare a map with surveyed control points.")(check)
+    app.command("trajectory", short_help="Compare two trajectories: errors and plots.")(trajectory)
