@@ -131,9 +131,11 @@ class Drive:
         return GnssFix(stamp_ns, latitude, longitude, height, covariance, self.status(seconds))
 
 
-def watched(drive: Drive, config: MappingConfig | None = None) -> tuple[Monitor, dict[str, float]]:
+def watched(
+    drive: Drive, config: MappingConfig | None = None, *, host_clock: bool = True
+) -> tuple[Monitor, dict[str, float]]:
     """Run a drive; return the monitor and when [s] each flag was first up."""
-    monitor = Monitor(config or MappingConfig())
+    monitor = Monitor(config or MappingConfig(), host_clock=host_clock)
     first: dict[str, float] = {}
 
     def note(seconds: float) -> None:

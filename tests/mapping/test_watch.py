@@ -212,3 +212,11 @@ def test_the_manifest_says_what_each_flag_means() -> None:
     monitor, _ = watched(Drive(muted={"gnss": [(8.0, 99.0)]}))
     manifest = monitor.manifest("drive")
     assert manifest["sequences"]["drive"]["flagged"].keys() <= manifest["legend"].keys()
+
+
+def test_where_a_player_decides_when_messages_arrive_no_clock_is_accused() -> None:
+    late = Drive(duration=20.0, host_clock=lambda s: 3.0 if s >= 9.0 else 0.0)
+    played, _ = watched(late, host_clock=False)
+    judged, _ = watched(late)
+    assert stretches(judged, "clock_step")
+    assert played.flags.flagged(played.now_ns) == {}

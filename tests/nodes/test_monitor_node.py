@@ -138,6 +138,33 @@ def test_a_cloud_where_packets_belong_is_said(ros: Any) -> None:
     assert wrong.get_subscription_count() == 0
 
 
+def test_street_lights_are_lines_in_the_map_once_its_origin_is_known(ros: Any) -> None:
+    from sensor_msgs.msg import NavSatFix
+    from visualization_msgs.msg import Marker, MarkerArray
+
+    from subiaco_mapping.nodes.runtime import latched
+
+    bench = Bench(ros)
+    shown = ros.collect(bench.user, MarkerArray, "quality/markers")
+    origin = bench.user.create_publisher(NavSatFix, "map/origin", latched(1))
+    origin.publish(NavSatFix(latitude=-31.95, longitude=115.83, altitude=20.0))
+    gnss = bench.publisher(NavSatFix, "gnss/fix")
+    for k in range(15):  # north along the street
+        bench.now_ns += 200_000_000
+        gnss.publish(fix(bench, 2, 0.014, north=4.0 * k))
+        ros.until(lambda count=k + 1: bench.monitor.streams["gnss"].count == count)
+    ros.until(lambda: shown and shown[-1].markers[0].points)
+    (marker,) = shown[-1].markers
+    assert (marker.header.frame_id, marker.ns, marker.type) == ("map", "streets", Marker.LINE_LIST)
+    assert len(marker.points) == len(marker.colors)
+    assert len(marker.points) % 2 == 0
+    north = [point.y for point in marker.points]
+    assert min(north) == pytest.approx(0.0, abs=1.0)
+    assert 20.0 < max(north) < 60.0
+    assert max(abs(point.x) for point in marker.points) < 0.1
+    assert all(colour.g > colour.r for colour in marker.colors)  # green: nothing was wrong
+
+
 def test_a_monitor_that_was_restarted_goes_on_with_what_it_wrote(ros: Any, tmp_path: Path) -> None:
     from subiaco_mapping.config import MappingConfig
     from subiaco_mapping.watch.files import SurveyFiles

@@ -52,6 +52,9 @@ class FakeFrontend:
     def finish(self) -> list[Any]:
         return [self._output()] if len(self.packets) % 4 else []
 
+    def set_metadata(self, metadata: str) -> None:
+        self.metadata = metadata
+
     def facts(self) -> dict[str, Any]:
         return {"packets": len(self.packets)}
 
@@ -215,3 +218,31 @@ def test_the_node_ends_with_the_replay_only_when_told_to(ros: Any) -> None:
     assert not bench.app.done
     bench.mark("end", "replay", [])
     ros.until(lambda: bench.app.done)
+
+
+def test_on_live_topics_what_was_left_out_at_the_start_is_counted_and_late_metadata_is_used(ros: Any) -> None:
+    from sensor_msgs.msg import Imu
+    from std_msgs.msg import String
+
+    from subiaco_mapping.nodes.messages import transform_message
+    from tf2_msgs.msg import TFMessage
+
+    bench = Bench(ros)
+    bench.send_packets(range(3))
+    ros.until(lambda: bench.taken("/ouster/lidar_packets") == 3)
+    places = [transform_message(np.eye(4), "base_link", f"{name}_link", 0) for name in ("lidar", "imu")]
+    bench.tf_static.publish(TFMessage(transforms=places))
+    ros.until(lambda: bench.taken("/tf_static") >= 1)
+    bench.imu.publish(Imu())  # the IMU begins the sequence, the LiDAR's driver comes later
+    ros.until(lambda: bench.made)
+    bench.metadata.publish(String(data="{}"))
+    ros.until(lambda: bench.made[0].metadata == "{}")
+    bench.send_packets(range(4))
+    ros.until(lambda: len(bench.clouds) == 1)
+
+    def arrived() -> Any:
+        return json.loads(bench.facts[-1].data)["arrivals_odometry"] if bench.facts else {}
+
+    ros.until(lambda: arrived().get("/ouster/lidar_packets", {}).get("received") == 7)
+    assert arrived()["/ouster/lidar_packets"] == {"received": 7, "lost": 0, "before_start": 0, "left_out": 3}
+    assert arrived()["/imu/data"]["left_out"] == 0

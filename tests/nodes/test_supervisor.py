@@ -91,6 +91,42 @@ def test_bad_input_at_the_start_ends_the_job_at_once(scripts: Any, tmp_path: Pat
     assert tally(tmp_path, "refused") == 1
 
 
+def test_after_an_interruption_a_node_that_could_not_put_everything_away_is_named(scripts: Any) -> None:
+    ends = """import signal, sys, time
+def end(*_):
+    print('[FATAL] no space left for the map')
+    sys.exit(1)
+signal.signal(signal.SIGINT, end)
+print('ready', flush=True)
+time.sleep(60)"""
+    unlucky = scripts(node("unlucky", restart=True), ends)
+    supervisor = Supervisor(GraphSpec("test", (unlucky,)), dict(os.environ))
+
+    def interrupt() -> None:
+        deadline = time.monotonic() + 30
+        while time.monotonic() < deadline and not (
+            supervisor.processes and "ready" in supervisor.processes[0].tail
+        ):
+            time.sleep(0.02)
+        os.kill(os.getpid(), module.signal.SIGTERM)
+
+    threading.Thread(target=interrupt, daemon=True).start()
+    with pytest.raises(KeyboardInterrupt):
+        supervisor.run()
+    with pytest.raises(SubiacoError, match="no space left for the map"):
+        supervisor.require_whole()
+
+
+def test_a_node_that_was_gone_at_the_end_leaves_a_survey_that_is_not_whole(
+    scripts: Any,
+) -> None:
+    gone = scripts(node("gone", essential=False), "raise RuntimeError('no more')")
+    supervisor = Supervisor(GraphSpec("test", (gone,)), dict(os.environ))
+    supervisor.run()
+    with pytest.raises(SubiacoError, match=r"node gone crashed.*going on without it"):
+        supervisor.require_whole()
+
+
 def test_status_lines_reach_whoever_shows_them(scripts: Any) -> None:
     seen: list[dict[str, Any]] = []
     says = scripts(node("says", principal=True), """print('[INFO] status: {"light": "red", "lines": []}')""")

@@ -11,7 +11,15 @@ import pytest
 import yaml
 
 BRINGUP = Path(__file__).resolve().parents[2] / "src" / "subiaco_bringup"
-LATCHED = {"/map/points", "/path", "/change/before", "/change/after", "/change/markers", "/change/table"}
+LATCHED = {
+    "/map/points",
+    "/path",
+    "/quality/markers",
+    "/change/before",
+    "/change/after",
+    "/change/markers",
+    "/change/table",
+}
 VOLATILE = {"/points_deskewed", "/odometry", "/gnss/fix", "/imu/data", "/diagnostics"}
 
 

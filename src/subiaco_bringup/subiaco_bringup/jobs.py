@@ -123,7 +123,8 @@ def run_live_graph(
     InputError
         The configuration or the route is at fault, or the folder holds something.
     SubiacoError
-        A node that the survey cannot do without failed again and again.
+        A node that the survey cannot do without failed again and again, or one could not put away
+        what it had; what the others wrote stands.
     """
     from subiaco_bringup.live_graph import SEQUENCE, live_graph
     from subiaco_mapping.config import MappingConfig
@@ -152,6 +153,7 @@ def run_live_graph(
         finally:
             deaths = [_stretch(death) for death in supervisor.deaths]
             add_stretches(output / MANIFEST, SEQUENCE, "node_died", deaths)
+        supervisor.require_whole()
 
 
 def _stretch(death: Death) -> dict[str, Any]:

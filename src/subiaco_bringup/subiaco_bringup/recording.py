@@ -108,7 +108,10 @@ def run_recording(
     if not (resume and output.is_dir()):
         refuse_existing(output, overwrite=False)
     graph = record_graph(output, files, given, remappings=remappings, duration=duration)
-    with node_environment(shared=True) as environment, suppress(KeyboardInterrupt):
-        Supervisor(graph, environment, grace=_GRACE).run()
+    with node_environment(shared=True) as environment:
+        supervisor = Supervisor(graph, environment, grace=_GRACE)
+        with suppress(KeyboardInterrupt):
+            supervisor.run()
+        supervisor.require_whole()
     counts = output / COUNTS_NAME
     return dict(yaml.safe_load(counts.read_text("utf-8"))) if counts.is_file() else {}

@@ -230,6 +230,22 @@ class Supervisor:
             finally:
                 self._stop()
 
+    def require_whole(self) -> None:
+        """Say after an interruption that a node could not put everything away, or was missing at the end.
+
+        Raises
+        ------
+        SubiacoError
+            With the node's own reason.
+        """
+        for process in self.processes:
+            if process.code not in (0, INTERRUPTED, -signal.SIGINT):
+                raise failure(process)
+        present = {process.spec.name for process in self.processes}
+        for death in self.deaths:
+            if death.node not in present:
+                raise SubiacoError(death.how)
+
     def _start(self, spec: NodeSpec) -> None:
         self.processes.append(NodeProcess(spec, self._environment, self._progress, self._on_status))
 

@@ -62,6 +62,11 @@ LEGEND = {
     "packets": "LiDAR packets of the whole recording: received, lost, late, duplicate, malformed",
     "dropped_scans": "scans without points or out of order",
     "imu_out_of_order": "IMU samples that were not newer than the one before",
+    "arrivals_odometry": "live, up to its last second: sensor messages at the odometry, by topic",
+    "arrivals_pose_graph": "live: messages at the pose graph, by topic",
+    "before_start": "published before the process listened",
+    "left_out": "came before it was known where the sensors sit",
+    "scans_in_part": "live: scans left out because one of their messages was lost",
     "gyro_bias": "subtracted from the gyro, x y z [rad/s]",
 }
 

@@ -8,7 +8,7 @@ from collections.abc import Callable, Sequence
 
 import numpy as np
 
-from subiaco_geo.errors import InputError
+from subiaco_geo.errors import InputError, SubiacoError
 from subiaco_geo.frames import Floats
 from subiaco_mapping.measurements import DeskewedScan, Extrinsics
 from subiaco_mapping.nodes.extrinsics import StaticTransforms
@@ -130,8 +130,8 @@ class LiveMap:
     def _solve(self, now: float) -> None:
         try:
             solution = self._optimize()
-        except InputError as error:
-            LOGGER.info("no solution yet: %s", error)
+        except (SubiacoError, RuntimeError) as error:  # the solver's own errors: the drive goes on
+            LOGGER.warning("no solution yet: %s", error)
         else:
             newest = solution.sequences[-1]
             self._preview.solved(newest.stamps_ns, newest.T_local_lidar, newest.T_local_odom)

@@ -32,7 +32,7 @@ from subiaco_mapping.conversions import fix_from_msg, imu_from_msg, stamp_ns
 from subiaco_mapping.nodes.markers import street_markers
 from subiaco_mapping.nodes.matching import StampMatcher
 from subiaco_mapping.nodes.names import ODOMETRY, QUALITY
-from subiaco_mapping.nodes.offered import OfferedSubscription, Wanted, follow_offers
+from subiaco_mapping.nodes.offers import OfferedSubscription, Wanted, follow_offers
 from subiaco_mapping.nodes.runtime import App, latched, read_models, run_node
 from subiaco_mapping.recording.losses import header_stamp_ns
 from subiaco_mapping.topic_names import GPS_FIX, NMEA_SENTENCE, TIME_REFERENCE
@@ -75,12 +75,12 @@ class StreamTime:
 
     def __init__(self, node: Node) -> None:
         self._node = node
-        self._simulated = bool(node.get_parameter("use_sim_time").value)
+        self.simulated = bool(node.get_parameter("use_sim_time").value)
         self._offset_ns = time.time_ns() - time.monotonic_ns()
 
     def __call__(self) -> tuple[int, int]:
         """Return ``(now_ns, arrival_ns)``."""
-        if self._simulated:
+        if self.simulated:
             now_ns = int(self._node.get_clock().now().nanoseconds)
             return now_ns, now_ns
         return time.monotonic_ns() + self._offset_ns, time.time_ns()
@@ -304,7 +304,9 @@ def build(node: Node) -> App:
         raise InputError("route: needs output_directory, where quality.geojson goes")
     files = None if directory is None else SurveyFiles(directory, own.sequence, routes)
     disk = Path(own.disk_path) if own.disk_path else directory
-    return MonitorApp(node, own, Monitor(config), files, StreamTime(node), lambda: free_space(disk))
+    times = StreamTime(node)
+    monitor = Monitor(config, host_clock=not times.simulated)
+    return MonitorApp(node, own, monitor, files, times, lambda: free_space(disk))
 
 
 def free_space(path: Path | None) -> float:

@@ -6,7 +6,7 @@ import json
 import logging
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, Protocol
 
@@ -25,6 +25,7 @@ from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.conversions import imu_from_msg, scan_from_points
 from subiaco_mapping.frontend import FrontendOutput, OdometryFrontend
 from subiaco_mapping.measurements import Extrinsics, ImuSample, Scan
+from subiaco_mapping.nodes.arrivals import Arrivals
 from subiaco_mapping.nodes.counts import ConsumptionReporter, counts_message, listen_to_consumers
 from subiaco_mapping.nodes.covariance import PoseCovariance
 from subiaco_mapping.nodes.extrinsics import StaticTransforms, sensors_needed
@@ -46,7 +47,7 @@ from subiaco_mapping.nodes.names import (
     QUALITY,
     SEQUENCE,
 )
-from subiaco_mapping.nodes.offered import follow_offers
+from subiaco_mapping.nodes.offers import follow_offers
 from subiaco_mapping.nodes.runtime import (
     App,
     Diagnostics,
@@ -68,6 +69,14 @@ INPUTS = (METADATA, TF_STATIC, LIDAR_PACKETS, POINTS, IMU, SEQUENCE, END)
 #: Most deskewed scans that a consumer may be behind before the replay is slowed down.
 SCAN_WINDOW = 4
 
+#: What the middleware keeps while a scan is registered; fastrtps keeps no more, whatever is asked for.
+#: At 2048x10 four seconds of packets (165 MB), at 512x10 sixteen.
+_SENSOR_DEPTH = 5000
+_CLOUD_DEPTH = 64
+
+#: Between two reports of the facts of a live drive, which has no end that could be waited for [s].
+_FACTS_INTERVAL = 1.0
+
 
 class OdometryParameters(StrictModel):
     """Parameters of the odometry node; everything else is the mapping configuration."""
@@ -82,6 +91,9 @@ class OdometryParameters(StrictModel):
 
 class Frontend(Protocol):
     """The step that this node wraps."""
+
+    def set_metadata(self, metadata: str) -> None:
+        """Give the sensor's metadata, where it was not known at the start."""
 
     def on_packet(self, buf: bytes | memoryview) -> list[FrontendOutput]:
         """Take one packet."""
@@ -130,6 +142,8 @@ class OdometryApp:
         self._ended = False
         self._start = PatientStart(("imu",))
         self._run = 0
+        self._arrivals = Arrivals()
+        self._facts_at = 0.0
         self.flow = FlowControl(own.consumers, dict.fromkeys(OUTPUTS, SCAN_WINDOW))
         self._diagnostics = Diagnostics(node)
         self._create_publishers(node)
@@ -150,12 +164,12 @@ class OdometryApp:
 
     def _create_subscriptions(self, node: Node) -> None:
         sensors: tuple[tuple[Any, str, Callable[[Any], object], int, bool], ...] = (
-            (Imu, IMU, self._on_imu, 1000, False),
-            (PointCloud2, POINTS, self._on_points, 16, False),
-            (PacketMsg, LIDAR_PACKETS, self._on_packet, 1000, True),
+            (Imu, IMU, self._on_imu, _SENSOR_DEPTH, False),
+            (PointCloud2, POINTS, self._on_points, _CLOUD_DEPTH, False),
+            (PacketMsg, LIDAR_PACKETS, self._on_packet, _SENSOR_DEPTH, True),
         )
         wanted = [
-            (kind, topic, self._counting(topic, handler), depth, raw)
+            (kind, topic, self._arrivals.counted(topic, self._counting(topic, handler)), depth, raw)
             for kind, topic, handler, depth, raw in sensors
         ]
         if self._own.follow_offers:
@@ -174,7 +188,7 @@ class OdometryApp:
 
     @staticmethod
     def _subscribe(
-        node: Node, kind: Any, topic: str, handler: Callable[[Any], None], profile: Any, raw: bool = False
+        node: Node, kind: Any, topic: str, handler: Callable[..., None], profile: Any, raw: bool = False
     ) -> None:
         overrides = overridable()
         node.create_subscription(
@@ -197,11 +211,17 @@ class OdometryApp:
         return self._own.exit_at_end and self._ended and self.flow.settled
 
     def step(self) -> float:
-        """Nothing to do between callbacks."""
+        """Say now and then how a live drive stands: it may be ended at any moment."""
+        live = self._frontend is not None and not self._announced
+        if live and time.monotonic() >= self._facts_at:
+            self._facts_at = time.monotonic() + _FACTS_INTERVAL
+            self._send_facts({"arrivals_odometry": self._arrivals.facts()})
         return 0.1
 
     def _on_metadata(self, message: String) -> None:
         self._metadata = message.data
+        if self._frontend is not None:
+            self._frontend.set_metadata(message.data)
 
     def _on_tf_static(self, message: TFMessage) -> bool:
         return self._transforms.add(message)
@@ -209,20 +229,21 @@ class OdometryApp:
     def _on_packet(self, raw: bytes) -> None:
         if not self._announced and self._metadata is None:
             self._start.waiting_for(f"{METADATA}: the driver has not sent the sensor's metadata yet")
+            self._arrivals.leave_out(LIDAR_PACKETS)
             return
-        frontend = self._sequence_frontend()
+        frontend = self._sequence_frontend(LIDAR_PACKETS)
         if frontend is not None:
             self._publish(frontend.on_packet(packet_from_cdr(raw)))
 
     def _on_points(self, message: PointCloud2) -> None:
         if LIDAR_PACKETS in self._announced:
             return
-        frontend = self._sequence_frontend()
+        frontend = self._sequence_frontend(POINTS)
         if frontend is not None:
             self._publish(frontend.on_points(scan_from_points(message, self._config)))
 
     def _on_imu(self, message: Imu) -> None:
-        frontend = self._sequence_frontend()
+        frontend = self._sequence_frontend(IMU)
         if frontend is not None:
             self._publish(frontend.on_imu(imu_from_msg(message)))
 
@@ -243,7 +264,7 @@ class OdometryApp:
     def _output_counts(self) -> dict[str, int]:
         return {topic: self.flow.totals[topic] for topic in (ODOMETRY, CLOUD, QUALITY, FACTS)}
 
-    def _sequence_frontend(self) -> Frontend | None:
+    def _sequence_frontend(self, topic: str) -> Frontend | None:
         """Return the front end of the sequence; on live topics None until the sensors' places are known."""
         if self._frontend is None:
             if self._announced:
@@ -251,6 +272,7 @@ class OdometryApp:
             else:
                 known = self._start.extrinsics(self._transforms)
                 if known is None:
+                    self._arrivals.leave_out(topic)
                     return None
                 extrinsics, self._run = known, OneChain.RUN * int(time.time() % 2_000_000)
             self._extrinsics = extrinsics
@@ -261,8 +283,12 @@ class OdometryApp:
     def _finish_sequence(self) -> None:
         if self._frontend is not None:
             self._publish(self._frontend.finish())
-            self._send(FACTS, String(data=json.dumps(self._frontend.facts())))
+            self._send_facts({})
             self._frontend = None
+
+    def _send_facts(self, more: Mapping[str, Any]) -> None:
+        if self._frontend is not None:
+            self._send(FACTS, String(data=json.dumps({**self._frontend.facts(), **more})))
 
     def _publish(self, outputs: list[FrontendOutput]) -> None:
         for output in outputs:

@@ -35,6 +35,7 @@ from subiaco_mapping.measurements import (
     HeadingSample,
     OdometryPose,
 )
+from subiaco_mapping.nodes.arrivals import Arrivals
 from subiaco_mapping.nodes.counts import ConsumptionReporter
 from subiaco_mapping.nodes.extrinsics import StaticTransforms, sensors_needed
 from subiaco_mapping.nodes.flow import ConsumedCounter
@@ -51,7 +52,7 @@ from subiaco_mapping.nodes.names import (
     QUALITY,
     SEQUENCE,
 )
-from subiaco_mapping.nodes.offered import follow_offers
+from subiaco_mapping.nodes.offers import follow_offers
 from subiaco_mapping.nodes.runtime import (
     App,
     Diagnostics,
@@ -85,6 +86,9 @@ INPUTS = (
 )
 
 Progress = Callable[[str, float], None]
+
+#: Scans that the middleware keeps while the graph is solved; beyond, scans are lost and counted.
+SCAN_DEPTH = 128
 
 
 class PoseGraphParameters(StrictModel):
@@ -164,6 +168,7 @@ class PoseGraphApp:
         self._start = PatientStart(("gnss",))
         self._chain = OneChain()
         self._scans = 0
+        self._arrivals = Arrivals()
         self._ending = self._finished = False
         self._progress = ProgressLog(node)
         self._diagnostics = Diagnostics(node)
@@ -188,9 +193,9 @@ class PoseGraphApp:
     def _create_subscriptions(self, node: Node) -> None:
         handlers: tuple[tuple[Any, str, Callable[[Any], object], Any], ...] = (
             (TFMessage, TF_STATIC, self._on_tf_static, latched(100)),
-            (Odometry, ODOMETRY, lambda m: self._on_part(ODOMETRY, m), reliable(32)),
-            (ScanQuality, QUALITY, lambda m: self._on_part(QUALITY, m), reliable(32)),
-            (PointCloud2, CLOUD, lambda m: self._on_part(CLOUD, m), reliable(32)),
+            (Odometry, ODOMETRY, lambda m: self._on_part(ODOMETRY, m), reliable(SCAN_DEPTH)),
+            (ScanQuality, QUALITY, lambda m: self._on_part(QUALITY, m), reliable(SCAN_DEPTH)),
+            (PointCloud2, CLOUD, lambda m: self._on_part(CLOUD, m), reliable(SCAN_DEPTH)),
             (String, FACTS, self._on_facts, reliable(32)),
         )
         sensors: tuple[tuple[Any, str, Callable[[Any], object]], ...] = (
@@ -213,13 +218,15 @@ class PoseGraphApp:
             node.create_subscription(ReplayCounts, topic.lstrip("/"), self._marking(topic), latched(1))
         node.create_subscription(ReplayCounts, SEQUENCE.lstrip("/"), self._on_announced, latched(1))
 
-    def _counting(self, topic: str, handler: Callable[[Any], object]) -> Callable[[Any], None]:
+    def _counting(
+        self, topic: str, handler: Callable[[Any], object]
+    ) -> Callable[[Any, Mapping[str, Any]], None]:
         def counted(message: Any) -> None:
             if handler(message) is not False:
                 self._reporter.consumed(topic)
             self._settle_marker()
 
-        return counted
+        return self._arrivals.counted(topic, counted)
 
     def _marking(self, topic: str) -> Callable[[ReplayCounts], None]:
         def marked(message: ReplayCounts) -> None:
@@ -247,13 +254,10 @@ class PoseGraphApp:
         """Leave a whole map behind a live survey that was ended."""
         if not (self._own.save_on_exit and self._own.output_directory and self._scans) or self._finished:
             return
-        LOGGER.info("ending: writing the map of %d scans", self._scans)
-        try:
-            directory = Path(self._own.output_directory)
-            write_map(directory, self._built(directory, self._own.overwrite), overwrite=self._own.overwrite)
-        except SubiacoError as error:
-            LOGGER.error("no map: %s", error)
         self._finished = True
+        LOGGER.info("ending: writing the map of %d scans", self._scans)
+        directory = Path(self._own.output_directory)
+        write_map(directory, self._built(directory, self._own.overwrite), overwrite=self._own.overwrite)
 
     def _on_announced(self, message: ReplayCounts) -> None:
         self._announced = message
@@ -300,7 +304,9 @@ class PoseGraphApp:
         return self._transforms.add(message)
 
     def _on_fix(self, message: NavSatFix) -> None:
-        if self._started() is not None:
+        if self._started() is None:
+            self._arrivals.leave_out(FIX)
+        else:
             self._backend.on_fix(fix_from_msg(message, self._config.gnss))
 
     def _on_heading(self, message: Imu) -> None:
@@ -317,6 +323,7 @@ class PoseGraphApp:
             return
         extrinsics = self._started()
         if extrinsics is None:
+            self._arrivals.leave_out(ODOMETRY)
             return
         odometry, quality, cloud = found
         pose = pose_from_messages(odometry, quality, extrinsics.T_base_lidar)
@@ -333,12 +340,15 @@ class PoseGraphApp:
         self._map.publish_solution(solution)
         used = sum(sequence.fixes_used for sequence in solution.sequences)
         poses = sum(len(sequence.stamps_ns) for sequence in solution.sequences)
-        lost = self._matcher.dropped
-        self._diagnostics.report("solved", {"poses": poses, "fixes": used, "lost_sets": lost}, warn=lost > 0)
+        lost = self._arrivals.lost
+        self._diagnostics.report("solved", {"poses": poses, "fixes": used, "lost": lost}, warn=lost > 0)
 
     def _built(self, directory: Path, overwrite: bool) -> SurveyMap:
         refuse_existing(directory, overwrite)
         inputs = {sequence_name(Path(bag)): hash_bag(Path(bag)) for bag in self._own.bags}
+        if self._announced is None:
+            facts = {"arrivals_pose_graph": self._arrivals.facts(), "scans_in_part": self._matcher.dropped}
+            self._backend.add_facts(**facts)
         survey = self._backend.build_map(self._progress, inputs)
         survey = mark_simulated(survey, map(Path, self._own.bags))
         if not self._own.watch_manifest:

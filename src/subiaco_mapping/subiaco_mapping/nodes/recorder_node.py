@@ -17,12 +17,12 @@ from rclpy.node import Node
 from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError
 from subiaco_mapping.nodes.listening import Listener
+from subiaco_mapping.nodes.offers import LOOK_INTERVAL
 from subiaco_mapping.nodes.runtime import Diagnostics, read_models, run_node
 from subiaco_mapping.recording.config import RecordConfig, RecordingConfig
 from subiaco_mapping.recording.entries import RecorderStatus
 from subiaco_mapping.recording.recorder import Recorder
 
-LOOK_INTERVAL = 0.2
 REPORT_INTERVAL = 1.0
 SAY_INTERVAL = 10.0
 PATIENCE = 0.005
@@ -83,6 +83,8 @@ class RecorderApp:
             self._node.get_logger().info(text)
         else:  # interrupted: nothing can be published any more
             sys.stderr.write(f"[INFO] {text}\n")
+        if status.state == "failed":
+            raise InputError(status.reason)
 
     def _facts(self) -> dict[str, dict[str, int]]:
         return self.listener.facts()

@@ -50,7 +50,7 @@ class Closing(Protocol):
     """An app that must put something away, however its process ends."""
 
     def close(self) -> None:
-        """Put it away."""
+        """Put it away; SubiacoError where it cannot be."""
 
 
 def reliable(depth: int) -> QoSProfile:
@@ -226,6 +226,9 @@ def run_node(name: str, build: Callable[[Node], App], argv: Sequence[str] | None
         return _run(node, build)
     except (ExternalShutdownException, KeyboardInterrupt):
         return INTERRUPTED
+    except SubiacoError as error:  # at the end: interrupted, there is no node any more that could log it
+        sys.stderr.write(f"[FATAL] {error}\n")
+        return error.exit_code
     except RCLError:
         if rclpy.ok():
             raise

@@ -56,10 +56,13 @@ class Monitor:
     ----------
     config : MappingConfig
         ``watch`` and what decoding and the manifest hold about clocks and limits.
+    host_clock : bool
+        ``arrival_ns`` tells something about clocks: false where a player decides when messages arrive.
     """
 
-    def __init__(self, config: MappingConfig) -> None:
+    def __init__(self, config: MappingConfig, *, host_clock: bool = True) -> None:
         self.config = config
+        self.host_clock = host_clock
         limits = config.watch.streams
         self.flags = FlagBook(config.watch.join_ns)
         self.streams = {
@@ -203,11 +206,15 @@ class Monitor:
         self.flags.set("packet_loss", lost, now_ns, f"{share:.1%} of a second" if lost else "")
 
     def _look_at_clocks(self, now_ns: int) -> None:
+        for name, watch in self.clocks.sensors.items():
+            self.flags.set("not_utc", watch.not_utc, now_ns, "stamps are not UTC", name)
+        if self.host_clock:
+            self._compare_clocks(now_ns)
+
+    def _compare_clocks(self, now_ns: int) -> None:
         limits = self.config.watch.clocks
         for step in self.clocks.steps(now_ns):
             self.flags.event("clock_step", step.when_ns, f"jumped by {step.size:+.3f} s", step.source)
-        for name, watch in self.clocks.sensors.items():
-            self.flags.set("not_utc", watch.not_utc, now_ns, "stamps are not UTC", name)
         offsets = self.clocks.offsets(now_ns)
         for name in self.clocks.sensors:
             offset = offsets.get(name, 0.0)

@@ -150,6 +150,8 @@ def _gnss(monitor: Monitor, now_ns: int) -> dict[str, str]:
 
 
 def _clocks(monitor: Monitor, now_ns: int) -> dict[str, str]:
+    if not monitor.host_clock:
+        return {"delays": "not judged while a bag is played"}
     values = {
         f"{name} delay": f"{offset * 1e3:+.1f} ms" for name, offset in monitor.clocks.offsets(now_ns).items()
     }

@@ -1,0 +1,57 @@
+"""What a node of the live graph did not get: counted, so that map and recording can be told apart."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Callable, Mapping
+from typing import Any
+
+from subiaco_mapping.recording.losses import SequenceCounter
+
+
+class Arrivals:
+    """Count by topic what came, what was lost on the way, and what was left out at the start.
+
+    Losses are gaps in the numbers that the middleware gives to messages.
+    """
+
+    def __init__(self) -> None:
+        self._received: Counter[str] = Counter()
+        self._left_out: Counter[str] = Counter()
+        self._numbers: dict[str, SequenceCounter] = {}
+
+    def counted(
+        self, topic: str, handler: Callable[[Any], object]
+    ) -> Callable[[Any, Mapping[str, Any]], None]:
+        """Return a subscription's callback that counts before it hands the message on."""
+        numbers = self._numbers.setdefault(topic, SequenceCounter())
+
+        def on_message(message: Any, info: Mapping[str, Any]) -> None:
+            self._received[topic] += 1
+            number = info["publication_sequence_number"]
+            if number is not None:
+                numbers.take(number)
+            handler(message)
+
+        return on_message
+
+    def leave_out(self, topic: str) -> None:
+        """Note a message that could not be used, since it was not yet known where the sensors sit."""
+        self._left_out[topic] += 1
+
+    @property
+    def lost(self) -> int:
+        """Messages that are known to be missing, whatever the topic."""
+        return sum(numbers.lost for numbers in self._numbers.values())
+
+    def facts(self) -> dict[str, dict[str, int]]:
+        """Return the counts of every topic that has spoken."""
+        return {
+            topic: {
+                "received": count,
+                "lost": self._numbers[topic].lost,
+                "before_start": self._numbers[topic].before,
+                "left_out": self._left_out[topic],
+            }
+            for topic, count in sorted(self._received.items())
+        }
