@@ -86,6 +86,8 @@ class SurveyMap:
         Last returns.
     odometry : mapping of str to Trajectory
         Raw odometry a sequence, ``T_lidar0_lidar``.
+    moving : PointCloud, optional
+        What moved while the survey drove by; it is not in ``cloud``.
     manifest : mapping
         Flagged stretches of the survey.
     heights : (K, 5) float64, optional
@@ -104,6 +106,7 @@ class SurveyMap:
     last: PointCloud | None = None
     odometry: Mapping[str, Trajectory] = field(default_factory=dict)
     manifest: Mapping[str, Any] = field(default_factory=dict)
+    moving: PointCloud | None = None
     heights: Floats | None = None
     config: Mapping[str, Any] = field(default_factory=dict)
     pages: Mapping[str, str] = field(default_factory=dict)
@@ -118,7 +121,7 @@ def write_map(directory: Path, survey: SurveyMap, overwrite: bool = False) -> No
     """Write a map directory; it appears whole or not at all.
 
     ``map.laz map.ply map.yaml manifest.yaml config.yaml`` always;
-    ``trajectory.tum visibility.npz uncertainty.csv heights.csv last.laz
+    ``trajectory.tum visibility.npz uncertainty.csv heights.csv last.laz moving.laz
     odometry/<sequence>.txt (.times.txt)`` and reports where the survey has them.
 
     Raises
@@ -129,8 +132,9 @@ def write_map(directory: Path, survey: SurveyMap, overwrite: bool = False) -> No
     with whole_directory(Path(directory), overwrite=overwrite, marker="map.yaml") as out:
         write_cloud(out / "map.ply", survey.cloud)
         write_cloud(out / "map.laz", survey.cloud)
-        if survey.last is not None and len(survey.last):
-            write_cloud(out / "last.laz", survey.last)
+        for name, side in (("last.laz", survey.last), ("moving.laz", survey.moving)):
+            if side is not None and len(side):
+                write_cloud(out / name, side)
         _write_trajectories(out, survey)
         if survey.visibility is not None:
             save_visibility(out / "visibility.npz", survey.visibility)
@@ -163,7 +167,7 @@ def read_map(directory: Path, *, with_last: bool = True) -> SurveyMap:
     info = _read_yaml(directory / "map.yaml")
     uncertainty = directory / "uncertainty.csv"
     heights = directory / "heights.csv"
-    last = directory / "last.laz"
+    last, moving = directory / "last.laz", directory / "moving.laz"
     return SurveyMap(
         cloud=_read_map_cloud(directory, info),
         trajectory=_optional_trajectory(directory / "trajectory.tum"),
@@ -173,6 +177,7 @@ def read_map(directory: Path, *, with_last: bool = True) -> SurveyMap:
         last=read_cloud(last) if with_last and last.is_file() else None,
         odometry={p.stem: read_kitti(p) for p in _odometry_files(directory)},
         manifest=_read_yaml(directory / "manifest.yaml"),
+        moving=read_cloud(moving) if with_last and moving.is_file() else None,
         heights=_read_heights(heights) if heights.is_file() else None,
         config=_read_config(directory / "config.yaml"),
     )

@@ -134,6 +134,10 @@ class VisibilityAccumulator:
         self._used = 0
         self._allocate(1 << int(np.ceil(np.log2(max(capacity, 1024)))))
 
+    def __len__(self) -> int:
+        """Return the number of voxels seen so far."""
+        return self._used
+
     def _allocate(self, size: int) -> None:
         self._keys: Ints = np.full(size, _EMPTY, dtype=np.int64)
         self._hits: Counts = np.zeros(size, dtype=np.uint32)

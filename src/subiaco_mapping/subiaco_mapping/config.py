@@ -162,6 +162,21 @@ class GraphConfig(StrictModel):
 
 
 class FusionConfig(StrictModel):
+class MovingConfig(StrictModel):
+    """What moved leaves the map, for a side cloud; see :mod:`subiaco_mapping.moving`."""
+
+    enabled: bool = Field(True, description="take out what moved; needs the visibility layer")
+    sure: float = Field(
+        13.0,
+        gt=1,
+        description="beams that pass through a place for each turn that returned from it, from which it "
+        "surely moved; of 4096 beams walked a turn or fewer, averaged over neighbours [1]",
+    )
+    touching: float = Field(4.0, gt=1, description="the same beside a place that surely moved [1]")
+    neighbours: int = Field(9, ge=2, description="map points that are averaged, the point itself included")
+    reach: float = Field(1.0, gt=0, le=5, description="within this distance [m]")
+
+
     """Scans to the map."""
 
     leaf: float = Field(0.25, gt=0, description="map voxel [m]")
@@ -177,6 +192,15 @@ class FusionConfig(StrictModel):
     )
     height_tile: float = Field(20.0, gt=0, description="tile of the height table [m]")
 
+    tile: float = Field(80.0, ge=10, description="tile in which the map is finished [m]")
+    tile_overlap: float = Field(10.0, ge=0, description="seen of its neighbours; at most a tile [m]")
+    active_voxels: int = Field(
+        1_200_000,
+        ge=1,
+        description="map voxels in memory before they go to disk (four times so many of "
+        "the visibility layer)",
+    )
+    moving: MovingConfig = MovingConfig()
 
 class ManifestConfig(StrictModel):
     """What the manifest flags."""

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
 
 import numba
 import numpy as np
@@ -109,6 +110,19 @@ class VoxelStatistics:
     intensity: NDArray[np.float32]
     view: Floats
 
+    def __len__(self) -> int:
+        return len(self.keys)
+
+    def select(self, index: NDArray[Any]) -> VoxelStatistics:
+        """Return the voxels of a mask or an index array."""
+        return VoxelStatistics(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
+
+    @staticmethod
+    def joined(parts: Sequence[VoxelStatistics]) -> VoxelStatistics:
+        """Return the voxels of several."""
+        names = [f.name for f in fields(VoxelStatistics)]
+        return VoxelStatistics(**{n: np.concatenate([getattr(p, n) for p in parts]) for n in names})
+
 
 class VoxelAccumulator:
     """Streaming sums of points per voxel in one growing hash table."""
@@ -142,31 +156,56 @@ class VoxelAccumulator:
                 xyz[part], intensity[part], sensor, self.leaf, self._keys, self._counts, self._sums
             )
 
-    def statistics(self) -> VoxelStatistics:
-        """Return what was gathered so far."""
+    def sums(self) -> tuple[Ints, NDArray[np.uint32], Floats]:
+        """Return keys (V,), sorted, counts (V,) and sums (V, 13) gathered so far."""
         used = np.flatnonzero(self._keys != _EMPTY)
         order = used[np.argsort(self._keys[used])]
-        keys, counts, sums = self._keys[order], self._counts[order], self._sums[order]
-        share = sums / counts[:, None]
-        offset = share[:, :3]
-        second = share[:, [3, 4, 5, 4, 6, 7, 5, 7, 8]].reshape(-1, 3, 3)
-        centre = (unpack_voxel_keys(keys) + 0.5) * self.leaf
-        return VoxelStatistics(
-            keys=keys,
-            n=counts,
-            mean=centre + offset,
-            covariance=second - offset[:, :, None] * offset[:, None, :],
-            intensity=share[:, 9].astype(np.float32),
-            view=share[:, 10:13],
-        )
+        return self._keys[order], self._counts[order], self._sums[order]
+
+    def clear(self) -> None:
+        """Forget everything; the table keeps its size."""
+        self._keys.fill(_EMPTY)
+        self._counts.fill(0)
+        self._sums.fill(0.0)
+        self._used = 0
+
+    def statistics(self) -> VoxelStatistics:
+        """Return what was gathered so far."""
+        return statistics_of(*self.sums(), self.leaf)
 
 
-def keep_inliers(xyz: Floats, neighbours: int, sigma: float, threads: int) -> NDArray[np.bool_]:
+def statistics_of(keys: Ints, counts: NDArray[np.uint32], sums: Floats, leaf: float) -> VoxelStatistics:
+    """Turn keys (V,), counts (V,) and sums (V, 13) of voxels into statistics."""
+    share = sums / counts[:, None]
+    offset = share[:, :3]
+    second = share[:, [3, 4, 5, 4, 6, 7, 5, 7, 8]].reshape(-1, 3, 3)
+    return VoxelStatistics(
+        keys=keys,
+        n=counts,
+        mean=(unpack_voxel_keys(keys) + 0.5) * leaf + offset,
+        covariance=second - offset[:, :, None] * offset[:, None, :],
+        intensity=share[:, 9].astype(np.float32),
+        view=share[:, 10:13],
+    )
+
+
+def neighbour_distance(xyz: Floats, neighbours: int, reach: float, threads: int = 1) -> Floats:
+    """Return the mean distance (N,) to the nearest neighbours [m]; one farther than ``reach`` counts as that.
+
+    So a tile with ``reach`` of its neighbours gives what the whole map would.
+    """
+    if neighbours == 0 or len(xyz) == 0:
+        return np.zeros(len(xyz))
+    tree = cKDTree(xyz)
+    distance, _ = tree.query(xyz, k=neighbours + 1, distance_upper_bound=reach, workers=threads)
+    return np.asarray(np.minimum(distance[:, 1:], reach).mean(axis=1))
+
+
+def keep_inliers(
+    xyz: Floats, neighbours: int, sigma: float, threads: int, reach: float = 10.0
+) -> NDArray[np.bool_]:
     """Statistical outlier removal: mark points (N,) near enough to their neighbours."""
-    if neighbours == 0 or len(xyz) <= neighbours:
-        return np.ones(len(xyz), dtype=np.bool_)
-    distance, _ = cKDTree(xyz).query(xyz, k=neighbours + 1, workers=threads)
-    mean = distance[:, 1:].mean(axis=1)
+    mean = neighbour_distance(xyz, neighbours, reach, threads)
     return np.asarray(mean <= mean.mean() + sigma * mean.std())
 
 
@@ -213,7 +252,10 @@ def fused_cloud(
     """
     found = accumulator.statistics()
     keep = np.flatnonzero(found.n >= config.min_points)
-    keep = keep[keep_inliers(found.mean[keep], config.outlier_neighbours, config.outlier_sigma, threads)]
+    inliers = keep_inliers(
+        found.mean[keep], config.outlier_neighbours, config.outlier_sigma, threads, config.tile_overlap
+    )
+    keep = keep[inliers]
     if len(keep) < 10:
         raise InputError(f"fused map: {len(keep)} points are left; check range limits and extrinsics")
     xyz = found.mean[keep]

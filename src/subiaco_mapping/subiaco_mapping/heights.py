@@ -8,6 +8,7 @@ from subiaco_geo.clouds import PointCloud
 from subiaco_geo.frames import Floats
 
 _CELL = 1.0
+_PART = 1 << 20  # points in memory at a time
 _MIN_SHARE = 0.15  # of a tile's cells that must show ground
 _MIN_SPREAD = 0.15  # of the tile's edge: standard deviation of these cells along their narrow side
 _MAX_TILT = np.radians(20.0)  # steeper is a roof or a hedge, not ground
@@ -71,7 +72,10 @@ def height_table(cloud: PointCloud, tile: float) -> Floats:
         tilt are NaN where too few of the tile's 1 m cells (15 %) show ground; the tilt alone is NaN
         where these lie in a narrow strip that cannot hold a plane.
     """
-    lowest = _lowest_of_cells(cloud.world())
+    parts = range(0, len(cloud), _PART)
+    lowest = _lowest_of_cells(
+        np.concatenate([_lowest_of_cells(cloud.xyz[k : k + _PART] + cloud.origin) for k in parts])
+    )
     index = np.floor(lowest[:, :2] / tile).astype(np.int64)
     tiles, member = np.unique(index, axis=0, return_inverse=True)
     rows = []

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
+import tempfile
 from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from subiaco_geo.clouds import PointCloud, from_world
 from subiaco_geo.config import config_hash
 from subiaco_geo.frames import invert_pose
 from subiaco_geo.maps import PoseUncertainty, SurveyMap
-from subiaco_geo.raywalk import VisibilityAccumulator
 from subiaco_geo.trajectories import Trajectory
-from subiaco_mapping.config import FusionConfig, ManifestConfig, MappingConfig
-from subiaco_mapping.fusion import VoxelAccumulator, add_scan, fused_cloud, walked_beams
+from subiaco_mapping.config import ManifestConfig, MappingConfig
+from subiaco_mapping.finishing import FinishedMap, MapFusion
 from subiaco_mapping.heights import height_table
 from subiaco_mapping.manifest import LEGEND, describe_sequence
 from subiaco_mapping.projection import Projection
@@ -53,53 +53,48 @@ def build_map(
     SurveyMap
     """
     projection = Projection(solution.frame, config.crs if solution.frame is not None else None)
-    first, last, visibility = _fuse(sequences, solution, config.fusion, projection, report)
-    report("finishing the map", 0.0)
-    fusion, threads = config.fusion, config.threads
-    cloud = fused_cloud(first, fusion, threads, projection.points, projection.directions, projection.crs)
+    # what is mapped from the folder outlives it: the disk gives it back when the map is let go
+    with tempfile.TemporaryDirectory(prefix="fusion-", dir=sequences[0].spool.folder) as folder:
+        fused = _fuse(Path(folder), sequences, solution, config, projection, report)
     trajectory, uncertainty = _trajectory(solution, projection)
-    report("finishing the map", 1.0)
     return SurveyMap(
-        cloud=cloud,
+        cloud=fused.cloud,
         trajectory=trajectory,
-        visibility=visibility.grid(),
+        visibility=fused.visibility,
         uncertainty=uncertainty,
         info=_info(solution, trajectory, config, inputs or {}),
-        last=_plain_cloud(last, projection) if len(last) else None,
+        last=fused.last,
+        moving=fused.moving,
         odometry=_odometry(sequences),
         manifest=describe(sequences, solution, config.manifest),
-        heights=height_table(cloud, fusion.height_tile),
+        heights=height_table(fused.cloud, config.fusion.height_tile),
         config=config.model_dump(mode="json"),
     )
 
 
 def _fuse(
+    folder: Path,
     sequences: Sequence[SequenceRecord],
     solution: GraphSolution,
-    fusion: FusionConfig,
+    config: MappingConfig,
     projection: Projection,
     report: ProgressCallback,
-) -> tuple[VoxelAccumulator, VoxelAccumulator, VisibilityAccumulator]:
-    first, last = VoxelAccumulator(fusion.leaf), VoxelAccumulator(fusion.leaf)
-    start = projection.points(solution.sequences[0].T_local_lidar[:1, :3, 3])[0]
-    visibility = VisibilityAccumulator(np.floor(start / 100.0) * 100.0, fusion.visibility_voxel)
+) -> FinishedMap:
+    fusion = MapFusion(folder, config.fusion, projection, solution.sequences[0].T_local_lidar[0, :3, 3])
     total = sum(len(sequence.stamps_ns) for sequence in solution.sequences)
     done = 0
     spools = [s.spool for s in sequences]
     for spool, sequence in zip(spools, solution.sequences, strict=True):
         matrices, offsets = projection.affine(sequence.T_local_lidar[:, :3, 3])
         for k, pose in enumerate(sequence.T_local_lidar):
-            scan = spool.read(k)
-            add_scan(first, scan.xyz, scan.intensity, pose)
-            add_scan(last, scan.last_xyz, scan.last_intensity, pose)
-            beams, returned = walked_beams(scan, pose, fusion)
-            ends = (beams @ pose[:3, :3].T + pose[:3, 3]) @ matrices[k].T + offsets[k]
-            origin = matrices[k] @ pose[:3, 3] + offsets[k]
-            visibility.add(np.broadcast_to(origin, ends.shape), ends, returned)
+            fusion.add(spool.read(k), pose, matrices[k], offsets[k])
             done += 1
             if done % 10 == 0 or done == total:
                 report("fusing scans", done / total)
-    return first, last, visibility
+    report("finishing the map", 0.0)
+    fused = fusion.finish(config.threads, lambda fraction: report("finishing the map", fraction))
+    report("finishing the map", 1.0)
+    return fused
 
 
 def _odometry(sequences: Sequence[SequenceRecord]) -> dict[str, Trajectory]:
@@ -160,11 +155,6 @@ def describe(
         "loops": solution.loops.described(),
         "legend": LEGEND,
     }
-
-
-def _plain_cloud(accumulator: VoxelAccumulator, projection: Projection) -> PointCloud:
-    found = accumulator.statistics()
-    return from_world(projection.points(found.mean), projection.crs, intensity=found.intensity, n=found.n)
 
 
 def _trajectory(solution: GraphSolution, projection: Projection) -> tuple[Trajectory, PoseUncertainty]:

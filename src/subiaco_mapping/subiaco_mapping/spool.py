@@ -45,6 +45,11 @@ class Spool:
     def __len__(self) -> int:
         return self._count
 
+    @property
+    def folder(self) -> Path:
+        """Where the scans lie."""
+        return self._folder
+
     def append(self, scan: DeskewedScan) -> None:
         """Write the next scan."""
         first = self._pack(scan.xyz, scan.intensity, self._max_range)
