@@ -84,10 +84,10 @@ class SurveyMap:
         ``map.yaml``: epoch, time range, leaf, configuration hash, input bags with hashes ...
     last : PointCloud, optional
         Last returns.
-    odometry : mapping of str to Trajectory
-        Raw odometry a sequence, ``T_lidar0_lidar``.
     moving : PointCloud, optional
         What moved while the survey drove by; it is not in ``cloud``.
+    odometry : mapping of str to Trajectory
+        Raw odometry a sequence, ``T_lidar0_lidar``.
     manifest : mapping
         Flagged stretches of the survey.
     heights : (K, 5) float64, optional
@@ -104,9 +104,9 @@ class SurveyMap:
     uncertainty: PoseUncertainty | None = None
     info: Mapping[str, Any] = field(default_factory=dict)
     last: PointCloud | None = None
+    moving: PointCloud | None = None
     odometry: Mapping[str, Trajectory] = field(default_factory=dict)
     manifest: Mapping[str, Any] = field(default_factory=dict)
-    moving: PointCloud | None = None
     heights: Floats | None = None
     config: Mapping[str, Any] = field(default_factory=dict)
     pages: Mapping[str, str] = field(default_factory=dict)
@@ -175,9 +175,9 @@ def read_map(directory: Path, *, with_last: bool = True) -> SurveyMap:
         uncertainty=_read_uncertainty(uncertainty) if uncertainty.is_file() else None,
         info=info,
         last=read_cloud(last) if with_last and last.is_file() else None,
+        moving=read_cloud(moving) if with_last and moving.is_file() else None,
         odometry={p.stem: read_kitti(p) for p in _odometry_files(directory)},
         manifest=_read_yaml(directory / "manifest.yaml"),
-        moving=read_cloud(moving) if with_last and moving.is_file() else None,
         heights=_read_heights(heights) if heights.is_file() else None,
         config=_read_config(directory / "config.yaml"),
     )

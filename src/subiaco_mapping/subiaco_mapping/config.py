@@ -161,7 +161,6 @@ class GraphConfig(StrictModel):
     segment_sigma_rotation: float = Field(0.5, gt=0, description="between two segments [rad]")
 
 
-class FusionConfig(StrictModel):
 class MovingConfig(StrictModel):
     """What moved leaves the map, for a side cloud; see :mod:`subiaco_mapping.moving`."""
 
@@ -177,6 +176,7 @@ class MovingConfig(StrictModel):
     reach: float = Field(1.0, gt=0, le=5, description="within this distance [m]")
 
 
+class FusionConfig(StrictModel):
     """Scans to the map."""
 
     leaf: float = Field(0.25, gt=0, description="map voxel [m]")
@@ -191,7 +191,6 @@ class MovingConfig(StrictModel):
         3.0, ge=0, lt=90, description="beams that met nothing count above this elevation only [deg]"
     )
     height_tile: float = Field(20.0, gt=0, description="tile of the height table [m]")
-
     tile: float = Field(80.0, ge=10, description="tile in which the map is finished [m]")
     tile_overlap: float = Field(10.0, ge=0, description="seen of its neighbours; at most a tile [m]")
     active_voxels: int = Field(
@@ -201,6 +200,7 @@ class MovingConfig(StrictModel):
         "the visibility layer)",
     )
     moving: MovingConfig = MovingConfig()
+
 
 class ManifestConfig(StrictModel):
     """What the manifest flags."""
