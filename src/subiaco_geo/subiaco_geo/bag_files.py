@@ -21,7 +21,8 @@ _RECORDINGS = {".bag": "a ROS 1 bag", ".pcap": "a packet capture", ".pcapng": "a
 #: What reading a damaged bag raises.
 READ_FAULTS = (
     ReaderError, OSError, EOFError, struct.error, zstd.ZstdError,
-    TypeError, ValueError, KeyError, AssertionError,
+    TypeError, ValueError, LookupError, ArithmeticError, AttributeError, AssertionError, RuntimeError,
+    MemoryError,
 )  # fmt: skip
 
 

@@ -13,6 +13,7 @@ from mcap.reader import make_reader
 from mcap.records import Channel, Schema
 
 from subiaco_geo.atomic import whole_file
+from subiaco_geo.bag_files import READ_FAULTS
 from subiaco_geo.bag_segments import HASH_KEY, QOS_KEY, RecordedTopic
 from subiaco_geo.errors import InputError
 
@@ -65,7 +66,7 @@ def describe_segment(path: Path) -> SegmentInfo:
             recorded_topic(channel, summary.schemas): summary.statistics.channel_message_counts.get(key, 0)
             for key, channel in summary.channels.items()
         }
-    except (McapError, OSError, ValueError, KeyError, TypeError, AssertionError, MemoryError) as error:
+    except (McapError, *READ_FAULTS) as error:
         raise InputError(f"{path}: is cut or damaged; run 'subiaco recover {path}'") from error
     statistics = summary.statistics
     return SegmentInfo(path.name, statistics.message_start_time, statistics.message_end_time, counts)

@@ -24,7 +24,7 @@ _RECORD_HEAD = struct.Struct("<BQ")
 _MAX_RECORD = 1 << 30
 _DAMAGE = (
     McapError, ValueError, KeyError, TypeError, AssertionError, EOFError, struct.error, zlib.error,
-    zstandard.ZstdError, RuntimeError, MemoryError, UnicodeDecodeError,
+    zstandard.ZstdError, RuntimeError, MemoryError, OverflowError, UnicodeDecodeError,
 )  # fmt: skip
 
 

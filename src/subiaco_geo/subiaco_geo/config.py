@@ -15,6 +15,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+import reprlib
 from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
@@ -25,6 +26,46 @@ from pydantic import BaseModel, ConfigDict, ValidationError
 
 from subiaco_geo.atomic import whole_file
 from subiaco_geo.errors import InputError
+
+_MOST_YAML_NODES = 1_000_000
+_SHORT = reprlib.Repr()
+_SHORT.maxstring = _SHORT.maxother = 120
+
+
+class _Loader(yaml.SafeLoader):
+    """Safe loader that refuses aliases that unfold into more than any file of ours holds."""
+
+    def construct_document(self, node: yaml.Node) -> Any:
+        _unfolded(node, {})
+        return super().construct_document(node)
+
+
+def _unfolded(node: yaml.Node, known: dict[int, int]) -> int:
+    """Return the number of nodes below one, aliases counted each time."""
+    size = known.get(id(node))
+    if size is None:
+        known[id(node)] = _MOST_YAML_NODES  # met again inside itself
+        inner = node.value if isinstance(node, yaml.CollectionNode) else []
+        parts = [part for item in inner for part in (item if isinstance(item, tuple) else (item,))]
+        size = known[id(node)] = 1 + sum(_unfolded(part, known) for part in parts)
+    if size > _MOST_YAML_NODES:
+        raise yaml.YAMLError("its aliases unfold without end")
+    return size
+
+
+def load_yaml(text: str) -> Any:
+    """Return what a YAML text holds, plain values only.
+
+    Raises
+    ------
+    yaml.YAMLError
+        Not YAML, nested too deep, aliases without end, or a value that is none, such as a 13th month.
+    """
+    try:
+        return yaml.load(text, _Loader)  # noqa: S506  # a SafeLoader
+    except (ValueError, ArithmeticError, LookupError, TypeError, RecursionError) as error:
+        reason = "nested too deep" if isinstance(error, RecursionError) else str(error)
+        raise yaml.YAMLError(reason) from error
 
 
 class StrictModel(BaseModel):
@@ -56,7 +97,7 @@ def read_parameters(path: Path) -> dict[str, Any]:
         The file is missing, is not YAML, or lacks ``/**: ros__parameters:``.
     """
     try:
-        document = yaml.safe_load(path.read_text(encoding="utf-8"))
+        document = load_yaml(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(f"{path}: cannot be read ({error.strerror})") from error
     except (yaml.YAMLError, UnicodeDecodeError) as error:
@@ -64,7 +105,7 @@ def read_parameters(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: not valid YAML ({first})") from error
     try:
         parameters = document["/**"]["ros__parameters"]
-    except (TypeError, KeyError) as error:
+    except (TypeError, KeyError, IndexError) as error:
         raise InputError(f"{path}: expected '/**:' then 'ros__parameters:' at the top") from error
     if not isinstance(parameters or {}, dict):
         raise InputError(f"{path}: 'ros__parameters:' must hold names and values")
@@ -78,7 +119,7 @@ def parse_setting(setting: str) -> dict[str, Any]:
     if not separator or not all(parts):
         raise InputError(f"--set {setting}: expected key=value, e.g. odometry.voxel=0.8")
     try:
-        value: Any = yaml.safe_load(text)
+        value: Any = load_yaml(text)
     except yaml.YAMLError as error:
         raise InputError(f"--set {setting}: the value is not valid YAML; quote it") from error
     for part in reversed(parts):
@@ -103,7 +144,7 @@ def _complaint(model: type[BaseModel], error: ValidationError) -> tuple[tuple[in
     place = first["loc"]
     where = ".".join(str(part) for part in place)
     if first["type"] != "extra_forbidden":
-        return place, f"{where}: {first['msg']}, got {first['input']!r}"
+        return place, f"{where}: {first['msg']}, got {_SHORT.repr(first['input'])}"
     known = _known_names(model, place[:-1])
     close = get_close_matches(str(place[-1]), known, n=1)
     advice = f"did you mean {close[0]}?" if close else f"known are {', '.join(known) or 'none'}"

@@ -27,6 +27,8 @@ from subiaco_geo.frames import Floats
 #: Coordinate step of the files that we write [m].
 SCALE = 0.001
 _HEADER_SIZE = 227  # of LAS 1.0-1.2, the smallest
+_RECORD_HEAD, _EXTENDED_HEAD = 54, 60  # bytes
+_MOST_POINTS_A_BYTE = 1000  # of LAZ; a million equal points take 10 kB
 _COLOURS = ("red", "green", "blue")
 _STANDARD = (
     "intensity", "classification", "return_number", "number_of_returns",
@@ -36,7 +38,10 @@ _LIMITS = {
     "classification": 255, "return_number": 15, "number_of_returns": 15,
     "user_data": 255, "point_source_id": 65535,
 }  # fmt: skip
-_FAULTS = (laspy.LaspyException, lazrs.LazrsError, ValueError, OSError, EOFError, struct.error, IndexError)
+_FAULTS = (
+    laspy.LaspyException, lazrs.LazrsError, ValueError, OSError, EOFError, struct.error, LookupError,
+    ArithmeticError, MemoryError,
+)  # fmt: skip
 
 
 def read_las(path: Path) -> PointCloud:
@@ -51,10 +56,11 @@ def read_las(path: Path) -> PointCloud:
         Not a LAS file, cut or damaged, empty, NaN coordinates, or an unknown CRS.
     """
     try:
+        _refuse_impossible(path)
         with laspy.open(path) as reader:
             expected = int(reader.header.point_count)
-            if path.stat().st_size < max(_HEADER_SIZE, reader.header.offset_to_point_data):
-                raise ValueError("the header is not whole")
+            if reader.header.are_points_compressed:
+                _refuse_impossible_chunks(path, reader.header)
             las = reader.read()
     except _FAULTS as error:
         reason = " ".join(str(error).split()) or type(error).__name__
@@ -66,6 +72,50 @@ def read_las(path: Path) -> PointCloud:
     columns: dict[str, Column] = {axis: np.asarray(getattr(las, axis), np.float64) for axis in "xyz"}
     columns |= _fields(las)
     return cloud_from_columns(path, columns, _crs(path, las.header))
+
+
+def _refuse_impossible(path: Path) -> None:
+    """Refuse sizes that the file cannot hold, before anything is allocated or walked for them."""
+    size = path.stat().st_size
+    with path.open("rb") as stream:
+        head = stream.read(375).ljust(375, b"\0")
+    if size < _HEADER_SIZE or head[:4] != b"LASF":
+        raise ValueError("the header is not whole")
+    header_size, offset, records, form, length, count = struct.unpack_from("<HIIBHI", head, 94)
+    extended_at, extended = 0, 0
+    if head[25] >= 4:
+        extended_at, extended, count = struct.unpack_from("<QIQ", head, 235)
+    most = _MOST_POINTS_A_BYTE * size if form & 0x80 else (size - offset) // max(1, length)
+    if not header_size + records * _RECORD_HEAD <= offset <= size:
+        raise ValueError("the header is not whole")
+    if extended and extended_at + extended * _EXTENDED_HEAD > size:
+        raise ValueError("its extended records are not whole")
+    if count > most:
+        raise ValueError(f"it says {count} points and holds {most} at most")
+
+
+def _refuse_impossible_chunks(path: Path, header: laspy.LasHeader) -> None:
+    """Refuse a table of chunks that the file cannot hold: the decoder ends the process when memory fails."""
+    size, offset = path.stat().st_size, int(header.offset_to_point_data)
+    records = header.vlrs.get("LasZipVlr")
+    if not records:
+        raise ValueError("the record of the compression is missing")
+    with path.open("rb") as stream:
+        stream.seek(offset)
+        (table,) = struct.unpack("<q", stream.read(8))
+        if table <= offset:  # written by a program that could not go back: it stands at the end
+            stream.seek(size - 8)
+            (table,) = struct.unpack("<q", stream.read(8))
+        if not offset < table <= size - 8:
+            raise ValueError("the table of chunks is missing")
+        stream.seek(table + 4)
+        (chunks,) = struct.unpack("<I", stream.read(4))
+        if chunks > size - offset:
+            raise ValueError(f"it says {chunks} chunks")
+        stream.seek(offset)
+        parts = lazrs.read_chunk_table(stream, lazrs.LazVlr(records[0].record_data))
+    if sum(held for _, held in parts) > size - offset:
+        raise ValueError("its chunks are larger than the file")
 
 
 def _fields(las: laspy.LasData) -> dict[str, Column]:

@@ -15,7 +15,7 @@ from subiaco_geo import __version__
 from subiaco_geo.atomic import whole_directory
 from subiaco_geo.cloud_io import read_cloud, write_cloud
 from subiaco_geo.clouds import PointCloud
-from subiaco_geo.config import read_parameters
+from subiaco_geo.config import load_yaml, read_parameters
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.simulated import mark_simulated
@@ -33,6 +33,8 @@ from subiaco_geo.visibility import VisibilityGrid, load_visibility, save_visibil
 #: Columns of ``heights.csv`` and of :attr:`SurveyMap.heights`: centre of a 20 m tile
 #: [m], median ground height [m], ground points, tilt of the ground [rad].
 HEIGHT_COLUMNS = ("east", "north", "ground_height", "n", "tilt")
+#: Coordinates beyond are none of the Earth [m].
+_FARTHEST = 1e9
 _TWIST = ("rx", "ry", "rz", "x", "y", "z")
 _UPPER = np.triu_indices(6)
 _COVARIANCE_COLUMNS = [f"cov_{_TWIST[i]}_{_TWIST[j]}" for i, j in zip(*_UPPER, strict=True)]
@@ -154,7 +156,7 @@ def read_map(directory: Path, *, with_last: bool = True) -> SurveyMap:
     ----------
     directory : Path
     with_last : bool
-        Read the last returns too.
+        Read the side clouds too: last returns, and what moved.
 
     Raises
     ------
@@ -231,7 +233,17 @@ def _read_map_cloud(directory: Path, info: Mapping[str, Any]) -> PointCloud:
             f"{directory}: map.yaml says CRS {info.get('crs')}, the cloud says {cloud.crs}; rebuild the map"
         )
     origin = info.get("origin")
-    return cloud if origin is None else cloud.rebased(origin)
+    if origin is None:
+        return cloud
+    if not (isinstance(origin, list) and len(origin) == 3 and all(_is_number(value) for value in origin)):
+        raise InputError(
+            f"{directory / 'map.yaml'}: origin is {origin!r:.80}, not three numbers; rebuild the map"
+        )
+    return cloud.rebased(origin)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and abs(value) < _FARTHEST
 
 
 def _map_info(survey: SurveyMap) -> dict[str, Any]:
@@ -329,7 +341,7 @@ def _read_yaml(path: Path) -> dict[str, Any]:
     if not path.is_file():
         return {}
     try:
-        document = yaml.safe_load(path.read_text(encoding="utf-8"))
+        document = load_yaml(path.read_text(encoding="utf-8"))
     except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: not valid YAML ({str(error).splitlines()[0]}); rebuild the map") from error
     if not isinstance(document or {}, dict):

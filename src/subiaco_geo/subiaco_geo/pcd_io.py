@@ -104,6 +104,8 @@ def _table(path: Path, body: bytes | memoryview, layout: _Layout) -> NDArray[np.
 
 
 def _read_ascii(path: Path, stream: BinaryIO, layout: _Layout) -> NDArray[np.void]:
+    if layout.points > path.stat().st_size:  # before numpy takes memory for so many rows
+        raise _cut(path)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # numpy warns of missing rows; refused below
@@ -122,6 +124,8 @@ def _decompress(path: Path, stream: BinaryIO, layout: _Layout) -> memoryview:
     if len(head) < 8:
         raise _cut(path)
     sizes = np.frombuffer(head, dtype="<u4")
+    if int(sizes[0]) > path.stat().st_size:
+        raise _cut(path)
     expected = layout.points * layout.dtype.itemsize
     if int(sizes[1]) != expected:
         raise _cut(path)

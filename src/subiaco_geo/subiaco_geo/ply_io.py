@@ -105,7 +105,7 @@ def _read_header_line(path: Path, header: _Header, words: list[str]) -> None:
         case ["comment", "crs", *text]:
             header.crs = " ".join(text)
         case ["element", name, count]:
-            header.elements.append(_Element(name, int(count)))
+            header.elements.append(_Element(name, _count(count)))
         case ["property", "list", *_]:
             header.elements[-1].has_list = True
         case ["property", kind, name]:
@@ -116,6 +116,12 @@ def _read_header_line(path: Path, header: _Header, words: list[str]) -> None:
             header.elements[-1].properties.append((name, _TYPES[kind]))
 
 
+def _count(text: str) -> int:
+    if not 0 <= (count := int(text)) < 2**63:
+        raise ValueError(f"{text} elements")
+    return count
+
+
 def _skip_to_vertices(path: Path, stream: BinaryIO, header: _Header) -> _Element:
     """Move the stream to the first vertex and return the vertex element."""
     if not header.form:
@@ -124,6 +130,8 @@ def _skip_to_vertices(path: Path, stream: BinaryIO, header: _Header) -> _Element
         if element.name == "vertex":
             _check_vertex(path, element)
             return element
+        if element.count > _bytes_left(path, stream):
+            raise _cut(path, element.count, 0)
         if header.form == "ascii":
             for _ in range(element.count):
                 stream.readline()
@@ -132,7 +140,7 @@ def _skip_to_vertices(path: Path, stream: BinaryIO, header: _Header) -> _Element
                 f"{path}: lists in element {element.name} before the vertices; export points alone"
             )
         else:
-            stream.seek(element.count * element.dtype("<").itemsize, io.SEEK_CUR)
+            stream.seek(element.count * sum(int(kind[1]) for _, kind in element.properties), io.SEEK_CUR)
     raise InputError(f"{path}: the PLY has no vertices; export it as a point cloud")
 
 
@@ -147,20 +155,27 @@ def _check_vertex(path: Path, element: _Element) -> None:
         raise InputError(f"{path}: the cloud is empty; give a cloud with points")
 
 
+def _bytes_left(path: Path, stream: BinaryIO) -> int:
+    return max(0, path.stat().st_size - stream.tell())
+
+
 def _cut(path: Path, expected: int, found: int) -> InputError:
     return InputError(f"{path}: cut: {found} of {expected} points are there; copy or export it again")
 
 
 def _read_binary(path: Path, stream: BinaryIO, vertex: _Element, order: str) -> NDArray[np.void]:
     dtype = vertex.dtype(order)
-    left = path.stat().st_size - stream.tell()
+    left = _bytes_left(path, stream)
     if left < vertex.count * dtype.itemsize:
-        raise _cut(path, vertex.count, max(0, left) // dtype.itemsize)
+        raise _cut(path, vertex.count, left // dtype.itemsize)
     table = np.fromfile(stream, dtype=dtype, count=vertex.count)
     return table.astype(dtype.newbyteorder("="), copy=False)
 
 
 def _read_ascii(path: Path, stream: BinaryIO, vertex: _Element) -> NDArray[np.void]:
+    left = _bytes_left(path, stream)
+    if left < vertex.count:  # before numpy takes memory for so many rows
+        raise _cut(path, vertex.count, 0)
     try:
         with warnings.catch_warnings():
             warnings.simplefilter("ignore", UserWarning)  # numpy warns of missing rows; refused below

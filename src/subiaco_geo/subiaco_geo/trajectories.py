@@ -66,9 +66,12 @@ def format_seconds(time_ns: int) -> str:
 def parse_seconds(text: str) -> int:
     """Read seconds, with or without an exponent, as nanoseconds, exactly."""
     try:
-        return int((Decimal(text) * 10**9).to_integral_value())
+        time_ns = int((Decimal(text) * 10**9).to_integral_value())
     except (InvalidOperation, OverflowError, ValueError) as error:
         raise ValueError(f"{text!r} is not a time in seconds") from error
+    if not -(2**63) <= time_ns < 2**63:
+        raise ValueError(f"{text!r} is not a time in seconds that 64 bits of nanoseconds hold")
+    return time_ns
 
 
 def write_tum(path: Path, trajectory: Trajectory) -> None:

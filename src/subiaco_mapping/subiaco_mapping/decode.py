@@ -20,6 +20,7 @@ logger = logging.getLogger(__name__)
 
 GPS_MINUS_TAI_S = -19
 RESTART_FRAMES = 600
+_MAX_PIXELS, _MAX_COLUMNS = 1024, 16384
 
 
 @dataclass
@@ -96,8 +97,36 @@ def expected_columns(info: Any) -> NDArray[np.bool_]:
     return np.asarray(np.repeat(inside.reshape(-1, per_packet).any(axis=1), per_packet))
 
 
+def _refuse_impossible(form: Any) -> None:
+    """Refuse sizes of no sensor, before tables of that size are made."""
+    height, width, per_packet = form.pixels_per_column, form.columns_per_frame, form.columns_per_packet
+    sound = (
+        0 < height <= _MAX_PIXELS
+        and 0 < per_packet <= width <= _MAX_COLUMNS
+        and width % per_packet == 0
+        and len(form.pixel_shift_by_row) == height
+        and form.fps > 0
+    )
+    if not sound:
+        raise InputError(
+            f"/ouster/metadata: {height} x {width} pixels in packets of {per_packet} columns "
+            "make no sense; record the sensor's JSON with the packets or pass the right one"
+        )
+
+
 def _layout(text: str) -> _Layout:
-    info = parse_metadata(text)
+    try:
+        return _layout_of(parse_metadata(text))
+    except (RuntimeError, ValueError, IndexError, TypeError) as error:
+        first = " ".join(str(error).split())
+        raise InputError(
+            f"/ouster/metadata: contradicts itself ({first}); "
+            "record the sensor's JSON with the packets or pass the right one"
+        ) from error
+
+
+def _layout_of(info: Any) -> _Layout:
+    _refuse_impossible(info.format)
     height, width = info.format.pixels_per_column, info.format.columns_per_frame
     lut = core.XYZLut(info, use_extrinsics=False)
     return _Layout(

@@ -173,9 +173,13 @@ def read_csv(path: Path) -> pd.DataFrame:
     Raises
     ------
     InputError
-        A column of the contract is missing.
+        Not a CSV, or a column of the contract is missing.
     """
-    frame = pd.read_csv(path, dtype=dict.fromkeys(TEXT_COLUMNS, str), keep_default_na=True)
+    try:
+        frame = pd.read_csv(path, dtype=dict.fromkeys(TEXT_COLUMNS, str), keep_default_na=True)
+    except ValueError as error:  # pandas' own, too: empty, not text, rows of different length
+        reason = " ".join(str(error).split())
+        raise InputError(f"{path}: not a change table ({reason}); run 'subiaco change' again") from error
     missing = [name for name in COLUMNS if name not in frame.columns]
     if missing:
         raise InputError(f"{path}: column {missing[0]} is missing; run 'subiaco change' again")

@@ -13,6 +13,7 @@ import yaml
 
 from subiaco_geo.atomic import whole_file
 from subiaco_geo.bag_files import find_storage, sequence_name
+from subiaco_geo.config import load_yaml
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
 from subiaco_geo.maps import SurveyMap
@@ -37,7 +38,7 @@ def read_manifest(path: Path) -> dict[str, Any]:
     if not path.is_file():
         return {}
     try:
-        document = yaml.safe_load(path.read_text(encoding="utf-8"))
+        document = load_yaml(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, yaml.YAMLError) as error:
         first = str(error).splitlines()[0]
         raise InputError(f"{path}: cannot be read ({first}); move it away") from error
