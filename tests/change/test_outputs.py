@@ -18,7 +18,7 @@ from result_scene import OBJECTS, ORIGIN, SceneConfig, ground_raster
 from subiaco_change.outputs import directory as outputs
 from subiaco_change.outputs.clouds import ASPRS_CODES, POINT_FIELDS, labelled_cloud
 from subiaco_change.outputs.raster import build_coverage, build_lod_raster, write_lod
-from subiaco_change.outputs.style import categorised_qml
+from subiaco_change.outputs.style import layer_qml
 from subiaco_change.outputs.table import ALL_COLUMNS, COLUMNS, build_table, object_uids, table_hash
 from subiaco_change.records import CHANGE_COLOURS
 from subiaco_geo.cloud_io import read_cloud
@@ -79,16 +79,23 @@ def test_geoparquet_equals_the_records(change_directory, result):
 def test_geopackage_carries_a_default_style_with_the_colour_of_every_label(change_directory):
     with sqlite3.connect(change_directory / "changes.gpkg") as connection:
         rows = connection.execute("select f_table_name, styleQML, useAsDefault from layer_styles").fetchall()
-    assert sorted(row[0] for row in rows) == ["ground", "objects"]
+    assert sorted(row[0] for row in rows) == ["coverage", "ground", "objects"]
     assert all(row[2] for row in rows)
+    (objects,) = (row[1] for row in rows if row[0] == "objects")
     for change in Change:
-        assert f'value="{change.label}"' in rows[0][1]
-        assert ",".join(map(str, CHANGE_COLOURS[change])) in rows[0][1]
+        assert f'value="{change.label}"' in objects
+        assert ",".join(map(str, CHANGE_COLOURS[change])) in objects
 
 
-def test_the_style_is_well_formed_xml():
-    root = ET.fromstring(categorised_qml().split("\n", 1)[1])
-    assert len(root.findall(".//symbol")) == len(root.findall(".//category")) == len(Change)
+@pytest.mark.parametrize(
+    ("layer", "entry", "count"),
+    [("objects", "category", len(Change)), ("coverage", "category", 3), ("parcels", "range", 5)],
+)
+def test_a_style_is_well_formed_and_every_entry_has_its_symbol(layer, entry, count):
+    root = ET.fromstring(layer_qml(layer).split("\n", 1)[1])
+    used = [e.get("symbol") for e in root.findall(f".//{entry}")]
+    assert used == [s.get("name") for s in root.findall(".//symbol")]
+    assert len(used) == count
 
 
 @pytest.mark.parametrize("epoch", ["before", "after"])

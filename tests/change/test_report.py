@@ -10,7 +10,10 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from subiaco_change.report.page import CHANGED_LABELS, build_report, number, summary
+from subiaco_change.report import page as report_page
+from subiaco_change.report import pictures
+from subiaco_change.report.facts import CHANGED_LABELS, number, summary
+from subiaco_change.report.page import build_report, fullest_blocks
 from subiaco_geo.errors import InputError
 
 VOID = {"meta", "img", "input", "br", "link", "hr"}
@@ -66,19 +69,61 @@ def test_every_row_of_the_table_is_there_and_changed_ones_come_first(page, resul
 
 
 def test_every_block_has_its_five_pictures_and_all_have_a_text_instead(html, page):
-    blocks = re.findall(r'<details class="block" data-block="(\w+)"', html)
+    blocks = re.findall(r'<details class="block" id="block-\w+" data-block="(\w+)"', html)
     assert blocks == ["A1", "A2"]
     for block in blocks:
         texts = [i["alt"] for i in page.images if i["alt"].startswith(f"Block {block},")]
         kinds = [text.split(", ", 1)[1].split(":")[0] for text in texts]
         assert sorted(kinds) == ["Change", "Height", "Instances", "Projection", "Semantics"]
-    assert len(page.images) == 1 + 5 * len(blocks)
+
+
+def test_every_changed_row_carries_its_evidence_and_the_others_none(page, result):
+    changed = {r.object_id for r in result.records if r.change.label in CHANGED_LABELS}
+    proofs = [i for i in page.images if i["alt"].startswith("Object ")]
+    assert {int(i["alt"].split()[1]) for i in proofs} == changed
+    assert len(proofs) == len(changed)
+    assert all(i["src"].startswith("data:image/webp;base64,") and i["loading"] == "lazy" for i in proofs)
+
+
+def test_every_changed_object_can_be_clicked_on_the_map_and_leads_back(page, result):
+    changed = {r.object_id for r in result.records if r.change.label in CHANGED_LABELS}
+    assert {f"shape-{i}" for i in changed} <= page.ids
+    assert {f"#object-{i}" for i in changed} | {f"#shape-{i}" for i in changed} <= set(page.links)
+
+
+def test_rows_stand_from_sure_to_doubtful_with_the_reason_in_words(page, html, result):
+    kept = [row for row in page.rows.values() if row["data-changed"] == "1"]
+    sure = [float(row["data-conf"]) for row in kept]
+    assert sure == sorted(sure, reverse=True)
+    for record in result.records:
+        assert record.reason.replace("&", "&amp;").replace(">", "&gt;") in html
+    headings = re.findall(
+        r"<th scope=\"col\" title=[^>]*class=\"(n?)( more)?\"[^>]*><button[^>]*>([^<]*)", html
+    )
+    shown = [name for _, more, name in headings if not more]
+    assert shown == [
+        "ID", "Label", "Class", "Confidence", "Δh [m]", "ΔV [m³]", "LoD95 [m]", "Observed", "Evidence",
+    ]  # fmt: skip
+
+
+def test_a_city_shows_the_blocks_with_most_changes_and_says_what_is_left_out(
+    change_directory, tmp_path, monkeypatch
+):
+    blocks = [pictures.Block(n, (x, 0, x + 1, 1), (x, 0, x + 1, 1)) for x, n in enumerate("abc")]
+    marks = [pictures.Mark(x, 0.5, "") for x in (2.5, 2.6, 0.5)]
+    assert [b.name for b in fullest_blocks(blocks, marks, 2)] == ["a", "c"]
+    target = tmp_path / "copy"
+    shutil.copytree(change_directory, target)
+    monkeypatch.setattr(report_page, "_MOST_BLOCKS", 1)
+    text = build_report(target).read_text()
+    assert len(re.findall("<details", text)) == 1
+    assert "1 blocks with fewer changes are left out" in text
 
 
 def test_the_page_refers_to_nothing_outside_itself(html, page):
-    without_pictures = re.sub(r"data:image/png;base64,[A-Za-z0-9+/=]+", "", html)
-    assert not re.search(r"https?://|src=\"(?!\")[^\"]|@import|url\(", without_pictures)
-    assert all(image["src"].startswith("data:image/png;base64,") for image in page.images)
+    without_pictures = re.sub(r"data:image/(png|webp);base64,[A-Za-z0-9+/=]+", "", html)
+    assert not re.search(r"https?://|(?:src|<image href)=\"(?!\")[^\"]|@import|url\(", without_pictures)
+    assert all(re.match("data:image/(png|webp);base64,", image["src"]) for image in page.images)
     assert all(link.startswith("#") for link in page.links)
     assert {link[1:] for link in page.links} <= page.ids
 
@@ -144,10 +189,83 @@ def test_the_summary_counts_every_row_once():
     assert sum(row["total"] for row in rows[:-1]) == 2
 
 
-@pytest.mark.skipif(shutil.which("chromium") is None, reason="no chromium on PATH")
-def test_the_script_filters_and_counts_in_a_browser(change_directory, tmp_path):
+CLICKS = """
+<script>
+window.addEventListener("load", function () {
+  var said = {}, rows = function () { return document.querySelectorAll("#changes tbody tr:not([hidden])"); };
+  function set(id, value) {
+    var box = document.getElementById(id);
+    box.value = value; box.dispatchEvent(new Event("input"));
+  }
+  said.start = rows().length;
+  said.decoded = Array.prototype.filter.call(document.querySelectorAll("td.proof img"), function (i) {
+    return i.naturalWidth > 0;
+  }).length;
+  set("f-label", "Added"); said.added = rows().length;
+  said.marks = document.querySelectorAll("#city a[data-of]:not(.off)").length;
+  set("f-conf", "0.7"); said.sureAdded = rows().length; set("f-conf", "0");
+  set("f-label", ""); set("f-class", "building"); said.buildings = rows().length; set("f-class", "");
+  set("f-text", "rule 5"); said.search = rows().length; set("f-text", "");
+  set("f-label", "Removed");
+  location.hash = "#object-4";
+  setTimeout(function () {
+    said.clicked = !document.getElementById("object-4").hidden;
+    document.querySelectorAll("#changes th button")[4].click();
+    said.sorted = Array.prototype.map.call(rows(), function (r) { return r.dataset.objectId; });
+    location.hash = "#shape-2";
+    setTimeout(function () {
+      said.width = document.getElementById("city").viewBox.baseVal.width;
+      said.offline = performance.getEntriesByType("resource").filter(function (r) {
+        return r.name.indexOf("data:") !== 0;
+      }).length;
+      document.body.setAttribute("data-said", JSON.stringify(said));
+    }, 100);
+  }, 100);
+});
+</script></body>"""
+
+
+def browse(path, tmp_path, *more):
+    """Open a file in headless Chromium and return the page as it ends up."""
     command = ["chromium", "--headless=new", "--no-sandbox", "--disable-gpu", "--virtual-time-budget=4000"]
-    command += [f"--user-data-dir={tmp_path}", "--dump-dom", (change_directory / "report.html").as_uri()]
-    done = subprocess.run(command, capture_output=True, text=True, timeout=90, check=True)
-    assert "6 of 10 rows" in done.stdout
-    assert len(re.findall(r'<tr id="object-\d+"[^>]* hidden=""', done.stdout)) == 4
+    command += [f"--user-data-dir={tmp_path}", *more, path.as_uri()]
+    return subprocess.run(command, capture_output=True, text=True, timeout=90, check=True).stdout
+
+
+needs_chromium = pytest.mark.skipif(shutil.which("chromium") is None, reason="no chromium on PATH")
+
+
+@needs_chromium
+def test_in_a_browser_rows_filter_sort_and_follow_clicks_without_a_network(html, result, tmp_path):
+    page = tmp_path / "page.html"
+    page.write_text(html.replace("</body>", CLICKS), encoding="utf-8")
+    dom = browse(page, tmp_path, "--dump-dom")
+    said = json.loads(re.search(r'data-said="([^"]*)"', dom).group(1).replace("&quot;", '"'))
+    records = result.records
+    added = [r for r in records if r.change.label == "Added"]
+    assert said["start"] == said["decoded"] == sum(r.change.label in CHANGED_LABELS for r in records)
+    assert said["added"] == said["marks"] == len(added)
+    assert said["sureAdded"] == sum(r.confidence >= 0.7 for r in added)
+    assert said["buildings"] == sum(r.semantic.label == "building" for r in records)
+    assert said["search"] == 1
+    assert said["clicked"]
+    assert 30 < said["width"] < 70  # of 114 m
+    assert said["offline"] == 0
+    height = {r.object_id: r.delta_h_m for r in records}
+    known = [height[int(i)] for i in said["sorted"] if np.isfinite(height[int(i)])]
+    assert known == sorted(known)
+    assert len(known) >= 3
+
+
+@needs_chromium
+def test_the_summary_prints_on_two_sheets_and_nothing_is_cut_off(change_directory, tmp_path):
+    page = tmp_path / "summary.html"
+    fits = """<script>document.body.setAttribute("data-fits", Array.prototype.map.call(
+      document.querySelectorAll(".page"), function (p) {
+      var foot = p.querySelector("footer").getBoundingClientRect().top;
+      return Array.prototype.every.call(p.children, function (c) { return c.tagName === "FOOTER" ||
+      c.getBoundingClientRect().bottom <= foot; }); }).join());</script></body>"""
+    page.write_text((change_directory / "summary.html").read_text().replace("</body>", fits))
+    assert 'data-fits="true,true"' in browse(page, tmp_path, "--dump-dom")
+    browse(page, tmp_path, f"--print-to-pdf={tmp_path / 'out.pdf'}")
+    assert len(re.findall(rb"/Type */Page\b", (tmp_path / "out.pdf").read_bytes())) == 2

@@ -6,6 +6,7 @@ import json
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -20,6 +21,9 @@ from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
 from subiaco_geo.maps import SurveyMap, load_epoch
 from subiaco_geo.simulated import SIMULATIONS, distinct
+
+_JUMP = 20.0  # longer steps between scans lead from one recording to the next [m]
+_DATED = np.datetime64("2000-01-01")
 
 
 @dataclass(frozen=True)
@@ -72,6 +76,19 @@ def read_transform(path: Path) -> Floats:
     return values
 
 
+def drive_facts(survey: SurveyMap) -> dict[str, Any]:
+    """Return the UTC times of the first and last scan and the kilometres driven; nothing where not known."""
+    trajectory = survey.trajectory
+    if trajectory is None or len(trajectory) < 2:
+        return {}
+    first, last = (np.datetime64(int(t), "ns") for t in trajectory.times_ns[[0, -1]])
+    steps = np.linalg.norm(np.diff(trajectory.poses[:, :3, 3], axis=0), axis=1)
+    km = round(float(steps[steps < _JUMP].sum()) / 1000.0, 3)
+    if first < _DATED:  # seconds since the start of a recording, not times
+        return {"km": km}
+    return {"first": str(first)[:19], "last": str(last)[:19], "km": km}
+
+
 def run_job(
     job: ChangeJob,
     config: StrictModel,
@@ -114,7 +131,7 @@ def run_job(
     inputs = ChangeInputs(
         job.before,
         job.after,
-        {**(notes or {}), **named},
+        {**(notes or {}), **named, "epochs": {"before": drive_facts(before), "after": drive_facts(after)}},
         calibrated=calibrated,
         ellipsoidal=known,
         lots=lots,

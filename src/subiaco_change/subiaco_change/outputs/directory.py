@@ -21,6 +21,7 @@ from subiaco_change.outputs.clouds import write_labelled
 from subiaco_change.outputs.hashing import hash_path
 from subiaco_change.outputs.json_text import write_json
 from subiaco_change.outputs.parcels import build_parcels, coverage_polygons
+from subiaco_change.outputs.qgis_project import write_project
 from subiaco_change.outputs.raster import (
     build_coverage,
     build_lod_raster,
@@ -30,6 +31,7 @@ from subiaco_change.outputs.raster import (
 )
 from subiaco_change.outputs.reading import ChangeDirectory, read_change_directory
 from subiaco_change.outputs.reviews import carry_reviews, read_reviewed
+from subiaco_change.outputs.style import embed_styles
 from subiaco_change.records import ChangeResult, Registration
 from subiaco_change.report.page import build_report
 from subiaco_geo.atomic import refuse_existing, refuse_foreign, whole_directory
@@ -179,6 +181,9 @@ def write_change_directory(
             parcels = build_parcels(table, inputs.lots, coverage)
             write_layer(target / "changes.gpkg", "parcels", parcels)
             parcels.drop(columns="geometry").to_csv(target / "parcels.csv", index=False)
+        embed_styles(
+            target / "changes.gpkg", ("coverage",) if inputs.lots is None else ("coverage", "parcels")
+        )
         write_labelled(target, "before", result.before, ellipsoidal=inputs.ellipsoidal)
         write_labelled(target, "after", result.after, ellipsoidal=inputs.ellipsoidal)
         if result.ground is not None:
@@ -190,6 +195,7 @@ def write_change_directory(
         write_json(target / "registration.json", registration_document(result.registration, crs))
         write_config(target / "config.yaml", config)
         write_json(target / "run.json", run_document(result, config, inputs, table))
+        write_project(target, crs, coverage.bounds)
         build_report(target)
 
 

@@ -32,6 +32,12 @@ class Coverage:
     north: float
     cell: float
 
+    @property
+    def bounds(self) -> tuple[float, float, float, float]:
+        """West, south, east, north [m]."""
+        rows, columns = self.code.shape
+        return self.west, self.north - rows * self.cell, self.west + columns * self.cell, self.north
+
     def area(self, code: int) -> float:
         """Return the area of a code [m2]."""
         return float(np.count_nonzero(self.code == code) * self.cell**2)

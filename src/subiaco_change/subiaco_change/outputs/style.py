@@ -1,9 +1,9 @@
-"""QGIS styles embedded in a GeoPackage, so that the table opens in the paper's colours."""
+"""QGIS styles in the paper's colours: embedded in GeoPackages, and for project files."""
 
 from __future__ import annotations
 
 import sqlite3
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from contextlib import closing
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
@@ -11,6 +11,21 @@ from xml.sax.saxutils import quoteattr
 from subiaco_change.records import CHANGE_COLOURS
 from subiaco_geo.codes import Change
 
+RGB = tuple[int, int, int]
+#: What tells of the layer ``coverage`` and of ``coverage.tif``: red, green, blue by ``seen``.
+COVERAGE_COLOURS: dict[str, RGB] = {
+    "both": (196, 214, 196),
+    "only before": (235, 190, 140),
+    "only after": (190, 160, 205),
+}
+#: Lower bounds of ``net_m3`` of a lot [m3] and its colour: lost orange, gained blue.
+_NET: tuple[tuple[float, float, RGB], ...] = (
+    (-1e9, -50.0, CHANGE_COLOURS[Change.DECREASED]),
+    (-50.0, -5.0, (255, 205, 150)),
+    (-5.0, 5.0, (245, 245, 245)),
+    (5.0, 50.0, (165, 200, 230)),
+    (50.0, 1e9, CHANGE_COLOURS[Change.INCREASED]),
+)
 _CREATE = """
 create table if not exists layer_styles (
   id integer primary key autoincrement not null,
@@ -26,54 +41,89 @@ values ('layer_styles', 'attributes', 'layer_styles', 'QGIS styles')
 _INSERT = """
 insert into layer_styles (f_table_catalog, f_table_schema, f_table_name, f_geometry_column,
   styleName, styleQML, styleSLD, useAsDefault, description, owner)
-values ('', '', ?, ?, 'change', ?, '', 1, 'change labels in the colours of the paper', '')
+values ('', '', ?, ?, 'change', ?, '', 1, 'colours of the paper', '')
 """
 
 
-def categorised_qml() -> str:
-    """Return a QGIS style that fills polygons by ``label``."""
-    categories, symbols = [], []
-    for index, change in enumerate(Change):
-        label = quoteattr(change.label)
-        categories.append(f'<category render="true" symbol="{index}" value={label} label={label}/>')
-        symbols.append(_symbol(index, CHANGE_COLOURS[change], change is Change.UNCHANGED))
+def renderer(layer: str) -> str:
+    """Return the QGIS renderer of a layer.
+
+    ``coverage`` is coloured by what was seen, ``parcels`` by net volume, anything else by ``label``.
+    """
+    if layer == "coverage":
+        return _categorised("seen", [(name, rgb, 110) for name, rgb in COVERAGE_COLOURS.items()])
+    if layer == "parcels":
+        return _graduated("net_m3", _NET)
+    faint = (Change.UNCHANGED, Change.NOT_REPORTED, Change.UNOBSERVED)
+    return _categorised("label", [(c.label, CHANGE_COLOURS[c], 60 if c in faint else 150) for c in Change])
+
+
+def layer_qml(layer: str) -> str:
+    """Return the style of a layer of polygons as a QGIS style document."""
     return (
         "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>\n"
         '<qgis version="3.28" styleCategories="Symbology">'
-        '<renderer-v2 type="categorizedSymbol" attr="label" enableorderby="0" '
-        'forceraster="0" symbollevels="0">'
-        f"<categories>{''.join(categories)}</categories><symbols>{''.join(symbols)}</symbols>"
-        "</renderer-v2><layerGeometryType>2</layerGeometryType></qgis>"
+        f"{renderer(layer)}<layerGeometryType>2</layerGeometryType></qgis>"
     )
 
 
-def _symbol(name: int, rgb: tuple[int, int, int], faint: bool) -> str:
-    red, green, blue = rgb
-    colour, alpha = f"{red},{green},{blue}", 60 if faint else 150
+def _categorised(attribute: str, entries: Sequence[tuple[str, RGB, int]]) -> str:
+    names = [quoteattr(name) for name, *_ in entries]
+    categories = "".join(
+        f'<category render="true" symbol="{i}" value={name} label={name}/>' for i, name in enumerate(names)
+    )
+    symbols = "".join(_symbol(i, rgb, alpha) for i, (_, rgb, alpha) in enumerate(entries))
+    return (
+        f'<renderer-v2 type="categorizedSymbol" attr="{attribute}" enableorderby="0" forceraster="0" '
+        f'symbollevels="0"><categories>{categories}</categories><symbols>{symbols}</symbols></renderer-v2>'
+    )
+
+
+def _graduated(attribute: str, steps: Sequence[tuple[float, float, RGB]]) -> str:
+    ranges = "".join(
+        f'<range render="true" symbol="{i}" lower="{low:.0f}" upper="{high:.0f}" '
+        f"label={quoteattr(_range_name(low, high))}/>"
+        for i, (low, high, _) in enumerate(steps)
+    )
+    symbols = "".join(_symbol(i, rgb, 110) for i, (*_, rgb) in enumerate(steps))
+    return (
+        f'<renderer-v2 type="graduatedSymbol" attr="{attribute}" graduatedMethod="GraduatedColor" '
+        f'enableorderby="0" forceraster="0" symbollevels="0"><ranges>{ranges}</ranges>'
+        f"<symbols>{symbols}</symbols></renderer-v2>"
+    )
+
+
+def _range_name(low: float, high: float) -> str:
+    if low < -1e6:
+        return f"below {high:.0f} m³"
+    return f"above {low:.0f} m³" if high > 1e6 else f"{low:.0f} to {high:.0f} m³"
+
+
+def _symbol(name: int, rgb: RGB, alpha: int) -> str:
+    colour = ",".join(str(v) for v in rgb)
+    edge = ",".join(str(v * 2 // 3) for v in rgb)
     options = {
         "color": f"{colour},{alpha}",
-        "outline_color": f"{colour},255",
+        "outline_color": f"{edge},255",
         "outline_width": "0.4",
         "outline_width_unit": "MM",
         "style": "solid",
         "outline_style": "solid",
     }
     rows = "".join(f'<Option type="QString" name="{k}" value="{v}"/>' for k, v in options.items())
-    props = "".join(f'<prop k="{k}" v="{v}"/>' for k, v in options.items())
     return (
         f'<symbol type="fill" name="{name}" alpha="1" clip_to_extent="1" force_rhr="0">'
-        f'<layer class="SimpleFill" enabled="1" locked="0" pass="0"><Option type="Map">{rows}</Option>{props}'
+        f'<layer class="SimpleFill" enabled="1" locked="0" pass="0"><Option type="Map">{rows}</Option>'
         "</layer></symbol>"
     )
 
 
 def embed_styles(path: Path, layers: Iterable[str]) -> None:
     """Add a default style for every layer to the GeoPackage's ``layer_styles``."""
-    qml = categorised_qml()
     with closing(sqlite3.connect(path)) as connection, connection:
         connection.execute(_CREATE)
         connection.execute(_REGISTER)
         for layer in layers:
             query = "select column_name from gpkg_geometry_columns where table_name = ?"
             (column,) = connection.execute(query, (layer,)).fetchone()
-            connection.execute(_INSERT, (layer, column, qml))
+            connection.execute(_INSERT, (layer, column, layer_qml(layer)))

@@ -4,34 +4,37 @@ from __future__ import annotations
 
 import base64
 import json
-from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
-from subiaco_change.outputs.raster import Coverage, build_coverage
+from subiaco_change.outputs.raster import build_coverage
 from subiaco_change.outputs.reading import ChangeDirectory, read_change_directory
 from subiaco_change.records import CHANGE_COLOURS
-from subiaco_change.report import pictures
+from subiaco_change.report import evidence, pictures
+from subiaco_change.report.citymap import city_map
+from subiaco_change.report.facts import (
+    CHANGED_LABELS,
+    changed_rows,
+    is_simulated,
+    legend,
+    lod_facts,
+    number,
+    registration_facts,
+    summary,
+    unseen_facts,
+)
+from subiaco_change.report.summary import build_summary
 from subiaco_geo.atomic import whole_file
 from subiaco_geo.codes import Change, Semantic
-from subiaco_geo.frames import rotation_angle
 
-CHANGED_LABELS = tuple(c.label for c in (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED))
-_MEANINGS = {
-    Change.ADDED: "only in the later epoch, at a place that the earlier one looked at",
-    Change.REMOVED: "only in the earlier epoch, at a place that the later one looked at",
-    Change.INCREASED: "in both epochs, larger or higher now",
-    Change.DECREASED: "in both epochs, smaller or lower now",
-    Change.UNCHANGED: "in both epochs, no difference beyond the level of detection",
-    Change.NOT_REPORTED: "movable things such as cars that were matched; left out on purpose",
-    Change.UNOBSERVED: "the other epoch could not see the place: nothing is claimed",
-}
 _SHOWN = ("change", "projection", "height", "semantics", "instances")
+#: Blocks beyond these, those with fewest changes, are left out: what bounds the report.
+_MOST_BLOCKS = 40
 #: Table columns of the report: column, heading, decimals (None for text), unit or explanation.
+#: Those of :data:`MORE` unfold on demand.
 TABLE_COLUMNS: tuple[tuple[str, str, int | None, str], ...] = (
     ("object_id", "ID", 0, "object number, as in the pictures and files"),
     ("label", "Label", None, "what happened"),
@@ -52,12 +55,23 @@ TABLE_COLUMNS: tuple[tuple[str, str, int | None, str], ...] = (
     ("x", "East [m]", 1, "centroid"),
     ("y", "North [m]", 1, "centroid"),
     ("z", "Height [m]", 1, "centroid"),
-    ("reason", "Why", None, "the rule that decided"),
+)
+MORE = (
+    "delta_v_surface_m3",
+    "delta_c_m",
+    "iou_3d",
+    "d_perp_m",
+    "match_kind",
+    "id_before",
+    "id_after",
+    "x",
+    "y",
+    "z",
 )
 
 
 def build_report(directory: Path) -> Path:
-    """(Re)build ``report.html`` and ``overview.png`` from a change directory alone.
+    """(Re)build ``report.html``, ``overview.png`` and ``summary.html`` from a change directory alone.
 
     Returns
     -------
@@ -70,46 +84,62 @@ def build_report(directory: Path) -> Path:
         The directory is not a complete change directory.
     """
     change = read_change_directory(directory)
+    changed = changed_rows(change.table)
     blocks = pictures.block_grid([change.before, change.after])
-    marks = changed_marks(change.table)
-    whole = pictures.overview(change.before, change.after, blocks, marks)
+    marks = changed_marks(changed)
+    drawn = dict(
+        zip(
+            changed["object_id"],
+            evidence.evidence_pictures(change.before, change.after, changed),
+            strict=True,
+        )
+    )
+    uris = {number: _data_uri(picture, "webp") for number, picture in drawn.items()}
+    fullest = fullest_blocks(blocks, marks, _MOST_BLOCKS)
     context = report_context(change) | {
-        "overview": _data_uri(whole),
-        "blocks": open_fullest([_block_context(change, block, marks) for block in blocks]),
+        "map": city_map(change.before, change.after, changed),
+        "evidence": uris,
+        "picture": {"width": evidence.WIDTH, "height": evidence.HEIGHT},
+        "blocks": open_fullest([_block_context(change, block, marks) for block in fullest]),
+        "left_out": len(blocks) - len(fullest),
         "evaluation": _evaluation(directory),
     }
     with whole_file(directory / "overview.png") as path:
-        path.write_bytes(whole)
+        path.write_bytes(pictures.overview(change.before, change.after, blocks, marks))
     with whole_file(directory / "report.html") as path:
-        path.write_text(_environment().get_template("report.html.j2").render(context), encoding="utf-8")
+        path.write_text(environment().get_template("report.html.j2").render(context), encoding="utf-8")
+    with whole_file(directory / "summary.html") as path:
+        text = environment().get_template("summary.html.j2").render(build_summary(change, uris))
+        path.write_text(text, encoding="utf-8")
     return directory / "report.html"
 
 
-def _environment() -> Environment:
-    environment = Environment(
+def environment() -> Environment:
+    """Return the templates, with filter ``number``."""
+    found = Environment(
         loader=PackageLoader("subiaco_change", "templates"),
         autoescape=select_autoescape(default=True, default_for_string=True),
         undefined=StrictUndefined,
         trim_blocks=True,
         lstrip_blocks=True,
     )
-    environment.filters["number"] = number
-    return environment
+    found.filters["number"] = number
+    return found
 
 
-def number(value: Any, decimals: int = 2) -> str:
-    """Format a number with narrow thousands gaps; missing values are a dash."""
-    if value is None or not np.isfinite(float(value)):
-        return "–"
-    return f"{float(value):,.{decimals}f}".replace(",", "\u202f")
-
-
-def changed_marks(table: pd.DataFrame) -> list[pictures.Mark]:
+def changed_marks(changed: pd.DataFrame) -> list[pictures.Mark]:
     """Return the numbers of the changed objects at their positions."""
-    rows = table[table["label"].isin(CHANGED_LABELS)]
-    return [
-        pictures.Mark(x, y, str(i)) for x, y, i in zip(rows["x"], rows["y"], rows["object_id"], strict=True)
-    ]
+    places = zip(changed["x"], changed["y"], changed["object_id"], strict=True)
+    return [pictures.Mark(x, y, str(i)) for x, y, i in places]
+
+
+def fullest_blocks(
+    blocks: list[pictures.Block], marks: list[pictures.Mark], most: int
+) -> list[pictures.Block]:
+    """Return the blocks with most changed objects, in their own order."""
+    counts = [sum(block.holds(m.x, m.y) for m in marks) for block in blocks]
+    kept = set(sorted(range(len(blocks)), key=lambda i: (-counts[i], i))[:most])
+    return [block for index, block in enumerate(blocks) if index in kept]
 
 
 def report_context(change: ChangeDirectory) -> dict[str, Any]:
@@ -123,75 +153,15 @@ def report_context(change: ChangeDirectory) -> dict[str, Any]:
         "legend": legend(),
         "summary": summary(change.table),
         "columns": TABLE_COLUMNS,
+        "more": MORE,
         "rows": table_rows(change.table),
         "labels": [c.label for c in Change],
         "classes": [s.label for s in Semantic],
+        "simulated": is_simulated(change.run),
         "warnings": [*change.run.get("warnings", []), *change.registration.get("warnings", [])],
         "calibrated": bool(change.run.get("confidence_calibrated", False)),
         "assumed": int((change.table["evidence"] == "assumed").sum()),
     }
-
-
-def legend() -> list[dict[str, str]]:
-    """Return label, colour and meaning of every outcome."""
-    return [{"label": c.label, "colour": f"rgb{CHANGE_COLOURS[c]}", "meaning": _MEANINGS[c]} for c in Change]
-
-
-def registration_facts(registration: Mapping[str, Any]) -> dict[str, Any]:
-    """Return the registration numbers in the units that people think in."""
-    std = np.array([np.nan if v is None else v for v in registration["pose_std"]], dtype=np.float64)
-    local = np.array(registration["T_local_about_origin"], dtype=np.float64)
-    return {
-        "method": registration["method"],
-        "rmse_cm": _scaled(registration["rmse_m"], 100.0),
-        "inlier_percent": _scaled(registration["inlier_ratio"], 100.0),
-        "sigma_cm": _scaled(registration["sigma_reg_m"], 100.0),
-        "shift_m": float(np.linalg.norm(local[:3, 3])),
-        "turn_deg": float(np.degrees(rotation_angle(local))),
-        "std_turn_mdeg": (np.degrees(std[:3]) * 1000.0).tolist(),
-        "std_shift_mm": (std[3:] * 1000.0).tolist(),
-        "origin": registration["origin"],
-        "degenerate": registration["degenerate"],
-    }
-
-
-def _scaled(value: float | None, factor: float) -> float | None:
-    return None if value is None else float(value) * factor
-
-
-def lod_facts(change: ChangeDirectory) -> dict[str, Any]:
-    """Return median and 95th percentile LoD95 [cm], and the share without any claim."""
-    lod95 = np.concatenate(
-        [np.asarray(c.fields["lod95"], dtype=np.float64) for c in (change.before, change.after)]
-    )
-    finite = lod95[np.isfinite(lod95)]
-    quantiles = np.percentile(finite, [50.0, 95.0]) * 100.0 if len(finite) else (None, None)
-    return {
-        "median_cm": quantiles[0],
-        "p95_cm": quantiles[1],
-        "no_claim_percent": 100.0 * (1.0 - len(finite) / len(lod95)),
-    }
-
-
-def unseen_facts(table: pd.DataFrame, coverage: Coverage) -> dict[str, Any]:
-    """Return how much could not be compared: objects, and ground area [m2]."""
-    return {
-        "objects": int((table["label"] == Change.UNOBSERVED.label).sum()),
-        "both_m2": coverage.area(1),
-        "only_before_m2": coverage.area(2),
-        "only_after_m2": coverage.area(3),
-    }
-
-
-def summary(table: pd.DataFrame) -> list[dict[str, Any]]:
-    """Return counts by class (rows) and label, with totals last."""
-    counts = pd.crosstab(table["class"], table["label"]).reindex(
-        index=[s.label for s in Semantic], columns=[c.label for c in Change], fill_value=0
-    )
-    counts.loc["all"] = counts.sum()
-    return [
-        {"class": name, "counts": row.tolist(), "total": int(row.sum())} for name, row in counts.iterrows()
-    ]
 
 
 def table_rows(table: pd.DataFrame) -> list[dict[str, Any]]:
@@ -205,6 +175,7 @@ def table_rows(table: pd.DataFrame) -> list[dict[str, Any]]:
         {
             "colour": colours[row["label"]],
             "changed": row["_changed"],
+            "reason": row["reason"],
             **{c: row[c] for c, *_ in TABLE_COLUMNS},
         }
         for row in ordered.to_dict("records")
@@ -232,8 +203,8 @@ def open_fullest(blocks: list[dict[str, Any]], most: int = 2) -> list[dict[str, 
     return [block | {"open": index in ranked} for index, block in enumerate(blocks)]
 
 
-def _data_uri(png: bytes) -> str:
-    return "data:image/png;base64," + base64.b64encode(png).decode("ascii")
+def _data_uri(picture: bytes, kind: str = "png") -> str:
+    return f"data:image/{kind};base64," + base64.b64encode(picture).decode("ascii")
 
 
 def _evaluation(directory: Path) -> dict[str, Any] | None:

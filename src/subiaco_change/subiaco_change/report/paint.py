@@ -17,7 +17,7 @@ from subiaco_geo.codes import Change
 from subiaco_geo.frames import Floats, Ints
 
 BACKGROUND = (247, 247, 245)
-_CHANGED = (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED)
+CHANGED = (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED)
 
 Colours = NDArray[np.uint8]
 
@@ -58,7 +58,7 @@ def paint(
         frame.pixel,
     )
     change = np.asarray(cloud.fields["change"])
-    priority = np.isin(change, _CHANGED) if kind == "change" else None
+    priority = np.isin(change, CHANGED) if kind == "change" else None
     view = fill_holes(top_view(cloud.xyz, local, priority), fill)
     seen = view >= 0
     picture = np.empty((*view.shape, 3), dtype=np.uint8)

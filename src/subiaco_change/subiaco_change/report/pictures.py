@@ -188,8 +188,8 @@ def overview(
     bytes
         PNG.
     """
-    frame = _overview_frame((before, after))
-    both = _together(before, after)
+    frame = overview_frame((before, after))
+    both = together(before, after)
     width, height = frame.east - frame.west, frame.north - frame.south
     figure = Figure(figsize=(11.0, float(np.clip(11.0 * height / width + 0.9, 3.5, 14.0))), dpi=130)
     axis = figure.subplots()
@@ -223,14 +223,16 @@ def overview(
     return _png(figure)
 
 
-def _overview_frame(clouds: Sequence[PointCloud], longest: int = 1300) -> Frame:
+def overview_frame(clouds: Sequence[PointCloud], longest: int = 1300) -> Frame:
+    """Return a frame around all points whose longer side has at most so many pixels."""
     world = np.concatenate([cloud.world()[:, :2] for cloud in clouds])
     (west, south), (east, north) = world.min(axis=0) - 2.0, world.max(axis=0) + 2.0
     pixel = max(_PIXEL, max(east - west, north - south) / longest)
     return Frame(float(west), float(south), float(east), float(north), float(pixel))
 
 
-def _together(before: PointCloud, after: PointCloud) -> PointCloud:
+def together(before: PointCloud, after: PointCloud) -> PointCloud:
+    """Return both epochs as one cloud, with field ``change``."""
     moved = before.rebased(after.origin)
     change = np.concatenate([np.asarray(c.fields["change"]) for c in (moved, after)])
     return PointCloud(np.concatenate([moved.xyz, after.xyz]), after.origin, after.crs, {"change": change})

@@ -1,0 +1,82 @@
+"""The map on top of the report: a picture of the city under footprints that can be clicked."""
+
+from __future__ import annotations
+
+import base64
+import io
+from typing import Any
+
+import numpy as np
+import pandas as pd
+from PIL import Image
+from shapely.geometry.base import BaseGeometry
+
+from subiaco_change.records import CHANGE_COLOURS
+from subiaco_change.report.paint import Colours, paint
+from subiaco_change.report.pictures import overview_frame, together
+from subiaco_change.report.raster import Frame
+from subiaco_geo.clouds import PointCloud
+from subiaco_geo.codes import Change
+
+_LONGEST = 1600  # pixels of the picture
+_DETAIL = 0.25  # what an outline may lose [m]
+_COLOURS = {c.label: f"rgb{CHANGE_COLOURS[c]}" for c in Change}
+
+
+def city_map(before: PointCloud, after: PointCloud, rows: pd.DataFrame) -> dict[str, Any]:
+    """Return what the template needs to draw the map.
+
+    Parameters
+    ----------
+    before, after : PointCloud
+        Labelled clouds in the frame of *after*.
+    rows : GeoDataFrame
+        Changed rows with footprints.
+
+    Returns
+    -------
+    dict
+        ``uri`` of the picture; ``width``, ``height`` [m]; ``west``, ``north`` (world) [m]; ``bar``, the
+        length of a scale bar [m]; ``shapes``, outlines as SVG paths in metres from the upper left corner.
+    """
+    frame = overview_frame((before, after), _LONGEST)
+    width, height = (frame.shape[1] * frame.pixel, frame.shape[0] * frame.pixel)
+    picture = paint(together(before, after), frame, "change", fill=2)
+    shapes = [
+        {
+            "id": row["object_id"],
+            "label": row["label"],
+            "colour": _COLOURS[row["label"]],
+            "title": "{object_id}: {label}, {class}, confidence {confidence:.2f}".format(**row),
+            "path": svg_path(row["geometry"], frame),
+        }
+        for row in rows.to_dict("records")
+    ]
+    bar = max(x for x in (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000) if x <= max(width / 6, 1))
+    return {
+        "uri": webp_uri(picture),
+        "width": width,
+        "height": height,
+        "west": frame.west,
+        "north": frame.north,
+        "bar": bar,
+        "shapes": shapes,
+    }
+
+
+def webp_uri(picture: Colours) -> str:
+    """Return colours (rows, columns, 3) as a WebP data URI."""
+    stream = io.BytesIO()
+    Image.fromarray(np.ascontiguousarray(picture)).save(stream, "WEBP", quality=70, method=4)
+    return "data:image/webp;base64," + base64.b64encode(stream.getvalue()).decode("ascii")
+
+
+def svg_path(shape: BaseGeometry, frame: Frame) -> str:
+    """Return the outlines of a footprint as an SVG path [m], y down from the north edge."""
+    plain = shape.simplify(_DETAIL)
+    parts = []
+    for polygon in getattr(plain, "geoms", [plain]):
+        xy = np.asarray(polygon.exterior.coords)[:-1, :2]
+        local = np.round(np.stack([xy[:, 0] - frame.west, frame.north - xy[:, 1]], axis=1), 1)
+        parts.append("M" + "L".join(f"{x:g} {y:g}" for x, y in local.tolist()) + "Z")
+    return "".join(parts)

@@ -1,0 +1,125 @@
+"""``summary.html``: two pages for people who read no tables."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from datetime import datetime
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+from numpy.typing import NDArray
+
+from subiaco_change.outputs.raster import COVERAGE, Coverage, build_coverage
+from subiaco_change.outputs.reading import ChangeDirectory
+from subiaco_change.outputs.style import COVERAGE_COLOURS
+from subiaco_change.records import CHANGE_COLOURS
+from subiaco_change.report.citymap import city_map, webp_uri
+from subiaco_change.report.facts import (
+    CHANGED_LABELS,
+    changed_rows,
+    is_simulated,
+    lod_facts,
+    summary,
+    unseen_facts,
+)
+from subiaco_geo.codes import Change
+
+#: From, to and name of how sure a claim is.
+BANDS = (
+    (0.9, 1.01, "sure (0.9 and more)"),
+    (0.7, 0.9, "likely (0.7 to 0.9)"),
+    (0.0, 0.7, "doubtful (below 0.7)"),
+)
+_LARGEST = 10
+
+
+def build_summary(change: ChangeDirectory, pictures: Mapping[int, str]) -> dict[str, Any]:
+    """Return what the template of the summary needs.
+
+    Parameters
+    ----------
+    change : ChangeDirectory
+    pictures : mapping of int to str
+        Data URI of the evidence by object id, for every changed row.
+    """
+    coverage = build_coverage(change.before, change.after)
+    changed = changed_rows(change.table)
+    largest = largest_rows(changed)
+    return {
+        "simulated": is_simulated(change.run),
+        "epochs": epoch_facts(change.run),
+        "crs": change.run.get("crs"),
+        "counts": [row for row in counts(change.table) if row["total"]],
+        "labels": list(CHANGED_LABELS),
+        "colours": {c.label: f"rgb{CHANGE_COLOURS[c]}" for c in Change},
+        "changed": len(changed),
+        "bands": [
+            {"name": name, "count": int(changed["confidence"].between(low, high, inclusive="left").sum())}
+            for low, high, name in BANDS
+        ],
+        "calibrated": bool(change.run.get("confidence_calibrated", False)),
+        "assumed": int((changed["evidence"] == "assumed").sum()),
+        "lod": lod_facts(change),
+        "unseen": unseen_facts(change.table, coverage),
+        "map": city_map(change.before, change.after, largest),
+        "coverage": coverage_picture(coverage),
+        "largest": [dict(row, picture=pictures[row["object_id"]]) for row in largest.to_dict("records")],
+        "warnings": [*change.run.get("warnings", []), *change.registration.get("warnings", [])],
+    }
+
+
+def largest_rows(changed: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
+    """Return the ten changed rows of largest volume, 2.5D, the largest first."""
+    size = changed["delta_v_m3"].abs().fillna(0.0)
+    return changed.loc[size.sort_values(ascending=False, kind="stable").index[:_LARGEST]]
+
+
+def counts(table: gpd.GeoDataFrame) -> list[dict[str, Any]]:
+    """Return counts of the four changes by class, and a last row of all."""
+    index = [[c.label for c in Change].index(label) for label in CHANGED_LABELS]
+    return [
+        {"class": row["class"], "counts": picked, "total": sum(picked)}
+        for row in summary(table)
+        for picked in [[row["counts"][i] for i in index]]
+    ]
+
+
+def epoch_facts(run: Mapping[str, Any]) -> list[dict[str, Any]]:
+    """Return name, days and kilometres of both epochs, None for what is not known."""
+    known = run.get("notes", {}).get("epochs", {})
+    facts = []
+    for epoch in ("before", "after"):
+        source, said = run["inputs"][epoch], known.get(epoch) or {}
+        days = [day_of(said[key]) for key in ("first", "last") if said.get(key)]
+        facts.append(
+            {
+                "epoch": epoch,
+                "name": source["path"] if source else None,
+                "days": " to ".join(dict.fromkeys(days)) or None,
+                "km": said.get("km"),
+                "points": run["points"][epoch],
+            }
+        )
+    return facts
+
+
+def day_of(text: str) -> str:
+    """Write the day of an ISO time in words."""
+    return f"{datetime.fromisoformat(text):%-d %B %Y}"
+
+
+def coverage_picture(coverage: Coverage) -> dict[str, Any]:
+    """Return a picture of what each epoch saw, and its legend with areas."""
+    palette: NDArray[np.uint8] = np.array(
+        [COVERAGE_COLOURS.get(COVERAGE[code], (255, 255, 255)) for code in sorted(COVERAGE)], dtype=np.uint8
+    )
+    step = -(-max(coverage.code.shape) // 900)
+    picture = palette[coverage.code[::step, ::step]]
+    grown = np.repeat(np.repeat(picture, 2, axis=0), 2, axis=1)
+    entries = [
+        {"name": name, "colour": f"rgb{COVERAGE_COLOURS[name]}", "area_m2": coverage.area(code)}
+        for code, name in COVERAGE.items()
+        if name in COVERAGE_COLOURS
+    ]
+    return {"uri": webp_uri(grown), "entries": entries}

@@ -1,0 +1,134 @@
+"""The picture of a row shows its object: before, after and difference, in plan and section."""
+
+import io
+
+import geopandas as gpd
+import numpy as np
+import pytest
+from PIL import Image
+from result_scene import ORIGIN
+from shapely.geometry import MultiPolygon, box
+
+from subiaco_change.records import CHANGE_COLOURS
+from subiaco_change.report.citymap import svg_path
+from subiaco_change.report.evidence import (
+    GAP,
+    HEAD,
+    HEIGHT,
+    MAX_BYTES,
+    PANEL,
+    SECTION,
+    WIDTH,
+    Tiles,
+    choose_view,
+    compact,
+    draw,
+    evidence_pictures,
+)
+from subiaco_change.report.paint import BACKGROUND
+from subiaco_change.report.raster import Frame
+from subiaco_geo.clouds import PointCloud
+from subiaco_geo.codes import Change
+
+
+@pytest.fixture(scope="module")
+def epochs(result):
+    return Tiles(result.before), Tiles(result.after)
+
+
+def footprint(result, number):
+    return next(r for r in result.records if r.object_id == number).footprint
+
+
+def panel(picture, number, section=False):
+    """Pixels (rows, columns, 3) of a plan or of a section."""
+    left, top = number * (PANEL + GAP), HEAD + PANEL + GAP if section else HEAD
+    size = (PANEL, SECTION) if section else (PANEL, PANEL)
+    return np.asarray(picture.crop((left, top, left + size[0], top + size[1]))).astype(int)
+
+
+def share_of(pixels, rgb, spread):
+    """Share of pixels whose colour is this one, lit darker or brighter."""
+    light = pixels.sum(axis=2) / sum(rgb)
+    near = np.abs(pixels - light[..., None] * np.array(rgb)).max(axis=2) < spread
+    return float(near.mean())
+
+
+def test_a_removed_house_stands_before_is_gone_after_and_differs_in_red(epochs, result):
+    picture = draw(epochs, footprint(result, 2))
+    red = CHANGE_COLOURS[Change.REMOVED]
+    assert picture.size == (WIDTH, HEIGHT)
+    assert share_of(panel(picture, 2), red, 12) > 0.15
+    assert share_of(panel(picture, 2, section=True), red, 12) > 0.05
+    drawn = [(panel(picture, e, section=True) != BACKGROUND).any(axis=2).mean() for e in (0, 1)]
+    assert drawn[0] > 2 * drawn[1]
+
+
+def test_all_three_show_the_same_place_at_one_scale(epochs, result):
+    shape = footprint(result, 1)
+    view = choose_view(epochs, shape, flat=False)
+    west, south, east, north = shape.bounds
+    assert view.centre == pytest.approx([(west + east) / 2, (south + north) / 2])
+    assert view.side >= 1.5 * max(east - west, north - south)
+    picture = draw(epochs, shape)
+    black = [np.argwhere((panel(picture, n) == 0).all(axis=2)) for n in range(3)]
+    outline = [set(map(tuple, pixels.tolist())) for pixels in black]
+    assert outline[0] & outline[1] & outline[2]
+    assert len(outline[0] & outline[2]) > 0.9 * len(outline[2])
+
+
+def test_a_raised_patch_of_ground_is_exaggerated_and_a_house_is_not(epochs, result):
+    assert choose_view(epochs, footprint(result, 10), flat=True).exaggeration >= 5
+    assert choose_view(epochs, footprint(result, 1), flat=False).exaggeration == 1
+
+
+def test_a_section_holds_the_whole_object(epochs, result):
+    view = choose_view(epochs, box(*ORIGIN[:2], *(ORIGIN[:2] + 0.5)), flat=False)
+    tree = choose_view(epochs, footprint(result, 4), flat=False)
+    assert view.side >= 8.0
+    low, high = tree.heights
+    assert high - low <= tree.side * SECTION / PANEL
+
+
+def test_a_place_without_points_is_drawn_empty(epochs):
+    far = ORIGIN[:2] + 5000.0
+    picture = draw(epochs, box(*far, *(far + 3.0)))
+    assert share_of(panel(picture, 0), BACKGROUND, 3) > 0.8
+
+
+def test_a_window_finds_what_a_plain_comparison_finds(result):
+    tiles, rng = Tiles(result.before, 7.0), np.random.default_rng(3)
+    xy = result.before.world()[:, :2]
+    for _ in range(20):
+        low = ORIGIN[:2] + rng.uniform(-30, 120, 2)
+        high = low + rng.uniform(0.5, 60, 2)
+        plain = np.flatnonzero(((xy >= low) & (xy < high)).all(axis=1))
+        assert set(tiles.inside(*low, *high).tolist()) == set(plain.tolist())
+
+
+def test_no_picture_is_larger_than_the_bound_even_of_noise():
+    noise = np.random.default_rng(5).integers(0, 255, (HEIGHT // 4, WIDTH // 4, 3), dtype=np.uint8)
+    picture = Image.fromarray(noise).resize((WIDTH, HEIGHT), Image.Resampling.NEAREST)
+    data = compact(picture)
+    assert len(data) <= MAX_BYTES
+    assert Image.open(io.BytesIO(data)).size == (WIDTH, HEIGHT)
+
+
+def test_pictures_come_in_the_order_of_the_rows_and_the_same_each_time(result, change_directory):
+    rows = gpd.read_parquet(change_directory / "changes.parquet").iloc[[1, 0]]
+    first = list(evidence_pictures(result.before, result.after, rows))
+    assert first == list(evidence_pictures(result.before, result.after, rows))
+    assert first[::-1] == list(evidence_pictures(result.before, result.after, rows.iloc[::-1]))
+    assert first[0] != first[1]
+
+
+def test_outlines_are_metres_from_the_north_west_corner():
+    frame = Frame(100.0, 200.0, 150.0, 240.0, 0.25)
+    path = svg_path(MultiPolygon([box(110.0, 210.0, 120.0, 220.0)]), frame)
+    assert sorted(path.strip("MZ").split("L")) == ["10 20", "10 30", "20 20", "20 30"]
+
+
+def test_an_empty_epoch_does_not_stop_the_others(result):
+    nothing = result.after.select(np.arange(len(result.after)) < 1)
+    assert isinstance(nothing, PointCloud)
+    assert draw((Tiles(result.before), Tiles(nothing)), footprint(result, 2)).size == (WIDTH, HEIGHT)
