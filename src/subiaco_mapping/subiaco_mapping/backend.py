@@ -131,3 +131,10 @@ class MappingBackend:
         report = progress or silent
         report("solving the pose graph", 0.0)
         return build_map(self._filled(), self.optimize(), self._config, report, inputs)
+
+    def with_quality(self, survey: SurveyMap, progress: ProgressCallback | None = None) -> SurveyMap:
+        """Return a map that this back end has built with its quality report beside it."""
+        from subiaco_mapping.quality.page import with_quality  # matplotlib, for this alone
+
+        (progress or silent)("checking the map", 0.0)
+        return with_quality(survey, self.optimize(), self._config)

@@ -147,6 +147,5 @@ def map_survey(
             with open_bag(Path(bag), config.topics) as reader:
                 run_sequence(reader, backend, config, report)
             inputs[sequence_name(Path(bag))] = hash_bag(Path(bag))
-        return with_watched(
-            mark_simulated(backend.build_map(report, inputs), [Path(bag) for bag in bags]), bags
-        )
+        survey = mark_simulated(backend.build_map(report, inputs), [Path(bag) for bag in bags])
+        return backend.with_quality(with_watched(survey, bags), report)

@@ -352,9 +352,10 @@ class PoseGraphApp:
         survey = self._backend.build_map(self._progress, inputs)
         survey = mark_simulated(survey, map(Path, self._own.bags))
         if not self._own.watch_manifest:
-            return with_watched(survey, self._own.bags)
+            return self._backend.with_quality(with_watched(survey, self._own.bags), self._progress)
         watched = read_manifest(Path(self._own.watch_manifest))
-        return replace(survey, manifest=extended(survey.manifest, watched))
+        survey = replace(survey, manifest=extended(survey.manifest, watched))
+        return self._backend.with_quality(survey, self._progress)
 
     def _save(self, directory: Path, *, overwrite: bool) -> SurveyMap:
         survey = self._built(directory, overwrite)

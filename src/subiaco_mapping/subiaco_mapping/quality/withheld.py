@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from subiaco_geo.errors import SubiacoError
 from subiaco_geo.frames import Floats, Ints
 from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.gnss import enough_to_place
@@ -30,7 +31,7 @@ class FixErrors:
     offset : (N, 3) float64
         East, north, up [m].
     covariance : (N, 3, 3) float64
-        Stated: of the antenna on the trajectory and of the fix [m2].
+        Stated for ``offset`` [m2].
     """
 
     sequence: Ints
@@ -75,9 +76,13 @@ def _rms(values: Floats) -> float:
 
 
 def fix_errors(
-    fixes: Mapping[int, GnssPriors], chains: Mapping[int, ChainSolution], chosen: Mapping[int, Ints]
+    fixes: Mapping[int, GnssPriors],
+    chains: Mapping[int, ChainSolution],
+    chosen: Mapping[int, Ints],
+    *,
+    independent: bool,
 ) -> FixErrors:
-    """Compare fixes with solved chains, which need not have used them.
+    """Compare fixes with solved chains.
 
     Parameters
     ----------
@@ -86,8 +91,14 @@ def fix_errors(
     chains : mapping of int to ChainSolution
     chosen : mapping of int to (M,) int64
         Fixes to compare.
+    independent : bool
+        The chains did not use them: what is stated is the covariance of fix and antenna together. Of a fix
+        in use its own alone, of which the solution takes something away.
     """
-    parts = [_errors_of(number, fixes[number], chains[number], rows) for number, rows in chosen.items()]
+    parts = [
+        _errors_of(number, fixes[number], chains[number], rows, independent)
+        for number, rows in chosen.items()
+    ]
     if not parts:
         nothing = np.zeros(0, dtype=np.int64)
         return FixErrors(nothing, nothing, nothing, np.zeros((0, 3)), np.zeros((0, 3, 3)))
@@ -99,7 +110,9 @@ def fix_errors(
     )
 
 
-def _errors_of(number: int, fixes: GnssPriors, solved: ChainSolution, rows: Ints) -> FixErrors:
+def _errors_of(
+    number: int, fixes: GnssPriors, solved: ChainSolution, rows: Ints, independent: bool
+) -> FixErrors:
     scan = fixes.index[rows]
     poses, covariance = solved.T_world_lidar[scan], solved.covariance[scan]
     lever = np.einsum("nij,nj->ni", poses[:, :3, :3], fixes.levers[rows])
@@ -108,7 +121,7 @@ def _errors_of(number: int, fixes: GnssPriors, solved: ChainSolution, rows: Ints
     act[:, 0, 1], act[:, 0, 2] = lever[:, 2], -lever[:, 1]
     act[:, 1, 0], act[:, 1, 2] = -lever[:, 2], lever[:, 0]
     act[:, 2, 0], act[:, 2, 1] = lever[:, 1], -lever[:, 0]
-    own = act @ covariance @ np.swapaxes(act, 1, 2)
+    own = act @ covariance @ np.swapaxes(act, 1, 2) if independent else 0.0
     return FixErrors(
         sequence=np.full(len(rows), number, dtype=np.int64),
         times_ns=fixes.times_ns[rows],
@@ -167,5 +180,8 @@ def withheld_check(solution: GraphSolution, config: MappingConfig) -> FixErrors 
             chains[number] = replace(chains[number], gnss=left)
     if not chosen:
         return "the drives are too short, or have too few RTK fixes, to withhold any"
-    solved = solve(chains, config.graph, config.gnss, graph.loops)
-    return fix_errors(fixes, solved.chains, chosen)
+    try:
+        solved = solve(chains, config.graph, config.gnss, graph.loops)
+    except SubiacoError as error:
+        return f"without them the graph has no solution ({error})"
+    return fix_errors(fixes, solved.chains, chosen, independent=True)
