@@ -11,6 +11,7 @@ VERBS = [
     "inspect",
     "import",
     "map",
+    "calibrate-rig",
     "check",
     "trajectory",
     "change",
@@ -29,6 +30,7 @@ OPTIONS = {
     "simulate": ["--seed", "--preset", "--epoch", "--maps-only", "--duration", "--mode", "--overwrite"],
     "inspect": ["--json"],
     "import": ["--metadata", "--output", "--overwrite"],
+    "calibrate-rig": ["--output", "--config", "--set", "--overwrite"],
     "map": ["--output", "--config", "--set", "--threads", "--overwrite", "--quiet", "--verbose"],
     "change": [
         "--output",

@@ -7,6 +7,7 @@ from typing import Literal
 from pydantic import Field
 
 from subiaco_geo.config import StrictModel
+from subiaco_mapping.calibration.config import CalibrationConfig
 from subiaco_mapping.drivers import DriverName
 from subiaco_mapping.loops.config import LoopConfig
 from subiaco_mapping.quality.config import QualityConfig
@@ -231,3 +232,4 @@ class MappingConfig(StrictModel):
     manifest: ManifestConfig = ManifestConfig()
     quality: QualityConfig = QualityConfig()
     watch: WatchConfig = WatchConfig()
+    calibration: CalibrationConfig = CalibrationConfig()

@@ -6,6 +6,7 @@ import logging
 import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
+from typing import Any, Protocol
 
 from subiaco_geo.bag_files import sequence_name
 from subiaco_geo.bags import BagReader, hash_bag, packet_from_cdr, require_topic
@@ -25,7 +26,7 @@ from subiaco_mapping.conversions import (
 )
 from subiaco_mapping.frontend import FrontendOutput, OdometryFrontend
 from subiaco_mapping.map_builder import ProgressCallback, silent
-from subiaco_mapping.measurements import Extrinsics
+from subiaco_mapping.measurements import DeskewedScan, Extrinsics, GnssFix, HeadingSample, OdometryPose
 from subiaco_mapping.named_bags import open_bag
 from subiaco_mapping.watch.files import with_watched
 
@@ -68,8 +69,27 @@ def read_metadata(reader: BagReader) -> str | None:
     return None if first is None else str(reader.deserialize(first).data)
 
 
+class SequenceSink(Protocol):
+    """What takes the registered scans and fixes of a bag: the back end, or who looks at odometry alone."""
+
+    def start_sequence(self, name: str, extrinsics: Extrinsics | None = None) -> None:
+        """Begin a recording."""
+
+    def add_facts(self, **facts: Any) -> None:
+        """Note facts about it."""
+
+    def on_odometry(self, pose: OdometryPose, scan: DeskewedScan) -> None:
+        """Take one registered scan."""
+
+    def on_fix(self, fix: GnssFix) -> None:
+        """Take one fix."""
+
+    def on_heading(self, heading: HeadingSample) -> None:
+        """Take one heading."""
+
+
 def run_sequence(
-    reader: BagReader, backend: MappingBackend, config: MappingConfig, progress: ProgressCallback
+    reader: BagReader, backend: SequenceSink, config: MappingConfig, progress: ProgressCallback
 ) -> None:
     """Feed one bag through the front end into the back end."""
     lidar = lidar_topic(reader)

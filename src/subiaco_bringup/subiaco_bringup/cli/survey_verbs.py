@@ -1,4 +1,4 @@
-"""Verbs that make surveys and maps: simulate, inspect, import, map, trajectory."""
+"""Verbs that make surveys and maps: simulate, inspect, import, calibrate-rig, map, check, trajectory."""
 
 from __future__ import annotations
 
@@ -215,6 +215,40 @@ def check(
         typer.echo(describe_control(residuals))
 
 
+def calibrate_rig(
+    bag: Annotated[
+        Path,
+        typer.Argument(metavar="BAG", help="One to three minutes with turns both ways and changes of speed."),
+    ],
+    output: Output,
+    config: ConfigFiles = None,
+    settings: Settings = None,
+    overwrite: Overwrite = False,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Refine where IMU and antenna sit, and their time offsets, from a short recording.
+
+    Starts from /tf_static and the configuration, keeps what the motion does not show, and says
+    whether facades come out thinner. Writes rig.yaml for --config, report.md, calibration.json.
+
+    Example: subiaco calibrate-rig bags/turns -o out/rig
+    """
+    from subiaco_geo.atomic import refuse_existing, refuse_foreign
+    from subiaco_mapping.calibration import report
+    from subiaco_mapping.calibration.rig import calibrate_rig as calibrate
+    from subiaco_mapping.config import MappingConfig
+
+    set_up_logging(verbose, quiet)
+    refuse_existing(output, overwrite)
+    refuse_foreign(output, report.MARKER)
+    model = load_config(MappingConfig, config_files("mapping", tuple(config or ())), settings or [])
+    with Progress(quiet=quiet) as progress:
+        found = calibrate(bag, model, progress)
+    report.write_calibration(output, found, model, bag.name, overwrite=overwrite)
+    say(f"rig: {output / report.MARKER} (facades {found.facades.verdict}; see report.md)", quiet=quiet)
+
+
 def trajectory(
     estimate: Annotated[Path, typer.Argument(metavar="ESTIMATE", help="TUM file to judge.")],
     reference: Annotated[Path, typer.Argument(metavar="REFERENCE", help="TUM file to judge it by.")],
@@ -254,5 +288,6 @@ def register(app: typer.Typer) -> None:
     app.command("inspect", short_help="Say what a bag holds before you trust it.")(inspect)
     app.command("import", short_help="Turn a recording of raw packets into a bag.")(import_)
     app.command("map", short_help="Build one georeferenced map from bags.")(map_)
+    app.command("calibrate-rig", short_help="Refine extrinsics and clocks from a short drive.")(calibrate_rig)
     app.command("check", short_help="Compare a map with surveyed control points.")(check)
     app.command("trajectory", short_help="Compare two trajectories: errors and plots.")(trajectory)
