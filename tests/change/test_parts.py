@@ -1,13 +1,17 @@
 """Parts of an instance that stand in one epoch alone, and wings that belong to a building."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from test_measures import block, voxels, walls
 
+from subiaco_change.changes.decisions import DecisionConfig
+from subiaco_change.changes.object_changes import drove_by
 from subiaco_change.changes.objects import Thing, Voxels
 from subiaco_change.changes.parts import PartConfig, part_things
 from subiaco_change.changes.wings import find_wings
-from subiaco_geo.codes import Semantic
+from subiaco_geo.codes import Change, Semantic
 
 CONFIG = PartConfig()
 
@@ -82,3 +86,22 @@ def test_a_house_between_two_others_is_no_wing_of_either():
 def test_a_house_gone_from_a_row_that_is_one_instance_was_no_wing():
     row = voxels(np.concatenate([HOUSE, np.add(HOUSE, (16, 0, 0))]))
     assert find_wings([(row, row), (moved(walls(6, 8, 4), 10), NONE)], CONFIG) == {}
+
+
+@pytest.mark.parametrize(
+    ("passed", "top", "trail"),
+    [(6.0, 1.5, True), (1.0, 1.5, False), (6.0, 8.0, False)],
+    ids=["looked through", "solid", "a tall crown"],
+)
+def test_what_its_own_survey_looked_through_only_drove_by(passed, top, trail):
+    seen = replace(thing([(block((0, 0, 0), (4, 2, top)), False)]), passed=passed)
+    decision = drove_by([seen], DecisionConfig())
+    assert (decision is not None) == trail
+    if decision is not None:
+        assert decision.change is Change.NOT_REPORTED
+        assert "6 beams passed" in decision.reason
+
+
+def test_an_object_is_a_trail_only_if_all_its_parts_were_looked_through():
+    parts = [replace(thing([(block((0, 0, 0), (4, 2, 1.5)), False)]), passed=p) for p in (9.0, 0.5)]
+    assert drove_by(parts, DecisionConfig()) is None

@@ -222,6 +222,7 @@ def _view(cloud: PointCloud, epoch: _Epoch, lod: NDArray[np.float32]) -> EpochVi
         semantic.height_above_ground.astype(np.float64),
         np.asarray(lod, dtype=np.float64),
         own.astype(np.float64),
+        epoch.observer.passes(epoch.cloud.world()),
     )
 
 

@@ -63,6 +63,13 @@ class DecisionConfig(StrictModel):
     min_empty: float = Field(
         0.5, ge=0, le=1, description="share of the observed place that must be free in the other epoch"
     )
+    trail_passes: float = Field(
+        2.0,
+        gt=0,
+        description="beams that passed for each that returned, from which on what stands in one epoch alone"
+        " only drove by: at the densest quarter of its points",
+    )
+    trail_top: float = Field(3.8, gt=0, description="highest point of what drives by [m]")
     min_voxels: int = Field(4, ge=1, description="observed voxels below which nothing is claimed")
 
 

@@ -29,7 +29,7 @@ class MeasureConfig(StrictModel):
     )
     same_low: float = Field(0.35, gt=0, description="least distance at which a place counts as occupied [m]")
     same_high: float = Field(
-        2.0, gt=0, description="largest such distance, where the other epoch is sparse [m]"
+        1.0, gt=0, description="largest such distance, where the other epoch is sparse [m]"
     )
     same_factor: float = Field(1.25, gt=0, description="that distance in spacings of the other epoch")
     crossing: float = Field(

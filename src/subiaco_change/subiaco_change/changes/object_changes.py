@@ -194,7 +194,19 @@ def _decide(
         measures = replace(measures, outline=compare_outlines(first, second, rules.measures.outline))
     lod = max(t.lod for t in (*before, *after))
     decision = decide(semantic, bool(before), bool(after), measures, lod, rules.decisions)
+    if decision.change in (Change.ADDED, Change.REMOVED):
+        decision = drove_by((*before, *after), rules.decisions) or decision
     return ObjectChange(before, after, semantic, match.kind, measures, decision)
+
+
+def drove_by(things: Sequence[Thing], rules: DecisionConfig) -> Decision | None:
+    """Tell a trail from a thing: low, and its own survey looked through all of it."""
+    top = max(float(t.voxels.height.max()) for t in things)
+    passed = min(t.passed for t in things)
+    if top > rules.trail_top or passed < rules.trail_passes:
+        return None
+    reason = f"drove by while it was mapped: {passed:.0f} beams passed for each that returned"
+    return Decision(Change.NOT_REPORTED, reason, passed / rules.trail_passes)
 
 
 def _join(things: Sequence[Thing]) -> Voxels:

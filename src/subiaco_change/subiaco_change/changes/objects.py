@@ -21,7 +21,8 @@ class EpochView:
     """One epoch in the common local frame, ready to be measured.
 
     ``xyz`` (N, 3) [m]; ``normals`` (N, 3); ``semantic`` (N,) uint8; ``instance`` (N,) int32, -1 none;
-    ``height`` (N,) above ground [m]; ``lod`` (N,) [m], inf where no claim; ``score`` (N,) of the class.
+    ``height`` (N,) above ground [m]; ``lod`` (N,) [m], inf where no claim; ``score`` (N,) of the class;
+    ``passed`` (N,) beams of the epoch itself that passed a place for each that returned, where counted.
     """
 
     xyz: Floats
@@ -31,6 +32,7 @@ class EpochView:
     height: Floats
     lod: Floats
     score: Floats
+    passed: Floats | None = None
 
 
 @dataclass(frozen=True)
@@ -62,7 +64,11 @@ class Voxels:
 
 @dataclass(frozen=True)
 class Thing:
-    """One instance of one epoch: its class, points (indices and places) and voxels."""
+    """One instance of one epoch: its class, points (indices and places) and voxels.
+
+    ``passed``: beams of its own epoch that passed for each that returned, at the densest quarter of
+    its points; 0 where nothing counted them.
+    """
 
     instance: int
     semantic: Semantic
@@ -71,6 +77,7 @@ class Thing:
     voxels: Voxels
     lod: float
     xyz: Floats = field(default_factory=lambda: np.zeros((0, 3)))
+    passed: float = 0.0
 
 
 def build_voxels(
@@ -175,5 +182,6 @@ def build_things(view: EpochView, voxels: Voxels) -> list[Thing]:
         lod = float(np.median(finite)) if len(finite) else float("inf")
         score = float(view.score[members].mean())
         own = voxels.select(by_voxel[instance])
-        things.append(Thing(instance, semantic, score, members, own, lod, view.xyz[members]))
+        passed = 0.0 if view.passed is None else float(np.quantile(view.passed[members], 0.25))
+        things.append(Thing(instance, semantic, score, members, own, lod, view.xyz[members], passed))
     return things
