@@ -41,9 +41,11 @@ fi
 
 # One host, loopback and shared memory, nothing lost: config/dds/loopback.xml.
 export RMW_IMPLEMENTATION="${RMW_IMPLEMENTATION:-rmw_fastrtps_cpp}"
-export ROS_AUTOMATIC_DISCOVERY_RANGE="${ROS_AUTOMATIC_DISCOVERY_RANGE:-SYSTEM_DEFAULT}"
+# A middleware that does not read that profile is kept on this host by the range.
+case "$RMW_IMPLEMENTATION" in rmw_fastrtps_cpp) _subiaco_range=SYSTEM_DEFAULT ;; *) _subiaco_range=LOCALHOST ;; esac
+export ROS_AUTOMATIC_DISCOVERY_RANGE="${ROS_AUTOMATIC_DISCOVERY_RANGE:-$_subiaco_range}"
 export FASTRTPS_DEFAULT_PROFILES_FILE="${FASTRTPS_DEFAULT_PROFILES_FILE:-$_subiaco_root/config/dds/loopback.xml}"
 export SUBIACO_ROOT="$_subiaco_root"
 
 if [ -n "$_subiaco_nounset" ]; then set -u; fi
-unset _subiaco_file _subiaco_ws _subiaco_root _subiaco_shell _subiaco_apt _subiaco_nounset
+unset _subiaco_file _subiaco_ws _subiaco_root _subiaco_shell _subiaco_apt _subiaco_nounset _subiaco_range

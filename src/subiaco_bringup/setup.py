@@ -20,6 +20,7 @@ setup(
         ("share/" + NAME, ["package.xml"]),
         ("share/" + NAME + "/config", glob("config/*.yaml")),
         ("share/" + NAME + "/config/drivers", glob("config/drivers/*.yaml")),
+        ("share/" + NAME + "/config/dds", glob("config/dds/*")),
         ("share/" + NAME + "/launch", glob("launch/*.launch.py")),
         ("share/" + NAME + "/rviz", glob("rviz/*.rviz")),
         ("share/" + NAME + "/foxglove", glob("foxglove/*.json")),

@@ -100,6 +100,10 @@ class OpaqueFunction(Action):
     """Stands for launch.actions.OpaqueFunction."""
 
 
+class SetEnvironmentVariable(Action):
+    """Stands for launch.actions.SetEnvironmentVariable."""
+
+
 class Configuration:
     """Stands for LaunchConfiguration; the context is a plain dict."""
 
@@ -120,6 +124,7 @@ def launch_stub(monkeypatch: pytest.MonkeyPatch) -> None:
             "EmitEvent": Action,
             "OpaqueFunction": OpaqueFunction,
             "RegisterEventHandler": Action,
+            "SetEnvironmentVariable": SetEnvironmentVariable,
         },
         "launch.substitutions": {"LaunchConfiguration": Configuration},
         "launch.event_handlers": {"OnProcessExit": Action},
@@ -133,19 +138,29 @@ def launch_stub(monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setitem(sys.modules, name, module)
 
 
-def launched_lines(file: Path, **arguments: str) -> list[list[str]]:
-    """Expand a launch file as ``ros2 launch`` would, and return the command lines of its nodes."""
+def description_of(file: Path) -> list[Any]:
+    """Return what ``ros2 launch`` is given by a launch file."""
     spec = importlib.util.spec_from_file_location("launched", file)
     assert spec is not None
     assert spec.loader is not None
     module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)
-    description = module.generate_launch_description()
-    declared = [a for a in description.given[0] if not isinstance(a, OpaqueFunction)]
+    return list(module.generate_launch_description().given[0])
+
+
+def launched_nodes(file: Path, **arguments: str) -> list[dict[str, Any]]:
+    """Expand a launch file as ``ros2 launch`` would, and return what its nodes are given."""
+    actions = description_of(file)
+    declared = [a for a in actions if type(a) is Action]
     context = {a.given[0]: a.named["default_value"] for a in declared} | arguments
     assert not [name for name, value in context.items() if value is None]
-    (expand,) = [a for a in description.given[0] if isinstance(a, OpaqueFunction)]
-    nodes = [a.named for a in expand.named["function"](context) if isinstance(a, Node)]
+    (expand,) = [a for a in actions if isinstance(a, OpaqueFunction)]
+    return [a.named for a in expand.named["function"](context) if isinstance(a, Node)]
+
+
+def launched_lines(file: Path, **arguments: str) -> list[list[str]]:
+    """Return the command lines of the nodes of a launch file."""
+    nodes = launched_nodes(file, **arguments)
     return [[n["package"], n["executable"], *n["arguments"]] for n in nodes]
 
 
@@ -270,3 +285,52 @@ def test_only_what_can_be_started_again_without_harm_is(tmp_path: Path) -> None:
     assert [name for name, node in nodes.items() if node.restart] == ["recorder", "monitor", "odometry"]
     assert not nodes["pose_graph"].essential
     assert "recorder" not in {node.name for node in live_graph(tmp_path / "drive", record=False).nodes}
+
+
+@pytest.mark.usefixtures("launch_stub")
+@pytest.mark.parametrize(("record", "sim_time"), [(True, False), (False, True)])
+def test_launch_file_and_supervisor_treat_the_live_nodes_alike(
+    tmp_path: Path, record: bool, sim_time: bool
+) -> None:
+    from subiaco_bringup.defaults import config_files
+    from subiaco_bringup.live_graph import live_graph
+
+    file, drive = LAUNCH / "live.launch.py", tmp_path / "drive"
+    given = {"output": str(drive), "record": str(record).lower(), "sim_time": str(sim_time).lower()}
+    graph = live_graph(drive, config_files("mapping"), record=record, sim_time=sim_time)
+    assert launched_lines(file, **given) == command_lines(graph)
+    nodes = launched_nodes(file, **given)
+    assert [n["respawn"] for n in nodes] == [spec.restart for spec in graph.nodes]
+    assert [float(n["sigterm_timeout"]) for n in nodes] == [spec.grace for spec in graph.nodes]
+    names = ["monitor_node", "odometry_node", "pose_graph_node"]
+    assert [n["executable"] for n in nodes] == [*(["recorder_node"] if record else []), *names]
+
+
+@pytest.mark.usefixtures("launch_stub")
+@pytest.mark.parametrize("file", sorted(LAUNCH.glob("*.launch.py")), ids=lambda path: path.name)
+def test_a_launch_file_keeps_to_this_host_where_nothing_else_is_set(
+    file: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from subiaco_bringup.environment import dds_defaults
+
+    for name in dds_defaults({}):
+        monkeypatch.delenv(name, raising=False)
+    said = dict(a.given for a in description_of(file) if isinstance(a, SetEnvironmentVariable))
+    assert said == dds_defaults({})
+    for name in said:
+        monkeypatch.setenv(name, "mine")
+    assert not [a for a in description_of(file) if isinstance(a, SetEnvironmentVariable)]
+
+
+def test_every_process_of_every_graph_is_an_executable_of_its_package(tmp_path: Path) -> None:
+    from subiaco_bringup.live_graph import live_graph
+
+    graphs = [
+        live_graph(tmp_path),
+        mapping_graph([tmp_path], tmp_path),
+        change_graph(tmp_path, tmp_path, tmp_path),
+    ]
+    for spec in {node.executable: node for graph in graphs for node in graph.nodes}.values():
+        said = (LAUNCH.parents[1] / spec.package / "setup.py").read_text()
+        assert f"{spec.executable} = {spec.package}.nodes.{spec.executable}:main" in said
+        assert importlib.util.find_spec(f"{spec.package}.nodes.{spec.executable}") is not None

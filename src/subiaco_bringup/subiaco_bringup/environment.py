@@ -5,13 +5,15 @@ from __future__ import annotations
 import importlib.util
 import os
 import subprocess
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from subiaco_bringup.defaults import config_directory
 from subiaco_geo.errors import SubiacoError
 
+_FAST_DDS = "rmw_fastrtps_cpp"
 _NEEDED = ("rclpy", "subiaco_msgs", "ouster_sensor_msgs", "tf2_msgs")
 
 
@@ -48,13 +50,24 @@ def workspace_environment() -> dict[str, str]:
     return _sourced(script)
 
 
+def dds_defaults(environment: Mapping[str, str]) -> dict[str, str]:
+    """Return the DDS settings that an environment lacks: this host alone is spoken to.
+
+    The shipped profile binds loopback and shared memory and wants the range ``SYSTEM_DEFAULT``
+    (``LOCALHOST`` would add small transports of its own). Where it is not read, ``LOCALHOST`` it is.
+    """
+    profile = config_directory() / "dds" / "loopback.xml"
+    defaults = {"RMW_IMPLEMENTATION": _FAST_DDS, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
+    if environment.get("RMW_IMPLEMENTATION", _FAST_DDS) == _FAST_DDS and profile.is_file():
+        defaults["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"
+        defaults["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(profile)
+    return {name: value for name, value in defaults.items() if name not in environment}
+
+
 def _with_defaults(environment: dict[str, str], log_directory: str) -> dict[str, str]:
-    profile = Path(__file__).resolve().parents[3] / "config" / "dds" / "loopback.xml"
     result = {
-        "RMW_IMPLEMENTATION": "rmw_fastrtps_cpp",
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "SYSTEM_DEFAULT",
+        **dds_defaults(environment),
         "ROS_LOG_DIR": log_directory,
-        **({"FASTRTPS_DEFAULT_PROFILES_FILE": str(profile)} if profile.is_file() else {}),
         **environment,
         "RCUTILS_COLORIZED_OUTPUT": "0",
         "RCUTILS_CONSOLE_OUTPUT_FORMAT": "[{severity}] {message}",

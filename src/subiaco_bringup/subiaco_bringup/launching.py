@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import os
 import shlex
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
+from subiaco_bringup.environment import dds_defaults
 from subiaco_bringup.graph import GraphSpec
 
 Arguments = dict[str, str]
@@ -59,7 +61,7 @@ def launch_description(
     describe : callable
         Launch arguments to graph.
     """
-    from launch.actions import DeclareLaunchArgument, OpaqueFunction
+    from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable
     from launch.substitutions import LaunchConfiguration
 
     from launch import LaunchDescription  # type: ignore[attr-defined,unused-ignore]
@@ -72,4 +74,5 @@ def launch_description(
         DeclareLaunchArgument(name, default_value=default, description=text)
         for name, default, text in arguments
     ]
-    return LaunchDescription([*declared, OpaqueFunction(function=expand)])
+    local = [SetEnvironmentVariable(name, value) for name, value in dds_defaults(os.environ).items()]
+    return LaunchDescription([*declared, *local, OpaqueFunction(function=expand)])
