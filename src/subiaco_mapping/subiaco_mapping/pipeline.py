@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-import tempfile
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Protocol
@@ -15,7 +14,6 @@ from subiaco_geo.errors import InputError
 from subiaco_geo.maps import SurveyMap
 from subiaco_geo.simulated import mark_simulated
 from subiaco_geo.topics import FIX, HEADING, IMU, LIDAR_PACKETS, MESSAGE_TYPES, METADATA, POINTS, TF_STATIC
-from subiaco_mapping.backend import MappingBackend
 from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.conversions import (
     extrinsics_from_tf,
@@ -25,6 +23,7 @@ from subiaco_mapping.conversions import (
     scan_from_points,
 )
 from subiaco_mapping.frontend import FrontendOutput, OdometryFrontend
+from subiaco_mapping.journal import JournalledBackend, opened
 from subiaco_mapping.map_builder import ProgressCallback, silent
 from subiaco_mapping.measurements import DeskewedScan, Extrinsics, GnssFix, HeadingSample, OdometryPose
 from subiaco_mapping.named_bags import open_bag
@@ -135,7 +134,12 @@ def run_sequence(
 
 
 def map_survey(
-    bags: Sequence[Path], config: MappingConfig, progress: ProgressCallback | None = None
+    bags: Sequence[Path],
+    config: MappingConfig,
+    progress: ProgressCallback | None = None,
+    *,
+    journal: Path | None = None,
+    resume: bool = False,
 ) -> SurveyMap:
     """Map the bags of one epoch, each a sequence.
 
@@ -146,6 +150,11 @@ def map_survey(
     config : MappingConfig
     progress : callable, optional
         Told stage and fraction.
+    journal : Path, optional
+        Folder for the work of this run (:mod:`subiaco_mapping.journal`); it stays there, so that a
+        run that is killed can go on. Without one, work goes to a temporary folder.
+    resume : bool
+        Go on with what the journal holds; recordings that are done are not read again.
 
     Returns
     -------
@@ -160,12 +169,15 @@ def map_survey(
         raise InputError("no bag given; name at least one rosbag2 folder, .mcap or simulated epoch folder")
     require_map_crs(config.crs)
     report = progress or silent
-    with tempfile.TemporaryDirectory(prefix="subiaco-spool-") as spool:
-        backend = MappingBackend(config, Extrinsics(), Path(spool))
+    with opened(journal, config, resume=resume) as work:
+        backend = JournalledBackend(config, work)
         inputs = {}
-        for bag in bags:
-            with open_bag(Path(bag), config.topics) as reader:
-                run_sequence(reader, backend, config, report)
-            inputs[sequence_name(Path(bag))] = hash_bag(Path(bag))
+        for bag in map(Path, bags):
+            name, content = sequence_name(bag), hash_bag(bag)
+            inputs[name] = content
+            if not backend.restore(name, content):
+                with open_bag(bag, config.topics) as reader:
+                    run_sequence(reader, backend, config, report)
+                backend.keep(content)
         survey = mark_simulated(backend.build_map(report, inputs), [Path(bag) for bag in bags])
         return backend.with_quality(with_watched(survey, bags), report)

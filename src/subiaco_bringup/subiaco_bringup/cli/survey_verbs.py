@@ -112,7 +112,7 @@ def inspect(
 def import_(
     recording: Annotated[
         Path,
-        typer.Argument(metavar="RECORDING", help="Raw Ouster packets: .pcap with its .json, or ROS 1 .bag."),
+        typer.Argument(metavar="RECORDING", help="Raw Ouster packets: .pcap with its .json, .osf, or ROS 1 .bag."),
     ],
     output: Output,
     metadata: Annotated[
@@ -121,18 +121,34 @@ def import_(
             metavar="FILE", help="Ouster metadata JSON; without it, the one beside the pcap of the same name."
         ),
     ] = None,
+    gnss: Annotated[
+        Path | None, typer.Option(metavar="CSV", help="Fixes (and headings) with UTC stamps; see logs.gnss.")
+    ] = None,
+    imu: Annotated[
+        Path | None, typer.Option(metavar="CSV", help="IMU samples with UTC stamps; see logs.imu.")
+    ] = None,
+    config: ConfigFiles = None,
+    settings: Settings = None,
     overwrite: Overwrite = False,
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
     """Turn a recording of raw packets into an mcap bag that every other verb reads.
 
-    Example: subiaco import drive.pcap --metadata drive.json -o bags/drive
+    Columns of other names: --set logs.gnss.latitude=lat, and so on.
+
+    Example: subiaco import drive.pcap --gnss gnss.csv --imu imu.csv -o bags/drive
     """
+    from subiaco_mapping.config import MappingConfig
     from subiaco_mapping.importers import import_recording
+    from subiaco_mapping.logs import read_gnss_log, read_imu_log
 
     set_up_logging(verbose, quiet)
-    counts = import_recording(recording, output, metadata=metadata, overwrite=overwrite)
+    logs = load_config(MappingConfig, config_files("mapping", tuple(config or ())), settings or []).logs
+    fixes = [] if gnss is None else read_gnss_log(gnss, logs)
+    samples = [] if imu is None else read_imu_log(imu, logs)
+    logged = sorted(fixes + samples, key=lambda message: message.time_ns)
+    counts = import_recording(recording, output, metadata=metadata, logged=logged, overwrite=overwrite)
     listed = ", ".join(f"{count} on {topic}" for topic, count in counts.items())
     say(f"bag: {output} ({listed})", quiet=quiet)
 
@@ -151,6 +167,12 @@ def map_(
     threads: Annotated[
         int | None, typer.Option(help="Processor threads; 1 gives the same map every time.")
     ] = None,
+    resume: Annotated[
+        bool,
+        typer.Option(
+            "--resume", help="Go on with a run that was killed; recordings it finished are not read again."
+        ),
+    ] = False,
     overwrite: Overwrite = False,
     verbose: Verbose = False,
     quiet: Quiet = False,
@@ -158,23 +180,29 @@ def map_(
     """Build one georeferenced map from the bags of one epoch.
 
     A bag without usable GNSS fixes gives a map in a local frame, without CRS.
+    Until the map is written, the work lies beside it in .MAP_DIR.journal.
 
     Example: subiaco map bags/demo/before -o out/before
     """
     from subiaco_geo.atomic import refuse_existing, refuse_foreign
     from subiaco_geo.maps import write_map
     from subiaco_mapping.config import MappingConfig
+    from subiaco_mapping.journal import journal_folder, remove
     from subiaco_mapping.pipeline import map_survey
 
     set_up_logging(verbose, quiet)
+    if resume and not overwrite and (output / "map.yaml").is_file():
+        say(f"map: {output} is finished; nothing to resume", quiet=quiet)
+        return
     refuse_existing(output, overwrite)
     refuse_foreign(output, "map.yaml")
     files = config_files("mapping", tuple(config or ()))
     model = load_config(MappingConfig, files, _settings(settings, threads=threads))
     with Progress(quiet=quiet) as progress:
-        survey = map_survey(bags, model, progress)
+        survey = map_survey(bags, model, progress, journal=journal_folder(output), resume=resume)
         progress("writing map", 0.0)
         write_map(output, survey, overwrite=overwrite)
+    remove(journal_folder(output))
     place = survey.cloud.crs or "a local frame without CRS"
     say(f"map: {output} ({len(survey.cloud):,} points in {place})", quiet=quiet)
 

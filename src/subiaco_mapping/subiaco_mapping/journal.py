@@ -1,0 +1,164 @@
+"""A mapping run that was killed goes on: what each finished recording brought is kept beside the map."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import logging
+import os
+import pickle
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+from subiaco_geo import __version__
+from subiaco_geo.atomic import whole_file
+from subiaco_geo.config import config_hash
+from subiaco_mapping.backend import MappingBackend
+from subiaco_mapping.config import MappingConfig
+from subiaco_mapping.measurements import Extrinsics
+from subiaco_mapping.sequences import SequenceRecord
+
+logger = logging.getLogger(__name__)
+
+_INDEX = "journal.json"
+_RECORD = "sequence.pickle"
+
+
+def journal_folder(output: Path) -> Path:
+    """Return where the run that makes ``output`` keeps its work."""
+    output = output.absolute()
+    return output.with_name(f".{output.name}.journal")
+
+
+@contextmanager
+def opened(folder: Path | None, config: MappingConfig, *, resume: bool) -> Iterator[Journal]:
+    """Give the journal of a run; one without a folder lasts as long as the run.
+
+    One of a run that failed stays where it spares work; :func:`remove` it once the map is written.
+    """
+    if folder is None:
+        with tempfile.TemporaryDirectory(prefix="subiaco-spool-") as work:
+            yield Journal(Path(work), config, resume=False)
+        return
+    journal = Journal(folder, config, resume=resume)
+    try:
+        yield journal
+    except BaseException:
+        if journal.finished == 0:
+            remove(folder)
+        else:
+            logger.warning("%d recordings are done; --resume goes on from there", journal.finished)
+        raise
+
+
+def remove(folder: Path) -> None:
+    """Remove a journal, if it is there."""
+    shutil.rmtree(folder, ignore_errors=True)
+
+
+def _program() -> str:
+    """Hash this package, so that nothing goes on with what another version of it began."""
+    digest = hashlib.sha256(__version__.encode())
+    for path in sorted(Path(__file__).parent.rglob("*.py")):
+        digest.update(path.read_bytes())
+    return digest.hexdigest()
+
+
+class Journal:
+    """What is done of one run.
+
+    Parameters
+    ----------
+    folder : Path
+        Of this run alone.
+    config : MappingConfig
+    resume : bool
+        Go on with what is there, if configuration and program are the same; else begin anew.
+    """
+
+    def __init__(self, folder: Path, config: MappingConfig, *, resume: bool) -> None:
+        self.folder = folder
+        run = {"config": config_hash(config), "program": _program()}
+        found = self._read() if resume else {}
+        if resume and found.get("run") != run:
+            said = "begun by another configuration or version" if found else "none"
+            logger.warning("%s: journal %s; mapping from the start", folder, said)
+        if found.get("run") != run:
+            shutil.rmtree(folder, ignore_errors=True)
+            found = {}
+        self._state: dict[str, Any] = {"run": run, "sequences": found.get("sequences", {})}
+        folder.mkdir(parents=True, exist_ok=True)
+        self._write()
+
+    def _read(self) -> dict[str, Any]:
+        try:
+            return dict(json.loads((self.folder / _INDEX).read_text(encoding="utf-8")))
+        except (OSError, ValueError, TypeError):
+            return {}
+
+    def _write(self) -> None:
+        with whole_file(self.folder / _INDEX) as temporary:
+            temporary.write_text(json.dumps(self._state), encoding="utf-8")
+
+    def record_of(self, number: int, name: str, bag_hash: str) -> SequenceRecord | None:
+        """Return what the bag of that number, name and content brought, None where that is not known."""
+        noted = self._state["sequences"].get(str(number), {})
+        path = self._place(number) / _RECORD
+        if noted.get("bag") != [name, bag_hash] or not path.is_file():
+            return None
+        packed = path.read_bytes()
+        if hashlib.sha256(packed).hexdigest() != noted["record"]:
+            logger.warning("%s: damaged; the recording is read again", path)
+            return None
+        record: SequenceRecord = pickle.loads(packed)  # noqa: S301 - ours, its hash noted by this program
+        return record
+
+    def forget(self, number: int) -> None:
+        """Remove what an unfinished sequence left."""
+        shutil.rmtree(self._place(number), ignore_errors=True)
+
+    def keep(self, number: int, bag_hash: str, record: SequenceRecord) -> None:
+        """Note a finished sequence, its scans on disk included."""
+        packed = pickle.dumps(record)
+        with whole_file(self._place(number) / _RECORD) as temporary, temporary.open("wb") as stream:
+            stream.write(packed)
+            stream.flush()
+            os.fsync(stream.fileno())
+        noted = {"bag": [record.name, bag_hash], "record": hashlib.sha256(packed).hexdigest()}
+        self._state["sequences"][str(number)] = noted
+        self._write()
+
+    @property
+    def finished(self) -> int:
+        """Sequences that need not be read again."""
+        return len(self._state["sequences"])
+
+    def _place(self, number: int) -> Path:
+        return self.folder / f"{number:03d}"
+
+
+class JournalledBackend(MappingBackend):
+    """A back end that keeps its finished sequences in a journal."""
+
+    def __init__(self, config: MappingConfig, journal: Journal) -> None:
+        super().__init__(config, Extrinsics(), journal.folder)
+        self._journal = journal
+
+    def restore(self, name: str, bag_hash: str) -> bool:
+        """Take the next sequence from the journal; False where it must be read from its bag."""
+        number = len(self._sequences)
+        record = self._journal.record_of(number, name, bag_hash)
+        if record is None:
+            self._journal.forget(number)
+            return False
+        logger.info("%s: odometry taken from the journal (%d scans)", record.name, len(record.poses))
+        self._sequences.append(record)
+        return True
+
+    def keep(self, bag_hash: str) -> None:
+        """Note the newest sequence as finished."""
+        self._journal.keep(len(self._sequences) - 1, bag_hash, self._sequences[-1])
