@@ -53,7 +53,7 @@ class RecorderApp:
         self.recorder = Recorder(Path(own.output), config, resume=own.resume, facts=self._facts)
         self.listener = Listener(node, config, self.recorder.add)
         self._diagnostics = Diagnostics(node)
-        self._said = time.monotonic()
+        self._said = self._drained = time.monotonic()
         self._until = self._said + own.duration if own.duration else None
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         node.create_timer(LOOK_INTERVAL, self.listener.look, clock=steady)
@@ -68,6 +68,9 @@ class RecorderApp:
     def step(self) -> float:
         """Take what has arrived; end where the disk has, if the configuration says so."""
         self.listener.drain()
+        now = time.monotonic()
+        self.recorder.slowest_drain_s = max(self.recorder.slowest_drain_s, now - self._drained)
+        self._drained = now
         if self.recorder.stopped and self._config.exit_when_stopped:
             raise InputError(self.recorder.status().reason)
         return PATIENCE
@@ -122,6 +125,8 @@ class RecorderApp:
             "free_gb": round(status.free_bytes / 1e9, 2),
             "minutes_left": "" if status.minutes_left is None else round(status.minutes_left),
             "slowest_sync_s": round(status.slowest_sync_s, 3),
+            "slowest_turn_s": round(status.slowest_turn_s, 3),
+            "slowest_drain_s": round(self.recorder.slowest_drain_s, 3),
             "not_published": " ".join(self.listener.missing()),
         }
         for name, facts in self._facts().items():

@@ -30,7 +30,8 @@ class RecorderStatus:
     """How a recording stands.
 
     ``minutes_left`` is until the disk's lower watermark at the present rate, None where nothing is
-    written; ``slowest_sync_s`` is the longest wait for the disk so far.
+    written; ``slowest_sync_s`` is the longest wait for the disk so far, ``slowest_turn_s`` the longest time
+    between two looks at the clock: a kill then would have cost so much more than ``flush_interval``.
     """
 
     state: State
@@ -45,6 +46,7 @@ class RecorderStatus:
     rate_bytes: float
     minutes_left: float | None
     slowest_sync_s: float
+    slowest_turn_s: float
     warnings: tuple[str, ...]
 
 

@@ -7,7 +7,6 @@ import threading
 import time
 from collections import deque
 from collections.abc import Callable, Mapping
-from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Any
@@ -20,15 +19,14 @@ from subiaco_geo.bag_metadata import SegmentInfo, describe_segment, write_bag_me
 from subiaco_geo.bag_segments import RecordedTopic, SegmentWriter, natural_order, segment_path, sole_writer
 from subiaco_geo.errors import InputError
 from subiaco_mapping.recording.config import RecordConfig
+from subiaco_mapping.recording.disk import GB, DiskRoom, DiskWaiter
 from subiaco_mapping.recording.entries import Entry, RecorderStatus, State, free_bytes, latched_key
 
 LOGGER = logging.getLogger(__name__)
 
 COUNTS_NAME = "recording.yaml"
-_GB, _MB = 10**9, 10**6
+_MB = 10**6
 _NAP = 0.02  # woken by time and not by every message: many are written in one go
-_DISK_INTERVAL = 0.25
-_RATE_MEMORY = 10.0
 
 Facts = Callable[[], Mapping[str, Any]]
 
@@ -83,14 +81,17 @@ class Recorder:
         self.folder = Path(folder).absolute()
         self._config = config
         self._facts = facts or dict
-        self._free = free
         _prepare(self.folder, resume)
         self._held = ExitStack()
         self._held.enter_context(sole_writer(self.folder))
+        try:
+            self._room = DiskRoom(self.folder, config, free)
+        except InputError:
+            self._held.close()
+            raise
         self._segments, self._index = _existing(self.folder)
         self._segment: SegmentWriter | None = None
-        self._disk = ThreadPoolExecutor(1, "disk")  # waits for the disk, so that writing need not
-        self._at_disk: deque[Future[None]] = deque()
+        self._disk = DiskWaiter()
         self._latched: dict[tuple[str, ...], Entry] = {}
         self._queue: deque[Entry] = deque()
         self._queued_bytes = 0
@@ -98,24 +99,12 @@ class Recorder:
         self._ending = False
         self._state: State = "recording"
         self._reason = ""
-        self._messages = self._dropped = self._closed_bytes = self._repeated = 0
-        self._slowest_sync = 0.0
-        self._rate = 0.0
+        self._accepted = self._refused = self._messages = self._closed_bytes = self._repeated = 0
         now = time.monotonic()
-        self._flushed = self._looked = self._split = now
-        self._looked_bytes = 0
-        self._free_bytes = free(self.folder)
-        self._refuse_full_disk()
+        self._flushed = self._split = self._turned = now
+        self._slowest_turn = self.slowest_drain_s = 0.0
         self._thread = threading.Thread(target=self._run, name="recorder", daemon=True)
         self._thread.start()
-
-    def _refuse_full_disk(self) -> None:
-        if self._free_bytes < self._config.stop_free_gb * _GB:
-            self._held.close()
-            raise InputError(
-                f"{self.folder}: only {self._free_bytes / _GB:.1f} GB are free, "
-                f"{self._config.stop_free_gb:g} must stay free (record.stop_free_gb); make room"
-            )
 
     # The receiving side ---------------------------------------------------------------------------
 
@@ -136,8 +125,9 @@ class Recorder:
         with self._wake:
             full = self._queued_bytes + len(data) > self._config.queue_mb * _MB
             if full or self._state != "recording" or self._ending:
-                self._dropped += 1
+                self._refused += 1
                 return False
+            self._accepted += 1
             publish = publish_time_ns or log_time_ns
             self._queue.append(Entry(topic, data, log_time_ns, publish, sequence & 0xFFFFFFFF, latched))
             self._queued_bytes += len(data)
@@ -151,7 +141,6 @@ class Recorder:
     def status(self) -> RecorderStatus:
         """Return how the recording stands."""
         segment = self._segment
-        spare = max(0.0, self._free_bytes - self._config.stop_free_gb * _GB)
         return RecorderStatus(
             state=self._state,
             reason=self._reason,
@@ -160,22 +149,27 @@ class Recorder:
             messages=self._messages,
             written_bytes=self._closed_bytes + (0 if segment is None else segment.size),
             queued_bytes=self._queued_bytes,
-            dropped=self._dropped,
-            free_bytes=self._free_bytes,
-            rate_bytes=self._rate,
-            minutes_left=spare / self._rate / 60.0 if self._rate > 0 else None,
-            slowest_sync_s=self._slowest_sync,
+            dropped=self._dropped(),
+            free_bytes=self._room.free_bytes,
+            rate_bytes=self._room.rate_bytes,
+            minutes_left=self._room.minutes_left,
+            slowest_sync_s=self._disk.slowest_s,
+            slowest_turn_s=self._slowest_turn,
             warnings=tuple(self._warnings()),
         )
 
+    def _dropped(self) -> int:
+        """Return how many were refused, and after a stop those that were taken in but not written either."""
+        return self._refused + (self._accepted - self._messages if self.stopped else 0)
+
     def _warnings(self) -> list[str]:
         warnings = [self._reason] if self._reason else []
-        if self._state == "recording" and self._free_bytes < self._config.warn_free_gb * _GB:
-            warnings.append(f"only {self._free_bytes / _GB:.1f} GB free on the disk")
+        if self._state == "recording" and self._room.low:
+            warnings.append(f"only {self._room.free_bytes / GB:.1f} GB free on the disk")
         if self._queued_bytes > 0.5 * self._config.queue_mb * _MB:
             warnings.append(f"the disk is too slow: {self._queued_bytes / _MB:.0f} MB wait for it")
-        if self._dropped:
-            warnings.append(f"{self._dropped} messages not recorded")
+        if dropped := self._dropped():
+            warnings.append(f"{dropped} messages not recorded")
         return warnings
 
     def close(self) -> RecorderStatus:
@@ -196,8 +190,8 @@ class Recorder:
                     self._write(entry)
                 self._tend()
             self._finish_segment()
-            self._disk.shutdown(wait=True)
-            self._see_to_disk()
+            self._disk.finish()
+            self._disk.check()
             if self._state == "recording":
                 self._state = "closed"
         except OSError as error:
@@ -244,60 +238,41 @@ class Recorder:
         """Hand the chunk to the system: safe from a kill at once, from a loss of power when synced."""
         assert self._segment is not None
         self._segment.flush()
-        if sync and not self._at_disk:
-            self._at_disk.append(self._disk.submit(self._sync, self._segment))
-
-    def _sync(self, segment: SegmentWriter) -> None:
-        begun = time.monotonic()
-        segment.sync()
-        self._slowest_sync = max(self._slowest_sync, time.monotonic() - begun)
-
-    def _see_to_disk(self) -> None:
-        """Forget what the disk has done, and raise what it refused."""
-        while self._at_disk and self._at_disk[0].done():
-            self._at_disk.popleft().result()
+        if sync:
+            self._disk.sync(self._segment)
 
     def _tend(self) -> None:
         """Do what is due by the clock: flush, look at the disk, begin a new file."""
-        self._see_to_disk()
+        self._disk.check()
         now = time.monotonic()
+        self._slowest_turn = max(self._slowest_turn, now - self._turned)
+        self._turned = now
         if now - self._flushed >= self._config.flush_interval:
             self._flushed = now
             if self._segment is not None and self._segment.pending_bytes:
                 self._flush(sync=self._config.fsync != "close")
-        if now - self._looked >= _DISK_INTERVAL:
-            self._look_at_disk(now)
+        if self._room.due(now):
+            self._room.look(now, self.status().written_bytes)
+            if self._room.full:
+                free = self._room.free_bytes / GB
+                self._stop("disk full", f"stopped, all files whole: only {free:.2f} GB are free")
         if self._segment is not None and now - self._split >= self._config.split_duration:
             self._finish_segment()
-
-    def _look_at_disk(self, now: float) -> None:
-        written = self.status().written_bytes
-        share = min(1.0, (now - self._looked) / _RATE_MEMORY)
-        rate = (written - self._looked_bytes) / (now - self._looked)
-        self._rate = rate if self._rate == 0 else (1 - share) * self._rate + share * rate
-        self._looked, self._looked_bytes = now, written
-        self._free_bytes = self._free(self.folder)
-        if self._free_bytes < self._config.stop_free_gb * _GB:
-            self._stop(
-                "disk full", f"stopped, all files whole: only {self._free_bytes / _GB:.2f} GB are free"
-            )
 
     def _stop(self, state: State, reason: str) -> None:
         with self._wake:
             self._state, self._reason = state, f"{self.folder}: {reason}"
-            self._dropped += len(self._queue)
             self._queue.clear()
             self._queued_bytes = 0
         LOGGER.error("%s", self._reason)
 
     def _fail(self, error: Exception) -> None:
         """Give up on a disk that refuses; what was flushed stays in the partial file."""
-        self._disk.shutdown(wait=True)
+        self._disk.finish()
         segment, self._segment = self._segment, None
         if segment is not None:
             segment.abandon()
             self._messages -= segment.pending_messages
-            self._dropped += segment.pending_messages
         reason = getattr(error, "strerror", None) or f"{type(error).__name__}: {error}"
         advice = f"run 'subiaco recover {self.folder}'" if segment is not None else "choose another disk"
         self._stop("failed", f"{reason.lower()}; {advice}")
@@ -305,10 +280,11 @@ class Recorder:
     def _finish_segment(self) -> None:
         if self._segment is None:
             return
-        self._segment.finish()
-        self._closed_bytes += self._segment.size
-        self._at_disk.append(self._disk.submit(self._settle, self._segment))
+        segment = self._segment
+        segment.finish()  # where that fails, the file is still the present one
         self._segment = None
+        self._closed_bytes += segment.size
+        self._disk.submit(lambda: self._settle(segment))
 
     def _settle(self, segment: SegmentWriter) -> None:
         segment.settle()
@@ -324,9 +300,11 @@ class Recorder:
             "files": len(self._segments),
             "messages": self._messages,
             "repeated_latched": self._repeated,
-            "dropped": self._dropped,
+            "dropped": self._dropped(),
             "bytes": self._closed_bytes,
-            "slowest_sync_s": round(self._slowest_sync, 3),
+            "slowest_sync_s": round(self._disk.slowest_s, 3),
+            "slowest_turn_s": round(self._slowest_turn, 3),
+            "slowest_drain_s": round(self.slowest_drain_s, 3),
             "topics": dict(self._facts()),
         }
         try:
