@@ -241,5 +241,5 @@ def test_mapping_writes_the_report_of_both_drives(two_drives: TwoDrives):
     facts = json.loads(two_drives.survey.pages["quality.json"])
     assert sorted(facts["sequences"]) == ["back", "there"]
     assert facts["simulated"] == bool(two_drives.survey.info.get("simulations"))
-    assert facts["fixes_used"]["horizontal_rmse_m"] < 0.05
+    assert facts["fixes_used"]["RTK fixed"]["horizontal_rmse_m"] < 0.05
     assert facts["walls"]["thickness_median_m"] < 0.05

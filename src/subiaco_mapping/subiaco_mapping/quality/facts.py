@@ -66,7 +66,7 @@ def assess(survey: SurveyMap, solution: GraphSolution, config: MappingConfig) ->
         "simulated": bool(survey.info.get(SIMULATIONS)),
         "sequences": {one.name: _sequence_facts(one) for one in series},
         "positions": _position_facts(series),
-        "fixes_used": used.described() if len(used) else None,
+        "fixes_used": _by_state(used),
         "withheld": withheld if isinstance(withheld, str) else withheld.described(),
         "loops": solution.loops.described(),
         "walls": walls.described(),
@@ -84,6 +84,11 @@ def _used(solution: GraphSolution) -> FixErrors:
     fixes = {k: c.gnss for k, c in solution.graph.chains.items() if c.gnss is not None and len(c.gnss.index)}
     every = {number: np.arange(len(own.index)) for number, own in fixes.items()}
     return fix_errors(fixes, solution.graph.solved.chains, every, independent=False)
+
+
+def _by_state(used: FixErrors) -> dict[str, dict[str, float]]:
+    parts = {name: used.of_state(state) for state, name in STATES.items() if state >= 0}
+    return {name: part.described() for name, part in reversed(parts.items()) if len(part)}
 
 
 def _sequence_facts(one: Series) -> dict[str, Any]:

@@ -43,6 +43,17 @@ class FixErrors:
     def __len__(self) -> int:
         return len(self.times_ns)
 
+    def of_state(self, status: int) -> FixErrors:
+        """Return those of one RTK state; higher numbers than 2 are fixed too."""
+        rows = np.clip(self.status, 0, 2) == status
+        return FixErrors(
+            self.sequence[rows],
+            self.times_ns[rows],
+            self.status[rows],
+            self.offset[rows],
+            self.covariance[rows],
+        )
+
     @property
     def sigma(self) -> Floats:
         """Stated standard deviations (N, 3) [m]."""
