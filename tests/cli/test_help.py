@@ -29,7 +29,7 @@ VERBS = [
 OPTIONS = {
     "simulate": ["--seed", "--preset", "--epoch", "--maps-only", "--duration", "--mode", "--overwrite"],
     "inspect": ["--json"],
-    "import": ["--metadata", "--output", "--overwrite"],
+    "import": ["--metadata", "--gnss", "--imu", "--output", "--overwrite"],
     "calibrate-rig": ["--output", "--config", "--set", "--overwrite"],
     "map": ["--output", "--config", "--set", "--threads", "--overwrite", "--quiet", "--verbose"],
     "change": [

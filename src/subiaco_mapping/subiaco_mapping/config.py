@@ -9,6 +9,7 @@ from pydantic import Field
 from subiaco_geo.config import StrictModel
 from subiaco_mapping.calibration.config import CalibrationConfig
 from subiaco_mapping.drivers import DriverName
+from subiaco_mapping.logs import LogsConfig
 from subiaco_mapping.loops.config import LoopConfig
 from subiaco_mapping.quality.config import QualityConfig
 from subiaco_mapping.topic_names import TopicsConfig
@@ -233,3 +234,4 @@ class MappingConfig(StrictModel):
     quality: QualityConfig = QualityConfig()
     watch: WatchConfig = WatchConfig()
     calibration: CalibrationConfig = CalibrationConfig()
+    logs: LogsConfig = LogsConfig()

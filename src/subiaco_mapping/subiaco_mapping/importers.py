@@ -1,18 +1,20 @@
-"""Recordings of raw packets to survey bags: pcap with its JSON, ROS 1 bags.
+"""Recordings of raw packets to survey bags: pcap with its JSON, OSF, ROS 1 bags; CSV logs beside them.
 
-Packets are copied bit for bit. A packet carries no stamp of its own, so the log time is the
-capture time.
+Packets of pcap and ROS 1 are copied bit for bit, those of OSF built again from its scans. A packet
+carries no stamp of its own, so the log time is the capture time; messages of CSV logs are merged by
+their UTC stamps.
 """
 
 from __future__ import annotations
 
+import heapq
 import logging
 import tempfile
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
-from ouster.sdk import core, pcap
+from ouster.sdk import core, osf, pcap
 from rosbags.rosbag1 import Reader as Ros1Reader
 from rosbags.rosbag1 import ReaderError
 
@@ -21,6 +23,7 @@ from subiaco_geo.bags import TYPESTORE, BagWriter, packet_to_cdr
 from subiaco_geo.errors import InputError
 from subiaco_geo.topics import IMU_PACKETS, LATCHED, LIDAR_PACKETS, MESSAGE_TYPES, METADATA
 from subiaco_mapping.decode import parse_metadata
+from subiaco_mapping.logs import LogMessage
 
 logger = logging.getLogger(__name__)
 
@@ -86,6 +89,51 @@ def pcap_packets(recording: Path, metadata: str) -> Iterator[RecordedPacket]:
         ) from error
 
 
+def osf_recording(recording: Path) -> tuple[str, Iterator[RecordedPacket]]:
+    """Return metadata and LiDAR packets of the first sensor of an OSF file.
+
+    Raises
+    ------
+    InputError
+        Not an OSF file, or no sensor in it.
+    """
+    try:
+        reader = osf.Reader(str(recording))
+        sensors = dict(reader.meta_store.find(osf.LidarSensor))
+        streams = dict(reader.meta_store.find(osf.LidarFrameStream))
+    except (RuntimeError, ValueError) as error:
+        first = str(error).splitlines()[0]
+        raise InputError(f"{recording}: not a whole OSF file ({first}); check it") from error
+    if not sensors:
+        raise InputError(f"{recording}: no LiDAR sensor in it; check the recording")
+    chosen = min(sensors)
+    if len(sensors) > 1:
+        logger.warning("%s: %d sensors in it; the first is taken", recording, len(sensors))
+    wanted = {number for number, stream in streams.items() if stream.sensor_meta_id == chosen}
+    info = sensors[chosen].info
+    return info.to_json_string(), _osf_packets(recording, reader, wanted, info)
+
+
+def _osf_packets(
+    recording: Path, reader: osf.Reader, streams: set[int], info: core.SensorInfo
+) -> Iterator[RecordedPacket]:
+    """Yield the packets that the scans of some streams came in."""
+    layout = core.PacketFormat(info)
+    try:
+        for message in reader.messages():
+            frame = message.decode() if message.id in streams else None
+            if not isinstance(frame, core.LidarFrame):
+                continue
+            packets = core.frame_to_packets(frame, layout, info.init_id, int(info.sn or 0))
+            packets = [p for p in packets if isinstance(p, core.LidarPacket)]
+            for packet in packets:
+                captured = int(packet.host_timestamp) or int(message.ts)
+                yield RecordedPacket(LIDAR_PACKETS, captured, bytes(packet.buf))
+    except (RuntimeError, ValueError) as error:
+        first = str(error).splitlines()[0]
+        raise InputError(f"{recording}: its scans cannot be read ({first}); check it") from error
+
+
 def ros1_recording(recording: Path) -> tuple[str | None, list[RecordedPacket]]:
     """Return metadata (None where it has none) and packets of a ROS 1 bag.
 
@@ -122,11 +170,16 @@ def _trimmed(packets: Iterable[RecordedPacket], metadata: str) -> Iterator[Recor
 
 
 def _write_bag(
-    recording: Path, bag: Path, metadata: str, packets: Iterable[RecordedPacket]
+    recording: Path,
+    bag: Path,
+    metadata: str,
+    packets: Iterable[RecordedPacket],
+    logged: Iterable[LogMessage],
 ) -> dict[str, int]:
     counts: dict[str, int] = {}
+    streams: list[Iterable[RecordedPacket | LogMessage]] = [packets, logged]
     with BagWriter(bag) as writer:
-        for packet in packets:
+        for packet in heapq.merge(*streams, key=lambda item: item.time_ns):
             if not counts:
                 string_type = TYPESTORE.types[MESSAGE_TYPES[METADATA]]
                 writer.write(
@@ -137,7 +190,7 @@ def _write_bag(
                     latched=True,
                 )
                 counts[METADATA] = 1
-            cdr = packet_to_cdr(packet.buf)
+            cdr = packet.cdr if isinstance(packet, LogMessage) else packet_to_cdr(packet.buf)
             writer.write_raw(
                 packet.topic,
                 MESSAGE_TYPES[packet.topic],
@@ -154,18 +207,25 @@ def _write_bag(
 
 
 def import_recording(
-    recording: Path, bag: Path, *, metadata: Path | None = None, overwrite: bool = False
+    recording: Path,
+    bag: Path,
+    *,
+    metadata: Path | None = None,
+    logged: Iterable[LogMessage] = (),
+    overwrite: bool = False,
 ) -> dict[str, int]:
     """Turn a recording of raw Ouster packets into an mcap bag.
 
     Parameters
     ----------
     recording : Path
-        ``.pcap`` (with the sensor's JSON) or a ROS 1 ``.bag`` of PacketMsg.
+        ``.pcap`` (with the sensor's JSON), ``.osf`` or a ROS 1 ``.bag`` of PacketMsg.
     bag : Path
         rosbag2 folder to make.
     metadata : Path, optional
         Sensor JSON; default: found beside a pcap by name, or in the ROS 1 bag.
+    logged : iterable of LogMessage
+        Of CSV logs (:mod:`subiaco_mapping.logs`), in time order.
     overwrite : bool
         Replace ``bag``.
 
@@ -183,10 +243,12 @@ def import_recording(
     refuse_existing(bag, overwrite)
     refuse_foreign(bag, "metadata.yaml")
     if not recording.is_file():
-        raise InputError(f"{recording}: no such recording; give a .pcap or a ROS 1 .bag")
+        raise InputError(f"{recording}: no such recording; give a .pcap, .osf or ROS 1 .bag")
     if recording.suffix in _PCAP_SUFFIXES:
         text = _read_text(metadata or find_metadata(recording))
         packets: Iterable[RecordedPacket] = pcap_packets(recording, text)
+    elif recording.suffix == ".osf":
+        text, packets = osf_recording(recording)
     elif recording.suffix == ".bag":
         inside, listed = ros1_recording(recording)
         if metadata is None and inside is None:
@@ -195,20 +257,24 @@ def import_recording(
         packets = _trimmed(listed, text)
     else:
         raise InputError(
-            f"{recording}: a {recording.suffix or 'nameless'} recording is not supported; give a .pcap or a "
-            "ROS 1 .bag of raw packets"
+            f"{recording}: a {recording.suffix or 'nameless'} recording is not supported; give a .pcap, "
+            ".osf or ROS 1 .bag of raw packets"
         )
-    return _write_in_place(recording, bag, text, packets)
+    return _write_in_place(recording, bag, text, packets, logged)
 
 
 def _write_in_place(
-    recording: Path, bag: Path, metadata: str, packets: Iterable[RecordedPacket]
+    recording: Path,
+    bag: Path,
+    metadata: str,
+    packets: Iterable[RecordedPacket],
+    logged: Iterable[LogMessage],
 ) -> dict[str, int]:
     """Write the whole bag under its own name in a folder beside, then put it in its place."""
     bag.parent.mkdir(parents=True, exist_ok=True)
     with tempfile.TemporaryDirectory(prefix=".import-", dir=bag.parent) as beside:
         fresh = Path(beside) / bag.name
-        counts = _write_bag(recording, fresh, metadata, packets)
+        counts = _write_bag(recording, fresh, metadata, packets, logged)
         if bag.exists():
             bag.rename(Path(beside) / "replaced")
         fresh.rename(bag)

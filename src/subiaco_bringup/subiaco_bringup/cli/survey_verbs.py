@@ -112,7 +112,9 @@ def inspect(
 def import_(
     recording: Annotated[
         Path,
-        typer.Argument(metavar="RECORDING", help="Raw Ouster packets: .pcap with its .json, .osf, or ROS 1 .bag."),
+        typer.Argument(
+            metavar="RECORDING", help="Raw Ouster packets: .pcap with its .json, .osf, or ROS 1 .bag."
+        ),
     ],
     output: Output,
     metadata: Annotated[
