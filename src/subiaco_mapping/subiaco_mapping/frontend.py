@@ -10,6 +10,7 @@ from subiaco_geo.errors import InputError
 from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.decode import DecodeCounts, PacketDecoder
 from subiaco_mapping.deskew import Deskewer
+from subiaco_mapping.imu_clock import ImuClock
 from subiaco_mapping.measurements import DeskewedScan, Extrinsics, ImuSample, OdometryPose, Scan
 from subiaco_mapping.odometry import KissOdometry, OdometryBackend
 
@@ -48,6 +49,8 @@ class OdometryFrontend:
         self._config = config
         self._decoder: PacketDecoder | None = None
         self._deskewer = Deskewer(config.deskew, extrinsics)
+        rotation = None if extrinsics.T_base_imu is None else extrinsics.R_lidar_imu
+        self._clock = ImuClock(rotation, config.deskew.imu_time_offset_ns)
         self._odometry = odometry or KissOdometry(config.odometry, config.threads)
         self._waiting: deque[Scan] = deque()
         self._latest_ns = 0
@@ -86,6 +89,7 @@ class OdometryFrontend:
     def on_imu(self, sample: ImuSample) -> list[FrontendOutput]:
         """Take one IMU sample."""
         self._deskewer.push_imu(sample)
+        self._clock.push_imu(sample)
         return self._drain(force=False)
 
     def finish(self) -> list[FrontendOutput]:
@@ -101,6 +105,7 @@ class OdometryFrontend:
             "dropped_scans": self.dropped_scans,
             "imu_out_of_order": self._deskewer.out_of_order,
             "gyro_bias": self._deskewer.gyro_bias.round(6).tolist(),
+            **self._clock.facts(),
         }
 
     def _enqueue(self, scans: list[Scan]) -> list[FrontendOutput]:
@@ -123,4 +128,6 @@ class OdometryFrontend:
             self.dropped_scans += 1
             return None
         deskewed = self._deskewer.deskew(scan, self._odometry.twist, previous_ns)
-        return FrontendOutput(self._odometry.register(deskewed), deskewed)
+        pose = self._odometry.register(deskewed)
+        self._clock.push_pose(pose)
+        return FrontendOutput(pose, deskewed)

@@ -68,6 +68,8 @@ LEGEND = {
     "left_out": "came before it was known where the sensors sit",
     "scans_in_part": "live: scans left out because one of their messages was lost",
     "gyro_bias": "subtracted from the gyro, x y z [rad/s]",
+    "imu_clock": "gyro against odometry: offset_ms to be added to IMU stamps beside the one in use, "
+    "sigma_ms; off: more than 2 ms and 3 sigma",
 }
 
 
