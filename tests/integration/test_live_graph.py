@@ -184,18 +184,23 @@ def test_a_survey_is_recorded_watched_mapped_and_ended_whole(drive: Path, tmp_pa
     assert "gnss_silent" in again.manifest["sequences"]["survey"]["flagged"]
 
 
-def test_nodes_that_crash_are_named_and_started_again(drive: Path, tmp_path: Path) -> None:
+def test_nodes_that_crash_are_named_and_started_again_and_drivers_may_use_other_names(
+    drive: Path, tmp_path: Path
+) -> None:
     folder = tmp_path / "survey"
-    live = LiveRun("-o", folder, "--sim-time", "--no-record")
+    other = "/gnss/fix:=/ublox_gps_node/fix"
+    live = LiveRun("-o", folder, "--sim-time", "--no-record", "--remap", other)
     live.until(lambda: live.said("lidar: none: nothing yet"))
     os.kill(live.children("odometry_node")[0], signal.SIGKILL)
     live.until(lambda: live.said("node odometry was killed by SIGKILL.*starting it again"))
     live.until(lambda: live.children("odometry_node"))
-    play(live, drive)
+    play(live, drive, "--ros-args", "-r", other)
     assert live.stop() == 0, "\n".join(live.lines)
     flagged = yaml.safe_load((folder / "manifest.yaml").read_text())["sequences"]["live"]["flagged"]
     assert [entry["source"] for entry in flagged["node_died"]] == ["odometry"]
-    assert read_map(folder / "map").trajectory is not None
+    mapped = read_map(folder / "map")
+    assert mapped.trajectory is not None
+    assert mapped.manifest["sequences"]["live"]["arrivals_pose_graph"]["/gnss/fix"]["received"] > 20
 
 
 def test_a_folder_that_holds_a_drive_is_not_written_into(tmp_path: Path) -> None:

@@ -1,6 +1,6 @@
 """A vehicle for tests: plays a bag as drivers (or ``ros2 bag play --clock``) would, knowing nothing of ours.
 
-    python vehicle.py BAG [--listeners N] [--mute TOPIC FROM] [--save DIR] [--rate R]
+    python vehicle.py BAG [--listeners N] [--mute TOPIC FROM] [--save DIR] [--rate R] [--ros-args ...]
 
 Messages go out at the pace of their log times (a fraction of it, for busy machines) with the quality
 that such publishers offer, whoever listens; nobody's counts are waited for. At the end it waits
@@ -21,6 +21,7 @@ from builtin_interfaces.msg import Time
 from nav_msgs.msg import Path as PathMessage
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
+from rclpy.utilities import remove_ros_args
 from rosgraph_msgs.msg import Clock
 
 from subiaco_geo.bags import BagReader
@@ -112,8 +113,8 @@ def main() -> int:
     parser.add_argument("--save")
     parser.add_argument("--listeners", type=int, default=2)
     parser.add_argument("--rate", type=float, default=0.5)
-    given = parser.parse_args()
-    rclpy.init()
+    given = parser.parse_args(remove_ros_args(sys.argv)[1:])
+    rclpy.init(args=sys.argv)
     with BagReader(given.bag) as reader:
         vehicle = Vehicle(Node("vehicle"), reader)
         if not vehicle.wait(lambda: vehicle.heard(given.listeners), 60.0):

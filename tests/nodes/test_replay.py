@@ -11,8 +11,10 @@ from subiaco_geo.bag_files import sequence_name
 from subiaco_geo.bags import TYPESTORE, BagMessage, BagWriter, packet_to_cdr
 from subiaco_geo.errors import InputError
 from subiaco_geo.topics import IMU, LIDAR_PACKETS, METADATA, PACKET_TYPE
+from subiaco_mapping.named_bags import open_bag
 from subiaco_mapping.nodes.flow import FlowControl
 from subiaco_mapping.nodes.replay import END, SEQUENCE, Replay
+from subiaco_mapping.topic_names import TopicsConfig
 
 CONSUMED = (METADATA, LIDAR_PACKETS, SEQUENCE, END)
 
@@ -80,6 +82,20 @@ def test_every_packet_is_sent_once_in_order_and_the_end_carries_the_counts(tmp_p
     assert packets == [packet_to_cdr(k.to_bytes(4, "little")) for k in range(300)]
     assert port.sent[0] == (SEQUENCE, ("one", {METADATA: 1, LIDAR_PACKETS: 300}))
     assert port.sent[-1] == (END, ("replay", {METADATA: 1, LIDAR_PACKETS: 300}))
+
+
+def test_a_bag_with_the_names_of_its_drivers_is_played_under_ours(tmp_path: Path) -> None:
+    theirs = "/os_node/lidar_packets"
+    with BagWriter(tmp_path / "theirs") as writer:
+        text = TYPESTORE.types["std_msgs/msg/String"](data="{}")
+        writer.write(METADATA, "std_msgs/msg/String", text, 10**9, latched=True)
+        writer.write_raw(theirs, PACKET_TYPE, packet_to_cdr(b"1234"), 10**9 + 1)
+    flow = FlowControl(["c"], {SEQUENCE: 1, END: 1})
+    port = Recorder(flow)
+    names = TopicsConfig(lidar_packets=theirs)
+    run(Replay([tmp_path / "theirs"], flow, port, open_bag=lambda bag: open_bag(bag, names)), port)
+    assert (LIDAR_PACKETS, packet_to_cdr(b"1234")) in port.sent
+    assert port.sent[0] == (SEQUENCE, ("theirs", {METADATA: 1, LIDAR_PACKETS: 1}))
 
 
 def test_nothing_is_sent_before_the_consumers_are_there(tmp_path: Path) -> None:

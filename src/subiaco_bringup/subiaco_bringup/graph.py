@@ -160,6 +160,7 @@ def mapping_graph(
             "bags": paths,
             "consumers": [node.name for node in consumers],
             "rate": float(rate),
+            "names": config.get("topics", {}),
         },
     )
     return GraphSpec("mapping", (replay, *consumers))

@@ -63,6 +63,8 @@ class Replay:
         Log seconds a second; 0 goes as fast as the consumers.
     on_progress : callable
         Told the fraction of all messages played.
+    open_bag : callable
+        Opens a bag under our names.
     """
 
     def __init__(
@@ -73,6 +75,7 @@ class Replay:
         topics: Collection[str] = tuple(MESSAGE_TYPES),
         rate: float = 0.0,
         on_progress: Callable[[float], None] | None = None,
+        open_bag: Callable[[Path], BagReader] = BagReader,
     ) -> None:
         self._bags = tuple(Path(bag) for bag in bags)
         self._flow = flow
@@ -80,6 +83,7 @@ class Replay:
         self._topics = frozenset(topics)
         self._rate = rate
         self._on_progress = on_progress or (lambda _fraction: None)
+        self._open = open_bag
         self._steps = self._run()
         self._played = 0
         self._total = 0
@@ -113,7 +117,7 @@ class Replay:
         return chosen
 
     def _count(self, bag: Path) -> int:
-        with BagReader(bag) as reader:
+        with self._open(bag) as reader:
             return sum(reader.topics[topic].count for topic in self._chosen(reader))
 
     def _data_counts(self) -> dict[str, int]:
@@ -128,7 +132,7 @@ class Replay:
             yield False
 
     def _play(self, bag: Path) -> Iterator[bool]:
-        with BagReader(bag) as reader:
+        with self._open(bag) as reader:
             chosen = self._chosen(reader)
             for topic in sorted(chosen):
                 yield from self._until_connected(topic)

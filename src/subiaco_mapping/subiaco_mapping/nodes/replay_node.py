@@ -19,11 +19,13 @@ from subiaco_geo.bags import BagMessage
 from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError, SubiacoError
 from subiaco_geo.topics import LATCHED, MESSAGE_TYPES
+from subiaco_mapping.named_bags import open_bag
 from subiaco_mapping.nodes.counts import counts_message, listen_to_consumers
 from subiaco_mapping.nodes.flow import FlowControl
 from subiaco_mapping.nodes.names import END, SEQUENCE
 from subiaco_mapping.nodes.replay import WINDOWS, Replay
 from subiaco_mapping.nodes.runtime import App, ProgressLog, latched, read_models, reliable, run_node
+from subiaco_mapping.topic_names import TopicsConfig
 from subiaco_msgs.msg import ReplayCounts
 
 #: Messages published between two looks at the callbacks.
@@ -38,6 +40,7 @@ class ReplayParameters(StrictModel):
     consumers: tuple[str, ...] = Field((), description="nodes that count what they take, and are waited for")
     rate: float = Field(0.0, ge=0, description="log seconds a second; 0 is as fast as the consumers")
     topics: tuple[str, ...] = Field(tuple(MESSAGE_TYPES), description="topics to play")
+    names: TopicsConfig = Field(TopicsConfig(), description="names of the topics in the bags")
     consumer_timeout: float = Field(60.0, gt=0, description="wait for the consumers to appear [s]")
 
 
@@ -125,6 +128,7 @@ def build(node: Node) -> App:
         own.topics,
         own.rate,
         lambda fraction: progress("replay", fraction),
+        lambda bag: open_bag(bag, own.names),
     )
     return ReplayApp(node, replay, flow, own.consumer_timeout)
 
