@@ -11,6 +11,7 @@ from subiaco_change.changes.decisions import DecisionConfig
 from subiaco_change.changes.measures import MeasureConfig
 from subiaco_change.changes.object_changes import ObjectRules, compare_objects
 from subiaco_change.changes.objects import EpochView, Reach
+from subiaco_change.changes.parts import PartConfig
 from subiaco_change.config import ChangeConfig, left_out
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.errors import InputError
@@ -42,7 +43,8 @@ def everywhere(xyz):
 
 
 def changes(before, after, by_class):
-    rules = ObjectRules(MeasureConfig(), AssociationConfig(same_place=1.0), DecisionConfig(), by_class)
+    association = AssociationConfig(same_place=1.0, parts=PartConfig(points=0))
+    rules = ObjectRules(MeasureConfig(), association, DecisionConfig(), by_class)
     return compare_objects(before, after, everywhere, everywhere, rules)
 
 

@@ -47,6 +47,16 @@ def test_a_fit_on_few_rows_stays_near_their_share():
     assert abs(model.margin) < 0.5
 
 
+def test_evidence_that_may_only_raise_a_confidence_never_lowers_it_whatever_few_rows_say():
+    rng = np.random.default_rng(7)
+    x = rng.normal(size=(400, 5))
+    right = rng.random(400) < expit(1.0 - 2.0 * x[:, 2] + x[:, 3])
+    free, bound = fit(x, right), fit(x, right, rising=("size", "purity"))
+    assert free.size < -1.0
+    assert bound.size == 0.0
+    assert bound.purity > 0.5
+
+
 def test_labels_that_claim_nothing_have_no_model_and_the_margin_of_unchanged_is_bounded():
     assert kind_of(Change.UNOBSERVED) is None
     assert kind_of(Change.NOT_REPORTED) is None

@@ -94,14 +94,19 @@ def test_every_decision_gives_its_reason():
 
 
 def test_confidence_rises_with_the_margin_and_with_the_size_of_what_was_seen():
-    def trust(**changes):
+    shipped = ConfidenceConfig()
+    steep = shipped.reshaped.model_copy(update={"margin": 1.0, "size": 1.0})
+
+    def trust(config, **changes):
         measures = replace(SAME, carried=0.07 if changes["delta_h"] > 0.5 else 0.0, **changes)
         decision = decide(Semantic.BUILDING, True, True, measures, 0.03, CONFIG)
-        return confidence(decision, measures, Semantic.BUILDING, 0.9, ConfidenceConfig())
+        return confidence(decision, measures, Semantic.BUILDING, 0.9, config)
 
-    assert trust(delta_h=0.55) < trust(delta_h=1.0) < trust(delta_h=3.0) <= 1.0
-    assert trust(delta_h=1.0, seen_voxels=20) < trust(delta_h=1.0)
-    assert trust(delta_h=0.45) < trust(delta_h=0.0)
+    for config in (shipped, shipped.model_copy(update={"reshaped": steep})):
+        assert trust(config, delta_h=0.55) < trust(config, delta_h=1.0) < trust(config, delta_h=3.0) <= 1.0
+        assert trust(config, delta_h=1.0, seen_voxels=20) <= trust(config, delta_h=1.0)
+        assert trust(config, delta_h=0.45) < trust(config, delta_h=0.0)
+    assert trust(config, delta_h=1.0, seen_voxels=20) < trust(config, delta_h=1.0)
 
 
 def test_the_papers_score_is_never_below_one_half_and_empty_where_it_has_no_weights():

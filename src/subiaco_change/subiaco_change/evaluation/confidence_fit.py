@@ -8,7 +8,7 @@ import numpy as np
 import pandas as pd
 from scipy.special import expit
 
-from subiaco_change.changes.confidence import FEATURES, Coefficients, fit, kind_of
+from subiaco_change.changes.confidence import FEATURES, Coefficients, fit, kind_of, rising_of
 from subiaco_change.evaluation.objects import PointPairs, row_verdicts, together, transfer
 from subiaco_change.evaluation.scores import reliability
 from subiaco_change.records import ChangeResult
@@ -52,7 +52,7 @@ def held_out(rows: pd.DataFrame) -> Floats:
             left = mine & (rows["survey"] == survey).to_numpy()
             rest = mine & ~left
             if left.any() and rest.any():
-                found[left] = predict(fit(x[rest], right[rest]), x[left])
+                found[left] = predict(fit(x[rest], right[rest], rising=rising_of(kind)), x[left])
     return found
 
 
@@ -75,7 +75,7 @@ def fit_confidence(rows: pd.DataFrame, fitted_on: str) -> dict[str, Any]:
     models = {}
     for kind, part in rows.groupby("kind"):
         x = np.array(part["features"].tolist())
-        models[kind] = fit(x, part["right"].to_numpy(bool)).model_dump()
+        models[kind] = fit(x, part["right"].to_numpy(bool), rising=rising_of(str(kind))).model_dump()
     changed = int((rows["kind"] != "unchanged").sum())
     error = held_out_error(rows)
     return {
