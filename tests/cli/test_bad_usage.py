@@ -23,7 +23,7 @@ def good(tmp_path):
     return write_street(tmp_path / "good.ply")
 
 
-@pytest.mark.parametrize("verb", ["explode", "record", "export"])
+@pytest.mark.parametrize("verb", ["explode", "mapp"])
 def test_an_unknown_verb(refused, verb):
     refused([verb], verb, "subiaco --help")
 
