@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -61,6 +62,9 @@ class FakeBackend:
 
     def preview(self) -> Any:
         return self.optimize()
+
+    def with_quality(self, survey: SurveyMap, progress: Any = None) -> SurveyMap:
+        return replace(survey, pages={"quality.html": f"of {len(survey.cloud)} points"})
 
     def build_map(self, progress: Any = None, inputs: Any = None) -> SurveyMap:
         self.inputs = dict(inputs or {})

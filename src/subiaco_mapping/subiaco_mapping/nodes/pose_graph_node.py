@@ -143,6 +143,9 @@ class Backend(Protocol):
     ) -> SurveyMap:
         """Fuse."""
 
+    def with_quality(self, survey: SurveyMap, progress: Progress | None = None) -> SurveyMap:
+        """Lay the quality report beside a map."""
+
 
 class PoseGraphApp:
     """Put messages of one stamp together, feed the back end, publish what it finds.

@@ -72,7 +72,7 @@ def assess(survey: SurveyMap, solution: GraphSolution, config: MappingConfig) ->
         "walls": walls.described(),
         "coverage": cells.described(),
         "flagged": _flagged(survey, sum(one.way for one in series)),
-        "moving_points": _moving(survey),
+        "moving_points": None if survey.moving is None else len(survey.moving),
     }
     facts["checks"] = checks(facts, config.quality)
     facts["verdict"] = verdict(facts)
@@ -136,9 +136,3 @@ def _flagged(survey: SurveyMap, way: float) -> dict[str, Any]:
 def _meaning(survey: SurveyMap, reason: str) -> str:
     legend = {**LEGEND, **survey.manifest.get("legend", {})}
     return str(legend.get(reason, "")).removeprefix("flag: ")
-
-
-def _moving(survey: SurveyMap) -> int | None:
-    """Return how many points left the map because they moved; None where nobody looked."""
-    moving = getattr(survey, "moving", None)
-    return None if moving is None else len(moving)
