@@ -1,13 +1,14 @@
 """The assignment is optimal, and splits, merges and storeys stay one object."""
 
 import itertools
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from subiaco_change.changes.association import AssociationConfig, assign, associate
+from subiaco_change.changes.association import AssociationConfig, assign, associate, candidate_costs
 from subiaco_change.changes.objects import Thing, Voxels
 from subiaco_geo.codes import Semantic
 
@@ -82,6 +83,15 @@ def test_things_far_apart_stay_unmatched():
 def test_what_is_left_of_a_large_object_is_that_object_however_small():
     large, left = block(0, 0, 0, 20, 20, 8), block(0, 0, 0, 3, 3, 2)
     assert matches([large], [left]) == [((0,), (0,), "one_to_one")]
+
+
+@pytest.mark.parametrize(("rise", "phi"), [(0.0, 0.30), (0.25, 0.05), (0.5, 0.0)])
+def test_phi_is_what_the_separation_stays_under_the_level_of_detection(rise, phi):
+    flat = replace(block(0, 0, 0, 6, 6, 0.5), lod=0.3)
+    lifted = replace(flat, voxels=replace(flat.voxels, xyz=np.add(flat.voxels.xyz, (0.0, 0.0, rise))))
+    plain, printed = (AssociationConfig(cost="plain", kappa=k) for k in (0.0, 2.0))
+    costs = [candidate_costs([flat], [lifted], [(0,)], [(0,)], c)[2] for c in (plain, printed)]
+    assert costs[1] - costs[0] == pytest.approx(2.0 * phi, abs=1e-9)
 
 
 def test_neighbours_are_not_confused():

@@ -23,6 +23,7 @@ from subiaco_geo.frames import Floats, Ints
 Sparse = Any
 #: Weights of centroid distance [1/m], 1 - IoU and histogram distance, paper.
 _PAPER_COST = (1.0, 2.0, 0.5)
+_PHI_REACH = 0.5  # voxels farther apart are not the intersection of two objects [m]
 
 
 class AssociationConfig(StrictModel):
@@ -42,6 +43,11 @@ class AssociationConfig(StrictModel):
     )
     cost: Literal["scaled", "plain"] = Field(
         "scaled", description="plain adds metres and ratios with the paper's weights 1, 2, 0.5 (Decision 11)"
+    )
+    kappa: float = Field(
+        0.0,
+        ge=0,
+        description="weight of phi = max(0, LoD95 - d_perp) in the plain cost, paper 2 (Decision 8) [1/m]",
     )
     unmatched: float = Field(6.0, gt=0, description="price of one unmatched object, on the chi-square scale")
     contained: float = Field(
@@ -260,14 +266,29 @@ def _cost(distance: float, overlap: float, b: _Shape, a: _Shape, config: Associa
     histogram = histogram_distance(b.heights, a.heights, 10)
     if config.cost == "plain":
         weights = _PAPER_COST
-        return weights[0] * distance + weights[1] * (1 - overlap) + weights[2] * histogram
+        printed = weights[0] * distance + weights[1] * (1 - overlap) + weights[2] * histogram
+        return printed + (config.kappa * _phi(b, a) if config.kappa > 0 else 0.0)
     spread = config.spread_distance + config.spread_relative * max(b.size, a.size)
     terms = (distance / spread, (1 - overlap) / config.spread_overlap, histogram / config.spread_histogram)
     return sum(t**2 for t in terms)
 
 
+def _phi(b: _Shape, a: _Shape) -> float:
+    """Return how far the median separation along the normal stays under the level of detection [m]."""
+    distance, slot = cKDTree(a.xyz).query(b.xyz, distance_upper_bound=_PHI_REACH)
+    shared = np.isfinite(distance)
+    level = max(b.lod, a.lod)
+    if not shared.any() or not np.isfinite(level):
+        return 0.0
+    step = a.xyz[slot[shared]] - b.xyz[shared]
+    return max(0.0, level - float(np.median(np.abs(np.einsum("ij,ij->i", b.normal[shared], step)))))
+
+
 @dataclass(frozen=True)
 class _Shape:
+    xyz: Floats
+    normal: Floats
+    lod: float
     centroid: Floats
     heights: Floats
     rectangle: object
@@ -279,7 +300,9 @@ def _shape(things: Sequence[Thing]) -> _Shape:
     xyz = np.concatenate([t.voxels.xyz for t in things])
     heights = np.concatenate([t.voxels.height for t in things])
     size = float(np.linalg.norm(np.ptp(xyz, axis=0)))
-    return _Shape(xyz.mean(axis=0), heights, oriented_rectangle(xyz[:, :2]), size, size / 2)
+    normal = np.concatenate([t.voxels.normal for t in things])
+    lod = max(t.lod for t in things)
+    return _Shape(xyz, normal, lod, xyz.mean(axis=0), heights, oriented_rectangle(xyz[:, :2]), size, size / 2)
 
 
 def _near_pairs(
