@@ -54,6 +54,8 @@ def cloud_from_columns(path: Path, columns: Mapping[str, Column], crs: str | Non
     missing = [name for name in ("x", "y", "z") if name not in columns]
     if missing:
         raise InputError(f"{path}: no coordinate {', '.join(missing)}; a cloud needs x, y and z")
+    if any(columns[name].ndim != 1 for name in ("x", "y", "z")):
+        raise InputError(f"{path}: x, y or z holds several numbers a point; export the cloud again")
     refuse_rounded(path, columns)
     xyz = np.stack([columns[n].astype(np.float64) for n in ("x", "y", "z")], axis=1)
     check_coordinates(path, xyz)

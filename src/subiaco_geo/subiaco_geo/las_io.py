@@ -28,6 +28,7 @@ from subiaco_geo.frames import Floats
 SCALE = 0.001
 _HEADER_SIZE = 227  # of LAS 1.0-1.2, the smallest
 _RECORD_HEAD, _EXTENDED_HEAD = 54, 60  # bytes
+_LAYERS = {6: 9, 7: 10, 8: 11, 9: 10, 10: 12}  # of each point format, and one a byte of extra dimensions
 _MOST_POINTS_A_BYTE = 1000  # of LAZ; a million equal points take 10 kB
 _COLOURS = ("red", "green", "blue")
 _STANDARD = (
@@ -116,6 +117,23 @@ def _refuse_impossible_chunks(path: Path, header: laspy.LasHeader) -> None:
         parts = lazrs.read_chunk_table(stream, lazrs.LazVlr(records[0].record_data))
     if sum(held for _, held in parts) > size - offset:
         raise ValueError("its chunks are larger than the file")
+    _refuse_impossible_layers(path, header, [held for _, held in parts])
+
+
+def _refuse_impossible_layers(path: Path, header: laspy.LasHeader, chunks: list[int]) -> None:
+    """Refuse layers (point formats 6 and on) that are larger than the chunk that holds them."""
+    form = header.point_format
+    if form.id not in _LAYERS:
+        return
+    count = _LAYERS[form.id] + form.num_extra_bytes
+    start = int(header.offset_to_point_data) + 8
+    with path.open("rb") as stream:
+        for held in chunks:
+            stream.seek(start + form.size + 4)  # its first point, and the number of its points
+            sizes = struct.unpack(f"<{count}I", stream.read(4 * count))
+            if held and sum(sizes) > held:
+                raise ValueError("the layers of a chunk are larger than it")
+            start += held
 
 
 def _fields(las: laspy.LasData) -> dict[str, Column]:
