@@ -153,6 +153,17 @@ def test_withheld_fixes_have_no_say_in_the_solution_that_they_are_compared_with(
     before, after = withheld_check(solution, CONFIG), withheld_check(wrong, CONFIG)
     np.testing.assert_allclose(before.offset - after.offset, np.tile(shift, (25, 1)), atol=1e-9)
     assert after.described()["error_over_sigma"] > 50
+    assert after.described()["contradicting"] == 25
+
+
+def test_a_fix_of_multipath_is_counted_and_does_not_hide_the_others(solution):
+    found = withheld_check(solution, CONFIG)
+    offset = found.offset.copy()
+    offset[3] += [1.5, 0.0, 0.0]
+    before, after = found.described(), replace(found, offset=offset).described()
+    assert (before["contradicting"], after["contradicting"]) == (0, 1)
+    assert after["horizontal_rmse_m"] == pytest.approx(before["horizontal_rmse_m"], rel=0.2)
+    assert after["error_over_sigma"] == pytest.approx(before["error_over_sigma"], rel=0.2)
 
 
 @pytest.mark.parametrize(
@@ -186,7 +197,7 @@ def test_a_good_map_is_called_good_in_one_sentence_with_its_numbers(good):
     assert facts["verdict"]["wrong"] == []
     sentence = facts["verdict"]["sentence"]
     assert sentence in page
-    assert sentence.startswith("Good: 25 RTK fixes")
+    assert sentence.startswith("Good: 25 of 25 RTK fixes")
     assert amount(facts["withheld"]["horizontal_rmse_m"]) in sentence
     assert "walls are 20 mm thick" in sentence
 

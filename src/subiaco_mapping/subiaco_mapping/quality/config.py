@@ -18,7 +18,10 @@ class QualityConfig(StrictModel):
     withheld_every: int = Field(10, ge=2, description="one block in so many is withheld")
     max_horizontal: float = Field(0.05, gt=0, description="withheld fixes, horizontal RMSE [m]")
     max_vertical: float = Field(0.08, gt=0, description="withheld fixes, vertical RMSE [m]")
-    max_ratio: float = Field(1.5, gt=0, description="withheld errors over their stated sigma, RMS")
+    max_contradicting: float = Field(
+        0.05, ge=0, le=1, description="share of withheld fixes beyond 99.9 % of what was stated"
+    )
+    max_ratio: float = Field(1.5, gt=0, description="withheld errors over their stated sigma, by the median")
     max_seam: float = Field(0.05, gt=0, description="seams, 95 % [m]")
     max_wall: float = Field(0.06, gt=0, description="wall thickness, 95 % of patches [m]")
     max_flagged: float = Field(0.05, ge=0, le=1, description="share of the way that the manifest flags")

@@ -190,8 +190,10 @@ def _withheld(errors: FixErrors, series: list[Series]) -> Figure:
     list(_bells(figure, errors, rows=2))
     axis = figure.add_subplot(figure.axes[0].get_gridspec()[0, :])
     order = np.arange(len(errors))
+    most = 6000 * float(np.median(errors.sigma))  # farther ones are drawn at the edge
     for k, name in enumerate(_AXES):
-        axis.plot(order, 1000 * errors.offset[:, k], ".", ms=4, color=AXIS_COLOURS[k], label=name)
+        shown = np.clip(1000 * errors.offset[:, k], -most, most)
+        axis.plot(order, shown, ".", ms=4, color=AXIS_COLOURS[k], label=name)
     band = 2000 * errors.sigma[:, 0]
     axis.fill_between(order, -band, band, color="#888888", alpha=0.18, label="± 2 sigma east", linewidth=0)
     gaps = np.flatnonzero(np.diff(errors.times_ns) > 2_000_000_000) + 0.5

@@ -10,6 +10,7 @@ from subiaco_mapping.quality.config import QualityConfig
 _CHECKS = (
     ("Withheld fixes, horizontal RMSE", ("withheld", "horizontal_rmse_m"), "max_horizontal"),
     ("Withheld fixes, vertical RMSE", ("withheld", "vertical_rmse_m"), "max_vertical"),
+    ("Withheld fixes that contradict the map", ("withheld", "share_contradicting"), "max_contradicting"),
     ("Withheld errors over stated sigma", ("withheld", "error_over_sigma"), "max_ratio"),
     ("Seams between drives, 95 %", ("loops", "between", "seam_p95_m"), "max_seam"),
     ("Seams within a drive, 95 %", ("loops", "within", "seam_p95_m"), "max_seam"),
@@ -50,7 +51,7 @@ def _at(facts: Any, path: tuple[str, ...]) -> float | None:
 
 
 def _unit(name: str) -> str:
-    return "m" if name.endswith("_m") else "%" if name == "share" else "times"
+    return "m" if name.endswith("_m") else "%" if name.startswith("share") else "times"
 
 
 def amount(value: float | None, unit: str = "m") -> str:
@@ -84,9 +85,10 @@ def _said(facts: dict[str, Any]) -> list[str]:
     held, walls, said = facts["withheld"], facts["walls"], []
     if isinstance(held, dict):
         said.append(
-            f"{held['fixes']} RTK fixes that this check left out lie {amount(held['horizontal_rmse_m'])} "
-            f"horizontally and {amount(held['vertical_rmse_m'])} vertically off the path (RMS), "
-            f"{held['error_over_sigma']:.1f} times what was stated"
+            f"{held['fixes'] - held['contradicting']} of {held['fixes']} RTK fixes that this check left out "
+            f"lie {amount(held['horizontal_rmse_m'])} horizontally and {amount(held['vertical_rmse_m'])} "
+            f"vertically off the path (RMS), {held['error_over_sigma']:.1f} times what was stated"
+            + (f", and {held['contradicting']} contradict it" if held["contradicting"] else "")
         )
     for kind, words in (("between", "drives meet each other"), ("within", "drives meet themselves")):
         seam = _at(facts, ("loops", kind, "seam_p95_m"))

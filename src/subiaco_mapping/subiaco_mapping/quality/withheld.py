@@ -17,7 +17,8 @@ from subiaco_mapping.graph.solver import solve
 from subiaco_mapping.quality.config import QualityConfig
 from subiaco_mapping.solution import GraphSolution
 
-_LIMIT_95 = 7.815  # chi-square, 3 degrees of freedom
+# chi-square, 3 degrees of freedom
+_MEDIAN, _LIMIT_95, _CONTRADICTS = 2.366, 7.815, 16.27
 
 
 @dataclass(frozen=True)
@@ -65,17 +66,26 @@ class FixErrors:
         return np.asarray(np.einsum("ni,nij,nj->n", self.offset, np.linalg.inv(self.covariance), self.offset))
 
     def described(self) -> dict[str, float]:
-        """Return RMSE, largest error, and how the errors compare with what was stated."""
-        horizontal, up = np.linalg.norm(self.offset[:, :2], axis=1), self.offset[:, 2]
-        whitened = self.offset / self.sigma
+        """Return errors [m], and how they compare with what was stated.
+
+        RMSE are of the fixes that agree (chi-square within 99.9 %): one fix of multipath a metre off would
+        hide the others. How many contradict is told beside, and ``error_over_sigma`` is that of all of
+        them, by the median.
+        """
+        agree = self.chi_square <= _CONTRADICTS
+        kept = self.offset[agree] if agree.any() else self.offset
+        horizontal, up = np.linalg.norm(kept[:, :2], axis=1), kept[:, 2]
+        whitened = kept / (self.sigma[agree] if agree.any() else self.sigma)
         return {
             "fixes": len(self),
+            "contradicting": int((~agree).sum()),
+            "share_contradicting": float((~agree).mean()),
             "horizontal_rmse_m": _rms(horizontal),
             "horizontal_median_m": float(np.median(horizontal)),
             "horizontal_p95_m": float(np.quantile(horizontal, 0.95)),
             "vertical_rmse_m": _rms(up),
             "vertical_p95_m": float(np.quantile(np.abs(up), 0.95)),
-            "error_over_sigma": float(np.sqrt(self.chi_square.mean() / 3.0)),
+            "error_over_sigma": float(np.sqrt(np.median(self.chi_square) / _MEDIAN)),
             "error_over_sigma_horizontal": _rms(whitened[:, :2]),
             "error_over_sigma_vertical": _rms(whitened[:, 2]),
             "share_within_95": float((self.chi_square <= _LIMIT_95).mean()),
