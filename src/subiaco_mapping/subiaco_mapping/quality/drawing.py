@@ -139,7 +139,8 @@ def _bell(axis: Axes, values: Floats, title: str, colour: str) -> None:
     axis.hist(np.clip(values, -5, 5), bins=bins, density=True, color=colour, alpha=0.75)
     x = np.linspace(-5, 5, 200)
     axis.plot(x, np.exp(-(x**2) / 2) / np.sqrt(2 * np.pi), color="#333333", label="what right sigmas give")
-    axis.set_title(f"{title}: {np.sqrt(np.mean(values**2)):.2f} times sigma", fontsize=10)
+    scale = np.median(np.abs(values)) / 0.6745  # outliers, drawn at the edges, do not count
+    axis.set_title(f"{title}: {scale:.2f} times sigma", fontsize=10)
     axis.set_xlabel("error / stated sigma")
     axis.set_yticks([])
 
