@@ -165,7 +165,8 @@ def _crs(path: Path, header: laspy.LasHeader) -> str | None:
     try:
         crs = header.parse_crs()
     except Exception as error:  # pyproj and laspy raise many kinds here
-        raise InputError(f"{path}: its CRS record cannot be understood ({error}); assign it again") from error
+        said = " ".join(str(error).split())[:200]
+        raise InputError(f"{path}: its CRS record cannot be understood ({said}); assign it again") from error
     return None if crs is None else crs_text(crs)
 
 
