@@ -42,6 +42,12 @@ def config_directory() -> Path:
     raise SubiacoError("the shipped config/ was not found; rebuild the workspace with 'make setup'")
 
 
+def dds_profile() -> Path | None:
+    """Return the shipped DDS profile of one host, None where it was not installed."""
+    profiles = (directory / "dds" / "loopback.xml" for directory in _candidate_directories())
+    return next((profile for profile in profiles if profile.is_file()), None)
+
+
 def config_files(job: str, extra: tuple[Path, ...] = ()) -> list[Path]:
     """Return the shipped files of a job followed by the user's."""
     return [*(config_directory() / name for name in CONFIG_FILES[job]), *extra]

@@ -10,7 +10,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from subiaco_bringup.defaults import config_directory
+from subiaco_bringup.defaults import dds_profile
 from subiaco_geo.errors import SubiacoError
 
 _FAST_DDS = "rmw_fastrtps_cpp"
@@ -56,9 +56,9 @@ def dds_defaults(environment: Mapping[str, str]) -> dict[str, str]:
     The shipped profile binds loopback and shared memory and wants the range ``SYSTEM_DEFAULT``
     (``LOCALHOST`` would add small transports of its own). Where it is not read, ``LOCALHOST`` it is.
     """
-    profile = config_directory() / "dds" / "loopback.xml"
+    profile = dds_profile()
     defaults = {"RMW_IMPLEMENTATION": _FAST_DDS, "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST"}
-    if environment.get("RMW_IMPLEMENTATION", _FAST_DDS) == _FAST_DDS and profile.is_file():
+    if environment.get("RMW_IMPLEMENTATION", _FAST_DDS) == _FAST_DDS and profile is not None:
         defaults["ROS_AUTOMATIC_DISCOVERY_RANGE"] = "SYSTEM_DEFAULT"
         defaults["FASTRTPS_DEFAULT_PROFILES_FILE"] = str(profile)
     return {name: value for name, value in defaults.items() if name not in environment}
