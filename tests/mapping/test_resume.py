@@ -122,7 +122,7 @@ def test_another_configuration_or_recording_begins_anew(
 def test_a_damaged_journal_is_not_believed(bag: Path, tmp_path: Path, reads: list[str]) -> None:
     journal = tmp_path / ".map.journal"
     interrupted(bag, journal)
-    record = journal / "000" / "sequence.pickle"
+    record = journal / "000" / "sequence.npz"
     record.write_bytes(record.read_bytes()[:-7] + b"garbage")
     reads.clear()
     pipeline.map_survey([bag], CONFIG, journal=journal, resume=True)

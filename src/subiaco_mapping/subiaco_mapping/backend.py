@@ -10,12 +10,10 @@ from subiaco_geo.crs import require_map_crs
 from subiaco_geo.errors import InputError
 from subiaco_geo.maps import SurveyMap
 from subiaco_mapping.config import MappingConfig
-from subiaco_mapping.loops.submaps import SubmapBuilder
 from subiaco_mapping.map_builder import ProgressCallback, build_map, silent
 from subiaco_mapping.measurements import DeskewedScan, Extrinsics, GnssFix, HeadingSample, OdometryPose
-from subiaco_mapping.sequences import SequenceRecord
+from subiaco_mapping.sequences import SequenceRecord, begin_sequence
 from subiaco_mapping.solution import GraphSolution, LiveEstimate
-from subiaco_mapping.spool import Spool
 from subiaco_mapping.survey_graph import SurveyGraph
 
 
@@ -52,10 +50,7 @@ class MappingBackend:
         if extrinsics is not None:
             self._extrinsics = extrinsics
         folder = self._spool / f"{len(self._sequences):03d}"
-        spool = Spool(folder, self._config.fusion.max_range, self._config.decode.sky_range)
-        loops = self._config.loops
-        submaps = SubmapBuilder(loops, folder / "submaps") if loops.enabled else None
-        self._sequences.append(SequenceRecord(name, self._extrinsics, spool, submaps))
+        self._sequences.append(begin_sequence(name, self._extrinsics, folder, self._config))
 
     def add_facts(self, **facts: Any) -> None:
         """Note facts about the current sequence for the manifest, e.g. packet counts."""

@@ -6,7 +6,6 @@ import hashlib
 import json
 import logging
 import os
-import pickle
 import shutil
 import tempfile
 from collections.abc import Iterator
@@ -17,15 +16,17 @@ from typing import Any
 from subiaco_geo import __version__
 from subiaco_geo.atomic import whole_file
 from subiaco_geo.config import config_hash
+from subiaco_geo.errors import InputError
 from subiaco_mapping.backend import MappingBackend
 from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.measurements import Extrinsics
+from subiaco_mapping.sequence_files import pack, unpack
 from subiaco_mapping.sequences import SequenceRecord
 
 logger = logging.getLogger(__name__)
 
 _INDEX = "journal.json"
-_RECORD = "sequence.pickle"
+_RECORD = "sequence.npz"
 
 
 def journal_folder(output: Path) -> Path:
@@ -81,7 +82,7 @@ class Journal:
     """
 
     def __init__(self, folder: Path, config: MappingConfig, *, resume: bool) -> None:
-        self.folder = folder
+        self.folder, self._config = folder, config
         run = {"config": config_hash(config), "program": _program()}
         found = self._read() if resume else {}
         if resume and found.get("run") != run:
@@ -111,11 +112,13 @@ class Journal:
         if noted.get("bag") != [name, bag_hash] or not path.is_file():
             return None
         packed = path.read_bytes()
-        if hashlib.sha256(packed).hexdigest() != noted["record"]:
-            logger.warning("%s: damaged; the recording is read again", path)
+        try:
+            if hashlib.sha256(packed).hexdigest() != noted["record"]:
+                raise InputError("its hash is not the one noted")
+            return unpack(packed, path.parent, self._config)
+        except InputError as error:
+            logger.warning("%s: damaged (%s); the recording is read again", path, error)
             return None
-        record: SequenceRecord = pickle.loads(packed)  # noqa: S301 - ours, its hash noted by this program
-        return record
 
     def forget(self, number: int) -> None:
         """Remove what an unfinished sequence left."""
@@ -123,7 +126,7 @@ class Journal:
 
     def keep(self, number: int, bag_hash: str, record: SequenceRecord) -> None:
         """Note a finished sequence, its scans on disk included."""
-        packed = pickle.dumps(record)
+        packed = pack(record)
         with whole_file(self._place(number) / _RECORD) as temporary, temporary.open("wb") as stream:
             stream.write(packed)
             stream.flush()

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
+from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.loops.submaps import SubmapBuilder
 from subiaco_mapping.measurements import DeskewedScan, Extrinsics, GnssFix, HeadingSample, OdometryPose
 from subiaco_mapping.spool import Spool
@@ -71,3 +73,10 @@ class SequenceRecord:
             return True
         self.refused_headings += 1
         return False
+
+
+def begin_sequence(name: str, extrinsics: Extrinsics, folder: Path, config: MappingConfig) -> SequenceRecord:
+    """Return the empty record of a recording whose scans and submaps go to a folder."""
+    spool = Spool(folder, config.fusion.max_range, config.decode.sky_range)
+    submaps = SubmapBuilder(config.loops, folder / "submaps") if config.loops.enabled else None
+    return SequenceRecord(name, extrinsics, spool, submaps)

@@ -50,6 +50,10 @@ class Spool:
         """Where the scans lie."""
         return self._folder
 
+    def restore(self, count: int) -> None:
+        """Take that many scans as written already."""
+        self._count = count
+
     def append(self, scan: DeskewedScan) -> None:
         """Write the next scan."""
         first = self._pack(scan.xyz, scan.intensity, self._max_range)

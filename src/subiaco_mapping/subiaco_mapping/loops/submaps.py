@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -49,6 +50,14 @@ class SubmapBuilder:
         self._taken = -np.inf
         self._parts: list[tuple[int, float, Floats, Floats]] = []  # scan, way, pose, points
 
+    def _path(self, number: int) -> Path:
+        return self._folder / f"{number:05d}.npy"
+
+    def restore(self, anchors: Sequence[int], ways: Sequence[float]) -> None:
+        """Take the submaps of a finished sequence, whose points are written already."""
+        pairs = zip(anchors, ways, strict=True)
+        self.done = [Submap(anchor, way, self._path(k)) for k, (anchor, way) in enumerate(pairs)]
+
     def add(self, pose: OdometryPose, scan: DeskewedScan) -> None:
         """Take the next scan."""
         index, self._count = self._count, self._count + 1
@@ -75,6 +84,6 @@ class SubmapBuilder:
             moved.append(points @ T_anchor_scan[:3, :3].T + T_anchor_scan[:3, 3])
         cloud = small_gicp.voxelgrid_sampling(np.concatenate(moved), self._config.leaf)
         self._folder.mkdir(parents=True, exist_ok=True)
-        path = self._folder / f"{len(self.done):05d}.npy"
+        path = self._path(len(self.done))
         np.save(path, cloud.points()[:, :3].astype(np.float32))
         self.done.append(Submap(index, way, path))
