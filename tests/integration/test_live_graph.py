@@ -73,7 +73,7 @@ class LiveRun:
     def children(self, module: str) -> list[int]:
         """Return the process ids of a node of this run."""
         table = subprocess.run(
-            ["ps", "-eo", "pid,ppid,args"], capture_output=True, text=True, check=True
+            ["ps", "-ww", "-eo", "pid,ppid,args"], capture_output=True, text=True, check=True
         ).stdout
         rows = [line.split(None, 2) for line in table.splitlines()[1:]]
         return [int(row[0]) for row in rows if int(row[1]) == self.process.pid and module in row[2]]
