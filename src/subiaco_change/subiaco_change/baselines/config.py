@@ -47,15 +47,15 @@ class DsmConfig(StrictModel):
     opening: int = Field(
         0, ge=0, description="radius of the morphological opening [cells], 0 for none; tuned"
     )
-    min_area: float = Field(8.0, ge=0, description="smallest contiguous change [m2]; tuned")
-    voids: Voids = Field("unchanged", description="what a cell without points in one epoch is; tuned")
+    min_area: float = Field(4.0, ge=0, description="smallest contiguous change [m2]; tuned")
+    voids: Voids = Field("ground", description="what a cell without points in one epoch is; tuned")
 
 
 class NearestConfig(StrictModel):
     """Nearest-neighbour differencing against a level of detection."""
 
     lod_factor: float = Field(1.2, ge=0, description="gate as a multiple of the level of detection, paper")
-    minimum: float = Field(0.75, ge=0, description="smallest distance of a change [m]; tuned")
+    minimum: float = Field(0.35, ge=0, description="smallest distance of a change [m]; tuned")
     radius: float = Field(1.0, gt=0, description="neighbourhood of the level of detection [m], paper")
     noise: float = Field(0.01, ge=0, description="floor of the roughness term of an epoch [m], as of ours")
     opening: int = Field(
@@ -63,7 +63,7 @@ class NearestConfig(StrictModel):
     )
     min_area: float = Field(4.0, ge=0, description="smallest contiguous change [m2]; tuned")
     voids: Voids = Field(
-        "unchanged", description="what a changed cell without points in the other epoch is; tuned"
+        "ground", description="what a changed cell without points in the other epoch is; tuned"
     )
 
 
@@ -103,7 +103,7 @@ class M3c2Config(StrictModel):
     )
     min_area: float = Field(1.0, ge=0, description="smallest contiguous change [m2]; tuned")
     voids: Voids = Field(
-        "unchanged", description="what a changed cell without points in the other epoch is; tuned"
+        "ground", description="what a changed cell without points in the other epoch is; tuned"
     )
 
 
