@@ -80,7 +80,7 @@ class LiveRun:
 
     def stop(self) -> int:
         self.process.send_signal(signal.SIGINT)
-        code = self.process.wait(timeout=240)
+        code = self.process.wait(timeout=600)  # a first run compiles while it builds the map
         self._reader.join(timeout=5)
         return code
 

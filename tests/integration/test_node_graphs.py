@@ -213,7 +213,7 @@ def test_a_crash_is_noticed_and_named_and_nothing_is_left_running(survey: Path, 
 def test_an_interrupted_job_ends_with_130_and_leaves_nothing(survey: Path, tmp_path: Path) -> None:
     process = subprocess.Popen(
         [sys.executable, "-m", "subiaco_bringup.cli.main", "graph", "mapping", str(survey / "before"), "-o",
-         str(tmp_path / "map"), "--rate", "0.2"],
+         str(tmp_path / "map"), "--rate", "0.05"],
         stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True,
     )  # fmt: skip
     assert process.stdout is not None
@@ -224,7 +224,7 @@ def test_an_interrupted_job_ends_with_130_and_leaves_nothing(survey: Path, tmp_p
     process.communicate(timeout=60)
     assert process.returncode == 130
     assert list(tmp_path.iterdir()) == []
-    left = subprocess.run(["ps", "-eo", "args"], capture_output=True, text=True, check=True).stdout
+    left = subprocess.run(["ps", "-ww", "-eo", "args"], capture_output=True, text=True, check=True).stdout
     assert str(tmp_path) not in left
 
 

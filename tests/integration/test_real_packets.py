@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import logging
 import re
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 from ouster.sdk import core, open_source
+from rosbags.highlevel import AnyReader
+from rosbags.rosbag2 import Reader
 
 from subiaco_bringup.cli.main import run
 from subiaco_bringup.jobs import run_mapping_graph
@@ -30,6 +33,14 @@ OS0_ROS1 = "512x10_raw.bag"
 #: Recording, LiDAR packets, packets that are missing in it.
 RECORDINGS = ((OS1, 192, 0), (OS1_DUAL, 8, 56), (OS0_DUAL, 64, 0), (OS0_ROS1, 32, 0))
 ALL_RANGES = DecodeConfig(min_range=0.0, max_range=1000.0)
+
+
+@pytest.fixture(autouse=True)
+def rosbags_as_it_was() -> Iterator[None]:
+    """Undo what the SDK's own bag reader does to rosbags: its readers are replaced for the whole process."""
+    kept = Reader.__init__, AnyReader.__init__
+    yield
+    Reader.__init__, AnyReader.__init__ = kept  # type: ignore[method-assign]
 
 
 def imported(shared_data: Path, name: str, folder: Path) -> Path:

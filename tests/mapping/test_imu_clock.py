@@ -36,14 +36,14 @@ def test_a_late_clock_is_estimated_and_warned_of(hole: bool, caplog: pytest.LogC
     assert found is not None
     assert abs(found.offset_ms + IMU_LATE * 1e3) < 3 * found.sigma_ms + 0.2
     assert found.sigma_ms < 1.0
-    with caplog.at_level(logging.WARNING):
+    with caplog.at_level(logging.WARNING, logger="subiaco_mapping"):
         facts = clock.facts()["imu_clock"]
     assert facts["off"]
     assert "calibrate-rig" in caplog.text
 
 
 def test_a_clock_put_right_is_not_warned_of(caplog: pytest.LogCaptureFixture) -> None:
-    with caplog.at_level(logging.WARNING):
+    with caplog.at_level(logging.WARNING, logger="subiaco_mapping"):
         facts = clock_of(round(-IMU_LATE * 1e9)).facts()["imu_clock"]
     assert not facts["off"]
     assert abs(facts["offset_ms"]) < 2.0

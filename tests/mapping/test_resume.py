@@ -2,6 +2,7 @@
 
 import hashlib
 import json
+import logging
 from pathlib import Path
 
 import numpy as np
@@ -154,6 +155,7 @@ def test_another_configuration_or_recording_begins_anew(
     journal = tmp_path / ".map.journal"
     interrupted(bag, journal)
     reads.clear()
+    caplog.set_level(logging.WARNING, logger="subiaco_mapping")
     other = CONFIG.model_copy(update={"odometry": OdometryConfig(voxel=0.6)})
     pipeline.map_survey([bag], other, journal=journal, resume=True)
     assert reads == ["room"]

@@ -86,8 +86,6 @@ class SurveyMap:
         ``map.yaml``: epoch, time range, leaf, configuration hash, input bags with hashes ...
     last : PointCloud, optional
         Last returns.
-    moving : PointCloud, optional
-        What moved while the survey drove by; it is not in ``cloud``.
     odometry : mapping of str to Trajectory
         Raw odometry a sequence, ``T_lidar0_lidar``.
     manifest : mapping
@@ -98,6 +96,8 @@ class SurveyMap:
         The configuration as resolved.
     pages : mapping of str to str
         Reports to lay beside the map: file name and text; not read back.
+    moving : PointCloud, optional
+        What moved while the survey drove by; it is not in ``cloud``.
     """
 
     cloud: PointCloud
@@ -106,12 +106,12 @@ class SurveyMap:
     uncertainty: PoseUncertainty | None = None
     info: Mapping[str, Any] = field(default_factory=dict)
     last: PointCloud | None = None
-    moving: PointCloud | None = None
     odometry: Mapping[str, Trajectory] = field(default_factory=dict)
     manifest: Mapping[str, Any] = field(default_factory=dict)
     heights: Floats | None = None
     config: Mapping[str, Any] = field(default_factory=dict)
     pages: Mapping[str, str] = field(default_factory=dict)
+    moving: PointCloud | None = None
 
     @property
     def crs(self) -> str | None:

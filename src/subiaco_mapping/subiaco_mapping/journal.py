@@ -48,8 +48,8 @@ def opened(folder: Path | None, config: MappingConfig, *, resume: bool) -> Itera
     journal = Journal(folder, config, resume=resume)
     try:
         yield journal
-    except BaseException:
-        if journal.finished == 0:
+    except BaseException as error:
+        if journal.finished == 0 or isinstance(error, InputError):  # the same would fail again
             remove(folder)
         else:
             logger.warning("%d recordings are done; --resume goes on from there", journal.finished)
