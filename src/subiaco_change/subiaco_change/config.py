@@ -22,12 +22,25 @@ from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError
 
 
+class TileConfig(StrictModel):
+    """Tiles in which a run is done (method, part C5)."""
+
+    size: float = Field(80.0, ge=40, multiple_of=20, description="edge of a tile [m], paper")
+    overlap: float = Field(10.0, ge=5, description="surroundings that a tile sees [m], paper")
+    edge: float = Field(
+        2.0, ge=0, description="outermost part of these, too near the end of sight to tell objects [m]"
+    )
+
+
 class ChangeConfig(StrictModel):
     """Everything that decides what a change run says."""
 
     leaf: float = Field(0.25, gt=0, le=0.5, description="working leaf of both clouds [m], paper")
     seed: int = Field(0, ge=0, description="seed of every random choice")
-    threads: int = Field(1, ge=1, description="threads; results do not depend on it")
+    tiles: TileConfig = TileConfig()
+    registration_points: int = Field(
+        4_000_000, ge=10_000, description="points of an epoch that the registration takes; thinned beyond"
+    )
     normal_radius: float = Field(0.8, gt=0, description="radius of normals at the working leaf [m]")
     second_registration: bool = Field(
         True, description="register again without what the first pass calls changed (Decision 2)"

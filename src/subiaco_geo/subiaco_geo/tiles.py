@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -82,6 +82,39 @@ def tile_grid(bounds: Sequence[float], size: float = 80.0, overlap: float = 10.0
         for row in _span(low_y, high_y, size)
         for column in _span(low_x, high_x, size)
     ]
+
+
+def tile_named(name: str, size: float = 80.0, overlap: float = 10.0) -> Tile:
+    """Return the tile of an id, as :func:`tile_grid` would.
+
+    Raises
+    ------
+    InputError
+        Not an id of a tile.
+    """
+    column, _, row = name.partition("_")
+    try:
+        return _tile(int(column), int(row), size, overlap)
+    except ValueError as error:
+        raise InputError(f"tile {name!r}: an id is column_row, two whole numbers") from error
+
+
+def neighbours(name: str, names: Collection[str], rings: int = 1) -> list[str]:
+    """Return those of ``names`` that lie at most ``rings`` tiles from a tile, itself excluded, in order."""
+    column, row = map(int, name.split("_"))
+    reach = range(-rings, rings + 1)
+    around = (f"{column + dc}_{row + dr}" for dr in reach for dc in reach if (dc, dr) != (0, 0))
+    return sorted(set(around) & set(names))
+
+
+def split_by_tile(xy: Floats, size: float = 80.0) -> dict[str, NDArray[np.int64]]:
+    """Return the indices of the points (N, 2 or more) of every tile, in order; tiles by id."""
+    index = np.floor(np.asarray(xy)[:, :2] / size).astype(np.int64)
+    order = np.lexsort((index[:, 0], index[:, 1]))
+    ordered = index[order]
+    fresh = np.flatnonzero(np.any(np.diff(ordered, axis=0, prepend=ordered[:1] - 1) != 0, axis=1))
+    groups = np.split(order, fresh[1:]) if len(order) else []
+    return {f"{c}_{r}": np.sort(g) for (c, r), g in zip(ordered[fresh].tolist(), groups, strict=True)}
 
 
 def _tile(column: int, row: int, size: float, overlap: float) -> Tile:

@@ -91,18 +91,32 @@ def compare_ground(
     high = np.max([v.xyz[m, :2].max(axis=0) for v, m in zip((before, after), ground, strict=True)], axis=0)
     corner = np.floor(low / config.report_cell) * config.report_cell
     columns, rows = (np.floor((high - corner) / config.cell).astype(int) + 1).tolist()
-    cells = [
-        _cell_heights(v, m, corner, (rows, columns), config)
-        for v, m in zip((before, after), ground, strict=True)
-    ]
-    heights = _bridge(cells[0][0], cells[1][0], config)
-    dz = heights[1] - heights[0]
+    dz, lod, _ = difference_cells(before, after, corner, (rows, columns), config)
     if not np.isfinite(dz).any():
         return None
-    lod = np.maximum(cells[0][1], cells[1][1])  # NaN where either has none
     patch, patches = _find_patches(dz, lod, corner, config)
+    return GroundComparison(corner, config.cell, dz, shown_lod(lod), patch, patches)
+
+
+def difference_cells(
+    before: EpochView, after: EpochView, corner: Floats, shape: tuple[int, int], config: GroundChangeConfig
+) -> tuple[Floats, Floats, Floats]:
+    """Height difference, level of detection and height in *after* (rows, columns) [m] of the cells of a window.
+
+    NaN where either epoch has no ground, or no level of its own. All ground points lie in the window.
+    """
+    cells = [
+        _cell_heights(view, view.semantic == Semantic.GROUND, corner, shape, config)
+        for view in (before, after)
+    ]
+    heights = _bridge(cells[0][0], cells[1][0], config)
+    return heights[1] - heights[0], np.maximum(cells[0][1], cells[1][1]), heights[1]
+
+
+def shown_lod(lod: Floats) -> Floats:
+    """Fill the level of detection of cells that have none from those around."""
     shown = fill_gaps(lod) if np.isfinite(lod).any() else np.full_like(lod, _NO_CLAIM)
-    return GroundComparison(corner, config.cell, dz, np.where(np.isfinite(lod), lod, shown), patch, patches)
+    return np.where(np.isfinite(lod), lod, shown)
 
 
 def _cell_heights(
@@ -156,19 +170,29 @@ def _find_patches(
     """
     patch = np.full(dz.shape, -1, dtype=np.int64)
     patches: list[GroundPatch] = []
-    gate = np.fmax(config.threshold, config.lod_factor * lod)
     typical = float(np.nanmedian(lod)) if np.isfinite(lod).any() else _NO_CLAIM
     for sign, change in ((1.0, Change.INCREASED), (-1.0, Change.DECREASED)):
-        over = np.nan_to_num(sign * dz, nan=-1.0) > gate
+        over = beyond_gate(dz, lod, sign, config)
         blind = ~np.isfinite(dz)
-        labels, count = ndimage.label(_closed(over, blind, config), structure=np.ones((3, 3)))
+        labels, count = ndimage.label(over, structure=np.ones((3, 3)))
         sizes = _possible_sizes(labels, count, blind, config)
         for number in np.flatnonzero(sizes * config.cell**2 > config.area).tolist():
-            found = _make_patch(change, labels == number, dz, lod, corner, config.cell, typical)
-            if abs(found.dz) > max(config.threshold, config.lod_factor * found.lod):
+            found = make_patch(change, labels == number, dz, lod, corner, config.cell, typical)
+            if stands_out(found, config):
                 patch[labels == number] = len(patches)
                 patches.append(found)
     return patch, tuple(patches)
+
+
+def beyond_gate(dz: Floats, lod: Floats, sign: float, config: GroundChangeConfig) -> Mask:
+    """Tell which cells changed in one direction, blind ones between them included."""
+    over = np.nan_to_num(sign * dz, nan=-1.0) > np.fmax(config.threshold, config.lod_factor * lod)
+    return _closed(over, ~np.isfinite(dz), config)
+
+
+def stands_out(patch: GroundPatch, config: GroundChangeConfig) -> bool:
+    """Tell whether a patch as a whole is beyond the gate."""
+    return abs(patch.dz) > max(config.threshold, config.lod_factor * patch.lod)
 
 
 def _closed(over: Mask, blind: Mask, config: GroundChangeConfig) -> Mask:
@@ -190,7 +214,13 @@ def _possible_sizes(labels: Ints, count: int, blind: Mask, config: GroundChangeC
     return np.asarray(sizes + np.minimum(hidden, sizes))
 
 
-def _make_patch(
+def ground_hidden(where: Mask, blind: Mask, config: GroundChangeConfig) -> int:
+    """Count the blind cells around those of a patch."""
+    size = 2 * config.closing + 1
+    return int((ndimage.binary_dilation(where, structure=np.ones((size, size))) & blind).sum())
+
+
+def make_patch(
     change: Change, where: Mask, dz: Floats, lod: Floats, corner: Floats, cell: float, typical: float
 ) -> GroundPatch:
     cells = np.argwhere(where)

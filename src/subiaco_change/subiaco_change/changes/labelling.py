@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely.affinity
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.special import ndtr
 
-from subiaco_change.changes.ground_change import GroundComparison, patch_points
+from subiaco_change.changes.ground_change import GroundComparison, GroundPatch, patch_points
 from subiaco_change.changes.object_changes import ObjectChange
 from subiaco_change.changes.objects import EpochView
 from subiaco_change.observation.evidence import EvidenceConfig, ground_observed
@@ -55,27 +55,53 @@ def label_epoch(
     the others are Unchanged where the other epoch observed the place, else
     Unobserved.
     """
-    count = len(view.xyz)
-    change = np.full(count, Change.UNCHANGED, dtype=np.uint8)
-    semantic = view.semantic.copy()
-    instance = np.full(count, -1, dtype=np.int32)
-    confidence = np.full(count, 0.5, dtype=np.float32)
+    labels = unlabelled(view)
     for item, record in zip(objects, records, strict=True):
         members = item.points(epoch)
-        change[members], semantic[members] = record.change, record.semantic
-        instance[members], confidence[members] = record.object_id, record.confidence
-    loose = np.flatnonzero(instance < 0)
+        labels.change[members], labels.semantic[members] = record.change, record.semantic
+        labels.instance[members], labels.confidence[members] = record.object_id, record.confidence
+    known = other.xyz[other.semantic == Semantic.GROUND]
+    ids = [] if ground is None else [len(records) + k for k in range(len(ground.patches))]
+    label_rest(view, labels, ground, ids, seen_by_other, evidence, known)
+    return labels
+
+
+def unlabelled(view: EpochView) -> Labels:
+    """Return labels of points of which nothing is said yet."""
+    count = len(view.xyz)
+    return Labels(
+        np.full(count, Change.UNCHANGED, dtype=np.uint8),
+        view.semantic.copy(),
+        np.full(count, -1, dtype=np.int32),
+        np.full(count, 0.5, dtype=np.float32),
+        view.lod.astype(np.float32),
+    )
+
+
+def label_rest(
+    view: EpochView,
+    labels: Labels,
+    ground: GroundComparison | None,
+    patch_ids: Sequence[int],
+    seen_by_other: Callable[[Floats], Mask],
+    evidence: EvidenceConfig,
+    other_ground: Floats,
+) -> None:
+    """Label, in place, what belongs to no object.
+
+    Points of a ground patch get its label and id; the others stay Unchanged where the other epoch
+    observed the place, by its beams or by ground points (M, 3) around, and are Unobserved elsewhere.
+    """
+    loose = np.flatnonzero(labels.instance < 0)
     is_ground = view.semantic[loose] == Semantic.GROUND
     seen = _compared(ground, view, loose)
     seen[~is_ground] = seen_by_other(view.xyz[loose[~is_ground]])
     places = view.xyz[loose[is_ground]]
-    known = other.xyz[other.semantic == Semantic.GROUND]
     seen[is_ground] |= ground_observed(seen_by_other, places, evidence)
-    seen[is_ground] |= surrounded(places[:, :2], known[:, :2], evidence.ground_between)
-    change[loose[~seen]] = Change.UNOBSERVED
+    seen[is_ground] |= surrounded(places[:, :2], other_ground[:, :2], evidence.ground_between)
+    labels.change[loose[~seen]] = Change.UNOBSERVED
     if ground is not None:
-        _label_ground(ground, view, len(records), change, instance, confidence)
-    return Labels(change, semantic, instance, confidence, view.lod.astype(np.float32))
+        _label_ground(ground, view, patch_ids, labels)
 
 
 def surrounded(xy: Floats, points: Floats, reach: float) -> Mask:
@@ -103,26 +129,21 @@ def _compared(ground: GroundComparison | None, view: EpochView, members: Ints) -
 
 
 def _label_ground(
-    ground: GroundComparison,
-    view: EpochView,
-    first_id: int,
-    change: NDArray[np.uint8],
-    instance: NDArray[np.int32],
-    confidence: NDArray[np.float32],
+    ground: GroundComparison, view: EpochView, patch_ids: Sequence[int], labels: Labels
 ) -> None:
     patch = patch_points(ground, view)
     row, column, inside = ground.cell_of(view.xyz[:, :2])
     known = inside & (view.semantic == Semantic.GROUND) & np.isfinite(ground.dz[row, column])
     sigma = np.maximum(ground.lod[row[known], column[known]] / 1.96, 0.01)
     distance = np.abs(np.abs(ground.dz[row[known], column[known]]) - 0.15)
-    confidence[known] = ndtr(distance / sigma)
+    labels.confidence[known] = ndtr(distance / sigma)
     for number, item in enumerate(ground.patches):
         members = patch == number
-        change[members], instance[members] = item.change, first_id + number
-        confidence[members] = _patch_confidence(item.dz, item.lod)
+        labels.change[members], labels.instance[members] = item.change, patch_ids[number]
+        labels.confidence[members] = patch_confidence(item.dz, item.lod)
 
 
-def _patch_confidence(dz: float, lod: float, threshold: float = 0.15) -> float:
+def patch_confidence(dz: float, lod: float, threshold: float = 0.15) -> float:
     """Probability that the difference exceeds the threshold, LoD95 being 1.96 standard deviations."""
     return float(ndtr((abs(dz) - threshold) / max(lod / 1.96, 0.01)))
 
@@ -140,38 +161,49 @@ def ground_records(
     counts = [np.bincount(patch_points(ground, v) + 1, minlength=len(ground.patches) + 1)[1:] for v in views]
     records = []
     for number, patch in enumerate(ground.patches):
-        centre = patch.outline.centroid
         inside = (patch_points(ground, views[1]) == number).nonzero()[0]
         z = float(np.median(views[1].xyz[inside, 2])) if len(inside) else math.nan
+        record = patch_record(patch, origin, z, evidence)
         records.append(
-            ChangeRecord(
+            replace(
+                record,
                 object_id=first_id + number,
-                semantic=Semantic.GROUND,
-                change=patch.change,
-                id_before=(),
-                id_after=(),
-                match_kind="one_to_one",
-                delta_h_m=patch.dz,
-                delta_v_m3=patch.dz * patch.area,
-                delta_v_surface_m3=math.nan,
-                delta_c_m=math.nan,
-                iou_3d=math.nan,
-                d_perp_m=patch.dz,
-                lod95_m=patch.lod,
-                observed_fraction=1.0,
-                evidence=evidence,
-                score_paper=_ground_score(patch.dz, patch.lod),
-                confidence=_patch_confidence(patch.dz, patch.lod),
                 n_before=int(counts[0][number]),
                 n_after=int(counts[1][number]),
-                x=float(centre.x + origin[0]),
-                y=float(centre.y + origin[1]),
-                z=z + float(origin[2]),
-                footprint=shapely.affinity.translate(patch.outline, float(origin[0]), float(origin[1])),
-                reason=f"{patch.area:.0f} m2 of ground moved {patch.dz:+.2f} m (sd {patch.dz_spread:.2f} m)",
             )
         )
     return records
+
+
+def patch_record(patch: GroundPatch, origin: Floats, z: float, evidence: str) -> ChangeRecord:
+    """Return the row of a patch of ground, in world coordinates; its id and points are still to be told."""
+    centre = patch.outline.centroid
+    return ChangeRecord(
+        object_id=-1,
+        semantic=Semantic.GROUND,
+        change=patch.change,
+        id_before=(),
+        id_after=(),
+        match_kind="one_to_one",
+        delta_h_m=patch.dz,
+        delta_v_m3=patch.dz * patch.area,
+        delta_v_surface_m3=math.nan,
+        delta_c_m=math.nan,
+        iou_3d=math.nan,
+        d_perp_m=patch.dz,
+        lod95_m=patch.lod,
+        observed_fraction=1.0,
+        evidence=evidence,
+        score_paper=_ground_score(patch.dz, patch.lod),
+        confidence=patch_confidence(patch.dz, patch.lod),
+        n_before=0,
+        n_after=0,
+        x=float(centre.x + origin[0]),
+        y=float(centre.y + origin[1]),
+        z=z + float(origin[2]),
+        footprint=shapely.affinity.translate(patch.outline, float(origin[0]), float(origin[1])),
+        reason=f"{patch.area:.0f} m2 of ground moved {patch.dz:+.2f} m (sd {patch.dz_spread:.2f} m)",
+    )
 
 
 def _ground_score(dz: float, lod: float) -> float:

@@ -73,17 +73,22 @@ def levelled(cloud: PointCloud) -> PointCloud:
 
     For labelling alone: nothing turned is handed on, else a mean slope would tilt the city.
     """
-    if cloud.crs is not None or len(cloud) == 0:
+    turn = upright_turn(cloud)
+    if turn is None:
         return cloud
-    points = voxel_downsample(PointCloud(cloud.xyz), 1.0).xyz
-    turn = levelling(Level(1.0, points, fit_planes(points, 2.5)))[:3, :3]
-    if turn[2, 2] > np.cos(np.radians(_UPRIGHT_DEG)):
-        return cloud
-    middle = points.mean(axis=0)
     fields = dict(cloud.fields)
     if "normals" in fields:
         fields["normals"] = np.asarray(fields["normals"], dtype=np.float64) @ turn.T
-    return PointCloud((cloud.xyz - middle) @ turn.T + middle, cloud.origin, None, fields)
+    return PointCloud(cloud.xyz @ turn.T, cloud.origin, None, fields)
+
+
+def upright_turn(cloud: PointCloud) -> Floats | None:
+    """Rotation (3, 3) that makes the streets of a local cloud lie level; None where they do."""
+    if cloud.crs is not None or len(cloud) == 0:
+        return None
+    points = voxel_downsample(PointCloud(cloud.xyz), 1.0).xyz
+    turn = levelling(Level(1.0, points, fit_planes(points, 2.5)))[:3, :3]
+    return None if turn[2, 2] > np.cos(np.radians(_UPRIGHT_DEG)) else np.asarray(turn)
 
 
 def seen_through(

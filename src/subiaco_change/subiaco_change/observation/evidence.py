@@ -195,7 +195,9 @@ def ground_observed(observed: Callable[[Floats], Flags], xyz: Floats, config: Ev
     return seen
 
 
-def draw_lines_of_sight(world: Floats, positions: Floats, config: EvidenceConfig) -> VisibilityGrid:
+def draw_lines_of_sight(
+    world: Floats, positions: Floats, config: EvidenceConfig, origin: Floats | None = None
+) -> VisibilityGrid:
     """Rebuild a visibility layer from the poses of a survey and its points.
 
     Every occupied voxel is looked at from a few poses around; a line ends
@@ -209,8 +211,11 @@ def draw_lines_of_sight(world: Floats, positions: Floats, config: EvidenceConfig
     positions : (M, 3) float64
         Positions of the sensor, in order of time.
     config : EvidenceConfig
+    origin : (3,) float64, optional
+        Corner of the voxels [m]; two voxels off the lowest point if None.
     """
-    origin = np.floor(world.min(axis=0)) - 2.0 * config.voxel
+    if origin is None:
+        origin = sight_corner(world.min(axis=0), config)
     points = voxel_keys(voxel_indices(world - origin, config.voxel))
     keys, first, voxel = np.unique(points, return_index=True, return_inverse=True)
     targets = world[first]
@@ -225,6 +230,11 @@ def draw_lines_of_sight(world: Floats, positions: Floats, config: EvidenceConfig
     # What holds a point was seen, whether or not one of the drawn lines gets there.
     starts, ends = np.concatenate([starts, targets]), np.concatenate([ends, targets])
     return accumulate_visibility(starts, ends, origin, config.voxel)
+
+
+def sight_corner(low: Floats, config: EvidenceConfig) -> Floats:
+    """Corner (3,) of the voxels of lines of sight below the lowest coordinates (3,) of an epoch [m]."""
+    return np.asarray(np.floor(low) - 2.0 * config.voxel)
 
 
 def _height_spans(height: Floats, voxel: Ints, count: int) -> Floats:
@@ -242,13 +252,24 @@ def _spaced(positions: Floats, spacing: float) -> Floats:
     return positions[first]
 
 
-def _available(survey: SurveyMap) -> Kind:
-    """Name the best evidence that a map carries."""
+def evidence_kind(survey: SurveyMap, config: EvidenceConfig) -> Kind:
+    """Name the best evidence that a map carries, or the one asked for.
+
+    Raises
+    ------
+    InputError
+        The evidence asked for is not in the map.
+    """
+    driven = survey.trajectory is not None and len(survey.trajectory) > 0
+    if config.source == "observed" and survey.visibility is None:
+        raise InputError("evidence.source=observed: the map has no visibility layer; use auto")
+    if config.source == "trajectory" and not driven:
+        raise InputError("evidence.source=trajectory: no trajectory; give --trajectory-before/-after")
+    if config.source != "auto":
+        return config.source
     if survey.visibility is not None:
         return "observed"
-    if survey.trajectory is not None and len(survey.trajectory) > 0:
-        return "trajectory"
-    return "shadow"
+    return "trajectory" if driven else "shadow"
 
 
 def make_observer(
@@ -270,16 +291,12 @@ def make_observer(
     InputError
         The evidence asked for is not in the map.
     """
-    kind: Kind = _available(survey) if config.source == "auto" else config.source
+    kind = evidence_kind(survey, config)
     if kind == "assumed":
         return Observer("assumed", _Everything())
-    if kind == "observed":
-        if survey.visibility is None:
-            raise InputError("evidence.source=observed: the map has no visibility layer; use auto")
+    if kind == "observed" and survey.visibility is not None:
         return Observer("observed", _Grid(survey.visibility, config.min_beams), to_own)
-    if kind == "trajectory":
-        if survey.trajectory is None or len(survey.trajectory) == 0:
-            raise InputError("evidence.source=trajectory: no trajectory; give --trajectory-before/-after")
+    if kind == "trajectory" and survey.trajectory is not None:
         grid = draw_lines_of_sight(survey.cloud.world(), survey.trajectory.positions, config)
         return Observer("trajectory", _Grid(grid, 1))
     index = build_index(survey.cloud.xyz, config.shadow_radius)

@@ -176,9 +176,9 @@ class Displacements:
 
 
 def measure_displacements(
-    cloud_self: PointCloud, cloud_other: PointCloud, config: LodConfig
+    cloud_self: PointCloud, cloud_other: PointCloud, config: LodConfig, first: int | None = None
 ) -> Displacements:
-    """Measure displacement and its variance at every point of one epoch.
+    """Measure displacement and its variance at every point of one epoch, or at its ``first`` points alone.
 
     Both epochs are looked at through the same short cylinder. Only where the
     other epoch has too little in it does its longer one count: a longer look in one epoch
@@ -196,7 +196,7 @@ def measure_displacements(
 
     def look(points: Floats, point_normals: Floats, half_length: float) -> CylinderStats:
         return cylinder_stats(
-            cloud_self.xyz, normals, points, point_normals, config.radius, half_length,
+            cloud_self.xyz[:first], normals[:first], points, point_normals, config.radius, half_length,
             config.normal_agreement,
         )  # fmt: skip
 

@@ -100,7 +100,7 @@ def place(
         (before, after), found, registration, config.uncertainty, poses=poses, exclude=unsteady
     )
     values = [sigma.at(c.xyz, np.asarray(c.fields["normals"])) for c in (before, after)]
-    stated = _stated(registration, values[0], bias)
+    stated = stated_registration(registration, values[0], bias)
     lods = lod_of(found[0], values[0], lod), lod_of(found[1], values[1], lod)
     return Placed(replace(frame, registration=stated), before, sigma, lods)
 
@@ -128,7 +128,9 @@ def _poses(frame: CommonFrame, surveys: tuple[SurveyMap, SurveyMap]) -> tuple[Po
     return tuple(p for p in both if p is not None)
 
 
-def _stated(registration: Registration, sigma: NDArray[np.float64], bias: SmoothField | None) -> Registration:
+def stated_registration(
+    registration: Registration, sigma: NDArray[np.float64], bias: SmoothField | None
+) -> Registration:
     """State sigma_reg as the median over the points, and how it and the heights vary."""
     low, median, high = np.quantile(sigma, (0.05, 0.5, 0.95)).tolist()
     details = {**registration.details, "sigma_reg_p05_m": low, "sigma_reg_p95_m": high}
@@ -142,7 +144,7 @@ def _stated(registration: Registration, sigma: NDArray[np.float64], bias: Smooth
     return replace(registration, sigma_reg_m=median, details=details)
 
 
-def block_table(placed: Placed) -> pd.DataFrame:
+def block_table(sigma: SigmaField, frame: CommonFrame) -> pd.DataFrame:
     """Report the registration block by block.
 
     Returns
@@ -155,11 +157,11 @@ def block_table(placed: Placed) -> pd.DataFrame:
         ``shift_east_m shift_north_m shift_up_m``, what was added to *before*
         beyond the rigid transform.
     """
-    sigma, origin = placed.sigma, placed.frame.origin
+    origin = frame.origin
     centres = sigma.grid.centres()
     place = np.column_stack([centres, np.zeros(len(centres))])
     shift = np.zeros_like(place)
-    for correction in placed.frame.corrections:
+    for correction in frame.corrections:
         shift += correction.at(place)
     table = pd.DataFrame(
         {

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -152,16 +153,54 @@ def sigma_field(
     exclude : tuple of (N,) bool, optional
         Points that are known to have changed.
     """
-    origin = clouds[0].origin
-    grid = block_grid((clouds[0].xyz, clouds[1].xyz), config.block, origin)
-    columns: list[tuple[Ints, Mask, Floats, Floats]] = []
-    for e, (cloud, found) in enumerate(zip(clouds, displacements, strict=True)):
-        chosen = spread_residuals(cloud, found, config, None if exclude is None else exclude[e])
-        lies = _lies(np.asarray(cloud.fields["normals"])[chosen])
-        block = grid.block_of(cloud.xyz[chosen])
-        columns.append((block, lies, found.distance[chosen], found.variance[chosen]))
-    block, lies, distance, variance = (np.concatenate(parts) for parts in zip(*columns, strict=True))
-    per_kind = [_block_bias(block[of], distance[of], variance[of], grid, config) for of in (~lies, lies)]
+    grid = block_grid((clouds[0].xyz, clouds[1].xyz), config.block, clouds[0].origin)
+    samples = [
+        bias_samples(cloud, found, config, None if exclude is None else exclude[e])
+        for e, (cloud, found) in enumerate(zip(clouds, displacements, strict=True))
+    ]
+    return sigma_of(join_samples(samples), grid, clouds[0].origin, registration, config, poses)
+
+
+@dataclass(frozen=True)
+class BiasSamples:
+    """Residuals that tell what the epochs lie apart: places (N, 3), whether the surface lies (N,),
+    distance (N,) [m] and the variance of its noise (N,) [m2]."""
+
+    xyz: Floats
+    lies: Mask
+    distance: Floats
+    variance: Floats
+
+
+def bias_samples(
+    cloud: PointCloud, found: Displacements, config: UncertaintyConfig, exclude: Mask | None = None
+) -> BiasSamples:
+    """Choose the residuals of one epoch that tell of the registration."""
+    chosen = spread_residuals(cloud, found, config, exclude)
+    lies = _lies(np.asarray(cloud.fields["normals"])[chosen])
+    return BiasSamples(cloud.xyz[chosen], lies, found.distance[chosen], found.variance[chosen])
+
+
+def join_samples(samples: Sequence[BiasSamples]) -> BiasSamples:
+    """Concatenate samples."""
+    names = BiasSamples.__dataclass_fields__
+    return BiasSamples(*(np.concatenate([getattr(s, name) for s in samples]) for name in names))
+
+
+def sigma_of(
+    samples: BiasSamples,
+    grid: BlockGrid,
+    origin: Floats,
+    registration: Registration,
+    config: UncertaintyConfig,
+    poses: tuple[PoseErrors, ...] = (),
+) -> SigmaField:
+    """Estimate the field on a grid from samples of both epochs; ``origin`` (3,) of the common frame."""
+    block = grid.block_of(samples.xyz)
+    per_kind = [
+        _block_bias(block[of], samples.distance[of], samples.variance[of], grid, config)
+        for of in (~samples.lies, samples.lies)
+    ]
     bias = np.column_stack([kind[0] for kind in per_kind])
     count = np.column_stack([kind[1] for kind in per_kind])
     return SigmaField(

@@ -55,7 +55,13 @@ def estimate_vertical_bias(
     if len(before) == 0 or len(after) == 0:
         return None
     grid = block_grid((before, after), config.tile, origin)
-    medians, known = _tile_medians(before, after, grid)
+    return bias_field(*tile_medians(before, after, grid), grid, config)
+
+
+def bias_field(
+    medians: Floats, known: Mask, grid: BlockGrid, config: VerticalBiasConfig
+) -> SmoothField | None:
+    """Smooth the medians (rows, columns) of the tiles of a grid; None where too few are known."""
     if known.sum() < config.min_tiles:
         return None
     overall = float(np.median(medians[known]))
@@ -74,7 +80,7 @@ def estimate_vertical_bias(
     return SmoothField(grid, values)
 
 
-def _tile_medians(before: Floats, after: Floats, grid: BlockGrid) -> tuple[Floats, Mask]:
+def tile_medians(before: Floats, after: Floats, grid: BlockGrid) -> tuple[Floats, Mask]:
     """Median height difference (rows, columns) of the tiles, and which tiles have enough shared ground."""
     per_tile = max(round(grid.cell / _CELL), 1)
     rows, columns = grid.shape

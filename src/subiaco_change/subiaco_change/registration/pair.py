@@ -30,6 +30,8 @@ class PairInfo:
         The coordinate operation applied to *before*, ``none`` if none.
     accuracy_m : float
         Its accuracy as PROJ states it [m].
+    beams_crs : str or None
+        CRS in which the visibility layer of *before* still lives, where it is another.
     before_to_own : callable or None
         Brings world points (N, 3) of the pair's CRS back to the CRS in which
         the visibility layer of *before* still lives.
@@ -39,6 +41,7 @@ class PairInfo:
     crs: str | None
     operation: str = "none"
     accuracy_m: float = 0.0
+    beams_crs: str | None = None
     before_to_own: Callable[[Floats], Floats] | None = None
     warnings: tuple[str, ...] = ()
 
@@ -105,7 +108,7 @@ def _to_crs(survey: SurveyMap, crs: str) -> tuple[SurveyMap, PairInfo]:
         f"before was brought from {own} to {crs} by {operation.name!r}, accurate to {operation.accuracy_m} m"
     )
     _LOG.info(note)
-    return moved, PairInfo(crs, operation.name, operation.accuracy_m, back.apply, (note,))
+    return moved, PairInfo(crs, operation.name, operation.accuracy_m, own, back.apply, (note,))
 
 
 def _shares_origin(before: PointCloud, after: PointCloud, both_crs: bool) -> bool:

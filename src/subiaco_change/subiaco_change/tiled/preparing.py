@@ -1,0 +1,179 @@
+"""Semantics and instances of one tile of one epoch, seen with its surroundings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from subiaco_change.changes.ablation import Part
+from subiaco_change.geometry import estimate_normals
+from subiaco_change.observation.common_frame import CommonFrame
+from subiaco_change.semantics.classes import SemanticResult, label_points
+from subiaco_change.semantics.clustering import voxel_clusters
+from subiaco_change.semantics.instances import segment
+from subiaco_change.tiled.cutting import FIELDS, Side, load_observer
+from subiaco_change.tiled.framing import in_frame, load_frame
+from subiaco_geo.clouds import PointCloud
+from subiaco_geo.codes import Semantic
+from subiaco_geo.errors import InputError
+from subiaco_geo.frames import Floats, Ints
+from subiaco_geo.tiles import tile_named
+from subiaco_geo.work.store import Arrays
+from subiaco_geo.work.tasks import Inputs
+
+
+def recut_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
+    """Take those points of *before* that the registration brings into a tile; same arrays as a tile of it."""
+    side: Side = params["side"]
+    frame = load_frame(inputs, params["origin"])
+    tile = tile_named(params["tile"], params["size"], 0.0)
+    found: dict[str, list[NDArray[Any]]] = {}
+    for name in inputs.under("cloud"):
+        piece = inputs[f"cloud/{name}"]
+        moved = in_frame(piece["xyz"], side, frame)
+        inside = tile.in_core(moved.world()[:, :2])
+        for field in ("xyz", *FIELDS):
+            if field in piece:
+                found.setdefault(field, []).append(piece[field][inside])
+    return {field: np.concatenate(parts) for field, parts in found.items()}
+
+
+def prepare_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
+    """Label the points of a tile and its surroundings, and find their objects.
+
+    Parameters
+    ----------
+    inputs : Inputs
+        ``cloud/<tile>`` of the tile and its neighbours, ``beams/<epoch>/...``, ``registration``.
+    params : mapping
+        ``tile size overlap side origin config turn given``.
+
+    Returns
+    -------
+    arrays
+        Of the points of the tile (N): ``normals`` float32, ``semantic`` uint8, ``score height
+        passed`` float32 (``passed`` empty where nothing counted beams). Of the tile and then of
+        its surroundings (N + M): ``instance`` int32, numbers of this tile. Of the
+        surroundings: ``near_tile`` uint8, position among ``neighbours``; ``near_index`` int32
+        there; ``inner`` bool, away from the outer edge. ``objects`` (K, 5): class, points in
+        the tile, least east and north, and whether any lies in the tile.
+    """
+    side: Side = params["side"]
+    frame = load_frame(inputs, params["origin"])
+    tile = tile_named(params["tile"], params["size"], params["overlap"])
+    names = [name for name in inputs.under("cloud") if name != params["tile"]]
+    own, around, where = _gather(inputs, params["tile"], names, side, frame, tile.in_buffered)
+    xyz = np.concatenate([own, *around])
+    cloud = in_frame(xyz, side, frame)
+    observer = load_observer(inputs, side, xyz + side.origin, params["config"].evidence)
+    passed = observer.passes(xyz + side.origin)
+    normals = estimate_normals(cloud.xyz, params["config"].normal_radius)
+    labelled = _label(cloud, passed, params, inputs, names, where)
+    count = len(own)
+    semantic, instance, score, height = labelled
+    inner = tile_named(params["tile"], params["size"], params["overlap"] - params["edge"])
+    world = cloud.world()
+    return {
+        "normals": normals[:count].astype(np.float32),
+        "semantic": semantic[:count],
+        "score": score[:count],
+        "height": height[:count],
+        "passed": np.zeros(0, np.float32) if passed is None else passed[:count].astype(np.float32),
+        "instance": instance,
+        "neighbours": np.array(names, dtype=np.str_),
+        "near_tile": np.repeat(np.arange(len(names), dtype=np.uint8), [len(w) for w in where]),
+        "near_index": np.concatenate([np.zeros(0, np.int64), *where]).astype(np.int32),
+        "inner": inner.in_buffered(world[:, :2]),
+        "objects": _summary(instance, semantic, world, count),
+    }
+
+
+def _gather(
+    inputs: Inputs, tile: str, names: list[str], side: Side, frame: CommonFrame, near: Any
+) -> tuple[Floats, list[Floats], list[Ints]]:
+    """Points of the tile, of each neighbour those nearby, and where they stand there."""
+    own = inputs[f"cloud/{tile}"]["xyz"]
+    around, where = [], []
+    for name in names:
+        xyz = inputs[f"cloud/{name}"]["xyz"]
+        inside = np.flatnonzero(near(in_frame(xyz, side, frame).world()[:, :2]))
+        around.append(xyz[inside])
+        where.append(inside)
+    return own, around, where
+
+
+def _label(
+    cloud: PointCloud,
+    passed: Floats | None,
+    params: Mapping[str, Any],
+    inputs: Inputs,
+    names: list[str],
+    where: list[Ints],
+) -> tuple[NDArray[np.uint8], NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:
+    """Class, instance, score of the class and height above ground of every point."""
+    config = params["config"]
+    turn = params["turn"]
+    upright = cloud if turn is None else PointCloud(cloud.xyz @ np.asarray(turn).T, cloud.origin)
+    result = label_points(upright, config.semantics, passed)
+    semantic = result.semantic
+    score = np.take_along_axis(result.scores, semantic[:, None].astype(np.int64), axis=1)[:, 0]
+    if "semantic" in params["given"]:
+        semantic = _given("semantic", inputs, params["tile"], names, where).astype(np.uint8)
+        score = np.ones(len(semantic), dtype=np.float32)
+        result = replace(result, semantic=semantic, moving=np.zeros(len(semantic), dtype=bool))
+    if "instance" in params["given"]:
+        instance = _given("instance", inputs, params["tile"], names, where).astype(np.int32)
+    elif Part.SEMANTICS in config.without:
+        semantic, instance = _classless(cloud.xyz, semantic, config.measures.voxel)
+    else:
+        instance = _segment(upright, result, config)
+    if Part.OBJECTS in config.without:
+        instance = np.full_like(instance, -1)
+    return semantic, instance, score.astype(np.float32), result.height_above_ground
+
+
+def _segment(cloud: PointCloud, result: SemanticResult, config: Any) -> NDArray[np.int32]:
+    return segment(cloud, result, config.instances.model_copy(update={"leaf": config.leaf}))
+
+
+def _classless(
+    xyz: Floats, semantic: NDArray[np.uint8], edge: float
+) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:
+    """Make all that is off the ground one class, its objects what hangs together (method, B8)."""
+    off = np.flatnonzero(semantic != Semantic.GROUND)
+    instance = np.full(len(xyz), -1, dtype=np.int32)
+    instance[off] = voxel_clusters(xyz[off], edge)
+    one = np.where(semantic == Semantic.GROUND, semantic, np.uint8(Semantic.BUILDING))
+    return one.astype(np.uint8), instance
+
+
+def _given(
+    field: str, inputs: Inputs, tile: str, names: list[str], where: list[Ints]
+) -> NDArray[np.generic]:
+    pieces = [(tile, slice(None)), *zip(names, where, strict=True)]
+    parts = []
+    for name, members in pieces:
+        piece = inputs[f"cloud/{name}"]
+        if field not in piece:
+            raise InputError(f"--{'instances' if field == 'instance' else field} given: no field {field!r}")
+        parts.append(piece[field][members])
+    return np.concatenate(parts)
+
+
+def _summary(instance: NDArray[np.int32], semantic: NDArray[np.uint8], world: Floats, count: int) -> Floats:
+    """Class, points in the tile, least east and north [m], of every number of the tile."""
+    size = int(instance.max(initial=-1)) + 1
+    summary = np.zeros((size, 4))
+    members = np.flatnonzero(instance >= 0)
+    votes = np.zeros((size, 5), dtype=np.int64)
+    np.add.at(votes, (instance[members], semantic[members]), 1)
+    summary[:, 0] = votes.argmax(axis=1) if size else 0
+    own = members[members < count]
+    summary[:, 1] = np.bincount(instance[own], minlength=size)
+    summary[:, 2:] = np.inf
+    np.minimum.at(summary[:, 2:], instance[own], world[own, :2])
+    return summary

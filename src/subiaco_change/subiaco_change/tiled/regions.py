@@ -1,0 +1,98 @@
+"""Both epochs around the places of one tile, as the comparison wants them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from subiaco_change.changes.objects import EpochView
+from subiaco_change.observation.common_frame import seen_through
+from subiaco_change.observation.evidence import Observer
+from subiaco_change.semantics.ground import Mask
+from subiaco_change.tiled.cutting import Side, load_observer
+from subiaco_change.tiled.framing import load_frame
+from subiaco_change.tiled.placing import load_points
+from subiaco_change.tiled.uniting import object_numbers
+from subiaco_geo.frames import Floats, Ints
+from subiaco_geo.work.tasks import Inputs
+
+Near = Callable[[Floats], Mask]
+
+
+@dataclass(frozen=True)
+class Region:
+    """Points of one epoch around a place.
+
+    ``view`` with the objects of the whole city as instances; ``slot`` (N,) tile among ``tiles``;
+    ``index`` (N,) place of the point there; ``seen`` tells which places of the common frame the
+    epoch observed.
+    """
+
+    view: EpochView
+    tiles: list[str]
+    slot: Ints
+    index: Ints
+    seen: Callable[[Floats], Mask]
+
+
+def load_region(inputs: Inputs, side: Side, params: Mapping[str, Any], near: Near) -> Region:
+    """Load those points of an epoch for which ``near`` holds, given places (N, 3) of the common frame.
+
+    ``inputs`` hold ``cloud prepared lods`` of the tiles around, ``united``, ``beams`` and the frame.
+    """
+    frame = load_frame(inputs, params["origin"])
+    tiles = inputs.under(f"cloud/{side.epoch}")
+    parts: list[tuple[Any, ...]] = []
+    own_world: list[Floats] = [np.zeros((0, 3))]
+    for position, name in enumerate(tiles):
+        cloud, semantic = load_points(inputs, side, name, params)
+        own_world.append(inputs[f"cloud/{side.epoch}/{name}"]["xyz"] + side.origin)
+        index = np.flatnonzero(near(cloud.xyz))
+        piece = inputs[f"prepared/{side.epoch}/{name}"]
+        number = object_numbers(inputs, side.epoch, name, len(cloud))
+        lod = inputs[f"lods/{name}"][side.epoch]
+        passed = piece["passed"]
+        parts.append(
+            (
+                cloud.xyz[index],
+                np.asarray(cloud.fields["normals"])[index],
+                semantic[index],
+                number[index],
+                piece["height"][index],
+                lod[index],
+                piece["score"][index],
+                passed[index] if len(passed) else np.zeros(0, np.float32),
+                np.full(len(index), position, dtype=np.int64),
+                index,
+            )
+        )
+    view, slot, index = _view(parts)
+    world = np.concatenate(own_world) if side.kind == "shadow" else np.zeros((0, 3))
+    observer: Observer = load_observer(inputs, side, world, params["config"].evidence)
+    to_world = frame.before_world if side.epoch == "before" else frame.after_world
+    return Region(view, tiles, slot, index, seen_through(observer.observed, to_world))
+
+
+def _view(parts: list[tuple[Any, ...]]) -> tuple[EpochView, Ints, Ints]:
+    empty = (
+        np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, np.uint8), np.zeros(0, np.int64),
+        *(np.zeros(0, np.float32) for _ in range(4)), np.zeros(0, np.int64), np.zeros(0, np.int64),
+    )  # fmt: skip
+    joined: list[NDArray[Any]] = [np.concatenate(column) for column in zip(empty, *parts, strict=True)]
+    xyz, normals, semantic, number, height, lod, score, passed, slot, index = joined
+    counted = len(passed) == len(xyz) and len(xyz) > 0
+    view = EpochView(
+        xyz,
+        normals,
+        semantic,
+        number.astype(np.int32),
+        height.astype(np.float64),
+        lod.astype(np.float64),
+        score.astype(np.float64),
+        passed.astype(np.float64) if counted else None,
+    )
+    return view, slot, index

@@ -1,0 +1,181 @@
+"""Who does the tasks: this process, processes beside it, or a dask cluster."""
+
+from __future__ import annotations
+
+import logging
+import multiprocessing
+import os
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures.process import BrokenProcessPool
+from contextlib import contextmanager
+from typing import Protocol
+
+from subiaco_geo.errors import InputError, SubiacoError
+from subiaco_geo.work.store import DiskStore, Store
+from subiaco_geo.work.tasks import Spent, Task, execute
+
+_LOG = logging.getLogger(__name__)
+_ATTEMPTS = 3  # pools started before lost workers are taken for a lasting fault
+_THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
+
+
+class Executor(Protocol):
+    """Does independent tasks in any order and tells what each cost as it ends."""
+
+    def run(self, store: Store, tasks: Sequence[Task]) -> Iterator[Spent]:
+        """Do the tasks; the first that fails ends the run with its error."""
+        ...
+
+    def close(self) -> None:
+        """Let the workers go."""
+        ...
+
+
+class InProcess:
+    """One task after the other in this process."""
+
+    def run(self, store: Store, tasks: Sequence[Task]) -> Iterator[Spent]:
+        """Do the tasks in the order given."""
+        for task in tasks:
+            yield execute(store, task)
+
+    def close(self) -> None:
+        """Do nothing."""
+
+
+class LocalPool:
+    """Worker processes on this machine, one thread each, started with the first task.
+
+    Parameters
+    ----------
+    workers : int
+    preload : sequence of str
+        Modules that workers need; loaded once for all of them.
+    """
+
+    def __init__(self, workers: int, preload: Sequence[str] = ()) -> None:
+        self.workers, self.preload = workers, list(preload)
+        self._pool: ProcessPoolExecutor | None = None
+
+    def run(self, store: Store, tasks: Sequence[Task]) -> Iterator[Spent]:
+        """Do the tasks; what a killed worker left undone is done by a fresh one."""
+        if not isinstance(store, DiskStore):
+            raise InputError("worker processes need stages on disk; use a DiskStore")
+        left = {task.key: task for task in tasks}
+        for attempt in range(_ATTEMPTS):
+            try:
+                yield from self._drain(store, left)
+            except BrokenProcessPool:
+                self.close()
+                _LOG.warning("a worker process died (attempt %d); %d tasks left", attempt + 1, len(left))
+            if not left:
+                return
+        raise SubiacoError(
+            f"worker processes died {_ATTEMPTS} times, last with {len(left)} tasks left, "
+            f"{next(iter(left.values())).name} among them; the machine may be short of memory: use fewer workers"
+        )
+
+    def _drain(self, store: Store, left: dict[str, Task]) -> Iterator[Spent]:
+        with _one_thread():  # workers start with the tasks
+            pool = self._started()
+            futures = {pool.submit(execute, store, task): key for key, task in left.items()}
+        try:
+            for future in as_completed(futures):
+                spent = future.result()
+                del left[futures[future]]
+                yield spent
+        finally:
+            for future in futures:
+                future.cancel()
+
+    def _started(self) -> ProcessPoolExecutor:
+        if self._pool is None:
+            context = multiprocessing.get_context("forkserver")  # this process may hold threads and locks
+            context.set_forkserver_preload(self.preload)
+            self._pool = ProcessPoolExecutor(self.workers, context)
+        return self._pool
+
+    def close(self) -> None:
+        """End the worker processes."""
+        if self._pool is not None:
+            self._pool.shutdown(wait=True, cancel_futures=True)
+            self._pool = None
+
+
+@contextmanager
+def _one_thread() -> Iterator[None]:
+    """Let processes that start meanwhile use one thread each."""
+    before = {name: os.environ.get(name) for name in _THREADS}
+    os.environ.update(dict.fromkeys(_THREADS, "1"))
+    try:
+        yield
+    finally:
+        for name, value in before.items():
+            if value is None:
+                os.environ.pop(name, None)
+            else:
+                os.environ[name] = value
+
+
+class Dask:
+    """Workers of a dask cluster that see the same files.
+
+    Parameters
+    ----------
+    address : str
+        Of the scheduler, e.g. ``tcp://host:8786``.
+
+    Raises
+    ------
+    InputError
+        dask.distributed is not installed, or no scheduler answers.
+    """
+
+    def __init__(self, address: str) -> None:
+        try:
+            from dask import distributed
+        except ImportError as error:
+            raise InputError("--scheduler needs dask.distributed; install subiaco-change[dask]") from error
+        try:
+            self._client = distributed.Client(address, timeout="20s")
+        except (OSError, TimeoutError, ValueError) as error:
+            raise InputError(f"--scheduler {address}: no scheduler answers ({error})") from error
+        self._completed = distributed.as_completed
+        self._checked = False
+
+    def run(self, store: Store, tasks: Sequence[Task]) -> Iterator[Spent]:
+        """Do the tasks; the scheduler gives those of a lost worker to another."""
+        if not isinstance(store, DiskStore):
+            raise InputError("a cluster needs stages on disk; use a DiskStore")
+        if not self._checked:
+            _check_files(self._client, store)
+            self._checked = True
+        futures = [
+            self._client.submit(execute, store, task, key=task.key, retries=2, pure=False) for task in tasks
+        ]
+        for future in self._completed(futures):
+            yield future.result()
+
+    def close(self) -> None:
+        """Leave the cluster; it goes on."""
+        self._client.close()
+
+
+def _check_files(client: object, store: DiskStore) -> None:
+    store.root.mkdir(parents=True, exist_ok=True)
+    seen: dict[str, bool] = client.run(os.path.isdir, str(store.root))  # type: ignore[attr-defined]
+    if not seen:
+        raise InputError("--scheduler: the cluster has no workers; start 'dask worker' first")
+    blind = sorted(worker for worker, sees in seen.items() if not sees)
+    if blind:
+        raise InputError(f"--scheduler: worker {blind[0]} does not see {store.root}; put it on a shared disk")
+
+
+def make_executor(workers: int = 1, scheduler: str | None = None, preload: Sequence[str] = ()) -> Executor:
+    """Return the executor that the options ask for: a cluster, local workers, or this process."""
+    if scheduler is not None:
+        return Dask(scheduler)
+    if workers < 1:
+        raise InputError(f"--workers {workers}: give 1 or more")
+    return InProcess() if workers == 1 else LocalPool(workers, preload)

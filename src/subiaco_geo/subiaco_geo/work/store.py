@@ -1,0 +1,95 @@
+"""Where finished pieces of work lie: named sets of arrays, on disk or in memory."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any, Protocol
+from zipfile import BadZipFile
+
+import numpy as np
+from numpy.typing import NDArray
+
+from subiaco_geo.atomic import whole_file
+from subiaco_geo.errors import InputError
+
+Array = NDArray[Any]
+Arrays = Mapping[str, Array]
+
+
+class Store(Protocol):
+    """Keeps named sets of arrays under keys ``stage/name-hash``."""
+
+    def has(self, key: str) -> bool:
+        """Tell whether a piece is finished."""
+        ...
+
+    def load(self, key: str) -> Arrays:
+        """Return the arrays of a finished piece; each is read when it is asked for."""
+        ...
+
+    def save(self, key: str, arrays: Arrays) -> None:
+        """Keep the arrays of a piece: wholly or not at all."""
+        ...
+
+
+@dataclass(frozen=True)
+class DiskStore:
+    """One uncompressed ``.npz`` a piece below a folder; no pickles.
+
+    Parameters
+    ----------
+    root : Path
+        Made when the first piece is saved.
+    """
+
+    root: Path
+
+    def _path(self, key: str) -> Path:
+        return self.root / f"{key}.npz"
+
+    def has(self, key: str) -> bool:
+        """Tell whether a piece is finished: files take their name when they are whole."""
+        return self._path(key).is_file()
+
+    def load(self, key: str) -> Arrays:
+        """Open a piece.
+
+        Raises
+        ------
+        InputError
+            Its file is missing or damaged.
+        """
+        path = self._path(key)
+        try:
+            opened: Arrays = np.load(path, allow_pickle=False)
+        except (OSError, ValueError, EOFError, BadZipFile) as error:
+            raise InputError(f"{path}: a kept stage cannot be read ({error}); remove it, run again") from error
+        return opened
+
+    def save(self, key: str, arrays: Arrays) -> None:
+        """Write a piece; its file appears whole."""
+        path = self._path(key)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        with whole_file(path) as temporary, temporary.open("wb") as stream:
+            np.savez(stream, **{name: np.asarray(values) for name, values in arrays.items()})
+
+
+@dataclass(frozen=True)
+class MemoryStore:
+    """Pieces in this process, for small work."""
+
+    pieces: dict[str, Arrays] = field(default_factory=dict)
+
+    def has(self, key: str) -> bool:
+        """Tell whether a piece is finished."""
+        return key in self.pieces
+
+    def load(self, key: str) -> Arrays:
+        """Return a piece."""
+        return self.pieces[key]
+
+    def save(self, key: str, arrays: Arrays) -> None:
+        """Keep a piece."""
+        self.pieces[key] = dict(arrays)
