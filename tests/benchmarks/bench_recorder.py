@@ -4,11 +4,14 @@
     source ros2_ws/env.sh
     python tests/benchmarks/bench_recorder.py load --seconds 600
     python tests/benchmarks/bench_recorder.py kill --times 20 --seed 8
+    python tests/benchmarks/bench_recorder.py load --seconds 600 --folder DIR --keep    # 20 GB
+    python tests/benchmarks/bench_recorder.py report --folder DIR
 
 ``load`` publishes dual-return 2048x10 packets of 128 beams (33 kB, 1,280 a second, 42 MB/s) with real
 frame and measurement ids and noisy payload, IMU at 100 Hz and GNSS at 10 Hz, and reports what was lost by
 each counter, whether the bag holds every packet that was published, the recorder's memory over time and its
-processor time. ``kill`` records a small fast load and kills the recorder with SIGKILL at random moments;
+processor time; with ``--keep`` the bag is read and compared later, by ``report``, which needs no quiet
+machine. ``kill`` records a small fast load and kills the recorder with SIGKILL at random moments;
 each time the recording is made whole and compared with what had been published.
 """
 
@@ -42,6 +45,7 @@ RATES = {IMU: 100.0, FIX: 10.0}
 STAMP_NS = 1_700_000_000_000_000_000
 COLUMNS_PER_PACKET = 16
 SMALL = 512
+COURSE = "course.json"
 #: Packets in one go, 50 ms of them, where the machine let us sleep: a sensor does not catch up a second.
 CATCH_UP = 64
 
@@ -174,16 +178,18 @@ def load_run(seconds: float, columns: int, settings: list[str], folder: Path) ->
         samples.append((time.monotonic() - begun, own, cpu.user + cpu.system))
         time.sleep(1.0)
     sent = publisher.finish()
-    print(f"the machine stopped the sensors for {publisher.lines[-1]['stood']:.2f} s")
     recorder.send_signal(signal.SIGINT)
     recorder.wait(60)
-    report_load(sent, folder, samples, columns // COLUMNS_PER_PACKET)
+    course = {"sent": sent, "stood": publisher.lines[-1]["stood"], "samples": samples, "columns": columns}
+    course["load"] = f"load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores"
+    (folder / COURSE).write_text(json.dumps(course))
 
 
-def report_load(
-    sent: dict[str, int], folder: Path, samples: list[tuple[float, float, float]], per_frame: int
-) -> None:
+def report_load(folder: Path) -> None:
     """Print what was sent, recorded and lost; memory and processor time."""
+    course = json.loads((folder / COURSE).read_text())
+    sent, samples, per_frame = course["sent"], course["samples"], course["columns"] // COLUMNS_PER_PACKET
+    print(f"the machine stopped the sensors for {course['stood']:.2f} s")
     facts = yaml.safe_load((folder / "recording.yaml").read_text())
     recorded = dict.fromkeys(sent, 0)
     wrong = 0
@@ -201,9 +207,9 @@ def report_load(
     steady = np.array([sample for sample in samples if sample[0] > samples[-1][0] / 3])
     slope = np.polyfit(steady[:, 0], steady[:, 1], 1)[0] * 60
     share = (steady[-1, 2] - steady[0, 2]) / (steady[-1, 0] - steady[0, 0])
-    course = " ".join(f"{part[:, 1].mean():.0f}" for part in np.array_split(np.array(samples), 10))
-    print(f"memory {course} MB by tenths of the time, slope of the last two thirds {slope:+.2f} MB/min")
-    print(f"processor {share:.0%} of one core; load {os.getloadavg()[0]:.1f} on {os.cpu_count()} cores")
+    tenths = " ".join(f"{part[:, 1].mean():.0f}" for part in np.array_split(np.array(samples), 10))
+    print(f"memory {tenths} MB by tenths of the time, slope of the last two thirds {slope:+.2f} MB/min")
+    print(f"processor {share:.0%} of one core; {course['load']}")
 
 
 def kill_run(times: int, seed: int, folder: Path) -> None:
@@ -259,20 +265,28 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("what", choices=["load", "kill", "publish"])
+    parser.add_argument("what", choices=["load", "kill", "publish", "report"])
     parser.add_argument("--seconds", type=float, default=60.0)
     parser.add_argument("--columns", type=int, default=2048)
     parser.add_argument("--times", type=int, default=20)
     parser.add_argument("--seed", type=int, default=8)
     parser.add_argument("--set", action="append", default=[], dest="settings")
     parser.add_argument("--folder", type=Path, help="where to record; a temporary folder if absent")
+    parser.add_argument("--keep", action="store_true", help="leave the load in --folder, for 'report'")
     given = parser.parse_args()
     if given.what == "publish":
         publish(given.seconds, given.columns)
         return
+    if given.what == "report":
+        report_load(given.folder / "load")
+        return
+    if given.keep:
+        load_run(given.seconds, given.columns, given.settings, given.folder / "load")
+        return
     with tempfile.TemporaryDirectory(dir=given.folder) as folder:
         if given.what == "load":
             load_run(given.seconds, given.columns, given.settings, Path(folder) / "load")
+            report_load(Path(folder) / "load")
         else:
             kill_run(given.times, given.seed, Path(folder))
 

@@ -82,10 +82,39 @@ def test_the_floor_that_the_edge_of_a_pit_hides_counts_towards_its_area(side, co
     """Of 30 m2 dug, 5 m2 along one edge are out of sight; a pit of 9 m2 stays too small."""
     pit, hidden = box(30, 30, side, side), box(30, 30, 1.0, side)
     dug = view(lambda x, y: -0.3 * pit(x, y), seed=2)
-    kept = ~hidden(dug.xyz[:, 0], dug.xyz[:, 1])
-    fields = [n for n in EpochView.__dataclass_fields__ if getattr(dug, n) is not None]
-    seen = EpochView(**{n: getattr(dug, n)[kept] for n in fields})
-    assert len(compare_ground(view(seed=1), seen, GroundChangeConfig()).patches) == count
+    assert len(compare_ground(view(seed=1), without(dug, hidden), GroundChangeConfig()).patches) == count
+
+
+def without(cloud, where):
+    """An epoch without its points where ``where`` holds."""
+    kept = ~where(cloud.xyz[:, 0], cloud.xyz[:, 1])
+    fields = [n for n in EpochView.__dataclass_fields__ if getattr(cloud, n) is not None]
+    return EpochView(**{n: getattr(cloud, n)[kept] for n in fields})
+
+
+def test_a_strip_under_a_parked_car_is_one_patch_with_the_ground_that_the_other_epoch_saw_there():
+    """1.5 m by 20 m raised by 0.3 m; a car of 4.5 m hides its middle in *after*: 11.6 m2 on either side."""
+    strip, car = box(30, 30, 20, 1.5), box(38, 29, 4.5, 3.5)
+    after = without(view(lambda x, y: 0.3 * strip(x, y), seed=2), car)
+    found = compare_ground(view(seed=1), after, GroundChangeConfig())
+    assert [p.change for p in found.patches] == [Change.INCREASED]
+    row, column, _ = found.cell_of(np.array([[39.2, 30.8], [41.3, 30.8], [40.2, 35.0]]))
+    assert found.patch[row, column].tolist() == [0, 0, -1]
+
+
+def test_the_edge_of_a_patch_lies_where_half_of_its_height_is_reached():
+    """5.2 m by 5.2 m, shifted by a quarter of a cell: 27 m2, of which whole cells over 0.15 m show 25 m2."""
+    found = patches(lambda x, y: -0.2 * box(30.15, 30.15, 5.2, 5.2)(x, y))
+    assert [p.change for p in found] == [Change.DECREASED]
+    assert found[0].area == pytest.approx(27, rel=0.1)
+
+
+def test_a_few_deep_cells_in_the_dark_are_no_pit():
+    """Twelve cells 2 m down around a place that nobody saw: their volume would do, their area does not."""
+    dark, rim = box(30, 30, 6, 6), box(29.5, 30, 0.5, 6)
+    before = without(view(seed=1), dark)
+    after = without(view(lambda x, y: -2.0 * rim(x, y), seed=2), dark)
+    assert compare_ground(before, after, GroundChangeConfig()).patches == ()
 
 
 def test_epochs_without_common_ground_are_not_compared():

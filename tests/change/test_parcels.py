@@ -52,6 +52,7 @@ def test_every_lot_has_a_row_and_the_rows_add_up_to_the_table():
     assert rows.loc["B", ["unchanged", "unobserved"]].tolist() == [1, 1]
     assert rows.loc[OUTSIDE, "removed"] == 1
     np.testing.assert_allclose(rows["net_m3"], [30 + 40 * 5 / 8, 40 * 3 / 8, -2])
+    np.testing.assert_allclose(rows["changed_m2"], [9 + 10, 6, 2])
     assert rows[["added", "removed", "increased", "decreased", "unchanged", "unobserved"]].sum().sum() == 5
 
 

@@ -105,10 +105,10 @@ def test_every_point_lies_in_exactly_one_block_core(result):
 
 def test_a_block_has_its_five_pictures_at_one_size(result):
     block = pictures.block_grid([result.before, result.after])[0]
-    drawn = pictures.block_pictures(result.before, result.after, block, [pictures.Mark(*block.core[:2], "1")])
+    drawn = pictures.block_pictures(result.before, result.after, block)
     assert list(drawn) == ["projection", "height", "semantics", "instances", "change"]
-    images = [Image.open(io.BytesIO(png)).convert("RGB") for png in drawn.values()]
-    assert len({image.size for image in images}) == 1
+    images = [Image.open(io.BytesIO(webp)).convert("RGB") for webp in drawn.values()]
+    assert {image.size for image in images} == {(2 * 90 * 4, 90 * 4)}  # two of 90 m, four pixels a metre
     assert len({image.tobytes() for image in images}) == 5
 
 

@@ -198,7 +198,7 @@ window.addEventListener("load", function () {
     box.value = value; box.dispatchEvent(new Event("input"));
   }
   said.start = rows().length;
-  said.decoded = Array.prototype.filter.call(document.querySelectorAll("td.proof img"), function (i) {
+  said.decoded = Array.prototype.filter.call(document.querySelectorAll("div.proof img"), function (i) {
     return i.naturalWidth > 0;
   }).length;
   set("f-label", "Added"); said.added = rows().length;

@@ -10,10 +10,7 @@ from result_scene import ORIGIN
 from shapely.geometry import MultiPolygon, box
 
 from subiaco_change.records import CHANGE_COLOURS
-from subiaco_change.report.citymap import svg_path
 from subiaco_change.report.evidence import (
-    GAP,
-    HEAD,
     HEIGHT,
     MAX_BYTES,
     PANEL,
@@ -24,9 +21,9 @@ from subiaco_change.report.evidence import (
     compact,
     draw,
     evidence_pictures,
+    svg_path,
 )
 from subiaco_change.report.paint import BACKGROUND
-from subiaco_change.report.raster import Frame
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Change
 
@@ -41,10 +38,10 @@ def footprint(result, number):
 
 
 def panel(picture, number, section=False):
-    """Pixels (rows, columns, 3) of a plan or of a section."""
-    left, top = number * (PANEL + GAP), HEAD + PANEL + GAP if section else HEAD
-    size = (PANEL, SECTION) if section else (PANEL, PANEL)
-    return np.asarray(picture.crop((left, top, left + size[0], top + size[1]))).astype(int)
+    """Cells (rows, columns, 3) of a plan or of a section."""
+    cells = picture.shape[1] // 3
+    rows = slice(cells, None) if section else slice(0, cells)
+    return picture[rows, number * cells : (number + 1) * cells].astype(int)
 
 
 def share_of(pixels, rgb, spread):
@@ -55,26 +52,30 @@ def share_of(pixels, rgb, spread):
 
 
 def test_a_removed_house_stands_before_is_gone_after_and_differs_in_red(epochs, result):
-    picture = draw(epochs, footprint(result, 2))
+    view = choose_view(epochs, footprint(result, 2), flat=False)
+    picture = draw(epochs, view)
     red = CHANGE_COLOURS[Change.REMOVED]
-    assert picture.size == (WIDTH, HEIGHT)
+    assert picture.shape == (view.cells * (PANEL + SECTION) // PANEL, 3 * view.cells, 3)
     assert share_of(panel(picture, 2), red, 12) > 0.15
     assert share_of(panel(picture, 2, section=True), red, 12) > 0.05
     drawn = [(panel(picture, e, section=True) != BACKGROUND).any(axis=2).mean() for e in (0, 1)]
     assert drawn[0] > 2 * drawn[1]
 
 
-def test_all_three_show_the_same_place_at_one_scale(epochs, result):
-    shape = footprint(result, 1)
-    view = choose_view(epochs, shape, flat=False)
-    west, south, east, north = shape.bounds
+def test_what_is_drawn_over_a_picture_lies_on_its_object(epochs, result, change_directory):
+    rows = gpd.read_parquet(change_directory / "changes.parquet").set_index("object_id").loc[[1]]
+    (found,) = evidence_pictures(result.before, result.after, rows)
+    west, south, east, north = footprint(result, 1).bounds
+    view = choose_view(epochs, footprint(result, 1), flat=False)
     assert view.centre == pytest.approx([(west + east) / 2, (south + north) / 2])
     assert view.side >= 1.5 * max(east - west, north - south)
-    picture = draw(epochs, shape)
-    black = [np.argwhere((panel(picture, n) == 0).all(axis=2)) for n in range(3)]
-    outline = [set(map(tuple, pixels.tolist())) for pixels in black]
-    assert outline[0] & outline[1] & outline[2]
-    assert len(outline[0] & outline[2]) > 0.9 * len(outline[2])
+    corners = np.array([[float(v) for v in c.split()] for c in found.outline.strip("MZ").split("L")])
+    scale = PANEL / view.side
+    assert np.ptp(corners, axis=0) == pytest.approx([(east - west) * scale, (north - south) * scale], abs=0.2)
+    assert corners.mean(axis=0) == pytest.approx([PANEL / 2, PANEL / 2], abs=0.2)
+    assert found.ticks == pytest.approx((corners[:, 0].min(), corners[:, 0].max()), abs=0.2)
+    assert found.bar == pytest.approx(found.bar_m * scale, abs=0.1)
+    assert found.note == "looking north"
 
 
 def test_a_raised_patch_of_ground_is_exaggerated_and_a_house_is_not(epochs, result):
@@ -92,7 +93,7 @@ def test_a_section_holds_the_whole_object(epochs, result):
 
 def test_a_place_without_points_is_drawn_empty(epochs):
     far = ORIGIN[:2] + 5000.0
-    picture = draw(epochs, box(*far, *(far + 3.0)))
+    picture = draw(epochs, choose_view(epochs, box(*far, *(far + 3.0)), flat=False))
     assert share_of(panel(picture, 0), BACKGROUND, 3) > 0.8
 
 
@@ -123,12 +124,13 @@ def test_pictures_come_in_the_order_of_the_rows_and_the_same_each_time(result, c
 
 
 def test_outlines_are_metres_from_the_north_west_corner():
-    frame = Frame(100.0, 200.0, 150.0, 240.0, 0.25)
-    path = svg_path(MultiPolygon([box(110.0, 210.0, 120.0, 220.0)]), frame)
+    path = svg_path(MultiPolygon([box(110.0, 210.0, 120.0, 220.0)]), 100.0, 240.0)
     assert sorted(path.strip("MZ").split("L")) == ["10 20", "10 30", "20 20", "20 30"]
 
 
 def test_an_empty_epoch_does_not_stop_the_others(result):
     nothing = result.after.select(np.arange(len(result.after)) < 1)
     assert isinstance(nothing, PointCloud)
-    assert draw((Tiles(result.before), Tiles(nothing)), footprint(result, 2)).size == (WIDTH, HEIGHT)
+    epochs = (Tiles(result.before), Tiles(nothing))
+    picture = draw(epochs, choose_view(epochs, footprint(result, 2), flat=False))
+    assert (panel(picture, 1) == BACKGROUND).mean() > 0.99

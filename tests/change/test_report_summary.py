@@ -28,7 +28,7 @@ def change(change_directory):
 @pytest.fixture(scope="module")
 def facts(change):
     changed = changed_rows(change.table)
-    return build_summary(change, dict.fromkeys(changed["object_id"], "data:,"))
+    return build_summary(change, dict.fromkeys(changed["object_id"]))
 
 
 def survey(cloud, start_ns, x):
@@ -97,7 +97,7 @@ def test_simulated_surveys_are_called_so_in_both_pages_and_real_ones_are_not(
 def test_it_shows_the_same_pictures_as_the_report_and_nothing_from_outside(change_directory):
     text = (change_directory / "summary.html").read_text()
     report = (change_directory / "report.html").read_text()
-    shown = re.findall(r'<figure><img src="([^"]+)"', text)
+    shown = re.findall(r'<figure><div class="proof"><img src="([^"]+)"', text)
     assert len(shown) == 6
     assert all(uri in report for uri in shown)
     assert not re.search(r"https?://", text)

@@ -5,11 +5,11 @@ from __future__ import annotations
 import struct
 import zlib
 from collections.abc import Iterator
+from dataclasses import replace
 from io import BytesIO
 from typing import BinaryIO
 
-import lz4.frame
-import zstandard
+from backports import zstd
 from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
@@ -17,14 +17,15 @@ from mcap.reader import make_reader
 from mcap.records import Channel, Chunk, Message, Schema
 from mcap.stream_reader import breakup_chunk
 
+from subiaco_geo.bag_chunks import most_unfolded, unfold
 from subiaco_geo.bag_files import MCAP_MAGIC
 
 _RECORD_HEAD = struct.Struct("<BQ")
-#: No recorder writes a larger record or chunk; a larger number is damage.
+#: No recorder writes a larger record; a larger number is damage.
 _MAX_RECORD = 1 << 30
 _DAMAGE = (
     McapError, ValueError, KeyError, TypeError, AssertionError, EOFError, struct.error, zlib.error,
-    zstandard.ZstdError, RuntimeError, MemoryError, OverflowError, UnicodeDecodeError,
+    zstd.ZstdError, RuntimeError, MemoryError, OverflowError, UnicodeDecodeError,
 )  # fmt: skip
 
 
@@ -51,6 +52,7 @@ class RecordWalk:
         self.damaged_chunks = 0
         self.damaged_bytes = 0
         self.unnamed = 0
+        self._room = most_unfolded(size)
 
     def messages(self) -> Iterator[tuple[Channel, Message]]:
         """Yield what can be read."""
@@ -80,7 +82,7 @@ class RecordWalk:
 
     def _unpack(self, opcode: int, body: bytes) -> Iterator[tuple[Channel, Message]]:
         try:
-            records = list(_contents(opcode, body))
+            records = list(self._contents(opcode, body))
         except _DAMAGE:
             self.damaged_chunks += 1
             self.damaged_bytes += len(body) + _RECORD_HEAD.size
@@ -95,6 +97,28 @@ class RecordWalk:
             else:
                 self.unnamed += 1
 
+    def _contents(self, opcode: int, body: bytes) -> Iterator[Schema | Channel | Message]:
+        """Yield schemas, channels and messages in one record; raise where it is damaged."""
+        stream = ReadDataStream(BytesIO(body))
+        if opcode == Opcode.CHUNK:
+            for record in breakup_chunk(self._unfolded(Chunk.read(stream)), validate_crc=True):
+                if isinstance(record, (Schema, Channel, Message)):
+                    yield record
+        elif opcode == Opcode.SCHEMA:
+            yield Schema.read(stream)
+        elif opcode == Opcode.CHANNEL:
+            yield Channel.read(stream)
+        elif opcode == Opcode.MESSAGE:
+            yield Message.read(stream, len(body))
+
+    def _unfolded(self, chunk: Chunk) -> Chunk:
+        """Unfold a chunk, as long as the file as a whole stays within bounds."""
+        if chunk.uncompressed_size > self._room:
+            raise ValueError("the file unfolds to far more than any recording does")
+        data = unfold(chunk.compression, chunk.data, chunk.uncompressed_size)
+        self._room -= len(data)
+        return replace(chunk, compression="", data=data)
+
     def learn_summary(self) -> None:
         """Take the topics from the summary, where there is one: a damaged chunk may have held them."""
         try:
@@ -104,32 +128,3 @@ class RecordWalk:
         if summary is not None:
             self.schemas.update(summary.schemas)
             self.channels.update(summary.channels)
-
-
-def _contents(opcode: int, body: bytes) -> Iterator[Schema | Channel | Message]:
-    """Yield schemas, channels and messages in one record; raise where it is damaged."""
-    stream = ReadDataStream(BytesIO(body))
-    if opcode == Opcode.CHUNK:
-        chunk = Chunk.read(stream)
-        _check_size(chunk)
-        for record in breakup_chunk(chunk, validate_crc=True):
-            if isinstance(record, (Schema, Channel, Message)):
-                yield record
-    elif opcode == Opcode.SCHEMA:
-        yield Schema.read(stream)
-    elif opcode == Opcode.CHANNEL:
-        yield Channel.read(stream)
-    elif opcode == Opcode.MESSAGE:
-        yield Message.read(stream, len(body))
-
-
-def _check_size(chunk: Chunk) -> None:
-    """Refuse a chunk that would unpack to more than it says, before any memory is taken."""
-    if chunk.compression == "zstd":
-        inside = zstandard.frame_content_size(chunk.data)
-    elif chunk.compression == "lz4":
-        inside = lz4.frame.get_frame_info(chunk.data)["content_size"] or chunk.uncompressed_size
-    else:
-        inside = len(chunk.data)
-    if chunk.uncompressed_size > _MAX_RECORD or inside > chunk.uncompressed_size:
-        raise ValueError("the chunk's size is damaged")

@@ -32,6 +32,7 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 from rosbags.typesys.store import Typestore
 
 from subiaco_geo.atomic import refuse_existing
+from subiaco_geo.bag_chunks import bound_library, require_bounded
 from subiaco_geo.bag_files import PARTIAL, READ_FAULTS, find_storage, hash_bag, reading, storage_files
 from subiaco_geo.errors import InputError
 from subiaco_geo.topics import PACKET_TYPE
@@ -42,6 +43,8 @@ __all__ = [
 ]  # fmt: skip
 
 LOGGER = logging.getLogger(__name__)
+
+bound_library()
 
 _CDR_LITTLE_ENDIAN = b"\x00\x01\x00\x00"
 
@@ -221,6 +224,8 @@ class BagReader:
             self._reader = Reader(self._storage)
             self._reader.open()
         try:
+            storage: Any = self._reader.storage
+            require_bounded(getattr(storage, "storages", [storage]))
             if self._reader.message_count == 0:
                 raise InputError(f"{self.path}: the bag is empty; record again")
             self._read_summary(self._reader)

@@ -20,13 +20,15 @@ logger = logging.getLogger(__name__)
 Column = NDArray[np.generic]
 _NORMALS = ("nx", "ny", "nz")
 _FLOAT32_LIMIT = 1e5
+_PART = 1 << 19  # points looked at at a time
 
 
 def check_coordinates(path: Path, xyz: Floats) -> None:
     """Refuse empty clouds and coordinates that are not finite."""
     if len(xyz) == 0:
         raise InputError(f"{path}: the cloud is empty; give a cloud with points")
-    bad = int((~np.isfinite(xyz)).any(axis=1).sum())
+    parts = (xyz[start : start + _PART] for start in range(0, len(xyz), _PART))
+    bad = sum(int((~np.isfinite(part)).any(axis=1).sum()) for part in parts)
     if bad:
         raise InputError(
             f"{path}: {bad} of {len(xyz)} points have NaN or infinite coordinates; "

@@ -7,7 +7,8 @@ from pathlib import Path
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.copc_io import write_copc
 from subiaco_geo.errors import InputError
-from subiaco_geo.las_io import read_las, write_las
+from subiaco_geo.las_io import read_las
+from subiaco_geo.las_writing import write_las
 from subiaco_geo.ply_io import read_ply, write_ply
 
 READABLE = (".ply", ".las", ".laz", ".pcd")

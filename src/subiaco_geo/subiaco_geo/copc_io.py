@@ -16,7 +16,7 @@ from laspy.vlrs.known import LasZipVlr
 from subiaco_geo.atomic import whole_file
 from subiaco_geo.clouds import PointCloud, voxel_keys
 from subiaco_geo.frames import Floats, Ints
-from subiaco_geo.las_io import las_data
+from subiaco_geo.las_writing import las_data
 
 _CELLS = 128  # cells along the edge of a node, with at most one point each
 _SMALL = 20_000  # a node with no more points than this has no children
@@ -27,7 +27,7 @@ Key = tuple[int, int, int, int]  # level, x, y, z
 
 
 def write_copc(path: Path, cloud: PointCloud, *, ellipsoidal: bool = True) -> None:
-    """Write a ``.copc.laz`` file with the fields and the CRS of :func:`subiaco_geo.las_io.write_las`.
+    """Write a ``.copc.laz`` file with the fields and the CRS of :func:`subiaco_geo.las_writing.write_las`.
 
     Parameters
     ----------
@@ -39,7 +39,7 @@ def write_copc(path: Path, cloud: PointCloud, *, ellipsoidal: bool = True) -> No
     Raises
     ------
     InputError
-        As for :func:`subiaco_geo.las_io.write_las`.
+        As for :func:`subiaco_geo.las_writing.write_las`.
 
     Notes
     -----

@@ -1,44 +1,24 @@
-"""LAS, LAZ and COPC point clouds through laspy, with a CRS that other readers accept."""
+"""Read LAS, LAZ and COPC point clouds through laspy; nothing of a damaged file is believed."""
 
 from __future__ import annotations
 
 import struct
 from pathlib import Path
-from typing import Any
 
 import laspy
 import lazrs
 import numpy as np
-from laspy.vlrs.known import WktCoordinateSystemVlr
 
-from subiaco_geo.atomic import whole_file
-from subiaco_geo.cloud_fields import (
-    Column,
-    check_coordinates,
-    cloud_from_columns,
-    read_crs,
-    scalar_columns,
-)
+from subiaco_geo.cloud_fields import Column, cloud_from_columns
 from subiaco_geo.clouds import PointCloud
-from subiaco_geo.crs import crs_text, las_wkt, require_map_crs
+from subiaco_geo.crs import crs_text
 from subiaco_geo.errors import InputError
-from subiaco_geo.frames import Floats
+from subiaco_geo.las_writing import COLOURS, STANDARD
 
-#: Coordinate step of the files that we write [m].
-SCALE = 0.001
 _HEADER_SIZE = 227  # of LAS 1.0-1.2, the smallest
 _RECORD_HEAD, _EXTENDED_HEAD = 54, 60  # bytes
 _LAYERS = {6: 9, 7: 10, 8: 11, 9: 10, 10: 12}  # of each point format, and one a byte of extra dimensions
 _MOST_POINTS_A_BYTE = 1000  # of LAZ; a million equal points take 10 kB
-_COLOURS = ("red", "green", "blue")
-_STANDARD = (
-    "intensity", "classification", "return_number", "number_of_returns",
-    "user_data", "point_source_id", "gps_time",
-)  # fmt: skip
-_LIMITS = {
-    "classification": 255, "return_number": 15, "number_of_returns": 15,
-    "user_data": 255, "point_source_id": 65535,
-}  # fmt: skip
 _FAULTS = (
     laspy.LaspyException, lazrs.LazrsError, ValueError, OSError, EOFError, struct.error, LookupError,
     ArithmeticError, MemoryError,
@@ -139,12 +119,12 @@ def _refuse_impossible_layers(path: Path, header: laspy.LasHeader, chunks: list[
 def _fields(las: laspy.LasData) -> dict[str, Column]:
     present = set(las.point_format.dimension_names)
     columns: dict[str, Column] = {}
-    for name in _STANDARD:
+    for name in STANDARD:
         blank = 1 if name in ("return_number", "number_of_returns") else 0
         if name in present and np.any((values := np.asarray(las[name])) > blank):
             columns[name] = values
-    if present.issuperset(_COLOURS):
-        columns |= _eight_bit({name: np.asarray(las[name]) for name in _COLOURS})
+    if present.issuperset(COLOURS):
+        columns |= _eight_bit({name: np.asarray(las[name]) for name in COLOURS})
     for name in las.point_format.extra_dimension_names:
         values = np.asarray(las[name])
         if values.ndim == 1:
@@ -168,105 +148,3 @@ def _crs(path: Path, header: laspy.LasHeader) -> str | None:
         said = " ".join(str(error).split())[:200]
         raise InputError(f"{path}: its CRS record cannot be understood ({said}); assign it again") from error
     return None if crs is None else crs_text(crs)
-
-
-def write_las(path: Path, cloud: PointCloud, *, ellipsoidal: bool = True) -> None:
-    """Write LAS 1.4, compressed when the name ends in ``.laz``.
-
-    Coordinates step by 1 mm. Point format 7 with ``red green blue``, else 6;
-    fields that LAS has no place for become extra bytes. Floating intensity is
-    rounded to 16 bits, after scaling by 65535 if it lies within 0-1.
-
-    Parameters
-    ----------
-    path : Path
-    cloud : PointCloud
-    ellipsoidal : bool
-        State the height as ellipsoidal in the CRS; False for data of unknown height.
-
-    Raises
-    ------
-    InputError
-        Empty cloud, NaN coordinates, unknown CRS, or a field that does not fit.
-    """
-    las = las_data(path, cloud, ellipsoidal=ellipsoidal)
-    with whole_file(path) as temporary:
-        las.write(temporary, do_compress=path.suffix.lower() == ".laz")
-
-
-def las_data(path: Path, cloud: PointCloud, *, ellipsoidal: bool = True) -> laspy.LasData:
-    """Return a cloud as LAS 1.4 records, ``path`` for errors; see :func:`write_las`."""
-    check_coordinates(path, cloud.xyz)
-    crs = read_crs(path, cloud.crs)
-    columns = scalar_columns(path, cloud)
-    header = _header(path, cloud, columns)
-    if crs is not None:
-        header.vlrs.append(WktCoordinateSystemVlr(las_wkt(require_map_crs(crs), ellipsoidal=ellipsoidal)))
-    las = laspy.LasData(header)
-    las.points = laspy.ScaleAwarePointRecord.zeros(len(cloud), header=header)
-    _set_coordinates(path, las, cloud, header.offsets)
-    _set_fields(path, las, columns)
-    return las
-
-
-def _header(path: Path, cloud: PointCloud, columns: dict[str, Column]) -> laspy.LasHeader:
-    coloured = all(name in columns for name in _COLOURS)
-    header = laspy.LasHeader(version="1.4", point_format=7 if coloured else 6)
-    header.scales = np.full(3, SCALE)
-    header.offsets = np.floor(cloud.origin)
-    header.global_encoding.wkt = True
-    header.system_identifier = "subiaco"
-    header.generating_software = "subiaco"
-    places = {*_STANDARD, *(_COLOURS if coloured else ())}
-    extra = {name: values for name, values in columns.items() if name not in places}
-    header.add_extra_dims([laspy.ExtraBytesParams(n, _extra_type(path, n, v)) for n, v in extra.items()])
-    return header
-
-
-def _extra_type(path: Path, name: str, values: Column) -> np.dtype[Any]:
-    if len(name) > 32:
-        raise InputError(f"{path}: field name {name!r} is longer than the 32 characters of LAS; rename it")
-    if values.dtype == np.bool_:
-        return np.dtype(np.uint8)
-    if values.dtype.kind not in "iuf" or values.dtype.itemsize > 8:
-        raise InputError(
-            f"{path}: field {name} has type {values.dtype}, which LAS cannot hold; convert it first"
-        )
-    return np.dtype(np.float32) if values.dtype == np.float16 else values.dtype
-
-
-def _set_coordinates(path: Path, las: laspy.LasData, cloud: PointCloud, offsets: Floats) -> None:
-    steps = np.round((cloud.xyz + (cloud.origin - offsets)) / SCALE)
-    if np.abs(steps).max() >= 2**31:
-        raise InputError(f"{path}: the cloud spans more than 2,000 km, too much for LAS; split it")
-    whole = steps.astype(np.int32)
-    las.X, las.Y, las.Z = whole[:, 0], whole[:, 1], whole[:, 2]
-
-
-def _set_fields(path: Path, las: laspy.LasData, columns: dict[str, Column]) -> None:
-    if "return_number" not in columns:
-        las["return_number"] = np.ones(len(las.points), np.uint8)
-        las["number_of_returns"] = np.ones(len(las.points), np.uint8)
-    for name, values in columns.items():
-        if name in _COLOURS and las.point_format.id == 7:
-            las[name] = _whole(path, name, values, 255).astype(np.uint16) * 257
-        elif name == "intensity":
-            las[name] = _intensity(path, values)
-        elif name in _LIMITS:
-            las[name] = _whole(path, name, values, _LIMITS[name]).astype(np.uint16)
-        else:
-            las[name] = values
-
-
-def _whole(path: Path, name: str, values: Column, limit: int) -> Column:
-    numbers = np.asarray(values, dtype=np.float64)
-    if not ((numbers >= 0) & (numbers <= limit)).all():
-        raise InputError(f"{path}: field {name} must lie within 0-{limit} for LAS; rename or rescale it")
-    return np.round(numbers)
-
-
-def _intensity(path: Path, values: Column) -> Column:
-    numbers = np.asarray(values, dtype=np.float64)
-    if values.dtype.kind == "f" and np.nanmax(numbers) <= 1.0:
-        numbers = numbers * 65535.0
-    return np.asarray(_whole(path, "intensity", np.minimum(numbers, 65535.0), 65535).astype(np.uint16))

@@ -6,7 +6,7 @@ import io
 import warnings
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +31,7 @@ _NAMES = {"i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort", "i4": "int
           "f4": "float", "f8": "double"}  # fmt: skip
 _ORDERS = {"ascii": "", "binary_little_endian": "<", "binary_big_endian": ">"}
 _MAX_HEADER_LINES = 10_000
+_PART = 1 << 19  # points written at a time
 
 
 @dataclass
@@ -220,6 +221,8 @@ def _check_whole(path: Path, name: str, kind: str, values: NDArray[np.float64]) 
 def write_ply(path: Path, cloud: PointCloud) -> None:
     """Write a binary little-endian PLY: double coordinates, fields as properties, CRS as a comment.
 
+    Memory holds half a million points of it; the cloud's arrays may be mapped from disk.
+
     Raises
     ------
     InputError
@@ -227,35 +230,46 @@ def write_ply(path: Path, cloud: PointCloud) -> None:
     """
     check_coordinates(path, cloud.xyz)
     crs = read_crs(path, cloud.crs)
-    columns = {name: _storable(path, name, values) for name, values in scalar_columns(path, cloud).items()}
-    world = {axis: cloud.xyz[:, i] + cloud.origin[i] for i, axis in enumerate("xyz")}
-    everything: dict[str, Column] = {**world, **columns}
-    table = np.empty(len(cloud), dtype=[(n, v.dtype.newbyteorder("<")) for n, v in everything.items()])
-    for name, values in everything.items():
-        table[name] = values
+    columns = scalar_columns(path, cloud)
+    types = dict.fromkeys("xyz", np.dtype(np.float64))
+    types |= {name: _stored_type(path, name, values) for name, values in columns.items()}
     lines = ["ply", "format binary_little_endian 1.0"]
     if crs is not None:
         lines.append(f"comment crs {crs}")
     lines.append(f"element vertex {len(cloud)}")
-    lines += [f"property {_NAMES[v.dtype.str[1:]]} {name}" for name, v in everything.items()]
+    lines += [f"property {_NAMES[kind.str[1:]]} {name}" for name, kind in types.items()]
+    row = np.dtype([(name, kind.newbyteorder("<")) for name, kind in types.items()])
     with whole_file(path) as temporary, temporary.open("wb") as stream:
         stream.write("\n".join([*lines, "end_header", ""]).encode())
-        table.tofile(stream)
+        for start in range(0, len(cloud), _PART):
+            _table(cloud, columns, row, slice(start, start + _PART)).tofile(stream)
 
 
-def _storable(path: Path, name: str, values: Column) -> Column:
-    """Return values in a type that PLY has, without losing any."""
+def _table(
+    cloud: PointCloud, columns: dict[str, Column], row: np.dtype[np.void], part: slice
+) -> NDArray[np.void]:
+    xyz = cloud.xyz[part] + cloud.origin
+    table = np.empty(len(xyz), dtype=row)
+    for i, axis in enumerate("xyz"):
+        table[axis] = xyz[:, i]
+    for name, values in columns.items():
+        table[name] = values[part]
+    return table
+
+
+def _stored_type(path: Path, name: str, values: Column) -> np.dtype[Any]:
+    """Return a type that PLY has, which loses nothing of the values."""
     if values.dtype == np.bool_:
-        return values.astype(np.uint8)
+        return np.dtype(np.uint8)
     if values.dtype == np.float16:
-        return values.astype(np.float32)
+        return np.dtype(np.float32)
     if values.dtype.str[1:] in _NAMES:
-        return values
+        return values.dtype
     if values.dtype.kind in "iu":
         low, high = int(values.min()), int(values.max())
         if low >= -(2**31) and high < 2**31:
-            return values.astype(np.int32)
+            return np.dtype(np.int32)
         if low >= -(2**53) and high <= 2**53:
-            return values.astype(np.float64)
+            return np.dtype(np.float64)
         raise InputError(f"{path}: field {name} has integers that PLY cannot hold; subtract an offset first")
     raise InputError(f"{path}: field {name} has type {values.dtype}, which PLY cannot hold; convert it first")

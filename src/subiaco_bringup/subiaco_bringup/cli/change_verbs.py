@@ -175,14 +175,16 @@ def report(
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
-    """Build report.html of a change directory again.
+    """Build report.html and summary.html of a change directory again, and changes.qgs where it is missing.
+
+    A changes.qgs that is there is left as it is: it may hold your own layers.
 
     Example: subiaco report out/change
     """
-    from subiaco_change.report.page import build_report
+    from subiaco_change.outputs.directory import rebuild
 
     set_up_logging(verbose, quiet)
-    say(f"report: {build_report(change_directory)}", quiet=quiet)
+    say(f"report: {rebuild(change_directory)}", quiet=quiet)
 
 
 class ExportKind(StrEnum):

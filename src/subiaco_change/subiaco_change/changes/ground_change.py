@@ -20,6 +20,7 @@ from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
 
 _NO_CLAIM = 10.0  # level of detection shown where there is none [m]
+_LOD_CELLS = 25  # known cells that speak for a patch without a level of detection
 
 
 class GroundChangeConfig(StrictModel):
@@ -36,11 +37,16 @@ class GroundChangeConfig(StrictModel):
     bridge: int = Field(
         3, ge=1, description="window over which an empty cell takes its neighbours' height [cells]"
     )
-    closing: int = Field(
-        3,
+    shown: float = Field(
+        0.5,
         ge=0,
-        description="cells out of sight between changed ones up to twice this apart are filled, and count"
-        " towards the area this far around, doubling it at most [cells]",
+        description="volume seen to have moved, in volumes of the least change (area times threshold)",
+    )
+    closing: int = Field(
+        5,
+        ge=0,
+        description="cells out of sight between changed ones up to twice this apart (a parked car, 5 m) are"
+        " filled, and count towards the area this far around, doubling it at most [cells]",
     )
 
 
@@ -91,26 +97,38 @@ def compare_ground(
     high = np.max([v.xyz[m, :2].max(axis=0) for v, m in zip((before, after), ground, strict=True)], axis=0)
     corner = np.floor(low / config.report_cell) * config.report_cell
     columns, rows = (np.floor((high - corner) / config.cell).astype(int) + 1).tolist()
-    dz, lod, _ = difference_cells(before, after, corner, (rows, columns), config)
-    if not np.isfinite(dz).any():
+    cells = difference_cells(before, after, corner, (rows, columns), config)
+    if not np.isfinite(cells.dz).any():
         return None
-    patch, patches = _find_patches(dz, lod, corner, config)
-    return GroundComparison(corner, config.cell, dz, shown_lod(lod), patch, patches)
+    patch, patches = find_patches(cells, corner, config)
+    return GroundComparison(corner, config.cell, cells.dz, shown_lod(cells.lod), patch, patches)
+
+
+@dataclass(frozen=True)
+class GroundCells:
+    """Cells (rows, columns) of two epochs, row 0 in the south.
+
+    ``dz`` after minus before, NaN where either epoch has no ground; ``lod`` [m], NaN where either has
+    none; ``bridged``: took a neighbour's height in an epoch; ``known``: holds ground in either;
+    ``height`` in *after* [m].
+    """
+
+    dz: Floats
+    lod: Floats
+    bridged: Mask
+    known: Mask
+    height: Floats
 
 
 def difference_cells(
     before: EpochView, after: EpochView, corner: Floats, shape: tuple[int, int], config: GroundChangeConfig
-) -> tuple[Floats, Floats, Floats]:
-    """Height difference, level of detection and height in *after* (rows, columns) [m] of the cells of a window.
-
-    NaN where either epoch has no ground, or no level of its own. All ground points lie in the window.
-    """
-    cells = [
-        _cell_heights(view, view.semantic == Semantic.GROUND, corner, shape, config)
-        for view in (before, after)
-    ]
-    heights = _bridge(cells[0][0], cells[1][0], config)
-    return heights[1] - heights[0], np.maximum(cells[0][1], cells[1][1]), heights[1]
+) -> GroundCells:
+    """Difference the ground of two epochs in the cells of a window that all their ground points lie in."""
+    cells = [_cell_heights(v, v.semantic == Semantic.GROUND, corner, shape, config) for v in (before, after)]
+    heights, bridged = _bridge(cells[0][0], cells[1][0], config)
+    known = np.isfinite(cells[0][0]) | np.isfinite(cells[1][0])
+    lod = np.maximum(cells[0][1], cells[1][1])
+    return GroundCells(heights[1] - heights[0], lod, bridged, known, heights[1])
 
 
 def shown_lod(lod: Floats) -> Floats:
@@ -139,15 +157,15 @@ def _cell_heights(
     return np.where(good, mean, np.nan).reshape(shape), np.where(good, level, np.nan).reshape(shape)
 
 
-def _bridge(before: Floats, after: Floats, config: GroundChangeConfig) -> tuple[Floats, Floats]:
-    """Bridge empty cells next to known ones, so that sparse ground stays contiguous.
+def _bridge(before: Floats, after: Floats, config: GroundChangeConfig) -> tuple[tuple[Floats, Floats], Mask]:
+    """Bridge empty cells next to known ones, so that sparse ground stays contiguous; tell which they are.
 
     Heights are carried over relative to a smooth surface through both
     epochs: on a slope nothing is gained or lost.
     """
     known = [np.isfinite(v) for v in (before, after)]
     if not all(k.any() for k in known):
-        return before, after
+        return (before, after), np.zeros(before.shape, dtype=bool)
     smooth = ndimage.gaussian_filter(fill_gaps(np.fmin(before, after)), 2.0 / config.cell, mode="nearest")
     bridged = []
     for values, mask in zip((before, after), known, strict=True):
@@ -156,43 +174,62 @@ def _bridge(before: Floats, after: Floats, config: GroundChangeConfig) -> tuple[
         mean = smooth + total / np.maximum(weight, 1e-9)
         enough = weight * config.bridge**2 > 1.5
         bridged.append(np.where(mask, values, np.where(enough, mean, np.nan)))
-    return bridged[0], bridged[1]
+    return (bridged[0], bridged[1]), ~(known[0] & known[1])
 
 
-def _find_patches(
-    dz: Floats, lod: Floats, corner: Floats, config: GroundChangeConfig
+def find_patches(
+    cells: GroundCells, corner: Floats, config: GroundChangeConfig
 ) -> tuple[Ints, tuple[GroundPatch, ...]]:
     """Connect cells of one sign beyond the gate, and keep what is large enough and stands out as a whole.
 
     A cell with too few points for a level of detection of its own (NaN) is
     gated by the threshold alone; its patch then answers for it with the level
-    of detection of its mean.
+    of detection of its mean. What nobody measured does not part a patch: a
+    parked car hides the ground, and its neighbours' mean is no evidence.
     """
+    dz, lod = cells.dz, cells.lod
     patch = np.full(dz.shape, -1, dtype=np.int64)
     patches: list[GroundPatch] = []
-    typical = float(np.nanmedian(lod)) if np.isfinite(lod).any() else _NO_CLAIM
+    gate = _gate(lod, config)
+    unknown = ~np.isfinite(dz)
+    least = config.shown * config.area * config.threshold / config.cell**2
     for sign, change in ((1.0, Change.INCREASED), (-1.0, Change.DECREASED)):
-        over = beyond_gate(dz, lod, sign, config)
-        blind = ~np.isfinite(dz)
-        labels, count = ndimage.label(over, structure=np.ones((3, 3)))
-        sizes = _possible_sizes(labels, count, blind, config)
-        for number in np.flatnonzero(sizes * config.cell**2 > config.area).tolist():
-            found = make_patch(change, labels == number, dz, lod, corner, config.cell, typical)
-            if stands_out(found, config):
+        rise = np.nan_to_num(sign * dz, nan=-1.0)
+        over = rise > gate
+        labels, count = ndimage.label(beyond_gate(cells, sign, config), structure=np.ones((3, 3)))
+        labels = _to_half_height(labels, count, rise, gate, config)
+        labels = _to_hidden(labels, unknown, cells.known, config)
+        depth = np.where(over, np.minimum(rise, 2 * config.threshold), 0.0)  # a few deep cells are noise
+        shown = np.bincount(labels.ravel(), depth.ravel(), count + 1)
+        large = _possible_sizes(labels, count, unknown, config) * config.cell**2 > config.area
+        for number in np.flatnonzero(large & (shown >= least)).tolist():
+            found = _make_patch(change, labels == number, dz, lod, corner, config.cell)
+            if abs(found.dz) > max(config.threshold, config.lod_factor * found.lod):
                 patch[labels == number] = len(patches)
                 patches.append(found)
     return patch, tuple(patches)
 
 
-def beyond_gate(dz: Floats, lod: Floats, sign: float, config: GroundChangeConfig) -> Mask:
-    """Tell which cells changed in one direction, blind ones between them included."""
-    over = np.nan_to_num(sign * dz, nan=-1.0) > np.fmax(config.threshold, config.lod_factor * lod)
-    return _closed(over, ~np.isfinite(dz), config)
+def _gate(lod: Floats, config: GroundChangeConfig) -> Floats:
+    return np.asarray(np.fmax(config.threshold, config.lod_factor * lod))
 
 
-def stands_out(patch: GroundPatch, config: GroundChangeConfig) -> bool:
-    """Tell whether a patch as a whole is beyond the gate."""
-    return abs(patch.dz) > max(config.threshold, config.lod_factor * patch.lod)
+def beyond_gate(cells: GroundCells, sign: float, config: GroundChangeConfig) -> Mask:
+    """Tell which cells changed in one direction, those that nobody measured between them included."""
+    over = np.nan_to_num(sign * cells.dz, nan=-1.0) > _gate(cells.lod, config)
+    return _closed(over, cells.bridged & ~over, config)
+
+
+def _to_hidden(labels: Ints, unknown: Mask, known: Mask, config: GroundChangeConfig) -> Ints:
+    """Give cells that one epoch alone saw to the patch of the nearest cell that both saw.
+
+    The near edge of a pit hides its floor, and what was there before is gone with the rest.
+    """
+    if config.closing == 0 or unknown.all():
+        return labels
+    distance, nearest = ndimage.distance_transform_edt(unknown, return_indices=True)
+    taken = unknown & known & (labels == 0) & (distance <= config.closing)
+    return np.where(taken, labels[nearest[0], nearest[1]], labels)
 
 
 def _closed(over: Mask, blind: Mask, config: GroundChangeConfig) -> Mask:
@@ -200,7 +237,29 @@ def _closed(over: Mask, blind: Mask, config: GroundChangeConfig) -> Mask:
     if config.closing == 0:
         return over
     size = 2 * config.closing + 1
-    return np.asarray(over | (blind & ndimage.binary_closing(over, structure=np.ones((size, size)))))
+    padded = np.pad(over, config.closing)
+    closed = ndimage.binary_closing(padded, structure=np.ones((size, size)))
+    inside = slice(config.closing, -config.closing)
+    return np.asarray(over | (blind & closed[inside, inside]))
+
+
+def _to_half_height(labels: Ints, count: int, rise: Floats, gate: Floats, config: GroundChangeConfig) -> Ints:
+    """Move the edge of every patch out to where half of its height is reached.
+
+    A cell that the edge runs through holds the mean of both sides: under the
+    threshold, although half of it changed. ``rise`` (rows, columns) is signed
+    so that the patch is positive, ``gate`` what its cells exceeded.
+    """
+    grown = labels.copy()
+    for number, window in enumerate(ndimage.find_objects(labels, count), start=1):
+        around = tuple(slice(max(s.start - 1, 0), s.stop + 1) for s in window)
+        mine = labels[around] == number
+        if np.count_nonzero(mine) * config.cell**2 < 0.25 * config.area:
+            continue
+        half = 0.5 * float(np.median(rise[around][mine & (rise[around] > gate[around])]))
+        edge = ndimage.binary_dilation(mine, np.ones((3, 3))) & (grown[around] == 0)
+        grown[around][edge & (rise[around] > half)] = number
+    return grown
 
 
 def _possible_sizes(labels: Ints, count: int, blind: Mask, config: GroundChangeConfig) -> Ints:
@@ -214,14 +273,8 @@ def _possible_sizes(labels: Ints, count: int, blind: Mask, config: GroundChangeC
     return np.asarray(sizes + np.minimum(hidden, sizes))
 
 
-def ground_hidden(where: Mask, blind: Mask, config: GroundChangeConfig) -> int:
-    """Count the blind cells around those of a patch."""
-    size = 2 * config.closing + 1
-    return int((ndimage.binary_dilation(where, structure=np.ones((size, size))) & blind).sum())
-
-
-def make_patch(
-    change: Change, where: Mask, dz: Floats, lod: Floats, corner: Floats, cell: float, typical: float
+def _make_patch(
+    change: Change, where: Mask, dz: Floats, lod: Floats, corner: Floats, cell: float
 ) -> GroundPatch:
     cells = np.argwhere(where)
     west_south = corner + cells[:, ::-1] * cell
@@ -230,10 +283,20 @@ def make_patch(
     values = dz[where & np.isfinite(dz)]
     area = len(cells) * cell**2
     known = lod[where & np.isfinite(lod)]
-    level = float(np.median(known)) if len(known) else typical
+    level = float(np.median(known)) if len(known) else _nearest_lod(cells, lod)
     if len(known) < 0.5 * len(values):  # mostly sparse: the spread of the differences speaks for their mean
         level = math.hypot(level, 1.96 * float(values.std()) / math.sqrt(len(values)))
     return GroundPatch(change, area, float(np.median(values)), float(values.std()), level, cells, outline)
+
+
+def _nearest_lod(cells: Ints, lod: Floats) -> float:
+    """Median level of detection of the known cells nearest to the middle of a patch that has none [m]."""
+    known = np.argwhere(np.isfinite(lod))
+    if len(known) == 0:
+        return _NO_CLAIM
+    distance = np.linalg.norm(known - cells.mean(axis=0), axis=1)
+    near = known[np.argsort(distance, kind="stable")[:_LOD_CELLS]]
+    return float(np.median(lod[near[:, 0], near[:, 1]]))
 
 
 def ground_raster(comparison: GroundComparison, origin: Floats, config: GroundChangeConfig) -> GroundChange:

@@ -29,7 +29,7 @@ from subiaco_change.injection.detectability import (
     smallest_table,
 )
 from subiaco_change.injection.edits import Donor
-from subiaco_change.injection.inject import inject
+from subiaco_change.injection.inject import inject, label_scene
 from subiaco_change.outputs.json_text import write_json
 from subiaco_change.outputs.raster import LodRaster, build_lod_raster, write_bands
 from subiaco_change.pipeline import detect_changes
@@ -98,11 +98,12 @@ def calibrate(
     rows, changes, left_out = [], [], dict[str, int]()
     lod, crs = None, None
     total = config.copies + config.fresh
+    scene = label_scene(survey, config.injection)
     for copy in range(total):
         if progress is not None:
             progress(f"copy {copy + 1} of {total}", copy / total)
         settings = config.injection.model_copy(update={"seed": config.injection.seed + copy})
-        injected = inject(survey, settings, donors)
+        injected = inject(survey, settings, donors, scene=scene)
         result = detect_changes(injected.before, injected.after, change, transform=transform)
         points = pair_points(result, injected.before.cloud, injected.after.cloud)
         if copy < config.copies:

@@ -21,10 +21,19 @@ class SightConfig(StrictModel):
 
 
 class RepeatConfig(StrictModel):
-    """How a second pass over the same street differs where nothing changed (modelled)."""
+    """How a second pass over the same street differs where nothing changed (modelled).
+
+    Beams fall elsewhere: a voxel that few of them hit may be missed, the middle of
+    those that hit it wanders along the surface, and in foliage they meet other leaves.
+    """
 
     sigma: float = Field(0.015, ge=0, description="noise of a map point, where the map has no spread [m]")
-    keep: float = Field(0.85, gt=0, le=1, description="share of the points that a second pass hits again")
+    again: float = Field(
+        0.5, gt=0, le=1, description="chance that a voxel which one beam hit is hit again, a beam"
+    )
+    beams: float = Field(3.0, ge=1, description="beams a voxel, where the map does not count them")
+    wander: float = Field(1.0, ge=0, description="shift of the middle of a voxel, over that of chance")
+    foliage: float = Field(0.2, ge=0, description="distance to the next leaf that is hit instead [m]")
 
 
 class InjectionConfig(StrictModel):

@@ -9,6 +9,7 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from subiaco_change.injection.config import InjectionConfig
 from subiaco_change.injection.edits import (
@@ -64,6 +65,15 @@ class Injected:
     left_out: dict[str, int]
 
 
+@dataclass(frozen=True)
+class Scene:
+    """A map at the working leaf, with the class (N,) uint8 and the object (N,) int32 of every point."""
+
+    cloud: PointCloud
+    semantic: NDArray[np.uint8]
+    instance: NDArray[np.int32]
+
+
 def read_donors(folder: Path, leaf: float) -> list[Donor]:
     """Read objects from a folder of clouds, one a file; the name's beginning tells the class.
 
@@ -90,6 +100,7 @@ def inject(
     config: InjectionConfig,
     donors: Sequence[Donor] = (),
     progress: Callable[[str, float], None] | None = None,
+    scene: Scene | None = None,
 ) -> Injected:
     """Put known changes into a map.
 
@@ -101,6 +112,8 @@ def inject(
     donors : sequence of Donor
         Objects to put; those of the map itself where there are none.
     progress : callable, optional
+    scene : Scene, optional
+        Of :func:`label_scene`, where several copies are made of one map.
 
     Raises
     ------
@@ -113,8 +126,9 @@ def inject(
         )
     say = progress or (lambda _stage, _share: None)
     say("semantics", 0.0)
-    cloud = voxel_downsample(survey.cloud, config.leaf)
-    edited = _labelled(survey, cloud, config)
+    scene = scene or label_scene(survey, config)
+    cloud = scene.cloud
+    edited = _untouched(survey, scene, config)
     say("edits", 0.4)
     left_out = _edit(edited, list(donors))
     say("second pass", 0.9)
@@ -124,17 +138,23 @@ def inject(
     return Injected(before, after, rows, left_out)
 
 
-def _labelled(survey: SurveyMap, cloud: PointCloud, config: InjectionConfig) -> Edited:
-    assert survey.trajectory is not None
+def label_scene(survey: SurveyMap, config: InjectionConfig) -> Scene:
+    """Find the classes and the objects of a map at the working leaf."""
+    cloud = voxel_downsample(survey.cloud, config.leaf)
     upright = levelled(cloud)
     passes = make_observer(survey, EvidenceConfig()).passes(cloud.world())
     semantic = label_points(upright, config.semantics, passes)
     instance = segment(upright, semantic, config.instances.model_copy(update={"leaf": config.leaf}))
-    poses = survey.trajectory.positions - cloud.origin
-    sight = Sight.of_drive(poses, config.sight)
-    site = Site.of_map(cloud.xyz, semantic.semantic)
+    return Scene(cloud, semantic.semantic, instance)
+
+
+def _untouched(survey: SurveyMap, scene: Scene, config: InjectionConfig) -> Edited:
+    assert survey.trajectory is not None
+    xyz = scene.cloud.xyz
+    sight = Sight.of_drive(survey.trajectory.positions - scene.cloud.origin, config.sight)
+    site = Site.of_map(xyz, scene.semantic)
     random = np.random.default_rng(config.seed)
-    return Edited(cloud.xyz, semantic.semantic, instance, sight, site, config, random)
+    return Edited(xyz, scene.semantic, scene.instance, sight, site, config, random)
 
 
 def _edit(edited: Edited, donors: list[Donor]) -> dict[str, int]:
@@ -149,7 +169,7 @@ def _edit(edited: Edited, donors: list[Donor]) -> dict[str, int]:
 
     def draw(pool: list[Ints], count: int, name: str) -> list[Ints]:
         free = [t for t in pool if int(t[0]) not in used]
-        chosen = [free[i] for i in random.permutation(len(free))[:count]]
+        chosen = [free[i] for i in _by_turns([int(edited.semantic[t[0]]) for t in free], random)[:count]]
         used.update(int(t[0]) for t in chosen)
         left[name] = count - len(chosen)
         return chosen
@@ -168,12 +188,28 @@ def _edit(edited: Edited, donors: list[Donor]) -> dict[str, int]:
         left["moved"] += not put_object(edited, donor, "moved")
     left["patches"] = config.patches - _patches(edited)
     left["inserted"] = config.inserted
-    if own:
-        for number in random.integers(0, len(own), config.inserted):
+    if own and config.inserted:
+        turns = np.concatenate(
+            [
+                _by_turns([int(d.semantic) for d in own], random)
+                for _ in range(-(-config.inserted // len(own)))
+            ]
+        )
+        for number in turns[: config.inserted]:
             donor = own[number]
             scaled = replace(donor, xyz=donor.xyz * random.uniform(*config.scale))
             left["inserted"] -= put_object(edited, scaled)
     return {name: count for name, count in left.items() if count}
+
+
+def _by_turns(classes: Sequence[int], random: np.random.Generator) -> Ints:
+    """Order things at random, a class after the other in turn, so that the rare ones come too."""
+    order = random.permutation(len(classes))
+    drawn = np.asarray(classes, dtype=np.int64)[order]
+    turn = np.zeros(len(order), dtype=np.int64)
+    for code in np.unique(drawn):
+        turn[drawn == code] = np.arange(np.count_nonzero(drawn == code))
+    return np.asarray(order[np.argsort(turn, kind="stable")])
 
 
 def _things(edited: Edited) -> list[Ints]:

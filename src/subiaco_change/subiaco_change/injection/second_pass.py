@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from subiaco_change.injection.config import RepeatConfig
+from subiaco_change.geometry import estimate_normals
+from subiaco_change.injection.config import InjectionConfig, RepeatConfig
 from subiaco_change.injection.edits import Edited
 from subiaco_change.observation.evidence import EvidenceConfig, make_observer
 from subiaco_geo.clouds import PointCloud, unpack_voxel_keys, voxel_indices, voxel_keys
-from subiaco_geo.codes import Change
+from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.maps import SurveyMap
 from subiaco_geo.visibility import VisibilityGrid
+
+_SURFACE = 0.8  # radius in which a surface has its direction [m]
 
 
 def with_truth(cloud: PointCloud, edited: Edited) -> PointCloud:
@@ -27,11 +31,10 @@ def with_truth(cloud: PointCloud, edited: Edited) -> PointCloud:
 
 def second_pass(survey: SurveyMap, cloud: PointCloud, edited: Edited) -> SurveyMap:
     """Return the copy as a second drive would map it: other points, other noise, other shadows."""
-    kept = np.flatnonzero(~edited.gone & ~edited.hidden)
-    kept = kept[edited.random.random(len(kept)) < edited.config.repeat.keep]
-    lifted = cloud.xyz[kept] + np.column_stack([np.zeros((len(kept), 2)), edited.rise[kept]])
+    stays = np.flatnonzero(~edited.gone & ~edited.hidden)
+    lifted = cloud.xyz[stays] + np.column_stack([np.zeros((len(stays), 2)), edited.rise[stays]])
     xyz = np.concatenate([lifted, *(p.xyz for p in edited.put)])
-    source = np.concatenate([kept, *(p.source for p in edited.put)])
+    source = np.concatenate([stays, *(p.source for p in edited.put)])
     observer = make_observer(survey, EvidenceConfig())
     truths = [np.full(len(p.xyz), p.change, dtype=np.uint8) for p in edited.put]
     for put, truth in zip(edited.put, truths, strict=True):
@@ -39,20 +42,20 @@ def second_pass(survey: SurveyMap, cloud: PointCloud, edited: Edited) -> SurveyM
     fields = {name: _from(values, source) for name, values in cloud.fields.items()}
     fields |= {
         "object": np.concatenate(
-            [edited.object_id[kept], *(np.full(len(p.xyz), p.object_id) for p in edited.put)]
+            [edited.object_id[stays], *(np.full(len(p.xyz), p.object_id) for p in edited.put)]
         ),
         "semantic": np.concatenate(
-            [edited.semantic[kept], *(np.full(len(p.xyz), p.semantic, np.uint8) for p in edited.put)]
+            [edited.semantic[stays], *(np.full(len(p.xyz), p.semantic, np.uint8) for p in edited.put)]
         ),
-        "change": np.concatenate([edited.change[kept], *truths]),
+        "change": np.concatenate([edited.change[stays], *truths]),
     }
-    noise = _noise(cloud, source, edited.config.repeat)
-    xyz = xyz + noise[:, None] * edited.random.normal(size=(len(xyz), 3))
+    chosen, moved = resampled(xyz, fields, edited.config, edited.random)
+    fields = {name: values[chosen] for name, values in fields.items()}
     visibility = (
         None if survey.visibility is None else edit_visibility(survey.visibility, cloud.origin, edited)
     )
     return replace(
-        survey, cloud=PointCloud(xyz, cloud.origin, cloud.crs, fields), visibility=visibility, last=None
+        survey, cloud=PointCloud(moved, cloud.origin, cloud.crs, fields), visibility=visibility, last=None
     )
 
 
@@ -64,13 +67,55 @@ def _from(values: NDArray[Any], source: Ints) -> NDArray[Any]:
     return taken
 
 
-def _noise(cloud: PointCloud, source: Ints, repeat: RepeatConfig) -> Floats:
+def resampled(
+    xyz: Floats, fields: Mapping[str, NDArray[Any]], config: InjectionConfig, random: np.random.Generator
+) -> tuple[Ints, Floats]:
+    """Let beams fall elsewhere, on the same surfaces.
+
+    A voxel that ``n`` beams hit is missed with probability ``(1 - again) ** n``; as many others are hit
+    instead, beside voxels of the same kind. What is kept moves by the chance of where in the voxel its
+    beams fall, along its surface, and by its noise in all directions.
+
+    Parameters
+    ----------
+    xyz : (N, 3) float64
+        The edited map.
+    fields : mapping
+        ``semantic``; ``n`` and ``spread`` where the map has them.
+    config : InjectionConfig
+    random : numpy.random.Generator
+
+    Returns
+    -------
+    chosen : (M,) int64
+        Which points the second pass has, some twice.
+    moved : (M, 3) float64
+        Where [m].
+    """
+    repeat = config.repeat
+    count = np.maximum(np.asarray(fields.get("n", np.full(len(xyz), repeat.beams)), np.float64), 1.0)
+    missed = random.random(len(xyz)) < (1.0 - repeat.again) ** count
+    kept = np.flatnonzero(~missed)
+    weight = (1.0 - repeat.again) ** count
+    total = float(weight.sum())
+    new = random.choice(len(xyz), int(missed.sum()), p=weight / total) if missed.any() else kept[:0]
+    chosen = np.concatenate([kept, new])
+    chance = repeat.wander * config.leaf / np.sqrt(12.0 * count)
+    reach = np.concatenate([chance[kept], np.full(len(new), 2.0 * repeat.wander * config.leaf)])
+    leafy = np.asarray(fields["semantic"])[chosen] == Semantic.VEGETATION
+    reach = np.where(leafy, np.maximum(reach, repeat.foliage), reach)
+    step = random.normal(size=(len(chosen), 3)) * reach[:, None]
+    normal = estimate_normals(xyz, _SURFACE)[chosen]
+    along = step - normal * np.einsum("ij,ij->i", step, normal)[:, None]
+    noise = _noise(fields, count, repeat)[chosen, None] * random.normal(size=(len(chosen), 3))
+    return chosen, xyz[chosen] + np.where(leafy[:, None], step, along) + noise
+
+
+def _noise(fields: Mapping[str, NDArray[Any]], count: Floats, repeat: RepeatConfig) -> Floats:
     """Return the standard error of every point [m], from the spread of its voxel where the map has it."""
-    if "spread" not in cloud.fields or "n" not in cloud.fields:
-        return np.full(len(source), repeat.sigma)
-    spread = np.asarray(cloud.fields["spread"], dtype=np.float64)
-    count = np.maximum(np.asarray(cloud.fields["n"], dtype=np.float64), 1.0)
-    return np.where(source >= 0, np.maximum(spread / np.sqrt(count), repeat.sigma)[source], repeat.sigma)
+    if "spread" not in fields:
+        return np.full(len(count), repeat.sigma)
+    return np.maximum(np.asarray(fields["spread"], dtype=np.float64) / np.sqrt(count), repeat.sigma)
 
 
 def edit_visibility(grid: VisibilityGrid, origin: Floats, edited: Edited) -> VisibilityGrid:

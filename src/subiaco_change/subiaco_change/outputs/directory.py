@@ -21,7 +21,7 @@ from subiaco_change.outputs.clouds import write_labelled
 from subiaco_change.outputs.hashing import hash_path
 from subiaco_change.outputs.json_text import write_json
 from subiaco_change.outputs.parcels import build_parcels, coverage_polygons
-from subiaco_change.outputs.qgis_project import write_project
+from subiaco_change.outputs.qgis_project import PROJECT, write_project
 from subiaco_change.outputs.raster import (
     build_coverage,
     build_lod_raster,
@@ -37,7 +37,7 @@ from subiaco_change.report.page import build_report
 from subiaco_geo.atomic import refuse_existing, refuse_foreign, whole_directory
 from subiaco_geo.config import StrictModel, config_hash, write_config
 
-__all__ = ["ChangeDirectory", "ChangeInputs", "read_change_directory", "write_change_directory"]
+__all__ = ["ChangeDirectory", "ChangeInputs", "read_change_directory", "rebuild", "write_change_directory"]
 
 _LOG = logging.getLogger(__name__)
 
@@ -197,6 +197,28 @@ def write_change_directory(
         write_json(target / "run.json", run_document(result, config, inputs, table))
         write_project(target, crs, coverage.bounds)
         build_report(target)
+
+
+def rebuild(directory: Path) -> Path:
+    """Build the pages of a change directory again, and the QGIS project where there is none.
+
+    A project that is there may be somebody's work by now; it stays.
+
+    Returns
+    -------
+    Path
+        ``report.html``.
+
+    Raises
+    ------
+    InputError
+        The directory is not a complete change directory.
+    """
+    page = build_report(directory)
+    if not (directory / PROJECT).exists():
+        change = read_change_directory(directory)
+        write_project(directory, change.run["crs"], build_coverage(change.before, change.after).bounds)
+    return page
 
 
 def write_layer(package: Path, name: str, frame: gpd.GeoDataFrame) -> None:

@@ -66,13 +66,14 @@ def build_parcels(table: gpd.GeoDataFrame, lots: gpd.GeoDataFrame, coverage: Cov
     """Add up the changes of every lot.
 
     An object counts once, on the lot that holds most of its footprint; its
-    volume is shared by footprint area. What lies on no lot stands in a last
-    row, so that the rows add up to the table.
+    area and volume are shared by footprint area. What lies on no lot stands in
+    a last row, so that the rows add up to the table.
 
     Returns
     -------
     GeoDataFrame
-        ``lot``, a count for every label, ``net_m3`` (2.5D), ``area_m2``, ``observed_fraction``.
+        ``lot``, a count for every label, ``changed_m2`` (footprints of what changed), ``net_m3`` (2.5D),
+        ``area_m2`` of the lot, ``observed_fraction``.
     """
     owner, place, share = _shares(table, lots)
     home = np.full(len(table), len(lots))
@@ -83,7 +84,9 @@ def build_parcels(table: gpd.GeoDataFrame, lots: gpd.GeoDataFrame, coverage: Cov
         chosen = (table["label"] == change.label).to_numpy()
         columns[change.label.lower()] = np.bincount(home[chosen], minlength=size)
     changed = table["label"].isin([c.label for c in CHANGED]).to_numpy()
+    outline = np.where(changed, table.geometry.area.to_numpy(), 0.0)
     volume = np.where(changed, table["delta_v_m3"].fillna(0.0).to_numpy(dtype=np.float64), 0.0)
+    columns["changed_m2"] = np.round(np.bincount(place, outline[owner] * share, minlength=size), 3)
     columns["net_m3"] = np.round(np.bincount(place, volume[owner] * share, minlength=size), 3)
     area = lots.geometry.area.to_numpy()
     columns["area_m2"] = np.round([*area, np.nan], 1)

@@ -20,6 +20,8 @@ from subiaco_change.records import CHANGE_COLOURS
 from subiaco_geo.codes import Change
 
 _DOCTYPE = "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>\n"
+#: Name of the project in a change directory.
+PROJECT = "changes.qgs"
 _VERSION = "3.28.0-Firenze"
 _VECTOR = ("ground", "objects", "parcels", "coverage")  # from top to bottom
 _LOD_STEPS = ((0.0, (68, 1, 84)), (0.05, (59, 82, 139)), (0.1, (33, 145, 140)), (0.2, (253, 231, 37)))
@@ -78,7 +80,7 @@ def write_project(directory: Path, crs: str | None, bounds: Sequence[float]) -> 
         ET.SubElement(order, "layer", id=layer.id)
     _relative_paths(root)
     ET.indent(root, " ")
-    path = directory / "changes.qgs"
+    path = directory / PROJECT
     path.write_text(_DOCTYPE + ET.tostring(root, encoding="unicode") + "\n", encoding="utf-8")
     return path
 

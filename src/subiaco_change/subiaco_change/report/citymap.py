@@ -9,17 +9,15 @@ from typing import Any
 import numpy as np
 import pandas as pd
 from PIL import Image
-from shapely.geometry.base import BaseGeometry
 
 from subiaco_change.records import CHANGE_COLOURS
+from subiaco_change.report.evidence import svg_path
 from subiaco_change.report.paint import Colours, paint
 from subiaco_change.report.pictures import overview_frame, together
-from subiaco_change.report.raster import Frame
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Change
 
 _LONGEST = 1600  # pixels of the picture
-_DETAIL = 0.25  # what an outline may lose [m]
 _COLOURS = {c.label: f"rgb{CHANGE_COLOURS[c]}" for c in Change}
 
 
@@ -48,7 +46,7 @@ def city_map(before: PointCloud, after: PointCloud, rows: pd.DataFrame) -> dict[
             "label": row["label"],
             "colour": _COLOURS[row["label"]],
             "title": "{object_id}: {label}, {class}, confidence {confidence:.2f}".format(**row),
-            "path": svg_path(row["geometry"], frame),
+            "path": svg_path(row["geometry"], frame.west, frame.north),
         }
         for row in rows.to_dict("records")
     ]
@@ -69,14 +67,3 @@ def webp_uri(picture: Colours) -> str:
     stream = io.BytesIO()
     Image.fromarray(np.ascontiguousarray(picture)).save(stream, "WEBP", quality=70, method=4)
     return "data:image/webp;base64," + base64.b64encode(stream.getvalue()).decode("ascii")
-
-
-def svg_path(shape: BaseGeometry, frame: Frame) -> str:
-    """Return the outlines of a footprint as an SVG path [m], y down from the north edge."""
-    plain = shape.simplify(_DETAIL)
-    parts = []
-    for polygon in getattr(plain, "geoms", [plain]):
-        xy = np.asarray(polygon.exterior.coords)[:-1, :2]
-        local = np.round(np.stack([xy[:, 0] - frame.west, frame.north - xy[:, 1]], axis=1), 1)
-        parts.append("M" + "L".join(f"{x:g} {y:g}" for x, y in local.tolist()) + "Z")
-    return "".join(parts)

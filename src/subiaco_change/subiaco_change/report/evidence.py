@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+import base64
 import io
+import math
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import geopandas as gpd
 import numpy as np
-from matplotlib import colormaps, get_data_path
+from matplotlib import colormaps
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw, ImageFont
+from PIL import Image
 from shapely.geometry.base import BaseGeometry
 
 from subiaco_change.outputs.clouds import change_palette
@@ -21,9 +22,8 @@ from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats, Ints
 
-PANEL, SECTION, HEAD, GAP = 140, 84, 15, 4  # edges of the parts of a picture [pixel]
-WIDTH, HEIGHT = 3 * PANEL + 2 * GAP, HEAD + PANEL + GAP + SECTION
-_BELOW = HEAD + PANEL + GAP  # where sections begin
+PANEL, SECTION, HEAD = 140, 84, 15  # edges of the parts of a picture on the page [pixel]
+WIDTH, HEIGHT = 3 * PANEL, HEAD + PANEL + SECTION
 #: No picture is larger than this [byte]: what bounds the report.
 MAX_BYTES = 10_000
 _LEAF = 0.25  # finest detail of the clouds [m]
@@ -32,6 +32,7 @@ _MARGIN = 1.6  # view over footprint
 _SLAB = 1.0  # a section takes what stands this near to the footprint [m]
 _EXAGGERATIONS = (20, 10, 5, 2, 1)
 _COLOURS = (64, 40, 24, 12, 6)
+_STEP = 5  # plans have a multiple of so many cells a side, sections three fifths of them
 
 
 class Tiles:
@@ -96,8 +97,35 @@ class View:
     exaggeration: int
     heights: tuple[float, float]
 
+    @property
+    def cells(self) -> int:
+        """Cells along an edge of the plan: what the clouds can tell, and no more than are shown."""
+        return min(-(-math.ceil(self.side / _LEAF) // _STEP) * _STEP, PANEL)
 
-def evidence_pictures(before: PointCloud, after: PointCloud, rows: gpd.GeoDataFrame) -> Iterator[bytes]:
+
+@dataclass(frozen=True)
+class Evidence:
+    """The picture of a row in cells, and what the page draws over it.
+
+    The picture has three plans side by side above three sections. Over it lie the ``outline`` of the
+    footprint as an SVG path from the corner of a plan, the ends of the footprint in a section
+    (``ticks``), a scale bar of ``bar_m`` [m], all lengths in pixels of the page, and a ``note``.
+    """
+
+    webp: bytes
+    outline: str
+    ticks: tuple[float, float]
+    bar: float
+    bar_m: int
+    note: str
+
+    @property
+    def uri(self) -> str:
+        """The picture as a data URI."""
+        return "data:image/webp;base64," + base64.b64encode(self.webp).decode("ascii")
+
+
+def evidence_pictures(before: PointCloud, after: PointCloud, rows: gpd.GeoDataFrame) -> Iterator[Evidence]:
     """Draw the evidence of every row, in the order of the rows.
 
     Parameters
@@ -109,12 +137,13 @@ def evidence_pictures(before: PointCloud, after: PointCloud, rows: gpd.GeoDataFr
 
     Yields
     ------
-    bytes
-        WebP of :data:`WIDTH` x :data:`HEIGHT` pixels, at most :data:`MAX_BYTES`.
+    Evidence
+        Its picture has at most :data:`MAX_BYTES`.
     """
     epochs = (Tiles(before), Tiles(after))
     for shape, semantic in zip(rows.geometry, rows["class"], strict=True):
-        yield compact(draw(epochs, shape, flat=semantic == "ground"))
+        view = choose_view(epochs, shape, flat=semantic == "ground")
+        yield _over(shape, view, compact(Image.fromarray(draw(epochs, view))))
 
 
 def compact(picture: Image.Image) -> bytes:
@@ -158,31 +187,50 @@ def choose_view(epochs: Sequence[Tiles], shape: BaseGeometry, flat: bool) -> Vie
     )
 
 
-def draw(epochs: Sequence[Tiles], shape: BaseGeometry, flat: bool = False) -> Image.Image:
-    """Draw before, after and difference of one footprint, plans above and sections below."""
-    view = choose_view(epochs, shape, flat)
+def draw(epochs: Sequence[Tiles], view: View) -> Colours:
+    """Draw before, after and difference, plans above and sections below, a pixel a cell."""
     half = view.side / 2
-    window = (*(view.centre - half), *(view.centre + half))
-    near = [(e.world[index], e.change[index]) for e in epochs for index in [e.inside(*window)]]
-    both = (np.concatenate([n[0] for n in near]), np.concatenate([n[1] for n in near]))
-    picture = Image.new("RGB", (WIDTH, HEIGHT), "white")
-    pen = ImageDraw.Draw(picture)
-    columns = (("before", near[0], _height_colours), ("after", near[1], _height_colours))
-    for number, (title, points, colour) in enumerate((*columns, ("difference", both, _change_colours))):
-        left = number * (PANEL + GAP)
-        _paste(picture, _plan(points, view, colour), (left, HEAD), (PANEL, PANEL))
-        _paste(picture, _section(points, view, colour), (left, _BELOW), (PANEL, SECTION))
-        _text(pen, (left, 1), title)
-        _outline(pen, shape, view, (left, HEAD))
-        _scale_bar(pen, view, (left + 6, HEAD + PANEL - 6))
-        _ticks(pen, shape, view, left)
-    scale = f", heights ×{view.exaggeration}" if view.exaggeration > 1 else ""
-    _text(pen, (3, _BELOW + 1), f"looking {('north', 'west')[view.along]}{scale}")
-    return picture
+    (west, south), (east, north) = view.centre - half, view.centre + half
+    parts = []
+    for epoch in epochs:
+        inside = epoch.inside(west, south, east, north)
+        parts.append((epoch.world[inside], epoch.change[inside]))
+    both = (np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts]))
+    shown = [(parts[0], _height_colours), (parts[1], _height_colours), (both, _change_colours)]
+    plans = [_plan(points, view, colour) for points, colour in shown]
+    sections = [_section(points, view, colour) for points, colour in shown]
+    return np.concatenate([np.concatenate(plans, axis=1), np.concatenate(sections, axis=1)])
 
 
-def _paste(picture: Image.Image, part: Colours, at: tuple[int, int], size: tuple[int, int]) -> None:
-    picture.paste(Image.fromarray(part).resize(size, Image.Resampling.NEAREST), at)
+def _over(shape: BaseGeometry, view: View, webp: bytes) -> Evidence:
+    scale = PANEL / view.side
+    west, north = view.centre + view.side / 2 * np.array([-1.0, 1.0])
+    low = view.centre[view.along] - view.side / 2
+    ends = (shape.bounds[view.along], shape.bounds[view.along + 2])
+    bar = max(x for x in (1, 2, 5, 10, 20, 50, 100, 200, 500) if x <= max(view.side / 3, 1))
+    exaggerated = f", heights ×{view.exaggeration}" if view.exaggeration > 1 else ""
+    return Evidence(
+        webp,
+        svg_path(shape, west, north, scale),
+        (round((ends[0] - low) * scale, 1), round((ends[1] - low) * scale, 1)),
+        round(bar * scale, 1),
+        bar,
+        f"looking {('north', 'west')[view.along]}{exaggerated}",
+    )
+
+
+def svg_path(shape: BaseGeometry, west: float, north: float, scale: float = 1.0) -> str:
+    """Return the outlines of a footprint as an SVG path, y down from the north edge.
+
+    Lengths are multiplied by ``scale``; what is finer than the clouds is left out.
+    """
+    plain = shape.simplify(_LEAF)
+    parts = []
+    for polygon in getattr(plain, "geoms", [plain]):
+        xy = np.asarray(polygon.exterior.coords)[:-1, :2]
+        local = np.round(np.stack([xy[:, 0] - west, north - xy[:, 1]], axis=1) * scale, 1)
+        parts.append("M" + "L".join(f"{x:g} {y:g}" for x, y in local.tolist()) + "Z")
+    return "".join(parts)
 
 
 Points = tuple[Floats, NDArray[np.uint8]]
@@ -200,7 +248,7 @@ def _change_colours(points: Points, _: View) -> Floats:
 
 
 def _plan(points: Points, view: View, colour: Paint) -> Colours:
-    half, pixel = view.side / 2, max(_LEAF, view.side / PANEL)
+    half, pixel = view.side / 2, view.side / view.cells
     local = points[0] - np.append(view.centre, 0.0)
     frame = Frame(-half, -half, half, half, pixel)
     priority = np.isin(points[1], CHANGED) if colour is _change_colours else None
@@ -213,7 +261,7 @@ def _section(points: Points, view: View, colour: Paint) -> Colours:
     across = points[0][:, 1 - view.along]
     kept = (across >= view.slab[0]) & (across < view.slab[1])
     points = (points[0][kept], points[1][kept])
-    half, pixel = view.side / 2, max(_LEAF, view.side / PANEL)
+    half, pixel = view.side / 2, view.side / view.cells
     tall = view.side * SECTION / PANEL / 2
     toward = points[0][:, 1 - view.along] * (-1.0 if view.along == 0 else 1.0)  # the nearer one is seen
     u = points[0][:, view.along] - view.centre[view.along]
@@ -230,39 +278,3 @@ def _filled(seen: Ints, colours: Floats, shade: Floats | None = None) -> Colours
     values = colours[seen[hit]] if shade is None else colours[seen[hit]] * shade[hit][:, None]
     picture[hit] = np.clip(values, 0, 255).astype(np.uint8)
     return picture
-
-
-_FONT = ImageFont.truetype(Path(get_data_path()) / "fonts/ttf/DejaVuSans.ttf", 10)
-
-
-def _text(pen: ImageDraw.ImageDraw, at: tuple[float, float], text: str) -> None:
-    pen.text(at, text, fill="black", font=_FONT, stroke_width=2, stroke_fill="white")
-
-
-def _outline(pen: ImageDraw.ImageDraw, shape: BaseGeometry, view: View, corner: tuple[int, int]) -> None:
-    scale = PANEL / view.side
-    for part in getattr(shape, "geoms", [shape]):
-        xy = np.asarray(part.exterior.coords)[:, :2] - view.centre
-        pixels = np.stack([xy[:, 0] + view.side / 2, view.side / 2 - xy[:, 1]], axis=1) * scale + corner
-        path = [tuple(p) for p in pixels.tolist()]
-        pen.line(path, fill="white", width=3, joint="curve")
-        pen.line(path, fill="black", width=1)
-
-
-def _ticks(pen: ImageDraw.ImageDraw, shape: BaseGeometry, view: View, left: int) -> None:
-    """Mark the ends of the footprint above and below its section."""
-    low, high = shape.bounds[view.along], shape.bounds[view.along + 2]
-    top, bottom = _BELOW, HEIGHT - 1
-    for end in (low, high):
-        x = left + (end - view.centre[view.along] + view.side / 2) * PANEL / view.side
-        for a, b in ((top, top + 6), (bottom - 6, bottom)):
-            pen.line([(x, a), (x, b)], fill="black", width=1)
-
-
-def _scale_bar(pen: ImageDraw.ImageDraw, view: View, at: tuple[int, int]) -> None:
-    length = max(x for x in (1, 2, 5, 10, 20, 50, 100, 200, 500) if x <= max(view.side / 3, 1))
-    x, y = at
-    end = x + length * PANEL / view.side
-    pen.line([(x - 1, y), (end + 1, y)], fill="white", width=5)
-    pen.line([(x, y), (end, y)], fill="black", width=2)
-    _text(pen, (x, y - 16), f"{length} m")

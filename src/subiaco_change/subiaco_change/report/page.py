@@ -12,7 +12,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescap
 
 from subiaco_change.outputs.raster import build_coverage
 from subiaco_change.outputs.reading import ChangeDirectory, read_change_directory
-from subiaco_change.records import CHANGE_COLOURS
+from subiaco_change.records import CHANGE_COLOURS, SEMANTIC_COLOURS
 from subiaco_change.report import evidence, pictures
 from subiaco_change.report.citymap import city_map
 from subiaco_change.report.facts import (
@@ -94,12 +94,10 @@ def build_report(directory: Path) -> Path:
             strict=True,
         )
     )
-    uris = {number: _data_uri(picture, "webp") for number, picture in drawn.items()}
     fullest = fullest_blocks(blocks, marks, _MOST_BLOCKS)
     context = report_context(change) | {
         "map": city_map(change.before, change.after, changed),
-        "evidence": uris,
-        "picture": {"width": evidence.WIDTH, "height": evidence.HEIGHT},
+        "evidence": drawn,
         "blocks": open_fullest([_block_context(change, block, marks) for block in fullest]),
         "left_out": len(blocks) - len(fullest),
         "evaluation": _evaluation(directory),
@@ -109,13 +107,13 @@ def build_report(directory: Path) -> Path:
     with whole_file(directory / "report.html") as path:
         path.write_text(environment().get_template("report.html.j2").render(context), encoding="utf-8")
     with whole_file(directory / "summary.html") as path:
-        text = environment().get_template("summary.html.j2").render(build_summary(change, uris))
+        text = environment().get_template("summary.html.j2").render(build_summary(change, drawn))
         path.write_text(text, encoding="utf-8")
     return directory / "report.html"
 
 
 def environment() -> Environment:
-    """Return the templates, with filter ``number``."""
+    """Return the templates, with filter ``number`` and the sizes of a picture, ``panel``."""
     found = Environment(
         loader=PackageLoader("subiaco_change", "templates"),
         autoescape=select_autoescape(default=True, default_for_string=True),
@@ -124,6 +122,12 @@ def environment() -> Environment:
         lstrip_blocks=True,
     )
     found.filters["number"] = number
+    found.globals["panel"] = {
+        "side": evidence.PANEL,
+        "head": evidence.HEAD,
+        "width": evidence.WIDTH,
+        "height": evidence.HEIGHT,
+    }
     return found
 
 
@@ -155,6 +159,7 @@ def report_context(change: ChangeDirectory) -> dict[str, Any]:
         "columns": TABLE_COLUMNS,
         "more": MORE,
         "rows": table_rows(change.table),
+        "class_colours": {s.label: f"rgb{SEMANTIC_COLOURS[s]}" for s in Semantic},
         "labels": [c.label for c in Change],
         "classes": [s.label for s in Semantic],
         "simulated": is_simulated(change.run),
@@ -185,12 +190,18 @@ def table_rows(table: pd.DataFrame) -> list[dict[str, Any]]:
 def _block_context(
     change: ChangeDirectory, block: pictures.Block, marks: list[pictures.Mark]
 ) -> dict[str, Any]:
-    drawn = pictures.block_pictures(change.before, change.after, block, marks)
-    inside = [m.text for m in marks if block.holds(m.x, m.y)]
+    """Return pictures of a block and what is drawn over them, in metres from the north-west corner."""
+    drawn = pictures.block_pictures(change.before, change.after, block)
+    west, south, east, north = block.bounds
+    inside = [m for m in marks if block.holds(m.x, m.y)]
     return {
         "name": block.name,
         "core": block.core,
-        "changed": inside,
+        "side": east - west,
+        "corner": (west, south),
+        "heights": pictures.block_heights(change.before, change.after, block),
+        "changed": [m.text for m in inside],
+        "marks": [{"x": m.x - west, "y": north - m.y, "text": m.text} for m in inside],
         "pictures": [
             {"kind": kind, "caption": pictures.KINDS[kind], "uri": _data_uri(drawn[kind])} for kind in _SHOWN
         ],
@@ -203,8 +214,8 @@ def open_fullest(blocks: list[dict[str, Any]], most: int = 2) -> list[dict[str, 
     return [block | {"open": index in ranked} for index, block in enumerate(blocks)]
 
 
-def _data_uri(picture: bytes, kind: str = "png") -> str:
-    return f"data:image/{kind};base64," + base64.b64encode(picture).decode("ascii")
+def _data_uri(picture: bytes) -> str:
+    return "data:image/webp;base64," + base64.b64encode(picture).decode("ascii")
 
 
 def _evaluation(directory: Path) -> dict[str, Any] | None:

@@ -9,18 +9,16 @@ from dataclasses import dataclass
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.cm import ScalarMappable
-from matplotlib.colors import Normalize
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
 from PIL import Image
 
-from subiaco_change.records import CHANGE_COLOURS, SEMANTIC_COLOURS
-from subiaco_change.report.paint import height_range, paint
+from subiaco_change.records import CHANGE_COLOURS
+from subiaco_change.report.paint import Colours, height_range, paint
 from subiaco_change.report.raster import Frame
 from subiaco_geo.clouds import PointCloud
-from subiaco_geo.codes import Change, Semantic
+from subiaco_geo.codes import Change
 
 #: The five pictures of a block, in the order of the report, with their captions.
 KINDS = {
@@ -66,8 +64,8 @@ def block_grid(clouds: Sequence[PointCloud], size: float = 80.0, overlap: float 
     count = np.maximum(np.ceil((high - low) / size).astype(int), 1)
     start = np.round((low + high) / 2 - count * size / 2)
     index = np.clip(((world - start) // size).astype(int), 0, count - 1)
-    cells, population = np.unique(index, axis=0, return_counts=True)
-    kept = [tuple(c) for c, n in zip(cells.tolist(), population, strict=True) if n >= _MIN_POINTS]
+    flat, population = np.unique(index[:, 0] * count[1] + index[:, 1], return_counts=True)
+    kept = [divmod(int(c), int(count[1])) for c, n in zip(flat, population, strict=True) if n >= _MIN_POINTS]
     blocks = []
     for column, row in sorted(kept, key=lambda c: (-c[1], c[0])):
         west, south = (start + np.array([column, row]) * size).tolist()
@@ -84,33 +82,35 @@ def block_grid(clouds: Sequence[PointCloud], size: float = 80.0, overlap: float 
     return blocks
 
 
-def block_pictures(
-    before: PointCloud, after: PointCloud, block: Block, marks: Iterable[Mark] = ()
-) -> dict[str, bytes]:
-    """Draw the five pictures of a block, before on the left and after on the right.
+def block_pictures(before: PointCloud, after: PointCloud, block: Block) -> dict[str, bytes]:
+    """Draw the five pictures of a block, before on the left and after on the right, a pixel a cell.
+
+    Names and scales are the page's to draw: the browser does it for the blocks that are looked at.
 
     Returns
     -------
     dict
-        PNG bytes by the keys of :data:`KINDS`.
+        WebP bytes by the keys of :data:`KINDS`.
     """
     frame = Frame(*block.bounds, _PIXEL)
     near = [_crop(cloud, block) for cloud in (before, after)]
     heights = height_range(near)
-    inside = [mark for mark in marks if block.holds(mark.x, mark.y)]
-    drawn = {}
-    for kind in KINDS:
-        figure = Figure(figsize=(10.4, 5.75), dpi=100, facecolor="white")
-        axes = figure.subplots(1, 2, sharex=True, sharey=True)
-        for axis, cloud, title in zip(axes, near, ("before", "after"), strict=True):
-            axis.imshow(paint(cloud, frame, kind, heights), extent=frame.extent, interpolation="nearest")
-            _dress(axis, title, frame)
-        if kind == "change":
-            for axis in axes:
-                _draw_marks(axis, inside)
-        _explain(figure, kind, heights)
-        drawn[kind] = _png(figure)
-    return drawn
+    return {
+        kind: _webp(np.concatenate([paint(cloud, frame, kind, heights) for cloud in near], axis=1))
+        for kind in KINDS
+    }
+
+
+def block_heights(before: PointCloud, after: PointCloud, block: Block) -> tuple[float, float]:
+    """Return the heights between which the colours of a block run, world [m]."""
+    near = [_crop(cloud, block) for cloud in (before, after)]
+    return height_range(near)
+
+
+def _webp(colours: Colours) -> bytes:
+    stream = io.BytesIO()
+    Image.fromarray(colours).save(stream, "WEBP", quality=60, method=3)
+    return stream.getvalue()
 
 
 def _crop(cloud: PointCloud, block: Block) -> PointCloud:
@@ -162,20 +162,6 @@ def change_legend() -> list[Patch]:
 
 def _patch(name: str, rgb: tuple[int, int, int]) -> Patch:
     return Patch(facecolor=tuple(c / 255 for c in rgb), edgecolor="#555555", linewidth=0.5, label=name)
-
-
-def _explain(figure: Figure, kind: str, heights: tuple[float, float]) -> None:
-    figure.subplots_adjust(left=0.075, right=0.985, top=0.945, bottom=0.165, wspace=0.06)
-    if kind == "height":
-        scale = ScalarMappable(Normalize(*heights), "viridis")
-        bar = figure.colorbar(scale, cax=figure.add_axes((0.3, 0.055, 0.4, 0.022)), orientation="horizontal")
-        bar.ax.tick_params(labelsize=7)
-        bar.set_label("height [m]", fontsize=8, labelpad=1)
-    if kind == "semantics":
-        entries = [_patch(s.label, SEMANTIC_COLOURS[s]) for s in Semantic]
-        figure.legend(handles=entries, loc="lower center", ncols=5, fontsize=8, frameon=False)
-    if kind == "change":
-        figure.legend(handles=change_legend(), loc="lower center", ncols=7, fontsize=8, frameon=False)
 
 
 def overview(

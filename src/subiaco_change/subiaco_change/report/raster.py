@@ -54,8 +54,9 @@ def top_view(xyz: Floats, frame: Frame, priority: NDArray[np.generic] | None = N
     row = np.floor((frame.north - xyz[:, 1]) / frame.pixel).astype(np.int64)
     inside = np.flatnonzero((row >= 0) & (row < rows) & (column >= 0) & (column < columns))
     flat = row[inside] * columns + column[inside]
-    rank = np.zeros(len(inside)) if priority is None else priority[inside]
-    order = np.lexsort((xyz[inside, 2], rank, flat))
+    order = np.argsort(xyz[inside, 2], kind="stable")
+    if priority is not None:
+        order = order[np.argsort(priority[inside][order], kind="stable")]
     view = np.full(rows * columns, -1, dtype=np.int64)
     view[flat[order]] = inside[order]  # the last of equal pixels wins
     return view.reshape(rows, columns)

@@ -15,6 +15,7 @@ from subiaco_change.outputs.reading import ChangeDirectory
 from subiaco_change.outputs.style import COVERAGE_COLOURS
 from subiaco_change.records import CHANGE_COLOURS
 from subiaco_change.report.citymap import city_map, webp_uri
+from subiaco_change.report.evidence import Evidence
 from subiaco_change.report.facts import (
     CHANGED_LABELS,
     changed_rows,
@@ -34,14 +35,14 @@ BANDS = (
 _LARGEST = 10
 
 
-def build_summary(change: ChangeDirectory, pictures: Mapping[int, str]) -> dict[str, Any]:
+def build_summary(change: ChangeDirectory, pictures: Mapping[int, Evidence]) -> dict[str, Any]:
     """Return what the template of the summary needs.
 
     Parameters
     ----------
     change : ChangeDirectory
-    pictures : mapping of int to str
-        Data URI of the evidence by object id, for every changed row.
+    pictures : mapping of int to Evidence
+        By object id, for every changed row.
     """
     coverage = build_coverage(change.before, change.after)
     changed = changed_rows(change.table)

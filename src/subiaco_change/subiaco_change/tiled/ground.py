@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
@@ -14,14 +14,12 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from subiaco_change.changes.ground_change import (
+    GroundCells,
     GroundChangeConfig,
     GroundPatch,
     beyond_gate,
     difference_cells,
-    ground_hidden,
-    make_patch,
-    shown_lod,
-    stands_out,
+    find_patches,
 )
 from subiaco_change.semantics.ground import Mask
 from subiaco_change.tiled.regions import load_region
@@ -31,7 +29,8 @@ from subiaco_geo.tiles import Tile, tile_named
 from subiaco_geo.work.store import Arrays
 from subiaco_geo.work.tasks import Inputs
 
-_SIGNS = ((1.0, Change.INCREASED), (-1.0, Change.DECREASED))
+_SIGNS = (1.0, -1.0)
+_CELLS = ("dz", "lod", "bridged", "known", "height")
 _RIM = 10.0  # around a tile, so that its own cells know their surroundings [m]
 
 
@@ -48,7 +47,7 @@ def tile_ground(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
     Returns
     -------
     arrays
-        ``dz lod height`` (rows, columns) [m], row 0 in the south; height is that of *after*.
+        Of :class:`~subiaco_change.changes.ground_change.GroundCells`, row 0 in the south.
     """
     config = params["config"].ground
     tile = tile_named(params["tile"], params["size"], _RIM)
@@ -60,43 +59,43 @@ def tile_ground(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
     views = [load_region(inputs, side, params, near).view for side in params["sides"]]
     corner, shape, rim = _window(tile, origin, config)
     if any(not (view.semantic == Semantic.GROUND).any() for view in views):
-        dz = lod = height = np.full(shape, np.nan)
+        nothing, none = np.full(shape, np.nan), np.zeros(shape, dtype=bool)
+        cells = GroundCells(nothing, nothing, none, none, nothing)
     else:
-        dz, lod, height = difference_cells(views[0], views[1], corner, shape, config)
-    inner = np.s_[rim:-rim, rim:-rim]
-    return {"dz": dz[inner], "lod": lod[inner], "height": height[inner]}
+        cells = difference_cells(views[0], views[1], corner, shape, config)
+    return {name: getattr(cells, name)[rim:-rim, rim:-rim] for name in _CELLS}
 
 
-def _mosaic(inputs: Inputs, alias: str, names: list[str], size: float, config: GroundChangeConfig) -> Any:
-    """Cells of tiles side by side: a function of the name of an array, and the tile in the south-west."""
+def _mosaic(
+    inputs: Inputs, names: list[str], size: float, config: GroundChangeConfig
+) -> tuple[GroundCells, Floats]:
+    """Cells of tiles side by side, and their south-west corner in the world [m]."""
     places = np.array([[int(v) for v in name.split("_")] for name in names])
     low, high = places.min(axis=0), places.max(axis=0)
     edge = round(size / config.cell)
     shape = tuple(((high - low + 1)[::-1] * edge).tolist())
-
-    def array(field: str, empty: float) -> NDArray[Any]:
-        parts = [inputs[f"{alias}/{name}"][field] for name in names]
-        whole = np.full(shape, empty, dtype=parts[0].dtype)
-        for (column, row), part in zip((places - low).tolist(), parts, strict=True):
-            whole[row * edge : (row + 1) * edge, column * edge : (column + 1) * edge] = part
-        return whole
-
-    return array, low * size
+    whole: dict[str, NDArray[Any]] = {}
+    for (column, row), name in zip((places - low).tolist(), names, strict=True):
+        piece = inputs[f"ground/{name}"]
+        for field in _CELLS:
+            part = piece[field]
+            empty = False if part.dtype == bool else np.nan
+            array = whole.setdefault(field, np.full(shape, empty, dtype=part.dtype))
+            array[row * edge : (row + 1) * edge, column * edge : (column + 1) * edge] = part
+    return GroundCells(**whole), low * size
 
 
 def tile_over(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
     """Label the cells of a tile beyond the gate, one direction after the other: ``labels`` (2, rows, columns)."""
     config = params["config"].ground
-    names = inputs.under("ground")
-    array, south_west = _mosaic(inputs, "ground", names, params["size"], config)
-    dz, lod = array("dz", np.nan), array("lod", np.nan)
+    cells, south_west = _mosaic(inputs, inputs.under("ground"), params["size"], config)
     tile = tile_named(params["tile"], params["size"], 0.0)
     edge = round(params["size"] / config.cell)
     column, row = np.round((np.array(tile.core[:2]) - south_west) / config.cell).astype(int).tolist()
     inner = np.s_[row : row + edge, column : column + edge]
     labels = [
-        ndimage.label(beyond_gate(dz, lod, sign, config)[inner], structure=np.ones((3, 3)))[0]
-        for sign, _ in _SIGNS
+        ndimage.label(beyond_gate(cells, sign, config)[inner], structure=np.ones((3, 3)))[0]
+        for sign in _SIGNS
     ]
     return {"labels": np.stack(labels).astype(np.int32)}
 
@@ -178,16 +177,8 @@ def tile_patches(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
         height and outline in the common frame; ``cells`` (C, 3): row and column of the city's cells, patch.
     """
     config = params["config"].ground
-    over = inputs["over"]
     words, cells = [], [np.zeros((0, 3), dtype=np.int64)]
-    for d, number, names in params["patches"]:
-        around = [n for n in inputs.under("ground") if _touches(n, names)]
-        array, south_west = _mosaic(inputs, "ground", around, params["size"], config)
-        where, others = _cells_of(inputs, over, d, number, around, params["size"], config)
-        patch = _measure(where, others, array("dz", np.nan), array("lod", np.nan), d, south_west, params)
-        if patch is None:
-            continue
-        base = np.round(south_west / config.cell).astype(np.int64)[::-1]
+    for patch, height, base in _own_patches(inputs, params):
         cells.append(np.column_stack([patch.cells + base, np.full(len(patch.cells), len(words))]))
         words.append(
             {
@@ -196,11 +187,46 @@ def tile_patches(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
                 "dz": patch.dz,
                 "dz_spread": patch.dz_spread,
                 "lod": patch.lod,
-                "height": float(np.nanmedian(array("height", np.nan)[where])),
+                "height": height,
                 "outline": shapely.to_wkb(patch.outline, hex=True),
             }
         )
     return {"records": np.array(json.dumps(words)), "cells": np.concatenate(cells)}
+
+
+def _own_patches(inputs: Inputs, params: Mapping[str, Any]) -> Iterator[tuple[GroundPatch, float, Ints]]:
+    """Patches that begin in a tile, their height in *after* [m], and the row and column where counting begins."""
+    config, size = params["config"].ground, params["size"]
+    own = params["patches"]
+    names = sorted({n for _, _, names in own for n in names})
+    around = [n for n in inputs.under("ground") if _touches(n, names)]
+    cells, south_west = _mosaic(inputs, around, size, config)
+    numbers = [_numbers(inputs, d, around, size, config) for d in range(2)]
+    wanted = [np.array([k for d, k, _ in own if d == e], dtype=np.int64) for e in range(2)]
+    corner = south_west - np.asarray(params["origin"])[:2]
+    base = np.round(south_west / config.cell).astype(np.int64)[::-1]
+    for patch in find_patches(cells, corner, config)[1]:
+        direction = 0 if patch.change is Change.INCREASED else 1
+        where = tuple(patch.cells.T)
+        if np.isin(numbers[direction][where], wanted[direction]).any():
+            yield patch, float(np.nanmedian(cells.height[where])), base
+
+
+def _numbers(inputs: Inputs, d: int, names: list[str], size: float, config: GroundChangeConfig) -> Ints:
+    """Number over the city of what each cell of tiles hangs together with, -1 for none."""
+    over = inputs["over"]
+    tiles = over["tiles"].tolist()
+    offset, patch = over[f"offset_{d}"], over[f"patch_{d}"]
+    places = np.array([[int(v) for v in name.split("_")] for name in names])
+    low = places.min(axis=0)
+    edge = round(size / config.cell)
+    numbers = np.full(tuple(((places.max(axis=0) - low + 1)[::-1] * edge).tolist()), -1, dtype=np.int64)
+    for name, (column, row) in zip(names, (places - low).tolist(), strict=True):
+        labels = inputs[f"over_labels/{name}"]["labels"][d]
+        first = int(offset[tiles.index(name)])
+        known = np.concatenate([[-1], patch[first : first + int(labels.max(initial=0))]])
+        numbers[row * edge : (row + 1) * edge, column * edge : (column + 1) * edge] = known[labels]
+    return numbers
 
 
 def _touches(name: str, names: list[str]) -> bool:
@@ -208,36 +234,3 @@ def _touches(name: str, names: list[str]) -> bool:
     return any(
         max(abs(column - int(c)), abs(row - int(r))) <= 1 for c, r in (other.split("_") for other in names)
     )
-
-
-def _cells_of(
-    inputs: Inputs, over: Arrays, d: int, number: int, names: list[str], size: float, config: GroundChangeConfig
-) -> tuple[Mask, Mask]:
-    """Cells of a patch among tiles, and cells of any patch of its direction."""
-    tiles = over["tiles"].tolist()
-    places = np.array([[int(v) for v in name.split("_")] for name in names])
-    low = places.min(axis=0)
-    edge = round(size / config.cell)
-    shape = tuple(((places.max(axis=0) - low + 1)[::-1] * edge).tolist())
-    own, every = np.zeros(shape, dtype=bool), np.zeros(shape, dtype=bool)
-    for name, (column, row) in zip(names, (places - low).tolist(), strict=True):
-        labels = inputs[f"over_labels/{name}"]["labels"][d]
-        offset = int(over[f"offset_{d}"][tiles.index(name)])
-        count = int(labels.max(initial=0))
-        mine = np.concatenate([[False], over[f"patch_{d}"][offset : offset + count] == number])
-        part = np.s_[row * edge : (row + 1) * edge, column * edge : (column + 1) * edge]
-        own[part], every[part] = mine[labels], labels > 0
-    return own, every
-
-
-def _measure(
-    where: Mask, every: Mask, dz: Floats, lod: Floats, d: int, south_west: Floats, params: Mapping[str, Any]
-) -> GroundPatch | None:
-    config = params["config"].ground
-    hidden = ground_hidden(where, ~np.isfinite(dz) & ~every, config)
-    if (where.sum() + min(hidden, where.sum())) * config.cell**2 <= config.area:
-        return None
-    typical = float(np.median(shown_lod(lod)))
-    corner = south_west - np.asarray(params["origin"])[:2]
-    patch = make_patch(_SIGNS[d][1], where, dz, lod, corner, config.cell, typical)
-    return patch if stands_out(patch, config) else None

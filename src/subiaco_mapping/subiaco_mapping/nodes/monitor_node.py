@@ -48,6 +48,7 @@ STATUS_INTERVAL = 0.5
 MARKER_INTERVAL = 2.0
 FILE_INTERVAL = 5.0
 OWN = "monitor: "
+RECORDER = "recorder"
 _MOST_WAIT_NS = 10_000_000_000
 
 
@@ -120,6 +121,7 @@ class MonitorApp:
         self._free = free
         self._origin: EnuFrame | None = None
         self._received_ns = 0
+        self._shown: set[tuple[str, str, int, bool]] = set()
         self._simulated = bool(node.get_parameter("use_sim_time").value)
         self._matcher = StampMatcher((ODOMETRY, QUALITY))
         self._view = "SUBIACO_SUPERVISOR" in os.environ
@@ -192,6 +194,10 @@ class MonitorApp:
         if now_ns > 0:
             self._monitor.on_offer(self._subscriptions[LIDAR_PACKETS].reliable, now_ns)
             self._monitor.on_disk(self._free(), now_ns)
+        stretches = {(s.name, s.source, s.start_ns, s.end_ns is None) for s in self._monitor.flags}
+        if stretches != self._shown:  # what is new is said at once
+            self._shown = stretches
+            self._publish()
 
     def _on_packet(self, raw: bytes) -> None:
         self._monitor.on_packet(raw, *self._when())
@@ -224,6 +230,9 @@ class MonitorApp:
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
             name = status.name.lower()
+            if name == RECORDER:
+                stopped = status.level == DiagnosticStatus.ERROR
+                self._monitor.on_recorder(stopped, status.message, self._when()[0])
             if not name.startswith(OWN) and any(word in name for word in self._own.pps_words):
                 locked = status.level == DiagnosticStatus.OK
                 self._monitor.on_pps_lock(locked, f"{status.name}: {status.message}", self._when()[0])

@@ -8,13 +8,15 @@ from pydantic import Field, model_validator
 
 from subiaco_geo.config import StrictModel
 from subiaco_geo.topics import MESSAGE_TYPES
+from subiaco_mapping.topic_names import GPS_FIX, NMEA_SENTENCE, TIME_REFERENCE
 
 
 class RecordConfig(StrictModel):
     """What is recorded, how it is cut into files, and what the disk must keep free."""
 
     topics: tuple[str, ...] = Field(
-        (*MESSAGE_TYPES, "/diagnostics"), description="topics to record, by the names that the bag gets"
+        (*MESSAGE_TYPES, TIME_REFERENCE, GPS_FIX, NMEA_SENTENCE, "/diagnostics"),
+        description="topics to record, by the names that the bag gets",
     )
     all_topics: bool = Field(False, description="record every other topic of the graph too")
     exclude: tuple[str, ...] = Field(

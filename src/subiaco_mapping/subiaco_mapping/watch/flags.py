@@ -31,6 +31,7 @@ MEANINGS = {
     "segment_start": "flag: the odometry broke and began again",
     "disk_low": "flag: the disk for the recording is nearly full",
     "disk_full": "flag: no room left for the recording",
+    "not_recorded": "flag: the recorder has stopped, and says why",
     "best_effort": "flag: packets are offered without retransmission (best effort): losses are not mended",
     "node_died": "flag: a process of ours ended unasked; source says which",
 }

@@ -159,6 +159,10 @@ class Monitor:
         self.disk.take(free, now_ns)
         self.tick(now_ns)
 
+    def on_recorder(self, stopped: bool, says: str, now_ns: int) -> None:
+        """Take whether the recorder has stopped, with its reason."""
+        self.flags.set("not_recorded", stopped, now_ns, says)
+
     def on_offer(self, reliable: bool, now_ns: int) -> None:
         """Take whether the packets' publisher sends again what is lost."""
         self.flags.set("best_effort", not reliable, now_ns, "packets", "lidar")

@@ -19,11 +19,12 @@ _LINES: dict[str, tuple[str, ...]] = {
     "gnss": ("gnss_silent", "gnss_slow", "without_rtk_fixed", "poor_dop"),
     "clocks": ("clock_step", "clock_offset", "clock_disagreement", "clock_drift", "pps_lost", "not_utc"),
     "odometry": ("odometry_silent", "degenerate", "unregistered", "segment_start"),
-    "disk": ("disk_low", "disk_full"),
+    "disk": ("disk_low", "disk_full", "not_recorded"),
     "nodes": ("node_died",),
 }
 _ERRORS = frozenset(
     {"lidar_silent", "imu_silent", "gnss_silent", "odometry_silent", "disk_full", "unregistered", "not_utc"}
+    | {"not_recorded"}
 )
 _SHOWN_NS = 10_000_000_000
 
