@@ -12,17 +12,21 @@ from scipy.spatial.transform import Rotation
 
 from subiaco_change.config import ChangeConfig
 from subiaco_change.geometry import build_pyramid
-from subiaco_change.pipeline import _again
 from subiaco_change.registration.config import FeatureConfig, RegistrationConfig
 from subiaco_change.registration.features import propose_by_features, ransac
 from subiaco_change.registration.icp import Pairs, solve
 from subiaco_change.registration.planes import PlanePairs, extract_planes, match_planes, normal_equations
 from subiaco_change.registration.register import given_registration, register
+from subiaco_change.tiled.cutting import Side
+from subiaco_change.tiled.framing import registration_arrays
+from subiaco_change.tiled.registering import register_again
 from subiaco_geo.cloud_io import write_cloud
 from subiaco_geo.clouds import PointCloud, voxel_downsample
 from subiaco_geo.errors import RegistrationError
 from subiaco_geo.frames import exp_se3, transform_points
 from subiaco_geo.maps import load_epoch
+from subiaco_geo.work.store import MemoryStore
+from subiaco_geo.work.tasks import Inputs
 
 sys.path.insert(0, str(Path(__file__).parent))
 from registration_scene import Street, errors, pose, rectangle
@@ -161,10 +165,19 @@ def test_an_earlier_fit_is_refined_without_the_points_left_out(bare_street):
 def test_a_second_estimate_that_fails_keeps_the_first_and_warns(bare_street):
     clouds = [cloud(points) for points in bare_street]
     first = given_registration(FAR, *clouds, CONFIG)
-    everything = tuple(np.ones(len(c), dtype=bool) for c in clouds)
-    kept, warnings = _again(first, clouds, everything, ChangeConfig())
-    assert kept is first
-    assert "the first is kept" in warnings[0]
+    pieces = {"registration": registration_arrays(first)}
+    for epoch, points in zip(("before", "after"), clouds, strict=True):
+        pieces[f"cloud/{epoch}/0_0"] = {"xyz": points.xyz}
+        pieces[f"changed/{epoch}/0_0"] = {"changed": np.ones(len(points), dtype=bool)}
+    sides = tuple(
+        Side(epoch, points.origin, None, "shadow", None, points.origin, 0.5)
+        for epoch, points in zip(("before", "after"), clouds, strict=True)
+    )
+    inputs = Inputs(MemoryStore(pieces), {name: name for name in pieces})
+    found = register_again(inputs, {"sides": sides, "config": ChangeConfig()})
+    assert np.array_equal(found["T_local"], first.T_local)
+    assert "the first is kept" in str(found["failed"])
+    assert found["shift"] == 0.0
 
 
 def box_level():

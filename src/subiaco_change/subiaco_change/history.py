@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -16,7 +17,7 @@ from scipy.sparse.csgraph import connected_components
 from shapely.geometry import MultiPolygon
 
 from subiaco_change.config import ChangeConfig
-from subiaco_change.job import ChangeJob, run_change
+from subiaco_change.job import ChangeJob, Work, run_change
 from subiaco_change.outputs.directory import write_layer
 from subiaco_change.outputs.reviews import read_reviewed, same_objects
 from subiaco_geo.atomic import refuse_existing, refuse_foreign, whole_directory
@@ -59,6 +60,7 @@ def run_epochs(
     transform: Floats | None = None,
     overwrite: bool = False,
     parcels: Path | None = None,
+    work: Work = Work(),  # noqa: B008 - frozen
 ) -> gpd.GeoDataFrame:
     """Compare epochs that follow each other, and follow every object through all of them.
 
@@ -75,6 +77,8 @@ def run_epochs(
     overwrite : bool
     parcels : Path, optional
         Vector file of lots, for every pair.
+    work : Work
+        Who does it; pairs share the stages of the epoch between them.
 
     Returns
     -------
@@ -90,12 +94,18 @@ def run_epochs(
     refuse_existing(output, overwrite)
     refuse_foreign(output, MARKER)
     steps = []
+    stages = work.stages or output.with_name(f"{output.name}.stages")
     with whole_directory(output, overwrite=overwrite, marker=MARKER) as target:
         for number, ((first, second), (before, after)) in enumerate(
             zip(pairwise(epochs), pairwise(names), strict=True)
         ):
             job = ChangeJob(
-                first, second, target / f"{before}_to_{after}", transform=transform, parcels=parcels
+                first,
+                second,
+                target / f"{before}_to_{after}",
+                transform=transform,
+                parcels=parcels,
+                work=replace(work, stages=stages),
             )
             run_change(job, config, _share(progress, number, len(names) - 1, f"{before} to {after}"))
             table = read_reviewed(job.output)
@@ -104,6 +114,8 @@ def run_epochs(
         history = build_history(steps)
         history.drop(columns="geometry").to_csv(target / MARKER, index=False, lineterminator="\n")
         write_layer(target / "history.gpkg", "history", history)
+    if work.stages is None:
+        shutil.rmtree(stages, ignore_errors=True)
     return history
 
 

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Callable, Mapping
+import shutil
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -15,15 +17,64 @@ from subiaco_change.outputs.directory import MARKER, ChangeInputs, write_change_
 from subiaco_change.outputs.parcels import read_lots
 from subiaco_change.pipeline import detect_changes
 from subiaco_change.records import ChangeResult
+from subiaco_change.tiled.run import STAGES
 from subiaco_geo.atomic import refuse_existing, refuse_foreign
 from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
 from subiaco_geo.maps import SurveyMap, load_epoch
 from subiaco_geo.simulated import SIMULATIONS, distinct
+from subiaco_geo.work.bench import Workbench, stages_from
+from subiaco_geo.work.executors import make_executor
+from subiaco_geo.work.store import DiskStore
 
 _JUMP = 20.0  # longer steps between scans lead from one recording to the next [m]
 _DATED = np.datetime64("2000-01-01")
+
+
+@dataclass(frozen=True)
+class Work:
+    """Who does a run, and what is kept on the way.
+
+    Parameters
+    ----------
+    workers : int
+        Processes on this machine; 1 works in this one.
+    scheduler : str, optional
+        Address of a dask scheduler, instead of local workers.
+    stages : Path, optional
+        Folder in which finished stages are kept for good; else they lie beside the result while
+        the run lasts, and a killed run takes them up again.
+    redo : str, optional
+        Stage from which on finished stages are done again.
+    """
+
+    workers: int = 1
+    scheduler: str | None = None
+    stages: Path | None = None
+    redo: str | None = None
+
+
+@contextmanager
+def workbench(
+    work: Work, output: Path, progress: Callable[[str, float], None] | None = None
+) -> Iterator[Workbench]:
+    """Set up the bench for a run that writes ``output``; stages beside it go when the run succeeds.
+
+    Raises
+    ------
+    InputError
+        ``redo`` is no stage, or the scheduler does not answer.
+    """
+    redo = frozenset() if work.redo is None else stages_from(STAGES, work.redo)
+    kept = work.stages or output.with_name(f"{output.name}.stages")
+    executor = make_executor(work.workers, work.scheduler, ("subiaco_change.tiled.run",))
+    try:
+        yield Workbench(DiskStore(kept.absolute()), executor, progress, redo)
+    finally:
+        executor.close()
+    if work.stages is None:
+        shutil.rmtree(kept, ignore_errors=True)
 
 
 @dataclass(frozen=True)
@@ -52,6 +103,8 @@ class ChangeJob:
     transform: Floats | None = None
     overwrite: bool = False
     parcels: Path | None = None
+    given: tuple[str, ...] = ()
+    work: Work = Work()
 
 
 def read_transform(path: Path) -> Floats:
@@ -144,8 +197,11 @@ def run_change(
     job: ChangeJob, config: ChangeConfig, progress: Callable[[str, float], None] | None = None
 ) -> ChangeResult:
     """Run our own method on two epochs; errors as for :func:`run_job`."""
+    with workbench(job.work, job.output, progress) as bench:
 
-    def detect(before: SurveyMap, after: SurveyMap) -> ChangeResult:
-        return detect_changes(before, after, config, progress, transform=job.transform)
+        def detect(before: SurveyMap, after: SurveyMap) -> ChangeResult:
+            return detect_changes(
+                before, after, config, transform=job.transform, given=job.given, bench=bench
+            )
 
-    return run_job(job, config, detect, progress, calibrated=config.confidence.calibrated)
+        return run_job(job, config, detect, progress, calibrated=config.confidence.calibrated)

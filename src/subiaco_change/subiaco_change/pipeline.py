@@ -13,9 +13,10 @@ from subiaco_change.config import ChangeConfig
 from subiaco_change.observation.placing import block_table, stated_registration
 from subiaco_change.records import ChangeRecord, ChangeResult, GroundChange, Registration
 from subiaco_change.registration.pair import PairInfo, check_pair
+from subiaco_change.tiled.epochs import check_given
 from subiaco_change.tiled.framing import field_of, load_frame
 from subiaco_change.tiled.placing import load_sigma
-from subiaco_change.tiled.run import CityRun, Pass, check_given
+from subiaco_change.tiled.run import CityRun, Pass
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.frames import Floats
 from subiaco_geo.maps import SurveyMap
@@ -68,7 +69,8 @@ def detect_changes(
     run = CityRun(bench, config, info, check_given((before, after), given))
     run.cut((before, after))
     registration = run.register(transform)
-    run.prepare(registration)
+    run.prepare()
+    run.recut(registration)
     refined = transform is None and config.second_registration
     found = run.compare(registration, None, (0.5, 0.72 if refined else 0.92))
     if refined:
@@ -77,7 +79,10 @@ def detect_changes(
         info = replace(info, warnings=(*info.warnings, *failed))
         if moved > config.second_shift:
             found = run.compare(again, changed, (0.76, 0.92))
-    return _assemble(run, found, run.label(found), info)
+    labelled = run.label(found)
+    result = _assemble(run, found, labelled, info)
+    bench.store.note("stages.json", run.manifest(found, labelled))
+    return result
 
 
 def _assemble(run: CityRun, found: Pass, labelled: Mapping[str, str], info: PairInfo) -> ChangeResult:
@@ -114,7 +119,7 @@ def _with_points(run: CityRun, found: Pass, labelled: Mapping[str, str]) -> tupl
 
 def _cloud(run: CityRun, labelled: Mapping[str, str], epoch: str) -> PointCloud:
     """Put the labelled tiles of an epoch together."""
-    own = run.clouds[epoch]
+    own = run.points[epoch]
     names = sorted(own)
     columns: dict[str, list[NDArray[Any]]] = {}
     for name in names:

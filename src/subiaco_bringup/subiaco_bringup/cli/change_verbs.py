@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections import Counter
 from enum import StrEnum
 from pathlib import Path
@@ -60,6 +61,21 @@ def known_transform(transform: Path | None, registration: str | None) -> NDArray
     return None if transform is None else read_transform(transform)
 
 
+def _cores() -> int:
+    """Count the cores that this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def _given(semantics: str | None, instances: str | None) -> tuple[str, ...]:
+    """Return the point fields that replace stages."""
+    for option, value in (("--semantics", semantics), ("--instances", instances)):
+        if value not in (None, "given"):
+            raise InputError(f"{option} {value}: only 'given' is known; leave it out to have them found")
+    if instances is not None and semantics is None:
+        raise InputError("--instances given needs --semantics given: objects are of a class")
+    return (*(("semantic",) if semantics else ()), *(("instance",) if instances else ()))
+
+
 def change(
     epochs: Annotated[
         list[Path],
@@ -81,6 +97,30 @@ def change(
         Path | None,
         typer.Option(metavar="LOTS", help="Polygons (.gpkg, .geojson, .shp) to add the changes up by."),
     ] = None,
+    semantics: Annotated[
+        str | None,
+        typer.Option(metavar="given", help="'given' takes the class of every point from its field semantic."),
+    ] = None,
+    instances: Annotated[
+        str | None,
+        typer.Option(
+            metavar="given", help="'given' takes the object of every point from its field instance."
+        ),
+    ] = None,
+    keep_stages: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Keep what every stage leaves there; a later run takes it up."),
+    ] = None,
+    from_stage: Annotated[
+        str | None,
+        typer.Option("--from", metavar="STAGE", help="Do this stage and those after it again."),
+    ] = None,
+    workers: Annotated[
+        int | None, typer.Option(metavar="N", help="Processes; the result does not depend on it. [all cores]")
+    ] = None,
+    scheduler: Annotated[
+        str | None, typer.Option(metavar="ADDRESS", help="Work on a dask cluster, e.g. tcp://host:8786.")
+    ] = None,
     config: ConfigFiles = None,
     settings: Settings = None,
     overwrite: Overwrite = False,
@@ -89,34 +129,47 @@ def change(
 ) -> None:
     """Find what changed between two maps: labelled clouds, a table, a report.
 
+    A run that was stopped goes on where it was when the same command is given again.
+
     More than two epochs: every pair that follows, and history.csv, which follows each object through all.
 
     Example: subiaco change out/before out/after -o out/change
     """
     from subiaco_change.config import ChangeConfig, left_out
     from subiaco_change.history import run_epochs
-    from subiaco_change.job import ChangeJob, run_change
+    from subiaco_change.job import ChangeJob, Work, run_change
 
     set_up_logging(verbose, quiet)
+    work = Work(_cores() if workers is None else workers, scheduler, keep_stages, from_stage)
+    given = _given(semantics, instances)
     if len(epochs) < 2:
         raise InputError("change: give two epochs or more, BEFORE AFTER")
-    given = known_transform(transform, registration)
+    known = known_transform(transform, registration)
     model = load_config(ChangeConfig, config_files("change", tuple(config or ())), settings or [])
     if without:
         model = left_out(model, without)
     if len(epochs) > 2:
-        if trajectory_before or trajectory_after or transform:
+        if trajectory_before or trajectory_after or transform or given:
             raise InputError(
-                "change: --trajectory-* and --transform go with two epochs; give map directories"
+                "change: --trajectory-*, --transform, --semantics and --instances go with two epochs"
             )
         with Progress(quiet=quiet) as progress:
             history = run_epochs(
-                epochs, output, model, progress, transform=given, overwrite=overwrite, parcels=parcels
+                epochs,
+                output,
+                model,
+                progress,
+                transform=known,
+                overwrite=overwrite,
+                parcels=parcels,
+                work=work,
             )
         say(f"history: {output / 'history.csv'} ({len(history)} objects)", quiet=quiet)
         return
     before, after = epochs
-    job = ChangeJob(before, after, output, trajectory_before, trajectory_after, given, overwrite, parcels)
+    job = ChangeJob(
+        before, after, output, trajectory_before, trajectory_after, known, overwrite, parcels, given, work
+    )
     with Progress(quiet=quiet) as progress:
         result = run_change(job, model, progress)
     counts = Counter(record.change.label for record in result.records)

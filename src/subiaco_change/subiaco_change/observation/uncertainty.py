@@ -163,8 +163,10 @@ def sigma_field(
 
 @dataclass(frozen=True)
 class BiasSamples:
-    """Residuals that tell what the epochs lie apart: places (N, 3), whether the surface lies (N,),
-    distance (N,) [m] and the variance of its noise (N,) [m2]."""
+    """Residuals that tell what the epochs lie apart.
+
+    Places (N, 3), whether the surface lies (N,), distance (N,) [m], variance of its noise (N,) [m2].
+    """
 
     xyz: Floats
     lies: Mask

@@ -1,1 +1,1 @@
-"""The change run in tiles: every stage on 80 m of city with its surroundings, nothing on all of it at once."""
+"""The change run in tiles: stages on 80 m of city with its surroundings, never on all of it at once."""

@@ -32,7 +32,7 @@ def compare_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
     Parameters
     ----------
     inputs : Inputs
-        ``cloud prepared lods beams`` around, ``united/<epoch>``, ``groups``, frame.
+        ``points lods beams`` around, ``groups``, frame.
     params : mapping
         ``tile size sides origin config``.
 
@@ -55,7 +55,9 @@ def compare_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
     kinds = [side.kind for side in params["sides"]]
     numbers = [number for _, number in compact]
     records = [
-        _in_city(make_record(change, 0, params["origin"], _evidence(change, kinds), config.confidence), numbers)
+        _in_city(
+            make_record(change, 0, params["origin"], _evidence(change, kinds), config.confidence), numbers
+        )
         for change in changes
     ]
     result: dict[str, Any] = {"records": np.array(json.dumps([record_words(r) for r in records]))}

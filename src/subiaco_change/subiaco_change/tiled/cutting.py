@@ -1,8 +1,8 @@
-"""Epochs cut into tiles: points by tile of the world, beams by tile, and both put together again around a place."""
+"""Epochs cut into tiles, points and beams alike, and put together again around a place."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from subiaco_change.observation.evidence import EvidenceConfig, Kind, Observer, make_observer
 from subiaco_geo.clouds import PointCloud, unpack_voxel_keys
 from subiaco_geo.crs import transformer
-from subiaco_geo.frames import Floats, Ints
+from subiaco_geo.frames import Floats
 from subiaco_geo.maps import SurveyMap
 from subiaco_geo.tiles import split_by_tile
 from subiaco_geo.visibility import VisibilityGrid
@@ -22,7 +22,6 @@ from subiaco_geo.work.tasks import Inputs
 
 #: Fields of points that a run reads, where they are there.
 FIELDS = ("intensity", "semantic", "instance")
-_NAMES = ("before", "after")
 
 
 @dataclass(frozen=True)
@@ -69,9 +68,7 @@ def cut_beams(bench: Workbench, stage: str, grid: VisibilityGrid, size: float) -
     """Keep the voxels of beams of every tile; return keys by tile."""
     centres = (unpack_voxel_keys(grid.keys)[:, :2] + 0.5) * grid.voxel + grid.origin[:2]
     return {
-        name: bench.put(
-            stage, name, {"keys": grid.keys[m], "hits": grid.hits[m], "passes": grid.passes[m]}
-        )
+        name: bench.put(stage, name, {"keys": grid.keys[m], "hits": grid.hits[m], "passes": grid.passes[m]})
         for name, m in split_by_tile(centres, size).items()
     }
 
@@ -86,14 +83,17 @@ def join(parts: Iterable[Arrays], names: Iterable[str]) -> dict[str, NDArray[Any
     }
 
 
+def no_beams(corner: Floats, voxel: float) -> VisibilityGrid:
+    """Return the grid of an epoch that saw nothing."""
+    none = np.zeros(0, dtype=np.uint32)
+    return VisibilityGrid(corner, voxel, np.zeros(0, dtype=np.int64), none, none)
+
+
 def load_beams(inputs: Inputs, alias: str, corner: Floats, voxel: float) -> VisibilityGrid:
     """Put the tiles of beams under ``alias/`` together."""
-    found = join(
-        (inputs[f"{alias}/{name}"] for name in inputs.under(alias)), ("keys", "hits", "passes")
-    )
+    found = join((inputs[f"{alias}/{name}"] for name in inputs.under(alias)), ("keys", "hits", "passes"))
     if not found:
-        none = np.zeros(0, dtype=np.uint32)
-        return VisibilityGrid(corner, voxel, np.zeros(0, dtype=np.int64), none, none)
+        return no_beams(corner, voxel)
     order = np.argsort(found["keys"], kind="stable")
     return VisibilityGrid(corner, voxel, found["keys"][order], found["hits"][order], found["passes"][order])
 
@@ -112,25 +112,19 @@ def load_observer(inputs: Inputs, side: Side, points: Floats, config: EvidenceCo
     """
     cloud = PointCloud(points - side.origin, side.origin, side.crs)
     kind = "observed" if side.kind == "trajectory" else side.kind
-    grid = load_beams(inputs, f"beams/{side.epoch}", side.corner, side.voxel) if kind == "observed" else None
     least = 1 if side.kind == "trajectory" else config.min_beams
+    if kind == "shadow" and len(cloud) == 0:  # nothing stands around, nothing was seen
+        kind = "observed"
+    grid = load_beams(inputs, f"beams/{side.epoch}", side.corner, side.voxel) if kind == "observed" else None
     asked = config.model_copy(update={"source": kind, "min_beams": least})
     back = None if side.beams_crs is None else transformer(str(side.crs), side.beams_crs).apply
     found = make_observer(SurveyMap(cloud, visibility=grid), asked, back)
     return Observer(side.kind, found.test, found.to_own)
 
 
-def tiles_around(low: Floats, high: Floats, size: float, names: Mapping[str, str]) -> list[str]:
-    """Return the tiles that a box (2,), (2,) [m, world] touches, of those there are, in order."""
+def tiles_between(low: Floats, high: Floats, size: float) -> list[str]:
+    """Return the tiles that a box (2,), (2,) [m, world] touches."""
     first, last = np.floor(low / size).astype(int), np.floor(high / size).astype(int)
     return [
-        name
-        for column in range(first[0], last[0] + 1)
-        for row in range(first[1], last[1] + 1)
-        if (name := f"{column}_{row}") in names
+        f"{column}_{row}" for column in range(first[0], last[0] + 1) for row in range(first[1], last[1] + 1)
     ]
-
-
-def order_of(xyz: Floats) -> Ints:
-    """Return the order (N,) of points by place, so that results do not hang on how they came."""
-    return np.lexsort((xyz[:, 2], xyz[:, 1], xyz[:, 0]))

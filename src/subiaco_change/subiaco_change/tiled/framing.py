@@ -41,10 +41,13 @@ def registration_arrays(registration: Registration) -> dict[str, Any]:
 def registration_of(arrays: Arrays) -> Registration:
     """Return the registration that :func:`registration_arrays` took apart."""
     words = json.loads(str(arrays["words"]))
+    sigma, rmse, inliers = words["numbers"]
     return Registration(
         arrays["T_local"],
         arrays["origin"],
-        *words["numbers"],
+        sigma,
+        rmse,
+        inliers,
         arrays["pose_std"],
         words["method"],
         tuple(words["degenerate"]),

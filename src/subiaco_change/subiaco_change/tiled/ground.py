@@ -1,4 +1,4 @@
-"""Changes of the ground over tiles: differences of cells, patches that go on from tile to tile, the raster."""
+"""Changes of the ground over tiles: differences of cells, and patches that go on from tile to tile."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from subiaco_change.changes.ground_change import (
     difference_cells,
     find_patches,
 )
-from subiaco_change.semantics.ground import Mask
+from subiaco_change.tiled.recutting import near_tile
 from subiaco_change.tiled.regions import load_region
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats, Ints
@@ -35,7 +35,7 @@ _RIM = 10.0  # around a tile, so that its own cells know their surroundings [m]
 
 
 def _window(tile: Tile, origin: Floats, config: GroundChangeConfig) -> tuple[Floats, tuple[int, int], int]:
-    """South-west corner in the common frame [m] and shape of the cells of a tile with its rim; cells of the rim."""
+    """Return corner in the common frame [m] and shape of a tile with its rim; and cells of the rim."""
     low, high = np.array(tile.buffered[:2]), np.array(tile.buffered[2:])
     count = round(float(high[0] - low[0]) / config.cell)
     return low - origin[:2], (count, count), round((tile.core[0] - tile.buffered[0]) / config.cell)
@@ -53,9 +53,7 @@ def tile_ground(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
     tile = tile_named(params["tile"], params["size"], _RIM)
     origin = np.asarray(params["origin"])
 
-    def near(xyz: Floats) -> Mask:
-        return tile.in_buffered(xyz[:, :2] + origin[:2])
-
+    near = near_tile(params["tile"], _RIM, params)
     views = [load_region(inputs, side, params, near).view for side in params["sides"]]
     corner, shape, rim = _window(tile, origin, config)
     if any(not (view.semantic == Semantic.GROUND).any() for view in views):
@@ -86,7 +84,7 @@ def _mosaic(
 
 
 def tile_over(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
-    """Label the cells of a tile beyond the gate, one direction after the other: ``labels`` (2, rows, columns)."""
+    """Label the cells of a tile beyond the gate, for either direction: ``labels`` (2, rows, columns)."""
     config = params["config"].ground
     cells, south_west = _mosaic(inputs, inputs.under("ground"), params["size"], config)
     tile = tile_named(params["tile"], params["size"], 0.0)
@@ -100,7 +98,7 @@ def tile_over(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
     return {"labels": np.stack(labels).astype(np.int32)}
 
 
-def join_over(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
+def join_over(inputs: Inputs, _: Mapping[str, Any]) -> Arrays:
     """Join what goes on across the edges of tiles.
 
     Returns
@@ -123,7 +121,7 @@ def join_over(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
                 other = f"{column + dc}_{row + dr}"
                 if other in labels:
                     found = _across(labels[name][d], labels[other][d], dc, dr)
-                    pairs.append(found + (start[name] - 1, start[other] - 1))
+                    pairs.append(found + np.array([start[name] - 1, start[other] - 1]))
         links = np.concatenate(pairs)
         size = int(offset[-1])
         graph = coo_array((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(size, size))
@@ -176,8 +174,8 @@ def tile_patches(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
         ``records``, JSON: what changed, area, mean difference, spread, level of detection,
         height and outline in the common frame; ``cells`` (C, 3): row and column of the city's cells, patch.
     """
-    config = params["config"].ground
-    words, cells = [], [np.zeros((0, 3), dtype=np.int64)]
+    words: list[dict[str, Any]] = []
+    cells = [np.zeros((0, 3), dtype=np.int64)]
     for patch, height, base in _own_patches(inputs, params):
         cells.append(np.column_stack([patch.cells + base, np.full(len(patch.cells), len(words))]))
         words.append(
@@ -195,7 +193,7 @@ def tile_patches(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
 
 
 def _own_patches(inputs: Inputs, params: Mapping[str, Any]) -> Iterator[tuple[GroundPatch, float, Ints]]:
-    """Patches that begin in a tile, their height in *after* [m], and the row and column where counting begins."""
+    """Yield patches that begin in a tile, their height in *after* [m], and where their cells count from."""
     config, size = params["config"].ground, params["size"]
     own = params["patches"]
     names = sorted({n for _, _, names in own for n in names})
@@ -213,7 +211,7 @@ def _own_patches(inputs: Inputs, params: Mapping[str, Any]) -> Iterator[tuple[Gr
 
 
 def _numbers(inputs: Inputs, d: int, names: list[str], size: float, config: GroundChangeConfig) -> Ints:
-    """Number over the city of what each cell of tiles hangs together with, -1 for none."""
+    """Return the number over the city of what each cell hangs together with, -1 for none."""
     over = inputs["over"]
     tiles = over["tiles"].tolist()
     offset, patch = over[f"offset_{d}"], over[f"patch_{d}"]

@@ -14,9 +14,10 @@ from subiaco_change.changes.ground_change import GroundComparison, GroundPatch, 
 from subiaco_change.changes.labelling import Labels, label_rest, unlabelled
 from subiaco_change.changes.objects import Reach
 from subiaco_change.semantics.ground import Mask
+from subiaco_change.tiled.recutting import load_points, near_tile
 from subiaco_change.tiled.regions import Region, load_region
 from subiaco_geo.codes import Change, Semantic
-from subiaco_geo.frames import Floats, Ints
+from subiaco_geo.frames import Ints
 from subiaco_geo.tiles import tile_named
 from subiaco_geo.work.store import Arrays
 from subiaco_geo.work.tasks import Inputs
@@ -26,7 +27,7 @@ _RIM = 4.0  # around a tile, for what the other epoch saw there [m]
 
 
 def point_rows(inputs: Inputs, epoch: str, tile: str, count: int) -> tuple[Ints, Ints]:
-    """Anchor (N,), position among the ``compared`` inputs, -1 for none, and row there, of points of a tile."""
+    """Anchor (N,), position among the ``compared`` inputs, and row there, of points of a tile; -1: none."""
     anchor, row = np.full(count, -1, dtype=np.int64), np.full(count, -1, dtype=np.int64)
     for position, name in enumerate(inputs.under("compared")):
         piece = inputs[f"compared/{name}"]
@@ -43,7 +44,9 @@ def patch_cells(inputs: Inputs, params: Mapping[str, Any]) -> tuple[Ints, list[t
     """Patch (rows, columns) of every cell of a tile, -1 for none, and anchor and number of each."""
     config = params["config"].ground
     edge = round(params["size"] / config.cell)
-    corner = np.round(np.array(tile_named(params["tile"], params["size"]).core[:2]) / config.cell).astype(np.int64)
+    corner = np.round(np.array(tile_named(params["tile"], params["size"]).core[:2]) / config.cell).astype(
+        np.int64
+    )
     cells = np.full((edge, edge), -1, dtype=np.int64)
     found: list[tuple[str, int]] = []
     for name in inputs.under("patched"):
@@ -57,21 +60,10 @@ def patch_cells(inputs: Inputs, params: Mapping[str, Any]) -> tuple[Ints, list[t
     return cells, found
 
 
-def _core(params: Mapping[str, Any], rim: float) -> Any:
-    tile = tile_named(params["tile"], params["size"], rim)
-    origin = np.asarray(params["origin"])
-
-    def near(xyz: Floats) -> Mask:
-        return tile.in_buffered(xyz[:, :2] + origin[:2])
-
-    return near
-
-
 def tile_changed(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
-    """Tell which points of a tile of one epoch a pass calls changed, or cannot vouch for: ``changed`` (N,)."""
+    """Tell which points of a tile a pass calls changed, or cannot vouch for: ``changed`` (N,)."""
     side = params["side"]
-    piece = inputs[f"prepared/{side.epoch}/{params['tile']}"]
-    count = len(piece["semantic"])
+    count = len(inputs[f"points/{side.epoch}/{params['tile']}"]["semantic"])
     anchor, row = point_rows(inputs, side.epoch, params["tile"], count)
     table = inputs["table"]
     changed = np.zeros(count, dtype=bool)
@@ -92,9 +84,7 @@ def _first(table: Arrays, prefix: str, anchor: str) -> int:
 
 def _in_patch(inputs: Inputs, params: Mapping[str, Any], cells: Ints) -> Mask:
     """Tell which points (N,) of a tile lie above cells of a patch."""
-    from subiaco_change.tiled.placing import load_points
-
-    cloud, _ = load_points(inputs, params["side"], params["tile"], params)
+    cloud = load_points(inputs, params["side"], params["tile"], params)
     cell = params["config"].ground.cell
     corner = np.array(tile_named(params["tile"], params["size"]).core[:2]) - np.asarray(params["origin"])[:2]
     index = np.clip(np.floor((cloud.xyz[:, :2] - corner) / cell).astype(np.int64), 0, len(cells) - 1)
@@ -107,7 +97,7 @@ def label_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
     Parameters
     ----------
     inputs : Inputs
-        ``cloud prepared lods beams`` of the tile and its neighbours, ``united``, ``table``,
+        ``points lods beams`` of the tile and its neighbours, ``table``,
         ``compared/<anchor>`` and ``patched/<anchor>`` that reach into the tile, ``ground``, frame.
     params : mapping
         ``tile size sides origin config``.
@@ -121,7 +111,8 @@ def label_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
         row, points in *before*, in *after*.
     """
     config, tile = params["config"], params["tile"]
-    regions = [load_region(inputs, side, params, _core(params, _RIM)) for side in params["sides"]]
+    near = near_tile(tile, _RIM, params)
+    regions = [load_region(inputs, side, params, near) for side in params["sides"]]
     cells, found = patch_cells(inputs, params)
     ground, ids = _comparison(inputs, params, cells, found)
     result: dict[str, Any] = {}
@@ -156,7 +147,7 @@ def _own(region: Region, tile: str) -> Ints:
 
 def _select(region: Region, members: Ints) -> Any:
     view = region.view
-    chosen = {
+    chosen: dict[str, Any] = {
         name: None if getattr(view, name) is None else getattr(view, name)[members]
         for name in view.__dataclass_fields__
     }
@@ -173,7 +164,10 @@ def _of_objects(inputs: Inputs, epoch: str, tile: str, view: Any, index: Ints) -
         if len(members):
             rows = _first(table, "", name) + row[members]
             labels.change[members], labels.semantic[members] = table["change"][rows], table["semantic"][rows]
-            labels.instance[members], labels.confidence[members] = table["id"][rows], table["confidence"][rows]
+            labels.instance[members], labels.confidence[members] = (
+                table["id"][rows],
+                table["confidence"][rows],
+            )
     return labels
 
 

@@ -12,12 +12,10 @@ from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from subiaco_change.tiled.cutting import Side
-from subiaco_change.tiled.placing import load_points
-from subiaco_change.tiled.uniting import object_numbers
+from subiaco_change.tiled.recutting import load_points, near_tile
 from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats, Ints
-from subiaco_geo.tiles import tile_named
 from subiaco_geo.work.store import Arrays
 from subiaco_geo.work.tasks import Inputs
 
@@ -32,7 +30,7 @@ def tile_links(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
     Parameters
     ----------
     inputs : Inputs
-        ``cloud prepared/<epoch>/<tile>`` of the tile and its neighbours, ``united/<epoch>``, frame.
+        ``points/<epoch>/<tile>`` of the tile and its neighbours, ``united/<epoch>``, frame.
     params : mapping
         ``tile size sides origin config``.
 
@@ -65,22 +63,20 @@ def tile_links(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
 
 def _numbered(inputs: Inputs, side: Side, name: str, params: Mapping[str, Any]) -> tuple[Floats, Ints]:
     """Points (N, 3) of objects in a tile, in the common frame, and their objects (N,)."""
-    if f"cloud/{side.epoch}/{name}" not in inputs:
+    alias = f"points/{side.epoch}/{name}"
+    if alias not in inputs:
         return np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
-    cloud, _ = load_points(inputs, side, name, params)
-    number = object_numbers(inputs, side.epoch, name, len(cloud))
-    return cloud.xyz[number >= 0], number[number >= 0]
+    number = inputs[alias]["number"].astype(np.int64)
+    return load_points(inputs, side, name, params).xyz[number >= 0], number[number >= 0]
 
 
-def _voxels(
-    inputs: Inputs, side: Side, params: Mapping[str, Any], rim: float
-) -> tuple[Floats, Ints, Any]:
-    """Mean places (M, 3) of the voxels of objects in and around a tile, their objects, and which lie in it."""
+def _voxels(inputs: Inputs, side: Side, params: Mapping[str, Any], rim: float) -> tuple[Floats, Ints, Any]:
+    """Mean places (M, 3) of the voxels of objects around a tile, their objects, and which lie in it."""
     edge = params["config"].measures.voxel
-    parts = [_numbered(inputs, side, name, params) for name in inputs.under(f"cloud/{side.epoch}")]
+    parts = [_numbered(inputs, side, name, params) for name in inputs.under(f"points/{side.epoch}")]
     xyz = np.concatenate([np.zeros((0, 3)), *(p[0] for p in parts)])
     number = np.concatenate([np.zeros(0, np.int64), *(p[1] for p in parts)])
-    near = tile_named(params["tile"], params["size"], rim + edge).in_buffered(xyz[:, :2] + params["origin"][:2])
+    near = near_tile(params["tile"], rim + edge, params)(xyz)
     xyz, number = xyz[near], number[near]
     keys = voxel_keys(voxel_indices(xyz, edge))
     order = np.lexsort((keys, number))
@@ -89,8 +85,7 @@ def _voxels(
     count = np.maximum(np.bincount(slot), 1) if len(slot) else np.ones(0)
     means = [np.bincount(slot, xyz[order, k], len(count)) / count for k in range(3)]
     places = np.stack(means, axis=1) if len(slot) else np.zeros((0, 3))
-    inside = tile_named(params["tile"], params["size"], 0.0).in_core(places[:, :2] + params["origin"][:2])
-    return places, number[order][fresh], inside
+    return places, number[order][fresh], near_tile(params["tile"], 0.0, params)(places)
 
 
 def _columns(places: Floats, numbers: Ints, own: Any, edge: float) -> tuple[Floats, Ints, Any]:
@@ -141,8 +136,8 @@ def find_groups(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
     size_b, size_a = (len(s) for s in sums)
     edges = [np.zeros((0, 2), dtype=np.int64)]
     for piece in pieces:
-        edges += [piece["across"] + (0, size_b), piece["before"], piece["after"] + size_b]
-    edges.append(_alike(sums, params["config"].association.gate_distance) + (0, size_b))
+        edges += [piece["across"] + np.array([0, size_b]), piece["before"], piece["after"] + size_b]
+    edges.append(_alike(sums, params["config"].association.gate_distance) + np.array([0, size_b]))
     pairs = np.concatenate(edges)
     nodes = size_b + size_a
     graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(nodes, nodes))
@@ -167,7 +162,7 @@ def find_groups(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
 
 
 def _total(pieces: list[Arrays], epoch: str, count: int) -> Floats:
-    """Sums (K, 8) over the tiles of every object."""
+    """Add up the sums (K, 8) of every object over the tiles."""
     total = np.zeros((count, 8))
     total[:, 4:6], total[:, 6:8] = np.inf, -np.inf
     for piece in pieces:

@@ -28,7 +28,8 @@ from subiaco_change.observation.vertical_bias import bias_field, tile_medians
 from subiaco_change.registration.warp import Residuals, estimate_warp
 from subiaco_change.semantics.ground import Mask
 from subiaco_change.tiled.cutting import Side
-from subiaco_change.tiled.framing import field_arrays, in_frame, load_frame, registration_of
+from subiaco_change.tiled.framing import field_arrays, load_frame, registration_of
+from subiaco_change.tiled.recutting import load_points
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats
@@ -39,26 +40,13 @@ from subiaco_geo.work.tasks import Inputs
 _EVERY = 16  # sigma of every so many points is handed up
 
 
-def load_points(
-    inputs: Inputs, side: Side, tile: str, params: Mapping[str, Any]
-) -> tuple[PointCloud, NDArray[np.uint8]]:
-    """Points of a tile in the common frame, with normals turned into it, and their classes."""
-    frame = load_frame(inputs, params["origin"])
-    piece = inputs[f"prepared/{side.epoch}/{tile}"]
-    cloud = in_frame(inputs[f"cloud/{side.epoch}/{tile}"]["xyz"], side, frame)
-    # normals were estimated in the frame, before its smooth corrections
-    return cloud.with_fields(normals=piece["normals"].astype(np.float64)), piece["semantic"]
-
-
-def _with_rim(
-    inputs: Inputs, side: Side, params: Mapping[str, Any], rim: float
-) -> tuple[PointCloud, int]:
-    """Points of the tile first, then those of its neighbours within ``rim`` [m]; and how many it has itself."""
+def _with_rim(inputs: Inputs, side: Side, params: Mapping[str, Any], rim: float) -> tuple[PointCloud, int]:
+    """Points of the tile first, then of its neighbours within ``rim`` [m]; and how many it has itself."""
     tile = tile_named(params["tile"], params["size"], rim)
     own = params["tile"]
     parts, count = [], 0
-    for name in sorted(inputs.under(f"cloud/{side.epoch}"), key=lambda n: (n != own, n)):
-        cloud, _ = load_points(inputs, side, name, params)
+    for name in sorted(inputs.under(f"points/{side.epoch}"), key=lambda n: (n != own, n)):
+        cloud = load_points(inputs, side, name, params)
         if name == own:
             count = len(cloud)
             parts.append(cloud)
@@ -79,11 +67,12 @@ def tile_heights(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
     grid = BlockGrid(corner, config.tile, (side_count, side_count))
     ground = []
     for side in params["sides"]:
-        if f"cloud/{side.epoch}/{params['tile']}" not in inputs:
+        alias = f"points/{side.epoch}/{params['tile']}"
+        if alias not in inputs:
             ground.append(np.zeros((0, 3)))
             continue
-        cloud, semantic = load_points(inputs, side, params["tile"], params)
-        ground.append(cloud.xyz[semantic == Semantic.GROUND])
+        cloud = load_points(inputs, side, params["tile"], params)
+        ground.append(cloud.xyz[inputs[alias]["semantic"] == Semantic.GROUND])
     if min(map(len, ground)) == 0:
         nothing = np.full(grid.shape, np.nan)
         return {"medians": nothing, "known": np.zeros(grid.shape, dtype=bool)}
@@ -161,9 +150,9 @@ def _nothing(count: int) -> Displacements:
 
 
 def _unsteady(inputs: Inputs, params: Mapping[str, Any], e: int) -> Mask:
-    """Points of a tile that say nothing of the registration: plants, vehicles, what an earlier pass calls changed."""
+    """Tell which points of a tile say nothing of the registration: plants, vehicles, known changes."""
     side: Side = params["sides"][e]
-    alias = f"prepared/{side.epoch}/{params['tile']}"
+    alias = f"points/{side.epoch}/{params['tile']}"
     if alias not in inputs:
         return np.zeros(0, dtype=bool)
     mask = np.isin(inputs[alias]["semantic"], (Semantic.VEGETATION, Semantic.MOBILE))
@@ -200,14 +189,12 @@ def find_sigma(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
     tiles = inputs.under("displacements")
     grid = city_grid(tiles, params["size"], config.block, params["origin"])
     names = BiasSamples.__dataclass_fields__
-    parts = [
-        BiasSamples(*(inputs[f"displacements/{name}"][f] for f in names)) for name in tiles
-    ]
+    parts = [BiasSamples(*(inputs[f"displacements/{name}"][f] for f in names)) for name in tiles]
     registration = registration_of(inputs["registration"])
     sigma = sigma_of(join_samples(parts), grid, params["origin"], registration, config)
     return {
         "corner": grid.corner,
-        "cell": np.float64(grid.cell),
+        "cell": np.array(grid.cell),
         "shape": np.array(grid.shape),
         "bias": sigma.bias,
         "count": sigma.count,
@@ -242,7 +229,7 @@ def _poses(inputs: Inputs, params: Mapping[str, Any]) -> tuple[PoseErrors, ...]:
 
 
 def tile_lods(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
-    """Level of detection of the points of a tile: ``before after`` (N,) float32 [m]; ``sigma``, of some points."""
+    """Find the level of detection at the points of a tile: ``before after`` (N,) [m]; ``sigma`` of some."""
     config = params["config"]
     sigma = load_sigma(inputs, params)
     result: dict[str, NDArray[Any]] = {}
@@ -252,7 +239,7 @@ def tile_lods(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
         if len(floored) == 0:
             result[side.epoch] = np.zeros(0, dtype=np.float32)
             continue
-        cloud, _ = load_points(inputs, side, params["tile"], params)
+        cloud = load_points(inputs, side, params["tile"], params)
         values = sigma.at(cloud.xyz, np.asarray(cloud.fields["normals"]))
         if side.epoch == "before":
             sample = values[::_EVERY]

@@ -11,35 +11,17 @@ from numpy.typing import NDArray
 
 from subiaco_change.changes.ablation import Part
 from subiaco_change.geometry import estimate_normals
-from subiaco_change.observation.common_frame import CommonFrame
 from subiaco_change.semantics.classes import SemanticResult, label_points
 from subiaco_change.semantics.clustering import voxel_clusters
 from subiaco_change.semantics.instances import segment
-from subiaco_change.tiled.cutting import FIELDS, Side, load_observer
-from subiaco_change.tiled.framing import in_frame, load_frame
+from subiaco_change.tiled.cutting import Side, load_observer
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Semantic
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
-from subiaco_geo.tiles import tile_named
+from subiaco_geo.tiles import Tile, tile_named
 from subiaco_geo.work.store import Arrays
 from subiaco_geo.work.tasks import Inputs
-
-
-def recut_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
-    """Take those points of *before* that the registration brings into a tile; same arrays as a tile of it."""
-    side: Side = params["side"]
-    frame = load_frame(inputs, params["origin"])
-    tile = tile_named(params["tile"], params["size"], 0.0)
-    found: dict[str, list[NDArray[Any]]] = {}
-    for name in inputs.under("cloud"):
-        piece = inputs[f"cloud/{name}"]
-        moved = in_frame(piece["xyz"], side, frame)
-        inside = tile.in_core(moved.world()[:, :2])
-        for field in ("xyz", *FIELDS):
-            if field in piece:
-                found.setdefault(field, []).append(piece[field][inside])
-    return {field: np.concatenate(parts) for field, parts in found.items()}
 
 
 def prepare_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
@@ -48,9 +30,9 @@ def prepare_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
     Parameters
     ----------
     inputs : Inputs
-        ``cloud/<tile>`` of the tile and its neighbours, ``beams/<epoch>/...``, ``registration``.
+        ``cloud/<tile>`` of the tile and its neighbours, ``beams/<epoch>/...``; ``upright`` for local clouds.
     params : mapping
-        ``tile size overlap side origin config turn given``.
+        ``tile size overlap edge side config given``.
 
     Returns
     -------
@@ -63,20 +45,16 @@ def prepare_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
         the tile, least east and north, and whether any lies in the tile.
     """
     side: Side = params["side"]
-    frame = load_frame(inputs, params["origin"])
     tile = tile_named(params["tile"], params["size"], params["overlap"])
     names = [name for name in inputs.under("cloud") if name != params["tile"]]
-    own, around, where = _gather(inputs, params["tile"], names, side, frame, tile.in_buffered)
-    xyz = np.concatenate([own, *around])
-    cloud = in_frame(xyz, side, frame)
-    observer = load_observer(inputs, side, xyz + side.origin, params["config"].evidence)
-    passed = observer.passes(xyz + side.origin)
-    normals = estimate_normals(cloud.xyz, params["config"].normal_radius)
-    labelled = _label(cloud, passed, params, inputs, names, where)
-    count = len(own)
-    semantic, instance, score, height = labelled
-    inner = tile_named(params["tile"], params["size"], params["overlap"] - params["edge"])
+    own, around, where = _gather(inputs, params["tile"], names, side, tile)
+    cloud = PointCloud(np.concatenate([own, *around]), side.origin, side.crs)
     world = cloud.world()
+    passed = load_observer(inputs, side, world, params["config"].evidence).passes(world)
+    normals = estimate_normals(cloud.xyz, params["config"].normal_radius)
+    semantic, instance, score, height = _label(cloud, passed, params, inputs, names, where)
+    count = len(own)
+    inner = tile_named(params["tile"], params["size"], params["overlap"] - params["edge"])
     return {
         "normals": normals[:count].astype(np.float32),
         "semantic": semantic[:count],
@@ -93,17 +71,16 @@ def prepare_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
 
 
 def _gather(
-    inputs: Inputs, tile: str, names: list[str], side: Side, frame: CommonFrame, near: Any
+    inputs: Inputs, name: str, names: list[str], side: Side, tile: Tile
 ) -> tuple[Floats, list[Floats], list[Ints]]:
     """Points of the tile, of each neighbour those nearby, and where they stand there."""
-    own = inputs[f"cloud/{tile}"]["xyz"]
     around, where = [], []
-    for name in names:
-        xyz = inputs[f"cloud/{name}"]["xyz"]
-        inside = np.flatnonzero(near(in_frame(xyz, side, frame).world()[:, :2]))
+    for other in names:
+        xyz = inputs[f"cloud/{other}"]["xyz"]
+        inside = np.flatnonzero(tile.in_buffered(xyz[:, :2] + side.origin[:2]))
         around.append(xyz[inside])
         where.append(inside)
-    return own, around, where
+    return inputs[f"cloud/{name}"]["xyz"], around, where
 
 
 def _label(
@@ -116,8 +93,8 @@ def _label(
 ) -> tuple[NDArray[np.uint8], NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:
     """Class, instance, score of the class and height above ground of every point."""
     config = params["config"]
-    turn = params["turn"]
-    upright = cloud if turn is None else PointCloud(cloud.xyz @ np.asarray(turn).T, cloud.origin)
+    turn = inputs.get("upright")
+    upright = PointCloud(cloud.xyz @ turn["turn"].T, cloud.origin) if "turn" in turn else cloud
     result = label_points(upright, config.semantics, passed)
     semantic = result.semantic
     score = np.take_along_axis(result.scores, semantic[:, None].astype(np.int64), axis=1)[:, 0]
@@ -151,10 +128,8 @@ def _classless(
     return one.astype(np.uint8), instance
 
 
-def _given(
-    field: str, inputs: Inputs, tile: str, names: list[str], where: list[Ints]
-) -> NDArray[np.generic]:
-    pieces = [(tile, slice(None)), *zip(names, where, strict=True)]
+def _given(field: str, inputs: Inputs, tile: str, names: list[str], where: list[Ints]) -> NDArray[np.generic]:
+    pieces: list[tuple[str, Any]] = [(tile, slice(None)), *zip(names, where, strict=True)]
     parts = []
     for name, members in pieces:
         piece = inputs[f"cloud/{name}"]

@@ -15,8 +15,7 @@ from subiaco_change.observation.evidence import Observer
 from subiaco_change.semantics.ground import Mask
 from subiaco_change.tiled.cutting import Side, load_observer
 from subiaco_change.tiled.framing import load_frame
-from subiaco_change.tiled.placing import load_points
-from subiaco_change.tiled.uniting import object_numbers
+from subiaco_change.tiled.recutting import load_points
 from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.work.tasks import Inputs
 
@@ -42,30 +41,28 @@ class Region:
 def load_region(inputs: Inputs, side: Side, params: Mapping[str, Any], near: Near) -> Region:
     """Load those points of an epoch for which ``near`` holds, given places (N, 3) of the common frame.
 
-    ``inputs`` hold ``cloud prepared lods`` of the tiles around, ``united``, ``beams`` and the frame.
+    ``inputs`` hold ``points lods`` of the tiles around, ``beams`` and the frame.
     """
     frame = load_frame(inputs, params["origin"])
-    tiles = inputs.under(f"cloud/{side.epoch}")
+    tiles = inputs.under(f"points/{side.epoch}")
     parts: list[tuple[Any, ...]] = []
     own_world: list[Floats] = [np.zeros((0, 3))]
     for position, name in enumerate(tiles):
-        cloud, semantic = load_points(inputs, side, name, params)
-        own_world.append(inputs[f"cloud/{side.epoch}/{name}"]["xyz"] + side.origin)
+        piece = inputs[f"points/{side.epoch}/{name}"]
+        cloud = load_points(inputs, side, name, params)
+        own_world.append(piece["xyz"] + side.origin)
         index = np.flatnonzero(near(cloud.xyz))
-        piece = inputs[f"prepared/{side.epoch}/{name}"]
-        number = object_numbers(inputs, side.epoch, name, len(cloud))
-        lod = inputs[f"lods/{name}"][side.epoch]
         passed = piece["passed"]
         parts.append(
             (
                 cloud.xyz[index],
                 np.asarray(cloud.fields["normals"])[index],
-                semantic[index],
-                number[index],
+                piece["semantic"][index],
+                piece["number"][index],
                 piece["height"][index],
-                lod[index],
+                inputs[f"lods/{name}"][side.epoch][index],
                 piece["score"][index],
-                passed[index] if len(passed) else np.zeros(0, np.float32),
+                passed[index] if len(passed) else passed,
                 np.full(len(index), position, dtype=np.int64),
                 index,
             )
@@ -79,7 +76,7 @@ def load_region(inputs: Inputs, side: Side, params: Mapping[str, Any], near: Nea
 
 def _view(parts: list[tuple[Any, ...]]) -> tuple[EpochView, Ints, Ints]:
     empty = (
-        np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, np.uint8), np.zeros(0, np.int64),
+        np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, np.uint8), np.zeros(0, np.int32),
         *(np.zeros(0, np.float32) for _ in range(4)), np.zeros(0, np.int64), np.zeros(0, np.int64),
     )  # fmt: skip
     joined: list[NDArray[Any]] = [np.concatenate(column) for column in zip(empty, *parts, strict=True)]

@@ -31,12 +31,12 @@ def find_registration(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
     params : mapping
         ``sides config transform``.
     """
-    clouds = [_gather(inputs, side, params)[0] for side in params["sides"]]
+    before, after = (_gather(inputs, side, params)[0] for side in params["sides"])
     config, transform = params["config"].registration, params["transform"]
     if transform is None:
-        return registration_arrays(register(*clouds, config))
+        return registration_arrays(register(before, after, config))
     method = "identity" if np.array_equal(transform, np.eye(4)) else "given"
-    return registration_arrays(given_registration(transform, *clouds, config, method))
+    return registration_arrays(given_registration(transform, before, after, config, method))
 
 
 def register_again(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
@@ -49,15 +49,18 @@ def register_again(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
         the first one, with ``failed``, why it was kept.
     """
     first = registration_of(inputs["registration"])
-    found = [_gather(inputs, side, params) for side in params["sides"]]
-    clouds, changed = [f[0] for f in found], [f[1] for f in found]
+    (before, changed_before), (after, changed_after) = (
+        _gather(inputs, side, params) for side in params["sides"]
+    )
     try:
-        again = register(*clouds, params["config"].registration, changed[0], changed[1], start=first)
+        again = register(
+            before, after, params["config"].registration, changed_before, changed_after, start=first
+        )
     except RegistrationError as error:
         note = f"the second estimate, without changed places, failed and the first is kept: {error}"
         _LOG.warning(note)
         return {**registration_arrays(first), "failed": np.array(note), "shift": np.float64(0.0)}
-    return {**registration_arrays(again), "shift": np.float64(shift(first, again, clouds[0]))}
+    return {**registration_arrays(again), "shift": np.float64(shift(first, again, before))}
 
 
 def _gather(inputs: Inputs, side: Side, params: Mapping[str, Any]) -> tuple[PointCloud, Mask]:

@@ -43,7 +43,7 @@ def draw_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
 
 
 def find_upright(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
-    """Find the rotation that makes the streets of *after* lie level: ``turn`` (3, 3), absent where they do."""
+    """Find the rotation that makes the streets of an epoch lie level: ``turn`` (3, 3), if any."""
     side: Side = params["side"]
     thin = [
         voxel_downsample(PointCloud(np.asarray(inputs[f"cloud/{name}"]["xyz"])), 1.0).xyz

@@ -56,11 +56,17 @@ def build_table(
         for tile in sorted(compared)
     }
     patches = {
-        tile: [_patch(words, origin, evidence) for words in json.loads(str(store.load(patched[tile])["records"]))]
+        tile: [
+            _patch(words, origin, evidence) for words in json.loads(str(store.load(patched[tile])["records"]))
+        ]
         for tile in sorted(patched)
     }
     ranked = sorted(
-        ((_rank(row), "object", tile, k, row) for tile, rows in objects.items() for k, row in enumerate(rows)),
+        (
+            (_rank(row), "object", tile, k, row)
+            for tile, rows in objects.items()
+            for k, row in enumerate(rows)
+        ),
         key=lambda item: item[:4],
     )
     ranked += sorted(
@@ -89,7 +95,9 @@ def _rank(row: ChangeRecord) -> tuple[float, ...]:
     return (int(row.semantic), round(row.x, 2), round(row.y, 2), round(row.z, 2), row.n_before, row.n_after)
 
 
-def _named(ids: tuple[int, ...], tile: str, count: int, pieces: dict[tuple[str, int], int]) -> tuple[int, ...]:
+def _named(
+    ids: tuple[int, ...], tile: str, count: int, pieces: dict[tuple[str, int], int]
+) -> tuple[int, ...]:
     return tuple(k if k >= 0 else count + pieces.setdefault((tile, k), len(pieces)) for k in ids)
 
 
@@ -121,7 +129,9 @@ def _columns(
     found = [records[i] for i in ids]
     return {
         f"{prefix}anchors": np.array(list(rows), dtype=np.str_),
-        f"{prefix}offset": np.concatenate([[0], np.cumsum([len(own) for own in rows.values()])]).astype(np.int64),
+        f"{prefix}offset": np.concatenate([[0], np.cumsum([len(own) for own in rows.values()])]).astype(
+            np.int64
+        ),
         f"{prefix}id": np.array(ids, dtype=np.int64),
         f"{prefix}change": np.array([r.change for r in found], dtype=np.uint8),
         f"{prefix}semantic": np.array([r.semantic for r in found], dtype=np.uint8),

@@ -1,4 +1,4 @@
-"""Objects that lie in several tiles made one (method, C5), and numbered alike whatever the tiles did first."""
+"""Objects that lie in several tiles made one (method, C5), numbered alike whatever was done first."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
@@ -18,7 +19,7 @@ _LEAST = 3  # points
 
 
 def unite(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
-    """Number the objects of one epoch over all tiles.
+    """Give the objects of one epoch numbers over all tiles.
 
     Parameters
     ----------
@@ -82,7 +83,7 @@ def _pairs(rows: Ints, first: int, second: int, every: Floats) -> Ints:
         return np.zeros((0, 2), dtype=np.int64)
     pairs, count = np.unique(both, axis=0, return_counts=True)
     smaller = np.minimum(totals[0][pairs[:, 0]], totals[1][pairs[:, 1]])
-    pairs, enough = pairs + (first, second), (count >= _LEAST) & (count >= _SHARED * smaller)
+    pairs, enough = pairs + np.array([first, second]), (count >= _LEAST) & (count >= _SHARED * smaller)
     alike = every[pairs[:, 0], 0] == every[pairs[:, 1], 0]
     return np.asarray(pairs[enough & alike])
 
@@ -93,7 +94,7 @@ def _groups(links: Ints, count: int) -> Ints:
 
 
 def _renumber(group: Ints, every: Floats) -> tuple[Ints, Ints, Ints]:
-    """Number groups by class and from the west; what has no point in any tile gets -1."""
+    """Give groups numbers by class and from the west; what has no point in any tile gets -1."""
     size = int(group.max(initial=-1)) + 1
     points = np.bincount(group, every[:, 1], size).astype(np.int64)
     votes = np.zeros((size, 5))
@@ -108,19 +109,12 @@ def _renumber(group: Ints, every: Floats) -> tuple[Ints, Ints, Ints]:
     return number[group], semantic[order], points[order]
 
 
-def object_numbers(inputs: Inputs, alias: str, tile: str, count: int) -> Ints:
-    """Object (N,) of the first ``count`` points of a tile, -1 for none.
-
-    Parameters
-    ----------
-    inputs : Inputs
-        ``united/<alias>`` and ``prepared/<alias>/<tile>``.
-    """
-    united = inputs[f"united/{alias}"]
+def object_numbers(inputs: Inputs, tile: str, count: int) -> NDArray[np.int32]:
+    """Object (N,) int32 of the points of a tile, -1 for none, from ``united`` and ``prepared/<tile>``."""
+    united = inputs["united"]
     position = int(np.flatnonzero(united["tiles"] == tile)[0])
-    own = np.asarray(inputs[f"prepared/{alias}/{tile}"]["instance"][:count], dtype=np.int64)
-    offset = int(united["offset"][position])
+    own = np.asarray(inputs[f"prepared/{tile}"]["instance"][:count], dtype=np.int64)
     found = own >= 0
-    result = np.full(count, -1, dtype=np.int64)
-    result[found] = united["number"][offset + own[found]]
+    result = np.full(count, -1, dtype=np.int32)
+    result[found] = united["number"][int(united["offset"][position]) + own[found]]
     return result

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
-from typing import Protocol
+from typing import Any, Protocol
 
 from subiaco_geo.errors import InputError, SubiacoError
 from subiaco_geo.work.store import DiskStore, Store
@@ -73,7 +73,7 @@ class LocalPool:
                 return
         raise SubiacoError(
             f"worker processes died {_ATTEMPTS} times, last with {len(left)} tasks left, "
-            f"{next(iter(left.values())).name} among them; the machine may be short of memory: use fewer workers"
+            f"{next(iter(left.values())).name} among them; if memory is short, use fewer workers"
         )
 
     def _drain(self, store: Store, left: dict[str, Task]) -> Iterator[Spent]:
@@ -125,6 +125,8 @@ class Dask:
     ----------
     address : str
         Of the scheduler, e.g. ``tcp://host:8786``.
+    timeout : float
+        How long to wait for it to answer [s].
 
     Raises
     ------
@@ -132,16 +134,16 @@ class Dask:
         dask.distributed is not installed, or no scheduler answers.
     """
 
-    def __init__(self, address: str) -> None:
+    def __init__(self, address: str, timeout: float = 20.0) -> None:
         try:
             from dask import distributed
         except ImportError as error:
             raise InputError("--scheduler needs dask.distributed; install subiaco-change[dask]") from error
         try:
-            self._client = distributed.Client(address, timeout="20s")
+            self._client: Any = distributed.Client(address, timeout=timeout)
         except (OSError, TimeoutError, ValueError) as error:
             raise InputError(f"--scheduler {address}: no scheduler answers ({error})") from error
-        self._completed = distributed.as_completed
+        self._completed: Any = distributed.as_completed
         self._checked = False
 
     def run(self, store: Store, tasks: Sequence[Task]) -> Iterator[Spent]:
@@ -162,9 +164,9 @@ class Dask:
         self._client.close()
 
 
-def _check_files(client: object, store: DiskStore) -> None:
+def _check_files(client: Any, store: DiskStore) -> None:
     store.root.mkdir(parents=True, exist_ok=True)
-    seen: dict[str, bool] = client.run(os.path.isdir, str(store.root))  # type: ignore[attr-defined]
+    seen: dict[str, bool] = client.run(os.path.isdir, str(store.root))
     if not seen:
         raise InputError("--scheduler: the cluster has no workers; start 'dask worker' first")
     blind = sorted(worker for worker, sees in seen.items() if not sees)

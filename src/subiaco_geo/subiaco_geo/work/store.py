@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -31,6 +32,10 @@ class Store(Protocol):
 
     def save(self, key: str, arrays: Arrays) -> None:
         """Keep the arrays of a piece: wholly or not at all."""
+        ...
+
+    def note(self, name: str, words: Mapping[str, Any]) -> None:
+        """Leave a note on the pieces, as JSON."""
         ...
 
 
@@ -65,15 +70,24 @@ class DiskStore:
         try:
             opened: Arrays = np.load(path, allow_pickle=False)
         except (OSError, ValueError, EOFError, BadZipFile) as error:
-            raise InputError(f"{path}: a kept stage cannot be read ({error}); remove it, run again") from error
+            raise InputError(
+                f"{path}: a kept stage cannot be read ({error}); remove it, run again"
+            ) from error
         return opened
 
     def save(self, key: str, arrays: Arrays) -> None:
         """Write a piece; its file appears whole."""
         path = self._path(key)
         path.parent.mkdir(parents=True, exist_ok=True)
+        plain: dict[str, Any] = {name: np.asarray(values) for name, values in arrays.items()}
         with whole_file(path) as temporary, temporary.open("wb") as stream:
-            np.savez(stream, **{name: np.asarray(values) for name, values in arrays.items()})
+            np.savez(stream, **plain)
+
+    def note(self, name: str, words: Mapping[str, Any]) -> None:
+        """Write a note beside the pieces."""
+        self.root.mkdir(parents=True, exist_ok=True)
+        with whole_file(self.root / name) as temporary:
+            temporary.write_text(json.dumps(words, indent=1), encoding="utf-8")
 
 
 @dataclass(frozen=True)
@@ -93,3 +107,6 @@ class MemoryStore:
     def save(self, key: str, arrays: Arrays) -> None:
         """Keep a piece."""
         self.pieces[key] = dict(arrays)
+
+    def note(self, name: str, words: Mapping[str, Any]) -> None:
+        """Do nothing: nobody could read it."""

@@ -68,6 +68,10 @@ class Inputs:
     def __getitem__(self, alias: str) -> Arrays:
         return self.store.load(self.keys[alias])
 
+    def get(self, alias: str) -> Arrays:
+        """Return the arrays of a piece, or none at all where the task does not rest on it."""
+        return self[alias] if alias in self.keys else {}
+
     def __contains__(self, alias: object) -> bool:
         return alias in self.keys
 

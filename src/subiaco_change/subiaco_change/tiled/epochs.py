@@ -1,0 +1,252 @@
+"""Two epochs in tiles: cut, registered, labelled each by itself, and cut anew in the common frame."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from subiaco_change.config import ChangeConfig
+from subiaco_change.observation.common_frame import CommonFrame
+from subiaco_change.observation.evidence import evidence_kind, sight_corner
+from subiaco_change.records import Registration
+from subiaco_change.registration.pair import PairInfo
+from subiaco_change.tiled.cutting import Side, cut_beams, cut_cloud, tiles_between
+from subiaco_change.tiled.framing import in_frame, registration_of
+from subiaco_change.tiled.preparing import prepare_tile
+from subiaco_change.tiled.recutting import recut_tile
+from subiaco_change.tiled.registering import find_registration
+from subiaco_change.tiled.sight import draw_tile, find_upright
+from subiaco_change.tiled.uniting import unite
+from subiaco_geo.crs import transformer
+from subiaco_geo.errors import InputError
+from subiaco_geo.frames import Floats
+from subiaco_geo.maps import SurveyMap
+from subiaco_geo.tiles import neighbours, tile_named
+from subiaco_geo.work.bench import Workbench
+from subiaco_geo.work.store import Arrays
+from subiaco_geo.work.tasks import Task
+
+EPOCHS = ("before", "after")
+#: Name of an epoch in the stages that look at one alone.
+ALONE = "epoch"
+#: Beyond the points of a task, beams are looked up so far [m].
+SIGHT = 6.0
+
+
+@dataclass
+class Epochs:
+    """Two checked epochs, their tiles, and the bench that works on them.
+
+    Parameters
+    ----------
+    bench : Workbench
+    config : ChangeConfig
+    info : PairInfo
+    given : tuple of str
+        Fields of the points that replace a stage: ``semantic``, ``instance``.
+    """
+
+    bench: Workbench
+    config: ChangeConfig
+    info: PairInfo
+    given: tuple[str, ...] = ()
+    sides: tuple[Side, ...] = ()
+    origin: Floats = field(default_factory=lambda: np.zeros(3))
+    clouds: dict[str, dict[str, str]] = field(default_factory=dict)
+    beams: dict[str, dict[str, str]] = field(default_factory=dict)
+    poses: dict[str, str] = field(default_factory=dict)
+    prepared: dict[str, dict[str, str]] = field(default_factory=dict)
+    united: dict[str, str] = field(default_factory=dict)
+    points: dict[str, dict[str, str]] = field(default_factory=dict)
+
+    @property
+    def size(self) -> float:
+        """Edge of a tile [m]."""
+        return self.config.tiles.size
+
+    @property
+    def tiles(self) -> list[str]:
+        """Tiles with points of either epoch, in order."""
+        return sorted({*self.points["before"], *self.points["after"]})
+
+    def cut(self, surveys: Sequence[SurveyMap]) -> None:
+        """Cut both epochs, and what their evidence rests on, into tiles."""
+        self.origin = np.asarray(surveys[1].cloud.origin, dtype=np.float64)
+        sides = []
+        for epoch, survey in zip(EPOCHS, surveys, strict=True):
+            self.clouds[epoch] = cut_cloud(self.bench, "cut", survey.cloud, self.size)
+            sides.append(self._side(epoch, survey))
+            self._keep_poses(epoch, survey)
+        self.sides = tuple(sides)
+
+    def _side(self, epoch: str, survey: SurveyMap) -> Side:
+        kind = evidence_kind(survey, self.config.evidence)
+        origin = np.asarray(survey.cloud.origin, dtype=np.float64)
+        side = Side(epoch, origin, survey.crs, kind, None, origin, self.config.evidence.voxel)
+        self.beams[epoch] = {}
+        if kind == "observed" and survey.visibility is not None:
+            grid = survey.visibility
+            other = self.info.beams_crs if epoch == "before" else None
+            self.beams[epoch] = cut_beams(self.bench, "beams", grid, self.size)
+            return replace(side, beams_crs=other, corner=grid.origin, voxel=grid.voxel)
+        if kind == "trajectory" and survey.trajectory is not None:
+            low = survey.cloud.xyz.min(axis=0) + origin
+            side = replace(side, corner=sight_corner(low, self.config.evidence))
+            self.beams[epoch] = self._draw(side, survey.trajectory.positions)
+        return side
+
+    def _draw(self, side: Side, positions: Floats) -> dict[str, str]:
+        """Draw the lines of sight of an epoch, tile by tile of its own frame."""
+        own = self.clouds[side.epoch]
+        way = self.bench.put("trajectory", side.epoch, {"positions": positions})
+        rings = math.ceil(self.config.evidence.max_range / self.size)
+        near = {n for name in own for n in (name, *self._ring(name, rings))}
+        tasks = []
+        for name in sorted(near):
+            around = [n for n in (name, *neighbours(name, own, rings)) if n in own]
+            inputs = {"trajectory": way, **{f"cloud/{n}": own[n] for n in around}}
+            params = {"tile": name, "size": self.size, "side": side, "config": self.config.evidence}
+            tasks.append(Task("sight", name, draw_tile, inputs, params))
+        return self.bench.run(tasks, (0.02, 0.05))
+
+    def _ring(self, name: str, rings: int) -> list[str]:
+        column, row = (int(v) for v in name.split("_"))
+        reach = range(-rings, rings + 1)
+        return [f"{column + c}_{row + r}" for c in reach for r in reach]
+
+    def _keep_poses(self, epoch: str, survey: SurveyMap) -> None:
+        """Keep the pose covariances of a map, where it carries them."""
+        found = survey.uncertainty
+        if found is None or survey.trajectory is None or len(found.times_ns) == 0:
+            return
+        positions = survey.trajectory.at(found.times_ns)[:, :3, 3]
+        arrays = {"positions": positions, "covariances": found.covariances}
+        self.poses[f"poses/{epoch}"] = self.bench.put("poses", epoch, arrays)
+
+    def register(self, transform: Floats | None) -> str:
+        """Register the epochs; return the key."""
+        clouds = {f"cloud/{e}/{n}": k for e in EPOCHS for n, k in self.clouds[e].items()}
+        params = {**self.registering(), "transform": transform}
+        return self.bench.one(Task("registration", "all", find_registration, clouds, params), (0.05, 0.15))
+
+    def registering(self) -> dict[str, Any]:
+        """Return the parameters of a registration."""
+        return {"sides": self.sides, "config": self.keep("registration", "registration_points", "leaf")}
+
+    def registration(self, key: str) -> Registration:
+        """Return the registration under a key."""
+        return registration_of(self.bench.store.load(key))
+
+    def prepare(self) -> None:
+        """Label every tile of both epochs, each in its own frame, and number their objects."""
+        for side, span in zip(self.sides, ((0.16, 0.31), (0.32, 0.47)), strict=True):
+            epoch = side.epoch
+            self.prepared[epoch] = self.bench.run(self._semantics(side), span)
+            inputs = {f"prepared/{n}": k for n, k in self.prepared[epoch].items()}
+            task = Task("objects", "all", unite, inputs, {"given": "instance" in self.given})
+            self.united[epoch] = self.bench.one(task, (span[1], span[1]))
+
+    def _semantics(self, side: Side) -> list[Task]:
+        """Tasks of one epoch; they do not tell whether it is *before* or *after*, and serve as both."""
+        reads = ("semantics", "instances", "evidence", "leaf", "normal_radius", "without", "measures")
+        tiles, own = self.config.tiles, self.clouds[side.epoch]
+        alone = replace(side, epoch=ALONE)
+        upright = self._upright(alone, own)
+        tasks = []
+        for name in sorted(own):
+            params = {
+                "tile": name, "side": alone, "config": self.keep(*reads), "given": self.given,
+                "size": self.size, "overlap": tiles.overlap, "edge": tiles.edge,
+            }  # fmt: skip
+            inputs = {f"cloud/{n}": own[n] for n in (name, *neighbours(name, own))} | upright
+            box = corners_around(name, self.size, tiles.overlap + SIGHT)
+            beams = self.beams_at(side, box)
+            inputs |= {alias.replace(side.epoch, ALONE, 1): key for alias, key in beams.items()}
+            tasks.append(Task("semantics", name, prepare_tile, inputs, params))
+        return tasks
+
+    def _upright(self, side: Side, own: Mapping[str, str]) -> dict[str, str]:
+        """Find what makes a local cloud upright."""
+        if side.crs is not None:
+            return {}
+        task = Task("upright", "all", find_upright, {f"cloud/{n}": k for n, k in own.items()}, {"side": side})
+        return {"upright": self.bench.one(task, (0.16, 0.16))}
+
+    def recut(self, registration: str) -> None:
+        """Cut the labelled points of both epochs by the tiles of the common frame."""
+        frame = CommonFrame(self.registration(registration), self.origin)
+        tasks = []
+        for side in self.sides:
+            own, prepared = self.clouds[side.epoch], self.prepared[side.epoch]
+            for tile, names in sorted(self._reached(side, frame).items()):
+                inputs = {f"cloud/{n}": own[n] for n in names} | {f"prepared/{n}": prepared[n] for n in names}
+                inputs |= {"united": self.united[side.epoch], "registration": registration}
+                params = {"tile": tile, "size": self.size, "side": side, "origin": self.origin}
+                tasks.append(Task("recut", f"{side.epoch}_{tile}", recut_tile, inputs, params))
+        keys = self.bench.run(tasks, (0.48, 0.5))
+        for epoch in EPOCHS:
+            found = {n.removeprefix(f"{epoch}_"): k for n, k in keys.items() if n.startswith(f"{epoch}_")}
+            self.points[epoch] = {n: k for n, k in found.items() if len(self.load(k)["semantic"])}
+
+    def _reached(self, side: Side, frame: CommonFrame) -> dict[str, list[str]]:
+        """Tiles of the common frame that an epoch's own tiles reach into, and which of these."""
+        own = self.clouds[side.epoch]
+        if side.epoch == "after":
+            return {name: [name] for name in own}
+        reached: dict[str, list[str]] = {}
+        for name in sorted(own):
+            xyz = self.load(own[name])["xyz"]
+            box = corners(xyz[:, :2].min(axis=0), xyz[:, :2].max(axis=0), xyz[:, 2].min(), xyz[:, 2].max())
+            moved = in_frame(box, side, frame).world()[:, :2]
+            for tile in tiles_between(moved.min(axis=0), moved.max(axis=0), self.size):
+                reached.setdefault(tile, []).append(name)
+        return reached
+
+    def keep(self, *names: str) -> SimpleNamespace:
+        """Keep of the configuration what a stage reads: another setting elsewhere redoes nothing."""
+        return SimpleNamespace(**{name: getattr(self.config, name) for name in names})
+
+    def beams_at(self, side: Side, world: Floats) -> dict[str, str]:
+        """Tiles of beams of an epoch around places (N, 3) of its world."""
+        known = self.beams[side.epoch]
+        if not known:
+            return {}
+        if side.beams_crs is not None:
+            world = transformer(str(side.crs), side.beams_crs).apply(world)
+        near = tiles_between(world[:, :2].min(axis=0), world[:, :2].max(axis=0), self.size)
+        return {f"beams/{side.epoch}/{n}": known[n] for n in near if n in known}
+
+    def load(self, key: str) -> Arrays:
+        """Return what a task left."""
+        return self.bench.store.load(key)
+
+
+def corners(low: Floats, high: Floats, bottom: float = -50.0, top: float = 50.0) -> Floats:
+    """Return the corners (8, 3) of a box from its plan (2,), (2,) and heights [m]."""
+    return np.array([(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (bottom, top)])
+
+
+def corners_around(name: str, size: float, rim: float) -> Floats:
+    """Return the corners (8, 3) of a tile and its surroundings in the world [m]."""
+    box = tile_named(name, size, rim).buffered
+    return corners(np.array(box[:2]), np.array(box[2:]))
+
+
+def check_given(surveys: Sequence[SurveyMap], given: Sequence[str]) -> tuple[str, ...]:
+    """Return the fields of points that replace stages.
+
+    Raises
+    ------
+    InputError
+        An epoch lacks one.
+    """
+    for epoch, survey in zip(EPOCHS, surveys, strict=True):
+        for name in given:
+            if name not in survey.cloud.fields:
+                raise InputError(f"{epoch}: no point field {name!r} to take as given; name it so in the file")
+    return tuple(given)
