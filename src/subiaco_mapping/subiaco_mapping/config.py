@@ -129,6 +129,10 @@ class GnssConfig(StrictModel):
     )
     declared_frame: Literal["GDA2020", "ITRF2014"] = Field("GDA2020", description="frame of the fixes")
     epoch: float | None = Field(None, description="decimal year of ITRF coordinates")
+    heights: Literal["ellipsoidal", "AHD"] = Field(
+        "ellipsoidal", description="what the fixes' altitudes are above; AHD needs geoid_grid"
+    )
+    geoid_grid: str = Field("", description="file of geoid undulations as PROJ reads them: AUSGeoid2020")
     sigma_fixed: float = Field(0.015, gt=0, description="floor for status 2 [m]")
     sigma_float: float = Field(0.4, gt=0, description="floor for status 1 [m]")
     sigma_single: float = Field(2.0, gt=0, description="floor for status 0 [m]")
