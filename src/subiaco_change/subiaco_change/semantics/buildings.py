@@ -30,6 +30,12 @@ class BuildingConfig(StrictModel):
     wire_linearity: float = Field(
         0.42, gt=0, lt=1, description="mean linearity from which a patch so high is a bundle of lines"
     )
+    wire_level: float = Field(
+        0.97,
+        gt=0,
+        lt=1,
+        description="|n.e_z| from which a bundle of lines hangs level; thin roofs are pitched",
+    )
     wire_inner: float = Field(
         0.4, gt=0, le=1, description="share of a plane's cells with four neighbours: wires have few"
     )
@@ -147,7 +153,9 @@ def _kinds(
     facade = upright & (reduced(high.astype(np.float64), "mean") > config.facade_share)
     roof = ~upright & (reduced(height, "median") > config.roof_height)
     linear, lowest = reduced(features.linearity, "mean"), reduced(height, "minimum")
-    wires = (linear > config.wire_linearity) & (patches.inner < config.wire_inner * patches.area)
+    level = np.abs(patches.normal[:, 2]) > config.wire_level
+    narrow = patches.inner < config.wire_inner * patches.area
+    wires = (linear > config.wire_linearity) & (level | narrow)
     rough = reduced(features.roughness, "median") > config.frond_roughness
     bent = ~upright & (patches.residual > config.frond_bend) & (lowest > config.roof_height)
     fronds = bent & rough & (linear > config.frond_linearity)

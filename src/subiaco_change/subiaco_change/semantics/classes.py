@@ -144,8 +144,9 @@ def _classify(
     semantic[moving] = Semantic.MOBILE
     rest &= ~moving
     foliage = (_find_foliage(height, features, parts, config) | planes.fronds) & rest
+    body = rest & ~foliage & (features.linearity < config.vehicles.trunk_linearity)
     trucks, shelters = free_boxes(
-        xyz, height, planes.core & rest, (planes.part >= 0) & rest, rest & ~foliage, config.vehicles
+        xyz, height, planes.core & rest, (planes.part >= 0) & rest, body, config.vehicles
     )
     trucks &= rest
     semantic[trucks] = Semantic.MOBILE

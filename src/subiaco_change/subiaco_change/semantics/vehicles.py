@@ -29,6 +29,9 @@ class VehicleConfig(StrictModel):
     truck_planes: float = Field(
         0.25, ge=0, le=1, description="share of a truck that lies in planes of a facade's size"
     )
+    trunk_linearity: float = Field(
+        0.8, gt=0, le=1, description="linearity from which a point is of a trunk or pole beside a truck"
+    )
     truck_edge: float = Field(0.7, ge=0, description="reach of a truck over its small parts [m]")
     mobile_length: float = Field(5.5, gt=0, description="longest side of a vehicle [m] (paper: 5)")
     mobile_height: float = Field(3.0, gt=0, description="top of a vehicle [m], paper")
