@@ -82,6 +82,14 @@ def calibrate(
     trajectory: TrajectoryFile = None,
     copies: Annotated[int | None, typer.Option(help="Injected copies that the fit rests on.")] = None,
     registration: RegistrationName = None,
+    repeat: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="MAP",
+            help="Map of other sequences of the same streets and days: the noise of a second pass is "
+            "measured from it, and modelled where absent.",
+        ),
+    ] = None,
     config: ConfigFiles = None,
     change_config: Annotated[
         list[Path] | None, typer.Option(metavar="FILE", help="Settings of 'subiaco change'; repeatable.")
@@ -115,8 +123,9 @@ def calibrate(
     change = load_config(ChangeConfig, config_files("change", tuple(change_config or ())), [])
     donors = () if objects is None else tuple(read_donors(objects, model.injection.leaf))
     given = known_transform(None, registration)
+    other = None if repeat is None else load_epoch(repeat).cloud
     with Progress(quiet=quiet) as progress:
-        result = run(load_epoch(survey, trajectory), change, model, donors, progress, given)
+        result = run(load_epoch(survey, trajectory), change, model, donors, progress, given, other)
         document = write_calibration(output, result, model, survey, overwrite)
     table = pd.read_csv(output / "detectable.csv")
     typer.echo(table.to_string(index=False, na_rep="not reached"))
