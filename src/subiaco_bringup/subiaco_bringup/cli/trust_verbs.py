@@ -48,7 +48,9 @@ def inject(
 ) -> None:
     """Put known changes into a map, with what they hide hidden, and write the truth beside it.
 
-    'subiaco change MAP MAP2' then finds them, and 'subiaco evaluate CHANGE_DIR MAP2' scores that.
+    'subiaco change MAP MAP2' then finds them, and 'subiaco evaluate CHANGE_DIR MAP2' scores that. How
+    many, how large: --set inserted=20, removed, moved, grown, cut, patches, patch_rise ...; truth/scene.yaml
+    of what is written lists all settings.
 
     Example: subiaco inject out/2025 -o out/2025_injected --seed 3
     """
@@ -102,7 +104,8 @@ def calibrate(
     """Find out on one's own map how small a change is still found, and how far confidences hold.
 
     It runs change detection on injected copies of MAP; 'subiaco change --config DIR/confidence.yaml' takes
-    the confidences from there.
+    the confidences from there. Every class needs a dozen changes at least: more --copies, or more in each
+    (--set injection.inserted=30); config.yaml of what is written lists all settings.
 
     Example: subiaco calibrate out/2025 -o out/calibration
     """

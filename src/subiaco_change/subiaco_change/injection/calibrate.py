@@ -37,7 +37,7 @@ from subiaco_change.outputs.raster import LodRaster, build_lod_raster, write_ban
 from subiaco_change.pipeline import detect_changes
 from subiaco_geo.atomic import whole_directory
 from subiaco_geo.clouds import PointCloud
-from subiaco_geo.config import StrictModel
+from subiaco_geo.config import StrictModel, write_config
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
 from subiaco_geo.maps import SurveyMap
@@ -179,6 +179,7 @@ def write_calibration(
         if ground is not None:
             band = {"smallest_95": detectable_ground(result.lod, ground)}
             write_bands(target / "detectable_ground.tif", band, result.lod, result.crs)
+        write_config(target / "config.yaml", config)
         write_json(target / MARKER, document)
     return document
 
