@@ -6,8 +6,12 @@
 kiss_icp 1.3 runs with its own deskewing and its defaults, but one thread. It is given decoded points, so
 that decoding, IMU, pose graph, fusion, visibility and normals are all on our side of the scale; reading
 the bag is on nobody's. Both take turns, scan by scan, so that what else the machine does meets both
-alike; CPU seconds, not wall time. With ``--truth`` the position errors of both odometries stand beside,
-from their own first pose and before GNSS.
+alike; CPU seconds, not wall time. With ``--truth`` the position errors of the odometries stand beside,
+from their own first pose and before GNSS. Where rko_lio (0.4, not among our dependencies) can be imported,
+it takes the same scans and IMU, its defaults and one thread:
+
+    python -m venv other && other/bin/pip install rko-lio
+    PYTHONPATH=other/lib/python3.11/site-packages python tests/benchmarks/bench_mapping.py ... --rko
 """
 
 from __future__ import annotations
@@ -32,7 +36,7 @@ from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.conversions import fix_from_msg, imu_from_msg
 from subiaco_mapping.decode import PacketDecoder
 from subiaco_mapping.frontend import FrontendOutput, OdometryFrontend
-from subiaco_mapping.measurements import Scan
+from subiaco_mapping.measurements import Extrinsics, ImuSample, Scan
 from subiaco_mapping.pipeline import read_extrinsics, read_metadata
 
 
@@ -68,15 +72,49 @@ class KissAlone:
         self.poses.append(self._kiss.last_pose.copy())
 
 
-def compare(bag: Path, limit: int) -> tuple[Clock, list[Floats], list[FrontendOutput]]:
-    """Run both over the first ``limit`` scans of a bag."""
-    clock, kiss, config = Clock(), KissAlone(), MappingConfig()
+class RkoAlone:
+    """rko_lio, one thread; a scan waits until the IMU covers it."""
+
+    def __init__(self, extrinsics: Extrinsics) -> None:
+        from rko_lio.lio import LIO, LIOConfig
+
+        self._lio = LIO(LIOConfig(max_num_threads=1))
+        self._base_lidar, self._base_imu = extrinsics.T_base_lidar, extrinsics.T_base_imu
+        self._waiting: list[Scan] = []
+        self.poses: list[Floats] = []
+
+    def on_scan(self, scan: Scan) -> None:
+        """Take one decoded scan."""
+        self._waiting.append(scan)
+
+    def on_imu(self, sample: ImuSample) -> None:
+        """Take one IMU sample, and register what it completes."""
+        self._lio.add_imu_measurement(sample.accel, sample.gyro, sample.time_ns, self._base_imu)
+        while self._waiting and self._waiting[0].end_ns <= sample.time_ns:
+            scan = self._waiting.pop(0)
+            times = scan.first.times_ns, self._base_lidar, scan.start_ns, scan.end_ns
+            self._lio.register_scan(scan.first.xyz, *times)
+            self.poses.append(self._lio.pose() @ self._base_lidar)
+
+
+@dataclass
+class Peers:
+    """What is measured beside ours."""
+
+    kiss: KissAlone
+    rko: RkoAlone | None
+
+
+def compare(bag: Path, limit: int, with_rko: bool = False) -> tuple[Clock, Peers, list[FrontendOutput]]:
+    """Run all over the first ``limit`` scans of a bag."""
+    clock, config = Clock(), MappingConfig()
     outputs: list[FrontendOutput] = []
     with BagReader(bag) as reader, tempfile.TemporaryDirectory() as spool:
         extrinsics, metadata = read_extrinsics(reader, config), read_metadata(reader)
         if metadata is None:
             raise InputError(f"{bag}: the benchmark needs packets with metadata")
         decoder = PacketDecoder(metadata, config.decode)  # gives kiss_icp its scans, on nobody's bill
+        peers = Peers(KissAlone(), RkoAlone(extrinsics) if with_rko else None)
         frontend = OdometryFrontend(config, extrinsics, metadata)
         backend = MappingBackend(config, extrinsics, Path(spool))
         for message in reader.messages({LIDAR_PACKETS, IMU, FIX}):
@@ -85,10 +123,14 @@ def compare(bag: Path, limit: int) -> tuple[Clock, list[Floats], list[FrontendOu
                 continue
             if message.topic == IMU:
                 step, item = frontend.on_imu, clock.run("read", imu_from_msg, reader.deserialize(message))
+                if peers.rko is not None:
+                    clock.run("rko_lio", peers.rko.on_imu, item)
             else:
                 step, item = frontend.on_packet, packet_from_cdr(message.raw)
                 for scan in decoder.push(item):
-                    clock.run("kiss_icp", kiss.register, scan)
+                    clock.run("kiss_icp", peers.kiss.register, scan)
+                    if peers.rko is not None:
+                        clock.run("rko_lio", peers.rko.on_scan, scan)
             for output in clock.run("front end", step, item):
                 clock.run("spool", backend.on_odometry, output.pose, output.scan)
                 outputs.append(output)
@@ -96,7 +138,7 @@ def compare(bag: Path, limit: int) -> tuple[Clock, list[Floats], list[FrontendOu
                 break
         clock.run("graph", backend.optimize)
         clock.run("fusion", backend.build_map)
-    return clock, kiss.poses[: len(outputs)], outputs
+    return clock, peers, outputs
 
 
 def errors(poses: Floats, stamps_ns: np.ndarray, truth: Path) -> Floats:
@@ -114,18 +156,25 @@ def main() -> None:
     parser.add_argument("bag", type=Path)
     parser.add_argument("--scans", type=int, default=10**9)
     parser.add_argument("--truth", type=Path, help="trajectory.tum of the simulated drive")
+    parser.add_argument("--rko", action="store_true", help="rko_lio as well, where it can be imported")
     given = parser.parse_args()
     compare(given.bag, 3)  # compiles; not counted
-    clock, kiss, outputs = compare(given.bag, given.scans)
+    clock, peers, outputs = compare(given.bag, given.scans, given.rko)
     alone = clock.seconds.pop("kiss_icp")
+    others = {} if peers.rko is None else {"rko_lio alone": clock.seconds.pop("rko_lio")}
     ours = sum(clock.seconds.values())
     print(f"{len(outputs)} scans, CPU ms a scan")
-    for stage, seconds in {"kiss_icp alone": alone, **clock.seconds, "mapping, all": ours}.items():
+    rows = {"kiss_icp alone": alone, **others, **clock.seconds, "mapping, all": ours}
+    for stage, seconds in rows.items():
         print(f"  {stage:15s} {1e3 * seconds / len(outputs):7.1f}   {seconds / alone:5.2f} of kiss_icp")
     if given.truth is not None:
         stamps = np.array([output.pose.stamp_ns for output in outputs])
-        for name, poses in (("kiss_icp", kiss), ("ours", [o.pose.T_odom_lidar for o in outputs])):
-            error = errors(np.array(poses), stamps, given.truth)
+        tracks = {"kiss_icp": peers.kiss.poses, "ours": [o.pose.T_odom_lidar for o in outputs]}
+        if peers.rko is not None:
+            tracks["rko_lio"] = peers.rko.poses
+        for name, poses in tracks.items():
+            count = min(len(poses), len(stamps))
+            error = errors(np.array(poses[:count]), stamps[:count], given.truth)
             print(f"  {name}: odometry error {error[-1]:.3f} m at the end, {error.max():.3f} m at most")
 
 

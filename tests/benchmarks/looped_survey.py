@@ -1,7 +1,8 @@
 """A survey of more than a kilometre for the trajectory benchmark: two drives of one epoch, two laps each.
 
 The block of preset ``default`` is driven round twice, then an hour later twice the other way round: loops
-within a sequence, reverse driving between sequences. 512x10, OS1-128 by default.
+within a sequence, reverse driving between sequences. Both pull away from rest and stop at lights once.
+512x10, OS1-128 by default.
 """
 
 from __future__ import annotations
@@ -17,12 +18,22 @@ from subiaco_geo.frames import Floats, Ints
 from subiaco_sim.config import FaultConfig, GnssConfig, LidarMode, SimulationConfig
 from subiaco_sim.drives import START_NS, Drive, Survey, lidar_of, plan_survey, scans_of
 from subiaco_sim.gnss import FIXED, FLOAT, NONE, GnssSeries, simulate_gnss
-from subiaco_sim.motion import drive
+from subiaco_sim.motion import drive, travelled
 from subiaco_sim.presets import find_preset
 from subiaco_sim.survey import _record
 
 HOUR_NS = 3600 * 10**9
 NAMES = ("there", "back")
+#: A stop at lights: braking, standing, away again [s since the start].
+LIGHTS_S = (60.0, 64.0, 72.0, 77.0)
+
+
+def stopping(seconds: Floats, speed: float, phase: float) -> Floats:
+    """Return the distance driven with a stop at lights; see :func:`subiaco_sim.motion.travelled`."""
+    way = travelled(seconds, speed, phase)
+    share = np.interp(seconds, LIGHTS_S, [0.0, 1.0, 1.0, 0.0])
+    share = 1.0 - share * share * (3.0 - 2.0 * share)  # no jerk where braking begins and ends
+    return np.asarray(np.append(0.0, np.cumsum(0.5 * (share[1:] + share[:-1]) * np.diff(way))))
 
 
 def looped_surveys(
@@ -37,16 +48,17 @@ def looped_surveys(
     laps = np.tile(scene.route, (3, 1))
     found = {}
     for number, name in enumerate(NAMES):
-        motion = drive(
-            laps,
-            scene.terrain_at("before"),
-            START_NS["before"] + number * HOUR_NS,
-            duration,
-            find_preset("default").speed,
-            reverse=number == 1,
-            seed=2 * seed + number,
-            place=0.1 + 0.3 * number,
-        )
+        with patch("subiaco_sim.motion.travelled", stopping):
+            motion = drive(
+                laps,
+                scene.terrain_at("before"),
+                START_NS["before"] + number * HOUR_NS,
+                duration,
+                find_preset("default").speed,
+                reverse=number == 1,
+                seed=2 * seed + number,
+                place=0.1 + 0.3 * number,
+            )
         own = replace(first, number=number, motion=motion, scans=int(duration * 10))
         found[name] = replace(survey, drives={"before": own})
     return found

@@ -10,7 +10,7 @@ from scipy.special import expit
 
 from subiaco_change.evaluation.confidence_fit import fit_confidence
 from subiaco_change.injection.calibrate import Calibration, CalibrationConfig, write_calibration
-from subiaco_change.injection.detectability import COLUMNS, Curve, fit_curve, fit_curves, holding
+from subiaco_change.injection.detectability import COLUMNS, Curve, fit_curve, fit_curves, statement
 from subiaco_change.outputs.raster import LodRaster
 
 TRUE = Curve(a=3.0, b=5.0, c=-2.0, tested=(0.05, 1.0), count=0, found=0)
@@ -30,8 +30,13 @@ def test_a_known_curve_comes_back_and_holds_on_fresh_changes():
     assert fitted is not None
     for lod in (0.06, 0.15):
         assert fitted.smallest(lod) == pytest.approx(TRUE.smallest(lod), rel=0.12)
-    stated, found = holding(changes(4000, seed=2), {("ground", "shift"): fitted})
-    assert 0.95 < found / stated <= 1.0
+    tried = statement(changes(4000, seed=2), {("ground", "shift"): fitted})
+    assert tried["class"].tolist() == ["ground", "all"]
+    row = tried.iloc[0]
+    assert row["about"] > 200
+    assert row["about_found"] == pytest.approx(row["about_expected"], abs=0.02)
+    assert 0.92 < row["about_found"] < 0.98
+    assert 0.95 < row["above_found"] <= 1.0
 
 
 def test_a_coarser_level_of_detection_never_makes_smaller_changes_visible():
@@ -47,7 +52,8 @@ def test_what_was_not_tested_is_not_stated():
     assert fitted is not None
     assert np.isnan(fitted.smallest(0.1))
     assert fit_curve(missed.head(5)) is None
-    assert holding(missed, {("ground", "shift"): fitted}) == (0, 0)
+    assert statement(missed, {("ground", "shift"): fitted})["above"].tolist() == [0, 0]
+    assert statement(missed, {})["above"].tolist() == [0]
 
 
 def judged(count: int = 400, seed: int = 5) -> pd.DataFrame:
@@ -78,7 +84,10 @@ def test_a_calibration_is_written_with_table_curves_and_map(tmp_path):
     result = Calibration(judged(), every, changes(200, seed=8), lod, "EPSG:7850", {"inserted": 1})
     config = CalibrationConfig(copies=2)
     document = write_calibration(tmp_path / "out", result, config, tmp_path / "map")
-    assert document["fresh_changes_at_or_above_the_stated_size"] > 50
+    assert document["fresh_changes"]["above"] > 50
+    assert document["second_pass"]["measured"] is False
+    fresh = pd.read_csv(tmp_path / "out" / "fresh.csv")
+    assert fresh.iloc[-1]["above"] == document["fresh_changes"]["above"]
     table = pd.read_csv(tmp_path / "out" / "detectable.csv")
     assert table.loc[table["class"] == "building", "smallest_95_m"].isna().all()
     with rasterio.open(tmp_path / "out" / "detectable_ground.tif") as raster:

@@ -14,6 +14,7 @@ from subiaco_change.injection.config import InjectionConfig, RepeatConfig, Sight
 from subiaco_change.injection.edits import (
     Donor,
     Edited,
+    Put,
     compare_columns,
     cut_off,
     grown,
@@ -138,6 +139,22 @@ def test_growth_and_cuts_have_the_truth_of_their_columns():
     assert scene.rows[0]["delta_h_m"] == pytest.approx(1.0, abs=0.2)
 
 
+def test_what_is_cut_hides_nothing_and_what_has_grown_hides_what_its_new_part_covers():
+    for change, hides in ((lambda p: cut_off(p, 0.4), False), (lambda p: grown(p, 1.6, LEAF), True)):
+        scene = edited()
+        behind = np.array([[41.5, 1.0, 3.9]])  # seen over the shed, not over one that is 1.5 m higher
+        scene.xyz = np.concatenate([scene.xyz, behind])
+        extra = {"semantic": np.uint8(4), "instance": np.int32(-1)}
+        scene = Edited(
+            scene.xyz,
+            *(np.append(getattr(scene, name), value) for name, value in extra.items()),
+            scene.sight, scene.site, scene.config, np.random.default_rng(7),
+        )  # fmt: skip
+        reshape(scene, np.flatnonzero(scene.instance == 1), "building", change, "any")
+        assert scene.hidden[-1] == hides
+        assert scene.hidden.any() == hides
+
+
 @pytest.mark.parametrize(
     ("size", "rise", "change"),
     [
@@ -174,10 +191,8 @@ def test_beams_pass_where_a_thing_was_and_end_where_one_stands():
     shed = np.flatnonzero(scene.instance == 1)
     take_away(scene, shed, "building")
     wall = plane((10, 13, 0), (50, 13, 5), 1, 13.0)
-    scene.stand(wall)
-    scene.put.append(
-        type("Put", (), {"xyz": wall})()  # only its points matter here
-    )
+    unknown = np.full(len(wall), -1)
+    scene.stand(Put(wall, unknown, 2, Semantic.BUILDING, Change.ADDED, wall))
     copy = edit_visibility(grid, ORIGIN, scene)
     roof = np.array([[41.4, 4.4, 2.5]]) + ORIGIN
     assert grid.lookup(roof)[0][0] > 0
@@ -241,7 +256,10 @@ def test_a_second_pass_misses_what_few_beams_hit_and_stays_on_the_surfaces():
     assert np.median(kept) == pytest.approx(1.18 * LEAF / np.sqrt(12 * 8), rel=0.1)
     leaves = fields | {"semantic": np.full(len(floor), Semantic.VEGETATION, dtype=np.uint8)}
     chosen, other = resampled(floor, leaves, config, np.random.default_rng(3))
-    assert other[count[chosen] == 8, 2].std() == pytest.approx(config.repeat.foliage, rel=0.25)
+    apart = np.linalg.norm(other - floor[chosen], axis=1)
+    assert 0.1 < np.median(apart) < apart.max() < config.repeat.foliage + 0.05
+    assert np.abs(other[:, :2].min(axis=0)).max() < 0.3, "the outline stays"
+    assert np.abs(other[:, :2].max(axis=0) - 40.0).max() < 0.3
 
 
 def test_an_injected_map_is_a_map_with_the_truth_of_a_simulated_survey(survey, tmp_path):

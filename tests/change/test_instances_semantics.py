@@ -114,7 +114,7 @@ def test_the_energy_is_never_above_the_trivial_partitions(seed, count, strength)
     config = SuperpointConfig(strength=strength)
     found = partition(features, neighbours, config)
     edges = graph_edges(neighbours)
-    weights = edge_weights(features, edges)
+    weights = edge_weights(features, edges, config.sigma)
     single, one = (
         potts_energy(features, labels, edges, weights, strength)
         for labels in (np.arange(count), np.zeros(count, dtype=np.int64))
@@ -196,3 +196,17 @@ def test_a_bundle_of_wires_is_no_facade():
     found = label_points(cloud, SemanticsConfig()).semantic
     mine = cKDTree(wires).query(cloud.xyz)[0] < 0.1
     assert (found[mine] == Semantic.BUILDING).mean() < 0.05
+
+
+def test_a_tile_with_its_overlap_gets_the_labels_and_objects_of_the_whole(labelled):
+    cloud, whole, objects = labelled
+    x = cloud.xyz[:, 0]
+    tile = np.flatnonzero(x < 10.0)
+    part = cloud.select(tile)
+    result = label_points(part, SemanticsConfig())
+    mine = segment(part, result, InstanceConfig())
+    core = x[tile] < 0.0
+    assert (result.semantic == whole.semantic[tile])[core].mean() > 0.998
+    assert np.abs(result.height_above_ground - whole.height_above_ground[tile])[core].max() < 0.02
+    pairs = np.unique(np.stack([mine, objects[tile]])[:, core & (mine >= 0)], axis=1)
+    assert len(np.unique(pairs[0])) == len(np.unique(pairs[1])) == pairs.shape[1]

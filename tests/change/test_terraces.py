@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scenes import house
+from scenes import house, rectangle
 
 from subiaco_change.semantics.boxes import box_sides
 from subiaco_change.semantics.terraces import TerraceConfig, split_row
@@ -39,6 +39,42 @@ def test_a_lean_to_narrower_than_a_house_stays_with_it():
     rng = np.random.default_rng(2)
     xyz = np.concatenate([house(rng, 0, 0, 10, 8, 6.0), house(rng, 6.2, 0, 2.4, 8, 2.6)])
     assert split_row(xyz[:, :2], xyz[:, 2], TerraceConfig()).max() == 0
+
+
+def facades(*heights, width=5.0, depth=1.5, veranda=2.4):
+    """What a street shows of a row: facades, and one veranda in front of all."""
+    rng = np.random.default_rng(4)
+    x = rng.uniform(0, len(heights) * width, 6000)
+    z = rng.uniform(0, 1, 6000) * np.array(heights)[(x // width).astype(int)]
+    roof = np.column_stack([rng.uniform(0, len(heights) * width, 2000), rng.uniform(-depth, 0, 2000)])
+    xy = np.concatenate([np.column_stack([x, np.zeros_like(x)]), roof])
+    return xy, np.concatenate([z, np.full(2000, veranda)]), (xy[:, 0] // width).astype(int)
+
+
+@pytest.mark.parametrize("heights", [(4.4, 7.2, 4.4), (5.4, 4.4, 8.3), (7.2, 4.5)])
+def test_facades_behind_one_veranda_are_one_part_each(heights):
+    xy, height, owner = facades(*heights)
+    parts = split_row(xy, height, TerraceConfig())
+    assert len(np.unique(parts)) == len(heights)
+    assert (parts == owner).mean() > 0.95
+
+
+def test_a_hip_and_a_ridge_across_are_no_party_walls():
+    rng = np.random.default_rng(5)
+    xy = rng.uniform((0, 0), (16, 8), (8000, 2))
+    hip = 3.0 + 0.6 * np.minimum.reduce([xy[:, 0], 16 - xy[:, 0], xy[:, 1], 8 - xy[:, 1]])
+    gable = 3.0 + 0.7 * np.minimum(xy[:, 0], 16 - xy[:, 0])
+    for roof in (hip, gable):
+        assert split_row(xy, roof, TerraceConfig()).max() == 0
+
+
+@pytest.mark.parametrize(("link", "parts"), [(2.5, 2), (3.8, 1)])
+def test_two_houses_that_a_carport_joins_part_and_two_wings_that_a_roof_joins_do_not(link, parts):
+    rng = np.random.default_rng(6)
+    houses = [house(rng, x, 0.0, 9.0, 8.0, 4.0) for x in (0.0, 13.0)]
+    between = rectangle(rng, (4.5, -2.0, link), (4.0, 0, 0), (0, 4.0, 0))
+    xyz = np.concatenate([*houses, between])
+    assert split_row(xyz[:, :2], xyz[:, 2], TerraceConfig()).max() + 1 == parts
 
 
 def test_sides_of_a_turned_rectangle():

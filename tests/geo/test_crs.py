@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import struct
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -11,9 +14,11 @@ from pyproj import CRS, Proj, Transformer
 from subiaco_geo.crs import (
     EnuFrame,
     crs_text,
+    ellipsoidal_heights,
     fixes_to_gda2020,
     las_wkt,
     require_crs,
+    require_ellipsoidal,
     require_map_crs,
     transformer,
 )
@@ -198,3 +203,34 @@ def test_wrong_shapes_are_refused() -> None:
         SUBIACO.points_to_map(np.zeros(3), MGA)
     with pytest.raises(InputError, match=r"\(N, 4, 4\)"):
         SUBIACO.poses_to_map(make_pose(np.eye(3), np.zeros(3)), MGA)
+
+
+def geoid(path: Path) -> Path:
+    """A geoid that rises by 1 m a degree to the north, -32 m at 32 S, in the GTX format (1 deg grid)."""
+    rows = [[-32.0 + row, -32.0 + row, -32.0 + row] for row in range(3)]
+    data = struct.pack(">4d2i", -32.0, 115.0, 1.0, 1.0, 3, 3)
+    path.write_bytes(data + b"".join(struct.pack(">3f", *row) for row in rows))
+    return path
+
+
+def test_heights_above_the_geoid_become_ellipsoidal_with_a_grid(tmp_path: Path) -> None:
+    fixes = np.array([[-31.5, 115.8, 20.0], [-32.0, 116.0, 5.0]])
+    found = ellipsoidal_heights(fixes, geoid(tmp_path / "geoid.gtx"))
+    np.testing.assert_allclose(found, [[-31.5, 115.8, -11.5], [-32.0, 116.0, -27.0]], atol=1e-4)
+
+
+def test_a_geoid_that_is_none_or_lies_elsewhere_is_refused(tmp_path: Path) -> None:
+    fixes = np.array([[-31.5, 115.8, 20.0]])
+    with pytest.raises(InputError, match="no such geoid grid"):
+        ellipsoidal_heights(fixes, tmp_path / "absent.gtx")
+    (tmp_path / "broken.gtx").write_bytes(b"nothing")
+    with pytest.raises(InputError, match="not a geoid grid"):
+        ellipsoidal_heights(fixes, tmp_path / "broken.gtx")
+    with pytest.raises(InputError, match="does not cover"):
+        ellipsoidal_heights(np.array([[48.0, 11.0, 500.0]]), geoid(tmp_path / "geoid.gtx"))
+
+
+def test_a_map_in_ahd_is_refused_for_proj_would_not_move_its_heights() -> None:
+    assert require_ellipsoidal(MGA).to_epsg() == 7850
+    with pytest.raises(InputError, match="ellipsoidal heights; name the horizontal part"):
+        require_ellipsoidal("EPSG:7850+5711")

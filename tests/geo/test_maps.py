@@ -103,7 +103,7 @@ def test_the_directory_holds_what_the_contract_names(tmp_path: Path) -> None:
     assert names == {
         "map.laz", "map.ply", "map.yaml", "trajectory.tum", "odometry/a.txt", "odometry/a.times.txt",
         "odometry/b.c.txt", "odometry/b.c.times.txt", "visibility.npz", "uncertainty.csv", "heights.csv",
-        "manifest.yaml", "last.laz", "config.yaml",
+        "tile_uncertainty.csv", "manifest.yaml", "last.laz", "config.yaml",
     }  # fmt: skip
     info = yaml.safe_load((tmp_path / "m" / "map.yaml").read_text())
     assert info["crs"] == "EPSG:7850"

@@ -130,6 +130,13 @@ def test_packets_reordered_within_the_window_give_the_same_scans(random) -> None
         np.testing.assert_array_equal(scan.first.times_ns, expected.first.times_ns)
 
 
+def test_packets_that_changed_places_are_counted() -> None:
+    bufs, metadata = synthetic(frames=2)
+    assert decode(bufs, metadata)[1].reordered == 0
+    swapped = [*bufs[:3], bufs[4], bufs[3], *bufs[5:]]
+    assert decode(swapped, metadata)[1].reordered == 1
+
+
 def test_a_packet_after_its_frame_was_closed_is_late() -> None:
     bufs, metadata = synthetic()
     _, counts = decode([*bufs[:3], *bufs[4:], bufs[3]], metadata)

@@ -354,3 +354,9 @@ def test_a_preview_that_cannot_be_georeferenced_yet_is_local_and_starts_anew_whe
     assert preview.frame is not None
     expected = preview.frame.from_geodetic(*FRAME.to_geodetic(truth[:, :3, 3]).T)
     assert np.linalg.norm(preview.sequences[0].T_local_lidar[:, :3, 3] - expected, axis=1).max() < 0.05
+
+
+def test_fixes_in_ahd_are_refused_without_a_grid() -> None:
+    fixes = [fix_at(np.zeros(3), START_NS)]
+    with pytest.raises(InputError, match=r"gnss\.heights: AHD needs gnss\.geoid_grid"):
+        gnss.to_enu(fixes, FRAME, GnssConfig(heights="AHD"))

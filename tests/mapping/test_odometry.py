@@ -104,10 +104,13 @@ def as_scan(xyz: np.ndarray, stamp_ns: int) -> Scan:
     return Scan(stamp_ns, stamp_ns, first, deskewed=True)
 
 
-def test_77_real_scans_agree_with_the_reference_poses(shared_data: Path) -> None:
+@pytest.mark.parametrize(("refine", "limit"), [(False, 0.06), (True, 0.2)])
+def test_77_real_scans_agree_with_the_reference_poses(shared_data: Path, refine: bool, limit: float) -> None:
+    """The reference is kiss-icp's, of scans that still hold the motion inside them (docs/real-data.md)."""
+    config = OdometryConfig(refine=refine, convergence=1e-2 if refine else 5e-4)
     clouds, _ = kitti_clouds(shared_data / "kitti_scans")
     reference = kitti_reference(shared_data / "kitti_scans")
-    frontend = OdometryFrontend(MappingConfig(deskewed=True), Extrinsics())
+    frontend = OdometryFrontend(MappingConfig(deskewed=True, odometry=config), Extrinsics())
     outputs = []
     for k, xyz in enumerate(clouds):
         outputs += frontend.on_points(as_scan(xyz[np.linalg.norm(xyz, axis=1) > 1.0], START_NS + k * STEP))
@@ -115,7 +118,7 @@ def test_77_real_scans_agree_with_the_reference_poses(shared_data: Path) -> None
     difference = np.array([o.pose.T_odom_lidar for o in outputs])[:, :3, 3] - reference[:, :3, 3]
     largest = np.linalg.norm(difference, axis=1).max()
     assert len(outputs) == 77
-    assert largest < 0.06, f"largest difference {largest:.3f} m over 28.9 m"
+    assert largest < limit, f"largest difference {largest:.3f} m over 28.9 m"
 
 
 def test_the_front_end_drops_empty_scans_and_counts_them() -> None:

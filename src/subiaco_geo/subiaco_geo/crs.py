@@ -10,6 +10,7 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
+from pathlib import Path
 from typing import Literal
 
 import numpy as np
@@ -66,6 +67,23 @@ def require_map_crs(text: str) -> CRS:
     if factors != {1.0}:
         unit = crs.axis_info[0].unit_name
         raise InputError(f"crs {name!r}: its unit is the {unit}; reproject the data to a system in metres")
+    return crs
+
+
+def require_ellipsoidal(text: str) -> CRS:
+    """Return a CRS for a map that we make: as :func:`require_map_crs`, heights above the ellipsoid.
+
+    Raises
+    ------
+    InputError
+        It names another height, such as AHD: without the geoid's grid PROJ hands heights through unchanged.
+    """
+    crs = require_map_crs(text)
+    if crs.is_compound:
+        raise InputError(
+            f"crs {crs.name!r}: maps are made with ellipsoidal heights; name the horizontal part alone, "
+            "e.g. EPSG:7850 (fixes in AHD: gnss.heights and gnss.geoid_grid)"
+        )
     return crs
 
 
@@ -210,6 +228,40 @@ def fixes_to_gda2020(lat_lon_h: ArrayLike, frame: FixFrame, epoch: float | None 
         fixes[:, 0], fixes[:, 1], fixes[:, 2], np.full(len(fixes), epoch), errcheck=True
     )
     return np.stack(moved[:3], axis=1)
+
+
+def ellipsoidal_heights(lat_lon_h: ArrayLike, grid: Path) -> Floats:
+    """Bring heights above a geoid (AHD) to heights above the ellipsoid.
+
+    Parameters
+    ----------
+    lat_lon_h : (N, 3) float
+        Degrees, degrees, height above the geoid [m].
+    grid : Path
+        Geoid undulations [m] in a format of PROJ (``.gtx``, ``.tif``), AUSGeoid2020 for AHD.
+
+    Returns
+    -------
+    (N, 3) float64
+
+    Raises
+    ------
+    InputError
+        No such grid, not a grid, or positions outside it.
+    """
+    rows = np.array(lat_lon_h, dtype=np.float64)
+    if not grid.is_file() or any(letter in str(grid) for letter in " ,"):
+        raise InputError(f"{grid}: no such geoid grid, or blanks or commas in its path; give a .gtx or .tif")
+    steps = f"+step +proj=vgridshift +grids={grid} +multiplier=1 +step +proj=unitconvert"
+    pipeline = f"+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad {steps} +xy_in=rad +xy_out=deg"
+    try:
+        operation = Transformer.from_pipeline(pipeline)
+        moved = operation.transform(rows[:, 1], rows[:, 0], rows[:, 2], errcheck=True)
+    except ProjError as error:
+        said = " ".join(str(error).split())[:120]
+        raise InputError(f"{grid}: not a geoid grid, or it does not cover the fixes ({said})") from error
+    rows[:, 2] = moved[2]
+    return rows
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from subiaco_geo.config import load_yaml, read_parameters
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.simulated import mark_simulated
+from subiaco_geo.tile_uncertainty import TILE_COLUMNS, tile_uncertainty
 from subiaco_geo.trajectories import (
     Trajectory,
     format_seconds,
@@ -124,7 +125,7 @@ def write_map(directory: Path, survey: SurveyMap, overwrite: bool = False) -> No
 
     ``map.laz map.ply map.yaml manifest.yaml config.yaml`` always;
     ``trajectory.tum visibility.npz uncertainty.csv heights.csv last.laz moving.laz
-    odometry/<sequence>.txt (.times.txt)`` and reports where the survey has them.
+    tile_uncertainty.csv odometry/<sequence>.txt (.times.txt)`` and reports where the survey has them.
 
     Raises
     ------
@@ -142,6 +143,7 @@ def write_map(directory: Path, survey: SurveyMap, overwrite: bool = False) -> No
             save_visibility(out / "visibility.npz", survey.visibility)
         if survey.heights is not None:
             _write_heights(out / "heights.csv", survey.heights)
+            _write_tile_uncertainty(out / "tile_uncertainty.csv", survey, survey.heights)
         _write_yaml(out / "map.yaml", _map_info(survey))
         _write_yaml(out / "manifest.yaml", survey.manifest)
         _write_yaml(out / "config.yaml", {"/**": {"ros__parameters": survey.config}})
@@ -316,6 +318,14 @@ def _write_heights(path: Path, heights: Floats) -> None:
         raise InputError(f"heights must have shape (K, {len(HEIGHT_COLUMNS)}), got {heights.shape}")
     formats = ["%.3f", "%.3f", "%.4f", "%d", "%.6f"]
     np.savetxt(path, heights, fmt=formats, delimiter=",", header=",".join(HEIGHT_COLUMNS), comments="")
+
+
+def _write_tile_uncertainty(path: Path, survey: SurveyMap, heights: Floats) -> None:
+    if survey.trajectory is None or survey.uncertainty is None or len(survey.uncertainty.times_ns) == 0:
+        return
+    positions = survey.trajectory.at(survey.uncertainty.times_ns)[:, :3, 3]
+    rows = tile_uncertainty(heights[:, :3], positions, survey.uncertainty.covariances)
+    np.savetxt(path, rows, fmt="%.4f", delimiter=",", header=",".join(TILE_COLUMNS), comments="")
 
 
 def _read_heights(path: Path) -> Floats:

@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from subiaco_geo.crs import require_map_crs
+from subiaco_geo.crs import require_ellipsoidal
 from subiaco_geo.errors import InputError
 from subiaco_geo.maps import SurveyMap
 from subiaco_mapping.config import MappingConfig
@@ -35,7 +35,7 @@ class MappingBackend:
     """
 
     def __init__(self, config: MappingConfig, extrinsics: Extrinsics, spool: Path) -> None:
-        require_map_crs(config.crs)
+        require_ellipsoidal(config.crs)
         self._config = config
         self._extrinsics = extrinsics
         self._spool = spool

@@ -70,6 +70,14 @@ class DeskewConfig(StrictModel):
     max_imu_gap_ns: int = Field(
         100_000_000, gt=0, description="a longer hole in the IMU is missing data [ns]"
     )
+    registration_sigma: float = Field(
+        0.015, gt=0, description="odometry's error of one scan, to the velocity filter [m]"
+    )
+    force_noise: float = Field(0.05, gt=0, description="accelerometer to the filter [m/s2 a root second]")
+    rest_drift: float = Field(
+        0.03, gt=0, description="how fast gravity and bias, as read at rest, may wander [m/s2 a root second]"
+    )
+    rest_sigma: float = Field(0.3, gt=0, description="the accelerometer is used once they are so sure [m/s2]")
     imu_wait_ns: int = Field(
         1_000_000_000, gt=0, description="stream time a scan waits for the IMU before doing without [ns]"
     )
@@ -83,7 +91,7 @@ class OdometryConfig(StrictModel):
     max_points_per_voxel: int = Field(20, ge=1, description="points kept in a local map voxel")
     max_iterations: int = Field(50, ge=1, description="ICP iterations")
     convergence: float = Field(
-        5e-4, gt=0, description="norm of the last ICP update (1e-4: same poses, 20 % slower)"
+        1e-2, gt=0, description="norm of the last ICP update; 5e-4 where the second look does not refine"
     )
     initial_threshold: float = Field(2.0, gt=0, description="kernel width while the motion is unknown [m]")
     min_threshold: float = Field(0.3, gt=0, description="smallest kernel width [m]")
@@ -91,7 +99,8 @@ class OdometryConfig(StrictModel):
     look_voxel: float = Field(1.0, gt=0, description="voxel of the second look's Gaussian map [m]")
     look_distance: float = Field(1.0, gt=0, description="largest correspondence of the second look [m]")
     look_iterations: int = Field(10, ge=1, description="iterations of the second look")
-    refine: bool = Field(False, description="the second look's plane-to-plane pose is the pose")
+    look_leaf: float = Field(0.75, gt=0, description="points of the second look are so far apart [m]")
+    refine: bool = Field(True, description="the second look's plane-to-plane pose is the pose")
     correlation: float = Field(
         30.0, ge=1, description="points that share one error: variance is multiplied by it"
     )
@@ -120,6 +129,10 @@ class GnssConfig(StrictModel):
     )
     declared_frame: Literal["GDA2020", "ITRF2014"] = Field("GDA2020", description="frame of the fixes")
     epoch: float | None = Field(None, description="decimal year of ITRF coordinates")
+    heights: Literal["ellipsoidal", "AHD"] = Field(
+        "ellipsoidal", description="what the fixes' altitudes are above; AHD needs geoid_grid"
+    )
+    geoid_grid: str = Field("", description="file of geoid undulations as PROJ reads them: AUSGeoid2020")
     sigma_fixed: float = Field(0.015, gt=0, description="floor for status 2 [m]")
     sigma_float: float = Field(0.4, gt=0, description="floor for status 1 [m]")
     sigma_single: float = Field(2.0, gt=0, description="floor for status 0 [m]")

@@ -28,14 +28,15 @@ class DecodeCounts:
     """What came in and what did not.
 
     ``lost`` counts packets that a closed frame lacked, whole frames included; ``late`` packets
-    came after their frame was closed, ``duplicate`` ones twice, ``malformed`` ones had the wrong
-    size.
+    came after their frame was closed, ``duplicate`` ones twice, ``reordered`` ones after a packet of
+    later columns, ``malformed`` ones had the wrong size.
     """
 
     packets: int = 0
     lost: int = 0
     late: int = 0
     duplicate: int = 0
+    reordered: int = 0
     malformed: int = 0
     scans: int = 0
     empty_scans: int = 0
@@ -205,6 +206,7 @@ class PacketDecoder:
         self._newest: int | None = None
         self._closed: int | None = None
         self._init_id: int | None = None
+        self._latest = (-1, -1)  # frame and column
         self.counts = DecodeCounts()
 
     @property
@@ -241,6 +243,7 @@ class PacketDecoder:
     def _restart(self) -> list[Scan]:
         scans = self.flush()
         self._closed = self._newest = None
+        self._latest = (-1, -1)
         self.counts.restarts += 1
         logger.warning("the sensor restarted its frame count; a new run of frames begins")
         return scans
@@ -281,6 +284,9 @@ class PacketDecoder:
         if frame.seen[column].all():
             self.counts.duplicate += 1
             return
+        place = (frame.number, int(column[0]))
+        self.counts.reordered += place < self._latest
+        self._latest = max(place, self._latest)
         status = packets.packet_header(core.ColHeader.STATUS, data)
         valid = (status.astype(np.int64) & 1) == 1
         frame.seen[column] = True

@@ -1,8 +1,8 @@
 """Move every point of a scan to the time of its last column.
 
-Rotation comes from the gyro, translation from the odometry's last velocity (constant in the body
-frame); without the IMU the whole last twist is held. Measured error: 1 cm with the gyro, 6 cm
-without, 0.7 m undone (constant-velocity after a gap must use the true time step).
+Rotation comes from the gyro, translation from the accelerometer and the velocity that a filter holds
+(:mod:`subiaco_mapping.velocity`). Until the filter is sure the odometry's last velocity is held, in body
+axes; without the IMU the whole last twist. Constant velocity after a gap must use the true time step.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from scipy.spatial.transform import Rotation, Slerp
 from subiaco_geo.frames import Floats, Ints, make_pose
 from subiaco_mapping.config import DeskewConfig
 from subiaco_mapping.measurements import DeskewedScan, Extrinsics, ImuSample, Returns, Scan
+from subiaco_mapping.velocity import VelocityFilter, imu_stretch, rotations_of, summed
 
-SECOND = 1e9
 STANDING_SAMPLES = 50
 
 
@@ -71,15 +71,8 @@ def _moved(xyz: Floats, index: Ints, rotation: Floats, shift: Floats) -> Floats:
 
 def integrate(knots_ns: Ints, rates: Floats, velocity: Floats, mode: str) -> Motion:
     """Integrate body rates (K, 3) [rad/s] and a constant body velocity (3,) [m/s] over knots."""
-    step_s = np.diff(knots_ns).astype(np.float64)[:, None] / SECOND
-    increments = Rotation.from_rotvec(0.5 * (rates[1:] + rates[:-1]) * step_s).as_matrix()
-    rotations = np.empty((len(knots_ns), 3, 3))
-    rotations[0] = np.eye(3)
-    for k, increment in enumerate(increments):
-        rotations[k + 1] = rotations[k] @ increment
-    world_velocity = rotations @ velocity
-    path = np.cumsum(0.5 * (world_velocity[1:] + world_velocity[:-1]) * step_s, axis=0)
-    return Motion(knots_ns, rotations, np.vstack([np.zeros(3), path]), mode)
+    rotations = rotations_of(knots_ns, rates)
+    return Motion(knots_ns, rotations, summed(rotations @ velocity, knots_ns), mode)
 
 
 def body_twist(T_previous_current: Floats, duration_s: float) -> Floats:
@@ -95,6 +88,12 @@ def body_twist(T_previous_current: Floats, duration_s: float) -> Floats:
     return np.concatenate([rotvec / duration_s, velocity])
 
 
+def _at(knots_ns: Ints, times_ns: Ints, values: Floats) -> Floats:
+    """Return values (M, 3) at times, linear in between, at knots (K, 3)."""
+    query, known = (knots_ns - knots_ns[0]).astype(float), (times_ns - knots_ns[0]).astype(float)
+    return np.stack([np.interp(query, known, values[:, i]) for i in range(3)], axis=1)
+
+
 class Deskewer:
     """Keep the IMU samples that scans still need, and straighten scans with them.
 
@@ -108,6 +107,9 @@ class Deskewer:
     def __init__(self, config: DeskewConfig, extrinsics: Extrinsics) -> None:
         self._config = config
         self._R_lidar_imu = extrinsics.R_lidar_imu if extrinsics.T_base_imu is not None else None
+        self._t_lidar_imu = np.zeros(3) if extrinsics.T_base_imu is None else extrinsics.t_lidar_imu
+        self._filter = VelocityFilter(config)
+        self._twist: Floats | None = None
         self._samples: deque[ImuSample] = deque()
         self._bias = np.asarray(config.gyro_bias, dtype=np.float64)
         self._recent: deque[ImuSample] = deque(maxlen=STANDING_SAMPLES)
@@ -163,8 +165,9 @@ class Deskewer:
             start_ns = min(start_ns, previous_ns)
         used = self._between(start_ns, scan.end_ns)
         self._learn_bias(used, twist)
+        self._follow(twist)
         motion = self._motion(start_ns, scan.end_ns, known, used)
-        unknown = twist is None and motion.mode != "gyro"
+        unknown = twist is None and motion.mode == "constant_velocity"
         predicted = None if previous_ns is None or unknown else motion.between(previous_ns, scan.end_ns)
         mode = "none" if scan.deskewed or unknown else motion.mode
         first = self._straighten(scan.first, motion, scan.end_ns, mode)
@@ -203,13 +206,23 @@ class Deskewer:
             return integrate(knots_ns, np.tile(twist[:3], (len(knots_ns), 1)), twist[3:], "constant_velocity")
         inside = times_ns[(times_ns > start_ns) & (times_ns < end_ns)]
         knots_ns = np.concatenate([knots_ns[:1], inside, knots_ns[1:]])
-        rates = (np.array([s.gyro for s in used]) - self._bias) @ self._R_lidar_imu.T
-        relative = (times_ns - start_ns).astype(np.float64)
-        at_knots = np.stack(
-            [np.interp((knots_ns - start_ns).astype(np.float64), relative, rates[:, i]) for i in range(3)],
-            axis=1,
-        )
-        return integrate(knots_ns, at_knots, twist[3:], "gyro")
+        rates = _at(knots_ns, times_ns, (np.array([s.gyro for s in used]) - self._bias) @ self._R_lidar_imu.T)
+        forces = _at(knots_ns, times_ns, np.array([s.accel for s in used]) @ self._R_lidar_imu.T)
+        stretch = imu_stretch(knots_ns, rates, forces, self._t_lidar_imu)
+        self._filter.hold(stretch)
+        held = self._filter.state
+        if held is None:
+            return integrate(knots_ns, rates, twist[3:], "gyro")
+        return Motion(knots_ns, stretch.rotations, stretch.path(*held), "gyro_accelerometer")
+
+    def _follow(self, twist: Floats | None) -> None:
+        """Bring the filter to the stamp of the scan before; a twist that did not change says nothing new."""
+        if twist is None:
+            self._filter.forget()
+        else:
+            new = self._twist is None or not np.array_equal(twist, self._twist)
+            self._filter.advance(twist[3:] if new else None)
+        self._twist = twist
 
     def _covers(self, times_ns: Ints, start_ns: int, end_ns: int) -> bool:
         if len(times_ns) < 2:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from subiaco_geo.crs import EnuFrame, fixes_to_gda2020
+from subiaco_geo.crs import EnuFrame, ellipsoidal_heights, fixes_to_gda2020
+from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints, interpolate_poses, invert_pose, make_pose
 from subiaco_mapping.config import GnssConfig
 from subiaco_mapping.measurements import GnssFix
@@ -75,6 +77,13 @@ def local_frame(fixes: Sequence[GnssFix], config: GnssConfig) -> EnuFrame | None
 
 def _to_gda2020(fixes: Sequence[GnssFix], config: GnssConfig) -> Floats:
     rows = np.array([[f.latitude, f.longitude, f.altitude] for f in fixes]).reshape(-1, 3)
+    if config.heights == "AHD":
+        if not config.geoid_grid:
+            raise InputError(
+                "gnss.heights: AHD needs gnss.geoid_grid, the AUSGeoid2020 grid as .gtx or .tif; "
+                "or let the receiver send ellipsoidal heights"
+            )
+        rows = ellipsoidal_heights(rows, Path(config.geoid_grid))
     return fixes_to_gda2020(rows, config.declared_frame, config.epoch)
 
 

@@ -26,7 +26,8 @@ LEGEND = {
     "start_s": "first scan, UTC seconds since 1970",
     "end_s": "last scan, UTC seconds since 1970",
     "lost_columns": "LiDAR columns that never arrived",
-    "deskew": "scans by how motion inside them was removed: gyro, constant_velocity, none",
+    "deskew": "scans by how motion inside them was removed: gyro_accelerometer, gyro, "
+    "constant_velocity, none",
     "segments": "stretches of unbroken odometry; 1 is right",
     "flagged": "stretches that deserve a second look, by reason; empty is right",
     "packet_loss": "flag: a larger share of the LiDAR columns lost than manifest.max_lost_ratio",
@@ -59,7 +60,7 @@ LEGEND = {
     "seam_median_m": "how far the solved map is off the registration of both visits, median [m]",
     "seam_p95_m": "the same, 95th percentile [m]",
     "dropped_points": "points that were not finite",
-    "packets": "LiDAR packets of the whole recording: received, lost, late, duplicate, malformed",
+    "packets": "LiDAR packets of the whole recording: received, lost, late, duplicate, reordered, malformed",
     "dropped_scans": "scans without points or out of order",
     "imu_out_of_order": "IMU samples that were not newer than the one before",
     "arrivals_odometry": "live, up to its last second: sensor messages at the odometry, by topic",

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import tempfile
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
@@ -13,7 +14,7 @@ from subiaco_geo.config import config_hash
 from subiaco_geo.frames import invert_pose
 from subiaco_geo.maps import PoseUncertainty, SurveyMap
 from subiaco_geo.trajectories import Trajectory
-from subiaco_mapping.config import ManifestConfig, MappingConfig
+from subiaco_mapping.config import GnssConfig, ManifestConfig, MappingConfig
 from subiaco_mapping.finishing import FinishedMap, MapFusion
 from subiaco_mapping.heights import height_table
 from subiaco_mapping.manifest import LEGEND, describe_sequence
@@ -120,8 +121,15 @@ def _info(
         "georeferenced": frame is not None,
         "local_because": solution.reason,
         "enu_origin": None if frame is None else [frame.latitude_deg, frame.longitude_deg, frame.height],
+        "geoid_grid": _grid_hash(config.gnss),
         "vertical_sigma_floor_m": config.gnss.sigma_fixed * config.gnss.vertical_factor,
     }
+
+
+def _grid_hash(config: GnssConfig) -> str | None:
+    if config.heights != "AHD":
+        return None
+    return hashlib.sha256(Path(config.geoid_grid).read_bytes()).hexdigest()
 
 
 def describe(

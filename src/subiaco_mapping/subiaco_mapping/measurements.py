@@ -129,7 +129,7 @@ class DeskewedScan:
         Strongest return [m].
     intensity : (N,) float32
     mode : str
-        ``gyro``, ``constant_velocity`` or ``none``.
+        ``gyro_accelerometer``, ``gyro``, ``constant_velocity`` or ``none``.
     motion : (4, 4) float64 or None
         Predicted ``T_previous_current`` since the scan before, None where unknown.
     last_xyz, last_intensity : arrays
@@ -203,6 +203,13 @@ class Extrinsics:
         if self.T_base_imu is None:
             raise ValueError("the IMU extrinsic is not known")
         return np.asarray(self.T_base_lidar[:3, :3].T @ self.T_base_imu[:3, :3])
+
+    @property
+    def t_lidar_imu(self) -> Floats:
+        """IMU (3,) in ``lidar_link`` [m]."""
+        if self.T_base_imu is None:
+            raise ValueError("the IMU extrinsic is not known")
+        return np.asarray(self.T_base_lidar[:3, :3].T @ (self.T_base_imu[:3, 3] - self.T_base_lidar[:3, 3]))
 
     @property
     def t_lidar_gnss(self) -> Floats:

@@ -1,4 +1,9 @@
-"""Scan to local map odometry: kiss-icp's core, with a second look for the covariance."""
+"""Scan to local map odometry: kiss-icp's core, and a second look, plane to plane.
+
+Point to point alone sticks to the rings of a scan: seen from almost the same place they lie where they lay,
+so that a car that pulls away lags by centimetres and the map turns by a tenth of a degree. The second look
+does not, and says how well the pose is held; where it is not held in some direction, kiss-icp's pose stays.
+"""
 
 from __future__ import annotations
 
@@ -138,8 +143,7 @@ class KissOdometry:
             self._start_segment()
         guess = self._pose @ self._prediction(scan, gap_s)
         dense = voxel_down_sample(scan.xyz, self._config.voxel * 0.5)
-        keypoints = voxel_down_sample(dense, self._config.voxel * 1.5)
-        result = self._solve(keypoints, guess, gap_s, scan.stamp_ns)
+        result = self._solve(dense, guess, gap_s, scan.stamp_ns)
         self._finish(dense, result, guess, gap_s)
         return result
 
@@ -155,29 +159,35 @@ class KissOdometry:
             return np.eye(4)
         return scan.motion
 
-    def _solve(self, keypoints: Floats, guess: Floats, gap_s: float, stamp_ns: int) -> OdometryPose:
-        pose, predicted = guess, False
-        if len(keypoints) and not self._map.empty():
-            pose = self._registration.align_points_to_map(
-                points=keypoints,
-                voxel_map=self._map,
-                initial_guess=guess,
-                max_correspondance_distance=3 * self._threshold,
-                kernel=self._threshold,
-            )
-        cloud = self._look.cloud(keypoints) if len(keypoints) > 10 else None
+    def _solve(self, dense: Floats, guess: Floats, gap_s: float, stamp_ns: int) -> OdometryPose:
+        pose, predicted, first = self._matched(dense, guess), False, self._map.empty()
+        looked_at = voxel_down_sample(dense, self._config.look_leaf)
+        cloud = self._look.cloud(looked_at) if len(looked_at) > 10 else None
         look = self._look.align(cloud, pose) if cloud is not None else None
-        first = self._map.empty()
-        if look is not None and look.num_inliers < self._config.min_inlier_ratio * len(keypoints):
+        if look is not None and look.num_inliers < self._config.min_inlier_ratio * len(looked_at):
             pose, predicted = guess, True
-        elif look is not None and self._config.refine:
-            pose = np.asarray(look.T_target_source)
         predicted = predicted or (look is None and not first)
+        covariance, rmse, degenerate = self._uncertainty(look, predicted, gap_s)
+        if look is not None and self._config.refine and not (predicted or degenerate):
+            pose = np.asarray(look.T_target_source)
         if cloud is not None and not predicted:
             self._look.insert(cloud, pose)
-        covariance, rmse, degenerate = self._uncertainty(look, predicted, gap_s)
         inliers = 0 if look is None else int(look.num_inliers)
         return OdometryPose(stamp_ns, pose, covariance, inliers, rmse, degenerate, self._segment, predicted)
+
+    def _matched(self, dense: Floats, guess: Floats) -> Floats:
+        """Return kiss-icp's pose, the guess where there is nothing to match."""
+        keypoints = voxel_down_sample(dense, self._config.voxel * 1.5)
+        if len(keypoints) == 0 or self._map.empty():
+            return guess
+        matched = self._registration.align_points_to_map(
+            points=keypoints,
+            voxel_map=self._map,
+            initial_guess=guess,
+            max_correspondance_distance=3 * self._threshold,
+            kernel=self._threshold,
+        )
+        return np.asarray(matched)
 
     def _uncertainty(self, look: Any | None, predicted: bool, gap_s: float) -> tuple[Floats, float, bool]:
         """Return covariance (6, 6), residual [m] and whether a direction is free."""

@@ -9,7 +9,7 @@ from typing import Any, Protocol
 
 from subiaco_geo.bag_files import sequence_name
 from subiaco_geo.bags import BagReader, hash_bag, packet_from_cdr, require_topic
-from subiaco_geo.crs import require_map_crs
+from subiaco_geo.crs import require_ellipsoidal
 from subiaco_geo.errors import InputError
 from subiaco_geo.maps import SurveyMap
 from subiaco_geo.simulated import mark_simulated
@@ -167,7 +167,7 @@ def map_survey(
     """
     if not bags:
         raise InputError("no bag given; name at least one rosbag2 folder, .mcap or simulated epoch folder")
-    require_map_crs(config.crs)
+    require_ellipsoidal(config.crs)
     report = progress or silent
     with opened(journal, config, resume=resume) as work:
         backend = JournalledBackend(config, work)

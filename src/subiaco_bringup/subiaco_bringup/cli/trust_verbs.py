@@ -48,7 +48,9 @@ def inject(
 ) -> None:
     """Put known changes into a map, with what they hide hidden, and write the truth beside it.
 
-    'subiaco change MAP MAP2' then finds them, and 'subiaco evaluate CHANGE_DIR MAP2' scores that.
+    'subiaco change MAP MAP2' then finds them, and 'subiaco evaluate CHANGE_DIR MAP2' scores that. How
+    many, how large: --set inserted=20, removed, moved, grown, cut, patches, patch_rise ...; truth/scene.yaml
+    of what is written lists all settings.
 
     Example: subiaco inject out/2025 -o out/2025_injected --seed 3
     """
@@ -82,6 +84,14 @@ def calibrate(
     trajectory: TrajectoryFile = None,
     copies: Annotated[int | None, typer.Option(help="Injected copies that the fit rests on.")] = None,
     registration: RegistrationName = None,
+    repeat: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="MAP",
+            help="Map of other sequences of the same streets and days: the noise of a second pass is "
+            "measured from it, and modelled where absent.",
+        ),
+    ] = None,
     config: ConfigFiles = None,
     change_config: Annotated[
         list[Path] | None, typer.Option(metavar="FILE", help="Settings of 'subiaco change'; repeatable.")
@@ -94,7 +104,8 @@ def calibrate(
     """Find out on one's own map how small a change is still found, and how far confidences hold.
 
     It runs change detection on injected copies of MAP; 'subiaco change --config DIR/confidence.yaml' takes
-    the confidences from there.
+    the confidences from there. Every class needs a dozen changes at least: more --copies, or more in each
+    (--set injection.inserted=30); config.yaml of what is written lists all settings.
 
     Example: subiaco calibrate out/2025 -o out/calibration
     """
@@ -115,8 +126,9 @@ def calibrate(
     change = load_config(ChangeConfig, config_files("change", tuple(change_config or ())), [])
     donors = () if objects is None else tuple(read_donors(objects, model.injection.leaf))
     given = known_transform(None, registration)
+    other = None if repeat is None else load_epoch(repeat).cloud
     with Progress(quiet=quiet) as progress:
-        result = run(load_epoch(survey, trajectory), change, model, donors, progress, given)
+        result = run(load_epoch(survey, trajectory), change, model, donors, progress, given, other)
         document = write_calibration(output, result, model, survey, overwrite)
     table = pd.read_csv(output / "detectable.csv")
     typer.echo(table.to_string(index=False, na_rep="not reached"))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import datetime as dt
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -19,22 +19,25 @@ from pydantic import Field
 
 from subiaco_change.config import ChangeConfig
 from subiaco_change.evaluation.confidence_fit import fit_confidence, held_out_error, judged_rows, pair_points
-from subiaco_change.injection.config import InjectionConfig
+from subiaco_change.injection.config import InjectionConfig, RepeatConfig
 from subiaco_change.injection.detectability import (
     PROBABILITY,
     Curve,
     fit_curves,
-    holding,
     outcomes,
     smallest_table,
+    statement,
 )
 from subiaco_change.injection.edits import Donor
-from subiaco_change.injection.inject import inject, label_scene
+from subiaco_change.injection.inject import inject
+from subiaco_change.injection.repeat import measured_repeat
+from subiaco_change.injection.things import label_scene
 from subiaco_change.outputs.json_text import write_json
 from subiaco_change.outputs.raster import LodRaster, build_lod_raster, write_bands
 from subiaco_change.pipeline import detect_changes
 from subiaco_geo.atomic import whole_directory
-from subiaco_geo.config import StrictModel
+from subiaco_geo.clouds import PointCloud
+from subiaco_geo.config import StrictModel, write_config
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
 from subiaco_geo.maps import SurveyMap
@@ -53,7 +56,10 @@ class CalibrationConfig(StrictModel):
 
 @dataclass(frozen=True)
 class Calibration:
-    """Rows and changes of all copies; ``fresh_changes`` are those of copies that nothing was fitted on."""
+    """Rows and changes of all copies; ``fresh_changes`` are those of copies that nothing was fitted on.
+
+    ``repeat`` tells how the second pass differed, and ``repeat_measured`` whether that was measured.
+    """
 
     rows: pd.DataFrame
     changes: pd.DataFrame
@@ -61,6 +67,8 @@ class Calibration:
     lod: LodRaster
     crs: str | None
     left_out: dict[str, int]
+    repeat: RepeatConfig = field(default_factory=RepeatConfig)
+    repeat_measured: bool = False
 
     def curves(self) -> dict[tuple[str, str], Curve]:
         """Return the fitted curves by class and kind."""
@@ -74,6 +82,7 @@ def calibrate(
     donors: tuple[Donor, ...] = (),
     progress: Callable[[str, float], None] | None = None,
     transform: Floats | None = None,
+    other: PointCloud | None = None,
 ) -> Calibration:
     """Run change detection on injected copies of a map.
 
@@ -88,6 +97,8 @@ def calibrate(
     progress : callable, optional
     transform : (4, 4) float64, optional
         Identity skips the registration, and leaves its error out of the statement.
+    other : PointCloud, optional
+        Map of other sequences of the same days, from which the noise of a second pass is measured.
 
     Raises
     ------
@@ -99,10 +110,13 @@ def calibrate(
     lod, crs = None, None
     total = config.copies + config.fresh
     scene = label_scene(survey, config.injection)
+    injection = config.injection
+    if other is not None:
+        injection = injection.model_copy(update={"repeat": measured_repeat(scene, other, injection)})
     for copy in range(total):
         if progress is not None:
             progress(f"copy {copy + 1} of {total}", copy / total)
-        settings = config.injection.model_copy(update={"seed": config.injection.seed + copy})
+        settings = injection.model_copy(update={"seed": injection.seed + copy})
         injected = inject(survey, settings, donors, scene=scene)
         result = detect_changes(injected.before, injected.after, change, transform=transform)
         points = pair_points(result, injected.before.cloud, injected.after.cloud)
@@ -117,13 +131,15 @@ def calibrate(
     if len(every) == 0 or lod is None:
         raise InputError("calibrate: no change fitted anywhere in this map; is it large enough?")
     fresh = every["copy"] >= config.copies
-    return Calibration(pd.concat(rows), every[~fresh], every[fresh], lod, crs, left_out)
+    return Calibration(
+        pd.concat(rows), every[~fresh], every[fresh], lod, crs, left_out, injection.repeat, other is not None
+    )
 
 
 def write_calibration(
     directory: Path, result: Calibration, config: CalibrationConfig, source: Path, overwrite: bool = False
 ) -> dict[str, Any]:
-    """Write ``confidence.yaml``, ``detectable.csv .png .tif``, ``changes.csv`` and ``calibration.json``.
+    """Write ``confidence.yaml``, ``detectable*``, ``fresh.csv``, ``changes.csv`` and ``calibration.json``.
 
     Returns
     -------
@@ -133,7 +149,7 @@ def write_calibration(
     curves = result.curves()
     today = dt.datetime.now(dt.UTC).date()
     fitted_on = f"{config.copies} injected copies of {source.name}; {today}"
-    stated, found = holding(result.fresh_changes, curves)
+    tried = statement(result.fresh_changes, curves)
     document: dict[str, Any] = {
         "source": str(source),
         "copies": config.copies,
@@ -142,9 +158,12 @@ def write_calibration(
         "found": int(result.changes["found"].sum()),
         "probability": PROBABILITY,
         "held_out_ece": held_out_error(result.rows),
-        "fresh_changes_at_or_above_the_stated_size": stated,
-        "of_them_found": found,
+        "fresh_changes": _plain(tried.iloc[-1]),
         "fitted_nowhere": result.left_out,
+        "second_pass": {
+            "measured": result.repeat_measured,
+            **result.repeat.model_dump(),
+        },
     }
     with whole_directory(directory, overwrite=overwrite, marker=MARKER) as target:
         slice_ = {"confidence": fit_confidence(result.rows, fitted_on)}
@@ -154,13 +173,21 @@ def write_calibration(
         every = pd.concat([result.changes, result.fresh_changes], ignore_index=True)
         every.round(4).to_csv(target / "changes.csv", index=False)
         smallest_table(result.changes, curves).to_csv(target / "detectable.csv", index=False)
+        tried.to_csv(target / "fresh.csv", index=False)
         draw_curves(target / "detectable.png", result.changes, curves)
         ground = curves.get(("ground", "shift"))
         if ground is not None:
             band = {"smallest_95": detectable_ground(result.lod, ground)}
             write_bands(target / "detectable_ground.tif", band, result.lod, result.crs)
+        write_config(target / "config.yaml", config)
         write_json(target / MARKER, document)
     return document
+
+
+def _plain(row: pd.Series) -> dict[str, float | None]:
+    """Return numbers of :func:`statement` for JSON."""
+    known = row.drop(["class", "kind"]).astype(float)
+    return {name: None if np.isnan(value) else float(value) for name, value in known.items()}
 
 
 def detectable_ground(lod: LodRaster, curve: Curve) -> NDArray[np.float32]:

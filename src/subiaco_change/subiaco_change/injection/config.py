@@ -33,7 +33,7 @@ class RepeatConfig(StrictModel):
     )
     beams: float = Field(3.0, ge=1, description="beams a voxel, where the map does not count them")
     wander: float = Field(1.0, ge=0, description="shift of the middle of a voxel, over that of chance")
-    foliage: float = Field(0.2, ge=0, description="distance to the next leaf that is hit instead [m]")
+    foliage: float = Field(0.4, ge=0, description="largest distance to the leaf that is hit instead [m]")
 
 
 class InjectionConfig(StrictModel):
@@ -50,12 +50,12 @@ class InjectionConfig(StrictModel):
     min_points: int = Field(120, ge=10, description="smallest object that is taken")
     max_range: float = Field(35.0, gt=0, description="farthest from the drive that anything is put [m]")
     clearance: float = Field(0.9, ge=0, description="free ground around an object that is put [m]")
-    scale: tuple[float, float] = Field((0.6, 1.0), description="sizes of objects that are put")
+    scale: tuple[float, float] = Field((0.3, 1.0), description="sizes of objects that are put")
     growth: tuple[float, float] = Field((0.1, 0.6), description="relative growth in height")
     cutting: tuple[float, float] = Field((0.1, 0.6), description="share of the height that is cut off")
     patch_rise: tuple[float, float] = Field((0.10, 0.50), description="rise or fall of a patch [m]")
-    patch_width: tuple[float, float] = Field((2.0, 8.0), description="width of a patch [m]")
-    patch_length: tuple[float, float] = Field((8.0, 20.0), description="length of a patch [m]")
+    patch_width: tuple[float, float] = Field((3.0, 6.0), description="width of a patch [m]")
+    patch_length: tuple[float, float] = Field((11.0, 16.0), description="length of a patch [m]")
     tries: int = Field(400, ge=1, description="places tried for an object before it is left out")
     sight: SightConfig = SightConfig()
     repeat: RepeatConfig = RepeatConfig()

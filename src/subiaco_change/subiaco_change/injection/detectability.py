@@ -15,7 +15,10 @@ from subiaco_geo.codes import Change
 from subiaco_geo.frames import Floats
 
 PROBABILITY = 0.95
+#: Probabilities of changes that are about as large as the stated one.
+NEAR = (0.90, 0.98)
 _SHARE = 0.5  # of the points of a change that must carry its label, as subiaco evaluate
+_POINTS = 30  # that a change needs to be counted, as subiaco evaluate
 _FEWEST = 12  # changes that a curve needs
 _SHIFTS = ("raised", "lowered", "grown", "cut")
 _CHANGED = [c.label for c in (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED)]
@@ -40,15 +43,16 @@ def outcomes(rows: pd.DataFrame, points: PointPairs, result: ChangeResult, copy:
     Returns
     -------
     DataFrame
-        :data:`COLUMNS`; changes below the published thresholds, and those that
-        nothing in the result lies on, are left out. The magnitude of a thing put
+        :data:`COLUMNS`; changes below the published thresholds, and those of
+        which the other epoch could see less than half, are left out. The magnitude of a thing put
         or taken away is its height, of any other change the shift in height.
     """
     lod = np.concatenate([np.asarray(c.fields["lod95"]) for c in (result.before, result.after)])
     found = []
     for row in rows[rows["label"].isin(_CHANGED)].to_dict("records"):
-        mine = (points.true_object == row["object_id"]) & (points.true_change == row["change"])
-        if not mine.any():
+        whole = points.true_object == row["object_id"]
+        mine = whole & (points.true_change == row["change"])
+        if mine.sum() < max(_POINTS, _SHARE * whole.sum()):
             continue
         levels = lod[mine][np.isfinite(lod[mine])]
         shift = row["event"] in _SHIFTS
@@ -146,14 +150,40 @@ def smallest_table(changes: pd.DataFrame, curves: dict[tuple[str, str], Curve]) 
     return pd.DataFrame(rows)
 
 
-def holding(changes: pd.DataFrame, curves: dict[tuple[str, str], Curve]) -> tuple[int, int]:
-    """Count fresh changes at or above the stated size, and those of them that were found."""
-    stated = found = 0
+def statement(changes: pd.DataFrame, curves: dict[tuple[str, str], Curve]) -> pd.DataFrame:
+    """Try the curves on changes that they were not fitted on.
+
+    Returns
+    -------
+    DataFrame
+        A row a class and kind, and a last one of all: ``about`` counts changes of about the stated size
+        (those that are found with :data:`NEAR` according to the curve), ``about_found`` and
+        ``about_expected`` the shares of them that were found and that the curve expects; ``above`` and
+        ``above_found`` the same for all from the stated size on.
+    """
+    parts = []
     for (name, kind), part in changes.groupby(["class_name", "kind"]):
         curve = curves.get((str(name), str(kind)))
-        if curve is None:
-            continue
-        large = (part["magnitude_m"] >= curve.smallest(part["lod95_m"].to_numpy())).to_numpy(bool)
-        stated += int(large.sum())
-        found += int(part["found"].to_numpy(bool)[large].sum())
-    return stated, found
+        if curve is not None:
+            size, lod = (part[column].to_numpy(np.float64) for column in ("magnitude_m", "lod95_m"))
+            expected = curve.probability(size, lod)
+            tested = (size >= curve.tested[0]) & (size <= curve.tested[1])
+            about = tested & (expected >= NEAR[0]) & (expected <= NEAR[1])
+            above = size >= curve.smallest(lod)
+            parts.append(part.assign(expected=expected, about=about, above=above))
+    rows = [_tried(str(p["class_name"].iloc[0]), str(p["kind"].iloc[0]), p) for p in parts]
+    none = changes.iloc[:0].assign(expected=0.0, about=False, above=False)
+    return pd.DataFrame([*rows, _tried("all", "all", pd.concat(parts) if parts else none)])
+
+
+def _tried(name: str, kind: str, part: pd.DataFrame) -> dict[str, object]:
+    about, above = part[part["about"].astype(bool)], part[part["above"].astype(bool)]
+    return {
+        "class": name,
+        "kind": kind,
+        "about": len(about),
+        "about_found": round(float(about["found"].mean()), 3) if len(about) else np.nan,
+        "about_expected": round(float(about["expected"].mean()), 3) if len(about) else np.nan,
+        "above": len(above),
+        "above_found": round(float(above["found"].mean()), 3) if len(above) else np.nan,
+    }

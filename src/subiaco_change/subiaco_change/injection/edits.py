@@ -7,16 +7,18 @@ from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from subiaco_change.changes.decisions import ClassRules
 from subiaco_change.injection.config import InjectionConfig
-from subiaco_change.injection.sight import Sight
+from subiaco_change.injection.sight import Lines, Sight
 from subiaco_change.injection.site import Site
 from subiaco_change.semantics.ground import Mask
 from subiaco_geo.clouds import PointCloud, voxel_downsample
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats, Ints
 
+_SAME = 0.4  # so near a point of a thing that is reshaped, it stood already [m]
 _COLUMN = 0.5  # columns in which bodies are compared [m]
 
 
@@ -38,13 +40,17 @@ class Donor:
 
 @dataclass(frozen=True)
 class Put:
-    """Points (N, 3) that stand in the edited map alone, with their object, class and change."""
+    """Points (N, 3) that stand in the edited map alone, with their object, class and change.
+
+    ``fresh`` (F, 3) are those that stand where nothing stood: they hide what is behind them.
+    """
 
     xyz: Floats
     source: Ints
     object_id: int
     semantic: Semantic
     change: Change
+    fresh: Floats
 
 
 @dataclass
@@ -52,8 +58,10 @@ class Edited:
     """A labelled map and what has been done to it so far.
 
     ``xyz semantic instance`` are those of the map (N, ...), local frame;
-    ``gone`` and ``hidden`` (N,) points that the edited map lacks, ``rise`` (N,)
-    [m]; ``object_id change`` (N,) the truth of the points of the map.
+    ``plan`` finds them from above; ``lines`` to them, ``blocked`` ones among
+    them; ``gone`` and ``hidden``
+    (N,) points that the edited map lacks, ``rise`` (N,) [m]; ``object_id
+    change`` (N,) the truth of the points of the map.
     """
 
     xyz: Floats
@@ -63,6 +71,9 @@ class Edited:
     site: Site
     config: InjectionConfig
     random: np.random.Generator
+    plan: cKDTree = field(init=False)
+    lines: Lines = field(init=False)
+    blocked: Mask = field(init=False)
     gone: Mask = field(init=False)
     hidden: Mask = field(init=False)
     rise: Floats = field(init=False)
@@ -73,6 +84,9 @@ class Edited:
 
     def __post_init__(self) -> None:
         size = len(self.xyz)
+        self.plan = cKDTree(self.xyz[:, :2])
+        self.lines = self.sight.lines(self.xyz)
+        self.blocked = np.zeros(len(self.lines.point), dtype=bool)
         self.gone, self.hidden = np.zeros((2, size), dtype=bool)
         self.rise = np.zeros(size)
         self.object_id = np.zeros(size, dtype=np.int64)
@@ -85,10 +99,13 @@ class Edited:
         self.change[members] = change
         return number
 
-    def stand(self, xyz: Floats) -> None:
+    def stand(self, put: Put) -> None:
         """Let points stand in the edited map: what they hide is hidden, their footprint is taken."""
-        self.hidden |= self.sight.hidden(self.xyz, xyz)
-        self.site.occupy(xyz[:, :2])
+        self.put.append(put)
+        self.site.occupy(put.xyz[:, :2])
+        if len(put.fresh):  # past the others the drive saw what it saw
+            self.blocked |= self.sight.blocked(self.lines, self.xyz, put.fresh)
+            self.hidden = self.lines.hidden(self.blocked)
 
 
 def take_away(edited: Edited, members: Ints, kind: str) -> None:
@@ -105,19 +122,17 @@ def put_object(edited: Edited, donor: Donor, event: str = "inserted") -> bool:
     places = edited.site.places(edited.sight.poses, config.max_range, config.clearance)
     if len(places) == 0:
         return False
+    standing = np.concatenate([edited.xyz[~edited.gone & ~edited.hidden], *(p.xyz for p in edited.put)])
     tried = places[random.permutation(len(places))[: config.tries]]
     for place in tried:
         xyz = _turned(donor, place, edited.sight.poses, random) + place
         if not edited.site.fits(xyz[:, :2], config.clearance):
             continue
-        standing = edited.xyz[~edited.gone & ~edited.hidden]
-        near = np.linalg.norm(standing[:, :2] - place[:2], axis=1) < edited.sight.config.max_range
-        seen = edited.sight.seen(xyz, np.concatenate([standing[near], xyz]))
+        seen = edited.sight.seen(xyz, np.concatenate([standing, xyz]))
         if np.count_nonzero(seen) < config.min_points // 2:
             continue
-        edited.stand(xyz[seen])
         number = 1 + len(edited.rows)
-        edited.put.append(Put(xyz[seen], donor.source[seen], number, donor.semantic, Change.ADDED))
+        edited.stand(Put(xyz[seen], donor.source[seen], number, donor.semantic, Change.ADDED, xyz[seen]))
         _row(edited, donor.kind, donor.semantic, Change.ADDED, event, xyz[seen])
         return True
     return False
@@ -145,14 +160,14 @@ def reshape(edited: Edited, members: Ints, kind: str, change: Callable[[Floats],
     label = _decide(rise, share, rule)
     number = edited.claim(members, label)
     edited.gone[members] = True
-    source = np.full(len(after), -1)
-    edited.put.append(Put(after, source, number, semantic, label))
-    edited.stand(after)
+    distance, nearest = cKDTree(before).query(after)
+    source = members[nearest]
+    edited.stand(Put(after, source, number, semantic, label, after[distance > _SAME]))
     _row(edited, kind, semantic, label, event, before, delta_h_m=rise, delta_v_m3=volume)
 
 
 def grown(xyz: Floats, factor: float, leaf: float) -> Floats:
-    """Stretch points (N, 3) upwards about z = 0, without gaps."""
+    """Stretch points (N, 3) upwards about z = 0, without gaps, or press them down (a factor below 1)."""
     copies = int(np.ceil(factor))
     steps = [xyz + np.array([0.0, 0.0, leaf * j / copies]) for j in range(copies)]
     tall = np.concatenate(steps) * np.array([1.0, 1.0, factor])
@@ -190,14 +205,19 @@ def raise_ground(
     edited: Edited, centre: Floats, along: float, size: tuple[float, float], rise: float
 ) -> bool:
     """Raise or lower a rectangle (length, width) [m] of bare ground; False where something stands on it."""
-    offset = edited.xyz[:, :2] - centre[:2]
+    near = np.array(edited.plan.query_ball_point(centre[:2], np.hypot(*size) / 2), dtype=np.int64)
+    offset = edited.xyz[near, :2] - centre[:2]
     cosine, sine = np.cos(along), np.sin(along)
     forward, aside = offset @ [cosine, sine], offset @ [-sine, cosine]
-    inside = (np.abs(forward) < size[0] / 2) & (np.abs(aside) < size[1] / 2)
-    members = np.flatnonzero(inside & (edited.semantic == Semantic.GROUND) & ~edited.gone & ~edited.hidden)
-    taken = inside & (edited.semantic != Semantic.GROUND)
+    near = near[(np.abs(forward) < size[0] / 2) & (np.abs(aside) < size[1] / 2)]
+    is_ground = edited.semantic[near] == Semantic.GROUND
+    members = near[is_ground & ~edited.gone[near] & ~edited.hidden[near]]
     area = size[0] * size[1]
-    if taken.any() or (edited.object_id[members] > 0).any() or len(members) < area / edited.config.leaf:
+    if (
+        not is_ground.all()
+        or (edited.object_id[members] > 0).any()
+        or len(members) < area / edited.config.leaf
+    ):
         return False
     ground = edited.config.ground
     large = area > ground.area and abs(rise) > ground.threshold

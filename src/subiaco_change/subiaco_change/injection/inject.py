@@ -9,7 +9,6 @@ from functools import partial
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 
 from subiaco_change.injection.config import InjectionConfig
 from subiaco_change.injection.edits import (
@@ -25,12 +24,9 @@ from subiaco_change.injection.edits import (
 from subiaco_change.injection.second_pass import second_pass, with_truth
 from subiaco_change.injection.sight import Sight
 from subiaco_change.injection.site import Site
-from subiaco_change.observation.common_frame import levelled
-from subiaco_change.observation.evidence import EvidenceConfig, make_observer
-from subiaco_change.semantics.classes import label_points
-from subiaco_change.semantics.instances import segment
+from subiaco_change.injection.things import Scene, by_turns, label_scene, things_of
 from subiaco_geo.cloud_io import READABLE, read_cloud
-from subiaco_geo.clouds import PointCloud, voxel_downsample
+from subiaco_geo.clouds import voxel_downsample
 from subiaco_geo.codes import Semantic
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
@@ -63,15 +59,6 @@ class Injected:
     after: SurveyMap
     rows: Sequence[dict[str, object]]
     left_out: dict[str, int]
-
-
-@dataclass(frozen=True)
-class Scene:
-    """A map at the working leaf, with the class (N,) uint8 and the object (N,) int32 of every point."""
-
-    cloud: PointCloud
-    semantic: NDArray[np.uint8]
-    instance: NDArray[np.int32]
 
 
 def read_donors(folder: Path, leaf: float) -> list[Donor]:
@@ -138,16 +125,6 @@ def inject(
     return Injected(before, after, rows, left_out)
 
 
-def label_scene(survey: SurveyMap, config: InjectionConfig) -> Scene:
-    """Find the classes and the objects of a map at the working leaf."""
-    cloud = voxel_downsample(survey.cloud, config.leaf)
-    upright = levelled(cloud)
-    passes = make_observer(survey, EvidenceConfig()).passes(cloud.world())
-    semantic = label_points(upright, config.semantics, passes)
-    instance = segment(upright, semantic, config.instances.model_copy(update={"leaf": config.leaf}))
-    return Scene(cloud, semantic.semantic, instance)
-
-
 def _untouched(survey: SurveyMap, scene: Scene, config: InjectionConfig) -> Edited:
     assert survey.trajectory is not None
     xyz = scene.cloud.xyz
@@ -160,7 +137,7 @@ def _untouched(survey: SurveyMap, scene: Scene, config: InjectionConfig) -> Edit
 def _edit(edited: Edited, donors: list[Donor]) -> dict[str, int]:
     """Make the edits that the configuration asks for; return how many of each fitted nowhere."""
     config, random = edited.config, edited.random
-    things = _things(edited)
+    things = things_of(edited)
     solid = [t for t in things if edited.semantic[t[0]] in _SOLID]
     movable = [t for t in things if _radius(edited.xyz[t]) < _WIDEST]
     own = donors or [_donor(edited, t, 1.0) for t in movable]
@@ -169,7 +146,7 @@ def _edit(edited: Edited, donors: list[Donor]) -> dict[str, int]:
 
     def draw(pool: list[Ints], count: int, name: str) -> list[Ints]:
         free = [t for t in pool if int(t[0]) not in used]
-        chosen = [free[i] for i in _by_turns([int(edited.semantic[t[0]]) for t in free], random)[:count]]
+        chosen = [free[i] for i in by_turns([int(edited.semantic[t[0]]) for t in free], random)[:count]]
         used.update(int(t[0]) for t in chosen)
         left[name] = count - len(chosen)
         return chosen
@@ -180,7 +157,7 @@ def _edit(edited: Edited, donors: list[Donor]) -> dict[str, int]:
         taller = partial(grown, factor=1.0 + random.uniform(*config.growth), leaf=config.leaf)
         reshape(edited, members, _kind(edited, members), taller, "grown")
     for members in draw(solid, config.cut, "cut"):
-        shorter = partial(cut_off, share=random.uniform(*config.cutting))
+        shorter = _shorter(edited, members, random.uniform(*config.cutting))
         reshape(edited, members, _kind(edited, members), shorter, "cut")
     for members in draw(movable, config.moved, "moved"):
         donor = _donor(edited, members, 1.0)
@@ -190,10 +167,7 @@ def _edit(edited: Edited, donors: list[Donor]) -> dict[str, int]:
     left["inserted"] = config.inserted
     if own and config.inserted:
         turns = np.concatenate(
-            [
-                _by_turns([int(d.semantic) for d in own], random)
-                for _ in range(-(-config.inserted // len(own)))
-            ]
+            [by_turns([int(d.semantic) for d in own], random) for _ in range(-(-config.inserted // len(own)))]
         )
         for number in turns[: config.inserted]:
             donor = own[number]
@@ -202,29 +176,11 @@ def _edit(edited: Edited, donors: list[Donor]) -> dict[str, int]:
     return {name: count for name, count in left.items() if count}
 
 
-def _by_turns(classes: Sequence[int], random: np.random.Generator) -> Ints:
-    """Order things at random, a class after the other in turn, so that the rare ones come too."""
-    order = random.permutation(len(classes))
-    drawn = np.asarray(classes, dtype=np.int64)[order]
-    turn = np.zeros(len(order), dtype=np.int64)
-    for code in np.unique(drawn):
-        turn[drawn == code] = np.arange(np.count_nonzero(drawn == code))
-    return np.asarray(order[np.argsort(turn, kind="stable")])
-
-
-def _things(edited: Edited) -> list[Ints]:
-    """Members of every object near the drive that is large enough to be edited."""
-    order = np.argsort(edited.instance, kind="stable")
-    groups = np.split(order, np.flatnonzero(np.diff(edited.instance[order])) + 1)
-    poses = edited.sight.poses[:, :2]
-    found = []
-    for members in groups:
-        if edited.instance[members[0]] < 0 or len(members) < edited.config.min_points:
-            continue
-        middle = edited.xyz[members, :2].mean(axis=0)
-        if np.linalg.norm(poses - middle, axis=1).min() < edited.config.max_range:
-            found.append(members)
-    return found
+def _shorter(edited: Edited, members: Ints, share: float) -> Callable[[Floats], Floats]:
+    """Return how a thing loses a share of its height: a building comes down whole, a plant loses its top."""
+    if edited.semantic[members[0]] == Semantic.BUILDING:
+        return partial(grown, factor=1.0 - share, leaf=edited.config.leaf)
+    return partial(cut_off, share=share)
 
 
 def _radius(xyz: Floats) -> float:

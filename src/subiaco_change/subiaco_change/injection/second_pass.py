@@ -8,11 +8,13 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 
 from subiaco_change.geometry import estimate_normals
 from subiaco_change.injection.config import InjectionConfig, RepeatConfig
 from subiaco_change.injection.edits import Edited
 from subiaco_change.observation.evidence import EvidenceConfig, make_observer
+from subiaco_change.semantics.ground import Mask
 from subiaco_geo.clouds import PointCloud, unpack_voxel_keys, voxel_indices, voxel_keys
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats, Ints
@@ -20,6 +22,7 @@ from subiaco_geo.maps import SurveyMap
 from subiaco_geo.visibility import VisibilityGrid
 
 _SURFACE = 0.8  # radius in which a surface has its direction [m]
+_NEIGHBOURS = 8  # points between which other ones lie
 
 
 def with_truth(cloud: PointCloud, edited: Edited) -> PointCloud:
@@ -73,8 +76,9 @@ def resampled(
     """Let beams fall elsewhere, on the same surfaces.
 
     A voxel that ``n`` beams hit is missed with probability ``(1 - again) ** n``; as many others are hit
-    instead, beside voxels of the same kind. What is kept moves by the chance of where in the voxel its
-    beams fall, along its surface, and by its noise in all directions.
+    instead, between voxels of the same kind. What is kept moves by the chance of where in the voxel its
+    beams fall, along its surface, and by its noise in all directions. Foliage shows other leaves, between
+    those that were seen: its outline stays.
 
     Parameters
     ----------
@@ -94,21 +98,35 @@ def resampled(
     """
     repeat = config.repeat
     count = np.maximum(np.asarray(fields.get("n", np.full(len(xyz), repeat.beams)), np.float64), 1.0)
-    missed = random.random(len(xyz)) < (1.0 - repeat.again) ** count
+    chance = (1.0 - repeat.again) ** count
+    missed = random.random(len(xyz)) < chance
     kept = np.flatnonzero(~missed)
-    weight = (1.0 - repeat.again) ** count
-    total = float(weight.sum())
-    new = random.choice(len(xyz), int(missed.sum()), p=weight / total) if missed.any() else kept[:0]
+    new = random.choice(len(xyz), int(missed.sum()), p=chance / chance.sum()) if missed.any() else kept[:0]
     chosen = np.concatenate([kept, new])
-    chance = repeat.wander * config.leaf / np.sqrt(12.0 * count)
-    reach = np.concatenate([chance[kept], np.full(len(new), 2.0 * repeat.wander * config.leaf)])
     leafy = np.asarray(fields["semantic"])[chosen] == Semantic.VEGETATION
-    reach = np.where(leafy, np.maximum(reach, repeat.foliage), reach)
-    step = random.normal(size=(len(chosen), 3)) * reach[:, None]
+    between = np.flatnonzero(leafy | (np.arange(len(chosen)) >= len(kept)))
+    moved = xyz[chosen]
+    moved[between] += _between(xyz, chosen[between], config, random)
+    reach = repeat.wander * config.leaf / np.sqrt(12.0 * count[chosen])
+    step = random.normal(size=(len(chosen), 3)) * np.where(leafy, 0.0, reach)[:, None]
     normal = estimate_normals(xyz, _SURFACE)[chosen]
-    along = step - normal * np.einsum("ij,ij->i", step, normal)[:, None]
+    step -= normal * np.einsum("ij,ij->i", step, normal)[:, None]
     noise = _noise(fields, count, repeat)[chosen, None] * random.normal(size=(len(chosen), 3))
-    return chosen, xyz[chosen] + np.where(leafy[:, None], step, along) + noise
+    return chosen, moved + step + noise
+
+
+def _between(xyz: Floats, points: Ints, config: InjectionConfig, random: np.random.Generator) -> Floats:
+    """Return steps (K, 3) from points towards one of their neighbours each, and as often away from it."""
+    reach = config.repeat.foliage
+    distance, neighbours = cKDTree(xyz).query(
+        xyz[points], k=_NEIGHBOURS + 1, distance_upper_bound=3.0 * config.leaf
+    )
+    pick = random.integers(1, _NEIGHBOURS + 1, len(points))
+    rows = np.arange(len(points))
+    alone = ~np.isfinite(distance[rows, pick])
+    other = np.where(alone, points, neighbours[rows, pick])
+    share = random.uniform(-1.0, 1.0, len(points)) * reach / np.where(alone, 1.0, distance[rows, pick])
+    return np.asarray(np.clip(share, -1.0, 1.0)[:, None] * (xyz[other] - xyz[points]))
 
 
 def _noise(fields: Mapping[str, NDArray[Any]], count: Floats, repeat: RepeatConfig) -> Floats:
@@ -133,15 +151,22 @@ def edit_visibility(grid: VisibilityGrid, origin: Floats, edited: Edited) -> Vis
     empty = np.isin(grid.keys, np.setdiff1d(keys_of(edited.xyz[edited.gone]), keys_of(stays)))
     passes[empty] += hits[empty]
     hits[empty] = 0
-    centres = (voxel_centres(grid) - origin) if edited.put else np.empty((0, 3))
-    shadow = np.zeros(len(grid.keys), dtype=bool)
-    for put in edited.put:
-        shadow |= edited.sight.hidden(centres, put.xyz)
+    shadow = _shadow(voxel_centres(grid) - origin, edited)
     full = np.isin(grid.keys, keys_of(np.concatenate([p.xyz for p in edited.put]))) if edited.put else shadow
     hits[full] = np.maximum(hits[full], np.maximum(passes[full], 1))
     passes[full] = 0
     kept = ~shadow | full
     return VisibilityGrid(grid.origin, grid.voxel, grid.keys[kept], hits[kept], passes[kept])
+
+
+def _shadow(centres: Floats, edited: Edited) -> Mask:
+    """Tell which places (M, 3) are not seen any more past what was put."""
+    lines = edited.sight.lines(centres)
+    blocked = np.zeros(len(lines.point), dtype=bool)
+    for put in edited.put:
+        if len(put.fresh):
+            blocked |= edited.sight.blocked(lines, centres, put.fresh)
+    return lines.hidden(blocked)
 
 
 def voxel_centres(grid: VisibilityGrid) -> Floats:

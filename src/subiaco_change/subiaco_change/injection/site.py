@@ -78,6 +78,8 @@ class Site:
         self.blocked[row[inside], column[inside]] = True
 
     def ground_below(self, xy: Floats) -> float:
-        """Median height of the ground under a footprint (N, 2) [m]."""
+        """Median height of the ground under a footprint (N, 2) [m]; NaN where none was seen."""
         row, column, inside = self.cells(xy)
-        return float(np.nanmedian(self.height[row[inside], column[inside]]))
+        known = self.height[row[inside], column[inside]]
+        known = known[np.isfinite(known)]
+        return float(np.median(known)) if len(known) else float("nan")

@@ -23,3 +23,20 @@ def box_sides(xy: Floats) -> tuple[float, float]:
     """Long and short side [m] of that rectangle."""
     long, short = np.ptp(box_coordinates(xy), axis=0).tolist()
     return long, short
+
+
+def wall_coordinates(xy: Floats, cell: float = 0.25) -> Floats:
+    """Turn points (N, 2) to the longer and shorter side of their walls, which need not fill a rectangle.
+
+    Of directions every 3 deg, that in which the points fall into the fewest strips of a width [m].
+    """
+    centred = xy - xy.mean(axis=0)
+    best, turned = -1.0, centred
+    for angle in np.radians(np.arange(0, 90, 3.0)):
+        axes = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
+        uv = centred @ axes
+        strips = np.floor((uv - uv.min(axis=0)) / cell).astype(np.int64)
+        score = float(sum((np.bincount(strip).astype(np.float64) ** 2).sum() for strip in strips.T))
+        if score > best:
+            best, turned = score, uv
+    return turned if np.ptp(turned[:, 0]) >= np.ptp(turned[:, 1]) else turned[:, ::-1]

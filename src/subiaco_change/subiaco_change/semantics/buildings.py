@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from pydantic import Field
 from scipy import ndimage
@@ -12,7 +14,7 @@ from subiaco_change.semantics.features import Features
 from subiaco_change.semantics.ground import Mask
 from subiaco_change.semantics.planes import Patches, planar_patches
 from subiaco_geo.config import StrictModel
-from subiaco_geo.frames import Floats
+from subiaco_geo.frames import Floats, Ints
 
 
 class BuildingConfig(StrictModel):
@@ -28,6 +30,18 @@ class BuildingConfig(StrictModel):
     wire_linearity: float = Field(
         0.42, gt=0, lt=1, description="mean linearity from which a patch so high is a bundle of lines"
     )
+    wire_level: float = Field(
+        0.97,
+        gt=0,
+        lt=1,
+        description="|n.e_z| from which a bundle of lines hangs level; thin roofs are pitched",
+    )
+    wire_inner: float = Field(
+        0.4, gt=0, le=1, description="share of a plane's cells with four neighbours: wires have few"
+    )
+    frond_linearity: float = Field(0.36, gt=0, lt=1, description="the same where the patch is rough: fronds")
+    frond_bend: float = Field(0.1, gt=0, description="root mean square distance to one plane [m]")
+    frond_roughness: float = Field(0.04, gt=0, description="median roughness of such a patch [m]")
     wire_roughness: float = Field(0.045, gt=0, description="largest roughness of a point of wires [m]")
     wire_length: float = Field(4.0, gt=0, description="shortest run of wires seen from above [m]")
     wire_touch: float = Field(0.4, gt=0, description="voxel in which points of wires touch [m]")
@@ -35,33 +49,100 @@ class BuildingConfig(StrictModel):
     facade_top: float = Field(
         2.3, gt=0, description="height that a facade reaches; lower walls are other [m]"
     )
+    eaves: float = Field(0.35, ge=0, description="how far below it a wall may end in rough eaves [m]")
+    facade_share: float = Field(0.3, ge=0, le=1, description="share of a facade that is so high")
+    part_area: float = Field(2.0, gt=0, description="area of a patch that touches larger ones [m2]")
     roof_height: float = Field(
         2.0, gt=0, description="height above which any planar patch is a roof [m], Decision in C3"
     )
     roof_level: float = Field(0.5, gt=0, lt=1, description="|n.e_z| of a roof's points")
     roof_cell: float = Field(0.5, gt=0, description="cell of the footprint of roofs [m]")
     chimney: float = Field(1.2, ge=0, description="height above a roof that still belongs to it [m]")
+    under_gap: float = Field(
+        0.4, gt=0, description="air above a thing under a roof that is no part of it: cars, fences [m]"
+    )
+    under_points: int = Field(15, gt=0, description="fewest points of such a thing")
+    touch: float = Field(0.25, gt=0, description="voxel in which parts of one thing touch [m]")
     attach: float = Field(1.0, ge=0, description="reach of a building over its small parts [m]")
     edge: float = Field(
         0.7, ge=0, description="reach of a building over rough points: edges look like foliage [m]"
     )
+    contact: float = Field(
+        0.5, ge=0, description="reach over what goes on beyond: fences and plants that touch [m]"
+    )
 
 
-def building_core(
+@dataclass(frozen=True)
+class BuildingPlanes:
+    """Planes of points (N,).
+
+    ``core`` tells facades and roofs, ``part`` (int, or -1) numbers smaller planes like them,
+    ``fronds`` tells high planes that are rough and made of lines: crowns of palms.
+    """
+
+    core: Mask
+    part: Ints
+    fronds: Mask
+
+
+def building_planes(
     xyz: Floats, height: Floats, features: Features, free: Mask, config: BuildingConfig
-) -> Mask:
-    """Tell which free points (N,) lie in a planar patch that is a facade or a roof."""
+) -> BuildingPlanes:
+    """Find the planar patches among free points (N,) that are facades and roofs, or may be parts of them."""
     smooth = features.roughness < config.plane_offset
     candidate = free & smooth & (features.linearity < config.max_linearity)
     patches = planar_patches(xyz, features, candidate, config.plane_angle_deg, config.plane_offset)
-    inside = patches.label >= 0
-    core = np.zeros(len(xyz), dtype=bool)
-    core[inside] = _building_patches(patches, features, height, config)[patches.label[inside]]
+    high = _up_to_eaves(xyz, height, features, candidate, free, config)
+    building, fronds = _kinds(patches, features, height, high, config)
+    area = np.where(building, patches.area, 0.0)
+    mine = (patches.label >= 0) & (high | (np.abs(features.normals[:, 2]) >= config.facade_slope))
+    own = np.append(area, 0.0)[patches.label]
+    part = mine & (own > config.part_area) & (own <= config.plane_area)
+    return BuildingPlanes(
+        mine & (own > config.plane_area),
+        np.where(part, patches.label, -1),
+        np.append(fronds, False)[patches.label],
+    )
+
+
+def join_parts(xyz: Floats, planes: BuildingPlanes, free: Mask, config: BuildingConfig) -> Mask:
+    """Add to the free points (N,) of the core the parts that come near it, directly or through others."""
+    core = planes.core & free
+    part = (planes.part >= 0) & free
+    edge = core
+    while edge.any() and part.any():
+        loose = np.flatnonzero(part)
+        near = cKDTree(xyz[edge]).query(xyz[loose], distance_upper_bound=config.attach)[0] < config.attach
+        edge = part & np.isin(planes.part, planes.part[loose[near]])
+        core = core | edge
+        part &= ~edge
     return core
 
 
-def _building_patches(patches: Patches, features: Features, height: Floats, config: BuildingConfig) -> Mask:
-    """Tell which smooth patches (hips and gables chain into one) are facades or roofs."""
+def _up_to_eaves(
+    xyz: Floats, height: Floats, features: Features, smooth: Mask, free: Mask, config: BuildingConfig
+) -> Mask:
+    """Tell which points (N,) have a wall above or beside them that is as high as a facade.
+
+    A fence or gate in line with a wall joins its patch, but stays low all along. A wall below
+    eaves ends in their rough edge, so that it may be lower by that where something goes on above.
+    """
+    upright = smooth & (np.abs(features.normals[:, 2]) < config.facade_slope)
+    cell = np.floor(xyz[:, :2] / config.roof_cell).astype(np.int64)
+    cell -= cell.min(axis=0)
+    wall, above = np.full((2, *(cell.max(axis=0) + 1).tolist()), -np.inf)
+    np.maximum.at(wall, tuple(cell[upright].T), height[upright])
+    eaves = free & (height > config.facade_top) & (height < config.facade_top + config.eaves)
+    above[tuple(cell[eaves].T)] = 1.0
+    wall = ndimage.maximum_filter(wall, 3)
+    reaches = (wall > config.facade_top) | ((wall > config.facade_top - config.eaves) & (above > 0))
+    return np.asarray(reaches[tuple(cell.T)])
+
+
+def _kinds(
+    patches: Patches, features: Features, height: Floats, high: Mask, config: BuildingConfig
+) -> tuple[Mask, Mask]:
+    """Tell which smooth patches (hips and gables chain into one) are facades or roofs, and which fronds."""
     inside = patches.label >= 0
     own = patches.label[inside]
 
@@ -69,34 +150,72 @@ def _building_patches(patches: Patches, features: Features, height: Floats, conf
         return group_reduce(own, values[inside], len(patches.area), how)
 
     upright = reduced(np.abs(features.normals[:, 2]), "median") < config.facade_slope
-    facade = upright & (reduced(height, "maximum") > config.facade_top)
+    facade = upright & (reduced(high.astype(np.float64), "mean") > config.facade_share)
     roof = ~upright & (reduced(height, "median") > config.roof_height)
-    lines = reduced(features.linearity, "mean") > config.wire_linearity
-    lines &= reduced(height, "minimum") > config.wire_height
-    return np.asarray((patches.area > config.plane_area) & ~lines & (facade | roof))
+    linear, lowest = reduced(features.linearity, "mean"), reduced(height, "minimum")
+    level = np.abs(patches.normal[:, 2]) > config.wire_level
+    narrow = patches.inner < config.wire_inner * patches.area
+    wires = (linear > config.wire_linearity) & (level | narrow)
+    rough = reduced(features.roughness, "median") > config.frond_roughness
+    bent = ~upright & (patches.residual > config.frond_bend) & (lowest > config.roof_height)
+    fronds = bent & rough & (linear > config.frond_linearity)
+    building = (facade | roof) & ~fronds & ~(wires & (lowest > config.wire_height))
+    return np.asarray(building), np.asarray(fronds & (patches.area > config.part_area))
 
 
-def within_roofs(xyz: Floats, core: Mask, features: Features, free: Mask, config: BuildingConfig) -> Mask:
-    """Tell which free points lie in the footprint of a roof, not far above it: chimneys, dormers, walls."""
-    roof = core & (np.abs(features.normals[:, 2]) > config.roof_level)
+def within_roofs(
+    xyz: Floats, core: Mask, features: Features, free: Mask, config: BuildingConfig
+) -> tuple[Mask, Mask]:
+    """Tell which free points are in the footprint of a roof, not far above it: chimneys, dormers, walls.
+
+    What stands below with air over it, and is no wall, is told apart: cars, fences.
+    """
+    level = np.abs(features.normals[:, 2])
+    roof, facade = core & (level > config.roof_level), core & (level < config.facade_slope)
     if not roof.any():
-        return roof
+        return roof, roof
     cell = np.floor(xyz[:, :2] / config.roof_cell).astype(np.int64)
     cell -= cell.min(axis=0) - 2
-    top = np.full(tuple((cell.max(axis=0) + 3).tolist()), -np.inf)
+    shape = tuple((cell.max(axis=0) + 3).tolist())
+    top, eaves, wall = np.full(shape, -np.inf), np.full(shape, np.inf), np.zeros(shape, dtype=bool)
     np.maximum.at(top, tuple(cell[roof].T), xyz[roof, 2])
-    top = ndimage.grey_closing(top, size=(3, 3))
-    return np.asarray(free & (xyz[:, 2] < top[tuple(cell.T)] + config.chimney))
+    np.minimum.at(eaves, tuple(cell[roof].T), xyz[roof, 2])
+    wall[tuple(cell[facade].T)] = True
+    top, eaves = ndimage.grey_closing(top, size=(3, 3)), ndimage.minimum_filter(eaves, size=3)
+    own = tuple(cell.T)
+    inside = free & (xyz[:, 2] < top[own] + config.chimney)
+    loose = np.flatnonzero(inside & ~core & ~wall[own])
+    apart = np.zeros(len(xyz), dtype=bool)
+    apart[loose] = _stands_apart(xyz[loose], (eaves[own] - xyz[:, 2])[loose], config)
+    return inside & ~apart, apart
+
+
+def _stands_apart(xyz: Floats, gap: Floats, config: BuildingConfig) -> Mask:
+    """Tell which points (N,) are of things that end below the eaves, by how far each point does."""
+    if len(xyz) == 0:
+        return np.zeros(0, dtype=bool)
+    thing = voxel_clusters(xyz, config.touch)
+    size = np.bincount(thing)
+    air = group_reduce(thing, gap, len(size), "minimum") > config.under_gap
+    return np.asarray((air & (size >= config.under_points))[thing])
 
 
 def attach_parts(xyz: Floats, core: Mask, free: Mask, foliage: Mask, config: BuildingConfig) -> Mask:
-    """Add the free points within reach of the core: gutters, sills, chimneys; rough ones from less far."""
+    """Add the free points within reach of the core: gutters, sills, chimneys; rough ones from less far.
+
+    Of things that mostly lie beyond that reach (fences, plants) only what touches is added.
+    """
     attached = core.copy()
     loose = np.flatnonzero(free & ~core)
-    if core.any() and len(loose):
-        distance = cKDTree(xyz[core]).query(xyz[loose], distance_upper_bound=config.attach)[0]
-        reach = np.where(foliage[loose], config.edge, config.attach)
-        attached[loose[distance < reach]] = True
+    if not core.any() or len(loose) == 0:
+        return attached
+    distance = cKDTree(xyz[core]).query(xyz[loose], distance_upper_bound=config.attach)[0]
+    soft = foliage[loose]
+    near = distance < np.where(soft, config.edge, config.attach)
+    thing = voxel_clusters(xyz[loose[~soft]], config.touch)
+    part = np.bincount(thing, near[~soft]) > 0.5 * np.bincount(thing)
+    near[~soft] &= part[thing] | (distance[~soft] < config.contact)
+    attached[loose[near]] = True
     return attached
 
 

@@ -11,8 +11,9 @@ from pydantic import Field
 from subiaco_change.semantics.buildings import (
     BuildingConfig,
     attach_parts,
-    building_core,
+    building_planes,
     find_wires,
+    join_parts,
     within_roofs,
 )
 from subiaco_change.semantics.clustering import group_indices, group_reduce, voxel_clusters
@@ -20,7 +21,7 @@ from subiaco_change.semantics.features import FeatureConfig, Features, compute_f
 from subiaco_change.semantics.ground import GroundConfig, GroundModel, Mask, fit_ground
 from subiaco_change.semantics.superpoints import SuperpointConfig, partition
 from subiaco_change.semantics.traffic import TrafficConfig, moving_points, still_blocks
-from subiaco_change.semantics.vehicles import VehicleConfig, large_vehicles, sheds, vehicle_parts
+from subiaco_change.semantics.vehicles import VehicleConfig, free_boxes, ground_boxes, sheds
 from subiaco_geo.clouds import PointCloud, sort_spatially
 from subiaco_geo.codes import Semantic
 from subiaco_geo.config import StrictModel
@@ -135,29 +136,31 @@ def _classify(
     is_ground = _find_ground(xyz, height, features, parts, ground, config)
     semantic[is_ground] = Semantic.GROUND
     rest = ~is_ground
-    core = building_core(xyz, height, features, rest, config.buildings)
+    planes = building_planes(xyz, height, features, rest, config.buildings)
     moving = np.zeros(len(xyz), dtype=bool)
     if passed is not None:
         moving = moving_points(xyz, height, features, passed, rest, config.traffic)
-        moving &= ~still_blocks(xyz, core, moving, config.traffic)
-        core &= ~moving
+        moving &= ~still_blocks(xyz, planes.core, moving, config.traffic)
     semantic[moving] = Semantic.MOBILE
     rest &= ~moving
-    foliage = _find_foliage(height, features, parts, config) & rest
-    trucks = large_vehicles(xyz, height, core, rest & ~foliage, config.vehicles)
+    foliage = (_find_foliage(height, features, parts, config) | planes.fronds) & rest
+    body = rest & ~foliage & (features.linearity < config.vehicles.trunk_linearity)
+    trucks, shelters = free_boxes(
+        xyz, height, planes.core & rest, (planes.part >= 0) & rest, body, config.vehicles
+    )
     trucks &= rest
     semantic[trucks] = Semantic.MOBILE
-    rest &= ~trucks
-    core &= ~trucks
-    core |= within_roofs(xyz, core, features, rest, config.buildings)
-    is_building = attach_parts(xyz, core, rest, foliage, config.buildings)
+    rest &= ~(trucks | shelters)
+    core = join_parts(xyz, planes, rest, config.buildings)
+    below, apart = within_roofs(xyz, core, features, rest, config.buildings)
+    is_building = attach_parts(xyz, core | below, rest & ~apart, foliage, config.buildings)
     semantic[is_building] = Semantic.BUILDING
     rest &= ~is_building
     rest &= ~find_wires(xyz, height, features.roughness, rest & ~foliage, config.buildings)
-    semantic[rest] = _split_rest(xyz[rest], height[rest], foliage[rest], config)
     upright = (np.abs(features.normals[:, 2]) < config.buildings.facade_slope) & (
         features.roughness < config.buildings.plane_offset
     )
+    semantic[rest] = _split_rest(xyz[rest], height[rest], foliage[rest], upright[rest], config)
     parked = (semantic == Semantic.MOBILE) & ~moving
     semantic[sheds(xyz, height, upright, parked, config.cluster_voxel, config.vehicles)] = Semantic.BUILDING
     return semantic, moving, trucks & (semantic == Semantic.MOBILE)
@@ -193,14 +196,19 @@ def _find_foliage(height: Floats, features: Features, parts: Ints, config: Seman
     return np.asarray(leafy[parts] & (height > config.ground_close))
 
 
-def _split_rest(xyz: Floats, height: Floats, foliage: Mask, config: SemanticsConfig) -> NDArray[np.uint8]:
+def _split_rest(
+    xyz: Floats, height: Floats, foliage: Mask, upright: Mask, config: SemanticsConfig
+) -> NDArray[np.uint8]:
     """Label what is neither ground nor building: foliage, vehicles, trunks, poles."""
     semantic = np.where(foliage, Semantic.VEGETATION, Semantic.OTHER).astype(np.uint8)
+    settled = np.zeros(len(xyz), dtype=bool)
     low = np.flatnonzero(height < config.vehicles.mobile_top)
     for members in group_indices(voxel_clusters(xyz[low], config.cluster_voxel)):
-        for mine in vehicle_parts(xyz, height, foliage, low[members], config.vehicles):
-            semantic[mine] = Semantic.MOBILE
-    return _vote_clusters(xyz, height, semantic, config)
+        for mine, kind in ground_boxes(xyz, height, foliage, upright, low[members], config.vehicles):
+            semantic[mine] = kind
+            settled[mine] = True
+    semantic[~settled] = _vote_clusters(xyz[~settled], height[~settled], semantic[~settled], config)
+    return semantic
 
 
 def _vote_clusters(
@@ -208,17 +216,14 @@ def _vote_clusters(
 ) -> NDArray[np.uint8]:
     """Give trunks and twigs to the foliage of their cluster, low or tiny foliage to *other*."""
     semantic = semantic.copy()
+    cluster = voxel_clusters(xyz, config.cluster_voxel)
+    size = np.bincount(cluster)
+    tall = group_reduce(cluster, height, len(size)) > config.vegetation_height
     for kind, limit in ((Semantic.VEGETATION, 0.4), (Semantic.OTHER, 0.8)):
-        open_points = np.flatnonzero(semantic != Semantic.MOBILE)
-        cluster = voxel_clusters(xyz[open_points], config.cluster_voxel)
-        count = int(cluster.max(initial=-1)) + 1
-        share = np.bincount(cluster, semantic[open_points] == kind, count) / np.maximum(
-            np.bincount(cluster), 1
-        )
-        take = share > limit
+        take = np.bincount(cluster, semantic == kind, len(size)) > limit * size
         if kind is Semantic.VEGETATION:
-            take &= group_reduce(cluster, height[open_points], count) > config.vegetation_height
-        semantic[open_points[take[cluster]]] = kind
+            take &= tall
+        semantic[take[cluster]] = kind
     return semantic
 
 

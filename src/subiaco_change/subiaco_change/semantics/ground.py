@@ -13,6 +13,7 @@ from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
 
+_LATTICE = 8  # cells between the places where a raster may begin: tiles of a cloud share their cells
 _ABSENT = 1e9  # height of a cell that nobody saw [m]
 
 Mask = NDArray[np.bool_]
@@ -113,7 +114,8 @@ def fit_ground(xyz: Floats, config: GroundConfig) -> GroundModel:
     """
     if len(xyz) == 0:
         raise InputError("ground: the cloud has no points; check the crop or the filter before it")
-    south_west = xyz[:, :2].min(axis=0)
+    lattice = _LATTICE * config.cell
+    south_west = np.floor(xyz[:, :2].min(axis=0) / lattice) * lattice
     shape, flat = _cells(xyz, south_west, config.cell)
     lowest = _reject_low(_lowest(xyz[:, 2], flat, shape), config)
     is_ground = _progressive_filter(lowest, config)

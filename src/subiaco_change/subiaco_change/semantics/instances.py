@@ -108,10 +108,7 @@ def _others(xyz: Floats, height: Floats, config: InstanceConfig) -> Ints:
 
 def _vegetation(xyz: Floats, height: Floats, config: InstanceConfig) -> Ints:
     """Cluster foliage, then part clusters with several crowns at the dips between their tops."""
-    density = _density(xyz)
-    gap = max(config.vegetation_gap, config.vegetation_density / np.cbrt(density))
-    # A voxel cluster joins points up to about twice its edge apart.
-    labels = voxel_clusters(xyz, gap / 2)
+    labels = _cluster_by_density(xyz, config)
     following = 0
     parted = np.full(len(xyz), -1, dtype=np.int64)
     for members in group_indices(labels):
@@ -119,6 +116,19 @@ def _vegetation(xyz: Floats, height: Floats, config: InstanceConfig) -> Ints:
         parted[members] = crowns + following
         following += int(crowns.max()) + 1
     return parted
+
+
+def _cluster_by_density(xyz: Floats, config: InstanceConfig) -> Ints:
+    """Cluster at the distance of the sparsest foliage, then each cluster at that of its own density."""
+    labels = np.full(len(xyz), -1, dtype=np.int64)
+    following = 0
+    # A voxel cluster joins points up to about twice its edge apart.
+    for members in group_indices(voxel_clusters(xyz, config.vegetation_density / 2)):
+        gap = max(config.vegetation_gap, config.vegetation_density / np.cbrt(_density(xyz[members])))
+        own = voxel_clusters(xyz[members], gap / 2)
+        labels[members] = own + following
+        following += int(own.max()) + 1
+    return labels
 
 
 def _density(xyz: Floats) -> float:
@@ -136,8 +146,8 @@ def split_crowns(xyz: Floats, height: Floats, config: InstanceConfig) -> Ints:
     below the lower top.
     """
     cell = 0.5
-    south_west = xyz[:, :2].min(axis=0)
-    index = np.floor((xyz[:, :2] - south_west) / cell).astype(np.int64) + 1
+    index = np.floor(xyz[:, :2] / cell).astype(np.int64)
+    index -= index.min(axis=0) - 1
     shape = tuple((index.max(axis=0) + 2).tolist())
     if max(shape) * cell < 2 * config.crown_radius:
         return np.zeros(len(xyz), dtype=np.int64)

@@ -24,6 +24,11 @@ class SuperpointConfig(StrictModel):
     """Potts energy and its minimisation."""
 
     strength: float = Field(0.8, gt=0, description="eta, weight of the boundary, paper")
+    sigma: float = Field(
+        0.23,
+        gt=0,
+        description="sigma_f: median feature distance of streets, fixed so that tiles agree with the whole",
+    )
     rounds: int = Field(6, ge=1, le=30, description="steps in which eta doubles up to its final value")
     height_scale: float = Field(
         4.0, gt=0, description="height above ground that weighs as much as a feature of 1 [m]"
@@ -63,7 +68,7 @@ def partition(features: Floats, neighbours: NDArray[np.int32], config: Superpoin
     config : SuperpointConfig
     """
     edges = graph_edges(neighbours[:, : config.neighbours + 1])
-    weights = edge_weights(features, edges)
+    weights = edge_weights(features, edges, config.sigma)
     order = value_orders(features)
     regions = _Regions(np.arange(len(features)), features, edges, weights)
     for step in range(config.rounds):
@@ -104,12 +109,9 @@ def _first_mention(neighbours: NDArray[np.int32]) -> NDArray[np.bool_]:
     return keep
 
 
-def edge_weights(features: Floats, edges: Ints) -> Floats:
-    """Boundary weights (E,): exp(-d^2 / sigma_f^2), sigma_f the median feature distance."""
-    if len(edges) == 0:
-        return np.zeros(0)
-    squared = _squared_gaps(features, edges)
-    return np.asarray(np.exp(-squared / max(float(np.median(squared)), 1e-9)))
+def edge_weights(features: Floats, edges: Ints, sigma: float) -> Floats:
+    """Boundary weights (E,): exp(-d^2 / sigma_f^2) of the feature distances."""
+    return np.asarray(np.exp(-_squared_gaps(features, edges) / sigma**2))
 
 
 @numba.njit(cache=True)
