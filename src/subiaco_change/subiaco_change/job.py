@@ -20,7 +20,7 @@ from subiaco_change.records import ChangeResult
 from subiaco_change.tiled.run import STAGES
 from subiaco_geo.atomic import refuse_existing, refuse_foreign
 from subiaco_geo.config import StrictModel
-from subiaco_geo.errors import InputError
+from subiaco_geo.errors import InputError, RegistrationError
 from subiaco_geo.frames import Floats
 from subiaco_geo.maps import SurveyMap, load_epoch
 from subiaco_geo.simulated import SIMULATIONS, distinct
@@ -71,8 +71,16 @@ def workbench(
     executor = make_executor(work.workers, work.scheduler, ("subiaco_change.tiled.run",))
     try:
         yield Workbench(DiskStore(kept.absolute()), executor, progress, redo)
+    except (InputError, RegistrationError):
+        _forget(work, kept)  # the same input would fail again
+        raise
     finally:
         executor.close()
+    _forget(work, kept)
+
+
+def _forget(work: Work, kept: Path) -> None:
+    """Remove the stages of a run, unless they are kept for good."""
     if work.stages is None:
         shutil.rmtree(kept, ignore_errors=True)
 
