@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from subiaco_change.semantics.classes import SemanticsConfig, label_points
 from subiaco_change.semantics.clustering import voxel_clusters
-from subiaco_change.semantics.features import FeatureConfig, compute_features, neighbour_covariance
+from subiaco_change.semantics.features import FeatureConfig, compute_features, neighbour_eigen
 from subiaco_change.semantics.instances import InstanceConfig, segment
 from subiaco_change.semantics.superpoints import (
     SuperpointConfig,
@@ -130,16 +130,19 @@ def test_two_flat_features_give_two_superpoints():
     assert len(np.unique(found.labels)) == 2
 
 
-def test_the_covariance_kernel_agrees_with_plain_numpy():
+def test_the_eigen_kernel_agrees_with_plain_numpy():
     rng = np.random.default_rng(1)
     xyz = rng.random((200, 3))
     squared = ((xyz[:, None] - xyz) ** 2).sum(axis=2)
     neighbours = np.argsort(squared, axis=1)[:, :16].astype(np.int32)
     near_squared = np.take_along_axis(squared, neighbours.astype(int), axis=1).astype(np.float32)
-    kernel = neighbour_covariance(xyz, neighbours, near_squared, 0.09, 8)
+    values, normals = neighbour_eigen(xyz, neighbours, near_squared, 0.09, 8)
+    assert (normals[:, 2] >= 0).all()
     for i in range(0, 200, 17):
         used = max(int((near_squared[i] <= 0.09).sum()), 8)
-        assert kernel[i] == pytest.approx(np.cov(xyz[neighbours[i, :used]].T, bias=True), abs=1e-9)
+        expected, vectors = np.linalg.eigh(np.cov(xyz[neighbours[i, :used]].T, bias=True))
+        assert values[i] == pytest.approx(expected, abs=1e-9)
+        assert abs(normals[i] @ vectors[:, 0]) == pytest.approx(1.0, abs=1e-9)
 
 
 def test_clusters_are_connected_voxels():

@@ -178,6 +178,23 @@ def test_what_is_wrong_is_said_with_its_weight(
     )
 
 
+def test_a_driver_that_said_that_it_lost_the_pulse_is_heard(tmp_path: Path) -> None:
+    kind = "diagnostic_msgs/msg/DiagnosticArray"
+    with BagWriter(tmp_path / "bag") as writer:
+        for k in range(300):
+            time_ns = START_NS + k * 10_000_000
+            writer.write(IMU, MESSAGE_TYPES[IMU], imu(time_ns, k), time_ns)
+            if k % 100 == 50:
+                status = T["diagnostic_msgs/msg/DiagnosticStatus"](
+                    level=2 if k == 150 else 0, name="ouster: Sync Pulse In", message="unlocked",
+                    hardware_id="", values=[],
+                )  # fmt: skip
+                writer.write("/diagnostics", kind, T[kind](header(time_ns, ""), [status]), time_ns)
+    (lost,) = inspect_bag(tmp_path / "bag")["flagged"]["pps_lost"]
+    assert lost["detail"] == "ouster: Sync Pulse In: unlocked"
+    assert (lost["start_s"] - START_NS * 1e-9, lost["end_s"] - START_NS * 1e-9) == pytest.approx((1.5, 2.5))
+
+
 def test_clouds_of_ouster_ros_with_times_are_usable(tmp_path: Path) -> None:
     facts = inspect_bag(drive_bag(tmp_path / "bag", {POINTS: "/ouster/points"}, lidar="timed"))
     assert facts["verdict"] == "usable"

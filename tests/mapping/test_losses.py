@@ -42,6 +42,17 @@ def test_a_publisher_that_starts_again_and_two_at_once_are_no_loss() -> None:
     assert counter.lost == 0
 
 
+def test_a_publisher_that_starts_again_is_told_from_a_loss_where_it_is_known_to_have_come_up() -> None:
+    counter = SequenceCounter()
+    for number in (1, 2, 3):
+        counter.take(number)
+    assert not counter.expects(9)
+    counter.newcomers += 1
+    for number in (9, 10, 13):  # eight before it was heard, and two of its own lost
+        counter.take(number)
+    assert (counter.lost, counter.before, counter.newcomers) == (2, 8, 0)
+
+
 def test_a_loss_of_one_of_two_publishers_is_counted_once() -> None:
     counter = SequenceCounter()
     for number in [*range(1, 100), 1, 100, 2, 101, 5, 102, 6]:

@@ -73,6 +73,17 @@ def test_a_host_clock_that_steps_is_told_from_the_sensors(size: float) -> None:
     assert "lidar_silent" not in first  # a jump of the host's clock is not a silence
 
 
+def test_first_messages_that_waited_for_a_listener_are_no_step() -> None:
+    """They come in one go, a sensor that has just been found: later ones do not wait."""
+    monitor = Monitor(MappingConfig())
+    for k in range(30):
+        stamp = START_NS + k * 200_000_000
+        now = max(stamp, START_NS + 500_000_000) + 1_000_000
+        monitor.on_points(stamp, now, now)
+    monitor.tick(START_NS + 7 * 10**9)
+    assert stretches(monitor, "clock_step") == []
+
+
 def test_the_end_of_the_time_reference_is_a_lost_pps() -> None:
     monitor, first = watched(Drive(muted={"pps": [(6.0, 12.0)]}))
     assert 6.0 < first["pps_lost"] < 6.0 + NOTICED

@@ -126,7 +126,7 @@ def run_live_graph(
         A node that the survey cannot do without failed again and again, or one could not put away
         what it had; what the others wrote stands.
     """
-    from subiaco_bringup.live_graph import SEQUENCE, live_graph
+    from subiaco_bringup.live_graph import MAP, SEQUENCE, live_graph
     from subiaco_mapping.config import MappingConfig
     from subiaco_mapping.recording.config import RecordingConfig
     from subiaco_mapping.watch.files import MANIFEST, add_stretches
@@ -152,7 +152,8 @@ def run_live_graph(
                 supervisor.run()
         finally:
             deaths = [_stretch(death) for death in supervisor.deaths]
-            add_stretches(output / MANIFEST, SEQUENCE, "node_died", deaths)
+            for folder in (output, output / MAP):
+                add_stretches(folder / MANIFEST, SEQUENCE, "node_died", deaths)
         supervisor.require_whole()
 
 

@@ -10,6 +10,7 @@ import pgeof
 from numpy.typing import NDArray
 from pydantic import Field
 
+from subiaco_change.geometry import smallest_eigen
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats
 
@@ -47,13 +48,10 @@ def compute_features(xyz: Floats, config: FeatureConfig) -> Features:
     local = np.ascontiguousarray(xyz - xyz.mean(axis=0), dtype=np.float32)
     index, squared = pgeof.knn_search(local, local, k)
     neighbours = index.astype(np.int32)
-    covariance = neighbour_covariance(
+    values, normals = neighbour_eigen(
         local.astype(np.float64), neighbours, squared, config.radius**2, config.min_neighbours
     )
-    values, vectors = np.linalg.eigh(covariance)
-    values = np.maximum(values, 1e-10)
-    small, middle, large = values.T
-    normals = vectors[:, :, 0] * np.where(vectors[:, 2:3, 0] < 0, -1.0, 1.0)
+    small, middle, large = np.maximum(values, 1e-10).T
     return Features(
         neighbours,
         np.sqrt(squared),
@@ -66,32 +64,36 @@ def compute_features(xyz: Floats, config: FeatureConfig) -> Features:
 
 
 @numba.njit(cache=True)
-def neighbour_covariance(
+def neighbour_eigen(
     xyz: Floats,
     neighbours: NDArray[np.int32],
     squared: NDArray[np.float32],
     radius_squared: float,
     min_neighbours: int,
-) -> Floats:
-    """Covariance (N, 3, 3) of the neighbours within a radius, or of the nearest few where it is empty."""
+) -> tuple[Floats, Floats]:
+    """Ascending eigenvalues (N, 3) and upward normals (N, 3) of the neighbours in a radius.
+
+    Of the nearest few where the radius holds fewer.
+    """
     count, k = neighbours.shape
-    covariance = np.zeros((count, 3, 3))
+    values, normals = np.empty((count, 3)), np.empty((count, 3))
     for i in range(count):
-        total = np.zeros(3)
-        products = np.zeros((3, 3))
+        sx = sy = sz = xx = yy = zz = xy = xz = yz = 0.0
         used = 0
         for j in range(k):
             if squared[i, j] > radius_squared and used >= min_neighbours:
                 break
-            d = xyz[neighbours[i, j]] - xyz[i]
+            n = neighbours[i, j]
+            dx, dy, dz = xyz[n, 0] - xyz[i, 0], xyz[n, 1] - xyz[i, 1], xyz[n, 2] - xyz[i, 2]
             used += 1
-            for a in range(3):
-                total[a] += d[a]
-                for b in range(a + 1):
-                    products[a, b] += d[a] * d[b]
-        for a in range(3):
-            for b in range(a + 1):
-                value = products[a, b] / used - total[a] * total[b] / used**2
-                covariance[i, a, b] = value
-                covariance[i, b, a] = value
-    return covariance
+            sx, sy, sz = sx + dx, sy + dy, sz + dz
+            xx, yy, zz = xx + dx * dx, yy + dy * dy, zz + dz * dz
+            xy, xz, yz = xy + dx * dy, xz + dx * dz, yz + dy * dz
+        sx, sy, sz = sx / used, sy / used, sz / used
+        values[i] = smallest_eigen(
+            xx / used - sx * sx, yy / used - sy * sy, zz / used - sz * sz,
+            xy / used - sx * sy, xz / used - sx * sz, yz / used - sy * sz, normals[i],
+        )  # fmt: skip
+        if normals[i, 2] < 0:
+            normals[i] *= -1.0
+    return values, normals

@@ -83,30 +83,23 @@ def partition(features: Floats, neighbours: NDArray[np.int32], config: Superpoin
     return Partition(best, min(energies), single, whole)
 
 
-def graph_edges(neighbours: NDArray[np.int32]) -> Ints:
-    """Return the undirected edges (E, 2) of neighbour lists (N, k), each once."""
-    keep = _first_mention(np.ascontiguousarray(neighbours))
-    source, column = np.nonzero(keep)
-    target = neighbours[source, column].astype(np.int64)
-    return np.stack([np.minimum(source, target), np.maximum(source, target)], axis=1)
-
-
 @numba.njit(cache=True)
-def _first_mention(neighbours: NDArray[np.int32]) -> NDArray[np.bool_]:
-    """Tell which entries (N, k) name an edge that the lower of its two ends does not name."""
+def graph_edges(neighbours: NDArray[np.int32]) -> Ints:
+    """Return the undirected edges (E, 2) of neighbour lists (N, k), each once, the lower end first."""
     count, k = neighbours.shape
-    keep = np.zeros((count, k), dtype=np.bool_)
+    edges = np.empty((count * k, 2), dtype=np.int64)
+    used = 0
     for i in range(count):
         for column in range(k):
             j = neighbours[i, column]
-            if i < j:
-                keep[i, column] = True
-            elif j < i:
-                keep[i, column] = True
+            named = j == i
+            if j < i:  # the lower of its two ends may name it too
                 for back in range(k):
-                    if neighbours[j, back] == i:
-                        keep[i, column] = False
-    return keep
+                    named = named or neighbours[j, back] == i
+            if not named:
+                edges[used, 0], edges[used, 1] = min(i, j), max(i, j)
+                used += 1
+    return edges[:used].copy()
 
 
 def edge_weights(features: Floats, edges: Ints, sigma: float) -> Floats:
@@ -143,8 +136,8 @@ def region_medians(features: Floats, labels: Ints, order: Ints | None = None) ->
 
 
 def value_orders(features: Floats) -> Ints:
-    """Order (N, F) of the points by each feature."""
-    return np.argsort(features, axis=0, kind="stable")
+    """Order (F, N) of the points by each feature; which of equal values comes first does not matter."""
+    return np.argsort(np.ascontiguousarray(features.T), axis=1)
 
 
 @numba.njit(cache=True)
@@ -153,7 +146,7 @@ def _medians(features: Floats, labels: Ints, order: Ints, counts: Ints) -> Float
     for f in range(features.shape[1]):
         met = np.zeros(len(counts), dtype=np.int64)
         for position in range(len(labels)):
-            i = order[position, f]
+            i = order[f, position]
             region = labels[i]
             if met[region] == (counts[region] - 1) // 2:
                 medians[region, f] = features[i, f]

@@ -24,6 +24,7 @@ from subiaco_mapping.graph.factors import (
     pose_key,
     slow_key,
 )
+from subiaco_mapping.graph.marginals import marginals_of
 from subiaco_mapping.graph.records import Chain, ChainSolution, LoopEdge, Solved
 from subiaco_mapping.graph.slow_errors import slow_errors
 
@@ -77,23 +78,6 @@ def _in_world(poses: Floats, covariance: Floats) -> Floats:
     turn = np.zeros((len(poses), 6, 6))
     turn[:, :3, :3] = turn[:, 3:, 3:] = poses[:, :3, :3]
     return np.asarray(turn @ covariance @ np.swapaxes(turn, 1, 2))
-
-
-def marginals_of(graph: Any, values: Any) -> Any:
-    """Return gtsam's marginals.
-
-    Raises
-    ------
-    SubiacoError
-        A pose is not determined.
-    """
-    try:
-        return gtsam.Marginals(graph, values)
-    except RuntimeError as error:
-        first = str(error).strip().splitlines()[0]
-        raise SubiacoError(
-            f"pose graph: a pose is not determined ({first}); check GNSS and extrinsics"
-        ) from error
 
 
 def _world_covariances(marginals: Any, number: int, poses: Floats, stride: int) -> Floats:

@@ -55,6 +55,7 @@ class _Listening:
     offer: Offer
     subscription: Subscription
     counter: TopicCounter
+    publishers: frozenset[bytes]
 
 
 class Listener:
@@ -147,8 +148,20 @@ class Listener:
             callback_group=self._apart,
             raw=True,
         )
-        self._topics[name] = _Listening(topic, offer, subscription, counter)
+        publishers = self._publishers(name) if known is None else known.publishers
+        self._topics[name] = _Listening(topic, offer, subscription, counter, publishers)
         self._count_packets()
+
+    def _publishers(self, name: str) -> frozenset[bytes]:
+        """Return the identities of those who publish a topic now."""
+        found = self._node.get_publishers_info_by_topic(self._node.resolve_topic_name(name.lstrip("/")))
+        return frozenset(bytes(endpoint.endpoint_gid) for endpoint in found)
+
+    def _greet(self, listening: _Listening) -> None:
+        """Tell the counter of drivers that have come up: what they said before us is no loss."""
+        present = self._publishers(listening.topic.name)
+        listening.counter.transport.newcomers += len(present - listening.publishers)
+        listening.publishers = present
 
     def _depth(self, msg_type: str) -> int:
         if msg_type == PACKET_TYPE:
@@ -170,6 +183,8 @@ class Listener:
         topic, counter = listening.topic, listening.counter
         received = info["received_timestamp"] or time.time_ns()
         sequence = info["publication_sequence_number"]
+        if sequence is not None and not counter.transport.expects(sequence):
+            self._greet(listening)
         counter.take(raw, received, sequence)
         if topic.name == METADATA:
             self._on_metadata(raw)

@@ -36,6 +36,7 @@ from subiaco_mapping.nodes.offers import OfferedSubscription, Wanted, follow_off
 from subiaco_mapping.nodes.runtime import App, latched, read_models, run_node
 from subiaco_mapping.recording.losses import header_stamp_ns
 from subiaco_mapping.topic_names import GPS_FIX, NMEA_SENTENCE, TIME_REFERENCE
+from subiaco_mapping.watch.config import PPS_WORDS
 from subiaco_mapping.watch.dop import dop_of_gps_fix, dop_of_nmea
 from subiaco_mapping.watch.files import SurveyFiles
 from subiaco_mapping.watch.monitor import Monitor, OdometryNote
@@ -63,7 +64,7 @@ class MonitorParameters(StrictModel):
     disk_path: str = Field("", description="a folder on the disk to be watched; empty: output_directory")
     map_frame: str = Field("map", description="frame of the markers")
     pps_words: tuple[str, ...] = Field(
-        ("pps", "sync pulse", "time pulse"),
+        PPS_WORDS,
         description="a status on /diagnostics whose name holds one of these tells the lock on the pulse",
     )
 

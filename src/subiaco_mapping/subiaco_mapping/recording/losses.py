@@ -25,13 +25,19 @@ PERIODIC_TYPES = frozenset(MESSAGE_TYPES[topic] for topic in (IMU, FIX, POINTS))
 class SequenceCounter:
     """Losses between publishers and us, from the numbers that the middleware gives to messages.
 
-    Every publisher counts from 1; several on one topic are told apart by continuity.
+    Every publisher counts from 1; several on one topic are told apart by continuity, and by
+    ``newcomers``: publishers known to have come up of which nothing was heard yet.
     """
 
     def __init__(self) -> None:
         self.lost = 0
         self.before = 0
+        self.newcomers = 0
         self._next: list[int] = []
+
+    def expects(self, number: int) -> bool:
+        """Whether this is the next message of a publisher heard before."""
+        return number in self._next
 
     def take(self, number: int) -> int:
         """Note one message; return how many were lost just before it."""
@@ -39,7 +45,8 @@ class SequenceCounter:
             self._next[self._next.index(number)] = number + 1
             return 0
         behind = [expected for expected in self._next if expected < number]
-        if number == 1 or not behind:  # a publisher not seen so far
+        if number == 1 or not behind or self.newcomers:  # a publisher not seen so far
+            self.newcomers = max(0, self.newcomers - 1)
             self.before += number - 1
             self._next.append(number + 1)
             self._next = self._next[-16:]

@@ -11,9 +11,11 @@ from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.conversions import fix_from_msg, imu_from_msg
 from subiaco_mapping.recording.losses import header_stamp_ns
 from subiaco_mapping.topic_names import GPS_FIX, NMEA_SENTENCE, TIME_REFERENCE
+from subiaco_mapping.watch.config import PPS_WORDS
 from subiaco_mapping.watch.dop import dop_of_gps_fix, dop_of_nmea
 from subiaco_mapping.watch.monitor import Monitor
 
+DIAGNOSTICS = "/diagnostics"
 _TICK_NS = 100_000_000
 _MOST_TICKS = 200
 
@@ -74,7 +76,16 @@ def _handlers(monitor: Monitor, reader: BagReader) -> dict[str, Callable[[BagMes
         TIME_REFERENCE: lambda m: monitor.on_time_reference(m.log_time_ns),
         GPS_FIX: lambda m: monitor.on_dop(*dop_of_gps_fix(read(m)), m.log_time_ns),
         NMEA_SENTENCE: on_sentence,
+        DIAGNOSTICS: lambda m: _take_locks(monitor, read(m), m.log_time_ns),
     }
     if LIDAR_PACKETS not in reader.topics:
         handlers[POINTS] = on_points
     return handlers
+
+
+def _take_locks(monitor: Monitor, message: Any, now_ns: int) -> None:
+    """Hand on what drivers said of their lock on the pulse."""
+    for status in message.status:
+        name = str(status.name).lower()
+        if not name.startswith("monitor: ") and any(word in name for word in PPS_WORDS):
+            monitor.on_pps_lock(int(status.level) == 0, f"{status.name}: {status.message}", now_ns)

@@ -31,6 +31,7 @@ class OffsetWatch:
         self.offset_ns: int | None = None
         self.backwards = 0
         self.not_utc = False
+        self._settled = False
         self.steps: list[tuple[int, int]] = []
 
     def take(self, now_ns: int, stamp_ns: int, arrival_ns: int) -> None:
@@ -48,8 +49,8 @@ class OffsetWatch:
         self._judge(now_ns, difference)
 
     def _judge(self, now_ns: int, difference: int) -> None:
-        if self.offset_ns is None:
-            self.offset_ns = difference
+        if self.offset_ns is None or not self._settled:  # the first ones may have waited longer
+            self.offset_ns = min(value for _, value in self._recent)
         earlier = difference < self.offset_ns - self._step_ns
         least = difference if earlier else min(value for _, value in self._recent)
         filled = len(self._recent) >= 3 and now_ns - self._recent[0][0] >= 0.8 * _WINDOW_NS
@@ -60,7 +61,7 @@ class OffsetWatch:
             self.offset_ns = least
             return
         if filled:
-            self.offset_ns = least
+            self.offset_ns, self._settled = least, True
         self._minima.append((now_ns, least))
         while self._minima[0][0] < now_ns - _LONG_NS:
             self._minima.popleft()

@@ -7,6 +7,8 @@ from pydantic import Field
 from subiaco_geo.config import StrictModel
 
 _SECOND = 1_000_000_000
+#: A status on /diagnostics whose name holds one of these tells a driver's lock on the pulse.
+PPS_WORDS = ("pps", "sync pulse", "time pulse")
 
 
 class StreamLimits(StrictModel):
