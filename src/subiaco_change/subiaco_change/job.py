@@ -8,15 +8,16 @@ from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, TypeVar
 
+import geopandas as gpd
 import numpy as np
 
 from subiaco_change.config import ChangeConfig
 from subiaco_change.outputs.directory import MARKER, ChangeInputs, write_change_directory
 from subiaco_change.outputs.parcels import read_lots
-from subiaco_change.pipeline import detect_changes
-from subiaco_change.records import ChangeResult
+from subiaco_change.pipeline import detect_in_tiles
+from subiaco_change.records import ChangeRecord, ChangeResult, TiledResult
 from subiaco_change.tiled.run import STAGES
 from subiaco_geo.atomic import refuse_existing, refuse_foreign
 from subiaco_geo.config import StrictModel
@@ -24,10 +25,12 @@ from subiaco_geo.errors import InputError, RegistrationError
 from subiaco_geo.frames import Floats
 from subiaco_geo.maps import SurveyMap, load_epoch
 from subiaco_geo.simulated import SIMULATIONS, distinct
+from subiaco_geo.sources import Epoch, open_epoch
 from subiaco_geo.work.bench import Workbench, stages_from
 from subiaco_geo.work.executors import make_executor
 from subiaco_geo.work.store import DiskStore
 
+Taken = TypeVar("Taken")
 _JUMP = 20.0  # longer steps between scans lead from one recording to the next [m]
 _DATED = np.datetime64("2000-01-01")
 
@@ -137,7 +140,7 @@ def read_transform(path: Path) -> Floats:
     return values
 
 
-def drive_facts(survey: SurveyMap) -> dict[str, Any]:
+def drive_facts(survey: SurveyMap | Epoch) -> dict[str, Any]:
     """Return the UTC times of the first and last scan and the kilometres driven; nothing where not known."""
     trajectory = survey.trajectory
     if trajectory is None or len(trajectory) < 2:
@@ -179,37 +182,65 @@ def run_job(
     InputError, RegistrationError
         Nothing is left under ``job.output`` then.
     """
-    refuse_existing(job.output, job.overwrite)
-    refuse_foreign(job.output, MARKER)
+    lots = _start(job)
     before = load_epoch(job.before, job.trajectory_before)
     after = load_epoch(job.after, job.trajectory_after)
-    lots = None if job.parcels is None else read_lots(job.parcels, after.crs)
     result = detect(before, after)
     if progress is not None:
         progress("writing", 0.97)
-    named = distinct(name for survey in (before, after) for name in survey.info.get(SIMULATIONS, []))
-    known = all(survey.info.get("heights") == "ellipsoidal" for survey in (before, after))
-    inputs = ChangeInputs(
-        job.before,
-        job.after,
-        {**(notes or {}), **named, "epochs": {"before": drive_facts(before), "after": drive_facts(after)}},
-        calibrated=calibrated,
-        ellipsoidal=known,
-        lots=lots,
-    )
+    inputs = _inputs(job, before, after, notes or {}, calibrated, lots)
     write_change_directory(job.output, result, config, inputs, overwrite=job.overwrite)
     return result
 
 
+def _start(job: ChangeJob) -> gpd.GeoDataFrame | None:
+    """Refuse an output that is there; return the lots, if there are any."""
+    refuse_existing(job.output, job.overwrite)
+    refuse_foreign(job.output, MARKER)
+    return None if job.parcels is None else read_lots(job.parcels, open_epoch(job.after).crs)
+
+
+def _inputs(
+    job: ChangeJob,
+    before: SurveyMap | Epoch,
+    after: SurveyMap | Epoch,
+    notes: Mapping[str, str],
+    calibrated: bool,
+    lots: gpd.GeoDataFrame | None,
+) -> ChangeInputs:
+    named = distinct(name for epoch in (before, after) for name in epoch.info.get(SIMULATIONS, []))
+    known = all(epoch.info.get("heights") == "ellipsoidal" for epoch in (before, after))
+    facts = {"epochs": {"before": drive_facts(before), "after": drive_facts(after)}}
+    return ChangeInputs(
+        job.before,
+        job.after,
+        {**notes, **named, **facts},
+        calibrated=calibrated,
+        ellipsoidal=known,
+        lots=lots,
+    )
+
+
 def run_change(
     job: ChangeJob, config: ChangeConfig, progress: Callable[[str, float], None] | None = None
-) -> ChangeResult:
-    """Run our own method on two epochs; errors as for :func:`run_job`."""
+) -> tuple[ChangeRecord, ...]:
+    """Run our own method on two epochs in tiles; return the rows. Errors as for :func:`run_job`."""
+    return run_change_and(job, config, lambda result: result.records, progress)
+
+
+def run_change_and(
+    job: ChangeJob,
+    config: ChangeConfig,
+    take: Callable[[TiledResult], Taken],
+    progress: Callable[[str, float], None] | None = None,
+) -> Taken:
+    """Run our own method as :func:`run_change`; return what is taken of the result."""
+    lots = _start(job)
+    epochs = open_epoch(job.before, job.trajectory_before), open_epoch(job.after, job.trajectory_after)
     with workbench(job.work, job.output, progress) as bench:
-
-        def detect(before: SurveyMap, after: SurveyMap) -> ChangeResult:
-            return detect_changes(
-                before, after, config, transform=job.transform, given=job.given, bench=bench
-            )
-
-        return run_job(job, config, detect, progress, calibrated=config.confidence.calibrated)
+        result = detect_in_tiles(epochs, config, bench, transform=job.transform, given=job.given)
+        if progress is not None:
+            progress("writing", 0.97)
+        inputs = _inputs(job, *epochs, {}, config.confidence.calibrated, lots)
+        write_change_directory(job.output, result, config, inputs, overwrite=job.overwrite)
+        return take(result)

@@ -11,15 +11,15 @@ from numpy.typing import NDArray
 
 from subiaco_change.config import ChangeConfig
 from subiaco_change.observation.placing import block_table, stated_registration
-from subiaco_change.records import ChangeRecord, ChangeResult, GroundChange, Registration
-from subiaco_change.registration.pair import PairInfo, check_pair
-from subiaco_change.tiled.epochs import check_given
+from subiaco_change.records import ChangeRecord, ChangeResult, GroundChange, Registration, TiledResult
+from subiaco_change.registration.pair import PairInfo
 from subiaco_change.tiled.framing import field_of, load_frame
 from subiaco_change.tiled.placing import load_sigma
 from subiaco_change.tiled.run import CityRun, Pass
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.frames import Floats
 from subiaco_geo.maps import SurveyMap
+from subiaco_geo.sources import Epoch, LoadedEpoch
 from subiaco_geo.tiles import tile_named
 from subiaco_geo.work.bench import Progress, Workbench
 from subiaco_geo.work.tasks import Inputs
@@ -65,14 +65,30 @@ def detect_changes(
     InputError, RegistrationError
     """
     bench = Workbench(progress=progress) if bench is None else bench
-    before, after, info = check_pair(before, after, config.leaf)
-    run = CityRun(bench, config, info, check_given((before, after), given))
-    run.cut((before, after))
+    pair = LoadedEpoch(before), LoadedEpoch(after)
+    return detect_in_tiles(pair, config, bench, transform=transform, given=given).whole()
+
+
+def detect_in_tiles(
+    epochs: tuple[Epoch, Epoch],
+    config: ChangeConfig,
+    bench: Workbench,
+    *,
+    transform: Floats | None = None,
+    given: Sequence[str] = (),
+) -> TiledResult:
+    """Find what changed between two epochs without ever holding one of them; see :func:`detect_changes`.
+
+    The result reads its clouds from the store of the bench: use it while that is there.
+    """
+    run = CityRun(bench, config, tuple(given))
+    run.cut(epochs)
     registration = run.register(transform)
     run.prepare()
     run.recut(registration)
     refined = transform is None and config.second_registration
     found = run.compare(registration, None, (0.5, 0.72 if refined else 0.92))
+    info = run.info
     if refined:
         changed = run.changed(found, (0.72, 0.73))
         again, moved, failed = run.refine(found, changed)
@@ -80,12 +96,11 @@ def detect_changes(
         if moved > config.second_shift:
             found = run.compare(again, changed, (0.76, 0.92))
     labelled = run.label(found)
-    result = _assemble(run, found, labelled, info)
     bench.store.note("stages.json", run.manifest(found, labelled))
-    return result
+    return _assemble(run, found, labelled, info)
 
 
-def _assemble(run: CityRun, found: Pass, labelled: Mapping[str, str], info: PairInfo) -> ChangeResult:
+def _assemble(run: CityRun, found: Pass, labelled: Mapping[str, str], info: PairInfo) -> TiledResult:
     tiles = sorted(labelled)
     inputs = Inputs(run.bench.store, {**found.frame, **run.poses, "sigma": found.sigma})
     frame = load_frame(inputs, run.origin)
@@ -93,15 +108,15 @@ def _assemble(run: CityRun, found: Pass, labelled: Mapping[str, str], info: Pair
     samples = np.concatenate([run.load(found.lods[t])["sigma"] for t in tiles])
     bias = field_of(inputs["bias"])
     registration = stated_registration(run.registration(found.registration), samples, bias)
-    return ChangeResult(
+    return TiledResult(
         _with_points(run, found, labelled),
-        _cloud(run, labelled, "before"),
-        _cloud(run, labelled, "after"),
+        run.sides[1].crs,
         _with_operation(registration, info),
         _raster(run, labelled),
         run.bench.seconds(),
         info.warnings,
         block_table(sigma, frame),
+        lambda: ((_tile(run, labelled, "before", t), _tile(run, labelled, "after", t)) for t in tiles),
     )
 
 
@@ -117,21 +132,15 @@ def _with_points(run: CityRun, found: Pass, labelled: Mapping[str, str]) -> tupl
     return tuple(records)
 
 
-def _cloud(run: CityRun, labelled: Mapping[str, str], epoch: str) -> PointCloud:
-    """Put the labelled tiles of an epoch together."""
+def _tile(run: CityRun, labelled: Mapping[str, str], epoch: str, tile: str) -> PointCloud:
+    """Labelled points of a tile of an epoch."""
+    piece = run.load(labelled[tile])
+    fields: dict[str, NDArray[Any]] = {name: piece[f"{epoch}_{name}"] for name in _LABELS}
     own = run.points[epoch]
-    names = sorted(own)
-    columns: dict[str, list[NDArray[Any]]] = {}
-    for name in names:
-        piece, source = run.load(labelled[name]), run.load(own[name])
-        for field in ("xyz", *_LABELS):
-            columns.setdefault(field, []).append(piece[f"{epoch}_{field}"])
-        if "intensity" in source:
-            columns.setdefault("intensity", []).append(source["intensity"])
-    fields = {name: np.concatenate(parts) for name, parts in columns.items()}
-    xyz = fields.pop("xyz")
-    crs = run.sides[("before", "after").index(epoch)].crs
-    return PointCloud(xyz, run.origin, crs, fields)
+    if run.lit[epoch]:
+        fields["intensity"] = run.load(own[tile])["intensity"] if tile in own else np.zeros(0, np.float32)
+    side = run.sides[_EPOCHS.index(epoch)]
+    return PointCloud(piece[f"{epoch}_xyz"], run.origin, side.crs, fields)
 
 
 def _raster(run: CityRun, labelled: Mapping[str, str]) -> GroundChange | None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -134,3 +134,56 @@ class ChangeResult:
     seconds: Mapping[str, float] = field(default_factory=dict)
     warnings: tuple[str, ...] = ()
     blocks: pd.DataFrame | None = None
+
+    @property
+    def crs(self) -> str | None:
+        """CRS of the result."""
+        return self.after.crs
+
+    def parts(self) -> Iterator[tuple[PointCloud, PointCloud]]:
+        """Yield both clouds part by part, places together: here all at once."""
+        yield self.before, self.after
+
+
+@dataclass(frozen=True)
+class TiledResult:
+    """Everything that a run in tiles found; as :class:`ChangeResult`, its clouds tile by tile.
+
+    ``tiles`` yields both clouds of every tile, every time it is called; either may be empty there.
+    """
+
+    records: tuple[ChangeRecord, ...]
+    crs: str | None
+    registration: Registration
+    ground: GroundChange | None
+    seconds: Mapping[str, float]
+    warnings: tuple[str, ...]
+    blocks: pd.DataFrame | None
+    tiles: Callable[[], Iterator[tuple[PointCloud, PointCloud]]]
+
+    def parts(self) -> Iterator[tuple[PointCloud, PointCloud]]:
+        """Yield both clouds of every tile."""
+        return self.tiles()
+
+    def whole(self) -> ChangeResult:
+        """Put the tiles together in memory."""
+        pairs = list(self.parts())
+        before, after = (_together([pair[e] for pair in pairs]) for e in (0, 1))
+        return ChangeResult(
+            self.records,
+            before,
+            after,
+            self.registration,
+            self.ground,
+            self.seconds,
+            self.warnings,
+            self.blocks,
+        )
+
+
+def _together(clouds: Sequence[PointCloud]) -> PointCloud:
+    """Concatenate clouds about one origin."""
+    held = [cloud for cloud in clouds if len(cloud)] or list(clouds[:1])
+    fields = {name: np.concatenate([cloud.fields[name] for cloud in held]) for name in held[0].fields}
+    xyz = np.concatenate([cloud.xyz for cloud in held])
+    return PointCloud(xyz, held[0].origin, held[0].crs, fields)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Iterator
 from pathlib import Path
 
 import laspy
@@ -53,6 +54,34 @@ def read_las(path: Path) -> PointCloud:
     columns: dict[str, Column] = {axis: np.asarray(getattr(las, axis), np.float64) for axis in "xyz"}
     columns |= _fields(las)
     return cloud_from_columns(path, columns, _crs(path, las.header))
+
+
+def las_parts(path: Path, fields: tuple[str, ...], size: int) -> Iterator[PointCloud]:
+    """Read a LAS, LAZ or COPC file in parts of up to ``size`` points, with those of ``fields`` that it has.
+
+    Raises
+    ------
+    InputError
+        As :func:`read_las`; what is cut is found when its end is reached.
+    """
+    found = 0
+    try:
+        _refuse_impossible(path)
+        with laspy.open(path) as reader:
+            expected, crs = int(reader.header.point_count), _crs(path, reader.header)
+            if reader.header.are_points_compressed:
+                _refuse_impossible_chunks(path, reader.header)
+            present = [name for name in fields if name in set(reader.header.point_format.dimension_names)]
+            for points in reader.chunk_iterator(size):
+                columns: dict[str, Column] = {axis: np.asarray(points[axis], np.float64) for axis in "xyz"}
+                columns |= {name: np.asarray(points[name]) for name in present}
+                found += len(points)
+                yield cloud_from_columns(path, columns, crs)
+    except _FAULTS as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{path}: cut or not a LAS/LAZ file ({reason}); copy or export it again") from error
+    if found < expected:
+        raise InputError(f"{path}: cut: {found} of {expected} points are there; copy or export it again")
 
 
 def _refuse_impossible(path: Path) -> None:

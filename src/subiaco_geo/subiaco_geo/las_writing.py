@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -58,8 +58,12 @@ def write_las(path: Path, cloud: PointCloud, *, ellipsoidal: bool = True) -> Non
 
 
 @contextmanager
-def las_stream(path: Path, *, ellipsoidal: bool = True) -> Iterator[LasStream]:
+def las_stream(
+    path: Path, *, ellipsoidal: bool = True, unit_intensity: bool | None = None
+) -> Iterator[LasStream]:
     """Write clouds one after another to one file, which appears whole at the end; see :func:`write_las`.
+
+    ``unit_intensity`` tells whether intensity runs from 0 to 1; None lets the first cloud tell.
 
     Raises
     ------
@@ -67,7 +71,7 @@ def las_stream(path: Path, *, ellipsoidal: bool = True) -> Iterator[LasStream]:
         Nothing was appended.
     """
     with whole_file(path) as temporary:
-        stream = LasStream(path, temporary, ellipsoidal)
+        stream = LasStream(path, temporary, ellipsoidal, unit_intensity)
         try:
             yield stream
         finally:
@@ -89,8 +93,8 @@ class _Form:
 class LasStream:
     """Takes the clouds of :func:`las_stream`."""
 
-    def __init__(self, path: Path, temporary: Path, ellipsoidal: bool) -> None:
-        self._path, self._temporary, self._ellipsoidal = path, temporary, ellipsoidal
+    def __init__(self, path: Path, temporary: Path, ellipsoidal: bool, unit: bool | None = None) -> None:
+        self._path, self._temporary, self._ellipsoidal, self._unit = path, temporary, ellipsoidal, unit
         self._open: tuple[laspy.LasWriter, _Form] | None = None
 
     def append(self, cloud: PointCloud) -> None:
@@ -122,6 +126,7 @@ class LasStream:
 
     def _begin(self, cloud: PointCloud, columns: dict[str, Column]) -> tuple[laspy.LasWriter, _Form]:
         form = _form(self._path, cloud, columns, self._ellipsoidal)
+        form = form if self._unit is None else replace(form, unit_intensity=self._unit)
         compressed = self._path.suffix.lower() == ".laz"
         return laspy.open(self._temporary, "w", header=form.header, do_compress=compressed), form
 

@@ -209,7 +209,7 @@ def load_epoch(path: Path, trajectory: Path | None = None) -> SurveyMap:
 
 
 def _read_bare(path: Path) -> SurveyMap:
-    cloud = _bare_cloud(path)
+    cloud = cloud_of(path)
     survey = SurveyMap(
         read_cloud(cloud),
         _optional_trajectory(path / "trajectory.tum"),
@@ -219,7 +219,33 @@ def _read_bare(path: Path) -> SurveyMap:
     return mark_simulated(survey, [cloud])
 
 
-def _bare_cloud(path: Path) -> Path:
+def read_map_head(path: Path) -> SurveyMap:
+    """Read what is small of a map directory, or beside a bare cloud: ``info``, trajectory and covariances.
+
+    The cloud of what is returned is empty.
+    """
+    nothing = PointCloud(np.zeros((0, 3)))
+    if not (path / "map.yaml").is_file():
+        return SurveyMap(nothing, _optional_trajectory(path / "trajectory.tum"), info={"source": path.name})
+    info = _read_yaml(path / "map.yaml")
+    _origin_of(path, info)
+    uncertainty = path / "uncertainty.csv"
+    return SurveyMap(
+        nothing,
+        _optional_trajectory(path / "trajectory.tum"),
+        uncertainty=_read_uncertainty(uncertainty) if uncertainty.is_file() else None,
+        info={"crs": None, **info},
+    )
+
+
+def cloud_of(path: Path) -> Path:
+    """Return the cloud file of a map directory, or the file itself.
+
+    Raises
+    ------
+    InputError
+        A folder without one.
+    """
     if path.is_file():
         return path
     for name in ("map.ply", "map.laz"):
@@ -229,19 +255,25 @@ def _bare_cloud(path: Path) -> Path:
 
 
 def _read_map_cloud(directory: Path, info: Mapping[str, Any]) -> PointCloud:
-    cloud = read_cloud(_bare_cloud(directory))
+    cloud = read_cloud(cloud_of(directory))
     if cloud.crs != info.get("crs"):
         raise InputError(
             f"{directory}: map.yaml says CRS {info.get('crs')}, the cloud says {cloud.crs}; rebuild the map"
         )
+    origin = _origin_of(directory, info)
+    return cloud if origin is None else cloud.rebased(origin)
+
+
+def _origin_of(directory: Path, info: Mapping[str, Any]) -> list[float] | None:
+    """Return the origin that ``map.yaml`` names, if it does."""
     origin = info.get("origin")
     if origin is None:
-        return cloud
+        return None
     if not (isinstance(origin, list) and len(origin) == 3 and all(_is_number(value) for value in origin)):
         raise InputError(
             f"{directory / 'map.yaml'}: origin is {origin!r:.80}, not three numbers; rebuild the map"
         )
-    return cloud.rebased(origin)
+    return [float(value) for value in origin]
 
 
 def _is_number(value: object) -> bool:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import io
 import warnings
-from dataclasses import dataclass, field
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -69,6 +70,23 @@ def read_ply(path: Path) -> PointCloud:
         table = _read_ascii(path, stream, vertex) if header.form == "ascii" else None
         if table is None:
             table = _read_binary(path, stream, vertex, _ORDERS[header.form])
+    return _cloud(path, table, header)
+
+
+def ply_parts(path: Path, size: int) -> Iterator[PointCloud]:
+    """Read a PLY in parts of up to ``size`` vertices; an ASCII one is one part. See :func:`read_ply`."""
+    with path.open("rb") as stream:
+        header = _read_header(path, stream)
+        vertex = _skip_to_vertices(path, stream, header)
+        if header.form == "ascii":
+            yield _cloud(path, _read_ascii(path, stream, vertex), header)
+            return
+        for start in range(0, vertex.count, size):
+            rest = replace(vertex, count=min(size, vertex.count - start))
+            yield _cloud(path, _read_binary(path, stream, rest, _ORDERS[header.form]), header)
+
+
+def _cloud(path: Path, table: NDArray[np.void], header: _Header) -> PointCloud:
     columns = {_plain_name(name): table[name] for name in table.dtype.names or ()}
     return cloud_from_columns(path, columns, header.crs)
 
@@ -228,21 +246,50 @@ def write_ply(path: Path, cloud: PointCloud) -> None:
     InputError
         Empty cloud, NaN coordinates, unknown CRS, or a field that PLY has no type for.
     """
-    check_coordinates(path, cloud.xyz)
-    crs = read_crs(path, cloud.crs)
-    columns = scalar_columns(path, cloud)
+    write_ply_parts(path, iter([cloud]), len(cloud))
+
+
+def write_ply_parts(path: Path, parts: Iterator[PointCloud], count: int) -> None:
+    """Write clouds one after another to one PLY of ``count`` points; see :func:`write_ply`.
+
+    Raises
+    ------
+    InputError
+        No points, other points in all than said, or parts that differ in CRS or fields.
+    """
+    with whole_file(path) as temporary, temporary.open("wb") as stream:
+        row: np.dtype[np.void] | None = None
+        crs: str | None = None
+        found = 0
+        for cloud in parts:
+            check_coordinates(path, cloud.xyz)
+            columns = scalar_columns(path, cloud)
+            own = _row(path, columns)
+            if row is None:
+                row, crs = own, cloud.crs
+                stream.write(_head(read_crs(path, crs), count, row))
+            if own != row or cloud.crs != crs:
+                raise InputError(f"{path}: its parts differ in CRS or fields; write them apart")
+            for start in range(0, len(cloud), _PART):
+                _table(cloud, columns, row, slice(start, start + _PART)).tofile(stream)
+            found += len(cloud)
+        if row is None or found != count:
+            raise InputError(f"{path}: {found} points to write, {count} said; give a cloud with points")
+
+
+def _row(path: Path, columns: dict[str, Column]) -> np.dtype[np.void]:
     types = dict.fromkeys("xyz", np.dtype(np.float64))
     types |= {name: _stored_type(path, name, values) for name, values in columns.items()}
+    return np.dtype([(name, kind.newbyteorder("<")) for name, kind in types.items()])
+
+
+def _head(crs: str | None, count: int, row: np.dtype[np.void]) -> bytes:
     lines = ["ply", "format binary_little_endian 1.0"]
     if crs is not None:
         lines.append(f"comment crs {crs}")
-    lines.append(f"element vertex {len(cloud)}")
-    lines += [f"property {_NAMES[kind.str[1:]]} {name}" for name, kind in types.items()]
-    row = np.dtype([(name, kind.newbyteorder("<")) for name, kind in types.items()])
-    with whole_file(path) as temporary, temporary.open("wb") as stream:
-        stream.write("\n".join([*lines, "end_header", ""]).encode())
-        for start in range(0, len(cloud), _PART):
-            _table(cloud, columns, row, slice(start, start + _PART)).tofile(stream)
+    lines.append(f"element vertex {count}")
+    lines += [f"property {_NAMES[row[name].str[1:]]} {name}" for name in row.names or ()]
+    return "\n".join([*lines, "end_header", ""]).encode()
 
 
 def _table(

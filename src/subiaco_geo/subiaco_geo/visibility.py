@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+import zipfile
 import zlib
+from collections.abc import Iterator
+from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
+from typing import IO, Any
 from zipfile import BadZipFile
 
 import numpy as np
@@ -67,6 +71,58 @@ def save_visibility(path: Path, grid: VisibilityGrid) -> None:
             hits=grid.hits,
             passes=grid.passes,
         )
+
+
+def visibility_parts(path: Path, size: int = 1 << 20) -> Iterator[VisibilityGrid]:
+    """Read a grid written by :func:`save_visibility` in parts of up to ``size`` voxels, in order of keys.
+
+    Raises
+    ------
+    InputError
+        Missing, cut or damaged; found when the part is reached.
+    """
+    try:
+        with zipfile.ZipFile(path) as archive:
+            small = {name: _member(archive, name) for name in ("origin", "voxel")}
+            origin, voxel = small["origin"].astype(np.float64), float(small["voxel"])
+            with ExitStack() as stack:
+                streams = [
+                    stack.enter_context(archive.open(f"{name}.npy")) for name in ("keys", "hits", "passes")
+                ]
+                heads = [_head(stream) for stream in streams]
+                count = heads[0][0]
+                if any(head[0] != count for head in heads):
+                    raise ValueError("its columns differ in length")
+                for start in range(0, count, size):
+                    rows = min(size, count - start)
+                    keys, hits, passes = (
+                        _rows(stream, kind, rows) for stream, (_, kind) in zip(streams, heads, strict=True)
+                    )
+                    yield VisibilityGrid(origin, voxel, keys, hits, passes)
+    except (KeyError, ValueError, OSError, EOFError, BadZipFile, zlib.error) as error:
+        raise InputError(f"{path}: not a visibility layer ({error}); rebuild the map") from error
+
+
+def _member(archive: zipfile.ZipFile, name: str) -> NDArray[Any]:
+    with archive.open(f"{name}.npy") as stream:
+        return np.asarray(np.lib.format.read_array(stream, allow_pickle=False))
+
+
+def _head(stream: IO[bytes]) -> tuple[int, np.dtype[Any]]:
+    """Read the head of a column: its length and type."""
+    version = np.lib.format.read_magic(stream)
+    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
+    shape, _, kind = read(stream)
+    if len(shape) != 1 or kind.kind not in "iu":
+        raise ValueError(f"a column has shape {shape} and type {kind}")
+    return int(shape[0]), kind
+
+
+def _rows(stream: IO[bytes], kind: np.dtype[Any], count: int) -> NDArray[Any]:
+    data = stream.read(count * kind.itemsize)
+    if len(data) < count * kind.itemsize:
+        raise EOFError("a column is cut")
+    return np.frombuffer(data, dtype=kind)
 
 
 def load_visibility(path: Path) -> VisibilityGrid:

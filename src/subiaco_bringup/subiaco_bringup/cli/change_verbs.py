@@ -171,8 +171,8 @@ def change(
         before, after, output, trajectory_before, trajectory_after, known, overwrite, parcels, given, work
     )
     with Progress(quiet=quiet) as progress:
-        result = run_change(job, model, progress)
-    counts = Counter(record.change.label for record in result.records)
+        records = run_change(job, model, progress)
+    counts = Counter(record.change.label for record in records)
     listed = ", ".join(f"{count} {label}" for label, count in sorted(counts.items()))
     say(f"changes: {output} ({listed or 'no objects'}); open {output / 'report.html'}", quiet=quiet)
 

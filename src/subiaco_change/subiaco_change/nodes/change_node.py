@@ -15,9 +15,10 @@ from sensor_msgs.msg import NavSatFix, PointCloud2
 from visualization_msgs.msg import MarkerArray
 
 from subiaco_change.config import ChangeConfig
-from subiaco_change.job import ChangeJob, run_change
+from subiaco_change.job import ChangeJob, run_change_and
 from subiaco_change.nodes.job import Detect, Job, JobCancelledError, Outcome, Report
 from subiaco_change.nodes.messages import change_cloud_message, marker_message, table_message
+from subiaco_change.records import TiledResult
 from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError, SubiacoError
 from subiaco_geo.trajectories import read_tum
@@ -193,7 +194,9 @@ def make_detect(config: ChangeConfig) -> Detect:
 
     def detect(request: ChangeJob, report: Report) -> Outcome:
         report("reading maps", 0.0)
-        return Outcome(run_change(request, config, report), survey_end_ns(request.after))
+        return Outcome(
+            run_change_and(request, config, TiledResult.whole, report), survey_end_ns(request.after)
+        )
 
     return detect
 

@@ -19,6 +19,7 @@ from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.maps import SurveyMap
 from subiaco_geo.raywalk import accumulate_visibility, stop_at_surfaces
+from subiaco_geo.trajectories import Trajectory
 from subiaco_geo.visibility import VisibilityGrid
 
 _LOG = logging.getLogger(__name__)
@@ -252,7 +253,7 @@ def _spaced(positions: Floats, spacing: float) -> Floats:
     return positions[first]
 
 
-def evidence_kind(survey: SurveyMap, config: EvidenceConfig) -> Kind:
+def evidence_kind(has_beams: bool, trajectory: Trajectory | None, config: EvidenceConfig) -> Kind:
     """Name the best evidence that a map carries, or the one asked for.
 
     Raises
@@ -260,14 +261,14 @@ def evidence_kind(survey: SurveyMap, config: EvidenceConfig) -> Kind:
     InputError
         The evidence asked for is not in the map.
     """
-    driven = survey.trajectory is not None and len(survey.trajectory) > 0
-    if config.source == "observed" and survey.visibility is None:
+    driven = trajectory is not None and len(trajectory) > 0
+    if config.source == "observed" and not has_beams:
         raise InputError("evidence.source=observed: the map has no visibility layer; use auto")
     if config.source == "trajectory" and not driven:
         raise InputError("evidence.source=trajectory: no trajectory; give --trajectory-before/-after")
     if config.source != "auto":
         return config.source
-    if survey.visibility is not None:
+    if has_beams:
         return "observed"
     return "trajectory" if driven else "shadow"
 
@@ -291,7 +292,7 @@ def make_observer(
     InputError
         The evidence asked for is not in the map.
     """
-    kind = evidence_kind(survey, config)
+    kind = evidence_kind(survey.visibility is not None, survey.trajectory, config)
     if kind == "assumed":
         return Observer("assumed", _Everything())
     if kind == "observed" and survey.visibility is not None:

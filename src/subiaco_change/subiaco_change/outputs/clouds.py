@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from subiaco_change.records import CHANGE_COLOURS
-from subiaco_geo.cloud_io import read_cloud, write_cloud
+from subiaco_geo.cloud_io import read_cloud
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.errors import InputError
+from subiaco_geo.las_writing import las_stream
+from subiaco_geo.ply_io import write_ply_parts
 
 #: ASPRS classification of LAS 1.4 for each of our classes; 64 is the first user code.
 ASPRS_CODES: dict[Semantic, int] = {
@@ -75,19 +78,39 @@ def _check_codes(values: NDArray[np.generic], name: str, allowed: list[int]) -> 
         raise InputError(f"labelled cloud: {name} holds code {strange[0]}; allowed are {allowed}")
 
 
-def write_labelled(directory: Path, epoch: str, cloud: PointCloud, *, ellipsoidal: bool = False) -> None:
+def write_labelled(
+    directory: Path, epoch: str, parts: Callable[[], Iterator[PointCloud]], *, ellipsoidal: bool = False
+) -> None:
     """Write ``<epoch>_labelled.ply`` and ``.laz``; the LAZ adds ASPRS ``classification``.
 
-    ``ellipsoidal`` lets the LAZ state its heights as ellipsoidal: only where that is known.
+    Parameters
+    ----------
+    directory : Path
+    epoch : str
+        ``before`` or ``after``.
+    parts : callable
+        Yields the cloud part by part, every time it is called.
+    ellipsoidal : bool
+        Lets the LAZ state its heights as ellipsoidal: only where that is known.
+
+    Raises
+    ------
+    InputError
+        A field is missing, a code has no meaning, or there is no point.
     """
-    labelled = labelled_cloud(cloud)
-    write_cloud(directory / f"{epoch}_labelled.ply", labelled)
-    codes = asprs_lookup()[labelled.fields["semantic"].astype(np.int64)]
-    write_cloud(
-        directory / f"{epoch}_labelled.laz",
-        labelled.with_fields(classification=codes),
-        ellipsoidal=ellipsoidal,
-    )
+    count, brightest = 0, 0.0
+    for part in parts():
+        count += len(part)
+        bright = np.asarray(part.fields.get("intensity", np.zeros(1, np.float32)))
+        brightest = max(brightest, float(np.nanmax(bright, initial=0.0)))
+    labelled = (labelled_cloud(part) for part in parts())
+    write_ply_parts(directory / f"{epoch}_labelled.ply", labelled, count)
+    path = directory / f"{epoch}_labelled.laz"
+    with las_stream(path, ellipsoidal=ellipsoidal, unit_intensity=brightest <= 1.0) as stream:
+        for part in parts():
+            cloud = labelled_cloud(part)
+            codes = asprs_lookup()[cloud.fields["semantic"].astype(np.int64)]
+            stream.append(cloud.with_fields(classification=codes))
 
 
 def read_labelled(directory: Path, epoch: str) -> PointCloud:

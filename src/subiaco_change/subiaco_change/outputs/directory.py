@@ -7,13 +7,14 @@ import platform
 import resource
 import sys
 import warnings
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import geopandas as gpd
+import numpy as np
 import pandas as pd
 
 from subiaco_change.outputs import table as outputs_table
@@ -25,6 +26,8 @@ from subiaco_change.outputs.qgis_project import PROJECT, write_project
 from subiaco_change.outputs.raster import (
     build_coverage,
     build_lod_raster,
+    join_coverage,
+    join_lod,
     write_coverage,
     write_ground_change,
     write_lod,
@@ -32,9 +35,10 @@ from subiaco_change.outputs.raster import (
 from subiaco_change.outputs.reading import ChangeDirectory, read_change_directory
 from subiaco_change.outputs.reviews import carry_reviews, read_reviewed
 from subiaco_change.outputs.style import embed_styles
-from subiaco_change.records import ChangeResult, Registration
+from subiaco_change.records import ChangeResult, Registration, TiledResult
 from subiaco_change.report.page import build_report
 from subiaco_geo.atomic import refuse_existing, refuse_foreign, whole_directory
+from subiaco_geo.clouds import PointCloud
 from subiaco_geo.config import StrictModel, config_hash, write_config
 
 __all__ = ["ChangeDirectory", "ChangeInputs", "read_change_directory", "rebuild", "write_change_directory"]
@@ -111,7 +115,7 @@ def peak_memory_mib() -> float:
 
 
 def run_document(
-    result: ChangeResult, config: StrictModel, inputs: ChangeInputs, table: pd.DataFrame
+    result: ChangeResult | TiledResult, config: StrictModel, inputs: ChangeInputs, table: pd.DataFrame
 ) -> dict[str, Any]:
     """Return the content of ``run.json``."""
     sources = {"before": inputs.before, "after": inputs.after}
@@ -124,8 +128,8 @@ def run_document(
             for name, path in sources.items()
         },
         "notes": dict(inputs.notes),
-        "crs": result.after.crs,
-        "points": {"before": len(result.before), "after": len(result.after)},
+        "crs": result.crs,
+        "points": _points(result),
         "confidence_calibrated": inputs.calibrated,
         "seconds": dict(result.seconds),
         "peak_memory_mib": peak_memory_mib(),
@@ -135,7 +139,7 @@ def run_document(
 
 def write_change_directory(
     directory: Path,
-    result: ChangeResult,
+    result: ChangeResult | TiledResult,
     config: StrictModel,
     inputs: ChangeInputs,
     overwrite: bool = False,
@@ -160,13 +164,13 @@ def write_change_directory(
     """
     refuse_existing(directory, overwrite)
     refuse_foreign(directory, MARKER)
-    crs = result.after.crs
+    crs = result.crs
     table = outputs_table.build_table(result.records, crs)
     previous = read_reviewed(directory)
     lost = table.iloc[:0]
     if previous is not None:
         table, lost = carry_reviews(table, previous)
-    coverage = build_coverage(result.before, result.after)
+    coverage = join_coverage(build_coverage(before, after) for before, after in result.parts())
     with whole_directory(directory, overwrite=overwrite, marker=MARKER) as target:
         _write_table(target, table)
         if len(lost):
@@ -184,12 +188,13 @@ def write_change_directory(
         embed_styles(
             target / "changes.gpkg", ("coverage",) if inputs.lots is None else ("coverage", "parcels")
         )
-        write_labelled(target, "before", result.before, ellipsoidal=inputs.ellipsoidal)
-        write_labelled(target, "after", result.after, ellipsoidal=inputs.ellipsoidal)
+        for e, epoch in enumerate(("before", "after")):
+            write_labelled(target, epoch, _epoch(result, e), ellipsoidal=inputs.ellipsoidal)
         if result.ground is not None:
             write_ground_change(target / "ground_change.tif", result.ground, crs)
         write_coverage(target / "coverage.tif", coverage, crs)
-        write_lod(target / "lod95.tif", build_lod_raster(result.before, result.after), crs)
+        lod = join_lod(build_lod_raster(before, after) for before, after in result.parts())
+        write_lod(target / "lod95.tif", lod, crs)
         if result.blocks is not None:
             result.blocks.to_csv(target / "registration_blocks.csv", index=False, float_format="%.4f")
         write_json(target / "registration.json", registration_document(result.registration, crs))
@@ -219,6 +224,16 @@ def rebuild(directory: Path) -> Path:
         change = read_change_directory(directory)
         write_project(directory, change.run["crs"], build_coverage(change.before, change.after).bounds)
     return page
+
+
+def _epoch(result: ChangeResult | TiledResult, e: int) -> Callable[[], Iterator[PointCloud]]:
+    """Parts of one epoch that hold points, to be gone through as often as wanted."""
+    return lambda: (pair[e] for pair in result.parts() if len(pair[e]))
+
+
+def _points(result: ChangeResult | TiledResult) -> dict[str, int]:
+    counts = np.sum([[len(before), len(after)] for before, after in result.parts()], axis=0)
+    return {"before": int(counts[0]), "after": int(counts[1])}
 
 
 def write_layer(package: Path, name: str, frame: gpd.GeoDataFrame) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -143,6 +144,51 @@ def build_coverage(before: PointCloud, after: PointCloud, cell: float = 2.0) -> 
     shape = (rows, columns)
     lod_cells = _median_per_cell(flat, lod95, size)
     return Coverage(code.astype(np.uint8).reshape(shape), lod_cells.reshape(shape), float(west), north, cell)
+
+
+def join_coverage(parts: Iterable[Coverage]) -> Coverage:
+    """Lay coverages side by side; where two say something of a cell, the first holds."""
+    found = list(parts)
+    west, north, shape = _union([(p.west, p.north, p.code.shape) for p in found], found[0].cell)
+    code = np.zeros(shape, dtype=np.uint8)
+    lod95 = np.full(shape, np.nan, dtype=np.float32)
+    for part in found:
+        window = _window(part.west, part.north, part.code.shape, west, north, part.cell)
+        fresh = (code[window] == 0) & (part.code != 0)
+        code[window][fresh], lod95[window][fresh] = part.code[fresh], part.lod95[fresh]
+    return Coverage(code, lod95, west, north, found[0].cell)
+
+
+def join_lod(parts: Iterable[LodRaster]) -> LodRaster:
+    """Lay rasters side by side; where two say something of a cell, the first holds."""
+    found = list(parts)
+    west, north, shape = _union([(p.west, p.north, p.lod95.shape) for p in found], found[0].cell)
+    lod95, claimed = (np.full(shape, np.nan, dtype=np.float32) for _ in range(2))
+    for part in found:
+        window = _window(part.west, part.north, part.lod95.shape, west, north, part.cell)
+        fresh = np.isnan(claimed[window]) & np.isfinite(part.claimed)
+        lod95[window][fresh], claimed[window][fresh] = part.lod95[fresh], part.claimed[fresh]
+    return LodRaster(lod95, claimed, west, north, found[0].cell)
+
+
+def _union(
+    boxes: Sequence[tuple[float, float, tuple[int, ...]]], cell: float
+) -> tuple[float, float, tuple[int, int]]:
+    """West, north and shape that hold all of some rasters."""
+    west, north = min(b[0] for b in boxes), max(b[1] for b in boxes)
+    east = max(b[0] + b[2][1] * cell for b in boxes)
+    south = min(b[1] - b[2][0] * cell for b in boxes)
+    rows, columns = round((north - south) / cell), round((east - west) / cell)
+    if rows * columns > _BUDGET:
+        raise InputError(f"a raster of {rows} x {columns} cells is too large; remove far outliers")
+    return west, north, (rows, columns)
+
+
+def _window(
+    west: float, north: float, shape: tuple[int, ...], whole_west: float, whole_north: float, cell: float
+) -> tuple[slice, slice]:
+    row, column = round((whole_north - north) / cell), round((west - whole_west) / cell)
+    return slice(row, row + shape[0]), slice(column, column + shape[1])
 
 
 def _median_per_cell(flat: NDArray[np.int64], values: Floats, size: int) -> NDArray[np.float32]:

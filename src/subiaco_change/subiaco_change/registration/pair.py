@@ -62,9 +62,9 @@ def _describe(low: Floats, high: Floats) -> str:
     return f"E {low[0]:.0f} to {high[0]:.0f}, N {low[1]:.0f} to {high[1]:.0f}"
 
 
-def _check_extents(before: PointCloud, after: PointCloud) -> None:
-    """Refuse georeferenced epochs that lie in different places."""
-    (low_b, high_b), (low_a, high_a) = _extent(before), _extent(after)
+def check_extents(before: tuple[Floats, Floats], after: tuple[Floats, Floats]) -> None:
+    """Refuse georeferenced epochs whose least and largest world coordinates (3,) lie in different places."""
+    (low_b, high_b), (low_a, high_a) = before, after
     if np.any(np.maximum(low_b, low_a)[:2] >= np.minimum(high_b, high_a)[:2]):
         raise InputError(
             "the epochs lie in different places though both carry a CRS: before "
@@ -73,7 +73,7 @@ def _check_extents(before: PointCloud, after: PointCloud) -> None:
         )
 
 
-def _moved_trajectory(trajectory: Trajectory, operation: Transform) -> Trajectory:
+def moved_trajectory(trajectory: Trajectory, operation: Transform) -> Trajectory:
     """Transform poses: positions by the operation, axes by its local rotation."""
     positions = trajectory.positions
     base = operation.apply(positions)
@@ -85,35 +85,53 @@ def _moved_trajectory(trajectory: Trajectory, operation: Transform) -> Trajector
     return replace(trajectory, poses=poses)
 
 
-def _moved_cloud(cloud: PointCloud, operation: Transform, crs: str) -> PointCloud:
+def moved_cloud(cloud: PointCloud, operation: Transform, crs: str) -> PointCloud:
     """Transform points; normals turn by well under a milliradian between datums and grids of one place."""
     origin = np.round(operation.apply(cloud.origin[None])[0], -2)
     xyz = operation.apply(cloud.world()) - origin
     return replace(cloud, xyz=xyz, origin=origin, crs=crs)
 
 
-def _to_crs(survey: SurveyMap, crs: str) -> tuple[SurveyMap, PairInfo]:
-    """Bring cloud and trajectory of a survey to another CRS; the visibility layer stays where it is."""
-    own = survey.crs
-    assert own is not None
-    operation = transformer(own, crs)
-    back = transformer(crs, own)
-    trajectory = survey.trajectory
-    moved = replace(
-        survey,
-        cloud=_moved_cloud(survey.cloud, operation, crs),
-        trajectory=None if trajectory is None else _moved_trajectory(trajectory, operation),
-    )
+def agree(before: str | None, after: str | None) -> tuple[PairInfo, Transform | None]:
+    """Find the CRS of a pair, and the operation that brings *before* there; None where it is there.
+
+    Raises
+    ------
+    InputError
+        A difference that PROJ can only guess at.
+    """
+    if before is None or after is None:
+        warnings: tuple[str, ...] = ()
+        if before != after:
+            which = "before" if before is None else "after"
+            warnings = (f"{which} has no CRS: the epochs are registered without priors",)
+        return PairInfo(None, warnings=warnings), None
+    if before == after:
+        return PairInfo(after), None
+    operation = transformer(before, after)
     note = (
-        f"before was brought from {own} to {crs} by {operation.name!r}, accurate to {operation.accuracy_m} m"
+        f"before was brought from {before} to {after} by {operation.name!r}, "
+        f"accurate to {operation.accuracy_m} m"
     )
     _LOG.info(note)
-    return moved, PairInfo(crs, operation.name, operation.accuracy_m, own, back.apply, (note,))
+    back = transformer(after, before)
+    info = PairInfo(after, operation.name, operation.accuracy_m, before, back.apply, (note,))
+    return info, operation
 
 
-def _shares_origin(before: PointCloud, after: PointCloud, both_crs: bool) -> bool:
-    """Tell whether the clouds can stand about one origin without losing digits."""
-    return both_crs or float(np.linalg.norm(before.origin - after.origin)) < 10_000.0
+def _to_crs(survey: SurveyMap, crs: str, operation: Transform) -> SurveyMap:
+    """Bring cloud and trajectory of a survey to another CRS; the visibility layer stays where it is."""
+    trajectory = survey.trajectory
+    return replace(
+        survey,
+        cloud=moved_cloud(survey.cloud, operation, crs),
+        trajectory=None if trajectory is None else moved_trajectory(trajectory, operation),
+    )
+
+
+def shares_origin(before: Floats, after: Floats, both_crs: bool) -> bool:
+    """Tell whether clouds of two origins (3,) can stand about one without losing digits."""
+    return both_crs or float(np.linalg.norm(before - after)) < 10_000.0
 
 
 def check_pair(
@@ -144,15 +162,12 @@ def check_pair(
     _check_cloud("before", before.cloud)
     _check_cloud("after", after.cloud)
     both = before.crs is not None and after.crs is not None
-    info = PairInfo(after.crs if both else None)
-    if before.crs is not None and after.crs is not None:
-        if before.crs != after.crs:
-            before, info = _to_crs(before, after.crs)
-        _check_extents(before.cloud, after.cloud)
-    elif before.crs is not None or after.crs is not None:
-        which = "before" if before.crs is None else "after"
-        info = replace(info, warnings=(f"{which} has no CRS: the epochs are registered without priors",))
-    if _shares_origin(before.cloud, after.cloud, both):
+    info, operation = agree(before.crs, after.crs)
+    if operation is not None and info.crs is not None:
+        before = _to_crs(before, info.crs, operation)
+    if both:
+        check_extents(_extent(before.cloud), _extent(after.cloud))
+    if shares_origin(before.cloud.origin, after.cloud.origin, both):
         before = replace(before, cloud=before.cloud.rebased(after.cloud.origin))
     clouds = [voxel_downsample(survey.cloud, leaf) for survey in (before, after)]
     return replace(before, cloud=clouds[0]), replace(after, cloud=clouds[1]), info

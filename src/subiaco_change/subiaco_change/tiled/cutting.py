@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from subiaco_change.observation.evidence import EvidenceConfig, Kind, Observer, make_observer
-from subiaco_geo.clouds import PointCloud, unpack_voxel_keys
-from subiaco_geo.crs import transformer
+from subiaco_geo.clouds import PointCloud, unpack_voxel_keys, voxel_downsample
+from subiaco_geo.crs import Transform, transformer
+from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
 from subiaco_geo.maps import SurveyMap
 from subiaco_geo.tiles import split_by_tile
@@ -55,22 +58,121 @@ class Side:
     voxel: float
 
 
-def cut_cloud(bench: Workbench, stage: str, cloud: PointCloud, size: float) -> dict[str, str]:
-    """Keep the points of every tile of the world; return keys by tile."""
+class Spill:
+    """Arrays of tiles as they come, on disk beyond a number of rows, until every tile is asked for once.
+
+    Parameters
+    ----------
+    folder : Path
+        Emptied by whoever made it.
+    rows : int
+        In memory at a time.
+    """
+
+    def __init__(self, folder: Path, rows: int = 1 << 22) -> None:
+        self._folder, self._limit = folder, rows
+        self._held: dict[str, list[Arrays]] = {}
+        self._rows, self._count = 0, 0
+        self._files: dict[str, list[Path]] = {}
+
+    def add(self, tile: str, arrays: Arrays) -> None:
+        """Take rows of a tile."""
+        self._held.setdefault(tile, []).append(arrays)
+        self._rows += len(next(iter(arrays.values())))
+        if self._rows > self._limit:
+            self._flush()
+
+    def _flush(self) -> None:
+        for tile, parts in self._held.items():
+            path = self._folder / f"{tile}-{self._count}.npz"
+            plain: dict[str, Any] = join(parts, parts[0])
+            np.savez(path, **plain)
+            self._files.setdefault(tile, []).append(path)
+            self._count += 1
+        self._held, self._rows = {}, 0
+
+    def tiles(self) -> Iterator[tuple[str, dict[str, NDArray[Any]]]]:
+        """Yield every tile, in order, with all its rows in the order in which they came."""
+        for tile in sorted({*self._held, *self._files}):
+            parts: list[Arrays] = [dict(np.load(path)) for path in self._files.get(tile, [])]
+            parts += self._held.get(tile, [])
+            yield tile, join(parts, parts[0])
+
+
+@dataclass(frozen=True)
+class CutCloud:
+    """Keys of the tiles of a cloud, its least and largest world coordinates (3,) [m], and its points."""
+
+    keys: dict[str, str]
+    low: Floats
+    high: Floats
+    points: int
+
+
+def cut_cloud(
+    bench: Workbench,
+    parts: Iterable[PointCloud],
+    origin: Floats,
+    tile: float,
+    leaf: float,
+    operation: Transform | None = None,
+) -> CutCloud:
+    """Keep the points of every tile of the world, downsampled to a leaf.
+
+    Parameters
+    ----------
+    bench : Workbench
+    parts : iterable of PointCloud
+        One epoch.
+    origin : (3,) float64
+        About which the points are kept.
+    tile, leaf : float
+        Edges of tiles and of voxels [m].
+    operation : Transform, optional
+        Brings the points to the CRS of the pair.
+
+    Raises
+    ------
+    InputError
+        No points, or coordinates that are not finite.
+    """
+    low, high, points = np.full(3, np.inf), np.full(3, -np.inf), 0
     keys = {}
-    for name, members in split_by_tile(cloud.xyz[:, :2] + cloud.origin[:2], size).items():
-        fields = {field: cloud.fields[field][members] for field in FIELDS if field in cloud.fields}
-        keys[name] = bench.put(stage, name, {"xyz": cloud.xyz[members], **fields})
-    return keys
+    with TemporaryDirectory(prefix="subiaco_") as folder:
+        spill = Spill(Path(folder))
+        for part in parts:
+            check_finite(part)
+            world = part.world() if operation is None else operation.apply(part.world())
+            low, high = np.minimum(low, world.min(axis=0)), np.maximum(high, world.max(axis=0))
+            points += len(part)
+            for name, members in split_by_tile(world, tile).items():
+                fields = {field: part.fields[field][members] for field in FIELDS if field in part.fields}
+                spill.add(name, {"xyz": world[members] - origin, **fields})
+        for name, arrays in spill.tiles():
+            thin = voxel_downsample(PointCloud(arrays.pop("xyz"), origin, None, arrays), leaf)
+            keys[name] = bench.put("cut", name, {"xyz": thin.xyz, **thin.fields})
+    return CutCloud(keys, low, high, points)
 
 
-def cut_beams(bench: Workbench, stage: str, grid: VisibilityGrid, size: float) -> dict[str, str]:
+def check_finite(cloud: PointCloud) -> None:
+    """Refuse coordinates that are no numbers."""
+    bad = int((~np.isfinite(cloud.xyz)).any(axis=1).sum())
+    if bad:
+        raise InputError(f"{bad} points have NaN or infinite coordinates; remove them")
+
+
+def cut_beams(bench: Workbench, parts: Iterable[VisibilityGrid], size: float) -> dict[str, str]:
     """Keep the voxels of beams of every tile; return keys by tile."""
-    centres = (unpack_voxel_keys(grid.keys)[:, :2] + 0.5) * grid.voxel + grid.origin[:2]
-    return {
-        name: bench.put(stage, name, {"keys": grid.keys[m], "hits": grid.hits[m], "passes": grid.passes[m]})
-        for name, m in split_by_tile(centres, size).items()
-    }
+    keys = {}
+    with TemporaryDirectory(prefix="subiaco_") as folder:
+        spill = Spill(Path(folder))
+        for part in parts:
+            centres = (unpack_voxel_keys(part.keys)[:, :2] + 0.5) * part.voxel + part.origin[:2]
+            for name, m in split_by_tile(centres, size).items():
+                spill.add(name, {"keys": part.keys[m], "hits": part.hits[m], "passes": part.passes[m]})
+        for name, arrays in spill.tiles():
+            keys[name] = bench.put("beams", name, arrays)
+    return keys
 
 
 def join(parts: Iterable[Arrays], names: Iterable[str]) -> dict[str, NDArray[Any]]:

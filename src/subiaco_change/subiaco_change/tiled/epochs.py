@@ -14,19 +14,26 @@ from subiaco_change.config import ChangeConfig
 from subiaco_change.observation.common_frame import CommonFrame
 from subiaco_change.observation.evidence import evidence_kind, sight_corner
 from subiaco_change.records import Registration
-from subiaco_change.registration.pair import PairInfo
-from subiaco_change.tiled.cutting import Side, cut_beams, cut_cloud, tiles_between
+from subiaco_change.registration.pair import (
+    PairInfo,
+    agree,
+    check_extents,
+    moved_trajectory,
+    shares_origin,
+)
+from subiaco_change.tiled.cutting import FIELDS, CutCloud, Side, cut_beams, cut_cloud, tiles_between
 from subiaco_change.tiled.framing import in_frame, registration_of
 from subiaco_change.tiled.preparing import prepare_tile
 from subiaco_change.tiled.recutting import recut_tile
 from subiaco_change.tiled.registering import find_registration
 from subiaco_change.tiled.sight import draw_tile, find_upright
 from subiaco_change.tiled.uniting import unite
-from subiaco_geo.crs import transformer
+from subiaco_geo.crs import Transform, transformer
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
-from subiaco_geo.maps import SurveyMap
+from subiaco_geo.sources import Epoch
 from subiaco_geo.tiles import neighbours, tile_named
+from subiaco_geo.trajectories import Trajectory
 from subiaco_geo.work.bench import Workbench
 from subiaco_geo.work.store import Arrays
 from subiaco_geo.work.tasks import Task
@@ -46,15 +53,16 @@ class Epochs:
     ----------
     bench : Workbench
     config : ChangeConfig
-    info : PairInfo
     given : tuple of str
         Fields of the points that replace a stage: ``semantic``, ``instance``.
+    info : PairInfo
+        What was done to bring them together, once they are cut.
     """
 
     bench: Workbench
     config: ChangeConfig
-    info: PairInfo
     given: tuple[str, ...] = ()
+    info: PairInfo = field(default_factory=lambda: PairInfo(None))
     sides: tuple[Side, ...] = ()
     origin: Floats = field(default_factory=lambda: np.zeros(3))
     clouds: dict[str, dict[str, str]] = field(default_factory=dict)
@@ -74,30 +82,75 @@ class Epochs:
         """Tiles with points of either epoch, in order."""
         return sorted({*self.points["before"], *self.points["after"]})
 
-    def cut(self, surveys: Sequence[SurveyMap]) -> None:
-        """Cut both epochs, and what their evidence rests on, into tiles."""
-        self.origin = np.asarray(surveys[1].cloud.origin, dtype=np.float64)
-        sides = []
-        for epoch, survey in zip(EPOCHS, surveys, strict=True):
-            self.clouds[epoch] = cut_cloud(self.bench, "cut", survey.cloud, self.size)
-            sides.append(self._side(epoch, survey))
-            self._keep_poses(epoch, survey)
+    def cut(self, epochs: Sequence[Epoch]) -> None:
+        """Cut both epochs, and what their evidence rests on, into tiles.
+
+        Raises
+        ------
+        InputError
+            An empty cloud, coordinates that are no numbers, CRS that PROJ can only guess between,
+            or georeferenced epochs whose extents are disjoint.
+        """
+        before, after = epochs
+        self.info, operation = agree(before.crs, after.crs)
+        both = before.crs is not None and after.crs is not None
+        self.origin = after.origin
+        shared = shares_origin(before.origin, after.origin, both)
+        origins = (after.origin if shared else before.origin, after.origin)
+        extents, sides = [], []
+        for name, epoch, origin in zip(EPOCHS, epochs, origins, strict=True):
+            own = operation if name == "before" else None
+            found = self._cut_points(name, epoch, origin, own)
+            extents.append((found.low, found.high))
+            crs = epoch.crs if self.info.crs is None else self.info.crs
+            sides.append(self._side(name, epoch, origin, crs, found.low, own))
+        if both:
+            check_extents(extents[0], extents[1])
         self.sides = tuple(sides)
 
-    def _side(self, epoch: str, survey: SurveyMap) -> Side:
-        kind = evidence_kind(survey, self.config.evidence)
-        origin = np.asarray(survey.cloud.origin, dtype=np.float64)
-        side = Side(epoch, origin, survey.crs, kind, None, origin, self.config.evidence.voxel)
-        self.beams[epoch] = {}
-        if kind == "observed" and survey.visibility is not None:
-            grid = survey.visibility
-            other = self.info.beams_crs if epoch == "before" else None
-            self.beams[epoch] = cut_beams(self.bench, "beams", grid, self.size)
-            return replace(side, beams_crs=other, corner=grid.origin, voxel=grid.voxel)
-        if kind == "trajectory" and survey.trajectory is not None:
-            low = survey.cloud.xyz.min(axis=0) + origin
-            side = replace(side, corner=sight_corner(low, self.config.evidence))
-            self.beams[epoch] = self._draw(side, survey.trajectory.positions)
+    def _cut_points(self, name: str, epoch: Epoch, origin: Floats, operation: Transform | None) -> CutCloud:
+        try:
+            parts = epoch.clouds(FIELDS)
+            found = cut_cloud(self.bench, parts, origin, self.size, self.config.leaf, operation)
+        except InputError as error:
+            raise InputError(f"{name}: {error}") from error
+        if found.points == 0:
+            raise InputError(f"{name}: the cloud is empty; check the file")
+        self.clouds[name] = found.keys
+        for field_name in self.given:
+            if any(field_name not in self.load(key) for key in found.keys.values()):
+                raise InputError(
+                    f"{name}: no point field {field_name!r} to take as given; name it so in the file"
+                )
+        return found
+
+    def _side(
+        self,
+        name: str,
+        epoch: Epoch,
+        origin: Floats,
+        crs: str | None,
+        low: Floats,
+        operation: Transform | None,
+    ) -> Side:
+        """Cut what the evidence of an epoch rests on, and tell what tasks must know of it."""
+        config = self.config.evidence
+        way = epoch.trajectory
+        if way is not None and operation is not None:
+            way = moved_trajectory(way, operation)
+        kind = evidence_kind(epoch.has_beams, way, config)
+        side = Side(name, origin, crs, kind, None, origin, config.voxel)
+        self.beams[name] = {}
+        self._keep_poses(name, epoch, way)
+        if kind == "observed":
+            other = self.info.beams_crs if name == "before" else None
+            first = next(epoch.beams(), None)
+            if first is not None:
+                self.beams[name] = cut_beams(self.bench, epoch.beams(), self.size)
+                side = replace(side, beams_crs=other, corner=first.origin, voxel=first.voxel)
+        elif kind == "trajectory" and way is not None:
+            side = replace(side, corner=sight_corner(low, config))
+            self.beams[name] = self._draw(side, way.positions)
         return side
 
     def _draw(self, side: Side, positions: Floats) -> dict[str, str]:
@@ -119,14 +172,14 @@ class Epochs:
         reach = range(-rings, rings + 1)
         return [f"{column + c}_{row + r}" for c in reach for r in reach]
 
-    def _keep_poses(self, epoch: str, survey: SurveyMap) -> None:
+    def _keep_poses(self, name: str, epoch: Epoch, way: Trajectory | None) -> None:
         """Keep the pose covariances of a map, where it carries them."""
-        found = survey.uncertainty
-        if found is None or survey.trajectory is None or len(found.times_ns) == 0:
+        found = epoch.uncertainty
+        if found is None or way is None or len(found.times_ns) == 0:
             return
-        positions = survey.trajectory.at(found.times_ns)[:, :3, 3]
+        positions = way.at(found.times_ns)[:, :3, 3]
         arrays = {"positions": positions, "covariances": found.covariances}
-        self.poses[f"poses/{epoch}"] = self.bench.put("poses", epoch, arrays)
+        self.poses[f"poses/{name}"] = self.bench.put("poses", name, arrays)
 
     def register(self, transform: Floats | None) -> str:
         """Register the epochs; return the key."""
@@ -137,6 +190,11 @@ class Epochs:
     def registering(self) -> dict[str, Any]:
         """Return the parameters of a registration."""
         return {"sides": self.sides, "config": self.keep("registration", "registration_points", "leaf")}
+
+    @property
+    def lit(self) -> dict[str, bool]:
+        """Whether all points of an epoch have an intensity."""
+        return {e: all("intensity" in self.load(key) for key in self.points[e].values()) for e in EPOCHS}
 
     def registration(self, key: str) -> Registration:
         """Return the registration under a key."""
@@ -235,18 +293,3 @@ def corners_around(name: str, size: float, rim: float) -> Floats:
     """Return the corners (8, 3) of a tile and its surroundings in the world [m]."""
     box = tile_named(name, size, rim).buffered
     return corners(np.array(box[:2]), np.array(box[2:]))
-
-
-def check_given(surveys: Sequence[SurveyMap], given: Sequence[str]) -> tuple[str, ...]:
-    """Return the fields of points that replace stages.
-
-    Raises
-    ------
-    InputError
-        An epoch lacks one.
-    """
-    for epoch, survey in zip(EPOCHS, surveys, strict=True):
-        for name in given:
-            if name not in survey.cloud.fields:
-                raise InputError(f"{epoch}: no point field {name!r} to take as given; name it so in the file")
-    return tuple(given)

@@ -1,0 +1,48 @@
+"""Point clouds read part by part, so that memory holds a million points of a file of any size."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+
+from subiaco_geo.cloud_io import read_cloud
+from subiaco_geo.clouds import PointCloud
+from subiaco_geo.las_io import las_parts
+from subiaco_geo.ply_io import ply_parts
+
+#: Points in memory at a time.
+PART = 1 << 20
+
+
+def cloud_parts(path: Path, fields: tuple[str, ...] = (), size: int = PART) -> Iterator[PointCloud]:
+    """Read a cloud file in parts of up to ``size`` points.
+
+    Binary PLY, LAS and LAZ are never whole in memory; other forms are read whole, and are one part.
+
+    Parameters
+    ----------
+    path : Path
+    fields : tuple of str
+        Fields wanted; those that the file lacks are left out.
+    size : int
+
+    Yields
+    ------
+    PointCloud
+        Each about an origin of its own, with the CRS that the file names.
+
+    Raises
+    ------
+    InputError
+        As :func:`subiaco_geo.cloud_io.read_cloud`, when the faulty part is reached.
+    """
+    suffix = path.suffix.lower()
+    if suffix in (".las", ".laz") and path.is_file() and path.stat().st_size:
+        yield from las_parts(path, fields, size)
+    elif suffix == ".ply" and path.is_file() and path.stat().st_size:
+        for part in ply_parts(path, size):
+            yield replace(part, fields={name: part.fields[name] for name in fields if name in part.fields})
+    else:
+        whole = read_cloud(path)
+        yield replace(whole, fields={name: whole.fields[name] for name in fields if name in whole.fields})
