@@ -118,6 +118,8 @@ def calibrate(
             progress(f"copy {copy + 1} of {total}", copy / total)
         settings = injection.model_copy(update={"seed": injection.seed + copy})
         injected = inject(survey, settings, donors, scene=scene)
+        if copy % 2:
+            injected = injected.turned_round()
         result = detect_changes(injected.before, injected.after, change, transform=transform)
         points = pair_points(result, injected.before.cloud, injected.after.cloud)
         if copy < config.copies:
