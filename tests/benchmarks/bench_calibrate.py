@@ -68,6 +68,8 @@ def copies(survey: Path, seeds: list[int], into: Path) -> None:
         config = InjectionConfig(seed=seed, **EDITS)
         scene = scene or label_scene(epoch, config)
         injected = inject(epoch, config, scene=scene)
+        if seed % 2:
+            injected = injected.turned_round()
         result = detect_changes(injected.before, injected.after, ChangeConfig(), transform=np.eye(4))
         points = pair_points(result, injected.before.cloud, injected.after.cloud)
         changes = outcomes(pd.DataFrame(injected.rows), points, result, seed)

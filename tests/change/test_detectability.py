@@ -96,4 +96,5 @@ def test_a_calibration_is_written_with_table_curves_and_map(tmp_path):
     assert smallest[0, 0] == pytest.approx(float(curve.smallest(0.06)), abs=1e-3)
     assert np.isnan(smallest[0, 1])
     assert (tmp_path / "out" / "detectable.png").stat().st_size > 5000
+    assert (tmp_path / "out" / "detectable_ground.png").stat().st_size > 5000
     assert (tmp_path / "out" / "confidence.yaml").is_file()

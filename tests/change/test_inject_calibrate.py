@@ -7,6 +7,7 @@ import json
 import numpy as np
 import pandas as pd
 import pytest
+import yaml
 from scenes import Scene
 
 from subiaco_bringup.cli.main import run
@@ -59,3 +60,19 @@ def test_a_cloud_without_its_way_is_refused_with_the_remedy(street, capsys):
     assert run(["calibrate", str(street / "street.ply"), "-o", str(street / "none"), "-q"]) == 2
     assert "give --trajectory" in capsys.readouterr().err
     assert not (street / "none").exists()
+
+
+def test_an_injected_copy_is_a_map_beside_its_truth_and_says_what_was_done(street, capsys):
+    out = street / "copy"
+    words = ["inject", str(street / "street.ply"), "--trajectory", str(street / "way.tum"), "-o", str(out)]
+    assert run([*words, "--seed", "5", "--set", "inserted=3", "--set", "min_points=60"]) == 0
+    assert "changes" in capsys.readouterr().err
+    rows = pd.read_csv(out / "truth" / "objects.csv")
+    assert len(rows) >= 3
+    assert (out / "map.yaml").is_file()
+    settings = yaml.safe_load((out / "truth" / "scene.yaml").read_text())
+    assert settings["config"]["inserted"] == 3
+    assert settings["seed"] == 5
+    for epoch in ("before", "after"):
+        points = np.load(out / epoch / "truth" / "points.npz")
+        assert set(np.unique(points["object"])) - {0} <= set(rows["object_id"])

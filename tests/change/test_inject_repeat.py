@@ -29,8 +29,8 @@ def scene(seed: int = 1) -> Scene:
 
 @pytest.mark.parametrize(("sigma", "again", "foliage"), [(0.02, 0.3, 0.5), (0.006, 0.7, 0.2)])
 def test_what_a_second_pass_was_made_with_is_measured_again(sigma, again, foliage):
-    made, config = scene(), InjectionConfig()
-    truth = RepeatConfig(sigma=sigma, again=again, foliage=foliage)
+    made, config = scene(), InjectionConfig(repeat=RepeatConfig(uneven=np.inf))
+    truth = RepeatConfig(sigma=sigma, again=again, foliage=foliage, uneven=np.inf)
     fields = {**made.cloud.fields, "semantic": made.semantic}
     settings = config.model_copy(update={"repeat": truth})
     _, moved = resampled(made.cloud.xyz, fields, settings, np.random.default_rng(5))

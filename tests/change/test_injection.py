@@ -244,7 +244,7 @@ def test_a_second_pass_misses_what_few_beams_hit_and_stays_on_the_surfaces():
     floor = plane((0, 0, 0), (40, 40, 0.1), 2, 0.0)
     count = np.tile([1, 2, 8], len(floor) // 3 + 1)[: len(floor)]
     fields = {"n": count, "semantic": np.zeros(len(floor), dtype=np.uint8)}
-    config = InjectionConfig(repeat=RepeatConfig(again=0.5, sigma=0.0))
+    config = InjectionConfig(repeat=RepeatConfig(again=0.5, sigma=0.0, uneven=np.inf))
     chosen, moved = resampled(floor, fields, config, np.random.default_rng(3))
     assert len(chosen) == len(floor)
     again = chosen[: np.flatnonzero(np.diff(chosen) <= 0)[0] + 1]  # in order; then those hit instead
@@ -260,6 +260,26 @@ def test_a_second_pass_misses_what_few_beams_hit_and_stays_on_the_surfaces():
     assert 0.1 < np.median(apart) < apart.max() < config.repeat.foliage + 0.05
     assert np.abs(other[:, :2].min(axis=0)).max() < 0.3, "the outline stays"
     assert np.abs(other[:, :2].max(axis=0) - 40.0).max() < 0.3
+
+
+def test_a_copy_that_comes_first_has_the_opposite_truth(survey):
+    one_way = inject(survey, SMALL)
+    other = one_way.turned_round()
+    labels = [(str(a["label"]), str(b["label"])) for a, b in zip(one_way.rows, other.rows, strict=True)]
+    pairs = {
+        ("Added", "Removed"),
+        ("Removed", "Added"),
+        ("Increased", "Decreased"),
+        ("Decreased", "Increased"),
+    }
+    assert {pair for pair in labels if "Unchanged" not in pair} <= pairs
+    assert len(set(labels)) >= 3
+    np.testing.assert_array_equal(other.before.cloud.xyz, one_way.after.cloud.xyz)
+    put, taken = one_way.after.cloud.fields["change"], other.before.cloud.fields["change"]
+    assert set(taken[put == Change.ADDED]) == {Change.REMOVED}
+    assert set(taken[put == Change.UNOBSERVED]) <= {Change.UNOBSERVED}
+    for a, b in zip(one_way.rows, other.rows, strict=True):
+        assert b.get("delta_h_m", 0.0) == -a.get("delta_h_m", 0.0)
 
 
 def test_an_injected_map_is_a_map_with_the_truth_of_a_simulated_survey(survey, tmp_path):

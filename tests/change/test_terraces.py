@@ -5,7 +5,8 @@ import pytest
 from scenes import house, rectangle
 
 from subiaco_change.semantics.boxes import box_sides
-from subiaco_change.semantics.terraces import TerraceConfig, split_row
+from subiaco_change.semantics.profiles import ProfileConfig
+from subiaco_change.semantics.terraces import split_row
 
 
 def row(*heights, width=6.0, angle=0.4):
@@ -22,7 +23,7 @@ def row(*heights, width=6.0, angle=0.4):
 @pytest.mark.parametrize("heights", [(3.0, 6.0, 3.0), (6.0, 3.2), (3.0, 5.0, 7.0, 5.0)])
 def test_every_house_of_a_stepped_row_is_one_part(heights):
     xy, height, owner = row(*heights)
-    parts = split_row(xy, height, TerraceConfig())
+    parts = split_row(xy, height, ProfileConfig())
     assert len(np.unique(parts)) == len(heights)
     for part in np.unique(parts):
         owners = owner[(parts == part) & (owner >= 0)]
@@ -32,13 +33,13 @@ def test_every_house_of_a_stepped_row_is_one_part(heights):
 @pytest.mark.parametrize("heights", [(5.0,), (5.0, 5.0, 5.0), (5.0, 5.6)])
 def test_no_step_no_cut(heights):
     xy, height, _ = row(*heights, width=8.0)
-    assert split_row(xy, height, TerraceConfig()).max() == 0
+    assert split_row(xy, height, ProfileConfig()).max() == 0
 
 
 def test_a_lean_to_narrower_than_a_house_stays_with_it():
     rng = np.random.default_rng(2)
     xyz = np.concatenate([house(rng, 0, 0, 10, 8, 6.0), house(rng, 6.2, 0, 2.4, 8, 2.6)])
-    assert split_row(xyz[:, :2], xyz[:, 2], TerraceConfig()).max() == 0
+    assert split_row(xyz[:, :2], xyz[:, 2], ProfileConfig()).max() == 0
 
 
 def facades(*heights, width=5.0, depth=1.5, veranda=2.4):
@@ -54,7 +55,7 @@ def facades(*heights, width=5.0, depth=1.5, veranda=2.4):
 @pytest.mark.parametrize("heights", [(4.4, 7.2, 4.4), (5.4, 4.4, 8.3), (7.2, 4.5)])
 def test_facades_behind_one_veranda_are_one_part_each(heights):
     xy, height, owner = facades(*heights)
-    parts = split_row(xy, height, TerraceConfig())
+    parts = split_row(xy, height, ProfileConfig())
     assert len(np.unique(parts)) == len(heights)
     assert (parts == owner).mean() > 0.95
 
@@ -65,7 +66,7 @@ def test_a_hip_and_a_ridge_across_are_no_party_walls():
     hip = 3.0 + 0.6 * np.minimum.reduce([xy[:, 0], 16 - xy[:, 0], xy[:, 1], 8 - xy[:, 1]])
     gable = 3.0 + 0.7 * np.minimum(xy[:, 0], 16 - xy[:, 0])
     for roof in (hip, gable):
-        assert split_row(xy, roof, TerraceConfig()).max() == 0
+        assert split_row(xy, roof, ProfileConfig()).max() == 0
 
 
 @pytest.mark.parametrize(("link", "parts"), [(2.5, 2), (3.8, 1)])
@@ -74,7 +75,7 @@ def test_two_houses_that_a_carport_joins_part_and_two_wings_that_a_roof_joins_do
     houses = [house(rng, x, 0.0, 9.0, 8.0, 4.0) for x in (0.0, 13.0)]
     between = rectangle(rng, (4.5, -2.0, link), (4.0, 0, 0), (0, 4.0, 0))
     xyz = np.concatenate([*houses, between])
-    assert split_row(xyz[:, :2], xyz[:, 2], TerraceConfig()).max() + 1 == parts
+    assert split_row(xyz[:, :2], xyz[:, 2], ProfileConfig()).max() + 1 == parts
 
 
 def test_sides_of_a_turned_rectangle():

@@ -97,7 +97,11 @@ class OdometryConfig(StrictModel):
     min_threshold: float = Field(0.3, gt=0, description="smallest kernel width [m]")
     threshold_memory: float = Field(0.8, ge=0, lt=1, description="share of the old kernel width kept a scan")
     look_voxel: float = Field(1.0, gt=0, description="voxel of the second look's Gaussian map [m]")
-    look_distance: float = Field(1.0, gt=0, description="largest correspondence of the second look [m]")
+    look_distance: float = Field(
+        1.0,
+        gt=0,
+        description="largest correspondence of the second look; less while the motion is foreseen [m]",
+    )
     look_iterations: int = Field(10, ge=1, description="iterations of the second look")
     look_leaf: float = Field(0.75, gt=0, description="points of the second look are so far apart [m]")
     refine: bool = Field(True, description="the second look's plane-to-plane pose is the pose")

@@ -26,6 +26,7 @@ logger = logging.getLogger(__name__)
 
 PLANE_VARIANCE = 2e-3  # variance along the normal in small_gicp's plane-to-plane metric [m2]
 TYPICAL_RANGE = 20.0
+_LOOK_REACH = 5.0 / 3.0  # correspondences of the second look in widths of the first one's kernel
 
 
 class OdometryBackend(Protocol):
@@ -57,15 +58,15 @@ class SecondLook:
         small_gicp.estimate_covariances(cloud, num_neighbors=10, num_threads=self._threads)
         return cloud
 
-    def align(self, cloud: Any, pose: Floats) -> Any | None:
-        """Look at a cloud from a pose; None before the first scan."""
+    def align(self, cloud: Any, pose: Floats, distance: float) -> Any | None:
+        """Look at a cloud from a pose, correspondences up to a distance [m]; None before the first scan."""
         if not self._filled:
             return None
         return small_gicp.align(
             self._map,
             cloud,
             pose,
-            max_correspondence_distance=self._config.look_distance,
+            max_correspondence_distance=distance,
             num_threads=self._threads,
             max_iterations=self._config.look_iterations,
         )
@@ -163,7 +164,8 @@ class KissOdometry:
         pose, predicted, first = self._matched(dense, guess), False, self._map.empty()
         looked_at = voxel_down_sample(dense, self._config.look_leaf)
         cloud = self._look.cloud(looked_at) if len(looked_at) > 10 else None
-        look = self._look.align(cloud, pose) if cloud is not None else None
+        distance = min(self._config.look_distance, _LOOK_REACH * self._threshold)
+        look = self._look.align(cloud, pose, distance) if cloud is not None else None
         if look is not None and look.num_inliers < self._config.min_inlier_ratio * len(looked_at):
             pose, predicted = guess, True
         predicted = predicted or (look is None and not first)

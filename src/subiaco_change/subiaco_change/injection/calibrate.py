@@ -8,12 +8,9 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
-import matplotlib as mpl
 import numpy as np
 import pandas as pd
 import yaml
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from numpy.typing import NDArray
 from pydantic import Field
 
@@ -28,6 +25,7 @@ from subiaco_change.injection.detectability import (
     smallest_table,
     statement,
 )
+from subiaco_change.injection.drawing import draw_curves, draw_ground
 from subiaco_change.injection.edits import Donor
 from subiaco_change.injection.inject import inject
 from subiaco_change.injection.repeat import measured_repeat
@@ -118,6 +116,8 @@ def calibrate(
             progress(f"copy {copy + 1} of {total}", copy / total)
         settings = injection.model_copy(update={"seed": injection.seed + copy})
         injected = inject(survey, settings, donors, scene=scene)
+        if copy % 2:
+            injected = injected.turned_round()
         result = detect_changes(injected.before, injected.after, change, transform=transform)
         points = pair_points(result, injected.before.cloud, injected.after.cloud)
         if copy < config.copies:
@@ -179,6 +179,7 @@ def write_calibration(
         if ground is not None:
             band = {"smallest_95": detectable_ground(result.lod, ground)}
             write_bands(target / "detectable_ground.tif", band, result.lod, result.crs)
+            draw_ground(target / "detectable_ground.png", band["smallest_95"], result.lod)
         write_config(target / "config.yaml", config)
         write_json(target / MARKER, document)
     return document
@@ -195,37 +196,3 @@ def detectable_ground(lod: LodRaster, curve: Curve) -> NDArray[np.float32]:
     with np.errstate(divide="ignore", invalid="ignore"):
         smallest = np.where(lod.lod95 > 0, curve.smallest(lod.lod95.astype(np.float64)), np.nan)
     return np.asarray(smallest, dtype=np.float32)
-
-
-def draw_curves(path: Path, changes: pd.DataFrame, curves: dict[tuple[str, str], Curve]) -> None:
-    """Draw found and missed changes and the fitted curve, a panel a class and kind."""
-    groups = list(changes.groupby(["class_name", "kind"]))
-    columns = min(3, max(1, len(groups)))
-    lines = -(-len(groups) // columns)
-    with mpl.rc_context({"font.size": 9}):
-        figure = Figure(figsize=(4.2 * columns, 3.0 * lines), layout="constrained")
-        FigureCanvasAgg(figure)
-        axes = np.ravel(figure.subplots(lines, columns, squeeze=False))
-        for axis, ((name, kind), part) in zip(axes, groups, strict=False):
-            _panel(axis, str(name), str(kind), part, curves.get((str(name), str(kind))))
-        for axis in axes[len(groups) :]:
-            axis.set_axis_off()
-        figure.savefig(path, dpi=130)
-
-
-def _panel(axis: Any, name: str, kind: str, part: pd.DataFrame, curve: Curve | None) -> None:
-    axis.plot(part["magnitude_m"], part["found"].astype(float), "|", color="0.3", markersize=10)
-    lod = float(part["lod95_m"].median())
-    said = "too few changes for a curve"
-    if curve is not None and np.isfinite(lod):
-        sizes = np.linspace(curve.tested[0], curve.tested[1], 200)
-        axis.plot(sizes, curve.probability(sizes, lod), color="#1f77b4")
-        smallest = float(curve.smallest(lod))
-        said = "95 % not reached in what was tested"
-        if np.isfinite(smallest):
-            axis.axvline(smallest, color="#d62728", linestyle=":")
-            said = f"95 % from {smallest:.2f} m"
-    axis.set_title(f"{name}, {'shift' if kind == 'shift' else 'put or taken away'}: {said}", fontsize=9)
-    axis.set_xlabel("shift in height [m]" if kind == "shift" else "height of the object [m]")
-    axis.set_ylabel("found")
-    axis.set_ylim(-0.05, 1.05)

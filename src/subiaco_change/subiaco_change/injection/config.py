@@ -31,6 +31,10 @@ class RepeatConfig(StrictModel):
     again: float = Field(
         0.5, gt=0, le=1, description="chance that a voxel which one beam hit is hit again, a beam"
     )
+    uneven: float = Field(
+        1.0, gt=0, description="shape of the gamma distribution of beams from place to place; inf is even"
+    )
+    place: float = Field(2.0, gt=0, description="edge of such a place [m]")
     beams: float = Field(3.0, ge=1, description="beams a voxel, where the map does not count them")
     wander: float = Field(1.0, ge=0, description="shift of the middle of a voxel, over that of chance")
     foliage: float = Field(0.4, ge=0, description="largest distance to the leaf that is hit instead [m]")

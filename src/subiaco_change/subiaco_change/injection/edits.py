@@ -224,6 +224,7 @@ def raise_ground(
     change = (Change.INCREASED if rise > 0 else Change.DECREASED) if large else Change.UNCHANGED
     edited.claim(members, change)
     edited.rise[members] = rise
+    edited.site.occupy(edited.xyz[members, :2])  # whatever stood there would float
     body = edited.xyz[members]
     _row(
         edited, "ground patch", Semantic.GROUND, change, "raised" if rise > 0 else "lowered", body,

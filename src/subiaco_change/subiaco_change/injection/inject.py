@@ -27,7 +27,7 @@ from subiaco_change.injection.site import Site
 from subiaco_change.injection.things import Scene, by_turns, label_scene, things_of
 from subiaco_geo.cloud_io import READABLE, read_cloud
 from subiaco_geo.clouds import voxel_downsample
-from subiaco_geo.codes import Semantic
+from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.maps import SurveyMap
@@ -59,6 +59,32 @@ class Injected:
     after: SurveyMap
     rows: Sequence[dict[str, object]]
     left_out: dict[str, int]
+
+    def turned_round(self) -> Injected:
+        """Let the copy come first: what was put is taken away, what had grown is cut.
+
+        What the second pass misses then looks new; one way alone would never show that.
+        """
+        rows = []
+        for row in self.rows:
+            change = Change(int(_OPPOSITE[int(str(row["change"]))]))
+            signs = {name: -float(str(row[name])) for name in ("delta_h_m", "delta_v_m3") if name in row}
+            rows.append(row | signs | {"change": int(change), "label": change.label})
+        return Injected(_opposite(self.after), _opposite(self.before), rows, self.left_out)
+
+
+_OPPOSITE = np.arange(256, dtype=np.uint8)
+_OPPOSITE[[Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED]] = [
+    Change.REMOVED,
+    Change.ADDED,
+    Change.DECREASED,
+    Change.INCREASED,
+]
+
+
+def _opposite(survey: SurveyMap) -> SurveyMap:
+    turned = _OPPOSITE[np.asarray(survey.cloud.fields["change"])]
+    return replace(survey, cloud=survey.cloud.with_fields(change=turned))
 
 
 def read_donors(folder: Path, leaf: float) -> list[Donor]:

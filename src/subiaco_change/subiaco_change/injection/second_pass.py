@@ -75,10 +75,10 @@ def resampled(
 ) -> tuple[Ints, Floats]:
     """Let beams fall elsewhere, on the same surfaces.
 
-    A voxel that ``n`` beams hit is missed with probability ``(1 - again) ** n``; as many others are hit
-    instead, between voxels of the same kind. What is kept moves by the chance of where in the voxel its
-    beams fall, along its surface, and by its noise in all directions. Foliage shows other leaves, between
-    those that were seen: its outline stays.
+    A voxel that ``n`` beams hit is missed with probability ``(1 - again) ** (n g)``, with ``g`` about one
+    and the same for a whole place; as many others are hit instead, between voxels of the same kind. What
+    is kept moves by the chance of where in the voxel its beams fall, along its surface, and by its noise
+    in all directions. Foliage shows other leaves, between those that were seen: its outline stays.
 
     Parameters
     ----------
@@ -98,8 +98,8 @@ def resampled(
     """
     repeat = config.repeat
     count = np.maximum(np.asarray(fields.get("n", np.full(len(xyz), repeat.beams)), np.float64), 1.0)
+    missed = random.random(len(xyz)) < (1.0 - repeat.again) ** (count * _beams(xyz, repeat, random))
     chance = (1.0 - repeat.again) ** count
-    missed = random.random(len(xyz)) < chance
     kept = np.flatnonzero(~missed)
     new = random.choice(len(xyz), int(missed.sum()), p=chance / chance.sum()) if missed.any() else kept[:0]
     chosen = np.concatenate([kept, new])
@@ -113,6 +113,15 @@ def resampled(
     step -= normal * np.einsum("ij,ij->i", step, normal)[:, None]
     noise = _noise(fields, count, repeat)[chosen, None] * random.normal(size=(len(chosen), 3))
     return chosen, moved + step + noise
+
+
+def _beams(xyz: Floats, repeat: RepeatConfig, random: np.random.Generator) -> Floats:
+    """Return how many beams (N,) a second pass sends for each of the first: another lane, other shadows."""
+    if not np.isfinite(repeat.uneven):
+        return np.ones(len(xyz))
+    _, place = np.unique(voxel_keys(voxel_indices(xyz, repeat.place)), return_inverse=True)
+    share = random.gamma(repeat.uneven, 1.0 / repeat.uneven, int(place.max()) + 1)
+    return np.asarray(share[place.ravel()])
 
 
 def _between(xyz: Floats, points: Ints, config: InjectionConfig, random: np.random.Generator) -> Floats:

@@ -59,7 +59,10 @@ class BuildingConfig(StrictModel):
     roof_cell: float = Field(0.5, gt=0, description="cell of the footprint of roofs [m]")
     chimney: float = Field(1.2, ge=0, description="height above a roof that still belongs to it [m]")
     under_gap: float = Field(
-        0.4, gt=0, description="air above a thing under a roof that is no part of it: cars, fences [m]"
+        0.3, gt=0, description="air above a thing under a roof that is no part of it: cars, fences [m]"
+    )
+    under_share: float = Field(
+        0.5, gt=0, le=1, description="share of such a thing with posts of the roof or the like above it"
     )
     under_points: int = Field(15, gt=0, description="fewest points of such a thing")
     touch: float = Field(0.25, gt=0, description="voxel in which parts of one thing touch [m]")
@@ -184,20 +187,26 @@ def within_roofs(
     top, eaves = ndimage.grey_closing(top, size=(3, 3)), ndimage.minimum_filter(eaves, size=3)
     own = tuple(cell.T)
     inside = free & (xyz[:, 2] < top[own] + config.chimney)
-    loose = np.flatnonzero(inside & ~core & ~wall[own])
+    loose = inside & ~core & ~wall[own]
+    clear = eaves[own] - xyz[:, 2] > config.under_gap
+    hanging = np.zeros(shape, dtype=bool)
+    hanging[tuple(cell[loose & ~clear].T)] = True
     apart = np.zeros(len(xyz), dtype=bool)
-    apart[loose] = _stands_apart(xyz[loose], (eaves[own] - xyz[:, 2])[loose], config)
+    # Things that end there as they are, or once the posts of the roof are cut at that height.
+    for under, blocked, share in ((loose, ~clear, 0.0), (loose & clear, hanging[own], config.under_share)):
+        mine = np.flatnonzero(under)
+        apart[mine] |= _stands_apart(xyz[mine], blocked[mine], share, config)
     return inside & ~apart, apart
 
 
-def _stands_apart(xyz: Floats, gap: Floats, config: BuildingConfig) -> Mask:
-    """Tell which points (N,) are of things that end below the eaves, by how far each point does."""
+def _stands_apart(xyz: Floats, blocked: Mask, share: float, config: BuildingConfig) -> Mask:
+    """Tell which points (N,) are of things of which at most a share is blocked."""
     if len(xyz) == 0:
         return np.zeros(0, dtype=bool)
     thing = voxel_clusters(xyz, config.touch)
     size = np.bincount(thing)
-    air = group_reduce(thing, gap, len(size), "minimum") > config.under_gap
-    return np.asarray((air & (size >= config.under_points))[thing])
+    free = (np.bincount(thing, blocked) <= share * size) & (size >= config.under_points)
+    return np.asarray(free[thing])
 
 
 def attach_parts(xyz: Floats, core: Mask, free: Mask, foliage: Mask, config: BuildingConfig) -> Mask:
@@ -213,8 +222,9 @@ def attach_parts(xyz: Floats, core: Mask, free: Mask, foliage: Mask, config: Bui
     soft = foliage[loose]
     near = distance < np.where(soft, config.edge, config.attach)
     thing = voxel_clusters(xyz[loose[~soft]], config.touch)
-    part = np.bincount(thing, near[~soft]) > 0.5 * np.bincount(thing)
-    near[~soft] &= part[thing] | (distance[~soft] < config.contact)
+    touch = distance[~soft] < config.contact
+    part = (np.bincount(thing, near[~soft]) > 0.5 * np.bincount(thing)) & (np.bincount(thing, touch) > 0)
+    near[~soft] &= part[thing] | touch
     attached[loose[near]] = True
     return attached
 

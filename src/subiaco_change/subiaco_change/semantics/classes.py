@@ -58,6 +58,12 @@ class SemanticsConfig(StrictModel):
     )
     roughness: float = Field(0.06, gt=0, description="root of the smallest eigenvalue in foliage [m]")
     vegetation_height: float = Field(0.5, gt=0, description="median height of vegetation [m], paper")
+    tiny_width: float = Field(
+        1.0,
+        ge=0,
+        description="width below which every neighbourhood holds the whole thing: bins look like leaves [m]",
+    )
+    tiny_top: float = Field(1.3, ge=0, description="top of such a thing [m]")
     cluster_voxel: float = Field(0.4, gt=0, description="voxel in which the rest falls into clusters [m]")
 
 
@@ -224,6 +230,14 @@ def _vote_clusters(
         if kind is Semantic.VEGETATION:
             take &= tall
         semantic[take[cluster]] = kind
+    extent = [
+        group_reduce(cluster, xyz[:, axis], len(size), "maximum")
+        - group_reduce(cluster, xyz[:, axis], len(size), "minimum")
+        for axis in (0, 1)
+    ]
+    tiny = np.hypot(*extent) < np.sqrt(2) * config.tiny_width
+    tiny &= group_reduce(cluster, height, len(size), "maximum") < config.tiny_top
+    semantic[tiny[cluster]] = Semantic.OTHER
     return semantic
 
 

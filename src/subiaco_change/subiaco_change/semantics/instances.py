@@ -8,10 +8,12 @@ from pydantic import Field
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from subiaco_change.semantics.boxes import box_coordinates
 from subiaco_change.semantics.classes import SemanticResult
 from subiaco_change.semantics.clustering import cell_clusters, group_indices, voxel_clusters
+from subiaco_change.semantics.profiles import ProfileConfig, level_steps, part_slots
 from subiaco_change.semantics.rows import RowConfig, split_rows
-from subiaco_change.semantics.terraces import TerraceConfig, split_row
+from subiaco_change.semantics.terraces import split_row
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Semantic
 from subiaco_geo.config import StrictModel
@@ -24,13 +26,18 @@ class InstanceConfig(StrictModel):
     building_gap: float = Field(
         0.8, gt=0, description="cell in which parts of one building touch, seen from above [m]"
     )
-    terraces: TerraceConfig = TerraceConfig()
+    terraces: ProfileConfig = ProfileConfig()
     vegetation_gap: float = Field(0.8, gt=0, description="least clustering distance of foliage, paper [m]")
     vegetation_density: float = Field(1.8, gt=0, description="clustering distance times cbrt(density), paper")
     crown_radius: float = Field(
         2.0, gt=0, description="smoothing and least half distance of two crown tops [m]"
     )
     crown_drop: float = Field(0.5, gt=0, description="depth of the dip that parts two crowns [m]")
+    trunk_top: float = Field(2.0, gt=0, description="height below which trunks are looked for [m]")
+    trunk_width: float = Field(0.8, gt=0, description="widest trunk [m]")
+    hedges: ProfileConfig = ProfileConfig(step=0.3, width=2.5, level=2.0, slack=0.35, lowest=0.5)
+    hedge_top: float = Field(2.8, gt=0, description="highest hedge [m]")
+    hedge_slender: float = Field(0.4, gt=0, le=1, description="widest hedge for its length")
     mobile_gap: float = Field(
         0.3, gt=0, description="cell in which points of a vehicle touch, after the split [m]"
     )
@@ -113,9 +120,27 @@ def _vegetation(xyz: Floats, height: Floats, config: InstanceConfig) -> Ints:
     parted = np.full(len(xyz), -1, dtype=np.int64)
     for members in group_indices(labels):
         crowns = split_crowns(xyz[members], height[members], config)
+        for crown in group_indices(crowns):
+            parts = split_hedge(xyz[members[crown]], height[members[crown]], config)
+            crowns[crown] += parts * (int(crowns.max()) + 1)
         parted[members] = crowns + following
         following += int(crowns.max()) + 1
-    return parted
+    return np.unique(parted, return_inverse=True)[1].astype(np.int64)
+
+
+def split_hedge(xyz: Floats, height: Floats, config: InstanceConfig) -> Ints:
+    """Part low, long foliage (N,) where one clipped top ends and another begins."""
+    whole = np.zeros(len(xyz), dtype=np.int64)
+    if np.quantile(height, 0.98) > config.hedge_top:
+        return whole
+    sides = box_coordinates(xyz[:, :2])
+    length, breadth = np.ptp(sides, axis=0)
+    if length < 2 * config.hedges.width or breadth > config.hedge_slender * length:
+        return whole
+    slot = np.floor((sides[:, 0] - sides[:, 0].min()) / config.hedges.cell).astype(np.int64)
+    top = np.zeros(slot.max() + 1)
+    np.maximum.at(top, slot, height)
+    return part_slots(slot, level_steps(top, config.hedges), config.hedges)
 
 
 def _cluster_by_density(xyz: Floats, config: InstanceConfig) -> Ints:
@@ -143,11 +168,12 @@ def split_crowns(xyz: Floats, height: Floats, config: InstanceConfig) -> Ints:
 
     Tops are local maxima of the smoothed canopy over ``crown_radius``; two
     basins merge while the saddle between them is less than ``crown_drop``
-    below the lower top.
+    below the lower top, unless each stands on a trunk of its own.
     """
     cell = 0.5
     index = np.floor(xyz[:, :2] / cell).astype(np.int64)
-    index -= index.min(axis=0) - 1
+    corner = index.min(axis=0) - 1
+    index -= corner
     shape = tuple((index.max(axis=0) + 2).tolist())
     if max(shape) * cell < 2 * config.crown_radius:
         return np.zeros(len(xyz), dtype=np.int64)
@@ -157,8 +183,21 @@ def split_crowns(xyz: Floats, height: Floats, config: InstanceConfig) -> Ints:
         ndimage.grey_closing(canopy, size=(3, 3)), config.crown_radius / cell / 3
     )
     basins = _basins(smooth, canopy > 0)
-    merged = _merge_shallow(smooth, basins, config.crown_drop)
+    trunks = np.floor(_trunks(xyz, height, config) / cell).astype(np.int64) - corner
+    merged = _merge_shallow(smooth, basins, config.crown_drop, set(basins[tuple(trunks.T)].tolist()) - {-1})
     return np.unique(merged[index[:, 0], index[:, 1]], return_inverse=True)[1].astype(np.int64)
+
+
+def _trunks(xyz: Floats, height: Floats, config: InstanceConfig) -> Floats:
+    """Middles (T, 2) [m] of the upright, slender parts of foliage (N,) near the ground."""
+    low = np.flatnonzero((height > 0.3) & (height < config.trunk_top))
+    middles = []
+    for group in group_indices(cell_clusters(xyz[low, :2], config.trunk_width / 2)):
+        mine = low[group]
+        slender = np.ptp(xyz[mine, :2], axis=0).max() < config.trunk_width
+        if len(mine) >= 4 and slender and np.ptp(height[mine]) > 0.5 * config.trunk_top:
+            middles.append(xyz[mine, :2].mean(axis=0))
+    return np.array(middles).reshape(-1, 2)
 
 
 def _basins(surface: Floats, inside: NDArray[np.bool_]) -> Ints:
@@ -178,8 +217,12 @@ def _basins(surface: Floats, inside: NDArray[np.bool_]) -> Ints:
     return np.where(inside, pointer.reshape(surface.shape), -1)
 
 
-def _merge_shallow(surface: Floats, basins: Ints, drop: float) -> Ints:
-    """Merge basins across saddles, the highest first, unless both tops rise more than ``drop`` above it."""
+def _merge_shallow(surface: Floats, basins: Ints, drop: float, rooted: set[int]) -> Ints:
+    """Merge basins across saddles, the highest first.
+
+    Not where both tops rise more than ``drop`` above it, or both basins stand on a trunk.
+    """
+    rooted = set(rooted)
     parent: dict[int, int] = {int(b): int(b) for b in np.unique(basins) if b >= 0}
     top = surface.ravel()
 
@@ -193,8 +236,10 @@ def _merge_shallow(surface: Floats, basins: Ints, drop: float) -> Ints:
         if first == second:
             continue
         low, high = sorted((first, second), key=lambda r: (top[r], r))
-        if top[low] - saddle < drop:
+        if top[low] - saddle < drop and not (low in rooted and high in rooted):
             parent[low] = high
+            if low in rooted:
+                rooted.add(high)
     lookup = np.full(surface.size, -1, dtype=np.int64)
     for b in parent:
         lookup[b] = root(b)
