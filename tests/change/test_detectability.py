@@ -46,6 +46,13 @@ def test_a_coarser_level_of_detection_never_makes_smaller_changes_visible():
     assert (np.diff(smallest) >= 0).all()
 
 
+def test_where_everything_is_found_the_smallest_that_was_tried_is_stated():
+    every = changes(40, seed=9).assign(found=True)
+    fitted = fit_curve(every)
+    assert fitted is not None
+    assert fitted.smallest(np.array([0.06, 0.15])) == pytest.approx(every["magnitude_m"].min())
+
+
 def test_what_was_not_tested_is_not_stated():
     missed = changes(200, seed=4).assign(found=False)
     fitted = fit_curve(missed)

@@ -18,6 +18,7 @@ from subiaco_change.injection.edits import (
     compare_columns,
     cut_off,
     grown,
+    grown_plant,
     put_object,
     raise_ground,
     reshape,
@@ -131,6 +132,10 @@ def test_growth_and_cuts_have_the_truth_of_their_columns():
     assert compare_columns(tree, grown(tree, 1.5, LEAF))[0] == pytest.approx(2.0, abs=0.3)
     assert np.diff(np.unique(grown(tree, 1.5, LEAF)[:, 2])).max() < 1.2 * LEAF, "no gaps"
     assert compare_columns(tree, cut_off(tree, 0.5))[0] == pytest.approx(-2.0, abs=0.3)
+    plant = grown_plant(tree, 1.5, LEAF)
+    assert np.ptp(plant, axis=0) == pytest.approx([2.5, 2.5, 6.0], abs=0.3)
+    assert compare_columns(tree, plant)[2] > 0.5
+    assert compare_columns(tree, grown(tree, 0.7, LEAF))[0] == pytest.approx(-1.2, abs=0.3)
     scene = edited()
     shed = np.flatnonzero(scene.instance == 1)
     reshape(scene, shed, "building", lambda p: grown(p, 1.4, LEAF), "grown")

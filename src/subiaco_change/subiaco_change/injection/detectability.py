@@ -92,11 +92,15 @@ class Curve:
         return np.asarray(expit(self.a + self.b * np.log(magnitude) + self.c * np.log(lod)))
 
     def smallest(self, lod: Floats | float) -> Floats:
-        """Return the smallest change [m] found with 95 % probability; NaN beyond what was tested."""
-        if self.b < 1e-3:
-            return np.full(np.shape(lod), np.nan)
-        size = np.exp((logit(PROBABILITY) - self.a - self.c * np.log(lod)) / self.b)
-        return np.asarray(np.where(size <= self.tested[1], np.maximum(size, self.tested[0]), np.nan))
+        """Return the smallest change [m] found with 95 % probability; NaN where nothing tested reaches it.
+
+        It is never below what was tested.
+        """
+        with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
+            size = np.exp((logit(PROBABILITY) - self.a - self.c * np.log(lod)) / self.b)
+        always = self.probability(np.float64(self.tested[0]), lod) >= PROBABILITY
+        reached = np.where(size <= self.tested[1], np.maximum(size, self.tested[0]), np.nan)
+        return np.asarray(np.where(always, self.tested[0], reached))
 
 
 def fit_curve(changes: pd.DataFrame) -> Curve | None:

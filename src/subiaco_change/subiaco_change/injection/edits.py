@@ -174,6 +174,13 @@ def grown(xyz: Floats, factor: float, leaf: float) -> Floats:
     return voxel_downsample(PointCloud(tall, np.zeros(3)), leaf).xyz
 
 
+def grown_plant(xyz: Floats, factor: float, leaf: float) -> Floats:
+    """Let a plant (N, 3) on z = 0 grow upwards, and half as much sideways; its old leaves stay."""
+    larger = xyz * np.array([0.5 + 0.5 * factor, 0.5 + 0.5 * factor, 1.0])
+    both = np.concatenate([xyz, grown(larger, factor, leaf)])
+    return voxel_downsample(PointCloud(both, np.zeros(3)), leaf).xyz
+
+
 def cut_off(xyz: Floats, share: float) -> Floats:
     """Drop the top share of the height of points (N, 3) above z = 0."""
     return xyz[xyz[:, 2] <= (1.0 - share) * np.quantile(xyz[:, 2], 0.98)]

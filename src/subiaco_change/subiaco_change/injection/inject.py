@@ -16,6 +16,7 @@ from subiaco_change.injection.edits import (
     Edited,
     cut_off,
     grown,
+    grown_plant,
     put_object,
     raise_ground,
     reshape,
@@ -180,7 +181,9 @@ def _edit(edited: Edited, donors: list[Donor]) -> dict[str, int]:
     for members in draw(things, config.removed, "removed"):
         take_away(edited, members, _kind(edited, members))
     for members in draw(solid, config.grown, "grown"):
-        taller = partial(grown, factor=1.0 + random.uniform(*config.growth), leaf=config.leaf)
+        is_plant = edited.semantic[members[0]] == Semantic.VEGETATION
+        factor = 1.0 + random.uniform(*config.growth)
+        taller = partial(grown_plant if is_plant else grown, factor=factor, leaf=config.leaf)
         reshape(edited, members, _kind(edited, members), taller, "grown")
     for members in draw(solid, config.cut, "cut"):
         shorter = _shorter(edited, members, random.uniform(*config.cutting))
