@@ -18,7 +18,7 @@ setup(
         ("share/" + NAME, ["package.xml"]),
     ],
     install_requires=["setuptools"],
-    extras_require={"test": ["pytest"]},
+    extras_require={"test": ["pytest"], "dask": ["distributed"]},
     zip_safe=False,
     entry_points={
         "console_scripts": [
