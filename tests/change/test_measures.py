@@ -5,7 +5,7 @@ import pytest
 
 from subiaco_change.changes.association import AssociationConfig
 from subiaco_change.changes.decisions import Decision
-from subiaco_change.changes.measures import MeasureConfig, column_volume, measure
+from subiaco_change.changes.measures import MeasureConfig, OpenGround, columns_of, ground_columns, measure
 from subiaco_change.changes.object_changes import ObjectChange, adopt_fragments
 from subiaco_change.changes.objects import Thing, Voxels, looked_across
 from subiaco_geo.codes import Change, Semantic
@@ -33,13 +33,29 @@ def walls(length, width, height):
 
 
 def test_a_solid_block_has_its_own_volume():
-    assert column_volume(voxels(block((0, 0, 0), (4, 3, 2))), 0.5) == pytest.approx(4 * 3 * 1.75)
+    assert columns_of(voxels(block((0, 0, 0), (4, 3, 2))), 0.5).volume == pytest.approx(4 * 3 * 1.75)
 
 
 def test_a_wing_of_three_metres_is_filled_between_its_walls_and_a_court_of_eight_is_not():
     wing, court = voxels(walls(8, 3, 2)), voxels(walls(8, 8, 2))
-    assert column_volume(wing, 0.5, closing=1.5) == pytest.approx(8 * 3 * 1.75)
-    assert column_volume(court, 0.5, closing=1.5) == pytest.approx(column_volume(court, 0.5))
+    assert columns_of(wing, 0.5, closing=1.5).volume == pytest.approx(8 * 3 * 1.75)
+    assert columns_of(court, 0.5, closing=1.5).volume == pytest.approx(columns_of(court, 0.5).volume)
+
+
+def test_a_corner_where_the_ground_was_met_is_not_filled():
+    """The corner of an L is as narrow as a wing; points of the ground tell it from one."""
+    ell = voxels(np.concatenate([block((0, 0, 0), (6, 3, 2)), block((0, 3, 0), (3, 6, 2))]))
+    bare = ground_columns(block((3, 3, 0), (6, 6, 0.5)), 0.5)
+    solid = columns_of(ell, 0.5).volume
+    assert columns_of(ell, 0.5, closing=1.5, ground=bare).volume == pytest.approx(solid)
+    assert measure(ell, ell, MeasureConfig(), OpenGround(bare, bare)).delta_v == 0.0
+
+
+def test_the_volume_of_a_house_counts_what_lies_behind_what_was_seen():
+    """Two walls of a house of 12 m by 12 m: its outline from above is half of it, its walls a twelfth."""
+    corner = np.concatenate([block((0, 0, 0), (12, 0.5, 4)), block((0, 0.5, 0), (0.5, 12, 4))])
+    seen = measure(voxels(corner), voxels(corner), MeasureConfig())
+    assert seen.volume == pytest.approx(0.5 * 12 * 12 * 3.75, rel=0.1)
 
 
 def test_a_beam_that_grazes_a_wall_has_not_looked_across_it():

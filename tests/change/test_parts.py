@@ -6,11 +6,13 @@ import numpy as np
 import pytest
 from test_measures import block, voxels, walls
 
+from subiaco_change.changes.apart import pieces_apart
+from subiaco_change.changes.association import AssociationConfig
 from subiaco_change.changes.decisions import DecisionConfig
 from subiaco_change.changes.object_changes import drove_by
 from subiaco_change.changes.objects import Thing, Voxels
 from subiaco_change.changes.parts import PartConfig, part_things
-from subiaco_change.changes.wings import find_wings
+from subiaco_change.changes.wings import built, find_wings
 from subiaco_geo.codes import Change, Semantic
 
 CONFIG = PartConfig()
@@ -88,20 +90,83 @@ def test_a_house_gone_from_a_row_that_is_one_instance_was_no_wing():
     assert find_wings([(row, row), (moved(walls(6, 8, 4), 10), NONE)], CONFIG) == {}
 
 
+def passing(top, passed):
+    cells = block((0, 0, 0), (4, 2, top))
+    seen = thing([(cells, False)])
+    return replace(seen, passed=np.full(len(seen.points), passed))
+
+
 @pytest.mark.parametrize(
-    ("passed", "top", "trail"),
-    [(6.0, 1.5, True), (1.0, 1.5, False), (6.0, 8.0, False)],
-    ids=["looked through", "solid", "a tall crown"],
+    ("passed", "top", "through", "trail"),
+    [
+        (6.0, 1.5, 0.5, True),
+        (1.0, 1.5, 1.0, False),
+        (6.0, 8.0, 1.0, False),
+        (1.7, 1.5, 0.5, False),
+        (1.7, 1.5, 0.95, True),
+    ],
+    ids=[
+        "looked through",
+        "solid",
+        "a tall crown",
+        "a hedge that beams graze",
+        "nothing behind stopped a beam",
+    ],
 )
-def test_what_its_own_survey_looked_through_only_drove_by(passed, top, trail):
-    seen = replace(thing([(block((0, 0, 0), (4, 2, top)), False)]), passed=passed)
-    decision = drove_by([seen], DecisionConfig())
+def test_what_its_own_survey_looked_through_only_drove_by(passed, top, through, trail):
+    decision = drove_by([passing(top, passed)], through, DecisionConfig())
     assert (decision is not None) == trail
     if decision is not None:
         assert decision.change is Change.NOT_REPORTED
-        assert "6 beams passed" in decision.reason
+        assert f"{passed} beams passed" in decision.reason
 
 
 def test_an_object_is_a_trail_only_if_all_its_parts_were_looked_through():
-    parts = [replace(thing([(block((0, 0, 0), (4, 2, 1.5)), False)]), passed=p) for p in (9.0, 0.5)]
-    assert drove_by(parts, DecisionConfig()) is None
+    assert drove_by([passing(1.5, 9.0), passing(1.5, 0.5)], 1.0, DecisionConfig()) is None
+
+
+def test_a_part_keeps_the_beams_of_its_own_points():
+    old, new = block((0, 0, 0), (3, 1, 1.5)), block((3, 0, 0), (6, 1, 1.5))
+    whole = thing([(old, True), (new, False)])
+    beams = np.repeat([0.2, 9.0], [4 * len(old), 4 * len(new)])
+    rest, part = part_things([replace(whole, passed=beams)], PartConfig(points=1))
+    assert rest.passed.max() == 0.2
+    assert part.passed.min() == 9.0
+
+
+def test_a_wing_larger_than_what_is_left_of_its_house_stands_round_it():
+    left = moved(walls(3, 8, 4), 0)
+    gone = moved(walls(3, 9, 6), 1.0)
+    assert find_wings([(left, left), (gone, NONE)], CONFIG) == {1: 0}
+
+
+def test_walls_are_built_and_cars_and_leaves_are_not():
+    wall = voxels(walls(6, 6, 4))
+    rng = np.random.default_rng(0)
+    turned = rng.normal(size=(len(wall), 3))
+    leaves = replace(wall, normal=turned / np.linalg.norm(turned, axis=1, keepdims=True))
+    assert built(wall)
+    assert not built(leaves)
+    assert not built(voxels(walls(4, 2, 1.5)))
+
+
+def crown(x, still, number):
+    part = thing([(block((x, 0, 2), (x + 4, 4, 6)), still)])
+    return replace(part, instance=number)
+
+
+def test_crowns_that_one_epoch_holds_apart_are_told_apart_in_the_other():
+    joined = replace(
+        thing([(block((0, 0, 2), (4, 4, 6)), True), (block((4, 0, 2), (8, 4, 6)), True)]), instance=0
+    )
+    two = [crown(0, True, 0), crown(4, True, 1)]
+    pieces = pieces_apart([joined], two, AssociationConfig(), 2)
+    assert [len(b[0].voxels) for b, _ in pieces] == [len(a[0].voxels) for _, a in pieces]
+    assert [b[0].xyz[:, 0].max() < 4 for b, _ in pieces] == [True, False]
+    assert [b[0].instance for b, _ in pieces] == [0, 2]
+
+
+def test_a_roof_over_its_walls_and_a_small_fragment_are_no_bodies_of_their_own():
+    low, high = (thing([(block((0, 0, z), (4, 4, z + 2)), True)]) for z in (0, 2))
+    crumb = thing([(block((5, 0, 0), (5.5, 0.5, 0.5)), True)])
+    assert len(pieces_apart([low], [low, high, crumb], AssociationConfig(), 9)) == 1

@@ -54,6 +54,15 @@ class AssociationConfig(StrictModel):
         0.5, gt=0, le=1, description="share of its voxels that puts a fragment inside an object (Decision 9)"
     )
     parts: PartConfig = PartConfig()
+    apart: float = Field(
+        0.15,
+        gt=0,
+        le=1,
+        description="share of a match from which on one of several fragments may be a body of its own",
+    )
+    stacked: float = Field(
+        0.3, ge=0, le=1, description="share of common columns from which on two fragments are one body"
+    )
     same_place: float = Field(0.5, gt=0, le=1, description="voxel overlap of one thing with two classes (C6)")
 
 

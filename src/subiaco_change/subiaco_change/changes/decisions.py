@@ -42,9 +42,7 @@ class ClassRules(StrictModel):
 class DecisionConfig(StrictModel):
     """Table of section E; defaults are the paper's."""
 
-    building: ClassRules = ClassRules(
-        min_iou=0.10, height=0.50, volume=0.10, shift=1.5, carried=0.07, surface=0.07
-    )
+    building: ClassRules = ClassRules(min_iou=0.10, height=0.50, volume=0.10, shift=1.5, carried=0.07)
     vegetation: ClassRules = ClassRules(
         min_iou=0.08, height=0.30, volume=0.15, shift=2.0, carried=0.10, surface=0.15, outline=0.08
     )
@@ -68,6 +66,12 @@ class DecisionConfig(StrictModel):
         gt=0,
         description="beams that passed for each that returned, from which on what stands in one epoch alone"
         " only drove by: at the densest quarter of its points",
+    )
+    trail_passes_through: float = Field(
+        1.5, gt=0, description="the same where its own survey looked on both sides of it"
+    )
+    trail_through: float = Field(
+        0.9, gt=0, le=1, description="share of the surface on both sides of which it must have looked"
     )
     trail_top: float = Field(3.8, gt=0, description="highest point of what drives by [m]")
     min_voxels: int = Field(4, ge=1, description="observed voxels below which nothing is claimed")
@@ -193,9 +197,9 @@ def _outline(outline: Outline, rules: ClassRules) -> Decision | None:
 def _strengths(height: float, volume: float, measures: Measures, rules: ClassRules) -> tuple[float, float]:
     """How far the rules for more and for less are met; at most 1 where no surface carries the change.
 
-    Columns tell the volume where their tops were seen. A wing or a crown
-    whose top lies out of sight shows in its sides: there the share of new or
-    gone surface speaks.
+    Columns tell the volume where their tops were seen. A crown whose top lies
+    out of sight shows in its sides: there the share of new or gone surface
+    speaks. Walls close around their volume, with a roof or without.
     """
     side = measures.carried / rules.surface
     up, down = max(height, volume, side), max(-height, -volume, -side)

@@ -14,10 +14,12 @@ from shapely.geometry.base import BaseGeometry
 
 from subiaco_change.changes.objects import Voxels
 from subiaco_change.changes.outline import Outline, OutlineConfig
+from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.config import StrictModel
-from subiaco_geo.frames import Floats
+from subiaco_geo.frames import Floats, Ints
 
 NO_OUTLINE = Outline()
+NO_COLUMNS: Ints = np.zeros(0, dtype=np.int64)
 
 
 class MeasureConfig(StrictModel):
@@ -69,12 +71,39 @@ class Measures:
     outline: Outline = NO_OUTLINE
 
 
-def measure(before: Voxels, after: Voxels, config: MeasureConfig) -> Measures:
+@dataclass(frozen=True)
+class OpenGround:
+    """Columns of the voxel grid in which an epoch met the ground, as sorted keys: nothing stands there."""
+
+    before: Ints
+    after: Ints
+
+
+#: Nobody met the ground.
+BUILT_UP = OpenGround(NO_COLUMNS, NO_COLUMNS)
+
+
+def ground_columns(xyz: Floats, cell: float) -> Ints:
+    """Return the sorted keys of the columns of ground points (N, 3)."""
+    return np.unique(_column_keys(xyz, cell))
+
+
+def _column_keys(xyz: Floats, cell: float) -> Ints:
+    return voxel_keys(voxel_indices(xyz * (1.0, 1.0, 0.0), cell))
+
+
+def measure(
+    before: Voxels, after: Voxels, config: MeasureConfig, ground: OpenGround | None = None
+) -> Measures:
     """Compare the voxels of one object in two epochs; either may be empty."""
+    bare = ground or BUILT_UP
     seen_b, seen_a = before.select(before.seen), after.select(after.seen)
     lonely_b, lonely_a = int(np.count_nonzero(~seen_b.still)), int(np.count_nonzero(~seen_a.still))
     whole_b, whole_a = _completed(seen_b, seen_a), _completed(seen_a, seen_b)
-    volume_b, volume_a = (column_volume(v, config.voxel, config.closing) for v in (whole_b, whole_a))
+    columns_b, columns_a = (
+        columns_of(v, config.voxel, config.closing, bare_columns)
+        for v, bare_columns in ((whole_b, bare.before), (whole_a, bare.after))
+    )
     common = 0.5 * (len(seen_b) - lonely_b + len(seen_a) - lonely_a)
     both = len(before) > 0 and len(after) > 0
     return Measures(
@@ -82,9 +111,9 @@ def measure(before: Voxels, after: Voxels, config: MeasureConfig) -> Measures:
         d_perp=_separation(seen_b, seen_a, config),
         delta_c=_distance(whole_b, whole_a) if both else float("nan"),
         delta_h=_top(whole_a, config) - _top(whole_b, config) if both else float("nan"),
-        delta_v=volume_a - volume_b,
+        delta_v=columns_a.volume - columns_b.volume,
         delta_v_surface=float(lonely_a - lonely_b) * config.voxel**3,
-        volume=max(volume_b, volume_a),
+        volume=max(_whole_volume(c, v) for c, v in ((columns_b, whole_b), (columns_a, whole_a))),
         chi2=histogram_distance(seen_b.height, seen_a.height, config.bins),
         gone_share=lonely_b / max(len(seen_b), 1),
         new_share=lonely_a / max(len(seen_a), 1),
@@ -133,23 +162,48 @@ def _top(voxels: Voxels, config: MeasureConfig) -> float:
     return float(np.quantile(voxels.height, config.top_quantile)) if len(voxels) else float("nan")
 
 
-def column_volume(voxels: Voxels, cell: float, closing: float = 0.0) -> float:
-    """Volume between the ground and the tops of the columns [m3].
+@dataclass(frozen=True)
+class Columns:
+    """Columns between the ground and their tops: volume [m3] and area [m2]."""
+
+    volume: float
+    area: float
+
+
+def columns_of(voxels: Voxels, cell: float, closing: float = 0.0, ground: Ints = NO_COLUMNS) -> Columns:
+    """Volume and area of the columns that voxels stand in.
 
     Columns that nobody looked into, but that stand between others no more
     than twice ``closing`` [m] apart, are filled to the lower of these: a wing
-    whose walls were seen has a volume although its roof was not.
+    whose walls were seen has a volume although its roof was not. Where the
+    epoch met the ground (``ground``, sorted keys) there is nothing to fill.
     """
     if len(voxels) == 0:
-        return 0.0
+        return Columns(0.0, 0.0)
     index = np.floor(voxels.xyz[:, :2] / cell).astype(np.int64)
     margin = round(closing / cell)
-    index += margin - index.min(axis=0)
+    corner = index.min(axis=0) - margin
+    index -= corner
     tops = np.zeros(tuple((index.max(axis=0) + 1 + margin).tolist()))
     np.maximum.at(tops, (index[:, 0], index[:, 1]), voxels.height)
     if margin > 0:
-        tops = ndimage.grey_closing(tops, size=(2 * margin + 1, 2 * margin + 1), mode="constant")
-    return float(tops.sum()) * cell**2
+        bare = tops == 0.0
+        middle = (np.argwhere(bare) + corner + 0.5) * cell
+        bare[bare] = np.isin(_column_keys(np.column_stack([middle, np.zeros(len(middle))]), cell), ground)
+        closed = ndimage.grey_closing(tops, size=(2 * margin + 1, 2 * margin + 1), mode="constant")
+        tops = np.where(bare, 0.0, closed)
+    return Columns(float(tops.sum()) * cell**2, float(np.count_nonzero(tops > 0)) * cell**2)
+
+
+def _whole_volume(columns: Columns, voxels: Voxels) -> float:
+    """Volume of a body of which a part was seen: its outline from above at its mean height [m3].
+
+    Of most houses the street sees the front, half of the roof and no inside.
+    """
+    if columns.area == 0.0:
+        return 0.0
+    outline = float(shapely.MultiPoint(voxels.xyz[:, :2]).convex_hull.area)
+    return columns.volume * max(1.0, outline / columns.area)
 
 
 def histogram_distance(before: Floats, after: Floats, bins: int) -> float:

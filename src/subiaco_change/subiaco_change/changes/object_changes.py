@@ -8,19 +8,38 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from subiaco_change.changes.apart import pieces_apart
 from subiaco_change.changes.association import AssociationConfig, Match, associate, overlap_counts
 from subiaco_change.changes.confidence import ConfidenceConfig, confidence, features, paper_score
 from subiaco_change.changes.decisions import Decision, DecisionConfig, decide
-from subiaco_change.changes.measures import MeasureConfig, Measures, footprint, measure
-from subiaco_change.changes.objects import EpochView, Reach, Thing, Voxels, build_things, build_voxels
+from subiaco_change.changes.measures import (
+    BUILT_UP,
+    MeasureConfig,
+    Measures,
+    OpenGround,
+    footprint,
+    ground_columns,
+    measure,
+)
+from subiaco_change.changes.objects import (
+    EpochView,
+    Reach,
+    Thing,
+    Voxels,
+    build_things,
+    build_voxels,
+    looked_across,
+)
 from subiaco_change.changes.outline import compare_outlines
 from subiaco_change.changes.parts import part_things
-from subiaco_change.changes.wings import find_wings
+from subiaco_change.changes.wings import built, find_wings
 from subiaco_change.records import ChangeRecord
 from subiaco_change.semantics.ground import Mask
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats, Ints
 
+_CLAIMS = (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED)
+_BESIDE = 0.5  # so far beside a surface lies the next voxel of the visibility layer [m]
 Observed = Callable[[Floats], Mask]
 
 
@@ -54,6 +73,8 @@ class ObjectRules:
     association: AssociationConfig
     decisions: DecisionConfig
     by_class: bool = True  # objects of different classes are never one
+    ground: OpenGround = BUILT_UP  # where nothing stands
+    own: tuple[Observed | None, Observed | None] = (None, None)  # what the surveys of *before*, *after* saw
 
 
 def compare_objects(
@@ -63,6 +84,8 @@ def compare_objects(
     edge, tolerance = rules.measures.voxel, rules.measures.tolerance
     reach = Reach(rules.measures.same_low, rules.measures.same_high, rules.measures.same_factor)
     step = rules.measures.crossing
+    bare = [ground_columns(v.xyz[v.semantic == Semantic.GROUND], edge) for v in (before, after)]
+    rules = replace(rules, ground=OpenGround(bare[0], bare[1]), own=(seen_by_before, seen_by_after))
     things_b = build_things(before, build_voxels(before, after, seen_by_after, edge, reach, step))
     things_a = build_things(after, build_voxels(after, before, seen_by_before, edge, reach, step))
     things_b, things_a = (part_things(things, rules.association.parts) for things in (things_b, things_a))
@@ -77,16 +100,25 @@ def compare_objects(
         of_a = [t for t in things_a if t.semantic is semantic]
         matches = associate(of_b, of_a, rules.association, tolerance)
         changes.extend(_decide(match, of_b, of_a, semantic, rules) for match in matches)
+    changes = tell_apart(changes, rules)
     changes = join_wings(changes, rules)
     return adopt_fragments(changes, things_b, things_a, rules.association, tolerance)
 
 
 def join_wings(changes: list[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
-    """Make wings built onto a building, or taken from it, one object with it, and decide it anew."""
+    """Make wings built onto a building, or taken from it, one object with it, and decide it anew.
+
+    A wing seen from few sides may have passed for a vehicle or a plant: what is built tells.
+    """
     numbers = [
         i
         for i, change in enumerate(changes)
-        if change.semantic is Semantic.BUILDING and change.decision.change is not Change.UNOBSERVED
+        if (change.semantic is Semantic.BUILDING and change.decision.change is not Change.UNOBSERVED)
+        or (
+            change.semantic in (Semantic.MOBILE, Semantic.VEGETATION)
+            and change.decision.change in (Change.ADDED, Change.REMOVED)
+            and built(_join((*change.before, *change.after)))
+        )
     ]
     if rules.association.parts.points == 0:
         return changes
@@ -98,6 +130,22 @@ def join_wings(changes: list[ObjectChange], rules: ObjectRules) -> list[ObjectCh
         before, after = ([t for part in parts for t in getattr(part, e)] for e in ("before", "after"))
         joined[host] = _decide(Match(_all(before), _all(after)), before, after, Semantic.BUILDING, rules)
     return [change for i, change in enumerate(joined) if i not in wings]
+
+
+def tell_apart(changes: Sequence[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
+    """Decide the bodies of a split or merge one by one where they did not fare alike."""
+    following = 1 + max((t.instance for c in changes for t in (*c.before, *c.after)), default=0)
+    told: list[ObjectChange] = []
+    for change in changes:
+        pieces = pieces_apart(change.before, change.after, rules.association, following)
+        if len(pieces) == 1:
+            told.append(change)
+            continue
+        parts = [_decide(Match(_all(b), _all(a)), b, a, change.semantic, rules) for b, a in pieces]
+        labels = {part.decision.change for part in parts}
+        told.extend(parts if len(labels) > 1 and not labels.isdisjoint(_CLAIMS) else [change])
+        following += sum(len(p.before) + len(p.after) for p in parts)
+    return told
 
 
 def _all(things: Sequence[Thing]) -> tuple[int, ...]:
@@ -188,25 +236,41 @@ def _decide(
 ) -> ObjectChange:
     before = tuple(things_b[i] for i in match.before)
     after = tuple(things_a[j] for j in match.after)
-    measures = measure(_join(before), _join(after), rules.measures)
+    measures = measure(_join(before), _join(after), rules.measures, rules.ground)
     if semantic is Semantic.VEGETATION and before and after:
         first, second = (np.concatenate([t.xyz for t in things]) for things in (before, after))
         measures = replace(measures, outline=compare_outlines(first, second, rules.measures.outline))
     lod = max(t.lod for t in (*before, *after))
     decision = decide(semantic, bool(before), bool(after), measures, lod, rules.decisions)
     if decision.change in (Change.ADDED, Change.REMOVED):
-        decision = drove_by((*before, *after), rules.decisions) or decision
+        own = rules.own[0] if before else rules.own[1]
+        decision = (
+            drove_by((*before, *after), _looked_through((*before, *after), own), rules.decisions) or decision
+        )
     return ObjectChange(before, after, semantic, match.kind, measures, decision)
 
 
-def drove_by(things: Sequence[Thing], rules: DecisionConfig) -> Decision | None:
-    """Tell a trail from a thing: low, and its own survey looked through all of it."""
+def drove_by(things: Sequence[Thing], through: float, rules: DecisionConfig) -> Decision | None:
+    """Tell a trail from a thing: low, and its own survey looked through all of it.
+
+    ``through`` is the share of the surface on both sides of which that survey looked: where this is
+    nearly all of it, fewer beams suffice, for what stands lets none go on behind it.
+    """
     top = max(float(t.voxels.height.max()) for t in things)
-    passed = min(t.passed for t in things)
-    if top > rules.trail_top or passed < rules.trail_passes:
+    passed = min(float(np.quantile(t.passed, 0.25)) if len(t.passed) else 0.0 for t in things)
+    enough = rules.trail_passes_through if through >= rules.trail_through else rules.trail_passes
+    if top > rules.trail_top or passed < enough:
         return None
-    reason = f"drove by while it was mapped: {passed:.0f} beams passed for each that returned"
-    return Decision(Change.NOT_REPORTED, reason, passed / rules.trail_passes)
+    reason = f"drove by while it was mapped: {passed:.1f} beams passed for each that returned"
+    return Decision(Change.NOT_REPORTED, reason, passed / enough)
+
+
+def _looked_through(things: Sequence[Thing], own: Observed | None) -> float:
+    """Share of the surface of things on both sides of which their own survey looked."""
+    if own is None:
+        return 1.0
+    voxels = _join(things)
+    return float(looked_across(voxels.xyz, voxels.normal, own, _BESIDE).mean())
 
 
 def _join(things: Sequence[Thing]) -> Voxels:

@@ -66,8 +66,8 @@ class Voxels:
 class Thing:
     """One instance of one epoch: its class, points (indices and places) and voxels.
 
-    ``passed``: beams of its own epoch that passed for each that returned, at the densest quarter of
-    its points; 0 where nothing counted them.
+    ``passed`` (N,): beams of its own epoch that passed each of its points for each that returned there;
+    empty where nothing counted them.
     """
 
     instance: int
@@ -77,7 +77,7 @@ class Thing:
     voxels: Voxels
     lod: float
     xyz: Floats = field(default_factory=lambda: np.zeros((0, 3)))
-    passed: float = 0.0
+    passed: Floats = field(default_factory=lambda: np.zeros(0))
 
 
 def build_voxels(
@@ -182,6 +182,6 @@ def build_things(view: EpochView, voxels: Voxels) -> list[Thing]:
         lod = float(np.median(finite)) if len(finite) else float("inf")
         score = float(view.score[members].mean())
         own = voxels.select(by_voxel[instance])
-        passed = 0.0 if view.passed is None else float(np.quantile(view.passed[members], 0.25))
+        passed = np.zeros(0) if view.passed is None else view.passed[members]
         things.append(Thing(instance, semantic, score, members, own, lod, view.xyz[members], passed))
     return things

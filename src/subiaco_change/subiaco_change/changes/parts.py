@@ -57,19 +57,25 @@ def part_things(things: Sequence[Thing], config: PartConfig) -> list[Thing]:
         if not labels.any():
             parted.append(thing)
             continue
-        owner = labels[cKDTree(thing.voxels.xyz).query(thing.xyz)[1]]
-        for number in range(int(labels.max()) + 1):
-            instance = thing.instance if number == 0 else following + number - 1
-            part = replace(
-                thing,
-                instance=instance,
-                points=thing.points[owner == number],
-                voxels=thing.voxels.select(labels == number),
-                xyz=thing.xyz[owner == number],
-            )
-            parted.append(part)
+        parted.extend(divided(thing, labels, following))
         following += int(labels.max())
     return parted
+
+
+def divided(thing: Thing, labels: Ints, following: int) -> list[Thing]:
+    """Divide an instance by a label (M,) of its voxels: the first keeps its number, others get new ones."""
+    owner = labels[cKDTree(thing.voxels.xyz).query(thing.xyz)[1]]
+    return [
+        replace(
+            thing,
+            instance=thing.instance if number == 0 else following + number - 1,
+            points=thing.points[owner == number],
+            voxels=thing.voxels.select(labels == number),
+            xyz=thing.xyz[owner == number],
+            passed=thing.passed[owner == number] if len(thing.passed) else thing.passed,
+        )
+        for number in range(int(labels.max()) + 1)
+    ]
 
 
 def _parts_of(thing: Thing, config: PartConfig) -> Ints:

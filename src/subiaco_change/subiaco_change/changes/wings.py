@@ -13,6 +13,12 @@ from subiaco_change.changes.parts import PartConfig
 from subiaco_change.semantics.clustering import cell_clusters
 from subiaco_geo.frames import Floats
 
+_ROUND = 0.75  # a part that touches its host with so much of itself stands round it, however large it is
+_SMALL = 0.1  # less than this share of its host is no house, whatever stands on both sides
+_CAR = 2.3  # no car is taller [m]
+_NEIGHBOURS = 6  # voxels, itself among them, whose normals are compared
+_SMOOTH = 0.78  # mean cosine between the normals of neighbours: leaves stay below 0.75
+
 
 def find_wings(pairs: Sequence[tuple[Voxels, Voxels]], config: PartConfig) -> dict[int, int]:
     """Map wings to their hosts, both positions in a list of buildings.
@@ -27,9 +33,9 @@ def find_wings(pairs: Sequence[tuple[Voxels, Voxels]], config: PartConfig) -> di
     Returns
     -------
     dict
-        A wing touches its host, is smaller than ``subordinate`` of it, and
-        does not stand between parts of it that would be apart without it: a
-        house pulled from a row was no wing.
+        A wing touches its host, is smaller than ``subordinate`` of it or
+        stands round it, and does not stand between parts of it that would be
+        apart without it: a house pulled from a row was no wing.
     """
     hosts = [i for i, pair in enumerate(pairs) if len(pair[0]) and len(pair[1])]
     wings: dict[int, int] = {}
@@ -45,9 +51,21 @@ def find_wings(pairs: Sequence[tuple[Voxels, Voxels]], config: PartConfig) -> di
             continue
         host = hosts[int(np.argmax(contact))]
         body = pairs[host][epoch]
-        if _bulk(pair[epoch]) < config.subordinate * _bulk(body) and not _between(wing, body.xyz, config):
+        share = _bulk(pair[epoch]) / max(_bulk(body), 1e-9)
+        if share >= config.subordinate and max(contact) < _ROUND * len(wing):
+            continue
+        if share < _SMALL or not _between(wing, body.xyz, config):
             wings[number] = host
     return wings
+
+
+def built(voxels: Voxels) -> bool:
+    """Tell walls and roofs from cars and leaves, whatever their class: taller than a car, and smooth."""
+    if len(voxels) < _NEIGHBOURS or voxels.height.max() < _CAR:
+        return False
+    near = cKDTree(voxels.xyz).query(voxels.xyz, k=_NEIGHBOURS)[1][:, 1:]
+    along = np.abs(np.einsum("ikj,ij->ik", voxels.normal[near], voxels.normal))
+    return bool(along.mean() >= _SMOOTH)
 
 
 def _contact(wing: Floats, host: Floats, config: PartConfig) -> int:

@@ -24,7 +24,7 @@ DECISIONS: dict[int, tuple[str, ...]] = {
     2: ("second_registration", "registration.coarse_method", "registration.polish"),
     7: ("instances.min_points",),
     8: ("association.gate_overlap", "association.kappa"),
-    9: ("association.contained", "association.parts"),
+    9: ("association.contained", "association.apart", "association.parts"),
     11: ("association.cost", "association.unmatched"),
     12: ("ground.cell", "ground.closing"),
     13: ("evidence.source", "decisions.building", "decisions.vegetation"),
