@@ -117,6 +117,17 @@ def test_stages_are_done_again_from_the_one_asked_for_and_once_only(tmp_path):
         stages_from(("cut", "sum"), "summ")
 
 
+def test_what_stages_cost_is_added_up(tmp_path):
+    bench = Workbench(DiskStore(tmp_path))
+    bench.run(tasks_of(bench))
+    costs = bench.costs()
+    assert set(costs) == {"sum"}
+    assert costs["sum"]["tasks"] == 6
+    assert costs["sum"]["wall_s"] >= 0.0
+    assert costs["sum"]["peak_mib"] > 10.0
+    assert bench.seconds() == {"sum": costs["sum"]["cpu_s"]}
+
+
 def test_progress_goes_from_the_beginning_of_a_stage_to_its_end():
     told = []
     bench = Workbench(progress=lambda stage, fraction: told.append((stage, fraction)))

@@ -116,6 +116,7 @@ def _assemble(run: CityRun, found: Pass, labelled: Mapping[str, str], info: Pair
         run.bench.seconds(),
         info.warnings,
         block_table(sigma, frame),
+        run.bench.costs(),
         lambda: ((_tile(run, labelled, "before", t), _tile(run, labelled, "after", t)) for t in tiles),
     )
 

@@ -149,7 +149,8 @@ class ChangeResult:
 class TiledResult:
     """Everything that a run in tiles found; as :class:`ChangeResult`, its clouds tile by tile.
 
-    ``tiles`` yields both clouds of every tile, every time it is called; either may be empty there.
+    ``costs``: by stage, see :meth:`subiaco_geo.work.bench.Workbench.costs`. ``tiles`` yields both
+    clouds of every tile, every time it is called; either may be empty there.
     """
 
     records: tuple[ChangeRecord, ...]
@@ -159,6 +160,7 @@ class TiledResult:
     seconds: Mapping[str, float]
     warnings: tuple[str, ...]
     blocks: pd.DataFrame | None
+    costs: Mapping[str, Mapping[str, float]]
     tiles: Callable[[], Iterator[tuple[PointCloud, PointCloud]]]
 
     def parts(self) -> Iterator[tuple[PointCloud, PointCloud]]:

@@ -132,6 +132,7 @@ def run_document(
         "points": _points(result),
         "confidence_calibrated": inputs.calibrated,
         "seconds": dict(result.seconds),
+        "stages": dict(result.costs) if isinstance(result, TiledResult) else {},
         "peak_memory_mib": peak_memory_mib(),
         "warnings": list(result.warnings),
     }

@@ -79,12 +79,27 @@ class Workbench:
         if self.progress is not None:
             self.progress(stage, fraction)
 
+    def costs(self) -> dict[str, dict[str, float]]:
+        """Return what every stage cost in this run.
+
+        Returns
+        -------
+        dict
+            By stage ``tasks`` done, ``cpu_s``, ``wall_s`` added up over tasks, and ``peak_mib``, the
+            largest memory of a process that did one of them.
+        """
+        total: dict[str, dict[str, float]] = {}
+        for spent in self.spent:
+            own = total.setdefault(spent.stage, {"tasks": 0, "cpu_s": 0.0, "wall_s": 0.0, "peak_mib": 0.0})
+            own["tasks"] += 1
+            own["cpu_s"] += spent.cpu
+            own["wall_s"] += spent.wall
+            own["peak_mib"] = max(own["peak_mib"], spent.peak_mib)
+        return total
+
     def seconds(self) -> dict[str, float]:
         """Return the processor seconds that every stage cost in this run."""
-        total: dict[str, float] = {}
-        for spent in self.spent:
-            total[spent.stage] = total.get(spent.stage, 0.0) + spent.cpu
-        return total
+        return {stage: cost["cpu_s"] for stage, cost in self.costs().items()}
 
 
 def stages_from(order: Sequence[str], first: str) -> frozenset[str]:
