@@ -2,7 +2,7 @@
 """Per-class figures of the labels on real and simulated points, beside plain threshold rules; time per step.
 
     python tests/benchmarks/bench_semantics.py oakland-tune oakland-report
-    python tests/benchmarks/bench_semantics.py sim --surveys out/sim1 out/sim2
+    python tests/benchmarks/bench_semantics.py sim --surveys out/sim1 out/sim2 --epochs before after
     python tests/benchmarks/bench_semantics.py speed --surveys out/sim1
 
 What was used to choose constants ends in ``-tune`` and is never reported as a result: Oakland aj, ak, al;
@@ -21,7 +21,7 @@ import os
 import resource
 import tempfile
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
@@ -122,19 +122,19 @@ def _float_pcd(name: str) -> NDArray[np.float32]:
     return np.ascontiguousarray(cloud.point.positions.numpy())
 
 
-def simulated(path: Path) -> Sample:
-    """Epoch *before* of a simulated survey: its fused map with visibility layer.
+def simulated(path: Path, epoch: str = "before") -> Sample:
+    """One epoch of a simulated survey: its fused map with visibility layer.
 
     What moved has no object: its trail is labelled mobile and no instance is expected of it.
     """
-    survey = load_epoch(path / "before")
+    survey = load_epoch(path / epoch)
     fields = survey.cloud.fields
     with (path / "truth" / "objects.csv").open(newline="") as stream:
         standing = [int(row["object_id"]) for row in csv.DictReader(stream)]
     objects = fields["object"].astype(np.int64)
     observer = make_observer(survey, EvidenceConfig())
     return Sample(
-        f"simulated {path.name}",
+        f"simulated {path.name} {epoch}",
         PointCloud(survey.cloud.xyz),
         fields["true_class"].astype(np.uint8),
         np.where(np.isin(objects, standing), objects, -1),
@@ -205,11 +205,11 @@ def ious(matrix: NDArray[np.int64]) -> NDArray[np.float64]:
     return 100 * np.where(matrix.sum(axis=1) > 0, np.diag(matrix) / np.maximum(union, 1), np.nan)
 
 
-def panoptic(sample: Sample, semantic: NDArray[np.uint8], instance: NDArray[np.int32]) -> list[float]:
-    """Panoptic quality in percent of building, vegetation, mobile: sum of IoU > 0.5 / (TP + FP/2 + FN/2)."""
+def panoptic(sample: Sample, semantic: NDArray[np.uint8], instance: NDArray[np.int32]) -> NDArray[np.float64]:
+    """Matches of building, vegetation, mobile (3, 2): the sum of IoU > 0.5, and TP + FP/2 + FN/2."""
+    values = np.zeros((3, 2))
     if sample.objects is None:
-        return []
-    values = []
+        return values
     for kind in (1, 2, 3):
         mine = np.where((semantic == kind) & (instance >= 0), instance, -1)
         yours = np.where((sample.truth == kind), sample.objects, -1)
@@ -220,22 +220,25 @@ def panoptic(sample: Sample, semantic: NDArray[np.uint8], instance: NDArray[np.i
         union = table.sum(axis=1)[:, None] + table.sum(axis=0) - table
         iou = (table / union)[ids >= 0][:, names >= 0]
         size = table.sum(axis=0)[names >= 0]
-        matched = iou[iou > 0.5]
         seen = (size >= 40) | (iou > 0.5).any(axis=0)  # a few stray returns are no object to be found
-        values.append(100 * matched.sum() / max(0.5 * (iou.shape[0] + seen.sum()), 1))
+        values[kind - 1] = iou[iou > 0.5].sum(), 0.5 * (iou.shape[0] + seen.sum())
     return values
+
+
+def qualities(matches: NDArray[np.float64]) -> str:
+    """Panoptic quality in percent of building, vegetation, mobile."""
+    return ", ".join(f"{100 * a / b:.1f}" if b else "–" for a, b in matches)
 
 
 def row(values: NDArray[np.float64]) -> str:
     return " | ".join("–" if np.isnan(v) else f"{v:.1f}" for v in values)
 
 
-def report(samples: list[Sample], pictures: Path | None) -> None:
-    """Print one table row a sample and method, then the confusion of the labels over all samples."""
+def report(samples: Iterable[Sample], pictures: Path | None) -> None:
+    """Print one table row a sample and method, then all points pooled and the confusion of the labels."""
     print(f"\n| sample | points | method | {' | '.join(NAMES)} | CPU s | PQ building, plant, vehicle |")
     print("|---" * 10 + "|")
-    total = np.zeros((5, 5), dtype=np.int64)
-    means: list[NDArray[np.float64]] = []
+    total, matches = np.zeros((5, 5), dtype=np.int64), np.zeros((3, 2))
     for sample in samples:
         peers = {"plain rules": threshold_rules(sample.cloud), "CSF + plain": cloth_rules(sample.cloud)}
         start = time.process_time()
@@ -244,10 +247,10 @@ def report(samples: list[Sample], pictures: Path | None) -> None:
         spent = time.process_time() - start
         matrix = confusion(sample.truth, result.semantic)
         total += matrix
-        means.append(np.append(ious(matrix), panoptic(sample, result.semantic, instance)))
-        quality = ", ".join(f"{q:.0f}" for q in panoptic(sample, result.semantic, instance))
+        found_objects = panoptic(sample, result.semantic, instance)
+        matches += found_objects
         head = f"| {sample.name} | {len(sample.cloud)} |"
-        print(f"{head} ours | {row(ious(matrix))} | {spent:.1f} | {quality} |")
+        print(f"{head} ours | {row(ious(matrix))} | {spent:.1f} | {qualities(found_objects)} |")
         for name, found in peers.items():
             if found is None:
                 continue
@@ -259,18 +262,8 @@ def report(samples: list[Sample], pictures: Path | None) -> None:
             print(f"  {sample.name}: total error {filter_errors(sample, result)}")
         if pictures is not None:
             draw(sample, result, pictures / f"{sample.name.replace(' ', '_')}.png")
-    if len(samples) > 1:
-        print(f"| mean of {len(samples)} | | ours | {row(_mean(means))} |")
+    print(f"| all pooled | {total.sum()} | ours | {row(ious(total))} | | {qualities(matches)} |")
     print("confusion, rows true:\n" + str(total))
-
-
-def _mean(rows: list[NDArray[np.float64]]) -> NDArray[np.float64]:
-    """Column means over the rows that have a value; NaN where none has."""
-    table = np.array(rows)
-    known = np.isfinite(table)
-    return np.where(
-        known.any(axis=0), np.where(known, table, 0).sum(axis=0) / np.maximum(known.sum(axis=0), 1), np.nan
-    )
 
 
 def filter_errors(sample: Sample, result: SemanticResult) -> str:
@@ -427,6 +420,7 @@ def main() -> None:
     parser.add_argument(
         "--surveys", nargs="*", type=Path, default=[], help="outputs of subiaco simulate --maps-only"
     )
+    parser.add_argument("--epochs", nargs="*", default=["before", "after"], help="epochs of the surveys")
     parser.add_argument("--pictures", type=Path, help="folder for pictures of truth, labels and wrong points")
     parser.add_argument(
         "--millions", nargs="*", type=float, default=[0.25, 0.5, 1.0, 2.0, 4.0], help="sizes for speed"
@@ -439,7 +433,11 @@ def main() -> None:
         if name == "steps":
             draw_steps(simulated(arguments.surveys[0]), arguments.pictures / "semantics_steps.png")
             continue
-        samples = [simulated(p) for p in arguments.surveys] if name == "sim" else SETS[name]()
+        samples: Iterable[Sample]
+        if name == "sim":
+            samples = (simulated(p, e) for p in arguments.surveys for e in arguments.epochs)
+        else:
+            samples = SETS[name]()
         report(samples, arguments.pictures)
 
 

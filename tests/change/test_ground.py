@@ -112,6 +112,19 @@ def test_houses_fall_off_a_steep_hill_and_the_hill_stays(slope):
     assert residual[house].min() > 2
 
 
+def test_a_garden_behind_a_retaining_wall_is_ground_and_a_flat_roof_as_high_is_not():
+    rng = np.random.default_rng(8)
+    xy = rng.uniform(-25, 25, (40_000, 2))
+    bank = np.clip((xy[:, 1] - 5) * 0.2, 0, 2.4)  # a lane rises beside the garden to its level
+    garden = (abs(xy[:, 0]) < 9) & (xy[:, 1] > -4)
+    roof = (abs(xy[:, 0]) < 5) & (abs(xy[:, 1] + 15) < 4)
+    z = np.where(garden, 2.4, np.where(roof, 2.4, bank)) + rng.normal(0, 0.015, len(xy))
+    model = fit_ground(np.column_stack([xy, z]), GroundConfig())
+    above = z - model.height(xy)
+    assert abs(above[garden & (abs(xy[:, 0]) < 8) & (xy[:, 1] > -3)]).max() < 0.2
+    assert above[roof].min() > 2
+
+
 def test_ground_seen_through_gaps_in_leaves_is_kept_and_a_lone_ghost_below_is_not():
     rng = np.random.default_rng(6)
     xyz = plane(0.02, seed=6)

@@ -222,9 +222,8 @@ def attach_parts(xyz: Floats, core: Mask, free: Mask, foliage: Mask, config: Bui
     soft = foliage[loose]
     near = distance < np.where(soft, config.edge, config.attach)
     thing = voxel_clusters(xyz[loose[~soft]], config.touch)
-    touch = distance[~soft] < config.contact
-    part = (np.bincount(thing, near[~soft]) > 0.5 * np.bincount(thing)) & (np.bincount(thing, touch) > 0)
-    near[~soft] &= part[thing] | touch
+    part = np.bincount(thing, near[~soft]) > 0.5 * np.bincount(thing)
+    near[~soft] &= part[thing] | (distance[~soft] < config.contact)
     attached[loose[near]] = True
     return attached
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy import ndimage
 
+from subiaco_change.semantics.clustering import connect
 from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
@@ -46,6 +47,13 @@ class GroundConfig(StrictModel):
     refit_band: float = Field(0.30, gt=0, description="points this near the first surface refit it [m]")
     max_spread: float = Field(
         0.06, gt=0, description="spread of heights in a cell beyond which it is no ground [m]"
+    )
+    run_step: float = Field(0.1, ge=0, description="step between neighbouring cells of one surface [m]")
+    run_slope: float = Field(0.4, ge=0, description="and its slope [m/m]")
+    run_reach: float = Field(3.0, gt=0, description="farthest neighbours that are compared [m]")
+    run_area: float = Field(5.0, ge=0, description="least area of such a surface that is given back [m2]")
+    run_share: float = Field(
+        0.4, gt=0, le=1, description="share of its border at which it runs on from ground"
     )
     support: float = Field(
         4.0, gt=0, description="farthest a ground cell may be for a height to count as known [m]"
@@ -187,7 +195,40 @@ def _progressive_filter(lowest: Floats, config: GroundConfig) -> Mask:
         return first
     filled = fill_gaps(np.where(first, lowest, np.nan))
     slope = ndimage.gaussian_filter(filled, config.trend / config.cell, mode="nearest")
-    return _openings(lowest - slope, config)
+    return _run_on(lowest, _openings(lowest - slope, config), config)
+
+
+def _run_on(lowest: Floats, ground: Mask, config: GroundConfig) -> Mask:
+    """Give back to the ground cells what goes on from them without a step: banks, what walls retain.
+
+    Roofs and crowns end in steps all around; so does what stands on a hill, but for a part.
+    """
+    known = np.isfinite(lowest)
+    nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)
+    source = (nearest[0] * lowest.shape[1] + nearest[1]).astype(np.int64)
+    pairs = np.concatenate(
+        [
+            np.stack([source[:-1].ravel(), source[1:].ravel()]),
+            np.stack([source[:, :-1].ravel(), source[:, 1:].ravel()]),
+        ],
+        axis=1,
+    )
+    pairs = pairs[:, pairs[0] != pairs[1]]
+    pairs = np.unique(np.sort(pairs, axis=0), axis=1)
+    place = np.stack(np.divmod(pairs, lowest.shape[1]), axis=-1) * config.cell
+    apart = np.linalg.norm(place[0] - place[1], axis=1)
+    height, is_ground = lowest.ravel(), ground.ravel()
+    smooth = np.abs(height[pairs[0]] - height[pairs[1]]) < config.run_step + config.run_slope * apart
+    smooth &= apart < config.run_reach
+    inside = ~is_ground[pairs[0]] & ~is_ground[pairs[1]]
+    label = connect(lowest.size, pairs[:, inside & smooth].T)
+    border = is_ground[pairs[0]] != is_ground[pairs[1]]
+    outer = np.where(is_ground[pairs[0]], pairs[1], pairs[0])[border]
+    size = np.bincount(label, known.ravel() & ~is_ground)
+    touching = np.bincount(label[outer], minlength=len(size))
+    joined = np.bincount(label[outer], smooth[border], minlength=len(size))
+    runs = (size * config.cell**2 > config.run_area) & (joined > config.run_share * np.maximum(touching, 1))
+    return np.asarray(ground | (known & runs[label].reshape(ground.shape)))
 
 
 def _openings(lowest: Floats, config: GroundConfig) -> Mask:

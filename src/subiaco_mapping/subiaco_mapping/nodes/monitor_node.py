@@ -50,6 +50,7 @@ MARKER_INTERVAL = 2.0
 FILE_INTERVAL = 5.0
 OWN = "monitor: "
 RECORDER = "recorder"
+PATIENCE = 0.05
 _MOST_WAIT_NS = 10_000_000_000
 
 
@@ -140,8 +141,9 @@ class MonitorApp:
             node.create_timer(interval, handler, clock=steady)
 
     def step(self) -> float:
-        """Nothing to do between callbacks."""
-        return 0.1
+        """Take the packets that have arrived; at the executor's pace a busy machine would fall behind."""
+        self._subscriptions[LIDAR_PACKETS].drain()
+        return PATIENCE
 
     def close(self) -> None:
         """Leave complete files."""
@@ -170,7 +172,7 @@ class MonitorApp:
         timed = [
             (kind, topic, self._timed(handler), depth, raw) for kind, topic, handler, depth, raw in wanted
         ]
-        return follow_offers(self._node, timed)
+        return follow_offers(self._node, timed, apart=(LIDAR_PACKETS,))
 
     def _timed(self, handler: Callable[[Any], None]) -> Callable[[Any, Any], None]:
         """Let a handler know when its message reached this host, however long it waited for us."""

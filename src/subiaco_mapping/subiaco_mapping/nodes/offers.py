@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Sequence
 from dataclasses import dataclass
 from importlib import import_module
 from typing import Any
 
+from rclpy.callback_groups import CallbackGroup
 from rclpy.clock import Clock, ClockType
 from rclpy.duration import Duration
 from rclpy.node import Node
@@ -119,6 +120,23 @@ def message_class(msg_type: str) -> Any:
         raise InputError(f"{msg_type}: message package not found; install or source it") from error
 
 
+class Apart(CallbackGroup):
+    """Keeps subscriptions out of the executor, which would build its wait set anew for every message.
+
+    Measured at 1,280 packets a second: a third of a core through the executor, of which a tenth is reading.
+    """
+
+    def can_execute(self, entity: Any) -> bool:  # noqa: ARG002 - its interface
+        """Say that nothing of this group is to be waited for."""
+        return False
+
+
+def take_from(subscription: Subscription) -> Any | None:
+    """Take one message that has arrived with its info, None where there is none."""
+    with subscription.handle:
+        return subscription.handle.take_message(subscription.msg_type, subscription.raw)
+
+
 class OfferedSubscription:
     """Subscribe as soon as somebody publishes, and anew where the offer changes.
 
@@ -134,10 +152,19 @@ class OfferedSubscription:
     depth : int
     raw : bool
         Give serialised bytes.
+    apart : CallbackGroup, optional
+        Leave the messages to :meth:`drain`; the handler then takes the info too.
     """
 
     def __init__(
-        self, node: Node, kind: Any, topic: str, handler: Callable[..., None], depth: int, raw: bool = False
+        self,
+        node: Node,
+        kind: Any,
+        topic: str,
+        handler: Callable[..., None],
+        depth: int,
+        raw: bool = False,
+        apart: Apart | None = None,
     ) -> None:
         self._node = node
         self._kind = kind
@@ -145,6 +172,7 @@ class OfferedSubscription:
         self._handler = handler
         self._depth = depth
         self._raw = raw
+        self._apart = apart
         self._key: tuple[str, bool, bool] | None = None
         self._subscription: Subscription | None = None
         self.reliable = True
@@ -166,19 +194,42 @@ class OfferedSubscription:
         if not self.wrong_type:
             self.reliable = offer.reliable
             self._subscription = self._node.create_subscription(
-                self._kind, self._topic, self._handler, wanted_qos(offer, self._depth), raw=self._raw
+                self._kind,
+                self._topic,
+                self._handler,
+                wanted_qos(offer, self._depth),
+                callback_group=self._apart,
+                raw=self._raw,
             )
         return True
+
+    def drain(self) -> None:
+        """Hand on what has arrived, where the subscription is apart; at most what it holds."""
+        if self._apart is None or self._subscription is None:
+            return
+        for _ in range(self._depth):
+            taken = take_from(self._subscription)
+            if taken is None:
+                return
+            self._handler(*taken)
 
 
 #: Kind, our topic, handler, depth, raw.
 Wanted = tuple[Any, str, Callable[..., None], int, bool]
 
 
-def follow_offers(node: Node, wanted: Iterable[Wanted]) -> dict[str, OfferedSubscription]:
-    """Subscribe to topics as they are offered, looking again and again; return them by topic."""
+def follow_offers(
+    node: Node, wanted: Iterable[Wanted], apart: Collection[str] = ()
+) -> dict[str, OfferedSubscription]:
+    """Subscribe to topics as they are offered, looking again and again; return them by topic.
+
+    Those of ``apart`` are left to their ``drain``.
+    """
+    group = Apart() if apart else None
     found = {
-        topic: OfferedSubscription(node, kind, topic.lstrip("/"), handler, depth, raw)
+        topic: OfferedSubscription(
+            node, kind, topic.lstrip("/"), handler, depth, raw, group if topic in apart else None
+        )
         for kind, topic, handler, depth, raw in wanted
     }
 
