@@ -52,9 +52,25 @@ def recut_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
     return {field: np.concatenate(parts) for field, parts in columns.items()}
 
 
+def place_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
+    """Bring the points of a tile into the common frame, once for all that follows: ``xyz normals``."""
+    side: Side = params["side"]
+    piece = inputs[f"points/{side.epoch}/{params['tile']}"]
+    cloud = in_frame(piece["xyz"], side, load_frame(inputs, params["origin"]), piece["normals"])
+    return {"xyz": cloud.xyz, "normals": np.asarray(cloud.fields["normals"], dtype=np.float32)}
+
+
 def load_points(inputs: Inputs, side: Side, tile: str, params: Mapping[str, Any]) -> PointCloud:
-    """Points of a tile in the common frame, with normals, from ``points/<epoch>/<tile>`` and the frame."""
-    piece = inputs[f"points/{side.epoch}/{tile}"]
+    """Points of a tile in the common frame, with normals.
+
+    From ``placed/<epoch>/<tile>`` where they were brought there; else from ``points`` and the frame.
+    """
+    alias = f"{side.epoch}/{tile}"
+    if f"placed/{alias}" in inputs:
+        piece = inputs[f"placed/{alias}"]
+        normals = np.asarray(piece["normals"], dtype=np.float64)
+        return PointCloud(piece["xyz"], np.asarray(params["origin"]), side.crs, {"normals": normals})
+    piece = inputs[f"points/{alias}"]
     return in_frame(piece["xyz"], side, load_frame(inputs, params["origin"]), piece["normals"])
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from itertools import pairwise
 from typing import Any
 
@@ -25,6 +25,7 @@ from subiaco_change.tiled.placing import (
     tile_lods,
     tile_residuals,
 )
+from subiaco_change.tiled.recutting import place_tile
 from subiaco_change.tiled.registering import register_again
 from subiaco_change.tiled.table import Table, build_table
 from subiaco_geo.tiles import neighbours
@@ -33,8 +34,8 @@ from subiaco_geo.work.tasks import Function, Task
 #: Stages in their order; *compare* and what it rests on run twice where the registration is refined.
 STAGES = (
     "cut", "sight", "registration", "upright", "semantics", "objects", "recut", "heights", "bias",
-    "residuals", "warp", "displacements", "sigma", "lod", "links", "groups", "compare", "ground", "over",
-    "patches", "changed", "refine", "labels",
+    "residuals", "warp", "place", "displacements", "sigma", "lod", "links", "groups", "compare", "ground",
+    "over", "patches", "changed", "refine", "labels",
 )  # fmt: skip
 #: Slices of the configuration that each of the stages after *objects* reads.
 _READS = {
@@ -77,7 +78,12 @@ class Pass:
 
 @dataclass
 class CityRun(Epochs):
-    """The comparison of two epochs in tiles."""
+    """The comparison of two epochs in tiles.
+
+    ``placed``: keys of the tiles of *before* in the frame of the pass at hand.
+    """
+
+    placed: dict[str, str] = field(default_factory=dict)
 
     def compare(
         self, registration: str, changed: Mapping[str, str] | None, span: tuple[float, float]
@@ -86,12 +92,14 @@ class CityRun(Epochs):
         steps = np.linspace(*span, 11)
         spans = list(pairwise(steps.tolist()))
         frame = {"registration": registration}
+        self.placed = {}
         frame["bias"] = self._smooth("heights", tile_heights, "bias", find_bias, frame, spans[0])
         if self.config.placing.warp.enabled:
             more = changed or {}
             frame["warp"] = self._smooth(
                 "residuals", tile_residuals, "warp", find_warp, frame, spans[1], more
             )
+        self.placed = self._place(frame, spans[1])
         found = self._per_tile("displacements", tile_displacements, self._pair(frame, 1, changed), spans[2])
         sigma = self._reduce("sigma", find_sigma, "displacements", found, frame, spans[3])
         lod_inputs = {
@@ -111,6 +119,15 @@ class CityRun(Epochs):
             registration, frame, sigma, lods, compared, ground, patched, reach, patch_reach, table, key
         )
 
+    def _place(self, frame: Mapping[str, str], span: tuple[float, float]) -> dict[str, str]:
+        """Bring *before* into the frame; keys by tile."""
+        side = self.sides[0]
+        tasks = []
+        for tile, key in self.points["before"].items():
+            params = {"tile": tile, "side": side, "origin": self.origin}
+            tasks.append(Task("place", tile, place_tile, {**frame, f"points/before/{tile}": key}, params))
+        return self.bench.run(tasks, span)
+
     def _weaker(self) -> str:
         return max((side.kind for side in self.sides), key=_WEAKER.index)
 
@@ -121,6 +138,8 @@ class CityRun(Epochs):
             own = self.points[epoch]
             near = [tile, *neighbours(tile, own, rings)] if rings else [tile]
             inputs |= {f"points/{epoch}/{name}": own[name] for name in near if name in own}
+            if epoch == "before":
+                inputs |= {f"placed/before/{name}": self.placed[name] for name in near if name in self.placed}
         return inputs
 
     def _pair(

@@ -8,7 +8,7 @@ import json
 import resource
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from types import SimpleNamespace
@@ -18,7 +18,7 @@ import numpy as np
 from pydantic import BaseModel
 
 from subiaco_geo import __version__
-from subiaco_geo.work.store import Arrays, Store
+from subiaco_geo.work.store import Array, Arrays, Store
 
 #: A piece of work: the arrays it rests on, by alias, and its parameters -> the arrays it leaves.
 Function = Callable[["Inputs", Mapping[str, Any]], Arrays]
@@ -58,15 +58,37 @@ def _feed(digest: Any, value: Any) -> None:
         raise TypeError(f"{type(value).__name__} has no fingerprint")
 
 
+class _Once(Mapping[str, Array]):
+    """Arrays that are read from their file when first asked for, and kept."""
+
+    def __init__(self, arrays: Arrays) -> None:
+        self._arrays = arrays
+        self._read: dict[str, Array] = {}
+
+    def __getitem__(self, name: str) -> Array:
+        if name not in self._read:
+            self._read[name] = self._arrays[name]
+        return self._read[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._arrays)
+
+    def __len__(self) -> int:
+        return len(self._arrays)
+
+
 @dataclass(frozen=True)
 class Inputs:
-    """What a task rests on; ``inputs[alias]`` opens the arrays of a finished piece."""
+    """What a task rests on; ``inputs[alias]`` opens the arrays of a finished piece, each read once."""
 
     store: Store
     keys: Mapping[str, str]
+    _opened: dict[str, _Once] = field(default_factory=dict, repr=False, compare=False)
 
     def __getitem__(self, alias: str) -> Arrays:
-        return self.store.load(self.keys[alias])
+        if alias not in self._opened:
+            self._opened[alias] = _Once(self.store.load(self.keys[alias]))
+        return self._opened[alias]
 
     def get(self, alias: str) -> Arrays:
         """Return the arrays of a piece, or none at all where the task does not rest on it."""
