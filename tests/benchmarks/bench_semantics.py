@@ -336,9 +336,11 @@ def draw_steps(sample: Sample, path: Path, half: float = 30.0) -> None:
     }
     figure, axes = plt.subplots(2, 3, figsize=(18, 12), sharex=True, sharey=True)
     for axis, (title, values) in zip(axes.ravel(), shown.items(), strict=True):
-        axis.scatter(x, y, s=0.8, c=values, linewidths=0, cmap="tab20" if title[0] in "36" else "viridis")
+        colours = {"cmap": "tab20" if title[0] in "36" else "viridis"} if np.ndim(values) == 1 else {}
+        axis.scatter(x, y, s=0.8, c=values, linewidths=0, **colours)
         axis.set(title=title, aspect="equal")
     figure.tight_layout()
+    path.parent.mkdir(parents=True, exist_ok=True)
     figure.savefig(path, dpi=60)
     plt.close(figure)
 

@@ -144,6 +144,14 @@ def test_growth_and_cuts_have_the_truth_of_their_columns():
     assert scene.rows[0]["delta_h_m"] == pytest.approx(1.0, abs=0.2)
 
 
+def test_a_thing_of_which_only_the_top_was_seen_is_not_cut():
+    scene = edited()
+    roof = np.flatnonzero((scene.instance == 1) & (scene.xyz[:, 2] > 2.3))
+    assert not reshape(scene, roof, "vegetation", lambda p: cut_off(p, 0.5), "cut")
+    assert not scene.rows
+    assert not scene.gone.any()
+
+
 def test_what_is_cut_hides_nothing_and_what_has_grown_hides_what_its_new_part_covers():
     for change, hides in ((lambda p: cut_off(p, 0.4), False), (lambda p: grown(p, 1.6, LEAF), True)):
         scene = edited()

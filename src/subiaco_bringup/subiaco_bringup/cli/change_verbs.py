@@ -192,6 +192,13 @@ def evaluate(
         str | None,
         typer.Option(metavar="RUN", help="The one path is a folder in the published layout; score this run."),
     ] = None,
+    against: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="DIR",
+            help="What another method found, one for each pair: the difference and its interval over tiles.",
+        ),
+    ] = None,
     as_json: AsJson = False,
     verbose: Verbose = False,
     quiet: Quiet = False,
@@ -202,8 +209,8 @@ def evaluate(
 
     Example: subiaco evaluate out/change bags/demo -o out/evaluation
     """
+    from subiaco_change.evaluation.scoring import compare, evaluate_published
     from subiaco_change.evaluation.scoring import evaluate as score
-    from subiaco_change.evaluation.scoring import evaluate_published
     from subiaco_change.evaluation.writing import evaluation_markdown, write_evaluation
 
     set_up_logging(verbose, quiet)
@@ -212,7 +219,10 @@ def evaluate(
     elif published is not None or len(pairs) % 2:
         raise InputError("evaluate: give CHANGE_DIR and TRUTH in pairs, or one folder with --published")
     else:
-        result = score(list(zip(pairs[::2], pairs[1::2], strict=True)))
+        cases = list(zip(pairs[::2], pairs[1::2], strict=True))
+        result = score(cases)
+        if against:
+            result["against"] = compare(cases, against)
     if output is not None:
         write_evaluation(result, output)
     if as_json:

@@ -49,29 +49,29 @@ class Coefficients(StrictModel):
 class ConfidenceConfig(StrictModel):
     """Coefficients fitted on simulated surveys by ``scripts/calibrate_confidence.py``.
 
-    Some 20 wrong rows among 154 changed ones are too few to vouch for a
+    Some 25 wrong rows among 241 changed ones are few to vouch for a
     probability: ``held_out_ece`` says how far off it was on surveys left out.
     """
 
     fitted_on: str = Field(
-        "simulated default surveys, seeds 101 to 104, 14 s, fused maps, true registration;"
-        " 154 changed of 622 rows; 2026-11-21",
+        "simulated default surveys, seeds 101 to 103, 42 s, fused maps, true registration;"
+        " 241 changed of 857 rows; 2026-11-21",
         description="surveys, seeds, rows and date of the fit; empty says: judgements",
     )
     held_out_ece: float = Field(
-        0.060,
+        0.0504,
         ge=0,
         le=1,
         description="expected calibration error over changed rows of surveys left out of the fit",
     )
     single: Coefficients = Coefficients(
-        intercept=1.289, margin=0.0, observed=0.0, size=1.386, purity=1.203, solid=0.932
+        intercept=1.475, margin=0.229, observed=0.033, size=1.806, purity=1.506, solid=0.567
     )
     reshaped: Coefficients = Coefficients(
-        intercept=3.341, margin=0.128, observed=0.046, size=0.0, purity=0.057, solid=0.0
+        intercept=2.652, margin=0.370, observed=0.306, size=0.0, purity=0.117, solid=0.0
     )
     unchanged: Coefficients = Coefficients(
-        intercept=2.872, margin=-0.683, observed=1.076, size=0.510, purity=0.0, solid=-1.220
+        intercept=3.403, margin=-1.177, observed=0.276, size=1.038, purity=0.0, solid=-0.508
     )
 
     @property

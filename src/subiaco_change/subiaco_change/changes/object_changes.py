@@ -31,13 +31,15 @@ from subiaco_change.changes.objects import (
     looked_across,
 )
 from subiaco_change.changes.outline import compare_outlines
-from subiaco_change.changes.parts import part_things
+from subiaco_change.changes.parts import divided, part_things
+from subiaco_change.changes.sections import Section, moved_sections, section_labels
 from subiaco_change.changes.wings import built, find_wings
 from subiaco_change.records import ChangeRecord
 from subiaco_change.semantics.ground import Mask
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats, Ints
 
+_WHOLE = 0.75  # share of its columns from which on a hedge moved as a whole
 _CLAIMS = (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED)
 _BESIDE = 0.5  # so far beside a surface lies the next voxel of the visibility layer [m]
 Observed = Callable[[Floats], Mask]
@@ -101,6 +103,7 @@ def compare_objects(
         matches = associate(of_b, of_a, rules.association, tolerance)
         changes.extend(_decide(match, of_b, of_a, semantic, rules) for match in matches)
     changes = tell_apart(changes, rules)
+    changes = part_sections(changes, rules)
     changes = join_wings(changes, rules)
     return adopt_fragments(changes, things_b, things_a, rules.association, tolerance)
 
@@ -146,6 +149,55 @@ def tell_apart(changes: Sequence[ObjectChange], rules: ObjectRules) -> list[Obje
         told.extend(parts if len(labels) > 1 and not labels.isdisjoint(_CLAIMS) else [change])
         following += sum(len(p.before) + len(p.after) for p in parts)
     return told
+
+
+def part_sections(changes: Sequence[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
+    """Give the sections of hedges whose tops moved rows of their own, or the whole where nearly all did."""
+    if rules.association.parts.points == 0:
+        return list(changes)
+    following = 1 + max((t.instance for c in changes for t in (*c.before, *c.after)), default=0)
+    parted: list[ObjectChange] = []
+    for change in changes:
+        pieces = _sections(change, following, rules)
+        parted.extend(pieces)
+        following += sum(len(p.before) + len(p.after) for p in pieces)
+    return parted
+
+
+def _sections(change: ObjectChange, following: int, rules: ObjectRules) -> list[ObjectChange]:
+    if change.semantic is not Semantic.VEGETATION or not (change.before and change.after):
+        return [change]
+    limit = max(rules.decisions.vegetation.height, rules.decisions.lod_factor * change.lod)
+    sections, columns = moved_sections(change.before, change.after, limit)
+    if not sections:
+        return [change]
+    decisions = [_moved_top(section, limit) for section in sections]
+    if sum(len(s.xy) for s in sections) >= _WHOLE * len(columns):
+        largest = decisions[int(np.argmax([len(s.xy) for s in sections]))]
+        return [replace(change, decision=largest) if change.decision.change is Change.UNCHANGED else change]
+    sides: list[list[list[Thing]]] = []
+    for things in (change.before, change.after):
+        side: list[list[Thing]] = [[] for _ in range(len(sections) + 1)]
+        for thing in things:
+            numbers, labels = np.unique(section_labels(thing, sections, columns), return_inverse=True)
+            for number, piece in zip(numbers.tolist(), divided(thing, labels, following), strict=True):
+                side[number].append(piece)
+            following += len(numbers)
+        sides.append(side)
+    pieces = [
+        _decide(Match(_all(b), _all(a)), b, a, change.semantic, rules)
+        for b, a in zip(*sides, strict=True)
+        if b or a
+    ]
+    if len(pieces) <= len(sections) or not all(p.before and p.after for p in pieces):
+        return [change]
+    return [pieces[0], *(replace(p, decision=d) for p, d in zip(pieces[1:], decisions, strict=True))]
+
+
+def _moved_top(section: Section, limit: float) -> Decision:
+    change = Change.INCREASED if section.rise > 0 else Change.DECREASED
+    reason = f"top {section.rise:+.2f} m (gate {limit:.2f}) over {0.25 * len(section.xy):.0f} m2"
+    return Decision(change, reason, abs(section.rise) / limit)
 
 
 def _all(things: Sequence[Thing]) -> tuple[int, ...]:

@@ -56,6 +56,12 @@ def cell_keys(xy: Floats, config: GridConfig) -> Ints:
     return np.asarray((index[:, 0] << 31) | index[:, 1])
 
 
+def cell_centres(keys: Ints, config: GridConfig) -> Floats:
+    """Return the middles (M, 2) [m, world] of cells by their keys (M,)."""
+    index = np.column_stack([keys >> 31, keys & ((1 << 31) - 1)]) - _HALF
+    return (index + 0.5) * config.cell + [config.origin_x, config.origin_y]
+
+
 def cell_rule(counts: Ints, config: GridConfig) -> NDArray[np.uint8]:
     """Decide cells from point counts.
 

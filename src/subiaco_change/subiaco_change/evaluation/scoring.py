@@ -21,6 +21,7 @@ from subiaco_change.evaluation.layouts import (
     read_published_loops,
     scene_name,
 )
+from subiaco_change.evaluation.paired import paired_difference, tile_matrices
 from subiaco_change.evaluation.scores import (
     LABELS,
     bootstrap,
@@ -80,6 +81,7 @@ class SceneScore:
     points_left_out: int
     object_counts: dict[str, int] | None = None
     verdicts: pd.DataFrame | None = None
+    tiles: Ints | None = None
     registration: dict[str, float] | None = None
     trajectories: Mapping[str, dict[str, float]] | None = None
 
@@ -119,6 +121,39 @@ def evaluate(pairs: Sequence[tuple[Path, Path]], config: EvaluationConfig | None
     return {**origin, "simulations": plain(simulations), **plain(pool(found, settings))}
 
 
+def compare(
+    pairs: Sequence[tuple[Path, Path]], others: Sequence[Path], config: EvaluationConfig | None = None
+) -> dict[str, Any]:
+    """Compare what two methods said of the same truths: paired bootstrap over tiles of 80 m.
+
+    Parameters
+    ----------
+    pairs : sequence of (Path, Path)
+        As :func:`evaluate`.
+    others : sequence of Path
+        What the other method said, one for each pair.
+    config : EvaluationConfig, optional
+
+    Returns
+    -------
+    dict
+        See :func:`~subiaco_change.evaluation.paired.paired_difference`.
+    """
+    settings = config or EvaluationConfig()
+    if len(others) != len(pairs):
+        raise InputError(
+            f"--against: {len(others)} for {len(pairs)} pairs; give one for each, in their order"
+        )
+    found: tuple[list[Ints], list[Ints]] = ([], [])
+    for (said, truth_path), other in zip(pairs, others, strict=True):
+        truth = read_truth(truth_path)
+        real = in_after_frame(truth)
+        for path, tiles in zip((said, other), found, strict=True):
+            tiles.append(score_cells(read_prediction(path, truth), real, settings)[1])
+    first, second = (np.concatenate(tiles) for tiles in found)
+    return paired_difference(first, second, settings.draws, settings.seed)
+
+
 def evaluate_published(root: Path, run: str, config: EvaluationConfig | None = None) -> dict[str, Any]:
     """Score a run laid out like the published files, grids against grids."""
     settings = config or EvaluationConfig()
@@ -139,7 +174,7 @@ def score_scene(
 ) -> SceneScore:
     """Count everything on one scene."""
     real = in_after_frame(truth)
-    grid, decided, left_out = score_cells(prediction, real, config)
+    grid, tiles, decided, left_out = score_cells(prediction, real, config)
     points = objects.together(
         objects.transfer(prediction.before, real["before"], config.radius),
         objects.transfer(prediction.after, real["after"], config.radius),
@@ -160,6 +195,7 @@ def score_scene(
         int((~reported).sum()),
         counts,
         verdicts,
+        tiles,
         registration_error(prediction.registration, truth.T_after_before),
         score_trajectories(prediction.run, truth.trajectories, config.rpe_length),
     )
@@ -173,18 +209,20 @@ def _joined(real: Mapping[str, PointCloud]) -> PointCloud:
 
 def score_cells(
     prediction: Prediction, real: Mapping[str, PointCloud], config: EvaluationConfig
-) -> tuple[Ints, tuple[Floats, Floats], int]:
-    """Return the 5x6 matrix over cells, (right, confidence) of decided ones, and cells left out for 254."""
+) -> tuple[Ints, Ints, tuple[Floats, Floats], int]:
+    """Return the 5x6 matrix over cells, of tiles, (right, confidence) of decided ones, cells left out."""
     true = rasterise(*_stack(real["before"], real["after"])[:3], config.grid)
     xyz, change, epoch, confidence = _stack(prediction.before, prediction.after)
     said = rasterise(xyz, change, epoch, config.grid, confidence)
     labelled = true.codes < 5
     codes, trust = look_up(said, true.keys[labelled])
     kept = codes != Change.NOT_REPORTED
+    counted = np.where(kept, true.codes[labelled], Change.UNOBSERVED)
+    tiles = tile_matrices(true.keys[labelled], counted, codes, config.grid)
     truth_codes, codes, trust = true.codes[labelled][kept], codes[kept], trust[kept]
     decided = codes < 5
     right = (codes == truth_codes)[decided].astype(np.float64)
-    return confusion(truth_codes, codes), (right, trust[decided]), int((~kept).sum())
+    return confusion(truth_codes, codes), tiles, (right, trust[decided]), int((~kept).sum())
 
 
 def _stack(before: PointCloud, after: PointCloud) -> tuple[Floats, Ints, Ints, Floats]:

@@ -87,7 +87,7 @@ class Curve:
     count: int
     found: int
 
-    def probability(self, magnitude: Floats, lod: Floats | float) -> Floats:
+    def probability(self, magnitude: Floats | float, lod: Floats | float) -> Floats:
         """Return the probability for magnitudes at a level of detection [m]."""
         return np.asarray(expit(self.a + self.b * np.log(magnitude) + self.c * np.log(lod)))
 
@@ -98,7 +98,7 @@ class Curve:
         """
         with np.errstate(divide="ignore", over="ignore", invalid="ignore"):
             size = np.exp((logit(PROBABILITY) - self.a - self.c * np.log(lod)) / self.b)
-        always = self.probability(np.float64(self.tested[0]), lod) >= PROBABILITY
+        always = self.probability(self.tested[0], lod) >= PROBABILITY
         reached = np.where(size <= self.tested[1], np.maximum(size, self.tested[0]), np.nan)
         return np.asarray(np.where(always, self.tested[0], reached))
 

@@ -24,14 +24,14 @@ def draw_curves(path: Path, changes: pd.DataFrame, curves: dict[tuple[str, str],
     columns = min(3, max(1, len(groups)))
     lines = -(-len(groups) // columns)
     with mpl.rc_context({"font.size": 9}):
-        figure = Figure(figsize=(4.2 * columns, 3.0 * lines), layout="constrained")
+        figure = Figure(figsize=(3.6 * columns, 2.7 * lines), layout="constrained")
         FigureCanvasAgg(figure)
         axes = np.ravel(figure.subplots(lines, columns, squeeze=False))
         for axis, ((name, kind), part) in zip(axes, groups, strict=False):
             _panel(axis, str(name), str(kind), part, curves.get((str(name), str(kind))))
         for axis in axes[len(groups) :]:
             axis.set_axis_off()
-        figure.savefig(path, dpi=130)
+        figure.savefig(path, dpi=100)
 
 
 def _panel(axis: Any, name: str, kind: str, part: pd.DataFrame, curve: Curve | None) -> None:
@@ -46,7 +46,7 @@ def _panel(axis: Any, name: str, kind: str, part: pd.DataFrame, curve: Curve | N
         if np.isfinite(smallest):
             axis.axvline(smallest, color="#d62728", linestyle=":")
             said = f"95 % from {smallest:.2f} m"
-    axis.set_title(f"{name}, {'shift' if kind == 'shift' else 'put or taken away'}: {said}", fontsize=9)
+    axis.set_title(f"{name}, {'shift' if kind == 'shift' else 'put or taken away'}\n{said}", fontsize=9)
     axis.set_xlabel("shift in height [m]" if kind == "shift" else "height of the object [m]")
     axis.set_ylabel("found")
     axis.set_ylim(-0.05, 1.05)

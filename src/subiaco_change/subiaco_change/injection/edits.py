@@ -147,14 +147,19 @@ def _turned(donor: Donor, place: Floats, poses: Floats, random: np.random.Genera
     return np.asarray(donor.xyz @ np.array([[cosine, sine, 0.0], [-sine, cosine, 0.0], [0.0, 0.0, 1.0]]))
 
 
-def reshape(edited: Edited, members: Ints, kind: str, change: Callable[[Floats], Floats], event: str) -> None:
-    """Replace the points of an object by others about its foot; the truth is measured on its columns."""
+def reshape(edited: Edited, members: Ints, kind: str, change: Callable[[Floats], Floats], event: str) -> bool:
+    """Replace the points of an object by others about its foot; the truth is measured on its columns.
+
+    False, and nothing is done, where hardly a point would be left: what was seen of it is its top alone.
+    """
     semantic = Semantic(int(edited.semantic[members[0]]))
     before = edited.xyz[members]
     foot = np.append(before[:, :2].mean(axis=0), edited.site.ground_below(before[:, :2]))
     if np.isnan(foot[2]):
         foot[2] = before[:, 2].min()
     after = change(before - foot) + foot
+    if len(after) < edited.config.min_points // 4:
+        return False
     rise, volume, share = compare_columns(before - foot, after - foot)
     rule: ClassRules = getattr(edited.config.decisions, semantic.label)
     label = _decide(rise, share, rule)
@@ -164,6 +169,7 @@ def reshape(edited: Edited, members: Ints, kind: str, change: Callable[[Floats],
     source = members[nearest]
     edited.stand(Put(after, source, number, semantic, label, after[distance > _SAME]))
     _row(edited, kind, semantic, label, event, before, delta_h_m=rise, delta_v_m3=volume)
+    return True
 
 
 def grown(xyz: Floats, factor: float, leaf: float) -> Floats:

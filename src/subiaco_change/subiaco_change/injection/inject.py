@@ -184,10 +184,10 @@ def _edit(edited: Edited, donors: list[Donor]) -> dict[str, int]:
         is_plant = edited.semantic[members[0]] == Semantic.VEGETATION
         factor = 1.0 + random.uniform(*config.growth)
         taller = partial(grown_plant if is_plant else grown, factor=factor, leaf=config.leaf)
-        reshape(edited, members, _kind(edited, members), taller, "grown")
+        left["grown"] += not reshape(edited, members, _kind(edited, members), taller, "grown")
     for members in draw(solid, config.cut, "cut"):
         shorter = _shorter(edited, members, random.uniform(*config.cutting))
-        reshape(edited, members, _kind(edited, members), shorter, "cut")
+        left["cut"] += not reshape(edited, members, _kind(edited, members), shorter, "cut")
     for members in draw(movable, config.moved, "moved"):
         donor = _donor(edited, members, 1.0)
         take_away(edited, members, donor.kind)

@@ -134,7 +134,7 @@ def _between(xyz: Floats, points: Ints, config: InjectionConfig, random: np.rand
     rows = np.arange(len(points))
     alone = ~np.isfinite(distance[rows, pick])
     other = np.where(alone, points, neighbours[rows, pick])
-    share = random.uniform(-1.0, 1.0, len(points)) * reach / np.where(alone, 1.0, distance[rows, pick])
+    share = random.uniform(-1.0, 1.0, len(points)) * reach / np.maximum(distance[rows, pick], 1e-6)
     return np.asarray(np.clip(share, -1.0, 1.0)[:, None] * (xyz[other] - xyz[points]))
 
 

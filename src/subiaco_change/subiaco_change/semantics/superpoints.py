@@ -69,14 +69,13 @@ def partition(features: Floats, neighbours: NDArray[np.int32], config: Superpoin
     """
     edges = graph_edges(neighbours[:, : config.neighbours + 1])
     weights = edge_weights(features, edges, config.sigma)
-    order = value_orders(features)
     regions = _Regions(np.arange(len(features)), features, edges, weights)
     for step in range(config.rounds):
         eta = config.strength * 2.0 ** (step + 1 - config.rounds)
-        regions = _merge_round(features, regions, eta, order)
+        regions = _merge_round(features, regions, eta)
     labels, one = regions.labels, np.zeros(len(features), dtype=np.int64)
     merged = _energy(features, labels, regions.models, edges, weights * config.strength)
-    whole = float(np.abs(features - region_medians(features, one, order)).sum())
+    whole = float(np.abs(features - region_medians(features, one)).sum())
     single = float(config.strength * weights.sum())
     energies = [merged, whole, single]
     best = [labels, one, np.arange(len(features))][int(np.argmin(energies))]
@@ -129,32 +128,43 @@ def _energy(features: Floats, labels: Ints, models: Floats, edges: Ints, prices:
     return float(np.abs(features - models[labels]).sum() + prices[cut].sum())
 
 
-def region_medians(features: Floats, labels: Ints, order: Ints | None = None) -> Floats:
-    """Lower median features (R, F) of regions 0..R-1, exact for the L1 term; ``order`` as of value_orders."""
-    order = value_orders(features) if order is None else order
-    return _medians(features, labels, order, np.bincount(labels))
-
-
-def value_orders(features: Floats) -> Ints:
-    """Order (F, N) of the points by each feature; which of equal values comes first does not matter."""
-    return np.argsort(np.ascontiguousarray(features.T), axis=1)
+def region_medians(features: Floats, labels: Ints) -> Floats:
+    """Lower median features (R, F) of regions 0..R-1, exact for the L1 term."""
+    return _medians(features, labels, np.bincount(labels))
 
 
 @numba.njit(cache=True)
-def _medians(features: Floats, labels: Ints, order: Ints, counts: Ints) -> Floats:
+def _medians(features: Floats, labels: Ints, counts: Ints) -> Floats:
+    """Gather the points region by region, and select within each."""
+    starts = np.zeros(len(counts) + 1, dtype=np.int64)
+    starts[1:] = np.cumsum(counts)
+    filled = starts.copy()
+    order = np.empty(len(labels), dtype=np.int64)
+    for i in range(len(labels)):
+        order[filled[labels[i]]] = i
+        filled[labels[i]] += 1
     medians = np.empty((len(counts), features.shape[1]))
-    for f in range(features.shape[1]):
-        met = np.zeros(len(counts), dtype=np.int64)
-        for position in range(len(labels)):
-            i = order[f, position]
-            region = labels[i]
-            if met[region] == (counts[region] - 1) // 2:
-                medians[region, f] = features[i, f]
-            met[region] += 1
+    values = np.empty(counts.max())
+    for region in range(len(counts)):
+        first, size = starts[region], counts[region]
+        middle = (size - 1) // 2
+        for f in range(features.shape[1]):
+            if size > 32:
+                for k in range(size):
+                    values[k] = features[order[first + k], f]
+                medians[region, f] = np.partition(values[:size], middle)[middle]
+                continue
+            for k in range(size):  # few: sorted as they come
+                value, slot = features[order[first + k], f], k
+                while slot > 0 and values[slot - 1] > value:
+                    values[slot] = values[slot - 1]
+                    slot -= 1
+                values[slot] = value
+            medians[region, f] = values[middle]
     return medians
 
 
-def _merge_round(features: Floats, regions: _Regions, eta: float, order: Ints) -> _Regions:
+def _merge_round(features: Floats, regions: _Regions, eta: float) -> _Regions:
     """Merge regions while the energy at this eta falls; boundaries are summed beforehand."""
     pairs, boundary, models = regions.pairs, regions.boundary, regions.models
     if len(pairs) == 0:
@@ -169,7 +179,7 @@ def _merge_round(features: Floats, regions: _Regions, eta: float, order: Ints) -
     renamed = number[roots]
     labels = renamed[regions.labels]
     pairs, boundary = _sum_boundaries(renamed[pairs], boundary)
-    return _Regions(labels, region_medians(features, labels, order), pairs, boundary)
+    return _Regions(labels, region_medians(features, labels), pairs, boundary)
 
 
 @numba.njit(cache=True)

@@ -31,7 +31,7 @@ def split_row(xy: Floats, height: Floats, config: ProfileConfig) -> Ints:
     row = np.floor((across - across.min()) / config.cell).astype(np.int64)
     surface = np.full((slot.max() + 1, row.max() + 1), -np.inf)
     np.maximum.at(surface, (slot, row), height)
-    top = surface.max(axis=1)
+    top = np.maximum(surface.max(axis=1), 0.0)  # nothing seen: no house
     steps = [p for p in level_steps(top, config).tolist() if _depth_steps(surface, p, config)]
     return part_slots(slot, np.array([*_dips(top, config), *steps], dtype=np.int64), config)
 

@@ -1,0 +1,90 @@
+"""Sections of a hedge that grew or were trimmed, where two hedges or more are one instance."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from subiaco_change.changes.objects import Thing
+from subiaco_geo.frames import Floats, Ints
+
+_CELL = 0.5  # columns whose tops are compared [m]
+_LOW = 3.0  # tops of higher plants are seen from below: they say little [m]
+_CELLS = 6  # least columns of a section
+_LENGTH = 1.5  # and least length [m]
+_SEEN = 0.5  # share of its moved surface that the other epoch must have observed
+
+
+@dataclass(frozen=True)
+class Section:
+    """Columns whose tops moved alike: their middles (C, 2) [m] and the median rise [m]."""
+
+    xy: Floats
+    rise: float
+
+
+def moved_sections(
+    before: Sequence[Thing], after: Sequence[Thing], threshold: float
+) -> tuple[list[Section], Floats]:
+    """Find where tops of a low plant moved by over a threshold [m]; and all columns compared (C, 2)."""
+    heights = np.concatenate([t.voxels.height for t in (*before, *after)])
+    if np.quantile(heights, 0.98) > _LOW:
+        return [], np.zeros((0, 2))
+    clouds = [np.concatenate([t.xyz for t in things]) for things in (before, after)]
+    corner = np.floor(np.concatenate(clouds)[:, :2].min(axis=0) / _CELL).astype(np.int64) - 1
+    last = np.floor(np.concatenate(clouds)[:, :2].max(axis=0) / _CELL).astype(np.int64) + 1
+    shape = tuple((last - corner + 1).tolist())
+    tops = [_tops(xyz, corner, shape) for xyz in clouds]
+    rise = _smooth(tops[1] - tops[0])
+    sections = []
+    for sign in (1.0, -1.0):
+        labels, count = ndimage.label(np.nan_to_num(sign * rise, nan=0.0) > threshold, np.ones((3, 3)))
+        for number in range(1, count + 1):
+            cells = np.argwhere(labels == number)
+            if len(cells) < _CELLS or (np.ptp(cells, axis=0).max() + 1) * _CELL < _LENGTH:
+                continue
+            xy = (cells + corner + 0.5) * _CELL
+            if _observed(after if sign > 0 else before, xy, tops[int(sign < 0)], cells):
+                sections.append(Section(xy, float(np.median(rise[labels == number]))))
+    known = np.argwhere(np.isfinite(rise))
+    return sections, (known + corner + 0.5) * _CELL
+
+
+def _tops(xyz: Floats, corner: Ints, shape: tuple[int, ...]) -> Floats:
+    index = np.floor(xyz[:, :2] / _CELL).astype(np.int64) - corner
+    tops = np.full(shape, -np.inf)
+    np.maximum.at(tops, (index[:, 0], index[:, 1]), xyz[:, 2])
+    return np.where(np.isfinite(tops), tops, np.nan)
+
+
+def _smooth(rise: Floats) -> Floats:
+    """Median over 3 by 3 columns, of at least four that are known."""
+    padded = np.pad(rise, 1, constant_values=np.nan)
+    rows, columns = rise.shape
+    stack = np.stack([padded[i : i + rows, j : j + columns] for i in range(3) for j in range(3)])
+    enough = np.isfinite(rise) & (np.isfinite(stack).sum(axis=0) >= 4)
+    smooth = np.full(rise.shape, np.nan)
+    smooth[enough] = np.nanmedian(stack[:, enough], axis=0)
+    return smooth
+
+
+def _observed(things: Sequence[Thing], xy: Floats, other_tops: Floats, cells: Ints) -> bool:
+    """Tell whether the other epoch looked where the surface of this one stands above its tops."""
+    voxels = np.concatenate([t.voxels.xyz for t in things])
+    seen = np.concatenate([t.voxels.seen for t in things])
+    distance, slot = cKDTree(xy).query(voxels[:, :2], distance_upper_bound=_CELL)
+    inside = np.isfinite(distance)
+    above = voxels[inside, 2] > other_tops[tuple(cells[slot[inside]].T)] + 0.1
+    return bool(above.any() and seen[inside][above].mean() >= _SEEN)
+
+
+def section_labels(thing: Thing, sections: Sequence[Section], columns: Floats) -> Ints:
+    """Section (M,) of every voxel of a thing, counted from 1; 0 for what did not move."""
+    owner = np.zeros(len(columns), dtype=np.int64)
+    for number, section in enumerate(sections, start=1):
+        owner[np.isfinite(cKDTree(section.xy).query(columns, distance_upper_bound=1e-6)[0])] = number
+    return owner[cKDTree(columns).query(thing.voxels.xyz[:, :2])[1]]

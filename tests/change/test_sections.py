@@ -1,0 +1,67 @@
+"""Hedges that are one instance, of which a part grew or was trimmed."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_measures import block, voxels
+
+from subiaco_change.changes.association import AssociationConfig
+from subiaco_change.changes.decisions import Decision, DecisionConfig
+from subiaco_change.changes.measures import MeasureConfig, measure
+from subiaco_change.changes.object_changes import ObjectChange, ObjectRules, part_sections
+from subiaco_change.changes.objects import Thing
+from subiaco_change.changes.sections import moved_sections
+from subiaco_geo.codes import Change, Semantic
+
+RULES = ObjectRules(MeasureConfig(), AssociationConfig(), DecisionConfig())
+
+
+def hedge(pieces, seed, seen=True):
+    """Boxes (x from, x to, height), 1 m wide, leaves 0.1 m apart with 2 cm of noise."""
+    rng = np.random.default_rng(seed)
+    solid = [block((a, 0, 0), (b, 1, h), 0.1) for a, b, h in pieces]
+    xyz = np.concatenate(solid) + rng.normal(0, 0.02, (sum(map(len, solid)), 3))
+    cells = voxels(np.concatenate([block((a, 0, 0), (b, 1, h)) for a, b, h in pieces]))
+    held = replace(cells, seen=np.full(len(cells), seen))
+    return Thing(0, Semantic.VEGETATION, 0.8, np.arange(len(xyz)), held, 0.05, xyz)
+
+
+def decided(before, after):
+    measures = measure(before.voxels, after.voxels, MeasureConfig())
+    whole = Decision(Change.UNCHANGED, "as a whole", 0.5)
+    change = ObjectChange((before,), (after,), Semantic.VEGETATION, "one_to_one", measures, whole)
+    return part_sections([change], RULES)
+
+
+@pytest.mark.parametrize(("height", "label"), [(1.1, Change.DECREASED), (2.0, Change.INCREASED)])
+def test_the_half_of_a_hedge_whose_top_moved_is_a_row_of_its_own(height, label):
+    before, after = hedge([(0, 12, 1.5)], 1), hedge([(0, 6, 1.5), (6, 12, height)], 2)
+    rest, moved = decided(before, after)
+    assert (rest.decision.change, moved.decision.change) == (Change.UNCHANGED, label)
+    assert f"top {height - 1.5:+.1f}" in moved.decision.reason
+    assert before.xyz[moved.points("before"), 0].min() > 5.4
+    assert before.xyz[rest.points("before"), 0].max() < 6.6
+    together = np.concatenate([c.points("before") for c in (rest, moved)])
+    assert np.array_equal(np.sort(together), before.points)
+
+
+def test_a_hedge_that_moved_as_a_whole_stays_one_row():
+    found = decided(hedge([(0, 8, 1.5)], 1), hedge([(0, 8, 1.95)], 2))
+    assert [c.decision.change for c in found] == [Change.INCREASED]
+
+
+@pytest.mark.parametrize("height", [1.5, 1.7], ids=["the same", "under the threshold"])
+def test_noise_and_little_growth_part_nothing(height):
+    found = decided(hedge([(0, 12, 1.5)], 1), hedge([(0, 6, 1.5), (6, 12, height)], 2))
+    assert [c.decision.change for c in found] == [Change.UNCHANGED]
+
+
+def test_a_top_that_the_other_epoch_never_looked_at_is_no_section():
+    before, after = hedge([(0, 12, 1.5)], 1, seen=False), hedge([(0, 6, 1.5), (6, 12, 1.0)], 2)
+    assert moved_sections([before], [after], 0.3)[0] == []
+
+
+def test_tops_of_trees_are_not_compared():
+    before, after = hedge([(0, 6, 5.0)], 1), hedge([(0, 3, 5.0), (3, 6, 4.4)], 2)
+    assert moved_sections([before], [after], 0.3)[0] == []
