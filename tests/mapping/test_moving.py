@@ -14,7 +14,7 @@ from subiaco_geo.clouds import PointCloud, voxel_keys
 from subiaco_mapping.config import FusionConfig, MovingConfig
 from subiaco_mapping.finishing import FinishedMap, MapFusion
 from subiaco_mapping.fusion import VoxelAccumulator, add_scan, fused_cloud
-from subiaco_mapping.moving import moving_points, turn_keys
+from subiaco_mapping.moving import moving_points, on_the_floor, turn_keys
 from subiaco_mapping.projection import Projection
 from subiaco_mapping.tiles import TileRuns, tile_corner, tile_numbers, tiles_around
 
@@ -72,6 +72,15 @@ def test_evidence_needs_a_sure_place_beside_it() -> None:
     assert not moving_points(xyz, np.full(40, 20.0), config).any()
     passed = np.where(np.arange(40) < 20, 100.0, 1.0)
     np.testing.assert_array_equal(moving_points(xyz, passed, config), np.arange(40) < 20)
+
+
+def test_the_floor_is_the_lowest_of_its_surroundings_on_a_slope_too() -> None:
+    x, y = (axis.ravel() for axis in np.meshgrid(np.arange(-4, 4, 0.25), np.arange(-4, 4, 0.25)))
+    road = np.column_stack([x, y, 0.05 * x])
+    car = road[(np.abs(x) < 2) & (np.abs(y) < 0.9)] + [0.0, 0.0, 0.3]
+    found = on_the_floor(np.vstack([road, car]), 0.15)
+    np.testing.assert_array_equal(found, np.arange(len(found)) < len(road))
+    assert on_the_floor(np.zeros((0, 3)), 0.15).shape == (0,)
 
 
 @given(st.integers(0, 2**32 - 1), st.integers(0, 500))

@@ -191,6 +191,7 @@ class MovingConfig(StrictModel):
         "surely moved; of 4096 beams walked a turn or fewer, averaged over neighbours [1]",
     )
     touching: float = Field(4.0, gt=1, description="the same beside a place that surely moved [1]")
+    floor: float = Field(0.15, ge=0, description="what is no higher above the lowest around it stays [m]")
     neighbours: int = Field(9, ge=2, description="map points that are averaged, the point itself included")
     reach: float = Field(1.0, gt=0, le=5, description="within this distance [m]")
 

@@ -16,7 +16,7 @@ from subiaco_geo.frames import Floats, transform_points
 from subiaco_geo.visibility import VisibilityGrid
 from subiaco_mapping.config import FusionConfig
 from subiaco_mapping.fusion import VoxelStatistics, neighbour_distance, oriented_normals, walked_beams
-from subiaco_mapping.moving import REFERENCE_BEAMS, moving_points, turn_keys
+from subiaco_mapping.moving import REFERENCE_BEAMS, moving_points, on_the_floor, turn_keys
 from subiaco_mapping.projection import Projection
 from subiaco_mapping.spool import SpooledScan
 from subiaco_mapping.tiles import (
@@ -152,8 +152,8 @@ class MapFusion:
         around, config = self._around(tile), self._config
         xyz = around.found.mean
         lonely = neighbour_distance(xyz, config.outlier_neighbours, self._reach, threads)[: around.own]
-        moved = moving_points(xyz, self._passed(xyz), config.moving)[: around.own]
-        np.savez(self._folder / f"judged_{tile}.npz", lonely=lonely, moved=moved)
+        moved = moving_points(xyz, self._passed(xyz), config.moving) & ~on_the_floor(xyz, config.moving.floor)
+        np.savez(self._folder / f"judged_{tile}.npz", lonely=lonely, moved=moved[: around.own])
         return np.array([around.own, lonely.sum(), (lonely**2).sum()])
 
     def _passed(self, xyz: Floats) -> Floats:

@@ -2,7 +2,8 @@
 
 A car that passes fills a voxel for some turns; before and after, beams go through it. Wires, poles, fences
 and leaves let beams through too, but return some of them turn after turn. So passes are counted against
-the *turns* that brought a return, not against the returns, and are averaged over the neighbours.
+the *turns* that brought a return, not against the returns, and are averaged over the neighbours. The lowest
+of a place stays: the road shares neighbours with the cars on it, but does not drive.
 """
 
 from __future__ import annotations
@@ -10,6 +11,7 @@ from __future__ import annotations
 import numba
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import minimum_filter
 from scipy.spatial import cKDTree
 
 from subiaco_geo.clouds import voxel_indices, voxel_keys
@@ -18,6 +20,7 @@ from subiaco_mapping.config import MovingConfig
 
 #: Walked beams a turn up to which the limits of :class:`MovingConfig` hold; passes of more are scaled down.
 REFERENCE_BEAMS = 4096.0
+_CELL = 0.5  # in plan, within which and around which the lowest is looked for [m]
 
 
 @numba.njit(cache=True)
@@ -64,3 +67,15 @@ def moving_points(xyz: Floats, passed: Floats, config: MovingConfig) -> NDArray[
     mean = (evidence[index] * near).sum(axis=1) / near.sum(axis=1)
     surest = np.where(near, mean[index], -np.inf).max(axis=1)
     return np.asarray((mean > np.log(config.touching)) & (surest > np.log(config.sure)))
+
+
+def on_the_floor(xyz: Floats, height: float) -> NDArray[np.bool_]:
+    """Mark points (N, 3) that lie less than ``height`` above the lowest around them [m]."""
+    if len(xyz) == 0:
+        return np.zeros(0, dtype=np.bool_)
+    cell = np.floor(xyz[:, :2] / _CELL).astype(np.int64)
+    cell -= cell.min(axis=0)
+    lowest = np.full(cell.max(axis=0) + 1, np.inf)
+    np.minimum.at(lowest, (cell[:, 0], cell[:, 1]), xyz[:, 2])
+    around = minimum_filter(lowest, 3, mode="nearest")
+    return np.asarray(xyz[:, 2] - around[cell[:, 0], cell[:, 1]] < height)
