@@ -62,7 +62,7 @@ def survey(shared_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Surve
     write_kitti_bag(read_kitti(shared_data / "kitti_scans"), folder / "kitti")
     words = ["graph", "mapping", str(folder / "kitti"), "-o", str(folder / "map")]
     # as the reference was made: point to point, the motion inside the scans left in them
-    for setting in ("deskewed=true", "odometry.refine=false", "odometry.convergence=5e-4"):
+    for setting in ("deskewed=true", "odometry.refine=false", "odometry.convergence=0.0005"):
         words += ["--set", setting]
     assert run(words) == 0
     return read_map(folder / "map")
