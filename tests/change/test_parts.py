@@ -9,7 +9,7 @@ from test_measures import block, voxels, walls
 from subiaco_change.changes.apart import pieces_apart
 from subiaco_change.changes.association import AssociationConfig
 from subiaco_change.changes.decisions import DecisionConfig
-from subiaco_change.changes.object_changes import drove_by
+from subiaco_change.changes.object_changes import drove_by, lies_flat
 from subiaco_change.changes.objects import Thing, Voxels
 from subiaco_change.changes.parts import PartConfig, part_things
 from subiaco_change.changes.wings import built, find_wings
@@ -170,3 +170,21 @@ def test_a_roof_over_its_walls_and_a_small_fragment_are_no_bodies_of_their_own()
     low, high = (thing([(block((0, 0, z), (4, 4, z + 2)), True)]) for z in (0, 2))
     crumb = thing([(block((5, 0, 0), (5.5, 0.5, 0.5)), True)])
     assert len(pieces_apart([low], [low, high, crumb], AssociationConfig(), 9)) == 1
+
+
+@pytest.mark.parametrize(
+    ("semantic", "height", "flat"),
+    [(Semantic.OTHER, 0.5, True), (Semantic.OTHER, 1.5, False), (Semantic.MOBILE, 0.5, False)],
+    ids=["a strip of new paving", "a bench", "a car's floor"],
+)
+def test_what_lies_flat_and_has_no_class_is_left_to_the_ground(semantic, height, flat):
+    slab = thing([(block((0, 0, 0), (8, 2, height)), False)])
+    decision = lies_flat(semantic, [slab])
+    assert (decision is not None) == flat
+    assert decision is None or decision.change is Change.NOT_REPORTED
+
+
+def test_a_low_wall_does_not_lie_flat():
+    wall = thing([(block((0, 0, 0), (8, 0.5, 0.5)), False)])
+    sideways = replace(wall.voxels, normal=np.tile([0.0, 1.0, 0.0], (len(wall.voxels), 1)))
+    assert lies_flat(Semantic.OTHER, [replace(wall, voxels=sideways)]) is None

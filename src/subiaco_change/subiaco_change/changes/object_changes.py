@@ -39,6 +39,8 @@ from subiaco_change.semantics.ground import Mask
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats, Ints
 
+_FLAT_TOP = 0.6  # highest top of what may be ground raised or laid on it [m]
+_LEVEL = 0.75  # mean upward part of its normals
 _WHOLE = 0.75  # share of its columns from which on a hedge moved as a whole
 _CLAIMS = (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED)
 _BESIDE = 0.5  # so far beside a surface lies the next voxel of the visibility layer [m]
@@ -295,11 +297,21 @@ def _decide(
     lod = max(t.lod for t in (*before, *after))
     decision = decide(semantic, bool(before), bool(after), measures, lod, rules.decisions)
     if decision.change in (Change.ADDED, Change.REMOVED):
-        own = rules.own[0] if before else rules.own[1]
-        decision = (
-            drove_by((*before, *after), _looked_through((*before, *after), own), rules.decisions) or decision
-        )
+        things = (*before, *after)
+        through = _looked_through(things, rules.own[0] if before else rules.own[1])
+        decision = lies_flat(semantic, things) or drove_by(things, through, rules.decisions) or decision
     return ObjectChange(before, after, semantic, match.kind, measures, decision)
+
+
+def lies_flat(semantic: Semantic, things: Sequence[Thing]) -> Decision | None:
+    """Leave a low, level thing of no class to the ground's comparison: it is ground told wrong."""
+    voxels = _join(things)
+    if semantic is not Semantic.OTHER or float(np.quantile(voxels.height, 0.95)) > _FLAT_TOP:
+        return None
+    level = float(np.abs(voxels.normal[:, 2]).mean())
+    if level < _LEVEL:
+        return None
+    return Decision(Change.NOT_REPORTED, "lies flat on the ground, which is compared by itself", 1.0)
 
 
 def drove_by(things: Sequence[Thing], through: float, rules: DecisionConfig) -> Decision | None:
