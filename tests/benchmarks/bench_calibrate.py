@@ -15,7 +15,7 @@ knows the map of *before* alone: it does what ``subiaco calibrate`` does to one 
 take the epochs as registered. ``tell`` compares, on the rows of the reporting pairs (seeds below 100), the
 calibration error of confidences fitted to the truth of the tuning pairs (100 and above) with those
 fitted to the copies of that very street; and tries the smallest change stated from copies of seeds below
-1000 on the copies of seeds from 1000 on.
+1000 on the copies of seeds from 1000 on, and the other way round.
 """
 
 from __future__ import annotations
@@ -118,10 +118,11 @@ def tell(folder: Path) -> None:
             name = f"{part['survey'].iloc[0]}, {label}"
             print(f"| {name} | {len(part)} | {right.mean():.3f} | {errors[0]:.3f} | {errors[1]:.3f} |")
     every = pd.concat([v["changes"] for v in found.values()], ignore_index=True)
-    stated, fresh = every[every["copy"] < FRESH], every[every["copy"] >= FRESH]
-    curves = fit_curves(stated)
-    print(smallest_table(stated, curves).to_string(index=False))
-    print(statement(fresh, curves).to_string(index=False))
+    halves = every[every["copy"] < FRESH], every[every["copy"] >= FRESH]
+    for stated, fresh in (halves, halves[::-1]):
+        curves = fit_curves(stated)
+        print(smallest_table(stated, curves).to_string(index=False))
+        print(statement(fresh, curves).to_string(index=False))
 
 
 def _read(path: Path) -> dict[str, pd.DataFrame]:
