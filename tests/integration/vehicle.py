@@ -1,6 +1,6 @@
 """A vehicle for tests: plays a bag as drivers (or ``ros2 bag play --clock``) would, knowing nothing of ours.
 
-    python vehicle.py BAG [--listeners N] [--mute TOPIC FROM] [--save DIR] [--rate R] [--ros-args ...]
+    python vehicle.py BAG [--listeners N] [--mute TOPIC FROM TO] [--save DIR] [--rate R] [--ros-args ...]
 
 Messages go out at the pace of their log times (a fraction of it, for busy machines) with the quality
 that such publishers offer, whoever listens; nobody's counts are waited for. At the end it waits
@@ -81,9 +81,10 @@ class Vehicle:
             self.spin(0.05)
         return bool(condition())
 
-    def play(self, mute: str | None, mute_from: float, rate: float) -> None:
+    def play(self, mute: tuple[str | None, float, float], rate: float) -> None:
         begun, start = time.monotonic(), self._reader.start_ns
         due_clock = 0.0
+        topic, since, until = mute
         for message in self._reader.messages():
             seconds = (message.log_time_ns - start) * 1e-9
             while (ahead := seconds / rate - (time.monotonic() - begun)) > 0 or seconds >= due_clock:
@@ -91,7 +92,7 @@ class Vehicle:
                     self.tell(start + int(due_clock * 1e9))
                     due_clock += 1.0 / CLOCK_HZ
                 self.spin(min(ahead, 1.0 / CLOCK_HZ))
-            if not (message.topic == mute and seconds >= mute_from):
+            if not (message.topic == topic and since <= seconds < until):
                 self._out[message.topic].publish(message.raw)
 
     def tell(self, time_ns: int) -> None:
@@ -109,7 +110,7 @@ class Vehicle:
 def main() -> int:
     parser = argparse.ArgumentParser()
     parser.add_argument("bag", type=Path)
-    parser.add_argument("--mute", nargs=2, metavar=("TOPIC", "FROM"), default=(None, "0"))
+    parser.add_argument("--mute", nargs=3, metavar=("TOPIC", "FROM", "TO"), default=(None, "0", "0"))
     parser.add_argument("--save")
     parser.add_argument("--listeners", type=int, default=2)
     parser.add_argument("--rate", type=float, default=0.5)
@@ -120,7 +121,7 @@ def main() -> int:
         if not vehicle.wait(lambda: vehicle.heard(given.listeners), 60.0):
             sys.stderr.write("nobody listens\n")
             return 1
-        vehicle.play(given.mute[0], float(given.mute[1]), given.rate)
+        vehicle.play((given.mute[0], float(given.mute[1]), float(given.mute[2])), given.rate)
         vehicle.wait(lambda: vehicle.caught_up(reader.end_ns), 90.0)
         count = len(vehicle.paths[-1].poses) if vehicle.paths else 0
         sys.stdout.write(f"path {count} of {len(vehicle.paths)} messages\n")

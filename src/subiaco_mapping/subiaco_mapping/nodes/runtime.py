@@ -229,7 +229,7 @@ def run_node(name: str, build: Callable[[Node], App], argv: Sequence[str] | None
     except SubiacoError as error:  # at the end: interrupted, there is no node any more that could log it
         sys.stderr.write(f"[FATAL] {error}\n")
         return error.exit_code
-    except RCLError:
+    except RuntimeError:  # an RCLError, or what a call that the end of the context cut short makes of itself
         if rclpy.ok():
             raise
         return INTERRUPTED
