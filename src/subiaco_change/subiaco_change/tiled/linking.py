@@ -37,8 +37,8 @@ def tile_links(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
     Returns
     -------
     arrays
-        ``across`` (E, 2), objects of *before* and *after* within reach; ``before after`` (F, 2),
-        buildings of one epoch that may be house and wing. For each epoch ``<epoch>_objects``
+        ``across`` (E, 2), objects of *before* and *after* within reach; ``before after`` (F, 2), a
+        building and another object of one epoch that may be its wing. For each epoch ``<epoch>_objects``
         (K,), those with points in the tile, and ``<epoch>_sums`` (K, 8): points, sums of x, y,
         z, least and largest x and y, in the common frame.
     """
@@ -53,10 +53,15 @@ def tile_links(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
     result["across"] = _unique(np.concatenate([forward, backward[:, ::-1]]))
     for side, (places, numbers, own) in zip(params["sides"], loaded, strict=True):
         united = inputs[f"united/{side.epoch}"]["semantic"]
-        house = np.flatnonzero(united[numbers] == Semantic.BUILDING) if len(numbers) else numbers
-        flat, of, inside = _columns(places[house], numbers[house], own[house], config.measures.voxel)
-        pairs = _near(flat[inside], of[inside], flat, of, touch)
-        result[side.epoch] = pairs[pairs[:, 0] != pairs[:, 1]]
+        flat, of, inside = _columns(places, numbers, own, config.measures.voxel)
+        house = united[of] == Semantic.BUILDING if len(of) else inside
+        pairs = np.concatenate(
+            [
+                _near(flat[inside & house], of[inside & house], flat, of, touch),
+                _near(flat[inside], of[inside], flat[house], of[house], touch),
+            ]
+        )
+        result[side.epoch] = _unique(pairs[pairs[:, 0] != pairs[:, 1]])
         result |= _sums(inputs, side, params)
     return result
 
