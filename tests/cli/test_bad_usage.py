@@ -146,10 +146,20 @@ def test_an_interruption_leaves_nothing(refused, bag, tmp_path, monkeypatch):
     refused(["map", bag, "-o", tmp_path / "out"], "interrupted", "nothing was left", code=130)
 
 
-def test_an_interruption_while_writing_leaves_nothing(refused, good, tmp_path, monkeypatch):
+def test_an_interrupted_run_leaves_its_stages_and_goes_on_from_there(
+    command, good, tmp_path, monkeypatch, caplog
+):
     monkeypatch.setattr("subiaco_change.outputs.directory.build_report", interrupt)
     options = ["--registration", "identity", "--set", "leaf=0.5"]
-    refused(["change", good, good, "-o", tmp_path / "out", *options], "interrupted", code=130)
+    run = ["change", good, good, "-o", tmp_path / "out", "--workers", "1", *options]
+    stopped = command(*run)
+    assert stopped.code == 130
+    assert stopped.err.splitlines()[-1].startswith("subiaco: interrupted")
+    assert "the same command goes on from there" in caplog.text
+    assert {path.name for path in tmp_path.iterdir()} == {"good.ply", "out.stages"}
+    monkeypatch.undo()
+    assert command(*run).code == 0
+    assert {path.name for path in tmp_path.iterdir()} == {"good.ply", "out"}
 
 
 def test_an_interruption_while_simulating_leaves_nothing(refused, tmp_path, monkeypatch):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import logging
 import shutil
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
@@ -30,6 +31,7 @@ from subiaco_geo.work.bench import Workbench, stages_from
 from subiaco_geo.work.executors import make_executor
 from subiaco_geo.work.store import DiskStore
 
+_LOG = logging.getLogger(__name__)
 Taken = TypeVar("Taken")
 _JUMP = 20.0  # longer steps between scans lead from one recording to the next [m]
 _DATED = np.datetime64("2000-01-01")
@@ -76,6 +78,9 @@ def workbench(
         yield Workbench(DiskStore(kept.absolute()), executor, progress, redo)
     except (InputError, RegistrationError):
         _forget(work, kept)  # the same input would fail again
+        raise
+    except KeyboardInterrupt:
+        _LOG.warning("stopped; what is finished is in %s, and the same command goes on from there", kept)
         raise
     finally:
         executor.close()
