@@ -104,6 +104,7 @@ def compare_objects(
         of_a = [t for t in things_a if t.semantic is semantic]
         matches = associate(of_b, of_a, rules.association, tolerance)
         changes.extend(_decide(match, of_b, of_a, semantic, rules) for match in matches)
+    changes = part_company(changes, rules)
     changes = tell_apart(changes, rules)
     changes = part_sections(changes, rules)
     changes = join_wings(changes, rules)
@@ -135,6 +136,34 @@ def join_wings(changes: list[ObjectChange], rules: ObjectRules) -> list[ObjectCh
         before, after = ([t for part in parts for t in getattr(part, e)] for e in ("before", "after"))
         joined[host] = _decide(Match(_all(before), _all(after)), before, after, Semantic.BUILDING, rules)
     return [change for i, change in enumerate(joined) if i not in wings]
+
+
+def part_company(changes: Sequence[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
+    """Take what was matched and hardly overlaps for two things: one is slight, the other came or went.
+
+    A fence that a house was built around lies inside the house, and is no house.
+    """
+    told: list[ObjectChange] = []
+    for change in changes:
+        alone = [change]
+        sizes = [sum(len(t.voxels) for t in things) for things in (change.before, change.after)]
+        slight = 0 < min(sizes) < rules.association.parts.remainder * max(sizes)
+        if slight and change.measures.iou <= _least_overlap(change.semantic, rules):
+            b, a = change.before, change.after
+            alone = [
+                _decide(Match(_all(b), ()), b, (), change.semantic, rules),
+                _decide(Match((), _all(a)), (), a, change.semantic, rules),
+            ]
+        fared = {part.decision.change for part in alone}
+        told.extend(alone if fared & {Change.ADDED, Change.REMOVED} else [change])
+    return told
+
+
+def _least_overlap(semantic: Semantic, rules: ObjectRules) -> float:
+    """Overlap up to which two matched objects of a class are not compared; -1 where they always are."""
+    if semantic is Semantic.BUILDING:
+        return rules.decisions.building.min_iou
+    return rules.decisions.vegetation.min_iou if semantic is Semantic.VEGETATION else -1.0
 
 
 def tell_apart(changes: Sequence[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
