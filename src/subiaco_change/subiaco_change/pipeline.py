@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,6 +14,7 @@ from subiaco_change.config import ChangeConfig
 from subiaco_change.observation.placing import block_table, stated_registration
 from subiaco_change.records import ChangeRecord, ChangeResult, GroundChange, Registration, TiledResult
 from subiaco_change.registration.pair import PairInfo
+from subiaco_change.tiled.cutting import EPOCHS
 from subiaco_change.tiled.framing import field_of, load_frame
 from subiaco_change.tiled.placing import load_sigma
 from subiaco_change.tiled.run import CityRun, Pass
@@ -24,7 +26,6 @@ from subiaco_geo.tiles import tile_named
 from subiaco_geo.work.bench import Progress, Workbench
 from subiaco_geo.work.tasks import Inputs
 
-_EPOCHS = ("before", "after")
 _LABELS = ("change", "semantic", "instance", "confidence", "lod95", "normals")
 
 
@@ -113,11 +114,11 @@ def _assemble(run: CityRun, found: Pass, labelled: Mapping[str, str], info: Pair
         run.sides[1].crs,
         _with_operation(registration, info),
         _raster(run, labelled),
-        run.bench.seconds(),
         info.warnings,
         block_table(sigma, frame),
         run.bench.costs(),
-        lambda: ((_tile(run, labelled, "before", t), _tile(run, labelled, "after", t)) for t in tiles),
+        tiles,
+        partial(_tile, run, labelled),
     )
 
 
@@ -140,7 +141,7 @@ def _tile(run: CityRun, labelled: Mapping[str, str], epoch: str, tile: str) -> P
     own = run.points[epoch]
     if run.lit[epoch]:
         fields["intensity"] = run.load(own[tile])["intensity"] if tile in own else np.zeros(0, np.float32)
-    side = run.sides[_EPOCHS.index(epoch)]
+    side = run.sides[EPOCHS.index(epoch)]
     return PointCloud(piece[f"{epoch}_xyz"], run.origin, side.crs, fields)
 
 

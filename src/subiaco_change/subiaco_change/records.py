@@ -144,28 +144,43 @@ class ChangeResult:
         """Yield both clouds part by part, places together: here all at once."""
         yield self.before, self.after
 
+    def epoch(self, name: str) -> Iterator[PointCloud]:
+        """Yield the cloud of one epoch, ``before`` or ``after``, part by part; parts hold points."""
+        cloud: PointCloud = getattr(self, name)
+        if len(cloud):
+            yield cloud
+
 
 @dataclass(frozen=True)
 class TiledResult:
     """Everything that a run in tiles found; as :class:`ChangeResult`, its clouds tile by tile.
 
-    ``costs``: by stage, see :meth:`subiaco_geo.work.bench.Workbench.costs`. ``tiles`` yields both
-    clouds of every tile, every time it is called; either may be empty there.
+    ``costs``: by stage, see :meth:`subiaco_geo.work.bench.Workbench.costs`. ``tile`` reads the
+    cloud of an epoch in one of ``tiles``; it may be empty.
     """
 
     records: tuple[ChangeRecord, ...]
     crs: str | None
     registration: Registration
     ground: GroundChange | None
-    seconds: Mapping[str, float]
     warnings: tuple[str, ...]
     blocks: pd.DataFrame | None
     costs: Mapping[str, Mapping[str, float]]
-    tiles: Callable[[], Iterator[tuple[PointCloud, PointCloud]]]
+    tiles: Sequence[str]
+    tile: Callable[[str, str], PointCloud]
+
+    @property
+    def seconds(self) -> dict[str, float]:
+        """Processor seconds of every stage."""
+        return {stage: cost["cpu_s"] for stage, cost in self.costs.items()}
 
     def parts(self) -> Iterator[tuple[PointCloud, PointCloud]]:
         """Yield both clouds of every tile."""
-        return self.tiles()
+        return ((self.tile("before", name), self.tile("after", name)) for name in self.tiles)
+
+    def epoch(self, name: str) -> Iterator[PointCloud]:
+        """Yield the cloud of one epoch, ``before`` or ``after``, of every tile where it holds points."""
+        return (cloud for tile in self.tiles if len(cloud := self.tile(name, tile)))
 
     def whole(self) -> ChangeResult:
         """Put the tiles together in memory."""

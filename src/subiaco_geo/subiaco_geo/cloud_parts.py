@@ -42,7 +42,11 @@ def cloud_parts(path: Path, fields: tuple[str, ...] = (), size: int = PART) -> I
         yield from las_parts(path, fields, size)
     elif suffix == ".ply" and path.is_file() and path.stat().st_size:
         for part in ply_parts(path, size):
-            yield replace(part, fields={name: part.fields[name] for name in fields if name in part.fields})
+            yield with_only(part, fields)
     else:
-        whole = read_cloud(path)
-        yield replace(whole, fields={name: whole.fields[name] for name in fields if name in whole.fields})
+        yield with_only(read_cloud(path), fields)
+
+
+def with_only(cloud: PointCloud, fields: tuple[str, ...]) -> PointCloud:
+    """Return a cloud with those of some fields that it has."""
+    return replace(cloud, fields={name: cloud.fields[name] for name in fields if name in cloud.fields})

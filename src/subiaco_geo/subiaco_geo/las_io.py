@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import laspy
@@ -37,23 +38,27 @@ def read_las(path: Path) -> PointCloud:
     InputError
         Not a LAS file, cut or damaged, empty, NaN coordinates, or an unknown CRS.
     """
-    try:
+    with _faults_named(path):
         _refuse_impossible(path)
         with laspy.open(path) as reader:
             expected = int(reader.header.point_count)
             if reader.header.are_points_compressed:
                 _refuse_impossible_chunks(path, reader.header)
             las = reader.read()
-    except _FAULTS as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"{path}: cut or not a LAS/LAZ file ({reason}); copy or export it again") from error
-    if len(las.points) < expected:
-        raise InputError(
-            f"{path}: cut: {len(las.points)} of {expected} points are there; copy or export it again"
-        )
+    _check_whole(path, len(las.points), expected)
     columns: dict[str, Column] = {axis: np.asarray(getattr(las, axis), np.float64) for axis in "xyz"}
     columns |= _fields(las)
     return cloud_from_columns(path, columns, _crs(path, las.header))
+
+
+@contextmanager
+def _faults_named(path: Path) -> Iterator[None]:
+    """Turn whatever a damaged file may do to the libraries into one line that names it."""
+    try:
+        yield
+    except _FAULTS as error:
+        reason = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{path}: cut or not a LAS/LAZ file ({reason}); copy or export it again") from error
 
 
 def las_parts(path: Path, fields: tuple[str, ...], size: int) -> Iterator[PointCloud]:
@@ -65,7 +70,7 @@ def las_parts(path: Path, fields: tuple[str, ...], size: int) -> Iterator[PointC
         As :func:`read_las`; what is cut is found when its end is reached.
     """
     found = 0
-    try:
+    with _faults_named(path):
         _refuse_impossible(path)
         with laspy.open(path) as reader:
             expected, crs = int(reader.header.point_count), _crs(path, reader.header)
@@ -77,9 +82,10 @@ def las_parts(path: Path, fields: tuple[str, ...], size: int) -> Iterator[PointC
                 columns |= {name: np.asarray(points[name]) for name in present}
                 found += len(points)
                 yield cloud_from_columns(path, columns, crs)
-    except _FAULTS as error:
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise InputError(f"{path}: cut or not a LAS/LAZ file ({reason}); copy or export it again") from error
+    _check_whole(path, found, expected)
+
+
+def _check_whole(path: Path, found: int, expected: int) -> None:
     if found < expected:
         raise InputError(f"{path}: cut: {found} of {expected} points are there; copy or export it again")
 

@@ -199,13 +199,19 @@ def load_epoch(path: Path, trajectory: Path | None = None) -> SurveyMap:
     trajectory : Path, optional
         TUM file that says where the sensor went; replaces the map's own.
     """
+    path = existing_epoch(path)
+    survey = read_map(path, with_last=False) if (path / "map.yaml").is_file() else _read_bare(path)
+    return survey if trajectory is None else replace(survey, trajectory=read_tum(Path(trajectory)))
+
+
+def existing_epoch(path: Path) -> Path:
+    """Refuse a map or cloud that is not there."""
     path = Path(path)
     if not path.exists():
         raise InputError(
             f"{path}: no such map or cloud; give a map directory or a .ply, .las, .laz or .pcd file"
         )
-    survey = read_map(path, with_last=False) if (path / "map.yaml").is_file() else _read_bare(path)
-    return survey if trajectory is None else replace(survey, trajectory=read_tum(Path(trajectory)))
+    return path
 
 
 def _read_bare(path: Path) -> SurveyMap:
@@ -256,12 +262,17 @@ def cloud_of(path: Path) -> Path:
 
 def _read_map_cloud(directory: Path, info: Mapping[str, Any]) -> PointCloud:
     cloud = read_cloud(cloud_of(directory))
-    if cloud.crs != info.get("crs"):
-        raise InputError(
-            f"{directory}: map.yaml says CRS {info.get('crs')}, the cloud says {cloud.crs}; rebuild the map"
-        )
+    check_map_crs(directory, info, cloud.crs)
     origin = _origin_of(directory, info)
     return cloud if origin is None else cloud.rebased(origin)
+
+
+def check_map_crs(directory: Path, info: Mapping[str, Any], crs: str | None) -> None:
+    """Refuse a map whose cloud is in another CRS than ``map.yaml`` says."""
+    if crs != info.get("crs"):
+        raise InputError(
+            f"{directory}: map.yaml says CRS {info.get('crs')}, the cloud says {crs}; rebuild the map"
+        )
 
 
 def _origin_of(directory: Path, info: Mapping[str, Any]) -> list[float] | None:

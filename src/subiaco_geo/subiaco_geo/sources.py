@@ -9,11 +9,18 @@ from typing import Any, Protocol
 
 import numpy as np
 
-from subiaco_geo.cloud_parts import cloud_parts
+from subiaco_geo.cloud_parts import cloud_parts, with_only
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
-from subiaco_geo.maps import PoseUncertainty, SurveyMap, cloud_of, read_map_head
+from subiaco_geo.maps import (
+    PoseUncertainty,
+    SurveyMap,
+    check_map_crs,
+    cloud_of,
+    existing_epoch,
+    read_map_head,
+)
 from subiaco_geo.simulated import distinct, simulation_of
 from subiaco_geo.trajectories import Trajectory, read_tum
 from subiaco_geo.visibility import VisibilityGrid, visibility_parts
@@ -99,9 +106,7 @@ class LoadedEpoch:
 
     def clouds(self, fields: tuple[str, ...]) -> Iterator[PointCloud]:
         """Yield all points."""
-        cloud = self.survey.cloud
-        chosen = {name: cloud.fields[name] for name in fields if name in cloud.fields}
-        yield PointCloud(cloud.xyz, cloud.origin, cloud.crs, chosen)
+        yield with_only(self.survey.cloud, fields)
 
     def beams(self) -> Iterator[VisibilityGrid]:
         """Yield all counts of beams."""
@@ -143,20 +148,14 @@ def open_epoch(path: Path, trajectory: Path | None = None) -> EpochFiles:
     InputError
         Missing, or damaged as far as it was looked at.
     """
-    path = Path(path)
-    if not path.exists():
-        raise InputError(
-            f"{path}: no such map or cloud; give a map directory or a .ply, .las, .laz or .pcd file"
-        )
+    path = existing_epoch(path)
     head = read_map_head(path)
     cloud = cloud_of(path)
     first = next(cloud_parts(cloud, (), 1000), None)
     if first is None:
         raise InputError(f"{cloud}: the cloud is empty; give a cloud with points")
-    if "crs" in head.info and first.crs != head.info["crs"]:
-        raise InputError(
-            f"{path}: map.yaml says CRS {head.info['crs']}, the cloud says {first.crs}; rebuild the map"
-        )
+    if "crs" in head.info:
+        check_map_crs(path, head.info, first.crs)
     known = head.info.get("origin")
     origin = np.asarray(first.origin if known is None else known, dtype=np.float64)
     beams = path / "visibility.npz"

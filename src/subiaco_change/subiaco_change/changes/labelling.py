@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import shapely.affinity
@@ -13,7 +13,6 @@ from scipy.spatial import cKDTree
 from scipy.special import ndtr
 
 from subiaco_change.changes.ground_change import GroundComparison, GroundPatch, patch_points
-from subiaco_change.changes.object_changes import ObjectChange
 from subiaco_change.changes.objects import EpochView
 from subiaco_change.observation.evidence import EvidenceConfig, ground_observed
 from subiaco_change.records import ChangeRecord
@@ -37,33 +36,6 @@ class Labels:
     def fields(self) -> dict[str, NDArray[np.generic]]:
         """Return the fields by name."""
         return {name: getattr(self, name) for name in self.__dataclass_fields__}
-
-
-def label_epoch(
-    view: EpochView,
-    epoch: str,
-    objects: Sequence[ObjectChange],
-    records: Sequence[ChangeRecord],
-    ground: GroundComparison | None,
-    seen_by_other: Callable[[Floats], Mask],
-    evidence: EvidenceConfig,
-    other: EpochView,
-) -> Labels:
-    """Label the points of one epoch, ``before`` or ``after``; ``other`` is the other one.
-
-    Points of an object carry its label; points of a ground patch the patch's;
-    the others are Unchanged where the other epoch observed the place, else
-    Unobserved.
-    """
-    labels = unlabelled(view)
-    for item, record in zip(objects, records, strict=True):
-        members = item.points(epoch)
-        labels.change[members], labels.semantic[members] = record.change, record.semantic
-        labels.instance[members], labels.confidence[members] = record.object_id, record.confidence
-    known = other.xyz[other.semantic == Semantic.GROUND]
-    ids = [] if ground is None else [len(records) + k for k in range(len(ground.patches))]
-    label_rest(view, labels, ground, ids, seen_by_other, evidence, known)
-    return labels
 
 
 def unlabelled(view: EpochView) -> Labels:
@@ -146,33 +118,6 @@ def _label_ground(
 def patch_confidence(dz: float, lod: float, threshold: float = 0.15) -> float:
     """Probability that the difference exceeds the threshold, LoD95 being 1.96 standard deviations."""
     return float(ndtr((abs(dz) - threshold) / max(lod / 1.96, 0.01)))
-
-
-def ground_records(
-    ground: GroundComparison | None,
-    views: tuple[EpochView, EpochView],
-    origin: Floats,
-    first_id: int,
-    evidence: str,
-) -> list[ChangeRecord]:
-    """Rows of the table for the changed ground patches, in world coordinates."""
-    if ground is None:
-        return []
-    counts = [np.bincount(patch_points(ground, v) + 1, minlength=len(ground.patches) + 1)[1:] for v in views]
-    records = []
-    for number, patch in enumerate(ground.patches):
-        inside = (patch_points(ground, views[1]) == number).nonzero()[0]
-        z = float(np.median(views[1].xyz[inside, 2])) if len(inside) else math.nan
-        record = patch_record(patch, origin, z, evidence)
-        records.append(
-            replace(
-                record,
-                object_id=first_id + number,
-                n_before=int(counts[0][number]),
-                n_after=int(counts[1][number]),
-            )
-        )
-    return records
 
 
 def patch_record(patch: GroundPatch, origin: Floats, z: float, evidence: str) -> ChangeRecord:

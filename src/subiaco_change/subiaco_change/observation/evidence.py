@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from typing import Literal, Protocol
 
@@ -251,6 +251,12 @@ def _spaced(positions: Floats, spacing: float) -> Floats:
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
     _, first = np.unique(np.floor(way / spacing), return_index=True)
     return positions[first]
+
+
+def weakest(kinds: Iterable[Kind]) -> Kind:
+    """Return the weakest of some kinds of evidence."""
+    order: tuple[Kind, ...] = ("observed", "trajectory", "shadow", "assumed")
+    return max(kinds, key=order.index)
 
 
 def evidence_kind(has_beams: bool, trajectory: Trajectory | None, config: EvidenceConfig) -> Kind:

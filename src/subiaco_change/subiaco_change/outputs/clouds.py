@@ -80,7 +80,7 @@ def _check_codes(values: NDArray[np.generic], name: str, allowed: list[int]) -> 
 
 def write_labelled(
     directory: Path, epoch: str, parts: Callable[[], Iterator[PointCloud]], *, ellipsoidal: bool = False
-) -> None:
+) -> int:
     """Write ``<epoch>_labelled.ply`` and ``.laz``; the LAZ adds ASPRS ``classification``.
 
     Parameters
@@ -92,6 +92,11 @@ def write_labelled(
         Yields the cloud part by part, every time it is called.
     ellipsoidal : bool
         Lets the LAZ state its heights as ellipsoidal: only where that is known.
+
+    Returns
+    -------
+    int
+        Points written.
 
     Raises
     ------
@@ -111,6 +116,7 @@ def write_labelled(
             cloud = labelled_cloud(part)
             codes = asprs_lookup()[cloud.fields["semantic"].astype(np.int64)]
             stream.append(cloud.with_fields(classification=codes))
+    return count
 
 
 def read_labelled(directory: Path, epoch: str) -> PointCloud:

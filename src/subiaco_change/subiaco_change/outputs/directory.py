@@ -4,17 +4,15 @@ from __future__ import annotations
 
 import logging
 import platform
-import resource
-import sys
 import warnings
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
 import geopandas as gpd
-import numpy as np
 import pandas as pd
 
 from subiaco_change.outputs import table as outputs_table
@@ -38,8 +36,8 @@ from subiaco_change.outputs.style import embed_styles
 from subiaco_change.records import ChangeResult, Registration, TiledResult
 from subiaco_change.report.page import build_report
 from subiaco_geo.atomic import refuse_existing, refuse_foreign, whole_directory
-from subiaco_geo.clouds import PointCloud
 from subiaco_geo.config import StrictModel, config_hash, write_config
+from subiaco_geo.work.tasks import peak_mib
 
 __all__ = ["ChangeDirectory", "ChangeInputs", "read_change_directory", "rebuild", "write_change_directory"]
 
@@ -108,16 +106,14 @@ def _versions() -> dict[str, str]:
     return found
 
 
-def peak_memory_mib() -> float:
-    """Return the largest resident memory of this process so far [MiB]."""
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak / 1024.0 if sys.platform != "darwin" else peak / 1024.0**2
-
-
 def run_document(
-    result: ChangeResult | TiledResult, config: StrictModel, inputs: ChangeInputs, table: pd.DataFrame
+    result: ChangeResult | TiledResult,
+    config: StrictModel,
+    inputs: ChangeInputs,
+    table: pd.DataFrame,
+    points: Mapping[str, int],
 ) -> dict[str, Any]:
-    """Return the content of ``run.json``."""
+    """Return the content of ``run.json``; ``points`` by epoch."""
     sources = {"before": inputs.before, "after": inputs.after}
     return {
         "table_hash": outputs_table.table_hash(table),
@@ -129,11 +125,11 @@ def run_document(
         },
         "notes": dict(inputs.notes),
         "crs": result.crs,
-        "points": _points(result),
+        "points": dict(points),
         "confidence_calibrated": inputs.calibrated,
         "seconds": dict(result.seconds),
         "stages": dict(result.costs) if isinstance(result, TiledResult) else {},
-        "peak_memory_mib": peak_memory_mib(),
+        "peak_memory_mib": peak_mib(),
         "warnings": list(result.warnings),
     }
 
@@ -189,8 +185,10 @@ def write_change_directory(
         embed_styles(
             target / "changes.gpkg", ("coverage",) if inputs.lots is None else ("coverage", "parcels")
         )
-        for e, epoch in enumerate(("before", "after")):
-            write_labelled(target, epoch, _epoch(result, e), ellipsoidal=inputs.ellipsoidal)
+        points = {
+            epoch: write_labelled(target, epoch, partial(result.epoch, epoch), ellipsoidal=inputs.ellipsoidal)
+            for epoch in ("before", "after")
+        }
         if result.ground is not None:
             write_ground_change(target / "ground_change.tif", result.ground, crs)
         write_coverage(target / "coverage.tif", coverage, crs)
@@ -200,7 +198,7 @@ def write_change_directory(
             result.blocks.to_csv(target / "registration_blocks.csv", index=False, float_format="%.4f")
         write_json(target / "registration.json", registration_document(result.registration, crs))
         write_config(target / "config.yaml", config)
-        write_json(target / "run.json", run_document(result, config, inputs, table))
+        write_json(target / "run.json", run_document(result, config, inputs, table, points))
         write_project(target, crs, coverage.bounds)
         build_report(target)
 
@@ -225,16 +223,6 @@ def rebuild(directory: Path) -> Path:
         change = read_change_directory(directory)
         write_project(directory, change.run["crs"], build_coverage(change.before, change.after).bounds)
     return page
-
-
-def _epoch(result: ChangeResult | TiledResult, e: int) -> Callable[[], Iterator[PointCloud]]:
-    """Parts of one epoch that hold points, to be gone through as often as wanted."""
-    return lambda: (pair[e] for pair in result.parts() if len(pair[e]))
-
-
-def _points(result: ChangeResult | TiledResult) -> dict[str, int]:
-    counts = np.sum([[len(before), len(after)] for before, after in result.parts()], axis=0)
-    return {"before": int(counts[0]), "after": int(counts[1])}
 
 
 def write_layer(package: Path, name: str, frame: gpd.GeoDataFrame) -> None:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -32,9 +31,6 @@ class PairInfo:
         Its accuracy as PROJ states it [m].
     beams_crs : str or None
         CRS in which the visibility layer of *before* still lives, where it is another.
-    before_to_own : callable or None
-        Brings world points (N, 3) of the pair's CRS back to the CRS in which
-        the visibility layer of *before* still lives.
     warnings : tuple of str
     """
 
@@ -42,16 +38,20 @@ class PairInfo:
     operation: str = "none"
     accuracy_m: float = 0.0
     beams_crs: str | None = None
-    before_to_own: Callable[[Floats], Floats] | None = None
     warnings: tuple[str, ...] = ()
 
 
 def _check_cloud(name: str, cloud: PointCloud) -> None:
     if len(cloud) == 0:
         raise InputError(f"{name}: the cloud is empty; check the file")
+    check_finite(cloud, f"{name}: ")
+
+
+def check_finite(cloud: PointCloud, who: str = "") -> None:
+    """Refuse coordinates that are no numbers."""
     bad = int((~np.isfinite(cloud.xyz)).any(axis=1).sum())
     if bad:
-        raise InputError(f"{name}: {bad} points have NaN or infinite coordinates; remove them")
+        raise InputError(f"{who}{bad} points have NaN or infinite coordinates; remove them")
 
 
 def _extent(cloud: PointCloud) -> tuple[Floats, Floats]:
@@ -114,9 +114,7 @@ def agree(before: str | None, after: str | None) -> tuple[PairInfo, Transform | 
         f"accurate to {operation.accuracy_m} m"
     )
     _LOG.info(note)
-    back = transformer(after, before)
-    info = PairInfo(after, operation.name, operation.accuracy_m, before, back.apply, (note,))
-    return info, operation
+    return PairInfo(after, operation.name, operation.accuracy_m, before, (note,)), operation
 
 
 def _to_crs(survey: SurveyMap, crs: str, operation: Transform) -> SurveyMap:

@@ -14,7 +14,9 @@ from numpy.typing import NDArray
 from subiaco_change.changes.ablation import Part
 from subiaco_change.changes.object_changes import ObjectChange, ObjectRules, compare_objects, make_record
 from subiaco_change.changes.objects import EpochView
+from subiaco_change.observation.evidence import Kind, weakest
 from subiaco_change.records import ChangeRecord
+from subiaco_change.tiled.cutting import EPOCHS
 from subiaco_change.tiled.regions import Region, load_region
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats, Ints
@@ -22,8 +24,6 @@ from subiaco_geo.work.store import Arrays
 from subiaco_geo.work.tasks import Inputs
 
 _CELL = 4.0  # in which the surroundings of objects are looked up [m]
-_EPOCHS = ("before", "after")
-_WEAKER = ("observed", "trajectory", "shadow", "assumed")
 
 
 def compare_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
@@ -48,7 +48,7 @@ def compare_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
     mine = groups["anchor"] == int(np.flatnonzero(groups["tiles"] == params["tile"])[0])
     near = _surroundings(groups["low"][mine], groups["high"][mine])
     regions = [load_region(inputs, side, params, near) for side in params["sides"]]
-    members = [mine[groups[epoch]] for epoch in _EPOCHS]
+    members = [mine[groups[epoch]] for epoch in EPOCHS]
     compact = [_compact(r.view, m) for r, m in zip(regions, members, strict=True)]
     views = [view for view, _ in compact]
     changes = compare_objects(views[0], views[1], regions[0].seen, regions[1].seen, object_rules(config))
@@ -61,7 +61,7 @@ def compare_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
         for change in changes
     ]
     result: dict[str, Any] = {"records": np.array(json.dumps([record_words(r) for r in records]))}
-    for region, epoch in zip(regions, _EPOCHS, strict=True):
+    for region, epoch in zip(regions, EPOCHS, strict=True):
         result[f"{epoch}_tiles"] = np.array(region.tiles, dtype=np.str_)
         result[f"{epoch}_points"] = _points(region, changes, epoch)
     return result
@@ -113,10 +113,10 @@ def _in_city(record: ChangeRecord, numbers: list[Ints]) -> ChangeRecord:
     return replace(record, id_before=named[0], id_after=named[1])
 
 
-def _evidence(change: ObjectChange, kinds: list[str]) -> str:
+def _evidence(change: ObjectChange, kinds: list[Kind]) -> Kind:
     """Return what tells of the absence: the other epoch's evidence, or the weaker of both."""
     if change.before and change.after:
-        return max(kinds, key=_WEAKER.index)
+        return weakest(kinds)
     return kinds[0] if change.after else kinds[1]
 
 

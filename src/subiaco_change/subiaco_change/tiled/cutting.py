@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from subiaco_change.observation.evidence import EvidenceConfig, Kind, Observer, make_observer
+from subiaco_change.registration.pair import check_finite
 from subiaco_geo.clouds import PointCloud, unpack_voxel_keys, voxel_downsample
 from subiaco_geo.crs import Transform, transformer
-from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
 from subiaco_geo.maps import SurveyMap
 from subiaco_geo.tiles import split_by_tile
@@ -23,6 +23,7 @@ from subiaco_geo.work.bench import Workbench
 from subiaco_geo.work.store import Arrays
 from subiaco_geo.work.tasks import Inputs
 
+EPOCHS = ("before", "after")
 #: Fields of points that a run reads, where they are there.
 FIELDS = ("intensity", "semantic", "instance")
 
@@ -154,13 +155,6 @@ def cut_cloud(
     return CutCloud(keys, low, high, points)
 
 
-def check_finite(cloud: PointCloud) -> None:
-    """Refuse coordinates that are no numbers."""
-    bad = int((~np.isfinite(cloud.xyz)).any(axis=1).sum())
-    if bad:
-        raise InputError(f"{bad} points have NaN or infinite coordinates; remove them")
-
-
 def cut_beams(bench: Workbench, parts: Iterable[VisibilityGrid], size: float) -> dict[str, str]:
     """Keep the voxels of beams of every tile; return keys by tile."""
     keys = {}
@@ -230,3 +224,8 @@ def tiles_between(low: Floats, high: Floats, size: float) -> list[str]:
     return [
         f"{column}_{row}" for column in range(first[0], last[0] + 1) for row in range(first[1], last[1] + 1)
     ]
+
+
+def corners(low: Floats, high: Floats, bottom: float = -50.0, top: float = 50.0) -> Floats:
+    """Return the corners (8, 3) of a box from its plan (2,), (2,) and heights [m]."""
+    return np.array([(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (bottom, top)])

@@ -21,7 +21,16 @@ from subiaco_change.registration.pair import (
     moved_trajectory,
     shares_origin,
 )
-from subiaco_change.tiled.cutting import FIELDS, CutCloud, Side, cut_beams, cut_cloud, tiles_between
+from subiaco_change.tiled.cutting import (
+    EPOCHS,
+    FIELDS,
+    CutCloud,
+    Side,
+    corners,
+    cut_beams,
+    cut_cloud,
+    tiles_between,
+)
 from subiaco_change.tiled.framing import in_frame, registration_of
 from subiaco_change.tiled.preparing import prepare_tile
 from subiaco_change.tiled.recutting import recut_tile
@@ -38,7 +47,6 @@ from subiaco_geo.work.bench import Workbench
 from subiaco_geo.work.store import Arrays
 from subiaco_geo.work.tasks import Task
 
-EPOCHS = ("before", "after")
 #: Name of an epoch in the stages that look at one alone.
 ALONE = "epoch"
 #: Beyond the points of a task, beams are looked up so far [m].
@@ -71,6 +79,7 @@ class Epochs:
     prepared: dict[str, dict[str, str]] = field(default_factory=dict)
     united: dict[str, str] = field(default_factory=dict)
     points: dict[str, dict[str, str]] = field(default_factory=dict)
+    lit: dict[str, bool] = field(default_factory=dict)
 
     @property
     def size(self) -> float:
@@ -191,10 +200,9 @@ class Epochs:
         """Return the parameters of a registration."""
         return {"sides": self.sides, "config": self.keep("registration", "registration_points", "leaf")}
 
-    @property
-    def lit(self) -> dict[str, bool]:
-        """Whether all points of an epoch have an intensity."""
-        return {e: all("intensity" in self.load(key) for key in self.points[e].values()) for e in EPOCHS}
+    def common(self, key: str) -> CommonFrame:
+        """Return the common frame of the registration under a key, without corrections."""
+        return CommonFrame(self.registration(key), self.origin)
 
     def registration(self, key: str) -> Registration:
         """Return the registration under a key."""
@@ -237,7 +245,7 @@ class Epochs:
 
     def recut(self, registration: str) -> None:
         """Cut the labelled points of both epochs by the tiles of the common frame."""
-        frame = CommonFrame(self.registration(registration), self.origin)
+        frame = self.common(registration)
         tasks = []
         for side in self.sides:
             own, prepared = self.clouds[side.epoch], self.prepared[side.epoch]
@@ -249,7 +257,10 @@ class Epochs:
         keys = self.bench.run(tasks, (0.48, 0.5))
         for epoch in EPOCHS:
             found = {n.removeprefix(f"{epoch}_"): k for n, k in keys.items() if n.startswith(f"{epoch}_")}
-            self.points[epoch] = {n: k for n, k in found.items() if len(self.load(k)["semantic"])}
+            pieces = {n: self.load(k) for n, k in found.items()}
+            held = [n for n, piece in pieces.items() if len(piece["semantic"])]
+            self.points[epoch] = {n: found[n] for n in held}
+            self.lit[epoch] = all("intensity" in pieces[n] for n in held)
 
     def _reached(self, side: Side, frame: CommonFrame) -> dict[str, list[str]]:
         """Tiles of the common frame that an epoch's own tiles reach into, and which of these."""
@@ -282,11 +293,6 @@ class Epochs:
     def load(self, key: str) -> Arrays:
         """Return what a task left."""
         return self.bench.store.load(key)
-
-
-def corners(low: Floats, high: Floats, bottom: float = -50.0, top: float = 50.0) -> Floats:
-    """Return the corners (8, 3) of a box from its plan (2,), (2,) and heights [m]."""
-    return np.array([(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (bottom, top)])
 
 
 def corners_around(name: str, size: float, rim: float) -> Floats:

@@ -196,8 +196,7 @@ def _own_patches(inputs: Inputs, params: Mapping[str, Any]) -> Iterator[tuple[Gr
     """Yield patches that begin in a tile, their height in *after* [m], and where their cells count from."""
     config, size = params["config"].ground, params["size"]
     own = params["patches"]
-    names = sorted({n for _, _, names in own for n in names})
-    around = [n for n in inputs.under("ground") if _touches(n, names)]
+    around = inputs.under("ground")
     cells, south_west = _mosaic(inputs, around, size, config)
     numbers = [_numbers(inputs, d, around, size, config) for d in range(2)]
     wanted = [np.array([k for d, k, _ in own if d == e], dtype=np.int64) for e in range(2)]
@@ -225,10 +224,3 @@ def _numbers(inputs: Inputs, d: int, names: list[str], size: float, config: Grou
         known = np.concatenate([[-1], patch[first : first + int(labels.max(initial=0))]])
         numbers[row * edge : (row + 1) * edge, column * edge : (column + 1) * edge] = known[labels]
     return numbers
-
-
-def _touches(name: str, names: list[str]) -> bool:
-    column, row = (int(v) for v in name.split("_"))
-    return any(
-        max(abs(column - int(c)), abs(row - int(r))) <= 1 for c, r in (other.split("_") for other in names)
-    )

@@ -14,6 +14,7 @@ from subiaco_change.changes.ground_change import GroundComparison, GroundPatch, 
 from subiaco_change.changes.labelling import Labels, label_rest, unlabelled
 from subiaco_change.changes.objects import Reach
 from subiaco_change.semantics.ground import Mask
+from subiaco_change.tiled.cutting import EPOCHS
 from subiaco_change.tiled.recutting import load_points, near_tile
 from subiaco_change.tiled.regions import Region, load_region
 from subiaco_geo.codes import Change, Semantic
@@ -22,7 +23,6 @@ from subiaco_geo.tiles import tile_named
 from subiaco_geo.work.store import Arrays
 from subiaco_geo.work.tasks import Inputs
 
-_EPOCHS = ("before", "after")
 _RIM = 4.0  # around a tile, for what the other epoch saw there [m]
 
 
@@ -117,7 +117,7 @@ def label_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
     ground, ids = _comparison(inputs, params, cells, found)
     result: dict[str, Any] = {}
     patched = np.zeros((len(found), 2), dtype=np.int64)
-    for e, epoch in enumerate(_EPOCHS):
+    for e, epoch in enumerate(EPOCHS):
         own = _own(regions[e], tile)
         view = _select(regions[e], own)
         labels = _of_objects(inputs, epoch, tile, view, regions[e].index[own])

@@ -11,7 +11,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from subiaco_change.tiled.cutting import Side
+from subiaco_change.tiled.cutting import EPOCHS, Side
 from subiaco_change.tiled.recutting import load_points, near_tile
 from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.codes import Semantic
@@ -21,7 +21,6 @@ from subiaco_geo.work.tasks import Inputs
 
 _BOXES = 0.2  # overlap of bounding boxes, seen from above, of two objects that may be one
 _PLAY = 0.25  # added to every reach [m]
-_EPOCHS = ("before", "after")
 
 
 def tile_links(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
@@ -137,7 +136,7 @@ def find_groups(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
     """
     tiles = inputs.under("links")
     pieces = [inputs[f"links/{name}"] for name in tiles]
-    sums = [_total(pieces, epoch, int(params["counts"][e])) for e, epoch in enumerate(_EPOCHS)]
+    sums = [_total(pieces, epoch, int(params["counts"][e])) for e, epoch in enumerate(EPOCHS)]
     size_b, size_a = (len(s) for s in sums)
     edges = [np.zeros((0, 2), dtype=np.int64)]
     for piece in pieces:

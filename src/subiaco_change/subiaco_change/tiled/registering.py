@@ -11,7 +11,7 @@ import numpy as np
 from subiaco_change.records import Registration
 from subiaco_change.registration.register import given_registration, register
 from subiaco_change.semantics.ground import Mask
-from subiaco_change.tiled.cutting import Side
+from subiaco_change.tiled.cutting import Side, corners
 from subiaco_change.tiled.framing import registration_arrays, registration_of
 from subiaco_geo.clouds import PointCloud, voxel_downsample
 from subiaco_geo.errors import RegistrationError
@@ -90,10 +90,6 @@ def _load(inputs: Inputs, side: Side, name: str) -> PointCloud:
 def shift(first: Registration, second: Registration, before: PointCloud) -> float:
     """Largest distance between two registrations at the corners of *before* [m]."""
     low, high = before.world().min(axis=0), before.world().max(axis=0)
-    corners = np.array(
-        [(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (low[2], high[2])]
-    )
-    placed = [
-        (corners - r.origin) @ r.T_local[:3, :3].T + r.T_local[:3, 3] + r.origin for r in (first, second)
-    ]
+    box = corners(low, high, low[2], high[2])
+    placed = [(box - r.origin) @ r.T_local[:3, :3].T + r.T_local[:3, 3] + r.origin for r in (first, second)]
     return float(np.linalg.norm(placed[0] - placed[1], axis=1).max())

@@ -10,9 +10,10 @@ from typing import Any
 import numpy as np
 
 from subiaco_change.observation.common_frame import CommonFrame
+from subiaco_change.observation.evidence import weakest
 from subiaco_change.tiled.comparing import compare_tile
-from subiaco_change.tiled.cutting import tiles_between
-from subiaco_change.tiled.epochs import EPOCHS, SIGHT, Epochs, corners_around
+from subiaco_change.tiled.cutting import EPOCHS, tiles_between
+from subiaco_change.tiled.epochs import SIGHT, Epochs, corners_around
 from subiaco_change.tiled.ground import join_over, patch_tiles, tile_ground, tile_over, tile_patches
 from subiaco_change.tiled.labels import label_tile, tile_changed
 from subiaco_change.tiled.linking import find_groups, tile_links
@@ -55,7 +56,6 @@ _READS = {
     "changed": ("ground",),
     "labels": ("evidence", "ground", "measures", "without"),
 }
-_WEAKER = ("observed", "trajectory", "shadow", "assumed")
 _RIM = 10.0  # around a tile, or a group of objects, tasks take points [m]
 
 
@@ -129,7 +129,7 @@ class CityRun(Epochs):
         return self.bench.run(tasks, span)
 
     def _weaker(self) -> str:
-        return max((side.kind for side in self.sides), key=_WEAKER.index)
+        return weakest(side.kind for side in self.sides)
 
     def _around(self, tile: str, frame: Mapping[str, str], rings: int) -> dict[str, str]:
         """Points of a tile and its neighbours, of both epochs, and the frame."""
@@ -161,13 +161,21 @@ class CityRun(Epochs):
         self, frame: Mapping[str, str], lods: Mapping[str, str], *, sight: bool = True
     ) -> dict[str, dict[str, str]]:
         """All that a region of a tile and its neighbours wants, by tile."""
+        common = self.common(frame["registration"])
         return {
-            tile: self._region([tile, *neighbours(tile, self.tiles)], frame, lods, [tile] if sight else [])
+            tile: self._region(
+                [tile, *neighbours(tile, self.tiles)], frame, lods, common, [tile] if sight else []
+            )
             for tile in self.tiles
         }
 
     def _region(
-        self, names: Sequence[str], frame: Mapping[str, str], lods: Mapping[str, str], sight: Sequence[str]
+        self,
+        names: Sequence[str],
+        frame: Mapping[str, str],
+        lods: Mapping[str, str],
+        common: CommonFrame,
+        sight: Sequence[str],
     ) -> dict[str, str]:
         """Points and levels of detection of tiles, and the beams around some of them."""
         inputs = dict(frame)
@@ -177,8 +185,7 @@ class CityRun(Epochs):
         for name in sight:
             corners = corners_around(name, self.size, _RIM + SIGHT)
             inputs |= self.beams_at(self.sides[1], corners)
-            there = CommonFrame(self.registration(frame["registration"]), self.origin)
-            inputs |= self.beams_at(self.sides[0], there.before_world(corners - self.origin))
+            inputs |= self.beams_at(self.sides[0], common.before_world(corners - self.origin))
         return inputs
 
     def _params(self, stage: str, tile: str, **more: Any) -> dict[str, Any]:
@@ -236,13 +243,14 @@ class CityRun(Epochs):
         """Compare the groups of every tile that answers for some; and the tiles that each looks at."""
         found = self.bench.store.load(groups)
         inputs, reach = {}, {}
+        common = self.common(frame["registration"])
         low = found["low"] + self.origin[:2] - _RIM
         high = found["high"] + self.origin[:2] + _RIM
         for position, tile in enumerate(found["tiles"].tolist()):
             mine = np.flatnonzero(found["anchor"] == position).tolist()
             near = {n for g in mine for n in tiles_between(low[g], high[g], self.size)}
             names = sorted(near & set(self.tiles))
-            inputs[tile] = {**self._region(names, frame, lods, names), "groups": groups}
+            inputs[tile] = {**self._region(names, frame, lods, common, names), "groups": groups}
             reach[tile] = names
         return self._per_tile("compare", compare_tile, inputs, span), reach
 
