@@ -133,3 +133,11 @@ def test_ground_seen_through_gaps_in_leaves_is_kept_and_a_lone_ghost_below_is_no
     model = fit_ground(np.concatenate([xyz, ghost]), GroundConfig())
     places = rng.uniform(-20, 20, (200, 2))
     assert model.height(places) == pytest.approx(0.02 * places[:, 0], abs=0.25)
+
+
+def test_a_sliver_with_no_flat_ground_in_it_keeps_its_lowest_points_as_ground():
+    rng = np.random.default_rng(5)
+    xyz = rng.uniform([0.0, 0.0, 1.0], [0.4, 20.0, 4.0], (400, 3))
+    ground = fit_ground(xyz, GroundConfig())
+    assert np.isfinite(ground.heights).all()
+    assert xyz[:, 2].min() <= ground.heights.min() <= ground.heights.max() <= xyz[:, 2].max()

@@ -97,6 +97,7 @@ def end(*_):
     print('[FATAL] no space left for the map')
     sys.exit(1)
 signal.signal(signal.SIGINT, end)
+signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
 print('ready', flush=True)
 time.sleep(60)"""
     unlucky = scripts(node("unlucky", restart=True), ends)
@@ -132,3 +133,15 @@ def test_status_lines_reach_whoever_shows_them(scripts: Any) -> None:
     says = scripts(node("says", principal=True), """print('[INFO] status: {"light": "red", "lines": []}')""")
     Supervisor(GraphSpec("test", (says,)), dict(os.environ), on_status=seen.append).run()
     assert seen == [{"light": "red", "lines": []}]
+
+
+def test_an_interruption_during_the_imports_of_a_node_waits_for_their_end(scripts: Any) -> None:
+    program = """import os, signal, sys
+os.kill(os.getpid(), signal.SIGINT)
+from subiaco_mapping.nodes.runtime import run_node
+sys.exit(run_node('starting', lambda node: None))"""
+    starting = scripts(node("starting"), program)
+    supervisor = Supervisor(GraphSpec("test", (starting,)), dict(os.environ))
+    with pytest.raises(KeyboardInterrupt):
+        supervisor.run()
+    assert [process.code for process in supervisor.processes] == [module.INTERRUPTED]

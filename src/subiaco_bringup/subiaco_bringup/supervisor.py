@@ -68,16 +68,17 @@ class NodeProcess:
         self.fatal = ""
         self._tail: list[str] = []
         self._progress = progress
-        self._process = subprocess.Popen(
-            process_command(spec),
-            env=dict(environment),
-            stdin=subprocess.DEVNULL,
-            stdout=subprocess.PIPE,
-            stderr=subprocess.STDOUT,
-            text=True,
-            errors="replace",
-            start_new_session=True,
-        )
+        with _interrupt_withheld():
+            self._process = subprocess.Popen(
+                process_command(spec),
+                env=dict(environment),
+                stdin=subprocess.DEVNULL,
+                stdout=subprocess.PIPE,
+                stderr=subprocess.STDOUT,
+                text=True,
+                errors="replace",
+                start_new_session=True,
+            )
         self._reader = threading.Thread(target=self._read, name=f"log of {spec.name}", daemon=True)
         self._reader.start()
 
@@ -145,6 +146,19 @@ def failure(process: NodeProcess) -> SubiacoError:
     LOGGER.debug("last lines of %s:\n%s", process.spec.name, process.tail)
     last = process.tail.splitlines()[-1:] or ["it said nothing"]
     return SubiacoError(f"node {process.spec.name} {how}: {last[0]}")
+
+
+@contextmanager
+def _interrupt_withheld() -> Iterator[None]:
+    """Let a process start with SIGINT blocked: one that comes during its imports would break them.
+
+    :func:`subiaco_mapping.nodes.runtime.run_node` unblocks it, and a pending one arrives.
+    """
+    before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    try:
+        yield
+    finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, before)
 
 
 def _interrupt(_number: int, _frame: FrameType | None) -> None:

@@ -273,7 +273,10 @@ def _refit(
         near &= spread[flat] < config.max_spread  # the foot of a wall, or leaves
     mean, _ = _cell_moments(xyz[near, 2], flat[near], surface.size)
     mean = mean.reshape(surface.shape)
-    return fill_gaps(mean), np.isfinite(mean)
+    known = np.isfinite(mean)
+    if not known.any():  # a sliver of a tile: feet of walls and leaves only
+        return surface, is_ground
+    return fill_gaps(mean), known
 
 
 def _foot_of_wall(above: Floats, flat: NDArray[np.int64], size: int, config: GroundConfig) -> Mask:

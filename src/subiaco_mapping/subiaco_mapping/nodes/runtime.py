@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import os
+import signal
 import sys
 import time
 from collections.abc import Callable, Iterable, Mapping, Sequence
@@ -216,7 +217,10 @@ def run_node(name: str, build: Callable[[Node], App], argv: Sequence[str] | None
     traceback and 1.
     """
     try:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})  # see the supervisor: imports are done
         rclpy.init(args=list(sys.argv if argv is None else [name, *argv]))
+    except KeyboardInterrupt:
+        return INTERRUPTED
     except (RCLError, ParameterException, RuntimeError) as error:
         sys.stderr.write(f"[FATAL] {name}: {' '.join(str(error).split())}\n")
         return InputError.exit_code
@@ -229,7 +233,7 @@ def run_node(name: str, build: Callable[[Node], App], argv: Sequence[str] | None
     except SubiacoError as error:  # at the end: interrupted, there is no node any more that could log it
         sys.stderr.write(f"[FATAL] {error}\n")
         return error.exit_code
-    except RuntimeError:  # an RCLError, or what a call that the end of the context cut short makes of itself
+    except (RuntimeError, ImportError):  # an RCLError, or what a call that the end cut short makes of itself
         if rclpy.ok():
             raise
         return INTERRUPTED
