@@ -50,9 +50,9 @@ def register_again(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
     """
     first = registration_of(inputs["registration"])
     before, after = gather(inputs, params)
-    changed = (np.asarray(cloud.fields["changed"], dtype=bool) for cloud in (before, after))
+    masks = [np.asarray(cloud.fields["changed"], dtype=bool) for cloud in (before, after)]
     try:
-        again = register(before, after, params["config"].registration, *changed, start=first)
+        again = register(before, after, params["config"].registration, masks[0], masks[1], start=first)
     except RegistrationError as error:
         note = f"the second estimate, without changed places, failed and the first is kept: {error}"
         _LOG.warning(note)
