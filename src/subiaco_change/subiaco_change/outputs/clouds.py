@@ -10,6 +10,8 @@ from numpy.typing import NDArray
 
 from subiaco_change.records import CHANGE_COLOURS
 from subiaco_geo.cloud_io import read_cloud
+from subiaco_geo.cloud_parts import cloud_parts
+from subiaco_geo.cloud_windows import CloudFile
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.errors import InputError
@@ -119,14 +121,31 @@ def write_labelled(
     return count
 
 
-def read_labelled(directory: Path, epoch: str) -> PointCloud:
-    """Read ``<epoch>_labelled.ply``, or the LAZ where only that is there."""
+def labelled_path(directory: Path, epoch: str) -> Path:
+    """Return ``<epoch>_labelled.ply``, or the LAZ where only that is there."""
     for suffix in (".ply", ".laz"):
         path = directory / f"{epoch}_labelled{suffix}"
         if path.is_file():
-            cloud = read_cloud(path)
-            missing = [name for name in POINT_FIELDS if name not in cloud.fields]
-            if missing:
-                raise InputError(f"{path}: field {missing[0]} is missing; run 'subiaco change' again")
-            return cloud
+            return path
     raise InputError(f"{directory}: {epoch}_labelled.ply is missing; run 'subiaco change' again")
+
+
+def read_labelled(directory: Path, epoch: str) -> PointCloud:
+    """Read a labelled cloud whole."""
+    path = labelled_path(directory, epoch)
+    return _complete(path, read_cloud(path))
+
+
+def open_labelled(directory: Path, epoch: str) -> CloudFile:
+    """Open a labelled cloud, whose points then are read by windows."""
+    path = labelled_path(directory, epoch)
+    fields = (*POINT_FIELDS, "intensity")
+    _complete(path, next(cloud_parts(path, fields, 1)))
+    return CloudFile(path, fields)
+
+
+def _complete(path: Path, cloud: PointCloud) -> PointCloud:
+    missing = [name for name in POINT_FIELDS if name not in cloud.fields]
+    if missing:
+        raise InputError(f"{path}: field {missing[0]} is missing; run 'subiaco change' again")
+    return cloud
