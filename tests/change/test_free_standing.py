@@ -49,7 +49,7 @@ def test_a_stiff_piece_of_a_hedge_is_no_car_though_it_has_the_size_of_one():
 
 def test_a_clipped_hedge_higher_than_a_facade_is_a_plant():
     rng = np.random.default_rng(7)
-    tall = sides(rng, (8.0, 0.0), (7.0, 1.2, 2.7), 0.0, 0.05, 20000)
+    tall = sides(rng, (8.0, 0.0), (7.0, 1.2, 2.7), 0.0, 0.06, 20000)
     assert (labels_of(tall) == Semantic.VEGETATION).mean() > 0.8
 
 
