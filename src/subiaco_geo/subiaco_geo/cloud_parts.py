@@ -18,7 +18,7 @@ PART = 1 << 20
 
 
 def cloud_parts(
-    path: Path, fields: tuple[str, ...] = (), size: int = PART, first: int = 0
+    path: Path, fields: tuple[str, ...] | None = (), size: int = PART, first: int = 0
 ) -> Iterator[PointCloud]:
     """Read a cloud file from point ``first`` on in parts of up to ``size`` points.
 
@@ -27,8 +27,9 @@ def cloud_parts(
     Parameters
     ----------
     path : Path
-    fields : tuple of str
-        Fields wanted; those that the file lacks are left out.
+    fields : tuple of str, optional
+        Fields wanted; those that the file lacks are left out. None: all; a LAS or LAZ is one part then,
+        as only its end shows which of its many fields say anything.
     size, first : int
 
     Yields
@@ -42,7 +43,7 @@ def cloud_parts(
         As :func:`subiaco_geo.cloud_io.read_cloud`, when the faulty part is reached.
     """
     suffix = path.suffix.lower()
-    if suffix in (".las", ".laz") and path.is_file() and path.stat().st_size:
+    if suffix in (".las", ".laz") and fields is not None and path.is_file() and path.stat().st_size:
         yield from las_parts(path, fields, size, first)
     elif suffix == ".ply" and path.is_file() and path.stat().st_size:
         for part in ply_parts(path, size, first):
@@ -52,6 +53,8 @@ def cloud_parts(
         yield whole.select(np.arange(first, len(whole))) if first else whole
 
 
-def with_only(cloud: PointCloud, fields: tuple[str, ...]) -> PointCloud:
-    """Return a cloud with those of some fields that it has."""
+def with_only(cloud: PointCloud, fields: tuple[str, ...] | None) -> PointCloud:
+    """Return a cloud with those of some fields that it has; None: all."""
+    if fields is None:
+        return cloud
     return replace(cloud, fields={name: cloud.fields[name] for name in fields if name in cloud.fields})

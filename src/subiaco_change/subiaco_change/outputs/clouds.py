@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from subiaco_change.records import CHANGE_COLOURS
+from subiaco_geo.cloud_fields import brightest
 from subiaco_geo.cloud_io import read_cloud
 from subiaco_geo.cloud_parts import cloud_parts
 from subiaco_geo.cloud_windows import CloudFile
@@ -105,15 +106,14 @@ def write_labelled(
     InputError
         A field is missing, a code has no meaning, or there is no point.
     """
-    count, brightest = 0, 0.0
+    count, bright = 0, 0.0
     for part in parts():
         count += len(part)
-        bright = np.asarray(part.fields.get("intensity", np.zeros(1, np.float32)))
-        brightest = max(brightest, float(np.nanmax(bright, initial=0.0)))
+        bright = max(bright, brightest(part))
     labelled = (labelled_cloud(part) for part in parts())
     write_ply_parts(directory / f"{epoch}_labelled.ply", labelled, count)
     path = directory / f"{epoch}_labelled.laz"
-    with las_stream(path, ellipsoidal=ellipsoidal, unit_intensity=brightest <= 1.0) as stream:
+    with las_stream(path, ellipsoidal=ellipsoidal, unit_intensity=bright <= 1.0) as stream:
         for part in parts():
             cloud = labelled_cloud(part)
             codes = asprs_lookup()[cloud.fields["semantic"].astype(np.int64)]
