@@ -156,7 +156,7 @@ def _uncrossed(matches: Sequence[Match], before: Sequence[Thing], after: Sequenc
     Of a house that lost most of itself, what is left may be parted, and paired with what is gone.
     """
     wholes = [
-        {(before[i].whole, after[j].whole) for i in match.before for j in match.after} for match in matches
+        {(before[i].body, after[j].body) for i in match.before for j in match.after} for match in matches
     ]
     numbers = {pair: k for k, pair in enumerate(sorted(set().union(*wholes)))}
     links = [(m, len(matches) + numbers[pair]) for m, pairs in enumerate(wholes) for pair in pairs]

@@ -67,7 +67,7 @@ class Thing:
     """One instance of one epoch: its class, points (indices and places) and voxels.
 
     ``passed`` (N,): beams of its own epoch that passed each of its points for each that returned there;
-    empty where nothing counted them. ``whole``: the instance it was parted from, or its own number.
+    empty where nothing counted them. ``whole``: the instance it was parted from, -1 where it is none's part.
     """
 
     instance: int
@@ -79,6 +79,11 @@ class Thing:
     xyz: Floats = field(default_factory=lambda: np.zeros((0, 3)))
     passed: Floats = field(default_factory=lambda: np.zeros(0))
     whole: int = -1
+
+    @property
+    def body(self) -> int:
+        """The instance it was parted from, or itself."""
+        return self.instance if self.whole < 0 else self.whole
 
 
 def build_voxels(
@@ -190,7 +195,5 @@ def build_things(view: EpochView, voxels: Voxels) -> list[Thing]:
         score = float(view.score[members].mean())
         own = voxels.select(by_voxel[instance])
         passed = np.zeros(0) if view.passed is None else view.passed[members]
-        things.append(
-            Thing(instance, semantic, score, members, own, lod, view.xyz[members], passed, instance)
-        )
+        things.append(Thing(instance, semantic, score, members, own, lod, view.xyz[members], passed))
     return things

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 from pydantic import Field
-from scipy.sparse.csgraph import dijkstra
 from scipy.spatial import cKDTree
 
 from subiaco_change.changes.objects import Thing
@@ -15,10 +14,9 @@ from subiaco_change.semantics.clustering import group_indices, voxel_clusters
 from subiaco_change.semantics.ground import Mask
 from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.config import StrictModel
-from subiaco_geo.frames import Floats, Ints
+from subiaco_geo.frames import Ints
 
 _CELL = 0.5  # columns of a part [m]
-_HANGS = 0.9  # so near are voxels that hang together: neighbours across a corner [m]
 
 
 class PartConfig(StrictModel):
@@ -71,6 +69,7 @@ def divided(thing: Thing, labels: Ints, following: int) -> list[Thing]:
         replace(
             thing,
             instance=thing.instance if number == 0 else following + number - 1,
+            whole=thing.body,
             points=thing.points[owner == number],
             voxels=thing.voxels.select(labels == number),
             xyz=thing.xyz[owner == number],
@@ -110,22 +109,12 @@ def _stands(thing: Thing, piece: Ints, column: Ints, alone: Mask, config: PartCo
     return bool(np.count_nonzero(alone & inside) >= config.whole * np.count_nonzero(inside))
 
 
-def _reached_from(xyz: Floats, known: Mask) -> Ints:
-    """Position (U,) of the known place (M, 3) that every other hangs on, along the body, not across."""
-    order = np.concatenate([np.flatnonzero(known), np.flatnonzero(~known)])
-    reach = cKDTree(xyz[order]).sparse_distance_matrix(cKDTree(xyz[order]), _HANGS, output_type="coo_matrix")
-    sources = np.arange(np.count_nonzero(known))
-    _, _, source = dijkstra(reach.tocsr(), indices=sources, min_only=True, return_predecessors=True)
-    nearest = cKDTree(xyz[known]).query(xyz[order[len(sources) :]])[1]
-    found = source[len(sources) :]
-    return np.asarray(order[np.where(found >= 0, found, nearest)])
-
-
 def _with_unseen(thing: Thing, labels: Ints, config: PartConfig) -> Ints:
-    """Give what the other epoch did not see to what it hangs on; drop parts that are too small."""
+    """Give what the other epoch did not see to the nearest part or rest; drop parts that are too small."""
     known = thing.voxels.seen
     if not known.all():
-        labels[~known] = labels[_reached_from(thing.voxels.xyz, known)]
+        nearest = cKDTree(thing.voxels.xyz[known]).query(thing.voxels.xyz[~known])[1]
+        labels[~known] = labels[known][nearest]
     points = np.bincount(labels[cKDTree(thing.voxels.xyz).query(thing.xyz)[1]], minlength=labels.max() + 1)
     if points[0] < config.remainder * len(thing.xyz):
         return np.zeros_like(labels)
