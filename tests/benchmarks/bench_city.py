@@ -17,91 +17,128 @@ import json
 import math
 import os
 import shutil
+import threading
 import time
-from collections.abc import Sequence
+import zipfile
+from collections.abc import Callable, Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import psutil
+import yaml
 
 from subiaco_change.config import ChangeConfig
 from subiaco_change.job import ChangeJob, Work, run_change
 from subiaco_geo.clouds import PointCloud, unpack_voxel_keys, voxel_keys
-from subiaco_geo.maps import SurveyMap, load_epoch, write_map
+from subiaco_geo.maps import SurveyMap, load_epoch
+from subiaco_geo.ply_io import write_ply_parts
 from subiaco_geo.visibility import VisibilityGrid
 
 PITCH = 400.0  # between streets [m]
+SCATTER = 0.01  # of the copies of a point [m]
 EPOCHS = ("before", "after")
 
 
-def moved(survey: SurveyMap, step: np.ndarray) -> SurveyMap:
-    """Return a map moved in the plane; the step is whole voxels."""
-    cloud, grid = survey.cloud, survey.visibility
-    place = PointCloud(cloud.xyz + step, cloud.origin, cloud.crs, {"intensity": cloud.fields["intensity"]})
-    if grid is None:
-        return SurveyMap(place)
-    index = unpack_voxel_keys(grid.keys) + np.round(step / grid.voxel).astype(np.int64)
-    return SurveyMap(
-        place, visibility=VisibilityGrid(grid.origin, grid.voxel, voxel_keys(index), grid.hits, grid.passes)
-    )
+def scattered(cloud: PointCloud, copies: int, step: np.ndarray, seed: int) -> Iterator[PointCloud]:
+    """Yield a cloud moved by a step [m], and copies of it whose points are scattered by :data:`SCATTER`."""
+    fields = {"intensity": cloud.fields["intensity"]}
+    yield PointCloud(cloud.xyz + step, cloud.origin, cloud.crs, fields)
+    rng = np.random.default_rng(seed)
+    for _ in range(copies - 1):
+        noise = rng.normal(0.0, SCATTER, cloud.xyz.shape)
+        yield PointCloud(cloud.xyz + step + noise, cloud.origin, cloud.crs, fields)
 
 
-def together(surveys: Sequence[SurveyMap]) -> SurveyMap:
-    """Join maps of one origin and CRS."""
-    first = surveys[0]
-    origin = first.cloud.origin
-    clouds = [s.cloud.rebased(origin) for s in surveys]
-    cloud = PointCloud(
-        np.concatenate([c.xyz for c in clouds]), origin, first.cloud.crs,
-        {"intensity": np.concatenate([c.fields["intensity"] for c in clouds])},
-    )  # fmt: skip
-    grids = [s.visibility for s in surveys if s.visibility is not None]
-    if len(grids) < len(surveys):
-        return SurveyMap(cloud)
-    base = grids[0]
-    rows = []
-    for grid in grids:
-        shift = np.round((grid.origin - base.origin) / grid.voxel).astype(np.int64)
-        rows.append(voxel_keys(unpack_voxel_keys(grid.keys) + shift))
-    keys = np.concatenate(rows)
-    order = np.argsort(keys, kind="stable")
-    hits, passes = (np.concatenate([getattr(g, n) for g in grids])[order] for n in ("hits", "passes"))
-    return SurveyMap(cloud, visibility=VisibilityGrid(base.origin, base.voxel, keys[order], hits, passes))
+def write_beams(path: Path, grids: Callable[[], Iterator[VisibilityGrid]], base: VisibilityGrid) -> None:
+    """Write the voxels of many grids of one edge as one, column by column; nothing is compressed."""
+    count = sum(len(grid.keys) for grid in grids())
+    with zipfile.ZipFile(path, "w", allowZip64=True) as archive:
+        for name, value in (("origin", base.origin), ("voxel", np.float64(base.voxel))):
+            with archive.open(f"{name}.npy", "w") as stream:
+                np.lib.format.write_array(stream, np.asarray(value))
+        for name in ("keys", "hits", "passes"):
+            kind = {"descr": getattr(base, name).dtype.str, "fortran_order": False, "shape": (count,)}
+            with archive.open(f"{name}.npy", "w", force_zip64=True) as stream:
+                np.lib.format.write_array_header_1_0(stream, kind)
+                for grid in grids():
+                    stream.write(getattr(grid, name).tobytes())
 
 
-def make_mosaic(surveys: Sequence[Path], count: int, output: Path) -> None:
-    """Lay ``count`` streets side by side, the surveys in turn."""
+def make_mosaic(surveys: Sequence[Path], count: int, copies: int, output: Path) -> None:
+    """Lay ``count`` streets side by side, the surveys in turn, street by street."""
     side = math.ceil(math.sqrt(count))
+    steps = [np.array([PITCH * (k % side), PITCH * (k // side), 0.0]) for k in range(count)]
     for epoch in EPOCHS:
-        loaded = {path: load_epoch(path / epoch) for path in surveys}
-        parts = []
-        for k in range(count):
-            step = np.array([PITCH * (k % side), PITCH * (k // side), 0.0])
-            parts.append(moved(loaded[surveys[k % len(surveys)]], step))
-        whole = together(parts)
-        write_map(output / epoch, whole)
-        print(f"{output / epoch}: {len(whole.cloud) / 1e6:.2f} M points")
+        loaded = [load_epoch(path / epoch) for path in surveys]
+        streets = [(k, loaded[k % len(loaded)], step) for k, step in enumerate(steps)]
+        folder = output / epoch
+        folder.mkdir(parents=True)
+        parts = (part for k, street, step in streets for part in scattered(street.cloud, copies, step, k))
+        points = copies * sum(len(street.cloud) for _, street, _ in streets)
+        write_ply_parts(folder / "map.ply", parts, points)
+        first = loaded[0]
+        if first.visibility is not None:
+            write_beams(folder / "visibility.npz", partial(moved_beams, streets), first.visibility)
+        info = {"crs": first.crs, "heights": "ellipsoidal", "points": points}
+        info["origin"] = first.cloud.origin.tolist()
+        (folder / "map.yaml").write_text(yaml.safe_dump(info))
+        print(f"{folder}: {points / 1e6:.2f} M points")
 
 
-def tree_peak(stop: list[bool], peak: list[float]) -> None:
-    """Follow the memory of this process and its workers [MiB], by unique pages."""
-    me = psutil.Process()
-    while not stop[0]:
-        total = 0.0
-        for process in (me, *me.children(recursive=True)):
-            try:
-                total += process.memory_full_info().uss / 2**20
-            except psutil.Error:
-                continue
-        peak[0] = max(peak[0], total)
-        time.sleep(0.5)
+def moved_beams(streets: Sequence[tuple[int, SurveyMap, np.ndarray]]) -> Iterator[VisibilityGrid]:
+    """Yield the beams of every street at its place, about the origin of the first; steps are whole voxels."""
+    base = streets[0][1].visibility
+    for _, street, step in streets:
+        grid = street.visibility
+        shift = np.round((grid.origin - base.origin + step) / grid.voxel).astype(np.int64)
+        keys = voxel_keys(unpack_voxel_keys(grid.keys) + shift)
+        yield VisibilityGrid(base.origin, base.voxel, keys, grid.hits, grid.passes)
+
+
+class Watch:
+    """Follows the memory of this process and its workers [MiB], and the clock, stage by stage."""
+
+    def __init__(self) -> None:
+        self.stage, self.begun = "cut", time.perf_counter()
+        self.peak: dict[str, float] = {}
+        self.wall: dict[str, float] = {}
+        self._stop = threading.Event()
+        self._thread = threading.Thread(target=self._look, daemon=True)
+        self._thread.start()
+
+    def tell(self, stage: str, _: float) -> None:
+        """Take the progress of a run."""
+        if stage != self.stage:
+            self._end_stage()
+            self.stage = stage
+
+    def _end_stage(self) -> None:
+        now = time.perf_counter()
+        self.wall[self.stage] = self.wall.get(self.stage, 0.0) + now - self.begun
+        self.begun = now
+
+    def close(self) -> None:
+        """Stop looking."""
+        self._end_stage()
+        self._stop.set()
+        self._thread.join()
+
+    def _look(self) -> None:
+        me = psutil.Process()
+        while not self._stop.wait(0.4):
+            total = 0.0
+            for process in (me, *me.children(recursive=True)):
+                try:
+                    total += process.memory_full_info().pss / 2**20  # what they share counts once
+                except psutil.Error:
+                    continue
+            self.peak[self.stage] = max(self.peak.get(self.stage, 0.0), total)
 
 
 def run_once(survey: Path, workers: int, *, report: bool) -> dict[str, Any]:
     """Run the whole change command in this process; return what it cost."""
-    import threading
-
     from subiaco_change.outputs import directory
 
     built = directory.build_report
@@ -109,16 +146,13 @@ def run_once(survey: Path, workers: int, *, report: bool) -> dict[str, Any]:
         directory.build_report = lambda *_: None
     output = survey / f"change_{workers}"
     shutil.rmtree(output, ignore_errors=True)
-    stop, peak = [False], [0.0]
-    watcher = threading.Thread(target=tree_peak, args=(stop, peak), daemon=True)
-    watcher.start()
+    watch = Watch()
     wall, cpu = time.perf_counter(), total_cpu()
     job = ChangeJob(survey / "before", survey / "after", output, work=Work(workers))
     try:
-        run_change(job, ChangeConfig())
+        run_change(job, ChangeConfig(), watch.tell)
     finally:
-        stop[0] = True
-        watcher.join()
+        watch.close()
         directory.build_report = built
     wall, cpu = time.perf_counter() - wall, total_cpu() - cpu
     notes = json.loads((output / "run.json").read_text())
@@ -128,7 +162,8 @@ def run_once(survey: Path, workers: int, *, report: bool) -> dict[str, Any]:
     tiles = notes["stages"]["labels"]["tasks"]
     return {
         "survey": survey.name, "workers": workers, "points": points, "tiles": tiles, "wall_s": wall,
-        "cpu_s": cpu, "peak_mib": peak[0], "stages": notes["stages"], "table_hash": notes["table_hash"],
+        "cpu_s": cpu, "peak_mib": max(watch.peak.values()), "stages": notes["stages"],
+        "table_hash": notes["table_hash"], "stage_peak_mib": watch.peak, "stage_wall_s": watch.wall,
     }  # fmt: skip
 
 
@@ -150,11 +185,11 @@ def show_runs(rows: Sequence[dict[str, Any]]) -> None:
             f"| {r['cpu_s']:.0f} | {r['cpu_s'] / r['tiles']:.2f} | {r['peak_mib']:.0f} |"
         )
     largest = max(rows, key=lambda r: r["tiles"])
-    print("\n| stage | tasks | CPU s | share % | largest process MiB |\n|---|---|---|---|---|")
-    whole = sum(c["cpu_s"] for c in largest["stages"].values())
-    for stage, cost in largest["stages"].items():
-        share = 100 * cost["cpu_s"] / whole
-        print(f"| {stage} | {cost['tasks']} | {cost['cpu_s']:.1f} | {share:.1f} | {cost['peak_mib']:.0f} |")
+    print("\n| stage | tasks | CPU s of the tasks | wall s | all processes MiB |\n|---|---|---|---|---|")
+    for stage, wall in largest["stage_wall_s"].items():
+        cost = largest["stages"].get(stage, {"tasks": 0, "cpu_s": 0.0})  # cut, writing: this process alone
+        peak = largest["stage_peak_mib"].get(stage, float("nan"))
+        print(f"| {stage} | {cost['tasks']} | {cost['cpu_s']:.1f} | {wall:.1f} | {peak:.0f} |")
     if len({r["tiles"] for r in rows}) > 2:
         x, y = (np.log([r[name] for r in rows]) for name in ("tiles", "cpu_s"))
         print(f"\nCPU seconds grow as tiles to the power {np.polyfit(x, y, 1)[0]:.3f}")
@@ -193,12 +228,13 @@ def main() -> None:
     parser.add_argument("what", choices=("mosaic", "run", "m3c2"))
     parser.add_argument("surveys", nargs="+", type=Path)
     parser.add_argument("--count", type=int, default=4)
+    parser.add_argument("--copies", type=int, default=1, help="points of a mosaic for each of a survey")
     parser.add_argument("--workers", type=int, nargs="+", default=[2])
     parser.add_argument("--report", action="store_true", help="build the report too")
     parser.add_argument("-o", "--output", type=Path)
     given = parser.parse_args()
     if given.what == "mosaic":
-        make_mosaic(given.surveys, given.count, given.output)
+        make_mosaic(given.surveys, given.count, given.copies, given.output)
         return
     if given.what == "m3c2":
         wall, cpu = time_m3c2(given.surveys[0])

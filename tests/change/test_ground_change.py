@@ -77,6 +77,20 @@ def test_a_patch_too_sparse_for_a_level_of_detection_is_found_as_a_whole():
     assert compare_ground(view(seed=1), blind_there(None, where), GroundChangeConfig()).patches == ()
 
 
+@pytest.mark.parametrize(("noise", "count"), [(0.01, 1), (0.25, 0)])
+def test_a_sparse_patch_is_claimed_only_where_the_ground_around_keeps_still(noise, count):
+    """Seen from afar the ground errs by blocks of 2 m together; 0.3 m dug is nothing among these."""
+    off = np.random.default_rng(7).normal(0, noise, (50, 50))
+    far, pit = box(20, 20, 30, 30), box(30, 30, 6, 6)
+
+    def lift(x, y):
+        blocks = off[(x / 2).astype(int) % 50, (y / 2).astype(int) % 50]
+        return np.where(pit(x, y), -0.3, np.where(far(x, y), np.clip(blocks, -0.14, None), 0.0))
+
+    found = compare_ground(view(seed=1), blind_there(lift, far), GroundChangeConfig()).patches
+    assert len([p for p in found if p.change is Change.DECREASED]) == count
+
+
 @pytest.mark.parametrize(("side", "count"), [(5.5, 1), (3.0, 0)])
 def test_the_floor_that_the_edge_of_a_pit_hides_counts_towards_its_area(side, count):
     """Of 30 m2 dug, 5 m2 along one edge are out of sight; a pit of 9 m2 stays too small."""

@@ -11,7 +11,7 @@ from PIL import Image
 from subiaco_change.records import CHANGE_COLOURS
 from subiaco_change.report import pictures
 from subiaco_change.report.paint import BACKGROUND, instance_colours, paint
-from subiaco_change.report.raster import Frame, fill_holes, hillshade, top_view
+from subiaco_change.report.raster import Above, Frame, fill_holes, hillshade, top_view
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Change
 
@@ -94,8 +94,28 @@ def test_an_object_has_one_colour_everywhere_and_points_of_none_are_grey():
     assert np.abs(colours[0] - colours[3]).max() > 40
 
 
+@given(points, st.integers(0, 2**32 - 1), st.integers(1, 5))
+def test_a_view_gathered_from_parts_is_the_view_of_all_points(rows, seed, parts):
+    rng = np.random.default_rng(seed)
+    xyz, change = np.array(rows, float), rng.choice([int(c) for c in Change], len(rows))
+    above = Above(FRAME)
+    for part in np.array_split(np.arange(len(xyz)), parts):
+        above.add(xyz[part], change[part].astype(np.uint8))
+    np.testing.assert_array_equal(
+        paint(above.cloud(), FRAME, "change"), paint(cloud_of(xyz, change), FRAME, "change")
+    )
+
+
+def grid_of(*clouds):
+    world = np.concatenate([cloud.world() for cloud in clouds])
+    grid = pictures.BlockGrid(world.min(axis=0)[:2], world.max(axis=0)[:2])
+    for cloud in clouds:
+        grid.add(cloud.world())
+    return grid.blocks()
+
+
 def test_every_point_lies_in_exactly_one_block_core(result):
-    blocks = pictures.block_grid([result.before, result.after])
+    blocks = grid_of(result.before, result.after)
     assert [b.name for b in blocks] == ["A1", "A2"]
     world = np.concatenate([result.before.world(), result.after.world()])[::50]
     owners = [sum(b.holds(x, y) for b in blocks) for x, y, _ in world]
@@ -104,7 +124,7 @@ def test_every_point_lies_in_exactly_one_block_core(result):
 
 
 def test_a_block_has_its_five_pictures_at_one_size(result):
-    block = pictures.block_grid([result.before, result.after])[0]
+    block = grid_of(result.before, result.after)[0]
     drawn = pictures.block_pictures(result.before, result.after, block)
     assert list(drawn) == ["projection", "height", "semantics", "instances", "change"]
     images = [Image.open(io.BytesIO(webp)).convert("RGB") for webp in drawn.values()]
@@ -115,9 +135,10 @@ def test_a_block_has_its_five_pictures_at_one_size(result):
 def test_pictures_do_not_need_intensity_and_are_the_same_every_time(result):
     bare = result.after.fields.keys() - {"intensity"}
     after = PointCloud(result.after.xyz, result.after.origin, None, {n: result.after.fields[n] for n in bare})
-    block = pictures.block_grid([after])[0]
+    block = grid_of(after)[0]
     frame = Frame(*block.bounds, 0.5)
     first = paint(after, frame, "projection")
     assert len(np.unique(first.reshape(-1, 3), axis=0)) > 5
-    blocks = [block]
-    assert pictures.overview(after, after, blocks) == pictures.overview(after, after, blocks)
+    above = Above(frame)
+    above.add(after.world(), after.fields["change"])
+    assert pictures.overview(above, [block]) == pictures.overview(above, [block])

@@ -11,6 +11,7 @@ from subiaco_change.job import drive_facts
 from subiaco_change.outputs.reading import read_change_directory
 from subiaco_change.report import evidence, page
 from subiaco_change.report.facts import changed_rows
+from subiaco_change.report.gathering import gather
 from subiaco_change.report.page import build_report
 from subiaco_change.report.summary import build_summary, day_of, epoch_facts, largest_rows
 from subiaco_geo.maps import SurveyMap
@@ -28,7 +29,7 @@ def change(change_directory):
 @pytest.fixture(scope="module")
 def facts(change):
     changed = changed_rows(change.table)
-    return build_summary(change, dict.fromkeys(changed["object_id"]))
+    return build_summary(change, gather(change), dict.fromkeys(changed["object_id"]))
 
 
 def survey(cloud, start_ns, x):

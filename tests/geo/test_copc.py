@@ -11,9 +11,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from subiaco_geo import copc_io
 from subiaco_geo.cloud_io import read_cloud, write_cloud
 from subiaco_geo.clouds import PointCloud
-from subiaco_geo.copc_io import octree
+from subiaco_geo.copc_io import octree, write_copc_parts
 
 ORIGIN = np.array([391_000.0, 6_464_000.0, 20.0])
 
@@ -67,3 +68,42 @@ def test_the_octree_holds_every_point_once_in_the_node_where_it_lies(count: int,
         assert (np.floor(local[members] * (2**level / (50.0 + 1e-6))) == node).all()
         seen.append(members)
     assert (np.sort(np.concatenate(seen)) == np.arange(count)).all()
+
+
+def test_a_cloud_in_parts_and_pieces_holds_the_same_points_as_a_whole_one(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cloud = street()
+    parts = [cloud.select(members).rebased(ORIGIN + k) for k, members in enumerate(np.array_split(
+        np.arange(len(cloud)), 7))]  # fmt: skip
+    monkeypatch.setattr(copc_io, "_HELD", 3000)
+    monkeypatch.setattr(copc_io, "_SMALL", 500)
+    write_copc_parts(tmp_path / "parts.copc.laz", lambda: iter(parts))
+    with laspy.CopcReader.open(tmp_path / "parts.copc.laz") as reader:
+        header, whole, thin = reader.header, reader.query(), reader.query(level=0)
+        fine = [len(reader.query(level=level)) for level in range(4)]
+    assert header.point_count == len(whole) == len(cloud) == sum(header.number_of_points_by_return)
+    order = np.argsort(whole["instance"])
+    np.testing.assert_array_equal(whole["instance"][order], cloud.fields["instance"])
+    np.testing.assert_array_equal(whole["lod95"][order], cloud.fields["lod95"])
+    xyz = np.stack([np.asarray(whole[axis]) for axis in "xyz"], axis=1)
+    np.testing.assert_allclose(xyz[order], cloud.world(), atol=1e-6)
+    np.testing.assert_allclose(header.mins, cloud.world().min(axis=0), atol=1e-6)
+    np.testing.assert_allclose([np.ptp(np.asarray(thin[axis])) for axis in "xyz"], [400, 150, 12], atol=8)
+    assert 500 < fine[0] < fine[1]
+    assert fine[2] > 0
+
+
+def test_a_viewer_finds_all_points_of_a_corner_whichever_piece_holds_them(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    cloud = street(30_000)
+    monkeypatch.setattr(copc_io, "_HELD", 1000)
+    monkeypatch.setattr(copc_io, "_SMALL", 200)
+    write_cloud(tmp_path / "city.copc.laz", cloud)
+    corner = laspy.copc.Bounds(ORIGIN + 40.0, ORIGIN + np.array([260.0, 90.0, 200.0]))
+    corner.mins[2] = 0.0
+    with laspy.CopcReader.open(tmp_path / "city.copc.laz") as reader:
+        found = reader.query(bounds=corner)
+    inside = ((cloud.xyz[:, :2] >= 40.0 - 1e-9) & (cloud.xyz[:, :2] <= [260.0, 90.0])).all(axis=1)
+    assert sorted(found["instance"]) == sorted(cloud.fields["instance"][inside])

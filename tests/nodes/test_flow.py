@@ -47,9 +47,9 @@ def test_counts_of_strangers_and_old_counts_change_nothing() -> None:
     flow.on_counts("a", ["/x"], [0])
     for _ in range(5):
         flow.published("/x")
-    flow.on_counts("stranger", ["/x"], [0])
-    flow.on_counts("a", ["/x"], [5])
-    flow.on_counts("a", ["/x"], [2])
+    assert not flow.on_counts("stranger", ["/x"], [0])
+    assert flow.on_counts("a", ["/x"], [5])
+    assert flow.on_counts("a", ["/x"], [2])
     assert flow.settled
 
 

@@ -194,6 +194,22 @@ def test_consumption_is_not_reported_while_the_next_node_is_behind(ros: Any) -> 
     ros.until(lambda: bench.taken("/ouster/lidar_packets") == 40)
 
 
+def test_a_node_answers_its_own_consumers_and_no_other_counts(ros: Any) -> None:
+    """Else two nodes that report on one topic answer each other, and themselves, with every message."""
+    from subiaco_mapping.nodes.counts import CONSUMED, listen_to_consumers
+    from subiaco_mapping.nodes.flow import FlowControl
+    from subiaco_mapping.nodes.runtime import latched
+    from subiaco_msgs.msg import ReplayCounts
+
+    node, answers = ros.node("odometry"), []
+    listen_to_consumers(node, FlowControl(["pose_graph"]), lambda: answers.append(1))
+    counts = node.create_publisher(ReplayCounts, CONSUMED, latched(10))
+    for source in ("odometry", "stranger", "pose_graph"):
+        counts.publish(ReplayCounts(source=source, topics=["/odometry"], counts=[1]))
+    ros.until(lambda: answers)  # the last of them, in order
+    assert len(answers) == 1
+
+
 def imu_message() -> Any:
     from sensor_msgs.msg import Imu
 

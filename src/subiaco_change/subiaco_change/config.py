@@ -39,7 +39,9 @@ class ChangeConfig(StrictModel):
     seed: int = Field(0, ge=0, description="seed of every random choice")
     tiles: TileConfig = TileConfig()
     registration_points: int = Field(
-        4_000_000, ge=10_000, description="points of an epoch that the registration takes; thinned beyond"
+        1_000_000,
+        ge=10_000,
+        description="points of an epoch that the registration takes; beyond, thinner and of fewer tiles",
     )
     normal_radius: float = Field(0.8, gt=0, description="radius of normals at the working leaf [m]")
     second_registration: bool = Field(

@@ -80,6 +80,12 @@ def read_crs(path: Path, text: str | None) -> str | None:
     return crs_text(crs)
 
 
+def brightest(cloud: PointCloud) -> float:
+    """Return the largest intensity of a cloud; 0 without any, inf for whole numbers: no shares of 1."""
+    values = np.asarray(cloud.fields.get("intensity", np.zeros(0, np.float32)))
+    return float(np.nanmax(values, initial=0.0)) if values.dtype.kind == "f" else np.inf
+
+
 def scalar_columns(path: Path, cloud: PointCloud) -> dict[str, Column]:
     """Split the fields of a cloud into one-dimensional columns.
 

@@ -2,16 +2,21 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from pathlib import Path
 
 import numpy as np
 
 from subiaco_geo.atomic import whole_directory
-from subiaco_geo.cloud_io import write_cloud
+from subiaco_geo.cloud_fields import brightest
+from subiaco_geo.cloud_parts import cloud_parts
 from subiaco_geo.clouds import PointCloud
+from subiaco_geo.copc_io import write_copc_parts
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import invert_pose
-from subiaco_geo.maps import read_map
+from subiaco_geo.las_writing import las_stream
+from subiaco_geo.ply_io import write_ply_parts
+from subiaco_geo.sources import open_epoch
 from subiaco_geo.trajectories import Trajectory, write_kitti
 
 #: Ending of each kind of cloud.
@@ -23,6 +28,33 @@ def for_cloudcompare(cloud: PointCloud) -> PointCloud:
     plain = ("normals", "red", "green", "blue")
     fields = {n if n in plain else f"scalar_{n}": values for n, values in cloud.fields.items()}
     return PointCloud(cloud.xyz, cloud.origin, cloud.crs, fields)
+
+
+def copy_cloud(source: Path, target: Path, *, ellipsoidal: bool = True, cloudcompare: bool = False) -> None:
+    """Write a cloud file in another form, by its ending; from a binary PLY part by part.
+
+    Parameters
+    ----------
+    source, target : Path
+    ellipsoidal : bool
+        For LAS: state in the CRS that heights are ellipsoidal.
+    cloudcompare : bool
+        See :func:`for_cloudcompare`.
+    """
+
+    def parts() -> Iterator[PointCloud]:
+        for part in cloud_parts(source, None):
+            yield for_cloudcompare(part) if cloudcompare else part
+
+    if target.name.endswith(".copc.laz"):
+        write_copc_parts(target, parts, ellipsoidal=ellipsoidal)
+    elif target.suffix == ".ply":
+        write_ply_parts(target, parts(), sum(len(part) for part in parts()))
+    else:
+        unit = max(brightest(part) for part in parts()) <= 1.0
+        with las_stream(target, ellipsoidal=ellipsoidal, unit_intensity=unit) as stream:
+            for part in parts():
+                stream.append(part)
 
 
 def export_map(directory: Path, output: Path, kind: str, *, cloudcompare: bool = False) -> list[Path]:
@@ -52,15 +84,14 @@ def export_map(directory: Path, output: Path, kind: str, *, cloudcompare: bool =
     """
     if kind not in (*CLOUD_ENDINGS, "kitti"):
         raise InputError(f"{directory}: a map has no {kind}; give --to laz, copc, ply or kitti")
-    survey = read_map(directory, with_last=False)
-    if kind == "kitti" and survey.trajectory is None:
+    survey = open_epoch(directory)
+    way = survey.trajectory
+    if kind == "kitti" and way is None:
         raise InputError(f"{directory}: trajectory.tum is missing; rebuild the map")
     with whole_directory(output) as target:
-        if survey.trajectory is not None and kind == "kitti":
-            poses = survey.trajectory.poses
-            relative = invert_pose(poses[0]) @ poses
-            write_kitti(target / "poses.txt", Trajectory(survey.trajectory.times_ns, np.asarray(relative)))
+        if way is not None and kind == "kitti":
+            relative = invert_pose(way.poses[0]) @ way.poses
+            write_kitti(target / "poses.txt", Trajectory(way.times_ns, np.asarray(relative)))
         else:
-            cloud = for_cloudcompare(survey.cloud) if cloudcompare else survey.cloud
-            write_cloud(target / f"map{CLOUD_ENDINGS[kind]}", cloud)
+            copy_cloud(survey.cloud, target / f"map{CLOUD_ENDINGS[kind]}", cloudcompare=cloudcompare)
     return sorted(output.iterdir())

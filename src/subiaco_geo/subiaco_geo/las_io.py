@@ -61,21 +61,25 @@ def _faults_named(path: Path) -> Iterator[None]:
         raise InputError(f"{path}: cut or not a LAS/LAZ file ({reason}); copy or export it again") from error
 
 
-def las_parts(path: Path, fields: tuple[str, ...], size: int) -> Iterator[PointCloud]:
-    """Read a LAS, LAZ or COPC file in parts of up to ``size`` points, with those of ``fields`` that it has.
+def las_parts(path: Path, fields: tuple[str, ...], size: int, first: int = 0) -> Iterator[PointCloud]:
+    """Read a LAS, LAZ or COPC file from point ``first`` on in parts of up to ``size``.
+
+    Of its fields, those of ``fields`` are read.
 
     Raises
     ------
     InputError
         As :func:`read_las`; what is cut is found when its end is reached.
     """
-    found = 0
+    found = first
     with _faults_named(path):
         _refuse_impossible(path)
         with laspy.open(path) as reader:
             expected, crs = int(reader.header.point_count), _crs(path, reader.header)
             if reader.header.are_points_compressed:
                 _refuse_impossible_chunks(path, reader.header)
+            if first:
+                reader.seek(first)
             present = [name for name in fields if name in set(reader.header.point_format.dimension_names)]
             for points in reader.chunk_iterator(size):
                 columns: dict[str, Column] = {axis: np.asarray(points[axis], np.float64) for axis in "xyz"}

@@ -90,15 +90,36 @@ class _Form:
     unit_intensity: bool
 
 
-class LasStream:
-    """Takes the clouds of :func:`las_stream`."""
+class LasRecords:
+    """Turns clouds into records of one file; the first says CRS, fields and coordinate offset.
 
-    def __init__(self, path: Path, temporary: Path, ellipsoidal: bool, unit: bool | None = None) -> None:
-        self._path, self._temporary, self._ellipsoidal, self._unit = path, temporary, ellipsoidal, unit
-        self._open: tuple[laspy.LasWriter, _Form] | None = None
+    Parameters
+    ----------
+    path : Path
+        For errors.
+    ellipsoidal, unit_intensity
+        As for :func:`las_stream`.
+    """
 
-    def append(self, cloud: PointCloud) -> None:
-        """Write a cloud. The first says CRS, fields, coordinate offset, and whether intensity is 0-1.
+    def __init__(self, path: Path, ellipsoidal: bool, unit_intensity: bool | None = None) -> None:
+        self._path, self._ellipsoidal, self._unit = path, ellipsoidal, unit_intensity
+        self._form: _Form | None = None
+
+    @property
+    def header(self) -> laspy.LasHeader:
+        """Header of the file, once there was a cloud.
+
+        Raises
+        ------
+        InputError
+            There was none.
+        """
+        if self._form is None:
+            raise InputError(f"{self._path}: the cloud is empty; give a cloud with points")
+        return self._form.header
+
+    def of(self, cloud: PointCloud) -> Iterator[laspy.ScaleAwarePointRecord]:
+        """Yield the records of a cloud, half a million at a time.
 
         Raises
         ------
@@ -108,34 +129,39 @@ class LasStream:
         """
         check_coordinates(self._path, cloud.xyz)
         columns = scalar_columns(self._path, cloud)
-        if self._open is None:
-            self._open = self._begin(cloud, columns)
-        writer, form = self._open
+        if self._form is None:
+            form = _form(self._path, cloud, columns, self._ellipsoidal)
+            self._form = form if self._unit is None else replace(form, unit_intensity=self._unit)
+        form = self._form
         if cloud.crs != form.crs or _types(columns) != form.types:
             raise InputError(f"{self._path}: its parts differ in CRS or fields; write them apart")
         for start in range(0, len(cloud), _PART):
             chosen = slice(start, start + _PART)
             part = PointCloud(cloud.xyz[chosen], cloud.origin)
             own = {name: values[chosen] for name, values in columns.items()}
-            writer.write_points(_records(self._path, form, part, own).points)
+            yield _records(self._path, form, part, own).points
+
+
+class LasStream:
+    """Takes the clouds of :func:`las_stream`."""
+
+    def __init__(self, path: Path, temporary: Path, ellipsoidal: bool, unit: bool | None = None) -> None:
+        self._records = LasRecords(path, ellipsoidal, unit)
+        self._temporary, self._compressed = temporary, path.suffix.lower() == ".laz"
+        self._writer: laspy.LasWriter | None = None
+
+    def append(self, cloud: PointCloud) -> None:
+        """Write a cloud; errors as for :meth:`LasRecords.of`."""
+        for records in self._records.of(cloud):
+            if self._writer is None:
+                header = self._records.header
+                self._writer = laspy.open(self._temporary, "w", header=header, do_compress=self._compressed)
+            self._writer.write_points(records)
 
     def close(self) -> None:
         """Finish the file."""
-        if self._open is not None:
-            self._open[0].close()
-
-    def _begin(self, cloud: PointCloud, columns: dict[str, Column]) -> tuple[laspy.LasWriter, _Form]:
-        form = _form(self._path, cloud, columns, self._ellipsoidal)
-        form = form if self._unit is None else replace(form, unit_intensity=self._unit)
-        compressed = self._path.suffix.lower() == ".laz"
-        return laspy.open(self._temporary, "w", header=form.header, do_compress=compressed), form
-
-
-def las_data(path: Path, cloud: PointCloud, *, ellipsoidal: bool = True) -> laspy.LasData:
-    """Return a cloud as LAS 1.4 records, ``path`` for errors; see :func:`write_las`."""
-    check_coordinates(path, cloud.xyz)
-    columns = scalar_columns(path, cloud)
-    return _records(path, _form(path, cloud, columns, ellipsoidal), cloud, columns)
+        if self._writer is not None:
+            self._writer.close()
 
 
 def _types(columns: dict[str, Column]) -> dict[str, np.dtype[Any]]:

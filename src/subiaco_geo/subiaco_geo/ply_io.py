@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import os
 import warnings
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
@@ -73,15 +74,19 @@ def read_ply(path: Path) -> PointCloud:
     return _cloud(path, table, header)
 
 
-def ply_parts(path: Path, size: int) -> Iterator[PointCloud]:
-    """Read a PLY in parts of up to ``size`` vertices; an ASCII one is one part. See :func:`read_ply`."""
+def ply_parts(path: Path, size: int, first: int = 0) -> Iterator[PointCloud]:
+    """Read a PLY from vertex ``first`` on in parts of up to ``size``; an ASCII one is one part.
+
+    See :func:`read_ply`.
+    """
     with path.open("rb") as stream:
         header = _read_header(path, stream)
         vertex = _skip_to_vertices(path, stream, header)
         if header.form == "ascii":
-            yield _cloud(path, _read_ascii(path, stream, vertex), header)
+            yield _cloud(path, _read_ascii(path, stream, vertex)[first:], header)
             return
-        for start in range(0, vertex.count, size):
+        stream.seek(first * vertex.dtype(_ORDERS[header.form]).itemsize, os.SEEK_CUR)
+        for start in range(first, vertex.count, size):
             rest = replace(vertex, count=min(size, vertex.count - start))
             yield _cloud(path, _read_binary(path, stream, rest, _ORDERS[header.form]), header)
 

@@ -45,7 +45,7 @@ def _reinsert(
 
 
 @numba.njit(cache=True)
-def _walk(  # noqa: C901, PLR0912, PLR0915
+def _walk(  # noqa: PLR0912, PLR0915
     starts: Floats, ends: Floats, returned: Flags, first: int, room: int,
     keys: Ints, hits: Counts, passes: Counts,
 ) -> tuple[int, int]:  # fmt: skip
@@ -74,27 +74,31 @@ def _walk(  # noqa: C901, PLR0912, PLR0915
             steps += left[axis]
         if added + steps + 1 > room:
             return ray, added
+        key = ((cell[0] + _LIMIT) << 42) | ((cell[1] + _LIMIT) << 21) | (cell[2] + _LIMIT)
+        dx, dy, dz = step[0] << 42, step[1] << 21, step[2]
+        nx, ny, nz = left
+        tx, ty, tz = t_next[0], t_next[1], t_next[2]
         for i in range(steps + 1):
-            key = ((cell[0] + _LIMIT) << 42) | ((cell[1] + _LIMIT) << 21) | (cell[2] + _LIMIT)
             slot = _slot(keys, key)
             if keys[slot] == _EMPTY:
                 keys[slot] = key
                 added += 1
-            if i < steps:
-                passes[slot] += 1
-            elif returned[ray]:
+            if i == steps and returned[ray]:
                 hits[slot] += 1
             else:
                 passes[slot] += 1
-            axis = 0
-            if t_next[1] < t_next[axis]:
-                axis = 1
-            if t_next[2] < t_next[axis]:
-                axis = 2
-            if left[axis] > 0:
-                cell[axis] += step[axis]
-                left[axis] -= 1
-                t_next[axis] = t_next[axis] + t_delta[axis] if left[axis] > 0 else np.inf
+            if tx <= ty and tx <= tz:
+                key += dx
+                nx -= 1
+                tx = tx + t_delta[0] if nx > 0 else np.inf
+            elif ty <= tz:
+                key += dy
+                ny -= 1
+                ty = ty + t_delta[1] if ny > 0 else np.inf
+            else:
+                key += dz
+                nz -= 1
+                tz = tz + t_delta[2] if nz > 0 else np.inf
     return len(starts), added
 
 

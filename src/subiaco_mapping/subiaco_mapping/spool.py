@@ -75,7 +75,7 @@ class Spool:
         return self._folder / f"{index:06d}.npy"
 
     def _pack(self, xyz: Floats, intensity: NDArray[np.float32], limit: float) -> NDArray[np.void]:
-        keep = (xyz * xyz).sum(axis=1) <= limit**2
+        keep = np.einsum("ij,ij->i", xyz, xyz) <= limit**2
         points = np.empty(int(keep.sum()), dtype=_POINT)
         points["xyz"] = np.round(xyz[keep] / self._step)
         points["intensity"] = np.clip(intensity[keep], 0, 65535)

@@ -20,6 +20,8 @@ from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
 
 _NO_CLAIM = 10.0  # level of detection shown where there is none [m]
+_AROUND = 10.0  # what lies this near tells the noise of a thinly seen patch [m]
+_NOISE_BLOCK = 2.0  # within which thinly seen heights err together [m]
 _LOD_CELLS = 25  # known cells that speak for a patch without a level of detection
 
 
@@ -284,9 +286,28 @@ def _make_patch(
     area = len(cells) * cell**2
     known = lod[where & np.isfinite(lod)]
     level = float(np.median(known)) if len(known) else _nearest_lod(cells, lod)
-    if len(known) < 0.5 * len(values):  # mostly sparse: the spread of the differences speaks for their mean
-        level = math.hypot(level, 1.96 * float(values.std()) / math.sqrt(len(values)))
+    if len(known) < 0.5 * len(values):  # mostly sparse: neighbours err together, over a block
+        blocks = max(1.0, len(values) * cell**2 / _NOISE_BLOCK**2)
+        spread = float(values.std()) / math.sqrt(blocks)
+        level = math.hypot(level, 1.96 * spread, _noise_around(where, dz, cell))
     return GroundPatch(change, area, float(np.median(values)), float(values.std()), level, cells, outline)
+
+
+def _noise_around(where: Mask, dz: Floats, cell: float) -> float:
+    """Return the difference that 95 % of the blocks around a patch stay below [m].
+
+    Seen thinly and from afar, neighbours err together (attitude, grazing rings): their mean gets no
+    better with their number.
+    """
+    rows, columns = (
+        slice(max(int(i.min()) - reach, 0), int(i.max()) + reach + 1)
+        for i, reach in ((i, round(_AROUND / cell)) for i in np.nonzero(where))
+    )
+    around = np.where(where[rows, columns], np.nan, dz[rows, columns])
+    factor = max(1, round(_NOISE_BLOCK / cell))
+    blocks = _block_median(around, *(-(-n // factor) for n in around.shape), factor)
+    values = blocks[np.isfinite(blocks)]
+    return float(np.quantile(np.abs(values), 0.95)) if len(values) else 0.0
 
 
 def _nearest_lod(cells: Ints, lod: Floats) -> float:

@@ -9,7 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from subiaco_change.records import CHANGE_COLOURS
+from subiaco_geo.cloud_fields import brightest
 from subiaco_geo.cloud_io import read_cloud
+from subiaco_geo.cloud_parts import cloud_parts
+from subiaco_geo.cloud_windows import CloudFile
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.errors import InputError
@@ -103,15 +106,14 @@ def write_labelled(
     InputError
         A field is missing, a code has no meaning, or there is no point.
     """
-    count, brightest = 0, 0.0
+    count, bright = 0, 0.0
     for part in parts():
         count += len(part)
-        bright = np.asarray(part.fields.get("intensity", np.zeros(1, np.float32)))
-        brightest = max(brightest, float(np.nanmax(bright, initial=0.0)))
+        bright = max(bright, brightest(part))
     labelled = (labelled_cloud(part) for part in parts())
     write_ply_parts(directory / f"{epoch}_labelled.ply", labelled, count)
     path = directory / f"{epoch}_labelled.laz"
-    with las_stream(path, ellipsoidal=ellipsoidal, unit_intensity=brightest <= 1.0) as stream:
+    with las_stream(path, ellipsoidal=ellipsoidal, unit_intensity=bright <= 1.0) as stream:
         for part in parts():
             cloud = labelled_cloud(part)
             codes = asprs_lookup()[cloud.fields["semantic"].astype(np.int64)]
@@ -119,14 +121,31 @@ def write_labelled(
     return count
 
 
-def read_labelled(directory: Path, epoch: str) -> PointCloud:
-    """Read ``<epoch>_labelled.ply``, or the LAZ where only that is there."""
+def labelled_path(directory: Path, epoch: str) -> Path:
+    """Return ``<epoch>_labelled.ply``, or the LAZ where only that is there."""
     for suffix in (".ply", ".laz"):
         path = directory / f"{epoch}_labelled{suffix}"
         if path.is_file():
-            cloud = read_cloud(path)
-            missing = [name for name in POINT_FIELDS if name not in cloud.fields]
-            if missing:
-                raise InputError(f"{path}: field {missing[0]} is missing; run 'subiaco change' again")
-            return cloud
+            return path
     raise InputError(f"{directory}: {epoch}_labelled.ply is missing; run 'subiaco change' again")
+
+
+def read_labelled(directory: Path, epoch: str) -> PointCloud:
+    """Read a labelled cloud whole."""
+    path = labelled_path(directory, epoch)
+    return _complete(path, read_cloud(path))
+
+
+def open_labelled(directory: Path, epoch: str) -> CloudFile:
+    """Open a labelled cloud, whose points then are read by windows."""
+    path = labelled_path(directory, epoch)
+    fields = (*POINT_FIELDS, "intensity")
+    _complete(path, next(cloud_parts(path, fields, 1)))
+    return CloudFile(path, fields)
+
+
+def _complete(path: Path, cloud: PointCloud) -> PointCloud:
+    missing = [name for name in POINT_FIELDS if name not in cloud.fields]
+    if missing:
+        raise InputError(f"{path}: field {missing[0]} is missing; run 'subiaco change' again")
+    return cloud

@@ -26,6 +26,7 @@ from subiaco_change.outputs.raster import (
     build_lod_raster,
     join_coverage,
     join_lod,
+    read_coverage,
     write_coverage,
     write_ground_change,
     write_lod,
@@ -221,7 +222,7 @@ def rebuild(directory: Path) -> Path:
     page = build_report(directory)
     if not (directory / PROJECT).exists():
         change = read_change_directory(directory)
-        write_project(directory, change.run["crs"], build_coverage(change.before, change.after).bounds)
+        write_project(directory, change.run["crs"], read_coverage(directory / "coverage.tif").bounds)
     return page
 
 

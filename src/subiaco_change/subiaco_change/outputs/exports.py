@@ -6,13 +6,12 @@ from pathlib import Path
 
 import geopandas as gpd
 
-from subiaco_change.outputs.clouds import read_labelled
+from subiaco_change.outputs.clouds import labelled_path
 from subiaco_change.outputs.reviews import read_reviewed
 from subiaco_change.outputs.table import write_geopackage, write_parquet
 from subiaco_geo.atomic import whole_directory
-from subiaco_geo.cloud_io import write_cloud
 from subiaco_geo.errors import InputError
-from subiaco_geo.exports import CLOUD_ENDINGS, for_cloudcompare
+from subiaco_geo.exports import CLOUD_ENDINGS, copy_cloud
 
 #: What GeoJSON asks for (RFC 7946).
 _GEOJSON_CRS = "EPSG:4326"
@@ -51,9 +50,12 @@ def export_changes(directory: Path, output: Path, kind: str, *, cloudcompare: bo
     with whole_directory(output) as target:
         if kind in CLOUD_ENDINGS:
             for epoch in ("before", "after"):
-                cloud = read_labelled(directory, epoch)
-                named = for_cloudcompare(cloud) if cloudcompare else cloud
-                write_cloud(target / f"{epoch}_labelled{CLOUD_ENDINGS[kind]}", named, ellipsoidal=False)
+                copy_cloud(
+                    labelled_path(directory, epoch),
+                    target / f"{epoch}_labelled{CLOUD_ENDINGS[kind]}",
+                    ellipsoidal=False,
+                    cloudcompare=cloudcompare,
+                )
         else:
             _write_table(target, table, kind)
     return sorted(output.iterdir())

@@ -96,6 +96,25 @@ def write_coverage(path: Path, coverage: Coverage, crs: str | None) -> None:
     write_bands(path, {"coverage": coverage.code.astype(np.float32), "lod95": coverage.lod95}, coverage, crs)
 
 
+def read_coverage(path: Path) -> Coverage:
+    """Read what :func:`write_coverage` wrote.
+
+    Raises
+    ------
+    InputError
+        Missing or damaged.
+    """
+    try:
+        with rasterio.open(path) as dataset:
+            code, lod95 = dataset.read()
+            west, north, cell = dataset.transform.c, dataset.transform.f, dataset.transform.a
+    except (rasterio.errors.RasterioError, ValueError) as error:
+        raise InputError(
+            f"{path}: no coverage could be read ({error}); run 'subiaco change' again"
+        ) from error
+    return Coverage(code.astype(np.uint8), lod95, west, north, cell)
+
+
 def write_lod(path: Path, raster: LodRaster, crs: str | None) -> None:
     """Write LoD95 [m] and the share of points that claim one as a two-band GeoTIFF."""
     write_bands(path, {"lod95": raster.lod95, "claimed": raster.claimed}, raster, crs)

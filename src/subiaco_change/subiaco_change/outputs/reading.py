@@ -5,13 +5,15 @@ from __future__ import annotations
 import json
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
 import geopandas as gpd
 
 from subiaco_change.outputs import table as outputs_table
-from subiaco_change.outputs.clouds import read_labelled
+from subiaco_change.outputs.clouds import labelled_path, open_labelled, read_labelled
+from subiaco_geo.cloud_windows import CloudFile
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.errors import InputError
 
@@ -21,16 +23,27 @@ class ChangeDirectory:
     """A change directory as read back.
 
     ``table`` has the columns of contracts section 4 and footprints;
-    ``before`` and ``after`` are labelled clouds in the frame of *after*;
     ``registration`` and ``run`` are the parsed JSON files.
     """
 
     path: Path
     table: gpd.GeoDataFrame
-    before: PointCloud
-    after: PointCloud
     registration: Mapping[str, Any]
     run: Mapping[str, Any]
+
+    @cached_property
+    def before(self) -> PointCloud:
+        """The labelled cloud of *before* in the frame of *after*, whole in memory."""
+        return read_labelled(self.path, "before")
+
+    @cached_property
+    def after(self) -> PointCloud:
+        """The labelled cloud of *after*, whole in memory."""
+        return read_labelled(self.path, "after")
+
+    def open(self, epoch: str) -> CloudFile:
+        """Open the labelled cloud of an epoch without reading it."""
+        return open_labelled(self.path, epoch)
 
 
 def read_change_directory(directory: Path) -> ChangeDirectory:
@@ -46,13 +59,13 @@ def read_change_directory(directory: Path) -> ChangeDirectory:
     for name in ("changes.csv", "changes.parquet", "registration.json", "run.json"):
         if not (directory / name).is_file():
             raise InputError(f"{directory}: {name} is missing; not the output of 'subiaco change'")
+    for epoch in ("before", "after"):
+        labelled_path(directory, epoch)
     table = outputs_table.read_csv(directory / "changes.csv")
     shapes = gpd.read_parquet(directory / "changes.parquet", columns=["object_id", "geometry"])
     return ChangeDirectory(
         directory,
         gpd.GeoDataFrame(table, geometry=shapes.geometry.values, crs=shapes.crs),
-        read_labelled(directory, "before"),
-        read_labelled(directory, "after"),
         _read_json(directory / "registration.json"),
         _read_json(directory / "run.json"),
     )

@@ -13,21 +13,21 @@ from PIL import Image
 from subiaco_change.records import CHANGE_COLOURS
 from subiaco_change.report.evidence import svg_path
 from subiaco_change.report.paint import Colours, paint
-from subiaco_change.report.pictures import overview_frame, together
-from subiaco_geo.clouds import PointCloud
+from subiaco_change.report.raster import Above
 from subiaco_geo.codes import Change
 
-_LONGEST = 1600  # pixels of the picture
+#: Pixels of the picture along its longer side.
+LONGEST = 1600
 _COLOURS = {c.label: f"rgb{CHANGE_COLOURS[c]}" for c in Change}
 
 
-def city_map(before: PointCloud, after: PointCloud, rows: pd.DataFrame) -> dict[str, Any]:
+def city_map(seen: Above, rows: pd.DataFrame) -> dict[str, Any]:
     """Return what the template needs to draw the map.
 
     Parameters
     ----------
-    before, after : PointCloud
-        Labelled clouds in the frame of *after*.
+    seen : Above
+        Both epochs.
     rows : GeoDataFrame
         Changed rows with footprints.
 
@@ -37,9 +37,9 @@ def city_map(before: PointCloud, after: PointCloud, rows: pd.DataFrame) -> dict[
         ``uri`` of the picture; ``width``, ``height`` [m]; ``west``, ``north`` (world) [m]; ``bar``, the
         length of a scale bar [m]; ``shapes``, outlines as SVG paths in metres from the upper left corner.
     """
-    frame = overview_frame((before, after), _LONGEST)
+    frame = seen.frame
     width, height = (frame.shape[1] * frame.pixel, frame.shape[0] * frame.pixel)
-    picture = paint(together(before, after), frame, "change", fill=2)
+    picture = paint(seen.cloud(), frame, "change", fill=2)
     shapes = [
         {
             "id": row["object_id"],

@@ -5,7 +5,7 @@ from __future__ import annotations
 import base64
 import io
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import geopandas as gpd
@@ -16,9 +16,9 @@ from PIL import Image
 from shapely.geometry.base import BaseGeometry
 
 from subiaco_change.outputs.clouds import change_palette
-from subiaco_change.report.paint import BACKGROUND, CHANGED, Colours
-from subiaco_change.report.raster import Frame, fill_holes, hillshade, top_view
-from subiaco_geo.clouds import PointCloud
+from subiaco_change.report.paint import BACKGROUND, Colours
+from subiaco_change.report.raster import CHANGED, Frame, fill_holes, hillshade, top_view
+from subiaco_geo.cloud_windows import CloudFile
 from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats, Ints
 
@@ -27,44 +27,13 @@ WIDTH, HEIGHT = 3 * PANEL, HEAD + PANEL + SECTION
 #: No picture is larger than this [byte]: what bounds the report.
 MAX_BYTES = 10_000
 _LEAF = 0.25  # finest detail of the clouds [m]
+_BESIDE = 40.0  # rows so near to each other are drawn in turn [m]
 _SMALLEST = 8.0  # edge of the smallest view [m]
 _MARGIN = 1.6  # view over footprint
 _SLAB = 1.0  # a section takes what stands this near to the footprint [m]
 _EXAGGERATIONS = (20, 10, 5, 2, 1)
 _COLOURS = (64, 40, 24, 12, 6)
 _STEP = 5  # plans have a multiple of so many cells a side, sections three fifths of them
-
-
-class Tiles:
-    """The points of a cloud sorted by tiles, so that a window is found without a look at all of them."""
-
-    def __init__(self, cloud: PointCloud, size: float = 16.0) -> None:
-        self.world = cloud.world()
-        self.change = np.asarray(cloud.fields["change"])
-        self.ground = np.asarray(cloud.fields["semantic"]) == Semantic.GROUND
-        self._size = size
-        self._low = np.floor(self.world[:, :2].min(axis=0) / size)
-        column, row = (np.floor(self.world[:, :2] / size) - self._low).astype(np.int64).T
-        self._columns = int(column.max()) + 1
-        flat = row * self._columns + column
-        self._order = np.argsort(flat, kind="stable")
-        self._sorted = flat[self._order]
-
-    def inside(self, west: float, south: float, east: float, north: float) -> Ints:
-        """Return the indices (K,) of the points in a window [m], world coordinates."""
-        (c0, r0), (c1, r1) = (
-            np.floor(np.array(corner) / self._size) - self._low for corner in ((west, south), (east, north))
-        )
-        first, last = max(int(c0), 0), min(int(c1), self._columns - 1)
-        if first > last:
-            return np.zeros(0, dtype=np.int64)
-        rows = np.arange(max(int(r0), 0), int(r1) + 1) * self._columns
-        starts = np.searchsorted(self._sorted, rows + first, "left")
-        ends = np.searchsorted(self._sorted, rows + last, "right")
-        parts = [self._order[a:b] for a, b in zip(starts, ends, strict=True)]
-        near = np.concatenate([np.zeros(0, dtype=np.int64), *parts])
-        x, y = self.world[near, 0], self.world[near, 1]
-        return near[(x >= west) & (x < east) & (y >= south) & (y < north)]
 
 
 @dataclass(frozen=True)
@@ -125,25 +94,29 @@ class Evidence:
         return "data:image/webp;base64," + base64.b64encode(self.webp).decode("ascii")
 
 
-def evidence_pictures(before: PointCloud, after: PointCloud, rows: gpd.GeoDataFrame) -> Iterator[Evidence]:
+def evidence_pictures(epochs: Sequence[CloudFile], rows: gpd.GeoDataFrame) -> list[Evidence]:
     """Draw the evidence of every row, in the order of the rows.
 
     Parameters
     ----------
-    before, after : PointCloud
-        Labelled clouds in the frame of *after*.
+    epochs : (CloudFile, CloudFile)
+        Labelled clouds of *before* and *after* in the frame of *after*.
     rows : GeoDataFrame
         Rows of the change table with footprints.
 
-    Yields
-    ------
-    Evidence
-        Its picture has at most :data:`MAX_BYTES`.
+    Returns
+    -------
+    list of Evidence
+        Each picture has at most :data:`MAX_BYTES`.
     """
-    epochs = (Tiles(before), Tiles(after))
-    for shape, semantic in zip(rows.geometry, rows["class"], strict=True):
-        view = choose_view(epochs, shape, flat=semantic == "ground")
-        yield _over(shape, view, compact(Image.fromarray(draw(epochs, view))))
+    centres = rows.geometry.centroid
+    places = np.floor(np.stack([centres.x, centres.y], axis=1) / _BESIDE)
+    found: dict[int, Evidence] = {}
+    for k in np.lexsort(places.T).tolist():  # neighbours in turn: the files are read in the same places
+        shape, flat = rows.geometry.iloc[k], rows["class"].iloc[k] == "ground"
+        view = choose_view(epochs, shape, flat=flat)
+        found[k] = _over(shape, view, compact(Image.fromarray(draw(epochs, view))))
+    return [found[k] for k in range(len(rows))]
 
 
 def compact(picture: Image.Image) -> bytes:
@@ -160,15 +133,15 @@ def compact(picture: Image.Image) -> bytes:
     return stream.getvalue()
 
 
-def choose_view(epochs: Sequence[Tiles], shape: BaseGeometry, flat: bool) -> View:
+def choose_view(epochs: Sequence[CloudFile], shape: BaseGeometry, flat: bool) -> View:
     """Choose a view that holds a footprint and, in the section, all that stands on it.
 
     ``flat`` lets a section exaggerate heights: changes of the ground are small.
     """
     west, south, east, north = shape.bounds
     inside = [e.inside(west - 0.3, south - 0.3, east + 0.3, north + 0.3) for e in epochs]
-    kept = [i[e.ground[i]] if flat else i for e, i in zip(epochs, inside, strict=True)]
-    z = np.concatenate([e.world[i, 2] for e, i in zip(epochs, kept, strict=True)])
+    kept = [c.select(c.fields["semantic"] == Semantic.GROUND) if flat else c for c in inside]
+    z = np.concatenate([c.xyz[:, 2] + c.origin[2] for c in kept])
     low, high = np.percentile(z, [1.0, 99.5]) if len(z) else (0.0, 0.0)
     tall = float(high - low)
     side = max(_SMALLEST, _MARGIN * max(east - west, north - south), 1.25 * tall * PANEL / SECTION)
@@ -187,14 +160,14 @@ def choose_view(epochs: Sequence[Tiles], shape: BaseGeometry, flat: bool) -> Vie
     )
 
 
-def draw(epochs: Sequence[Tiles], view: View) -> Colours:
+def draw(epochs: Sequence[CloudFile], view: View) -> Colours:
     """Draw before, after and difference, plans above and sections below, a pixel a cell."""
     half = view.side / 2
     (west, south), (east, north) = view.centre - half, view.centre + half
     parts = []
     for epoch in epochs:
         inside = epoch.inside(west, south, east, north)
-        parts.append((epoch.world[inside], epoch.change[inside]))
+        parts.append((inside.world(), np.asarray(inside.fields["change"], dtype=np.uint8)))
     both = (np.concatenate([p[0] for p in parts]), np.concatenate([p[1] for p in parts]))
     shown = [(parts[0], _height_colours), (parts[1], _height_colours), (both, _change_colours)]
     plans = [_plan(points, view, colour) for points, colour in shown]

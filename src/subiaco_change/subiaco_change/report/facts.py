@@ -10,8 +10,8 @@ import numpy as np
 import pandas as pd
 
 from subiaco_change.outputs.raster import Coverage
-from subiaco_change.outputs.reading import ChangeDirectory
 from subiaco_change.records import CHANGE_COLOURS
+from subiaco_change.report.gathering import LodCounts
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import rotation_angle
 from subiaco_geo.simulated import SIMULATIONS
@@ -73,17 +73,12 @@ def _scaled(value: float | None, factor: float) -> float | None:
     return None if value is None else float(value) * factor
 
 
-def lod_facts(change: ChangeDirectory) -> dict[str, Any]:
+def lod_facts(lod: LodCounts) -> dict[str, Any]:
     """Return median and 95th percentile LoD95 [cm], and the share without any claim."""
-    lod95 = np.concatenate(
-        [np.asarray(c.fields["lod95"], dtype=np.float64) for c in (change.before, change.after)]
-    )
-    finite = lod95[np.isfinite(lod95)]
-    quantiles = np.percentile(finite, [50.0, 95.0]) * 100.0 if len(finite) else (None, None)
     return {
-        "median_cm": quantiles[0],
-        "p95_cm": quantiles[1],
-        "no_claim_percent": 100.0 * (1.0 - len(finite) / len(lod95)),
+        "median_cm": _scaled(lod.percentile(50.0), 100.0),
+        "p95_cm": _scaled(lod.percentile(95.0), 100.0),
+        "no_claim_percent": 100.0 * lod.unclaimed,
     }
 
 

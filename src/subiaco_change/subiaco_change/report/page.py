@@ -10,7 +10,6 @@ from typing import Any
 import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
-from subiaco_change.outputs.raster import build_coverage
 from subiaco_change.outputs.reading import ChangeDirectory, read_change_directory
 from subiaco_change.records import CHANGE_COLOURS, SEMANTIC_COLOURS
 from subiaco_change.report import evidence, pictures
@@ -26,6 +25,8 @@ from subiaco_change.report.facts import (
     summary,
     unseen_facts,
 )
+from subiaco_change.report.gathering import Gathered, gather
+from subiaco_change.report.paint import height_range
 from subiaco_change.report.summary import build_summary
 from subiaco_geo.atomic import whole_file
 from subiaco_geo.codes import Change, Semantic
@@ -85,29 +86,23 @@ def build_report(directory: Path) -> Path:
     """
     change = read_change_directory(directory)
     changed = changed_rows(change.table)
-    blocks = pictures.block_grid([change.before, change.after])
-    marks = changed_marks(changed)
-    drawn = dict(
-        zip(
-            changed["object_id"],
-            evidence.evidence_pictures(change.before, change.after, changed),
-            strict=True,
-        )
-    )
+    found = gather(change)
+    blocks, marks = found.blocks.blocks(), changed_marks(changed)
+    drawn = dict(zip(changed["object_id"], evidence.evidence_pictures(found.epochs, changed), strict=True))
     fullest = fullest_blocks(blocks, marks, _MOST_BLOCKS)
-    context = report_context(change) | {
-        "map": city_map(change.before, change.after, changed),
+    context = report_context(change, found) | {
+        "map": city_map(found.city, changed),
         "evidence": drawn,
-        "blocks": open_fullest([_block_context(change, block, marks) for block in fullest]),
+        "blocks": open_fullest([_block_context(found, block, marks) for block in fullest]),
         "left_out": len(blocks) - len(fullest),
         "evaluation": _evaluation(directory),
     }
     with whole_file(directory / "overview.png") as path:
-        path.write_bytes(pictures.overview(change.before, change.after, blocks, marks))
+        path.write_bytes(pictures.overview(found.overview, blocks, marks))
     with whole_file(directory / "report.html") as path:
         path.write_text(environment().get_template("report.html.j2").render(context), encoding="utf-8")
     with whole_file(directory / "summary.html") as path:
-        text = environment().get_template("summary.html.j2").render(build_summary(change, drawn))
+        text = environment().get_template("summary.html.j2").render(build_summary(change, found, drawn))
         path.write_text(text, encoding="utf-8")
     return directory / "report.html"
 
@@ -146,14 +141,13 @@ def fullest_blocks(
     return [block for index, block in enumerate(blocks) if index in kept]
 
 
-def report_context(change: ChangeDirectory) -> dict[str, Any]:
+def report_context(change: ChangeDirectory, found: Gathered) -> dict[str, Any]:
     """Return what the template needs beside the pictures."""
-    coverage = build_coverage(change.before, change.after)
     return {
         "run": change.run,
         "registration": registration_facts(change.registration),
-        "lod": lod_facts(change),
-        "unseen": unseen_facts(change.table, coverage),
+        "lod": lod_facts(found.lod),
+        "unseen": unseen_facts(change.table, found.coverage),
         "legend": legend(),
         "summary": summary(change.table),
         "columns": TABLE_COLUMNS,
@@ -187,11 +181,10 @@ def table_rows(table: pd.DataFrame) -> list[dict[str, Any]]:
     ]
 
 
-def _block_context(
-    change: ChangeDirectory, block: pictures.Block, marks: list[pictures.Mark]
-) -> dict[str, Any]:
+def _block_context(found: Gathered, block: pictures.Block, marks: list[pictures.Mark]) -> dict[str, Any]:
     """Return pictures of a block and what is drawn over them, in metres from the north-west corner."""
-    drawn = pictures.block_pictures(change.before, change.after, block)
+    before, after = (epoch.inside(*block.bounds) for epoch in found.epochs)
+    drawn = pictures.block_pictures(before, after, block)
     west, south, east, north = block.bounds
     inside = [m for m in marks if block.holds(m.x, m.y)]
     return {
@@ -199,7 +192,7 @@ def _block_context(
         "core": block.core,
         "side": east - west,
         "corner": (west, south),
-        "heights": pictures.block_heights(change.before, change.after, block),
+        "heights": height_range((before, after)),
         "changed": [m.text for m in inside],
         "marks": [{"x": m.x - west, "y": north - m.y, "text": m.text} for m in inside],
         "pictures": [

@@ -11,13 +11,11 @@ from numpy.typing import NDArray
 
 from subiaco_change.outputs.clouds import change_palette
 from subiaco_change.records import SEMANTIC_COLOURS
-from subiaco_change.report.raster import Frame, fill_holes, hillshade, top_view
+from subiaco_change.report.raster import CHANGED, Frame, fill_holes, hillshade, top_view
 from subiaco_geo.clouds import PointCloud
-from subiaco_geo.codes import Change
 from subiaco_geo.frames import Floats, Ints
 
 BACKGROUND = (247, 247, 245)
-CHANGED = (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED)
 
 Colours = NDArray[np.uint8]
 

@@ -16,9 +16,10 @@ from PIL import Image
 
 from subiaco_change.records import CHANGE_COLOURS
 from subiaco_change.report.paint import Colours, height_range, paint
-from subiaco_change.report.raster import Frame
+from subiaco_change.report.raster import Above, Frame
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Change
+from subiaco_geo.frames import Floats
 
 #: The five pictures of a block, in the order of the report, with their captions.
 KINDS = {
@@ -30,6 +31,9 @@ KINDS = {
 }
 _PIXEL = 0.25  # the working leaf [m]
 _MIN_POINTS = 50
+#: Edge of a block [m]; neighbours share a strip of the overlap.
+SIZE = 80.0
+_OVERLAP = 10.0
 
 
 @dataclass(frozen=True)
@@ -54,32 +58,38 @@ class Mark:
     text: str
 
 
-def block_grid(clouds: Sequence[PointCloud], size: float = 80.0, overlap: float = 10.0) -> list[Block]:
-    """Return the blocks that hold points, row by row from the north-west.
+class BlockGrid:
+    """Blocks of :data:`SIZE`, centred on the points, and how many points each of them holds.
 
-    The grid is centred on the points; ``overlap`` [m] is shared by neighbours.
+    Parameters
+    ----------
+    low, high : (2,) float64
+        Extent of all points, world [m].
     """
-    world = np.concatenate([cloud.world()[:, :2] for cloud in clouds])
-    low, high = world.min(axis=0), world.max(axis=0)
-    count = np.maximum(np.ceil((high - low) / size).astype(int), 1)
-    start = np.round((low + high) / 2 - count * size / 2)
-    index = np.clip(((world - start) // size).astype(int), 0, count - 1)
-    flat, population = np.unique(index[:, 0] * count[1] + index[:, 1], return_counts=True)
-    kept = [divmod(int(c), int(count[1])) for c, n in zip(flat, population, strict=True) if n >= _MIN_POINTS]
-    blocks = []
-    for column, row in sorted(kept, key=lambda c: (-c[1], c[0])):
-        west, south = (start + np.array([column, row]) * size).tolist()
-        core = (west, south, west + size, south + size)
-        margin = overlap / 2
-        bounds = (west - margin, south - margin, west + size + margin, south + size + margin)
-        blocks.append(
-            Block(
-                f"{chr(65 + int(count[1]) - 1 - row) if count[1] <= 26 else f'R{row}-'}{column + 1}",
-                core,
-                bounds,
-            )
-        )
-    return blocks
+
+    def __init__(self, low: Floats, high: Floats) -> None:
+        self._count = np.maximum(np.ceil((high - low) / SIZE).astype(int), 1)
+        self._start = np.round((low + high) / 2 - self._count * SIZE / 2)
+        self._points = np.zeros(self._count, dtype=np.int64)
+
+    def add(self, world: Floats) -> None:
+        """Count points (N, 2 or more)."""
+        index = np.clip(((world[:, :2] - self._start) // SIZE).astype(int), 0, self._count - 1)
+        flat = index[:, 0] * self._count[1] + index[:, 1]
+        self._points += np.bincount(flat, minlength=self._points.size).reshape(self._points.shape)
+
+    def blocks(self) -> list[Block]:
+        """Return the blocks that hold points, row by row from the north-west."""
+        kept = np.argwhere(self._points >= _MIN_POINTS).tolist()
+        return [self._block(column, row) for column, row in sorted(kept, key=lambda c: (-c[1], c[0]))]
+
+    def _block(self, column: int, row: int) -> Block:
+        west, south = (self._start + np.array([column, row]) * SIZE).tolist()
+        core = (west, south, west + SIZE, south + SIZE)
+        margin = _OVERLAP / 2
+        bounds = (west - margin, south - margin, west + SIZE + margin, south + SIZE + margin)
+        letter = chr(65 + int(self._count[1]) - 1 - row) if self._count[1] <= 26 else f"R{row}-"
+        return Block(f"{letter}{column + 1}", core, bounds)
 
 
 def block_pictures(before: PointCloud, after: PointCloud, block: Block) -> dict[str, bytes]:
@@ -87,13 +97,18 @@ def block_pictures(before: PointCloud, after: PointCloud, block: Block) -> dict[
 
     Names and scales are the page's to draw: the browser does it for the blocks that are looked at.
 
+    Parameters
+    ----------
+    before, after : PointCloud
+        What lies within the bounds of the block.
+    block : Block
+
     Returns
     -------
     dict
         WebP bytes by the keys of :data:`KINDS`.
     """
-    frame = Frame(*block.bounds, _PIXEL)
-    near = [_crop(cloud, block) for cloud in (before, after)]
+    frame, near = Frame(*block.bounds, _PIXEL), (before, after)
     heights = height_range(near)
     return {
         kind: _webp(np.concatenate([paint(cloud, frame, kind, heights) for cloud in near], axis=1))
@@ -101,22 +116,10 @@ def block_pictures(before: PointCloud, after: PointCloud, block: Block) -> dict[
     }
 
 
-def block_heights(before: PointCloud, after: PointCloud, block: Block) -> tuple[float, float]:
-    """Return the heights between which the colours of a block run, world [m]."""
-    near = [_crop(cloud, block) for cloud in (before, after)]
-    return height_range(near)
-
-
 def _webp(colours: Colours) -> bytes:
     stream = io.BytesIO()
     Image.fromarray(colours).save(stream, "WEBP", quality=60, method=3)
     return stream.getvalue()
-
-
-def _crop(cloud: PointCloud, block: Block) -> PointCloud:
-    west, south, east, north = block.bounds
-    x, y = cloud.xyz[:, 0] + cloud.origin[0], cloud.xyz[:, 1] + cloud.origin[1]
-    return cloud.select((x >= west) & (x < east) & (y >= south) & (y < north))
 
 
 def _dress(axis: Axes, title: str, frame: Frame) -> None:
@@ -164,9 +167,7 @@ def _patch(name: str, rgb: tuple[int, int, int]) -> Patch:
     return Patch(facecolor=tuple(c / 255 for c in rgb), edgecolor="#555555", linewidth=0.5, label=name)
 
 
-def overview(
-    before: PointCloud, after: PointCloud, blocks: Sequence[Block], marks: Iterable[Mark] = ()
-) -> bytes:
+def overview(seen: Above, blocks: Sequence[Block], marks: Iterable[Mark] = ()) -> bytes:
     """Draw the whole area: changed points of both epochs over the unchanged surroundings.
 
     Returns
@@ -174,12 +175,12 @@ def overview(
     bytes
         PNG.
     """
-    frame = overview_frame((before, after))
-    both = together(before, after)
+    frame = seen.frame
     width, height = frame.east - frame.west, frame.north - frame.south
     figure = Figure(figsize=(11.0, float(np.clip(11.0 * height / width + 0.9, 3.5, 14.0))), dpi=130)
     axis = figure.subplots()
-    axis.imshow(paint(both, frame, "change", fill=2), extent=frame.extent, interpolation="nearest")
+    picture = paint(seen.cloud(), frame, "change", fill=2)
+    axis.imshow(picture, extent=frame.extent, interpolation="nearest")
     _dress(axis, "Changes between the two epochs (north is up)", frame)
     for block in blocks:
         west, south, east, north = block.core
@@ -209,19 +210,11 @@ def overview(
     return _png(figure)
 
 
-def overview_frame(clouds: Sequence[PointCloud], longest: int = 1300) -> Frame:
-    """Return a frame around all points whose longer side has at most so many pixels."""
-    world = np.concatenate([cloud.world()[:, :2] for cloud in clouds])
-    (west, south), (east, north) = world.min(axis=0) - 2.0, world.max(axis=0) + 2.0
+def overview_frame(low: Floats, high: Floats, longest: int = 1300) -> Frame:
+    """Return a frame around an extent (2,), (2,) [m] whose longer side has at most so many pixels."""
+    (west, south), (east, north) = low - 2.0, high + 2.0
     pixel = max(_PIXEL, max(east - west, north - south) / longest)
     return Frame(float(west), float(south), float(east), float(north), float(pixel))
-
-
-def together(before: PointCloud, after: PointCloud) -> PointCloud:
-    """Return both epochs as one cloud, with field ``change``."""
-    moved = before.rebased(after.origin)
-    change = np.concatenate([np.asarray(c.fields["change"]) for c in (moved, after)])
-    return PointCloud(np.concatenate([moved.xyz, after.xyz]), after.origin, after.crs, {"change": change})
 
 
 def _png(figure: Figure) -> bytes:

@@ -7,7 +7,12 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from subiaco_geo.clouds import PointCloud
+from subiaco_geo.codes import Change
 from subiaco_geo.frames import Floats, Ints
+
+#: What hides all else in a view of changes.
+CHANGED = (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED)
 
 
 @dataclass(frozen=True)
@@ -60,6 +65,44 @@ def top_view(xyz: Floats, frame: Frame, priority: NDArray[np.generic] | None = N
     view = np.full(rows * columns, -1, dtype=np.int64)
     view[flat[order]] = inside[order]  # the last of equal pixels wins
     return view.reshape(rows, columns)
+
+
+class Above:
+    """What is seen from above of clouds that come part by part: the height and the change of every pixel.
+
+    Changed points hide others, height decides among equals: as :func:`top_view` of all points at once.
+
+    Parameters
+    ----------
+    frame : Frame
+        World coordinates.
+    """
+
+    def __init__(self, frame: Frame) -> None:
+        self.frame = frame
+        count = frame.shape[0] * frame.shape[1]
+        self._height = np.full(count, -np.inf)
+        self._change = np.full(count, Change.UNCHANGED, dtype=np.uint8)
+
+    def add(self, world: Floats, change: NDArray[np.uint8]) -> None:
+        """Take points (N, 3) [m] and their changes (N,)."""
+        view = top_view(world, self.frame, np.isin(change, CHANGED)).ravel()
+        pixel = np.flatnonzero(view >= 0)
+        seen = view[pixel]
+        own, held = np.isin(change[seen], CHANGED), np.isin(self._change[pixel], CHANGED)
+        hidden = np.where(own == held, world[seen, 2] < self._height[pixel], held)
+        pixel, seen = pixel[~hidden], seen[~hidden]
+        self._height[pixel], self._change[pixel] = world[seen, 2], change[seen]
+
+    def cloud(self) -> PointCloud:
+        """Return one point a pixel that anything was seen in, with field ``change``."""
+        pixel = np.flatnonzero(np.isfinite(self._height))
+        row, column = np.divmod(pixel, self.frame.shape[1])
+        x = (column + 0.5) * self.frame.pixel
+        y = (self.frame.north - self.frame.south) - (row + 0.5) * self.frame.pixel
+        origin = np.array([self.frame.west, self.frame.south, 0.0])
+        xyz = np.stack([x, y, self._height[pixel]], axis=1)
+        return PointCloud(xyz, origin, None, {"change": self._change[pixel]})
 
 
 def fill_holes(view: Ints, passes: int = 1) -> Ints:

@@ -10,7 +10,7 @@ import geopandas as gpd
 import numpy as np
 from numpy.typing import NDArray
 
-from subiaco_change.outputs.raster import COVERAGE, Coverage, build_coverage
+from subiaco_change.outputs.raster import COVERAGE, Coverage
 from subiaco_change.outputs.reading import ChangeDirectory
 from subiaco_change.outputs.style import COVERAGE_COLOURS
 from subiaco_change.records import CHANGE_COLOURS
@@ -24,6 +24,7 @@ from subiaco_change.report.facts import (
     summary,
     unseen_facts,
 )
+from subiaco_change.report.gathering import Gathered
 from subiaco_geo.codes import Change
 
 #: From, to and name of how sure a claim is.
@@ -35,16 +36,19 @@ BANDS = (
 _LARGEST = 10
 
 
-def build_summary(change: ChangeDirectory, pictures: Mapping[int, Evidence]) -> dict[str, Any]:
+def build_summary(
+    change: ChangeDirectory, found: Gathered, pictures: Mapping[int, Evidence]
+) -> dict[str, Any]:
     """Return what the template of the summary needs.
 
     Parameters
     ----------
     change : ChangeDirectory
+    found : Gathered
+        Of its clouds.
     pictures : mapping of int to Evidence
         By object id, for every changed row.
     """
-    coverage = build_coverage(change.before, change.after)
     changed = changed_rows(change.table)
     largest = largest_rows(changed)
     return {
@@ -61,10 +65,10 @@ def build_summary(change: ChangeDirectory, pictures: Mapping[int, Evidence]) -> 
         ],
         "calibrated": bool(change.run.get("confidence_calibrated", False)),
         "assumed": int((changed["evidence"] == "assumed").sum()),
-        "lod": lod_facts(change),
-        "unseen": unseen_facts(change.table, coverage),
-        "map": city_map(change.before, change.after, largest),
-        "coverage": coverage_picture(coverage),
+        "lod": lod_facts(found.lod),
+        "unseen": unseen_facts(change.table, found.coverage),
+        "map": city_map(found.city, largest),
+        "coverage": coverage_picture(found.coverage),
         "largest": [dict(row, picture=pictures[row["object_id"]]) for row in largest.to_dict("records")],
         "warnings": [*change.run.get("warnings", []), *change.registration.get("warnings", [])],
     }

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any, Protocol
@@ -39,6 +40,37 @@ class Store(Protocol):
         ...
 
 
+class _Piece(Mapping[str, Array]):
+    """Arrays of an ``.npz``, each read when it is asked for; between, the file is closed: there are many."""
+
+    def __init__(self, path: Path) -> None:
+        self._path = path
+        with self._opened() as opened:
+            self._names = tuple(opened.files)
+
+    @contextmanager
+    def _opened(self) -> Iterator[Any]:
+        try:
+            with np.load(self._path, allow_pickle=False) as opened:
+                yield opened
+        except (OSError, ValueError, EOFError, BadZipFile) as error:
+            raise InputError(
+                f"{self._path}: a kept stage cannot be read ({error}); remove it, run again"
+            ) from error
+
+    def __getitem__(self, name: str) -> Array:
+        if name not in self._names:
+            raise KeyError(name)
+        with self._opened() as opened:
+            return np.asarray(opened[name])
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._names)
+
+    def __len__(self) -> int:
+        return len(self._names)
+
+
 @dataclass(frozen=True)
 class DiskStore:
     """One uncompressed ``.npz`` a piece below a folder; no pickles.
@@ -66,14 +98,7 @@ class DiskStore:
         InputError
             Its file is missing or damaged.
         """
-        path = self._path(key)
-        try:
-            opened: Arrays = np.load(path, allow_pickle=False)
-        except (OSError, ValueError, EOFError, BadZipFile) as error:
-            raise InputError(
-                f"{path}: a kept stage cannot be read ({error}); remove it, run again"
-            ) from error
-        return opened
+        return _Piece(self._path(key))
 
     def save(self, key: str, arrays: Arrays) -> None:
         """Write a piece; its file appears whole."""

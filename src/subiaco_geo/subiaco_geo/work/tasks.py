@@ -90,6 +90,10 @@ class Inputs:
             self._opened[alias] = _Once(self.store.load(self.keys[alias]))
         return self._opened[alias]
 
+    def once(self, alias: str) -> Arrays:
+        """Open a piece that is looked at once: nothing of it is kept here."""
+        return self.store.load(self.keys[alias])
+
     def get(self, alias: str) -> Arrays:
         """Return the arrays of a piece, or none at all where the task does not rest on it."""
         return self[alias] if alias in self.keys else {}

@@ -22,11 +22,10 @@ def counts_message(source: str, counts: Mapping[str, int]) -> ReplayCounts:
 
 
 def listen_to_consumers(node: Node, flow: FlowControl, then: Callable[[], None] | None = None) -> None:
-    """Feed a flow control with what consumers report."""
+    """Feed a flow control with what consumers report; ``then`` is called where one of its own has spoken."""
 
     def on_counts(message: ReplayCounts) -> None:
-        flow.on_counts(message.source, message.topics, message.counts)
-        if then is not None:
+        if flow.on_counts(message.source, message.topics, message.counts) and then is not None:
             then()
 
     node.create_subscription(ReplayCounts, CONSUMED, on_counts, latched(100))

@@ -48,13 +48,14 @@ class FlowControl:
         """Note one message sent."""
         self.totals[topic] += 1
 
-    def on_counts(self, source: str, topics: Sequence[str], counts: Sequence[int]) -> None:
-        """Note what one consumer has consumed so far; others than the named ones are ignored."""
+    def on_counts(self, source: str, topics: Sequence[str], counts: Sequence[int]) -> bool:
+        """Note what one consumer has consumed so far; others than the named ones are ignored: False."""
         if source not in self._consumers:
-            return
+            return False
         known = self._consumed.setdefault(source, {})
         for topic, count in zip(topics, counts, strict=True):
             known[topic] = max(known.get(topic, 0), int(count))
+        return True
 
     def takers(self, topic: str) -> int:
         """Return how many of the named consumers take a topic."""

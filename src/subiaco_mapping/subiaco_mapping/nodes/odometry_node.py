@@ -8,11 +8,13 @@ import sys
 import time
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, Protocol
 
 from nav_msgs.msg import Odometry
 from pydantic import Field
 from rclpy.node import Node
+from rclpy.subscription import Subscription
 from sensor_msgs.msg import Imu, PointCloud2
 from std_msgs.msg import String
 
@@ -47,7 +49,7 @@ from subiaco_mapping.nodes.names import (
     QUALITY,
     SEQUENCE,
 )
-from subiaco_mapping.nodes.offers import follow_offers
+from subiaco_mapping.nodes.offers import Apart, Wanted, drain, follow_offers
 from subiaco_mapping.nodes.runtime import (
     App,
     Diagnostics,
@@ -73,6 +75,9 @@ SCAN_WINDOW = 4
 #: At 2048x10 four seconds of packets (165 MB), at 512x10 sixteen.
 _SENSOR_DEPTH = 5000
 _CLOUD_DEPTH = 64
+
+#: Messages of a sensor taken in one turn, and how long is waited for other callbacks where none had come [s].
+_TURN, _PATIENCE = 64, 0.005
 
 #: Between two reports of the facts of a live drive, which has no end that could be waited for [s].
 _FACTS_INTERVAL = 1.0
@@ -172,11 +177,7 @@ class OdometryApp:
             (kind, topic, self._arrivals.counted(topic, self._counting(topic, handler)), depth, raw)
             for kind, topic, handler, depth, raw in sensors
         ]
-        if self._own.follow_offers:
-            follow_offers(node, wanted)
-        else:
-            for kind, topic, handler, depth, raw in wanted:
-                self._subscribe(node, kind, topic, handler, reliable(depth), raw)
+        self._drains = self._apart(node, wanted)
         handlers: tuple[tuple[Any, str, Callable[[Any], object], Any], ...] = (
             (String, METADATA, self._on_metadata, latched(1)),
             (TFMessage, TF_STATIC, self._on_tf_static, latched(100)),
@@ -186,13 +187,40 @@ class OdometryApp:
         for kind, topic, on_message, profile in handlers:
             self._subscribe(node, kind, topic, self._counting(topic, on_message), profile)
 
+    def _apart(self, node: Node, wanted: Sequence[Wanted]) -> list[Callable[[], int]]:
+        """Subscribe to the sensors; return what takes the messages of each, past the executor."""
+        if self._own.follow_offers:
+            offered = follow_offers(node, wanted, {topic for _, topic, *_ in wanted})
+            return [partial(subscription.drain, _TURN) for subscription in offered.values()]
+        group = Apart()
+        return [
+            partial(
+                drain,
+                self._subscribe(node, kind, topic, handler, reliable(depth), raw, group),
+                handler,
+                _TURN,
+            )
+            for kind, topic, handler, depth, raw in wanted
+        ]
+
     @staticmethod
     def _subscribe(
-        node: Node, kind: Any, topic: str, handler: Callable[..., None], profile: Any, raw: bool = False
-    ) -> None:
-        overrides = overridable()
-        node.create_subscription(
-            kind, topic.lstrip("/"), handler, profile, raw=raw, qos_overriding_options=overrides
+        node: Node,
+        kind: Any,
+        topic: str,
+        handler: Callable[..., None],
+        profile: Any,
+        raw: bool = False,
+        group: Apart | None = None,
+    ) -> Subscription:
+        return node.create_subscription(
+            kind,
+            topic.lstrip("/"),
+            handler,
+            profile,
+            callback_group=group,
+            raw=raw,
+            qos_overriding_options=overridable(),
         )
 
     def _counting(self, topic: str, handler: Callable[[Any], object]) -> Callable[[Any], None]:
@@ -211,12 +239,13 @@ class OdometryApp:
         return self._own.exit_at_end and self._ended and self.flow.settled
 
     def step(self) -> float:
-        """Say now and then how a live drive stands: it may be ended at any moment."""
+        """Take what the sensors sent; say now and then how a live drive stands: it may end at any moment."""
+        taken = sum(take() for take in self._drains)
         live = self._frontend is not None and not self._announced
         if live and time.monotonic() >= self._facts_at:
             self._facts_at = time.monotonic() + _FACTS_INTERVAL
             self._send_facts({"arrivals_odometry": self._arrivals.facts()})
-        return 0.1
+        return 0.0 if taken else _PATIENCE
 
     def _on_metadata(self, message: String) -> None:
         self._metadata = message.data

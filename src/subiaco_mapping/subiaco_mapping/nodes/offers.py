@@ -137,6 +137,16 @@ def take_from(subscription: Subscription) -> Any | None:
         return subscription.handle.take_message(subscription.msg_type, subscription.raw)
 
 
+def drain(subscription: Subscription, handler: Callable[..., object], most: int) -> int:
+    """Hand on messages that have arrived, each with its info, at most so many; return how many."""
+    for count in range(most):
+        taken = take_from(subscription)
+        if taken is None:
+            return count
+        handler(*taken)
+    return most
+
+
 class OfferedSubscription:
     """Subscribe as soon as somebody publishes, and anew where the offer changes.
 
@@ -203,15 +213,11 @@ class OfferedSubscription:
             )
         return True
 
-    def drain(self) -> None:
+    def drain(self, most: int | None = None) -> int:
         """Hand on what has arrived, where the subscription is apart; at most what it holds."""
         if self._apart is None or self._subscription is None:
-            return
-        for _ in range(self._depth):
-            taken = take_from(self._subscription)
-            if taken is None:
-                return
-            self._handler(*taken)
+            return 0
+        return drain(self._subscription, self._handler, self._depth if most is None else most)
 
 
 #: Kind, our topic, handler, depth, raw.
