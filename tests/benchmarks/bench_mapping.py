@@ -25,6 +25,7 @@ from pathlib import Path
 import numpy as np
 from kiss_icp.config import KISSConfig
 from kiss_icp.kiss_icp import KissICP
+from results import keep, rounded
 
 from subiaco_geo.bags import BagReader, packet_from_cdr
 from subiaco_geo.errors import InputError
@@ -157,6 +158,7 @@ def main() -> None:
     parser.add_argument("--scans", type=int, default=10**9)
     parser.add_argument("--truth", type=Path, help="trajectory.tum of the simulated drive")
     parser.add_argument("--rko", action="store_true", help="rko_lio as well, where it can be imported")
+    parser.add_argument("--json", type=Path, help="leave the rows there, for bench.py")
     given = parser.parse_args()
     compare(given.bag, 3)  # compiles; not counted
     clock, peers, outputs = compare(given.bag, given.scans, given.rko)
@@ -165,6 +167,10 @@ def main() -> None:
     ours = sum(clock.seconds.values())
     print(f"{len(outputs)} scans, CPU ms a scan")
     rows = {"kiss_icp alone": alone, **others, **clock.seconds, "mapping, all": ours}
+    table = [
+        {"stage": s, "CPU ms a scan": rounded(1e3 * t / len(outputs)), "of kiss_icp": rounded(t / alone, 2)}
+        for s, t in rows.items()
+    ]
     for stage, seconds in rows.items():
         print(f"  {stage:15s} {1e3 * seconds / len(outputs):7.1f}   {seconds / alone:5.2f} of kiss_icp")
     if given.truth is not None:
@@ -176,6 +182,10 @@ def main() -> None:
             count = min(len(poses), len(stamps))
             error = errors(np.array(poses[:count]), stamps[:count], given.truth)
             print(f"  {name}: odometry error {error[-1]:.3f} m at the end, {error.max():.3f} m at most")
+            row = next(r for r in table if r["stage"].split(" ")[0] == {"ours": "mapping,"}.get(name, name))
+            row["odometry at most off, mm"] = round(1e3 * float(error.max()))
+    absent = {} if peers.rko is not None else {"rko-lio": "not asked for, or it cannot be imported"}
+    keep(given.json, table, absent, [f"{len(outputs)} scans, one thread, in turns"])
 
 
 if __name__ == "__main__":

@@ -25,9 +25,11 @@ from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
+from results import keep, rounded
 
 from subiaco_change.observation.evidence import EvidenceConfig, make_observer
 from subiaco_change.semantics import classes
@@ -345,9 +347,10 @@ def draw_steps(sample: Sample, path: Path, half: float = 30.0) -> None:
     plt.close(figure)
 
 
-def speed(sample: Sample, millions: list[float]) -> None:
+def speed(sample: Sample, millions: list[float], path: Path | None) -> None:
     """CPU seconds of every step over copies of one street side by side, and the exponent in points."""
-    totals = []
+    totals: list[tuple[int, float]] = []
+    rows: list[dict[str, Any]] = []
     for million in millions:
         cloud = repeated(sample.cloud, round(million * 1e6))
         seconds: dict[str, float] = {}
@@ -361,10 +364,14 @@ def speed(sample: Sample, millions: list[float]) -> None:
         totals.append((len(cloud), seconds["labels, all"] + seconds["instances"]))
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
         steps = ", ".join(f"{name.strip('_')} {value:.1f}" for name, value in seconds.items())
+        rows.append({"points": len(cloud), "CPU s": rounded(totals[-1][1]), "peak GB": rounded(peak, 2)})
+        rows[-1] |= {name.strip("_"): rounded(value, 2) for name, value in seconds.items()}
         print(f"{len(cloud)} points: {totals[-1][1]:.1f} CPU s, peak {peak:.1f} GB ({steps})")
     if len(totals) > 1:
         points, spent = np.log(np.array(totals)).T
-        print(f"time grows with points to the power {np.polyfit(points, spent, 1)[0]:.2f}")
+        grows = f"time grows with points to the power {np.polyfit(points, spent, 1)[0]:.2f}"
+        print(grows)
+        keep(path, rows, {}, [grows])
 
 
 STEPS = (
@@ -427,10 +434,11 @@ def main() -> None:
     parser.add_argument(
         "--millions", nargs="*", type=float, default=[0.25, 0.5, 1.0, 2.0, 4.0], help="sizes for speed"
     )
+    parser.add_argument("--json", type=Path, help="leave the rows there, for bench.py")
     arguments = parser.parse_args()
     for name in arguments.sets:
         if name == "speed":
-            speed(simulated(arguments.surveys[0]), arguments.millions)
+            speed(simulated(arguments.surveys[0]), arguments.millions, arguments.json)
             continue
         if name == "steps":
             draw_steps(simulated(arguments.surveys[0]), arguments.pictures / "semantics_steps.png")
