@@ -30,6 +30,7 @@ from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
+from results import keep, rounded
 
 from subiaco_change.observation.evidence import EvidenceConfig, make_observer
 from subiaco_change.semantics import classes
@@ -358,7 +359,7 @@ class Cost:
     megabytes: float
 
 
-def speed(samples: list[Sample], millions: list[float]) -> None:
+def speed(samples: list[Sample], millions: list[float], path: Path | None) -> None:
     """CPU seconds of every step and peak memory over streets side by side, with their exponents in points.
 
     Every size has a process of its own, so that it has a peak of its own.
@@ -369,18 +370,17 @@ def speed(samples: list[Sample], millions: list[float]) -> None:
     for million in millions:
         with ProcessPoolExecutor(1, mp_context=context) as executor:
             costs.append(executor.submit(cost, clouds, round(million * 1e6)).result())
-    steps = list(costs[0].seconds)
-    print(f"\n| points | {' | '.join(s.strip('_') for s in steps)} | MB |")
-    print("|---" * (len(steps) + 2) + "|")
-    for one in costs:
-        print(
-            f"| {one.points} | {' | '.join(f'{s:.2f}' for s in one.seconds.values())} | {one.megabytes:.0f} |"
-        )
-    if len(costs) > 1:
-        columns = [[one.seconds[s] for one in costs] for s in steps] + [[one.megabytes for one in costs]]
-        points = np.log([one.points for one in costs])
-        powers = [np.polyfit(points, np.log(np.maximum(c, 1e-3)), 1)[0] for c in columns]
-        print(f"| exponent | {' | '.join(f'{p:.2f}' for p in powers)} |")
+    table = [{"points": c.points, **c.seconds, "peak MB": c.megabytes} for c in costs]
+    print(f"\n| {' | '.join(table[0])} |\n" + "|---" * len(table[0]) + "|")
+    for line in table:
+        print(f"| {' | '.join(f'{value:.4g}' for value in line.values())} |")
+    logs = {key: np.log([max(line[key], 1e-3) for line in table]) for key in table[0]}
+    powers = (
+        {k: float(np.polyfit(logs["points"], v, 1)[0]) for k, v in logs.items()} if len(table) > 1 else {}
+    )
+    remarks = [f"{key} grows with points to the power {power:.2f}" for key, power in powers.items()][1:]
+    print("\n".join(remarks))
+    keep(path, [{key: rounded(value) for key, value in line.items()} for line in table], {}, remarks)
 
 
 def cost(clouds: list[NDArray[np.float64]], count: int) -> Cost:
@@ -445,7 +445,8 @@ def timed(module: ModuleType, names: tuple[str, ...], seconds: dict[str, float])
             try:
                 return plain[name](*arguments)
             finally:
-                seconds[name] = seconds.get(name, 0.0) + time.process_time() - start
+                key = name.strip("_")
+                seconds[key] = seconds.get(key, 0.0) + time.process_time() - start
 
         return call
 
@@ -481,11 +482,12 @@ def main() -> None:
     parser.add_argument(
         "--millions", nargs="*", type=float, default=[0.25, 0.5, 1.0, 2.0, 4.0, 8.0], help="sizes for speed"
     )
+    parser.add_argument("--json", type=Path, help="leave the rows there, for bench.py")
     arguments = parser.parse_args()
     for name in arguments.sets:
         if name == "speed":
             streets = [simulated(p, e) for p in arguments.surveys for e in arguments.epochs]
-            speed(streets, arguments.millions)
+            speed(streets, arguments.millions, arguments.json)
             continue
         if name == "energy":
             energies(simulated(arguments.surveys[0]))
