@@ -2,7 +2,7 @@
 """Every benchmark of speed and memory in one run: ``benchmarks.json`` and ``docs/benchmarks.md``.
 
     make bench                                       # everything, on a quiet machine: a quarter of an hour
-    make bench BENCH_ARGS="--only mapping graph"     # some, into out/bench alone
+    make bench BENCH_ARGS="--only mapping node-graph"     # some, into out/bench alone
 
 Inputs are simulated by the project itself and kept in ``out/bench``; peers that our lock lacks are put into
 ``out/bench/peers``. One that cannot be had is named as absent. Each benchmark is a program of its own in this
@@ -75,15 +75,15 @@ BENCHMARKS = (
     Benchmark("mapping", "Mapping in process, packets to map, in turns with others on the same scans",
               "bench_mapping.py", ("{drive}/before --truth {drive}/before/truth/trajectory.tum --rko",),
               (DRIVE,)),
-    Benchmark("node graph", "The node graph at 2048x10: replay, odometry and pose graph as processes",
+    Benchmark("node-graph", "The node graph at 2048x10: replay, odometry and pose graph as processes",
               "bench_node_graph.py", ("{wide}/before",), (WIDE,)),
-    Benchmark("pose graph", "The pose graph as it grows", "bench_graph.py",
+    Benchmark("pose-graph", "The pose graph as it grows", "bench_graph.py",
               ("--scans 1000 5000 20000 --live-up-to 5000",)),
-    Benchmark("fusion memory", "Fusing and writing five minutes of a street that never repeats",
+    Benchmark("fusion-memory", "Fusing and writing five minutes of a street that never repeats",
               "bench_fusion_memory.py", ("--minutes 5 --points 4000",)),
     Benchmark("registration", "Registering a million points to a million", "bench_registration.py",
               ("speed {maps}",), (MAPS,)),
-    Benchmark("semantics", "Classes and objects, copies of a street side by side", "bench_semantics.py",
+    Benchmark("semantics", "Classes and objects, streets side by side", "bench_semantics.py",
               ("speed --surveys {maps} --millions 0.25 0.5 1",), (MAPS,)),
     Benchmark("change", "The change run beside M3C2 and surface models", "bench_methods.py",
               (f"{{maps}} --workers {os.cpu_count()}",), (MAPS,), threads=True),

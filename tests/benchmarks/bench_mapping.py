@@ -7,16 +7,16 @@ kiss_icp 1.3 runs with its own deskewing and its defaults, but one thread. It is
 that decoding, IMU, pose graph, fusion, visibility and normals are all on our side of the scale; reading
 the bag is on nobody's. Both take turns, scan by scan, so that what else the machine does meets both
 alike; CPU seconds, not wall time. With ``--truth`` the position errors of the odometries stand beside,
-from their own first pose and before GNSS. Where rko_lio (0.4, not among our dependencies) can be imported,
-it takes the same scans and IMU, its defaults and one thread:
+from their own first pose and before GNSS. Where rko_lio (0.4, not among our dependencies; ``make bench`` puts
+it into ``out/bench/peers``) can be imported, it takes the same scans and IMU, its defaults and one thread:
 
-    python -m venv other && other/bin/pip install rko-lio
-    PYTHONPATH=other/lib/python3.11/site-packages python tests/benchmarks/bench_mapping.py ... --rko
+    PYTHONPATH=out/bench/peers python tests/benchmarks/bench_mapping.py ... --rko
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import tempfile
 import time
 from dataclasses import dataclass, field
@@ -160,8 +160,9 @@ def main() -> None:
     parser.add_argument("--rko", action="store_true", help="rko_lio as well, where it can be imported")
     parser.add_argument("--json", type=Path, help="leave the rows there, for bench.py")
     given = parser.parse_args()
+    with_rko = given.rko and importlib.util.find_spec("rko_lio") is not None
     compare(given.bag, 3)  # compiles; not counted
-    clock, peers, outputs = compare(given.bag, given.scans, given.rko)
+    clock, peers, outputs = compare(given.bag, given.scans, with_rko)
     alone = clock.seconds.pop("kiss_icp")
     others = {} if peers.rko is None else {"rko_lio alone": clock.seconds.pop("rko_lio")}
     ours = sum(clock.seconds.values())

@@ -53,6 +53,13 @@ def test_a_clipped_hedge_higher_than_a_facade_is_a_plant():
     assert (labels_of(tall) == Semantic.VEGETATION).mean() > 0.8
 
 
+def test_a_large_rough_plane_is_a_wall():
+    rng = np.random.default_rng(8)
+    wall = np.column_stack([rng.uniform(2, 14, 20000), rng.normal(0, 0.06, 20000), rng.uniform(0, 5, 20000)])
+    wall[:, 2] += ground_z(wall[:, 0], wall[:, 1])
+    assert (labels_of(wall) == Semantic.BUILDING).mean() > 0.85
+
+
 def test_a_wall_that_a_bent_map_saw_twice_is_a_building():
     rng = np.random.default_rng(6)
     wall = np.column_stack([rng.uniform(2, 14, 20000), np.zeros(20000), rng.uniform(0, 5, 20000)])

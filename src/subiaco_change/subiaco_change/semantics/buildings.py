@@ -52,6 +52,9 @@ class BuildingConfig(StrictModel):
         lt=1,
         description="mean sqrt(l3 / l1) from which a patch is the side of a hedge; walls have half of it",
     )
+    leafy_area: float = Field(
+        25.0, gt=0, description="area from which a plane is a wall, however rough: leaves form none [m2]"
+    )
     facade_slope: float = Field(0.25, gt=0, description="|n.e_z| of a facade, paper")
     thick: FeatureConfig = FeatureConfig(neighbours=24, radius=1.5)
     thick_cell: float = Field(0.5, gt=0, description="cell in which walls seen twice are one [m]")
@@ -205,7 +208,9 @@ def _kinds(
     rough = reduced(features.roughness, "median") > config.frond_roughness
     bent = ~upright & (patches.residual > config.frond_bend) & (lowest > config.roof_height)
     fronds = bent & rough & (linear > config.frond_linearity)
-    leafy = reduced(np.sqrt(features.scatter), "mean") > config.leafy_scatter
+    leafy = (reduced(np.sqrt(features.scatter), "mean") > config.leafy_scatter) & (
+        patches.area < config.leafy_area
+    )
     building = (facade | roof) & ~fronds & ~leafy & ~(wires & (lowest > config.wire_height))
     return np.asarray(building), np.asarray(fronds & (patches.area > config.part_area))
 

@@ -116,7 +116,7 @@ def label_points(cloud: PointCloud, config: SemanticsConfig, passed: Floats | No
         scores[back],
         height[back].astype(np.float32),
         ground,
-        np.unique(parts.labels, return_inverse=True)[1][back].astype(np.int32),
+        parts.labels[back].astype(np.int32),
         parts.energy,
         moving[back],
         large[back],
@@ -138,7 +138,6 @@ def _classify(
     config: SemanticsConfig,
 ) -> tuple[NDArray[np.uint8], Mask, Mask]:
     """Apply the classes in the order of their priority; the rest is *other*. Tell trails and trucks."""
-    parts = np.unique(parts, return_inverse=True)[1]
     semantic = np.full(len(xyz), Semantic.OTHER, dtype=np.uint8)
     is_ground = _find_ground(xyz, height, features, parts, ground, config)
     semantic[is_ground] = Semantic.GROUND

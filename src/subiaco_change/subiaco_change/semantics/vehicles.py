@@ -290,7 +290,8 @@ def _is_shed(xyz: Floats, height: Floats, upright: Mask, config: VehicleConfig) 
 def _fill(xyz: Floats, cell: float = 0.25) -> float:
     """Share of its rectangle that a thing fills, seen from above."""
     sides = box_coordinates(xyz[:, :2])
-    cells = np.unique(np.floor((sides - sides.min(axis=0)) / cell), axis=0)
+    column, row = np.floor((sides - sides.min(axis=0)) / cell).astype(np.int64).T
+    cells = np.unique((column << 32) + row)
     return float(len(cells) * cell**2 / max(float(np.prod(np.ptp(sides, axis=0))), cell**2))
 
 
