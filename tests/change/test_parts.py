@@ -86,8 +86,8 @@ def test_a_house_between_two_others_is_no_wing_of_either():
 
 
 def test_a_house_that_leans_on_one_neighbour_more_than_on_the_other_is_no_wing():
-    first = voxels(np.concatenate([HOUSE, np.add(walls(3, 1, 5), (10, 8, 0))]))
-    last, middle = moved(walls(10, 3, 5), 13), np.add(walls(3, 8, 4), (10, 0, 0))
+    first = voxels(np.concatenate([HOUSE, np.add(walls(3, 2, 5), (10, 8, 0))]))
+    last, middle = moved(walls(10, 4, 5), 13), np.add(walls(3, 8, 4), (10, 0, 0))
     assert find_wings([(first, first), (last, last), (voxels(middle), NONE)], CONFIG) == {}
 
 
