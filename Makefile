@@ -1,7 +1,7 @@
 # The two commands: make demo, make test. Everything else is a part of them.
 SHELL := /bin/bash
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test lint format colcon-test clean distclean
+.PHONY: help setup demo test bench lint format colcon-test clean distclean
 
 # Sourced for anything that runs our code: virtual environment, workspace, DDS settings.
 ENV := source ros2_ws/env.sh
@@ -21,6 +21,9 @@ lint: setup  ## ruff and mypy
 test: setup  ## set-up, lint, every test
 	@$(ENV) && status=0; scripts/lint.sh || status=$$?; scripts/test.sh $(PYTEST_ARGS) || status=$$?; \
 	if [ $$status -ne 0 ]; then echo "make test: lint or tests failed, see above" >&2; fi; exit $$status
+
+bench: setup  ## speed and memory beside peers: benchmarks.json, docs/benchmarks.md (a quiet machine, 15 minutes)
+	@$(ENV) && python tests/benchmarks/bench.py $(BENCH_ARGS)
 
 colcon-test: setup  ## each package's tests the ROS way
 	@$(ENV) && cd ros2_ws && python -m colcon --log-base log test --base-paths src --return-code-on-test-failure

@@ -20,8 +20,10 @@ import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+from results import keep, rounded
 
 from subiaco_geo.frames import Floats, make_pose
 from subiaco_geo.maps import SurveyMap, write_map
@@ -34,6 +36,8 @@ from subiaco_mapping.spool import SpooledScan
 
 SPEED = 10.0
 TWO_HOURS = 7200.0
+
+ROWS: list[dict[str, Any]] = []  # what is kept for bench.py
 
 
 def anonymous_mb() -> float:
@@ -75,6 +79,7 @@ def peak(name: str, minutes: float) -> Iterator[None]:
     scaled = began + (top - began) * TWO_HOURS / (60 * minutes)
     spent = time.process_time() - cpu
     print(f"{name}: at most {top:.0f} MB (from {began:.0f}), {spent:.1f} s; two hours: {scaled:.0f} MB")
+    ROWS.append({"stage": name, "at most, MB": round(top), "CPU s": rounded(spent)})
 
 
 def followed(name: str, rows: Floats, minutes: float) -> None:
@@ -88,6 +93,7 @@ def followed(name: str, rows: Floats, minutes: float) -> None:
     top = float(rows[:, 1].max())
     later = top + max(slope, 0.0) * (TWO_HOURS - minutes * 60)
     print(f"{name}: at most {top:.0f} MB, slope {60 * slope:+.2f} MB a minute; two hours: {later:.0f} MB")
+    ROWS.append({"stage": name, "at most, MB": round(top), "slope, MB a minute": rounded(60 * slope, 2)})
 
 
 def drive(fusion: MapFusion, minutes: float, points: int) -> Floats:
@@ -126,6 +132,7 @@ def main() -> None:
     )
     parser.add_argument("--minutes", type=float, default=20.0)
     parser.add_argument("--points", type=int, default=10_000, help="a scan")
+    parser.add_argument("--json", type=Path, help="leave the rows there, for bench.py")
     given = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         fusion = MapFusion(Path(folder) / "f", FusionConfig(), Projection(None, None), np.zeros(3))
@@ -142,6 +149,7 @@ def main() -> None:
         followed("fusing", samples, given.minutes)
         followed("finishing", np.array(found), given.minutes)
         measured_and_written(finished, Path(folder), given.minutes)
+    keep(given.json, ROWS, {}, [f"{metres / 1000:.1f} km, {count:,} map points, anonymous memory"])
 
 
 if __name__ == "__main__":

@@ -12,8 +12,11 @@ from __future__ import annotations
 import argparse
 import resource
 import time
+from pathlib import Path
+from typing import Any
 
 import numpy as np
+from results import keep, rounded
 from scipy.spatial.transform import Rotation
 
 from subiaco_geo.frames import Floats, exp_se3, invert_pose, make_pose
@@ -89,7 +92,9 @@ def main() -> None:
     parser.add_argument("--scans", type=int, nargs="+", default=[1000, 5000, 20000])
     parser.add_argument("--every", type=int, default=50, help="scans between two live updates")
     parser.add_argument("--live-up-to", type=int, default=20_000, help="scans; no live updates beyond")
+    parser.add_argument("--json", type=Path, help="leave the rows there, for bench.py")
     given = parser.parse_args()
+    rows: list[dict[str, Any]] = []
     for count in given.scans:
         truth = circling(count)
         chain, loops = chain_of(truth, np.random.default_rng(1)), loops_of(truth)
@@ -99,6 +104,7 @@ def main() -> None:
         off = np.sqrt(((solved.chains[0].T_world_lidar - truth)[:, :3, 3] ** 2).sum(axis=1).mean())
         peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1024
         print(f"{count:7d} scans: batch {batch:7.2f} s, error {off:.4f} m, {peak:.0f} MB at most", flush=True)
+        rows.append({"scans": count, "batch, CPU s": rounded(batch), "peak MB": round(peak)})
         if count > given.live_up_to:
             continue
         live, taken, seconds = LiveGraph(GraphConfig(), GnssConfig()), 0, []
@@ -110,11 +116,13 @@ def main() -> None:
             taken = end
         off = np.sqrt(((poses - truth[: len(poses)])[:, :3, 3] ** 2).sum(axis=1).mean())
         last = np.array(seconds[-10:])
+        rows[-1][f"live, ms for {given.every} more scans"] = rounded(1e3 * float(last.mean()))
         print(
             f"         live, every {given.every} scans: first {seconds[0]:.3f} s, "
             f"last ten {last.mean():.3f} s (most {max(seconds):.2f}), error {off:.4f} m",
             flush=True,
         )
+    keep(given.json, rows)
 
 
 if __name__ == "__main__":

@@ -7,16 +7,16 @@ kiss_icp 1.3 runs with its own deskewing and its defaults, but one thread. It is
 that decoding, IMU, pose graph, fusion, visibility and normals are all on our side of the scale; reading
 the bag is on nobody's. Both take turns, scan by scan, so that what else the machine does meets both
 alike; CPU seconds, not wall time. With ``--truth`` the position errors of the odometries stand beside,
-from their own first pose and before GNSS. Where rko_lio (0.4, not among our dependencies) can be imported,
-it takes the same scans and IMU, its defaults and one thread:
+from their own first pose and before GNSS. Where rko_lio (0.4, not among our dependencies; ``make bench`` puts
+it into ``out/bench/peers``) can be imported, it takes the same scans and IMU, its defaults and one thread:
 
-    python -m venv other && other/bin/pip install rko-lio
-    PYTHONPATH=other/lib/python3.11/site-packages python tests/benchmarks/bench_mapping.py ... --rko
+    PYTHONPATH=out/bench/peers python tests/benchmarks/bench_mapping.py ... --rko
 """
 
 from __future__ import annotations
 
 import argparse
+import importlib.util
 import tempfile
 import time
 from dataclasses import dataclass, field
@@ -25,6 +25,7 @@ from pathlib import Path
 import numpy as np
 from kiss_icp.config import KISSConfig
 from kiss_icp.kiss_icp import KissICP
+from results import keep, rounded
 
 from subiaco_geo.bags import BagReader, packet_from_cdr
 from subiaco_geo.errors import InputError
@@ -157,14 +158,20 @@ def main() -> None:
     parser.add_argument("--scans", type=int, default=10**9)
     parser.add_argument("--truth", type=Path, help="trajectory.tum of the simulated drive")
     parser.add_argument("--rko", action="store_true", help="rko_lio as well, where it can be imported")
+    parser.add_argument("--json", type=Path, help="leave the rows there, for bench.py")
     given = parser.parse_args()
+    with_rko = given.rko and importlib.util.find_spec("rko_lio") is not None
     compare(given.bag, 3)  # compiles; not counted
-    clock, peers, outputs = compare(given.bag, given.scans, given.rko)
+    clock, peers, outputs = compare(given.bag, given.scans, with_rko)
     alone = clock.seconds.pop("kiss_icp")
     others = {} if peers.rko is None else {"rko_lio alone": clock.seconds.pop("rko_lio")}
     ours = sum(clock.seconds.values())
     print(f"{len(outputs)} scans, CPU ms a scan")
     rows = {"kiss_icp alone": alone, **others, **clock.seconds, "mapping, all": ours}
+    table = [
+        {"stage": s, "CPU ms a scan": rounded(1e3 * t / len(outputs)), "of kiss_icp": rounded(t / alone, 2)}
+        for s, t in rows.items()
+    ]
     for stage, seconds in rows.items():
         print(f"  {stage:15s} {1e3 * seconds / len(outputs):7.1f}   {seconds / alone:5.2f} of kiss_icp")
     if given.truth is not None:
@@ -176,6 +183,10 @@ def main() -> None:
             count = min(len(poses), len(stamps))
             error = errors(np.array(poses[:count]), stamps[:count], given.truth)
             print(f"  {name}: odometry error {error[-1]:.3f} m at the end, {error.max():.3f} m at most")
+            row = next(r for r in table if r["stage"].split(" ")[0] == {"ours": "mapping,"}.get(name, name))
+            row["odometry at most off, mm"] = round(1e3 * float(error.max()))
+    absent = {} if peers.rko is not None else {"rko-lio": "not asked for, or it cannot be imported"}
+    keep(given.json, table, absent, [f"{len(outputs)} scans, one thread, in turns"])
 
 
 if __name__ == "__main__":

@@ -20,6 +20,7 @@ import time
 from pathlib import Path
 
 import psutil
+from results import keep, rounded
 
 from subiaco_bringup.jobs import run_mapping_graph
 from subiaco_geo.bags import BagReader
@@ -44,6 +45,7 @@ def main() -> None:
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
     parser.add_argument("bag", type=Path)
+    parser.add_argument("--json", type=Path, help="leave the rows there, for bench.py")
     given = parser.parse_args()
     with BagReader(given.bag) as reader:
         recorded = (reader.end_ns - reader.start_ns) * 1e-9
@@ -63,9 +65,12 @@ def main() -> None:
     last = next(row for row in seen if row[0] >= 0.99)
     played, took = (last[0] - first[0]) * recorded, last[1] - first[1]
     print(f"keeps up {played / took:.2f} times ({played:.1f} s in {took:.1f} s)")
+    rows: list[dict[str, object]] = [{"node": "all", "times real time": rounded(played / took)}]
     for name, total in last[2].items():
-        spent = total - first[2].get(name, 0.0)
-        print(f"  {name}: {spent / played:.2f} CPU seconds a second of recording")
+        spent = (total - first[2].get(name, 0.0)) / played
+        print(f"  {name}: {spent:.2f} CPU seconds a second of recording")
+        rows.append({"node": name, "CPU s a second": rounded(spent)})
+    keep(given.json, rows, {}, [f"{played:.1f} s of recording, after the start"])
 
 
 if __name__ == "__main__":

@@ -25,9 +25,11 @@ import time
 from dataclasses import asdict, dataclass, fields
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 from unittest import mock
 
 import numpy as np
+from results import keep, rounded
 from scipy.spatial.transform import Rotation
 
 from subiaco_change.geometry import Level
@@ -317,9 +319,10 @@ def dense(survey: Path, count: int) -> list[Floats]:
     return [xyz - middle for xyz in clouds]
 
 
-def run_speed(survey: Path) -> None:
-    """Print time and error of ours and the peers on a million points each, from two starts."""
+def run_speed(survey: Path, path: Path | None) -> None:
+    """Print and keep time and error of ours and the peers on a million points each, from two starts."""
     before, after = dense(survey, 1_000_000)
+    rows: list[dict[str, Any]] = []
     print(f"{len(before)} + {len(after)} points")
     for by in PEERS.values():  # compile before the clock starts
         by(before[::40], before[::40], np.eye(4)) if by is not by_search else None
@@ -328,9 +331,11 @@ def run_speed(survey: Path) -> None:
         pose = make_pose(turn, np.array([metres, 0.0, 0.2]))
         for name, by in PEERS.items():
             wall, cpu = time.perf_counter(), time.process_time()
+            rows.append({"start": f"{metres} m, {degrees} deg", "method": name})
             try:
                 found = by(before, after, pose)
             except RegistrationError as reason:
+                rows[-1]["CPU s"] = "refused"
                 print(f"start {metres} m {degrees} deg, {name}: refused: {reason}")
                 continue
             wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
@@ -338,6 +343,13 @@ def run_speed(survey: Path) -> None:
             angle = np.degrees(Rotation.from_matrix(found[:3, :3]).magnitude())
             print(f"start {metres} m {degrees} deg, {name}: {cpu:.1f} CPU s ({wall:.1f} s), "
                   f"error {shift:.1f} mm {angle:.4f} deg", flush=True)  # fmt: skip
+            rows[-1] |= {"CPU s": rounded(cpu), "shift, mm": rounded(shift), "angle, deg": rounded(angle, 2)}
+    for row in rows:
+        peer = next(r for r in rows if r["start"] == row["start"] and "VGICP" in r["method"])
+        if "refused" not in (row["CPU s"], peer["CPU s"]):
+            row["of small_gicp VGICP"] = rounded(row["CPU s"] / peer["CPU s"], 2)
+    absent = {"Open3D NDT": "Open3D has none; our own chain refines by NDT"}
+    keep(path, rows, absent, [f"{len(before)} + {len(after)} points, one thread"])
 
 
 def main() -> None:
@@ -353,6 +365,7 @@ def main() -> None:
     parser.add_argument("--second", action="store_true", help="ours once more without the true changes")
     parser.add_argument("--rows", type=Path, default=Path("out/reg/rows.csv"))
     parser.add_argument("--picture", type=Path)
+    parser.add_argument("--json", type=Path, help="leave the rows there, for bench.py")
     arguments = parser.parse_args()
     if arguments.job == "pairs":
         run_pairs(arguments.surveys, arguments.chains, arguments.starts, arguments.second, arguments.rows)
@@ -365,7 +378,7 @@ def main() -> None:
     elif arguments.job == "planes":
         run_planes(arguments.surveys[0])
     else:
-        run_speed(arguments.surveys[0])
+        run_speed(arguments.surveys[0], arguments.json)
 
 
 if __name__ == "__main__":

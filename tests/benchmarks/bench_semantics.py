@@ -17,23 +17,28 @@ import argparse
 import contextlib
 import csv
 import gzip
+import multiprocessing
 import os
 import resource
 import tempfile
 import time
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from types import ModuleType
 
 import numpy as np
 from numpy.typing import NDArray
+from results import keep, rounded
 
 from subiaco_change.observation.evidence import EvidenceConfig, make_observer
 from subiaco_change.semantics import classes
 from subiaco_change.semantics.classes import SemanticResult, SemanticsConfig, label_points
 from subiaco_change.semantics.features import FeatureConfig, compute_features
+from subiaco_change.semantics.ground import fit_ground
 from subiaco_change.semantics.instances import InstanceConfig, segment
+from subiaco_change.semantics.superpoints import partition
 from subiaco_geo.clouds import (
     PointCloud,
     from_world,
@@ -345,26 +350,71 @@ def draw_steps(sample: Sample, path: Path, half: float = 30.0) -> None:
     plt.close(figure)
 
 
-def speed(sample: Sample, millions: list[float]) -> None:
-    """CPU seconds of every step over copies of one street side by side, and the exponent in points."""
-    totals = []
+@dataclass(frozen=True)
+class Cost:
+    """CPU seconds of every step and the peak memory [MB] above that of the cloud alone."""
+
+    points: int
+    seconds: dict[str, float]
+    megabytes: float
+
+
+def speed(samples: list[Sample], millions: list[float], path: Path | None) -> None:
+    """CPU seconds of every step and peak memory over streets side by side, with their exponents in points.
+
+    Every size has a process of its own, so that it has a peak of its own.
+    """
+    context = multiprocessing.get_context("spawn")
+    clouds = [sample.cloud.xyz for sample in samples]
+    costs = []
     for million in millions:
-        cloud = repeated(sample.cloud, round(million * 1e6))
-        seconds: dict[str, float] = {}
-        with timed(classes, STEPS, seconds):
-            start = time.process_time()
-            result = label_points(cloud, SemanticsConfig())
-            seconds["labels, all"] = time.process_time() - start
+        with ProcessPoolExecutor(1, mp_context=context) as executor:
+            costs.append(executor.submit(cost, clouds, round(million * 1e6)).result())
+    table = [{"points": c.points, **c.seconds, "peak MB": c.megabytes} for c in costs]
+    print(f"\n| {' | '.join(table[0])} |\n" + "|---" * len(table[0]) + "|")
+    for line in table:
+        print(f"| {' | '.join(f'{value:.4g}' for value in line.values())} |")
+    logs = {key: np.log([max(line[key], 1e-3) for line in table]) for key in table[0]}
+    powers = (
+        {k: float(np.polyfit(logs["points"], v, 1)[0]) for k, v in logs.items()} if len(table) > 1 else {}
+    )
+    remarks = [f"{key} grows with points to the power {power:.2f}" for key, power in powers.items()][1:]
+    print("\n".join(remarks))
+    keep(path, [{key: rounded(value) for key, value in line.items()} for line in table], {}, remarks)
+
+
+def cost(clouds: list[NDArray[np.float64]], count: int) -> Cost:
+    """Label and part so many points of streets side by side, compiled code loaded beforehand."""
+    cloud = side_by_side(clouds, count)
+    small = PointCloud(cloud.xyz[:20_000])
+    segment(small, label_points(small, SemanticsConfig()), InstanceConfig())
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    seconds: dict[str, float] = {}
+    with timed(classes, STEPS, seconds):
         start = time.process_time()
-        segment(cloud, result, InstanceConfig())
-        seconds["instances"] = time.process_time() - start
-        totals.append((len(cloud), seconds["labels, all"] + seconds["instances"]))
-        peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss / 1e6
-        steps = ", ".join(f"{name.strip('_')} {value:.1f}" for name, value in seconds.items())
-        print(f"{len(cloud)} points: {totals[-1][1]:.1f} CPU s, peak {peak:.1f} GB ({steps})")
-    if len(totals) > 1:
-        points, spent = np.log(np.array(totals)).T
-        print(f"time grows with points to the power {np.polyfit(points, spent, 1)[0]:.2f}")
+        result = label_points(cloud, SemanticsConfig())
+        labelled = time.process_time()
+    segment(cloud, result, InstanceConfig())
+    seconds["objects"] = time.process_time() - labelled
+    seconds["all"] = time.process_time() - start
+    return Cost(count, seconds, (resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before) / 1e3)
+
+
+def energies(sample: Sample, count: int = 60_000) -> None:
+    """Energy and time of the superpoints of part of a map, beside one region and single points."""
+    xyz = sample.cloud.xyz[sort_spatially(sample.cloud.xyz)[:count]]
+    config = SemanticsConfig()
+    features = compute_features(xyz, config.features)
+    height = xyz[:, 2] - fit_ground(xyz, config.ground).height(xyz[:, :2])
+    values = classes._superpoint_features(features, height, config)
+    partition(values[:1000], features.neighbours[:1000] % 1000, config.superpoints)  # compiled
+    start = time.process_time()
+    found = partition(values, features.neighbours, config.superpoints)
+    spent = time.process_time() - start
+    print(
+        f"{len(xyz)} points: {int(found.labels.max()) + 1} superpoints, energy {found.energy:.0f}, "
+        f"{spent:.2f} CPU s; one region {found.energy_one:.0f}, single points {found.energy_single:.0f}"
+    )
 
 
 STEPS = (
@@ -375,9 +425,11 @@ STEPS = (
     "moving_points",
     "building_planes",
     "free_boxes",
+    "thick_walls",
     "within_roofs",
     "attach_parts",
     "_split_rest",
+    "look_again",
     "_scores",
 )
 
@@ -393,7 +445,8 @@ def timed(module: ModuleType, names: tuple[str, ...], seconds: dict[str, float])
             try:
                 return plain[name](*arguments)
             finally:
-                seconds[name] = seconds.get(name, 0.0) + time.process_time() - start
+                key = name.strip("_")
+                seconds[key] = seconds.get(key, 0.0) + time.process_time() - start
 
         return call
 
@@ -406,11 +459,13 @@ def timed(module: ModuleType, names: tuple[str, ...], seconds: dict[str, float])
             setattr(module, name, function)
 
 
-def repeated(cloud: PointCloud, count: int) -> PointCloud:
-    """Copies of a cloud in rows of four, side by side, cut off at the number of points."""
-    step = np.ptp(cloud.xyz, axis=0) * [1.05, 1.05, 0]
-    copies = -(-count // len(cloud))
-    parts = [cloud.xyz + step * [i % 4, i // 4, 0] for i in range(copies)]
+def side_by_side(clouds: list[NDArray[np.float64]], count: int) -> PointCloud:
+    """Streets in turn, in rows of four, cut off at the number of points."""
+    step = np.max([np.ptp(xyz, axis=0) for xyz in clouds], axis=0) * [1.05, 1.05, 0]
+    parts: list[NDArray[np.float64]] = []
+    while sum(map(len, parts)) < count:
+        xyz, place = clouds[len(parts) % len(clouds)], len(parts)
+        parts.append(xyz - xyz.min(axis=0) + step * [place % 4, place // 4, 0])
     return PointCloud(np.concatenate(parts)[:count])
 
 
@@ -418,19 +473,24 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("sets", nargs="+", choices=[*SETS, "sim", "speed", "steps"])
+    parser.add_argument("sets", nargs="+", choices=[*SETS, "sim", "speed", "energy", "steps"])
     parser.add_argument(
         "--surveys", nargs="*", type=Path, default=[], help="outputs of subiaco simulate --maps-only"
     )
     parser.add_argument("--epochs", nargs="*", default=["before", "after"], help="epochs of the surveys")
     parser.add_argument("--pictures", type=Path, help="folder for pictures of truth, labels and wrong points")
     parser.add_argument(
-        "--millions", nargs="*", type=float, default=[0.25, 0.5, 1.0, 2.0, 4.0], help="sizes for speed"
+        "--millions", nargs="*", type=float, default=[0.25, 0.5, 1.0, 2.0, 4.0, 8.0], help="sizes for speed"
     )
+    parser.add_argument("--json", type=Path, help="leave the rows there, for bench.py")
     arguments = parser.parse_args()
     for name in arguments.sets:
         if name == "speed":
-            speed(simulated(arguments.surveys[0]), arguments.millions)
+            streets = [simulated(p, e) for p in arguments.surveys for e in arguments.epochs]
+            speed(streets, arguments.millions, arguments.json)
+            continue
+        if name == "energy":
+            energies(simulated(arguments.surveys[0]))
             continue
         if name == "steps":
             draw_steps(simulated(arguments.surveys[0]), arguments.pictures / "semantics_steps.png")

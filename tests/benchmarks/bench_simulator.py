@@ -19,6 +19,8 @@ import time
 from dataclasses import dataclass
 from pathlib import Path
 
+from results import keep, rounded
+
 from subiaco_sim.config import SimulationConfig
 from subiaco_sim.survey import simulate
 
@@ -49,7 +51,7 @@ class StageClock:
         self._stage, self._wall, self._cpu = stage, wall, cpu
 
 
-def measure(config: SimulationConfig) -> None:
+def measure(config: SimulationConfig) -> dict[str, object]:
     """Simulate one epoch and print what it took."""
     with tempfile.TemporaryDirectory() as folder:
         stages = StageClock()
@@ -63,6 +65,14 @@ def measure(config: SimulationConfig) -> None:
         print(f"  {name:14} {spent.wall:7.1f} s wall  {spent.cpu:7.1f} s CPU")
     print(f"  drive: real time factor {driven / drive.wall:.2f} wall, {CORES * driven / drive.cpu:.2f} CPU")
     print(f"  peak memory {peak:.0f} MB, {size:.0f} MB written, {driven:g} s driven, {config.mode.value}")
+    return {
+        "preset": config.preset,
+        "scene, CPU s": rounded(sum(s.cpu for name, s in stages.spent.items() if name == "scene")),
+        "drive, CPU s a second": rounded(drive.cpu / driven),
+        "times real time, wall": rounded(driven / drive.wall),
+        f"CPU over {CORES} cores": rounded(CORES * driven / drive.cpu),
+        "peak MB": round(peak),
+    }
 
 
 def main() -> None:
@@ -72,6 +82,7 @@ def main() -> None:
     parser.add_argument("--duration", type=float, default=10.0, help="of the drive [s]")
     parser.add_argument("--mode", default="1024x10")
     parser.add_argument("--maps-only", action="store_true")
+    parser.add_argument("--json", type=Path, help="leave the rows there, for bench.py")
     options = parser.parse_args()
     if len(options.preset) > 1:
         for preset in options.preset:
@@ -88,7 +99,7 @@ def main() -> None:
         maps_only=options.maps_only,
     )
     print(f"{config.preset}{' (maps only)' if config.maps_only else ''}", flush=True)
-    measure(config)
+    keep(options.json, [measure(config)], {}, [f"{config.duration:g} s of {config.mode.value}, epoch after"])
 
 
 if __name__ == "__main__":

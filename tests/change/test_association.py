@@ -9,6 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from subiaco_change.changes.association import AssociationConfig, assign, associate, candidate_costs
+from subiaco_change.changes.object_changes import object_lod
 from subiaco_change.changes.objects import Thing, Voxels
 from subiaco_geo.codes import Semantic
 
@@ -106,3 +107,17 @@ def test_every_object_is_in_exactly_one_match():
     found = matches(before, after)
     assert sorted(i for b, _, _ in found for i in b) == list(range(5))
     assert sorted(j for _, a, _ in found for j in a) == list(range(4))
+
+
+def test_parts_of_one_instance_that_were_paired_crosswise_are_one_match():
+    before = [block(0, 0, 0, 10, 2, 4), replace(block(5, 0, 2, 10, 10, 6), whole=0)]
+    after = [block(0, 2, 3, 8, 9, 3), replace(block(7, 0, 0, 10, 2, 4), whole=0)]
+    assert matches(before, after) == [((0, 1), (1, 0), "split")]
+    apart = [replace(thing, whole=thing.instance) for thing in (*before, *after)]
+    assert len(matches(apart[:2], apart[2:])) == 2
+
+
+def test_a_twig_without_a_level_of_detection_leaves_its_house_one():
+    house, twig = block(0, 0, 0, 8, 10, 3), replace(block(1, 8, 0, 9, 1, 2), lod=np.inf)
+    assert object_lod([house, twig]) == house.lod
+    assert object_lod([twig]) == np.inf

@@ -85,6 +85,12 @@ def test_a_house_between_two_others_is_no_wing_of_either():
     assert find_wings([*ends, (moved(walls(6, 8, 4), 10), NONE)], CONFIG) == {}
 
 
+def test_a_house_that_leans_on_one_neighbour_more_than_on_the_other_is_no_wing():
+    first = voxels(np.concatenate([HOUSE, np.add(walls(3, 2, 5), (10, 8, 0))]))
+    last, middle = moved(walls(10, 4, 5), 13), np.add(walls(3, 8, 4), (10, 0, 0))
+    assert find_wings([(first, first), (last, last), (voxels(middle), NONE)], CONFIG) == {}
+
+
 def test_a_house_gone_from_a_row_that_is_one_instance_was_no_wing():
     row = voxels(np.concatenate([HOUSE, np.add(HOUSE, (16, 0, 0))]))
     assert find_wings([(row, row), (moved(walls(6, 8, 4), 10), NONE)], CONFIG) == {}
@@ -188,3 +194,16 @@ def test_a_low_wall_does_not_lie_flat():
     wall = thing([(block((0, 0, 0), (8, 0.5, 0.5)), False)])
     sideways = replace(wall.voxels, normal=np.tile([0.0, 1.0, 0.0], (len(wall.voxels), 1)))
     assert lies_flat(Semantic.OTHER, [replace(wall, voxels=sideways)]) is None
+
+
+def test_a_house_that_lost_most_of_itself_is_one_with_what_is_left_inside_its_outline():
+    front, old = walls(10, 1, 4), np.add(walls(10, 9, 6), (0, 1, 0))
+    left = np.concatenate([front, np.add(walls(6, 7, 3), (2, 1, 0))])
+    assert find_wings([(voxels(front), voxels(left)), (voxels(old), NONE)], CONFIG) == {1: 0}
+
+
+def test_a_crown_beside_a_house_is_no_wing_and_a_roof_on_it_is_one():
+    crown = np.array([p for p in walls(3, 3, 5) if p[2] > 4.2])
+    house = (voxels(HOUSE), voxels(HOUSE))
+    assert find_wings([house, (NONE, moved(crown, 10.5))], CONFIG) == {}
+    assert find_wings([house, (NONE, moved(np.add(crown, (0, 0, 2)), 5.0))], CONFIG) == {1: 0}

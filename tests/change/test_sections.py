@@ -65,3 +65,11 @@ def test_a_top_that_the_other_epoch_never_looked_at_is_no_section():
 def test_tops_of_trees_are_not_compared():
     before, after = hedge([(0, 6, 5.0)], 1), hedge([(0, 3, 5.0), (3, 6, 4.4)], 2)
     assert moved_sections([before], [after], 0.3)[0] == []
+
+
+def test_tops_that_few_beams_met_are_not_trimmed():
+    rng = np.random.default_rng(5)
+    before, after = hedge([(0, 12, 1.5)], 1), hedge([(0, 12, 1.5)], 2)
+    thin = after.xyz[rng.random(len(after.xyz)) < 0.01]
+    sparse = replace(after, xyz=thin, points=np.arange(len(thin)))
+    assert [c.decision.change for c in decided(before, sparse)] == [Change.UNCHANGED]

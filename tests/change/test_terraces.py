@@ -60,6 +60,14 @@ def test_facades_behind_one_veranda_are_one_part_each(heights):
     assert (parts == owner).mean() > 0.95
 
 
+def test_an_unseen_stretch_of_a_row_has_no_height():
+    xy, height, owner = facades(6.0, 3.5, 6.0)
+    seen = (xy[:, 0] < 4.5) | (xy[:, 0] > 10.5)
+    with np.errstate(all="raise"):
+        parts = split_row(xy[seen], height[seen], ProfileConfig())
+    assert (parts == owner[seen] // 2).mean() > 0.95
+
+
 def test_a_hip_and_a_ridge_across_are_no_party_walls():
     rng = np.random.default_rng(5)
     xy = rng.uniform((0, 0), (16, 8), (8000, 2))

@@ -1,15 +1,19 @@
 """Trails of traffic are told by beams that went through them; what stands still is left alone."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scenes import Scene, ground_z
 from scipy.spatial import cKDTree
 
+from subiaco_change.changes.labelling import unlabelled
+from subiaco_change.changes.objects import EpochView, Reach, build_voxels
 from subiaco_change.observation.evidence import EvidenceConfig, make_observer
 from subiaco_change.semantics.classes import SemanticsConfig, label_points
 from subiaco_change.semantics.instances import InstanceConfig, segment
 from subiaco_geo.clouds import PointCloud, voxel_downsample, voxel_indices, voxel_keys
-from subiaco_geo.codes import Semantic
+from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.maps import SurveyMap
 from subiaco_geo.visibility import VisibilityGrid
 
@@ -66,3 +70,26 @@ def test_an_observer_counts_the_beams_of_its_visibility_layer():
     survey = SurveyMap(PointCloud(world), visibility=grid)
     assert make_observer(survey, EvidenceConfig()).passes(world) == pytest.approx([2.0, 60.0, 0.0])
     assert make_observer(survey, EvidenceConfig(source="shadow")).passes(world) is None
+
+
+def test_a_trail_occupies_no_place_and_nothing_is_said_of_it():
+    rng = np.random.default_rng(3)
+    place = rng.uniform((0, 0, 0.3), (4, 2, 1.5), (400, 3))
+    count = len(place)
+    semantic = np.full(count, Semantic.MOBILE, dtype=np.uint8)
+    rest = (
+        np.zeros((count, 3)),
+        semantic,
+        np.zeros(count, np.int32),
+        place[:, 2],
+        np.ones(count),
+        np.ones(count),
+    )
+    parked = EpochView(place, *rest)
+    trail = replace(parked, instance=np.full(count, -1, dtype=np.int32))
+    everywhere = lambda xyz: np.ones(len(xyz), dtype=bool)  # noqa: E731
+    reach = Reach(0.35, 1.0, 1.25)
+    assert build_voxels(parked, parked, everywhere, 0.5, reach).still.all()
+    assert not build_voxels(parked, trail, everywhere, 0.5, reach).still.any()
+    assert set(unlabelled(trail).change.tolist()) == {Change.NOT_REPORTED}
+    assert set(unlabelled(parked).change.tolist()) == {Change.UNCHANGED}

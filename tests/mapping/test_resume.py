@@ -10,6 +10,7 @@ import pytest
 from mapping_scenes import SECOND, START_NS, point_cloud_message, room_scan, turning_pose
 
 from subiaco_geo.bags import TYPESTORE, BagWriter
+from subiaco_geo.errors import InputError
 from subiaco_geo.maps import SurveyMap, write_map
 from subiaco_geo.topics import FIX, MESSAGE_TYPES, POINTS
 from subiaco_mapping import pipeline
@@ -166,6 +167,34 @@ def test_another_configuration_or_recording_begins_anew(
     survey = pipeline.map_survey([other_bag], CONFIG, journal=journal, resume=True)
     assert reads == ["room"]
     assert survey.trajectory.times_ns[0] == START_NS + 20 * SECOND
+
+
+def test_recordings_read_by_two_workers_make_the_same_map(
+    bags: list[Path], expected: dict[str, str], tmp_path: Path, reads: list[str]
+) -> None:
+    survey = pipeline.map_survey(bags, CONFIG, journal=tmp_path / ".map.journal", workers=2)
+    assert reads == []  # not in this process
+    assert content(survey, tmp_path / "map") == expected
+
+
+def test_a_setting_of_later_stages_alone_reads_no_recording_again(
+    bag: Path, tmp_path: Path, reads: list[str]
+) -> None:
+    interrupted(bag, tmp_path / ".map.journal")
+    other = CONFIG.model_copy(update={"fusion": FusionConfig(leaf=0.5), "crs": "EPSG:7851"})
+    fresh = content(pipeline.map_survey([bag], other), tmp_path / "fresh")
+    reads.clear()
+    survey = pipeline.map_survey([bag], other, journal=tmp_path / ".map.journal", resume=True)
+    assert reads == []
+    assert content(survey, tmp_path / "map") == fresh
+
+
+def test_two_recordings_of_one_name_are_refused_before_any_is_read(
+    bag: Path, tmp_path: Path, reads: list[str]
+) -> None:
+    with pytest.raises(InputError, match="two bags have this name"):
+        pipeline.map_survey([bag, bag], CONFIG, journal=tmp_path / ".map.journal", workers=2)
+    assert reads == []
 
 
 def test_a_damaged_journal_is_not_believed(bag: Path, tmp_path: Path, reads: list[str]) -> None:

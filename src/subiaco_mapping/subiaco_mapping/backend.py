@@ -17,6 +17,11 @@ from subiaco_mapping.solution import GraphSolution, LiveEstimate
 from subiaco_mapping.survey_graph import SurveyGraph
 
 
+def sequence_folder(spool: Path, number: int) -> Path:
+    """Return where the scans of a sequence lie."""
+    return spool / f"{number:03d}"
+
+
 class MappingBackend:
     """Take what the front end and the receiver give; solve and fuse on request.
 
@@ -49,7 +54,7 @@ class MappingBackend:
             raise InputError(f"sequence {name!r}: two bags have this name; rename one")
         if extrinsics is not None:
             self._extrinsics = extrinsics
-        folder = self._spool / f"{len(self._sequences):03d}"
+        folder = sequence_folder(self._spool, len(self._sequences))
         self._sequences.append(begin_sequence(name, self._extrinsics, folder, self._config))
 
     def add_facts(self, **facts: Any) -> None:

@@ -15,9 +15,9 @@ from typing import Any
 
 from subiaco_geo import __version__
 from subiaco_geo.atomic import whole_file
-from subiaco_geo.config import config_hash
 from subiaco_geo.errors import InputError
-from subiaco_mapping.backend import MappingBackend
+from subiaco_geo.work.tasks import fingerprint
+from subiaco_mapping.backend import MappingBackend, sequence_folder
 from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.measurements import Extrinsics
 from subiaco_mapping.sequence_files import pack, unpack
@@ -27,6 +27,7 @@ logger = logging.getLogger(__name__)
 
 _INDEX = "journal.json"
 _RECORD = "sequence.npz"
+_LATER = {"crs", "graph", "fusion", "manifest", "quality", "calibration"}  # what only later stages ask
 
 
 def journal_folder(output: Path) -> Path:
@@ -69,6 +70,13 @@ def _program() -> str:
     return digest.hexdigest()
 
 
+def reading_hash(config: MappingConfig) -> str:
+    """Hash the settings that reading a recording rests on; where others change, none is read again."""
+    settings = config.model_dump(mode="json", exclude=_LATER)
+    settings["fusion"] = {"max_range": config.fusion.max_range}
+    return fingerprint(settings)
+
+
 class Journal:
     """What is done of one run.
 
@@ -78,12 +86,12 @@ class Journal:
         Of this run alone.
     config : MappingConfig
     resume : bool
-        Go on with what is there, if configuration and program are the same; else begin anew.
+        Go on with what is there, if the program and the settings for reading are the same; else begin anew.
     """
 
     def __init__(self, folder: Path, config: MappingConfig, *, resume: bool) -> None:
         self.folder, self._config = folder, config
-        run = {"config": config_hash(config), "program": _program()}
+        run = {"config": reading_hash(config), "program": _program()}
         found = self._read() if resume else {}
         if resume and found.get("run") != run:
             said = "begun by another configuration or version" if found else "none"
@@ -124,14 +132,13 @@ class Journal:
         """Remove what an unfinished sequence left."""
         shutil.rmtree(self._place(number), ignore_errors=True)
 
-    def keep(self, number: int, bag_hash: str, record: SequenceRecord) -> None:
-        """Note a finished sequence, its scans on disk included."""
-        packed = pack(record)
+    def keep(self, number: int, name: str, bag_hash: str, packed: bytes) -> None:
+        """Note a finished sequence (see :func:`pack`), whose scans are on disk."""
         with whole_file(self._place(number) / _RECORD) as temporary, temporary.open("wb") as stream:
             stream.write(packed)
             stream.flush()
             os.fsync(stream.fileno())
-        noted = {"bag": [record.name, bag_hash], "record": hashlib.sha256(packed).hexdigest()}
+        noted = {"bag": [name, bag_hash], "record": hashlib.sha256(packed).hexdigest()}
         self._state["sequences"][str(number)] = noted
         self._write()
 
@@ -141,7 +148,7 @@ class Journal:
         return len(self._state["sequences"])
 
     def _place(self, number: int) -> Path:
-        return self.folder / f"{number:03d}"
+        return sequence_folder(self.folder, number)
 
 
 class JournalledBackend(MappingBackend):
@@ -164,4 +171,5 @@ class JournalledBackend(MappingBackend):
 
     def keep(self, bag_hash: str) -> None:
         """Note the newest sequence as finished."""
-        self._journal.keep(len(self._sequences) - 1, bag_hash, self._sequences[-1])
+        record = self._sequences[-1]
+        self._journal.keep(len(self._sequences) - 1, record.name, bag_hash, pack(record))

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Any, Protocol
+
+import numpy as np
 
 from subiaco_geo.bag_files import sequence_name
 from subiaco_geo.bags import BagReader, hash_bag, packet_from_cdr, require_topic
@@ -14,6 +16,8 @@ from subiaco_geo.errors import InputError
 from subiaco_geo.maps import SurveyMap
 from subiaco_geo.simulated import mark_simulated
 from subiaco_geo.topics import FIX, HEADING, IMU, LIDAR_PACKETS, MESSAGE_TYPES, METADATA, POINTS, TF_STATIC
+from subiaco_geo.work.store import Arrays
+from subiaco_geo.work.tasks import Inputs
 from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.conversions import (
     extrinsics_from_tf,
@@ -27,6 +31,8 @@ from subiaco_mapping.journal import JournalledBackend, opened
 from subiaco_mapping.map_builder import ProgressCallback, silent
 from subiaco_mapping.measurements import DeskewedScan, Extrinsics, GnssFix, HeadingSample, OdometryPose
 from subiaco_mapping.named_bags import open_bag
+from subiaco_mapping.recordings import OneSequence, Recording, name_all, read_beside
+from subiaco_mapping.sequence_files import pack
 from subiaco_mapping.watch.files import with_watched
 
 logger = logging.getLogger(__name__)
@@ -133,6 +139,15 @@ def run_sequence(
     backend.add_facts(**frontend.facts())
 
 
+def read_recording(_: Inputs, params: Mapping[str, Any]) -> Arrays:
+    """Read one recording as a piece of work: its scans go to the folder, all else is ``record``."""
+    config = params["config"]
+    sink = OneSequence(Path(params["folder"]), config)
+    with open_bag(Path(params["bag"]), config.topics) as reader:
+        run_sequence(reader, sink, config, silent)
+    return {"record": np.frombuffer(pack(sink.record), dtype=np.uint8)}
+
+
 def map_survey(
     bags: Sequence[Path],
     config: MappingConfig,
@@ -140,6 +155,7 @@ def map_survey(
     *,
     journal: Path | None = None,
     resume: bool = False,
+    workers: int = 1,
 ) -> SurveyMap:
     """Map the bags of one epoch, each a sequence.
 
@@ -155,6 +171,8 @@ def map_survey(
         run that is killed can go on. Without one, work goes to a temporary folder.
     resume : bool
         Go on with what the journal holds; recordings that are done are not read again.
+    workers : int
+        Processes that read recordings beside each other; the map is the same.
 
     Returns
     -------
@@ -171,10 +189,11 @@ def map_survey(
     report = progress or silent
     with opened(journal, config, resume=resume) as work:
         backend = JournalledBackend(config, work)
-        inputs = {}
-        for bag in map(Path, bags):
-            name, content = sequence_name(bag), hash_bag(bag)
-            inputs[name] = content
+        recordings = [Recording(k, bag, hash_bag(bag)) for k, bag in enumerate(map(Path, bags))]
+        inputs = name_all(recordings)
+        if workers > 1:
+            read_beside(recordings, work, config, read_recording, workers, report)
+        for bag, (name, content) in zip(map(Path, bags), inputs.items(), strict=True):
             if not backend.restore(name, content):
                 with open_bag(bag, config.topics) as reader:
                     run_sequence(reader, backend, config, report)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -169,10 +170,24 @@ def map_(
     threads: Annotated[
         int | None, typer.Option(help="Processor threads; 1 gives the same map every time.")
     ] = None,
+    workers: Annotated[
+        int | None,
+        typer.Option(min=1, help="Recordings read beside each other; all cores. The map is the same."),
+    ] = None,
     resume: Annotated[
         bool,
         typer.Option(
-            "--resume", help="Go on with a run that was killed; recordings it finished are not read again."
+            "--resume",
+            help="Go on with a run that was killed, or whose journal was kept; recordings that it finished "
+            "are not read again.",
+        ),
+    ] = False,
+    keep_journal: Annotated[
+        bool,
+        typer.Option(
+            "--keep-journal",
+            help="Leave the journal: with --resume --overwrite and other settings for what follows the "
+            "odometry, recordings are not read again.",
         ),
     ] = False,
     overwrite: Overwrite = False,
@@ -201,10 +216,14 @@ def map_(
     files = config_files("mapping", tuple(config or ()))
     model = load_config(MappingConfig, files, _settings(settings, threads=threads))
     with Progress(quiet=quiet) as progress:
-        survey = map_survey(bags, model, progress, journal=journal_folder(output), resume=resume)
+        survey = map_survey(
+            bags, model, progress, journal=journal_folder(output), resume=resume,
+            workers=workers or os.cpu_count() or 1,
+        )  # fmt: skip
         progress("writing map", 0.0)
         write_map(output, survey, overwrite=overwrite)
-    remove(journal_folder(output))
+    if not keep_journal:
+        remove(journal_folder(output))
     place = survey.cloud.crs or "a local frame without CRS"
     say(f"map: {output} ({len(survey.cloud):,} points in {place})", quiet=quiet)
 

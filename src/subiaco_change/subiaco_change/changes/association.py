@@ -146,7 +146,31 @@ def associate(
     matches = _adopt(matches, before, after, (forward, backward), (used_b, used_a), config)
     rest_b = [i for i in range(len(before)) if i not in used_b]
     rest_a = [j for j in range(len(after)) if j not in used_a]
-    return [*matches, *_match_contained(rest_b, rest_a, before, after, (forward, backward), config)]
+    found = [*matches, *_match_contained(rest_b, rest_a, before, after, (forward, backward), config)]
+    return _uncrossed(found, before, after)
+
+
+def _uncrossed(matches: Sequence[Match], before: Sequence[Thing], after: Sequence[Thing]) -> list[Match]:
+    """Make one match of those between parts of the same two instances.
+
+    Of a house that lost most of itself, what is left may be parted, and paired with what is gone.
+    """
+    wholes = [
+        {(before[i].body, after[j].body) for i in match.before for j in match.after} for match in matches
+    ]
+    numbers = {pair: k for k, pair in enumerate(sorted(set().union(*wholes)))}
+    links = [(m, len(matches) + numbers[pair]) for m, pairs in enumerate(wholes) for pair in pairs]
+    nodes = len(matches) + len(numbers)
+    rows, columns = zip(*links, strict=True) if links else ((), ())
+    graph = coo_array((np.ones(len(links)), (np.array(rows, int), np.array(columns, int))), (nodes, nodes))
+    group = connected_components(graph.tocsr(), directed=False)[1][: len(matches)]
+    united: dict[int, list[Match]] = {}
+    for match, number in zip(matches, group.tolist(), strict=True):
+        united.setdefault(number, []).append(match)
+    return [
+        Match(tuple(i for m in same for i in m.before), tuple(j for m in same for j in m.after))
+        for same in united.values()
+    ]
 
 
 def _match_contained(

@@ -39,10 +39,11 @@ class Labels:
 
 
 def unlabelled(view: EpochView) -> Labels:
-    """Return labels of points of which nothing is said yet."""
+    """Return labels of points of which nothing is said yet; nothing ever is of what drove by."""
     count = len(view.xyz)
+    trail = (view.semantic == Semantic.MOBILE) & (view.instance < 0)
     return Labels(
-        np.full(count, Change.UNCHANGED, dtype=np.uint8),
+        np.where(trail, Change.NOT_REPORTED, Change.UNCHANGED).astype(np.uint8),
         view.semantic.copy(),
         np.full(count, -1, dtype=np.int32),
         np.full(count, 0.5, dtype=np.float32),

@@ -60,13 +60,21 @@ class ObjectChange:
 
     @property
     def lod(self) -> float:
-        """Largest of the median levels of detection of its parts [m]."""
-        return max(t.lod for t in (*self.before, *self.after))
+        """Median level of detection of its parts [m]."""
+        return object_lod((*self.before, *self.after))
 
     def points(self, epoch: str) -> Ints:
         """Return the indices of its points in the cloud of an epoch, ``before`` or ``after``."""
         parts = [t.points for t in getattr(self, epoch)]
         return np.concatenate(parts) if parts else np.zeros(0, dtype=np.int64)
+
+
+def object_lod(things: Sequence[Thing]) -> float:
+    """Median of the levels of detection of things by their voxels [m]: a twig without one hides no house."""
+    levels = np.array([t.lod for t in things])
+    order = np.argsort(levels)
+    weight = np.cumsum([max(len(things[i].voxels), 1) for i in order])
+    return float(levels[order[int(np.searchsorted(weight, 0.5 * weight[-1]))]])
 
 
 @dataclass(frozen=True)
@@ -121,7 +129,7 @@ def join_wings(changes: list[ObjectChange], rules: ObjectRules) -> list[ObjectCh
         for i, change in enumerate(changes)
         if (change.semantic is Semantic.BUILDING and change.decision.change is not Change.UNOBSERVED)
         or (
-            change.semantic in (Semantic.MOBILE, Semantic.VEGETATION)
+            change.semantic in (Semantic.MOBILE, Semantic.VEGETATION, Semantic.OTHER)
             and change.decision.change in (Change.ADDED, Change.REMOVED)
             and built(_join((*change.before, *change.after)))
         )
@@ -323,7 +331,7 @@ def _decide(
     if semantic is Semantic.VEGETATION and before and after:
         first, second = (np.concatenate([t.xyz for t in things]) for things in (before, after))
         measures = replace(measures, outline=compare_outlines(first, second, rules.measures.outline))
-    lod = max(t.lod for t in (*before, *after))
+    lod = object_lod((*before, *after))
     decision = decide(semantic, bool(before), bool(after), measures, lod, rules.decisions)
     if decision.change in (Change.ADDED, Change.REMOVED):
         things = (*before, *after)

@@ -67,7 +67,7 @@ class Thing:
     """One instance of one epoch: its class, points (indices and places) and voxels.
 
     ``passed`` (N,): beams of its own epoch that passed each of its points for each that returned there;
-    empty where nothing counted them.
+    empty where nothing counted them. ``whole``: the instance it was parted from, -1 where it is none's part.
     """
 
     instance: int
@@ -78,6 +78,12 @@ class Thing:
     lod: float
     xyz: Floats = field(default_factory=lambda: np.zeros((0, 3)))
     passed: Floats = field(default_factory=lambda: np.zeros(0))
+    whole: int = -1
+
+    @property
+    def body(self) -> int:
+        """The instance it was parted from, or itself."""
+        return self.instance if self.whole < 0 else self.whole
 
 
 def build_voxels(
@@ -109,11 +115,17 @@ def build_voxels(
     if len(owner) == 0:
         none = np.zeros(0, dtype=bool)
         return Voxels(owner, xyz, normal, height, none, none, none)
-    still = occupied(xyz, other.xyz[other.semantic != Semantic.GROUND], reach)
+    still = occupied(xyz, other.xyz[stands(other)], reach)
     seen = observed(xyz) | still
     crossed = seen & ~still
     crossed[crossed] = looked_across(xyz[crossed], normal[crossed], observed, step)
     return Voxels(owner, xyz, normal, height, seen, still, crossed)
+
+
+def stands(view: EpochView) -> Mask:
+    """Tell which points (N,) stand on the ground: not the trails of what drove by, mobile and no object."""
+    trail = (view.semantic == Semantic.MOBILE) & (view.instance < 0)
+    return np.asarray((view.semantic != Semantic.GROUND) & ~trail)
 
 
 def looked_across(xyz: Floats, normal: Floats, observed: Callable[[Floats], Mask], step: float) -> Mask:

@@ -69,6 +69,7 @@ def divided(thing: Thing, labels: Ints, following: int) -> list[Thing]:
         replace(
             thing,
             instance=thing.instance if number == 0 else following + number - 1,
+            whole=thing.body,
             points=thing.points[owner == number],
             voxels=thing.voxels.select(labels == number),
             xyz=thing.xyz[owner == number],

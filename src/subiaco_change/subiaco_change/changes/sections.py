@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -30,7 +31,10 @@ class Section:
 def moved_sections(
     before: Sequence[Thing], after: Sequence[Thing], threshold: float
 ) -> tuple[list[Section], Floats]:
-    """Find where tops of a low plant moved by over a threshold [m]; and all columns compared (C, 2)."""
+    """Find where tops of a low plant moved by over a threshold [m], and beyond their spread.
+
+    Returns the sections, and all columns compared (C, 2).
+    """
     heights = np.concatenate([t.voxels.height for t in (*before, *after)])
     if np.quantile(heights, 0.98) > _LOW:
         return [], np.zeros((0, 2))
@@ -40,6 +44,7 @@ def moved_sections(
     shape = tuple((last - corner + 1).tolist())
     tops = [_tops(xyz, corner, shape) for xyz in clouds]
     rise = _smooth(tops[1] - tops[0])
+    threshold = max(threshold, 1.96 * math.hypot(_roughness(tops[0]), _roughness(tops[1])))
     sections = []
     for sign in (1.0, -1.0):
         labels, count = ndimage.label(np.nan_to_num(sign * rise, nan=0.0) > threshold, np.ones((3, 3)))
@@ -59,6 +64,12 @@ def _tops(xyz: Floats, corner: Ints, shape: tuple[int, ...]) -> Floats:
     tops = np.full(shape, -np.inf)
     np.maximum.at(tops, (index[:, 0], index[:, 1]), xyz[:, 2])
     return np.where(np.isfinite(tops), tops, np.nan)
+
+
+def _roughness(tops: Floats) -> float:
+    """Spread of tops about those around them [m]: of a plant that few beams met, few tops are its own."""
+    step = np.abs(tops - _smooth(tops))
+    return 1.4826 * float(np.nanmedian(step)) if np.isfinite(step).any() else 0.0
 
 
 def _smooth(rise: Floats) -> Floats:

@@ -16,6 +16,10 @@ from subiaco_geo.frames import Floats
 _ROUND = 0.75  # a part that touches its host with so much of itself stands round it, however large it is
 _SMALL = 0.1  # less than this share of its host is no house, whatever stands on both sides
 _CAR = 2.3  # no car is taller [m]
+_LEANS = 0.25  # what touches a second building with more of itself stands between the two
+_WITHIN = 0.3  # share of a host inside a part in one epoch alone, from which the part was the house itself
+_PARTY = 0.5  # walls so near the edge of an outline are shared with a neighbour [m]
+_UNDERSIDE = 0.6  # what begins higher, in shares of its top, stands on nothing
 _NEIGHBOURS = 6  # voxels, itself among them, whose normals are compared
 _SMOOTH = 0.78  # mean cosine between the normals of neighbours: leaves stay below 0.75
 
@@ -47,12 +51,16 @@ def find_wings(pairs: Sequence[tuple[Voxels, Voxels]], config: PartConfig) -> di
         contact = [_contact(wing, pairs[i][epoch].xyz, config) for i in hosts]
         if not contact or max(contact) == 0:
             continue
-        if len(contact) > 1 and sorted(contact)[-2] > 0.5 * max(contact):  # between two buildings
+        if len(contact) > 1 and sorted(contact)[-2] > _LEANS * len(wing):  # between two buildings
             continue
         host = hosts[int(np.argmax(contact))]
         body = pairs[host][epoch]
         share = _bulk(pair[epoch]) / max(_bulk(body), 1e-9)
         if share >= config.subordinate and max(contact) < _ROUND * len(wing):
+            if _inside(pairs[host][1 - epoch].xyz, wing) >= _WITHIN:  # its walls stand where the wing was
+                wings[number] = host
+            continue
+        if _floats(pair[epoch], body):
             continue
         if share < _SMALL or not _between(wing, body.xyz, config):
             wings[number] = host
@@ -66,6 +74,20 @@ def built(voxels: Voxels) -> bool:
     near = cKDTree(voxels.xyz).query(voxels.xyz, k=_NEIGHBOURS)[1][:, 1:]
     along = np.abs(np.einsum("ikj,ij->ik", voxels.normal[near], voxels.normal))
     return bool(along.mean() >= _SMOOTH)
+
+
+def _inside(host: Floats, wing: Floats) -> float:
+    """Share of the places of a host (N, 3) that lie well inside the outline of a wing (M, 3)."""
+    outline = shapely.MultiPoint(wing[:, :2]).convex_hull.buffer(-_PARTY)
+    return float(shapely.contains_xy(outline, host[:, 0], host[:, 1]).mean()) if len(host) else 0.0
+
+
+def _floats(wing: Voxels, host: Voxels) -> bool:
+    """Tell a crown from a wing: it begins high above the ground beside its host, not above it."""
+    if wing.height.min() < max(_CAR, _UNDERSIDE * wing.height.max()):
+        return False
+    over = shapely.MultiPoint(host.xyz[:, :2]).convex_hull
+    return bool(shapely.contains_xy(over, wing.xyz[:, 0], wing.xyz[:, 1]).mean() < 0.5)
 
 
 def _contact(wing: Floats, host: Floats, config: PartConfig) -> int:

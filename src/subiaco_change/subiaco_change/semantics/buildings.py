@@ -10,9 +10,10 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from subiaco_change.semantics.clustering import group_reduce, voxel_clusters
-from subiaco_change.semantics.features import Features
+from subiaco_change.semantics.features import FeatureConfig, Features, compute_features
 from subiaco_change.semantics.ground import Mask
 from subiaco_change.semantics.planes import Patches, planar_patches
+from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
 
@@ -45,7 +46,23 @@ class BuildingConfig(StrictModel):
     wire_roughness: float = Field(0.045, gt=0, description="largest roughness of a point of wires [m]")
     wire_length: float = Field(4.0, gt=0, description="shortest run of wires seen from above [m]")
     wire_touch: float = Field(0.4, gt=0, description="voxel in which points of wires touch [m]")
+    leafy_scatter: float = Field(
+        0.18,
+        gt=0,
+        lt=1,
+        description="mean sqrt(l3 / l1) from which a patch is the side of a hedge; walls have half of it",
+    )
+    leafy_area: float = Field(
+        25.0, gt=0, description="area from which a plane is a wall, however rough: leaves form none [m2]"
+    )
     facade_slope: float = Field(0.25, gt=0, description="|n.e_z| of a facade, paper")
+    thick: FeatureConfig = FeatureConfig(neighbours=24, radius=1.5)
+    thick_cell: float = Field(0.5, gt=0, description="cell in which walls seen twice are one [m]")
+    thick_roughness: float = Field(0.16, gt=0, description="roughness of such a wall over 1.5 m [m]")
+    thick_offset: float = Field(
+        0.25, gt=0, description="distance of its cells from the neighbour's plane [m]"
+    )
+    thick_area: float = Field(12.0, gt=0, description="least area of such a wall [m2]")
     facade_top: float = Field(
         2.3, gt=0, description="height that a facade reaches; lower walls are other [m]"
     )
@@ -108,6 +125,35 @@ def building_planes(
     )
 
 
+def thick_walls(xyz: Floats, height: Floats, free: Mask, config: BuildingConfig) -> Mask:
+    """Find walls among free points (N,) that stand in more than one sheet: a bent map saw them twice.
+
+    Too rough for planes of neighbours 0.6 m around, they are thin for their size seen from farther off:
+    in cells of 0.5 m, over 1.5 m. Crowns are three times as thick, hedges end below a facade's top.
+    """
+    walls = np.zeros(len(xyz), dtype=bool)
+    members = np.flatnonzero(free & (height > config.under_gap))
+    if len(members) < 4:
+        return walls
+    _, cell = np.unique(voxel_keys(voxel_indices(xyz[members], config.thick_cell)), return_inverse=True)
+    count = np.bincount(cell)
+    middle = np.stack([np.bincount(cell, xyz[members, i]) / count for i in range(3)], axis=1)
+    shape = compute_features(middle, config.thick)
+    upright = np.abs(shape.normals[:, 2]) < config.facade_slope
+    sheet = upright & (shape.roughness < config.thick_roughness) & (shape.linearity < config.max_linearity)
+    patches = planar_patches(middle, shape, sheet, config.plane_angle_deg, config.thick_offset)
+    inside = patches.label >= 0
+    top = group_reduce(
+        patches.label[inside],
+        (np.bincount(cell, height[members]) / count)[inside],
+        len(patches.area),
+        "maximum",
+    )
+    wall = (patches.area > config.thick_area) & (top > config.facade_top)
+    walls[members] = np.append(wall, False)[patches.label][cell]
+    return walls
+
+
 def join_parts(xyz: Floats, planes: BuildingPlanes, free: Mask, config: BuildingConfig) -> Mask:
     """Add to the free points (N,) of the core the parts that come near it, directly or through others."""
     core = planes.core & free
@@ -162,7 +208,10 @@ def _kinds(
     rough = reduced(features.roughness, "median") > config.frond_roughness
     bent = ~upright & (patches.residual > config.frond_bend) & (lowest > config.roof_height)
     fronds = bent & rough & (linear > config.frond_linearity)
-    building = (facade | roof) & ~fronds & ~(wires & (lowest > config.wire_height))
+    leafy = (reduced(np.sqrt(features.scatter), "mean") > config.leafy_scatter) & (
+        patches.area < config.leafy_area
+    )
+    building = (facade | roof) & ~fronds & ~leafy & ~(wires & (lowest > config.wire_height))
     return np.asarray(building), np.asarray(fronds & (patches.area > config.part_area))
 
 

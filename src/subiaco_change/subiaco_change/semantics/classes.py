@@ -14,6 +14,7 @@ from subiaco_change.semantics.buildings import (
     building_planes,
     find_wires,
     join_parts,
+    thick_walls,
     within_roofs,
 )
 from subiaco_change.semantics.clustering import group_indices, group_reduce, voxel_clusters
@@ -21,7 +22,7 @@ from subiaco_change.semantics.features import FeatureConfig, Features, compute_f
 from subiaco_change.semantics.ground import GroundConfig, GroundModel, Mask, fit_ground
 from subiaco_change.semantics.superpoints import SuperpointConfig, partition
 from subiaco_change.semantics.traffic import TrafficConfig, moving_points, still_blocks
-from subiaco_change.semantics.vehicles import VehicleConfig, free_boxes, ground_boxes, sheds
+from subiaco_change.semantics.vehicles import VehicleConfig, free_boxes, ground_boxes, look_again
 from subiaco_geo.clouds import PointCloud, sort_spatially
 from subiaco_geo.codes import Semantic
 from subiaco_geo.config import StrictModel
@@ -115,7 +116,7 @@ def label_points(cloud: PointCloud, config: SemanticsConfig, passed: Floats | No
         scores[back],
         height[back].astype(np.float32),
         ground,
-        np.unique(parts.labels, return_inverse=True)[1][back].astype(np.int32),
+        parts.labels[back].astype(np.int32),
         parts.energy,
         moving[back],
         large[back],
@@ -137,7 +138,6 @@ def _classify(
     config: SemanticsConfig,
 ) -> tuple[NDArray[np.uint8], Mask, Mask]:
     """Apply the classes in the order of their priority; the rest is *other*. Tell trails and trucks."""
-    parts = np.unique(parts, return_inverse=True)[1]
     semantic = np.full(len(xyz), Semantic.OTHER, dtype=np.uint8)
     is_ground = _find_ground(xyz, height, features, parts, ground, config)
     semantic[is_ground] = Semantic.GROUND
@@ -152,12 +152,14 @@ def _classify(
     foliage = (_find_foliage(height, features, parts, config) | planes.fronds) & rest
     body = rest & ~foliage & (features.linearity < config.vehicles.trunk_linearity)
     trucks, shelters = free_boxes(
-        xyz, height, planes.core & rest, (planes.part >= 0) & rest, body, config.vehicles
+        xyz, height, planes.core & rest, (planes.part >= 0) & rest, body, rest, config.vehicles
     )
     trucks &= rest
     semantic[trucks] = Semantic.MOBILE
     rest &= ~(trucks | shelters)
     core = join_parts(xyz, planes, rest, config.buildings)
+    rough = foliage | (features.roughness > config.buildings.plane_offset)
+    core |= thick_walls(xyz, height, rest & ~core & rough, config.buildings)
     below, apart = within_roofs(xyz, core, features, rest, config.buildings)
     is_building = attach_parts(xyz, core | below, rest & ~apart, foliage, config.buildings)
     semantic[is_building] = Semantic.BUILDING
@@ -167,8 +169,7 @@ def _classify(
         features.roughness < config.buildings.plane_offset
     )
     semantic[rest] = _split_rest(xyz[rest], height[rest], foliage[rest], upright[rest], config)
-    parked = (semantic == Semantic.MOBILE) & ~moving
-    semantic[sheds(xyz, height, upright, parked, config.cluster_voxel, config.vehicles)] = Semantic.BUILDING
+    semantic = look_again(xyz, height, foliage, upright, semantic, moving, config.vehicles)
     return semantic, moving, trucks & (semantic == Semantic.MOBILE)
 
 

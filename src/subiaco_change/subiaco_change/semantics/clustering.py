@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from itertools import pairwise
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
@@ -22,25 +23,50 @@ def voxel_clusters(xyz: Floats, size: float) -> Ints:
     """
     if len(xyz) == 0:
         return np.zeros(0, dtype=np.int64)
-    keys, inverse = np.unique(voxel_keys(voxel_indices(xyz, size)), return_inverse=True)
-    return connect(len(keys), voxel_neighbours(keys))[inverse]
+    keys = voxel_keys(voxel_indices(xyz, size))
+    order = np.argsort(keys)
+    first = np.append(True, np.diff(keys[order]) > 0)
+    roots = _join(keys[order[first]])
+    number = np.cumsum(roots == np.arange(len(roots))) - 1
+    labels = np.empty(len(keys), dtype=np.int64)
+    labels[order] = number[roots[np.cumsum(first) - 1]]
+    return labels
 
 
-def voxel_neighbours(keys: Ints) -> Ints:
-    """Return pairs (E, 2) of positions in the sorted voxel keys (M,) that touch (26 neighbours)."""
-    pairs = []
-    here = np.arange(len(keys))
-    for dx, dy, dz in _half_neighbourhood():
-        wanted = keys + ((dx << 42) + (dy << 21) + dz)
-        slot = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
-        hit = keys[slot] == wanted
-        pairs.append(np.stack([here[hit], slot[hit]], axis=1))
-    return np.concatenate(pairs)
+_HALF = np.array(
+    [
+        (x << 42) + (y << 21) + z
+        for x in (-1, 0, 1)
+        for y in (-1, 0, 1)
+        for z in (-1, 0, 1)
+        if (x, y, z) > (0, 0, 0)
+    ]
+)  # steps of a voxel key to half of its 26 neighbours
 
 
-def _half_neighbourhood() -> list[tuple[int, int, int]]:
-    cube = [(x, y, z) for x in (-1, 0, 1) for y in (-1, 0, 1) for z in (-1, 0, 1)]
-    return [offset for offset in cube if offset > (0, 0, 0)]
+@numba.njit(cache=True)
+def _join(keys: Ints) -> Ints:
+    """Least of the sorted voxel keys (M,) that each is joined to, by its place among them."""
+    parent = np.arange(len(keys))
+    for step in _HALF:
+        other = 0  # keys and wanted keys rise together
+        for here in range(len(keys)):
+            while other < len(keys) and keys[other] < keys[here] + step:
+                other += 1
+            if other < len(keys) and keys[other] == keys[here] + step:
+                a, b = _root(parent, here), _root(parent, other)
+                parent[max(a, b)] = min(a, b)
+    for here in range(len(keys)):
+        parent[here] = parent[parent[here]]
+    return parent
+
+
+@numba.njit(cache=True)
+def _root(parent: Ints, node: int) -> int:
+    while parent[node] != node:
+        parent[node] = parent[parent[node]]
+        node = parent[node]
+    return node
 
 
 def connect(count: int, pairs: Ints) -> Ints:
@@ -67,8 +93,27 @@ def group_reduce(labels: Ints, values: NDArray[np.generic], size: int, how: str 
     """Reduce values (N,) by label 0..size-1: median, mean, minimum or maximum; NaN where empty."""
     if len(labels) == 0:
         return np.full(size, np.nan)
-    index = np.arange(size)
-    function = getattr(ndimage, how)
     counts = np.bincount(labels, minlength=size)
-    reduced = np.asarray(function(values, labels, index), dtype=np.float64)
+    if how == "median":
+        return _medians(labels, values.astype(np.float64), counts)
+    reduced = np.asarray(getattr(ndimage, how)(values, labels, np.arange(size)), dtype=np.float64)
     return np.where(counts > 0, reduced, np.nan)
+
+
+@numba.njit(cache=True)
+def _medians(labels: Ints, values: Floats, counts: Ints) -> Floats:
+    """Median (R,) of the values (N,) of every label, the mean of both middle ones; NaN where empty."""
+    starts = np.zeros(len(counts) + 1, dtype=np.int64)
+    starts[1:] = np.cumsum(counts)
+    filled = starts.copy()
+    gathered = np.empty(len(values))
+    for i in range(len(labels)):
+        gathered[filled[labels[i]]] = values[i]
+        filled[labels[i]] += 1
+    medians = np.full(len(counts), np.nan)
+    for region in range(len(counts)):
+        size = counts[region]
+        if size > 0:
+            own = np.sort(gathered[starts[region] : starts[region + 1]])
+            medians[region] = (own[(size - 1) // 2] + own[size // 2]) / 2
+    return medians

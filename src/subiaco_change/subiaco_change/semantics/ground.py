@@ -214,7 +214,7 @@ def _run_on(lowest: Floats, ground: Mask, config: GroundConfig) -> Mask:
         axis=1,
     )
     pairs = pairs[:, pairs[0] != pairs[1]]
-    pairs = np.unique(np.sort(pairs, axis=0), axis=1)
+    pairs = np.stack(np.divmod(np.unique(pairs.min(axis=0) * known.size + pairs.max(axis=0)), known.size))
     place = np.stack(np.divmod(pairs, lowest.shape[1]), axis=-1) * config.cell
     apart = np.linalg.norm(place[0] - place[1], axis=1)
     height, is_ground = lowest.ravel(), ground.ravel()

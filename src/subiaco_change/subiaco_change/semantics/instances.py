@@ -14,7 +14,7 @@ from subiaco_change.semantics.clustering import cell_clusters, group_indices, vo
 from subiaco_change.semantics.profiles import ProfileConfig, level_steps, part_slots
 from subiaco_change.semantics.rows import RowConfig, split_rows
 from subiaco_change.semantics.terraces import split_row
-from subiaco_geo.clouds import PointCloud
+from subiaco_geo.clouds import PointCloud, voxel_indices, voxel_keys
 from subiaco_geo.codes import Semantic
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
@@ -158,8 +158,7 @@ def _cluster_by_density(xyz: Floats, config: InstanceConfig) -> Ints:
 
 def _density(xyz: Floats) -> float:
     """Median number of points a cubic metre in the occupied cubic metres."""
-    cells = np.floor(xyz).astype(np.int64)
-    _, counts = np.unique(cells, axis=0, return_counts=True)
+    _, counts = np.unique(voxel_keys(voxel_indices(xyz, 1.0)), return_counts=True)
     return float(np.median(counts))
 
 

@@ -38,7 +38,7 @@ class SuperpointConfig(StrictModel):
 
 @dataclass(frozen=True)
 class Partition:
-    """Superpoint (N,) of every point, the energy reached, and those of the trivial partitions."""
+    """Superpoint (N,) of every point, without gaps, the energy reached, and those of trivial partitions."""
 
     labels: Ints
     energy: float

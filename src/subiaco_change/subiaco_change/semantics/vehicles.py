@@ -13,7 +13,7 @@ from subiaco_change.semantics.ground import Mask
 from subiaco_change.semantics.rows import RowConfig, split_rows
 from subiaco_geo.codes import Semantic
 from subiaco_geo.config import StrictModel
-from subiaco_geo.frames import Floats
+from subiaco_geo.frames import Floats, Ints
 
 
 class VehicleConfig(StrictModel):
@@ -33,6 +33,11 @@ class VehicleConfig(StrictModel):
         0.8, gt=0, le=1, description="linearity from which a point is of a trunk or pole beside a truck"
     )
     truck_edge: float = Field(0.7, ge=0, description="reach of a truck over its small parts [m]")
+    wheels: float = Field(
+        0.68,
+        gt=0,
+        description="points near the ground for those a metre up; trucks stand on wheels",
+    )
     mobile_length: float = Field(5.5, gt=0, description="longest side of a vehicle [m] (paper: 5)")
     mobile_height: float = Field(3.0, gt=0, description="top of a vehicle [m], paper")
     mobile_top: float = Field(
@@ -45,11 +50,28 @@ class VehicleConfig(StrictModel):
     split_gap: float = Field(0.3, gt=0, description="cell in which parts of one vehicle touch [m]")
     rows: RowConfig = RowConfig()
     shed_top: float = Field(2.1, gt=0, description="height from which a short box is a shed [m]")
+    shed_straight_top: float = Field(
+        1.9, gt=0, description="the same for a box as wide at its top as below [m]"
+    )
+    shed_straight: float = Field(0.95, gt=0, le=1, description="width of its top for that below")
+    shed_fill: float = Field(0.3, gt=0, le=1, description="share of its rectangle that it fills")
     shed_length: float = Field(4.4, gt=0, description="length below which a high box is a shed [m]")
     mobile_volume: float = Field(60.0, gt=0, description="box of a vehicle [m3], paper")
     mobile_min_width: float = Field(0.8, gt=0, description="narrower things are posts and fences [m]")
     overhang: float = Field(0.15, ge=0, description="how far a top may stand out: shelters have eaves [m]")
     top_band: float = Field(0.35, gt=0, description="height of that top [m]")
+    leafy: float = Field(
+        0.4, gt=0, le=1, description="share of foliage from which what does not stand free is a plant"
+    )
+    clear_gap: float = Field(0.4, gt=0, description="voxel in which points of one thing touch [m]")
+    clear_reach: float = Field(0.8, gt=0, description="distance at which a vehicle stands free [m]")
+    clear_cell: float = Field(0.25, gt=0, description="cell in which its surroundings are counted [m]")
+    clear_height: float = Field(0.4, gt=0, description="height from which something stands there [m]")
+    clear_share: float = Field(
+        0.4, gt=0, le=1, description="share of its surroundings from which a narrow thing does not stand free"
+    )
+    clear_share_wide: float = Field(0.5, gt=0, le=1, description="the same for things as wide as cars")
+    clear_width: float = Field(1.4, gt=0, description="width of these [m]")
     screen_upright: float = Field(
         0.7, gt=0, le=1, description="share of walls in the upper half of fences that meet"
     )
@@ -57,7 +79,7 @@ class VehicleConfig(StrictModel):
 
 
 def free_boxes(
-    xyz: Floats, height: Floats, core: Mask, part: Mask, hard: Mask, config: VehicleConfig
+    xyz: Floats, height: Floats, core: Mask, part: Mask, hard: Mask, free: Mask, config: VehicleConfig
 ) -> tuple[Mask, Mask]:
     """Tell which points are trucks and buses, and which shelters: boxes on the ground, alone, like facades.
 
@@ -72,8 +94,11 @@ def free_boxes(
         Smaller planes, of which a shelter may consist.
     hard : (N,) bool
         Points that may belong to such a box: neither ground nor foliage.
+    free : (N,) bool
+        All that is no ground, by which wheels are told from walls.
     config : VehicleConfig
     """
+    below = _Columns(xyz, height, np.flatnonzero(free & (height < config.truck_top)), config.truck_gap)
     low = (height > config.split_band) & (height < config.truck_top + config.truck_gap)
     members = np.flatnonzero((core | part | hard) & low)
     large, shelter = np.zeros((2, len(xyz)), dtype=bool)
@@ -85,13 +110,39 @@ def free_boxes(
             continue
         if has_eaves(xyz[mine], height[mine], config):
             shelter[mine] = True
-        elif core[mine].mean() > config.truck_planes:
+        elif core[mine].mean() > config.truck_planes and _foot(below.heights(xyz[mine])) < config.wheels:
             large[mine] = True
     low = height < config.truck_top
     return (
         _reach_out(xyz, large, low, config.truck_edge),
         _reach_out(xyz, shelter, low, config.truck_edge),
     )
+
+
+class _Columns:
+    """Heights of points by the cell [m] that they are in, seen from above."""
+
+    def __init__(self, xyz: Floats, height: Floats, members: NDArray[np.int64], cell: float) -> None:
+        self._cell = cell
+        keys = self._keys(xyz[members])
+        order = np.argsort(keys, kind="stable")
+        self._sorted, self._height = keys[order], height[members[order]]
+
+    def _keys(self, xyz: Floats) -> NDArray[np.int64]:
+        column, row = np.floor(xyz[:, :2] / self._cell).astype(np.int64).T
+        return np.asarray((column << 32) + row)
+
+    def heights(self, xyz: Floats) -> Floats:
+        """All heights in the cells of points (N, 3)."""
+        wanted = np.unique(self._keys(xyz))
+        first, last = (np.searchsorted(self._sorted, wanted, side) for side in ("left", "right"))
+        return np.concatenate([self._height[a:b] for a, b in zip(first, last, strict=True)])
+
+
+def _foot(height: Floats) -> float:
+    """Points a metre of height (N,) just above the ground, for those half a metre to 1.4 m above it."""
+    foot, side = ((low < height) & (height <= high) for low, high in ((0.1, 0.35), (0.6, 1.4)))
+    return float(foot.sum() / 0.25 / max(side.sum() / 0.8, 1.0))
 
 
 def _reach_out(xyz: Floats, found: Mask, open_: Mask, reach: float) -> Mask:
@@ -157,29 +208,90 @@ def _kind(xyz: Floats, height: Floats, upright: Mask, hard: float, config: Vehic
     return Semantic.MOBILE
 
 
-def sheds(
-    xyz: Floats, height: Floats, upright: Mask, mobile: Mask, voxel: float, config: VehicleConfig
-) -> Mask:
-    """Tell which points of vehicles are sheds (planarity goes back); the cab of a truck touches it."""
-    members = np.flatnonzero(mobile)
-    shed = np.zeros(len(xyz), dtype=bool)
-    for group in group_indices(voxel_clusters(xyz[members], voxel)):
+def look_again(
+    xyz: Floats,
+    height: Floats,
+    foliage: Mask,
+    upright: Mask,
+    semantic: NDArray[np.uint8],
+    moving: Mask,
+    config: VehicleConfig,
+) -> NDArray[np.uint8]:
+    """Give vehicles back that are none: sheds, and pieces of hedges and walls.
+
+    A vehicle stands free. What has things against much of it is a plant or a piece of most of them.
+    """
+    settled = semantic.copy()
+    members = np.flatnonzero((semantic == Semantic.MOBILE) & ~moving)
+    if len(members) == 0:
+        return settled
+    labels = voxel_clusters(xyz[members], config.clear_gap)
+    crowd, beside = _surroundings(xyz, height, semantic, members, labels, config)
+    for number, group in enumerate(group_indices(labels)):
         mine = members[group]
-        shed[mine] = _is_shed(xyz[mine], height[mine], upright[mine], config)
-    return shed
+        if _is_shed(xyz[mine], height[mine], upright[mine], config):
+            settled[mine] = Semantic.BUILDING
+        elif crowd[number] > _crowd_limit(xyz[mine], config):
+            leafy = foliage[mine].mean() > config.leafy
+            settled[mine] = Semantic.VEGETATION if leafy else beside[number]
+    return settled
+
+
+def _crowd_limit(xyz: Floats, config: VehicleConfig) -> float:
+    narrow = box_sides(xyz[:, :2])[1] < config.clear_width
+    return config.clear_share if narrow else config.clear_share_wide
+
+
+def _surroundings(
+    xyz: Floats,
+    height: Floats,
+    semantic: NDArray[np.uint8],
+    members: NDArray[np.int64],
+    labels: Ints,
+    config: VehicleConfig,
+) -> tuple[Floats, Ints]:
+    """Share of the cells seen around each cluster that are not free, and the class of most there."""
+    count = int(labels.max()) + 1
+    tops = np.array([np.quantile(height[members[g]], 0.98) for g in group_indices(labels)])
+    others = np.flatnonzero((semantic != Semantic.MOBILE) & (height < tops.max() + config.split_band))
+    tree = cKDTree(xyz[members, :2])
+    distance, slot = tree.query(xyz[others, :2], distance_upper_bound=config.clear_reach)
+    near = np.isfinite(distance)
+    others, own = others[near], labels[slot[near]]
+    stands = (height[others] > config.clear_height) & (height[others] < tops[own] + config.split_band)
+    column, row = np.floor(xyz[others, :2] / config.clear_cell).astype(np.int64).T
+    column -= column.min(initial=0)
+    row -= row.min(initial=0)
+    key = (own * (int(column.max(initial=0)) + 1) + column) * (int(row.max(initial=0)) + 1) + row
+    _, first, cell = np.unique(key, return_index=True, return_inverse=True)
+    blocked = np.bincount(cell, stands, len(first)) > 0
+    share = np.bincount(own[first], blocked, count) / np.maximum(np.bincount(own[first], minlength=count), 1)
+    votes = np.bincount(
+        own[stands] * len(Semantic) + semantic[others[stands]], minlength=count * len(Semantic)
+    )
+    return share, votes.reshape(count, -1).argmax(axis=1)
 
 
 def _is_shed(xyz: Floats, height: Floats, upright: Mask, config: VehicleConfig) -> bool:
-    """Tell a short, high box with walls to the top."""
-    if np.quantile(height, 0.95) < config.shed_top or box_sides(xyz[:, :2])[0] > config.shed_length:
+    """Tell a short, high box with walls to the top, or a lower one that is as wide at its top as below."""
+    top = float(np.quantile(height, 0.95))
+    sides = box_coordinates(xyz[:, :2])
+    if top < config.shed_straight_top or float(np.ptp(sides[:, 0])) > config.shed_length:
         return False
+    if top < config.shed_top:
+        if _fill(xyz) < config.shed_fill:  # fences that meet
+            return False
+        head, body = sides[height > top - 2 * config.top_band], sides[height < 0.5 * top]
+        if len(body) == 0 or (np.ptp(head, axis=0) < config.shed_straight * np.ptp(body, axis=0)).any():
+            return False
     return bool(upright[height > 0.5 * config.shed_top].mean() > 0.5)
 
 
 def _fill(xyz: Floats, cell: float = 0.25) -> float:
     """Share of its rectangle that a thing fills, seen from above."""
     sides = box_coordinates(xyz[:, :2])
-    cells = np.unique(np.floor((sides - sides.min(axis=0)) / cell), axis=0)
+    column, row = np.floor((sides - sides.min(axis=0)) / cell).astype(np.int64).T
+    cells = np.unique((column << 32) + row)
     return float(len(cells) * cell**2 / max(float(np.prod(np.ptp(sides, axis=0))), cell**2))
 
 

@@ -1,0 +1,68 @@
+# ruff: noqa: T201
+"""The change run beside what people use today, on one pair of maps: py4dgeo's M3C2, and surface models.
+
+    python tests/benchmarks/bench_methods.py SURVEY --workers 2
+
+A SURVEY is what ``subiaco simulate --maps-only`` writes. M3C2 takes every point of *before* as a core point
+and all cores it finds, and gives distances alone; differencing of surface models (``subiaco baseline dsm``)
+registers first, as we do, and takes one core. The change run is whole but for its pages. py4dgeo is not
+among our dependencies: see ``requirements.txt`` beside this file.
+"""
+
+from __future__ import annotations
+
+import argparse
+import importlib.util
+import shutil
+import time
+from pathlib import Path
+from typing import Any
+
+from bench_city import run_once, time_m3c2
+from results import keep, rounded
+
+from subiaco_change.baselines.config import BaselineConfig
+from subiaco_change.baselines.run import run_baseline
+from subiaco_change.job import ChangeJob
+
+
+def time_surfaces(survey: Path) -> tuple[float, float]:
+    """Wall and CPU seconds of differencing surface models, files and table included."""
+    output = survey / "surfaces"
+    shutil.rmtree(output, ignore_errors=True)
+    wall, cpu = time.perf_counter(), time.process_time()
+    run_baseline(ChangeJob(survey / "before", survey / "after", output), "dsm", BaselineConfig())
+    return time.perf_counter() - wall, time.process_time() - cpu
+
+
+def main() -> None:
+    """Print and keep the rows."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("survey", type=Path)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--json", type=Path, help="leave the rows there, for bench.py")
+    given = parser.parse_args()
+    times: dict[str, tuple[float, float]] = {}
+    absent = {}
+    if importlib.util.find_spec("py4dgeo") is None:
+        absent["py4dgeo M3C2"] = "py4dgeo cannot be imported"
+    else:
+        times["py4dgeo M3C2, distances alone"] = time_m3c2(given.survey)
+    times["DSM differencing, from maps to table"] = time_surfaces(given.survey)
+    ours = run_once(given.survey, given.workers, report=False)
+    times[f"subiaco change, from maps to table, {given.workers} workers"] = ours["wall_s"], ours["cpu_s"]
+    base = times.get("py4dgeo M3C2, distances alone")
+    rows: list[dict[str, Any]] = []
+    for name, (wall, cpu) in times.items():
+        rows.append({"method": name, "wall s": rounded(wall), "CPU s": rounded(cpu)})
+        if base is not None:
+            rows[-1] |= {"of M3C2, wall": rounded(wall / base[0], 2), "CPU": rounded(cpu / base[1], 2)}
+        print(rows[-1])
+    rows[-1]["peak MB, all processes"] = round(ours["peak_mib"])
+    keep(given.json, rows, absent, [f"{ours['points']} points of both epochs at the working leaf"])
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,68 @@
+"""What tells vehicles from sheds and hedges, and walls seen twice from crowns."""
+
+import numpy as np
+import pytest
+from scenes import Scene, ground_z
+from scipy.spatial import cKDTree
+
+from subiaco_change.semantics.classes import SemanticsConfig, label_points
+from subiaco_geo.clouds import PointCloud, voxel_downsample
+from subiaco_geo.codes import Semantic
+
+
+def labels_of(thing, *others):
+    """Classes of a thing (N, 3) that stands in a street with one house."""
+    street = Scene(houses=[(-15, 12)], trees=[], cars=[], poles=[]).survey(4).cloud
+    cloud = voxel_downsample(PointCloud(np.concatenate([street.xyz, thing, *others])), 0.25)
+    found = label_points(cloud, SemanticsConfig()).semantic
+    return found[cKDTree(thing).query(cloud.xyz)[0] < 0.1]
+
+
+def sides(rng, middle, size, bottom, noise=0.01, count=8000):
+    """Four upright sides and a flat top of a box on the ground from a bottom [m] up, with noise [m]."""
+    u, v, w = rng.uniform(-0.5, 0.5, (3, count))
+    side = rng.integers(0, 5, count)
+    u = np.where(side == 0, 0.5, np.where(side == 1, -0.5, u))
+    v = np.where(side == 2, 0.5, np.where(side == 3, -0.5, v))
+    w = np.where(side == 4, 0.5, w) + 0.5
+    z = ground_z(*middle) + bottom + w * (size[2] - bottom)
+    xyz = np.column_stack([middle[0] + u * size[0], middle[1] + v * size[1], z])
+    return xyz + rng.normal(0, noise, xyz.shape)
+
+
+@pytest.mark.parametrize(("bottom", "semantic"), [(0.5, Semantic.MOBILE), (0.0, Semantic.BUILDING)])
+def test_a_van_stands_on_wheels_and_a_garage_of_its_size_on_its_walls(bottom, semantic):
+    found = labels_of(sides(np.random.default_rng(3), (8.0, 0.0), (6.1, 2.8, 2.6), bottom))
+    assert (found == semantic).mean() > 0.8
+
+
+def hedge(rng, middle, length, noise):
+    return sides(rng, middle, (length, 1.1, 1.4), 0.0, noise)
+
+
+def test_a_stiff_piece_of_a_hedge_is_no_car_though_it_has_the_size_of_one():
+    rng = np.random.default_rng(5)
+    stiff = hedge(rng, (8.0, 0.0), 3.6, 0.02)
+    rest = [hedge(rng, (x, 0.0), 4.0, 0.09) for x in (4.1, 11.9)]
+    assert (labels_of(stiff, *rest) == Semantic.MOBILE).mean() < 0.1
+
+
+def test_a_clipped_hedge_higher_than_a_facade_is_a_plant():
+    rng = np.random.default_rng(7)
+    tall = sides(rng, (8.0, 0.0), (7.0, 1.2, 2.7), 0.0, 0.06, 20000)
+    assert (labels_of(tall) == Semantic.VEGETATION).mean() > 0.8
+
+
+def test_a_large_rough_plane_is_a_wall():
+    rng = np.random.default_rng(8)
+    wall = np.column_stack([rng.uniform(2, 14, 20000), rng.normal(0, 0.06, 20000), rng.uniform(0, 5, 20000)])
+    wall[:, 2] += ground_z(wall[:, 0], wall[:, 1])
+    assert (labels_of(wall) == Semantic.BUILDING).mean() > 0.85
+
+
+def test_a_wall_that_a_bent_map_saw_twice_is_a_building():
+    rng = np.random.default_rng(6)
+    wall = np.column_stack([rng.uniform(2, 14, 20000), np.zeros(20000), rng.uniform(0, 5, 20000)])
+    wall[:, 1] += rng.choice([0.0, 0.3], 20000) + rng.normal(0, 0.02, 20000)
+    wall[:, 2] += ground_z(wall[:, 0], wall[:, 1])
+    assert (labels_of(wall) == Semantic.BUILDING).mean() > 0.85
