@@ -287,7 +287,8 @@ def _noise_around(where: Mask, dz: Floats, cell: float) -> float:
     )
     around = np.where(where[rows, columns], np.nan, dz[rows, columns])
     factor = max(1, round(_NOISE_BLOCK / cell))
-    blocks = _block_median(around, *(-(-n // factor) for n in around.shape), factor)
+    down, across = (-(-n // factor) for n in around.shape)
+    blocks = _block_median(around, down, across, factor)
     values = blocks[np.isfinite(blocks)]
     return float(np.quantile(np.abs(values), 0.95)) if len(values) else 0.0
 
