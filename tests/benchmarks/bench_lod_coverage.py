@@ -20,6 +20,7 @@ from __future__ import annotations
 
 import argparse
 import csv
+import sys
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from itertools import pairwise
@@ -31,10 +32,13 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 from scipy.spatial.transform import Rotation
 
+sys.path.insert(0, str(Path(__file__).parents[1] / "change"))
+
+from whole import place
+
 from subiaco_change.config import ChangeConfig
 from subiaco_change.geometry import estimate_normals
 from subiaco_change.observation.lod import combine, lod_of, measure_displacements
-from subiaco_change.observation.placing import place
 from subiaco_change.registration.pair import check_pair
 from subiaco_change.registration.register import register
 from subiaco_geo.clouds import PointCloud
@@ -135,8 +139,8 @@ def count_pair(pair: Pair, poses: tuple[Floats, Floats], setting: int, config: C
     unsteady = [np.isin(c, (Semantic.VEGETATION, Semantic.MOBILE)) for c in classes]
     ground = [c == Semantic.GROUND for c in classes]
     placed = place(
-        pair.clouds, registration, pair.surveys, (ground[0], ground[1]), (unsteady[0], unsteady[1]),
-        config.placing, config.lod,
+        pair.clouds, registration, (ground[0], ground[1]), (unsteady[0], unsteady[1]),
+        config.placing, config.lod, pair.surveys,
     )  # fmt: skip
     unfloored = replace(placed.sigma, floor=0.0)
     clouds = placed.before, pair.clouds[1]

@@ -70,7 +70,7 @@ def measure(config: SimulationConfig) -> dict[str, object]:
         "scene, CPU s": rounded(sum(s.cpu for name, s in stages.spent.items() if name == "scene")),
         "drive, CPU s a second": rounded(drive.cpu / driven),
         "times real time, wall": rounded(driven / drive.wall),
-        f"CPU over {CORES} cores": rounded(CORES * driven / drive.cpu),
+        f"times real time, CPU over {CORES} cores": rounded(CORES * driven / drive.cpu),
         "peak MB": round(peak),
     }
 

@@ -14,7 +14,6 @@ from subiaco_change.observation.lod import (
     combine,
     compare_epochs,
     cylinder_stats,
-    level_of_detection,
 )
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.errors import InputError
@@ -47,7 +46,7 @@ def test_sigma_reg_enters_in_quadrature_or_linearly_as_configured():
     assert combine(variance, 0.02, "linear")[0] == pytest.approx(1.96 * 0.03)
     cloud = flat(1)
     sigma = np.linspace(0.0, 0.1, len(cloud))
-    lod = level_of_detection(cloud, flat(2), sigma, LodConfig())
+    lod = compare_epochs(cloud, flat(2), sigma, LodConfig()).lod95
     assert np.all(lod >= 1.96 * sigma - 1e-6)
 
 
@@ -94,7 +93,7 @@ def test_a_wall_beside_the_ground_does_not_raise_the_lod_of_either():
         normals = np.vstack([ground.fields["normals"], np.tile([1.0, 0, 0], (n, 1))])
         return PointCloud(xyz, fields={"normals": normals})
 
-    lod = level_of_detection(corner(1), corner(2), 0.0, LodConfig(noise=0.0))
+    lod = compare_epochs(corner(1), corner(2), 0.0, LodConfig(noise=0.0)).lod95
     assert np.quantile(lod[np.isfinite(lod)], 0.99) < 0.02
 
 
@@ -136,7 +135,7 @@ def test_a_surface_beyond_the_short_cylinder_is_found_by_the_long_one():
 
 def test_clouds_about_different_origins_are_refused():
     with pytest.raises(InputError, match="origin"):
-        level_of_detection(flat(1), flat(2, origin=(100.0, 0.0, 0.0)), 0.0, LodConfig())
+        compare_epochs(flat(1), flat(2, origin=(100.0, 0.0, 0.0)), 0.0, LodConfig())
 
 
 def test_distances_and_uncertainties_are_those_of_the_m3c2_oracle(shared_data):
@@ -178,5 +177,5 @@ def test_distances_and_uncertainties_are_those_of_the_m3c2_oracle(shared_data):
 def test_normals_are_estimated_where_the_field_is_missing():
     bare = [PointCloud(flat(seed).xyz) for seed in (1, 2)]
     assert np.abs(estimate_normals(bare[0].xyz, 0.8)[:, 2]).mean() > 0.99
-    lod = level_of_detection(*bare, 0.0, LodConfig())
+    lod = compare_epochs(*bare, 0.0, LodConfig()).lod95
     assert np.isfinite(lod).mean() > 0.95

@@ -85,6 +85,12 @@ def test_a_house_between_two_others_is_no_wing_of_either():
     assert find_wings([*ends, (moved(walls(6, 8, 4), 10), NONE)], CONFIG) == {}
 
 
+def test_a_house_that_leans_on_one_neighbour_more_than_on_the_other_is_no_wing():
+    first = voxels(np.concatenate([HOUSE, np.add(walls(3, 2, 5), (10, 8, 0))]))
+    last, middle = moved(walls(10, 4, 5), 13), np.add(walls(3, 8, 4), (10, 0, 0))
+    assert find_wings([(first, first), (last, last), (voxels(middle), NONE)], CONFIG) == {}
+
+
 def test_a_house_gone_from_a_row_that_is_one_instance_was_no_wing():
     row = voxels(np.concatenate([HOUSE, np.add(HOUSE, (16, 0, 0))]))
     assert find_wings([(row, row), (moved(walls(6, 8, 4), 10), NONE)], CONFIG) == {}

@@ -3,17 +3,15 @@
 import numpy as np
 import pytest
 from placing_scene import UP, rigid, street
+from whole import sigma_field
 
 from subiaco_change.observation.lod import LodConfig, combine, measure_displacements
 from subiaco_change.observation.uncertainty import (
     PoseErrors,
     UncertaintyConfig,
     pose_errors,
-    sigma_field,
 )
 from subiaco_geo.clouds import PointCloud
-from subiaco_geo.maps import PoseUncertainty, SurveyMap
-from subiaco_geo.trajectories import Trajectory
 
 EAST = np.array([1.0, 0.0, 0.0])
 NORTH = np.array([0.0, 1.0, 0.0])
@@ -21,10 +19,8 @@ NORTH = np.array([0.0, 1.0, 0.0])
 
 def field(before, after, registration=None, **settings):
     clouds = before, after
-    found = tuple(measure_displacements(clouds[e], clouds[1 - e], LodConfig()) for e in (0, 1))
-    return sigma_field(
-        clouds, found, registration or rigid(), UncertaintyConfig(**settings.pop("config", {})), **settings
-    )
+    config = UncertaintyConfig(**settings.pop("config", {}))
+    return sigma_field(clouds, registration or rigid(), config, **settings)
 
 
 def at(sigma, x, y, normal):
@@ -128,20 +124,12 @@ def test_pose_covariances_of_both_epochs_join_in_quadrature():
 
 def test_pose_covariances_turn_into_the_common_frame():
     covariance = np.diag([0, 0, 0, 0.04**2, 0.01**2, 0.02**2])[None]
-    pose = np.eye(4)[None].copy()
-    pose[0, :3, 3] = (5.0, 0.0, 2.0)
-    survey = SurveyMap(
-        PointCloud(np.zeros((1, 3))),
-        Trajectory(np.array([10]), pose),
-        uncertainty=PoseUncertainty(np.array([10]), ["a"], covariance),
-    )
     turn = np.array([[0.0, -1, 0, 100], [1, 0, 0, 50], [0, 0, 1, 0], [0, 0, 0, 1]])
-    errors = pose_errors(survey, turn)
+    errors = pose_errors(np.array([[5.0, 0.0, 2.0]]), covariance, turn)
     assert np.allclose(errors.positions, [[100.0, 55.0, 2.0]])
     there = np.array([[100.0, 55.0, 2.0]])
     assert np.sqrt(errors.variance(there, NORTH[None]))[0] == pytest.approx(0.04)
     assert np.sqrt(errors.variance(there, EAST[None]))[0] == pytest.approx(0.01)
-    assert pose_errors(SurveyMap(PointCloud(np.zeros((1, 3)))), turn) is None
 
 
 def test_the_floor_holds_where_nothing_is_known():

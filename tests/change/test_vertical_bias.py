@@ -2,8 +2,9 @@
 
 import numpy as np
 import pytest
+from whole import vertical_bias
 
-from subiaco_change.observation.vertical_bias import VerticalBiasConfig, estimate_vertical_bias
+from subiaco_change.observation.vertical_bias import VerticalBiasConfig
 
 
 def ground(seed, lift=None, size=(200.0, 160.0)):
@@ -19,7 +20,7 @@ def ground(seed, lift=None, size=(200.0, 160.0)):
 def left(lift, seed=0, **settings):
     """Differences that the correction leaves, at the points of *after*."""
     before, after = ground(10 + seed), ground(20 + seed, lift)
-    field = estimate_vertical_bias(before, after, np.zeros(3), VerticalBiasConfig(**settings))
+    field = vertical_bias(before, after, np.zeros(3), VerticalBiasConfig(**settings))
     assert field is not None
     return after, lift(after[:, 0], after[:, 1]) - field.at(after)[:, 2]
 
@@ -57,17 +58,17 @@ def test_several_tiles_of_works_side_by_side_keep_their_size():
 
 def test_too_little_ground_gives_no_correction():
     small = ground(1, size=(30.0, 20.0)), ground(2, lambda x, y: 0.0 * x - 0.41, size=(30.0, 20.0))
-    assert estimate_vertical_bias(*small, np.zeros(3), VerticalBiasConfig()) is None
-    assert estimate_vertical_bias(small[0][:0], small[1], np.zeros(3), VerticalBiasConfig()) is None
+    assert vertical_bias(*small, np.zeros(3), VerticalBiasConfig()) is None
+    assert vertical_bias(small[0][:0], small[1], np.zeros(3), VerticalBiasConfig()) is None
 
 
 def test_an_offset_beyond_belief_is_kept_and_said(caplog):
     before, after = ground(1), ground(2, lambda x, y: 0.0 * x + 3.0)
-    assert estimate_vertical_bias(before, after, np.zeros(3), VerticalBiasConfig()) is None
+    assert vertical_bias(before, after, np.zeros(3), VerticalBiasConfig()) is None
     assert "max_offset" in caplog.text
 
 
 def test_tiles_stand_on_whole_multiples_in_the_world():
     origin = np.array([391_007.0, 6_464_013.0, 0.0])
-    field = estimate_vertical_bias(ground(1), ground(2), origin, VerticalBiasConfig())
+    field = vertical_bias(ground(1), ground(2), origin, VerticalBiasConfig())
     assert np.allclose((field.grid.corner + origin[:2]) % 20.0, 0.0)

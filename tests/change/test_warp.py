@@ -3,11 +3,11 @@
 import numpy as np
 import pytest
 from placing_scene import rigid, street
+from whole import place
 
 from subiaco_change.observation.lod import LodConfig
-from subiaco_change.observation.placing import PlacingConfig, place
+from subiaco_change.observation.placing import PlacingConfig
 from subiaco_change.registration.warp import WarpConfig
-from subiaco_geo.maps import SurveyMap
 
 NORTH = np.array([0.0, 1.0, 0.0])
 
@@ -15,7 +15,7 @@ NORTH = np.array([0.0, 1.0, 0.0])
 def placed(before, after, enabled=True):
     nothing = [np.zeros(len(c), dtype=bool) for c in (before, after)]
     return place(
-        (before, after), rigid(), (SurveyMap(before), SurveyMap(after)), tuple(nothing), tuple(nothing),
+        (before, after), rigid(), tuple(nothing), tuple(nothing),
         PlacingConfig(warp=WarpConfig(enabled=enabled)), LodConfig(),
     )  # fmt: skip
 

@@ -88,24 +88,6 @@ class GroundComparison:
         return clipped[:, 1], clipped[:, 0], np.asarray(inside)
 
 
-def compare_ground(
-    before: EpochView, after: EpochView, config: GroundChangeConfig
-) -> GroundComparison | None:
-    """Compare the ground of two epochs in one frame; None where they share none."""
-    ground = [view.semantic == Semantic.GROUND for view in (before, after)]
-    if not all(mask.any() for mask in ground):
-        return None
-    low = np.min([v.xyz[m, :2].min(axis=0) for v, m in zip((before, after), ground, strict=True)], axis=0)
-    high = np.max([v.xyz[m, :2].max(axis=0) for v, m in zip((before, after), ground, strict=True)], axis=0)
-    corner = np.floor(low / config.report_cell) * config.report_cell
-    columns, rows = (np.floor((high - corner) / config.cell).astype(int) + 1).tolist()
-    cells = difference_cells(before, after, corner, (rows, columns), config)
-    if not np.isfinite(cells.dz).any():
-        return None
-    patch, patches = find_patches(cells, corner, config)
-    return GroundComparison(corner, config.cell, cells.dz, shown_lod(cells.lod), patch, patches)
-
-
 @dataclass(frozen=True)
 class GroundCells:
     """Cells (rows, columns) of two epochs, row 0 in the south.
@@ -305,7 +287,8 @@ def _noise_around(where: Mask, dz: Floats, cell: float) -> float:
     )
     around = np.where(where[rows, columns], np.nan, dz[rows, columns])
     factor = max(1, round(_NOISE_BLOCK / cell))
-    blocks = _block_median(around, *(-(-n // factor) for n in around.shape), factor)
+    down, across = (-(-n // factor) for n in around.shape)
+    blocks = _block_median(around, down, across, factor)
     values = blocks[np.isfinite(blocks)]
     return float(np.quantile(np.abs(values), 0.95)) if len(values) else 0.0
 

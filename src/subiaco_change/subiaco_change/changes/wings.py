@@ -16,6 +16,7 @@ from subiaco_geo.frames import Floats
 _ROUND = 0.75  # a part that touches its host with so much of itself stands round it, however large it is
 _SMALL = 0.1  # less than this share of its host is no house, whatever stands on both sides
 _CAR = 2.3  # no car is taller [m]
+_LEANS = 0.25  # what touches a second building with more of itself stands between the two
 _WITHIN = 0.3  # share of a host inside a part in one epoch alone, from which the part was the house itself
 _PARTY = 0.5  # walls so near the edge of an outline are shared with a neighbour [m]
 _UNDERSIDE = 0.6  # what begins higher, in shares of its top, stands on nothing
@@ -50,7 +51,7 @@ def find_wings(pairs: Sequence[tuple[Voxels, Voxels]], config: PartConfig) -> di
         contact = [_contact(wing, pairs[i][epoch].xyz, config) for i in hosts]
         if not contact or max(contact) == 0:
             continue
-        if len(contact) > 1 and sorted(contact)[-2] > 0.5 * max(contact):  # between two buildings
+        if len(contact) > 1 and sorted(contact)[-2] > _LEANS * len(wing):  # between two buildings
             continue
         host = hosts[int(np.argmax(contact))]
         body = pairs[host][epoch]

@@ -256,10 +256,3 @@ def compare_epochs(
         lod_of(found, sigma_reg, config), found.distance.astype(np.float32), s_self, s_other,
         found.own.count.astype(np.int32), found.other.count.astype(np.int32),
     )  # fmt: skip
-
-
-def level_of_detection(
-    cloud_self: PointCloud, cloud_other: PointCloud, sigma_reg: Floats | float, config: LodConfig
-) -> NDArray[np.float32]:
-    """Return LoD95 (N,) [m] at the points of one epoch; see :func:`compare_epochs`."""
-    return compare_epochs(cloud_self, cloud_other, sigma_reg, config).lod95

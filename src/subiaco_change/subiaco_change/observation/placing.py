@@ -1,34 +1,20 @@
-"""Two registered epochs in one frame, with what can be told apart at every point."""
+"""What is removed and stated beyond the rigid transform of two epochs, and how it is reported."""
 
 from __future__ import annotations
 
-import logging
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
 from subiaco_change.observation.common_frame import CommonFrame
-from subiaco_change.observation.lod import Displacements, LodConfig, lod_of, measure_displacements
-from subiaco_change.observation.smooth_field import SmoothField, block_grid
-from subiaco_change.observation.uncertainty import (
-    PoseErrors,
-    SigmaField,
-    UncertaintyConfig,
-    pose_errors,
-    sigma_field,
-    spread_residuals,
-)
-from subiaco_change.observation.vertical_bias import VerticalBiasConfig, estimate_vertical_bias
+from subiaco_change.observation.smooth_field import SmoothField
+from subiaco_change.observation.uncertainty import SigmaField, UncertaintyConfig
+from subiaco_change.observation.vertical_bias import VerticalBiasConfig
 from subiaco_change.records import Registration
-from subiaco_change.registration.warp import Residuals, WarpConfig, estimate_warp
-from subiaco_change.semantics.ground import Mask
-from subiaco_geo.clouds import PointCloud
+from subiaco_change.registration.warp import WarpConfig
 from subiaco_geo.config import StrictModel
-from subiaco_geo.maps import SurveyMap
-
-_LOG = logging.getLogger(__name__)
 
 
 class PlacingConfig(StrictModel):
@@ -37,95 +23,6 @@ class PlacingConfig(StrictModel):
     vertical: VerticalBiasConfig = VerticalBiasConfig()
     warp: WarpConfig = WarpConfig()
     uncertainty: UncertaintyConfig = UncertaintyConfig()
-
-
-@dataclass(frozen=True)
-class Placed:
-    """Both epochs in the common frame.
-
-    Parameters
-    ----------
-    frame : CommonFrame
-        Its registration states the median of sigma_reg over the points.
-    before : PointCloud
-    sigma : SigmaField
-    lods : tuple of (N,) float32
-        LoD95 at the points of *before* and of *after* [m].
-    """
-
-    frame: CommonFrame
-    before: PointCloud
-    sigma: SigmaField
-    lods: tuple[NDArray[np.float32], NDArray[np.float32]]
-
-
-def place(
-    clouds: tuple[PointCloud, PointCloud],
-    registration: Registration,
-    surveys: tuple[SurveyMap, SurveyMap],
-    ground: tuple[Mask, Mask],
-    unsteady: tuple[Mask, Mask],
-    config: PlacingConfig,
-    lod: LodConfig,
-) -> Placed:
-    """Bring *before* to *after*, remove smooth biases, and state what is left.
-
-    Parameters
-    ----------
-    clouds : tuple of PointCloud
-        Each in its own frame, with normals.
-    registration : Registration
-    surveys : tuple of SurveyMap
-        The maps that the clouds are of: for their pose covariances.
-    ground : tuple of (N,) bool
-        Points of the ground.
-    unsteady : tuple of (N,) bool
-        Points that say nothing about the registration: plants, vehicles, known changes.
-    config : PlacingConfig
-    lod : LodConfig
-    """
-    after = clouds[1]
-    frame = CommonFrame(registration, after.origin)
-    rigid = frame.bring(clouds[0])
-    bias = estimate_vertical_bias(
-        rigid.xyz[ground[0]], after.xyz[ground[1]], after.origin, config.vertical
-    )  # fmt: skip
-    frame = frame.corrected(bias)
-    if config.warp.enabled:
-        frame = frame.corrected(_warp(frame.bring(clouds[0]), after, unsteady, config, lod))
-    before = frame.bring(clouds[0])
-    found = measure_displacements(before, after, lod), measure_displacements(after, before, lod)
-    poses = _poses(frame, surveys) if config.uncertainty.pose_covariance else ()
-    sigma = sigma_field(
-        (before, after), found, registration, config.uncertainty, poses=poses, exclude=unsteady
-    )
-    values = [sigma.at(c.xyz, np.asarray(c.fields["normals"])) for c in (before, after)]
-    stated = stated_registration(registration, values[0], bias)
-    lods = lod_of(found[0], values[0], lod), lod_of(found[1], values[1], lod)
-    return Placed(replace(frame, registration=stated), before, sigma, lods)
-
-
-def _warp(
-    before: PointCloud,
-    after: PointCloud,
-    unsteady: tuple[Mask, Mask],
-    config: PlacingConfig,
-    lod: LodConfig,
-) -> SmoothField:
-    found: Displacements = measure_displacements(before, after, lod)
-    chosen = spread_residuals(before, found, config.uncertainty, unsteady[0])
-    grid = block_grid((before.xyz, after.xyz), config.warp.block, after.origin)
-    normals = np.asarray(before.fields["normals"])[chosen]
-    warp = estimate_warp(Residuals(before.xyz[chosen], normals, found.distance[chosen]), grid, config.warp)
-    _LOG.info("residual warp: up to %.3f m", float(np.linalg.norm(warp.values, axis=2).max()))
-    return warp
-
-
-def _poses(frame: CommonFrame, surveys: tuple[SurveyMap, SurveyMap]) -> tuple[PoseErrors, ...]:
-    T_frame_after = np.eye(4)
-    T_frame_after[:3, 3] = -frame.origin
-    both = pose_errors(surveys[0], frame.T_frame_before), pose_errors(surveys[1], T_frame_after)
-    return tuple(p for p in both if p is not None)
 
 
 def stated_registration(

@@ -34,15 +34,6 @@ class BlockGrid:
         return self.corner + (np.column_stack([column, row]) + 0.5) * self.cell
 
 
-def block_grid(clouds: tuple[Floats, ...], cell: float, origin: Floats) -> BlockGrid:
-    """Cover clouds (N, 3) with blocks of an edge [m] that stand on whole multiples of it in the world."""
-    low = np.min([xyz[:, :2].min(axis=0) for xyz in clouds], axis=0) + origin[:2]
-    high = np.max([xyz[:, :2].max(axis=0) for xyz in clouds], axis=0) + origin[:2]
-    corner = np.floor(low / cell) * cell
-    columns, rows = (np.floor((high - corner) / cell).astype(int) + 1).tolist()
-    return BlockGrid(corner - origin[:2], cell, (rows, columns))
-
-
 @dataclass(frozen=True)
 class SmoothField:
     """A displacement [m] for every place: ``values`` (rows, columns, 3) at the centres of blocks."""

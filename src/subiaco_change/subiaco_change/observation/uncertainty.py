@@ -11,13 +11,12 @@ from scipy.spatial import cKDTree
 from scipy.special import ndtri
 
 from subiaco_change.observation.lod import Displacements
-from subiaco_change.observation.smooth_field import BlockGrid, block_grid
+from subiaco_change.observation.smooth_field import BlockGrid
 from subiaco_change.records import Registration
 from subiaco_change.semantics.ground import Mask
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
-from subiaco_geo.maps import SurveyMap
 
 _STEEP = 0.7  # |vertical component| of a normal from which a surface lies rather than stands
 
@@ -56,21 +55,21 @@ class PoseErrors:
         return _along(xyz - self.positions[pose], normals, self.covariances[pose])
 
 
-def pose_errors(survey: SurveyMap, T_frame_map: Floats) -> PoseErrors | None:
-    """Bring the pose covariances of a map into the common frame; None where it carries none.
+def pose_errors(positions: Floats, covariances: Floats, T_frame_map: Floats) -> PoseErrors:
+    """Bring the pose covariances of a map into the common frame.
 
     Parameters
     ----------
-    survey : SurveyMap
+    positions : (M, 3) float64
+        In the world of the map [m].
+    covariances : (M, 6, 6) float64
+        Rotation first [rad, m].
     T_frame_map : (4, 4) float64
         From world coordinates of the map to the common frame.
     """
-    if survey.uncertainty is None or survey.trajectory is None or len(survey.uncertainty.times_ns) == 0:
-        return None
-    world = survey.trajectory.at(survey.uncertainty.times_ns)[:, :3, 3]
     rotation = T_frame_map[:3, :3]
     turn = np.kron(np.eye(2), rotation)
-    return PoseErrors(world @ rotation.T + T_frame_map[:3, 3], turn @ survey.uncertainty.covariances @ turn.T)
+    return PoseErrors(positions @ rotation.T + T_frame_map[:3, 3], turn @ covariances @ turn.T)
 
 
 def _along(lever: Floats, normals: Floats, covariance: Floats) -> Floats:
@@ -124,43 +123,6 @@ class SigmaField:
         return np.asarray(np.sqrt(variance))
 
 
-def sigma_field(
-    clouds: tuple[PointCloud, PointCloud],
-    displacements: tuple[Displacements, Displacements],
-    registration: Registration,
-    config: UncertaintyConfig,
-    *,
-    poses: tuple[PoseErrors, ...] = (),
-    exclude: tuple[Mask, Mask] | None = None,
-) -> SigmaField:
-    """Estimate sigma_reg from the residuals that a registration leaves, block by block.
-
-    Residuals nearby are correlated: a drift, a shear or a doubled facade
-    moves them together, and no pose covariance knows. What blocks show beyond
-    the noise of the cylinder means is taken as the standard deviation of the
-    registration there. It rests on a quantile, so that real change in a
-    smaller share of a block does not widen it.
-
-    Parameters
-    ----------
-    clouds : tuple of PointCloud
-        Both epochs in the common frame, with normals.
-    displacements : tuple of Displacements
-        Of either epoch against the other.
-    registration : Registration
-    config : UncertaintyConfig
-    poses : tuple of PoseErrors
-    exclude : tuple of (N,) bool, optional
-        Points that are known to have changed.
-    """
-    grid = block_grid((clouds[0].xyz, clouds[1].xyz), config.block, clouds[0].origin)
-    samples = [
-        bias_samples(cloud, found, config, None if exclude is None else exclude[e])
-        for e, (cloud, found) in enumerate(zip(clouds, displacements, strict=True))
-    ]
-    return sigma_of(join_samples(samples), grid, clouds[0].origin, registration, config, poses)
-
-
 @dataclass(frozen=True)
 class BiasSamples:
     """Residuals that tell what the epochs lie apart.
@@ -197,7 +159,14 @@ def sigma_of(
     config: UncertaintyConfig,
     poses: tuple[PoseErrors, ...] = (),
 ) -> SigmaField:
-    """Estimate the field on a grid from samples of both epochs; ``origin`` (3,) of the common frame."""
+    """Estimate sigma_reg on a grid from samples of both epochs; ``origin`` (3,) of the common frame.
+
+    Residuals nearby are correlated: a drift, a shear or a doubled facade
+    moves them together, and no pose covariance knows. What blocks show beyond
+    the noise of the cylinder means is taken as the standard deviation of the
+    registration there. It rests on a quantile, so that real change in a
+    smaller share of a block does not widen it.
+    """
     block = grid.block_of(samples.xyz)
     per_kind = [
         _block_bias(block[of], samples.distance[of], samples.variance[of], grid, config)

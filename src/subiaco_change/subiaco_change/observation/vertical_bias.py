@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 from scipy import ndimage
 
-from subiaco_change.observation.smooth_field import BlockGrid, SmoothField, block_grid
+from subiaco_change.observation.smooth_field import BlockGrid, SmoothField
 from subiaco_change.semantics.ground import Mask, fill_gaps
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
@@ -30,38 +30,15 @@ class VerticalBiasConfig(StrictModel):
     max_offset: float = Field(1.0, ge=0, description="largest median over the map that is removed [m]")
 
 
-def estimate_vertical_bias(
-    before: Floats, after: Floats, origin: Floats, config: VerticalBiasConfig
+def bias_field(
+    medians: Floats, known: Mask, grid: BlockGrid, config: VerticalBiasConfig
 ) -> SmoothField | None:
-    """Estimate how much *before* must rise, from ground points of both epochs.
+    """Smooth the medians (rows, columns) of the tiles of a grid; None where too few are known.
 
     The median over the map may be large (datums, antenna heights). Departures
     from it are medians over windows of tiles, so that a change of the ground that fills a
     tile, or a few, moves nothing, and none exceeds ``limit``.
-
-    Parameters
-    ----------
-    before, after : (N, 3) float64
-        Ground points in the common frame [m].
-    origin : (3,) float64
-        Of the common frame in the world [m]; tiles stand on whole multiples.
-    config : VerticalBiasConfig
-
-    Returns
-    -------
-    SmoothField or None
-        None where too few tiles hold ground of both epochs.
     """
-    if len(before) == 0 or len(after) == 0:
-        return None
-    grid = block_grid((before, after), config.tile, origin)
-    return bias_field(*tile_medians(before, after, grid), grid, config)
-
-
-def bias_field(
-    medians: Floats, known: Mask, grid: BlockGrid, config: VerticalBiasConfig
-) -> SmoothField | None:
-    """Smooth the medians (rows, columns) of the tiles of a grid; None where too few are known."""
     if known.sum() < config.min_tiles:
         return None
     overall = float(np.median(medians[known]))

@@ -110,14 +110,17 @@ def write_labelled(
     for part in parts():
         count += len(part)
         bright = max(bright, brightest(part))
-    labelled = (labelled_cloud(part) for part in parts())
-    write_ply_parts(directory / f"{epoch}_labelled.ply", labelled, count)
     path = directory / f"{epoch}_labelled.laz"
     with las_stream(path, ellipsoidal=ellipsoidal, unit_intensity=bright <= 1.0) as stream:
-        for part in parts():
-            cloud = labelled_cloud(part)
-            codes = asprs_lookup()[cloud.fields["semantic"].astype(np.int64)]
-            stream.append(cloud.with_fields(classification=codes))
+
+        def labelled() -> Iterator[PointCloud]:
+            for part in parts():
+                cloud = labelled_cloud(part)
+                codes = asprs_lookup()[cloud.fields["semantic"].astype(np.int64)]
+                stream.append(cloud.with_fields(classification=codes))
+                yield cloud
+
+        write_ply_parts(directory / f"{epoch}_labelled.ply", labelled(), count)
     return count
 
 

@@ -168,7 +168,8 @@ def write_change_directory(
     lost = table.iloc[:0]
     if previous is not None:
         table, lost = carry_reviews(table, previous)
-    coverage = join_coverage(build_coverage(before, after) for before, after in result.parts())
+    rasters = [(build_coverage(*pair), build_lod_raster(*pair)) for pair in result.parts()]
+    coverage = join_coverage(seen for seen, _ in rasters)
     with whole_directory(directory, overwrite=overwrite, marker=MARKER) as target:
         _write_table(target, table)
         if len(lost):
@@ -193,8 +194,7 @@ def write_change_directory(
         if result.ground is not None:
             write_ground_change(target / "ground_change.tif", result.ground, crs)
         write_coverage(target / "coverage.tif", coverage, crs)
-        lod = join_lod(build_lod_raster(before, after) for before, after in result.parts())
-        write_lod(target / "lod95.tif", lod, crs)
+        write_lod(target / "lod95.tif", join_lod(lod for _, lod in rasters), crs)
         if result.blocks is not None:
             result.blocks.to_csv(target / "registration_blocks.csv", index=False, float_format="%.4f")
         write_json(target / "registration.json", registration_document(result.registration, crs))

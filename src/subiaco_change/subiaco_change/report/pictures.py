@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import io
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -34,6 +34,7 @@ _MIN_POINTS = 50
 #: Edge of a block [m]; neighbours share a strip of the overlap.
 SIZE = 80.0
 _OVERLAP = 10.0
+_LEGIBLE = 300  # names on an overview
 
 
 @dataclass(frozen=True)
@@ -149,6 +150,17 @@ def scale_bar(axis: Axes, frame: Frame) -> None:
     axis.set_ylim(frame.south, frame.north)
 
 
+def _draw_blocks(axis: Axes, blocks: Sequence[Block], frame: Frame) -> None:
+    for block in blocks:
+        west, south, east, north = block.core
+        corners = ([west, east, east, west, west], [south, south, north, north, south])
+        axis.plot(*corners, color="#888888", lw=0.5, ls=":")
+        axis.annotate(
+            block.name, (max(west, frame.west), min(north, frame.north)), (4, -10),
+            textcoords="offset points", fontsize=8, color="#555555",
+        )  # fmt: skip
+
+
 def _draw_marks(axis: Axes, marks: Sequence[Mark]) -> None:
     for mark in marks:
         axis.annotate(
@@ -167,8 +179,10 @@ def _patch(name: str, rgb: tuple[int, int, int]) -> Patch:
     return Patch(facecolor=tuple(c / 255 for c in rgb), edgecolor="#555555", linewidth=0.5, label=name)
 
 
-def overview(seen: Above, blocks: Sequence[Block], marks: Iterable[Mark] = ()) -> bytes:
+def overview(seen: Above, blocks: Sequence[Block], marks: Sequence[Mark] = ()) -> bytes:
     """Draw the whole area: changed points of both epochs over the unchanged surroundings.
+
+    Of a city neither blocks nor objects are named: nobody could read them.
 
     Returns
     -------
@@ -182,24 +196,10 @@ def overview(seen: Above, blocks: Sequence[Block], marks: Iterable[Mark] = ()) -
     picture = paint(seen.cloud(), frame, "change", fill=2)
     axis.imshow(picture, extent=frame.extent, interpolation="nearest")
     _dress(axis, "Changes between the two epochs (north is up)", frame)
-    for block in blocks:
-        west, south, east, north = block.core
-        axis.plot(
-            [west, east, east, west, west],
-            [south, south, north, north, south],
-            color="#888888",
-            lw=0.5,
-            ls=":",
-        )
-        axis.annotate(
-            block.name,
-            (max(west, frame.west), min(north, frame.north)),
-            (4, -10),
-            textcoords="offset points",
-            fontsize=8,
-            color="#555555",
-        )
-    _draw_marks(axis, list(marks))
+    if len(blocks) <= _LEGIBLE:
+        _draw_blocks(axis, blocks, frame)
+    if len(marks) <= _LEGIBLE:
+        _draw_marks(axis, marks)
     axis.set_xlim(frame.west, frame.east)
     axis.set_ylim(frame.south, frame.north)
     handles = change_legend()

@@ -21,6 +21,7 @@ from subiaco_change.observation.uncertainty import (
     SigmaField,
     bias_samples,
     join_samples,
+    pose_errors,
     sigma_of,
     spread_residuals,
 )
@@ -215,6 +216,8 @@ def load_sigma(inputs: Inputs, params: Mapping[str, Any]) -> SigmaField:
 
 def _poses(inputs: Inputs, params: Mapping[str, Any]) -> tuple[PoseErrors, ...]:
     """Pose covariances of each epoch, turned into the common frame."""
+    if not params["config"].placing.uncertainty.pose_covariance:
+        return ()
     frame = load_frame(inputs, params["origin"])
     T_frame_after = np.eye(4)
     T_frame_after[:3, 3] = -frame.origin
@@ -222,9 +225,7 @@ def _poses(inputs: Inputs, params: Mapping[str, Any]) -> tuple[PoseErrors, ...]:
     for epoch, T in (("before", frame.T_frame_before), ("after", T_frame_after)):
         if f"poses/{epoch}" in inputs:
             piece = inputs[f"poses/{epoch}"]
-            turn = np.kron(np.eye(2), T[:3, :3])
-            covariances = turn @ piece["covariances"] @ turn.T
-            found.append(PoseErrors(piece["positions"] @ T[:3, :3].T + T[:3, 3], covariances))
+            found.append(pose_errors(piece["positions"], piece["covariances"], T))
     return tuple(found)
 
 

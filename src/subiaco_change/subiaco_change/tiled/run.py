@@ -91,6 +91,30 @@ class CityRun(Epochs):
         """Compare the epochs at a registration; ``changed``: masks of an earlier pass by epoch and tile."""
         steps = np.linspace(*span, 11)
         spans = list(pairwise(steps.tolist()))
+        frame, sigma, lods = self.place(registration, changed, (spans[0][0], spans[3][1]))
+        links = self._per_tile("links", tile_links, self._linked(frame), spans[4])
+        counts = [len(self.bench.store.load(self.united[e])["points"]) for e in EPOCHS]
+        groups = self._reduce("groups", find_groups, "links", links, frame, spans[5], counts=tuple(counts))
+        compared, reach = self._compare_groups(groups, frame, lods, spans[6])
+        ground = self._per_tile("ground", tile_ground, self._seen(frame, lods, sight=False), spans[7])
+        patched, patch_reach = self._patches(ground, spans[8])
+        table = build_table(self.bench.store, compared, patched, counts, self.origin, self._weaker())
+        key = self.bench.put("table", "all", table.arrays)
+        return Pass(
+            registration, frame, sigma, lods, compared, ground, patched, reach, patch_reach, table, key
+        )
+
+    def place(
+        self, registration: str, changed: Mapping[str, str] | None, span: tuple[float, float]
+    ) -> tuple[dict[str, str], str, dict[str, str]]:
+        """Bring *before* to *after*, remove smooth biases, and state what is left; arguments as for compare.
+
+        Returns
+        -------
+        (dict, str, dict)
+            Keys of the frame by alias, of sigma_reg, and of the levels of detection by tile.
+        """
+        spans = list(pairwise(np.linspace(*span, 5).tolist()))
         frame = {"registration": registration}
         self.placed = {}
         frame["bias"] = self._smooth("heights", tile_heights, "bias", find_bias, frame, spans[0])
@@ -106,18 +130,7 @@ class CityRun(Epochs):
             t: {**self._around(t, frame, 0), "sigma": sigma, "displacements": found[t], **self.poses}
             for t in self.tiles
         }
-        lods = self._per_tile("lod", tile_lods, lod_inputs, spans[3])
-        links = self._per_tile("links", tile_links, self._linked(frame), spans[4])
-        counts = [len(self.bench.store.load(self.united[e])["points"]) for e in EPOCHS]
-        groups = self._reduce("groups", find_groups, "links", links, frame, spans[5], counts=tuple(counts))
-        compared, reach = self._compare_groups(groups, frame, lods, spans[6])
-        ground = self._per_tile("ground", tile_ground, self._seen(frame, lods, sight=False), spans[7])
-        patched, patch_reach = self._patches(ground, spans[8])
-        table = build_table(self.bench.store, compared, patched, counts, self.origin, self._weaker())
-        key = self.bench.put("table", "all", table.arrays)
-        return Pass(
-            registration, frame, sigma, lods, compared, ground, patched, reach, patch_reach, table, key
-        )
+        return frame, sigma, self._per_tile("lod", tile_lods, lod_inputs, spans[3])
 
     def _place(self, frame: Mapping[str, str], span: tuple[float, float]) -> dict[str, str]:
         """Bring *before* into the frame; keys by tile."""
