@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from scipy.special import ndtr
 
 from subiaco_change.changes.ground_change import GroundComparison, GroundPatch, patch_points
-from subiaco_change.changes.objects import EpochView
+from subiaco_change.changes.objects import EpochView, trails
 from subiaco_change.observation.evidence import EvidenceConfig, ground_observed
 from subiaco_change.records import ChangeRecord
 from subiaco_change.semantics.ground import Mask
@@ -41,9 +41,8 @@ class Labels:
 def unlabelled(view: EpochView) -> Labels:
     """Return labels of points of which nothing is said yet; nothing ever is of what drove by."""
     count = len(view.xyz)
-    trail = (view.semantic == Semantic.MOBILE) & (view.instance < 0)
     return Labels(
-        np.where(trail, Change.NOT_REPORTED, Change.UNCHANGED).astype(np.uint8),
+        np.where(trails(view), Change.NOT_REPORTED, Change.UNCHANGED).astype(np.uint8),
         view.semantic.copy(),
         np.full(count, -1, dtype=np.int32),
         np.full(count, 0.5, dtype=np.float32),

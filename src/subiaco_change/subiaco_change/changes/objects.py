@@ -15,6 +15,8 @@ from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats, Ints
 
+_LOOKED_THROUGH = 2.0  # beams that passed a point for each that returned: what stands still lets by fewer
+
 
 @dataclass(frozen=True)
 class EpochView:
@@ -123,9 +125,17 @@ def build_voxels(
 
 
 def stands(view: EpochView) -> Mask:
-    """Tell which points (N,) stand on the ground: not the trails of what drove by, mobile and no object."""
-    trail = (view.semantic == Semantic.MOBILE) & (view.instance < 0)
-    return np.asarray((view.semantic != Semantic.GROUND) & ~trail)
+    """Tell which points (N,) stand on the ground: neither ground nor a trail."""
+    return np.asarray((view.semantic != Semantic.GROUND) & ~trails(view))
+
+
+def trails(view: EpochView) -> Mask:
+    """Tell which points (N,) were left by what drove by: mobile, no object, and looked through."""
+    if view.passed is None:
+        return np.zeros(len(view.xyz), dtype=bool)
+    return np.asarray(
+        (view.semantic == Semantic.MOBILE) & (view.instance < 0) & (view.passed >= _LOOKED_THROUGH)
+    )
 
 
 def looked_across(xyz: Floats, normal: Floats, observed: Callable[[Floats], Mask], step: float) -> Mask:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import reduce
@@ -14,7 +15,7 @@ from pydantic import BaseModel
 from subiaco_change.changes.ablation import Part
 from subiaco_change.config import ChangeConfig, left_out
 from subiaco_change.evaluation.scoring import evaluate
-from subiaco_change.job import ChangeJob, read_transform, run_change
+from subiaco_change.job import ChangeJob, Work, read_transform, run_change
 from subiaco_geo.atomic import whole_directory
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
@@ -33,6 +34,7 @@ DECISIONS: dict[int, tuple[str, ...]] = {
 FULL = "full"
 #: What tells a directory of ablations from another folder.
 MARKER = "ablations.csv"
+_STAGES = ".stages"
 _REGISTRATION = ("second_registration", "registration")
 
 
@@ -80,7 +82,8 @@ def run_ablations(
     """Run every variant on every case and tabulate the scores, cases pooled.
 
     Variants that do not touch the registration take that of the full method,
-    so that they differ in what their name says alone.
+    so that they differ in what their name says alone. Stages that they have
+    in common are done once.
 
     Parameters
     ----------
@@ -119,9 +122,11 @@ def run_ablations(
                     progress(name, (number + index / len(cases)) / len(chosen))
                 place = target / name.replace(" ", "_") / str(index)
                 given = _known(target, ours, config, index) if transform is None else transform
-                run_change(ChangeJob(case.before, case.after, place, transform=given), config)
+                work = Work(stages=target / _STAGES / str(index))
+                run_change(ChangeJob(case.before, case.after, place, transform=given, work=work), config)
                 pairs.append((place, case.truth))
             rows.append(_row(name, evaluate(pairs)))
+        shutil.rmtree(target / _STAGES)
         table = pd.DataFrame(rows)
         table.to_csv(target / MARKER, index=False, lineterminator="\n")
     return table
