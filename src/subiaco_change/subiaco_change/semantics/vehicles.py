@@ -100,13 +100,12 @@ def free_boxes(
     """
     below = _Columns(xyz, height, np.flatnonzero(free & (height < config.truck_top)), config.truck_gap)
     low = (height > config.split_band) & (height < config.truck_top + config.truck_gap)
-    members = np.flatnonzero((core | part | hard) & low)
+    planar = core | part
+    members = np.flatnonzero((planar | hard) & low)
     large, shelter = np.zeros((2, len(xyz)), dtype=bool)
     for group in group_indices(cell_clusters(xyz[members, :2], config.truck_gap)):
         mine = members[group]
-        if (core | part)[mine].mean() < config.truck_planes or not _is_free_box(
-            xyz[mine], height[mine], config
-        ):
+        if planar[mine].mean() < config.truck_planes or not _is_free_box(xyz[mine], height[mine], config):
             continue
         if has_eaves(xyz[mine], height[mine], config):
             shelter[mine] = True
