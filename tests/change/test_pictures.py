@@ -142,3 +142,13 @@ def test_pictures_do_not_need_intensity_and_are_the_same_every_time(result):
     above = Above(frame)
     above.add(after.world(), after.fields["change"])
     assert pictures.overview(above, [block]) == pictures.overview(above, [block])
+
+
+def test_an_overview_names_no_objects_where_nobody_could_read_them(result):
+    world = result.after.world()
+    above = Above(pictures.overview_frame(world[:, :2].min(axis=0), world[:, :2].max(axis=0), 100))
+    above.add(world, result.after.fields["change"])
+    mark = pictures.Mark(*world[0, :2], "1")
+    plain = pictures.overview(above, [])
+    assert pictures.overview(above, [], [mark]) != plain
+    assert pictures.overview(above, [], [mark] * 301) == plain

@@ -3,15 +3,18 @@
 import numpy as np
 import pytest
 from placing_scene import UP, rigid, street
-from whole import sigma_field
+from whole import place, sigma_field
 
 from subiaco_change.observation.lod import LodConfig, combine, measure_displacements
+from subiaco_change.observation.placing import PlacingConfig
 from subiaco_change.observation.uncertainty import (
     PoseErrors,
     UncertaintyConfig,
     pose_errors,
 )
 from subiaco_geo.clouds import PointCloud
+from subiaco_geo.maps import PoseUncertainty, SurveyMap
+from subiaco_geo.trajectories import Trajectory
 
 EAST = np.array([1.0, 0.0, 0.0])
 NORTH = np.array([0.0, 1.0, 0.0])
@@ -130,6 +133,22 @@ def test_pose_covariances_turn_into_the_common_frame():
     there = np.array([[100.0, 55.0, 2.0]])
     assert np.sqrt(errors.variance(there, NORTH[None]))[0] == pytest.approx(0.04)
     assert np.sqrt(errors.variance(there, EAST[None]))[0] == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize("heeded", [True, False])
+def test_a_run_heeds_the_pose_covariances_of_a_map_unless_told_not_to(heeded):
+    clouds = street(1, length=40.0), street(2, length=40.0)
+    poses = np.eye(4)[None].repeat(2, axis=0)
+    poses[:, :3, 3] = [(10.0, 30.0, 2.0), (30.0, 30.0, 2.0)]
+    times = np.array([10, 20])
+    covariances = np.diag([0, 0, 0, 0.04**2, 0.04**2, 0.04**2])[None].repeat(2, axis=0)
+    known = PoseUncertainty(times, ["a", "a"], covariances)
+    surveys = SurveyMap(clouds[0], Trajectory(times, poses), uncertainty=known), SurveyMap(clouds[1])
+    nothing = tuple(np.zeros(len(c), dtype=bool) for c in clouds)
+    config = PlacingConfig(uncertainty=UncertaintyConfig(pose_covariance=heeded))
+    found = place(clouds, rigid(), nothing, nothing, config, LodConfig(), surveys)
+    assert (at(found.sigma, 20, 30, UP) > 0.039) == heeded
+    assert (np.median(found.lods[0][np.isfinite(found.lods[0])]) > 0.07) == heeded
 
 
 def test_the_floor_holds_where_nothing_is_known():
