@@ -259,6 +259,7 @@ class ExportKind(StrEnum):
     GPKG = "gpkg"
     PARQUET = "parquet"
     GEOJSON = "geojson"
+    TILES = "tiles"
     KITTI = "kitti"
 
 
@@ -268,7 +269,9 @@ def export(
     to: Annotated[
         ExportKind,
         typer.Option(
-            metavar="FORM", help="Clouds: laz, copc, ply. Tables: gpkg, parquet, geojson. Trajectory: kitti."
+            metavar="FORM",
+            help="Clouds: laz, copc, ply. Maps also: tiles (LAZ of 80 m and an index), kitti (trajectory)."
+            " Tables: gpkg, parquet, geojson.",
         ),
     ],
     cloudcompare: Annotated[
