@@ -293,7 +293,8 @@ def export(
         raise InputError(f"--cloudcompare names the fields of a PLY; it does not go with --to {to}")
     run = export_map if (directory / "map.yaml").is_file() else export_changes
     files = run(directory, output, to.value, cloudcompare=cloudcompare)
-    say(f"{to}: {', '.join(str(file) for file in files)}", quiet=quiet)
+    names = ", ".join(str(file) for file in files) if len(files) < 5 else f"{len(files)} files in {output}"
+    say(f"{to}: {names}", quiet=quiet)
 
 
 def register(app: typer.Typer) -> None:
