@@ -59,6 +59,33 @@ def test_a_map_gives_kitti_poses_that_begin_with_identity_and_no_table(tmp_path)
         export_map(tmp_path / "map", tmp_path / "out", "geojson")
 
 
+def test_a_map_in_tiles_is_found_by_its_index_and_holds_every_point_once(tmp_path):
+    rng = np.random.default_rng(3)
+    world = np.round(rng.uniform([390_930.0, 6_463_990.0, 5.0], [391_070.0, 6_464_120.0, 25.0], (5000, 3)), 3)
+    cloud = from_world(world, "EPSG:7850").with_fields(intensity=rng.uniform(0, 1, 5000).astype(np.float32))
+    times = np.arange(2, dtype=np.int64)
+    write_map(tmp_path / "map", SurveyMap(cloud, Trajectory(times, np.tile(np.eye(4), (2, 1, 1)))))
+    files = export_map(tmp_path / "map", tmp_path / "out", "tiles")
+    index = gpd.read_file(tmp_path / "out" / "tiles.gpkg", layer="tiles")
+    assert index.crs.to_epsg() == 7850
+    assert sorted(index["location"]) == sorted(f.name for f in files if f.suffix == ".laz")
+    assert index["points"].sum() == 5000
+    found = []
+    for row in index.itertuples():
+        tile = laspy.read(tmp_path / "out" / row.location)
+        assert tile.header.parse_crs().to_2d().to_epsg() == 7850
+        west, south, east, north = row.geometry.bounds
+        assert ((tile.x >= west) & (tile.x < east) & (tile.y >= south) & (tile.y < north)).all()
+        assert (float(tile.z.min()), float(tile.z.max())) == pytest.approx((row.low, row.high), abs=1e-3)
+        found.append(np.column_stack([tile.x, tile.y, tile.z, tile.intensity]))
+    found = np.concatenate(found)
+    given = np.column_stack([world, cloud.fields["intensity"] * 65535])
+    for table in (found, given):
+        table[:] = table[np.lexsort(table[:, :3].T)]
+    np.testing.assert_allclose(found[:, :3], given[:, :3], rtol=0, atol=1e-3)
+    np.testing.assert_allclose(found[:, 3], given[:, 3], rtol=0, atol=1.0)
+
+
 def test_other_folders_and_kinds_are_refused_and_leave_nothing(change_directory, tmp_path):
     with pytest.raises(InputError, match="not the output of 'subiaco change'"):
         export_changes(tmp_path, tmp_path / "out", "laz")

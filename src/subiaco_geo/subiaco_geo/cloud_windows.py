@@ -25,8 +25,8 @@ class CloudFile:
     Parameters
     ----------
     path : Path
-    fields : tuple of str
-        Fields wanted; those that the file lacks are left out.
+    fields : tuple of str, optional
+        Fields wanted; those that the file lacks are left out. None: all, see :func:`cloud_parts`.
 
     Raises
     ------
@@ -34,7 +34,7 @@ class CloudFile:
         As :func:`subiaco_geo.cloud_io.read_cloud`.
     """
 
-    def __init__(self, path: Path, fields: tuple[str, ...]) -> None:
+    def __init__(self, path: Path, fields: tuple[str, ...] | None) -> None:
         self.path, self._fields = path, fields
         boxes = []
         for part in self.parts():

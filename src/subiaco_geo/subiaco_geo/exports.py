@@ -10,6 +10,7 @@ import numpy as np
 from subiaco_geo.atomic import whole_directory
 from subiaco_geo.cloud_fields import brightest
 from subiaco_geo.cloud_parts import cloud_parts
+from subiaco_geo.cloud_windows import CloudFile
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.copc_io import write_copc_parts
 from subiaco_geo.errors import InputError
@@ -17,6 +18,7 @@ from subiaco_geo.frames import invert_pose
 from subiaco_geo.las_writing import las_stream
 from subiaco_geo.ply_io import write_ply_parts
 from subiaco_geo.sources import open_epoch
+from subiaco_geo.tiles import tile_grid
 from subiaco_geo.trajectories import Trajectory, write_kitti
 
 #: Ending of each kind of cloud.
@@ -57,6 +59,32 @@ def copy_cloud(source: Path, target: Path, *, ellipsoidal: bool = True, cloudcom
                 stream.append(part)
 
 
+def tile_cloud(source: Path, folder: Path) -> None:
+    """Write a cloud as LAZ of 80 m tiles, ``<column>_<row>.laz``, and ``tiles.gpkg`` that finds them.
+
+    Columns and rows count from the zero of the CRS, so the tiles of every epoch are the same squares. The
+    index has a square a tile with its ``location``, ``points``, ``low`` and ``high`` [m].
+    """
+    import geopandas as gpd
+    import shapely
+
+    cloud = CloudFile(source, None)
+    unit = max(brightest(part) for part in cloud.parts()) <= 1.0
+    rows = []
+    crs = None
+    for tile in tile_grid((*cloud.low[:2], *cloud.high[:2]), overlap=0.0):
+        part = cloud.inside(*tile.core)
+        if len(part) == 0:
+            continue
+        name, crs, height = f"{tile.id}.laz", part.crs, part.xyz[:, 2] + part.origin[2]
+        with las_stream(folder / name, unit_intensity=unit) as stream:
+            stream.append(part)
+        ends = {"low": float(height.min()), "high": float(height.max())}
+        rows.append({"location": name, "points": len(part), **ends, "geometry": shapely.box(*tile.core)})
+    index = gpd.GeoDataFrame(rows, crs=crs)
+    index.to_file(folder / "tiles.gpkg", layer="tiles", engine="pyogrio")
+
+
 def export_map(directory: Path, output: Path, kind: str, *, cloudcompare: bool = False) -> list[Path]:
     """Write a map as a cloud, or its trajectory as KITTI poses.
 
@@ -67,8 +95,8 @@ def export_map(directory: Path, output: Path, kind: str, *, cloudcompare: bool =
     output : Path
         New directory.
     kind : str
-        ``laz``, ``copc``, ``ply`` or ``kitti`` (``poses.txt`` with the optimised
-        ``lidar_link`` in the first one, and its times).
+        ``laz``, ``copc``, ``ply``, ``tiles`` (see :func:`tile_cloud`) or ``kitti`` (``poses.txt`` with the
+        optimised ``lidar_link`` in the first one, and its times).
     cloudcompare : bool
         See :func:`for_cloudcompare`.
 
@@ -82,8 +110,8 @@ def export_map(directory: Path, output: Path, kind: str, *, cloudcompare: bool =
     InputError
         Not a map, a kind that a map does not have, or an output that exists.
     """
-    if kind not in (*CLOUD_ENDINGS, "kitti"):
-        raise InputError(f"{directory}: a map has no {kind}; give --to laz, copc, ply or kitti")
+    if kind not in (*CLOUD_ENDINGS, "tiles", "kitti"):
+        raise InputError(f"{directory}: a map has no {kind}; give --to laz, copc, ply, tiles or kitti")
     survey = open_epoch(directory)
     way = survey.trajectory
     if kind == "kitti" and way is None:
@@ -92,6 +120,8 @@ def export_map(directory: Path, output: Path, kind: str, *, cloudcompare: bool =
         if way is not None and kind == "kitti":
             relative = invert_pose(way.poses[0]) @ way.poses
             write_kitti(target / "poses.txt", Trajectory(way.times_ns, np.asarray(relative)))
+        elif kind == "tiles":
+            tile_cloud(survey.cloud, target)
         else:
             copy_cloud(survey.cloud, target / f"map{CLOUD_ENDINGS[kind]}", cloudcompare=cloudcompare)
     return sorted(output.iterdir())

@@ -259,6 +259,7 @@ class ExportKind(StrEnum):
     GPKG = "gpkg"
     PARQUET = "parquet"
     GEOJSON = "geojson"
+    TILES = "tiles"
     KITTI = "kitti"
 
 
@@ -268,7 +269,9 @@ def export(
     to: Annotated[
         ExportKind,
         typer.Option(
-            metavar="FORM", help="Clouds: laz, copc, ply. Tables: gpkg, parquet, geojson. Trajectory: kitti."
+            metavar="FORM",
+            help="Clouds: laz, copc, ply. Maps also: tiles (LAZ of 80 m and an index), kitti (trajectory)."
+            " Tables: gpkg, parquet, geojson.",
         ),
     ],
     cloudcompare: Annotated[
@@ -290,7 +293,8 @@ def export(
         raise InputError(f"--cloudcompare names the fields of a PLY; it does not go with --to {to}")
     run = export_map if (directory / "map.yaml").is_file() else export_changes
     files = run(directory, output, to.value, cloudcompare=cloudcompare)
-    say(f"{to}: {', '.join(str(file) for file in files)}", quiet=quiet)
+    names = ", ".join(str(file) for file in files) if len(files) < 5 else f"{len(files)} files in {output}"
+    say(f"{to}: {names}", quiet=quiet)
 
 
 def register(app: typer.Typer) -> None:
