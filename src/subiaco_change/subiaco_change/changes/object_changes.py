@@ -210,7 +210,7 @@ def _sections(change: ObjectChange, following: int, rules: ObjectRules) -> list[
     sections, columns = moved_sections(change.before, change.after, limit)
     if not sections:
         return [change]
-    decisions = [_moved_top(section, limit) for section in sections]
+    decisions = [_moved_top(section) for section in sections]
     if sum(len(s.xy) for s in sections) >= _WHOLE * len(columns):
         largest = decisions[int(np.argmax([len(s.xy) for s in sections]))]
         return [replace(change, decision=largest) if change.decision.change is Change.UNCHANGED else change]
@@ -233,10 +233,10 @@ def _sections(change: ObjectChange, following: int, rules: ObjectRules) -> list[
     return [pieces[0], *(replace(p, decision=d) for p, d in zip(pieces[1:], decisions, strict=True))]
 
 
-def _moved_top(section: Section, limit: float) -> Decision:
+def _moved_top(section: Section) -> Decision:
     change = Change.INCREASED if section.rise > 0 else Change.DECREASED
-    reason = f"top {section.rise:+.2f} m (gate {limit:.2f}) over {0.25 * len(section.xy):.0f} m2"
-    return Decision(change, reason, abs(section.rise) / limit)
+    reason = f"top {section.rise:+.2f} m (gate {section.gate:.2f}) over {0.25 * len(section.xy):.0f} m2"
+    return Decision(change, reason, abs(section.rise) / section.gate)
 
 
 def _all(things: Sequence[Thing]) -> tuple[int, ...]:

@@ -22,10 +22,11 @@ _SEEN = 0.5  # share of its moved surface that the other epoch must have observe
 
 @dataclass(frozen=True)
 class Section:
-    """Columns whose tops moved alike: their middles (C, 2) [m] and the median rise [m]."""
+    """Columns whose tops moved alike: their middles (C, 2), the median rise and the gate it passed, in m."""
 
     xy: Floats
     rise: float
+    gate: float
 
 
 def moved_sections(
@@ -54,7 +55,7 @@ def moved_sections(
                 continue
             xy = (cells + corner + 0.5) * _CELL
             if _observed(after if sign > 0 else before, xy, tops[int(sign < 0)], cells):
-                sections.append(Section(xy, float(np.median(rise[labels == number]))))
+                sections.append(Section(xy, float(np.median(rise[labels == number])), threshold))
     known = np.argwhere(np.isfinite(rise))
     return sections, (known + corner + 0.5) * _CELL
 
