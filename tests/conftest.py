@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import signal
 from pathlib import Path
 
 import pytest
@@ -13,6 +14,11 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 # A ROS domain for each session, so that tests running side by side do not hear each other. Domains 1 to 101
 # keep clear of the ephemeral ports.
 os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 101))
+
+# A shell without job control lets what it starts in the background ignore SIGINT, and children inherit that: a
+# graph that a test interrupts would go on.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 # Same examples on every run; what takes long on a busy machine is not a failure.
 settings.register_profile(
