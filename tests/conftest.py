@@ -15,8 +15,8 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 # keep clear of the ephemeral ports.
 os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 101))
 
-# A shell without job control lets what it starts in the background ignore SIGINT, and children inherit that: a
-# graph that a test interrupts would go on.
+# A shell without job control lets what it starts in the background ignore SIGINT, and children inherit
+# that: a graph that a test interrupts would go on.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
