@@ -47,3 +47,10 @@ def test_a_window_far_from_all_points_is_empty_and_keeps_the_fields(cloud, tmp_p
     found = CloudFile(tmp_path / "cloud.ply", ("instance", "missing")).inside(0.0, 0.0, 9.0, 9.0)
     assert len(found) == 0
     assert found.fields["instance"].dtype == np.int32
+
+
+def test_a_file_that_can_only_be_read_whole_gives_every_point_once(cloud, tmp_path, monkeypatch):
+    monkeypatch.setattr(cloud_windows, "RUN", 256)
+    write_cloud(tmp_path / "cloud.laz", cloud)
+    found = CloudFile(tmp_path / "cloud.laz", None).inside(*ORIGIN[:2], *(ORIGIN[:2] + 101.0))
+    assert found.fields["instance"].tolist() == cloud.fields["instance"].tolist()

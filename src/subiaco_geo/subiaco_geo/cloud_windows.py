@@ -53,7 +53,10 @@ class CloudFile:
         return cloud_parts(self.path, self._fields, _PASS * RUN)
 
     def _read(self, run: int) -> PointCloud:
-        return next(cloud_parts(self.path, self._fields, RUN, run * RUN)).rebased(self._origin)
+        cloud = next(cloud_parts(self.path, self._fields, RUN, run * RUN))
+        if len(cloud) > RUN:  # a file that is read whole is one part, however long
+            cloud = cloud.select(np.arange(RUN))
+        return cloud.rebased(self._origin)
 
     def inside(self, west: float, south: float, east: float, north: float) -> PointCloud:
         """Return the points in a window [m], world coordinates; the upper edges are outside."""
