@@ -287,8 +287,7 @@ def _noise_around(where: Mask, dz: Floats, cell: float) -> float:
     )
     around = np.where(where[rows, columns], np.nan, dz[rows, columns])
     factor = max(1, round(_NOISE_BLOCK / cell))
-    down, across = (-(-n // factor) for n in around.shape)
-    blocks = _block_median(around, down, across, factor)
+    blocks = _block_median(around, factor)
     values = blocks[np.isfinite(blocks)]
     return float(np.quantile(np.abs(values), 0.95)) if len(values) else 0.0
 
@@ -310,17 +309,17 @@ def ground_raster(comparison: GroundComparison, origin: Floats, config: GroundCh
     standard deviations.
     """
     factor = round(config.report_cell / config.cell)
-    rows, columns = (-(-n // factor) for n in comparison.dz.shape)
-    dz, lod = (_block_median(values, rows, columns, factor) for values in (comparison.dz, comparison.lod))
+    dz, lod = (_block_median(values, factor) for values in (comparison.dz, comparison.lod))
     sigma = np.maximum(lod / 1.96, 0.01)
     confidence = _normal_cdf(np.abs(np.abs(dz) - config.threshold) / sigma)
     west, south = comparison.corner + origin[:2]
-    north = float(south + rows * config.report_cell)
+    north = float(south + len(dz) * config.report_cell)
     grids = [np.asarray(v[::-1], dtype=np.float32) for v in (dz, confidence)]
     return GroundChange(grids[0], grids[1], float(west), north, config.report_cell)
 
 
-def _block_median(values: Floats, rows: int, columns: int, factor: int) -> Floats:
+def _block_median(values: Floats, factor: int) -> Floats:
+    rows, columns = (-(-n // factor) for n in values.shape)
     padded = np.full((rows * factor, columns * factor), np.nan)
     padded[: values.shape[0], : values.shape[1]] = values
     blocks = padded.reshape(rows, factor, columns, factor).transpose(0, 2, 1, 3).reshape(rows, columns, -1)
