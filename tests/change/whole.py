@@ -7,13 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from subiaco_change.changes.ground_change import (
-    GroundChangeConfig,
-    GroundComparison,
-    difference_cells,
-    find_patches,
-    shown_lod,
-)
+from subiaco_change.changes.ground_cells import GroundChangeConfig, difference_cells, shown_lod
+from subiaco_change.changes.ground_change import GroundComparison, find_patches
 from subiaco_change.changes.objects import EpochView
 from subiaco_change.config import ChangeConfig
 from subiaco_change.observation.common_frame import CommonFrame
