@@ -26,6 +26,7 @@ from subiaco_change.changes.revising import (
     agree_on_classes,
     join_wings,
     part_company,
+    part_rows,
     part_sections,
     tell_apart,
 )
@@ -61,6 +62,7 @@ def compare_objects(
         changes.extend(decide_object(b, a, semantic, rules) for b, a in _parts(matches, of_b, of_a))
     changes = part_company(changes, rules)
     changes = tell_apart(changes, rules)
+    changes = part_rows(changes, rules)
     changes = part_sections(changes, rules)
     changes = join_wings(changes, rules)
     return adopt_fragments(changes, things_b, things_a, rules.association, tolerance)

@@ -19,6 +19,8 @@ _CAR = 2.3  # no car is taller [m]
 _LEANS = 0.25  # what touches a second building with more of itself stands between the two
 _WITHIN = 0.3  # share of a host inside a part in one epoch alone, from which the part was the house itself
 _PARTY = 0.5  # walls so near the edge of an outline are shared with a neighbour [m]
+_BESIDE = 0.5  # less than this share of what stands beside a house touches it
+_HALF_STOREY = 1.5  # a wing is no taller than its host by more [m]
 _UNDERSIDE = 0.6  # what begins higher, in shares of its top, stands on nothing
 _NEIGHBOURS = 6  # voxels, itself among them, whose normals are compared
 _SMOOTH = 0.78  # mean cosine between the normals of neighbours: leaves stay below 0.75
@@ -62,6 +64,8 @@ def find_wings(pairs: Sequence[tuple[Voxels, Voxels]], config: PartConfig) -> di
             continue
         if _floats(pair[epoch], body):
             continue
+        if _rises(pair[epoch], body) and max(contact) < _BESIDE * len(wing):
+            continue
         if share < _SMALL or not _between(wing, body.xyz, config):
             wings[number] = host
     return wings
@@ -88,6 +92,12 @@ def _floats(wing: Voxels, host: Voxels) -> bool:
         return False
     over = shapely.MultiPoint(host.xyz[:, :2]).convex_hull
     return bool(shapely.contains_xy(over, wing.xyz[:, 0], wing.xyz[:, 1]).mean() < 0.5)
+
+
+def _rises(wing: Voxels, host: Voxels) -> bool:
+    """Tell a house of a row from a wing: it is taller than its host by half a storey."""
+    tops = [float(np.quantile(v.height, 0.95)) for v in (wing, host)]
+    return tops[0] - tops[1] > _HALF_STOREY
 
 
 def _contact(wing: Floats, host: Floats, config: PartConfig) -> int:
