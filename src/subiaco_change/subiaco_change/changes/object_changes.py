@@ -11,7 +11,7 @@ import numpy as np
 from subiaco_change.changes.association import Match, associate
 from subiaco_change.changes.columns import OpenGround, ground_columns
 from subiaco_change.changes.confidence import ConfidenceConfig, confidence, features, paper_score
-from subiaco_change.changes.judging import ObjectChange, ObjectRules, Observed, decide_object
+from subiaco_change.changes.judging import ObjectChange, ObjectRules, decide_object
 from subiaco_change.changes.measures import footprint
 from subiaco_change.changes.objects import (
     EpochView,
@@ -21,6 +21,7 @@ from subiaco_change.changes.objects import (
     build_voxels,
 )
 from subiaco_change.changes.parts import part_things
+from subiaco_change.changes.passing import Observed, own_survey
 from subiaco_change.changes.revising import (
     adopt_fragments,
     agree_on_classes,
@@ -44,7 +45,9 @@ def compare_objects(
     step = rules.measures.crossing
     bare = [ground_columns(v.xyz[v.semantic == Semantic.GROUND], edge) for v in (before, after)]
     rules = replace(
-        rules, ground=OpenGround(bare[0], bare[1], rules.ground.empty), own=(seen_by_before, seen_by_after)
+        rules,
+        ground=OpenGround(bare[0], bare[1], rules.ground.empty),
+        own=(own_survey(before, seen_by_before), own_survey(after, seen_by_after)),
     )
     things_b = build_things(before, build_voxels(before, after, seen_by_after, edge, reach, step))
     things_a = build_things(after, build_voxels(after, before, seen_by_before, edge, reach, step))
