@@ -58,13 +58,15 @@ def find_wings(pairs: Sequence[tuple[Voxels, Voxels]], config: PartConfig) -> di
         host = hosts[int(np.argmax(contact))]
         body = pairs[host][epoch]
         share = _bulk(pair[epoch]) / max(_bulk(body), 1e-9)
-        if share >= config.subordinate and max(contact) < _ROUND * len(wing):
+        round_it = max(contact) >= _ROUND * len(wing)
+        if share >= config.subordinate and not round_it:
             if _inside(pairs[host][1 - epoch].xyz, wing) >= _WITHIN:  # its walls stand where the wing was
                 wings[number] = host
             continue
         if _floats(pair[epoch], body):
             continue
-        if _rises(pair[epoch], body) and _over(pair[epoch], pairs[host][1 - epoch]) < _BESIDE:
+        beside = _over(pair[epoch], pairs[host][1 - epoch]) < _BESIDE
+        if beside and not round_it and _rises(pair[epoch], body):
             continue
         if share < _SMALL or not _between(wing, body.xyz, config):
             wings[number] = host
