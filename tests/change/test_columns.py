@@ -6,7 +6,10 @@ import numpy as np
 import pytest
 
 from subiaco_change.changes.columns import BUILT_UP, NO_COLUMNS, OpenGround, compare_volumes, stands_alone
+from subiaco_change.changes.decisions import DecisionConfig, decide
+from subiaco_change.changes.measures import MeasureConfig, measure
 from subiaco_change.changes.objects import Voxels
+from subiaco_geo.codes import Change, Semantic
 
 CELL, CLOSING = 0.5, 1.5
 
@@ -85,3 +88,25 @@ def test_the_share_is_one_of_what_stood_before():
 def test_ground_that_was_met_is_open_for_both():
     court = OpenGround(NO_COLUMNS, NO_COLUMNS)
     assert compare_volumes(HOUSE, HOUSE, CELL, CLOSING, court).change == 0.0
+
+
+def test_a_gap_that_closes_is_told_by_its_columns_although_as_much_wall_is_hidden_as_is_new():
+    """Two sheds a metre apart that became one: walls of the gap are gone, its ends are new."""
+    solid = block((0, 0, 0), (6, 2, 2))
+    inner = (solid[:, 0] > 2.5) & (solid[:, 0] < 3.5)
+    sheds, between = voxels(solid[~inner]), voxels(solid[inner], still=False, crossed=True)
+    ends = (solid[~inner, 0] > 2) & (solid[~inner, 0] < 4)
+    before = replace(sheds, still=~ends, crossed=ends)
+    after = sheds.add(between)
+
+    def gap(xyz):
+        return (xyz[:, 0] > 2.5) & (xyz[:, 0] < 3.5)
+
+    ground = OpenGround(NO_COLUMNS, NO_COLUMNS, (gap, gap))
+    measures = measure(before, after, MeasureConfig(), ground)
+    assert abs(measures.carried) < 0.07
+    assert measures.carried_columns == pytest.approx(8 / 44)
+    decision = decide(Semantic.BUILDING, True, True, measures, 0.05, DecisionConfig())
+    assert decision.change is Change.INCREASED
+    back = measure(after, before, MeasureConfig(), ground)
+    assert decide(Semantic.BUILDING, True, True, back, 0.05, DecisionConfig()).change is Change.DECREASED

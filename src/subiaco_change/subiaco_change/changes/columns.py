@@ -49,10 +49,15 @@ class Columns:
 
 @dataclass(frozen=True)
 class Volumes:
-    """Change of the volume, after minus before, and the volume that it is a share of [m3]."""
+    """Change of the volume, after minus before, and the volume that it is a share of [m3].
+
+    ``carried``: columns that stand in *after* and were open, less those that stood and are open, relative to
+    the mean number that was seen to stand. A gap that closes hides as much wall as is new.
+    """
 
     change: float
     whole: float
+    carried: float = 0.0
 
 
 def ground_columns(xyz: Floats, cell: float) -> Ints:
@@ -86,16 +91,20 @@ def compare_volumes(
         stand.append(tops)
         bare.append(free)
     known = np.ones(frame.shape, dtype=bool)
+    raw = [_tops(v.select(v.seen), frame) > 0 for v in (before, after)]
+    opened = []
     for epoch in (0, 1):
         unknown = (stand[epoch] == 0) & (stand[1 - epoch] > 0) & ~bare[epoch]
         unknown[unknown] = ~_open(frame, unknown, stand[1 - epoch], sides[1 - epoch], ground.empty[epoch])
         new = (before, after)[1 - epoch].select(alone[1 - epoch])
         unknown[unknown] = ~_within(new, frame.middles(unknown))
         known &= ~unknown
+        opened.append(np.count_nonzero(raw[1 - epoch] & (stand[epoch] == 0) & ~unknown))
+    carried = (opened[0] - opened[1]) / max(0.5 * (np.count_nonzero(raw[0]) + np.count_nonzero(raw[1])), 1.0)
     change = float((stand[1] - stand[0])[known].sum()) * cell**2
     first = 0 if len(before) else 1
     outline = [before.xyz, after.xyz[~alone[1]]] if first == 0 else [after.xyz]
-    return Volumes(change, _whole(stand[first], np.concatenate(outline), cell))
+    return Volumes(change, _whole(stand[first], np.concatenate(outline), cell), carried)
 
 
 def stands_alone(voxels: Voxels) -> Mask:
@@ -146,9 +155,7 @@ class _Frame:
 
 def _standing(voxels: Voxels, frame: _Frame, ground: Ints, empty: Empty | None) -> tuple[Floats, Mask]:
     """Tops of columns, gaps between them filled, and where nothing stands instead, both (rows, columns)."""
-    tops = np.zeros(frame.shape)
-    index = np.floor(voxels.xyz[:, :2] / frame.cell).astype(np.int64) - frame.corner
-    np.maximum.at(tops, (index[:, 0], index[:, 1]), voxels.height)
+    tops = _tops(voxels, frame)
     bare = tops == 0.0
     middle = frame.middles(bare)
     bare[bare] = np.isin(_column_keys(np.column_stack([middle, np.zeros(len(middle))]), frame.cell), ground)
@@ -159,6 +166,13 @@ def _standing(voxels: Voxels, frame: _Frame, ground: Ints, empty: Empty | None) 
     filled = (closed > 0) & (tops == 0) & ~bare
     bare[filled] = empty is not None and _open(frame, filled, closed, voxels, empty)
     return np.where(bare, 0.0, closed), bare
+
+
+def _tops(voxels: Voxels, frame: _Frame) -> Floats:
+    tops = np.zeros(frame.shape)
+    index = np.floor(voxels.xyz[:, :2] / frame.cell).astype(np.int64) - frame.corner
+    np.maximum.at(tops, (index[:, 0], index[:, 1]), voxels.height)
+    return tops
 
 
 def _open(frame: _Frame, where: Mask, tops: Floats, standing: Voxels, empty: Empty | None) -> Mask:

@@ -50,7 +50,8 @@ class Measures:
     Lengths [m], volumes [m3]; NaN where a side is empty. ``volume`` is that of
     the columns that stood before; ``seen_voxels`` the number that entered.
     ``carried`` is the share of the surface that is new (positive) or gone
-    (negative) on balance, counting only places that the other epoch looked across.
+    (negative) on balance, counting only places that the other epoch looked across;
+    ``carried_columns`` the same of the columns that were seen to stand.
     """
 
     iou: float
@@ -66,6 +67,7 @@ class Measures:
     observed_fraction: float
     seen_voxels: int
     carried: float = 0.0
+    carried_columns: float = 0.0
     outline: Outline = NO_OUTLINE
 
 
@@ -95,6 +97,7 @@ def measure(
         observed_fraction=(len(seen_b) + len(seen_a)) / max(len(before) + len(after), 1),
         seen_voxels=len(seen_b) + len(seen_a),
         carried=_carried(before, after),
+        carried_columns=volumes.carried,
     )
 
 
