@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from subiaco_change.changes.ablation import Part, pointwise, view_without
-from subiaco_change.changes.association import AssociationConfig
+from subiaco_change.changes.association_costs import AssociationConfig
 from subiaco_change.changes.decisions import DecisionConfig
+from subiaco_change.changes.judging import ObjectRules
 from subiaco_change.changes.measures import MeasureConfig
-from subiaco_change.changes.object_changes import ObjectRules, compare_objects
+from subiaco_change.changes.object_changes import compare_objects
 from subiaco_change.changes.objects import EpochView, Reach
 from subiaco_change.changes.parts import PartConfig
 from subiaco_change.config import ChangeConfig, left_out

@@ -8,8 +8,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from subiaco_change.changes.association import AssociationConfig, assign, associate, candidate_costs
-from subiaco_change.changes.object_changes import object_lod
+from subiaco_change.changes.association import assign, associate
+from subiaco_change.changes.association_costs import AssociationConfig, candidate_costs
+from subiaco_change.changes.judging import object_lod
 from subiaco_change.changes.objects import Thing, Voxels
 from subiaco_geo.codes import Semantic
 

@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from subiaco_change.changes.association import AssociationConfig, Match
+from subiaco_change.changes.association_costs import AssociationConfig
 from subiaco_change.changes.decisions import DecisionConfig
+from subiaco_change.changes.judging import ObjectRules, decide_object
 from subiaco_change.changes.measures import MeasureConfig
-from subiaco_change.changes.object_changes import ObjectRules, _decide, part_company
 from subiaco_change.changes.objects import Thing, Voxels
+from subiaco_change.changes.revising import part_company
 from subiaco_geo.codes import Change, Semantic
 
 RULES = ObjectRules(MeasureConfig(), AssociationConfig(), DecisionConfig())
@@ -36,9 +37,7 @@ def thing(xyz, still):
 def matched(before, after):
     """The row of two box-like buildings, matched."""
     near = [(a[:, None] == b[None]).all(axis=2).any(axis=1) for a, b in ((before, after), (after, before))]
-    return _decide(
-        Match((0,), (0,)), [thing(before, near[0])], [thing(after, near[1])], Semantic.BUILDING, RULES
-    )
+    return decide_object([thing(before, near[0])], [thing(after, near[1])], Semantic.BUILDING, RULES)
 
 
 @pytest.mark.parametrize(("first", "label"), [(True, Change.ADDED), (False, Change.REMOVED)])

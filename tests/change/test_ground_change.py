@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 from whole import compare_ground
 
-from subiaco_change.changes.ground_change import GroundChangeConfig, ground_raster
+from subiaco_change.changes.ground_cells import GroundChangeConfig
+from subiaco_change.changes.ground_change import ground_raster
 from subiaco_change.changes.objects import EpochView
 from subiaco_geo.codes import Change, Semantic
 

@@ -3,11 +3,12 @@
 import numpy as np
 import pytest
 
-from subiaco_change.changes.association import AssociationConfig
+from subiaco_change.changes.association_costs import AssociationConfig
 from subiaco_change.changes.decisions import Decision
+from subiaco_change.changes.judging import ObjectChange
 from subiaco_change.changes.measures import MeasureConfig, OpenGround, columns_of, ground_columns, measure
-from subiaco_change.changes.object_changes import ObjectChange, adopt_fragments
 from subiaco_change.changes.objects import Thing, Voxels, looked_across
+from subiaco_change.changes.revising import adopt_fragments
 from subiaco_geo.codes import Change, Semantic
 
 

@@ -7,9 +7,9 @@ import pytest
 from test_measures import block, voxels, walls
 
 from subiaco_change.changes.apart import pieces_apart
-from subiaco_change.changes.association import AssociationConfig
+from subiaco_change.changes.association_costs import AssociationConfig
 from subiaco_change.changes.decisions import DecisionConfig
-from subiaco_change.changes.object_changes import drove_by, lies_flat
+from subiaco_change.changes.judging import drove_by, lies_flat
 from subiaco_change.changes.objects import Thing, Voxels
 from subiaco_change.changes.parts import PartConfig, part_things
 from subiaco_change.changes.wings import built, find_wings

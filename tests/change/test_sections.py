@@ -6,11 +6,12 @@ import numpy as np
 import pytest
 from test_measures import block, voxels
 
-from subiaco_change.changes.association import AssociationConfig
+from subiaco_change.changes.association_costs import AssociationConfig
 from subiaco_change.changes.decisions import Decision, DecisionConfig
+from subiaco_change.changes.judging import ObjectChange, ObjectRules
 from subiaco_change.changes.measures import MeasureConfig, measure
-from subiaco_change.changes.object_changes import ObjectChange, ObjectRules, part_sections
 from subiaco_change.changes.objects import Thing
+from subiaco_change.changes.revising import part_sections
 from subiaco_change.changes.sections import moved_sections
 from subiaco_geo.codes import Change, Semantic
 

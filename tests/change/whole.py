@@ -7,13 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from subiaco_change.changes.ground_change import (
-    GroundChangeConfig,
-    GroundComparison,
-    difference_cells,
-    find_patches,
-    shown_lod,
-)
+from subiaco_change.changes.ground_cells import GroundChangeConfig, difference_cells, shown_lod
+from subiaco_change.changes.ground_change import GroundComparison, find_patches
 from subiaco_change.changes.objects import EpochView
 from subiaco_change.config import ChangeConfig
 from subiaco_change.observation.common_frame import CommonFrame
@@ -37,8 +32,8 @@ from subiaco_change.tiled.run import CityRun
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats
-from subiaco_geo.maps import SurveyMap
 from subiaco_geo.sources import LoadedEpoch
+from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.tiles import split_by_tile
 from subiaco_geo.work.bench import Workbench
 from subiaco_geo.work.tasks import Inputs

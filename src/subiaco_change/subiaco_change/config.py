@@ -7,10 +7,10 @@ from collections.abc import Sequence
 from pydantic import Field
 
 from subiaco_change.changes.ablation import Part
-from subiaco_change.changes.association import AssociationConfig
+from subiaco_change.changes.association_costs import AssociationConfig
 from subiaco_change.changes.confidence import ConfidenceConfig
 from subiaco_change.changes.decisions import DecisionConfig
-from subiaco_change.changes.ground_change import GroundChangeConfig
+from subiaco_change.changes.ground_cells import GroundChangeConfig
 from subiaco_change.changes.measures import MeasureConfig
 from subiaco_change.observation.evidence import EvidenceConfig
 from subiaco_change.observation.lod import LodConfig

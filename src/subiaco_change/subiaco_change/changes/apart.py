@@ -7,7 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.spatial import cKDTree
 
-from subiaco_change.changes.association import AssociationConfig
+from subiaco_change.changes.association_costs import AssociationConfig
 from subiaco_change.changes.objects import Thing
 from subiaco_change.changes.parts import divided
 from subiaco_change.semantics.clustering import connect, group_indices

@@ -4,66 +4,16 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, min_weight_full_bipartite_matching
-from scipy.spatial import cKDTree
 
-from subiaco_change.changes.measures import histogram_distance, oriented_rectangle, rectangle_iou
+from subiaco_change.changes.association_costs import AssociationConfig, candidate_costs
 from subiaco_change.changes.objects import Thing
-from subiaco_change.changes.parts import PartConfig
-from subiaco_geo.config import StrictModel
+from subiaco_change.changes.overlaps import Sparse, overlap_counts
 from subiaco_geo.frames import Floats, Ints
-
-#: A scipy sparse array; scipy has no types.
-Sparse = Any
-#: Weights of centroid distance [1/m], 1 - IoU and histogram distance, paper.
-_PAPER_COST = (1.0, 2.0, 0.5)
-_PHI_REACH = 0.5  # voxels farther apart are not the intersection of two objects [m]
-
-
-class AssociationConfig(StrictModel):
-    """Gates, scales and prices of the assignment."""
-
-    gate_distance: float = Field(2.0, gt=0, description="centroid distance of a candidate, paper [m]")
-    gate_overlap: float = Field(
-        0.3, gt=0, le=1, description="footprint IoU of a candidate at any distance (Decision 8)"
-    )
-    spread_distance: float = Field(
-        1.0, gt=0, description="spread of the centroid of the same object [m] (Decision 11)"
-    )
-    spread_relative: float = Field(0.15, ge=0, description="and per metre of its size")
-    spread_overlap: float = Field(0.35, gt=0, description="spread of 1 - footprint IoU of the same object")
-    spread_histogram: float = Field(
-        0.35, gt=0, description="spread of the histogram distance of the same object"
-    )
-    cost: Literal["scaled", "plain"] = Field(
-        "scaled", description="plain adds metres and ratios with the paper's weights 1, 2, 0.5 (Decision 11)"
-    )
-    kappa: float = Field(
-        0.0,
-        ge=0,
-        description="weight of phi = max(0, LoD95 - d_perp) in the plain cost, paper 2 (Decision 8) [1/m]",
-    )
-    unmatched: float = Field(6.0, gt=0, description="price of one unmatched object, on the chi-square scale")
-    contained: float = Field(
-        0.5, gt=0, le=1, description="share of its voxels that puts a fragment inside an object (Decision 9)"
-    )
-    parts: PartConfig = PartConfig()
-    apart: float = Field(
-        0.15,
-        gt=0,
-        le=1,
-        description="share of a match from which on one of several fragments may be a body of its own",
-    )
-    stacked: float = Field(
-        0.3, ge=0, le=1, description="share of common columns from which on two fragments are one body"
-    )
-    same_place: float = Field(0.5, gt=0, le=1, description="voxel overlap of one thing with two classes (C6)")
 
 
 @dataclass(frozen=True)
@@ -75,54 +25,17 @@ class Match:
 
     @property
     def kind(self) -> str:
-        """one_to_one, split, merge or none; many to many counts as the side with more parts."""
-        if not self.before or not self.after:
-            return "none"
-        if len(self.before) == 1 and len(self.after) == 1:
-            return "one_to_one"
-        return "split" if len(self.after) >= len(self.before) else "merge"
+        """As :func:`match_kind` names it."""
+        return match_kind(len(self.before), len(self.after))
 
 
-def overlap_counts(
-    before: Sequence[Thing], after: Sequence[Thing], tolerance: float
-) -> tuple[Sparse, Sparse]:
-    """Count voxels of every object whose nearest voxel of the other epoch is in each object there.
-
-    Parameters
-    ----------
-    before, after : sequence of Thing
-    tolerance : float
-        Voxels farther apart do not overlap [m].
-
-    Returns
-    -------
-    forward, backward : (B, A) and (A, B) sparse arrays
-        Of voxels of *before* in *after*, and the other way round.
-    """
-    first, second = _stack(before), _stack(after)
-    shape = (len(before), len(after))
-    return (
-        _nearest_counts(first, second, shape, tolerance),
-        _nearest_counts(second, first, shape[::-1], tolerance),
-    )
-
-
-def _stack(things: Sequence[Thing]) -> tuple[Floats, Ints]:
-    if not things:
-        return np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
-    owner = np.repeat(np.arange(len(things)), [len(t.voxels) for t in things])
-    return np.concatenate([t.voxels.xyz for t in things]), owner
-
-
-def _nearest_counts(
-    source: tuple[Floats, Ints], target: tuple[Floats, Ints], shape: tuple[int, int], tolerance: float
-) -> Sparse:
-    if len(source[0]) == 0 or len(target[0]) == 0:
-        return coo_array(shape).tocsr()
-    distance, slot = cKDTree(target[0]).query(source[0], distance_upper_bound=tolerance)
-    hit = np.isfinite(distance)
-    pairs = (source[1][hit], target[1][slot[hit]])
-    return coo_array((np.ones(int(hit.sum())), pairs), shape=shape).tocsr()
+def match_kind(parts_before: int, parts_after: int) -> str:
+    """one_to_one, split, merge or none; many to many counts as the side with more parts."""
+    if not parts_before or not parts_after:
+        return "none"
+    if parts_before == parts_after == 1:
+        return "one_to_one"
+    return "split" if parts_after >= parts_before else "merge"
 
 
 def associate(
@@ -265,90 +178,6 @@ def _inside(
     column = np.asarray(counts[:, list(hosts)].sum(axis=1)).ravel()
     found = np.flatnonzero(column).tolist()
     return [i for i in found if i not in used and column[i] > config.contained * len(things[i].voxels)]
-
-
-def candidate_costs(
-    before: Sequence[Thing],
-    after: Sequence[Thing],
-    groups_b: Sequence[tuple[int, ...]],
-    groups_a: Sequence[tuple[int, ...]],
-    config: AssociationConfig,
-) -> tuple[Ints, Ints, Floats]:
-    """Gated pairs of groups (E,), (E,) and their chi-square costs (E,)."""
-    shapes_b = [_shape([before[i] for i in group]) for group in groups_b]
-    shapes_a = [_shape([after[j] for j in group]) for group in groups_a]
-    rows, columns, costs = [], [], []
-    for i, j in _near_pairs(shapes_b, shapes_a, config):
-        b, a = shapes_b[i], shapes_a[j]
-        overlap = rectangle_iou(b.rectangle, a.rectangle)
-        distance = float(np.linalg.norm(b.centroid - a.centroid))
-        if distance > config.gate_distance and overlap < config.gate_overlap:
-            continue
-        rows.append(i)
-        columns.append(j)
-        costs.append(_cost(distance, overlap, b, a, config))
-    return (
-        np.array(rows, dtype=np.int64),
-        np.array(columns, dtype=np.int64),
-        np.array(costs, dtype=np.float64),
-    )
-
-
-def _cost(distance: float, overlap: float, b: _Shape, a: _Shape, config: AssociationConfig) -> float:
-    """Price of calling two groups one object: a chi-square, or the paper's plain sum."""
-    histogram = histogram_distance(b.heights, a.heights, 10)
-    if config.cost == "plain":
-        weights = _PAPER_COST
-        printed = weights[0] * distance + weights[1] * (1 - overlap) + weights[2] * histogram
-        return printed + (config.kappa * _phi(b, a) if config.kappa > 0 else 0.0)
-    spread = config.spread_distance + config.spread_relative * max(b.size, a.size)
-    terms = (distance / spread, (1 - overlap) / config.spread_overlap, histogram / config.spread_histogram)
-    return sum(t**2 for t in terms)
-
-
-def _phi(b: _Shape, a: _Shape) -> float:
-    """Return how far the median separation along the normal stays under the level of detection [m]."""
-    distance, slot = cKDTree(a.xyz).query(b.xyz, distance_upper_bound=_PHI_REACH)
-    shared = np.isfinite(distance)
-    level = max(b.lod, a.lod)
-    if not shared.any() or not np.isfinite(level):
-        return 0.0
-    step = a.xyz[slot[shared]] - b.xyz[shared]
-    return max(0.0, level - float(np.median(np.abs(np.einsum("ij,ij->i", b.normal[shared], step)))))
-
-
-@dataclass(frozen=True)
-class _Shape:
-    xyz: Floats
-    normal: Floats
-    lod: float
-    centroid: Floats
-    heights: Floats
-    rectangle: object
-    size: float
-    reach: float
-
-
-def _shape(things: Sequence[Thing]) -> _Shape:
-    xyz = np.concatenate([t.voxels.xyz for t in things])
-    heights = np.concatenate([t.voxels.height for t in things])
-    size = float(np.linalg.norm(np.ptp(xyz, axis=0)))
-    normal = np.concatenate([t.voxels.normal for t in things])
-    lod = max(t.lod for t in things)
-    return _Shape(xyz, normal, lod, xyz.mean(axis=0), heights, oriented_rectangle(xyz[:, :2]), size, size / 2)
-
-
-def _near_pairs(
-    shapes_b: Sequence[_Shape], shapes_a: Sequence[_Shape], config: AssociationConfig
-) -> list[tuple[int, int]]:
-    """Pairs of groups whose circles come within the gate."""
-    tree = cKDTree([s.centroid[:2] for s in shapes_a])
-    widest = max(s.reach for s in shapes_a)
-    pairs: list[tuple[int, int]] = []
-    for i, shape in enumerate(shapes_b):
-        reach = config.gate_distance + shape.reach + widest
-        pairs.extend((i, j) for j in sorted(tree.query_ball_point(shape.centroid[:2], reach)))
-    return pairs
 
 
 def assign(

@@ -8,48 +8,19 @@ from dataclasses import dataclass
 import numpy as np
 import shapely
 from numpy.typing import NDArray
-from pydantic import Field
 from scipy import ndimage
 from shapely.geometry.base import BaseGeometry
 
+from subiaco_change.changes.ground_cells import NO_CLAIM, GroundCells, GroundChangeConfig, block_median
 from subiaco_change.changes.objects import EpochView
 from subiaco_change.records import GroundChange
-from subiaco_change.semantics.ground import Mask, fill_gaps
+from subiaco_change.semantics.ground import Mask
 from subiaco_geo.codes import Change, Semantic
-from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
 
-_NO_CLAIM = 10.0  # level of detection shown where there is none [m]
 _AROUND = 10.0  # what lies this near tells the noise of a thinly seen patch [m]
 _NOISE_BLOCK = 2.0  # within which thinly seen heights err together [m]
 _LOD_CELLS = 25  # known cells that speak for a patch without a level of detection
-
-
-class GroundChangeConfig(StrictModel):
-    """Ground differencing."""
-
-    cell: float = Field(0.5, gt=0, description="cell in which ground is compared [m], Decision 12")
-    report_cell: float = Field(2.0, gt=0, description="cell of the raster handed on [m], paper")
-    threshold: float = Field(0.15, gt=0, description="elevation difference of a change [m], paper")
-    area: float = Field(25.0, gt=0, description="contiguous area of a change [m2], paper")
-    lod_factor: float = Field(1.2, gt=0, description="gate as a multiple of the level of detection, paper")
-    max_spread: float = Field(
-        0.12, gt=0, description="spread of heights in a cell beyond which it is no clean ground [m]"
-    )
-    bridge: int = Field(
-        3, ge=1, description="window over which an empty cell takes its neighbours' height [cells]"
-    )
-    shown: float = Field(
-        0.5,
-        ge=0,
-        description="volume seen to have moved, in volumes of the least change (area times threshold)",
-    )
-    closing: int = Field(
-        5,
-        ge=0,
-        description="cells out of sight between changed ones up to twice this apart (a parked car, 5 m) are"
-        " filled, and count towards the area this far around, doubling it at most [cells]",
-    )
 
 
 @dataclass(frozen=True)
@@ -86,79 +57,6 @@ class GroundComparison:
         inside = ((index >= 0) & (index < np.array(self.dz.shape[::-1]))).all(axis=1)
         clipped = np.clip(index, 0, np.array(self.dz.shape[::-1]) - 1)
         return clipped[:, 1], clipped[:, 0], np.asarray(inside)
-
-
-@dataclass(frozen=True)
-class GroundCells:
-    """Cells (rows, columns) of two epochs, row 0 in the south.
-
-    ``dz`` after minus before, NaN where either epoch has no ground; ``lod`` [m], NaN where either has
-    none; ``bridged``: took a neighbour's height in an epoch; ``known``: holds ground in either;
-    ``height`` in *after* [m].
-    """
-
-    dz: Floats
-    lod: Floats
-    bridged: Mask
-    known: Mask
-    height: Floats
-
-
-def difference_cells(
-    before: EpochView, after: EpochView, corner: Floats, shape: tuple[int, int], config: GroundChangeConfig
-) -> GroundCells:
-    """Difference the ground of two epochs in the cells of a window that all their ground points lie in."""
-    cells = [_cell_heights(v, v.semantic == Semantic.GROUND, corner, shape, config) for v in (before, after)]
-    heights, bridged = _bridge(cells[0][0], cells[1][0], config)
-    known = np.isfinite(cells[0][0]) | np.isfinite(cells[1][0])
-    lod = np.maximum(cells[0][1], cells[1][1])
-    return GroundCells(heights[1] - heights[0], lod, bridged, known, heights[1])
-
-
-def shown_lod(lod: Floats) -> Floats:
-    """Fill the level of detection of cells that have none from those around."""
-    shown = fill_gaps(lod) if np.isfinite(lod).any() else np.full_like(lod, _NO_CLAIM)
-    return np.where(np.isfinite(lod), lod, shown)
-
-
-def _cell_heights(
-    view: EpochView, mask: Mask, corner: Floats, shape: tuple[int, int], config: GroundChangeConfig
-) -> tuple[Floats, Floats]:
-    """Mean height and LoD of every cell; NaN where empty or where the heights spread."""
-    xyz, lod = view.xyz[mask], view.lod[mask]
-    index = np.floor((xyz[:, :2] - corner) / config.cell).astype(np.int64)
-    flat = index[:, 1] * shape[1] + index[:, 0]
-    size = shape[0] * shape[1]
-    count = np.bincount(flat, minlength=size)
-    safe = np.maximum(count, 1)
-    mean = np.bincount(flat, xyz[:, 2], size) / safe
-    spread = np.sqrt(np.bincount(flat, (xyz[:, 2] - mean[flat]) ** 2, size) / safe)
-    finite = np.isfinite(lod)
-    level = np.bincount(flat, np.where(finite, lod, 0.0), size)
-    some = np.bincount(flat, finite, size)
-    level = np.where(some > 0, level / np.maximum(some, 1), np.nan)
-    good = (count > 0) & (spread < config.max_spread)
-    return np.where(good, mean, np.nan).reshape(shape), np.where(good, level, np.nan).reshape(shape)
-
-
-def _bridge(before: Floats, after: Floats, config: GroundChangeConfig) -> tuple[tuple[Floats, Floats], Mask]:
-    """Bridge empty cells next to known ones, so that sparse ground stays contiguous; tell which they are.
-
-    Heights are carried over relative to a smooth surface through both
-    epochs: on a slope nothing is gained or lost.
-    """
-    known = [np.isfinite(v) for v in (before, after)]
-    if not all(k.any() for k in known):
-        return (before, after), np.zeros(before.shape, dtype=bool)
-    smooth = ndimage.gaussian_filter(fill_gaps(np.fmin(before, after)), 2.0 / config.cell, mode="nearest")
-    bridged = []
-    for values, mask in zip((before, after), known, strict=True):
-        weight = ndimage.uniform_filter(mask.astype(float), config.bridge, mode="constant")
-        total = ndimage.uniform_filter(np.where(mask, values - smooth, 0.0), config.bridge, mode="constant")
-        mean = smooth + total / np.maximum(weight, 1e-9)
-        enough = weight * config.bridge**2 > 1.5
-        bridged.append(np.where(mask, values, np.where(enough, mean, np.nan)))
-    return (bridged[0], bridged[1]), ~(known[0] & known[1])
 
 
 def find_patches(
@@ -287,7 +185,7 @@ def _noise_around(where: Mask, dz: Floats, cell: float) -> float:
     )
     around = np.where(where[rows, columns], np.nan, dz[rows, columns])
     factor = max(1, round(_NOISE_BLOCK / cell))
-    blocks = _block_median(around, factor)
+    blocks = block_median(around, factor)
     values = blocks[np.isfinite(blocks)]
     return float(np.quantile(np.abs(values), 0.95)) if len(values) else 0.0
 
@@ -296,7 +194,7 @@ def _nearest_lod(cells: Ints, lod: Floats) -> float:
     """Median level of detection of the known cells nearest to the middle of a patch that has none [m]."""
     known = np.argwhere(np.isfinite(lod))
     if len(known) == 0:
-        return _NO_CLAIM
+        return NO_CLAIM
     distance = np.linalg.norm(known - cells.mean(axis=0), axis=1)
     near = known[np.argsort(distance, kind="stable")[:_LOD_CELLS]]
     return float(np.median(lod[near[:, 0], near[:, 1]]))
@@ -309,24 +207,13 @@ def ground_raster(comparison: GroundComparison, origin: Floats, config: GroundCh
     standard deviations.
     """
     factor = round(config.report_cell / config.cell)
-    dz, lod = (_block_median(values, factor) for values in (comparison.dz, comparison.lod))
+    dz, lod = (block_median(values, factor) for values in (comparison.dz, comparison.lod))
     sigma = np.maximum(lod / 1.96, 0.01)
     confidence = _normal_cdf(np.abs(np.abs(dz) - config.threshold) / sigma)
     west, south = comparison.corner + origin[:2]
     north = float(south + len(dz) * config.report_cell)
     grids = [np.asarray(v[::-1], dtype=np.float32) for v in (dz, confidence)]
     return GroundChange(grids[0], grids[1], float(west), north, config.report_cell)
-
-
-def _block_median(values: Floats, factor: int) -> Floats:
-    rows, columns = (-(-n // factor) for n in values.shape)
-    padded = np.full((rows * factor, columns * factor), np.nan)
-    padded[: values.shape[0], : values.shape[1]] = values
-    blocks = padded.reshape(rows, factor, columns, factor).transpose(0, 2, 1, 3).reshape(rows, columns, -1)
-    medians = np.full((rows, columns), np.nan)
-    some = np.isfinite(blocks).any(axis=2)
-    medians[some] = np.nanmedian(blocks[some], axis=1)
-    return medians
 
 
 def _normal_cdf(z: Floats) -> Floats:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -207,3 +207,14 @@ def build_things(view: EpochView, voxels: Voxels) -> list[Thing]:
         passed = np.zeros(0) if view.passed is None else view.passed[members]
         things.append(Thing(instance, semantic, score, members, own, lod, view.xyz[members], passed))
     return things
+
+
+def join_voxels(things: Sequence[Thing]) -> Voxels:
+    """Concatenate the voxels of the parts of an object."""
+    if not things:
+        flags = np.zeros(0, dtype=bool)
+        return Voxels(
+            np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), flags, flags, flags
+        )
+    names = Voxels.__dataclass_fields__
+    return Voxels(*(np.concatenate([getattr(t.voxels, name) for t in things]) for name in names))

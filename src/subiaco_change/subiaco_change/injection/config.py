@@ -5,7 +5,7 @@ from __future__ import annotations
 from pydantic import Field
 
 from subiaco_change.changes.decisions import DecisionConfig
-from subiaco_change.changes.ground_change import GroundChangeConfig
+from subiaco_change.changes.ground_cells import GroundChangeConfig
 from subiaco_change.semantics.classes import SemanticsConfig
 from subiaco_change.semantics.instances import InstanceConfig
 from subiaco_geo.config import StrictModel

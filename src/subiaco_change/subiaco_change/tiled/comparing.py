@@ -12,7 +12,8 @@ import shapely
 from numpy.typing import NDArray
 
 from subiaco_change.changes.ablation import Part
-from subiaco_change.changes.object_changes import ObjectChange, ObjectRules, compare_objects, make_record
+from subiaco_change.changes.judging import ObjectChange, ObjectRules
+from subiaco_change.changes.object_changes import compare_objects, make_record
 from subiaco_change.changes.objects import EpochView
 from subiaco_change.observation.evidence import Kind, weakest
 from subiaco_change.records import ChangeRecord

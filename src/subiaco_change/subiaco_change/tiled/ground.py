@@ -13,14 +13,8 @@ from scipy import ndimage
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
-from subiaco_change.changes.ground_change import (
-    GroundCells,
-    GroundChangeConfig,
-    GroundPatch,
-    beyond_gate,
-    difference_cells,
-    find_patches,
-)
+from subiaco_change.changes.ground_cells import GroundCells, GroundChangeConfig, difference_cells
+from subiaco_change.changes.ground_change import GroundPatch, beyond_gate, find_patches
 from subiaco_change.tiled.recutting import near_tile
 from subiaco_change.tiled.regions import load_region
 from subiaco_geo.codes import Change, Semantic

@@ -10,7 +10,8 @@ import numpy as np
 import shapely
 
 from subiaco_change.changes.ablation import Part, pointwise
-from subiaco_change.changes.ground_change import GroundComparison, GroundPatch, ground_raster, shown_lod
+from subiaco_change.changes.ground_cells import shown_lod
+from subiaco_change.changes.ground_change import GroundComparison, GroundPatch, ground_raster
 from subiaco_change.changes.labelling import Labels, label_rest, unlabelled
 from subiaco_change.changes.objects import Reach
 from subiaco_change.semantics.ground import Mask

@@ -1,0 +1,129 @@
+"""Ground of two epochs differenced cell by cell."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from pydantic import Field
+from scipy import ndimage
+
+from subiaco_change.changes.objects import EpochView
+from subiaco_change.semantics.ground import Mask, fill_gaps
+from subiaco_geo.codes import Semantic
+from subiaco_geo.config import StrictModel
+from subiaco_geo.frames import Floats
+
+NO_CLAIM = 10.0  # level of detection shown where there is none [m]
+
+
+class GroundChangeConfig(StrictModel):
+    """Ground differencing."""
+
+    cell: float = Field(0.5, gt=0, description="cell in which ground is compared [m], Decision 12")
+    report_cell: float = Field(2.0, gt=0, description="cell of the raster handed on [m], paper")
+    threshold: float = Field(0.15, gt=0, description="elevation difference of a change [m], paper")
+    area: float = Field(25.0, gt=0, description="contiguous area of a change [m2], paper")
+    lod_factor: float = Field(1.2, gt=0, description="gate as a multiple of the level of detection, paper")
+    max_spread: float = Field(
+        0.12, gt=0, description="spread of heights in a cell beyond which it is no clean ground [m]"
+    )
+    bridge: int = Field(
+        3, ge=1, description="window over which an empty cell takes its neighbours' height [cells]"
+    )
+    shown: float = Field(
+        0.5,
+        ge=0,
+        description="volume seen to have moved, in volumes of the least change (area times threshold)",
+    )
+    closing: int = Field(
+        5,
+        ge=0,
+        description="cells out of sight between changed ones up to twice this apart (a parked car, 5 m) are"
+        " filled, and count towards the area this far around, doubling it at most [cells]",
+    )
+
+
+@dataclass(frozen=True)
+class GroundCells:
+    """Cells (rows, columns) of two epochs, row 0 in the south.
+
+    ``dz`` after minus before, NaN where either epoch has no ground; ``lod`` [m], NaN where either has
+    none; ``bridged``: took a neighbour's height in an epoch; ``known``: holds ground in either;
+    ``height`` in *after* [m].
+    """
+
+    dz: Floats
+    lod: Floats
+    bridged: Mask
+    known: Mask
+    height: Floats
+
+
+def difference_cells(
+    before: EpochView, after: EpochView, corner: Floats, shape: tuple[int, int], config: GroundChangeConfig
+) -> GroundCells:
+    """Difference the ground of two epochs in the cells of a window that all their ground points lie in."""
+    cells = [_cell_heights(v, v.semantic == Semantic.GROUND, corner, shape, config) for v in (before, after)]
+    heights, bridged = _bridge(cells[0][0], cells[1][0], config)
+    known = np.isfinite(cells[0][0]) | np.isfinite(cells[1][0])
+    lod = np.maximum(cells[0][1], cells[1][1])
+    return GroundCells(heights[1] - heights[0], lod, bridged, known, heights[1])
+
+
+def shown_lod(lod: Floats) -> Floats:
+    """Fill the level of detection of cells that have none from those around."""
+    shown = fill_gaps(lod) if np.isfinite(lod).any() else np.full_like(lod, NO_CLAIM)
+    return np.where(np.isfinite(lod), lod, shown)
+
+
+def _cell_heights(
+    view: EpochView, mask: Mask, corner: Floats, shape: tuple[int, int], config: GroundChangeConfig
+) -> tuple[Floats, Floats]:
+    """Mean height and LoD of every cell; NaN where empty or where the heights spread."""
+    xyz, lod = view.xyz[mask], view.lod[mask]
+    index = np.floor((xyz[:, :2] - corner) / config.cell).astype(np.int64)
+    flat = index[:, 1] * shape[1] + index[:, 0]
+    size = shape[0] * shape[1]
+    count = np.bincount(flat, minlength=size)
+    safe = np.maximum(count, 1)
+    mean = np.bincount(flat, xyz[:, 2], size) / safe
+    spread = np.sqrt(np.bincount(flat, (xyz[:, 2] - mean[flat]) ** 2, size) / safe)
+    finite = np.isfinite(lod)
+    level = np.bincount(flat, np.where(finite, lod, 0.0), size)
+    some = np.bincount(flat, finite, size)
+    level = np.where(some > 0, level / np.maximum(some, 1), np.nan)
+    good = (count > 0) & (spread < config.max_spread)
+    return np.where(good, mean, np.nan).reshape(shape), np.where(good, level, np.nan).reshape(shape)
+
+
+def _bridge(before: Floats, after: Floats, config: GroundChangeConfig) -> tuple[tuple[Floats, Floats], Mask]:
+    """Bridge empty cells next to known ones, so that sparse ground stays contiguous; tell which they are.
+
+    Heights are carried over relative to a smooth surface through both
+    epochs: on a slope nothing is gained or lost.
+    """
+    known = [np.isfinite(v) for v in (before, after)]
+    if not all(k.any() for k in known):
+        return (before, after), np.zeros(before.shape, dtype=bool)
+    smooth = ndimage.gaussian_filter(fill_gaps(np.fmin(before, after)), 2.0 / config.cell, mode="nearest")
+    bridged = []
+    for values, mask in zip((before, after), known, strict=True):
+        weight = ndimage.uniform_filter(mask.astype(float), config.bridge, mode="constant")
+        total = ndimage.uniform_filter(np.where(mask, values - smooth, 0.0), config.bridge, mode="constant")
+        mean = smooth + total / np.maximum(weight, 1e-9)
+        enough = weight * config.bridge**2 > 1.5
+        bridged.append(np.where(mask, values, np.where(enough, mean, np.nan)))
+    return (bridged[0], bridged[1]), ~(known[0] & known[1])
+
+
+def block_median(values: Floats, factor: int) -> Floats:
+    """Median of the finite values of blocks of ``factor`` by ``factor`` cells; NaN where there is none."""
+    rows, columns = (-(-n // factor) for n in values.shape)
+    padded = np.full((rows * factor, columns * factor), np.nan)
+    padded[: values.shape[0], : values.shape[1]] = values
+    blocks = padded.reshape(rows, factor, columns, factor).transpose(0, 2, 1, 3).reshape(rows, columns, -1)
+    medians = np.full((rows, columns), np.nan)
+    some = np.isfinite(blocks).any(axis=2)
+    medians[some] = np.nanmedian(blocks[some], axis=1)
+    return medians

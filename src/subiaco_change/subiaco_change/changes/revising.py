@@ -1,0 +1,212 @@
+"""Objects told apart, joined and decided anew once all of a place are known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from subiaco_change.changes.apart import pieces_apart
+from subiaco_change.changes.association import match_kind
+from subiaco_change.changes.association_costs import AssociationConfig
+from subiaco_change.changes.decisions import Decision
+from subiaco_change.changes.judging import ObjectChange, ObjectRules, decide_object
+from subiaco_change.changes.objects import Thing, join_voxels
+from subiaco_change.changes.overlaps import overlap_counts
+from subiaco_change.changes.parts import divided
+from subiaco_change.changes.sections import Section, moved_sections, section_labels
+from subiaco_change.changes.wings import built, find_wings
+from subiaco_geo.codes import Change, Semantic
+
+_WHOLE = 0.75  # share of its columns from which on a hedge moved as a whole
+_CLAIMS = (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED)
+
+
+def join_wings(changes: list[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
+    """Make wings built onto a building, or taken from it, one object with it, and decide it anew.
+
+    A wing seen from few sides may have passed for a vehicle or a plant: what is built tells.
+    """
+    numbers = [
+        i
+        for i, change in enumerate(changes)
+        if (change.semantic is Semantic.BUILDING and change.decision.change is not Change.UNOBSERVED)
+        or (
+            change.semantic in (Semantic.MOBILE, Semantic.VEGETATION, Semantic.OTHER)
+            and change.decision.change in (Change.ADDED, Change.REMOVED)
+            and built(join_voxels((*change.before, *change.after)))
+        )
+    ]
+    if rules.association.parts.points == 0:
+        return changes
+    pairs = [(join_voxels(changes[i].before), join_voxels(changes[i].after)) for i in numbers]
+    wings = {numbers[w]: numbers[h] for w, h in find_wings(pairs, rules.association.parts).items()}
+    joined = list(changes)
+    for host in sorted(set(wings.values())):
+        parts = [changes[host], *(changes[w] for w, h in wings.items() if h == host)]
+        before, after = ([t for part in parts for t in getattr(part, e)] for e in ("before", "after"))
+        joined[host] = decide_object(before, after, Semantic.BUILDING, rules)
+    return [change for i, change in enumerate(joined) if i not in wings]
+
+
+def part_company(changes: Sequence[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
+    """Take what was matched and hardly overlaps for two things: one is slight, the other came or went.
+
+    A fence that a house was built around lies inside the house, and is no house.
+    """
+    told: list[ObjectChange] = []
+    for change in changes:
+        alone = [change]
+        sizes = [sum(len(t.voxels) for t in things) for things in (change.before, change.after)]
+        slight = 0 < min(sizes) < rules.association.parts.remainder * max(sizes)
+        if slight and change.measures.iou <= _least_overlap(change.semantic, rules):
+            b, a = change.before, change.after
+            alone = [
+                decide_object(b, (), change.semantic, rules),
+                decide_object((), a, change.semantic, rules),
+            ]
+        fared = {part.decision.change for part in alone}
+        told.extend(alone if fared & {Change.ADDED, Change.REMOVED} else [change])
+    return told
+
+
+def _least_overlap(semantic: Semantic, rules: ObjectRules) -> float:
+    """Overlap up to which two matched objects of a class are not compared; -1 where they always are."""
+    if semantic is Semantic.BUILDING:
+        return rules.decisions.building.min_iou
+    return rules.decisions.vegetation.min_iou if semantic is Semantic.VEGETATION else -1.0
+
+
+def tell_apart(changes: Sequence[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
+    """Decide the bodies of a split or merge one by one where they did not fare alike."""
+    following = 1 + max((t.instance for c in changes for t in (*c.before, *c.after)), default=0)
+    told: list[ObjectChange] = []
+    for change in changes:
+        pieces = pieces_apart(change.before, change.after, rules.association, following)
+        if len(pieces) == 1:
+            told.append(change)
+            continue
+        parts = [decide_object(b, a, change.semantic, rules) for b, a in pieces]
+        labels = {part.decision.change for part in parts}
+        told.extend(parts if len(labels) > 1 and not labels.isdisjoint(_CLAIMS) else [change])
+        following += sum(len(p.before) + len(p.after) for p in parts)
+    return told
+
+
+def part_sections(changes: Sequence[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
+    """Give the sections of hedges whose tops moved rows of their own, or the whole where nearly all did."""
+    if rules.association.parts.points == 0:
+        return list(changes)
+    following = 1 + max((t.instance for c in changes for t in (*c.before, *c.after)), default=0)
+    parted: list[ObjectChange] = []
+    for change in changes:
+        pieces = _sections(change, following, rules)
+        parted.extend(pieces)
+        following += sum(len(p.before) + len(p.after) for p in pieces)
+    return parted
+
+
+def _sections(change: ObjectChange, following: int, rules: ObjectRules) -> list[ObjectChange]:
+    if change.semantic is not Semantic.VEGETATION or not (change.before and change.after):
+        return [change]
+    limit = max(rules.decisions.vegetation.height, rules.decisions.lod_factor * change.lod)
+    sections, columns = moved_sections(change.before, change.after, limit)
+    if not sections:
+        return [change]
+    decisions = [_moved_top(section) for section in sections]
+    if sum(len(s.xy) for s in sections) >= _WHOLE * len(columns):
+        largest = decisions[int(np.argmax([len(s.xy) for s in sections]))]
+        return [replace(change, decision=largest) if change.decision.change is Change.UNCHANGED else change]
+    sides: list[list[list[Thing]]] = []
+    for things in (change.before, change.after):
+        side: list[list[Thing]] = [[] for _ in range(len(sections) + 1)]
+        for thing in things:
+            numbers, labels = np.unique(section_labels(thing, sections, columns), return_inverse=True)
+            for number, piece in zip(numbers.tolist(), divided(thing, labels, following), strict=True):
+                side[number].append(piece)
+            following += len(numbers)
+        sides.append(side)
+    pieces = [decide_object(b, a, change.semantic, rules) for b, a in zip(*sides, strict=True) if b or a]
+    if len(pieces) <= len(sections) or not all(p.before and p.after for p in pieces):
+        return [change]
+    return [pieces[0], *(replace(p, decision=d) for p, d in zip(pieces[1:], decisions, strict=True))]
+
+
+def _moved_top(section: Section) -> Decision:
+    change = Change.INCREASED if section.rise > 0 else Change.DECREASED
+    reason = f"top {section.rise:+.2f} m (gate {section.gate:.2f}) over {0.25 * len(section.xy):.0f} m2"
+    return Decision(change, reason, abs(section.rise) / section.gate)
+
+
+def adopt_fragments(
+    changes: list[ObjectChange],
+    things_b: Sequence[Thing],
+    things_a: Sequence[Thing],
+    config: AssociationConfig,
+    tolerance: float,
+) -> list[ObjectChange]:
+    """Let left-over fragments join the changed object that the other epoch holds in their place.
+
+    A part of a wall may look like a hedge in one epoch: its class keeps it
+    from its partner, its place does not, and every point of a changed object
+    carries its label. Statistics stay those of the object without them.
+    """
+    if not things_b or not things_a:
+        return changes
+    overlaps = overlap_counts(things_b, things_a, tolerance)
+    slots = [{t.instance: i for i, t in enumerate(things)} for things in (things_b, things_a)]
+    hosts = {
+        (epoch, part.instance): number
+        for number, change in enumerate(changes)
+        if change.decision.change in (Change.INCREASED, Change.DECREASED)
+        for epoch, parts in enumerate((change.before, change.after))
+        for part in parts
+    }
+    joined: dict[int, list[int]] = {}
+    for number, change in enumerate(changes):
+        if change.match_kind != "none" or change.decision.change is not Change.UNCHANGED:
+            continue
+        epoch = 0 if change.before else 1
+        part = (*change.before, *change.after)[0]
+        row = overlaps[epoch][[slots[epoch][part.instance]], :].tocoo()
+        if row.nnz == 0 or row.data.max() <= config.contained * len(part.voxels):
+            continue
+        other = (things_a, things_b)[epoch][int(row.col[row.data.argmax()])]
+        host = hosts.get((1 - epoch, other.instance))
+        if host is not None:
+            joined.setdefault(host, []).append(number)
+    gone = {number for numbers in joined.values() for number in numbers}
+    return [
+        _with_parts(change, [changes[k] for k in joined.get(number, [])])
+        for number, change in enumerate(changes)
+        if number not in gone
+    ]
+
+
+def _with_parts(change: ObjectChange, fragments: Sequence[ObjectChange]) -> ObjectChange:
+    before = (*change.before, *(t for f in fragments for t in f.before))
+    after = (*change.after, *(t for f in fragments for t in f.after))
+    kind = match_kind(len(before), len(after))
+    return replace(change, before=before, after=after, match_kind=kind)
+
+
+def agree_on_classes(
+    before: list[Thing], after: list[Thing], config: AssociationConfig, tolerance: float
+) -> tuple[list[Thing], list[Thing]]:
+    """Give one thing one class (C6): where two objects mostly coincide, the better score wins."""
+    if not before or not after:
+        return before, after
+    forward, backward = overlap_counts(before, after, tolerance)
+    before, after = list(before), list(after)
+    common = forward.multiply(backward.T).tocoo()
+    for i, j in zip(common.row.tolist(), common.col.tolist(), strict=True):
+        b, a = before[i], after[j]
+        if b.semantic is a.semantic:
+            continue
+        shares = (forward[i, j] / len(b.voxels), backward[j, i] / len(a.voxels))
+        if min(shares) < config.same_place:
+            continue
+        winner = b.semantic if b.score >= a.score else a.semantic
+        before[i], after[j] = replace(b, semantic=winner), replace(a, semantic=winner)
+    return before, after
