@@ -8,8 +8,7 @@ from test_measures import block, voxels, walls
 
 from subiaco_change.changes.apart import pieces_apart
 from subiaco_change.changes.association_costs import AssociationConfig
-from subiaco_change.changes.decisions import DecisionConfig
-from subiaco_change.changes.judging import drove_by, lies_flat
+from subiaco_change.changes.judging import lies_flat
 from subiaco_change.changes.objects import Thing, Voxels
 from subiaco_change.changes.parts import PartConfig, part_things
 from subiaco_change.changes.wings import built, find_wings
@@ -94,41 +93,6 @@ def test_a_house_that_leans_on_one_neighbour_more_than_on_the_other_is_no_wing()
 def test_a_house_gone_from_a_row_that_is_one_instance_was_no_wing():
     row = voxels(np.concatenate([HOUSE, np.add(HOUSE, (16, 0, 0))]))
     assert find_wings([(row, row), (moved(walls(6, 8, 4), 10), NONE)], CONFIG) == {}
-
-
-def passing(top, passed):
-    cells = block((0, 0, 0), (4, 2, top))
-    seen = thing([(cells, False)])
-    return replace(seen, passed=np.full(len(seen.points), passed))
-
-
-@pytest.mark.parametrize(
-    ("passed", "top", "through", "trail"),
-    [
-        (6.0, 1.5, 0.5, True),
-        (1.0, 1.5, 1.0, False),
-        (6.0, 8.0, 1.0, False),
-        (1.7, 1.5, 0.5, False),
-        (1.7, 1.5, 0.95, True),
-    ],
-    ids=[
-        "looked through",
-        "solid",
-        "a tall crown",
-        "a hedge that beams graze",
-        "nothing behind stopped a beam",
-    ],
-)
-def test_what_its_own_survey_looked_through_only_drove_by(passed, top, through, trail):
-    decision = drove_by([passing(top, passed)], through, DecisionConfig())
-    assert (decision is not None) == trail
-    if decision is not None:
-        assert decision.change is Change.NOT_REPORTED
-        assert f"{passed} beams passed" in decision.reason
-
-
-def test_an_object_is_a_trail_only_if_all_its_parts_were_looked_through():
-    assert drove_by([passing(1.5, 9.0), passing(1.5, 0.5)], 1.0, DecisionConfig()) is None
 
 
 def test_a_part_keeps_the_beams_of_its_own_points():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -17,16 +17,14 @@ from subiaco_change.changes.measures import (
     OpenGround,
     measure,
 )
-from subiaco_change.changes.objects import Thing, join_voxels, looked_across
+from subiaco_change.changes.objects import Thing, join_voxels
 from subiaco_change.changes.outline import compare_outlines
-from subiaco_change.semantics.ground import Mask
+from subiaco_change.changes.passing import OwnSurvey, drove_by
 from subiaco_geo.codes import Change, Semantic
-from subiaco_geo.frames import Floats, Ints
+from subiaco_geo.frames import Ints
 
 _FLAT_TOP = 0.6  # highest top of what may be ground raised or laid on it [m]
 _LEVEL = 0.75  # mean upward part of its normals
-_BESIDE = 0.5  # so far beside a surface lies the next voxel of the visibility layer [m]
-Observed = Callable[[Floats], Mask]
 
 
 @dataclass(frozen=True)
@@ -68,7 +66,7 @@ class ObjectRules:
     decisions: DecisionConfig
     by_class: bool = True  # objects of different classes are never one
     ground: OpenGround = BUILT_UP  # where nothing stands
-    own: tuple[Observed | None, Observed | None] = (None, None)  # what the surveys of *before*, *after* saw
+    own: tuple[OwnSurvey | None, OwnSurvey | None] = (None, None)  # of *before* and of *after*
 
 
 def decide_object(
@@ -83,8 +81,8 @@ def decide_object(
     decision = decide(semantic, bool(before), bool(after), measures, lod, rules.decisions)
     if decision.change in (Change.ADDED, Change.REMOVED):
         things = (*before, *after)
-        through = _looked_through(things, rules.own[0] if before else rules.own[1])
-        decision = lies_flat(semantic, things) or drove_by(things, through, rules.decisions) or decision
+        own = rules.own[0] if before else rules.own[1]
+        decision = lies_flat(semantic, things) or drove_by(things, semantic, own, rules.decisions) or decision
     kind = match_kind(len(before), len(after))
     return ObjectChange(tuple(before), tuple(after), semantic, kind, measures, decision)
 
@@ -98,26 +96,3 @@ def lies_flat(semantic: Semantic, things: Sequence[Thing]) -> Decision | None:
     if level < _LEVEL:
         return None
     return Decision(Change.NOT_REPORTED, "lies flat on the ground, which is compared by itself", 1.0)
-
-
-def drove_by(things: Sequence[Thing], through: float, rules: DecisionConfig) -> Decision | None:
-    """Tell a trail from a thing: low, and its own survey looked through all of it.
-
-    ``through`` is the share of the surface on both sides of which that survey looked: where this is
-    nearly all of it, fewer beams suffice, for what stands lets none go on behind it.
-    """
-    top = max(float(t.voxels.height.max()) for t in things)
-    passed = min(float(np.quantile(t.passed, 0.25)) if len(t.passed) else 0.0 for t in things)
-    enough = rules.trail_passes_through if through >= rules.trail_through else rules.trail_passes
-    if top > rules.trail_top or passed < enough:
-        return None
-    reason = f"drove by while it was mapped: {passed:.1f} beams passed for each that returned"
-    return Decision(Change.NOT_REPORTED, reason, passed / enough)
-
-
-def _looked_through(things: Sequence[Thing], own: Observed | None) -> float:
-    """Share of the surface of things on both sides of which their own survey looked."""
-    if own is None:
-        return 1.0
-    voxels = join_voxels(things)
-    return float(looked_across(voxels.xyz, voxels.normal, own, _BESIDE).mean())

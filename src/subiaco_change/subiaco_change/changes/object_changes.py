@@ -10,7 +10,7 @@ import numpy as np
 
 from subiaco_change.changes.association import Match, associate
 from subiaco_change.changes.confidence import ConfidenceConfig, confidence, features, paper_score
-from subiaco_change.changes.judging import ObjectChange, ObjectRules, Observed, decide_object
+from subiaco_change.changes.judging import ObjectChange, ObjectRules, decide_object
 from subiaco_change.changes.measures import OpenGround, footprint, ground_columns
 from subiaco_change.changes.objects import (
     EpochView,
@@ -20,6 +20,7 @@ from subiaco_change.changes.objects import (
     build_voxels,
 )
 from subiaco_change.changes.parts import part_things
+from subiaco_change.changes.passing import Observed, own_survey
 from subiaco_change.changes.revising import (
     adopt_fragments,
     agree_on_classes,
@@ -41,7 +42,11 @@ def compare_objects(
     reach = Reach(rules.measures.same_low, rules.measures.same_high, rules.measures.same_factor)
     step = rules.measures.crossing
     bare = [ground_columns(v.xyz[v.semantic == Semantic.GROUND], edge) for v in (before, after)]
-    rules = replace(rules, ground=OpenGround(bare[0], bare[1]), own=(seen_by_before, seen_by_after))
+    rules = replace(
+        rules,
+        ground=OpenGround(bare[0], bare[1]),
+        own=(own_survey(before, seen_by_before), own_survey(after, seen_by_after)),
+    )
     things_b = build_things(before, build_voxels(before, after, seen_by_after, edge, reach, step))
     things_a = build_things(after, build_voxels(after, before, seen_by_before, edge, reach, step))
     things_b, things_a = (part_things(things, rules.association.parts) for things in (things_b, things_a))
