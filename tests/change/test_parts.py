@@ -180,10 +180,16 @@ def test_a_roof_over_its_walls_and_a_small_fragment_are_no_bodies_of_their_own()
 
 @pytest.mark.parametrize(
     ("semantic", "height", "flat"),
-    [(Semantic.OTHER, 0.5, True), (Semantic.OTHER, 1.5, False), (Semantic.MOBILE, 0.5, False)],
-    ids=["a strip of new paving", "a bench", "a car's floor"],
+    [
+        (Semantic.OTHER, 0.5, True),
+        (Semantic.OTHER, 1.5, False),
+        (Semantic.MOBILE, 0.5, True),
+        (Semantic.MOBILE, 1.0, False),
+        (Semantic.BUILDING, 0.5, False),
+    ],
+    ids=["a strip of new paving", "a bench", "road that passed for a car", "a car's floor", "a terrace"],
 )
-def test_what_lies_flat_and_has_no_class_is_left_to_the_ground(semantic, height, flat):
+def test_what_lies_flat_is_left_to_the_ground(semantic, height, flat):
     slab = thing([(block((0, 0, 0), (8, 2, height)), False)])
     decision = lies_flat(semantic, [slab])
     assert (decision is not None) == flat

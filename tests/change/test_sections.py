@@ -68,6 +68,36 @@ def test_tops_of_trees_are_not_compared():
     assert moved_sections([before], [after], 0.3)[0] == []
 
 
+@pytest.mark.parametrize("share", [0.01, 0.04, 0.15])
+@pytest.mark.parametrize("sparser", ["before", "after"])
+def test_the_end_of_a_hedge_that_few_beams_met_in_one_epoch_keeps_its_top(sparser, share):
+    rng = np.random.default_rng(7)
+    full, other = hedge([(0, 12, 1.5)], 1), hedge([(0, 12, 1.5)], 2)
+    few = other.xyz[(other.xyz[:, 0] < 7) | (rng.random(len(other.xyz)) < share)]
+    thin = replace(other, xyz=few, points=np.arange(len(few)))
+    pair = (thin, full) if sparser == "before" else (full, thin)
+    assert moved_sections([pair[0]], [pair[1]], 0.3)[0] == []
+
+
+def test_a_thinly_sampled_trim_is_found_where_its_tops_moved_beyond_their_spread():
+    rng = np.random.default_rng(7)
+    full, other = hedge([(0, 12, 1.8)], 1), hedge([(0, 6, 1.8), (6, 12, 0.9)], 2)
+    few = other.xyz[rng.random(len(other.xyz)) < 0.15]
+    thin = replace(other, xyz=few, points=np.arange(len(few)))
+    (section,), _ = moved_sections([full], [thin], 0.3)
+    assert section.rise == pytest.approx(-0.85, abs=0.2)
+    assert section.xy[:, 0].min() > 5
+
+
+def test_where_points_of_another_class_stood_nothing_grew():
+    before, after = hedge([(0, 12, 1.2)], 1), hedge([(0, 6, 1.2), (6, 12, 2.0)], 2)
+    wall = block((6, 0, 1.2), (12, 1, 2.0), 0.2)
+    nothing = np.zeros((0, 3))
+    assert [s.rise > 0.6 for s in moved_sections([before], [after], 0.3)[0]] == [True]
+    assert moved_sections([before], [after], 0.3, (wall, nothing))[0] == []
+    assert len(moved_sections([before], [after], 0.3, (wall + (0, 0, 3), nothing))[0]) == 1
+
+
 def test_tops_that_few_beams_met_are_not_trimmed():
     rng = np.random.default_rng(5)
     before, after = hedge([(0, 12, 1.5)], 1), hedge([(0, 12, 1.5)], 2)

@@ -18,6 +18,7 @@ from subiaco_change.changes.objects import (
     Thing,
     build_things,
     build_voxels,
+    stands,
 )
 from subiaco_change.changes.parts import part_things
 from subiaco_change.changes.revising import (
@@ -41,7 +42,12 @@ def compare_objects(
     reach = Reach(rules.measures.same_low, rules.measures.same_high, rules.measures.same_factor)
     step = rules.measures.crossing
     bare = [ground_columns(v.xyz[v.semantic == Semantic.GROUND], edge) for v in (before, after)]
-    rules = replace(rules, ground=OpenGround(bare[0], bare[1]), own=(seen_by_before, seen_by_after))
+    rules = replace(
+        rules,
+        ground=OpenGround(bare[0], bare[1]),
+        own=(seen_by_before, seen_by_after),
+        standing=(before.xyz[stands(before)], after.xyz[stands(after)]),
+    )
     things_b = build_things(before, build_voxels(before, after, seen_by_after, edge, reach, step))
     things_a = build_things(after, build_voxels(after, before, seen_by_before, edge, reach, step))
     things_b, things_a = (part_things(things, rules.association.parts) for things in (things_b, things_a))

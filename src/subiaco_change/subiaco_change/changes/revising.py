@@ -111,7 +111,7 @@ def _sections(change: ObjectChange, following: int, rules: ObjectRules) -> list[
     if change.semantic is not Semantic.VEGETATION or not (change.before and change.after):
         return [change]
     limit = max(rules.decisions.vegetation.height, rules.decisions.lod_factor * change.lod)
-    sections, columns = moved_sections(change.before, change.after, limit)
+    sections, columns = moved_sections(change.before, change.after, limit, rules.standing)
     if not sections:
         return [change]
     decisions = [_moved_top(section) for section in sections]
