@@ -32,8 +32,9 @@ import yaml
 from subiaco_change.config import ChangeConfig
 from subiaco_change.job import ChangeJob, Work, run_change
 from subiaco_geo.clouds import PointCloud, unpack_voxel_keys, voxel_keys
-from subiaco_geo.maps import SurveyMap, load_epoch
+from subiaco_geo.maps import load_epoch
 from subiaco_geo.ply_io import write_ply_parts
+from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.visibility import VisibilityGrid
 
 PITCH = 400.0  # between streets [m]

@@ -26,7 +26,8 @@ import numpy as np
 from results import keep, rounded
 
 from subiaco_geo.frames import Floats, make_pose
-from subiaco_geo.maps import SurveyMap, write_map
+from subiaco_geo.maps import write_map
+from subiaco_geo.survey_map import SurveyMap
 from subiaco_mapping.config import FusionConfig
 from subiaco_mapping.finishing import FinishedMap, MapFusion
 from subiaco_mapping.heights import height_table

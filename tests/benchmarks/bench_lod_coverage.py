@@ -45,7 +45,8 @@ from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Semantic
 from subiaco_geo.errors import RegistrationError
 from subiaco_geo.frames import Floats
-from subiaco_geo.maps import SurveyMap, load_epoch
+from subiaco_geo.maps import load_epoch
+from subiaco_geo.survey_map import SurveyMap
 from subiaco_sim.config import MapErrorConfig
 from subiaco_sim.drives import MAP_CRS, WORLD
 from subiaco_sim.map_errors import MapWarp

@@ -34,7 +34,7 @@ from subiaco_change.injection.inject import read_donors
 from subiaco_geo.cloud_io import write_cloud
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.frames import make_pose
-from subiaco_geo.maps import SurveyMap
+from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.trajectories import Trajectory
 
 EDITS = {"inserted": 24, "removed": 4, "moved": 2, "grown": 4, "cut": 4, "patches": 6, "min_points": 60}

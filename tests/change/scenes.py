@@ -7,7 +7,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from subiaco_geo.clouds import PointCloud, voxel_downsample
-from subiaco_geo.maps import SurveyMap
+from subiaco_geo.survey_map import SurveyMap
 
 DENSITY = 40.0  # points a square metre before thinning to the leaf
 NOISE = 0.015

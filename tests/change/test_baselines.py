@@ -11,7 +11,7 @@ from subiaco_change.baselines.run import METHODS, compare_pair, detect_simply, p
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.errors import InputError, RegistrationError
-from subiaco_geo.maps import SurveyMap
+from subiaco_geo.survey_map import SurveyMap
 
 IDENTITY = np.eye(4)
 CONFIG = BaselineConfig()

@@ -9,8 +9,8 @@ from subiaco_change.observation.evidence import EvidenceConfig, ground_observed,
 from subiaco_geo.clouds import PointCloud, voxel_downsample
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import make_pose
-from subiaco_geo.maps import SurveyMap
 from subiaco_geo.raywalk import accumulate_visibility
+from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.trajectories import Trajectory
 
 ORIGIN = np.array([391_000.0, 6_464_000.0, 10.0])

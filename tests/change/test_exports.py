@@ -12,7 +12,8 @@ from subiaco_geo.cloud_io import read_cloud
 from subiaco_geo.clouds import from_world
 from subiaco_geo.errors import InputError
 from subiaco_geo.exports import export_map
-from subiaco_geo.maps import SurveyMap, write_map
+from subiaco_geo.maps import write_map
+from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.trajectories import Trajectory
 
 

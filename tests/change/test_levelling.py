@@ -12,7 +12,7 @@ from subiaco_change.observation.evidence import EvidenceConfig
 from subiaco_change.pipeline import detect_changes
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Change, Semantic
-from subiaco_geo.maps import SurveyMap
+from subiaco_geo.survey_map import SurveyMap
 
 TILT = Rotation.from_euler("xy", (10.0, -6.0), degrees=True).as_matrix()
 

@@ -10,7 +10,7 @@ from subiaco_geo.clouds import PointCloud
 from subiaco_geo.crs import transformer
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import make_pose
-from subiaco_geo.maps import SurveyMap
+from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.trajectories import Trajectory
 
 PERTH = np.array([391_200.0, 6_464_300.0, 12.0])

@@ -8,7 +8,7 @@ from subiaco_change.config import ChangeConfig
 from subiaco_change.pipeline import detect_changes
 from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.codes import Change, Semantic
-from subiaco_geo.maps import SurveyMap
+from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.visibility import VisibilityGrid
 
 IDENTITY = np.eye(4)

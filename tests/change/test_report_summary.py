@@ -14,7 +14,7 @@ from subiaco_change.report.facts import changed_rows
 from subiaco_change.report.gathering import gather
 from subiaco_change.report.page import build_report
 from subiaco_change.report.summary import build_summary, day_of, epoch_facts, largest_rows
-from subiaco_geo.maps import SurveyMap
+from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.trajectories import Trajectory
 
 HOUR_NS = 3_600_000_000_000

@@ -13,7 +13,7 @@ from subiaco_change.pipeline import detect_changes
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.errors import InputError
-from subiaco_geo.maps import SurveyMap
+from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.work.bench import Workbench, stages_from
 from subiaco_geo.work.executors import InProcess, LocalPool
 from subiaco_geo.work.store import DiskStore

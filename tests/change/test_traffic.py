@@ -14,7 +14,7 @@ from subiaco_change.semantics.classes import SemanticsConfig, label_points
 from subiaco_change.semantics.instances import InstanceConfig, segment
 from subiaco_geo.clouds import PointCloud, voxel_downsample, voxel_indices, voxel_keys
 from subiaco_geo.codes import Change, Semantic
-from subiaco_geo.maps import SurveyMap
+from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.visibility import VisibilityGrid
 
 SCENE = Scene(cars=[(-10, 3), (12, 4)])

@@ -13,7 +13,7 @@ from subiaco_change.observation.uncertainty import (
     pose_errors,
 )
 from subiaco_geo.clouds import PointCloud
-from subiaco_geo.maps import PoseUncertainty, SurveyMap
+from subiaco_geo.survey_map import PoseUncertainty, SurveyMap
 from subiaco_geo.trajectories import Trajectory
 
 EAST = np.array([1.0, 0.0, 0.0])

@@ -32,8 +32,8 @@ from subiaco_change.tiled.run import CityRun
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats
-from subiaco_geo.maps import SurveyMap
 from subiaco_geo.sources import LoadedEpoch
+from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.tiles import split_by_tile
 from subiaco_geo.work.bench import Workbench
 from subiaco_geo.work.tasks import Inputs

@@ -11,7 +11,8 @@ import pytest
 from small_clouds import ORIGIN, street, write_ply, write_street
 
 from subiaco_geo.clouds import PointCloud
-from subiaco_geo.maps import SurveyMap, write_map
+from subiaco_geo.maps import write_map
+from subiaco_geo.survey_map import SurveyMap
 
 
 @pytest.fixture

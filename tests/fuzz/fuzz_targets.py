@@ -378,7 +378,8 @@ def _read_transform(path: Path) -> object:
 
 def _read_map_facts(path: Path) -> object:
     """Read a map directory whose ``map.yaml`` is damaged."""
-    from subiaco_geo.maps import SurveyMap, read_map, write_map
+    from subiaco_geo.maps import read_map, write_map
+    from subiaco_geo.survey_map import SurveyMap
 
     folder = path.parent / "map"
     if not folder.is_dir():
@@ -388,7 +389,8 @@ def _read_map_facts(path: Path) -> object:
 
 
 def _map_facts_seeds(folder: Path) -> list[bytes]:
-    from subiaco_geo.maps import SurveyMap, write_map
+    from subiaco_geo.maps import write_map
+    from subiaco_geo.survey_map import SurveyMap
 
     write_map(folder / "seedmap", SurveyMap(cloud=_small_cloud(), info={"seed": 1}))
     return [(folder / "seedmap" / "map.yaml").read_bytes()]

@@ -49,8 +49,13 @@ def test_a_window_far_from_all_points_is_empty_and_keeps_the_fields(cloud, tmp_p
     assert found.fields["instance"].dtype == np.int32
 
 
-def test_a_file_that_can_only_be_read_whole_gives_every_point_once(cloud, tmp_path, monkeypatch):
-    monkeypatch.setattr(cloud_windows, "RUN", 256)
+@pytest.mark.parametrize(("run", "kept"), [(256, True), (512, False)])
+def test_a_file_that_can_only_be_read_whole_gives_every_point_once(cloud, tmp_path, monkeypatch, run, kept):
+    monkeypatch.setattr(cloud_windows, "RUN", run)
     write_cloud(tmp_path / "cloud.laz", cloud)
-    found = CloudFile(tmp_path / "cloud.laz", None).inside(*ORIGIN[:2], *(ORIGIN[:2] + 101.0))
+    opened = CloudFile(tmp_path / "cloud.laz", None)
+    if kept:  # not read again
+        (tmp_path / "cloud.laz").unlink()
+        assert sum(len(part) for part in opened.parts()) == len(cloud)
+    found = opened.inside(*ORIGIN[:2], *(ORIGIN[:2] + 101.0))
     assert found.fields["instance"].tolist() == cloud.fields["instance"].tolist()

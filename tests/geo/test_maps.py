@@ -14,7 +14,8 @@ from subiaco_geo.cloud_io import write_cloud
 from subiaco_geo.clouds import PointCloud, from_world, voxel_keys
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import exp_se3
-from subiaco_geo.maps import PoseUncertainty, SurveyMap, load_epoch, plain, read_map, write_map
+from subiaco_geo.maps import load_epoch, plain, read_map, write_map
+from subiaco_geo.survey_map import PoseUncertainty, SurveyMap
 from subiaco_geo.trajectories import Trajectory, write_tum
 from subiaco_geo.visibility import VisibilityGrid
 

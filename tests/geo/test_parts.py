@@ -10,9 +10,10 @@ from subiaco_geo.cloud_parts import cloud_parts
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.errors import InputError
 from subiaco_geo.las_writing import las_stream
-from subiaco_geo.maps import SurveyMap, load_epoch, write_map
+from subiaco_geo.maps import load_epoch, write_map
 from subiaco_geo.ply_io import write_ply_parts
 from subiaco_geo.sources import open_epoch
+from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.visibility import VisibilityGrid, load_visibility, save_visibility, visibility_parts
 
 ORIGIN = np.array([391_000.0, 6_460_000.0, 0.0])

@@ -19,7 +19,7 @@ from subiaco_change.records import ChangeRecord, ChangeResult
 from subiaco_geo.clouds import PointCloud, from_world, voxel_downsample
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats, transform_points
-from subiaco_geo.maps import SurveyMap
+from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.trajectories import Trajectory
 from subiaco_mapping.config import FusionConfig
 from subiaco_mapping.fusion import VoxelAccumulator, add_scan, fused_cloud, within

@@ -23,7 +23,8 @@ from subiaco_geo.bags import BagReader, BagWriter
 from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.config import load_config
 from subiaco_geo.errors import InputError, RegistrationError, SubiacoError
-from subiaco_geo.maps import SurveyMap, read_map, write_map
+from subiaco_geo.maps import read_map, write_map
+from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.topics import LATCHED, LIDAR_PACKETS
 from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.pipeline import map_survey

@@ -36,7 +36,8 @@ from subiaco_change.records import ChangeResult
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Change
 from subiaco_geo.frames import Floats, invert_pose, make_pose
-from subiaco_geo.maps import SurveyMap, read_map
+from subiaco_geo.maps import read_map
+from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.trajectories import Trajectory
 
 LOGGER = logging.getLogger(__name__)

@@ -3,7 +3,7 @@
 from dataclasses import replace
 from pathlib import Path
 
-from subiaco_geo.maps import SurveyMap
+from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.trajectories import Trajectory, read_tum
 from subiaco_mapping.config import GnssConfig, MappingConfig
 from subiaco_mapping.pipeline import map_survey

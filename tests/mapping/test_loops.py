@@ -14,8 +14,8 @@ from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.graph.records import LoopEdge
 from subiaco_mapping.loops.config import LoopConfig
 from subiaco_mapping.loops.consistency import consistent_set, disagreement
-from subiaco_mapping.loops.finder import Place
 from subiaco_mapping.loops.overlay import overlay
+from subiaco_mapping.loops.places import Place
 from subiaco_mapping.loops.registration import Prepared, register
 from subiaco_mapping.loops.scan_context import SECTORS, compare, describe
 from subiaco_mapping.loops.submaps import Submap, SubmapBuilder

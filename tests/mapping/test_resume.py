@@ -11,7 +11,8 @@ from mapping_scenes import SECOND, START_NS, point_cloud_message, room_scan, tur
 
 from subiaco_geo.bags import TYPESTORE, BagWriter
 from subiaco_geo.errors import InputError
-from subiaco_geo.maps import SurveyMap, write_map
+from subiaco_geo.maps import write_map
+from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.topics import FIX, MESSAGE_TYPES, POINTS
 from subiaco_mapping import pipeline
 from subiaco_mapping.config import (

@@ -24,9 +24,10 @@ from subiaco_geo.atomic import refuse_existing, refuse_foreign
 from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError, RegistrationError
 from subiaco_geo.frames import Floats
-from subiaco_geo.maps import SurveyMap, load_epoch
+from subiaco_geo.maps import load_epoch
 from subiaco_geo.simulated import SIMULATIONS, distinct
 from subiaco_geo.sources import Epoch, open_epoch
+from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.work.bench import Workbench, stages_from
 from subiaco_geo.work.executors import make_executor
 from subiaco_geo.work.store import DiskStore

@@ -20,8 +20,8 @@ from subiaco_change.tiled.placing import load_sigma
 from subiaco_change.tiled.run import CityRun, Pass
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.frames import Floats
-from subiaco_geo.maps import SurveyMap
 from subiaco_geo.sources import Epoch, LoadedEpoch
+from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.tiles import tile_named
 from subiaco_geo.work.bench import Progress, Workbench
 from subiaco_geo.work.tasks import Inputs

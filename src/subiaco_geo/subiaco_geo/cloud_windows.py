@@ -36,8 +36,11 @@ class CloudFile:
 
     def __init__(self, path: Path, fields: tuple[str, ...] | None) -> None:
         self.path, self._fields = path, fields
+        self._whole: PointCloud | None = None
         boxes = []
-        for part in self.parts():
+        for part in cloud_parts(path, fields, _PASS * RUN):
+            if len(part) > _PASS * RUN:  # a file that cannot be read in parts is not read again
+                self._whole = part
             world = part.world()
             starts = np.arange(0, len(world), RUN)
             ends = (np.minimum, np.maximum)
@@ -50,12 +53,16 @@ class CloudFile:
 
     def parts(self) -> Iterator[PointCloud]:
         """Yield all points part by part."""
+        if self._whole is not None:
+            return iter((self._whole,))
         return cloud_parts(self.path, self._fields, _PASS * RUN)
 
     def _read(self, run: int) -> PointCloud:
-        cloud = next(cloud_parts(self.path, self._fields, RUN, run * RUN))
-        if len(cloud) > RUN:  # a file that is read whole is one part, however long
-            cloud = cloud.select(np.arange(RUN))
+        if self._whole is not None:
+            cloud = self._whole.select(np.arange(run * RUN, min((run + 1) * RUN, len(self._whole))))
+        else:
+            cloud = next(cloud_parts(self.path, self._fields, RUN, run * RUN))
+            cloud = cloud.select(np.arange(min(RUN, len(cloud))))  # a short one that is read whole
         return cloud.rebased(self._origin)
 
     def inside(self, west: float, south: float, east: float, north: float) -> PointCloud:

@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field, replace
+from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,13 +16,17 @@ from subiaco_geo.cloud_io import read_cloud, write_cloud
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.config import load_yaml, read_parameters
 from subiaco_geo.errors import InputError
-from subiaco_geo.frames import Floats, Ints
+from subiaco_geo.map_tables import (
+    read_heights,
+    read_uncertainty,
+    write_heights,
+    write_tile_uncertainty,
+    write_uncertainty,
+)
 from subiaco_geo.simulated import mark_simulated
-from subiaco_geo.tile_uncertainty import TILE_COLUMNS, tile_uncertainty
+from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.trajectories import (
     Trajectory,
-    format_seconds,
-    parse_seconds,
     read_kitti,
     read_tum,
     write_kitti,
@@ -31,93 +34,8 @@ from subiaco_geo.trajectories import (
 )
 from subiaco_geo.visibility import VisibilityGrid, load_visibility, save_visibility
 
-#: Columns of ``heights.csv`` and of :attr:`SurveyMap.heights`: centre of a 20 m tile
-#: [m], median ground height [m], ground points, tilt of the ground [rad].
-HEIGHT_COLUMNS = ("east", "north", "ground_height", "n", "tilt")
 #: Coordinates beyond are none of the Earth [m].
 _FARTHEST = 1e9
-_TWIST = ("rx", "ry", "rz", "x", "y", "z")
-_UPPER = np.triu_indices(6)
-_COVARIANCE_COLUMNS = [f"cov_{_TWIST[i]}_{_TWIST[j]}" for i, j in zip(*_UPPER, strict=True)]
-_UNCERTAINTY_COLUMNS = ["time_s", "sequence", *(f"sigma_{axis}" for axis in _TWIST), *_COVARIANCE_COLUMNS]
-
-
-@dataclass(frozen=True)
-class PoseUncertainty:
-    """Covariances of map poses.
-
-    Parameters
-    ----------
-    times_ns : (M,) int64
-        UTC times, those of the trajectory.
-    sequences : sequence of str
-        M names: which recording a pose belongs to.
-    covariances : (M, 6, 6) float64
-        Rotation first [rad2, rad m, m2], about the axes of the map, of ``lidar_link``.
-    """
-
-    times_ns: Ints
-    sequences: Sequence[str]
-    covariances: Floats
-
-    def __post_init__(self) -> None:
-        shape = (len(self.times_ns), 6, 6)
-        if self.covariances.shape != shape or len(self.sequences) != shape[0]:
-            raise InputError(f"covariances must have shape {shape} and one sequence name each")
-
-    @property
-    def sigmas(self) -> Floats:
-        """Standard deviations (M, 6), rotation [rad] then translation [m]."""
-        return np.asarray(np.sqrt(np.diagonal(self.covariances, axis1=1, axis2=2)))
-
-
-@dataclass(frozen=True)
-class SurveyMap:
-    """One epoch as the change stage sees it.
-
-    Parameters
-    ----------
-    cloud : PointCloud
-        Static points at the working leaf; a CRS of None is a local map.
-    trajectory : Trajectory, optional
-        ``T_map_lidar`` at each scan's last column, world coordinates.
-    visibility : VisibilityGrid, optional
-    uncertainty : PoseUncertainty, optional
-    info : mapping
-        ``map.yaml``: epoch, time range, leaf, configuration hash, input bags with hashes ...
-    last : PointCloud, optional
-        Last returns.
-    odometry : mapping of str to Trajectory
-        Raw odometry a sequence, ``T_lidar0_lidar``.
-    manifest : mapping
-        Flagged stretches of the survey.
-    heights : (K, 5) float64, optional
-        See :data:`HEIGHT_COLUMNS`.
-    config : mapping
-        The configuration as resolved.
-    pages : mapping of str to str
-        Reports to lay beside the map: file name and text; not read back.
-    moving : PointCloud, optional
-        What moved while the survey drove by; it is not in ``cloud``.
-    """
-
-    cloud: PointCloud
-    trajectory: Trajectory | None = None
-    visibility: VisibilityGrid | None = None
-    uncertainty: PoseUncertainty | None = None
-    info: Mapping[str, Any] = field(default_factory=dict)
-    last: PointCloud | None = None
-    odometry: Mapping[str, Trajectory] = field(default_factory=dict)
-    manifest: Mapping[str, Any] = field(default_factory=dict)
-    heights: Floats | None = None
-    config: Mapping[str, Any] = field(default_factory=dict)
-    pages: Mapping[str, str] = field(default_factory=dict)
-    moving: PointCloud | None = None
-
-    @property
-    def crs(self) -> str | None:
-        """CRS of the map, None for a local one."""
-        return self.cloud.crs
 
 
 def write_map(directory: Path, survey: SurveyMap, overwrite: bool = False) -> None:
@@ -142,8 +60,8 @@ def write_map(directory: Path, survey: SurveyMap, overwrite: bool = False) -> No
         if survey.visibility is not None:
             save_visibility(out / "visibility.npz", survey.visibility)
         if survey.heights is not None:
-            _write_heights(out / "heights.csv", survey.heights)
-            _write_tile_uncertainty(out / "tile_uncertainty.csv", survey, survey.heights)
+            write_heights(out / "heights.csv", survey.heights)
+            write_tile_uncertainty(out / "tile_uncertainty.csv", survey, survey.heights)
         _write_yaml(out / "map.yaml", _map_info(survey))
         _write_yaml(out / "manifest.yaml", survey.manifest)
         _write_yaml(out / "config.yaml", {"/**": {"ros__parameters": survey.config}})
@@ -176,13 +94,13 @@ def read_map(directory: Path, *, with_last: bool = True) -> SurveyMap:
         cloud=_read_map_cloud(directory, info),
         trajectory=_optional_trajectory(directory / "trajectory.tum"),
         visibility=_optional_visibility(directory / "visibility.npz"),
-        uncertainty=_read_uncertainty(uncertainty) if uncertainty.is_file() else None,
+        uncertainty=read_uncertainty(uncertainty) if uncertainty.is_file() else None,
         info=info,
         last=read_cloud(last) if with_last and last.is_file() else None,
         moving=read_cloud(moving) if with_last and moving.is_file() else None,
         odometry={p.stem: read_kitti(p) for p in _odometry_files(directory)},
         manifest=_read_yaml(directory / "manifest.yaml"),
-        heights=_read_heights(heights) if heights.is_file() else None,
+        heights=read_heights(heights) if heights.is_file() else None,
         config=_read_config(directory / "config.yaml"),
     )
 
@@ -239,7 +157,7 @@ def read_map_head(path: Path) -> SurveyMap:
     return SurveyMap(
         nothing,
         _optional_trajectory(path / "trajectory.tum"),
-        uncertainty=_read_uncertainty(uncertainty) if uncertainty.is_file() else None,
+        uncertainty=read_uncertainty(uncertainty) if uncertainty.is_file() else None,
         info={"crs": None, **info},
     )
 
@@ -321,65 +239,12 @@ def _write_trajectories(out: Path, survey: SurveyMap) -> None:
     if survey.trajectory is not None:
         write_tum(out / "trajectory.tum", survey.trajectory)
     if survey.uncertainty is not None:
-        _write_uncertainty(out / "uncertainty.csv", survey.uncertainty)
+        write_uncertainty(out / "uncertainty.csv", survey.uncertainty)
     (out / "odometry").mkdir()
     for name, odometry in survey.odometry.items():
         if not name or "/" in name or name.startswith(".") or name.endswith(".times"):
             raise InputError(f"sequence {name!r}: cannot be a file name; rename the bag")
         write_kitti(out / "odometry" / f"{name}.txt", odometry)
-
-
-def _write_uncertainty(path: Path, uncertainty: PoseUncertainty) -> None:
-    """Write time [s], sequence, six sigmas and the upper triangle of the covariance a row."""
-    upper = uncertainty.covariances[:, _UPPER[0], _UPPER[1]]
-    rows = zip(uncertainty.times_ns.tolist(), uncertainty.sequences, uncertainty.sigmas, upper, strict=True)
-    with path.open("w", newline="") as stream:
-        writer = csv.writer(stream)
-        writer.writerow(_UNCERTAINTY_COLUMNS)
-        for time_ns, sequence, sigmas, values in rows:
-            writer.writerow([format_seconds(time_ns), sequence, *(f"{v:.9g}" for v in (*sigmas, *values))])
-
-
-def _read_uncertainty(path: Path) -> PoseUncertainty:
-    with path.open(newline="") as stream:
-        header, *rows = list(csv.reader(stream)) or [[]]
-    if header != _UNCERTAINTY_COLUMNS:
-        raise InputError(f"{path}: unexpected columns; rebuild the map")
-    try:
-        times_ns = np.array([parse_seconds(row[0]) for row in rows], dtype=np.int64)
-        upper = np.array([[float(v) for v in row[8:]] for row in rows]).reshape(len(rows), 21)
-    except (ValueError, IndexError) as error:
-        raise InputError(f"{path}: damaged ({error}); rebuild the map") from error
-    covariances = np.zeros((len(rows), 6, 6))
-    covariances[:, _UPPER[0], _UPPER[1]] = upper
-    covariances[:, _UPPER[1], _UPPER[0]] = upper
-    return PoseUncertainty(times_ns, [row[1] for row in rows], covariances)
-
-
-def _write_heights(path: Path, heights: Floats) -> None:
-    if heights.ndim != 2 or heights.shape[1] != len(HEIGHT_COLUMNS):
-        raise InputError(f"heights must have shape (K, {len(HEIGHT_COLUMNS)}), got {heights.shape}")
-    formats = ["%.3f", "%.3f", "%.4f", "%d", "%.6f"]
-    np.savetxt(path, heights, fmt=formats, delimiter=",", header=",".join(HEIGHT_COLUMNS), comments="")
-
-
-def _write_tile_uncertainty(path: Path, survey: SurveyMap, heights: Floats) -> None:
-    if survey.trajectory is None or survey.uncertainty is None or len(survey.uncertainty.times_ns) == 0:
-        return
-    positions = survey.trajectory.at(survey.uncertainty.times_ns)[:, :3, 3]
-    rows = tile_uncertainty(heights[:, :3], positions, survey.uncertainty.covariances)
-    np.savetxt(path, rows, fmt="%.4f", delimiter=",", header=",".join(TILE_COLUMNS), comments="")
-
-
-def _read_heights(path: Path) -> Floats:
-    with path.open() as stream:
-        if stream.readline().strip().split(",") != list(HEIGHT_COLUMNS):
-            raise InputError(f"{path}: unexpected columns; rebuild the map")
-        rows = [line.split(",") for line in stream if line.strip()]
-    try:
-        return np.array(rows, dtype=np.float64).reshape(len(rows), len(HEIGHT_COLUMNS))
-    except ValueError as error:
-        raise InputError(f"{path}: damaged ({error}); rebuild the map") from error
 
 
 def _read_config(path: Path) -> dict[str, Any]:

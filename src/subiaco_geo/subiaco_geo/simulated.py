@@ -12,7 +12,7 @@ import yaml
 from subiaco_geo.errors import InputError
 
 if TYPE_CHECKING:
-    from subiaco_geo.maps import SurveyMap
+    from subiaco_geo.survey_map import SurveyMap
 
 #: What names a simulated survey for good: a figure holds for this simulator and scene only.
 _NAMES = ("preset", "seed", "simulator_hash", "preset_hash", "scene_hash")

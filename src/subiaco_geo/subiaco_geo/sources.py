@@ -13,15 +13,9 @@ from subiaco_geo.cloud_parts import cloud_parts, with_only
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
-from subiaco_geo.maps import (
-    PoseUncertainty,
-    SurveyMap,
-    check_map_crs,
-    cloud_of,
-    existing_epoch,
-    read_map_head,
-)
+from subiaco_geo.maps import check_map_crs, cloud_of, existing_epoch, read_map_head
 from subiaco_geo.simulated import distinct, simulation_of
+from subiaco_geo.survey_map import PoseUncertainty, SurveyMap
 from subiaco_geo.trajectories import Trajectory, read_tum
 from subiaco_geo.visibility import VisibilityGrid, visibility_parts
 

@@ -8,7 +8,7 @@ from typing import Any
 
 from subiaco_geo.crs import require_ellipsoidal
 from subiaco_geo.errors import InputError
-from subiaco_geo.maps import SurveyMap
+from subiaco_geo.survey_map import SurveyMap
 from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.map_builder import ProgressCallback, build_map, silent
 from subiaco_mapping.measurements import DeskewedScan, Extrinsics, GnssFix, HeadingSample, OdometryPose

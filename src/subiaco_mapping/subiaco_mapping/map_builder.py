@@ -12,7 +12,7 @@ import numpy as np
 
 from subiaco_geo.config import config_hash
 from subiaco_geo.frames import invert_pose
-from subiaco_geo.maps import PoseUncertainty, SurveyMap
+from subiaco_geo.survey_map import PoseUncertainty, SurveyMap
 from subiaco_geo.trajectories import Trajectory
 from subiaco_mapping.config import GnssConfig, ManifestConfig, MappingConfig
 from subiaco_mapping.finishing import FinishedMap, MapFusion

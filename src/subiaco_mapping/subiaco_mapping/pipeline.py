@@ -13,8 +13,8 @@ from subiaco_geo.bag_files import sequence_name
 from subiaco_geo.bags import BagReader, hash_bag, packet_from_cdr, require_topic
 from subiaco_geo.crs import require_ellipsoidal
 from subiaco_geo.errors import InputError
-from subiaco_geo.maps import SurveyMap
 from subiaco_geo.simulated import mark_simulated
+from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.topics import FIX, HEADING, IMU, LIDAR_PACKETS, MESSAGE_TYPES, METADATA, POINTS, TF_STATIC
 from subiaco_geo.work.store import Arrays
 from subiaco_geo.work.tasks import Inputs

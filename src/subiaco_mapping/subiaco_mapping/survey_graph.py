@@ -8,16 +8,17 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from subiaco_geo.crs import EnuFrame
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, invert_pose
+from subiaco_geo.local_frame import EnuFrame
 from subiaco_mapping.chains import Placement, chain_of, place_sequences, summary
 from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.graph.live import LiveGraph
 from subiaco_mapping.graph.records import Chain, LoopEdge, Solved
 from subiaco_mapping.graph.solver import solve
-from subiaco_mapping.loops.finder import LoopFinder, Place, level_axes
+from subiaco_mapping.loops.finder import LoopFinder, level_axes
 from subiaco_mapping.loops.joining import join
+from subiaco_mapping.loops.places import Place
 from subiaco_mapping.sequences import SequenceRecord
 from subiaco_mapping.solution import GraphSolution, LiveEstimate, LiveSequence, LoopFacts, SolvedGraph
 

@@ -21,7 +21,7 @@ from subiaco_change.registration.pair import check_pair
 from subiaco_change.registration.register import given_registration, register
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
-from subiaco_geo.maps import SurveyMap
+from subiaco_geo.survey_map import SurveyMap
 
 Progress = Callable[[str, float], None]
 

@@ -38,7 +38,7 @@ from subiaco_geo.clouds import PointCloud
 from subiaco_geo.config import StrictModel, write_config
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
-from subiaco_geo.maps import SurveyMap
+from subiaco_geo.survey_map import SurveyMap
 
 #: What tells a calibration from another folder.
 MARKER = "calibration.json"

@@ -31,7 +31,7 @@ from subiaco_geo.clouds import voxel_downsample
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
-from subiaco_geo.maps import SurveyMap
+from subiaco_geo.survey_map import SurveyMap
 
 _LOG = logging.getLogger(__name__)
 _WIDEST = 8.0  # radius of the largest object that is put [m]

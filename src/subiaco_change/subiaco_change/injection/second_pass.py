@@ -18,7 +18,7 @@ from subiaco_change.semantics.ground import Mask
 from subiaco_geo.clouds import PointCloud, unpack_voxel_keys, voxel_indices, voxel_keys
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats, Ints
-from subiaco_geo.maps import SurveyMap
+from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.visibility import VisibilityGrid
 
 _SURFACE = 0.8  # radius in which a surface has its direction [m]

@@ -20,7 +20,7 @@ from subiaco_change.semantics.instances import segment
 from subiaco_geo.clouds import PointCloud, voxel_downsample
 from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Ints
-from subiaco_geo.maps import SurveyMap
+from subiaco_geo.survey_map import SurveyMap
 
 #: Instance of points that only drove by.
 TRAIL = -2

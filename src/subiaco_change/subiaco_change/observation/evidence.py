@@ -17,8 +17,8 @@ from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
-from subiaco_geo.maps import SurveyMap
 from subiaco_geo.raywalk import accumulate_visibility, stop_at_surfaces
+from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.trajectories import Trajectory
 from subiaco_geo.visibility import VisibilityGrid
 

@@ -11,7 +11,7 @@ from subiaco_geo.clouds import PointCloud, voxel_downsample
 from subiaco_geo.crs import Transform, transformer
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
-from subiaco_geo.maps import SurveyMap
+from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.trajectories import Trajectory
 
 _LOG = logging.getLogger(__name__)

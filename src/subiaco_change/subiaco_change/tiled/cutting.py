@@ -16,7 +16,7 @@ from subiaco_change.registration.pair import check_finite
 from subiaco_geo.clouds import PointCloud, unpack_voxel_keys, voxel_downsample
 from subiaco_geo.crs import Transform, transformer
 from subiaco_geo.frames import Floats
-from subiaco_geo.maps import SurveyMap
+from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.tiles import split_by_tile
 from subiaco_geo.visibility import VisibilityGrid
 from subiaco_geo.work.bench import Workbench

@@ -12,7 +12,7 @@ from subiaco_geo.frames import Floats, invert_pose
 from subiaco_mapping.graph.records import LoopEdge
 
 if TYPE_CHECKING:
-    from subiaco_mapping.loops.finder import Place
+    from subiaco_mapping.loops.places import Place
 
 PAIR_SLACK = 0.5  # two loops may disagree by so much at the same place [m]
 PAIR_DRIFT = 0.01  # and by so much more a metre between their places [m per m]

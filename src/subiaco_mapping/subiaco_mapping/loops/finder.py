@@ -15,50 +15,11 @@ from subiaco_mapping.graph.records import LoopEdge
 from subiaco_mapping.loops.config import LoopConfig
 from subiaco_mapping.loops.consistency import disagreement, reach_of
 from subiaco_mapping.loops.overlay import overlay
+from subiaco_mapping.loops.places import Candidate, Place
 from subiaco_mapping.loops.registration import Prepared, Registration, register
 from subiaco_mapping.loops.scan_context import Descriptor, compare, describe
-from subiaco_mapping.loops.submaps import Submap
 
 _KEPT = 32  # prepared submaps in memory
-
-
-@dataclass(frozen=True)
-class Place:
-    """A submap where the graph has it.
-
-    Parameters
-    ----------
-    key : tuple of int
-        Chain, and number of the submap in it.
-    submap : Submap
-    R_level_lidar : (3, 3) float64
-        To axes x ahead, z up.
-    pose : (4, 4) float64 or None
-        ``T_world_lidar`` of its anchor; None while its chain is not placed.
-    covariance : (6, 6) float64
-        Of that pose, world axes.
-    """
-
-    key: tuple[int, int]
-    submap: Submap
-    R_level_lidar: Floats
-    pose: Floats | None
-    covariance: Floats
-
-    @property
-    def scan(self) -> tuple[int, int]:
-        """Chain and scan of the anchor."""
-        return self.key[0], self.submap.anchor
-
-
-@dataclass(frozen=True)
-class Candidate:
-    """Two places that may be one; the guess is None where only descriptors say so."""
-
-    first: Place
-    second: Place
-    guess: Floats | None
-    yaw: float = 0.0
 
 
 def level_axes(up_lidar: Floats, T_base_lidar: Floats) -> Floats:

@@ -10,7 +10,8 @@ import numpy as np
 from subiaco_geo.frames import Floats, invert_pose
 from subiaco_mapping.graph.records import LoopEdge
 from subiaco_mapping.loops.consistency import consistent_set
-from subiaco_mapping.loops.finder import Candidate, LoopFinder, Place, edge_of
+from subiaco_mapping.loops.finder import LoopFinder, edge_of
+from subiaco_mapping.loops.places import Candidate, Place
 
 
 def join(

@@ -8,7 +8,7 @@ from rclpy.node import Node
 from sensor_msgs.msg import NavSatFix, PointCloud2
 
 from subiaco_geo.frames import Floats, Ints
-from subiaco_geo.maps import SurveyMap
+from subiaco_geo.survey_map import SurveyMap
 from subiaco_mapping.nodes.frame import LocalFrame, earth_from_enu
 from subiaco_mapping.nodes.messages import (
     cloud_message,

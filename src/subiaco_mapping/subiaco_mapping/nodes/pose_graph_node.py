@@ -22,8 +22,9 @@ from subiaco_geo.bag_files import sequence_name
 from subiaco_geo.bags import hash_bag
 from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError, SubiacoError
-from subiaco_geo.maps import SurveyMap, write_map
+from subiaco_geo.maps import write_map
 from subiaco_geo.simulated import mark_simulated
+from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.topics import FIX, HEADING, TF_STATIC
 from subiaco_mapping.backend import MappingBackend
 from subiaco_mapping.config import MappingConfig

@@ -8,8 +8,9 @@ from typing import Any
 import numpy as np
 
 from subiaco_geo.frames import Floats
-from subiaco_geo.maps import SurveyMap, plain
+from subiaco_geo.maps import plain
 from subiaco_geo.simulated import SIMULATIONS
+from subiaco_geo.survey_map import SurveyMap
 from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.manifest import LEGEND
 from subiaco_mapping.quality.series import STATES, Series, series_of

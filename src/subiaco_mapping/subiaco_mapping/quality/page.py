@@ -8,7 +8,7 @@ from dataclasses import replace
 
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
-from subiaco_geo.maps import SurveyMap
+from subiaco_geo.survey_map import SurveyMap
 from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.manifest import LEGEND
 from subiaco_mapping.quality import drawing

@@ -16,7 +16,7 @@ from subiaco_geo.bag_files import find_storage, sequence_name
 from subiaco_geo.config import load_yaml
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
-from subiaco_geo.maps import SurveyMap
+from subiaco_geo.survey_map import SurveyMap
 from subiaco_mapping.watch.monitor import Monitor, merged_flags
 from subiaco_mapping.watch.quality import UNDRIVEN, write_geojson
 from subiaco_mapping.watch.routes import route_enu
