@@ -79,10 +79,9 @@ def test_vegetation_has_finer_thresholds(dh, expected):
 
 
 def test_one_sided_objects_need_a_place_that_was_seen_empty():
-    assert label(before=False, new_share=0.9, carried=1.6) is Change.ADDED
-    assert label(after=False, gone_share=0.9, carried=-1.6) is Change.REMOVED
-    assert label(after=False, gone_share=0.2, carried=-0.4) is Change.UNCHANGED
-    assert label(after=False, gone_share=0.9, carried=-0.4) is Change.UNOBSERVED  # free, but only grazed
+    assert label(before=False, new_share=0.9) is Change.ADDED
+    assert label(after=False, gone_share=0.9) is Change.REMOVED
+    assert label(after=False, gone_share=0.2) is Change.UNCHANGED
     assert label(after=False, gone_share=0.9, observed_fraction=0.05) is Change.UNOBSERVED
     assert label(before=False, new_share=1.0, seen_voxels=2) is Change.UNOBSERVED
 

@@ -9,7 +9,14 @@ from test_measures import block, voxels, walls
 from subiaco_change.changes.apart import pieces_apart
 from subiaco_change.changes.association_costs import AssociationConfig
 from subiaco_change.changes.decisions import DecisionConfig
-from subiaco_change.changes.judging import drove_by, lies_flat
+from subiaco_change.changes.judging import (
+    ObjectRules,
+    decide_object,
+    drove_by,
+    lies_flat,
+    longer_vehicle,
+)
+from subiaco_change.changes.measures import MeasureConfig
 from subiaco_change.changes.objects import Thing, Voxels
 from subiaco_change.changes.parts import PartConfig, part_things
 from subiaco_change.changes.wings import built, find_wings
@@ -194,6 +201,29 @@ def test_what_lies_flat_is_left_to_the_ground(semantic, height, flat):
     decision = lies_flat(semantic, [slab])
     assert (decision is not None) == flat
     assert decision is None or decision.change is Change.NOT_REPORTED
+
+
+@pytest.mark.parametrize(
+    ("start", "width", "whole", "same"),
+    [(4.0, 1.0, 0, True), (4.0, 2.0, 0, False), (6.0, 1.0, 0, False), (4.0, 1.0, -1, False)],
+    ids=["the longer end of another car", "a car behind it", "a motorcycle farther off", "a bin beside it"],
+)
+def test_what_a_vehicle_is_longer_by_than_another_in_its_place_is_no_vehicle(start, width, whole, same):
+    old = block((0, 0, 0), (4, 2, 1.5), 0.2)
+    piece = thing([(block((start, 0, 0), (start + 2 * width - 1, width, 1.0)), False)])
+    piece = replace(piece, semantic=Semantic.MOBILE, whole=whole)
+    decision = longer_vehicle(Semantic.MOBILE, [piece], old)
+    assert (decision is not None) == same
+    assert decision is None or decision.change is Change.UNCHANGED
+
+
+def test_a_part_of_a_vehicle_that_the_other_epoch_only_grazed_is_not_claimed():
+    old, new = block((0, 0, 0), (4, 2, 1.5)), block((4, 0, 0), (8, 2, 1.5))
+    part = part_things([thing([(old, True), (new, False)])], CONFIG)[1]
+    rules = ObjectRules(MeasureConfig(), AssociationConfig(), DecisionConfig())
+    crossed = replace(part, voxels=replace(part.voxels, crossed=np.ones(len(part.voxels), dtype=bool)))
+    found = [decide_object((), (p,), Semantic.MOBILE, rules).decision.change for p in (part, crossed)]
+    assert found == [Change.UNOBSERVED, Change.ADDED]
 
 
 def test_a_low_wall_does_not_lie_flat():

@@ -95,7 +95,7 @@ def test_where_points_of_another_class_stood_nothing_grew():
     nothing = np.zeros((0, 3))
     assert [s.rise > 0.6 for s in moved_sections([before], [after], 0.3)[0]] == [True]
     assert moved_sections([before], [after], 0.3, (wall, nothing))[0] == []
-    assert len(moved_sections([before], [after], 0.3, (wall + (0, 0, 3), nothing))[0]) == 1
+    assert len(moved_sections([before], [after], 0.3, (np.add(wall, (0, 0, 3)), nothing))[0]) == 1
 
 
 def test_tops_that_few_beams_met_are_not_trimmed():

@@ -61,13 +61,6 @@ class DecisionConfig(StrictModel):
     min_empty: float = Field(
         0.5, ge=0, le=1, description="share of the observed place that must be free in the other epoch"
     )
-    min_across: float = Field(
-        0.15,
-        ge=0,
-        le=1,
-        description="share of the free surface that the other epoch must have looked across: beams that"
-        " graze what stands pass through its place too (Decision 13)",
-    )
     trail_passes: float = Field(
         2.0,
         gt=0,
@@ -145,12 +138,8 @@ def _single(in_after: bool, measures: Measures, config: DecisionConfig) -> Decis
     if empty < config.min_empty:
         reason = f"no partner of its class, but {1 - empty:.0%} of the place is occupied in both epochs"
         return Decision(Change.UNCHANGED, reason, (1 - empty) / max(1 - config.min_empty, 1e-9))
-    epoch = "before" if in_after else "after"
-    across = 0.5 * abs(measures.carried) / empty
-    if across < config.min_across:
-        reason = f"{epoch} grazed the place and looked across {across:.0%} of it only"
-        return Decision(Change.UNOBSERVED, reason, 1.0 - across)
     change = Change.ADDED if in_after else Change.REMOVED
+    epoch = "before" if in_after else "after"
     reason = f"exists in one epoch; {epoch} observed the place and {empty:.0%} of it is free"
     return Decision(change, reason, empty / max(config.min_empty, 1e-9))
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from subiaco_change.changes.association import match_kind
 from subiaco_change.changes.association_costs import AssociationConfig
@@ -16,6 +17,7 @@ from subiaco_change.changes.measures import (
     Measures,
     OpenGround,
     measure,
+    oriented_rectangle,
 )
 from subiaco_change.changes.objects import Thing, join_voxels, looked_across
 from subiaco_change.changes.outline import compare_outlines
@@ -27,6 +29,10 @@ from subiaco_geo.frames import Floats, Ints
 _FLAT_TOP = 0.6  # highest top of what has no class and may be ground raised or laid on it [m]
 _LAID_TOP = 0.25  # the same of a supposed vehicle or plant: no more than ground strays from its model
 _LEVEL = 0.75  # mean upward part of its normals
+_ACROSS = 0.125  # share of a part that the other epoch must have looked across
+_VEHICLE = 1.5  # least width of a vehicle, or of the part of it that was seen [m]
+_NEXT = 0.75  # so far from points of the other epoch, a voxel lies beside them [m]
+_HELD = 0.5  # share of its voxels from which on a part lies beside them
 _BESIDE = 0.5  # so far beside a surface lies the next voxel of the visibility layer [m]
 Observed = Callable[[Floats], Mask]
 
@@ -87,7 +93,13 @@ def decide_object(
     if decision.change in (Change.ADDED, Change.REMOVED):
         things = (*before, *after)
         through = _looked_through(things, rules.own[0] if before else rules.own[1])
-        decision = lies_flat(semantic, things) or drove_by(things, through, rules.decisions) or decision
+        decision = (
+            lies_flat(semantic, things)
+            or drove_by(things, through, rules.decisions)
+            or _grazed(semantic, things, measures)
+            or longer_vehicle(semantic, things, rules.standing[int(bool(before))])
+            or decision
+        )
     kind = match_kind(len(before), len(after))
     return ObjectChange(tuple(before), tuple(after), semantic, kind, measures, decision)
 
@@ -102,6 +114,34 @@ def lies_flat(semantic: Semantic, things: Sequence[Thing]) -> Decision | None:
     if level < _LEVEL:
         return None
     return Decision(Change.NOT_REPORTED, "lies flat on the ground, which is compared by itself", 1.0)
+
+
+def _grazed(semantic: Semantic, things: Sequence[Thing], measures: Measures) -> Decision | None:
+    """Leave a part of a vehicle open where the other epoch hardly looked across: beams graze what stands."""
+    across = 0.5 * abs(measures.carried) / max(measures.gone_share, measures.new_share)
+    if across >= _ACROSS or semantic is not Semantic.MOBILE or any(t.whole < 0 for t in things):
+        return None
+    reason = f"a part of a vehicle that the other epoch grazed: it looked across {across:.0%} of it"
+    return Decision(Change.UNOBSERVED, reason, 1.0 - across)
+
+
+def longer_vehicle(semantic: Semantic, things: Sequence[Thing], standing: Floats) -> Decision | None:
+    """Tell the part that a vehicle is longer or higher by than another in its place from a vehicle.
+
+    It is narrower than a vehicle, and beside it stand points (N, 3) of the other epoch.
+    """
+    if semantic is not Semantic.MOBILE or any(t.whole < 0 for t in things):
+        return None
+    xyz = join_voxels(things).xyz
+    corners = np.array(oriented_rectangle(xyz[:, :2]).exterior.coords)
+    if np.linalg.norm(np.diff(corners[:3], axis=0), axis=1).min() >= _VEHICLE:
+        return None
+    around = ((standing >= xyz.min(axis=0) - _NEXT) & (standing <= xyz.max(axis=0) + _NEXT)).all(axis=1)
+    if not around.any():
+        return None
+    held = float(np.mean(cKDTree(standing[around]).query(xyz)[0] <= _NEXT))
+    reason = f"a part of a vehicle, {held:.0%} of it beside what stands there in the other epoch"
+    return Decision(Change.UNCHANGED, reason, held) if held >= _HELD else None
 
 
 def drove_by(things: Sequence[Thing], through: float, rules: DecisionConfig) -> Decision | None:

@@ -59,33 +59,36 @@ def moved_sections(
             cells = np.argwhere(labels == number)
             if len(cells) < _CELLS or (np.ptp(cells, axis=0).max() + 1) * _CELL < _LENGTH:
                 continue
-            xy = (cells + corner + 0.5) * _CELL
+            xy = _middles(cells + corner)
             low, high = tops[:: int(sign)]
             if _held(standing[int(sign < 0)], cells + corner, low[labels == number], high[labels == number]):
                 continue
             if _observed(after if sign > 0 else before, xy, low, cells):
                 sections.append(Section(xy, float(np.median(rise[labels == number])), threshold))
     known = np.argwhere(np.isfinite(rise))
-    return sections, (known + corner + 0.5) * _CELL
+    return sections, _middles(known + corner)
 
 
-def _tops(before: Floats, after: Floats) -> tuple[Ints, tuple[Floats, Floats]]:
-    """Lowest column, and tops (rows, columns) of two clouds (N, 3) in their columns, NaN where unknown [m].
+def _middles(cells: Ints) -> Floats:
+    """Middles [m] of columns, both (C, 2)."""
+    return (cells.astype(np.float64) + 0.5) * _CELL
+
+
+def _tops(before: Floats, after: Floats) -> tuple[Ints, Floats]:
+    """Lowest column, and tops (2, rows, columns) of two clouds (N, 3), NaN where one of them has none [m].
 
     The highest of many points is higher than the highest of few. Where one cloud has more points in a
     column, it is read at the quantile that the highest of as few as the other has would have.
     """
-    cells = [np.floor(xyz[:, :2] / _CELL).astype(np.int64) for xyz in (before, after)]
-    corner = np.minimum(*(c.min(axis=0) for c in cells)) - 1
-    shape = np.maximum(*(c.max(axis=0) for c in cells)) + 2 - corner
-    keys = [(c[:, 0] - corner[0]) * shape[1] + c[:, 1] - corner[1] for c in cells]
-    counts = [np.bincount(key, minlength=int(np.prod(shape))) for key in keys]
-    fewest = np.minimum(*counts)
-    tops = [
-        _quantiles(xyz[:, 2], key, fewest / (fewest + 1))
-        for xyz, key in zip((before, after), keys, strict=True)
-    ]
-    return corner, tuple(np.where(fewest > 0, t, np.nan).reshape(shape) for t in tops)
+    index = np.floor(np.concatenate([before, after])[:, :2] / _CELL).astype(np.int64)
+    corner = index.min(axis=0) - 1
+    shape = tuple((index.max(axis=0) + 2 - corner).tolist())
+    keys = np.split(np.ravel_multi_index(tuple((index - corner).T), shape), [len(before)])
+    counts = [np.bincount(key, minlength=shape[0] * shape[1]) for key in keys]
+    fewest = np.minimum(counts[0], counts[1])
+    share = fewest / (fewest + 1)
+    tops = [_quantiles(xyz[:, 2], key, share) for xyz, key in zip((before, after), keys, strict=True)]
+    return corner, np.where(fewest > 0, np.array(tops), np.nan).reshape(2, *shape)
 
 
 def _quantiles(values: Floats, group: Ints, share: Floats) -> Floats:
@@ -93,7 +96,8 @@ def _quantiles(values: Floats, group: Ints, share: Floats) -> Floats:
     order = np.lexsort((values, group))
     count = np.bincount(group, minlength=len(share))
     place = np.cumsum(count) - count + share * np.maximum(count - 1, 0)
-    return np.interp(place, np.arange(len(values)), values[order])
+    found: Floats = np.interp(place, np.arange(len(values)), values[order])
+    return found
 
 
 def _roughness(tops: Floats) -> float:
