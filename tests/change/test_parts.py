@@ -9,20 +9,19 @@ from test_measures import block, voxels, walls
 from subiaco_change.changes.apart import pieces_apart
 from subiaco_change.changes.association_costs import AssociationConfig
 from subiaco_change.changes.decisions import DecisionConfig
-from subiaco_change.changes.judging import (
-    ObjectRules,
-    decide_object,
-    drove_by,
-    lies_flat,
-    longer_vehicle,
-)
-from subiaco_change.changes.measures import MeasureConfig
+from subiaco_change.changes.judging import ObjectRules, decide_object, lies_flat
+from subiaco_change.changes.measures import MeasureConfig, Measures
 from subiaco_change.changes.objects import Thing, Voxels
 from subiaco_change.changes.parts import PartConfig, part_things
+from subiaco_change.changes.vehicle_parts import part_of_vehicle
 from subiaco_change.changes.wings import built, find_wings
 from subiaco_geo.codes import Change, Semantic
 
 CONFIG = PartConfig()
+CROSSED = Measures(
+    iou=0.0, d_perp=0.0, delta_c=0.0, delta_h=0.0, delta_v=0.0, delta_v_surface=0.0, volume=1.0, chi2=1.0,
+    gone_share=0.0, new_share=1.0, observed_fraction=1.0, seen_voxels=50, carried=2.0,
+)  # fmt: skip
 
 
 def thing(pieces, instance=3):
@@ -103,41 +102,6 @@ def test_a_house_gone_from_a_row_that_is_one_instance_was_no_wing():
     assert find_wings([(row, row), (moved(walls(6, 8, 4), 10), NONE)], CONFIG) == {}
 
 
-def passing(top, passed):
-    cells = block((0, 0, 0), (4, 2, top))
-    seen = thing([(cells, False)])
-    return replace(seen, passed=np.full(len(seen.points), passed))
-
-
-@pytest.mark.parametrize(
-    ("passed", "top", "through", "trail"),
-    [
-        (6.0, 1.5, 0.5, True),
-        (1.0, 1.5, 1.0, False),
-        (6.0, 8.0, 1.0, False),
-        (1.7, 1.5, 0.5, False),
-        (1.7, 1.5, 0.95, True),
-    ],
-    ids=[
-        "looked through",
-        "solid",
-        "a tall crown",
-        "a hedge that beams graze",
-        "nothing behind stopped a beam",
-    ],
-)
-def test_what_its_own_survey_looked_through_only_drove_by(passed, top, through, trail):
-    decision = drove_by([passing(top, passed)], through, DecisionConfig())
-    assert (decision is not None) == trail
-    if decision is not None:
-        assert decision.change is Change.NOT_REPORTED
-        assert f"{passed} beams passed" in decision.reason
-
-
-def test_an_object_is_a_trail_only_if_all_its_parts_were_looked_through():
-    assert drove_by([passing(1.5, 9.0), passing(1.5, 0.5)], 1.0, DecisionConfig()) is None
-
-
 def test_a_part_keeps_the_beams_of_its_own_points():
     old, new = block((0, 0, 0), (3, 1, 1.5)), block((3, 0, 0), (6, 1, 1.5))
     whole = thing([(old, True), (new, False)])
@@ -212,7 +176,7 @@ def test_what_a_vehicle_is_longer_by_than_another_in_its_place_is_no_vehicle(sta
     old = block((0, 0, 0), (4, 2, 1.5), 0.2)
     piece = thing([(block((start, 0, 0), (start + 2 * width - 1, width, 1.0)), False)])
     piece = replace(piece, semantic=Semantic.MOBILE, whole=whole)
-    decision = longer_vehicle(Semantic.MOBILE, [piece], old)
+    decision = part_of_vehicle([piece], Semantic.MOBILE, CROSSED, old)
     assert (decision is not None) == same
     assert decision is None or decision.change is Change.UNCHANGED
 

@@ -65,13 +65,23 @@ class DecisionConfig(StrictModel):
         2.0,
         gt=0,
         description="beams that passed for each that returned, from which on what stands in one epoch alone"
-        " only drove by: at the densest quarter of its points",
+        " only drove by: at the densest quarter of its points; walls, which let none by",
     )
-    trail_passes_through: float = Field(
-        1.5, gt=0, description="the same where its own survey looked on both sides of it"
+    trail_passes_thin: float = Field(
+        5.0,
+        gt=0,
+        description="the same for all but buildings: beams graze what is thinner than a voxel or ends below"
+        " the sensor",
     )
+    trail_passes_lane: float = Field(
+        1.3, gt=0, description="the same for what lies in the trail of known traffic"
+    )
+    trail_passes_high: float = Field(
+        1.0, gt=0, description="the same for what is high and was looked through: no plant, fence or car is"
+    )
+    trail_high: float = Field(2.6, gt=0, description="top from which on a thing is high [m]")
     trail_through: float = Field(
-        0.9, gt=0, le=1, description="share of the surface on both sides of which it must have looked"
+        0.65, gt=0, le=1, description="share of its surface on both sides of which its own survey looked"
     )
     trail_top: float = Field(3.8, gt=0, description="highest point of what drives by [m]")
     min_voxels: int = Field(4, ge=1, description="observed voxels below which nothing is claimed")

@@ -10,7 +10,7 @@ import numpy as np
 
 from subiaco_change.changes.association import Match, associate
 from subiaco_change.changes.confidence import ConfidenceConfig, confidence, features, paper_score
-from subiaco_change.changes.judging import ObjectChange, ObjectRules, Observed, decide_object
+from subiaco_change.changes.judging import ObjectChange, ObjectRules, decide_object
 from subiaco_change.changes.measures import OpenGround, footprint, ground_columns
 from subiaco_change.changes.objects import (
     EpochView,
@@ -21,6 +21,7 @@ from subiaco_change.changes.objects import (
     stands,
 )
 from subiaco_change.changes.parts import part_things
+from subiaco_change.changes.passing import Observed, own_survey
 from subiaco_change.changes.revising import (
     adopt_fragments,
     agree_on_classes,
@@ -45,7 +46,7 @@ def compare_objects(
     rules = replace(
         rules,
         ground=OpenGround(bare[0], bare[1]),
-        own=(seen_by_before, seen_by_after),
+        own=(own_survey(before, seen_by_before), own_survey(after, seen_by_after)),
         standing=(before.xyz[stands(before)], after.xyz[stands(after)]),
     )
     things_b = build_things(before, build_voxels(before, after, seen_by_after, edge, reach, step))

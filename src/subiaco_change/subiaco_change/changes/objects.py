@@ -15,6 +15,8 @@ from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats, Ints
 
+NO_OBJECT = -1  # instance of a point of no object
+OTHERS = -2  # instance of a point of an object that is compared elsewhere
 _LOOKED_THROUGH = 2.0  # beams that passed a point for each that returned: what stands still lets by fewer
 
 
@@ -22,7 +24,8 @@ _LOOKED_THROUGH = 2.0  # beams that passed a point for each that returned: what 
 class EpochView:
     """One epoch in the common local frame, ready to be measured.
 
-    ``xyz`` (N, 3) [m]; ``normals`` (N, 3); ``semantic`` (N,) uint8; ``instance`` (N,) int32, -1 none;
+    ``xyz`` (N, 3) [m]; ``normals`` (N, 3); ``semantic`` (N,) uint8; ``instance`` (N,) int32,
+    :data:`NO_OBJECT` or :data:`OTHERS`;
     ``height`` (N,) above ground [m]; ``lod`` (N,) [m], inf where no claim; ``score`` (N,) of the class;
     ``passed`` (N,) beams of the epoch itself that passed a place for each that returned, where counted.
     """
@@ -134,7 +137,7 @@ def trails(view: EpochView) -> Mask:
     if view.passed is None:
         return np.zeros(len(view.xyz), dtype=bool)
     return np.asarray(
-        (view.semantic == Semantic.MOBILE) & (view.instance < 0) & (view.passed >= _LOOKED_THROUGH)
+        (view.semantic == Semantic.MOBILE) & (view.instance == NO_OBJECT) & (view.passed >= _LOOKED_THROUGH)
     )
 
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from subiaco_change.changes.ablation import Part
 from subiaco_change.changes.judging import ObjectChange, ObjectRules
 from subiaco_change.changes.object_changes import compare_objects, make_record
-from subiaco_change.changes.objects import EpochView
+from subiaco_change.changes.objects import NO_OBJECT, OTHERS, EpochView
 from subiaco_change.observation.evidence import Kind, weakest
 from subiaco_change.records import ChangeRecord
 from subiaco_change.tiled.cutting import EPOCHS
@@ -100,7 +100,7 @@ def _compact(view: EpochView, mine: NDArray[np.bool_]) -> tuple[EpochView, Ints]
     """Keep the objects of the groups alone, numbered from 0 in their order; and their numbers in the city."""
     own = np.append(mine, False)[view.instance]
     numbers, slot = np.unique(view.instance[own], return_inverse=True)
-    instance = np.full(len(view.instance), -1, dtype=np.int32)
+    instance = np.where(view.instance < 0, NO_OBJECT, OTHERS).astype(np.int32)
     instance[own] = slot
     return replace(view, instance=instance), numbers.astype(np.int64)
 

@@ -1,0 +1,82 @@
+"""What only drove by while it was mapped, told from what stands (method, part A, *moving things*).
+
+Trails that the semantics did not tell look like plants, walls or fragments of one epoch alone. Their own
+survey saw them pass: beams went through each place before and after. But beams also graze what is thinner
+than a voxel or ends below the sensor, so that a hedge lets by as many as the trail of a slow lorry.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from subiaco_change.changes.decisions import Decision, DecisionConfig
+from subiaco_change.changes.objects import EpochView, Thing, join_voxels, looked_across, trails
+from subiaco_change.semantics.ground import Mask
+from subiaco_geo.codes import Change, Semantic
+from subiaco_geo.frames import Floats
+
+Observed = Callable[[Floats], Mask]
+_BESIDE = 0.5  # so far beside a surface lies the next voxel of the visibility layer [m]
+_LANE = 1.0  # what lies this near a known trail lies in its lane [m]
+_WITHIN = 0.9  # share of its points that must
+
+
+@dataclass(frozen=True)
+class OwnSurvey:
+    """What the survey of an epoch itself knows of the places where its things stand.
+
+    ``observed`` tells which places (N, 3) it saw; ``traffic`` holds the trails it is sure of.
+    """
+
+    observed: Observed
+    traffic: cKDTree
+
+    def through(self, things: Sequence[Thing]) -> float:
+        """Share of the surface of things on both sides of which the survey looked."""
+        voxels = join_voxels(things)
+        return float(looked_across(voxels.xyz, voxels.normal, self.observed, _BESIDE).mean())
+
+    def in_lane(self, things: Sequence[Thing]) -> bool:
+        """Tell whether things lie where traffic is known to have passed."""
+        places = np.concatenate([t.xyz for t in things])
+        distance = self.traffic.query(places, distance_upper_bound=_LANE)[0]
+        return bool(np.isfinite(distance).mean() >= _WITHIN)
+
+
+def own_survey(view: EpochView, observed: Observed) -> OwnSurvey:
+    """Gather what the survey of an epoch knows of itself."""
+    return OwnSurvey(observed, cKDTree(view.xyz[trails(view)]))
+
+
+def drove_by(
+    things: Sequence[Thing], semantic: Semantic, own: OwnSurvey | None, rules: DecisionConfig
+) -> Decision | None:
+    """Tell a trail from a thing: low, and passed by more beams than what stands of its kind lets by."""
+    top = max(float(t.voxels.height.max()) for t in things)
+    passed = min(float(np.quantile(t.passed, 0.25)) if len(t.passed) else 0.0 for t in things)
+    least = min(rules.trail_passes_high, rules.trail_passes_lane)
+    if top > rules.trail_top or passed < least:
+        return None
+    enough = _enough(things, top, semantic, own, rules)
+    if passed < enough:
+        return None
+    reason = f"drove by while it was mapped: {passed:.1f} beams passed for each that returned"
+    return Decision(Change.NOT_REPORTED, reason, passed / enough)
+
+
+def _enough(
+    things: Sequence[Thing], top: float, semantic: Semantic, own: OwnSurvey | None, rules: DecisionConfig
+) -> float:
+    """Beams that passed for each that returned, from which on things only drove by."""
+    enough = rules.trail_passes if semantic is Semantic.BUILDING else rules.trail_passes_thin
+    if own is None:
+        return enough
+    if own.in_lane(things):
+        enough = min(enough, rules.trail_passes_lane)
+    if top >= rules.trail_high and own.through(things) >= rules.trail_through:
+        enough = min(enough, rules.trail_passes_high)
+    return enough

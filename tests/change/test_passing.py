@@ -1,0 +1,89 @@
+"""What only drove by, told from hedges that beams graze."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+from test_measures import block
+from test_parts import thing
+
+from subiaco_change.changes.decisions import DecisionConfig
+from subiaco_change.changes.objects import OTHERS, EpochView
+from subiaco_change.changes.passing import OwnSurvey, drove_by, own_survey
+from subiaco_geo.codes import Change, Semantic
+
+RULES = DecisionConfig()
+NOWHERE = cKDTree(np.zeros((0, 3)))
+
+
+def everywhere(xyz):
+    return np.ones(len(xyz), dtype=bool)
+
+
+def nowhere(xyz):
+    return np.zeros(len(xyz), dtype=bool)
+
+
+def passing(top, passed):
+    """A thing of 4 x 2 m that ``passed`` beams passed for each that returned."""
+    cells = block((0, 0, 0), (4, 2, top))
+    seen = thing([(cells, False)])
+    return replace(seen, passed=np.full(len(seen.points), passed))
+
+
+@pytest.mark.parametrize(
+    ("passed", "top", "semantic", "observed", "trail"),
+    [
+        (6.0, 1.5, Semantic.VEGETATION, nowhere, True),
+        (4.0, 1.5, Semantic.VEGETATION, everywhere, False),
+        (4.0, 1.5, Semantic.OTHER, everywhere, False),
+        (4.0, 1.5, Semantic.BUILDING, nowhere, True),
+        (1.0, 1.5, Semantic.BUILDING, everywhere, False),
+        (1.2, 3.2, Semantic.VEGETATION, everywhere, True),
+        (1.2, 3.2, Semantic.VEGETATION, nowhere, False),
+        (0.8, 3.2, Semantic.VEGETATION, everywhere, False),
+        (9.0, 8.0, Semantic.VEGETATION, everywhere, False),
+    ],
+    ids=[
+        "far more than any hedge lets by",
+        "a hedge that beams graze",
+        "a fence between beams",
+        "walls let nothing by",
+        "a wall seen from both sides",
+        "a lorry that was looked through",
+        "a bush that nothing was seen behind",
+        "a bush that stops most beams",
+        "a tall crown",
+    ],
+)
+def test_what_passed_is_told_from_what_beams_graze(passed, top, semantic, observed, trail):
+    decision = drove_by([passing(top, passed)], semantic, OwnSurvey(observed, NOWHERE), RULES)
+    assert (decision is not None) == trail
+    if decision is not None:
+        assert decision.change is Change.NOT_REPORTED
+        assert f"{passed} beams passed" in decision.reason
+
+
+def test_what_lies_in_the_lane_of_known_traffic_needs_fewer_beams():
+    places = passing(1.5, 2.0)
+    along = OwnSurvey(nowhere, cKDTree(np.add(places.xyz, (0.0, 0.5, 0.0))))
+    beside = OwnSurvey(nowhere, cKDTree(np.add(places.xyz, (0.0, 2.0, 0.0))))  # half of it is within a metre
+    assert drove_by([places], Semantic.VEGETATION, along, RULES) is not None
+    assert drove_by([places], Semantic.VEGETATION, beside, RULES) is None
+    assert drove_by([passing(1.5, 1.0)], Semantic.VEGETATION, along, RULES) is None
+
+
+def test_an_object_is_a_trail_only_if_all_its_parts_were_looked_through():
+    parts = [passing(1.5, 9.0), passing(1.5, 0.5)]
+    assert drove_by(parts, Semantic.MOBILE, OwnSurvey(everywhere, NOWHERE), RULES) is None
+
+
+def test_a_car_that_is_compared_elsewhere_is_no_traffic():
+    xyz = block((0, 0, 0), (4, 2, 1.5))
+    count = len(xyz)
+    semantic = np.full(count, Semantic.MOBILE, dtype=np.uint8)
+    instance = np.where(xyz[:, 0] < 2, OTHERS, -1).astype(np.int32)
+    flat = np.ones(count)
+    view = EpochView(xyz, np.zeros((count, 3)), semantic, instance, xyz[:, 2], flat, flat, 9.0 * flat)
+    assert own_survey(view, everywhere).traffic.data == pytest.approx(xyz[xyz[:, 0] > 2])
