@@ -15,6 +15,7 @@ from subiaco_geo.frames import Floats, Ints
 
 _CELL = 0.5  # columns whose tops are compared [m]
 _LOW = 3.0  # tops of higher plants are seen from below: they say little [m]
+_POINTS = 2  # least points of a column in either epoch
 _CELLS = 6  # least columns of a section
 _LENGTH = 1.5  # and least length [m]
 _SEEN = 0.5  # share of its moved surface that the other epoch must have observed
@@ -75,10 +76,10 @@ def _middles(cells: Ints) -> Floats:
 
 
 def _tops(before: Floats, after: Floats) -> tuple[Ints, Floats]:
-    """Lowest column, and tops (2, rows, columns) of two clouds (N, 3), NaN where one of them has none [m].
+    """Lowest column, and tops (2, rows, columns) of two clouds (N, 3), NaN where one of them is thin [m].
 
-    The highest of many points is higher than the highest of few. Where one cloud has more points in a
-    column, it is read at the quantile that the highest of as few as the other has would have.
+    The highest of m points stands at m / (m + 1) of the height, so that tops of which few points tell look
+    lower. Both clouds are read at the quantile that the fewer have, and what is missing is added to both.
     """
     index = np.floor(np.concatenate([before, after])[:, :2] / _CELL).astype(np.int64)
     corner = index.min(axis=0) - 1
@@ -87,8 +88,12 @@ def _tops(before: Floats, after: Floats) -> tuple[Ints, Floats]:
     counts = [np.bincount(key, minlength=shape[0] * shape[1]) for key in keys]
     fewest = np.minimum(counts[0], counts[1])
     share = fewest / (fewest + 1)
-    tops = [_quantiles(xyz[:, 2], key, share) for xyz, key in zip((before, after), keys, strict=True)]
-    return corner, np.where(fewest > 0, np.array(tops), np.nan).reshape(2, *shape)
+    heights = before[:, 2], after[:, 2]
+    bottom = np.minimum(*(_quantiles(z, key, 0.0 * share) for z, key in zip(heights, keys, strict=True)))
+    tops = np.array([_quantiles(z, key, share) for z, key in zip(heights, keys, strict=True)])
+    known = fewest >= _POINTS
+    whole = bottom + (tops - bottom) / np.where(known, share, 1.0)
+    return corner, np.where(known, whole, np.nan).reshape(2, *shape)
 
 
 def _quantiles(values: Floats, group: Ints, share: Floats) -> Floats:

@@ -17,7 +17,7 @@ from subiaco_change.changes.objects import Thing, join_voxels
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats
 
-_ACROSS = 0.125  # share of a part that the other epoch must have looked across
+_ACROSS = 1 / 3  # share of a part that the other epoch must have looked across
 _VEHICLE = 1.5  # least width of a vehicle, or of the part of it that was seen [m]
 _NEXT = 0.75  # so far from points of the other epoch, a voxel lies beside them [m]
 _HELD = 0.5  # share of its voxels from which on a part lies beside them
