@@ -47,6 +47,15 @@ def test_the_half_of_a_hedge_whose_top_moved_is_a_row_of_its_own(height, label):
     assert np.array_equal(np.sort(together), before.points)
 
 
+def test_two_hedges_in_one_instance_of_which_one_grew_and_one_was_trimmed_are_two_rows():
+    found = decided(hedge([(0, 12, 1.5)], 1), hedge([(0, 6, 1.1), (6, 12, 1.95)], 2))
+    moved = [c for c in found if c.decision.change is not Change.UNCHANGED]
+    assert {c.decision.change for c in moved} == {Change.INCREASED, Change.DECREASED}
+    for change in moved:
+        x = change.before[0].xyz[:, 0]
+        assert x.max() < 6.6 if change.decision.change is Change.DECREASED else x.min() > 5.4
+
+
 def test_a_hedge_that_moved_as_a_whole_stays_one_row():
     found = decided(hedge([(0, 8, 1.5)], 1), hedge([(0, 8, 1.95)], 2))
     assert [c.decision.change for c in found] == [Change.INCREASED]

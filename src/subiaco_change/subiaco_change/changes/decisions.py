@@ -59,7 +59,7 @@ class DecisionConfig(StrictModel):
         description="the same for an unmatched object whose observed part is free almost everywhere",
     )
     min_empty: float = Field(
-        0.5, ge=0, le=1, description="share of the observed place that must be free in the other epoch"
+        0.6, ge=0, le=1, description="share of the observed place that must be free in the other epoch"
     )
     trail_passes: float = Field(
         2.0,
