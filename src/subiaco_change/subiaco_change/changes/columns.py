@@ -158,7 +158,7 @@ def _standing(voxels: Voxels, frame: _Frame, ground: Ints, empty: Empty | None) 
     tops = _tops(voxels, frame)
     bare = tops == 0.0
     middle = frame.middles(bare)
-    bare[bare] = np.isin(_column_keys(np.column_stack([middle, np.zeros(len(middle))]), frame.cell), ground)
+    bare[bare] = _among(_column_keys(np.column_stack([middle, np.zeros(len(middle))]), frame.cell), ground)
     if frame.margin == 0 or len(voxels) == 0:
         return tops, bare
     size = 2 * frame.margin + 1
@@ -166,6 +166,13 @@ def _standing(voxels: Voxels, frame: _Frame, ground: Ints, empty: Empty | None) 
     filled = (closed > 0) & (tops == 0) & ~bare
     bare[filled] = empty is not None and _open(frame, filled, closed, voxels, empty)
     return np.where(bare, 0.0, closed), bare
+
+
+def _among(keys: Ints, known: Ints) -> Mask:
+    """Tell which keys (N,) are among the known ones (M,), sorted: many, and the same for every object."""
+    if len(known) == 0:
+        return np.zeros(len(keys), dtype=bool)
+    return np.asarray(known[np.minimum(np.searchsorted(known, keys), len(known) - 1)] == keys)
 
 
 def _tops(voxels: Voxels, frame: _Frame) -> Floats:
