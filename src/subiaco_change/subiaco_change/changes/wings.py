@@ -16,6 +16,8 @@ from subiaco_geo.frames import Floats
 _ROUND = 0.75  # a part that touches its host with so much of itself stands round it, however large it is
 _SMALL = 0.1  # less than this share of its host is no house, whatever stands on both sides
 _CAR = 2.3  # no car is taller [m]
+_ROOM = 2.4  # no room is lower: a shed beside a house is no wing [m]
+_TALLER = 1.2  # what is so many times as high as a building is no wing of it
 _LEANS = 0.25  # what touches a second building with more of itself stands between the two
 _WITHIN = 0.3  # share of a host inside a part in one epoch alone, from which the part was the house itself
 _PARTY = 0.5  # walls so near the edge of an outline are shared with a neighbour [m]
@@ -37,15 +39,16 @@ def find_wings(pairs: Sequence[tuple[Voxels, Voxels]], config: PartConfig) -> di
     Returns
     -------
     dict
-        A wing touches its host, is smaller than ``subordinate`` of it or
-        stands round it, and does not stand between parts of it that would be
-        apart without it: a house pulled from a row was no wing.
+        A wing is as high as a room and touches its host; it is smaller than
+        ``subordinate`` of it and hardly taller, or stands round it, and does not
+        stand between parts of it that would be apart without it: a house
+        pulled from a row was no wing.
     """
-    hosts = [i for i, pair in enumerate(pairs) if len(pair[0]) and len(pair[1])]
+    hosts = [i for i, pair in enumerate(pairs) if all(map(len, pair)) and max(_top(v) for v in pair) >= _ROOM]
     wings: dict[int, int] = {}
     for number, pair in enumerate(pairs):
         epoch = 0 if len(pair[0]) else 1
-        if len(pair[1 - epoch]) or not len(pair[epoch]):
+        if len(pair[1 - epoch]) or not len(pair[epoch]) or _top(pair[epoch]) < _ROOM:
             continue
         wing = pair[epoch].xyz
         contact = [_contact(wing, pairs[i][epoch].xyz, config) for i in hosts]
@@ -56,7 +59,7 @@ def find_wings(pairs: Sequence[tuple[Voxels, Voxels]], config: PartConfig) -> di
         host = hosts[int(np.argmax(contact))]
         body = pairs[host][epoch]
         share = _bulk(pair[epoch]) / max(_bulk(body), 1e-9)
-        if share >= config.subordinate and max(contact) < _ROUND * len(wing):
+        if (share >= config.subordinate or _towers(pair[epoch], body)) and max(contact) < _ROUND * len(wing):
             if _inside(pairs[host][1 - epoch].xyz, wing) >= _WITHIN:  # its walls stand where the wing was
                 wings[number] = host
             continue
@@ -90,6 +93,11 @@ def _floats(wing: Voxels, host: Voxels) -> bool:
     return bool(shapely.contains_xy(over, wing.xyz[:, 0], wing.xyz[:, 1]).mean() < 0.5)
 
 
+def _towers(wing: Voxels, host: Voxels) -> bool:
+    """Tell a house from a wing of its neighbour: from the ground up, and much higher than that."""
+    return bool(wing.height.min() < _ROOM and _top(wing) >= _TALLER * _top(host))
+
+
 def _contact(wing: Floats, host: Floats, config: PartConfig) -> int:
     low, high = host[:, :2].min(axis=0) - config.touch, host[:, :2].max(axis=0) + config.touch
     near = wing[((wing[:, :2] >= low) & (wing[:, :2] <= high)).all(axis=1), :2]
@@ -101,7 +109,11 @@ def _contact(wing: Floats, host: Floats, config: PartConfig) -> int:
 def _bulk(voxels: Voxels) -> float:
     """Volume of the upright body around voxels [m3]: walls alone were seen of many a house."""
     area = shapely.MultiPoint(voxels.xyz[:, :2]).convex_hull.buffer(0.25).area
-    return float(area * np.quantile(voxels.height, 0.95))
+    return float(area * _top(voxels))
+
+
+def _top(voxels: Voxels) -> float:
+    return float(np.quantile(voxels.height, 0.95))
 
 
 def _between(wing: Floats, host: Floats, config: PartConfig) -> bool:
