@@ -17,6 +17,7 @@ from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Ints
 
 _CELL = 0.5  # columns of a part [m]
+_WELL_KNOWN = 20  # voxels in sight, from which on a part may be most of an instance
 _ABOVE = 0.25  # what is higher above a part, in its columns, hangs over it [m]
 
 
@@ -27,7 +28,9 @@ class PartConfig(StrictModel):
     gap: float = Field(0.75, gt=0, description="voxel in which pieces of one part touch [m]")
     length: float = Field(0.8, gt=0, description="least longest side, seen from above [m]")
     foot: float = Field(0.9, gt=0, description="a part stands when it begins below this height [m]")
-    top: float = Field(0.6, ge=0, description="and ends above this one: lower ones are ground told wrong [m]")
+    top: float = Field(
+        0.6, ge=0, description="and mostly ends above this one: else it is ground told wrong [m]"
+    )
     whole: float = Field(
         0.75,
         gt=0,
@@ -103,7 +106,7 @@ def _parts_of(thing: Thing, config: PartConfig) -> Ints:
 
 def _stands(thing: Thing, piece: Ints, column: Ints, alone: Mask, config: PartConfig) -> bool:
     voxels = thing.voxels
-    if voxels.height[piece].min() > config.foot or voxels.height[piece].max() < config.top:
+    if voxels.height[piece].min() > config.foot or np.quantile(voxels.height[piece], 0.9) < config.top:
         return False
     if np.linalg.norm(np.ptp(voxels.xyz[piece, :2], axis=0)) + _CELL < config.length:
         return False
@@ -129,7 +132,8 @@ def _with_unseen(thing: Thing, labels: Ints, config: PartConfig) -> Ints:
     known = thing.voxels.seen
     if not known.all():
         left = np.count_nonzero(thing.voxels.still & (labels == 0))
-        source = np.flatnonzero(known & ((labels > 0) | (left >= np.bincount(labels[known])[1:].max())))
+        gone = np.bincount(labels[known])[1:].max()
+        source = np.flatnonzero(known & ((labels > 0) | (left >= gone) | (gone < _WELL_KNOWN)))
         nearest = cKDTree(thing.voxels.xyz[source]).query(thing.voxels.xyz[~known])[1]
         labels[~known] = labels[source][nearest]
     points = np.bincount(labels[cKDTree(thing.voxels.xyz).query(thing.xyz)[1]], minlength=labels.max() + 1)
