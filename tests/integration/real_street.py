@@ -23,6 +23,7 @@ from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.trajectories import Trajectory
 from subiaco_mapping.config import FusionConfig
 from subiaco_mapping.fusion import VoxelAccumulator, add_scan, fused_cloud, within
+from subiaco_mapping.outliers import beam_spacing
 
 KINDS = ("building", "car", "fence", "pole", "tree")  # the hundreds of the file names
 LEAF = 0.25
@@ -75,7 +76,8 @@ def fuse(scans: KittiScans, poses: Floats, which: Sequence[int]) -> PointCloud:
         reach = np.linalg.norm(xyz, axis=1)
         keep = within(xyz, config.max_range) & (reach > 1.0)
         add_scan(accumulator, xyz[keep].astype(np.float64), intensity[keep], poses[i])
-    cloud = fused_cloud(accumulator, config, 1, lambda p: p, lambda _, d: d, None)
+    spacing = beam_spacing(scans.scan(which[0])[0].astype(np.float64), config.outlier_neighbours)
+    cloud = fused_cloud(accumulator, config, 1, lambda p: p, lambda _, d: d, None, spacing)
     return replace(cloud, fields={"intensity": cloud.fields["intensity"]})
 
 

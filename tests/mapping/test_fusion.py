@@ -8,7 +8,7 @@ import pytest
 from subiaco_geo.clouds import PointCloud, voxel_indices, voxel_keys
 from subiaco_geo.errors import InputError
 from subiaco_mapping.config import FusionConfig
-from subiaco_mapping.fusion import VoxelAccumulator, fused_cloud, keep_inliers
+from subiaco_mapping.fusion import VoxelAccumulator, fused_cloud
 from subiaco_mapping.heights import height_table
 from subiaco_mapping.measurements import DeskewedScan
 from subiaco_mapping.spool import Spool
@@ -74,14 +74,6 @@ def test_normals_look_towards_the_sensor() -> None:
     accumulator.add(wall, np.ones(len(wall), np.float32), SENSOR)
     cloud = fused_cloud(accumulator, FusionConfig(), 1, lambda p: p, lambda _p, v: v, None)
     assert (cloud.fields["normals"][:, 0] < -0.99).mean() > 0.95
-
-
-def test_lone_points_are_removed_and_surfaces_stay() -> None:
-    grid = np.stack(np.meshgrid(np.arange(40), np.arange(40), [0]), axis=-1).reshape(-1, 3) * 0.25
-    lone = np.array([[5.0, 5.0, 6.0], [2.0, 8.0, 9.0]])
-    keep = keep_inliers(np.vstack([grid, lone]), 8, 3.0, 1)
-    assert keep[:-2].all()
-    assert not keep[-2:].any()
 
 
 def test_points_that_are_not_finite_are_refused() -> None:

@@ -15,6 +15,7 @@ from subiaco_mapping.config import FusionConfig, MovingConfig
 from subiaco_mapping.finishing import FinishedMap, MapFusion
 from subiaco_mapping.fusion import VoxelAccumulator, add_scan, fused_cloud
 from subiaco_mapping.moving import moving_points, on_the_floor, turn_keys
+from subiaco_mapping.outliers import beam_spacing
 from subiaco_mapping.projection import Projection
 from subiaco_mapping.tiles import TileRuns, tile_corner, tile_numbers, tiles_around
 
@@ -167,5 +168,6 @@ def test_without_movement_the_finished_map_is_the_fused_cloud(tmp_path: Path) ->
     accumulator = VoxelAccumulator(config.leaf)
     for scan, pose in drive(6, SEED):
         add_scan(accumulator, scan.xyz, scan.intensity, pose)
-    expected = fused_cloud(accumulator, config, 1, lambda p: p, lambda _p, v: v, None)
+    spacing = beam_spacing(drive(1, SEED)[0][0].xyz, config.outlier_neighbours)
+    expected = fused_cloud(accumulator, config, 1, lambda p: p, lambda _p, v: v, None, spacing)
     assert_same_cloud(fuse(tmp_path / "f", config, scans=6).cloud, expected)

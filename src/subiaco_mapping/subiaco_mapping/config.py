@@ -202,8 +202,15 @@ class FusionConfig(StrictModel):
     leaf: float = Field(0.25, gt=0, description="map voxel [m]")
     max_range: float = Field(70.0, gt=0, description="farther points do not enter the map [m]")
     min_points: int = Field(1, ge=1, description="points a map voxel needs")
-    outlier_neighbours: int = Field(8, ge=0, description="neighbours of the outlier test; 0 leaves it out")
-    outlier_sigma: float = Field(3.0, gt=0, description="limit of the outlier test in standard deviations")
+    outlier_neighbours: int = Field(
+        3, ge=0, description="others that a point needs near it to stay; 0 leaves the test out"
+    )
+    outlier_spacings: float = Field(
+        3.0,
+        gt=0,
+        description="near is so many beam spacings at the range from which the point was seen, "
+        "and two leaves at least [1]",
+    )
     normal_neighbours: int = Field(15, ge=5, description="neighbours of a normal")
     visibility_voxel: float = Field(0.5, gt=0, description="voxel of the visibility layer [m]")
     visibility_stride: int = Field(8, ge=1, description="one beam in so many is walked; 0.5 m needs no more")

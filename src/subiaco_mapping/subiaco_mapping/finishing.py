@@ -15,8 +15,9 @@ from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, transform_points
 from subiaco_geo.visibility import VisibilityGrid
 from subiaco_mapping.config import FusionConfig
-from subiaco_mapping.fusion import VoxelStatistics, neighbour_distance, oriented_normals, walked_beams
+from subiaco_mapping.fusion import VoxelStatistics, oriented_normals, walked_beams
 from subiaco_mapping.moving import REFERENCE_BEAMS, moving_points, on_the_floor, turn_keys
+from subiaco_mapping.outliers import beam_spacing, lonely_points
 from subiaco_mapping.projection import Projection
 from subiaco_mapping.spool import SpooledScan
 from subiaco_mapping.tiles import (
@@ -29,6 +30,7 @@ from subiaco_mapping.tiles import (
     tiles_around,
 )
 
+_SHOWN = 100  # one scan in so many shows how far its beams are apart
 _FAR = 10_000.0  # a map that begins farther from zero gets an origin of its own [m]
 
 
@@ -40,15 +42,6 @@ class FinishedMap:
     last: PointCloud | None
     moving: PointCloud | None
     visibility: VisibilityGrid
-
-
-@dataclass(frozen=True)
-class _Around:
-    """Voxels of a tile, ``own`` of them, and then those of its neighbours within the overlap."""
-
-    found: VoxelStatistics
-    own: int
-    tiles: list[tuple[int, NDArray[np.bool_]]]  # where the voxels come from, and which of the tile they are
 
 
 class MapFusion:
@@ -80,11 +73,12 @@ class MapFusion:
         self._beams = VisibilityTiles(folder / "visibility", corner, voxel, coarse, 4 * most)
         self._walked, self._scans = 0, 0
         self._statistics = Recent(self._usable)
-        self._kept = Recent(self._load_kept)
-        self._limit = np.inf
+        self._spacing = 0.0
 
     def add(self, scan: SpooledScan, pose: Floats, matrix: Floats, offset: Floats) -> None:
         """Add a scan at ``T_local_lidar``; ``world = matrix @ local + offset`` around it."""
+        if self._scans % _SHOWN == 0:  # of several sensors the coarsest counts
+            self._spacing = max(self._spacing, beam_spacing(scan.xyz, self._config.outlier_neighbours))
         xyz = transform_points(pose, scan.xyz)
         self._first.add(xyz, scan.intensity, pose[:3, 3])
         self._last.add(transform_points(pose, scan.last_xyz), scan.last_intensity, pose[:3, 3])
@@ -109,17 +103,10 @@ class MapFusion:
         self._first.free()
         self._last.free()
         tiles = self._first.tiles
-        moments = np.zeros(3)
-        for done, tile in enumerate(tiles):
-            moments += self._judge(tile, threads)
-            report(0.5 * done / len(tiles))
-        mean = moments[1] / max(moments[0], 1)
-        spread = np.sqrt(max(moments[2] / max(moments[0], 1) - mean**2, 0.0))
-        self._limit = mean + self._config.outlier_sigma * spread
         still, moving = DiskColumns(self._folder / "map"), DiskColumns(self._folder / "moving")
         for done, tile in enumerate(tiles):
             self._finish_tile(tile, threads, still, moving)
-            report(0.5 + 0.5 * done / len(tiles))
+            report(done / len(tiles))
         cloud = self._cloud(still)
         if cloud is None or len(cloud) < 10:
             raise InputError(
@@ -132,29 +119,20 @@ class MapFusion:
         found = self._first.statistics(tile)
         return found.select(found.n >= self._config.min_points)
 
-    def _around(self, tile: int) -> _Around:
+    def _around(self, tile: int) -> tuple[VoxelStatistics, int]:
+        """Return the voxels of a tile, how many those are, and behind them its neighbours' within reach."""
         low = tile_corner(tile, self._edge) * self._config.leaf - self._reach
         high = low + self._edge * self._config.leaf + 2 * self._reach
         present = set(self._first.tiles)
         own = self._statistics(tile)
-        parts, tiles = [own], [(tile, np.ones(len(own), dtype=np.bool_))]
+        parts = [own]
         for other in tiles_around(tile):
             if other != tile and other in present:
                 found = self._statistics(other)
                 xy = found.mean[:, :2]
                 near = np.asarray(((xy >= low) & (xy <= high)).all(axis=1))
                 parts.append(found.select(near))
-                tiles.append((other, near))
-        return _Around(VoxelStatistics.joined(parts), len(own), tiles)
-
-    def _judge(self, tile: int, threads: int) -> Floats:
-        """Note what of a tile moved and how lonely its points are; return n, sum and squares of that."""
-        around, config = self._around(tile), self._config
-        xyz = around.found.mean
-        lonely = neighbour_distance(xyz, config.outlier_neighbours, self._reach, threads)[: around.own]
-        moved = moving_points(xyz, self._passed(xyz), config.moving) & ~on_the_floor(xyz, config.moving.floor)
-        np.savez(self._folder / f"judged_{tile}.npz", lonely=lonely, moved=moved[: around.own])
-        return np.array([around.own, lonely.sum(), (lonely**2).sum()])
+        return VoxelStatistics.joined(parts), len(own)
 
     def _passed(self, xyz: Floats) -> Floats:
         """Return beams passed (N,) for each turn that returned something."""
@@ -164,19 +142,16 @@ class MapFusion:
         scale = min(REFERENCE_BEAMS * self._scans / max(self._walked, 1), 1.0)
         return np.asarray(passes * scale / np.maximum(self._turns.turns(xyz), 1))
 
-    def _load_kept(self, tile: int) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-        with np.load(self._folder / f"judged_{tile}.npz") as judged:
-            moved = judged["moved"]
-            return (judged["lonely"] <= self._limit) & ~moved, moved
-
     def _finish_tile(self, tile: int, threads: int, still: DiskColumns, moving: DiskColumns) -> None:
-        around = self._around(tile)
-        keep = np.concatenate([self._kept(other)[0][chosen] for other, chosen in around.tiles])
-        moved = self._kept(tile)[1]
-        self._write(moving, self._statistics(tile).select(moved))
-        found, own = around.found.select(keep), int(keep[: around.own].sum())
+        """Write what of a tile moved, and what stays with its normals."""
+        (found, own), config = self._around(tile), self._config
+        xyz = found.mean
+        moved = moving_points(xyz, self._passed(xyz), config.moving) & ~on_the_floor(xyz, config.moving.floor)
+        self._write(moving, found.select(np.flatnonzero(moved[:own])))
+        keep = ~moved & ~lonely_points(xyz, found.reach, self._spacing, config, threads)
+        found, own = found.select(keep), int(keep[:own].sum())
         if own:
-            count = self._config.normal_neighbours
+            count = config.normal_neighbours
             normals = oriented_normals(found.mean, found.view, count, threads)[:own]
             self._write(still, found.select(np.arange(own)), normals)
 

@@ -10,17 +10,17 @@ import numba
 import numpy as np
 import small_gicp
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from subiaco_geo.clouds import PointCloud, from_world, unpack_voxel_keys
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints, transform_points
 from subiaco_mapping.config import FusionConfig
+from subiaco_mapping.outliers import lonely_points
 from subiaco_mapping.spool import SpooledScan
 
 _EMPTY = -1
 _LIMIT = 1 << 20
-_COLUMNS = 13
+_COLUMNS = 14
 _MAX_LOAD = 0.6
 
 
@@ -40,7 +40,7 @@ def _accumulate(xyz, intensity, sensor, leaf, keys, counts, sums):  # type: igno
     """Add points to their voxels; the table must have room. Returns the number of new voxels.
 
     Columns of ``sums``: offset from the voxel centre (3), its products xx xy xz yy yz zz (6),
-    intensity, direction to the sensor (3).
+    intensity, direction to the sensor (3), distance from it.
     """
     added = 0
     for i in range(len(xyz)):
@@ -70,6 +70,7 @@ def _accumulate(xyz, intensity, sensor, leaf, keys, counts, sums):  # type: igno
         row[10] += vx / reach
         row[11] += vy / reach
         row[12] += vz / reach
+        row[13] += reach
         counts[slot] += 1
     return added
 
@@ -101,6 +102,8 @@ class VoxelStatistics:
     intensity : (V,) float32
     view : (V, 3) float64
         Mean direction to the sensor, not normalised.
+    reach : (V,) float64
+        Mean distance from the sensor [m].
     """
 
     keys: Ints
@@ -109,6 +112,7 @@ class VoxelStatistics:
     covariance: Floats
     intensity: NDArray[np.float32]
     view: Floats
+    reach: Floats
 
     def __len__(self) -> int:
         return len(self.keys)
@@ -157,7 +161,7 @@ class VoxelAccumulator:
             )
 
     def sums(self) -> tuple[Ints, NDArray[np.uint32], Floats]:
-        """Return keys (V,), sorted, counts (V,) and sums (V, 13) gathered so far."""
+        """Return keys (V,), sorted, counts (V,) and sums (V, 14) gathered so far."""
         used = np.flatnonzero(self._keys != _EMPTY)
         order = used[np.argsort(self._keys[used])]
         return self._keys[order], self._counts[order], self._sums[order]
@@ -175,7 +179,7 @@ class VoxelAccumulator:
 
 
 def statistics_of(keys: Ints, counts: NDArray[np.uint32], sums: Floats, leaf: float) -> VoxelStatistics:
-    """Turn keys (V,), counts (V,) and sums (V, 13) of voxels into statistics."""
+    """Turn keys (V,), counts (V,) and sums (V, 14) of voxels into statistics."""
     share = sums / counts[:, None]
     offset = share[:, :3]
     second = share[:, [3, 4, 5, 4, 6, 7, 5, 7, 8]].reshape(-1, 3, 3)
@@ -186,27 +190,8 @@ def statistics_of(keys: Ints, counts: NDArray[np.uint32], sums: Floats, leaf: fl
         covariance=second - offset[:, :, None] * offset[:, None, :],
         intensity=share[:, 9].astype(np.float32),
         view=share[:, 10:13],
+        reach=share[:, 13],
     )
-
-
-def neighbour_distance(xyz: Floats, neighbours: int, reach: float, threads: int = 1) -> Floats:
-    """Return the mean distance (N,) to the nearest neighbours [m]; one farther than ``reach`` counts as that.
-
-    So a tile with ``reach`` of its neighbours gives what the whole map would.
-    """
-    if neighbours == 0 or len(xyz) == 0:
-        return np.zeros(len(xyz))
-    tree = cKDTree(xyz)
-    distance, _ = tree.query(xyz, k=neighbours + 1, distance_upper_bound=reach, workers=threads)
-    return np.asarray(np.minimum(distance[:, 1:], reach).mean(axis=1))
-
-
-def keep_inliers(
-    xyz: Floats, neighbours: int, sigma: float, threads: int, reach: float = 10.0
-) -> NDArray[np.bool_]:
-    """Statistical outlier removal: mark points (N,) near enough to their neighbours."""
-    mean = neighbour_distance(xyz, neighbours, reach, threads)
-    return np.asarray(mean <= mean.mean() + sigma * mean.std())
 
 
 def oriented_normals(xyz: Floats, view: Floats, neighbours: int, threads: int) -> Floats:
@@ -225,6 +210,7 @@ def fused_cloud(
     project: Callable[[Floats], Floats],
     rotate: Callable[[Floats, Floats], Floats],
     crs: str | None,
+    spacing: float = 0.0,
 ) -> PointCloud:
     """Finish the map.
 
@@ -238,6 +224,8 @@ def fused_cloud(
     rotate : callable
         Local points and directions (N, 3) to directions in map axes.
     crs : str or None
+    spacing : float
+        Of the beams, see :func:`subiaco_mapping.outliers.beam_spacing` [rad].
 
     Returns
     -------
@@ -251,22 +239,18 @@ def fused_cloud(
         Fewer than 10 voxels are left.
     """
     found = accumulator.statistics()
-    keep = np.flatnonzero(found.n >= config.min_points)
-    inliers = keep_inliers(
-        found.mean[keep], config.outlier_neighbours, config.outlier_sigma, threads, config.tile_overlap
-    )
-    keep = keep[inliers]
-    if len(keep) < 10:
-        raise InputError(f"fused map: {len(keep)} points are left; check range limits and extrinsics")
-    xyz = found.mean[keep]
-    normals = oriented_normals(xyz, found.view[keep], config.normal_neighbours, threads)
-    variance = np.einsum("ni,nij,nj->n", normals, found.covariance[keep], normals)
+    found = found.select(found.n >= config.min_points)
+    found = found.select(~lonely_points(found.mean, found.reach, spacing, config, threads))
+    if len(found) < 10:
+        raise InputError(f"fused map: {len(found)} points are left; check range limits and extrinsics")
+    normals = oriented_normals(found.mean, found.view, config.normal_neighbours, threads)
+    variance = np.einsum("ni,nij,nj->n", normals, found.covariance, normals)
     return from_world(
-        project(xyz),
+        project(found.mean),
         crs,
-        intensity=found.intensity[keep],
-        normals=rotate(xyz, normals),
-        n=found.n[keep],
+        intensity=found.intensity,
+        normals=rotate(found.mean, normals),
+        n=found.n,
         spread=np.sqrt(np.maximum(variance, 0.0)).astype(np.float32),
     )
 
