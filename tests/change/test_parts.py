@@ -78,14 +78,6 @@ def test_a_kerb_told_wrong_is_no_part():
     assert len(part_things([thing([(hedge, True), (kerb, False)])], CONFIG)) == 1
 
 
-@pytest.mark.parametrize(("length", "count"), [(1.5, 1), (4.0, 2)], ids=["a longer bonnet", "another car"])
-def test_a_vehicle_is_parted_only_where_another_one_stands_beside_it(length, count):
-    old, new = block((0, 0, 0), (4, 2, 1.5)), block((4, 0, 0), (4 + length, 2, 1.5))
-    made = replace(thing([(old, True), (new, False)]), semantic=Semantic.MOBILE)
-    assert len(part_things([made], CONFIG)) == count
-    assert len(part_things([replace(made, semantic=Semantic.VEGETATION)], CONFIG)) == 2
-
-
 @pytest.mark.parametrize(("left", "hidden_went"), [(1.0, True), (8.0, False)], ids=["a gate", "a house"])
 def test_what_nobody_saw_goes_with_what_is_gone_if_little_is_left(left, hidden_went):
     rest, gone = block((0, 0, 0), (left, 2, 3)), block((left, 0, 0), (left + 2, 2, 3))

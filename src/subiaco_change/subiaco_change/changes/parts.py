@@ -13,7 +13,6 @@ from subiaco_change.changes.objects import Thing
 from subiaco_change.semantics.clustering import group_indices, voxel_clusters
 from subiaco_change.semantics.ground import Mask
 from subiaco_geo.clouds import voxel_indices, voxel_keys
-from subiaco_geo.codes import Semantic
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Ints
 
@@ -28,9 +27,6 @@ class PartConfig(StrictModel):
     points: int = Field(20, ge=0, description="least points of a part; 0: instances are never parted")
     gap: float = Field(0.75, gt=0, description="voxel in which pieces of one part touch [m]")
     length: float = Field(0.8, gt=0, description="least longest side, seen from above [m]")
-    vehicle: float = Field(
-        2.8, gt=0, description="the same beside a vehicle: less is its bonnet, where another stood [m]"
-    )
     foot: float = Field(0.9, gt=0, description="a part stands when it begins below this height [m]")
     top: float = Field(
         0.6, ge=0, description="and mostly ends above this one: else it is ground told wrong [m]"
@@ -112,8 +108,7 @@ def _stands(thing: Thing, piece: Ints, column: Ints, alone: Mask, config: PartCo
     voxels = thing.voxels
     if voxels.height[piece].min() > config.foot or np.quantile(voxels.height[piece], 0.9) < config.top:
         return False
-    least = config.vehicle if thing.semantic is Semantic.MOBILE else config.length
-    if np.linalg.norm(np.ptp(voxels.xyz[piece, :2], axis=0)) + _CELL < least:
+    if np.linalg.norm(np.ptp(voxels.xyz[piece, :2], axis=0)) + _CELL < config.length:
         return False
     inside = _below(thing, piece, column) & voxels.seen
     return bool(np.count_nonzero(alone & inside) >= config.whole * np.count_nonzero(inside))
