@@ -107,16 +107,18 @@ def _cylinders(
                     dx, dy, dz = points[k, 0] - x, points[k, 1] - y, points[k, 2] - z
                     along = a * dx + b * dy + c * dz
                     across = dx * dx + dy * dy + dz * dz - along * along
-                    if across <= radius * radius and abs(along) <= half_length:
-                        u, v, w = point_normals[k, 0], point_normals[k, 1], point_normals[k, 2]
-                        if agreement <= 0.0 or abs(a * u + b * v + c * w) >= agreement:
-                            total += along
-                            squares += along * along
-                            m += 1
-                            if abs(along) <= short:
-                                short_total += along
-                                short_squares += along * along
-                                short_m += 1
+                    u, v, w = point_normals[k, 0], point_normals[k, 1], point_normals[k, 2]
+                    size = abs(along)
+                    facing = (agreement <= 0.0) | (abs(a * u + b * v + c * w) >= agreement)
+                    near = facing & (across <= radius * radius)
+                    whole = 1.0 if near & (size <= half_length) else 0.0  # adding nothing beats a branch
+                    part = 1.0 if near & (size <= short) else 0.0
+                    m += int(whole)
+                    total += whole * along
+                    squares += whole * (along * along)
+                    short_m += int(part)
+                    short_total += part * along
+                    short_squares += part * (along * along)
                     k += 1
         _put(mean, variance, count, 0, q, total, squares, m)
         _put(mean, variance, count, 1, q, short_total, short_squares, short_m)
