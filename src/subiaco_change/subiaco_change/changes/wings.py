@@ -17,10 +17,11 @@ _ROUND = 0.75  # a part that touches its host with so much of itself stands roun
 _SMALL = 0.1  # less than this share of its host is no house, whatever stands on both sides
 _CAR = 2.3  # no car is taller [m]
 _ROOM = 2.4  # no room is lower: a shed beside a house is no wing [m]
-_TALLER = 1.2  # what is so many times as high as a building is no wing of it
 _LEANS = 0.25  # what touches a second building with more of itself stands between the two
 _WITHIN = 0.3  # share of a host inside a part in one epoch alone, from which the part was the house itself
 _PARTY = 0.5  # walls so near the edge of an outline are shared with a neighbour [m]
+_BESIDE = 0.5  # less of a neighbour lies within the outline of a house in the epoch without it
+_HALF_STOREY = 1.5  # what stands beside a house and is taller by more is another house [m]
 _UNDERSIDE = 0.6  # what begins higher, in shares of its top, stands on nothing
 _NEIGHBOURS = 6  # voxels, itself among them, whose normals are compared
 _SMOOTH = 0.78  # mean cosine between the normals of neighbours: leaves stay below 0.75
@@ -40,7 +41,7 @@ def find_wings(pairs: Sequence[tuple[Voxels, Voxels]], config: PartConfig) -> di
     -------
     dict
         A wing is as high as a room and touches its host; it is smaller than
-        ``subordinate`` of it and hardly taller, or stands round it, and does not
+        ``subordinate`` of it and no half storey taller, or stands round it, and does not
         stand between parts of it that would be apart without it: a house
         pulled from a row was no wing.
     """
@@ -59,11 +60,15 @@ def find_wings(pairs: Sequence[tuple[Voxels, Voxels]], config: PartConfig) -> di
         host = hosts[int(np.argmax(contact))]
         body = pairs[host][epoch]
         share = _bulk(pair[epoch]) / max(_bulk(body), 1e-9)
-        if (share >= config.subordinate or _towers(pair[epoch], body)) and max(contact) < _ROUND * len(wing):
+        round_it = max(contact) >= _ROUND * len(wing)
+        if share >= config.subordinate and not round_it:
             if _inside(pairs[host][1 - epoch].xyz, wing) >= _WITHIN:  # its walls stand where the wing was
                 wings[number] = host
             continue
         if _floats(pair[epoch], body):
+            continue
+        beside = _over(pair[epoch], pairs[host][1 - epoch]) < _BESIDE
+        if beside and not round_it and _rises(pair[epoch], body):
             continue
         if share < _SMALL or not _between(wing, body.xyz, config):
             wings[number] = host
@@ -89,13 +94,18 @@ def _floats(wing: Voxels, host: Voxels) -> bool:
     """Tell a crown from a wing: it begins high above the ground beside its host, not above it."""
     if wing.height.min() < max(_CAR, _UNDERSIDE * wing.height.max()):
         return False
-    over = shapely.MultiPoint(host.xyz[:, :2]).convex_hull
-    return bool(shapely.contains_xy(over, wing.xyz[:, 0], wing.xyz[:, 1]).mean() < 0.5)
+    return _over(wing, host) < 0.5
 
 
-def _towers(wing: Voxels, host: Voxels) -> bool:
-    """Tell a house from a wing of its neighbour: from the ground up, and much higher than that."""
-    return bool(wing.height.min() < _ROOM and _top(wing) >= _TALLER * _top(host))
+def _rises(wing: Voxels, host: Voxels) -> bool:
+    """Tell whether a wing is taller than its host by half a storey."""
+    return _top(wing) - _top(host) > _HALF_STOREY
+
+
+def _over(wing: Voxels, host: Voxels) -> float:
+    """Share of a wing above or within the outline of its host."""
+    outline = shapely.MultiPoint(host.xyz[:, :2]).convex_hull
+    return float(shapely.contains_xy(outline, wing.xyz[:, 0], wing.xyz[:, 1]).mean())
 
 
 def _contact(wing: Floats, host: Floats, config: PartConfig) -> int:
