@@ -14,6 +14,7 @@ from subiaco_change.observation.lod import (
     combine,
     compare_epochs,
     cylinder_stats,
+    make_surface,
 )
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.errors import InputError
@@ -104,15 +105,18 @@ def test_the_kernel_agrees_with_its_numpy_twin():
     axes /= np.linalg.norm(axes, axis=1, keepdims=True)
     normals = rng.normal(size=(3000, 3))
     normals /= np.linalg.norm(normals, axis=1, keepdims=True)
-    stats = cylinder_stats(queries, axes, points, normals, 0.8, 1.3, 0.5)
+    config = LodConfig(radius=0.8, normal_agreement=0.5)
+    surface = make_surface(PointCloud(points, fields={"normals": normals}), config)
+    found = cylinder_stats(queries, axes, surface, config, 1.3, 0.7)
     for i in range(60):
         offset = points - queries[i]
         along = offset @ axes[i]
         across = np.linalg.norm(offset - along[:, None] * axes[i], axis=1)
-        keep = (np.abs(along) <= 1.3) & (across <= 0.8) & (np.abs(normals @ axes[i]) >= 0.5)
-        assert stats.count[i] == keep.sum()
-        assert stats.mean[i] == pytest.approx(along[keep].mean(), abs=1e-9)
-        assert stats.std[i] == pytest.approx(along[keep].std(), abs=1e-9)
+        for stats, half_length in zip(found, (1.3, 0.7), strict=True):
+            keep = (np.abs(along) <= half_length) & (across <= 0.8) & (np.abs(normals @ axes[i]) >= 0.5)
+            assert stats.count[i] == keep.sum()
+            assert stats.mean[i] == pytest.approx(along[keep].mean(), abs=1e-9)
+            assert stats.std[i] == pytest.approx(along[keep].std(), abs=1e-9)
 
 
 def test_the_same_cylinder_in_both_epochs_keeps_what_stands_beside_the_surface_out():
@@ -164,7 +168,11 @@ def test_distances_and_uncertainties_are_those_of_the_m3c2_oracle(shared_data):
             continue
         normals[i] = np.linalg.eigh(np.cov(ball.T))[1][:, 0]
     normals[normals[:, 2] < 0] *= -1
-    ours = [cylinder_stats(core, normals, p, np.zeros_like(p), 2.890432, 5.5) for p in (first, second)]
+    config = LodConfig(radius=2.890432, normal_agreement=0.0)
+    sides = [
+        make_surface(PointCloud(p, fields={"normals": np.zeros_like(p)}), config) for p in (first, second)
+    ]
+    ours = [cylinder_stats(core, normals, side, config, 5.5, 5.5)[0] for side in sides]
     variance = sum(s.std**2 / np.maximum(s.count, 1) for s in ours)
     # a core point that PDAL drops from its own cylinder, or one on the rim, changes a count by one
     same = (ours[0].count == column("m3c2_count1")) & (ours[1].count == column("m3c2_count2"))

@@ -8,13 +8,20 @@ from test_measures import block, voxels, walls
 
 from subiaco_change.changes.apart import pieces_apart
 from subiaco_change.changes.association_costs import AssociationConfig
-from subiaco_change.changes.judging import lies_flat
+from subiaco_change.changes.decisions import DecisionConfig
+from subiaco_change.changes.judging import ObjectRules, decide_object, lies_flat
+from subiaco_change.changes.measures import MeasureConfig, Measures
 from subiaco_change.changes.objects import Thing, Voxels
 from subiaco_change.changes.parts import PartConfig, part_things
+from subiaco_change.changes.vehicle_parts import part_of_vehicle
 from subiaco_change.changes.wings import built, find_wings
 from subiaco_geo.codes import Change, Semantic
 
 CONFIG = PartConfig()
+CROSSED = Measures(
+    iou=0.0, d_perp=0.0, delta_c=0.0, delta_h=0.0, delta_v=0.0, delta_v_surface=0.0, volume=1.0, chi2=1.0,
+    gone_share=0.0, new_share=1.0, observed_fraction=1.0, seen_voxels=50, carried=2.0,
+)  # fmt: skip
 
 
 def thing(pieces, instance=3):
@@ -144,14 +151,43 @@ def test_a_roof_over_its_walls_and_a_small_fragment_are_no_bodies_of_their_own()
 
 @pytest.mark.parametrize(
     ("semantic", "height", "flat"),
-    [(Semantic.OTHER, 0.5, True), (Semantic.OTHER, 1.5, False), (Semantic.MOBILE, 0.5, False)],
-    ids=["a strip of new paving", "a bench", "a car's floor"],
+    [
+        (Semantic.OTHER, 0.5, True),
+        (Semantic.OTHER, 1.5, False),
+        (Semantic.MOBILE, 0.5, True),
+        (Semantic.MOBILE, 1.0, False),
+        (Semantic.BUILDING, 0.5, False),
+    ],
+    ids=["a strip of new paving", "a bench", "road that passed for a car", "a car's floor", "a terrace"],
 )
-def test_what_lies_flat_and_has_no_class_is_left_to_the_ground(semantic, height, flat):
+def test_what_lies_flat_is_left_to_the_ground(semantic, height, flat):
     slab = thing([(block((0, 0, 0), (8, 2, height)), False)])
     decision = lies_flat(semantic, [slab])
     assert (decision is not None) == flat
     assert decision is None or decision.change is Change.NOT_REPORTED
+
+
+@pytest.mark.parametrize(
+    ("start", "width", "whole", "same"),
+    [(4.0, 1.0, 0, True), (4.0, 2.0, 0, False), (6.0, 1.0, 0, False), (4.0, 1.0, -1, False)],
+    ids=["the longer end of another car", "a car behind it", "a motorcycle farther off", "a bin beside it"],
+)
+def test_what_a_vehicle_is_longer_by_than_another_in_its_place_is_no_vehicle(start, width, whole, same):
+    old = block((0, 0, 0), (4, 2, 1.5), 0.2)
+    piece = thing([(block((start, 0, 0), (start + 2 * width - 1, width, 1.0)), False)])
+    piece = replace(piece, semantic=Semantic.MOBILE, whole=whole)
+    decision = part_of_vehicle([piece], Semantic.MOBILE, CROSSED, old)
+    assert (decision is not None) == same
+    assert decision is None or decision.change is Change.UNCHANGED
+
+
+def test_a_part_of_a_vehicle_that_the_other_epoch_only_grazed_is_not_claimed():
+    old, new = block((0, 0, 0), (4, 2, 1.5)), block((4, 0, 0), (8, 2, 1.5))
+    part = part_things([thing([(old, True), (new, False)])], CONFIG)[1]
+    rules = ObjectRules(MeasureConfig(), AssociationConfig(), DecisionConfig())
+    crossed = replace(part, voxels=replace(part.voxels, crossed=np.ones(len(part.voxels), dtype=bool)))
+    found = [decide_object((), (p,), Semantic.MOBILE, rules).decision.change for p in (part, crossed)]
+    assert found == [Change.UNOBSERVED, Change.ADDED]
 
 
 def test_a_low_wall_does_not_lie_flat():

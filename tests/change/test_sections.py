@@ -40,11 +40,20 @@ def test_the_half_of_a_hedge_whose_top_moved_is_a_row_of_its_own(height, label):
     before, after = hedge([(0, 12, 1.5)], 1), hedge([(0, 6, 1.5), (6, 12, height)], 2)
     rest, moved = decided(before, after)
     assert (rest.decision.change, moved.decision.change) == (Change.UNCHANGED, label)
-    assert f"top {height - 1.5:+.1f}" in moved.decision.reason
+    assert float(moved.decision.reason.split()[1]) == pytest.approx(height - 1.5, abs=0.05)
     assert before.xyz[moved.points("before"), 0].min() > 5.4
     assert before.xyz[rest.points("before"), 0].max() < 6.6
     together = np.concatenate([c.points("before") for c in (rest, moved)])
     assert np.array_equal(np.sort(together), before.points)
+
+
+def test_two_hedges_in_one_instance_of_which_one_grew_and_one_was_trimmed_are_two_rows():
+    found = decided(hedge([(0, 12, 1.5)], 1), hedge([(0, 6, 1.1), (6, 12, 1.95)], 2))
+    moved = [c for c in found if c.decision.change is not Change.UNCHANGED]
+    assert {c.decision.change for c in moved} == {Change.INCREASED, Change.DECREASED}
+    for change in moved:
+        x = change.before[0].xyz[:, 0]
+        assert x.max() < 6.6 if change.decision.change is Change.DECREASED else x.min() > 5.4
 
 
 def test_a_hedge_that_moved_as_a_whole_stays_one_row():
@@ -66,6 +75,36 @@ def test_a_top_that_the_other_epoch_never_looked_at_is_no_section():
 def test_tops_of_trees_are_not_compared():
     before, after = hedge([(0, 6, 5.0)], 1), hedge([(0, 3, 5.0), (3, 6, 4.4)], 2)
     assert moved_sections([before], [after], 0.3)[0] == []
+
+
+@pytest.mark.parametrize("share", [0.01, 0.04, 0.15])
+@pytest.mark.parametrize("sparser", ["before", "after"])
+def test_the_end_of_a_hedge_that_few_beams_met_in_one_epoch_keeps_its_top(sparser, share):
+    rng = np.random.default_rng(7)
+    full, other = hedge([(0, 12, 1.5)], 1), hedge([(0, 12, 1.5)], 2)
+    few = other.xyz[(other.xyz[:, 0] < 7) | (rng.random(len(other.xyz)) < share)]
+    thin = replace(other, xyz=few, points=np.arange(len(few)))
+    pair = (thin, full) if sparser == "before" else (full, thin)
+    assert moved_sections([pair[0]], [pair[1]], 0.3)[0] == []
+
+
+def test_a_thinly_sampled_trim_is_found_where_its_tops_moved_beyond_their_spread():
+    rng = np.random.default_rng(7)
+    full, other = hedge([(0, 12, 1.8)], 1), hedge([(0, 6, 1.8), (6, 12, 0.9)], 2)
+    few = other.xyz[rng.random(len(other.xyz)) < 0.15]
+    thin = replace(other, xyz=few, points=np.arange(len(few)))
+    (section,), _ = moved_sections([full], [thin], 0.3)
+    assert section.rise == pytest.approx(-0.85, abs=0.2)
+    assert section.xy[:, 0].min() > 5
+
+
+def test_where_points_of_another_class_stood_nothing_grew():
+    before, after = hedge([(0, 12, 1.2)], 1), hedge([(0, 6, 1.2), (6, 12, 2.0)], 2)
+    wall = block((6, 0, 1.2), (12, 1, 2.0), 0.2)
+    nothing = np.zeros((0, 3))
+    assert [s.rise > 0.6 for s in moved_sections([before], [after], 0.3)[0]] == [True]
+    assert moved_sections([before], [after], 0.3, (wall, nothing))[0] == []
+    assert len(moved_sections([before], [after], 0.3, (np.add(wall, (0, 0, 3)), nothing))[0]) == 1
 
 
 def test_tops_that_few_beams_met_are_not_trimmed():

@@ -1,9 +1,8 @@
 """77 real KITTI scans through the node graph, and the street they make against itself with known changes.
 
 Seen (docs/real-data.md): the trajectory differs from the kiss-icp reference by at most 0.033 m and 0.034 deg
-on 28.9 m; 15 of 17 objects put in and 15 of 17 taken out are found; 3 and 6 rows report a change where there
-is none: a car that drove by, which clouds fused without counting beams keep, and lone far pieces. The bounds
-leave room.
+on 28.9 m; 15 of 16 objects put in and 14 of 16 taken out are found; 6 and 5 rows report a change where there
+is none: cars that drove by, which clouds fused without counting beams keep. The bounds leave room.
 """
 
 from __future__ import annotations
@@ -175,5 +174,5 @@ def test_real_objects_put_into_a_real_street_are_found_and_little_else(
         assert any(item.hit for item in found if item.placed.kind == kind)
     opposite = Change.REMOVED if change is Change.ADDED else Change.ADDED
     assert not any(item.label == opposite.label for item in found)
-    assert len(alarms) <= 9
+    assert len(alarms) <= 8
     assert area > 4000

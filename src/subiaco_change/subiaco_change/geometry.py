@@ -14,6 +14,7 @@ from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
 
 _MAX_COLUMNS = 1 << 24
+_ROUNDING = 1e-6  # more than the coordinates of a column can be off by rounding [m]
 
 
 @dataclass(frozen=True)
@@ -57,9 +58,9 @@ def build_index(xyz: Floats, cell: float) -> ColumnIndex:
         cell *= 2
     shape = np.floor(extent / cell).astype(np.int64) + 1
     ij = np.minimum(((xyz[:, :2] - corner) / cell).astype(np.int64), shape - 1)
-    column = ij[:, 0] * shape[1] + ij[:, 1]
-    order = np.lexsort((xyz[:, 2], column))
-    starts = np.searchsorted(column[order], np.arange(shape[0] * shape[1] + 1))
+    column, columns = ij[:, 0] * shape[1] + ij[:, 1], int(np.prod(shape))
+    order = np.lexsort((xyz[:, 2], column.astype(np.min_scalar_type(columns))))  # short keys sort faster
+    starts = np.concatenate([[0], np.cumsum(np.bincount(column, minlength=columns))])
     return ColumnIndex(np.ascontiguousarray(xyz[order]), order, starts, shape, corner, float(cell))
 
 
@@ -82,6 +83,28 @@ def column_range(low: float, high: float, corner: float, cell: float, count: int
     return first, min(int(np.floor((high - corner) / cell)), count - 1)
 
 
+@numba.njit(cache=True, inline="always")
+def column_gap(x: float, i: int, corner: float, cell: float) -> float:
+    """Return how far a coordinate lies from those of column i, a little less rather than more."""
+    low = corner + i * cell
+    return max(low - x, x - low - cell, _ROUNDING) - _ROUNDING
+
+
+@numba.njit(cache=True, inline="always")
+def _nearest_in_column(
+    points: Floats, start: int, end: int, x: float, y: float, z: float, bound: float
+) -> float:
+    """Return the squared distance of the nearest point of a column, or the bound if none is nearer."""
+    middle = first_above(points, start, end, z)
+    for step in (-1, 1):
+        k = middle if step > 0 else middle - 1
+        while start <= k < end and (points[k, 2] - z) ** 2 <= bound:
+            dx, dy, dz = points[k, 0] - x, points[k, 1] - y, points[k, 2] - z
+            bound = min(bound, dx * dx + dy * dy + dz * dz)
+            k += step
+    return bound
+
+
 @numba.njit(cache=True)
 def _nearest(
     points: Floats, starts: Ints, shape: Ints, corner: Floats, cell: float, queries: Floats, radius: float
@@ -93,13 +116,23 @@ def _nearest(
     for q in range(n):
         x, y, z = queries[q, 0], queries[q, 1], queries[q, 2]
         best = radius * radius
-        i0, i1 = column_range(x - radius, x + radius, corner[0], cell, shape[0])
-        j0, j1 = column_range(y - radius, y + radius, corner[1], cell, shape[1])
+        i, j = int(np.floor((x - corner[0]) / cell)), int(np.floor((y - corner[1]) / cell))
+        if 0 <= i < shape[0] and 0 <= j < shape[1]:  # a bound, so that little of the columns around is read
+            column = i * shape[1] + j
+            best = _nearest_in_column(points, starts[column], starts[column + 1], x, y, z, best)
+        reach = np.sqrt(best) + _ROUNDING
+        i0, i1 = column_range(x - reach, x + reach, corner[0], cell, shape[0])
+        j0, j1 = column_range(y - reach, y + reach, corner[1], cell, shape[1])
         for i in range(i0, i1 + 1):
+            across = column_gap(x, i, corner[0], cell) ** 2
             for j in range(j0, j1 + 1):
+                room = best - across - column_gap(y, j, corner[1], cell) ** 2
+                if room < 0.0:
+                    continue
+                reach = np.sqrt(room) + _ROUNDING
                 end = starts[i * shape[1] + j + 1]
-                k = first_above(points, starts[i * shape[1] + j], end, z - radius)
-                while k < end and points[k, 2] <= z + radius:
+                k = first_above(points, starts[i * shape[1] + j], end, z - reach)
+                while k < end and points[k, 2] <= z + reach:
                     dx, dy, dz = points[k, 0] - x, points[k, 1] - y, points[k, 2] - z
                     d2 = dx * dx + dy * dy + dz * dz
                     if d2 <= best:
@@ -186,15 +219,22 @@ def _normals(
         i0, i1 = column_range(x - radius, x + radius, corner[0], cell, shape[0])
         j0, j1 = column_range(y - radius, y + radius, corner[1], cell, shape[1])
         for i in range(i0, i1 + 1):
+            across = column_gap(x, i, corner[0], cell) ** 2
             for j in range(j0, j1 + 1):
+                room = radius * radius - across - column_gap(y, j, corner[1], cell) ** 2
+                if room < 0.0:
+                    continue
+                reach = np.sqrt(room) + _ROUNDING
                 end = starts[i * shape[1] + j + 1]
-                k = first_above(points, starts[i * shape[1] + j], end, z - radius)
-                while k < end and points[k, 2] <= z + radius:
+                k = first_above(points, starts[i * shape[1] + j], end, z - reach)
+                while k < end and points[k, 2] <= z + reach:
                     dx, dy, dz = points[k, 0] - x, points[k, 1] - y, points[k, 2] - z
                     k += 1
-                    if dx * dx + dy * dy + dz * dz > radius * radius:
-                        continue
-                    m += 1
+                    inside = (
+                        1.0 if dx * dx + dy * dy + dz * dz <= radius * radius else 0.0
+                    )  # no branch: faster
+                    m += int(inside)
+                    dx, dy, dz = inside * dx, inside * dy, inside * dz
                     sx, sy, sz = sx + dx, sy + dy, sz + dz
                     xx, yy, zz = xx + dx * dx, yy + dy * dy, zz + dz * dz
                     xy, xz, yz = xy + dx * dy, xz + dx * dz, yz + dy * dz

@@ -85,7 +85,7 @@ def detect_in_tiles(
     run = CityRun(bench, config, tuple(given))
     run.cut(epochs)
     registration = run.register(transform)
-    run.prepare()
+    run.number()
     run.recut(registration)
     refined = transform is None and config.second_registration
     found = run.compare(registration, None, (0.5, 0.72 if refined else 0.92))

@@ -59,7 +59,7 @@ class DecisionConfig(StrictModel):
         description="the same for an unmatched object whose observed part is free almost everywhere",
     )
     min_empty: float = Field(
-        0.5, ge=0, le=1, description="share of the observed place that must be free in the other epoch"
+        0.6, ge=0, le=1, description="share of the observed place that must be free in the other epoch"
     )
     trail_passes: float = Field(
         2.0,
@@ -149,8 +149,8 @@ def _single(in_after: bool, measures: Measures, config: DecisionConfig) -> Decis
         reason = f"no partner of its class, but {1 - empty:.0%} of the place is occupied in both epochs"
         return Decision(Change.UNCHANGED, reason, (1 - empty) / max(1 - config.min_empty, 1e-9))
     change = Change.ADDED if in_after else Change.REMOVED
-    epoch = "before" if in_after else "after"
-    reason = f"exists in one epoch; {epoch} observed the place and {empty:.0%} of it is free"
+    own, other = ("later", "earlier") if in_after else ("earlier", "later")
+    reason = f"in the {own} survey alone; the {other} one saw its place, {empty:.0%} of it free"
     return Decision(change, reason, empty / max(config.min_empty, 1e-9))
 
 

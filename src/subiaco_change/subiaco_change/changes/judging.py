@@ -20,10 +20,13 @@ from subiaco_change.changes.measures import (
 from subiaco_change.changes.objects import Thing, join_voxels
 from subiaco_change.changes.outline import compare_outlines
 from subiaco_change.changes.passing import OwnSurvey, drove_by
+from subiaco_change.changes.sections import NOTHING
+from subiaco_change.changes.vehicle_parts import part_of_vehicle
 from subiaco_geo.codes import Change, Semantic
-from subiaco_geo.frames import Ints
+from subiaco_geo.frames import Floats, Ints
 
-_FLAT_TOP = 0.6  # highest top of what may be ground raised or laid on it [m]
+_FLAT_TOP = 0.6  # highest top of what has no class and may be ground raised or laid on it [m]
+_LAID_TOP = 0.25  # the same of a supposed vehicle or plant: no more than ground strays from its model
 _LEVEL = 0.75  # mean upward part of its normals
 
 
@@ -67,6 +70,7 @@ class ObjectRules:
     by_class: bool = True  # objects of different classes are never one
     ground: OpenGround = BUILT_UP  # where nothing stands
     own: tuple[OwnSurvey | None, OwnSurvey | None] = (None, None)  # of *before* and of *after*
+    standing: tuple[Floats, Floats] = (NOTHING, NOTHING)  # all points (N, 3) that stand, of any class
 
 
 def decide_object(
@@ -82,15 +86,21 @@ def decide_object(
     if decision.change in (Change.ADDED, Change.REMOVED):
         things = (*before, *after)
         own = rules.own[0] if before else rules.own[1]
-        decision = lies_flat(semantic, things) or drove_by(things, semantic, own, rules.decisions) or decision
+        decision = (
+            lies_flat(semantic, things)
+            or drove_by(things, semantic, own, rules.decisions)
+            or part_of_vehicle(things, semantic, measures, rules.standing[int(bool(before))])
+            or decision
+        )
     kind = match_kind(len(before), len(after))
     return ObjectChange(tuple(before), tuple(after), semantic, kind, measures, decision)
 
 
 def lies_flat(semantic: Semantic, things: Sequence[Thing]) -> Decision | None:
-    """Leave a low, level thing of no class to the ground's comparison: it is ground told wrong."""
+    """Leave a low, level thing to the ground's comparison: it is ground told wrong."""
     voxels = join_voxels(things)
-    if semantic is not Semantic.OTHER or float(np.quantile(voxels.height, 0.95)) > _FLAT_TOP:
+    limit = _FLAT_TOP if semantic is Semantic.OTHER else _LAID_TOP
+    if semantic is Semantic.BUILDING or float(np.quantile(voxels.height, 0.95)) > limit:
         return None
     level = float(np.abs(voxels.normal[:, 2]).mean())
     if level < _LEVEL:

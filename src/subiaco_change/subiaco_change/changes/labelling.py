@@ -68,9 +68,10 @@ def label_rest(
     is_ground = view.semantic[loose] == Semantic.GROUND
     seen = _compared(ground, view, loose)
     seen[~is_ground] = seen_by_other(view.xyz[loose[~is_ground]])
-    places = view.xyz[loose[is_ground]]
-    seen[is_ground] |= ground_observed(seen_by_other, places, evidence)
-    seen[is_ground] |= surrounded(places[:, :2], other_ground[:, :2], evidence.ground_between)
+    hidden = np.flatnonzero(is_ground & ~seen)
+    seen[hidden] = ground_observed(seen_by_other, view.xyz[loose[hidden]], evidence)
+    hidden = hidden[~seen[hidden]]
+    seen[hidden] = surrounded(view.xyz[loose[hidden], :2], other_ground[:, :2], evidence.ground_between)
     labels.change[loose[~seen]] = Change.UNOBSERVED
     if ground is not None:
         _label_ground(ground, view, patch_ids, labels)

@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import shapely
+from numpy.typing import NDArray
 from pydantic import Field
 from scipy import ndimage
 from scipy.spatial import cKDTree
@@ -189,10 +190,17 @@ def columns_of(voxels: Voxels, cell: float, closing: float = 0.0, ground: Ints =
     if margin > 0:
         bare = tops == 0.0
         middle = (np.argwhere(bare) + corner + 0.5) * cell
-        bare[bare] = np.isin(_column_keys(np.column_stack([middle, np.zeros(len(middle))]), cell), ground)
+        bare[bare] = _among(_column_keys(np.column_stack([middle, np.zeros(len(middle))]), cell), ground)
         closed = ndimage.grey_closing(tops, size=(2 * margin + 1, 2 * margin + 1), mode="constant")
         tops = np.where(bare, 0.0, closed)
     return Columns(float(tops.sum()) * cell**2, float(np.count_nonzero(tops > 0)) * cell**2)
+
+
+def _among(keys: Ints, known: Ints) -> NDArray[np.bool_]:
+    """Tell which keys (N,) are among the known ones (M,), sorted: many, and the same for every object."""
+    if len(known) == 0:
+        return np.zeros(len(keys), dtype=bool)
+    return np.asarray(known[np.minimum(np.searchsorted(known, keys), len(known) - 1)] == keys)
 
 
 def _whole_volume(columns: Columns, voxels: Voxels) -> float:

@@ -18,6 +18,7 @@ from subiaco_change.changes.objects import (
     Thing,
     build_things,
     build_voxels,
+    stands,
 )
 from subiaco_change.changes.parts import part_things
 from subiaco_change.changes.passing import Observed, own_survey
@@ -46,6 +47,7 @@ def compare_objects(
         rules,
         ground=OpenGround(bare[0], bare[1]),
         own=(own_survey(before, seen_by_before), own_survey(after, seen_by_after)),
+        standing=(before.xyz[stands(before)], after.xyz[stands(after)]),
     )
     things_b = build_things(before, build_voxels(before, after, seen_by_after, edge, reach, step))
     things_a = build_things(after, build_voxels(after, before, seen_by_before, edge, reach, step))

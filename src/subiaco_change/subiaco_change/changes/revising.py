@@ -111,11 +111,12 @@ def _sections(change: ObjectChange, following: int, rules: ObjectRules) -> list[
     if change.semantic is not Semantic.VEGETATION or not (change.before and change.after):
         return [change]
     limit = max(rules.decisions.vegetation.height, rules.decisions.lod_factor * change.lod)
-    sections, columns = moved_sections(change.before, change.after, limit)
+    sections, columns = moved_sections(change.before, change.after, limit, rules.standing)
     if not sections:
         return [change]
     decisions = [_moved_top(section) for section in sections]
-    if sum(len(s.xy) for s in sections) >= _WHOLE * len(columns):
+    alike = len({s.rise > 0 for s in sections}) == 1
+    if alike and sum(len(s.xy) for s in sections) >= _WHOLE * len(columns):
         largest = decisions[int(np.argmax([len(s.xy) for s in sections]))]
         return [replace(change, decision=largest) if change.decision.change is Change.UNCHANGED else change]
     sides: list[list[list[Thing]]] = []
@@ -127,10 +128,12 @@ def _sections(change: ObjectChange, following: int, rules: ObjectRules) -> list[
                 side[number].append(piece)
             following += len(numbers)
         sides.append(side)
-    pieces = [decide_object(b, a, change.semantic, rules) for b, a in zip(*sides, strict=True) if b or a]
-    if len(pieces) <= len(sections) or not all(p.before and p.after for p in pieces):
+    rest, *moved = zip(*sides, strict=True)
+    if not all(b and a for b, a in moved) or bool(rest[0]) != bool(rest[1]):
         return [change]
-    return [pieces[0], *(replace(p, decision=d) for p, d in zip(pieces[1:], decisions, strict=True))]
+    left = [decide_object(rest[0], rest[1], change.semantic, rules)] if rest[0] else []
+    pieces = [decide_object(b, a, change.semantic, rules) for b, a in moved]
+    return [*left, *(replace(p, decision=d) for p, d in zip(pieces, decisions, strict=True))]
 
 
 def _moved_top(section: Section) -> Decision:

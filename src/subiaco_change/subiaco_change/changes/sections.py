@@ -15,9 +15,14 @@ from subiaco_geo.frames import Floats, Ints
 
 _CELL = 0.5  # columns whose tops are compared [m]
 _LOW = 3.0  # tops of higher plants are seen from below: they say little [m]
+_POINTS = 2  # least points of a column in either epoch
 _CELLS = 6  # least columns of a section
 _LENGTH = 1.5  # and least length [m]
 _SEEN = 0.5  # share of its moved surface that the other epoch must have observed
+_HELD = 0.5  # share of its columns from which on something else stood where it rose or fell
+
+#: Nothing stands.
+NOTHING: Floats = np.zeros((0, 3))
 
 
 @dataclass(frozen=True)
@@ -30,20 +35,22 @@ class Section:
 
 
 def moved_sections(
-    before: Sequence[Thing], after: Sequence[Thing], threshold: float
+    before: Sequence[Thing],
+    after: Sequence[Thing],
+    threshold: float,
+    standing: tuple[Floats, Floats] = (NOTHING, NOTHING),
 ) -> tuple[list[Section], Floats]:
     """Find where tops of a low plant moved by over a threshold [m], and beyond their spread.
 
-    Returns the sections, and all columns compared (C, 2).
+    Where the epoch whose tops are lower has points between the two, in ``standing`` (N, 3) of *before* and
+    *after*, nothing moved: a part of the plant has another class there. Returns the sections, and all
+    columns compared (C, 2).
     """
     heights = np.concatenate([t.voxels.height for t in (*before, *after)])
     if np.quantile(heights, 0.98) > _LOW:
         return [], np.zeros((0, 2))
-    clouds = [np.concatenate([t.xyz for t in things]) for things in (before, after)]
-    corner = np.floor(np.concatenate(clouds)[:, :2].min(axis=0) / _CELL).astype(np.int64) - 1
-    last = np.floor(np.concatenate(clouds)[:, :2].max(axis=0) / _CELL).astype(np.int64) + 1
-    shape = tuple((last - corner + 1).tolist())
-    tops = [_tops(xyz, corner, shape) for xyz in clouds]
+    first, second = (np.concatenate([t.xyz for t in things]) for things in (before, after))
+    corner, tops = _tops(first, second)
     rise = _smooth(tops[1] - tops[0])
     threshold = max(threshold, 1.96 * math.hypot(_roughness(tops[0]), _roughness(tops[1])))
     sections = []
@@ -53,18 +60,49 @@ def moved_sections(
             cells = np.argwhere(labels == number)
             if len(cells) < _CELLS or (np.ptp(cells, axis=0).max() + 1) * _CELL < _LENGTH:
                 continue
-            xy = (cells + corner + 0.5) * _CELL
-            if _observed(after if sign > 0 else before, xy, tops[int(sign < 0)], cells):
+            xy = _middles(cells + corner)
+            low, high = tops[:: int(sign)]
+            if _held(standing[int(sign < 0)], cells + corner, low[labels == number], high[labels == number]):
+                continue
+            if _observed(after if sign > 0 else before, xy, low, cells):
                 sections.append(Section(xy, float(np.median(rise[labels == number])), threshold))
     known = np.argwhere(np.isfinite(rise))
-    return sections, (known + corner + 0.5) * _CELL
+    return sections, _middles(known + corner)
 
 
-def _tops(xyz: Floats, corner: Ints, shape: tuple[int, ...]) -> Floats:
-    index = np.floor(xyz[:, :2] / _CELL).astype(np.int64) - corner
-    tops = np.full(shape, -np.inf)
-    np.maximum.at(tops, (index[:, 0], index[:, 1]), xyz[:, 2])
-    return np.where(np.isfinite(tops), tops, np.nan)
+def _middles(cells: Ints) -> Floats:
+    """Middles [m] of columns, both (C, 2)."""
+    return (cells.astype(np.float64) + 0.5) * _CELL
+
+
+def _tops(before: Floats, after: Floats) -> tuple[Ints, Floats]:
+    """Lowest column, and tops (2, rows, columns) of two clouds (N, 3), NaN where one of them is thin [m].
+
+    The highest of m points stands at m / (m + 1) of the height, so that tops of which few points tell look
+    lower. Both clouds are read at the quantile that the fewer have, and what is missing is added to both.
+    """
+    index = np.floor(np.concatenate([before, after])[:, :2] / _CELL).astype(np.int64)
+    corner = index.min(axis=0) - 1
+    shape = tuple((index.max(axis=0) + 2 - corner).tolist())
+    keys = np.split(np.ravel_multi_index(tuple((index - corner).T), shape), [len(before)])
+    counts = [np.bincount(key, minlength=shape[0] * shape[1]) for key in keys]
+    fewest = np.minimum(counts[0], counts[1])
+    share = fewest / (fewest + 1)
+    heights = before[:, 2], after[:, 2]
+    bottom = np.minimum(*(_quantiles(z, key, 0.0 * share) for z, key in zip(heights, keys, strict=True)))
+    tops = np.array([_quantiles(z, key, share) for z, key in zip(heights, keys, strict=True)])
+    known = fewest >= _POINTS
+    whole = bottom + (tops - bottom) / np.where(known, share, 1.0)
+    return corner, np.where(known, whole, np.nan).reshape(2, *shape)
+
+
+def _quantiles(values: Floats, group: Ints, share: Floats) -> Floats:
+    """Quantile ``share`` (G,) of the values (N,) of every group; of an empty one whatever stands next."""
+    order = np.lexsort((values, group))
+    count = np.bincount(group, minlength=len(share))
+    place = np.cumsum(count) - count + share * np.maximum(count - 1, 0)
+    found: Floats = np.interp(place, np.arange(len(values)), values[order])
+    return found
 
 
 def _roughness(tops: Floats) -> float:
@@ -92,6 +130,18 @@ def _observed(things: Sequence[Thing], xy: Floats, other_tops: Floats, cells: In
     inside = np.isfinite(distance)
     above = voxels[inside, 2] > other_tops[tuple(cells[slot[inside]].T)] + 0.1
     return bool(above.any() and seen[inside][above].mean() >= _SEEN)
+
+
+def _held(standing: Floats, cells: Ints, low: Floats, high: Floats) -> bool:
+    """Tell whether points (N, 3) stand in the upper half between two tops (C,) of most columns (C, 2)."""
+    near = (
+        (standing[:, :2] >= cells.min(axis=0) * _CELL) & (standing[:, :2] < (cells.max(axis=0) + 1) * _CELL)
+    ).all(axis=1)
+    xyz = standing[near]
+    distance, slot = cKDTree(cells).query(np.floor(xyz[:, :2] / _CELL), distance_upper_bound=0.5)
+    xyz, slot = xyz[np.isfinite(distance)], slot[np.isfinite(distance)]
+    between = (xyz[:, 2] > 0.5 * (low + high)[slot]) & (xyz[:, 2] < high[slot] + 0.1)
+    return len(np.unique(slot[between])) >= _HELD * len(cells)
 
 
 def section_labels(thing: Thing, sections: Sequence[Section], columns: Floats) -> Ints:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from subiaco_change.geometry import build_index, column_range, estimate_normals, first_above
+from subiaco_change.geometry import ColumnIndex, build_index, column_range, estimate_normals, first_above
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError
@@ -66,14 +66,27 @@ class LodResult:
     n_other: NDArray[np.int32]
 
 
+@numba.njit(cache=True, inline="always")
+def _put(
+    mean: Floats, variance: Floats, count: Ints, row: int, q: int, total: float, squares: float, m: int
+) -> None:
+    count[row, q] = m
+    if m > 0:
+        mean[row, q] = total / m
+        variance[row, q] = max(squares / m - mean[row, q] * mean[row, q], 0.0)
+
+
 @numba.njit(cache=True)
 def _cylinders(
     points: Floats, point_normals: Floats, starts: Ints, shape: Ints, corner: Floats, cell: float,
-    queries: Floats, normals: Floats, radius: float, half_length: float, agreement: float,
+    queries: Floats, normals: Floats, radius: float, half_length: float, short: float, agreement: float,
 ) -> tuple[Floats, Floats, Ints]:  # fmt: skip
-    """Mean and variance along the normal, and count, of the points in a cylinder around every query."""
+    """Mean and variance along the normal, and count, of the points in cylinders around every query.
+
+    Each (2, n): in the whole cylinder, and in the short one within it.
+    """
     n = len(queries)
-    mean, variance, count = np.zeros(n), np.zeros(n), np.zeros(n, np.int64)
+    mean, variance, count = np.zeros((2, n)), np.zeros((2, n)), np.zeros((2, n), np.int64)
     for q in range(n):
         x, y, z = queries[q, 0], queries[q, 1], queries[q, 2]
         a, b, c = normals[q, 0], normals[q, 1], normals[q, 2]
@@ -85,6 +98,7 @@ def _cylinders(
         i0, i1 = column_range(x - reach_x, x + reach_x, corner[0], cell, shape[0])
         j0, j1 = column_range(y - reach_y, y + reach_y, corner[1], cell, shape[1])
         total, squares, m = 0.0, 0.0, 0
+        short_total, short_squares, short_m = 0.0, 0.0, 0
         for i in range(i0, i1 + 1):
             for j in range(j0, j1 + 1):
                 end = starts[i * shape[1] + j + 1]
@@ -93,17 +107,21 @@ def _cylinders(
                     dx, dy, dz = points[k, 0] - x, points[k, 1] - y, points[k, 2] - z
                     along = a * dx + b * dy + c * dz
                     across = dx * dx + dy * dy + dz * dz - along * along
-                    if across <= radius * radius and abs(along) <= half_length:
-                        u, v, w = point_normals[k, 0], point_normals[k, 1], point_normals[k, 2]
-                        if agreement <= 0.0 or abs(a * u + b * v + c * w) >= agreement:
-                            total += along
-                            squares += along * along
-                            m += 1
+                    u, v, w = point_normals[k, 0], point_normals[k, 1], point_normals[k, 2]
+                    size = abs(along)
+                    facing = (agreement <= 0.0) | (abs(a * u + b * v + c * w) >= agreement)
+                    near = facing & (across <= radius * radius)
+                    whole = 1.0 if near & (size <= half_length) else 0.0  # adding nothing beats a branch
+                    part = 1.0 if near & (size <= short) else 0.0
+                    m += int(whole)
+                    total += whole * along
+                    squares += whole * (along * along)
+                    short_m += int(part)
+                    short_total += part * along
+                    short_squares += part * (along * along)
                     k += 1
-        count[q] = m
-        if m > 0:
-            mean[q] = total / m
-            variance[q] = max(squares / m - mean[q] * mean[q], 0.0)
+        _put(mean, variance, count, 0, q, total, squares, m)
+        _put(mean, variance, count, 1, q, short_total, short_squares, short_m)
     return mean, variance, count
 
 
@@ -116,39 +134,55 @@ class CylinderStats:
     count: Ints
 
 
+@dataclass(frozen=True)
+class Surface:
+    """An epoch as cylinders meet it: points, normals (M, 3), and ``facing``, these in the index's order."""
+
+    cloud: PointCloud
+    normals: Floats
+    index: ColumnIndex
+    facing: Floats
+
+
+def make_surface(cloud: PointCloud, config: LodConfig) -> Surface:
+    """Index the points of an epoch for cylinders; normals are estimated where the field is missing."""
+    normals = np.asarray(
+        cloud.fields["normals"]
+        if "normals" in cloud.fields
+        else estimate_normals(cloud.xyz, config.normal_radius),
+        dtype=np.float64,
+    )
+    index = build_index(cloud.xyz, config.radius)
+    return Surface(cloud, normals, index, np.ascontiguousarray(normals[index.order]))
+
+
 def cylinder_stats(
-    queries: Floats,
-    normals: Floats,
-    points: Floats,
-    point_normals: Floats,
-    radius: float,
-    half_length: float,
-    agreement: float = 0.0,
-) -> CylinderStats:
-    """Measure points (M, 3) in cylinders along the normals (N, 3) of queries (N, 3).
+    queries: Floats, normals: Floats, surface: Surface, config: LodConfig, half_length: float, short: float
+) -> tuple[CylinderStats, CylinderStats]:
+    """Measure a surface in cylinders along the normals (N, 3) of queries (N, 3).
 
     Parameters
     ----------
     queries, normals : (N, 3) float64
         Axes of the cylinders [m]; a zero normal gives a count of 0.
-    points, point_normals : (M, 3) float64
-    radius, half_length : float
-        Of the cylinders [m].
-    agreement : float
-        Points whose |cosine| to the axis is smaller do not count; 0 takes all.
+    surface : Surface
+    config : LodConfig
+        ``radius`` of the cylinders; ``normal_agreement``.
+    half_length, short : float
+        Of the cylinders [m], and of shorter ones within them.
+
+    Returns
+    -------
+    (CylinderStats, CylinderStats)
+        Of the cylinders, and of the shorter ones.
     """
-    index = build_index(points, radius)
+    index = surface.index
     mean, variance, count = _cylinders(
-        index.xyz, np.ascontiguousarray(point_normals[index.order]), index.starts, index.shape, index.corner,
-        index.cell, queries, normals, radius, half_length, agreement,
+        index.xyz, surface.facing, index.starts, index.shape, index.corner, index.cell,
+        queries, normals, config.radius, half_length, short, config.normal_agreement,
     )  # fmt: skip
-    return CylinderStats(mean, np.sqrt(variance), count)
-
-
-def _normals_of(cloud: PointCloud, radius: float) -> Floats:
-    if "normals" in cloud.fields:
-        return np.asarray(cloud.fields["normals"], dtype=np.float64)
-    return estimate_normals(cloud.xyz, radius)
+    whole, shorter = (CylinderStats(mean[k], np.sqrt(variance[k]), count[k]) for k in (0, 1))
+    return whole, shorter
 
 
 def combine(variance: Floats, sigma_reg: Floats | float, how: str) -> Floats:
@@ -176,7 +210,14 @@ class Displacements:
 
 
 def measure_displacements(
-    cloud_self: PointCloud, cloud_other: PointCloud, config: LodConfig, first: int | None = None
+    cloud_self: PointCloud, cloud_other: PointCloud, config: LodConfig
+) -> Displacements:
+    """Measure displacement and its variance at every point of one epoch; see :func:`displacements`."""
+    return displacements(make_surface(cloud_self, config), make_surface(cloud_other, config), config)
+
+
+def displacements(
+    own_side: Surface, other_side: Surface, config: LodConfig, first: int | None = None
 ) -> Displacements:
     """Measure displacement and its variance at every point of one epoch, or at its ``first`` points alone.
 
@@ -189,27 +230,18 @@ def measure_displacements(
     InputError
         The clouds have different origins.
     """
-    if not np.array_equal(cloud_self.origin, cloud_other.origin):
+    if not np.array_equal(own_side.cloud.origin, other_side.cloud.origin):
         raise InputError("the two clouds have different origins; rebase them to one first")
-    normals = _normals_of(cloud_self, config.normal_radius)
-    normals_other = _normals_of(cloud_other, config.normal_radius)
-
-    def look(points: Floats, point_normals: Floats, half_length: float) -> CylinderStats:
-        return cylinder_stats(
-            cloud_self.xyz[:first], normals[:first], points, point_normals, config.radius, half_length,
-            config.normal_agreement,
-        )  # fmt: skip
-
-    own = look(cloud_self.xyz, normals, config.self_half_length)
-    other = look(cloud_other.xyz, normals_other, config.half_length)
-    if config.half_length > config.self_half_length:
-        near = look(cloud_other.xyz, normals_other, config.self_half_length)
-        enough = (near.count >= config.min_count) | (4 * near.count >= own.count)
-        other = CylinderStats(
-            np.where(enough, near.mean, other.mean),
-            np.where(enough, near.std, other.std),
-            np.where(enough, near.count, other.count),
-        )
+    places, normals = own_side.cloud.xyz[:first], own_side.normals[:first]
+    short, long = config.self_half_length, config.half_length
+    own, _ = cylinder_stats(places, normals, own_side, config, short, short)
+    other, near = cylinder_stats(places, normals, other_side, config, long, min(short, long))
+    enough = (near.count >= config.min_count) | (4 * near.count >= own.count)
+    other = CylinderStats(
+        np.where(enough, near.mean, other.mean),
+        np.where(enough, near.std, other.std),
+        np.where(enough, near.count, other.count),
+    )
     known = (own.count >= config.min_count) & (other.count >= config.min_count)
     shares = [s.std**2 / np.maximum(s.count, 1) for s in (own, other)]
     floored = [np.maximum(share, config.noise**2) for share in shares]

@@ -51,6 +51,7 @@ from subiaco_geo.work.tasks import Task
 ALONE = "epoch"
 #: Beyond the points of a task, beams are looked up so far [m].
 SIGHT = 6.0
+_BEAMS = 0.5  # edge of a tile of counted beams, of a tile of points: tasks read few that are too far
 
 
 @dataclass
@@ -75,6 +76,7 @@ class Epochs:
     origin: Floats = field(default_factory=lambda: np.zeros(3))
     clouds: dict[str, dict[str, str]] = field(default_factory=dict)
     beams: dict[str, dict[str, str]] = field(default_factory=dict)
+    beam_edge: dict[str, float] = field(default_factory=dict)
     poses: dict[str, str] = field(default_factory=dict)
     prepared: dict[str, dict[str, str]] = field(default_factory=dict)
     united: dict[str, str] = field(default_factory=dict)
@@ -149,13 +151,14 @@ class Epochs:
             way = moved_trajectory(way, operation)
         kind = evidence_kind(epoch.has_beams, way, config)
         side = Side(name, origin, crs, kind, None, origin, config.voxel)
-        self.beams[name] = {}
+        self.beams[name], self.beam_edge[name] = {}, self.size
         self._keep_poses(name, epoch, way)
         if kind == "observed":
             other = self.info.beams_crs if name == "before" else None
             first = next(epoch.beams(), None)
             if first is not None:
-                self.beams[name] = cut_beams(self.bench, epoch.beams(), self.size)
+                self.beam_edge[name] = _BEAMS * self.size
+                self.beams[name] = cut_beams(self.bench, epoch.beams(), self.beam_edge[name])
                 side = replace(side, beams_crs=other, corner=first.origin, voxel=first.voxel)
         elif kind == "trajectory" and way is not None:
             side = replace(side, corner=sight_corner(low, config))
@@ -191,10 +194,14 @@ class Epochs:
         self.poses[f"poses/{name}"] = self.bench.put("poses", name, arrays)
 
     def register(self, transform: Floats | None) -> str:
-        """Register the epochs; return the key."""
+        """Register the epochs, and beside it label every tile of each in its own frame; return the key."""
         clouds = {f"cloud/{e}/{n}": k for e in EPOCHS for n, k in self.clouds[e].items()}
         params = {**self.registering(), "transform": transform}
-        return self.bench.one(Task("registration", "all", find_registration, clouds, params), (0.05, 0.15))
+        task = Task("registration", "all", find_registration, clouds, params)
+        stages = [[task], *(self._semantics(side) for side in self.sides)]
+        found, *prepared = self.bench.together(stages, (0.05, 0.47))
+        self.prepared = dict(zip(EPOCHS, prepared, strict=True))
+        return found["all"]
 
     def registering(self) -> dict[str, Any]:
         """Return the parameters of a registration."""
@@ -208,14 +215,13 @@ class Epochs:
         """Return the registration under a key."""
         return registration_of(self.bench.store.load(key))
 
-    def prepare(self) -> None:
-        """Label every tile of both epochs, each in its own frame, and number their objects."""
-        for side, span in zip(self.sides, ((0.16, 0.31), (0.32, 0.47)), strict=True):
-            epoch = side.epoch
-            self.prepared[epoch] = self.bench.run(self._semantics(side), span)
-            inputs = {f"prepared/{n}": k for n, k in self.prepared[epoch].items()}
-            task = Task("objects", "all", unite, inputs, {"given": "instance" in self.given})
-            self.united[epoch] = self.bench.one(task, (span[1], span[1]))
+    def number(self) -> None:
+        """Give the objects of both epochs numbers over their tiles."""
+        params = {"given": "instance" in self.given}
+        inputs = [{f"prepared/{n}": k for n, k in self.prepared[epoch].items()} for epoch in EPOCHS]
+        stages = [[Task("objects", "all", unite, own, params)] for own in inputs]
+        found = self.bench.together(stages, (0.47, 0.48))
+        self.united = {epoch: keys["all"] for epoch, keys in zip(EPOCHS, found, strict=True)}
 
     def _semantics(self, side: Side) -> list[Task]:
         """Tasks of one epoch; they do not tell whether it is *before* or *after*, and serve as both."""
@@ -241,7 +247,7 @@ class Epochs:
         if side.crs is not None:
             return {}
         task = Task("upright", "all", find_upright, {f"cloud/{n}": k for n, k in own.items()}, {"side": side})
-        return {"upright": self.bench.one(task, (0.16, 0.16))}
+        return {"upright": self.bench.one(task, (0.05, 0.05))}
 
     def recut(self, registration: str) -> None:
         """Cut the labelled points of both epochs by the tiles of the common frame."""
@@ -287,7 +293,8 @@ class Epochs:
             return {}
         if side.beams_crs is not None:
             world = transformer(str(side.crs), side.beams_crs).apply(world)
-        near = tiles_between(world[:, :2].min(axis=0), world[:, :2].max(axis=0), self.size)
+        edge = self.beam_edge[side.epoch]
+        near = tiles_between(world[:, :2].min(axis=0), world[:, :2].max(axis=0), edge)
         return {f"beams/{side.epoch}/{n}": known[n] for n in near if n in known}
 
     def load(self, key: str) -> Arrays:

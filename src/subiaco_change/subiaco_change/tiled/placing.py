@@ -13,7 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from subiaco_change.changes.ablation import Part
-from subiaco_change.observation.lod import CylinderStats, Displacements, combine, measure_displacements
+from subiaco_change.observation.lod import (
+    CylinderStats,
+    Displacements,
+    combine,
+    displacements,
+    make_surface,
+)
 from subiaco_change.observation.smooth_field import BlockGrid
 from subiaco_change.observation.uncertainty import (
     BiasSamples,
@@ -28,7 +34,7 @@ from subiaco_change.observation.uncertainty import (
 from subiaco_change.observation.vertical_bias import bias_field, tile_medians
 from subiaco_change.registration.warp import Residuals, estimate_warp
 from subiaco_change.semantics.ground import Mask
-from subiaco_change.tiled.cutting import Side
+from subiaco_change.tiled.cutting import EPOCHS, Side
 from subiaco_change.tiled.framing import field_arrays, load_frame, registration_of
 from subiaco_change.tiled.recutting import load_points
 from subiaco_geo.clouds import PointCloud
@@ -132,14 +138,12 @@ def _compare(
     config = params["config"].lod
     rim = 2.0 * max(config.radius, config.half_length, config.self_half_length)
     loaded = [_with_rim(inputs, side, params, rim) for side in params["sides"]]
-    found = {}
-    for epoch in epochs:
-        e = ("before", "after").index(epoch)
-        (whole, count), other = loaded[e], loaded[1 - e][0]
-        if count == 0 or len(other) == 0:
-            found[epoch] = _nothing(count)
-        else:
-            found[epoch] = measure_displacements(whole, other, config, count)
+    found = {epoch: _nothing(loaded[EPOCHS.index(epoch)][1]) for epoch in epochs}
+    if all(len(cloud) for cloud, _ in loaded):
+        sides = [make_surface(cloud, config) for cloud, _ in loaded]
+        for epoch in epochs:
+            e = EPOCHS.index(epoch)
+            found[epoch] = displacements(sides[e], sides[1 - e], config, loaded[e][1])
     return [cloud.select(np.arange(count)) for cloud, count in loaded], found
 
 

@@ -95,8 +95,9 @@ class CityRun(Epochs):
         links = self._per_tile("links", tile_links, self._linked(frame), spans[4])
         counts = [len(self.bench.store.load(self.united[e])["points"]) for e in EPOCHS]
         groups = self._reduce("groups", find_groups, "links", links, frame, spans[5], counts=tuple(counts))
-        compared, reach = self._compare_groups(groups, frame, lods, spans[6])
-        ground = self._per_tile("ground", tile_ground, self._seen(frame, lods, sight=False), spans[7])
+        comparing, reach = self._groups(groups, frame, lods)
+        grounds = self._tasks("ground", tile_ground, self._seen(frame, lods, sight=False))
+        compared, ground = self.bench.together([comparing, grounds], (spans[6][0], spans[7][1]))
         patched, patch_reach = self._patches(ground, spans[8])
         table = build_table(self.bench.store, compared, patched, counts, self.origin, self._weaker())
         key = self.bench.put("table", "all", table.arrays)
@@ -214,13 +215,11 @@ class CityRun(Epochs):
         function: Function,
         inputs: Mapping[str, Mapping[str, str]],
         span: tuple[float, float],
-        **more: Any,
     ) -> dict[str, str]:
-        tasks = [
-            Task(stage, tile, function, own, self._params(stage, tile, **more))
-            for tile, own in inputs.items()
-        ]
-        return self.bench.run(tasks, span)
+        return self.bench.run(self._tasks(stage, function, inputs), span)
+
+    def _tasks(self, stage: str, function: Function, inputs: Mapping[str, Mapping[str, str]]) -> list[Task]:
+        return [Task(stage, tile, function, own, self._params(stage, tile)) for tile, own in inputs.items()]
 
     def _reduce(
         self,
@@ -250,10 +249,10 @@ class CityRun(Epochs):
         keys = self._per_tile(alias, function, self._pair(frame, rings, changed), span)
         return self._reduce(stage, reduce, alias, keys, frame, span)
 
-    def _compare_groups(
-        self, groups: str, frame: Mapping[str, str], lods: Mapping[str, str], span: tuple[float, float]
-    ) -> tuple[dict[str, str], dict[str, list[str]]]:
-        """Compare the groups of every tile that answers for some; and the tiles that each looks at."""
+    def _groups(
+        self, groups: str, frame: Mapping[str, str], lods: Mapping[str, str]
+    ) -> tuple[list[Task], dict[str, list[str]]]:
+        """Tasks that compare the groups of every tile that answers for some; and the tiles that each sees."""
         found = self.bench.store.load(groups)
         inputs, reach = {}, {}
         common = self.common(frame["registration"])
@@ -265,7 +264,7 @@ class CityRun(Epochs):
             names = sorted(near & set(self.tiles))
             inputs[tile] = {**self._region(names, frame, lods, common, names), "groups": groups}
             reach[tile] = names
-        return self._per_tile("compare", compare_tile, inputs, span), reach
+        return self._tasks("compare", compare_tile, inputs), reach
 
     def _patches(
         self, ground: Mapping[str, str], span: tuple[float, float]
@@ -308,21 +307,28 @@ class CityRun(Epochs):
         }
 
     def refine(self, first: Pass, changed: Mapping[str, str]) -> tuple[str, float, tuple[str, ...]]:
-        """Register again without what changed; key, largest shift [m], and a warning where that failed."""
+        """Register again without what changed; key, largest shift [m], and a warning where that failed.
+
+        That is one task: workers that would wait label points meanwhile, for it mostly moves nothing.
+        """
         clouds = {f"cloud/{e}/{n}": k for e in EPOCHS for n, k in self.points[e].items()}
         inputs = {**clouds, **changed, "registration": first.registration}
         task = Task("refine", "all", register_again, inputs, self.registering())
-        key = self.bench.one(task, (0.73, 0.76))
+        beside = self._labels(first) if self.bench.executor.spare else []
+        key = self.bench.together([[task], beside], (0.73, 0.76))[0]["all"]
         found = self.bench.store.load(key)
         return key, float(found["shift"]), (str(found["failed"]),) if "failed" in found else ()
 
     def label(self, found: Pass) -> dict[str, str]:
         """Label the points of every tile."""
+        return self.bench.run(self._labels(found), (0.92, 0.97))
+
+    def _labels(self, found: Pass) -> list[Task]:
         inputs = {
             tile: {**own, **self._said(found, tile), f"ground/{tile}": found.ground[tile]}
             for tile, own in self._seen(found.frame, found.lods).items()
         }
-        return self._per_tile("labels", label_tile, inputs, (0.92, 0.97))
+        return self._tasks("labels", label_tile, inputs)
 
     def manifest(self, found: Pass, labelled: Mapping[str, str]) -> dict[str, Any]:
         """Return which piece is what: keys by stage, by epoch where stages look at one alone, and by tile."""

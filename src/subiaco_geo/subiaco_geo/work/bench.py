@@ -54,18 +54,24 @@ class Workbench:
         span : (float, float)
             Fractions of the whole run at the beginning and the end of the stage.
         """
-        if not tasks:
-            return {}
-        stage = tasks[0].stage
-        todo = [task for task in tasks if self._open(task)]
-        self.kept += len(tasks) - len(todo)
-        _LOG.info("%s: %d tasks, %d finished before", stage, len(tasks), len(tasks) - len(todo))
-        self._tell(stage, span[0])
-        for number, spent in enumerate(self.executor.run(self.store, todo), 1):
-            self.spent.append(spent)
-            self._tell(stage, span[0] + (span[1] - span[0]) * number / len(todo))
-        self._done.update(task.key for task in tasks)
-        return {task.name: task.key for task in tasks}
+        return self.together([tasks], span)[0]
+
+    def together(
+        self, stages: Sequence[Sequence[Task]], span: tuple[float, float] = (0.0, 1.0)
+    ) -> list[dict[str, str]]:
+        """Do the tasks of stages that do not rest on each other beside each other; see :meth:`run`."""
+        tasks = [task for stage in stages for task in stage]
+        if tasks:
+            todo = list({task.key: task for task in tasks if self._open(task)}.values())
+            self.kept += len(tasks) - len(todo)
+            names = ", ".join(dict.fromkeys(task.stage for task in tasks))
+            _LOG.info("%s: %d tasks, %d finished before", names, len(tasks), len(tasks) - len(todo))
+            self._tell(tasks[0].stage, span[0])
+            for number, spent in enumerate(self.executor.run(self.store, todo), 1):
+                self.spent.append(spent)
+                self._tell(spent.stage, span[0] + (span[1] - span[0]) * number / len(todo))
+            self._done.update(task.key for task in tasks)
+        return [{task.name: task.key for task in stage} for stage in stages]
 
     def one(self, task: Task, span: tuple[float, float] = (0.0, 1.0)) -> str:
         """Do a single task; return its key."""

@@ -9,6 +9,7 @@ from collections.abc import Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from multiprocessing import forkserver
 from typing import Any, Protocol
 
 from subiaco_geo.errors import InputError, SubiacoError
@@ -21,7 +22,12 @@ _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA
 
 
 class Executor(Protocol):
-    """Does independent tasks in any order and tells what each cost as it ends."""
+    """Does independent tasks in any order and tells what each cost as it ends.
+
+    ``spare`` tells whether workers would stand idle while a single task is done.
+    """
+
+    spare: bool
 
     def run(self, store: Store, tasks: Sequence[Task]) -> Iterator[Spent]:
         """Do the tasks; the first that fails ends the run with its error."""
@@ -35,6 +41,8 @@ class Executor(Protocol):
 class InProcess:
     """One task after the other in this process."""
 
+    spare = False
+
     def run(self, store: Store, tasks: Sequence[Task]) -> Iterator[Spent]:
         """Do the tasks in the order given."""
         for task in tasks:
@@ -45,24 +53,30 @@ class InProcess:
 
 
 class LocalPool:
-    """Worker processes on this machine, one thread each, started with the first task.
+    """Worker processes on this machine, one thread each, which take the largest tasks first.
 
     Parameters
     ----------
     workers : int
     preload : sequence of str
-        Modules that workers need; loaded once for all of them.
+        Modules that workers need; loaded once for all of them, from now on.
     """
 
+    spare = True
+
     def __init__(self, workers: int, preload: Sequence[str] = ()) -> None:
-        self.workers, self.preload = workers, list(preload)
+        self.workers = workers
         self._pool: ProcessPoolExecutor | None = None
+        self._context = multiprocessing.get_context("forkserver")  # this process may hold threads and locks
+        self._context.set_forkserver_preload(list(preload))
+        with _one_thread():
+            forkserver.ensure_running()
 
     def run(self, store: Store, tasks: Sequence[Task]) -> Iterator[Spent]:
         """Do the tasks; what a killed worker left undone is done by a fresh one."""
         if not isinstance(store, DiskStore):
             raise InputError("worker processes need stages on disk; use a DiskStore")
-        left = {task.key: task for task in tasks}
+        left = {task.key: task for task in sorted(tasks, key=lambda task: -_weight(store, task))}
         for attempt in range(_ATTEMPTS):
             try:
                 yield from self._drain(store, left)
@@ -91,9 +105,7 @@ class LocalPool:
 
     def _started(self) -> ProcessPoolExecutor:
         if self._pool is None:
-            context = multiprocessing.get_context("forkserver")  # this process may hold threads and locks
-            context.set_forkserver_preload(self.preload)
-            self._pool = ProcessPoolExecutor(self.workers, context)
+            self._pool = ProcessPoolExecutor(self.workers, self._context)
         return self._pool
 
     def close(self) -> None:
@@ -101,6 +113,11 @@ class LocalPool:
         if self._pool is not None:
             self._pool.shutdown(wait=True, cancel_futures=True)
             self._pool = None
+
+
+def _weight(store: DiskStore, task: Task) -> int:
+    """Bytes that a task reads: what is large comes first, so that no worker ends long after the others."""
+    return sum(store.size(key) for key in task.inputs.values())
 
 
 @contextmanager
@@ -133,6 +150,8 @@ class Dask:
     InputError
         dask.distributed is not installed, or no scheduler answers.
     """
+
+    spare = True
 
     def __init__(self, address: str, timeout: float = 20.0) -> None:
         try:

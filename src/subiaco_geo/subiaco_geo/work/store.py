@@ -6,9 +6,10 @@ import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from os import SEEK_CUR
 from pathlib import Path
-from typing import Any, Protocol
-from zipfile import BadZipFile
+from typing import Any, BinaryIO, Protocol
+from zipfile import BadZipFile, ZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from subiaco_geo.errors import InputError
 
 Array = NDArray[Any]
 Arrays = Mapping[str, Array]
+_NAME_AT = 26  # in the local header of a member of a zip: lengths of its name and of what follows that
 
 
 class Store(Protocol):
@@ -41,34 +43,41 @@ class Store(Protocol):
 
 
 class _Piece(Mapping[str, Array]):
-    """Arrays of an ``.npz``, each read when it is asked for; between, the file is closed: there are many."""
+    """Arrays of an ``.npz``, each read when it is asked for; between, the file is closed: there are many.
+
+    Arrays are read where they lie: numpy's own reader opens the archive anew and sums every byte.
+    """
 
     def __init__(self, path: Path) -> None:
         self._path = path
-        with self._opened() as opened:
-            self._names = tuple(opened.files)
+        with self._opened() as stream, ZipFile(stream) as archive:
+            self._headers = {
+                member.filename.removesuffix(".npy"): member.header_offset for member in archive.infolist()
+            }
 
     @contextmanager
-    def _opened(self) -> Iterator[Any]:
+    def _opened(self) -> Iterator[BinaryIO]:
         try:
-            with np.load(self._path, allow_pickle=False) as opened:
-                yield opened
+            with self._path.open("rb") as stream:
+                yield stream
         except (OSError, ValueError, EOFError, BadZipFile) as error:
             raise InputError(
                 f"{self._path}: a kept stage cannot be read ({error}); remove it, run again"
             ) from error
 
     def __getitem__(self, name: str) -> Array:
-        if name not in self._names:
-            raise KeyError(name)
-        with self._opened() as opened:
-            return np.asarray(opened[name])
+        header = self._headers[name]
+        with self._opened() as stream:
+            stream.seek(header + _NAME_AT)
+            name_length, extra_length = (int.from_bytes(stream.read(2), "little") for _ in range(2))
+            stream.seek(name_length + extra_length, SEEK_CUR)
+            return np.asarray(np.lib.format.read_array(stream, allow_pickle=False))
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._names)
+        return iter(self._headers)
 
     def __len__(self) -> int:
-        return len(self._names)
+        return len(self._headers)
 
 
 @dataclass(frozen=True)
@@ -89,6 +98,10 @@ class DiskStore:
     def has(self, key: str) -> bool:
         """Tell whether a piece is finished: files take their name when they are whole."""
         return self._path(key).is_file()
+
+    def size(self, key: str) -> int:
+        """Return the bytes of a finished piece."""
+        return self._path(key).stat().st_size
 
     def load(self, key: str) -> Arrays:
         """Open a piece.
