@@ -1,11 +1,13 @@
 """Ground patches: what is large enough and high enough."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from whole import compare_ground
 
-from subiaco_change.changes.ground_cells import GroundChangeConfig
-from subiaco_change.changes.ground_change import ground_raster
+from subiaco_change.changes.ground_cells import GroundCells, GroundChangeConfig
+from subiaco_change.changes.ground_change import beyond_gate, find_patches, ground_raster
 from subiaco_change.changes.objects import EpochView
 from subiaco_geo.codes import Change, Semantic
 
@@ -146,3 +148,30 @@ def test_the_raster_is_in_world_coordinates_with_north_up():
     raster = ground_raster(comparison, np.array([1000.0, 5000.0, 0.0]), GroundChangeConfig())
     assert (raster.west, raster.north, raster.cell) == (1000.0, 5040.0, 2.0)
     assert raster.dz[1].mean() - raster.dz[-2].mean() == pytest.approx(0.3, abs=0.03)
+
+
+def test_cells_whose_neighbours_moved_the_other_way_are_no_part_of_a_patch():
+    shape = (20, 40)
+    dz = np.full(shape, 0.3)
+    dz[:, 19:21] = np.nan
+    blind = np.isnan(dz)
+    hidden = GroundCells(dz, np.full(shape, 0.03), blind, ~blind, np.zeros(shape))
+    assert beyond_gate(hidden, 1.0, GroundChangeConfig()).all()
+    sunk = replace(hidden, dz=np.where(blind, -0.05, dz))
+    assert not beyond_gate(sunk, 1.0, GroundChangeConfig())[:, 19:21].any()
+
+
+@pytest.mark.parametrize(("step", "taken"), [(1, True), (6, False)], ids=["hidden", "rings far apart"])
+def test_ground_of_one_epoch_alone_joins_the_patch_beside_it_unless_rings_are_far_apart(step, taken):
+    """A strip of 2 m rose; beside it 1 m that *after* did not meet."""
+    shape = (60, 60)
+    dz = np.full(shape, np.nan)
+    dz[:, ::step] = 0.0
+    dz[:, 20:24] = 0.3
+    dz[:, 24:26] = np.nan
+    unseen = np.isnan(dz)
+    cells = GroundCells(dz, np.full(shape, 0.03), unseen, np.ones(shape, dtype=bool), np.zeros(shape))
+    patch, found = find_patches(cells, np.zeros(2), GroundChangeConfig())
+    assert len(found) == 1
+    assert (patch[30, 20:24] == 0).all()
+    assert (patch[30, 24] == 0) == taken

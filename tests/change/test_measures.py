@@ -4,9 +4,10 @@ import numpy as np
 import pytest
 
 from subiaco_change.changes.association_costs import AssociationConfig
+from subiaco_change.changes.columns import OpenGround, columns_of, ground_columns
 from subiaco_change.changes.decisions import Decision
 from subiaco_change.changes.judging import ObjectChange
-from subiaco_change.changes.measures import MeasureConfig, OpenGround, columns_of, ground_columns, measure
+from subiaco_change.changes.measures import MeasureConfig, measure
 from subiaco_change.changes.objects import Thing, Voxels, looked_across
 from subiaco_change.changes.revising import adopt_fragments
 from subiaco_geo.codes import Change, Semantic
@@ -53,10 +54,10 @@ def test_a_corner_where_the_ground_was_met_is_not_filled():
 
 
 def test_the_volume_of_a_house_counts_what_lies_behind_what_was_seen():
-    """Two walls of a house of 12 m by 12 m: its outline from above is half of it, its walls a twelfth."""
+    """Two walls of a house of 12 m by 12 m tell how large it is; their columns are a twelfth of it."""
     corner = np.concatenate([block((0, 0, 0), (12, 0.5, 4)), block((0, 0.5, 0), (0.5, 12, 4))])
     seen = measure(voxels(corner), voxels(corner), MeasureConfig())
-    assert seen.volume == pytest.approx(0.5 * 12 * 12 * 3.75, rel=0.1)
+    assert seen.volume == pytest.approx(12 * 12 * 3.75, rel=0.1)
 
 
 def test_a_beam_that_grazes_a_wall_has_not_looked_across_it():

@@ -97,6 +97,12 @@ def test_a_house_that_leans_on_one_neighbour_more_than_on_the_other_is_no_wing()
     assert find_wings([(first, first), (last, last), (voxels(middle), NONE)], CONFIG) == {}
 
 
+def test_a_taller_house_beside_a_low_one_was_no_wing_of_it():
+    house = (voxels(HOUSE), voxels(HOUSE))
+    assert find_wings([house, (moved(walls(6, 8, 6), 10), NONE)], CONFIG) == {1: 0}
+    assert find_wings([house, (moved(walls(6, 8, 7.5), 10), NONE)], CONFIG) == {}
+
+
 def test_a_house_gone_from_a_row_that_is_one_instance_was_no_wing():
     row = voxels(np.concatenate([HOUSE, np.add(HOUSE, (16, 0, 0))]))
     assert find_wings([(row, row), (moved(walls(6, 8, 4), 10), NONE)], CONFIG) == {}

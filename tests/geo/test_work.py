@@ -6,6 +6,7 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -135,6 +136,27 @@ def test_progress_goes_from_the_beginning_of_a_stage_to_its_end():
     assert told[0] == ("sum", 0.2)
     assert told[-1] == ("sum", pytest.approx(0.5))
     assert [f for _, f in told] == sorted(f for _, f in told)
+
+
+class LastFirst(InProcess):
+    """Does the tasks from the last to the first."""
+
+    def run(self, store, tasks):
+        """Do the tasks from the last to the first."""
+        yield from super().run(store, tasks[::-1])
+
+
+def test_stages_beside_each_other_are_each_keyed_and_told_of_once_and_in_order():
+    told = []
+    bench = Workbench(executor=LastFirst(), progress=lambda stage, fraction: told.append((stage, fraction)))
+    first = tasks_of(bench)
+    second = [replace(task, stage="other") for task in first]
+    keys = bench.together([first, second], (0.2, 0.4))
+    assert keys == [{task.name: task.key for task in stage} for stage in (first, second)]
+    assert [stage for stage, _ in told] == ["sum"] * len(told)
+    assert told[-1] == ("sum", pytest.approx(0.4))
+    assert bench.together([first, second]) == keys
+    assert len(bench.spent) == 2 * len(first)
 
 
 def test_worker_processes_leave_what_one_process_leaves(tmp_path):

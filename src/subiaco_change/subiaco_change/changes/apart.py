@@ -40,7 +40,7 @@ def pieces_apart(
         another) go with the nearest.
     """
     sides = (tuple(before), tuple(after))
-    bodies = [_bodies(side, config) for side in sides]
+    bodies = [bodies_of(side, config) for side in sides]
     leader = int(len(bodies[1]) > len(bodies[0]))
     if len(bodies[leader]) < 2:
         return [sides]
@@ -65,7 +65,7 @@ def _along(thing: Thing, owner: Ints, following: int) -> list[tuple[int, Thing]]
     return list(zip(numbers.tolist(), divided(thing, labels, following), strict=True))
 
 
-def _bodies(things: Sequence[Thing], config: AssociationConfig) -> list[list[Thing]]:
+def bodies_of(things: Sequence[Thing], config: AssociationConfig) -> list[list[Thing]]:
     """Group the things of one epoch that are large enough into bodies that stand side by side."""
     total = sum(len(t.voxels) for t in things)
     large = [t for t in things if len(t.voxels) >= config.apart * total]

@@ -18,6 +18,7 @@ from subiaco_change.semantics.ground import Mask
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats, Ints
 
+_DENSE = 0.5  # share of the ground around that both epochs measured where one can hide from the other
 _AROUND = 10.0  # what lies this near tells the noise of a thinly seen patch [m]
 _NOISE_BLOCK = 2.0  # within which thinly seen heights err together [m]
 _LOD_CELLS = 25  # known cells that speak for a patch without a level of detection
@@ -97,20 +98,27 @@ def _gate(lod: Floats, config: GroundChangeConfig) -> Floats:
 
 
 def beyond_gate(cells: GroundCells, sign: float, config: GroundChangeConfig) -> Mask:
-    """Tell which cells changed in one direction, those that nobody measured between them included."""
+    """Tell which cells changed in one direction, those that nobody measured between them included.
+
+    Not those whose neighbours moved the other way.
+    """
     over = np.nan_to_num(sign * cells.dz, nan=-1.0) > _gate(cells.lod, config)
-    return _closed(over, cells.bridged & ~over, config)
+    against = np.nan_to_num(sign * cells.dz, nan=1.0) <= 0.0
+    return _closed(over, cells.bridged & ~over & ~against, config)
 
 
 def _to_hidden(labels: Ints, unknown: Mask, known: Mask, config: GroundChangeConfig) -> Ints:
     """Give cells that one epoch alone saw to the patch of the nearest cell that both saw.
 
-    The near edge of a pit hides its floor, and what was there before is gone with the rest.
+    The near edge of a pit hides its floor, and what was there before is gone with the rest. Where an
+    epoch measured less than half of the ground around, its rings are far apart, and nothing is hidden.
     """
     if config.closing == 0 or unknown.all():
         return labels
     distance, nearest = ndimage.distance_transform_edt(unknown, return_indices=True)
-    taken = unknown & known & (labels == 0) & (distance <= config.closing)
+    size = 2 * config.closing + 1
+    both, either = (ndimage.uniform_filter(m.astype(np.float64), size) for m in (~unknown, known))
+    taken = unknown & known & (labels == 0) & (distance <= config.closing) & (both >= _DENSE * either)
     return np.where(taken, labels[nearest[0], nearest[1]], labels)
 
 

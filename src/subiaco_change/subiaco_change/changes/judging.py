@@ -9,14 +9,9 @@ import numpy as np
 
 from subiaco_change.changes.association import match_kind
 from subiaco_change.changes.association_costs import AssociationConfig
+from subiaco_change.changes.columns import BUILT_UP, OpenGround
 from subiaco_change.changes.decisions import Decision, DecisionConfig, decide
-from subiaco_change.changes.measures import (
-    BUILT_UP,
-    MeasureConfig,
-    Measures,
-    OpenGround,
-    measure,
-)
+from subiaco_change.changes.measures import MeasureConfig, Measures, measure
 from subiaco_change.changes.objects import Thing, join_voxels
 from subiaco_change.changes.outline import compare_outlines
 from subiaco_change.changes.passing import OwnSurvey, drove_by

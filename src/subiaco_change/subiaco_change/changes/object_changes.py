@@ -9,9 +9,10 @@ from dataclasses import replace
 import numpy as np
 
 from subiaco_change.changes.association import Match, associate
+from subiaco_change.changes.columns import OpenGround, ground_columns
 from subiaco_change.changes.confidence import ConfidenceConfig, confidence, features, paper_score
 from subiaco_change.changes.judging import ObjectChange, ObjectRules, decide_object
-from subiaco_change.changes.measures import OpenGround, footprint, ground_columns
+from subiaco_change.changes.measures import footprint
 from subiaco_change.changes.objects import (
     EpochView,
     Reach,
@@ -27,6 +28,7 @@ from subiaco_change.changes.revising import (
     agree_on_classes,
     join_wings,
     part_company,
+    part_rows,
     part_sections,
     tell_apart,
 )
@@ -45,7 +47,7 @@ def compare_objects(
     bare = [ground_columns(v.xyz[v.semantic == Semantic.GROUND], edge) for v in (before, after)]
     rules = replace(
         rules,
-        ground=OpenGround(bare[0], bare[1]),
+        ground=OpenGround(bare[0], bare[1], rules.ground.empty),
         own=(own_survey(before, seen_by_before), own_survey(after, seen_by_after)),
         standing=(before.xyz[stands(before)], after.xyz[stands(after)]),
     )
@@ -65,6 +67,7 @@ def compare_objects(
         changes.extend(decide_object(b, a, semantic, rules) for b, a in _parts(matches, of_b, of_a))
     changes = part_company(changes, rules)
     changes = tell_apart(changes, rules)
+    changes = part_rows(changes, rules)
     changes = part_sections(changes, rules)
     changes = join_wings(changes, rules)
     return adopt_fragments(changes, things_b, things_a, rules.association, tolerance)

@@ -66,6 +66,15 @@ class Voxels:
         """Return the voxels of a mask or of indices."""
         return Voxels(*(getattr(self, name)[index] for name in self.__dataclass_fields__))
 
+    def add(self, other: Voxels) -> Voxels:
+        """Return these voxels and others.
+
+        With those of the other epoch that it occupies too, two samplings of one surface differ only by
+        what is new or gone, not by where the beams happened to fall (Decision 13).
+        """
+        names = self.__dataclass_fields__
+        return Voxels(*(np.concatenate([getattr(self, name), getattr(other, name)]) for name in names))
+
 
 @dataclass(frozen=True)
 class Thing:

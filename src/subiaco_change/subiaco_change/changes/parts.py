@@ -65,17 +65,19 @@ def part_things(things: Sequence[Thing], config: PartConfig) -> list[Thing]:
 def divided(thing: Thing, labels: Ints, following: int) -> list[Thing]:
     """Divide an instance by a label (M,) of its voxels: the first keeps its number, others get new ones."""
     owner = labels[cKDTree(thing.voxels.xyz).query(thing.xyz)[1]]
+    names = [thing.instance, *(following + number for number in range(int(labels.max())))]
     return [
         replace(
             thing,
-            instance=thing.instance if number == 0 else following + number - 1,
+            instance=name,
             whole=thing.body,
             points=thing.points[owner == number],
-            voxels=thing.voxels.select(labels == number),
+            voxels=replace(voxels, owner=np.full(len(voxels), name)),
             xyz=thing.xyz[owner == number],
             passed=thing.passed[owner == number] if len(thing.passed) else thing.passed,
         )
-        for number in range(int(labels.max()) + 1)
+        for number, name in enumerate(names)
+        for voxels in [thing.voxels.select(labels == number)]
     ]
 
 

@@ -16,6 +16,7 @@ from subiaco_change.changes.objects import Thing, join_voxels
 from subiaco_change.changes.overlaps import overlap_counts
 from subiaco_change.changes.parts import divided
 from subiaco_change.changes.sections import Section, moved_sections, section_labels
+from subiaco_change.changes.terraced import houses_of, rows_of
 from subiaco_change.changes.wings import built, find_wings
 from subiaco_geo.codes import Change, Semantic
 
@@ -92,6 +93,34 @@ def tell_apart(changes: Sequence[ObjectChange], rules: ObjectRules) -> list[Obje
         told.extend(parts if len(labels) > 1 and not labels.isdisjoint(_CLAIMS) else [change])
         following += sum(len(p.before) + len(p.after) for p in parts)
     return told
+
+
+def part_rows(changes: Sequence[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
+    """Decide the houses of a row one by one where they fared differently, parted as either epoch shows."""
+    if rules.association.parts.points == 0:
+        return list(changes)
+    numbers = [
+        i
+        for i, change in enumerate(changes)
+        if change.semantic is Semantic.BUILDING
+        and change.decision.change not in (Change.ADDED, Change.REMOVED)  # stands, or stood, by itself
+    ]
+    following = 1 + max((t.instance for c in changes for t in (*c.before, *c.after)), default=0)
+    told: dict[int, list[ObjectChange]] = {i: [change] for i, change in enumerate(changes)}
+    for row in rows_of([(changes[i].before, changes[i].after) for i in numbers], rules.association):
+        members = [numbers[k] for k in row]
+        before, after = ([t for i in members for t in getattr(changes[i], e)] for e in ("before", "after"))
+        if not before or not after:
+            continue
+        pieces = houses_of(before, after, rules.association, following)
+        following += sum(len(b) + len(a) for b, a in pieces)
+        if len(pieces) == 1 or not all(b and a for b, a in pieces):
+            continue
+        parts = [decide_object(b, a, Semantic.BUILDING, rules) for b, a in pieces]
+        labels = {part.decision.change for part in parts}
+        if len(labels) > 1 and not labels.isdisjoint(_CLAIMS):
+            told |= {i: [] for i in members} | {members[0]: parts}
+    return [change for some in told.values() for change in some]
 
 
 def part_sections(changes: Sequence[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:

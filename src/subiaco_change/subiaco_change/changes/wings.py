@@ -19,6 +19,8 @@ _CAR = 2.3  # no car is taller [m]
 _LEANS = 0.25  # what touches a second building with more of itself stands between the two
 _WITHIN = 0.3  # share of a host inside a part in one epoch alone, from which the part was the house itself
 _PARTY = 0.5  # walls so near the edge of an outline are shared with a neighbour [m]
+_BESIDE = 0.5  # less of a neighbour lies within the outline of a house in the epoch without it
+_HALF_STOREY = 1.5  # what stands beside a house and is taller by more is another house [m]
 _UNDERSIDE = 0.6  # what begins higher, in shares of its top, stands on nothing
 _NEIGHBOURS = 6  # voxels, itself among them, whose normals are compared
 _SMOOTH = 0.78  # mean cosine between the normals of neighbours: leaves stay below 0.75
@@ -56,11 +58,15 @@ def find_wings(pairs: Sequence[tuple[Voxels, Voxels]], config: PartConfig) -> di
         host = hosts[int(np.argmax(contact))]
         body = pairs[host][epoch]
         share = _bulk(pair[epoch]) / max(_bulk(body), 1e-9)
-        if share >= config.subordinate and max(contact) < _ROUND * len(wing):
+        round_it = max(contact) >= _ROUND * len(wing)
+        if share >= config.subordinate and not round_it:
             if _inside(pairs[host][1 - epoch].xyz, wing) >= _WITHIN:  # its walls stand where the wing was
                 wings[number] = host
             continue
         if _floats(pair[epoch], body):
+            continue
+        beside = _over(pair[epoch], pairs[host][1 - epoch]) < _BESIDE
+        if beside and not round_it and _rises(pair[epoch], body):
             continue
         if share < _SMALL or not _between(wing, body.xyz, config):
             wings[number] = host
@@ -86,8 +92,19 @@ def _floats(wing: Voxels, host: Voxels) -> bool:
     """Tell a crown from a wing: it begins high above the ground beside its host, not above it."""
     if wing.height.min() < max(_CAR, _UNDERSIDE * wing.height.max()):
         return False
-    over = shapely.MultiPoint(host.xyz[:, :2]).convex_hull
-    return bool(shapely.contains_xy(over, wing.xyz[:, 0], wing.xyz[:, 1]).mean() < 0.5)
+    return _over(wing, host) < 0.5
+
+
+def _rises(wing: Voxels, host: Voxels) -> bool:
+    """Tell whether a wing is taller than its host by half a storey."""
+    tops = [float(np.quantile(v.height, 0.95)) for v in (wing, host)]
+    return tops[0] - tops[1] > _HALF_STOREY
+
+
+def _over(wing: Voxels, host: Voxels) -> float:
+    """Share of a wing above or within the outline of its host."""
+    outline = shapely.MultiPoint(host.xyz[:, :2]).convex_hull
+    return float(shapely.contains_xy(outline, wing.xyz[:, 0], wing.xyz[:, 1]).mean())
 
 
 def _contact(wing: Floats, host: Floats, config: PartConfig) -> int:

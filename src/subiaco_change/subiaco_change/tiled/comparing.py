@@ -12,6 +12,7 @@ import shapely
 from numpy.typing import NDArray
 
 from subiaco_change.changes.ablation import Part
+from subiaco_change.changes.columns import NO_COLUMNS, OpenGround
 from subiaco_change.changes.judging import ObjectChange, ObjectRules
 from subiaco_change.changes.object_changes import compare_objects, make_record
 from subiaco_change.changes.objects import NO_OBJECT, OTHERS, EpochView
@@ -52,8 +53,10 @@ def compare_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
     members = [mine[groups[epoch]] for epoch in EPOCHS]
     compact = [_compact(r.view, m) for r, m in zip(regions, members, strict=True)]
     views = [view for view, _ in compact]
-    changes = compare_objects(views[0], views[1], regions[0].seen, regions[1].seen, object_rules(config))
     kinds = [side.kind for side in params["sides"]]
+    empty = [None if kind == "assumed" else r.empty for r, kind in zip(regions, kinds, strict=True)]
+    rules = replace(object_rules(config), ground=OpenGround(NO_COLUMNS, NO_COLUMNS, (empty[0], empty[1])))
+    changes = compare_objects(views[0], views[1], regions[0].seen, regions[1].seen, rules)
     numbers = [number for _, number in compact]
     records = [
         _in_city(

@@ -28,7 +28,7 @@ class Region:
 
     ``view`` with the objects of the whole city as instances; ``slot`` (N,) tile among ``tiles``;
     ``index`` (N,) place of the point there; ``seen`` tells which places of the common frame the
-    epoch observed.
+    epoch observed, ``empty`` where its beams went on and nothing came back.
     """
 
     view: EpochView
@@ -36,6 +36,7 @@ class Region:
     slot: Ints
     index: Ints
     seen: Callable[[Floats], Mask]
+    empty: Callable[[Floats], Mask]
 
 
 def load_region(inputs: Inputs, side: Side, params: Mapping[str, Any], near: Near) -> Region:
@@ -71,7 +72,14 @@ def load_region(inputs: Inputs, side: Side, params: Mapping[str, Any], near: Nea
     world = np.concatenate(own_world) if side.kind == "shadow" else np.zeros((0, 3))
     observer: Observer = load_observer(inputs, side, world, params["config"].evidence)
     to_world = frame.before_world if side.epoch == "before" else frame.after_world
-    return Region(view, tiles, slot, index, seen_through(observer.observed, to_world))
+    return Region(
+        view,
+        tiles,
+        slot,
+        index,
+        seen_through(observer.observed, to_world),
+        seen_through(observer.empty, to_world),
+    )
 
 
 def _view(parts: list[tuple[Any, ...]]) -> tuple[EpochView, Ints, Ints]:

@@ -59,7 +59,10 @@ class Workbench:
     def together(
         self, stages: Sequence[Sequence[Task]], span: tuple[float, float] = (0.0, 1.0)
     ) -> list[dict[str, str]]:
-        """Do the tasks of stages that do not rest on each other beside each other; see :meth:`run`."""
+        """Do the tasks of stages that do not rest on each other beside each other; see :meth:`run`.
+
+        Progress is told of the first stage that is not finished.
+        """
         tasks = [task for stage in stages for task in stage]
         if tasks:
             todo = list({task.key: task for task in tasks if self._open(task)}.values())
@@ -67,9 +70,13 @@ class Workbench:
             names = ", ".join(dict.fromkeys(task.stage for task in tasks))
             _LOG.info("%s: %d tasks, %d finished before", names, len(tasks), len(tasks) - len(todo))
             self._tell(tasks[0].stage, span[0])
+            left = [task.stage for task in todo]
             for number, spent in enumerate(self.executor.run(self.store, todo), 1):
                 self.spent.append(spent)
-                self._tell(spent.stage, span[0] + (span[1] - span[0]) * number / len(todo))
+                left.remove(spent.stage)
+                self._tell(
+                    left[0] if left else spent.stage, span[0] + (span[1] - span[0]) * number / len(todo)
+                )
             self._done.update(task.key for task in tasks)
         return [{task.name: task.key for task in stage} for stage in stages]
 

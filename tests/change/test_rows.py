@@ -1,0 +1,79 @@
+"""Houses wall to wall that the two epochs part at other walls."""
+
+import numpy as np
+import pytest
+
+from subiaco_change.changes.association_costs import AssociationConfig
+from subiaco_change.changes.decisions import DecisionConfig
+from subiaco_change.changes.judging import ObjectRules, decide_object
+from subiaco_change.changes.measures import MeasureConfig
+from subiaco_change.changes.objects import Thing, Voxels
+from subiaco_change.changes.revising import part_rows
+from subiaco_geo.codes import Change, Semantic
+
+RULES = ObjectRules(MeasureConfig(), AssociationConfig(), DecisionConfig())
+WIDTH, DEPTH = 6.0, 8.0
+
+
+def house(place, height):
+    """Voxels (N, 3) of the front, the party walls and the roof of a house of a row along x [m]."""
+    x, y, z = (np.arange(0.25, size, 0.5) for size in (WIDTH, DEPTH, height))
+    xyz = np.stack(np.meshgrid(x, y, z, indexing="ij"), axis=-1).reshape(-1, 3)
+    index = np.round((xyz - 0.25) / 0.5).astype(int)
+    last = (len(x) - 1, len(z) - 1)
+    shell = (index[:, 0] % last[0] == 0) | (index[:, 1] == 0) | (index[:, 2] == last[1])
+    return xyz[shell] + (WIDTH * place, 0.0, 0.0)
+
+
+def row(heights, groups):
+    """Things of one epoch: ``groups`` of places that its semantics holds for one house."""
+    return [np.concatenate([house(place, heights[place]) for place in group]) for group in groups]
+
+
+def things(own, other):
+    there = np.concatenate(other)
+    found = []
+    for number, xyz in enumerate(own):
+        still = np.array([np.abs(there - p).max(axis=1).min() < 0.1 for p in xyz])
+        yes = np.ones(len(xyz), dtype=bool)
+        normal = np.tile([1.0, 0.0, 0.0], (len(xyz), 1))
+        voxels = Voxels(np.full(len(xyz), number), xyz, normal, xyz[:, 2], yes, still, ~still)
+        points = np.arange(len(xyz))
+        found.append(Thing(number, Semantic.BUILDING, 0.9, points, voxels, 0.05, xyz))
+    return found
+
+
+def labels(heights, groups, matches):
+    """Label of every place of a row, from the middles of the rows of the table."""
+    sides = [row(h, g) for h, g in zip(heights, groups, strict=True)]
+    before, after = things(*sides), things(*sides[::-1])
+    changes = [
+        decide_object([before[i] for i in b], [after[j] for j in a], Semantic.BUILDING, RULES)
+        for b, a in matches
+    ]
+    found = {}
+    for change in part_rows(changes, RULES):
+        xyz = np.concatenate([t.xyz for t in (*change.before, *change.after)])
+        for place in np.unique(np.floor(xyz[:, 0] / WIDTH).astype(int)).tolist():
+            found.setdefault(place, set()).add(change.decision.change)
+    return [found[place] for place in sorted(found)]
+
+
+GREW, SAME = {Change.INCREASED}, {Change.UNCHANGED}
+
+
+def test_a_middle_house_that_each_epoch_holds_with_another_neighbour_grew_alone():
+    before, after = (5.0, 3.5, 3.5), (5.0, 6.5, 3.5)
+    told = labels((before, after), ([[0], [1, 2]], [[0, 1], [2]]), [((0,), (0,)), ((1,), (1,))])
+    assert told == [SAME, GREW, SAME]
+
+
+def test_a_storey_on_one_of_two_houses_that_neither_epoch_parts_is_of_that_house():
+    told = labels(((4.0, 4.0), (4.0, 7.0)), ([[0, 1]], [[0, 1]]), [((0,), (0,))])
+    assert told == [SAME, GREW]
+
+
+@pytest.mark.parametrize("after", [(4.0, 4.0), (7.0, 7.0)])
+def test_a_row_that_fared_alike_stays_as_it_was(after):
+    told = labels(((4.0, 4.0), after), ([[0, 1]], [[0, 1]]), [((0,), (0,))])
+    assert told == [GREW if after[0] > 4.0 else SAME] * 2
