@@ -62,6 +62,35 @@ def test_an_object_that_stands_in_one_epoch_alone_is_not_parted():
         assert part_things([single], CONFIG) == [single]
 
 
+def test_a_bin_under_a_crown_is_an_object_of_its_own():
+    crown, trunk, bin_ = (
+        block((-2, -2, 2), (2, 2, 5)),
+        block((0, 0, 0), (0.5, 0.5, 2)),
+        block((1, 1, 0), (2, 2, 1)),
+    )
+    parts = part_things([thing([(crown, True), (trunk, True), (bin_, False)])], CONFIG)
+    assert [len(p.voxels) for p in parts] == [len(crown) + len(trunk), len(bin_)]
+    assert parts[1].voxels.height.max() < 1.0
+
+
+def test_a_kerb_told_wrong_is_no_part():
+    hedge, kerb = block((0, 0, 0), (5, 1, 1.5)), block((5, 0, 0), (9, 1, 0.5))
+    assert len(part_things([thing([(hedge, True), (kerb, False)])], CONFIG)) == 1
+
+
+@pytest.mark.parametrize(("left", "hidden_went"), [(1.0, True), (8.0, False)], ids=["a gate", "a house"])
+def test_what_nobody_saw_goes_with_what_is_gone_if_little_is_left(left, hidden_went):
+    rest, gone = block((0, 0, 0), (left, 2, 3)), block((left, 0, 0), (left + 2, 2, 3))
+    hidden = block((0, 2, 0), (left + 2, 4, 3))  # behind both
+    made = thing([(rest, True), (gone, False), (hidden, False)])
+    seen = np.repeat([True, True, False], [len(rest), len(gone), len(hidden)])
+    made = replace(made, voxels=replace(made.voxels, seen=seen))
+    kept, part = part_things([made], CONFIG)
+    behind_the_rest = len(block((0, 2, 0), (left, 4, 3)))
+    assert len(kept.voxels) == len(rest) + (0 if hidden_went else behind_the_rest)
+    assert len(part.voxels) == len(made.voxels) - len(kept.voxels)
+
+
 def test_parting_is_left_out_on_request():
     both = thing([(block((0, 0, 0), (5, 1, 1.5)), True), (block((5, 0, 0), (8, 1, 1.5)), False)])
     assert part_things([both], PartConfig(points=0)) == [both]
@@ -84,6 +113,19 @@ def test_a_wing_built_onto_a_house_belongs_to_it_and_one_taken_from_it_too():
 @pytest.mark.parametrize(("x", "body"), [(14, WING), (10, walls(14, 10, 6))], ids=["apart", "larger"])
 def test_what_stands_apart_or_is_larger_is_no_wing(x, body):
     assert find_wings([(voxels(HOUSE), voxels(HOUSE)), (NONE, moved(body, x))], CONFIG) == {}
+
+
+@pytest.mark.parametrize("body", [walls(3, 3, 2.2), walls(4, 6, 7)], ids=["a shed", "a taller house"])
+def test_what_is_lower_than_a_room_or_taller_than_the_house_is_no_wing(body):
+    house = (voxels(HOUSE), voxels(HOUSE))
+    assert find_wings([house, (NONE, moved(body, 10))], CONFIG) == {}
+    assert find_wings([(moved(body, 10), NONE), house], CONFIG) == {}
+
+
+def test_a_shed_left_inside_the_outline_of_a_house_that_is_gone_is_no_rest_of_it():
+    for height, rest in ((3.0, True), (2.0, False)):
+        inside, house = voxels(np.add(walls(3, 3, height), (4.0, 1.0, 0.0))), voxels(HOUSE)
+        assert bool(find_wings([(inside, inside), (house, NONE)], CONFIG)) == rest
 
 
 def test_a_house_between_two_others_is_no_wing_of_either():

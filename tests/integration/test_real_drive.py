@@ -1,7 +1,7 @@
 """77 real KITTI scans through the node graph, and the street they make against itself with known changes.
 
 Seen (docs/real-data.md): the trajectory differs from the kiss-icp reference by at most 0.033 m and 0.034 deg
-on 28.9 m; 15 of 16 objects put in and 14 of 16 taken out are found; 6 and 5 rows report a change where there
+on 28.9 m; 15 of 16 objects put in and 14 of 16 taken out are found; 4 and 5 rows report a change where there
 is none: cars that drove by, which clouds fused without counting beams keep. The bounds leave room.
 """
 

@@ -17,6 +17,8 @@ from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Ints
 
 _CELL = 0.5  # columns of a part [m]
+_WELL_KNOWN = 20  # voxels in sight, from which on a part may be most of an instance
+_ABOVE = 0.25  # what is higher above a part, in its columns, hangs over it [m]
 
 
 class PartConfig(StrictModel):
@@ -26,6 +28,9 @@ class PartConfig(StrictModel):
     gap: float = Field(0.75, gt=0, description="voxel in which pieces of one part touch [m]")
     length: float = Field(0.8, gt=0, description="least longest side, seen from above [m]")
     foot: float = Field(0.9, gt=0, description="a part stands when it begins below this height [m]")
+    top: float = Field(
+        0.6, ge=0, description="and mostly ends above this one: else it is ground told wrong [m]"
+    )
     whole: float = Field(
         0.75,
         gt=0,
@@ -103,20 +108,36 @@ def _parts_of(thing: Thing, config: PartConfig) -> Ints:
 
 def _stands(thing: Thing, piece: Ints, column: Ints, alone: Mask, config: PartConfig) -> bool:
     voxels = thing.voxels
-    if voxels.height[piece].min() > config.foot:
+    if voxels.height[piece].min() > config.foot or np.quantile(voxels.height[piece], 0.9) < config.top:
         return False
     if np.linalg.norm(np.ptp(voxels.xyz[piece, :2], axis=0)) + _CELL < config.length:
         return False
-    inside = np.isin(column, column[piece]) & voxels.seen
+    inside = _below(thing, piece, column) & voxels.seen
     return bool(np.count_nonzero(alone & inside) >= config.whole * np.count_nonzero(inside))
 
 
+def _below(thing: Thing, piece: Ints, column: Ints) -> Mask:
+    """Tell which voxels (M,) stand in the columns of a piece and no higher: a bin stands under a crown."""
+    keys, slot = np.unique(column[piece], return_inverse=True)
+    top = np.full(len(keys), -np.inf)
+    np.maximum.at(top, slot, thing.voxels.height[piece])
+    place = np.minimum(np.searchsorted(keys, column), len(keys) - 1)
+    return np.asarray((keys[place] == column) & (thing.voxels.height <= top[place] + _ABOVE))
+
+
 def _with_unseen(thing: Thing, labels: Ints, config: PartConfig) -> Ints:
-    """Give what the other epoch did not see to the nearest part or rest; drop parts that are too small."""
+    """Give what the other epoch did not see to the nearest part or rest; drop parts that are too small.
+
+    Where less still stands than is known of a part, the rest gets nothing: what is out of sight behind a
+    house that is gone was the house, not the gate that is left of the instance.
+    """
     known = thing.voxels.seen
     if not known.all():
-        nearest = cKDTree(thing.voxels.xyz[known]).query(thing.voxels.xyz[~known])[1]
-        labels[~known] = labels[known][nearest]
+        left = np.count_nonzero(thing.voxels.still & (labels == 0))
+        gone = np.bincount(labels[known])[1:].max()
+        source = np.flatnonzero(known & ((labels > 0) | (left >= gone) | (gone < _WELL_KNOWN)))
+        nearest = cKDTree(thing.voxels.xyz[source]).query(thing.voxels.xyz[~known])[1]
+        labels[~known] = labels[source][nearest]
     points = np.bincount(labels[cKDTree(thing.voxels.xyz).query(thing.xyz)[1]], minlength=labels.max() + 1)
     if points[0] < config.remainder * len(thing.xyz):
         return np.zeros_like(labels)

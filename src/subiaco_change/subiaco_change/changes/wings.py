@@ -16,6 +16,7 @@ from subiaco_geo.frames import Floats
 _ROUND = 0.75  # a part that touches its host with so much of itself stands round it, however large it is
 _SMALL = 0.1  # less than this share of its host is no house, whatever stands on both sides
 _CAR = 2.3  # no car is taller [m]
+_ROOM = 2.4  # no room is lower: a shed beside a house is no wing [m]
 _LEANS = 0.25  # what touches a second building with more of itself stands between the two
 _WITHIN = 0.3  # share of a host inside a part in one epoch alone, from which the part was the house itself
 _PARTY = 0.5  # walls so near the edge of an outline are shared with a neighbour [m]
@@ -39,15 +40,16 @@ def find_wings(pairs: Sequence[tuple[Voxels, Voxels]], config: PartConfig) -> di
     Returns
     -------
     dict
-        A wing touches its host, is smaller than ``subordinate`` of it or
-        stands round it, and does not stand between parts of it that would be
-        apart without it: a house pulled from a row was no wing.
+        A wing is as high as a room and touches its host; it is smaller than
+        ``subordinate`` of it and no half storey taller, or stands round it, and does not
+        stand between parts of it that would be apart without it: a house
+        pulled from a row was no wing.
     """
-    hosts = [i for i, pair in enumerate(pairs) if len(pair[0]) and len(pair[1])]
+    hosts = [i for i, pair in enumerate(pairs) if all(map(len, pair)) and max(_top(v) for v in pair) >= _ROOM]
     wings: dict[int, int] = {}
     for number, pair in enumerate(pairs):
         epoch = 0 if len(pair[0]) else 1
-        if len(pair[1 - epoch]) or not len(pair[epoch]):
+        if len(pair[1 - epoch]) or not len(pair[epoch]) or _top(pair[epoch]) < _ROOM:
             continue
         wing = pair[epoch].xyz
         contact = [_contact(wing, pairs[i][epoch].xyz, config) for i in hosts]
@@ -97,8 +99,7 @@ def _floats(wing: Voxels, host: Voxels) -> bool:
 
 def _rises(wing: Voxels, host: Voxels) -> bool:
     """Tell whether a wing is taller than its host by half a storey."""
-    tops = [float(np.quantile(v.height, 0.95)) for v in (wing, host)]
-    return tops[0] - tops[1] > _HALF_STOREY
+    return _top(wing) - _top(host) > _HALF_STOREY
 
 
 def _over(wing: Voxels, host: Voxels) -> float:
@@ -118,7 +119,11 @@ def _contact(wing: Floats, host: Floats, config: PartConfig) -> int:
 def _bulk(voxels: Voxels) -> float:
     """Volume of the upright body around voxels [m3]: walls alone were seen of many a house."""
     area = shapely.MultiPoint(voxels.xyz[:, :2]).convex_hull.buffer(0.25).area
-    return float(area * np.quantile(voxels.height, 0.95))
+    return float(area * _top(voxels))
+
+
+def _top(voxels: Voxels) -> float:
+    return float(np.quantile(voxels.height, 0.95))
 
 
 def _between(wing: Floats, host: Floats, config: PartConfig) -> bool:
