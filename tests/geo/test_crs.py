@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from pyproj import CRS, Proj, Transformer
 
 from subiaco_geo.crs import (
+    EnuFrame,
     crs_text,
     ellipsoidal_heights,
     fixes_to_gda2020,
@@ -23,7 +24,6 @@ from subiaco_geo.crs import (
 )
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import exp_se3, make_pose
-from subiaco_geo.local_frame import EnuFrame
 
 MGA = "EPSG:7850"
 SUBIACO = EnuFrame(-31.948, 115.825, 20.0)

@@ -6,8 +6,8 @@ import numpy as np
 from scipy.interpolate import CubicSpline
 from scipy.spatial.transform import Rotation
 
+from subiaco_geo.crs import EnuFrame
 from subiaco_geo.frames import invert_pose, make_pose
-from subiaco_geo.local_frame import EnuFrame
 from subiaco_mapping.calibration.imu import ImuTrack, OdometryTrack
 from subiaco_mapping.measurements import GnssFix, HeadingSample
 

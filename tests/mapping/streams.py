@@ -11,7 +11,7 @@ import numpy as np
 from ouster.sdk import core
 
 from subiaco_geo.bags import packet_to_cdr
-from subiaco_geo.local_frame import EnuFrame
+from subiaco_geo.crs import EnuFrame
 from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.measurements import GnssFix, ImuSample
 from subiaco_mapping.watch.monitor import Monitor, OdometryNote

@@ -9,9 +9,9 @@ from hypothesis import strategies as st
 from mapping_scenes import SECOND, START_NS, relative, turning_pose
 from scipy.spatial.transform import Rotation
 
+from subiaco_geo.crs import EnuFrame
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import exp_se3, make_pose
-from subiaco_geo.local_frame import EnuFrame
 from subiaco_mapping import gnss
 from subiaco_mapping.backend import MappingBackend
 from subiaco_mapping.config import GnssConfig, GraphConfig, MappingConfig

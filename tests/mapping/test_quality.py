@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from mapping_scenes import SECOND, START_NS, relative, turning_pose
 
 from subiaco_geo.clouds import PointCloud
+from subiaco_geo.crs import EnuFrame
 from subiaco_geo.frames import interpolate_poses
-from subiaco_geo.local_frame import EnuFrame
 from subiaco_geo.maps import write_map
 from subiaco_geo.survey_map import SurveyMap
 from subiaco_mapping.backend import MappingBackend

@@ -152,7 +152,7 @@ def test_an_accumulated_covariance_is_that_of_many_noisy_walks() -> None:
 def test_the_local_frame_lies_on_the_earth_where_its_origin_says() -> None:
     from pyproj import Transformer
 
-    from subiaco_geo.local_frame import EnuFrame
+    from subiaco_geo.crs import EnuFrame
     from subiaco_mapping.nodes.frame import earth_from_enu
 
     enu = EnuFrame(-31.948, 115.825, 20.0)

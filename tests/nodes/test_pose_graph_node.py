@@ -11,9 +11,9 @@ import numpy as np
 import pytest
 
 from subiaco_geo.clouds import PointCloud
+from subiaco_geo.crs import EnuFrame
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import exp_se3
-from subiaco_geo.local_frame import EnuFrame
 from subiaco_geo.maps import read_map
 from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.trajectories import Trajectory

@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from subiaco_geo.crs import EnuFrame
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import interpolate_poses, invert_pose, make_pose
-from subiaco_geo.local_frame import EnuFrame
 from subiaco_mapping import gnss
 from subiaco_mapping.config import GnssConfig, MappingConfig
 from subiaco_mapping.graph.gravity import gravity_priors

@@ -10,10 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from subiaco_geo.crs import ellipsoidal_heights, fixes_to_gda2020
+from subiaco_geo.crs import EnuFrame, ellipsoidal_heights, fixes_to_gda2020
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints, interpolate_poses, invert_pose, make_pose
-from subiaco_geo.local_frame import EnuFrame
 from subiaco_mapping.config import GnssConfig
 from subiaco_mapping.measurements import GnssFix
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from subiaco_geo.crs import EnuFrame
 from subiaco_geo.frames import Floats
-from subiaco_geo.local_frame import EnuFrame
 
 _BASIS = 50.0
 

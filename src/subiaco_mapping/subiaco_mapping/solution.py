@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from subiaco_geo.crs import EnuFrame
 from subiaco_geo.frames import Floats, Ints
-from subiaco_geo.local_frame import EnuFrame
 from subiaco_mapping.graph.records import Chain, LoopEdge, Solved
 
 

@@ -8,9 +8,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from subiaco_geo.crs import EnuFrame
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, invert_pose
-from subiaco_geo.local_frame import EnuFrame
 from subiaco_mapping.chains import Placement, chain_of, place_sequences, summary
 from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.graph.live import LiveGraph

@@ -8,9 +8,9 @@ from dataclasses import dataclass
 import numpy as np
 from ouster.sdk.core import SensorInfo
 
+from subiaco_geo.crs import EnuFrame
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
-from subiaco_geo.local_frame import EnuFrame
 from subiaco_sim.ahead import ahead
 from subiaco_sim.config import MapErrorConfig, SimulationConfig
 from subiaco_sim.lidar import SCAN_NS, Lidar, SimulatedScan, column_times, points_of

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial.transform import Rotation
 
+from subiaco_geo.crs import EnuFrame
 from subiaco_geo.frames import Floats
-from subiaco_geo.local_frame import EnuFrame
 from subiaco_sim.config import MapErrorConfig
 
 _WAVES = np.array([[260.0, 40.0], [-70.0, 210.0], [150.0, -160.0]])  # of the drift [m]

@@ -8,9 +8,8 @@ import numpy as np
 from pyproj import Proj, Transformer
 
 from subiaco_geo.clouds import PointCloud
-from subiaco_geo.crs import horizontal, require_map_crs
+from subiaco_geo.crs import EnuFrame, horizontal, require_map_crs
 from subiaco_geo.frames import Floats, make_pose
-from subiaco_geo.local_frame import EnuFrame
 
 _TO_ECEF = "+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad +step +proj=cart +ellps="
 

@@ -10,7 +10,7 @@ from geometry_msgs.msg import Point
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from subiaco_geo.local_frame import EnuFrame
+from subiaco_geo.crs import EnuFrame
 from subiaco_mapping.nodes.messages import header
 
 _WIDTH = 2.5

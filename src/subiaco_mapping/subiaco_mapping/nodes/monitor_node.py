@@ -24,8 +24,8 @@ from visualization_msgs.msg import MarkerArray
 
 from ouster_sensor_msgs.msg import PacketMsg
 from subiaco_geo.config import StrictModel
+from subiaco_geo.crs import EnuFrame
 from subiaco_geo.errors import InputError
-from subiaco_geo.local_frame import EnuFrame
 from subiaco_geo.topics import FIX, IMU, LIDAR_PACKETS, METADATA, POINTS
 from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.conversions import fix_from_msg, imu_from_msg, stamp_ns

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from subiaco_geo.crs import EnuFrame
 from subiaco_geo.frames import Floats
-from subiaco_geo.local_frame import EnuFrame
 from subiaco_mapping.measurements import GnssFix
 
 _PAIRS = 100

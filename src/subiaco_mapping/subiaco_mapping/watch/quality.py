@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 
 from subiaco_geo.atomic import whole_file
+from subiaco_geo.crs import EnuFrame
 from subiaco_geo.frames import Floats
-from subiaco_geo.local_frame import EnuFrame
 from subiaco_mapping.watch.config import QualityConfig
 from subiaco_mapping.watch.positions import Place
 from subiaco_mapping.watch.routes import cut_line, densified, middle

@@ -10,9 +10,9 @@ from typing import Any
 
 import numpy as np
 
+from subiaco_geo.crs import EnuFrame
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
-from subiaco_geo.local_frame import EnuFrame
 
 _CSV_NAMES = (("lat", "latitude"), ("lon", "lng", "longitude"))
 
