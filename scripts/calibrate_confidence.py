@@ -1,8 +1,8 @@
 """Fit the confidence of change rows on simulated surveys, and print the configuration.
 
-Each survey is a folder of ``subiaco simulate --maps-only``. Tuning seeds only: 100 and above.
+Each survey is a folder of ``subiaco simulate --maps-only``. Seeds named `calibration` in config/seeds.yaml only.
 
-    python scripts/calibrate_confidence.py out/sim101 out/sim102 ... > config/confidence.yaml
+    python scripts/calibrate_confidence.py out/sim106 out/sim107 ... > config/confidence.yaml
     subiaco change BEFORE AFTER --config config/confidence.yaml ...
 """
 
