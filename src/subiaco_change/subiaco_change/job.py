@@ -78,6 +78,7 @@ def workbench(
     try:
         yield Workbench(DiskStore(kept.absolute()), executor, progress, redo)
     except (InputError, RegistrationError):
+        executor.close()  # what runs beside the task that failed still writes
         _forget(work, kept)  # the same input would fail again
         raise
     except KeyboardInterrupt:
