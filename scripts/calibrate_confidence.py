@@ -1,6 +1,6 @@
 """Fit the confidence of change rows on simulated surveys, and print the configuration.
 
-Each survey is a folder of ``subiaco simulate --maps-only``, of a seed named `calibration` in config/seeds.yaml:
+Each survey is a folder of ``subiaco simulate --maps-only``, of a seed of `calibration` in config/seeds.yaml:
 
     python scripts/calibrate_confidence.py out/sim106 out/sim107 ... > config/confidence.yaml
     subiaco change BEFORE AFTER --config config/confidence.yaml ...
