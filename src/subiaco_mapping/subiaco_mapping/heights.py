@@ -68,7 +68,7 @@ def height_table(cloud: PointCloud, tile: float) -> Floats:
     Returns
     -------
     (K, 5) float64
-        Columns of ``subiaco_geo.maps.HEIGHT_COLUMNS``, a row for every tile with points. Height and
+        Columns of ``subiaco_geo.map_tables.HEIGHT_COLUMNS``, a row for every tile with points. Height and
         tilt are NaN where too few of the tile's 1 m cells (15 %) show ground; the tilt alone is NaN
         where these lie in a narrow strip that cannot hold a plane.
     """

@@ -8,10 +8,10 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 from subiaco_change.changes.association_costs import AssociationConfig
+from subiaco_change.changes.columns import column_keys
 from subiaco_change.changes.objects import Thing
 from subiaco_change.changes.parts import divided
 from subiaco_change.semantics.clustering import connect, group_indices
-from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.frames import Ints
 
 _CELL = 0.5  # columns in which bodies stand side by side [m]
@@ -71,7 +71,7 @@ def bodies_of(things: Sequence[Thing], config: AssociationConfig) -> list[list[T
     large = [t for t in things if len(t.voxels) >= config.apart * total]
     if len(large) < 2:
         return [list(large)]
-    columns = [np.unique(voxel_keys(voxel_indices(t.voxels.xyz * (1.0, 1.0, 0.0), _CELL))) for t in large]
+    columns = [np.unique(column_keys(t.voxels.xyz, _CELL)) for t in large]
     links = [
         (i, j)
         for i in range(len(large))

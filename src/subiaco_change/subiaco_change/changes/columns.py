@@ -62,10 +62,11 @@ class Volumes:
 
 def ground_columns(xyz: Floats, cell: float) -> Ints:
     """Return the sorted keys of the columns of ground points (N, 3)."""
-    return np.unique(_column_keys(xyz, cell))
+    return np.unique(column_keys(xyz, cell))
 
 
-def _column_keys(xyz: Floats, cell: float) -> Ints:
+def column_keys(xyz: Floats, cell: float) -> Ints:
+    """Return the key (N,) of the column that every point (N, 3) stands in."""
     return voxel_keys(voxel_indices(xyz * (1.0, 1.0, 0.0), cell))
 
 
@@ -158,7 +159,7 @@ def _standing(voxels: Voxels, frame: _Frame, ground: Ints, empty: Empty | None) 
     tops = _tops(voxels, frame)
     bare = tops == 0.0
     middle = frame.middles(bare)
-    bare[bare] = _among(_column_keys(np.column_stack([middle, np.zeros(len(middle))]), frame.cell), ground)
+    bare[bare] = _among(column_keys(np.column_stack([middle, np.zeros(len(middle))]), frame.cell), ground)
     if frame.margin == 0 or len(voxels) == 0:
         return tops, bare
     size = 2 * frame.margin + 1

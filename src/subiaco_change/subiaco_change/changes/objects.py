@@ -72,8 +72,13 @@ class Voxels:
         With those of the other epoch that it occupies too, two samplings of one surface differ only by
         what is new or gone, not by where the beams happened to fall (Decision 13).
         """
-        names = self.__dataclass_fields__
-        return Voxels(*(np.concatenate([getattr(self, name), getattr(other, name)]) for name in names))
+        return Voxels.joined([self, other])
+
+    @staticmethod
+    def joined(parts: Sequence[Voxels]) -> Voxels:
+        """Return the voxels of several."""
+        names = Voxels.__dataclass_fields__
+        return Voxels(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
 
 
 @dataclass(frozen=True)
@@ -228,5 +233,4 @@ def join_voxels(things: Sequence[Thing]) -> Voxels:
         return Voxels(
             np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), flags, flags, flags
         )
-    names = Voxels.__dataclass_fields__
-    return Voxels(*(np.concatenate([getattr(t.voxels, name) for t in things]) for name in names))
+    return Voxels.joined([t.voxels for t in things])

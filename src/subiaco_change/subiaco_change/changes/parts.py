@@ -9,10 +9,10 @@ import numpy as np
 from pydantic import Field
 from scipy.spatial import cKDTree
 
+from subiaco_change.changes.columns import column_keys
 from subiaco_change.changes.objects import Thing
 from subiaco_change.semantics.clustering import group_indices, voxel_clusters
 from subiaco_change.semantics.ground import Mask
-from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Ints
 
@@ -94,7 +94,7 @@ def _parts_of(thing: Thing, config: PartConfig) -> Ints:
     if len(thing.xyz) < config.points or not alone.any() or alone.all():
         return labels
     members = np.flatnonzero(alone)
-    column = voxel_keys(voxel_indices(voxels.xyz * (1.0, 1.0, 0.0), _CELL))
+    column = column_keys(voxels.xyz, _CELL)
     count = 0
     for group in group_indices(voxel_clusters(voxels.xyz[members], config.gap)):
         piece = members[group]

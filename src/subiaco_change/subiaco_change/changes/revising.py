@@ -81,7 +81,7 @@ def _least_overlap(semantic: Semantic, rules: ObjectRules) -> float:
 
 def tell_apart(changes: Sequence[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
     """Decide the bodies of a split or merge one by one where they did not fare alike."""
-    following = 1 + max((t.instance for c in changes for t in (*c.before, *c.after)), default=0)
+    following = _first_free(changes)
     told: list[ObjectChange] = []
     for change in changes:
         pieces = pieces_apart(change.before, change.after, rules.association, following)
@@ -95,6 +95,11 @@ def tell_apart(changes: Sequence[ObjectChange], rules: ObjectRules) -> list[Obje
     return told
 
 
+def _first_free(changes: Sequence[ObjectChange]) -> int:
+    """Return the first instance number that no part has."""
+    return 1 + max((t.instance for c in changes for t in (*c.before, *c.after)), default=0)
+
+
 def part_rows(changes: Sequence[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
     """Decide the houses of a row one by one where they fared differently, parted as either epoch shows."""
     if rules.association.parts.points == 0:
@@ -105,7 +110,7 @@ def part_rows(changes: Sequence[ObjectChange], rules: ObjectRules) -> list[Objec
         if change.semantic is Semantic.BUILDING
         and change.decision.change not in (Change.ADDED, Change.REMOVED)  # stands, or stood, by itself
     ]
-    following = 1 + max((t.instance for c in changes for t in (*c.before, *c.after)), default=0)
+    following = _first_free(changes)
     told: dict[int, list[ObjectChange]] = {i: [change] for i, change in enumerate(changes)}
     for row in rows_of([(changes[i].before, changes[i].after) for i in numbers], rules.association):
         members = [numbers[k] for k in row]
@@ -127,7 +132,7 @@ def part_sections(changes: Sequence[ObjectChange], rules: ObjectRules) -> list[O
     """Give the sections of hedges whose tops moved rows of their own, or the whole where nearly all did."""
     if rules.association.parts.points == 0:
         return list(changes)
-    following = 1 + max((t.instance for c in changes for t in (*c.before, *c.after)), default=0)
+    following = _first_free(changes)
     parted: list[ObjectChange] = []
     for change in changes:
         pieces = _sections(change, following, rules)

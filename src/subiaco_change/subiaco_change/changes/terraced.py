@@ -9,12 +9,12 @@ from scipy.spatial import cKDTree
 
 from subiaco_change.changes.apart import Piece, bodies_of
 from subiaco_change.changes.association_costs import AssociationConfig
+from subiaco_change.changes.columns import column_keys
 from subiaco_change.changes.objects import Thing, join_voxels
 from subiaco_change.changes.parts import divided
 from subiaco_change.semantics.boxes import wall_coordinates
 from subiaco_change.semantics.clustering import connect, group_indices
 from subiaco_change.semantics.profiles import ProfileConfig, level_steps, part_slots
-from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.frames import Floats, Ints
 
 _CELL = 0.5  # columns in which houses stand side by side [m]
@@ -42,7 +42,7 @@ def rows_of(pieces: Sequence[Piece], config: AssociationConfig) -> list[list[int
 
 
 def _columns(things: Sequence[Thing]) -> Ints:
-    return np.unique(voxel_keys(voxel_indices(join_voxels(things).xyz * (1.0, 1.0, 0.0), _CELL)))
+    return np.unique(column_keys(join_voxels(things).xyz, _CELL))
 
 
 def houses_of(
