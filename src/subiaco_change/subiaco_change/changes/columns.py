@@ -40,14 +40,6 @@ BUILT_UP = OpenGround(NO_COLUMNS, NO_COLUMNS)
 
 
 @dataclass(frozen=True)
-class Columns:
-    """Columns between the ground and their tops: volume [m3] and area [m2]."""
-
-    volume: float
-    area: float
-
-
-@dataclass(frozen=True)
 class Volumes:
     """Change of the volume, after minus before, and the volume that it is a share of [m3].
 
@@ -119,21 +111,6 @@ def stands_alone(voxels: Voxels) -> Mask:
     return np.asarray(((free >= _ALONE * seen) & (crossed > _CROSSED * free))[part])
 
 
-def columns_of(voxels: Voxels, cell: float, closing: float = 0.0, ground: Ints = NO_COLUMNS) -> Columns:
-    """Volume and area of the columns that voxels stand in.
-
-    Columns that nobody looked into, but that stand between others no more
-    than twice ``closing`` [m] apart, are filled to the lower of these: a wing
-    whose walls were seen has a volume although its roof was not. Where the
-    epoch met the ground (``ground``, sorted keys) there is nothing to fill.
-    """
-    if len(voxels) == 0:
-        return Columns(0.0, 0.0)
-    frame = _Frame.around(voxels.xyz, cell, round(closing / cell))
-    tops = _standing(voxels, frame, ground, None)[0]
-    return Columns(float(tops.sum()) * cell**2, float(np.count_nonzero(tops > 0)) * cell**2)
-
-
 @dataclass(frozen=True)
 class _Frame:
     """Columns of a place: first of them, how many, their edge [m], and half the widest gap that is filled."""
@@ -155,7 +132,12 @@ class _Frame:
 
 
 def _standing(voxels: Voxels, frame: _Frame, ground: Ints, empty: Empty | None) -> tuple[Floats, Mask]:
-    """Tops of columns, gaps between them filled, and where nothing stands instead, both (rows, columns)."""
+    """Tops of columns, gaps between them filled, and where nothing stands instead, both (rows, columns).
+
+    Columns that nobody looked into, but that stand between others no more than twice the margin apart,
+    are filled to the lower of these: a wing whose walls were seen has a volume although its roof was not.
+    Where the epoch met the ground (sorted keys) or looked through there is nothing to fill.
+    """
     tops = _tops(voxels, frame)
     bare = tops == 0.0
     middle = frame.middles(bare)
