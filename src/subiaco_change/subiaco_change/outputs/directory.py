@@ -163,7 +163,7 @@ def write_change_directory(
     refuse_existing(directory, overwrite)
     refuse_foreign(directory, MARKER)
     crs = result.crs
-    table = outputs_table.build_table(result.records, crs)
+    table = outputs_table.build_table(result.records, crs, _survey_days(inputs))
     previous = read_reviewed(directory)
     lost = table.iloc[:0]
     if previous is not None:
@@ -173,7 +173,7 @@ def write_change_directory(
     with whole_directory(directory, overwrite=overwrite, marker=MARKER) as target:
         _write_table(target, table)
         if len(lost):
-            lost.to_csv(target / "reviews_without_object.csv", index=False)
+            outputs_table.write_csv(target / "reviews_without_object.csv", lost)
             _LOG.warning(
                 "%s: %d reviewed rows have no object now; see reviews_without_object.csv",
                 directory,
@@ -183,7 +183,7 @@ def write_change_directory(
         if inputs.lots is not None:
             parcels = build_parcels(table, inputs.lots, coverage)
             write_layer(target / "changes.gpkg", "parcels", parcels)
-            parcels.drop(columns="geometry").to_csv(target / "parcels.csv", index=False)
+            outputs_table.write_csv(target / "parcels.csv", parcels)
         embed_styles(
             target / "changes.gpkg", ("coverage",) if inputs.lots is None else ("coverage", "parcels")
         )
@@ -202,6 +202,13 @@ def write_change_directory(
         write_json(target / "run.json", run_document(result, config, inputs, table, points))
         write_project(target, crs, coverage.bounds)
         build_report(target)
+
+
+def _survey_days(inputs: ChangeInputs) -> tuple[str, str]:
+    """Day of the first scan of *before* and of *after*, ISO 8601; empty where the map has no times."""
+    epochs = inputs.notes.get("epochs", {})
+    before, after = (str(epochs.get(name, {}).get("first", ""))[:10] for name in ("before", "after"))
+    return before, after
 
 
 def rebuild(directory: Path) -> Path:
