@@ -14,7 +14,7 @@ def test_a_text_comes_back_and_begins_with_no_sign_of_a_formula(text: str) -> No
     escaped = escape_cell(text)
     if not text.startswith("'"):
         assert restore_cell(escaped) == text
-    assert escaped == text or escaped == f"'{text}"
+    assert escaped in {text, f"'{text}"}
 
 
 @pytest.mark.parametrize("text", ["=1+1", "@SUM(A1)", "+cmd|' /C calc'!A0", "-2+3", "\t=1", "=HYPERLINK(1)"])
