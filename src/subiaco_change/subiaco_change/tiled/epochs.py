@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from subiaco_change.config import ChangeConfig
+from subiaco_change.geometry import point_spacing
 from subiaco_change.observation.common_frame import CommonFrame
 from subiaco_change.observation.evidence import evidence_kind, sight_corner
 from subiaco_change.records import Registration
@@ -21,6 +22,7 @@ from subiaco_change.registration.pair import (
     moved_trajectory,
     shares_origin,
 )
+from subiaco_change.sparse import at_spacing
 from subiaco_change.tiled.cutting import (
     EPOCHS,
     FIELDS,
@@ -51,6 +53,7 @@ from subiaco_geo.work.tasks import Task
 ALONE = "epoch"
 #: Beyond the points of a task, beams are looked up so far [m].
 SIGHT = 6.0
+_PROBED = 16  # tiles that tell the spacing of an epoch
 _BEAMS = 0.5  # edge of a tile of counted beams, of a tile of points: tasks read few that are too far
 
 
@@ -118,6 +121,23 @@ class Epochs:
         if both:
             check_extents(extents[0], extents[1])
         self.sides = tuple(sides)
+
+    def follow_spacing(self) -> None:
+        """Raise the lengths of the configuration to what the sparser epoch can show, once both are cut."""
+        self.config = at_spacing(self.config, self._sparser())
+
+    def _sparser(self) -> float:
+        """Spacing of the sparser epoch [m]; NaN where neither tells."""
+        known = [s for s in map(self._spacing, EPOCHS) if math.isfinite(s)]
+        return max(known, default=math.nan)
+
+    def _spacing(self, name: str) -> float:
+        """Spacing of an epoch [m], over tiles spread evenly among its own; NaN where they hold too little."""
+        keys = [self.clouds[name][tile] for tile in sorted(self.clouds[name])]
+        chosen = np.unique(np.linspace(0, len(keys) - 1, _PROBED).astype(np.int64)).tolist()
+        clouds = [self.load(keys[i])["xyz"] for i in chosen]
+        known = [s for s in map(point_spacing, clouds) if math.isfinite(s)]
+        return round(float(np.median(known)), 2) if known else math.nan
 
     def _cut_points(self, name: str, epoch: Epoch, origin: Floats, operation: Transform | None) -> CutCloud:
         try:
