@@ -19,6 +19,8 @@ from subiaco_geo.codes import Semantic
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
 
+_FEWEST = 8  # points of an object at any density: of fewer, another sampling may well hold none
+
 
 class InstanceConfig(StrictModel):
     """How points of a class fall into objects."""
@@ -81,7 +83,7 @@ def segment(cloud: PointCloud, result: SemanticResult, config: InstanceConfig) -
             continue
         labels = function(cloud.xyz[members], result.height_above_ground[members].astype(np.float64), config)
         smallest = config.min_points[position] * (0.25 / config.leaf) ** 2
-        labels = _renumber(cloud.xyz[members], labels, max(3, round(smallest)))
+        labels = _renumber(cloud.xyz[members], labels, max(_FEWEST, round(smallest)))
         instance[members] = np.where(labels >= 0, labels + following, -1)
         following += int(labels.max()) + 1
     return instance.astype(np.int32)
