@@ -18,7 +18,7 @@ IDENTITY = np.eye(4)
 
 def test_lengths_stay_as_they_are_for_clouds_as_dense_as_a_mapped_street():
     config = ChangeConfig()
-    for spacing in (0.1, 0.25, config.spacing.served, float("nan")):
+    for spacing in (0.1, 0.25, config.spacing.served, float("inf")):
         assert at_spacing(config, spacing) == config
 
 

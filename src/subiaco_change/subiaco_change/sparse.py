@@ -8,10 +8,12 @@ points of one surface. The fewest points of an object fall with the square of th
 
 from __future__ import annotations
 
+import math
 from typing import TYPE_CHECKING
 
 from pydantic import Field
 
+from subiaco_change.spacing import STREET_SPACING
 from subiaco_geo.config import StrictModel
 
 if TYPE_CHECKING:
@@ -22,7 +24,9 @@ class SpacingConfig(StrictModel):
     """From which spacing on lengths follow it, and how far."""
 
     served: float = Field(
-        0.36, gt=0, description="largest spacing that the lengths of the configuration serve as they are [m]"
+        STREET_SPACING,
+        gt=0,
+        description="largest spacing served by the lengths as they are [m]",
     )
     cell: float = Field(
         1.2, gt=0, description="spacings across a cell of which neighbours on one surface are mostly occupied"
@@ -43,10 +47,10 @@ _INSTANCES = ("building_gap", "vegetation_gap", "foliage_voxel", "crown_cell", "
 def at_spacing(config: ChangeConfig, spacing: float) -> ChangeConfig:
     """Return the configuration for a pair of which the sparser cloud has a spacing [m].
 
-    Lengths stay as they are up to ``config.spacing.served``, and where the spacing is not known (NaN).
+    Lengths stay as they are up to ``config.spacing.served``, and where the spacing is not known (infinite).
     """
     rule, instances = config.spacing, config.instances.model_copy(update={"leaf": config.leaf})
-    if not spacing > rule.served:
+    if spacing <= rule.served or math.isinf(spacing):
         return config.model_copy(update={"instances": instances})
 
     def raised(part: StrictModel, names: tuple[str, ...], most: float) -> dict[str, float]:

@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 
 from subiaco_change.config import ChangeConfig
-from subiaco_change.geometry import point_spacing
 from subiaco_change.observation.common_frame import CommonFrame
 from subiaco_change.observation.evidence import evidence_kind, sight_corner
 from subiaco_change.records import Registration
@@ -22,6 +21,7 @@ from subiaco_change.registration.pair import (
     moved_trajectory,
     shares_origin,
 )
+from subiaco_change.spacing import PointSpacing
 from subiaco_change.sparse import at_spacing
 from subiaco_change.tiled.cutting import (
     EPOCHS,
@@ -53,7 +53,6 @@ from subiaco_geo.work.tasks import Task
 ALONE = "epoch"
 #: Beyond the points of a task, beams are looked up so far [m].
 SIGHT = 6.0
-_PROBED = 16  # tiles that tell the spacing of an epoch
 _BEAMS = 0.5  # edge of a tile of counted beams, of a tile of points: tasks read few that are too far
 
 
@@ -117,27 +116,20 @@ class Epochs:
             found = self._cut_points(name, epoch, origin, own)
             extents.append((found.low, found.high))
             crs = epoch.crs if self.info.crs is None else self.info.crs
-            sides.append(self._side(name, epoch, origin, crs, found.low, own))
+            side = self._side(name, epoch, origin, crs, found.low, own)
+            sides.append(replace(side, spacing=found.spacing))
         if both:
             check_extents(extents[0], extents[1])
         self.sides = tuple(sides)
 
     def follow_spacing(self) -> None:
         """Raise the lengths of the configuration to what the sparser epoch can show, once both are cut."""
-        self.config = at_spacing(self.config, self._sparser())
+        self.config = at_spacing(self.config, round(self.spacing.coarser, 2))
 
-    def _sparser(self) -> float:
-        """Spacing of the sparser epoch [m]; NaN where neither tells."""
-        known = [s for s in map(self._spacing, EPOCHS) if math.isfinite(s)]
-        return max(known, default=math.nan)
-
-    def _spacing(self, name: str) -> float:
-        """Spacing of an epoch [m], over tiles spread evenly among its own; NaN where they hold too little."""
-        keys = [self.clouds[name][tile] for tile in sorted(self.clouds[name])]
-        chosen = np.unique(np.linspace(0, len(keys) - 1, _PROBED).astype(np.int64)).tolist()
-        clouds = [self.load(keys[i])["xyz"] for i in chosen]
-        known = [s for s in map(point_spacing, clouds) if math.isfinite(s)]
-        return round(float(np.median(known)), 2) if known else math.nan
+    @property
+    def spacing(self) -> PointSpacing:
+        """Spacing of the points of both epochs, once they are cut."""
+        return PointSpacing(*(side.spacing for side in self.sides))
 
     def _cut_points(self, name: str, epoch: Epoch, origin: Floats, operation: Transform | None) -> CutCloud:
         try:
