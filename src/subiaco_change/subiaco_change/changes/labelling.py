@@ -148,6 +148,10 @@ def patch_record(patch: GroundPatch, origin: Floats, z: float, evidence: str) ->
         y=float(centre.y + origin[1]),
         z=z + float(origin[2]),
         footprint=shapely.affinity.translate(patch.outline, float(origin[0]), float(origin[1])),
+        delta_h_low_m=patch.dz - patch.lod,
+        delta_h_high_m=patch.dz + patch.lod,
+        delta_v_low_m3=(patch.dz - patch.lod) * patch.area,
+        delta_v_high_m3=(patch.dz + patch.lod) * patch.area,
         reason=f"{patch.area:.0f} m2 of ground moved {patch.dz:+.2f} m (sd {patch.dz_spread:.2f} m)",
     )
 

@@ -163,7 +163,7 @@ def write_change_directory(
     refuse_existing(directory, overwrite)
     refuse_foreign(directory, MARKER)
     crs = result.crs
-    table = outputs_table.build_table(result.records, crs)
+    table = outputs_table.build_table(result.records, crs, _survey_days(inputs))
     previous = read_reviewed(directory)
     lost = table.iloc[:0]
     if previous is not None:
@@ -202,6 +202,13 @@ def write_change_directory(
         write_json(target / "run.json", run_document(result, config, inputs, table, points))
         write_project(target, crs, coverage.bounds)
         build_report(target)
+
+
+def _survey_days(inputs: ChangeInputs) -> tuple[str, str]:
+    """Day of the first scan of *before* and of *after*, ISO 8601; empty where the map has no times."""
+    epochs = inputs.notes.get("epochs", {})
+    before, after = (str(epochs.get(name, {}).get("first", ""))[:10] for name in ("before", "after"))
+    return before, after
 
 
 def rebuild(directory: Path) -> Path:
