@@ -22,8 +22,8 @@ from subiaco_geo.atomic import refuse_existing, refuse_foreign
 from subiaco_geo.bags import TYPESTORE, BagWriter, packet_to_cdr
 from subiaco_geo.errors import InputError
 from subiaco_geo.topics import IMU_PACKETS, LATCHED, LIDAR_PACKETS, MESSAGE_TYPES, METADATA
+from subiaco_mapping.bag_messages import LogMessage
 from subiaco_mapping.decode import parse_metadata
-from subiaco_mapping.logs import LogMessage
 
 logger = logging.getLogger(__name__)
 

@@ -46,8 +46,9 @@ class Grid:
     shape: tuple[int, int]
 
     def flat(self, xyz: Floats) -> Ints:
-        """Return the cell (N,) of points (N, 3) that lie inside."""
+        """Return the cell (N,) of points (N, 3) that lie inside, up to rounding."""
         index = np.floor((xyz[:, :2] - self.corner) / self.cell).astype(np.int64)
+        index = np.clip(index, 0, np.array(self.shape[::-1]) - 1)
         return np.asarray(index[:, 1] * self.shape[1] + index[:, 0])
 
 

@@ -83,6 +83,8 @@ def _cell_heights(
     """Mean height and LoD of every cell; NaN where empty or where the heights spread."""
     xyz, lod = view.xyz[mask], view.lod[mask]
     index = np.floor((xyz[:, :2] - corner) / config.cell).astype(np.int64)
+    # The window was cut in world coordinates: on its rim, the last digits of the local ones may differ.
+    index = np.clip(index, 0, np.array(shape[::-1]) - 1)
     flat = index[:, 1] * shape[1] + index[:, 0]
     size = shape[0] * shape[1]
     count = np.bincount(flat, minlength=size)

@@ -19,6 +19,7 @@ from subiaco_change.changes.objects import (
     Thing,
     build_things,
     build_voxels,
+    join_voxels,
     stands,
 )
 from subiaco_change.changes.parts import part_things
@@ -85,6 +86,12 @@ def _better(parts: Sequence[Thing]) -> Semantic:
     return max(parts, key=lambda t: t.score).semantic
 
 
+def height_of(things: Sequence[Thing], quantile: float = 0.95) -> float:
+    """Height above ground that a share of the voxels of an object stays under [m]; NaN without voxels."""
+    voxels = join_voxels(things)
+    return float(np.quantile(voxels.height, quantile)) if len(voxels) else math.nan
+
+
 def make_record(
     change: ObjectChange, object_id: int, origin: Floats, evidence: str, trust: ConfidenceConfig
 ) -> ChangeRecord:
@@ -95,6 +102,7 @@ def make_record(
     xyz = np.concatenate([t.voxels.xyz for t in things])
     outline = footprint([t.voxels.xyz[:, :2] for t in things])
     m = change.measures
+    heights = [height_of(things) for things in (change.before, change.after)]
     score = float(np.mean([t.score for t in things]))
     return ChangeRecord(
         object_id=object_id,
@@ -122,4 +130,6 @@ def make_record(
         footprint=shapely.affinity.translate(outline, float(origin[0]), float(origin[1])),
         reason=change.decision.reason,
         features=tuple(features(change.decision, m, change.semantic, score).tolist()),
+        height_before_m=heights[0],
+        height_after_m=heights[1],
     )

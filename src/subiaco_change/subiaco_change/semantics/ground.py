@@ -135,7 +135,7 @@ def fit_ground(xyz: Floats, config: GroundConfig) -> GroundModel:
 
 
 def _cells(xyz: Floats, south_west: Floats, cell: float) -> tuple[tuple[int, int], NDArray[np.int64]]:
-    index = np.floor((xyz[:, :2] - south_west) / cell).astype(np.int64)
+    index = np.maximum(np.floor((xyz[:, :2] - south_west) / cell).astype(np.int64), 0)
     columns, rows = (index.max(axis=0) + 1).tolist()
     return (rows, columns), np.asarray(index[:, 1] * columns + index[:, 0])
 

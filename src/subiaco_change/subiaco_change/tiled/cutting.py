@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from subiaco_change.observation.evidence import Kind
 from subiaco_change.registration.pair import check_finite
+from subiaco_change.spacing import STREET_SPACING, joint_spacing, neighbour_spacings
 from subiaco_geo.clouds import PointCloud, unpack_voxel_keys, voxel_downsample
 from subiaco_geo.crs import Transform
 from subiaco_geo.frames import Floats
@@ -48,6 +49,8 @@ class Side:
         Origin of its voxels of beams [m].
     voxel : float
         Their edge [m].
+    spacing : float
+        Median distance between neighbouring points on surfaces of the epoch [m], at the working leaf.
     view : SensorView, optional
         Of its sensor, where what its poses saw is expected.
     """
@@ -59,6 +62,7 @@ class Side:
     beams_crs: str | None
     corner: Floats
     voxel: float
+    spacing: float = STREET_SPACING
     view: SensorView | None = None
 
 
@@ -105,12 +109,13 @@ class Spill:
 
 @dataclass(frozen=True)
 class CutCloud:
-    """Keys of the tiles of a cloud, its least and largest world coordinates (3,) [m], and its points."""
+    """Keys of the tiles of a cloud, its least and largest world coordinates (3,) [m], points and spacing."""
 
     keys: dict[str, str]
     low: Floats
     high: Floats
     points: int
+    spacing: float  # of the thinned points [m]
 
 
 def cut_cloud(
@@ -141,7 +146,7 @@ def cut_cloud(
         No points, or coordinates that are not finite.
     """
     low, high, points = np.full(3, np.inf), np.full(3, -np.inf), 0
-    keys = {}
+    keys, spacings = {}, []
     with TemporaryDirectory(prefix="subiaco_") as folder:
         spill = Spill(Path(folder))
         for part in parts:
@@ -155,7 +160,8 @@ def cut_cloud(
         for name, arrays in spill.tiles():
             thin = voxel_downsample(PointCloud(arrays.pop("xyz"), origin, None, arrays), leaf)
             keys[name] = bench.put("cut", name, {"xyz": thin.xyz, **thin.fields})
-    return CutCloud(keys, low, high, points)
+            spacings.append(neighbour_spacings(thin.xyz))
+    return CutCloud(keys, low, high, points, joint_spacing(spacings))
 
 
 def cut_beams(bench: Workbench, parts: Iterable[VisibilityGrid], size: float) -> dict[str, str]:

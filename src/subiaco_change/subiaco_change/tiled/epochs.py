@@ -21,6 +21,8 @@ from subiaco_change.registration.pair import (
     moved_trajectory,
     shares_origin,
 )
+from subiaco_change.spacing import PointSpacing
+from subiaco_change.sparse import at_spacing
 from subiaco_change.tiled.cutting import (
     EPOCHS,
     FIELDS,
@@ -118,10 +120,20 @@ class Epochs:
             found = self._cut_points(name, epoch, origin, own)
             extents.append((found.low, found.high))
             crs = epoch.crs if self.info.crs is None else self.info.crs
-            sides.append(self._side(name, epoch, origin, crs, found.low, own))
+            side = self._side(name, epoch, origin, crs, found.low, own)
+            sides.append(replace(side, spacing=found.spacing))
         if both:
             check_extents(extents[0], extents[1])
         self.sides = tuple(sides)
+
+    def follow_spacing(self) -> None:
+        """Raise the lengths of the configuration to what the sparser epoch can show, once both are cut."""
+        self.config = at_spacing(self.config, round(self.spacing.coarser, 2))
+
+    @property
+    def spacing(self) -> PointSpacing:
+        """Spacing of the points of both epochs, once they are cut."""
+        return PointSpacing(*(side.spacing for side in self.sides))
 
     def _cut_points(self, name: str, epoch: Epoch, origin: Floats, operation: Transform | None) -> CutCloud:
         try:
