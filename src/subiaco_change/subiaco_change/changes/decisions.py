@@ -12,6 +12,9 @@ from subiaco_change.changes.measures import Measures
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.config import StrictModel
 
+#: Why nothing is said of an object that both epochs saw.
+NO_LEVEL = "not decidable: too few points lie here for a level of detection"
+
 
 class ClassRules(StrictModel):
     """Thresholds of one class."""
@@ -177,7 +180,7 @@ def _mobile(measures: Measures, config: DecisionConfig) -> Decision:
 def _matched(measures: Measures, gate: float, rules: ClassRules) -> Decision:
     """Decide by height or volume; where both directions fire, the volume's sign wins (Decision 12)."""
     if not math.isfinite(gate):
-        return Decision(Change.UNCHANGED, "no level of detection here, so no change is claimed", 0.0)
+        return Decision(Change.UNOBSERVED, NO_LEVEL, 0.0)
     limit = max(rules.height, gate)
     relative = measures.delta_v / max(measures.volume, 1e-6)
     height = measures.delta_h / limit if math.isfinite(measures.delta_h) else 0.0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from subiaco_change.changes.decisions import ClassRules, Decision, DecisionConfig
+from subiaco_change.changes.decisions import NO_LEVEL, ClassRules, Decision, DecisionConfig
 from subiaco_change.changes.vegetation_null import PLANT_MEASURES, Expected, PlantMeasures, VegetationNull
 from subiaco_geo.codes import Change
 
@@ -66,7 +66,7 @@ def decide_plant(plant: PlantMeasures, lod: float, config: DecisionConfig, null:
     """
     gate = max(config.lod_factor * lod, config.lod_floor)
     if not math.isfinite(gate):
-        return Decision(Change.UNCHANGED, "No level of detection is known here.", 0.0)
+        return Decision(Change.UNOBSERVED, NO_LEVEL, 0.0)
     section = _decide_section(plant, null) if math.isfinite(plant.section) else None
     if section is not None and plant.section_only:
         return section
