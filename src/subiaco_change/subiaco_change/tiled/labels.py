@@ -13,7 +13,7 @@ from subiaco_change.changes.ablation import Part, pointwise
 from subiaco_change.changes.ground_cells import shown_lod
 from subiaco_change.changes.ground_change import GroundComparison, GroundPatch, ground_raster
 from subiaco_change.changes.labelling import Labels, label_rest, unlabelled
-from subiaco_change.changes.objects import Reach
+from subiaco_change.changes.measures import same_place
 from subiaco_change.semantics.ground import Mask
 from subiaco_change.tiled.cutting import EPOCHS
 from subiaco_change.tiled.recutting import load_points, near_tile
@@ -195,6 +195,5 @@ def _comparison(
 
 def _by_point(view: Any, other: Any, seen: Region, labels: Labels, epoch: str, config: Any) -> Labels:
     """Label what is not ground point by point."""
-    m = config.measures
-    alone = pointwise(view, other, seen.seen, epoch, Reach(m.same_low, m.same_high, m.same_factor))
+    alone = pointwise(view, other, seen.seen, epoch, same_place(config.measures))
     return replace(labels, change=np.where(view.semantic == Semantic.GROUND, labels.change, alone))
