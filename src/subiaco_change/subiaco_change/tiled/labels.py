@@ -184,9 +184,9 @@ def _comparison(
     for anchor, number in found:
         row = _first(table, "patch_", anchor) + number
         change, height = Change(int(table["patch_change"][row])), float(table["patch_dz"][row])
-        level = float(table["patch_lod"][row])
+        level, sure = float(table["patch_lod"][row]), float(table["patch_confidence"][row])
         none = np.zeros((0, 2), dtype=np.int64)
-        patches.append(GroundPatch(change, 0.0, height, 0.0, level, none, shapely.Point()))
+        patches.append(GroundPatch(change, 0.0, height, 0.0, level, none, shapely.Point(), sure))
         ids.append(int(table["patch_id"][row]))
     corner = np.array(tile_named(params["tile"], params["size"]).core[:2]) - np.asarray(params["origin"])[:2]
     cell = params["config"].ground.cell
