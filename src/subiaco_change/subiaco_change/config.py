@@ -18,6 +18,7 @@ from subiaco_change.observation.placing import PlacingConfig
 from subiaco_change.registration.config import RegistrationConfig
 from subiaco_change.semantics.classes import SemanticsConfig
 from subiaco_change.semantics.instances import InstanceConfig
+from subiaco_change.sparse import SpacingConfig
 from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError
 
@@ -50,6 +51,7 @@ class ChangeConfig(StrictModel):
     second_shift: float = Field(
         0.005, ge=0, description="shift from which the second estimate is worth a new pass [m]"
     )
+    spacing: SpacingConfig = SpacingConfig()
     without: tuple[Part, ...] = Field((), description="parts left out, for ablations")
     registration: RegistrationConfig = RegistrationConfig()
     placing: PlacingConfig = PlacingConfig()

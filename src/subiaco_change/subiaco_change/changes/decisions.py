@@ -12,6 +12,8 @@ from subiaco_change.changes.outline import Outline
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.config import StrictModel
 
+#: Why nothing is said of an object that both epochs saw.
+NO_LEVEL = "not decidable: too few points lie here for a level of detection"
 _CERTAIN = 3.0  # standard errors by which an outline must have moved
 
 
@@ -170,7 +172,7 @@ def _mobile(measures: Measures, config: DecisionConfig) -> Decision:
 def _matched(semantic: Semantic, measures: Measures, gate: float, rules: ClassRules) -> Decision:
     """Decide by height or volume; where both directions fire, the volume's sign wins (Decision 12)."""
     if not math.isfinite(gate):
-        return Decision(Change.UNCHANGED, "no level of detection here, so no change is claimed", 0.0)
+        return Decision(Change.UNOBSERVED, NO_LEVEL, 0.0)
     moved = _outline(measures.outline, rules)
     if moved is not None:
         return moved

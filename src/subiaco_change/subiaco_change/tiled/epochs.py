@@ -22,6 +22,7 @@ from subiaco_change.registration.pair import (
     shares_origin,
 )
 from subiaco_change.spacing import PointSpacing
+from subiaco_change.sparse import at_spacing
 from subiaco_change.tiled.cutting import (
     EPOCHS,
     FIELDS,
@@ -120,6 +121,10 @@ class Epochs:
         if both:
             check_extents(extents[0], extents[1])
         self.sides = tuple(sides)
+
+    def follow_spacing(self) -> None:
+        """Raise the lengths of the configuration to what the sparser epoch can show, once both are cut."""
+        self.config = at_spacing(self.config, round(self.spacing.coarser, 2))
 
     @property
     def spacing(self) -> PointSpacing:

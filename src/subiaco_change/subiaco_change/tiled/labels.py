@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ from subiaco_change.changes.ground_cells import shown_lod
 from subiaco_change.changes.ground_change import GroundComparison, GroundPatch, ground_raster
 from subiaco_change.changes.labelling import Labels, label_rest, unlabelled
 from subiaco_change.changes.measures import same_place
+from subiaco_change.changes.objects import occupied
 from subiaco_change.semantics.ground import Mask
 from subiaco_change.tiled.cutting import EPOCHS
 from subiaco_change.tiled.recutting import load_points, near_tile
@@ -124,7 +126,8 @@ def label_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
         labels = _of_objects(inputs, epoch, tile, view, regions[e].index[own])
         other = regions[1 - e].view
         known = other.xyz[other.semantic == Semantic.GROUND]
-        label_rest(view, labels, ground, ids, regions[1 - e].seen, config.evidence, known)
+        there = partial(occupied, points=other.xyz, reach=same_place(config.measures))
+        label_rest(view, labels, ground, ids, regions[1 - e].seen, config.evidence, known, there)
         if Part.OBJECTS in config.without:
             labels = _by_point(view, other, regions[1 - e], labels, epoch, config)
         patched[:, e] = [np.count_nonzero(labels.instance == i) for i in ids]
