@@ -110,9 +110,9 @@ def reads(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     found: list[str] = []
     run = pipeline.run_sequence
 
-    def counted(reader, backend, config, progress):  # type: ignore[no-untyped-def]
+    def counted(reader, *given):  # type: ignore[no-untyped-def]
         found.append(Path(reader.path).name)
-        return run(reader, backend, config, progress)
+        return run(reader, *given)
 
     monkeypatch.setattr(pipeline, "run_sequence", counted)
     return found

@@ -177,7 +177,7 @@ def write_change_directory(
     with whole_directory(directory, overwrite=overwrite, marker=MARKER) as target:
         _write_table(target, table)
         if len(lost):
-            lost.to_csv(target / "reviews_without_object.csv", index=False)
+            outputs_table.write_csv(target / "reviews_without_object.csv", lost)
             _LOG.warning(
                 "%s: %d reviewed rows have no object now; see reviews_without_object.csv",
                 directory,
@@ -187,7 +187,7 @@ def write_change_directory(
         if inputs.lots is not None:
             parcels = build_parcels(table, inputs.lots, coverage)
             write_layer(target / "changes.gpkg", "parcels", parcels)
-            parcels.drop(columns="geometry").to_csv(target / "parcels.csv", index=False)
+            outputs_table.write_csv(target / "parcels.csv", parcels)
         embed_styles(
             target / "changes.gpkg", ("coverage",) if inputs.lots is None else ("coverage", "parcels")
         )
