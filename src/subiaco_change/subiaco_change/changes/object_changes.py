@@ -12,10 +12,9 @@ from subiaco_change.changes.association import Match, associate
 from subiaco_change.changes.columns import OpenGround, ground_columns
 from subiaco_change.changes.confidence import ConfidenceConfig, features, paper_score, probability
 from subiaco_change.changes.judging import ObjectChange, ObjectRules, decide_object
-from subiaco_change.changes.measures import footprint
+from subiaco_change.changes.measures import footprint, same_place
 from subiaco_change.changes.objects import (
     EpochView,
-    Reach,
     Thing,
     build_things,
     build_voxels,
@@ -43,7 +42,7 @@ def compare_objects(
 ) -> list[ObjectChange]:
     """Match, measure and decide every object of two epochs in one local frame."""
     edge, tolerance = rules.measures.voxel, rules.measures.tolerance
-    reach = Reach(rules.measures.same_low, rules.measures.same_high, rules.measures.same_factor)
+    reach = same_place(rules.measures)
     step = rules.measures.crossing
     bare = [ground_columns(v.xyz[v.semantic == Semantic.GROUND], edge) for v in (before, after)]
     rules = replace(

@@ -111,6 +111,7 @@ def patch_of(words: Mapping[str, object]) -> GroundPatch:
         float(str(words["lod"])),
         np.zeros((0, 2), dtype=np.int64),
         shapely.from_wkb(str(words["outline"])),
+        float(str(words["confidence"])),
     )
 
 
