@@ -64,6 +64,7 @@ def measure_plant(
         kind="hedge" if low else "crown",
         density=density,
         size=_size(both),
+        voxels=measures.seen_voxels,
         thin=not low and any(_is_thin(xyz, config) for xyz in (first, second)),
         reach=outline.reach,
         outline=outline.shift,

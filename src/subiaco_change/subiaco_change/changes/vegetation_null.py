@@ -46,16 +46,18 @@ class PlantMeasures:
     """Differences of one plant, after minus before, and what they may depend on.
 
     ``density``: log of the ratio of the points in voxels that both epochs occupy; ``size``: mean reach of the
-    plant from its middle [m]; ``thin``: tall, and without a crown. NaN where not measured: ``outline`` [m],
-    its standard error ``outline_sigma`` and its ``reach`` [m]; ``top`` [m]; ``volume`` and ``surface``
-    as shares; ``rise`` [m], the median rise of the columns of a low plant, and its standard error
-    ``rise_sigma``; ``section`` and ``section_gate`` [m], the median rise of a section of the hedge and the
-    limit that the section passed. ``section_only``: the row is that section alone.
+    plant from its middle [m]; ``voxels``: of either epoch that the other observed; ``thin``: tall, and
+    without a crown. NaN where not measured: ``outline`` [m], its standard error ``outline_sigma`` and its
+    ``reach`` [m]; ``top`` [m]; ``volume`` and ``surface`` as shares; ``rise`` [m], the median rise of the
+    columns of a low plant, and its standard error ``rise_sigma``; ``section`` and ``section_gate`` [m], the
+    median rise of a section of the hedge and the limit that the section passed. ``section_only``: the row
+    is that section alone.
     """
 
     kind: PlantKind
     density: float
     size: float
+    voxels: int
     thin: bool
     reach: float
     outline: float
