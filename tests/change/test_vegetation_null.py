@@ -90,6 +90,14 @@ def test_few_crowns_take_the_stated_scatter_and_say_so():
     assert label(replace(TREE, outline=0.5), null).change is Change.INCREASED
 
 
+def test_without_the_null_the_fixed_limits_decide_alone():
+    fixed = VegetationNullConfig(enabled=False)
+    null = fit_null(street(40, 0.25, 0.06), fixed)
+    assert null.fits == {}
+    assert label(replace(TREE, outline=0.3), null).change is Change.INCREASED
+    assert label(replace(TREE, outline=0.15), null).change is Change.UNCHANGED
+
+
 def test_hedges_are_not_compared_with_crowns_and_their_columns_decide():
     hedges = [replace(HEDGE, rise=r) for r in np.random.default_rng(1).normal(0.15, 0.04, 20)]
     null = fit_null([*street(30, 0.0, 0.05), *hedges], NULL)
