@@ -33,6 +33,16 @@ class OpenGround:
     before: Ints
     after: Ints
     empty: tuple[Empty | None, Empty | None] = (None, None)
+    cell: float = 0.5
+
+    def bare(self, epoch: int) -> Empty:
+        """Return what tells of columns (N, 2) whether an epoch, 0 or 1, met the ground there."""
+        keys = (self.before, self.after)[epoch]
+
+        def met(xy: Floats) -> Mask:
+            return _among(column_keys(np.column_stack([xy, np.zeros(len(xy))]), self.cell), keys)
+
+        return met
 
 
 #: Nobody met the ground.

@@ -174,6 +174,8 @@ def _matched(semantic: Semantic, measures: Measures, gate: float, rules: ClassRu
     moved = _outline(measures.outline, rules)
     if moved is not None:
         return moved
+    if measures.volume_bounds is not None:
+        return _building(measures, gate, rules)
     limit = max(rules.height, gate)
     relative = measures.delta_v / max(measures.volume, 1e-6)
     height = measures.delta_h / limit if math.isfinite(measures.delta_h) else 0.0
@@ -191,6 +193,35 @@ def _matched(semantic: Semantic, measures: Measures, gate: float, rules: ClassRu
         rising = up > 1
     change = Change.INCREASED if rising else Change.DECREASED
     return Decision(change, evidence, up if rising else down)
+
+
+def _building(measures: Measures, gate: float, rules: ClassRules) -> Decision:
+    """Decide by the bounds of height and volume: a label needs all of one interval beyond its limit."""
+    height, volume = measures.height_bounds, measures.volume_bounds
+    assert height is not None and volume is not None
+    limit = max(rules.height, gate)
+    room = rules.volume * max(measures.volume, 1e-6)
+    sure_up = max(_share(height.low, limit), _share(volume.low, room))
+    sure_down = max(_share(-height.high, limit), _share(-volume.high, room))
+    maybe = max(
+        _share(height.high, limit), _share(-height.low, limit), volume.high / room, -volume.low / room
+    )
+    whole = max(measures.volume, 1e-6)
+    evidence = f"height {height.low:+.2f} to {height.high:+.2f} m (limit {limit:.2f} m)"
+    evidence += f", volume {volume.low / whole:+.0%} to {volume.high / whole:+.0%} (limit {rules.volume:.0%})"
+    if max(sure_up, sure_down) <= 1:
+        if maybe > 1:
+            evidence += "; the survey cannot tell whether a limit is exceeded"
+        return Decision(Change.UNCHANGED, evidence, min(maybe, 1.0))
+    rising = sure_up > 1 and (sure_down <= 1 or volume.middle > 0)
+    return Decision(
+        Change.INCREASED if rising else Change.DECREASED, evidence, sure_up if rising else sure_down
+    )
+
+
+def _share(value: float, limit: float) -> float:
+    """Value as a share of its limit; 0 where it is not known."""
+    return value / limit if math.isfinite(value) else 0.0
 
 
 def _outline(outline: Outline, rules: ClassRules) -> Decision | None:

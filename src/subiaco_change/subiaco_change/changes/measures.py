@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
@@ -11,6 +11,7 @@ from pydantic import Field
 from scipy.spatial import cKDTree
 from shapely.geometry.base import BaseGeometry
 
+from subiaco_change.changes.carving import CarvingConfig, Epoch, Interval, carve
 from subiaco_change.changes.columns import BUILT_UP, OpenGround, compare_volumes, stands_alone
 from subiaco_change.changes.objects import Voxels
 from subiaco_change.changes.outline import Outline, OutlineConfig
@@ -41,6 +42,7 @@ class MeasureConfig(StrictModel):
     bins: int = Field(10, ge=2, description="bins of the height histogram, paper")
     top_quantile: float = Field(0.95, gt=0.5, le=1, description="h95, paper")
     outline: OutlineConfig = OutlineConfig()
+    carving: CarvingConfig = CarvingConfig()
 
 
 @dataclass(frozen=True)
@@ -69,6 +71,8 @@ class Measures:
     carried: float = 0.0
     carried_columns: float = 0.0
     outline: Outline = NO_OUTLINE
+    height_bounds: Interval | None = None
+    volume_bounds: Interval | None = None
 
 
 def measure(
@@ -98,6 +102,24 @@ def measure(
         seen_voxels=len(seen_b) + len(seen_a),
         carried=_carried(before, after),
         carried_columns=volumes.carried,
+    )
+
+
+def carve_building(
+    measures: Measures, before: Voxels, after: Voxels, config: CarvingConfig, ground: OpenGround
+) -> Measures:
+    """Measure height and volume of a building by space carving (Decision 17); either epoch may lack it."""
+    carved = carve(
+        Epoch(before, ground.empty[0], ground.bare(0)), Epoch(after, ground.empty[1], ground.bare(1)), config
+    )
+    both = len(before) > 0 and len(after) > 0
+    return replace(
+        measures,
+        delta_h=carved.height.middle if both else float("nan"),
+        delta_v=carved.volume.middle,
+        volume=carved.whole,
+        height_bounds=carved.height if both else None,
+        volume_bounds=carved.volume,
     )
 
 

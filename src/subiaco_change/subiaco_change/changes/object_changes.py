@@ -48,7 +48,7 @@ def compare_objects(
     bare = [ground_columns(v.xyz[v.semantic == Semantic.GROUND], edge) for v in (before, after)]
     rules = replace(
         rules,
-        ground=OpenGround(bare[0], bare[1], rules.ground.empty),
+        ground=OpenGround(bare[0], bare[1], rules.ground.empty, edge),
         own=(own_survey(before, seen_by_before), own_survey(after, seen_by_after)),
         standing=(before.xyz[stands(before)], after.xyz[stands(after)]),
     )
@@ -130,6 +130,10 @@ def make_record(
         footprint=shapely.affinity.translate(outline, float(origin[0]), float(origin[1])),
         reason=change.decision.reason,
         features=tuple(features(change.decision, m, change.semantic, score).tolist()),
+        delta_h_low_m=m.height_bounds.low if m.height_bounds else math.nan,
+        delta_h_high_m=m.height_bounds.high if m.height_bounds else math.nan,
+        delta_v_low_m3=m.volume_bounds.low if m.volume_bounds else math.nan,
+        delta_v_high_m3=m.volume_bounds.high if m.volume_bounds else math.nan,
         height_before_m=heights[0],
         height_after_m=heights[1],
     )

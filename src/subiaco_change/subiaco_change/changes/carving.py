@@ -1,0 +1,306 @@
+"""Volumes and heights of buildings by space carving, as intervals (method, Decision 17).
+
+The envelope of an object in both epochs is cut into cells. In each epoch a cell is solid, free or unknown:
+
+* *solid*: below the highest surface that the epoch has in its column, or behind two of its walls with
+  nothing but unknown cells between,
+* *free*: the epoch looked through it, or met the ground in its column,
+* *unknown*: everything else.
+
+Gained is what was free in *before* and is solid in *after*, lost the reverse. Cells that one epoch knows
+and the other does not are counted where they adjoin what changed: they widen the interval. What neither
+epoch knows is no evidence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from subiaco_change.changes.objects import Voxels
+from subiaco_change.semantics.boxes import wall_axes
+from subiaco_change.semantics.ground import Mask
+from subiaco_geo.config import StrictModel
+from subiaco_geo.frames import Floats, Ints
+
+#: Tells which places (N, 3) a survey looked through.
+Empty = Callable[[Floats], Mask]
+#: Tells of columns (N, 2) whether an epoch met the ground there.
+Bare = Callable[[Floats], Mask]
+Cells = NDArray[np.bool_]
+
+_BESIDE, _ABOVE = 0.8, 0.4  # two samplings of one surface lie so far apart [m], voxels being 0.5 m
+_TOUCHING = np.ones((3, 3, 3), dtype=bool)
+
+
+class CarvingConfig(StrictModel):
+    """Cells of the space carving of buildings."""
+
+    cell: float = Field(
+        0.5, gt=0, description="edge of the cells [m]; smaller cells cost memory, larger ones blur walls"
+    )
+    max_cells: int = Field(
+        400_000, gt=1000, description="cells of one object; beyond, the cells of that object grow"
+    )
+    thickness: int = Field(
+        2, ge=1, description="least extent in cells of a change of volume: thinner ones are noise of surfaces"
+    )
+    support: int = Field(
+        6,
+        ge=1,
+        description="voxels of a changed surface that a changed volume must have; fewer make no claim",
+    )
+    roof_gap: float = Field(
+        0.75,
+        ge=0,
+        description="free space begins so near above a seen top [m]: then that top is the top of the column",
+    )
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A difference, after minus before, between bounds."""
+
+    low: float
+    high: float
+
+    @property
+    def middle(self) -> float:
+        """The point estimate."""
+        return 0.5 * (self.low + self.high)
+
+    def __neg__(self) -> Interval:
+        return Interval(-self.high, -self.low)
+
+
+@dataclass(frozen=True)
+class Carved:
+    """Change of the volume [m3] and of the height [m], and the volume *before* [m3]."""
+
+    volume: Interval
+    height: Interval
+    whole: float
+
+
+@dataclass(frozen=True)
+class Epoch:
+    """Voxels of an object in one epoch, and what the epoch knows of the space around.
+
+    ``empty`` is None where nothing tells free space from unknown space.
+    """
+
+    voxels: Voxels
+    empty: Empty | None
+    bare: Bare
+
+
+@dataclass(frozen=True)
+class _Frame:
+    """Cells about an object, along its walls: ``corner`` (2,) [m], ``turn`` (2, 2), numbers of cells."""
+
+    corner: Floats
+    turn: Floats
+    shape: tuple[int, int, int]
+    cell: float
+    foot: Floats  # (nx, ny) height of the ground [m]
+
+    def slots(self, xy: Floats) -> Ints:
+        """Columns (N, 2) of places (N, 2)."""
+        return np.floor((xy @ self.turn.T - self.corner) / self.cell).astype(np.int64)
+
+    def middles(self) -> Floats:
+        """Middles (nx * ny, 2) of the columns [m]."""
+        return _middles(self.corner, self.turn, self.shape, self.cell)
+
+    @property
+    def levels(self) -> Floats:
+        """Heights (nz,) of the middles of the cells above the ground [m]."""
+        return (np.arange(self.shape[2]) + 0.5) * self.cell
+
+
+@dataclass(frozen=True)
+class _State:
+    """What an epoch knows of every cell; ``top`` (nx, ny) of its surfaces [m], 0 where it has none."""
+
+    solid: Cells
+    free: Cells
+    top: Floats
+
+    @property
+    def unknown(self) -> Cells:
+        return ~(self.solid | self.free)
+
+
+def carve(before: Epoch, after: Epoch, config: CarvingConfig) -> Carved:
+    """Compare the space that an object takes up in two epochs, of which one may lack it.
+
+    Parameters
+    ----------
+    before, after : Epoch
+        In one local frame [m].
+    config : CarvingConfig
+    """
+    both = before.voxels, after.voxels
+    if sum(map(len, both)) == 0:
+        return Carved(Interval(0.0, 0.0), Interval(0.0, 0.0), 0.0)
+    frame = _frame(Voxels.joined(both), config)
+    states = tuple(_state(epoch, other.voxels, frame) for epoch, other in ((before, after), (after, before)))
+    gain, gained = _difference(states[0], states[1], after.voxels, frame, config)
+    loss, _ = _difference(states[1], states[0], before.voxels, frame, config)
+    volume = Interval(gain.low - loss.high, gain.high - loss.low)
+    old = states[0] if len(before.voxels) else states[1]
+    return Carved(volume, _height(states, frame, config), _whole(old, both, gained, frame))
+
+
+def _frame(voxels: Voxels, config: CarvingConfig) -> _Frame:
+    """Cells along the walls of both epochs, with a margin."""
+    turn = wall_axes(voxels.xyz[:, :2]).T
+    along = voxels.xyz[:, :2] @ turn.T
+    tall = float(voxels.height.max()) + 1.0
+    extent = np.append(along.max(axis=0) - along.min(axis=0), tall)
+    cell = config.cell
+    while np.prod(np.ceil(extent / cell) + 4) > config.max_cells:
+        cell *= 1.25
+    margin = 2 * cell
+    corner = along.min(axis=0) - margin
+    nx, ny = (int(np.ceil(v / cell)) + 4 for v in extent[:2])
+    shape = (nx, ny, max(int(np.ceil(tall / cell)) + 1, 2))
+    middles = _middles(corner, turn, shape, cell)
+    near = cKDTree(voxels.xyz[:, :2]).query(middles)[1]
+    foot = (voxels.xyz[:, 2] - voxels.height)[near].reshape(nx, ny)
+    return _Frame(corner, turn, shape, cell, foot)
+
+
+def _middles(corner: Floats, turn: Floats, shape: tuple[int, int, int], cell: float) -> Floats:
+    index = np.stack(np.meshgrid(*(np.arange(n) for n in shape[:2]), indexing="ij"), axis=-1).reshape(-1, 2)
+    return np.asarray((corner + (index + 0.5) * cell) @ turn)
+
+
+def _state(epoch: Epoch, other: Voxels, frame: _Frame) -> _State:
+    """Tell solid, free and unknown cells of an epoch.
+
+    A surface of the other epoch that this one has too, though it sampled it elsewhere, counts as its own.
+    """
+    nx, ny, nz = frame.shape
+    top = _tops(epoch.voxels.add(_shared(other, epoch.voxels)), frame)
+    solid = frame.levels[None, None, :] <= top[:, :, None]
+    middles = frame.middles()
+    open_column = epoch.bare(middles).reshape(nx, ny) & (top == 0)
+    free = np.repeat(open_column[:, :, None], nz, axis=2)
+    if epoch.empty is None:  # nothing tells free space: only above what was seen there is room for the sky
+        free |= (top > 0)[:, :, None] & ~solid
+    else:
+        ask = ~(solid | free)
+        column, level = np.divmod(np.flatnonzero(ask.ravel()), nz)
+        height = frame.foot.ravel()[column] + frame.levels[level]
+        free[ask] = epoch.empty(np.column_stack([middles[column], height]))
+    return _State(solid | _enclosed(solid, free), free, top)
+
+
+def _shared(other: Voxels, own: Voxels) -> Voxels:
+    """Voxels of the other epoch that this epoch has too, though it sampled them elsewhere."""
+    if len(other) == 0 or len(own) == 0:
+        return other.select(np.zeros(len(other), dtype=bool))
+    scale = 1.0 / np.array([_BESIDE, _BESIDE, _ABOVE])
+    distance = cKDTree(own.xyz * scale).query(other.xyz * scale, distance_upper_bound=1.0)[0]
+    return other.select(np.isfinite(distance))
+
+
+def _tops(voxels: Voxels, frame: _Frame) -> Floats:
+    tops = np.zeros(frame.shape[:2])
+    slot = frame.slots(voxels.xyz[:, :2])
+    np.maximum.at(tops, (slot[:, 0], slot[:, 1]), voxels.height)
+    return tops
+
+
+def _enclosed(solid: Cells, free: Cells) -> Cells:
+    """Cells behind walls: with no free cell between, there is a solid one along each of two walls' directions.
+
+    Two walls that meet are enough, opposite ones are not needed: of most houses a street shows the front
+    and a side. Behind one wall alone nothing tells how deep a building is.
+    """
+    behind = [
+        _follows(solid, free, axis)
+        | np.flip(_follows(*(np.flip(v, axis) for v in (solid, free)), axis), axis)
+        for axis in (0, 1)
+    ]
+    return np.asarray(behind[0] & behind[1] & ~solid & ~free)
+
+
+def _follows(solid: Cells, free: Cells, axis: int) -> Cells:
+    """Cells whose last known cell on the way along an axis is solid."""
+    place = np.arange(1, solid.shape[axis] + 1).reshape([-1 if a == axis else 1 for a in range(3)])
+    last_solid = np.maximum.accumulate(np.where(solid, place, 0), axis=axis)
+    last_free = np.maximum.accumulate(np.where(free, place, 0), axis=axis)
+    return np.asarray(last_solid > last_free)
+
+
+def _difference(
+    old: _State, new: _State, voxels: Voxels, frame: _Frame, config: CarvingConfig
+) -> tuple[Interval, Cells]:
+    """Volume [m3] that was free and is solid, and its cells; cells that one epoch does not know widen it."""
+    sure = ndimage.binary_opening(old.free & new.solid, np.ones((config.thickness,) * 3))
+    surface = np.zeros(frame.shape, dtype=np.int64)
+    changed = voxels.select(~voxels.still)
+    slot = np.column_stack(
+        [frame.slots(changed.xyz[:, :2]), np.floor(changed.height / frame.cell).astype(np.int64)]
+    )
+    slot = slot[(slot[:, 2] >= 0) & (slot[:, 2] < frame.shape[2])]
+    np.add.at(surface, tuple(slot.T), 1)
+    number, count = ndimage.label(sure, _TOUCHING)
+    support = np.bincount(number.ravel(), surface.ravel(), minlength=count + 1)
+    kept = support >= config.support
+    kept[0] = False
+    sure = kept[number]
+    maybe = (old.free & new.unknown) | (old.unknown & new.solid)
+    reach = ndimage.binary_propagation(sure, _TOUCHING, sure | maybe)
+    cell = frame.cell**3
+    return Interval(float(sure.sum()) * cell, float(reach.sum()) * cell), sure
+
+
+def _height(states: tuple[_State, ...], frame: _Frame, config: CarvingConfig) -> Interval:
+    """Change of the height that 5 % of the columns reach: columns whose top is not known widen it."""
+    tops = []
+    ceiling = max(float(state.top.max()) for state in states)
+    for state, other in (states, states[::-1]):
+        unseen = (state.top == 0) & (other.top > 0) & ~state.free.any(axis=2)
+        columns = (state.top > 0) | unseen
+        if not columns.any():
+            return Interval(float("nan"), float("nan"))
+        low = state.top[columns]
+        bottom = np.where(state.free, frame.levels - 0.5 * frame.cell, np.inf)[columns]
+        above = np.where(bottom >= low[:, None] - 0.5 * frame.cell, bottom, np.inf).min(axis=1)
+        high = np.where(above <= low + config.roof_gap, low, np.minimum(above, max(ceiling, 0.0)))
+        tops.append([float(np.quantile(v, 0.95)) for v in (low, np.maximum(low, high))])
+    (low_b, high_b), (low_a, high_a) = tops
+    return Interval(low_a - high_b, high_a - low_b)
+
+
+def _whole(state: _State, voxels: tuple[Voxels, Voxels], gained: Cells, frame: _Frame) -> float:
+    """Volume *before* of a body of which a part was seen [m3].
+
+    The rectangle around what stood, less the columns known to be open, at the mean height: of most
+    houses the street sees the front, half of the roof and no inside.
+    """
+    stood = state.top > 0
+    if not stood.any():
+        return 0.0
+    xy = np.concatenate([v.xyz[:, :2] for v in voxels])
+    slot = frame.slots(xy)
+    old = ~gained.any(axis=2)[slot[:, 0], slot[:, 1]]
+    old[: len(voxels[0])] = True
+    slot = slot[old] if old.any() else slot
+    low, high = np.quantile(slot, [0.005, 0.995], axis=0).astype(np.int64)
+    inside = np.zeros(stood.shape, dtype=bool)
+    inside[low[0] : high[0] + 1, low[1] : high[1] + 1] = True
+    mean = float(state.top[stood].mean())
+    below = frame.levels <= mean
+    opened = ~stood & (state.free[:, :, below].mean(axis=2) >= 0.5)
+    tops = np.where(stood, state.top, np.where(inside & ~opened, mean, 0.0))
+    return float(tops.sum()) * frame.cell**2
