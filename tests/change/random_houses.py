@@ -277,6 +277,17 @@ def seen_share(without, added, survey_without):
     return float(((passes > 0) & (hits == 0)).mean())
 
 
+def seen_extent(added, survey_with):
+    """Share of the length and width of what was built, the smaller, over which the survey with it has points."""
+    xyz = survey_with.view.xyz[survey_with.view.instance == 0]
+    low = np.array([added.x, added.y, 0.3])
+    high = low + (added.width, added.depth, added.height + added.pitch)
+    inside = xyz[((xyz > low - 0.2) & (xyz < high + 0.2)).all(axis=1), :2]
+    if len(inside) < 2:
+        return 0.0
+    return float((np.ptp(inside, axis=0) / (added.width, added.depth)).min())
+
+
 def draw_sensor(rng):
     """Draw a sensor and a drive."""
     return Sensor(

@@ -36,7 +36,11 @@ Bare = Callable[[Floats], Mask]
 Cells = NDArray[np.bool_]
 
 _BESIDE, _ABOVE = 0.8, 0.4  # two samplings of one surface lie so far apart [m], voxels being 0.5 m
+_MOST_SIDES = 4  # of the six sides of a cell
+_TOP = 0.05  # a voxel lies so far below the edge that it is of [m]
+_FEW = 4  # columns that make no height
 _TOUCHING = np.ones((3, 3, 3), dtype=bool)
+_FACES = ndimage.generate_binary_structure(3, 1)
 
 
 class CarvingConfig(StrictModel):
@@ -56,8 +60,15 @@ class CarvingConfig(StrictModel):
         ge=1,
         description="voxels of a changed surface that a changed volume must have; fewer make no claim",
     )
+    capped: float = Field(
+        0.3,
+        ge=0,
+        le=1,
+        description="share of the columns that must have free space above their top: then heights rest on"
+        " these columns alone; raise it to widen the bounds of the heights",
+    )
     roof_gap: float = Field(
-        0.75,
+        1.25,
         ge=0,
         description="free space begins so near above a seen top [m]: then that top is the top of the column",
     )
@@ -121,7 +132,17 @@ class _Frame:
     @property
     def levels(self) -> Floats:
         """Heights (nz,) of the middles of the cells above the ground [m]."""
-        return (np.arange(self.shape[2]) + 0.5) * self.cell
+        return (np.arange(self.shape[2]) + 0.5) * self.rise
+
+    @property
+    def rise(self) -> float:
+        """Height of a cell [m]: tops are known better than walls are placed."""
+        return 0.5 * self.cell
+
+    @property
+    def volume(self) -> float:
+        """Volume of a cell [m3]."""
+        return self.cell**2 * self.rise
 
 
 @dataclass(frozen=True)
@@ -165,12 +186,12 @@ def _frame(voxels: Voxels, config: CarvingConfig) -> _Frame:
     tall = float(voxels.height.max()) + 1.0
     extent = np.append(along.max(axis=0) - along.min(axis=0), tall)
     cell = config.cell
-    while np.prod(np.ceil(extent / cell) + 4) > config.max_cells:
+    while 2 * np.prod(np.ceil(extent / cell) + 4) > config.max_cells:
         cell *= 1.25
     margin = 2 * cell
     corner = along.min(axis=0) - margin
     nx, ny = (int(np.ceil(v / cell)) + 4 for v in extent[:2])
-    shape = (nx, ny, max(int(np.ceil(tall / cell)) + 1, 2))
+    shape = (nx, ny, max(int(np.ceil(2 * tall / cell)) + 1, 4))
     middles = _middles(corner, turn, shape, cell)
     near = cKDTree(voxels.xyz[:, :2]).query(middles)[1]
     foot = (voxels.xyz[:, 2] - voxels.height)[near].reshape(nx, ny)
@@ -189,7 +210,7 @@ def _state(epoch: Epoch, other: Voxels, frame: _Frame) -> _State:
     """
     nx, ny, nz = frame.shape
     top = _tops(epoch.voxels.add(_shared(other, epoch.voxels)), frame)
-    solid = frame.levels[None, None, :] <= top[:, :, None]
+    solid = frame.levels <= top[:, :, None] + _TOP
     middles = frame.middles()
     open_column = epoch.bare(middles).reshape(nx, ny) & (top == 0)
     free = np.repeat(open_column[:, :, None], nz, axis=2)
@@ -200,7 +221,31 @@ def _state(epoch: Epoch, other: Voxels, frame: _Frame) -> _State:
         column, level = np.divmod(np.flatnonzero(ask.ravel()), nz)
         height = frame.foot.ravel()[column] + frame.levels[level]
         free[ask] = epoch.empty(np.column_stack([middles[column], height]))
+        free = _between_beams(free, solid, top)
     return _State(solid | _enclosed(solid, free), free, top)
+
+
+def _between_beams(free: Cells, solid: Cells, top: Floats) -> Cells:
+    """Fill free space where no beam happened to pass: among free cells, and between these and the ground.
+
+    A column that is free half a metre above the ground holds no building, although the beams below met it.
+    """
+    filled = free.copy()
+    filled[:, :, :2] |= (free[:, :, 2] & (top == 0))[:, :, None]
+    around = np.zeros(free.shape, dtype=np.int8)
+    for axis in range(3):
+        for step in (-1, 1):
+            around += _shifted(filled, axis, step)
+    return np.asarray(filled | ((around >= _MOST_SIDES) & ~solid))
+
+
+def _shifted(cells: Cells, axis: int, step: int) -> Cells:
+    """Cells moved by one along an axis; what comes from outside is False."""
+    moved = np.roll(cells, step, axis=axis)
+    edge: list[slice | int] = [slice(None)] * 3
+    edge[axis] = 0 if step > 0 else -1
+    moved[tuple(edge)] = False
+    return moved
 
 
 def _shared(other: Voxels, own: Voxels) -> Voxels:
@@ -220,7 +265,7 @@ def _tops(voxels: Voxels, frame: _Frame) -> Floats:
 
 
 def _enclosed(solid: Cells, free: Cells) -> Cells:
-    """Cells behind walls: with no free cell between, there is a solid one along each of two walls' directions.
+    """Cells behind two walls: along both directions of the walls a solid cell comes before any free one.
 
     Two walls that meet are enough, opposite ones are not needed: of most houses a street shows the front
     and a side. Behind one wall alone nothing tells how deep a building is.
@@ -245,11 +290,12 @@ def _difference(
     old: _State, new: _State, voxels: Voxels, frame: _Frame, config: CarvingConfig
 ) -> tuple[Interval, Cells]:
     """Volume [m3] that was free and is solid, and its cells; cells that one epoch does not know widen it."""
-    sure = ndimage.binary_opening(old.free & new.solid, np.ones((config.thickness,) * 3))
+    thin = np.ones((config.thickness, config.thickness, config.thickness + 1))
+    sure = ndimage.binary_opening(old.free & new.solid, thin)
     surface = np.zeros(frame.shape, dtype=np.int64)
     changed = voxels.select(~voxels.still)
     slot = np.column_stack(
-        [frame.slots(changed.xyz[:, :2]), np.floor(changed.height / frame.cell).astype(np.int64)]
+        [frame.slots(changed.xyz[:, :2]), np.floor(changed.height / frame.rise).astype(np.int64)]
     )
     slot = slot[(slot[:, 2] >= 0) & (slot[:, 2] < frame.shape[2])]
     np.add.at(surface, tuple(slot.T), 1)
@@ -259,27 +305,42 @@ def _difference(
     kept[0] = False
     sure = kept[number]
     maybe = (old.free & new.unknown) | (old.unknown & new.solid)
+    # Between free space and a wall lies a cell that is neither: the resolution, and no room to hide in.
+    sure |= ndimage.binary_dilation(sure, _FACES) & old.unknown & new.solid
     reach = ndimage.binary_propagation(sure, _TOUCHING, sure | maybe)
-    cell = frame.cell**3
-    return Interval(float(sure.sum()) * cell, float(reach.sum()) * cell), sure
+    return Interval(float(sure.sum()) * frame.volume, float(reach.sum()) * frame.volume), sure
 
 
 def _height(states: tuple[_State, ...], frame: _Frame, config: CarvingConfig) -> Interval:
-    """Change of the height that 5 % of the columns reach: columns whose top is not known widen it."""
-    tops = []
+    """Change of the height that 5 % of the columns reach, of columns that both epochs know.
+
+    The top of a column lies between the highest surface seen in it and the lowest free cell above; where
+    few columns have free space above, those without count too, up to the highest top of all.
+    """
     ceiling = max(float(state.top.max()) for state in states)
-    for state, other in (states, states[::-1]):
-        unseen = (state.top == 0) & (other.top > 0) & ~state.free.any(axis=2)
-        columns = (state.top > 0) | unseen
+    bounds = [_tops_between(state, frame, config) for state in states]
+    capped = np.logical_and(*(np.isfinite(high) for _, high in bounds))
+    seen = np.logical_and(*((state.top > 0) | state.free.any(axis=2) for state in states))
+    tops = []
+    for state, (low, high) in zip(states, bounds, strict=True):
+        stands = seen & (state.top > 0)
+        columns = stands & capped
+        if np.count_nonzero(columns) < max(_FEW, config.capped * np.count_nonzero(stands)):
+            columns = stands
         if not columns.any():
             return Interval(float("nan"), float("nan"))
-        low = state.top[columns]
-        bottom = np.where(state.free, frame.levels - 0.5 * frame.cell, np.inf)[columns]
-        above = np.where(bottom >= low[:, None] - 0.5 * frame.cell, bottom, np.inf).min(axis=1)
-        high = np.where(above <= low + config.roof_gap, low, np.minimum(above, max(ceiling, 0.0)))
-        tops.append([float(np.quantile(v, 0.95)) for v in (low, np.maximum(low, high))])
+        known = np.minimum(high[columns], np.maximum(ceiling, low[columns]))
+        tops.append([float(np.quantile(v, 0.95)) for v in (low[columns], known)])
     (low_b, high_b), (low_a, high_a) = tops
     return Interval(low_a - high_b, high_a - low_b)
+
+
+def _tops_between(state: _State, frame: _Frame, config: CarvingConfig) -> tuple[Floats, Floats]:
+    """Lowest and highest possible top (nx, ny) of every column [m]; inf where no free cell is above."""
+    bottom = np.where(state.free, frame.levels - 0.5 * frame.rise, np.inf)
+    above = np.where(bottom >= state.top[:, :, None] - frame.rise, bottom, np.inf).min(axis=2)
+    high = np.where(above <= state.top + config.roof_gap, state.top, np.maximum(above, state.top))
+    return state.top, high
 
 
 def _whole(state: _State, voxels: tuple[Voxels, Voxels], gained: Cells, frame: _Frame) -> float:
@@ -303,4 +364,5 @@ def _whole(state: _State, voxels: tuple[Voxels, Voxels], gained: Cells, frame: _
     below = frame.levels <= mean
     opened = ~stood & (state.free[:, :, below].mean(axis=2) >= 0.5)
     tops = np.where(stood, state.top, np.where(inside & ~opened, mean, 0.0))
-    return float(tops.sum()) * frame.cell**2
+    sides = (high - low).clip(1) / (high - low + 1).clip(1)  # columns reach half a cell beyond the walls
+    return float(tops.sum()) * frame.cell**2 * float(np.prod(sides))

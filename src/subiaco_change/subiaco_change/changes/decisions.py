@@ -29,9 +29,6 @@ class ClassRules(StrictModel):
         description="share of the surface, new or gone where the other epoch looked across it, that a change"
         " must be carried by (Decision 13); 0 asks for none",
     )
-    columns: bool = Field(
-        False, description="whether that share of the columns, new or gone, will do as well"
-    )
     surface: float = Field(
         math.inf, gt=0, description="that share from which it is a change of volume by itself; inf: never"
     )
@@ -45,9 +42,7 @@ class ClassRules(StrictModel):
 class DecisionConfig(StrictModel):
     """Table of section E; defaults are the paper's."""
 
-    building: ClassRules = ClassRules(
-        min_iou=0.10, height=0.50, volume=0.10, shift=1.5, carried=0.07, columns=True
-    )
+    building: ClassRules = ClassRules(min_iou=0.10, height=0.50, volume=0.10, shift=1.5)
     vegetation: ClassRules = ClassRules(
         min_iou=0.08, height=0.30, volume=0.15, shift=2.0, carried=0.10, surface=0.15, outline=0.08
     )
@@ -198,7 +193,8 @@ def _matched(semantic: Semantic, measures: Measures, gate: float, rules: ClassRu
 def _building(measures: Measures, gate: float, rules: ClassRules) -> Decision:
     """Decide by the bounds of height and volume: a label needs all of one interval beyond its limit."""
     height, volume = measures.height_bounds, measures.volume_bounds
-    assert height is not None and volume is not None
+    assert height is not None
+    assert volume is not None
     limit = max(rules.height, gate)
     room = rules.volume * max(measures.volume, 1e-6)
     sure_up = max(_share(height.low, limit), _share(volume.low, room))
@@ -249,9 +245,8 @@ def _strengths(height: float, volume: float, measures: Measures, rules: ClassRul
     """
     side = measures.carried / rules.surface
     up, down = max(height, volume, side), max(-height, -volume, -side)
-    carried = (measures.carried, measures.carried_columns if rules.columns else measures.carried)
-    if max(carried) < rules.carried:
+    if measures.carried < rules.carried:
         up = min(up, 1.0)
-    if -min(carried) < rules.carried:
+    if -measures.carried < rules.carried:
         down = min(down, 1.0)
     return up, down
