@@ -2,8 +2,8 @@
 
 The envelope of an object in both epochs is cut into cells. In each epoch a cell is solid, free or unknown:
 
-* *solid*: below the highest surface that the epoch has in its column, or behind two of its walls with
-  nothing but unknown cells between,
+* *solid*: below the highest surface that the epoch has in its column, or behind two walls that the other
+  epoch does not have, with nothing but unknown cells between,
 * *free*: the epoch looked through it, or met the ground in its column,
 * *unknown*: everything else.
 
@@ -59,6 +59,12 @@ class CarvingConfig(StrictModel):
         6,
         ge=1,
         description="voxels of a changed surface that a changed volume must have; fewer make no claim",
+    )
+    room: float = Field(
+        2.2, gt=0, description="least height of walls that enclose a volume [m]; lower ones are fences"
+    )
+    wall_gap: float = Field(
+        3.0, ge=0, description="longest gap between seen pieces of one wall that is closed along it [m]"
     )
     capped: float = Field(
         0.3,
@@ -222,7 +228,7 @@ def _state(epoch: Epoch, other: Voxels, frame: _Frame) -> _State:
         height = frame.foot.ravel()[column] + frame.levels[level]
         free[ask] = epoch.empty(np.column_stack([middles[column], height]))
         free = _between_beams(free, solid, top)
-    return _State(solid | _enclosed(solid, free), free, top)
+    return _State(solid, free, top)
 
 
 def _between_beams(free: Cells, solid: Cells, top: Floats) -> Cells:
@@ -264,34 +270,36 @@ def _tops(voxels: Voxels, frame: _Frame) -> Floats:
     return tops
 
 
-def _enclosed(solid: Cells, free: Cells) -> Cells:
-    """Cells behind two walls: along both directions of the walls a solid cell comes before any free one.
+def _enclosed(walls: Cells, stops: Cells) -> Cells:
+    """Cells behind two walls: along both directions of the grid a wall comes before anything that stops.
 
-    Two walls that meet are enough, opposite ones are not needed: of most houses a street shows the front
-    and a side. Behind one wall alone nothing tells how deep a building is.
+    Two walls that meet are enough, opposite ones are not needed: of most wings a street shows the front
+    and a side. Behind a single wall nothing tells how deep a building is.
     """
-    behind = [
-        _follows(solid, free, axis)
-        | np.flip(_follows(*(np.flip(v, axis) for v in (solid, free)), axis), axis)
-        for axis in (0, 1)
-    ]
-    return np.asarray(behind[0] & behind[1] & ~solid & ~free)
+    ways = []
+    for axis in (0, 1):
+        back = _follows(np.flip(walls, axis), np.flip(stops, axis), axis)
+        ways.append((_follows(walls, stops, axis), np.flip(back, axis)))
+    along, across = ways
+    behind = (along[0] | along[1]) & (across[0] | across[1])
+    return np.asarray((behind | (along[0] & along[1]) | (across[0] & across[1])) & ~walls & ~stops)
 
 
-def _follows(solid: Cells, free: Cells, axis: int) -> Cells:
-    """Cells whose last known cell on the way along an axis is solid."""
-    place = np.arange(1, solid.shape[axis] + 1).reshape([-1 if a == axis else 1 for a in range(3)])
-    last_solid = np.maximum.accumulate(np.where(solid, place, 0), axis=axis)
-    last_free = np.maximum.accumulate(np.where(free, place, 0), axis=axis)
-    return np.asarray(last_solid > last_free)
+def _follows(walls: Cells, stops: Cells, axis: int) -> Cells:
+    """Cells whose last known cell on the way along an axis is a wall."""
+    place = np.arange(1, walls.shape[axis] + 1).reshape([-1 if a == axis else 1 for a in range(3)])
+    last_wall = np.maximum.accumulate(np.where(walls, place, 0), axis=axis)
+    last_stop = np.maximum.accumulate(np.where(stops, place, 0), axis=axis)
+    return np.asarray(last_wall > last_stop)
 
 
 def _difference(
     old: _State, new: _State, voxels: Voxels, frame: _Frame, config: CarvingConfig
 ) -> tuple[Interval, Cells]:
     """Volume [m3] that was free and is solid, and its cells; cells that one epoch does not know widen it."""
+    solid = new.solid | _behind_new_walls(old, new, frame, config)
     thin = np.ones((config.thickness, config.thickness, config.thickness + 1))
-    sure = ndimage.binary_opening(old.free & new.solid, thin)
+    sure = ndimage.binary_opening(old.free & solid, thin)
     surface = np.zeros(frame.shape, dtype=np.int64)
     changed = voxels.select(~voxels.still)
     slot = np.column_stack(
@@ -304,11 +312,25 @@ def _difference(
     kept = support >= config.support
     kept[0] = False
     sure = kept[number]
-    maybe = (old.free & new.unknown) | (old.unknown & new.solid)
+    maybe = (old.free & new.unknown) | (old.unknown & solid)
     # Between free space and a wall lies a cell that is neither: the resolution, and no room to hide in.
-    sure |= ndimage.binary_dilation(sure, _FACES) & old.unknown & new.solid
+    sure |= ndimage.binary_dilation(sure, _FACES) & old.unknown & solid
     reach = ndimage.binary_propagation(sure, _TOUCHING, sure | maybe)
     return Interval(float(sure.sum()) * frame.volume, float(reach.sum()) * frame.volume), sure
+
+
+def _behind_new_walls(old: _State, new: _State, frame: _Frame, config: CarvingConfig) -> Cells:
+    """Cells that the walls of one epoch enclose which the other epoch does not have, as high as a room.
+
+    What the other epoch has stops the way to them: behind a fence beside a house there is no room. A wall
+    seen at a slant has gaps, which are closed along it unless the epoch looked through.
+    """
+    walls = new.solid & ~old.solid & (new.top >= config.room)[:, :, None]
+    gap = 2 * int(0.5 * config.wall_gap / frame.cell) + 1
+    whole = walls.copy()
+    for shape in ((gap, 1, 1), (1, gap, 1)):
+        whole |= ndimage.binary_closing(walls, np.ones(shape)) & ~new.free & ~old.solid
+    return whole | _enclosed(whole, new.free | (old.solid & ~whole))
 
 
 def _height(states: tuple[_State, ...], frame: _Frame, config: CarvingConfig) -> Interval:

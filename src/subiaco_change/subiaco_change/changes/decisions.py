@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from pydantic import Field
 
+from subiaco_change.changes.carving import Interval
 from subiaco_change.changes.measures import Measures
 from subiaco_change.changes.outline import Outline
 from subiaco_geo.codes import Change, Semantic
@@ -123,12 +124,21 @@ def decide(
         return _single(in_after, measures, config)
     if semantic in (Semantic.MOBILE, Semantic.OTHER):
         return _mobile(measures, config)
+    return _matched(semantic, measures, lod, config)
+
+
+def _matched(semantic: Semantic, measures: Measures, lod: float, config: DecisionConfig) -> Decision:
+    """Decide a building or a plant that stands in both epochs."""
     rules = config.building if semantic is Semantic.BUILDING else config.vegetation
     if measures.iou <= rules.min_iou:
         return Decision(
             Change.UNCHANGED, f"matched, but overlap {measures.iou:.2f} is too small to compare", 0.5
         )
-    return _matched(semantic, measures, max(config.lod_factor * lod, config.lod_floor), rules)
+    gate = max(config.lod_factor * lod, config.lod_floor)
+    if not math.isfinite(gate):
+        return Decision(Change.UNCHANGED, "no level of detection here, so no change is claimed", 0.0)
+    matched = _building if semantic is Semantic.BUILDING else _plant
+    return matched(measures, gate, rules)
 
 
 def _enough_seen(measures: Measures, matched: bool, config: DecisionConfig) -> bool:
@@ -162,15 +172,11 @@ def _mobile(measures: Measures, config: DecisionConfig) -> Decision:
     return Decision(Change.NOT_REPORTED, reason, 1.0)
 
 
-def _matched(semantic: Semantic, measures: Measures, gate: float, rules: ClassRules) -> Decision:
-    """Decide by height or volume; where both directions fire, the volume's sign wins (Decision 12)."""
-    if not math.isfinite(gate):
-        return Decision(Change.UNCHANGED, "no level of detection here, so no change is claimed", 0.0)
+def _plant(measures: Measures, gate: float, rules: ClassRules) -> Decision:
+    """Decide by outline, height or volume; the sign of the volume wins where both fire (Decision 12)."""
     moved = _outline(measures.outline, rules)
     if moved is not None:
         return moved
-    if measures.volume_bounds is not None:
-        return _building(measures, gate, rules)
     limit = max(rules.height, gate)
     relative = measures.delta_v / max(measures.volume, 1e-6)
     height = measures.delta_h / limit if math.isfinite(measures.delta_h) else 0.0
@@ -181,9 +187,7 @@ def _matched(semantic: Semantic, measures: Measures, gate: float, rules: ClassRu
     if up <= 1 and down <= 1:
         return Decision(Change.UNCHANGED, evidence, max(up, down))
     if up > 1 and down > 1:
-        rising = measures.delta_v > 0
-        if semantic is Semantic.VEGETATION and abs(relative) < 0.01:
-            rising = measures.delta_h > 0
+        rising = measures.delta_h > 0 if abs(relative) < 0.01 else measures.delta_v > 0
     else:
         rising = up > 1
     change = Change.INCREASED if rising else Change.DECREASED
@@ -191,28 +195,28 @@ def _matched(semantic: Semantic, measures: Measures, gate: float, rules: ClassRu
 
 
 def _building(measures: Measures, gate: float, rules: ClassRules) -> Decision:
-    """Decide by the bounds of height and volume: a label needs all of one interval beyond its limit."""
-    height, volume = measures.height_bounds, measures.volume_bounds
-    assert height is not None
-    assert volume is not None
+    """Decide by the bounds of height and volume: a label needs the whole of one of them beyond its limit.
+
+    Where height and volume say the opposite, the volume's sign wins (Decision 12).
+    """
+    height = measures.height_bounds or Interval(measures.delta_h, measures.delta_h)
+    volume = measures.volume_bounds or Interval(measures.delta_v, measures.delta_v)
     limit = max(rules.height, gate)
-    room = rules.volume * max(measures.volume, 1e-6)
-    sure_up = max(_share(height.low, limit), _share(volume.low, room))
-    sure_down = max(_share(-height.high, limit), _share(-volume.high, room))
-    maybe = max(
-        _share(height.high, limit), _share(-height.low, limit), volume.high / room, -volume.low / room
-    )
     whole = max(measures.volume, 1e-6)
-    evidence = f"height {height.low:+.2f} to {height.high:+.2f} m (limit {limit:.2f} m)"
-    evidence += f", volume {volume.low / whole:+.0%} to {volume.high / whole:+.0%} (limit {rules.volume:.0%})"
-    if max(sure_up, sure_down) <= 1:
-        if maybe > 1:
-            evidence += "; the survey cannot tell whether a limit is exceeded"
-        return Decision(Change.UNCHANGED, evidence, min(maybe, 1.0))
-    rising = sure_up > 1 and (sure_down <= 1 or volume.middle > 0)
-    return Decision(
-        Change.INCREASED if rising else Change.DECREASED, evidence, sure_up if rising else sure_down
-    )
+    room = rules.volume * whole
+    up = max(_share(height.low, limit), volume.low / room)
+    down = max(_share(-height.high, limit), -volume.high / room)
+    farthest = max(_share(height.high, limit), _share(-height.low, limit), volume.high / room)
+    farthest = max(farthest, -volume.low / room)
+    evidence = f"height {height.low:+.2f} to {height.high:+.2f} m (limit {limit:.2f} m), volume"
+    evidence += f" {volume.low / whole:+.0%} to {volume.high / whole:+.0%} (limit {rules.volume:.0%})"
+    if max(up, down) <= 1:
+        if farthest > 1:
+            evidence += "; what the surveys did not see decides whether a limit is exceeded"
+        return Decision(Change.UNCHANGED, evidence, min(farthest, 1.0))
+    rising = up > 1 and (down <= 1 or volume.middle > 0)
+    change = Change.INCREASED if rising else Change.DECREASED
+    return Decision(change, evidence, up if rising else down)
 
 
 def _share(value: float, limit: float) -> float:
@@ -241,7 +245,7 @@ def _strengths(height: float, volume: float, measures: Measures, rules: ClassRul
 
     Columns tell the volume where their tops were seen. A crown whose top lies
     out of sight shows in its sides: there the share of new or gone surface
-    speaks. Walls close around their volume, with a roof or without.
+    speaks.
     """
     side = measures.carried / rules.surface
     up, down = max(height, volume, side), max(-height, -volume, -side)

@@ -11,7 +11,7 @@ from subiaco_change.changes.association import match_kind
 from subiaco_change.changes.association_costs import AssociationConfig
 from subiaco_change.changes.columns import BUILT_UP, OpenGround
 from subiaco_change.changes.decisions import Decision, DecisionConfig, decide
-from subiaco_change.changes.measures import MeasureConfig, Measures, carve_building, measure
+from subiaco_change.changes.measures import MeasureConfig, Measures, measure
 from subiaco_change.changes.objects import Thing, join_voxels
 from subiaco_change.changes.outline import compare_outlines
 from subiaco_change.changes.passing import OwnSurvey, drove_by
@@ -72,10 +72,8 @@ def decide_object(
     before: Sequence[Thing], after: Sequence[Thing], semantic: Semantic, rules: ObjectRules
 ) -> ObjectChange:
     """Measure and decide what the parts of one object in both epochs say together."""
-    first_voxels, second_voxels = join_voxels(before), join_voxels(after)
-    measures = measure(first_voxels, second_voxels, rules.measures, rules.ground)
-    if semantic is Semantic.BUILDING:
-        measures = carve_building(measures, first_voxels, second_voxels, rules.measures.carving, rules.ground)
+    building = semantic is Semantic.BUILDING
+    measures = measure(join_voxels(before), join_voxels(after), rules.measures, rules.ground, building)
     if semantic is Semantic.VEGETATION and before and after:
         first, second = (np.concatenate([t.xyz for t in things]) for things in (before, after))
         measures = replace(measures, outline=compare_outlines(first, second, rules.measures.outline))

@@ -52,8 +52,9 @@ class Measures:
     Lengths [m], volumes [m3]; NaN where a side is empty. ``volume`` is that of
     the columns that stood before; ``seen_voxels`` the number that entered.
     ``carried`` is the share of the surface that is new (positive) or gone
-    (negative) on balance, counting only places that the other epoch looked across;
-    ``carried_columns`` the same of the columns that were seen to stand.
+    (negative) on balance, counting only places that the other epoch looked across.
+    Of buildings, ``height_bounds`` and ``volume_bounds`` are what space carving leaves
+    possible (Decision 17), ``delta_h`` and ``delta_v`` their middles.
     """
 
     iou: float
@@ -69,46 +70,51 @@ class Measures:
     observed_fraction: float
     seen_voxels: int
     carried: float = 0.0
-    carried_columns: float = 0.0
     outline: Outline = NO_OUTLINE
     height_bounds: Interval | None = None
     volume_bounds: Interval | None = None
 
 
 def measure(
-    before: Voxels, after: Voxels, config: MeasureConfig, ground: OpenGround | None = None
+    before: Voxels,
+    after: Voxels,
+    config: MeasureConfig,
+    ground: OpenGround = BUILT_UP,
+    building: bool = False,
 ) -> Measures:
-    """Compare the voxels of one object in two epochs; either may be empty."""
+    """Compare the voxels of one object in two epochs; either may be empty. Buildings are carved."""
     seen_b, seen_a = before.select(before.seen), after.select(after.seen)
     lonely_b, lonely_a = int(np.count_nonzero(~seen_b.still)), int(np.count_nonzero(~seen_a.still))
     whole_b, whole_a = (
         own.add(other.select(other.still)) for own, other in ((seen_b, seen_a), (seen_a, seen_b))
     )
-    volumes = compare_volumes(before, after, config.voxel, config.closing, ground or BUILT_UP)
     common = 0.5 * (len(seen_b) - lonely_b + len(seen_a) - lonely_a)
     both = len(before) > 0 and len(after) > 0
-    return Measures(
+    measures = Measures(
         iou=common / max(common + lonely_b + lonely_a, 1e-9) if both else 0.0,
         d_perp=_separation(seen_b, seen_a, config),
         delta_c=_distance(whole_b, whole_a) if both else float("nan"),
         delta_h=_top(whole_a, config) - _top(whole_b, config) if both else float("nan"),
-        delta_v=volumes.change,
+        delta_v=0.0,
         delta_v_surface=float(lonely_a - lonely_b) * config.voxel**3,
-        volume=volumes.whole,
+        volume=0.0,
         chi2=histogram_distance(seen_b.height, seen_a.height, config.bins),
         gone_share=lonely_b / max(len(seen_b), 1),
         new_share=lonely_a / max(len(seen_a), 1),
         observed_fraction=(len(seen_b) + len(seen_a)) / max(len(before) + len(after), 1),
         seen_voxels=len(seen_b) + len(seen_a),
         carried=_carried(before, after),
-        carried_columns=volumes.carried,
     )
+    if building:
+        return _carved(measures, before, after, config.carving, ground)
+    volumes = compare_volumes(before, after, config.voxel, config.closing, ground)
+    return replace(measures, delta_v=volumes.change, volume=volumes.whole)
 
 
-def carve_building(
+def _carved(
     measures: Measures, before: Voxels, after: Voxels, config: CarvingConfig, ground: OpenGround
 ) -> Measures:
-    """Measure height and volume of a building by space carving (Decision 17); either epoch may lack it."""
+    """Add height and volume of a building by space carving (Decision 17)."""
     carved = carve(
         Epoch(before, ground.empty[0], ground.bare(0)), Epoch(after, ground.empty[1], ground.bare(1)), config
     )
