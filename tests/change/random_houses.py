@@ -45,7 +45,7 @@ class Box:
         """Triangles of walls and roof; the ridge runs along the longer side."""
         x0, y0, x1, y1, h = self.x, self.y, self.x + self.width, self.y + self.depth, self.height
         low = np.array([(x0, y0, 0), (x1, y0, 0), (x1, y1, 0), (x0, y1, 0)], dtype=float)
-        high = low + (0, 0, h)
+        high = low + np.array([0.0, 0.0, h])
         xm, ym = (x0 + x1) / 2, (y0 + y1) / 2
         along_x = self.width >= self.depth
         ends = [(x0, ym), (x1, ym)] if along_x else [(xm, y0), (xm, y1)]
@@ -188,9 +188,16 @@ def compare(before, after, kind, config=None):
 
 
 def labels(changes):
-    """Labels of the rows that claim something, largest first, and of the largest row."""
-    order = sorted(changes, key=lambda c: -c.measures.seen_voxels)
-    return [c.decision.change for c in order]
+    """Labels of the rows, that of the largest first."""
+    return [change.decision.change for change in sorted(changes, key=lambda c: -c.measures.seen_voxels)]
+
+
+def label_of(changes):
+    """What the rows say of the house: the label of the largest, or what came or went beside it."""
+    first, *others = labels(changes)
+    if first is Change.UNCHANGED and set(others) & {Change.ADDED, Change.REMOVED}:
+        return Change.INCREASED if Change.ADDED in others else Change.DECREASED
+    return first
 
 
 #: Label that says the opposite.
@@ -236,31 +243,46 @@ def draw_extension(rng):
 
 
 def _built(kind, street, rng):
+    """A storey on the house of a street, or a wing; None where it does not fit."""
     house, whole = street.house[0], volume(street.house)
     share = rng.uniform(0.15, 0.5)
     if kind == "storey":
         return replace(house, height=house.height + max(share * whole / (house.width * house.depth), 0.9))
     height = min(house.height, rng.uniform(2.6, 3.4))
-    area = share * whole / height
-    if kind == "front":
-        width = rng.uniform(0.3, 0.8) * house.width
-        depth = area / width
-        if not 2.0 <= depth <= house.y - 3.5:
-            return None
-        return Box(house.x + rng.uniform(0, house.width - width), house.y - depth, width, depth, height)
-    side = rng.choice([-1, 1])
-    beside = street.around[0 if side < 0 else 1]
-    room = house.x - (beside.x + beside.width) if side < 0 else beside.x - (house.x + house.width)
-    if kind == "side":
-        depth = rng.uniform(0.4, 1.0) * house.depth
-        width, south = area / depth, house.y + rng.uniform(0, house.depth - depth)
-        if not 2.0 <= width <= room - 0.8:
-            return None
-        return Box(house.x - width if side < 0 else house.x + house.width, south, width, depth, height)
+    make = {"front": _front, "side": _side, "corner": _corner}[kind]
+    return make(street, share * whole / height, height, rng)
+
+
+def _front(street, area, height, rng):
+    house = street.house[0]
+    width = rng.uniform(0.3, 0.8) * house.width
+    depth = area / width
+    if not 2.0 <= depth <= house.y - 3.5:
+        return None
+    return Box(house.x + rng.uniform(0, house.width - width), house.y - depth, width, depth, height)
+
+
+def _gap(street, side):
+    """Room between the house and its neighbour [m]."""
+    house, beside = street.house[0], street.around[0 if side < 0 else 1]
+    return house.x - (beside.x + beside.width) if side < 0 else beside.x - (house.x + house.width)
+
+
+def _side(street, area, height, rng):
+    house, side = street.house[0], rng.choice([-1, 1])
+    depth = rng.uniform(0.4, 1.0) * house.depth
+    width, south = area / depth, house.y + rng.uniform(0, house.depth - depth)
+    if not 2.0 <= width <= _gap(street, side) - 0.8:
+        return None
+    return Box(house.x - width if side < 0 else house.x + house.width, south, width, depth, height)
+
+
+def _corner(street, area, height, rng):
+    house, side = street.house[0], rng.choice([-1, 1])
     out = rng.uniform(1.5, 4.0)
     width = out + rng.uniform(0.0, 0.4) * house.width
     depth = area / width
-    if out > room - 0.8 or not 2.0 <= depth <= 8.0:
+    if out > _gap(street, side) - 0.8 or not 2.0 <= depth <= 8.0:
         return None
     west = house.x - out if side < 0 else house.x + house.width + out - width
     return Box(west, house.y + house.depth - rng.uniform(0.0, 2.0), width, depth, height)
@@ -278,10 +300,10 @@ def seen_share(without, added, survey_without):
 
 
 def seen_extent(added, survey_with):
-    """Share of the length and width of what was built, the smaller, over which the survey with it has points."""
+    """Smaller of the shares of length and width of what was built over which the survey has points."""
     xyz = survey_with.view.xyz[survey_with.view.instance == 0]
     low = np.array([added.x, added.y, 0.3])
-    high = low + (added.width, added.depth, added.height + added.pitch)
+    high = low + np.array([added.width, added.depth, added.height + added.pitch])
     inside = xyz[((xyz > low - 0.2) & (xyz < high + 0.2)).all(axis=1), :2]
     if len(inside) < 2:
         return 0.0
@@ -295,4 +317,36 @@ def draw_sensor(rng):
         lane=rng.uniform(-2.0, 2.0),
         step=rng.uniform(3.0, 5.0),
         shift=tuple(rng.normal(scale=0.03, size=3)),
+    )
+
+
+@dataclass(frozen=True)
+class Case:
+    """A house and what was built onto it, with a survey of either."""
+
+    small: Street
+    large: Street
+    what: str  # storey, side, front, corner
+    surveys: tuple[Survey, Survey] = field(repr=False)
+
+
+def draw_case(seed, extended=True):
+    """Draw a street, an extension and two drives; without extension both drives see the house as it was."""
+    rng = np.random.default_rng(seed)
+    small, large, what = draw_extension(rng)
+    sensors = draw_sensor(rng), draw_sensor(rng)
+    second = large if extended else small
+    return Case(
+        small, large, what, (survey(small, sensors[0], 2 * seed), survey(second, sensors[1], 2 * seed + 1))
+    )
+
+
+def seen_from_street(case):
+    """Tell whether the drive without it saw through half of what was built, and that with it met most of its extent.
+
+    Of a storey the walls and the roof are seen wherever those of the house are.
+    """
+    built = case.large.house[-1]
+    return (
+        seen_share(case.small, built, case.surveys[0]) >= 0.5 and seen_extent(built, case.surveys[1]) >= 0.7
     )

@@ -215,7 +215,7 @@ def _state(epoch: Epoch, other: Voxels, frame: _Frame) -> _State:
     A surface of the other epoch that this one has too, though it sampled it elsewhere, counts as its own.
     """
     nx, ny, nz = frame.shape
-    top = _tops(epoch.voxels.add(_shared(other, epoch.voxels)), frame)
+    top = _tops(epoch.voxels.add(_shared(other, epoch)), frame)
     solid = frame.levels <= top[:, :, None] + _TOP
     middles = frame.middles()
     open_column = epoch.bare(middles).reshape(nx, ny) & (top == 0)
@@ -254,13 +254,17 @@ def _shifted(cells: Cells, axis: int, step: int) -> Cells:
     return moved
 
 
-def _shared(other: Voxels, own: Voxels) -> Voxels:
+def _shared(other: Voxels, epoch: Epoch) -> Voxels:
     """Voxels of the other epoch that this epoch has too, though it sampled them elsewhere."""
+    own = epoch.voxels
     if len(other) == 0 or len(own) == 0:
         return other.select(np.zeros(len(other), dtype=bool))
     scale = 1.0 / np.array([_BESIDE, _BESIDE, _ABOVE])
     distance = cKDTree(own.xyz * scale).query(other.xyz * scale, distance_upper_bound=1.0)[0]
-    return other.select(np.isfinite(distance))
+    shared = other.still & np.isfinite(distance)
+    if epoch.empty is not None:
+        shared[shared] = ~epoch.empty(other.xyz[shared])
+    return other.select(shared)
 
 
 def _tops(voxels: Voxels, frame: _Frame) -> Floats:
@@ -298,25 +302,28 @@ def _difference(
 ) -> tuple[Interval, Cells]:
     """Volume [m3] that was free and is solid, and its cells; cells that one epoch does not know widen it."""
     solid = new.solid | _behind_new_walls(old, new, frame, config)
+    number, count = ndimage.label(old.free & solid, _TOUCHING)
+    support = np.bincount(number.ravel(), _surface(voxels, frame).ravel(), minlength=count + 1)
+    supported = support >= config.support
+    supported[0] = False
+    changed = supported[number]
     thin = np.ones((config.thickness, config.thickness, config.thickness + 1))
-    sure = ndimage.binary_opening(old.free & solid, thin)
-    surface = np.zeros(frame.shape, dtype=np.int64)
-    changed = voxels.select(~voxels.still)
-    slot = np.column_stack(
-        [frame.slots(changed.xyz[:, :2]), np.floor(changed.height / frame.rise).astype(np.int64)]
-    )
-    slot = slot[(slot[:, 2] >= 0) & (slot[:, 2] < frame.shape[2])]
-    np.add.at(surface, tuple(slot.T), 1)
-    number, count = ndimage.label(sure, _TOUCHING)
-    support = np.bincount(number.ravel(), surface.ravel(), minlength=count + 1)
-    kept = support >= config.support
-    kept[0] = False
-    sure = kept[number]
-    maybe = (old.free & new.unknown) | (old.unknown & solid)
+    sure = ndimage.binary_opening(changed, thin)
     # Between free space and a wall lies a cell that is neither: the resolution, and no room to hide in.
     sure |= ndimage.binary_dilation(sure, _FACES) & old.unknown & solid
-    reach = ndimage.binary_propagation(sure, _TOUCHING, sure | maybe)
+    maybe = (old.free & new.unknown) | (old.unknown & solid)
+    reach = ndimage.binary_propagation(changed, _TOUCHING, changed | maybe)
     return Interval(float(sure.sum()) * frame.volume, float(reach.sum()) * frame.volume), sure
+
+
+def _surface(voxels: Voxels, frame: _Frame) -> Ints:
+    """Numbers (nx, ny, nz) of voxels that the other epoch does not have."""
+    surface = np.zeros(frame.shape, dtype=np.int64)
+    own = voxels.select(~voxels.still)
+    level = np.floor(own.height / frame.rise).astype(np.int64)
+    slot = np.column_stack([frame.slots(own.xyz[:, :2]), level])
+    np.add.at(surface, tuple(slot[(level >= 0) & (level < frame.shape[2])].T), 1)
+    return surface
 
 
 def _behind_new_walls(old: _State, new: _State, frame: _Frame, config: CarvingConfig) -> Cells:
