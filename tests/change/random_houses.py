@@ -342,7 +342,7 @@ def draw_case(seed, extended=True):
 
 
 def seen_from_street(case):
-    """Tell whether the drive without it saw through half of what was built, and that with it met most of its extent.
+    """Tell whether one drive saw through half of what was built, and the other met most of its extent.
 
     Of a storey the walls and the roof are seen wherever those of the house are.
     """

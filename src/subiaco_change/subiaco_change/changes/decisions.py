@@ -3,17 +3,19 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from pydantic import Field
 
 from subiaco_change.changes.carving import Interval
 from subiaco_change.changes.measures import Measures
-from subiaco_change.changes.outline import Outline
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.config import StrictModel
 
-_CERTAIN = 3.0  # standard errors by which an outline must have moved
+_PATCH = 4.0  # voxels of a surface that are seen, or not, together
+#: Why nothing is said of an object that both epochs saw.
+NO_LEVEL = "not decidable: too few points lie here for a level of detection"
 
 
 class ClassRules(StrictModel):
@@ -90,11 +92,15 @@ class DecisionConfig(StrictModel):
 
 @dataclass(frozen=True)
 class Decision:
-    """Label, the rule that gave it, and by how much it was met (1 is just met)."""
+    """Label, the rule that gave it, and by how much it was met (1 is just met).
+
+    ``sigmas``: standard deviations between the measure and its limit, positive beyond it; NaN where unknown.
+    """
 
     change: Change
     reason: str
     margin: float
+    sigmas: float = math.nan
 
 
 def decide(
@@ -104,6 +110,7 @@ def decide(
     measures: Measures,
     lod: float,
     config: DecisionConfig,
+    matched: Callable[[], Decision] | None = None,
 ) -> Decision:
     """Decide one object.
 
@@ -116,6 +123,8 @@ def decide(
     lod : float
         Median level of detection of its points [m]; inf where none is known.
     config : DecisionConfig
+    matched : callable, optional
+        Decides an object that can be compared in both epochs instead of the rules of its class.
     """
     if not _enough_seen(measures, in_before and in_after, config):
         share = measures.observed_fraction
@@ -124,21 +133,29 @@ def decide(
         return _single(in_after, measures, config)
     if semantic in (Semantic.MOBILE, Semantic.OTHER):
         return _mobile(measures, config)
-    return _matched(semantic, measures, lod, config)
+    return _compare(semantic, measures, lod, config, matched)
 
 
-def _matched(semantic: Semantic, measures: Measures, lod: float, config: DecisionConfig) -> Decision:
+def _compare(
+    semantic: Semantic,
+    measures: Measures,
+    lod: float,
+    config: DecisionConfig,
+    matched: Callable[[], Decision] | None,
+) -> Decision:
     """Decide a building or a plant that stands in both epochs."""
     rules = config.building if semantic is Semantic.BUILDING else config.vegetation
     if measures.iou <= rules.min_iou:
         return Decision(
             Change.UNCHANGED, f"matched, but overlap {measures.iou:.2f} is too small to compare", 0.5
         )
+    if matched is not None:
+        return matched()
     gate = max(config.lod_factor * lod, config.lod_floor)
     if not math.isfinite(gate):
-        return Decision(Change.UNCHANGED, "no level of detection here, so no change is claimed", 0.0)
-    matched = _building if semantic is Semantic.BUILDING else _plant
-    return matched(measures, gate, rules)
+        return Decision(Change.UNOBSERVED, NO_LEVEL, 0.0)
+    by_class = _building if semantic is Semantic.BUILDING else _by_measures
+    return by_class(measures, gate, rules)
 
 
 def _enough_seen(measures: Measures, matched: bool, config: DecisionConfig) -> bool:
@@ -155,13 +172,22 @@ def _enough_seen(measures: Measures, matched: bool, config: DecisionConfig) -> b
 
 def _single(in_after: bool, measures: Measures, config: DecisionConfig) -> Decision:
     empty = measures.new_share if in_after else measures.gone_share
+    sigmas = (empty - config.min_empty) / math.sqrt(
+        max(empty * (1 - empty), 0.01) / max(measures.seen_voxels / _PATCH, 1.0)
+    )
     if empty < config.min_empty:
-        reason = f"no partner of its class, but {1 - empty:.0%} of the place is occupied in both epochs"
-        return Decision(Change.UNCHANGED, reason, (1 - empty) / max(1 - config.min_empty, 1e-9))
+        reason = (
+            f"No partner of its class, but {1 - empty:.0%} of the observed part is occupied in both surveys"
+            f" ({measures.observed_fraction:.0%} observed)."
+        )
+        return Decision(Change.UNCHANGED, reason, (1 - empty) / max(1 - config.min_empty, 1e-9), sigmas)
     change = Change.ADDED if in_after else Change.REMOVED
     own, other = ("later", "earlier") if in_after else ("earlier", "later")
-    reason = f"in the {own} survey alone; the {other} one saw its place, {empty:.0%} of it free"
-    return Decision(change, reason, empty / max(config.min_empty, 1e-9))
+    reason = (
+        f"Only the {own} survey has it; the {other} survey observed {measures.observed_fraction:.0%}"
+        f" of its place, and {empty:.0%} of that part was free (limit {config.min_empty:.0%})."
+    )
+    return Decision(change, reason, empty / max(config.min_empty, 1e-9), sigmas)
 
 
 def _mobile(measures: Measures, config: DecisionConfig) -> Decision:
@@ -172,11 +198,8 @@ def _mobile(measures: Measures, config: DecisionConfig) -> Decision:
     return Decision(Change.NOT_REPORTED, reason, 1.0)
 
 
-def _plant(measures: Measures, gate: float, rules: ClassRules) -> Decision:
-    """Decide by outline, height or volume; the sign of the volume wins where both fire (Decision 12)."""
-    moved = _outline(measures.outline, rules)
-    if moved is not None:
-        return moved
+def _by_measures(measures: Measures, gate: float, rules: ClassRules) -> Decision:
+    """Decide by height or volume; where both directions fire, the volume's sign wins (Decision 12)."""
     limit = max(rules.height, gate)
     relative = measures.delta_v / max(measures.volume, 1e-6)
     height = measures.delta_h / limit if math.isfinite(measures.delta_h) else 0.0
@@ -186,10 +209,7 @@ def _plant(measures: Measures, gate: float, rules: ClassRules) -> Decision:
     evidence += f", {measures.carried:+.0%} of the surface new or gone"
     if up <= 1 and down <= 1:
         return Decision(Change.UNCHANGED, evidence, max(up, down))
-    if up > 1 and down > 1:
-        rising = measures.delta_h > 0 if abs(relative) < 0.01 else measures.delta_v > 0
-    else:
-        rising = up > 1
+    rising = measures.delta_v > 0 if up > 1 and down > 1 else up > 1
     change = Change.INCREASED if rising else Change.DECREASED
     return Decision(change, evidence, up if rising else down)
 
@@ -222,22 +242,6 @@ def _building(measures: Measures, gate: float, rules: ClassRules) -> Decision:
 def _share(value: float, limit: float) -> float:
     """Value as a share of its limit; 0 where it is not known."""
     return value / limit if math.isfinite(value) else 0.0
-
-
-def _outline(outline: Outline, rules: ClassRules) -> Decision | None:
-    """Decide by the outline, where it moved far enough and beyond doubt."""
-    if not outline.known or not math.isfinite(rules.outline):
-        return None
-    strength = abs(outline.relative) / rules.outline
-    if (
-        strength <= 1
-        or abs(outline.shift) <= _CERTAIN * outline.sigma
-        or outline.shift * outline.relative < 0
-    ):
-        return None
-    reason = f"outline {outline.shift:+.2f} m (sd {outline.sigma:.2f}), {outline.relative:+.0%} of its reach"
-    change = Change.INCREASED if outline.shift > 0 else Change.DECREASED
-    return Decision(change, f"{reason} (gate {rules.outline:.0%})", strength)
 
 
 def _strengths(height: float, volume: float, measures: Measures, rules: ClassRules) -> tuple[float, float]:
