@@ -138,7 +138,7 @@ class _Frame:
     @property
     def levels(self) -> Floats:
         """Heights (nz,) of the middles of the cells above the ground [m]."""
-        return (np.arange(self.shape[2]) + 0.5) * self.rise
+        return np.asarray((np.arange(self.shape[2]) + 0.5) * self.rise, dtype=np.float64)
 
     @property
     def rise(self) -> float:
@@ -333,11 +333,13 @@ def _behind_new_walls(old: _State, new: _State, frame: _Frame, config: CarvingCo
     seen at a slant has gaps, which are closed along it unless the epoch looked through.
     """
     walls = new.solid & ~old.solid & (new.top >= config.room)[:, :, None]
+    # A single free cell beside a wall is the part of the wall's own cell that lies in front of it.
+    stops = ndimage.binary_opening(new.free, np.ones((2, 2, 1)))
     gap = 2 * int(0.5 * config.wall_gap / frame.cell) + 1
     whole = walls.copy()
     for shape in ((gap, 1, 1), (1, gap, 1)):
         whole |= ndimage.binary_closing(walls, np.ones(shape)) & ~new.free & ~old.solid
-    return whole | _enclosed(whole, new.free | (old.solid & ~whole))
+    return whole | (_enclosed(whole, stops | (old.solid & ~whole)) & ~new.free)
 
 
 def _height(states: tuple[_State, ...], frame: _Frame, config: CarvingConfig) -> Interval:
@@ -391,7 +393,7 @@ def _whole(state: _State, voxels: tuple[Voxels, Voxels], gained: Cells, frame: _
     inside[low[0] : high[0] + 1, low[1] : high[1] + 1] = True
     mean = float(state.top[stood].mean())
     below = frame.levels <= mean
-    opened = ~stood & (state.free[:, :, below].mean(axis=2) >= 0.5)
+    opened = ~stood & np.asarray(2 * state.free[:, :, below].sum(axis=2) >= np.count_nonzero(below))
     tops = np.where(stood, state.top, np.where(inside & ~opened, mean, 0.0))
-    sides = (high - low).clip(1) / (high - low + 1).clip(1)  # columns reach half a cell beyond the walls
+    sides = np.maximum(high - low, 1) / np.maximum(high - low + 1, 1)  # columns reach beyond walls
     return float(tops.sum()) * frame.cell**2 * float(np.prod(sides))
