@@ -95,9 +95,12 @@ def oakland(*parts: str) -> Callable[[], Floats]:
 
 def site(epoch: int) -> Callable[[], Floats]:
     """One epoch of a building site, scanned by hand."""
-    return lambda: load_epoch(
-        DATA / "real_pair_site" / f"bike_parking_construction_{epoch}.ply"
-    ).cloud.world()
+    path = DATA / "real_pair_site" / f"bike_parking_construction_{epoch}.ply"
+
+    def read() -> Floats:
+        return load_epoch(path).cloud.world()
+
+    return read
 
 
 def kitti(first: int) -> Callable[[], Floats]:
