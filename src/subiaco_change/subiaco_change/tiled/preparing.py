@@ -14,6 +14,7 @@ from subiaco_change.geometry import estimate_normals
 from subiaco_change.semantics.classes import SemanticResult, label_points
 from subiaco_change.semantics.clustering import voxel_clusters
 from subiaco_change.semantics.instances import segment
+from subiaco_change.spacing import spacing_scale
 from subiaco_change.tiled.cutting import Side, load_observer
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Semantic
@@ -51,7 +52,7 @@ def prepare_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
     cloud = PointCloud(np.concatenate([own, *around]), side.origin, side.crs)
     world = cloud.world()
     passed = load_observer(inputs, side, world, params["config"].evidence).passes(world)
-    normals = estimate_normals(cloud.xyz, params["config"].normal_radius)
+    normals = estimate_normals(cloud.xyz, params["config"].normal_radius * spacing_scale(side.spacing))
     semantic, instance, score, height = _label(cloud, passed, params, inputs, names, where)
     count = len(own)
     inner = tile_named(params["tile"], params["size"], params["overlap"] - params["edge"])
