@@ -26,7 +26,7 @@ class LodConfig(StrictModel):
         1.0,
         gt=0,
         description="radius of the cylinder along the point's own normal [m]; where points lie farther apart "
-        "than 0.36 m in either epoch, times the measured spacing over 0.36 m",
+        "than 0.36 m in either epoch, 2.4 times the measured spacing",
     )
     self_half_length: float = Field(0.5, gt=0, description="cylinder in both epochs: half length [m]")
     half_length: float = Field(
@@ -44,13 +44,6 @@ class LodConfig(StrictModel):
         "quadrature", description="how sigma_reg joins: quadrature (paper), linear (M3C2)"
     )
     normal_radius: float = Field(0.8, gt=0, description="radius of normals where a cloud has none [m]")
-
-    def scaled(self, scale: float) -> LodConfig:
-        """Return the settings for points that lie ``scale`` times as far apart as on a mapped street."""
-        if scale == 1.0:
-            return self
-        lengths = ("radius", "normal_radius")
-        return self.model_copy(update={name: scale * getattr(self, name) for name in lengths})
 
 
 @dataclass(frozen=True)

@@ -35,7 +35,6 @@ from subiaco_change.observation.uncertainty import (
 from subiaco_change.observation.vertical_bias import bias_field, tile_medians
 from subiaco_change.registration.warp import Residuals, estimate_warp
 from subiaco_change.semantics.ground import Mask
-from subiaco_change.spacing import spacing_scale
 from subiaco_change.tiled.cutting import EPOCHS, Side
 from subiaco_change.tiled.framing import field_arrays, load_frame, registration_of
 from subiaco_change.tiled.recutting import load_points
@@ -137,7 +136,7 @@ def _compare(
     inputs: Inputs, params: Mapping[str, Any], epochs: tuple[str, ...]
 ) -> tuple[list[PointCloud], dict[str, Displacements]]:
     """Points of the tile of both epochs, and displacements at those of ``epochs``."""
-    config = params["config"].lod.scaled(spacing_scale(*(side.spacing for side in params["sides"])))
+    config = params["config"].lod
     rim = 2.0 * max(config.radius, config.half_length, config.self_half_length)
     loaded = [_with_rim(inputs, side, params, rim) for side in params["sides"]]
     found = {epoch: _nothing(loaded[EPOCHS.index(epoch)][1]) for epoch in epochs}
