@@ -85,11 +85,11 @@ class RegistrationConfig(StrictModel):
         0.35, ge=0, lt=1, description="smallest share of ground in the overlap that matches, as min_standing"
     )
     min_support: float = Field(
-        0.15,
+        0.12,
         ge=0,
         lt=1,
         description="share of the structure (walls, crowns, trunks) that must match beyond chance, by three "
-        "standard errors; chance is the match at poses 6 to 10 m aside",
+        "standard errors; 0 where both epochs have a CRS; chance is the match at poses 6 to 10 m aside",
     )
     max_rival: float = Field(
         0.7, gt=0, le=1, description="largest score of another place, share of the best, in a search"

@@ -345,7 +345,8 @@ def complaints(fit: Fit, trusted: bool, config: RegistrationConfig) -> list[str]
         f"only {support.match:.2f} of the walls, crowns and trunks in the overlap match, "
         f"{support.chance:.2f} match by chance at poses aside"
     )
-    unsupported = support.excess - _SUPPORTED * support.excess_error < config.min_support
+    needed = 0.0 if trusted else config.min_support
+    unsupported = support.excess - _SUPPORTED * support.excess_error < needed
     checks = [
         (q.overlap < config.min_overlap, f"overlap {q.overlap:.2f} < {config.min_overlap}"),
         (
