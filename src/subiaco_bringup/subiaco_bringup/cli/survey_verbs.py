@@ -114,7 +114,8 @@ def import_(
     recording: Annotated[
         Path,
         typer.Argument(
-            metavar="RECORDING", help="Raw Ouster packets: .pcap with its .json, .osf, or ROS 1 .bag."
+            metavar="RECORDING",
+            help="Raw Ouster packets: .pcap with its .json, .osf, or ROS 1 .bag; or a raw folder of KITTI.",
         ),
     ],
     output: Output,
@@ -125,7 +126,11 @@ def import_(
         ),
     ] = None,
     gnss: Annotated[
-        Path | None, typer.Option(metavar="CSV", help="Fixes (and headings) with UTC stamps; see logs.gnss.")
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Fixes (and headings): CSV with UTC stamps, see logs.gnss; or a solution of RTKLIB (.pos).",
+        ),
     ] = None,
     imu: Annotated[
         Path | None, typer.Option(metavar="CSV", help="IMU samples with UTC stamps; see logs.imu.")
@@ -136,7 +141,7 @@ def import_(
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
-    """Turn a recording of raw packets into an mcap bag that every other verb reads.
+    """Turn a recording into an mcap bag that every other verb reads.
 
     Columns of other names: --set logs.gnss.latitude=lat, and so on.
 
