@@ -1,4 +1,4 @@
-"""Raw folders of KITTI become bags: point times by azimuth, fixes of the INS, extrinsics by its calibration."""
+"""Raw folders of KITTI become bags: times by azimuth, fixes of the INS, extrinsics by its calibration."""
 
 from __future__ import annotations
 

@@ -7,8 +7,8 @@ frame is ``base_link``. Its rates and accelerations are taken where they come at
 unsynchronised drives. Stamps are taken as UTC.
 
 The elevation angles of this scanner are 0.205 deg too low, as those who map with it have found (J.-E.
-Deschaud, IMLS-SLAM, 2018). Left so, odometry pitches by 1.5 deg on 200 m of drive 0027; put right, by less than
-0.1 deg.
+Deschaud, IMLS-SLAM, 2018). Left so, odometry pitches by 1.5 deg on 200 m of drive 0027; put right, by less
+than 0.1 deg.
 """
 
 from __future__ import annotations
