@@ -23,9 +23,9 @@ from pathlib import Path
 import numpy as np
 from kitti_drive import CRS, SIGMA, T_BASE_LIDAR, Drive, point_times, read_drive, withheld
 
-from subiaco_geo.frames import Floats, Ints
+from subiaco_geo.frames import Floats, Ints, make_pose
 from subiaco_geo.trajectories import Trajectory
-from subiaco_geo.trajectory_errors import aligned, pose_errors, relative_error
+from subiaco_geo.trajectory_errors import overlap, pose_errors, relative_error
 from subiaco_mapping.backend import MappingBackend
 from subiaco_mapping.calibration.antenna import AntennaFit, fit_antenna
 from subiaco_mapping.calibration.config import CalibrationConfig
@@ -127,12 +127,23 @@ def way(trajectory: Trajectory) -> float:
     return float(np.linalg.norm(np.diff(trajectory.poses[:, :3, 3], axis=0), axis=1).sum())
 
 
+def laid_over(found: Trajectory, truth: Trajectory) -> Trajectory:
+    """Move a path rigidly over another (Kabsch); it may be all but straight, which leaves its roll open."""
+    _, poses, true = overlap(found, truth)
+    source, target = poses[:, :3, 3], true[:, :3, 3]
+    left, _, right = np.linalg.svd((target - target.mean(axis=0)).T @ (source - source.mean(axis=0)))
+    turn = left @ np.diag([1.0, 1.0, np.linalg.det(left @ right)]) @ right
+    return Trajectory(
+        found.times_ns, make_pose(turn, target.mean(axis=0) - turn @ source.mean(axis=0)) @ found.poses
+    )
+
+
 def judge(
     name: str, found: Trajectory, drive: Drive, *, align: bool, part: Floats | None = None
 ) -> dict[str, object]:
     """Return the errors of a trajectory; ``part`` (S,) marks the INS rows of which positions are compared."""
     truth = Trajectory(drive.ins_ns, drive.truth() @ T_BASE_LIDAR)
-    found = aligned(found, truth)[0] if align else found
+    found = laid_over(found, truth) if align else found
     errors = pose_errors(found, truth)
     row = np.clip(np.searchsorted(drive.ins_ns, errors.times_ns), 0, len(drive) - 1)
     chosen = np.ones(len(row), dtype=bool) if part is None else part[row]

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from subiaco_bringup.cli.map_verdict import end_with_verdict
 from subiaco_bringup.cli.options import (
     AsJson,
     ConfigFiles,
@@ -94,6 +95,8 @@ def inspect(
 ) -> None:
     """Say whether a bag is usable, and why not: topics, rates, losses, clocks, RTK states, IMU.
 
+    Ends with 0 where it is usable, with or without care, and with 2 where it is not.
+
     Topics of other names are recognised by their types, or named by the configuration.
 
     Example: subiaco inspect bags/demo/before
@@ -108,6 +111,8 @@ def inspect(
         print_json(facts)
     else:
         typer.echo(describe(facts))
+    if facts["forbids"]:
+        raise typer.Exit(2)
 
 
 def import_(
@@ -203,6 +208,7 @@ def map_(
     """Build one georeferenced map from the bags of one epoch.
 
     A bag without usable GNSS fixes gives a map in a local frame, without CRS.
+    A map that most of its own fixes contradict is written, flagged and ends with 3.
     Until the map is written, the work lies beside it in .MAP_DIR.journal.
 
     Example: subiaco map bags/demo/before -o out/before
@@ -232,6 +238,7 @@ def map_(
         remove(journal_folder(output))
     place = survey.cloud.crs or "a local frame without CRS"
     say(f"map: {output} ({len(survey.cloud):,} points in {place})", quiet=quiet)
+    end_with_verdict(output, quiet=quiet)
 
 
 def check(

@@ -67,7 +67,7 @@ class StampCounter:
 
     A long step alone proves nothing: stamps jitter, and samples that cross a bus together have theirs in
     pairs. Messages are missing where those after the step are later, on the mean, than the rate allows. A
-    clock that is set forward leaves the same gap as an outage; then stamps are ahead of the messages' arrival.
+    clock that is set forward leaves the same gap as an outage; then stamps are ahead of the arrivals.
     """
 
     def __init__(self) -> None:
