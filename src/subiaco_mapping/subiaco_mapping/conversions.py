@@ -113,7 +113,9 @@ def scan_from_points(message: Any, config: MappingConfig) -> Scan:
     header_ns = stamp_ns(message.header.stamp)
     xyz = np.stack([points[name] for name in "xyz"], axis=1).astype(np.float64)
     finite = np.isfinite(xyz).all(axis=1)
-    times_ns = None if config.deskewed else point_times(points, header_ns, finite & xyz.any(axis=1))
+    times_ns = (
+        None if config.deskewed else point_times(points, header_ns, np.asarray(finite & xyz.any(axis=1)))
+    )
     if times_ns is None and not config.deskewed:
         raise InputError(
             f"{POINTS}: no per-point time ({', '.join(TIME_FIELDS[:5])}); record it, or set deskewed: true "
@@ -163,6 +165,19 @@ def _to_root(tree: dict[str, tuple[str, Floats]], frame: str) -> tuple[str, Floa
         seen.add(frame)
         pose = step @ pose
     return frame, pose
+
+
+def check_frames(transforms: Iterable[Any]) -> None:
+    """Refuse transforms that are not numbers, no rotations, or a loop.
+
+    Raises
+    ------
+    InputError
+        Names the frame.
+    """
+    tree = _tree(transforms)
+    for frame in tree:
+        _to_root(tree, frame)
 
 
 def _from_tf(tree: dict[str, tuple[str, Floats]], base: str, frame: str) -> Floats | None:
