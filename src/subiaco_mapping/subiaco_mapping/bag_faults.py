@@ -90,8 +90,9 @@ def _fixes(reader: BagReader, config: MappingConfig) -> tuple[list[str], list[st
     if jumps.sum() > _SPOILT * len(jumps):
         return [f"{int(jumps.sum())} of {len(usable)} fixes jump, by up to {steps.max() / 1e3:.0f} km"], []
     cares = [f"{int(jumps.sum())} fixes jump, by up to {steps.max() / 1e3:.1f} km"] if jumps.any() else []
+    latitude, longitude = np.median(place, axis=0).tolist()
     try:
-        require_inside(*np.median(place, axis=0).tolist(), config.crs)
+        require_inside(latitude, longitude, config.crs)
     except InputError as error:
         cares.append(str(error))
     return [], cares
