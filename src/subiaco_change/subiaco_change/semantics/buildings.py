@@ -28,7 +28,7 @@ class BuildingConfig(StrictModel):
     plane_offset: float = Field(0.08, gt=0, description="distance to the neighbour's plane [m], paper")
     plane_area: float = Field(6.0, gt=0, description="planar area of a facade or roof [m2], paper")
     plane_cell: float = Field(0.5, gt=0, description="cell in which the area of a plane is counted [m]")
-    wire_height: float = Field(4.0, gt=0, description="lowest wire or palm frond [m]")
+    wire_height: float = Field(3.0, gt=0, description="lowest wire or palm frond [m]")
     wire_linearity: float = Field(
         0.42, gt=0, lt=1, description="mean linearity from which a patch so high is a bundle of lines"
     )
@@ -42,7 +42,7 @@ class BuildingConfig(StrictModel):
         0.4, gt=0, le=1, description="share of a plane's cells with four neighbours: wires have few"
     )
     wire_rise: float = Field(
-        0.6,
+        1.0,
         gt=0,
         description="largest standard deviation of heights in a bundle; sparse facades have more [m]",
     )
@@ -72,6 +72,9 @@ class BuildingConfig(StrictModel):
         0.25, gt=0, description="distance of its cells from the neighbour's plane [m]"
     )
     thick_area: float = Field(12.0, gt=0, description="least area of such a wall [m2]")
+    facade_width: float = Field(
+        0.3, gt=0, description="standard deviation along a facade; the face of a pole has less [m]"
+    )
     facade_top: float = Field(
         2.3, gt=0, description="height that a facade reaches; lower walls are other [m]"
     )
@@ -226,6 +229,7 @@ def _kinds(
     )
     slopes = ~upright & rough & (patches.residual > config.leafy_bend)
     fronds |= slopes
+    facade &= patches.width > config.facade_width
     building = (facade | roof) & ~fronds & ~leafy & ~(wires & (lowest > config.wire_height))
     return np.asarray(building), np.asarray(fronds & (patches.area > config.part_area))
 

@@ -156,7 +156,7 @@ def _classify(
         moving &= ~still_blocks(xyz, planes.core, moving, config.traffic)
     semantic[moving] = Semantic.MOBILE
     rest &= ~moving
-    rest &= ~find_lines(xyz, height, rest, config.lines)
+    rest &= ~find_lines(xyz, height, _reach(features, config), rest, planes.core, config.lines)
     foliage = (_find_foliage(height, features, parts, config) | planes.fronds) & rest
     body = rest & ~foliage & (features.linearity < config.vehicles.trunk_linearity)
     trucks, shelters = free_boxes(
@@ -182,6 +182,13 @@ def _classify(
     return semantic, moving, trucks & (semantic == Semantic.MOBILE)
 
 
+def _reach(features: Features, config: SemanticsConfig) -> Floats:
+    """Distance (N,) of the farthest neighbour that a shape is told from at least [m]."""
+    return np.asarray(
+        features.distances[:, min(config.features.min_neighbours, features.distances.shape[1] - 1)]
+    )
+
+
 def _find_ground(
     xyz: Floats, height: Floats, features: Features, parts: Ints, ground: GroundModel, config: SemanticsConfig
 ) -> Mask:
@@ -197,8 +204,7 @@ def _find_ground(
         & (height > -2 * config.ground_close)
         & ~(steep & (height > 0.5 * config.ground_distance))
     )
-    few = min(config.features.min_neighbours, features.distances.shape[1] - 1)
-    dense = features.distances[:, few] < config.features.radius  # else roughness is that of the terrain
+    dense = _reach(features, config) < config.features.radius  # else roughness is that of the terrain
     foot = dense & (features.roughness > config.foot_roughness) & (height > config.foot_height)
     return np.asarray(((claimed[parts] & (np.abs(height) < 2 * config.ground_close)) | near) & ~foot)
 
@@ -208,8 +214,7 @@ def _find_foliage(height: Floats, features: Features, parts: Ints, config: Seman
     count = int(parts.max()) + 1
     scatter = group_reduce(parts, np.sqrt(features.scatter), count)
     rough = group_reduce(parts, features.roughness, count)
-    few = min(config.features.min_neighbours, features.distances.shape[1] - 1)
-    sparse = group_reduce(parts, features.distances[:, few], count) > config.sparse_reach
+    sparse = group_reduce(parts, _reach(features, config), count) > config.sparse_reach
     leafy = (scatter > np.where(sparse, config.sparse_scatter, config.scatter)) & (rough > config.roughness)
     return np.asarray(leafy[parts] & (height > config.ground_close))
 
