@@ -28,7 +28,7 @@ class BuildingConfig(StrictModel):
     plane_offset: float = Field(0.08, gt=0, description="distance to the neighbour's plane [m], paper")
     plane_area: float = Field(6.0, gt=0, description="planar area of a facade or roof [m2], paper")
     plane_cell: float = Field(0.5, gt=0, description="cell in which the area of a plane is counted [m]")
-    wire_height: float = Field(3.0, gt=0, description="lowest wire or palm frond [m]")
+    wire_height: float = Field(4.0, gt=0, description="lowest wire or palm frond [m]")
     wire_linearity: float = Field(
         0.42, gt=0, lt=1, description="mean linearity from which a patch so high is a bundle of lines"
     )

@@ -19,6 +19,7 @@ from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
 
+_MAYBE = 0.75  # share of points near a cell that are in it or beside it, from which the discs are counted
 _AROUND = 2  # cells of a pole's width that are looked at on every side of it
 
 
@@ -42,10 +43,11 @@ class LineConfig(StrictModel):
     pole_layer: float = Field(0.5, gt=0, description="layer in which a pole shows [m]")
     pole_touch: float = Field(0.3, gt=0, description="cell in which the clear layers of a pole touch [m]")
     pole_width: float = Field(0.3, gt=0, description="half width of a pole with what is fixed to it [m]")
+    pole_ring: float = Field(0.9, gt=0, description="radius that is clear around a pole [m]")
     pole_clear: float = Field(0.7, gt=0, le=1, description="share of points near a layer that are the pole's")
     pole_length: float = Field(4.0, gt=0, description="length over which a pole stands clear [m]")
     pole_top: float = Field(5.0, gt=0, description="lowest top of a pole that passes through crowns [m]")
-    pole_straight: float = Field(0.16, gt=0, description="root mean square distance to its axis [m]")
+    pole_straight: float = Field(0.13, gt=0, description="root mean square distance to its axis [m]")
     pole_lean: float = Field(0.15, gt=0, description="largest slope of its axis against the vertical [m/m]")
     pole_foot: float = Field(3.0, gt=0, description="lowest point of a pole; edges of roofs hang higher [m]")
     pole_planar: float = Field(0.3, gt=0, le=1, description="share of a pole that lies in walls or roofs")
@@ -204,7 +206,14 @@ def _clear(xyz: Floats, height: Floats, config: LineConfig) -> Mask:
         (rows + index[:, 0]) * row + index[:, 1], return_inverse=True, return_counts=True
     )
     own, near = (_count_around(keys, count, row, reach) for reach in (1, _AROUND))
-    return np.asarray((own >= config.pole_clear * near)[cell])
+    clear = np.asarray((own >= _MAYBE * near)[cell])
+    layer = np.floor(height / config.pole_layer)
+    places = np.column_stack([xyz[:, :2], layer * 100.0])  # layers apart, so that a ball is a disc in one
+    tree, asked = cKDTree(places), places[clear]
+    narrow = tree.query_ball_point(asked, config.pole_width, return_length=True)
+    wide = tree.query_ball_point(asked, config.pole_ring, return_length=True)
+    clear[clear] = narrow >= config.pole_clear * wide
+    return clear
 
 
 @numba.njit(cache=True)
@@ -231,7 +240,7 @@ def _axis(xyz: Floats, height: Floats, config: LineConfig) -> tuple[Floats, Mask
     None where they do not stand straight over a pole's clear length.
     """
     axis = np.stack([[0.0, 0.0], np.median(xyz[:, :2], axis=0)])
-    for reach in (3.0, 2.0, 1.5, 1.0, 1.0):
+    for reach in (3.0, 1.5, 1.0):
         on = _aside(xyz, axis) < reach * config.pole_width
         if np.count_nonzero(on) < 8:
             return None
