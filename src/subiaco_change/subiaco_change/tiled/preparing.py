@@ -14,7 +14,8 @@ from subiaco_change.geometry import estimate_normals
 from subiaco_change.semantics.classes import label_points
 from subiaco_change.semantics.clustering import voxel_clusters
 from subiaco_change.semantics.instances import segment
-from subiaco_change.tiled.cutting import Side, load_observer
+from subiaco_change.tiled.cutting import Side
+from subiaco_change.tiled.expected import load_observer
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Semantic
 from subiaco_geo.errors import InputError
