@@ -1,5 +1,6 @@
 """The change directory is read back with the libraries that others use."""
 
+import csv
 import dataclasses
 import hashlib
 import json
@@ -20,7 +21,15 @@ from subiaco_change.outputs import table as outputs_table
 from subiaco_change.outputs.clouds import ASPRS_CODES, POINT_FIELDS, labelled_cloud
 from subiaco_change.outputs.raster import build_coverage, build_lod_raster, write_lod
 from subiaco_change.outputs.style import layer_qml
-from subiaco_change.outputs.table import ALL_COLUMNS, COLUMNS, build_table, object_uids, table_hash
+from subiaco_change.outputs.table import (
+    ALL_COLUMNS,
+    COLUMNS,
+    build_table,
+    object_uids,
+    read_csv,
+    table_hash,
+    write_csv,
+)
 from subiaco_change.records import CHANGE_COLOURS
 from subiaco_geo.cloud_io import read_cloud
 from subiaco_geo.clouds import PointCloud
@@ -224,6 +233,16 @@ def test_reviews_survive_a_rerun_and_changed_evidence_is_flagged(tmp_path, resul
     assert rows.loc[4, ["review", "note"]].tolist() == ["rejected", "a fence"]
     assert rows.loc[4, "evidence_changed"] == "label was Added"
     assert rows.loc[1, "review"] == ""
+
+
+def test_a_note_that_looks_like_a_formula_is_no_formula_in_the_csv_and_comes_back(tmp_path, result):
+    table = build_table(result.records, "EPSG:7850")
+    note = '=HYPERLINK("http://example.org")'
+    table.loc[0, "note"] = note
+    write_csv(tmp_path / "changes.csv", table)
+    cells = [row["note"] for row in csv.DictReader((tmp_path / "changes.csv").open(newline=""))]
+    assert cells[0] == f"'{note}"
+    assert read_csv(tmp_path / "changes.csv").loc[0, "note"] == note
 
 
 def test_a_review_survives_other_parameters_that_move_the_object_and_its_label(

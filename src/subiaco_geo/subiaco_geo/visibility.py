@@ -14,11 +14,13 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
+from subiaco_geo.array_files import read_arrays
 from subiaco_geo.atomic import whole_file
 from subiaco_geo.clouds import packable, voxel_indices, voxel_keys
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
 
+_SMALL = 4096  # more than the header and the values of a corner take [bytes]
 _LEVEL = 4  # of deflate; the usual 6, numpy's, takes five times as long for no fewer bytes here
 
 
@@ -106,6 +108,8 @@ def visibility_parts(path: Path, size: int = 1 << 20) -> Iterator[VisibilityGrid
 
 
 def _member(archive: zipfile.ZipFile, name: str) -> NDArray[Any]:
+    if archive.getinfo(f"{name}.npy").file_size > _SMALL:
+        raise ValueError(f"{name} is no corner or edge")
     with archive.open(f"{name}.npy") as stream:
         return np.asarray(np.lib.format.read_array(stream, allow_pickle=False))
 
@@ -129,10 +133,8 @@ def _rows(stream: IO[bytes], kind: np.dtype[Any], count: int) -> NDArray[Any]:
 
 def load_visibility(path: Path) -> VisibilityGrid:
     """Read a grid written by :func:`save_visibility`."""
-    try:
-        with np.load(path, allow_pickle=False) as data:
-            return VisibilityGrid(
-                data["origin"], float(data["voxel"]), data["keys"], data["hits"], data["passes"]
-            )
-    except (KeyError, ValueError, OSError, EOFError, BadZipFile, zlib.error) as error:
-        raise InputError(f"{path}: not a visibility layer ({error}); rebuild the map") from error
+    names = ("origin", "voxel", "keys", "hits", "passes")
+    data = read_arrays(path, names, "a visibility layer", "rebuild the map")
+    if not len(data["keys"]) == len(data["hits"]) == len(data["passes"]):
+        raise InputError(f"{path}: not a visibility layer (its columns differ in length); rebuild the map")
+    return VisibilityGrid(data["origin"], float(data["voxel"]), data["keys"], data["hits"], data["passes"])

@@ -3,18 +3,18 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from pydantic import Field
 
 from subiaco_change.changes.measures import Measures
-from subiaco_change.changes.outline import Outline
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.config import StrictModel
 
+_PATCH = 4.0  # voxels of a surface that are seen, or not, together
 #: Why nothing is said of an object that both epochs saw.
 NO_LEVEL = "not decidable: too few points lie here for a level of detection"
-_CERTAIN = 3.0  # standard errors by which an outline must have moved
 
 
 class ClassRules(StrictModel):
@@ -96,11 +96,15 @@ class DecisionConfig(StrictModel):
 
 @dataclass(frozen=True)
 class Decision:
-    """Label, the rule that gave it, and by how much it was met (1 is just met)."""
+    """Label, the rule that gave it, and by how much it was met (1 is just met).
+
+    ``sigmas``: standard deviations between the measure and its limit, positive beyond it; NaN where unknown.
+    """
 
     change: Change
     reason: str
     margin: float
+    sigmas: float = math.nan
 
 
 def decide(
@@ -110,6 +114,7 @@ def decide(
     measures: Measures,
     lod: float,
     config: DecisionConfig,
+    matched: Callable[[], Decision] | None = None,
 ) -> Decision:
     """Decide one object.
 
@@ -122,6 +127,8 @@ def decide(
     lod : float
         Median level of detection of its points [m]; inf where none is known.
     config : DecisionConfig
+    matched : callable, optional
+        Decides an object that can be compared in both epochs instead of the rules of its class.
     """
     if not _enough_seen(measures, in_before and in_after, config):
         share = measures.observed_fraction
@@ -135,7 +142,9 @@ def decide(
         return Decision(
             Change.UNCHANGED, f"matched, but overlap {measures.iou:.2f} is too small to compare", 0.5
         )
-    return _matched(semantic, measures, max(config.lod_factor * lod, config.lod_floor), rules)
+    if matched is not None:
+        return matched()
+    return _matched(measures, max(config.lod_factor * lod, config.lod_floor), rules)
 
 
 def _enough_seen(measures: Measures, matched: bool, config: DecisionConfig) -> bool:
@@ -152,13 +161,16 @@ def _enough_seen(measures: Measures, matched: bool, config: DecisionConfig) -> b
 
 def _single(in_after: bool, measures: Measures, config: DecisionConfig) -> Decision:
     empty = measures.new_share if in_after else measures.gone_share
+    sigmas = (empty - config.min_empty) / math.sqrt(
+        max(empty * (1 - empty), 0.01) / max(measures.seen_voxels / _PATCH, 1.0)
+    )
     if empty < config.min_empty:
         reason = f"no partner of its class, but {1 - empty:.0%} of the place is occupied in both epochs"
-        return Decision(Change.UNCHANGED, reason, (1 - empty) / max(1 - config.min_empty, 1e-9))
+        return Decision(Change.UNCHANGED, reason, (1 - empty) / max(1 - config.min_empty, 1e-9), sigmas)
     change = Change.ADDED if in_after else Change.REMOVED
     own, other = ("later", "earlier") if in_after else ("earlier", "later")
     reason = f"in the {own} survey alone; the {other} one saw its place, {empty:.0%} of it free"
-    return Decision(change, reason, empty / max(config.min_empty, 1e-9))
+    return Decision(change, reason, empty / max(config.min_empty, 1e-9), sigmas)
 
 
 def _mobile(measures: Measures, config: DecisionConfig) -> Decision:
@@ -169,13 +181,10 @@ def _mobile(measures: Measures, config: DecisionConfig) -> Decision:
     return Decision(Change.NOT_REPORTED, reason, 1.0)
 
 
-def _matched(semantic: Semantic, measures: Measures, gate: float, rules: ClassRules) -> Decision:
+def _matched(measures: Measures, gate: float, rules: ClassRules) -> Decision:
     """Decide by height or volume; where both directions fire, the volume's sign wins (Decision 12)."""
     if not math.isfinite(gate):
         return Decision(Change.UNOBSERVED, NO_LEVEL, 0.0)
-    moved = _outline(measures.outline, rules)
-    if moved is not None:
-        return moved
     limit = max(rules.height, gate)
     relative = measures.delta_v / max(measures.volume, 1e-6)
     height = measures.delta_h / limit if math.isfinite(measures.delta_h) else 0.0
@@ -185,30 +194,9 @@ def _matched(semantic: Semantic, measures: Measures, gate: float, rules: ClassRu
     evidence += f", {measures.carried:+.0%} of the surface new or gone"
     if up <= 1 and down <= 1:
         return Decision(Change.UNCHANGED, evidence, max(up, down))
-    if up > 1 and down > 1:
-        rising = measures.delta_v > 0
-        if semantic is Semantic.VEGETATION and abs(relative) < 0.01:
-            rising = measures.delta_h > 0
-    else:
-        rising = up > 1
+    rising = measures.delta_v > 0 if up > 1 and down > 1 else up > 1
     change = Change.INCREASED if rising else Change.DECREASED
     return Decision(change, evidence, up if rising else down)
-
-
-def _outline(outline: Outline, rules: ClassRules) -> Decision | None:
-    """Decide by the outline, where it moved far enough and beyond doubt."""
-    if not outline.known or not math.isfinite(rules.outline):
-        return None
-    strength = abs(outline.relative) / rules.outline
-    if (
-        strength <= 1
-        or abs(outline.shift) <= _CERTAIN * outline.sigma
-        or outline.shift * outline.relative < 0
-    ):
-        return None
-    reason = f"outline {outline.shift:+.2f} m (sd {outline.sigma:.2f}), {outline.relative:+.0%} of its reach"
-    change = Change.INCREASED if outline.shift > 0 else Change.DECREASED
-    return Decision(change, f"{reason} (gate {rules.outline:.0%})", strength)
 
 
 def _strengths(height: float, volume: float, measures: Measures, rules: ClassRules) -> tuple[float, float]:

@@ -119,12 +119,7 @@ def _label_ground(
     for number, item in enumerate(ground.patches):
         members = patch == number
         labels.change[members], labels.instance[members] = item.change, patch_ids[number]
-        labels.confidence[members] = patch_confidence(item.dz, item.lod)
-
-
-def patch_confidence(dz: float, lod: float, threshold: float = 0.15) -> float:
-    """Probability that the difference exceeds the threshold, LoD95 being 1.96 standard deviations."""
-    return float(ndtr((abs(dz) - threshold) / max(lod / 1.96, 0.01)))
+        labels.confidence[members] = item.confidence
 
 
 def patch_record(patch: GroundPatch, origin: Floats, z: float, evidence: str) -> ChangeRecord:
@@ -147,7 +142,7 @@ def patch_record(patch: GroundPatch, origin: Floats, z: float, evidence: str) ->
         observed_fraction=1.0,
         evidence=evidence,
         score_paper=_ground_score(patch.dz, patch.lod),
-        confidence=patch_confidence(patch.dz, patch.lod),
+        confidence=patch.confidence,
         n_before=0,
         n_after=0,
         x=float(centre.x + origin[0]),

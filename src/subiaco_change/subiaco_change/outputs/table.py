@@ -17,6 +17,7 @@ from shapely.geometry.base import BaseGeometry
 from subiaco_change.outputs.style import embed_styles
 from subiaco_change.records import ChangeRecord
 from subiaco_geo.codes import Semantic
+from subiaco_geo.csv_cells import escape_cell, restore_cell
 from subiaco_geo.errors import InputError
 
 #: Columns of the contract, in its order.
@@ -188,9 +189,12 @@ def table_hash(table: pd.DataFrame) -> str:
     return digest.hexdigest()[:16]
 
 
-def write_csv(path: Path, table: gpd.GeoDataFrame) -> None:
-    """Write every column but the footprint; missing values are empty."""
-    pd.DataFrame(table.drop(columns="geometry")).to_csv(path, index=False, lineterminator="\n")
+def write_csv(path: Path, table: pd.DataFrame, float_format: str | None = None) -> None:
+    """Write every column but the footprint; missing values are empty, and no text is a formula."""
+    frame = pd.DataFrame(table.drop(columns="geometry", errors="ignore"))
+    for name in frame.select_dtypes(["object", "string"]).columns:
+        frame[name] = frame[name].map(lambda cell: escape_cell(cell) if isinstance(cell, str) else cell)
+    frame.to_csv(path, index=False, lineterminator="\n", float_format=float_format)
 
 
 def read_csv(path: Path) -> pd.DataFrame:
@@ -213,7 +217,7 @@ def read_csv(path: Path) -> pd.DataFrame:
         if name not in frame.columns:
             frame[name] = "" if name in TEXT_COLUMNS else np.nan
     texts = [name for name in TEXT_COLUMNS if name in frame.columns]
-    frame[texts] = frame[texts].fillna("")
+    frame[texts] = frame[texts].fillna("").map(restore_cell)
     return frame
 
 

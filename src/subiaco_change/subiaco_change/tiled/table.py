@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -12,7 +12,7 @@ import shapely
 from subiaco_change.changes.ground_change import GroundPatch
 from subiaco_change.changes.labelling import patch_record
 from subiaco_change.records import ChangeRecord
-from subiaco_change.tiled.comparing import record_of
+from subiaco_change.tiled.deciding import record_of
 from subiaco_geo.codes import Change
 from subiaco_geo.frames import Floats
 from subiaco_geo.work.store import Arrays, Store
@@ -37,6 +37,7 @@ def build_table(
     counts: Sequence[int],
     origin: Floats,
     evidence: str,
+    trust: Callable[[ChangeRecord], ChangeRecord] = lambda row: row,
 ) -> Table:
     """Collect the rows.
 
@@ -44,12 +45,14 @@ def build_table(
     ----------
     store : Store
     compared, patched : mapping of str to str
-        Keys of compared objects and of patches, by tile.
+        Keys of decided objects and of patches, by tile.
     counts : (int, int)
         Objects of *before* and of *after*: pieces cut off later are numbered on from there.
     origin : (3,) float64
     evidence : str
         For rows of the ground.
+    trust : callable, optional
+        Lowers confidences that were never calibrated.
     """
     objects = {
         tile: [record_of(words) for words in json.loads(str(store.load(compared[tile])["records"]))]
@@ -77,7 +80,7 @@ def build_table(
     pieces: tuple[dict[tuple[str, int], int], ...] = ({}, {})
     records = [
         replace(
-            row,
+            trust(row),
             object_id=i,
             id_before=_named(row.id_before, tile, counts[0], pieces[0]),
             id_after=_named(row.id_after, tile, counts[1], pieces[1]),
@@ -111,6 +114,7 @@ def patch_of(words: Mapping[str, object]) -> GroundPatch:
         float(str(words["lod"])),
         np.zeros((0, 2), dtype=np.int64),
         shapely.from_wkb(str(words["outline"])),
+        float(str(words["confidence"])),
     )
 
 
