@@ -6,10 +6,11 @@ import numpy as np
 import pytest
 
 from subiaco_mapping.field_of_view import FieldOfView
-from subiaco_mapping.measurements import DeskewedScan
 
 
-def scan(low_deg: float, high_deg: float, distance: float, sky_deg: float | None = None) -> DeskewedScan:
+def scan(
+    low_deg: float, high_deg: float, distance: float, sky_deg: float | None = None
+) -> tuple[np.ndarray, np.ndarray]:
     def ring(elevation: np.ndarray, r: float) -> np.ndarray:
         azimuth = np.linspace(-np.pi, np.pi, len(elevation), endpoint=False)
         flat = np.cos(elevation)
@@ -17,12 +18,12 @@ def scan(low_deg: float, high_deg: float, distance: float, sky_deg: float | None
 
     xyz = ring(np.radians(np.linspace(low_deg, high_deg, 4000)), distance)
     sky = np.zeros((0, 3)) if sky_deg is None else ring(np.radians(np.full(500, sky_deg)), 40.0)
-    return DeskewedScan(0, xyz, np.zeros(len(xyz), dtype=np.float32), "none", sky_xyz=sky)
+    return xyz, sky
 
 
 def test_elevations_and_range_are_those_of_the_scans() -> None:
     view = FieldOfView(proven=10.0, longest=100.0)
-    view.add(scan(-16.6, 11.2, 30.0))
+    view.add(*scan(-16.6, 11.2, 30.0))
     found = view.view()
     assert found is not None
     assert np.degrees(found.elevation_min) == pytest.approx(-16.6, abs=0.2)
@@ -32,7 +33,7 @@ def test_elevations_and_range_are_those_of_the_scans() -> None:
 
 def test_beams_into_the_sky_belong_to_the_field_of_view_and_prove_their_range() -> None:
     view = FieldOfView(proven=40.0, longest=100.0)
-    view.add(scan(-16.6, 11.2, 15.0, sky_deg=22.4))
+    view.add(*scan(-16.6, 11.2, 15.0, sky_deg=22.4))
     found = view.view()
     assert found is not None
     assert np.degrees(found.elevation_max) == pytest.approx(22.4, abs=0.2)

@@ -6,7 +6,6 @@ import numpy as np
 
 from subiaco_geo.frames import Floats
 from subiaco_geo.free_space.sensor_view import SensorView
-from subiaco_mapping.measurements import DeskewedScan
 
 _ANGLE = np.radians(0.1)  # cells of elevation
 _RANGE = 0.5  # cells of range [m]
@@ -32,15 +31,15 @@ class FieldOfView:
         self._elevations = np.zeros(round(np.pi / _ANGLE), dtype=np.int64)
         self._ranges = np.zeros(max(int(np.ceil(longest / _RANGE)), 1), dtype=np.int64)
 
-    def add(self, scan: DeskewedScan) -> None:
-        """Take one scan."""
-        for xyz in (scan.xyz, scan.sky_xyz):
-            distance = np.linalg.norm(xyz, axis=1)
-            sine = np.clip(xyz[:, 2] / np.maximum(distance, 1e-9), -1.0, 1.0)
+    def add(self, xyz: Floats, sky_xyz: Floats) -> None:
+        """Take returns (N, 3) of a scan and ends (K, 3) of beams that met nothing [m, its own axes]."""
+        for beams in (xyz, sky_xyz):
+            distance = np.linalg.norm(beams, axis=1)
+            sine = np.clip(beams[:, 2] / np.maximum(distance, 1e-9), -1.0, 1.0)
             cell = ((np.arcsin(sine) + 0.5 * np.pi) / _ANGLE).astype(np.int64)
             last = len(self._elevations) - 1
             self._elevations += np.bincount(np.minimum(cell, last), minlength=last + 1)
-        self._ranges += _counted(np.linalg.norm(scan.xyz, axis=1), len(self._ranges))
+        self._ranges += _counted(np.linalg.norm(xyz, axis=1), len(self._ranges))
 
     def view(self) -> SensorView | None:
         """Return what was looked at; None without any beam."""

@@ -100,7 +100,7 @@ def _fuse(
             scan = spool.read(k)
             fusion.add(scan, pose, matrices[k], offsets[k])
             if done % _VIEWED == 0:
-                view.add(scan)
+                view.add(scan.xyz, scan.sky_xyz)
             done += 1
             if done % 10 == 0 or done == total:
                 report("fusing scans", done / total)
