@@ -155,3 +155,11 @@ def test_a_run_says_what_its_confidences_were_fitted_on_and_why_they_do_not_hold
     never = calibration_of({"observed"}, True, ConfidenceConfig(fitted_on=""))
     assert never.calibrated_for == {}
     assert never.lacking
+
+
+@pytest.mark.parametrize(("share", "most"), [(0.19, 0.85), (0.5, 0.94), (1.0, 1.0)])
+def test_a_claim_about_a_place_that_was_hardly_observed_is_never_sure(share, most):
+    sure = ConfidenceConfig(single=Coefficients(intercept=8.0, **dict.fromkeys(FEATURES, 0.0)))
+    row = Decision(Change.ADDED, "", 5.0)
+    found = confidence(row, replace(TYPICAL, observed_fraction=share), Semantic.BUILDING, 0.9, sure)
+    assert most - 0.02 < found <= most

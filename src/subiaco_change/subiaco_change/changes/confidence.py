@@ -40,6 +40,7 @@ FEATURES = (
 #: The first of these follow from the decision alone.
 _DECIDED = 2
 _CLAIMS = ("single", "reshaped")
+_TYPICAL_SHARE = 0.8  # observed share of a typical row
 _SIGMAS = 6.0  # standard deviations from a limit beyond which more say nothing new
 
 Kind = Literal["single", "reshaped", "unchanged"]
@@ -108,6 +109,13 @@ class ConfidenceConfig(StrictModel):
         le=1,
         description="highest confidence of rows whose kind of evidence or cloud was never calibrated",
     )
+    unseen: float = Field(
+        0.25,
+        ge=0,
+        le=1,
+        description="doubt about a claim on a place that the other survey did not observe at all. The doubt"
+        " falls with the square of the unobserved share; higher values are more cautious",
+    )
     single: Coefficients = Coefficients(
         intercept=2.003, margin=0.032, observed=0.314, size=1.055, purity=0.496, solid=-0.045
     )
@@ -170,7 +178,7 @@ def features(
     return np.array(
         [
             *decision_features(decision),
-            measures.observed_fraction - 0.8,
+            measures.observed_fraction - _TYPICAL_SHARE,
             math.log10(max(measures.seen_voxels, 1)) - 1.7,
             class_score - 0.7,
             float(semantic in (Semantic.BUILDING, Semantic.VEGETATION)),
@@ -202,7 +210,11 @@ def probability(decision: Decision, found: Floats, config: ConfidenceConfig) -> 
         return float(expit(1.0 + 2.0 * decision.margin))
     model: Coefficients = getattr(config, kind)
     slopes = np.array([getattr(model, name) for name in FEATURES])
-    return float(expit(model.intercept + slopes @ found))
+    p = float(expit(model.intercept + slopes @ found))
+    if kind not in _CLAIMS:
+        return p
+    hidden = min(max(1.0 - _TYPICAL_SHARE - found[FEATURES.index("observed")], 0.0), 1.0)
+    return min(p, 1.0 - config.unseen * hidden**2)
 
 
 def confidence(

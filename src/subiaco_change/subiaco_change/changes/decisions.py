@@ -165,11 +165,17 @@ def _single(in_after: bool, measures: Measures, config: DecisionConfig) -> Decis
         max(empty * (1 - empty), 0.01) / max(measures.seen_voxels / _PATCH, 1.0)
     )
     if empty < config.min_empty:
-        reason = f"no partner of its class, but {1 - empty:.0%} of the place is occupied in both epochs"
+        reason = (
+            f"No partner of its class, but {1 - empty:.0%} of the observed part is occupied in both surveys"
+            f" ({measures.observed_fraction:.0%} observed)."
+        )
         return Decision(Change.UNCHANGED, reason, (1 - empty) / max(1 - config.min_empty, 1e-9), sigmas)
     change = Change.ADDED if in_after else Change.REMOVED
     own, other = ("later", "earlier") if in_after else ("earlier", "later")
-    reason = f"in the {own} survey alone; the {other} one saw its place, {empty:.0%} of it free"
+    reason = (
+        f"Only the {own} survey has it; the {other} survey observed {measures.observed_fraction:.0%}"
+        f" of its place, and {empty:.0%} of that part was free (limit {config.min_empty:.0%})."
+    )
     return Decision(change, reason, empty / max(config.min_empty, 1e-9), sigmas)
 
 

@@ -39,7 +39,7 @@ class PlantConfig(StrictModel):
         4.0, gt=1, description="height in narrower sides from which on an object has no crown"
     )
     outline: OutlineConfig = OutlineConfig()
-    null: VegetationNullConfig = VegetationNullConfig()
+    null_model: VegetationNullConfig = VegetationNullConfig()
 
 
 def measure_plant(
