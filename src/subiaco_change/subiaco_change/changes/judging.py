@@ -7,12 +7,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from subiaco_change.changes.absence import absence
 from subiaco_change.changes.association import match_kind
 from subiaco_change.changes.association_costs import AssociationConfig
 from subiaco_change.changes.columns import BUILT_UP, OpenGround
 from subiaco_change.changes.decisions import Decision, DecisionConfig, decide
 from subiaco_change.changes.measures import MeasureConfig, Measures, measure
-from subiaco_change.changes.objects import Thing, join_voxels
+from subiaco_change.changes.objects import Free, Thing, join_voxels
 from subiaco_change.changes.outline import compare_outlines
 from subiaco_change.changes.passing import OwnSurvey, drove_by
 from subiaco_change.changes.sections import NOTHING
@@ -66,6 +67,7 @@ class ObjectRules:
     ground: OpenGround = BUILT_UP  # where nothing stands
     own: tuple[OwnSurvey | None, OwnSurvey | None] = (None, None)  # of *before* and of *after*
     standing: tuple[Floats, Floats] = (NOTHING, NOTHING)  # all points (N, 3) that stand, of any class
+    free: tuple[Free | None, Free | None] = (None, None)  # what *before* and *after* know to be free
 
 
 def decide_object(
@@ -76,6 +78,7 @@ def decide_object(
     if semantic is Semantic.VEGETATION and before and after:
         first, second = (np.concatenate([t.xyz for t in things]) for things in (before, after))
         measures = replace(measures, outline=compare_outlines(first, second, rules.measures.outline))
+    measures = replace(measures, free=absence(before, after, rules.free))
     lod = object_lod((*before, *after))
     decision = decide(semantic, bool(before), bool(after), measures, lod, rules.decisions)
     if decision.change in (Change.ADDED, Change.REMOVED):

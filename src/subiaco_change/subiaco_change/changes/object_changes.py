@@ -26,6 +26,7 @@ from subiaco_change.changes.passing import Observed, own_survey
 from subiaco_change.changes.revising import (
     adopt_fragments,
     agree_on_classes,
+    join_sides,
     join_wings,
     part_company,
     part_rows,
@@ -51,8 +52,9 @@ def compare_objects(
         own=(own_survey(before, seen_by_before), own_survey(after, seen_by_after)),
         standing=(before.xyz[stands(before)], after.xyz[stands(after)]),
     )
-    things_b = build_things(before, build_voxels(before, after, seen_by_after, edge, reach, step))
-    things_a = build_things(after, build_voxels(after, before, seen_by_before, edge, reach, step))
+    voxels_b = build_voxels(before, after, seen_by_after, edge, reach, step, rules.free[1])
+    voxels_a = build_voxels(after, before, seen_by_before, edge, reach, step, rules.free[0])
+    things_b, things_a = build_things(before, voxels_b), build_things(after, voxels_a)
     things_b, things_a = (part_things(things, rules.association.parts) for things in (things_b, things_a))
     if rules.by_class:
         things_b, things_a = agree_on_classes(things_b, things_a, rules.association, tolerance)
@@ -69,7 +71,7 @@ def compare_objects(
     changes = tell_apart(changes, rules)
     changes = part_rows(changes, rules)
     changes = part_sections(changes, rules)
-    changes = join_wings(changes, rules)
+    changes = join_sides(join_wings(changes, rules))
     return adopt_fragments(changes, things_b, things_a, rules.association, tolerance)
 
 
