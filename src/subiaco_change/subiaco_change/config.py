@@ -12,6 +12,7 @@ from subiaco_change.changes.confidence import ConfidenceConfig
 from subiaco_change.changes.decisions import DecisionConfig
 from subiaco_change.changes.ground_cells import GroundChangeConfig
 from subiaco_change.changes.measures import MeasureConfig
+from subiaco_change.changes.plants import PlantConfig
 from subiaco_change.observation.evidence import EvidenceConfig
 from subiaco_change.observation.lod import LodConfig
 from subiaco_change.observation.placing import PlacingConfig
@@ -60,6 +61,7 @@ class ChangeConfig(StrictModel):
     semantics: SemanticsConfig = SemanticsConfig()
     instances: InstanceConfig = InstanceConfig()
     measures: MeasureConfig = MeasureConfig()
+    plants: PlantConfig = PlantConfig()
     association: AssociationConfig = AssociationConfig()
     decisions: DecisionConfig = DecisionConfig()
     ground: GroundChangeConfig = GroundChangeConfig()

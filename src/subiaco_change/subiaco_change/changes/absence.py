@@ -39,7 +39,7 @@ def absence(before: Sequence[Thing], after: Sequence[Thing], free: tuple[Free | 
 def opacity(things: Sequence[Thing]) -> float | None:
     """Share of the beams of its own survey that an object returned; None where nothing counted them."""
     passed = np.concatenate([t.passed for t in things])
-    return None if len(passed) == 0 else float(1.0 / (1.0 + np.median(passed)))
+    return None if len(passed) == 0 else float(1.0 / (1.0 + passed.mean()))
 
 
 def porous_chance(chance: Floats, returned: float | None) -> Floats:

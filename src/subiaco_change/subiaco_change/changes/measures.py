@@ -13,11 +13,8 @@ from shapely.geometry.base import BaseGeometry
 
 from subiaco_change.changes.columns import BUILT_UP, OpenGround, compare_volumes, stands_alone
 from subiaco_change.changes.objects import Reach, Voxels
-from subiaco_change.changes.outline import Outline, OutlineConfig
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats
-
-NO_OUTLINE = Outline()
 
 
 class MeasureConfig(StrictModel):
@@ -53,7 +50,6 @@ class MeasureConfig(StrictModel):
     )
     bins: int = Field(10, ge=2, description="bins of the height histogram, paper")
     top_quantile: float = Field(0.95, gt=0.5, le=1, description="h95, paper")
-    outline: OutlineConfig = OutlineConfig()
 
 
 def same_place(config: MeasureConfig) -> Reach:
@@ -87,7 +83,6 @@ class Measures:
     seen_voxels: int
     carried: float = 0.0
     carried_columns: float = 0.0
-    outline: Outline = NO_OUTLINE
     free: float = 1.0
 
 
