@@ -165,7 +165,10 @@ def _tree(transforms: Iterable[Any]) -> dict[str, tuple[str, Floats]]:
             raise InputError(
                 f"{TF_STATIC}: {item.child_frame_id}: its rotation is no unit quaternion; correct it"
             )
-        pose = pose_from_quaternion(_vector(item.transform.translation), quaternion)
+        place = _vector(item.transform.translation)
+        if not np.isfinite(place).all():
+            raise InputError(f"{TF_STATIC}: {item.child_frame_id}: its translation is not finite; correct it")
+        pose = pose_from_quaternion(place, quaternion)
         tree[item.child_frame_id.lstrip("/")] = (item.header.frame_id.lstrip("/"), pose)
     return tree
 

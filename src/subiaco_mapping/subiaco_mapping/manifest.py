@@ -64,6 +64,7 @@ LEGEND = {
     "packets": "LiDAR packets of the whole recording: received, lost, late, duplicate, reordered, malformed",
     "dropped_scans": "scans without points or out of order",
     "imu_out_of_order": "IMU samples that were not newer than the one before",
+    "imu_implausible": "IMU samples with NaN or with values beyond any sensor's range; they are left out",
     "arrivals_odometry": "live, up to its last second: sensor messages at the odometry, by topic",
     "arrivals_pose_graph": "live: messages at the pose graph, by topic",
     "before_start": "published before the process listened",

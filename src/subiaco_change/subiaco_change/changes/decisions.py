@@ -12,6 +12,7 @@ from subiaco_change.changes.measures import Measures
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.config import StrictModel
 
+_PATCH = 4.0  # voxels of a surface that are seen, or not, together
 #: Why nothing is said of an object that both epochs saw.
 NO_LEVEL = "not decidable: too few points lie here for a level of detection"
 
@@ -156,19 +157,25 @@ def _enough_seen(measures: Measures, config: DecisionConfig) -> bool:
 
 def _single(in_after: bool, measures: Measures, config: DecisionConfig) -> Decision:
     empty = measures.new_share if in_after else measures.gone_share
+    sigmas = (empty - config.min_empty) / math.sqrt(
+        max(empty * (1 - empty), 0.01) / max(measures.seen_voxels / _PATCH, 1.0)
+    )
     if empty < config.min_empty:
-        reason = f"no partner of its class, but {1 - empty:.0%} of the place is occupied in both epochs"
-        return Decision(Change.UNCHANGED, reason, (1 - empty) / max(1 - config.min_empty, 1e-9))
-    if measures.free < config.min_free:
         reason = (
-            f"too few beams crossed the place of so open an object: {measures.free:.0%} sure that it is free"
+            f"No partner of its class, but {1 - empty:.0%} of the observed part is occupied in both surveys"
+            f" ({measures.observed_fraction:.0%} observed)."
         )
+        return Decision(Change.UNCHANGED, reason, (1 - empty) / max(1 - config.min_empty, 1e-9), sigmas)
+    if measures.free < config.min_free:
+        reason = f"Too few beams for so open an object: {measures.free:.0%} sure that its place is free."
         return Decision(Change.UNOBSERVED, reason, 1.0 - measures.free)
     change = Change.ADDED if in_after else Change.REMOVED
     own, other = ("later", "earlier") if in_after else ("earlier", "later")
-    seen = f"the {other} one saw {measures.observed_fraction:.0%} of its place"
-    reason = f"in the {own} survey alone; {seen}, {empty:.0%} of that free"
-    return Decision(change, reason, empty / max(config.min_empty, 1e-9))
+    reason = (
+        f"Only the {own} survey has it; the {other} survey observed {measures.observed_fraction:.0%}"
+        f" of its place, and {empty:.0%} of that part was free (limit {config.min_empty:.0%})."
+    )
+    return Decision(change, reason, empty / max(config.min_empty, 1e-9), sigmas)
 
 
 def _mobile(measures: Measures, config: DecisionConfig) -> Decision:

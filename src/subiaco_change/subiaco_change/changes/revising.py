@@ -210,7 +210,7 @@ def _of_section(change: ObjectChange, section: Section, rules: ObjectRules, *, o
     if change.plant is None:
         return change
     plant = replace(change.plant, section=section.rise, section_gate=section.gate, section_only=only)
-    decision = decide_plant(plant, change.lod, rules.decisions, no_null(rules.plants.null))
+    decision = decide_plant(plant, change.lod, rules.decisions, no_null(rules.plants.null_model))
     return replace(change, plant=plant, decision=decision)
 
 

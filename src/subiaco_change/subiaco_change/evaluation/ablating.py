@@ -30,6 +30,7 @@ DECISIONS: dict[int, tuple[str, ...]] = {
     12: ("ground.cell", "ground.closing"),
     13: ("evidence.source", "decisions.building", "decisions.vegetation"),
     14: ("decisions.min_observed", "decisions.min_voxels"),
+    18: ("plants.null_model.enabled",),
 }
 FULL = "full"
 #: What tells a directory of ablations from another folder.

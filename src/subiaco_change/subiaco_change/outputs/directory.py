@@ -15,6 +15,7 @@ from typing import Any
 import geopandas as gpd
 import pandas as pd
 
+from subiaco_change.changes.confidence import Calibration
 from subiaco_change.outputs import table as outputs_table
 from subiaco_change.outputs.clouds import write_labelled
 from subiaco_change.outputs.hashing import hash_path
@@ -65,8 +66,8 @@ _PACKAGES = (
 class ChangeInputs:
     """Where the two epochs came from; ``notes`` are further facts for ``run.json``.
 
-    ``calibrated`` tells whether the confidences were calibrated; the report
-    warns where they were not. ``ellipsoidal`` tells that heights are known to
+    ``calibration`` tells what the confidences were fitted on; the report
+    says where they were not calibrated. ``ellipsoidal`` tells that heights are known to
     be ellipsoidal, so that the LAZ files may say so. ``lots`` are
     those of :func:`~subiaco_change.outputs.parcels.read_lots`, for the layer ``parcels``.
     """
@@ -74,7 +75,7 @@ class ChangeInputs:
     before: Path | None = None
     after: Path | None = None
     notes: Mapping[str, Any] = field(default_factory=dict)
-    calibrated: bool = False
+    calibration: Calibration = field(default_factory=Calibration)
     ellipsoidal: bool = False
     lots: gpd.GeoDataFrame | None = None
 
@@ -131,7 +132,9 @@ def run_document(
         "points": dict(points),
         "compared_area_m2": coverage.area(1),
         "undecided_area_m2": coverage.area(4),
-        "confidence_calibrated": inputs.calibrated,
+        "confidence_calibrated": not inputs.calibration.lacking,
+        "confidence_calibrated_for": dict(inputs.calibration.calibrated_for),
+        "confidence_not_calibrated": list(inputs.calibration.lacking),
         "seconds": dict(result.seconds),
         "stages": dict(result.costs) if isinstance(result, TiledResult) else {},
         "peak_memory_mib": peak_mib(),

@@ -173,6 +173,7 @@ def report_context(change: ChangeDirectory, found: Gathered) -> dict[str, Any]:
         "simulated": is_simulated(change.run),
         "warnings": [*change.run.get("warnings", []), *change.registration.get("warnings", [])],
         "calibrated": bool(change.run.get("confidence_calibrated", False)),
+        "not_calibrated": change.run.get("confidence_not_calibrated", []),
         "assumed": int((change.table["evidence"] == "assumed").sum()),
     }
 

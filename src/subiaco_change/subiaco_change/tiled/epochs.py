@@ -46,6 +46,7 @@ from subiaco_geo.frames import Floats
 from subiaco_geo.free_space.expected_visibility import occupied_corner, sample_poses
 from subiaco_geo.free_space.sensor_view import SensorView, described_view
 from subiaco_geo.free_space.view_estimation import ViewHistogram, estimate_view
+from subiaco_geo.simulated import SIMULATIONS
 from subiaco_geo.sources import Epoch
 from subiaco_geo.tiles import neighbours, split_by_tile, tile_named
 from subiaco_geo.trajectories import Trajectory
@@ -88,6 +89,7 @@ class Epochs:
     united: dict[str, str] = field(default_factory=dict)
     points: dict[str, dict[str, str]] = field(default_factory=dict)
     lit: dict[str, bool] = field(default_factory=dict)
+    simulated: bool = False
 
     @property
     def size(self) -> float:
@@ -109,6 +111,7 @@ class Epochs:
             or georeferenced epochs whose extents are disjoint.
         """
         before, after = epochs
+        self.simulated = all(epoch.info.get(SIMULATIONS) for epoch in epochs)
         self.info, operation = agree(before.crs, after.crs)
         both = before.crs is not None and after.crs is not None
         self.origin = after.origin
