@@ -63,7 +63,7 @@ class DecisionConfig(StrictModel):
         0.6, ge=0, le=1, description="share of the observed place that must be free in the other epoch"
     )
     min_free: float = Field(
-        0.7,
+        0.65,
         ge=0.5,
         lt=1,
         description="how sure it must be, on average over the place, that nothing stands there as open to"
