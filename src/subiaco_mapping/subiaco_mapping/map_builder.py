@@ -17,7 +17,7 @@ from subiaco_geo.trajectories import Trajectory
 from subiaco_mapping.config import GnssConfig, ManifestConfig, MappingConfig
 from subiaco_mapping.finishing import FinishedMap, MapFusion
 from subiaco_mapping.heights import height_table
-from subiaco_mapping.manifest import LEGEND, describe_sequence
+from subiaco_mapping.manifest import CONTRADICTED, LEGEND, describe_sequence, stretches
 from subiaco_mapping.projection import Projection
 from subiaco_mapping.sequences import SequenceRecord
 from subiaco_mapping.solution import GraphSolution
@@ -154,14 +154,21 @@ def describe(
             "refused": solved.fixes_refused,
             "unattached": solved.fixes_unattached,
             "downweighted": solved.fixes_downweighted,
+            "contradicting": solved.fixes_contradicting,
             "headings_used": solved.headings_used,
             "states": solved.gnss_states,
         }
+        if solved.fixes_contradicting > config.max_contradicting * solved.fixes_used:
+            whole = np.ones(len(solved.stamps_ns), dtype=np.bool_)
+            facts["flagged"][CONTRADICTED] = stretches(
+                whole, solved.stamps_ns, solved.T_local_lidar[:, :3, 3]
+            )
         facts["dropped_points"] = sequence.dropped_points
         described[sequence.name] = {**facts, **sequence.facts}
     return {
         "georeferenced": solution.frame is not None,
         "reason": solution.reason,
+        CONTRADICTED: any(CONTRADICTED in facts["flagged"] for facts in described.values()),
         "sequences": described,
         "loops": solution.loops.described(),
         "legend": LEGEND,
