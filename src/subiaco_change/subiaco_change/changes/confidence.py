@@ -241,7 +241,14 @@ def confidence(
     decision: Decision, measures: Measures, semantic: Semantic, class_score: float, config: ConfidenceConfig
 ) -> float:
     """Return the probability that the label is right; for a place not observed, how much was not."""
-    return probability(decision, features(decision, measures, semantic, class_score), config)
+    return bounded(
+        probability(decision, features(decision, measures, semantic, class_score), config), decision, measures
+    )
+
+
+def bounded(fitted: float, decision: Decision, measures: Measures) -> float:
+    """Bound the confidence of what stands in one epoch alone by how surely its place was free there."""
+    return min(fitted, measures.free) if kind_of(decision.change) == "single" else fitted
 
 
 def decided_anew(record: ChangeRecord, decision: Decision, config: ConfidenceConfig) -> ChangeRecord:
