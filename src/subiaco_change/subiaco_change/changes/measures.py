@@ -36,6 +36,13 @@ class MeasureConfig(StrictModel):
         description="height above ground up to which standing and lying cannot be told apart: the foot of an"
         " object where the other epoch met ground is left out [m]",
     )
+    free: float = Field(
+        0.7,
+        gt=0.5,
+        lt=1,
+        description="probability of being free from which a place where nothing is counts as seen; one beam"
+        " that went through gives 0.75",
+    )
     crossing: float = Field(
         1.0, gt=0, description="looked so far on both sides of a surface, an epoch crossed its place [m]"
     )
@@ -49,7 +56,7 @@ class MeasureConfig(StrictModel):
 
 def same_place(config: MeasureConfig) -> Reach:
     """Return when points of the other epoch occupy a place."""
-    return Reach(config.same_low, config.same_high, config.same_factor, config.foot)
+    return Reach(config.same_low, config.same_high, config.same_factor, config.foot, config.free)
 
 
 @dataclass(frozen=True)
@@ -59,7 +66,8 @@ class Measures:
     Lengths [m], volumes [m3]; NaN where a side is empty. ``volume`` is that of
     the columns that stood before; ``seen_voxels`` the number that entered.
     ``carried`` is the share of the surface that is new (positive) or gone
-    (negative) on balance, counting only places that the other epoch looked across.
+    (negative) on balance, counting only places that the other epoch looked across. ``free`` is the mean
+    probability of being free, in the other epoch, of the places where it holds nothing.
     Of buildings, ``height_bounds`` and ``volume_bounds`` are what space carving leaves
     possible (Decision 17), ``delta_h`` and ``delta_v`` their middles.
     """
@@ -79,6 +87,7 @@ class Measures:
     carried: float = 0.0
     height_bounds: Interval | None = None
     volume_bounds: Interval | None = None
+    free: float = 1.0
 
 
 def measure(
