@@ -385,7 +385,7 @@ def _whole(state: _State, voxels: tuple[Voxels, Voxels], gained: Cells, frame: _
         return 0.0
     xy = np.concatenate([v.xyz[:, :2] for v in voxels])
     slot = frame.slots(xy)
-    old = ~gained.any(axis=2)[slot[:, 0], slot[:, 1]]
+    old = ~np.asarray(gained.any(axis=2))[slot[:, 0], slot[:, 1]]
     old[: len(voxels[0])] = True
     slot = slot[old] if old.any() else slot
     low, high = np.quantile(slot, [0.005, 0.995], axis=0).astype(np.int64)
