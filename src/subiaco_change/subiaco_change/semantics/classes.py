@@ -21,6 +21,7 @@ from subiaco_change.semantics.clustering import group_indices, group_reduce, vox
 from subiaco_change.semantics.features import FeatureConfig, Features, compute_features
 from subiaco_change.semantics.ground import GroundConfig, GroundModel, Mask, fit_ground
 from subiaco_change.semantics.lines import LineConfig, find_lines
+from subiaco_change.semantics.raised import RaisedConfig, RaisedSurfaces, find_raised
 from subiaco_change.semantics.superpoints import SuperpointConfig, partition
 from subiaco_change.semantics.traffic import TrafficConfig, moving_points, still_blocks
 from subiaco_change.semantics.vehicles import VehicleConfig, free_boxes, ground_boxes, look_again
@@ -34,6 +35,7 @@ class SemanticsConfig(StrictModel):
     """Rules of the five classes; heights are above the local ground model."""
 
     ground: GroundConfig = GroundConfig()
+    raised: RaisedConfig = RaisedConfig()
     features: FeatureConfig = FeatureConfig()
     superpoints: SuperpointConfig = SuperpointConfig()
     traffic: TrafficConfig = TrafficConfig()
@@ -96,7 +98,12 @@ class SemanticResult:
     large: Mask
 
 
-def label_points(cloud: PointCloud, config: SemanticsConfig, passed: Floats | None = None) -> SemanticResult:
+def label_points(
+    cloud: PointCloud,
+    config: SemanticsConfig,
+    passed: Floats | None = None,
+    raised: RaisedSurfaces | None = None,
+) -> SemanticResult:
     """Label every point of a cloud at the working leaf.
 
     Parameters
@@ -107,10 +114,13 @@ def label_points(cloud: PointCloud, config: SemanticsConfig, passed: Floats | No
     passed : (N,) float, optional
         Beams that passed through the place of each point for each that returned
         from it, from a visibility layer; tells trails of traffic.
+    raised : RaisedSurfaces, optional
+        Roofs and decks in the frame of the cloud, known from farther around; found in the cloud if None.
     """
     order = sort_spatially(cloud.xyz)
     xyz = cloud.xyz[order]
-    ground = fit_ground(xyz, config.ground)
+    surfaces = find_raised(xyz, config.raised) if raised is None else raised
+    ground = fit_ground(xyz, config.ground, surfaces)
     height = xyz[:, 2] - ground.height(xyz[:, :2])
     features = compute_features(xyz, config.features)
     parts = partition(_superpoint_features(features, height, config), features.neighbours, config.superpoints)
