@@ -63,5 +63,6 @@ def test_cells_count_as_without_a_level_where_fewer_than_half_of_their_points_ha
     found = lod_statement(LodRaster(levels, claimed, 0.0, 0.0, 5.0))
     assert found["share_without"] == pytest.approx(2 / 5)
     assert found["median_m"] == pytest.approx(0.08)
+    assert found["median_where_known_m"] == pytest.approx(0.05)
     empty = lod_statement(LodRaster(levels, np.full((2, 3), 0.2, np.float32), 0.0, 0.0, 5.0))
-    assert empty == {"median_m": None, "share_without": 1.0}
+    assert empty == {"median_m": None, "median_where_known_m": None, "share_without": 1.0}

@@ -59,14 +59,15 @@ class DecisionConfig(StrictModel):
     min_observed: float = Field(
         0.3, ge=0, le=1, description="observed share below which nothing is claimed, Decision 14"
     )
-    min_observed_free: float = Field(
-        0.1,
-        ge=0,
-        le=1,
-        description="the same for an unmatched object whose observed part is free almost everywhere",
-    )
     min_empty: float = Field(
         0.6, ge=0, le=1, description="share of the observed place that must be free in the other epoch"
+    )
+    min_free: float = Field(
+        0.65,
+        ge=0.5,
+        lt=1,
+        description="how sure it must be, on average over the place, that nothing stands there as open to"
+        " beams as the object is in its own survey",
     )
     trail_passes: float = Field(
         2.0,
@@ -91,7 +92,9 @@ class DecisionConfig(StrictModel):
         0.65, gt=0, le=1, description="share of its surface on both sides of which its own survey looked"
     )
     trail_top: float = Field(3.8, gt=0, description="highest point of what drives by [m]")
-    min_voxels: int = Field(4, ge=1, description="observed voxels below which nothing is claimed")
+    min_voxels: int = Field(
+        3, ge=1, description="observed voxels above the foot below which nothing is claimed"
+    )
 
 
 @dataclass(frozen=True)
@@ -130,7 +133,7 @@ def decide(
     matched : callable, optional
         Decides an object that can be compared in both epochs instead of the rules of its class.
     """
-    if not _enough_seen(measures, in_before and in_after, config):
+    if not _enough_seen(measures, config):
         share = measures.observed_fraction
         return Decision(Change.UNOBSERVED, f"the other epoch observed {share:.0%} of the place", 1.0 - share)
     if not (in_before and in_after):
@@ -147,16 +150,9 @@ def decide(
     return _matched(measures, max(config.lod_factor * lod, config.lod_floor), rules)
 
 
-def _enough_seen(measures: Measures, matched: bool, config: DecisionConfig) -> bool:
+def _enough_seen(measures: Measures, config: DecisionConfig) -> bool:
     """Tell whether the other epoch observed enough of the place to claim anything."""
-    if measures.seen_voxels < config.min_voxels:
-        return False
-    if measures.observed_fraction >= config.min_observed:
-        return True
-    free = (
-        max(measures.gone_share, measures.new_share) >= 0.9 and measures.seen_voxels >= 4 * config.min_voxels
-    )
-    return not matched and free and measures.observed_fraction >= config.min_observed_free
+    return measures.seen_voxels >= config.min_voxels and measures.observed_fraction >= config.min_observed
 
 
 def _single(in_after: bool, measures: Measures, config: DecisionConfig) -> Decision:
@@ -170,6 +166,9 @@ def _single(in_after: bool, measures: Measures, config: DecisionConfig) -> Decis
             f" ({measures.observed_fraction:.0%} observed)."
         )
         return Decision(Change.UNCHANGED, reason, (1 - empty) / max(1 - config.min_empty, 1e-9), sigmas)
+    if measures.free < config.min_free:
+        reason = f"Too few beams for so open an object: {measures.free:.0%} sure that its place is free."
+        return Decision(Change.UNOBSERVED, reason, 1.0 - measures.free)
     change = Change.ADDED if in_after else Change.REMOVED
     own, other = ("later", "earlier") if in_after else ("earlier", "later")
     reason = (

@@ -129,15 +129,20 @@ def lod_statement(raster: LodRaster) -> dict[str, float | None]:
     -------
     dict
         ``median_m``: median LoD95 over all cells with points, None where half of them or more have
-        none; ``share_without``: share of these cells in which fewer than half of the points have one.
+        none; ``median_where_known_m``: the same over the cells that have one; ``share_without``: share
+        of the cells with points in which fewer than half of the points have one.
     """
     seen = np.isfinite(raster.claimed)
     if not seen.any():
-        return {"median_m": None, "share_without": 1.0}
+        return {"median_m": None, "median_where_known_m": None, "share_without": 1.0}
     without = ~(raster.claimed[seen] >= _MOSTLY)
     levels = np.where(without | np.isnan(raster.lod95[seen]), np.inf, raster.lod95[seen])
-    median = float(np.median(levels))
-    return {"median_m": median if np.isfinite(median) else None, "share_without": float(without.mean())}
+    median, known = float(np.median(levels)), levels[np.isfinite(levels)]
+    return {
+        "median_m": median if np.isfinite(median) else None,
+        "median_where_known_m": float(np.median(known)) if len(known) else None,
+        "share_without": float(without.mean()),
+    }
 
 
 def build_lod_raster(before: PointCloud, after: PointCloud, cell: float = 5.0) -> LodRaster:

@@ -32,12 +32,13 @@ from subiaco_change.registration.plausibility import (
 from subiaco_change.spacing import PointSpacing, pair_spacing
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.errors import InputError, RegistrationError
-from subiaco_geo.frames import Floats, invert_pose, rotation_angle, transform_points
+from subiaco_geo.frames import Floats, Ints, invert_pose, rotation_angle, transform_points
 
 Mask = NDArray[np.bool_]
 _POLISHES = 2  # the second takes its width from the residuals of the first
 _NARROWEST = 0.02  # biweight of a fit [m]
 _GROUPS, _GROUP_ITERATIONS = 8, 6  # of blocks that are fitted on their own
+_SMALLEST = 2.5  # edge of such a block, at the spacing of a street [m]
 _GAUSSIANS = 50  # below which NDT says nothing
 _COLUMN = 2.0  # edge of the columns of the overlap, at the spacing of a street [m]
 _LYING = 0.8  # |n_z| of what says nothing of a level shift
@@ -247,8 +248,7 @@ def fit_groups(
     """
     source = _thinned(before.levels[-1], config.icp_points)
     noise = _noise(source, target, pose, config) if config.polish > 0 else None
-    block = np.floor(transform_points(pose, source.xyz)[:, :2] / config.block).astype(np.int64)
-    names, member = np.unique(block, axis=0, return_inverse=True)
+    names, member = _blocks(transform_points(pose, source.xyz), config.block, _SMALLEST * before.scale)
     group = np.random.default_rng(config.seed).permutation(len(names))[member.ravel()] % _GROUPS
     twists = []
     for k in range(_GROUPS):
@@ -265,6 +265,19 @@ def fit_groups(
     if len(twists) < 3:
         return np.zeros((6, 6))
     return np.atleast_2d(np.cov(np.array(twists).T)) / len(twists)
+
+
+def _blocks(xyz: Floats, edge: float, smallest: float) -> tuple[Ints, Ints]:
+    """Blocks (K, 2) of an edge [m] and the block (N,) of every point.
+
+    The edge is halved until every group has four blocks, so that each group sees the whole of a small site.
+    """
+    while True:
+        block = np.floor(xyz[:, :2] / edge).astype(np.int64)
+        names, member = np.unique(block, axis=0, return_inverse=True)
+        if len(names) >= 4 * _GROUPS or edge < 2.0 * smallest:
+            return names, member
+        edge *= 0.5
 
 
 def twist_between(one: Floats, other: Floats, centre: Floats) -> Floats:
