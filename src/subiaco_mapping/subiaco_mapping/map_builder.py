@@ -84,11 +84,12 @@ def _fuse(
     fusion = MapFusion(folder, config.fusion, projection, solution.sequences[0].T_local_lidar[0, :3, 3])
     total = sum(len(sequence.stamps_ns) for sequence in solution.sequences)
     done = 0
-    spools = [s.spool for s in sequences]
-    for spool, sequence in zip(spools, solution.sequences, strict=True):
+    pairs = zip((s.spool for s in sequences), solution.sequences, strict=True)
+    for spool, sequence in sorted(pairs, key=lambda pair: int(pair[1].stamps_ns[0])):
         matrices, offsets = projection.affine(sequence.T_local_lidar[:, :3, 3])
         for k, pose in enumerate(sequence.T_local_lidar):
-            fusion.add(spool.read(k), pose, matrices[k], offsets[k])
+            stamp_ns = int(sequence.stamps_ns[k])
+            fusion.add(spool.read(k), pose, matrices[k], offsets[k], stamp_ns)
             done += 1
             if done % 10 == 0 or done == total:
                 report("fusing scans", done / total)
