@@ -29,49 +29,52 @@ Counts = NDArray[np.uint16]
 
 
 @numba.njit(cache=True, inline="always")
-def _open(row, window, least):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Close the window that a voxel was last looked at in, and open another."""
-    state = row[_STATE]
-    after = state & (_AFTER_HIT | _BEGAN_HIT)
+def _closed(state, least):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Return the state of a voxel at the beginning of a window, from that at the end of the last one."""
     if state & _HIT:
-        after |= _AFTER_HIT
-    elif (state & _BEAMS) >= least:
-        after &= _BEGAN_HIT
-    row[_WINDOW] = window
-    row[_STATE] = after
-
-
-@numba.njit(cache=True, inline="always")
-def look_through(row, window, least):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
-    """Count a beam that went through a voxel; ``row`` (COLUMNS,) is its running state."""
-    if row[_WINDOW] != window:
-        _open(row, window, least)
-    beams = row[_STATE] & _BEAMS
-    if beams < least:
-        row[_STATE] += 1
-        if beams + 1 == least and not row[_STATE] & _HIT:
-            row[_THROUGH] += 1
-
-
-@numba.njit(cache=True, inline="always")
-def look_hit(row, window, least):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
-    """Count a return from a voxel; ``row`` (COLUMNS,) is its running state."""
-    if row[_WINDOW] != window:
-        _open(row, window, least)
-    state = row[_STATE]
-    if state & _HIT:
-        return
+        return (state & _BEGAN_HIT) | _AFTER_HIT
     if (state & _BEAMS) >= least:
-        row[_THROUGH] -= 1
-    if row[_HITS] == 0:
-        row[_FIRST] = window
-        if row[_THROUGH] == 0:
+        return state & _BEGAN_HIT
+    return state & (_AFTER_HIT | _BEGAN_HIT)
+
+
+@numba.njit(cache=True, inline="always")
+def look_through(rows, slot, window, least):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Count a beam that went through a voxel; ``rows`` (M, COLUMNS) hold the running states."""
+    state = np.int64(rows[slot, _STATE])
+    if rows[slot, _WINDOW] == window:
+        if (state & _BEAMS) >= least:
+            return
+        state += 1
+    else:
+        rows[slot, _WINDOW] = window
+        state = _closed(state, least) + 1
+    rows[slot, _STATE] = state
+    if (state & _BEAMS) == least and not state & _HIT:
+        rows[slot, _THROUGH] += 1
+
+
+@numba.njit(cache=True, inline="always")
+def look_hit(rows, slot, window, least):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Count a return from a voxel; ``rows`` (M, COLUMNS) hold the running states."""
+    state = np.int64(rows[slot, _STATE])
+    if rows[slot, _WINDOW] == window:
+        if state & _HIT:
+            return
+        if (state & _BEAMS) >= least:
+            rows[slot, _THROUGH] -= 1
+    else:
+        rows[slot, _WINDOW] = window
+        state = _closed(state, least)
+    if rows[slot, _HITS] == 0:
+        rows[slot, _FIRST] = window
+        if rows[slot, _THROUGH] == 0:
             state |= _BEGAN_HIT
-    row[_LAST] = window
-    row[_HITS] += 1
+    rows[slot, _LAST] = window
+    rows[slot, _HITS] += 1
     if not state & _AFTER_HIT:
-        row[_RUNS] += 1
-    row[_STATE] = state | _HIT
+        rows[slot, _RUNS] += 1
+    rows[slot, _STATE] = state | _HIT
 
 
 @dataclass(frozen=True)

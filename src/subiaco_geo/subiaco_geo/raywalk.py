@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numba
 import numpy as np
@@ -16,6 +17,9 @@ from subiaco_geo.visibility import VisibilityGrid
 _EMPTY = -1
 _LIMIT = 1 << 20  # voxel indices that fit a key, see subiaco_geo.clouds.voxel_keys
 _MAX_LOAD = 0.6
+_CACHE_LINE = 64  # [bytes]
+_CELL = np.dtype([("key", np.int64), ("hits", np.uint32), ("passes", np.uint32)])
+_TIMED_CELL = np.dtype([*_CELL.descr, ("looks", np.uint16, (8,))])
 
 Counts = NDArray[np.uint32]
 Flags = NDArray[np.bool_]
@@ -69,7 +73,7 @@ def _touch(
         if keys[slot] == _EMPTY:
             keys[slot] = key
             added += 1
-        look_hit(looks[slot], window, least)
+        look_hit(looks, slot, window, least)
     return len(points), added
 
 
@@ -117,11 +121,11 @@ def _walk(  # noqa: C901, PLR0912, PLR0915
             if i == steps and returned[ray]:
                 hits[slot] += 1
                 if window:
-                    look_hit(looks[slot], window, least)
+                    look_hit(looks, slot, window, least)
             else:
                 passes[slot] += 1
                 if window:
-                    look_through(looks[slot], window, least)
+                    look_through(looks, slot, window, least)
             if tx <= ty and tx <= tz:
                 key += dx
                 nx -= 1
@@ -135,6 +139,13 @@ def _walk(  # noqa: C901, PLR0912, PLR0915
                 nz -= 1
                 tz = tz + t_delta[2] if nz > 0 else np.inf
     return len(starts), added
+
+
+def _aligned(size: int, kind: np.dtype[Any]) -> NDArray[Any]:
+    """Return zeroed rows that begin on a border of the cache."""
+    raw = np.zeros(size * kind.itemsize + _CACHE_LINE, dtype=np.uint8)
+    first = -raw.ctypes.data % _CACHE_LINE
+    return np.asarray(raw[first : first + size * kind.itemsize].view(kind))
 
 
 def _beams(starts: Floats, ends: Floats, origin: Floats, voxel: float) -> tuple[Floats, Floats]:
@@ -181,10 +192,14 @@ class VisibilityAccumulator:
         return self._used
 
     def _allocate(self, size: int) -> None:
-        self._keys: Ints = np.full(size, _EMPTY, dtype=np.int64)
-        self._hits: Counts = np.zeros(size, dtype=np.uint32)
-        self._passes: Counts = np.zeros(size, dtype=np.uint32)
-        self._looks: Rows = np.zeros((size if self._least else 1, COLUMNS), dtype=np.uint16)
+        """Make an empty table. All that is kept of a voxel lies side by side, so that a step reads one place."""
+        table = _aligned(size, _CELL if self._least == 0 else _TIMED_CELL)
+        self._keys: Ints = table["key"]
+        self._hits: Counts = table["hits"]
+        self._passes: Counts = table["passes"]
+        self._keys.fill(_EMPTY)
+        looks = table["looks"] if self._least else np.zeros((1, 2 * COLUMNS), dtype=np.uint16)[:, ::2]
+        self._looks: Rows = looks[:, :COLUMNS]
 
     def _grow(self, size: int) -> None:
         old, looks = (self._keys, self._hits, self._passes), self._looks

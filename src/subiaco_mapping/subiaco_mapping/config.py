@@ -6,8 +6,8 @@ from typing import Literal
 
 from pydantic import Field
 
-from subiaco_geo.movement import MovementConfig
 from subiaco_geo.config import StrictModel
+from subiaco_geo.movement import MovementConfig
 from subiaco_mapping.calibration.config import CalibrationConfig
 from subiaco_mapping.drivers import DriverName
 from subiaco_mapping.logs import LogsConfig
