@@ -1,5 +1,8 @@
 """Confidence is a probability that follows the evidence, and the fit finds known coefficients."""
 
+import math
+from dataclasses import MISSING, fields, replace
+
 import numpy as np
 import pytest
 from scipy.special import expit
@@ -9,13 +12,24 @@ from subiaco_change.changes.confidence import (
     Coefficients,
     ConfidenceConfig,
     confidence,
+    decided_anew,
+    discounted,
     features,
     fit,
     kind_of,
+    probability,
 )
 from subiaco_change.changes.decisions import Decision
 from subiaco_change.changes.measures import Measures
+from subiaco_change.records import ChangeRecord
 from subiaco_geo.codes import Change, Semantic
+
+
+def _record(**said):
+    nothing = {f.name: math.nan for f in fields(ChangeRecord) if f.default is MISSING}
+    row = ChangeRecord(**{**nothing, "semantic": Semantic.VEGETATION, "change": Change.ADDED})
+    return replace(row, **said)
+
 
 TYPICAL = Measures(
     iou=0.9, d_perp=0.0, delta_c=0.1, delta_h=0.0, delta_v=0.0, delta_v_surface=0.0, volume=100.0, chi2=0.0,
@@ -32,8 +46,8 @@ def test_a_typical_row_has_the_confidence_of_the_intercept():
 
 def test_the_fit_recovers_the_model_that_made_the_labels_and_its_mean_is_the_share_of_right_ones():
     rng = np.random.default_rng(5)
-    truth = np.array([0.8, 1.0, -0.5, 0.7, 0.0, 0.3])
-    x = rng.normal(size=(20_000, 5))
+    truth = np.array([0.8, 1.0, -0.5, 0.7, 0.0, 0.3, 0.2, *([0.0] * 5)])
+    x = np.column_stack([rng.normal(size=(20_000, 6)), np.zeros((20_000, 5))])
     right = rng.random(20_000) < expit(truth[0] + x @ truth[1:])
     model = fit(x, right)
     found = [model.intercept, *(getattr(model, name) for name in FEATURES)]
@@ -43,18 +57,20 @@ def test_the_fit_recovers_the_model_that_made_the_labels_and_its_mean_is_the_sha
 
 
 def test_a_fit_on_few_rows_stays_near_their_share():
-    model = fit(np.array([[1.0, 0, 0, 0, 0], [0.0, 0, 0, 0, 1]]), np.array([True, True]), ridge=5.0)
+    model = fit(np.eye(len(FEATURES))[[0, 4]], np.array([True, True]), ridge=5.0)
     assert abs(model.margin) < 0.5
 
 
 def test_evidence_that_may_only_raise_a_confidence_never_lowers_it_whatever_few_rows_say():
     rng = np.random.default_rng(7)
-    x = rng.normal(size=(400, 5))
-    right = rng.random(400) < expit(1.0 - 2.0 * x[:, 2] + x[:, 3])
+    x = rng.normal(size=(400, len(FEATURES)))
+    size, purity, density = (FEATURES.index(name) for name in ("size", "purity", "density"))
+    right = rng.random(400) < expit(1.0 - 2.0 * x[:, size] + x[:, purity] + x[:, density])
     free, bound = fit(x, right), fit(x, right, rising=("size", "purity"))
     assert free.size < -1.0
     assert bound.size == 0.0
     assert bound.purity > 0.5
+    assert free.density == 0.0  # densities that differ more are no reason for trust
 
 
 def test_labels_that_claim_nothing_have_no_model_and_the_margin_of_unchanged_is_bounded():
@@ -64,6 +80,58 @@ def test_labels_that_claim_nothing_have_no_model_and_the_margin_of_unchanged_is_
     added = features(Decision(Change.ADDED, "", 1e9), TYPICAL, Semantic.BUILDING, 0.7)
     assert unchanged[0] == 1.0
     assert added[0] == pytest.approx(np.log(20.0))
+
+
+def test_the_distance_from_the_limit_counts_in_standard_deviations_and_is_neutral_where_unknown():
+    gate = FEATURES.index("gate")
+
+    def found(change, sigmas):
+        return features(Decision(change, "", 2.0, sigmas), TYPICAL, Semantic.VEGETATION, 0.7)[gate]
+
+    assert [found(Change.INCREASED, s) for s in (0.0, 3.0, 6.0, 60.0)] == [-1.0, 0.0, 1.0, 1.0]
+    assert [found(Change.UNCHANGED, s) for s in (0.0, -3.0, -60.0)] == [-1.0, 0.0, 1.0]
+    assert found(Change.INCREASED, np.nan) == 0.0
+    assert found(Change.UNCHANGED, -np.inf) == 1.0
+
+
+def test_each_kind_of_evidence_has_its_own_feature_and_counted_beams_have_none():
+    row = Decision(Change.ADDED, "", 1.0)
+    for kind in ("trajectory", "estimated", "shadow", "assumed"):
+        found = features(row, TYPICAL, Semantic.MOBILE, 0.7, evidence=kind)
+        assert found[FEATURES.index(kind)] == 1.0
+        assert found[-4:].sum() == 1.0
+    assert features(row, TYPICAL, Semantic.MOBILE, 0.7)[-4:].sum() == 0.0
+
+
+@pytest.mark.parametrize("p", [0.55, 0.7, 0.85, 0.97, 0.999])
+def test_evidence_or_clouds_that_were_never_calibrated_lower_a_confidence_and_keep_the_order(p):
+    config = ConfidenceConfig(fitted_on="seeds", held_out_ece=0.02, evidence=("observed",))
+    row = _record(confidence=p, evidence="observed")
+    assert discounted(row, True, config).confidence == p
+    for other, simulated in ((row, False), (replace(row, evidence="shadow"), True)):
+        low = discounted(other, simulated, config).confidence
+        assert 0.5 < low < p
+        assert low <= config.cap
+    lower = discounted(replace(row, confidence=0.9 * p), False, config).confidence
+    assert lower <= discounted(row, False, config).confidence
+
+
+def test_copies_of_the_survey_itself_calibrate_its_confidences_and_unobserved_rows_are_left_alone():
+    own = ConfidenceConfig(fitted_on="injected", held_out_ece=0.02, clouds="own")
+    assert discounted(_record(confidence=0.97, evidence="observed"), False, own).confidence == 0.97
+    unseen = _record(confidence=0.97, evidence="assumed", change=Change.UNOBSERVED)
+    assert discounted(unseen, False, ConfidenceConfig()).confidence == 0.97
+
+
+def test_a_row_decided_anew_has_the_reason_and_the_confidence_of_the_new_decision():
+    config = ConfidenceConfig()
+    first, second = Decision(Change.INCREASED, "a", 2.0, 3.0), Decision(Change.UNCHANGED, "b", 0.5, -2.0)
+    rows = [features(d, TYPICAL, Semantic.VEGETATION, 0.8, 0.4, "trajectory") for d in (first, second)]
+    old = _record(confidence=probability(first, rows[0], config), features=tuple(rows[0].tolist()))
+    new = decided_anew(old, second, config)
+    assert (new.change, new.reason) == (Change.UNCHANGED, "b")
+    assert new.features == pytest.approx(rows[1].tolist())
+    assert new.confidence == pytest.approx(probability(second, rows[1], config))
 
 
 def test_a_fit_that_missed_on_other_surveys_is_not_called_calibrated():

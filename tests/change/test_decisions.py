@@ -70,7 +70,7 @@ def test_new_walls_without_volume_are_no_change_of_a_house():
 
 
 def test_no_level_of_detection_means_no_claim():
-    assert label(delta_h=3.0, lod=math.inf) is Change.UNCHANGED
+    assert label(delta_h=3.0, lod=math.inf) is Change.UNOBSERVED
 
 
 @pytest.mark.parametrize(("dh", "expected"), [(0.29, Change.UNCHANGED), (0.31, Change.INCREASED)])

@@ -13,7 +13,6 @@ from subiaco_change.geometry import (
     fit_planes,
     nearest,
     outlier_mask,
-    point_spacing,
 )
 from subiaco_geo.errors import InputError
 
@@ -82,23 +81,3 @@ def test_the_pyramid_gets_coarser_and_keeps_the_plane():
 def test_points_that_are_not_finite_cannot_be_indexed():
     with pytest.raises(InputError, match="finite"):
         build_index(np.full((3, 3), np.nan), 1.0)
-
-
-@pytest.mark.parametrize("spacing", [0.25, 0.7, 1.2])
-@pytest.mark.parametrize("tilt", [0.0, 1.2])
-def test_spacing_is_the_edge_of_the_square_that_each_point_stands_for_on_any_surface(spacing, tilt):
-    rng = np.random.default_rng(8)
-    side = 120 * spacing
-    flat = np.column_stack([rng.uniform(0, side, (120 * 120, 2)), np.zeros(120 * 120)])
-    turn = np.array([[1, 0, 0], [0, np.cos(tilt), -np.sin(tilt)], [0, np.sin(tilt), np.cos(tilt)]])
-    assert point_spacing(flat @ turn.T) == pytest.approx(spacing, rel=0.06)
-
-
-def test_spacing_of_scan_lines_is_not_that_along_a_line():
-    rng = np.random.default_rng(9)
-    lines = np.column_stack([rng.uniform(0, 40, 16_000), 0.8 * rng.integers(0, 50, 16_000), np.zeros(16_000)])
-    assert point_spacing(lines) > 2 * 0.125  # 8 points a metre along each line, lines 0.8 m apart: 0.32 m
-
-
-def test_a_handful_of_points_has_no_spacing():
-    assert np.isnan(point_spacing(np.zeros((16, 3))))

@@ -175,3 +175,41 @@ def test_ground_of_one_epoch_alone_joins_the_patch_beside_it_unless_rings_are_fa
     assert len(found) == 1
     assert (patch[30, 20:24] == 0).all()
     assert (patch[30, 24] == 0) == taken
+
+
+def test_a_patch_whose_difference_varies_by_a_third_of_it_is_not_certain():
+    """Ground dug by 0.3 m, evenly, and by 0.3 m with 0.1 m from place to place."""
+    rough = np.random.default_rng(3).normal(0, 0.1, (100, 100))
+    pit = box(30, 30, 10, 10)
+
+    def uneven(x, y):
+        return np.where(pit(x, y), -0.3 + rough[x.astype(int), y.astype(int)], 0.0)
+
+    even, varied = (patches(lift)[0] for lift in (lambda x, y: -0.3 * pit(x, y), uneven))
+    assert even.confidence > 0.98
+    assert varied.confidence < 0.96
+
+
+def with_points(view, xyz, semantic):
+    """The epoch with further points of a class."""
+    n = len(xyz)
+    more = EpochView(
+        xyz, np.tile([0.0, 0, 1], (n, 1)), np.full(n, semantic, dtype=np.uint8),
+        np.full(n, 0, dtype=np.int32), np.zeros(n), np.full(n, 0.03), np.ones(n),
+    )  # fmt: skip
+    fields = [f for f in EpochView.__dataclass_fields__ if getattr(view, f) is not None]
+    return EpochView(**{f: np.concatenate([getattr(view, f), getattr(more, f)]) for f in fields})
+
+
+@pytest.mark.parametrize("semantic", [Semantic.VEGETATION, Semantic.OTHER])
+def test_a_surface_that_the_other_epoch_holds_under_another_class_did_not_move(semantic):
+    """Grass 0.4 m high: *before* sees through to the soil and calls the tops plants, *after* ground."""
+    meadow = box(30, 30, 20, 12)
+    rng = np.random.default_rng(9)
+    xy = rng.uniform([30, 30], [50, 42], (4000, 2))
+    tops = np.column_stack([xy, 0.03 * xy[:, 0] + 0.4 + rng.normal(0, 0.03, len(xy))])
+    before = view(seed=1)
+    after = view(lambda x, y: 0.4 * meadow(x, y), seed=2)
+    assert len(compare_ground(before, after, GroundChangeConfig()).patches) == 1
+    assert compare_ground(with_points(before, tops, semantic), after, GroundChangeConfig()).patches == ()
+    assert compare_ground(after, with_points(before, tops, semantic), GroundChangeConfig()).patches == ()

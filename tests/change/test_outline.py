@@ -1,15 +1,9 @@
 """The outline of a crown: how far it moved, whatever was seen of it."""
 
-import math
-from dataclasses import replace
-
 import numpy as np
 import pytest
-from test_decisions import CONFIG, SAME
 
-from subiaco_change.changes.decisions import decide
-from subiaco_change.changes.outline import Outline, OutlineConfig, compare_outlines
-from subiaco_geo.codes import Change, Semantic
+from subiaco_change.changes.outline import OutlineConfig, compare_outlines
 
 
 def crown(count, radius, seed, side=None):
@@ -44,26 +38,3 @@ def test_a_crown_seen_from_one_side_in_one_epoch_did_not_move():
 
 def test_too_few_directions_tell_nothing():
     assert not compare_outlines(crown(20, 2.0, 1), crown(900, 2.0, 2), OutlineConfig()).known
-
-
-@pytest.mark.parametrize(
-    ("outline", "expected"),
-    [
-        (Outline(0.30, 0.05, 0.15), Change.INCREASED),
-        (Outline(-0.30, 0.05, -0.15), Change.DECREASED),
-        (Outline(0.30, 0.15, 0.15), Change.UNCHANGED),
-        (Outline(0.15, 0.02, 0.07), Change.UNCHANGED),
-        (Outline(), Change.UNCHANGED),
-    ],
-    ids=["grown", "pruned", "uncertain", "little", "unknown"],
-)
-def test_an_outline_decides_where_it_moved_far_and_surely(outline, expected):
-    decision = decide(Semantic.VEGETATION, True, True, replace(SAME, outline=outline), 0.03, CONFIG)
-    assert decision.change is expected
-    assert ("outline" in decision.reason) == (expected is not Change.UNCHANGED)
-
-
-def test_buildings_have_no_outline_rule():
-    assert math.isinf(CONFIG.building.outline)
-    moved = replace(SAME, outline=Outline(1.0, 0.01, 0.5))
-    assert decide(Semantic.BUILDING, True, True, moved, 0.03, CONFIG).change is Change.UNCHANGED

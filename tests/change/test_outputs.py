@@ -1,5 +1,6 @@
 """The change directory is read back with the libraries that others use."""
 
+import csv
 import dataclasses
 import hashlib
 import json
@@ -16,10 +17,19 @@ import yaml
 from result_scene import OBJECTS, ORIGIN, SceneConfig, ground_raster
 
 from subiaco_change.outputs import directory as outputs
+from subiaco_change.outputs import table as outputs_table
 from subiaco_change.outputs.clouds import ASPRS_CODES, POINT_FIELDS, labelled_cloud
 from subiaco_change.outputs.raster import build_coverage, build_lod_raster, write_lod
 from subiaco_change.outputs.style import layer_qml
-from subiaco_change.outputs.table import ALL_COLUMNS, COLUMNS, build_table, object_uids, table_hash
+from subiaco_change.outputs.table import (
+    ALL_COLUMNS,
+    COLUMNS,
+    build_table,
+    object_uids,
+    read_csv,
+    table_hash,
+    write_csv,
+)
 from subiaco_change.records import CHANGE_COLOURS
 from subiaco_geo.cloud_io import read_cloud
 from subiaco_geo.clouds import PointCloud
@@ -29,6 +39,8 @@ from subiaco_geo.errors import InputError
 CONTRACT = """
 object_id class label id_before id_after match_kind delta_h_m delta_v_m3 delta_v_surface_m3 delta_c_m iou_3d
 d_perp_m lod95_m observed_fraction evidence score_paper confidence n_before n_after x y z
+delta_h_low_m delta_h_high_m delta_v_low_m3 delta_v_high_m3 height_before_m height_after_m area_m2 date_before
+date_after
 """.split()  # noqa: SIM905
 
 
@@ -89,7 +101,7 @@ def test_geopackage_carries_a_default_style_with_the_colour_of_every_label(chang
 
 @pytest.mark.parametrize(
     ("layer", "entry", "count"),
-    [("objects", "category", len(Change)), ("coverage", "category", 3), ("parcels", "range", 5)],
+    [("objects", "category", len(Change)), ("coverage", "category", 4), ("parcels", "range", 5)],
 )
 def test_a_style_is_well_formed_and_every_entry_has_its_symbol(layer, entry, count):
     root = ET.fromstring(layer_qml(layer).split("\n", 1)[1])
@@ -223,6 +235,16 @@ def test_reviews_survive_a_rerun_and_changed_evidence_is_flagged(tmp_path, resul
     assert rows.loc[1, "review"] == ""
 
 
+def test_a_note_that_looks_like_a_formula_is_no_formula_in_the_csv_and_comes_back(tmp_path, result):
+    table = build_table(result.records, "EPSG:7850")
+    note = '=HYPERLINK("http://example.org")'
+    table.loc[0, "note"] = note
+    write_csv(tmp_path / "changes.csv", table)
+    cells = [row["note"] for row in csv.DictReader((tmp_path / "changes.csv").open(newline=""))]
+    assert cells[0] == f"'{note}"
+    assert read_csv(tmp_path / "changes.csv").loc[0, "note"] == note
+
+
 def test_a_review_survives_other_parameters_that_move_the_object_and_its_label(
     tmp_path, result, cheap_report
 ):
@@ -325,3 +347,19 @@ def test_registration_is_reported_block_by_block(tmp_path, result):
     )
     assert (tmp_path / "out" / "lod95.tif").is_file()
     pd.testing.assert_frame_equal(pd.read_csv(tmp_path / "out" / "registration_blocks.csv"), blocks)
+
+
+def test_heights_areas_and_days_stand_in_the_table(result):
+    table = build_table(result.records, "EPSG:7850", ("2023-03-01", "2025-04-02"))
+    assert set(table["date_before"]) == {"2023-03-01"}
+    assert set(table["date_after"]) == {"2025-04-02"}
+    assert table["area_m2"].to_numpy() == pytest.approx([r.footprint.area for r in result.records], abs=1e-3)
+
+
+def test_a_table_of_version_one_is_read_with_the_later_columns_missing(change_directory, tmp_path):
+    old = pd.read_csv(change_directory / "changes.csv", dtype=str, keep_default_na=False)
+    later = list(COLUMNS[COLUMNS.index("delta_h_low_m") :])
+    old.drop(columns=later).to_csv(tmp_path / "changes.csv", index=False)
+    read = outputs_table.read_csv(tmp_path / "changes.csv")
+    assert read["area_m2"].isna().all()
+    assert (read["date_before"] == "").all()

@@ -11,6 +11,7 @@ from subiaco_change.changes.decisions import Decision, DecisionConfig
 from subiaco_change.changes.judging import ObjectChange, ObjectRules
 from subiaco_change.changes.measures import MeasureConfig, measure
 from subiaco_change.changes.objects import Thing
+from subiaco_change.changes.plants import measure_plant
 from subiaco_change.changes.revising import part_sections
 from subiaco_change.changes.sections import moved_sections
 from subiaco_geo.codes import Change, Semantic
@@ -31,7 +32,8 @@ def hedge(pieces, seed, seen=True):
 def decided(before, after):
     measures = measure(before.voxels, after.voxels, MeasureConfig())
     whole = Decision(Change.UNCHANGED, "as a whole", 0.5)
-    change = ObjectChange((before,), (after,), Semantic.VEGETATION, "one_to_one", measures, whole)
+    plant = measure_plant([before], [after], measures, RULES.plants)
+    change = ObjectChange((before,), (after,), Semantic.VEGETATION, "one_to_one", measures, whole, plant)
     return part_sections([change], RULES)
 
 
@@ -40,7 +42,8 @@ def test_the_half_of_a_hedge_whose_top_moved_is_a_row_of_its_own(height, label):
     before, after = hedge([(0, 12, 1.5)], 1), hedge([(0, 6, 1.5), (6, 12, height)], 2)
     rest, moved = decided(before, after)
     assert (rest.decision.change, moved.decision.change) == (Change.UNCHANGED, label)
-    assert float(moved.decision.reason.split()[1]) == pytest.approx(height - 1.5, abs=0.05)
+    assert moved.plant.section == pytest.approx(height - 1.5, abs=0.05)
+    assert f"top {moved.plant.section:+.2f} m" in moved.decision.reason
     assert before.xyz[moved.points("before"), 0].min() > 5.4
     assert before.xyz[rest.points("before"), 0].max() < 6.6
     together = np.concatenate([c.points("before") for c in (rest, moved)])

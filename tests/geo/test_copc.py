@@ -107,3 +107,17 @@ def test_a_viewer_finds_all_points_of_a_corner_whichever_piece_holds_them(
         found = reader.query(bounds=corner)
     inside = ((cloud.xyz[:, :2] >= 40.0 - 1e-9) & (cloud.xyz[:, :2] <= [260.0, 90.0])).all(axis=1)
     assert sorted(found["instance"]) == sorted(cloud.fields["instance"][inside])
+
+
+@pytest.mark.parametrize("count", [1, 10, 1000, 30_000])
+def test_a_small_cloud_comes_back_whole(tmp_path: Path, count: int) -> None:
+    rng = np.random.default_rng(3)
+    fields = {
+        "n": rng.integers(1, 9, count).astype(np.uint32),
+        "spread": rng.random(count).astype(np.float32),
+    }
+    cloud = PointCloud(rng.random((count, 3)) * 50.0, np.array([391_000.0, 6_460_000.0, 10.0]), fields=fields)
+    write_cloud(tmp_path / "small.copc.laz", cloud)
+    back = read_cloud(tmp_path / "small.copc.laz")
+    assert len(back) == count
+    assert sorted(back.fields["n"]) == sorted(fields["n"])

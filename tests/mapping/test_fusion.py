@@ -1,5 +1,6 @@
 """The fused map says what was there, how often and how evenly it was seen."""
 
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -130,3 +131,19 @@ def test_a_strip_of_ground_gives_a_height_but_no_tilt() -> None:
     (row,) = height_table(PointCloud(strip, origin=np.zeros(3)), 20.0)
     assert row[2] == pytest.approx(2.0, abs=0.03)
     assert np.isnan(row[4])
+
+
+def test_a_spool_whose_disk_is_full_keeps_what_it_has_and_counts_what_it_leaves_out(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    free = [10**9]
+    usage = shutil.disk_usage(tmp_path)
+    monkeypatch.setattr(shutil, "disk_usage", lambda _: usage._replace(free=free[0]))
+    spool = Spool(tmp_path / "s", 70.0, reserve_bytes=10**8)
+    xyz = np.random.default_rng(11).uniform(-50, 50, (100, 3))
+    for count in range(60):
+        free[0] = 10**9 if count < 20 else 10**7
+        spool.append(DeskewedScan(count, xyz, np.ones(100, np.float32), "gyro"))
+    assert (len(spool), spool.left_out) == (60, 40)
+    kept = int((np.linalg.norm(xyz, axis=1) <= 70.0).sum())
+    assert [len(spool.read(k).xyz) for k in (0, 19, 20, 59)] == [kept, kept, 0, 0]

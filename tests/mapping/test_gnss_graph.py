@@ -360,3 +360,29 @@ def test_fixes_in_ahd_are_refused_without_a_grid() -> None:
     fixes = [fix_at(np.zeros(3), START_NS)]
     with pytest.raises(InputError, match=r"gnss\.heights: AHD needs gnss\.geoid_grid"):
         gnss.to_enu(fixes, FRAME, GnssConfig(heights="AHD"))
+
+
+def test_fixes_where_the_crs_is_not_made_for_are_refused_before_a_map_is_made(tmp_path: Path) -> None:
+    backend, truth = drive(tmp_path, config=CONFIG.model_copy(update={"crs": "EPSG:7856"}))
+    add_fixes(backend, truth)
+    with pytest.raises(InputError, match=r"EPSG:7856 \(GDA2020 / MGA zone 56\).*--set crs=EPSG:7850"):
+        backend.optimize()
+
+
+def test_twenty_fixes_elsewhere_end_the_reading_and_one_astray_does_not() -> None:
+    check = gnss.PlaceCheck("EPSG:7850")
+    check.take(GnssFix(0, 0.0, 0.0, 0.0, np.eye(3), 2))
+    for k in range(40):
+        check.take(fix_at(np.zeros(3), k))
+    check = gnss.PlaceCheck("EPSG:25832")
+    for k in range(19):
+        check.take(fix_at(np.zeros(3), k))
+    with pytest.raises(InputError, match="area of use"):
+        check.take(fix_at(np.zeros(3), 19))
+
+
+def test_the_local_frame_is_not_laid_at_a_fix_far_off_all_others() -> None:
+    astray = GnssFix(0, 0.0, 0.0, 0.0, np.eye(3), 2)
+    frame = gnss.local_frame([astray, *(fix_at(np.zeros(3), k) for k in range(5))], GnssConfig())
+    assert frame is not None
+    assert frame.latitude_deg == pytest.approx(FRAME.latitude_deg, abs=1e-9)

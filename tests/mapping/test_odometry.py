@@ -147,6 +147,45 @@ def test_the_front_end_drops_empty_scans_and_counts_them() -> None:
     assert frontend.dropped_scans == 1
 
 
+def test_a_drive_that_begins_at_speed_is_straight_from_its_first_scan() -> None:
+    """The sensor turns clockwise from the rear at 10 Hz, at 8 m/s; steps are alike from the first on."""
+    frontend, outputs, stamps = OdometryFrontend(MappingConfig(), Extrinsics()), [], []
+    rng = np.random.default_rng(4)
+    for k in range(6):
+        beams = rng.normal(size=(8000, 3)) * [1.0, 1.0, 0.5]
+        beams /= np.linalg.norm(beams, axis=1, keepdims=True)
+        share = 0.5 - np.arctan2(beams[:, 1], beams[:, 0]) / (2 * np.pi)
+        times = START_NS + k * STEP + np.round(share * STEP).astype(np.int64)
+        xyz = cast(turning_pose(times, speed=8.0, rate=0.3), beams)
+        first = Returns(xyz, times, np.zeros(8000, np.float32), np.zeros(8000, np.uint16))
+        outputs += frontend.on_points(Scan(int(times.min()), int(times.max()), first))
+        stamps.append(int(times.max()))
+    found = np.array([output.pose.T_odom_lidar for output in outputs])
+    truth = relative(turning_pose(np.array(stamps), speed=8.0, rate=0.3))
+    steps = np.linalg.norm(np.diff(found[:, :3, 3], axis=0), axis=1)
+    assert [output.scan.mode for output in outputs] == ["constant_velocity"] * 6
+    np.testing.assert_allclose(steps, 0.8, atol=0.04)
+    assert np.linalg.norm(found[:, :3, 3] - truth[:, :3, 3], axis=1).max() < 0.05
+
+
+def test_the_only_scan_of_a_recording_comes_when_the_stream_ends() -> None:
+    frontend, xyz = OdometryFrontend(MappingConfig(), Extrinsics()), room_scan(np.eye(4), 2000, 0)
+    scan = dataclasses.replace(as_scan(xyz, START_NS), deskewed=False)
+    assert frontend.on_points(scan) == []
+    (output,) = frontend.finish()
+    assert output.scan.mode == "none"
+    np.testing.assert_array_equal(output.pose.T_odom_lidar, np.eye(4))
+
+
+def test_after_a_gap_the_motion_is_found_anew() -> None:
+    frontend, outputs = OdometryFrontend(MappingConfig(), Extrinsics()), []
+    for k in (0, 1, 60, 61, 120):
+        xyz = room_scan(make_pose(np.eye(3), [0.02 * k, 0.0, 0.0]), 4000, k)
+        outputs += frontend.on_points(dataclasses.replace(as_scan(xyz, START_NS + k * STEP), deskewed=False))
+    outputs += frontend.finish()
+    assert [output.pose.segment for output in outputs] == [0, 0, 1, 1, 2]
+
+
 def test_the_result_does_not_depend_on_how_the_topics_interleave() -> None:
     from subiaco_mapping.measurements import ImuSample
 

@@ -110,9 +110,9 @@ def reads(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     found: list[str] = []
     run = pipeline.run_sequence
 
-    def counted(reader, backend, config, progress):  # type: ignore[no-untyped-def]
+    def counted(reader, *given):  # type: ignore[no-untyped-def]
         found.append(Path(reader.path).name)
-        return run(reader, backend, config, progress)
+        return run(reader, *given)
 
     monkeypatch.setattr(pipeline, "run_sequence", counted)
     return found
@@ -182,7 +182,7 @@ def test_a_setting_of_later_stages_alone_reads_no_recording_again(
     bag: Path, tmp_path: Path, reads: list[str]
 ) -> None:
     interrupted(bag, tmp_path / ".map.journal")
-    other = CONFIG.model_copy(update={"fusion": FusionConfig(leaf=0.5), "crs": "EPSG:7851"})
+    other = CONFIG.model_copy(update={"fusion": FusionConfig(leaf=0.5), "crs": "EPSG:28350"})
     fresh = content(pipeline.map_survey([bag], other), tmp_path / "fresh")
     reads.clear()
     survey = pipeline.map_survey([bag], other, journal=tmp_path / ".map.journal", resume=True)
@@ -209,6 +209,24 @@ def test_a_damaged_journal_is_not_believed(bag: Path, tmp_path: Path, reads: lis
     (journal / "journal.json").write_text("{")
     pipeline.map_survey([bag], CONFIG, journal=journal, resume=True)
     assert reads == ["room", "room"]
+
+
+def test_a_recording_whose_scans_a_power_cut_took_is_read_again(
+    bag: Path, tmp_path: Path, reads: list[str]
+) -> None:
+    journal = tmp_path / ".map.journal"
+    interrupted(bag, journal)
+    (journal / "000" / "fusion-left").mkdir()
+    (journal / "000" / "fusion-left" / "sums.npy").write_bytes(bytes(100))
+    reads.clear()
+    pipeline.map_survey([bag], CONFIG, journal=journal, resume=True)
+    assert reads == []  # what a killed run left while fusing is none of its scans
+    interrupted(bag, journal)
+    reads.clear()
+    scan = next(path for path in sorted((journal / "000").glob("*.npy")) if path.stat().st_size)
+    scan.write_bytes(b"")
+    pipeline.map_survey([bag], CONFIG, journal=journal, resume=True)
+    assert reads == ["room"]
 
 
 def test_without_resume_a_run_begins_anew_and_notes_each_recording(

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -147,6 +148,34 @@ def test_an_accumulated_covariance_is_that_of_many_noisy_walks() -> None:
     np.testing.assert_allclose(np.sqrt(np.diag(covariance)[:3]), sampled, rtol=0.06)
     yaw = np.arctan2(ends[:, 1, 0], ends[:, 0, 0])
     assert np.sqrt(covariance[5, 5]) == pytest.approx(np.unwrap(yaw).std(), rel=0.1)
+
+
+def test_the_velocity_of_the_vehicle_is_that_of_its_motion_in_its_own_axes() -> None:
+    from subiaco_mapping.nodes.covariance import base_velocity
+    from subiaco_mapping.nodes.messages import odometry_message
+
+    arc = exp_se3(np.array([0.0, 0.0, 0.03, np.sin(0.03) * 5 / 0.3, (1 - np.cos(0.03)) * 5 / 0.3, 0.0]))
+    noise = np.diag([1e-6] * 3 + [1e-4] * 3)
+    poses = [
+        OdometryPose(k * 10**8, T @ T_BASE_LIDAR, noise, 9, 0.1, degenerate=False, segment=0)
+        for k, T in enumerate((np.eye(4), arc))  # 5 m/s ahead, 0.3 rad/s to the left
+    ]
+    velocity = base_velocity(poses[0], poses[1], T_BASE_LIDAR)
+    np.testing.assert_allclose(velocity.twist, [5.0, 0.0, 0.0, 0.0, 0.0, 0.3], atol=1e-4)
+    # Rotated, not scaled, by the extrinsics; the lever arm adds the part of the turn to the translation.
+    np.testing.assert_allclose(np.diag(velocity.covariance)[3:], [1e-4] * 3, rtol=1e-9)
+    assert (np.diag(velocity.covariance)[:3] >= 1e-2 * (1 - 1e-9)).all()
+    message = odometry_message(poses[1], T_BASE_LIDAR, np.eye(6), "odom", "base_link", velocity)
+    assert message.twist.twist.linear.x == pytest.approx(5.0)
+    assert message.twist.covariance[0] == pytest.approx(velocity.covariance[0, 0])
+
+
+def test_a_velocity_that_nothing_tells_is_not_called_standing_for_certain() -> None:
+    from subiaco_mapping.nodes.covariance import base_velocity
+
+    first = make_pose()
+    for previous, pose in ((None, first), (first, replace(first, stamp_ns=STAMP_NS + 10**8, segment=3))):
+        assert (np.diag(base_velocity(previous, pose, T_BASE_LIDAR).covariance) >= 1e6).all()
 
 
 def test_the_local_frame_lies_on_the_earth_where_its_origin_says() -> None:

@@ -6,6 +6,7 @@ import os
 import signal
 import subprocess
 import sys
+import tempfile
 from pathlib import Path
 from typing import Any
 
@@ -14,7 +15,7 @@ from pydantic import Field
 
 from subiaco_bringup.graph import merged_config, parameter_file
 from subiaco_geo.config import StrictModel, load_config
-from subiaco_geo.errors import InputError
+from subiaco_geo.errors import InputError, SubiacoError
 from subiaco_mapping.config import MappingConfig
 
 pytestmark = pytest.mark.ros
@@ -110,6 +111,35 @@ def test_a_file_and_settings_give_a_node_the_model_of_the_command_line(tmp_path:
     line = next(line for line in output.splitlines() if "CONFIG " in line)
     given = MappingConfig.model_validate_json(line.split("CONFIG ", 1)[1])
     assert given == load_config(MappingConfig, [file], ["odometry.voxel=0.5"])
+
+
+def test_a_parameter_file_that_somebody_changed_is_written_anew(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    path = parameter_file({"output_directory": "/mine"})
+    text = path.read_text()
+    path.write_text(text.replace("/mine", "/theirs"))
+    assert parameter_file({"output_directory": "/mine"}) == path
+    assert path.read_text() == text
+    other = tmp_path / "other.yaml"
+    other.write_text(text.replace("/mine", "/theirs"))
+    path.unlink()
+    path.symlink_to(other)
+    assert parameter_file({"output_directory": "/mine"}).read_text() == text
+    assert path.parent.stat().st_mode & 0o077 == 0
+
+
+def test_a_parameter_folder_of_another_user_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
+    parameter_file({"a": 1})
+    mine = os.getuid()
+    monkeypatch.setattr(os, "getuid", lambda: mine + 1)
+    (tmp_path / f"subiaco-parameters-{mine}").rename(tmp_path / f"subiaco-parameters-{mine + 1}")
+    with pytest.raises(SubiacoError, match=r"belongs to another user.*set TMPDIR"):
+        parameter_file({"a": 1})
 
 
 def test_bad_input_is_one_line_and_exit_code_2() -> None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import os
+import stat
 import sys
 import tempfile
 from collections.abc import Iterable, Mapping, Sequence
@@ -15,7 +16,7 @@ import yaml
 
 from subiaco_geo.atomic import whole_file
 from subiaco_geo.config import merge, parse_setting, read_parameters
-from subiaco_geo.errors import InputError
+from subiaco_geo.errors import InputError, SubiacoError
 
 
 @dataclass(frozen=True)
@@ -99,11 +100,26 @@ def parameter_file(parameters: Mapping[str, Any]) -> Path:
     document = {"/**": {"ros__parameters": ros_parameters(parameters)}}
     text = yaml.safe_dump(document, sort_keys=True)
     name = hashlib.sha256(text.encode()).hexdigest()[:16]
-    path = Path(tempfile.gettempdir()) / f"subiaco-parameters-{os.getuid()}" / f"{name}.yaml"
-    if not path.is_file():
+    path = _private_folder() / f"{name}.yaml"
+    if path.is_symlink() or not path.is_file() or path.read_text() != text:
         with whole_file(path) as partial:
             partial.write_text(text)
     return path
+
+
+def _private_folder() -> Path:
+    """Return the folder of parameter files, which no other user may write into."""
+    folder = Path(tempfile.gettempdir()) / f"subiaco-parameters-{os.getuid()}"
+    folder.mkdir(mode=0o700, exist_ok=True)
+    status = folder.lstat()
+    if not stat.S_ISDIR(status.st_mode) or status.st_uid != os.getuid():
+        raise SubiacoError(
+            f"{folder}: belongs to another user, who could change the parameters of the nodes;"
+            " remove it, or set TMPDIR to a folder of your own"
+        )
+    if status.st_mode & 0o077:
+        folder.chmod(0o700)
+    return folder
 
 
 def merged_config(files: Iterable[Path], settings: Iterable[str]) -> dict[str, Any]:

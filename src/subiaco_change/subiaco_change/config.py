@@ -12,12 +12,14 @@ from subiaco_change.changes.confidence import ConfidenceConfig
 from subiaco_change.changes.decisions import DecisionConfig
 from subiaco_change.changes.ground_cells import GroundChangeConfig
 from subiaco_change.changes.measures import MeasureConfig
+from subiaco_change.changes.plants import PlantConfig
 from subiaco_change.observation.evidence import EvidenceConfig
 from subiaco_change.observation.lod import LodConfig
 from subiaco_change.observation.placing import PlacingConfig
 from subiaco_change.registration.config import RegistrationConfig
 from subiaco_change.semantics.classes import SemanticsConfig
 from subiaco_change.semantics.instances import InstanceConfig
+from subiaco_change.sparse import SpacingConfig
 from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError
 
@@ -50,6 +52,7 @@ class ChangeConfig(StrictModel):
     second_shift: float = Field(
         0.005, ge=0, description="shift from which the second estimate is worth a new pass [m]"
     )
+    spacing: SpacingConfig = SpacingConfig()
     without: tuple[Part, ...] = Field((), description="parts left out, for ablations")
     registration: RegistrationConfig = RegistrationConfig()
     placing: PlacingConfig = PlacingConfig()
@@ -58,6 +61,7 @@ class ChangeConfig(StrictModel):
     semantics: SemanticsConfig = SemanticsConfig()
     instances: InstanceConfig = InstanceConfig()
     measures: MeasureConfig = MeasureConfig()
+    plants: PlantConfig = PlantConfig()
     association: AssociationConfig = AssociationConfig()
     decisions: DecisionConfig = DecisionConfig()
     ground: GroundChangeConfig = GroundChangeConfig()

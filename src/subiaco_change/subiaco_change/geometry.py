@@ -2,14 +2,12 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numba
 import numpy as np
 import small_gicp
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from subiaco_geo.clouds import PointCloud, sort_spatially, voxel_downsample
 from subiaco_geo.errors import InputError
@@ -312,28 +310,6 @@ def outlier_mask(xyz: Floats, neighbours: int = 10, sigmas: float = 3.0) -> NDAr
 def remove_outliers(cloud: PointCloud, neighbours: int = 10, sigmas: float = 3.0) -> PointCloud:
     """Return the cloud without the points of :func:`outlier_mask`."""
     return cloud.select(~outlier_mask(cloud.xyz, neighbours, sigmas))
-
-
-_PLACES = 4096  # points at which the spacing of a cloud is measured
-_RING = 16  # neighbours whose reach tells it: more than one line of a scan holds
-
-
-def point_spacing(xyz: Floats) -> float:
-    """Return the spacing of points (N, 3) on the surfaces they sample [m]; NaN below 17 points.
-
-    The edge of the square that each point stands for, from the reach of its 16 nearest neighbours: a
-    surface holds ``pi r^2 / spacing^2`` points within r. Median over points taken evenly from the cloud.
-    """
-    if len(xyz) <= _RING:
-        return float("nan")
-    places = xyz[np.linspace(0, len(xyz) - 1, min(len(xyz), _PLACES)).astype(np.int64)]
-    reach = cKDTree(xyz).query(places, k=[_RING + 1])[0]
-    return float(np.median(reach)) * spacing_of(1.0)
-
-
-def spacing_of(reach: float) -> float:
-    """Return the spacing [m] at which a surface holds 16 neighbours within a reach [m]."""
-    return reach * math.sqrt(math.pi / _RING)
 
 
 @dataclass(frozen=True)

@@ -20,6 +20,7 @@ from subiaco_change.config import ChangeConfig
 from subiaco_change.job import ChangeJob, Work, run_change
 from subiaco_change.outputs.directory import write_layer
 from subiaco_change.outputs.reviews import read_reviewed, same_objects
+from subiaco_change.outputs.table import write_csv
 from subiaco_geo.atomic import refuse_existing, refuse_foreign, whole_directory
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.errors import InputError
@@ -112,7 +113,7 @@ def run_epochs(
             assert table is not None, "written just now"
             steps.append(Step(before, after, table))
         history = build_history(steps)
-        history.drop(columns="geometry").to_csv(target / MARKER, index=False, lineterminator="\n")
+        write_csv(target / MARKER, history)
         write_layer(target / "history.gpkg", "history", history)
     if work.stages is None:
         shutil.rmtree(stages, ignore_errors=True)

@@ -24,6 +24,7 @@ from subiaco_geo.atomic import refuse_existing, refuse_foreign
 from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError, RegistrationError
 from subiaco_geo.frames import Floats
+from subiaco_geo.locks import locked
 from subiaco_geo.maps import load_epoch
 from subiaco_geo.simulated import SIMULATIONS, distinct
 from subiaco_geo.sources import Epoch, open_epoch
@@ -70,23 +71,24 @@ def workbench(
     Raises
     ------
     InputError
-        ``redo`` is no stage, or the scheduler does not answer.
+        ``redo`` is no stage, another run works on the same output, or the scheduler does not answer.
     """
     redo = frozenset() if work.redo is None else stages_from(STAGES, work.redo)
     kept = work.stages or output.with_name(f"{output.name}.stages")
-    executor = make_executor(work.workers, work.scheduler, ("subiaco_change.tiled.run",))
-    try:
-        yield Workbench(DiskStore(kept.absolute()), executor, progress, redo)
-    except (InputError, RegistrationError):
-        executor.close()  # what runs beside the task that failed still writes
-        _forget(work, kept)  # the same input would fail again
-        raise
-    except KeyboardInterrupt:
-        _LOG.warning("stopped; what is finished is in %s, and the same command goes on from there", kept)
-        raise
-    finally:
-        executor.close()
-    _forget(work, kept)
+    with locked(kept):
+        executor = make_executor(work.workers, work.scheduler, ("subiaco_change.tiled.run",))
+        try:
+            yield Workbench(DiskStore(kept.absolute()), executor, progress, redo)
+        except (InputError, RegistrationError):
+            executor.close()  # what runs beside the task that failed still writes
+            _forget(work, kept)  # the same input would fail again
+            raise
+        except KeyboardInterrupt:
+            _LOG.warning("stopped; what is finished is in %s, and the same command goes on from there", kept)
+            raise
+        finally:
+            executor.close()
+        _forget(work, kept)
 
 
 def _forget(work: Work, kept: Path) -> None:

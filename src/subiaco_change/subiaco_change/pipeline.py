@@ -84,6 +84,7 @@ def detect_in_tiles(
     """
     run = CityRun(bench, config, tuple(given))
     run.cut(epochs)
+    run.follow_spacing()
     registration = run.register(transform)
     run.number()
     run.recut(registration)

@@ -68,6 +68,17 @@ class ChangeRecord:
     footprint: BaseGeometry  # world coordinates
     reason: str = ""  # the rule that decided, in words
     features: tuple[float, ...] = ()  # what the confidence rests on (changes.confidence.FEATURES)
+    delta_h_low_m: float = float("nan")  # bounds of delta_h_m and delta_v_m3 (Decision 17)
+    delta_h_high_m: float = float("nan")
+    delta_v_low_m3: float = float("nan")
+    delta_v_high_m3: float = float("nan")
+    height_before_m: float = float("nan")  # 95 % height above ground of the points of that epoch
+    height_after_m: float = float("nan")
+
+    @property
+    def area_m2(self) -> float:
+        """Area of the footprint [m2]."""
+        return float(self.footprint.area)
 
 
 @dataclass(frozen=True)

@@ -9,6 +9,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from subiaco_geo.errors import InputError
+from subiaco_geo.locks import held_directory, sweep
 
 
 def refuse_existing(path: Path, overwrite: bool) -> None:
@@ -63,14 +64,10 @@ def whole_directory(path: Path, *, overwrite: bool = False, marker: str | None =
     refuse_existing(path, overwrite)
     refuse_foreign(path, marker)
     path.parent.mkdir(parents=True, exist_ok=True)
-    temporary = path.with_name(f".{path.name}.{os.getpid()}.partial")
-    shutil.rmtree(temporary, ignore_errors=True)
-    temporary.mkdir()
-    try:
+    sweep(path.parent, f".{path.name}.partial-")
+    with held_directory(path.with_name(f".{path.name}.partial-{os.getpid()}")) as temporary:
         yield temporary
         _swap_in(temporary, path)
-    finally:
-        shutil.rmtree(temporary, ignore_errors=True)
 
 
 def _swap_in(temporary: Path, path: Path) -> None:

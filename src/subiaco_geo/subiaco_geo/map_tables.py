@@ -7,6 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
+from subiaco_geo.csv_cells import escape_cell, restore_cell
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
 from subiaco_geo.survey_map import PoseUncertainty, SurveyMap
@@ -33,7 +34,9 @@ def write_uncertainty(path: Path, uncertainty: PoseUncertainty) -> None:
         writer = csv.writer(stream)
         writer.writerow(_UNCERTAINTY_COLUMNS)
         for time_ns, sequence, sigmas, values in rows:
-            writer.writerow([format_seconds(time_ns), sequence, *(f"{v:.9g}" for v in (*sigmas, *values))])
+            writer.writerow(
+                [format_seconds(time_ns), escape_cell(sequence), *(f"{v:.9g}" for v in (*sigmas, *values))]
+            )
 
 
 def read_uncertainty(path: Path) -> PoseUncertainty:
@@ -50,7 +53,7 @@ def read_uncertainty(path: Path) -> PoseUncertainty:
     covariances = np.zeros((len(rows), 6, 6))
     covariances[:, _UPPER[0], _UPPER[1]] = upper
     covariances[:, _UPPER[1], _UPPER[0]] = upper
-    return PoseUncertainty(times_ns, [row[1] for row in rows], covariances)
+    return PoseUncertainty(times_ns, [restore_cell(row[1]) for row in rows], covariances)
 
 
 def write_heights(path: Path, heights: Floats) -> None:

@@ -14,6 +14,7 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
+from subiaco_geo.array_files import read_arrays
 from subiaco_geo.atomic import whole_file
 from subiaco_geo.clouds import packable, voxel_indices, voxel_keys
 from subiaco_geo.errors import InputError
@@ -25,8 +26,15 @@ NO_VERDICT = 255
 #: The same of a thing that moved for certain; probabilities are stored in steps of 1/200.
 SURELY_MOVED = 200
 
+_COUNTS = ("keys", "hits", "passes")
+_CLOCK = ("window", "start_ns")
 _LOOKS = ("hit_windows", "through_windows", "hit_runs", "first_hit", "last_hit", "look_edges")
+_SMALL = 4096  # more than the header and the values of a corner take [bytes]
 _LEVEL = 4  # of deflate; the usual 6, numpy's, takes five times as long for no fewer bytes here
+
+
+#: Names of the columns of time in files: the fields of looks, and the verdict.
+TIME_COLUMNS = (*_LOOKS, "moving")
 
 
 @dataclass(frozen=True)
@@ -41,32 +49,11 @@ class TimeRecord:
         UTC time at which window 1 begins; window ``w`` begins ``(w - 1) * window`` seconds later.
     looks : Looks
         Of M voxels.
-    moving : (M,) uint8
-        Probability that what returned from the voxel moved while the survey was made, in steps of
-        1/200; :data:`NO_VERDICT` where nothing returned.
     """
 
     window: float
     start_ns: int
     looks: Looks
-    moving: NDArray[np.uint8]
-
-    def select(self, index: Any) -> TimeRecord:
-        """Return the record of some of the voxels: a mask, indices or a slice."""
-        return TimeRecord(self.window, self.start_ns, self.looks.select(index), self.moving[index])
-
-    def arrays(self) -> dict[str, NDArray[Any]]:
-        """Return the columns by the names they have in files."""
-        return dict(zip(_LOOKS, self.looks.columns(), strict=True)) | {"moving": self.moving}
-
-    @staticmethod
-    def of_arrays(window: float, start_ns: int, arrays: Mapping[str, NDArray[Any]]) -> TimeRecord:
-        """Put columns that :meth:`arrays` named together again."""
-        return TimeRecord(window, start_ns, Looks(*(arrays[name] for name in _LOOKS)), arrays["moving"])
-
-
-#: Names of the columns of a time record in files.
-TIME_COLUMNS = (*_LOOKS, "moving")
 
 
 @dataclass(frozen=True)
@@ -83,8 +70,11 @@ class VisibilityGrid:
         Sorted packed voxel indices (:func:`subiaco_geo.clouds.voxel_keys`).
     hits, passes : (M,) uint32
         Beams that ended in the voxel, and that went through it.
+    moving : (M,) uint8, optional
+        Probability that what returned from the voxel moved while the survey was made, in steps of
+        1/200; :data:`NO_VERDICT` where nothing returned (:mod:`subiaco_geo.movement`).
     times : TimeRecord, optional
-        When; layers that were made without it, and those drawn from poses, have none.
+        What that rests on. Layers that were made without time have neither.
     """
 
     origin: Floats
@@ -92,6 +82,7 @@ class VisibilityGrid:
     keys: Ints
     hits: NDArray[np.uint32]
     passes: NDArray[np.uint32]
+    moving: NDArray[np.uint8] | None = None
     times: TimeRecord | None = None
 
     def slots(self, world: Floats) -> tuple[Ints, NDArray[np.bool_]]:
@@ -115,14 +106,14 @@ class VisibilityGrid:
     def moved(self, world: Floats) -> NDArray[np.float32] | None:
         """Return the probability (N,) that what returned at world points (N, 3) moved.
 
-        NaN where no voxel with returns was recorded; None for a grid without times.
+        NaN where no voxel with returns was recorded; None for a grid without time.
         """
-        if self.times is None:
+        if self.moving is None:
             return None
         slot, found = self.slots(world)
         if not found.any():
             return np.full(len(slot), np.nan, dtype=np.float32)
-        code = np.where(found, self.times.moving[slot], NO_VERDICT)
+        code = np.where(found, self.moving[slot], NO_VERDICT)
         return np.where(code == NO_VERDICT, np.nan, code / SURELY_MOVED).astype(np.float32)
 
     def observed(self, world: Floats, min_beams: int = 1) -> NDArray[np.bool_]:
@@ -135,9 +126,9 @@ def save_visibility(path: Path, grid: VisibilityGrid) -> None:
     """Write a grid as compressed npz (no pickle)."""
     arrays: dict[str, NDArray[Any]] = {"origin": grid.origin, "voxel": np.array(grid.voxel, np.float64)}
     arrays |= {"keys": grid.keys, "hits": grid.hits, "passes": grid.passes}
-    if grid.times is not None:
+    if grid.times is not None and grid.moving is not None:
         arrays |= {"window": np.array(grid.times.window), "start_ns": np.array(grid.times.start_ns)}
-        arrays |= grid.times.arrays()
+        arrays |= dict(zip(_LOOKS, grid.times.looks.columns(), strict=True)) | {"moving": grid.moving}
     with (
         whole_file(path) as temporary,
         zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED, compresslevel=_LEVEL) as archive,
@@ -159,7 +150,7 @@ def visibility_parts(path: Path, size: int = 1 << 20) -> Iterator[VisibilityGrid
         with zipfile.ZipFile(path) as archive:
             small = {name: _member(archive, name) for name in ("origin", "voxel")}
             origin, voxel = small["origin"].astype(np.float64), float(small["voxel"])
-            names, clock = ["keys", "hits", "passes"], (0.0, 0)
+            names, clock = [*_COUNTS], (0.0, 0)
             if "window.npy" in archive.namelist():
                 names += TIME_COLUMNS
                 clock = float(_member(archive, "window")), int(_member(archive, "start_ns"))
@@ -181,11 +172,16 @@ def visibility_parts(path: Path, size: int = 1 << 20) -> Iterator[VisibilityGrid
 def _grid_of(
     origin: Floats, voxel: float, clock: tuple[float, int], arrays: Mapping[str, NDArray[Any]]
 ) -> VisibilityGrid:
-    times = TimeRecord.of_arrays(*clock, arrays) if clock[0] > 0 else None
-    return VisibilityGrid(origin, voxel, arrays["keys"], arrays["hits"], arrays["passes"], times)
+    counts = (arrays[name] for name in _COUNTS)
+    if clock[0] <= 0:
+        return VisibilityGrid(origin, voxel, *counts)
+    times = TimeRecord(*clock, Looks(*(arrays[name] for name in _LOOKS)))
+    return VisibilityGrid(origin, voxel, *counts, arrays["moving"], times)
 
 
 def _member(archive: zipfile.ZipFile, name: str) -> NDArray[Any]:
+    if archive.getinfo(f"{name}.npy").file_size > _SMALL:
+        raise ValueError(f"{name} is no corner or edge")
     with archive.open(f"{name}.npy") as stream:
         return np.asarray(np.lib.format.read_array(stream, allow_pickle=False))
 
@@ -209,10 +205,20 @@ def _rows(stream: IO[bytes], kind: np.dtype[Any], count: int) -> NDArray[Any]:
 
 def load_visibility(path: Path) -> VisibilityGrid:
     """Read a grid written by :func:`save_visibility`."""
+    timed = _is_timed(path)
+    names = _COUNTS + (_CLOCK + TIME_COLUMNS if timed else ())
+    data = read_arrays(path, ("origin", "voxel", *names), "a visibility layer", "rebuild the map")
+    columns = [data[name] for name in names if name not in _CLOCK]
+    if any(len(column) != len(columns[0]) for column in columns):
+        raise InputError(f"{path}: not a visibility layer (its columns differ in length); rebuild the map")
+    clock = (float(data["window"]), int(data["start_ns"])) if timed else (0.0, 0)
+    return _grid_of(data["origin"], float(data["voxel"]), clock, data)
+
+
+def _is_timed(path: Path) -> bool:
+    """Tell whether a file holds the columns of time; a damaged one does not."""
     try:
-        with np.load(path, allow_pickle=False) as data:
-            arrays = {name: data[name] for name in data.files}
-        clock = (float(arrays["window"]), int(arrays["start_ns"])) if "window" in arrays else (0.0, 0)
-        return _grid_of(arrays["origin"], float(arrays["voxel"]), clock, arrays)
-    except (KeyError, ValueError, OSError, EOFError, BadZipFile, zlib.error) as error:
-        raise InputError(f"{path}: not a visibility layer ({error}); rebuild the map") from error
+        with zipfile.ZipFile(path) as archive:
+            return "window.npy" in archive.namelist()
+    except (OSError, BadZipFile):
+        return False

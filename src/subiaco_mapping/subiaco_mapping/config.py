@@ -200,6 +200,12 @@ class FusionConfig(StrictModel):
 
     leaf: float = Field(0.25, gt=0, description="map voxel [m]")
     max_range: float = Field(70.0, gt=0, description="farther points do not enter the map [m]")
+    reserve_gb: float = Field(
+        2.0,
+        ge=0,
+        description="Free space of the disk [GB] below which the points of further scans are left out, so "
+        "that the map of those before can still be written.",
+    )
     min_points: int = Field(1, ge=1, description="points a map voxel needs")
     outlier_neighbours: int = Field(
         3, ge=0, description="others that a point needs near it to stay; 0 leaves the test out"

@@ -88,6 +88,48 @@ def body_twist(T_previous_current: Floats, duration_s: float) -> Floats:
     return np.concatenate([rotvec / duration_s, velocity])
 
 
+def constant_motion(start_ns: int, end_ns: int, twist: Floats) -> Motion:
+    """Return the motion of a constant body twist (6,), rotation first [rad/s, m/s]."""
+    steps = np.linspace(0, end_ns - start_ns, 11).round().astype(np.int64)
+    knots_ns = np.unique(start_ns + steps)
+    return integrate(knots_ns, np.tile(twist[:3], (len(knots_ns), 1)), twist[3:], "constant_velocity")
+
+
+def straighten_by_twist(scan: Scan, twist: Floats, previous_ns: int | None = None) -> DeskewedScan:
+    """Straighten the first returns of a scan by a constant body twist (6,) alone.
+
+    Parameters
+    ----------
+    scan : Scan
+    twist : (6,) float64
+        Rotation first [rad/s, m/s].
+    previous_ns : int, optional
+        Stamp of the scan before, from where the motion is predicted.
+    """
+    start_ns = min(scan.start_ns, scan.end_ns - 1)
+    start_ns = start_ns if previous_ns is None else min(start_ns, previous_ns)
+    motion = constant_motion(start_ns, scan.end_ns, twist)
+    return DeskewedScan(
+        stamp_ns=scan.end_ns,
+        xyz=_straightened(scan.first, motion, scan.end_ns, motion.mode),
+        intensity=scan.first.intensity,
+        mode=motion.mode,
+        motion=None if previous_ns is None else motion.between(previous_ns, scan.end_ns),
+    )
+
+
+def _straightened(returns: Returns, motion: Motion, end_ns: int, mode: str) -> Floats:
+    """Return the points (N, 3) where the LiDAR at ``end_ns`` sees them."""
+    if mode == "none" or len(returns) == 0:
+        return returns.xyz
+    times_ns, index = returns.by_time()
+    rotation, position = motion.at(times_ns)
+    end_rotation, end_position = motion.at(np.array([end_ns]))
+    relative = end_rotation[0].T @ rotation
+    shift = (position - end_position[0]) @ end_rotation[0]
+    return _moved(returns.xyz, index, relative, shift)
+
+
 def _at(knots_ns: Ints, times_ns: Ints, values: Floats) -> Floats:
     """Return values (M, 3) at times, linear in between, at knots (K, 3)."""
     query, known = (knots_ns - knots_ns[0]).astype(float), (times_ns - knots_ns[0]).astype(float)
@@ -170,9 +212,9 @@ class Deskewer:
         unknown = twist is None and motion.mode == "constant_velocity"
         predicted = None if previous_ns is None or unknown else motion.between(previous_ns, scan.end_ns)
         mode = "none" if scan.deskewed or unknown else motion.mode
-        first = self._straighten(scan.first, motion, scan.end_ns, mode)
-        last = self._straighten(scan.last, motion, scan.end_ns, mode) if scan.last is not None else None
-        sky = self._straighten(scan.sky, motion, scan.end_ns, mode) if scan.sky is not None else None
+        first = _straightened(scan.first, motion, scan.end_ns, mode)
+        last = _straightened(scan.last, motion, scan.end_ns, mode) if scan.last is not None else None
+        sky = _straightened(scan.sky, motion, scan.end_ns, mode) if scan.sky is not None else None
         self._forget(scan.end_ns)
         return DeskewedScan(
             stamp_ns=scan.end_ns,
@@ -201,9 +243,7 @@ class Deskewer:
         knots_ns = np.array([start_ns, end_ns], dtype=np.int64)
         times_ns = np.array([s.time_ns for s in used], dtype=np.int64)
         if self._R_lidar_imu is None or not self._covers(times_ns, start_ns, end_ns):
-            steps = np.linspace(0, end_ns - start_ns, 11).round().astype(np.int64)
-            knots_ns = np.unique(start_ns + steps)
-            return integrate(knots_ns, np.tile(twist[:3], (len(knots_ns), 1)), twist[3:], "constant_velocity")
+            return constant_motion(start_ns, end_ns, twist)
         inside = times_ns[(times_ns > start_ns) & (times_ns < end_ns)]
         knots_ns = np.concatenate([knots_ns[:1], inside, knots_ns[1:]])
         rates = _at(knots_ns, times_ns, (np.array([s.gyro for s in used]) - self._bias) @ self._R_lidar_imu.T)
@@ -230,17 +270,6 @@ class Deskewer:
         limit = self._config.max_imu_gap_ns
         starts = times_ns[0] <= start_ns + limit // 4
         return bool(starts and times_ns[-1] >= end_ns and np.diff(times_ns).max() <= limit)
-
-    @staticmethod
-    def _straighten(returns: Returns, motion: Motion, end_ns: int, mode: str) -> Floats:
-        if mode == "none" or len(returns) == 0:
-            return returns.xyz
-        times_ns, index = returns.by_time()
-        rotation, position = motion.at(times_ns)
-        end_rotation, end_position = motion.at(np.array([end_ns]))
-        relative = end_rotation[0].T @ rotation
-        shift = (position - end_position[0]) @ end_rotation[0]
-        return _moved(returns.xyz, index, relative, shift)
 
     def _mean_accel(self, used: list[ImuSample]) -> Floats | None:
         if not used or self._R_lidar_imu is None:

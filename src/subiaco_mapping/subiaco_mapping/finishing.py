@@ -144,7 +144,8 @@ class MapFusion:
         """Return the visibility layer with the verdict on every voxel."""
         (grid, looks), config = self._beams.grid(), self._config.moving
         moving = verdicts(grid.keys, looks, config)
-        return replace(grid, times=TimeRecord(config.window, self._clock.start_ns, looks, moving))
+        times = TimeRecord(config.window, self._clock.start_ns, looks)
+        return replace(grid, moving=moving, times=times)
 
     def _usable(self, tile: int) -> VoxelStatistics:
         found = self._first.statistics(tile)

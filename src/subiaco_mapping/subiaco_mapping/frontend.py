@@ -7,9 +7,11 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from subiaco_geo.errors import InputError
+from subiaco_geo.frames import Floats
 from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.decode import DecodeCounts, PacketDecoder
 from subiaco_mapping.deskew import Deskewer
+from subiaco_mapping.first_motion import first_twist
 from subiaco_mapping.imu_clock import ImuClock
 from subiaco_mapping.measurements import DeskewedScan, Extrinsics, ImuSample, OdometryPose, Scan
 from subiaco_mapping.odometry import KissOdometry, OdometryBackend
@@ -53,6 +55,7 @@ class OdometryFrontend:
         self._clock = ImuClock(rotation, config.deskew.imu_time_offset_ns)
         self._odometry = odometry or KissOdometry(config.odometry, config.threads)
         self._waiting: deque[Scan] = deque()
+        self._first: Scan | None = None  # of an unbroken stretch
         self._latest_ns = 0
         self.dropped_scans = 0
         if metadata is not None:
@@ -96,7 +99,9 @@ class OdometryFrontend:
         """Close the stream: whatever waits goes with what there is."""
         if self._decoder is not None:
             self._waiting.extend(self._decoder.flush())
-        return self._drain(force=True)
+        outputs = self._drain(force=True)
+        first, self._first = self._first, None
+        return outputs if first is None else [*outputs, self._register(first, self._odometry.twist)]
 
     def facts(self) -> dict[str, Any]:
         """Return what the manifest notes about the stream; plain values."""
@@ -115,19 +120,29 @@ class OdometryFrontend:
         return self._drain(force=False)
 
     def _drain(self, force: bool) -> list[FrontendOutput]:
-        outputs = []
+        outputs: list[FrontendOutput] = []
         while self._waiting and (force or self._deskewer.ready(self._waiting[0], self._latest_ns)):
-            output = self._step(self._waiting.popleft())
-            if output is not None:
-                outputs.append(output)
+            outputs += self._step(self._waiting.popleft())
         return outputs
 
-    def _step(self, scan: Scan) -> FrontendOutput | None:
-        previous_ns = self._odometry.last_stamp_ns
+    def _step(self, scan: Scan) -> list[FrontendOutput]:
+        held = self._first
+        previous_ns = self._odometry.last_stamp_ns if held is None else held.end_ns
         if len(scan.first) == 0 or (previous_ns is not None and scan.end_ns <= previous_ns):
             self.dropped_scans += 1
-            return None
-        deskewed = self._deskewer.deskew(scan, self._odometry.twist, previous_ns)
+            return []
+        begins = previous_ns is None or scan.end_ns - previous_ns > self._config.odometry.max_gap_ns
+        if begins and not scan.deskewed:
+            self._first = scan
+            return [] if held is None else [self._register(held, self._odometry.twist)]
+        if held is None:
+            return [self._register(scan, self._odometry.twist)]
+        self._first = None
+        twist = first_twist(held, scan, self._config.odometry, self._config.threads)
+        return [self._register(held, twist), self._register(scan, twist)]
+
+    def _register(self, scan: Scan, twist: Floats | None) -> FrontendOutput:
+        deskewed = self._deskewer.deskew(scan, twist, self._odometry.last_stamp_ns)
         pose = self._odometry.register(deskewed)
         self._clock.push_pose(pose)
         return FrontendOutput(pose, deskewed)

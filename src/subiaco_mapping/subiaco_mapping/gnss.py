@@ -11,10 +11,13 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from subiaco_geo.crs import EnuFrame, ellipsoidal_heights, fixes_to_gda2020
+from subiaco_geo.crs_area import require_inside
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints, interpolate_poses, invert_pose, make_pose
 from subiaco_mapping.config import GnssConfig
 from subiaco_mapping.measurements import GnssFix
+
+_ASTRAY_DEG = 1.0  # a fix so far off the others is not where the drive is
 
 
 @dataclass(frozen=True)
@@ -65,14 +68,50 @@ class Attachment:
 
 
 def local_frame(fixes: Sequence[GnssFix], config: GnssConfig) -> EnuFrame | None:
-    """Return the ENU frame at the first of the best fixes, None where no fix is usable."""
+    """Return the ENU frame at the first of the best fixes, None where no fix is usable.
+
+    A fix a degree off the median of the best ones, as receivers give when they start, is not taken.
+    """
     usable = [fix for fix in fixes if fix.is_usable()]
     if not usable:
         return None
     best = max(fix.status for fix in usable)
-    first = next(fix for fix in usable if fix.status == best)
+    placed = [fix for fix in usable if fix.status == best]
+    rows = np.array([[fix.latitude, fix.longitude] for fix in placed])
+    near = (np.abs(rows - np.median(rows, axis=0)) < _ASTRAY_DEG).all(axis=1)
+    first = placed[int(np.argmax(near))]
     origin = _to_gda2020([first], config)[0]
     return EnuFrame(float(origin[0]), float(origin[1]), float(origin[2]))
+
+
+class PlaceCheck:
+    """Refuse the CRS of a map as soon as enough fixes tell where the drive is.
+
+    Parameters
+    ----------
+    crs : str
+        Of the map.
+    """
+
+    _ENOUGH = 20
+
+    def __init__(self, crs: str) -> None:
+        self._crs = crs
+        self._seen: list[tuple[float, float]] = []
+
+    def take(self, fix: GnssFix) -> None:
+        """Take one fix.
+
+        Raises
+        ------
+        InputError
+            The median of the first usable fixes is where the CRS must not be used.
+        """
+        if len(self._seen) < self._ENOUGH and fix.is_usable():
+            self._seen.append((fix.latitude, fix.longitude))
+            if len(self._seen) == self._ENOUGH:
+                latitude, longitude = np.median(np.array(self._seen), axis=0).tolist()
+                require_inside(latitude, longitude, self._crs)
 
 
 def _to_gda2020(fixes: Sequence[GnssFix], config: GnssConfig) -> Floats:

@@ -22,8 +22,9 @@ from subiaco_geo.atomic import refuse_existing, refuse_foreign
 from subiaco_geo.bags import TYPESTORE, BagWriter, packet_to_cdr
 from subiaco_geo.errors import InputError
 from subiaco_geo.topics import IMU_PACKETS, LATCHED, LIDAR_PACKETS, MESSAGE_TYPES, METADATA
+from subiaco_mapping.bag_messages import LogMessage
 from subiaco_mapping.decode import parse_metadata
-from subiaco_mapping.logs import LogMessage
+from subiaco_mapping.isolated_reader import read_isolated
 
 logger = logging.getLogger(__name__)
 
@@ -89,8 +90,8 @@ def pcap_packets(recording: Path, metadata: str) -> Iterator[RecordedPacket]:
         ) from error
 
 
-def osf_recording(recording: Path) -> tuple[str, Iterator[RecordedPacket]]:
-    """Return metadata and LiDAR packets of the first sensor of an OSF file.
+def osf_recording(recording: Path) -> Iterator[str | RecordedPacket]:
+    """Yield the metadata of the first sensor of an OSF file, then its LiDAR packets.
 
     Raises
     ------
@@ -111,7 +112,8 @@ def osf_recording(recording: Path) -> tuple[str, Iterator[RecordedPacket]]:
         logger.warning("%s: %d sensors in it; the first is taken", recording, len(sensors))
     wanted = {number for number, stream in streams.items() if stream.sensor_meta_id == chosen}
     info = sensors[chosen].info
-    return info.to_json_string(), _osf_packets(recording, reader, wanted, info)
+    yield info.to_json_string()
+    yield from _osf_packets(recording, reader, wanted, info)
 
 
 def _osf_packets(
@@ -246,9 +248,10 @@ def import_recording(
         raise InputError(f"{recording}: no such recording; give a .pcap, .osf or ROS 1 .bag")
     if recording.suffix in _PCAP_SUFFIXES:
         text = _read_text(metadata or find_metadata(recording))
-        packets: Iterable[RecordedPacket] = pcap_packets(recording, text)
+        packets: Iterable[RecordedPacket] = read_isolated(recording, pcap_packets, recording, text)
     elif recording.suffix == ".osf":
-        text, packets = osf_recording(recording)
+        whole = read_isolated(recording, osf_recording, recording)
+        text, packets = str(next(whole)), (item for item in whole if isinstance(item, RecordedPacket))
     elif recording.suffix == ".bag":
         inside, listed = ros1_recording(recording)
         if metadata is None and inside is None:

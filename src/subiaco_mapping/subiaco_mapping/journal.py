@@ -16,9 +16,11 @@ from typing import Any
 from subiaco_geo import __version__
 from subiaco_geo.atomic import whole_file
 from subiaco_geo.errors import InputError
+from subiaco_geo.locks import locked
 from subiaco_geo.work.tasks import fingerprint
 from subiaco_mapping.backend import MappingBackend, sequence_folder
 from subiaco_mapping.config import MappingConfig
+from subiaco_mapping.map_builder import FUSION_FOLDER
 from subiaco_mapping.measurements import Extrinsics
 from subiaco_mapping.sequence_files import pack, unpack
 from subiaco_mapping.sequences import SequenceRecord
@@ -40,26 +42,33 @@ def journal_folder(output: Path) -> Path:
 def opened(folder: Path | None, config: MappingConfig, *, resume: bool) -> Iterator[Journal]:
     """Give the journal of a run; one without a folder lasts as long as the run.
 
-    One of a run that failed stays where it spares work; :func:`remove` it once the map is written.
+    One with a folder is this run's alone: InputError where another run works on it. That of a run that failed
+    stays where it spares work; :func:`remove` it once the map is written.
     """
     if folder is None:
         with tempfile.TemporaryDirectory(prefix="subiaco-spool-") as work:
             yield Journal(Path(work), config, resume=False)
         return
-    journal = Journal(folder, config, resume=resume)
-    try:
-        yield journal
-    except BaseException as error:
-        if journal.finished == 0 or isinstance(error, InputError):  # the same would fail again
-            remove(folder)
-        else:
-            logger.warning("%d recordings are done; --resume goes on from there", journal.finished)
-        raise
+    with locked(folder):
+        journal = Journal(folder, config, resume=resume)
+        try:
+            yield journal
+        except BaseException as error:
+            if journal.finished == 0 or isinstance(error, InputError):  # the same would fail again
+                remove(folder)
+            else:
+                logger.warning("%d recordings are done; --resume goes on from there", journal.finished)
+            raise
 
 
 def remove(folder: Path) -> None:
     """Remove a journal, if it is there."""
     shutil.rmtree(folder, ignore_errors=True)
+
+
+def _size(folder: Path) -> int:
+    """Return the bytes of all files under a folder."""
+    return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
 
 
 def _program() -> str:
@@ -93,9 +102,12 @@ class Journal:
         self.folder, self._config = folder, config
         run = {"config": reading_hash(config), "program": _program()}
         found = self._read() if resume else {}
-        if resume and found.get("run") != run:
-            said = "begun by another configuration or version" if found else "none"
-            logger.warning("%s: journal %s; mapping from the start", folder, said)
+        if found and found.get("run") != run:
+            logger.warning("%s: begun by another configuration or version; mapping from the start", folder)
+        elif found.get("sequences"):
+            logger.warning(
+                "%d finished recordings of a run that was stopped are used", len(found["sequences"])
+            )
         if found.get("run") != run:
             shutil.rmtree(folder, ignore_errors=True)
             found = {}
@@ -120,11 +132,15 @@ class Journal:
         if noted.get("bag") != [name, bag_hash] or not path.is_file():
             return None
         packed = path.read_bytes()
+        for leftover in path.parent.rglob(f"{FUSION_FOLDER}*"):  # of a run killed while it fused
+            shutil.rmtree(leftover, ignore_errors=True)
         try:
             if hashlib.sha256(packed).hexdigest() != noted["record"]:
                 raise InputError("its hash is not the one noted")
+            if _size(path.parent) != noted["bytes"]:
+                raise InputError("its scans are not whole, as after a power cut")
             return unpack(packed, path.parent, self._config)
-        except InputError as error:
+        except (InputError, KeyError) as error:
             logger.warning("%s: damaged (%s); the recording is read again", path, error)
             return None
 
@@ -138,7 +154,8 @@ class Journal:
             stream.write(packed)
             stream.flush()
             os.fsync(stream.fileno())
-        noted = {"bag": [name, bag_hash], "record": hashlib.sha256(packed).hexdigest()}
+        digest = hashlib.sha256(packed).hexdigest()
+        noted = {"bag": [name, bag_hash], "record": digest, "bytes": _size(self._place(number))}
         self._state["sequences"][str(number)] = noted
         self._write()
 

@@ -9,10 +9,8 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterator
-from dataclasses import dataclass
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from pydantic import Field
@@ -20,7 +18,8 @@ from pydantic import Field
 from subiaco_geo.bags import TYPESTORE
 from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError
-from subiaco_geo.topics import FIX, HEADING, IMU, MESSAGE_TYPES
+from subiaco_geo.topics import HEADING, IMU
+from subiaco_mapping.bag_messages import LogMessage, fix_message, header, message
 
 _T = TYPESTORE.types
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
@@ -58,15 +57,6 @@ class LogsConfig(StrictModel):
     gnss: GnssColumns = GnssColumns()
     imu: ImuColumns = ImuColumns()
     heading_sigma_deg: float = Field(0.2, gt=0, description="where the log has none [deg]")
-
-
-@dataclass(frozen=True)
-class LogMessage:
-    """One message: topic, UTC time and its serialised bytes."""
-
-    topic: str
-    time_ns: int
-    cdr: bytes
 
 
 def parse_time_ns(text: str) -> int:
@@ -112,16 +102,6 @@ def _rows(path: Path, needed: tuple[str, ...], key: str) -> Iterator[tuple[int, 
         raise InputError(f"{path}: cannot be read as a CSV log ({error}); check the file") from error
 
 
-def _header(time_ns: int, frame: str) -> Any:
-    stamp = _T["builtin_interfaces/msg/Time"](sec=time_ns // 10**9, nanosec=time_ns % 10**9)
-    return _T["std_msgs/msg/Header"](stamp=stamp, frame_id=frame)
-
-
-def _message(topic: str, time_ns: int, **fields: Any) -> LogMessage:
-    kind = MESSAGE_TYPES[topic]
-    return LogMessage(topic, time_ns, bytes(TYPESTORE.serialize_cdr(_T[kind](**fields), kind)))
-
-
 def _imu(topic: str, time_ns: int, frame: str, yaw: float, variance: float, rates: list[float]) -> LogMessage:
     vector, unknown = _T["geometry_msgs/msg/Vector3"], np.zeros(9)
     absent = np.array([-1.0] + [0.0] * 8)
@@ -129,10 +109,10 @@ def _imu(topic: str, time_ns: int, frame: str, yaw: float, variance: float, rate
     turn = _T["geometry_msgs/msg/Quaternion"](
         x=0.0, y=0.0, z=float(np.sin(yaw / 2)), w=float(np.cos(yaw / 2))
     )
-    return _message(
+    return message(
         topic,
         time_ns,
-        header=_header(time_ns, frame),
+        header=header(time_ns, frame),
         orientation=turn,
         orientation_covariance=covariance,
         angular_velocity=vector(*rates[:3]),
@@ -155,17 +135,7 @@ def _fix(row: dict[str, str], time_ns: int, columns: GnssColumns) -> LogMessage:
     sigma = np.array([_number(row, name) for name in names])
     known = bool(np.isfinite(sigma).all())
     sigma = sigma if known else np.full(3, _UNKNOWN_M.get(status, np.nan))
-    return _message(
-        FIX,
-        time_ns,
-        header=_header(time_ns, "gnss_link"),
-        status=_T["sensor_msgs/msg/NavSatStatus"](status=status, service=1),
-        latitude=place[0],
-        longitude=place[1],
-        altitude=place[2],
-        position_covariance=np.diag(sigma**2).ravel(),
-        position_covariance_type=2 if known else 1,
-    )
+    return fix_message(time_ns, np.array(place), np.diag(sigma**2), status, known=known)
 
 
 def read_gnss_log(path: Path, config: LogsConfig) -> list[LogMessage]:

@@ -60,6 +60,7 @@ LEGEND = {
     "seam_median_m": "how far the solved map is off the registration of both visits, median [m]",
     "seam_p95_m": "the same, 95th percentile [m]",
     "dropped_points": "points that were not finite",
+    "scans_without_room": "scans whose points are not in the map because the disk was full",
     "packets": "LiDAR packets of the whole recording: received, lost, late, duplicate, reordered, malformed",
     "dropped_scans": "scans without points or out of order",
     "imu_out_of_order": "IMU samples that were not newer than the one before",

@@ -24,6 +24,9 @@ from subiaco_mapping.solution import GraphSolution
 
 ProgressCallback = Callable[[str, float], None]
 
+#: Beginning of the names of folders in which voxel sums lie while scans are fused.
+FUSION_FOLDER = "fusion-"
+
 
 def silent(_stage: str, _fraction: float) -> None:
     """Report to nobody."""
@@ -55,7 +58,7 @@ def build_map(
     """
     projection = Projection(solution.frame, config.crs if solution.frame is not None else None)
     # what is mapped from the folder outlives it: the disk gives it back when the map is let go
-    with tempfile.TemporaryDirectory(prefix="fusion-", dir=sequences[0].spool.folder) as folder:
+    with tempfile.TemporaryDirectory(prefix=FUSION_FOLDER, dir=sequences[0].spool.folder) as folder:
         fused = _fuse(Path(folder), sequences, solution, config, projection, report)
     trajectory, uncertainty = _trajectory(solution, projection)
     return SurveyMap(

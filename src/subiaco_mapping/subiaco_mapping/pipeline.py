@@ -27,6 +27,7 @@ from subiaco_mapping.conversions import (
     scan_from_points,
 )
 from subiaco_mapping.frontend import FrontendOutput, OdometryFrontend
+from subiaco_mapping.gnss import PlaceCheck
 from subiaco_mapping.journal import JournalledBackend, opened
 from subiaco_mapping.map_builder import ProgressCallback, silent
 from subiaco_mapping.measurements import DeskewedScan, Extrinsics, GnssFix, HeadingSample, OdometryPose
@@ -94,9 +95,13 @@ class SequenceSink(Protocol):
 
 
 def run_sequence(
-    reader: BagReader, backend: SequenceSink, config: MappingConfig, progress: ProgressCallback
+    reader: BagReader,
+    backend: SequenceSink,
+    config: MappingConfig,
+    progress: ProgressCallback,
+    place: PlaceCheck | None = None,
 ) -> None:
-    """Feed one bag through the front end into the back end."""
+    """Feed one bag through the front end into the back end; ``place`` refuses a CRS made for elsewhere."""
     lidar = lidar_topic(reader)
     for topic in (IMU, FIX, HEADING):
         if topic in reader.topics:
@@ -115,11 +120,16 @@ def run_sequence(
         for output in outputs:
             backend.on_odometry(output.pose, output.scan)
 
+    def take(fix: GnssFix) -> None:
+        if place is not None:
+            place.take(fix)
+        backend.on_fix(fix)
+
     steps: dict[str, Callable[..., None]] = {
         LIDAR_PACKETS: lambda m: feed(frontend.on_packet(packet_from_cdr(m.raw))),
         POINTS: lambda m: feed(frontend.on_points(scan_from_points(reader.deserialize(m), config))),
         IMU: lambda m: feed(frontend.on_imu(imu_from_msg(reader.deserialize(m)))),
-        FIX: lambda m: backend.on_fix(fix_from_msg(reader.deserialize(m), config.gnss)),
+        FIX: lambda m: take(fix_from_msg(reader.deserialize(m), config.gnss)),
         HEADING: lambda m: backend.on_heading(heading_from_msg(reader.deserialize(m))),
     }
     span_ns = max(reader.end_ns - reader.start_ns, 1)
@@ -144,7 +154,7 @@ def read_recording(_: Inputs, params: Mapping[str, Any]) -> Arrays:
     config = params["config"]
     sink = OneSequence(Path(params["folder"]), config)
     with open_bag(Path(params["bag"]), config.topics) as reader:
-        run_sequence(reader, sink, config, silent)
+        run_sequence(reader, sink, config, silent, PlaceCheck(config.crs))
     return {"record": np.frombuffer(pack(sink.record), dtype=np.uint8)}
 
 
@@ -196,7 +206,7 @@ def map_survey(
         for bag, (name, content) in zip(map(Path, bags), inputs.items(), strict=True):
             if not backend.restore(name, content):
                 with open_bag(bag, config.topics) as reader:
-                    run_sequence(reader, backend, config, report)
+                    run_sequence(reader, backend, config, report, PlaceCheck(config.crs))
                 backend.keep(content)
         survey = mark_simulated(backend.build_map(report, inputs), [Path(bag) for bag in bags])
         return backend.with_quality(with_watched(survey, bags), report)

@@ -50,6 +50,8 @@ class SequenceRecord:
         if self.poses and pose.stamp_ns <= self.poses[-1].stamp_ns:
             raise InputError(f"{self.name}: scan at {pose.stamp_ns} ns is not newer than the one before")
         self.spool.append(scan)
+        if self.spool.left_out:
+            self.facts["scans_without_room"] = self.spool.left_out
         if self.submaps is not None:
             self.submaps.add(pose, scan)
         self.poses.append(pose)
@@ -77,6 +79,7 @@ class SequenceRecord:
 
 def begin_sequence(name: str, extrinsics: Extrinsics, folder: Path, config: MappingConfig) -> SequenceRecord:
     """Return the empty record of a recording whose scans and submaps go to a folder."""
-    spool = Spool(folder, config.fusion.max_range, config.decode.sky_range)
+    reserve_bytes = round(config.fusion.reserve_gb * 1e9)
+    spool = Spool(folder, config.fusion.max_range, config.decode.sky_range, reserve_bytes)
     submaps = SubmapBuilder(config.loops, folder / "submaps") if config.loops.enabled else None
     return SequenceRecord(name, extrinsics, spool, submaps)

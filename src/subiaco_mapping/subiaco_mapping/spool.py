@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import errno
+import logging
+import shutil
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -11,6 +14,9 @@ from numpy.typing import NDArray
 from subiaco_geo.frames import Floats
 from subiaco_mapping.measurements import DeskewedScan
 
+logger = logging.getLogger(__name__)
+
+_CHECK_EVERY = 20  # scans between two looks at the free space: two seconds, at most 40 MB
 _POINT = np.dtype([("xyz", "<i2", 3), ("intensity", "<u2")])
 _FULL_SCALE = 32767
 _BEAM_OFFSET = 5.0  # of a beam's start from the sensor at the stamp, the motion in a scan included [m]
@@ -32,14 +38,28 @@ class Spool:
 
     Coordinates are stored in steps of the longest range / 32767 (2 mm at 70 m, a mean error of half
     a millimetre, far under the sensor's noise); points beyond ``max_range`` are left out.
+
+    Parameters
+    ----------
+    folder : Path
+    max_range, sky_range : float
+        Longest ranges of points and of beams that met nothing [m].
+    reserve_bytes : int
+        Free space of the disk below which scans are kept without their points, so that what was mapped
+        until then can still be fused and written.
     """
 
-    def __init__(self, folder: Path, max_range: float, sky_range: float = 0.0) -> None:
+    def __init__(
+        self, folder: Path, max_range: float, sky_range: float = 0.0, reserve_bytes: int = 0
+    ) -> None:
         self._folder = folder
         self._longest = max(max_range, sky_range + _BEAM_OFFSET)
         self._step = self._longest / _FULL_SCALE
         self._max_range = max_range
         self._count = 0
+        self._reserve_bytes = reserve_bytes
+        self._full = False
+        self.left_out = 0  # scans whose points found no room
         folder.mkdir(parents=True, exist_ok=True)
 
     def __len__(self) -> int:
@@ -55,15 +75,37 @@ class Spool:
         self._count = count
 
     def append(self, scan: DeskewedScan) -> None:
-        """Write the next scan."""
-        first = self._pack(scan.xyz, scan.intensity, self._max_range)
-        last = self._pack(scan.last_xyz, scan.last_intensity, self._max_range)
-        sky = self._pack(scan.sky_xyz, np.zeros(len(scan.sky_xyz), np.float32), self._longest)
-        with self._path(self._count).open("wb") as stream:
-            np.save(stream, first)
-            np.save(stream, last)
-            np.save(stream, sky)
+        """Write the next scan; without its points where the disk is full (counted in ``left_out``)."""
+        if self._reserve_bytes and self._count % _CHECK_EVERY == 0:
+            self._note_room(shutil.disk_usage(self._folder).free >= self._reserve_bytes)
+        parts = (
+            self._pack(scan.xyz, scan.intensity, self._max_range),
+            self._pack(scan.last_xyz, scan.last_intensity, self._max_range),
+            self._pack(scan.sky_xyz, np.zeros(len(scan.sky_xyz), np.float32), self._longest),
+        )
+        if not self._full:
+            try:
+                self._write(parts)
+            except OSError as error:
+                if error.errno not in (errno.ENOSPC, errno.EDQUOT):
+                    raise
+                self._note_room(room=False)
+        if self._full:
+            self._write(tuple(part[:0] for part in parts))
+            self.left_out += 1
         self._count += 1
+
+    def _write(self, parts: tuple[NDArray[np.void], ...]) -> None:
+        with self._path(self._count).open("wb") as stream:
+            for part in parts:
+                np.save(stream, part)
+
+    def _note_room(self, room: bool) -> None:
+        if not room and not self._full:
+            logger.error(
+                "%s: the disk is full; further scans are left out of the map: make room on it", self._folder
+            )
+        self._full = not room
 
     def read(self, index: int) -> SpooledScan:
         """Read a scan back."""

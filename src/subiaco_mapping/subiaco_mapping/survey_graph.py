@@ -9,6 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from subiaco_geo.crs import EnuFrame
+from subiaco_geo.crs_area import require_inside
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, invert_pose
 from subiaco_mapping.chains import Placement, chain_of, place_sequences, summary
@@ -62,8 +63,8 @@ class SurveyGraph:
         Raises
         ------
         InputError
-            A sequence can be placed neither by GNSS nor by what it shares with the others, or GNSS is
-            required and does not place one.
+            A sequence can be placed neither by GNSS nor by what it shares with the others, GNSS is
+            required and does not place one, or the fixes are where the CRS must not be used.
         """
         placement = place_sequences(sequences, self._config.gnss)
         state = self._start(sequences, placement)
@@ -90,7 +91,7 @@ class SurveyGraph:
         Raises
         ------
         InputError
-            GNSS is required and does not place a sequence.
+            GNSS is required and does not place a sequence, or the fixes are where the CRS must not be used.
         """
         placement = place_sequences(sequences, self._config.gnss)
         state = self._start(sequences, placement)
@@ -134,6 +135,8 @@ class SurveyGraph:
 
     def _start(self, sequences: list[SequenceRecord], placement: Placement) -> _State:
         """Take what GNSS places; of a local map, the first sequence."""
+        if placement.frame is not None:
+            require_inside(placement.frame.latitude_deg, placement.frame.longitude_deg, self._config.crs)
         placed = [reason is None for reason in placement.reasons]
         for sequence, reason in zip(sequences, placement.reasons, strict=True):
             if reason is not None and self._config.gnss.required:

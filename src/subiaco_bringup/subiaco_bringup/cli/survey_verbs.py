@@ -175,19 +175,20 @@ def map_(
         typer.Option(min=1, help="Recordings read beside each other; all cores. The map is the same."),
     ] = None,
     resume: Annotated[
-        bool,
+        bool | None,
         typer.Option(
-            "--resume",
-            help="Go on with a run that was killed, or whose journal was kept; recordings that it finished "
-            "are not read again.",
+            "--resume/--no-resume",
+            show_default=False,
+            help="Use the recordings that a stopped run on the same MAP_DIR had finished (default), or begin "
+            "anew. With --resume, a finished map is no error.",
         ),
-    ] = False,
+    ] = None,
     keep_journal: Annotated[
         bool,
         typer.Option(
             "--keep-journal",
-            help="Leave the journal: with --resume --overwrite and other settings for what follows the "
-            "odometry, recordings are not read again.",
+            help="Leave the journal: with --overwrite and other settings for what follows the odometry, "
+            "recordings are not read again.",
         ),
     ] = False,
     overwrite: Overwrite = False,
@@ -217,7 +218,7 @@ def map_(
     model = load_config(MappingConfig, files, _settings(settings, threads=threads))
     with Progress(quiet=quiet) as progress:
         survey = map_survey(
-            bags, model, progress, journal=journal_folder(output), resume=resume,
+            bags, model, progress, journal=journal_folder(output), resume=resume is not False,
             workers=workers or os.cpu_count() or 1,
         )  # fmt: skip
         progress("writing map", 0.0)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Literal
 
 import numpy as np
@@ -14,6 +15,7 @@ from scipy.special import expit
 
 from subiaco_change.changes.decisions import Decision
 from subiaco_change.changes.measures import Measures
+from subiaco_change.records import ChangeRecord
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats
@@ -30,7 +32,13 @@ _EPSILON = 1e-6
 _CALIBRATED = 0.05
 
 #: What a row's confidence is a function of, in the order of the coefficients.
-FEATURES = ("margin", "observed", "size", "purity", "solid")
+FEATURES = (
+    "margin", "gate", "observed", "size", "purity", "solid", "density",
+    "trajectory", "estimated", "shadow", "assumed",
+)  # fmt: skip
+#: The first of these follow from the decision alone.
+_DECIDED = 2
+_SIGMAS = 6.0  # standard deviations from a limit beyond which more say nothing new
 
 Kind = Literal["single", "reshaped", "unchanged"]
 
@@ -40,10 +48,22 @@ class Coefficients(StrictModel):
 
     intercept: float = Field(description="log odds of a typical row")
     margin: float = Field(description="of the margin of the rule that decided")
+    gate: float = Field(
+        0.0, description="of the distance between measure and limit, in 3 standard deviations, about 1"
+    )
     observed: float = Field(description="of the observed share, about 0.8")
     size: float = Field(description="of log10 of the observed voxels, about 1.7")
     purity: float = Field(description="of the class score, about 0.7")
     solid: float = Field(description="1 for buildings and vegetation, 0 for mobile and other things")
+    density: float = Field(
+        0.0, description="of the size of the log of the ratio of the point densities of both epochs"
+    )
+    trajectory: float = Field(0.0, description="1 where free space follows from a given trajectory")
+    estimated: float = Field(
+        0.0, description="1 where free space follows from poses estimated from the cloud"
+    )
+    shadow: float = Field(0.0, description="1 where free space follows from a shadow test")
+    assumed: float = Field(0.0, description="1 where free space is assumed")
 
 
 class ConfidenceConfig(StrictModel):
@@ -65,6 +85,27 @@ class ConfidenceConfig(StrictModel):
         le=1,
         description="expected calibration error over changed rows of surveys left out of the fit",
     )
+    evidence: tuple[str, ...] = Field(
+        ("observed",), description="kinds of evidence among the rows of the fit; other kinds are discounted"
+    )
+    clouds: Literal["simulated", "own"] = Field(
+        "simulated",
+        description="clouds of the fit: simulated surveys, or injected copies of the survey that is compared."
+        " Other clouds are discounted",
+    )
+    discount: float = Field(
+        0.7,
+        gt=0,
+        le=1,
+        description="factor on the log odds of rows whose kind of evidence or cloud was never calibrated."
+        " Lower values are more cautious",
+    )
+    cap: float = Field(
+        0.89,
+        gt=0.5,
+        le=1,
+        description="highest confidence of rows whose kind of evidence or cloud was never calibrated",
+    )
     single: Coefficients = Coefficients(
         intercept=2.003, margin=0.032, observed=0.314, size=1.055, purity=0.496, solid=-0.045
     )
@@ -79,6 +120,10 @@ class ConfidenceConfig(StrictModel):
     def calibrated(self) -> bool:
         """Whether confidences may be read as probabilities: fitted, and at most 0.05 off on other surveys."""
         return bool(self.fitted_on) and self.held_out_ece <= _CALIBRATED
+
+    def calibrated_for(self, evidence: str, simulated: bool) -> bool:
+        """Whether the fit saw rows of this kind of evidence, on clouds of this kind."""
+        return self.calibrated and evidence in self.evidence and (simulated or self.clouds == "own")
 
 
 def paper_score(semantic: Semantic, measures: Measures, lod: float) -> float:
@@ -106,41 +151,93 @@ def kind_of(change: Change) -> Kind | None:
     return "unchanged" if change is Change.UNCHANGED else None
 
 
-def features(decision: Decision, measures: Measures, semantic: Semantic, class_score: float) -> Floats:
-    """Return the evidence (5,) that a confidence rests on, about zero for a typical row.
+def features(
+    decision: Decision,
+    measures: Measures,
+    semantic: Semantic,
+    class_score: float,
+    density: float = 0.0,
+    evidence: str = "observed",
+) -> Floats:
+    """Return what a confidence rests on (11,), about zero for a typical row.
 
-    In the order of :data:`FEATURES`: log of the margin (how often over the
-    threshold that decided, between 1 and 20; for Unchanged how near the
-    threshold, 0 to 1); observed share less 0.8; log10 of the observed voxels
-    less 1.7; class score less 0.7; whether it is a building or vegetation.
+    In the order of :data:`FEATURES`: those of :func:`decision_features`; observed share less 0.8; log10 of
+    the observed voxels less 1.7; class score less 0.7; whether it is a building or vegetation; the size of
+    the log ratio of the point densities ``density``, at most 2; and the kind of ``evidence``.
     """
-    unchanged = decision.change is Change.UNCHANGED
-    margin = min(decision.margin, 1.0) if unchanged else math.log(min(max(decision.margin, 1.0), 20.0))
     return np.array(
         [
-            margin,
+            *decision_features(decision),
             measures.observed_fraction - 0.8,
             math.log10(max(measures.seen_voxels, 1)) - 1.7,
             class_score - 0.7,
             float(semantic in (Semantic.BUILDING, Semantic.VEGETATION)),
+            min(abs(density), 2.0),
+            *(float(evidence == kind) for kind in FEATURES[-4:]),
         ]
     )
+
+
+def decision_features(decision: Decision) -> tuple[float, float]:
+    """Return what follows from the decision alone.
+
+    The log of the margin (how often over the threshold that decided, between 1 and 20; for Unchanged how near
+    the threshold, 0 to 1); and the distance between measure and limit in 3 standard deviations less 1,
+    between -1 and 1, 0 where unknown.
+    """
+    unchanged = decision.change is Change.UNCHANGED
+    margin = min(decision.margin, 1.0) if unchanged else math.log(min(max(decision.margin, 1.0), 20.0))
+    if math.isnan(decision.sigmas):
+        return margin, 0.0
+    beyond = -decision.sigmas if unchanged else decision.sigmas
+    return margin, 2.0 * min(max(beyond, 0.0), _SIGMAS) / _SIGMAS - 1.0
+
+
+def probability(decision: Decision, found: Floats, config: ConfidenceConfig) -> float:
+    """Return the probability that a label is right, from :func:`features`; see :func:`confidence`."""
+    kind = kind_of(decision.change)
+    if kind is None:
+        return float(expit(1.0 + 2.0 * decision.margin))
+    model: Coefficients = getattr(config, kind)
+    slopes = np.array([getattr(model, name) for name in FEATURES])
+    return float(expit(model.intercept + slopes @ found))
 
 
 def confidence(
     decision: Decision, measures: Measures, semantic: Semantic, class_score: float, config: ConfidenceConfig
 ) -> float:
     """Return the probability that the label is right; for a place not observed, how much was not."""
-    kind = kind_of(decision.change)
-    if kind is None:
-        return float(expit(1.0 + 2.0 * decision.margin))
-    model: Coefficients = getattr(config, kind)
-    slopes = np.array([getattr(model, name) for name in FEATURES])
-    return float(expit(model.intercept + slopes @ features(decision, measures, semantic, class_score)))
+    return probability(decision, features(decision, measures, semantic, class_score), config)
+
+
+def decided_anew(record: ChangeRecord, decision: Decision, config: ConfidenceConfig) -> ChangeRecord:
+    """Return a row with another decision, and the confidence in that."""
+    found = np.array([*decision_features(decision), *record.features[_DECIDED:]])
+    return replace(
+        record,
+        change=decision.change,
+        reason=decision.reason,
+        confidence=probability(decision, found, config),
+        features=tuple(found.tolist()),
+    )
+
+
+def discounted(record: ChangeRecord, simulated: bool, config: ConfidenceConfig) -> ChangeRecord:
+    """Lower the confidence of a row whose kind of evidence or cloud was never calibrated.
+
+    Labels that claim nothing keep theirs: it is a share of the place, not a probability.
+    """
+    if kind_of(record.change) is None or config.calibrated_for(record.evidence, simulated):
+        return record
+    p = min(max(record.confidence, 1e-6), 1.0 - 1e-6)
+    lowered = min(float(expit(config.discount * math.log(p / (1.0 - p)))), config.cap)
+    return replace(record, confidence=min(lowered, record.confidence))
 
 
 #: More of this evidence never makes a label less certain.
-RISING = ("observed", "size", "purity")
+RISING = ("gate", "observed", "size", "purity")
+#: Densities that differ more, or weaker evidence, never make a label more certain.
+FALLING = ("density", "trajectory", "estimated", "shadow", "assumed")
 
 
 def rising_of(kind: str) -> tuple[str, ...]:
@@ -153,7 +250,7 @@ def fit(x: Floats, right: NDArray[np.bool_], ridge: float = 1.0, rising: Sequenc
 
     Parameters
     ----------
-    x : (N, 5) float64
+    x : (N, 11) float64
         Evidence of the rows, :func:`features`.
     right : (N,) bool
         Whether the label was right.
@@ -172,7 +269,10 @@ def fit(x: Floats, right: NDArray[np.bool_], ridge: float = 1.0, rising: Sequenc
         gradient = np.concatenate([[pull.sum()], x.T @ pull + 2 * ridge * w[1:]])
         return float(np.logaddexp(0.0, -z).sum() + ridge * (w[1:] ** 2).sum()), gradient
 
-    bounds = [(None, None), *((0.0 if name in rising else None, None) for name in FEATURES)]
+    bounds = [
+        (None, None),
+        *((0.0 if name in rising else None, 0.0 if name in FALLING else None) for name in FEATURES),
+    ]
     found = minimize(loss, np.zeros(x.shape[1] + 1), jac=True, method="L-BFGS-B", bounds=bounds)
     values = [round(float(v), 3) for v in found.x]
     return Coefficients(intercept=values[0], **dict(zip(FEATURES, values[1:], strict=True)))

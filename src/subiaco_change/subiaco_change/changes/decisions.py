@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import dataclass
 
 from pydantic import Field
 
 from subiaco_change.changes.measures import Measures
-from subiaco_change.changes.outline import Outline
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.config import StrictModel
 
-_CERTAIN = 3.0  # standard errors by which an outline must have moved
+#: Why nothing is said of an object that both epochs saw.
+NO_LEVEL = "not decidable: too few points lie here for a level of detection"
 
 
 class ClassRules(StrictModel):
@@ -94,11 +95,15 @@ class DecisionConfig(StrictModel):
 
 @dataclass(frozen=True)
 class Decision:
-    """Label, the rule that gave it, and by how much it was met (1 is just met)."""
+    """Label, the rule that gave it, and by how much it was met (1 is just met).
+
+    ``sigmas``: standard deviations between the measure and its limit, positive beyond it; NaN where unknown.
+    """
 
     change: Change
     reason: str
     margin: float
+    sigmas: float = math.nan
 
 
 def decide(
@@ -108,6 +113,7 @@ def decide(
     measures: Measures,
     lod: float,
     config: DecisionConfig,
+    matched: Callable[[], Decision] | None = None,
 ) -> Decision:
     """Decide one object.
 
@@ -120,6 +126,8 @@ def decide(
     lod : float
         Median level of detection of its points [m]; inf where none is known.
     config : DecisionConfig
+    matched : callable, optional
+        Decides an object that can be compared in both epochs instead of the rules of its class.
     """
     if not _enough_seen(measures, in_before and in_after, config):
         share = measures.observed_fraction
@@ -133,7 +141,9 @@ def decide(
         return Decision(
             Change.UNCHANGED, f"matched, but overlap {measures.iou:.2f} is too small to compare", 0.5
         )
-    return _matched(semantic, measures, max(config.lod_factor * lod, config.lod_floor), rules)
+    if matched is not None:
+        return matched()
+    return _matched(measures, max(config.lod_factor * lod, config.lod_floor), rules)
 
 
 def _enough_seen(measures: Measures, matched: bool, config: DecisionConfig) -> bool:
@@ -167,13 +177,10 @@ def _mobile(measures: Measures, config: DecisionConfig) -> Decision:
     return Decision(Change.NOT_REPORTED, reason, 1.0)
 
 
-def _matched(semantic: Semantic, measures: Measures, gate: float, rules: ClassRules) -> Decision:
+def _matched(measures: Measures, gate: float, rules: ClassRules) -> Decision:
     """Decide by height or volume; where both directions fire, the volume's sign wins (Decision 12)."""
     if not math.isfinite(gate):
-        return Decision(Change.UNCHANGED, "no level of detection here, so no change is claimed", 0.0)
-    moved = _outline(measures.outline, rules)
-    if moved is not None:
-        return moved
+        return Decision(Change.UNOBSERVED, NO_LEVEL, 0.0)
     limit = max(rules.height, gate)
     relative = measures.delta_v / max(measures.volume, 1e-6)
     height = measures.delta_h / limit if math.isfinite(measures.delta_h) else 0.0
@@ -183,30 +190,9 @@ def _matched(semantic: Semantic, measures: Measures, gate: float, rules: ClassRu
     evidence += f", {measures.carried:+.0%} of the surface new or gone"
     if up <= 1 and down <= 1:
         return Decision(Change.UNCHANGED, evidence, max(up, down))
-    if up > 1 and down > 1:
-        rising = measures.delta_v > 0
-        if semantic is Semantic.VEGETATION and abs(relative) < 0.01:
-            rising = measures.delta_h > 0
-    else:
-        rising = up > 1
+    rising = measures.delta_v > 0 if up > 1 and down > 1 else up > 1
     change = Change.INCREASED if rising else Change.DECREASED
     return Decision(change, evidence, up if rising else down)
-
-
-def _outline(outline: Outline, rules: ClassRules) -> Decision | None:
-    """Decide by the outline, where it moved far enough and beyond doubt."""
-    if not outline.known or not math.isfinite(rules.outline):
-        return None
-    strength = abs(outline.relative) / rules.outline
-    if (
-        strength <= 1
-        or abs(outline.shift) <= _CERTAIN * outline.sigma
-        or outline.shift * outline.relative < 0
-    ):
-        return None
-    reason = f"outline {outline.shift:+.2f} m (sd {outline.sigma:.2f}), {outline.relative:+.0%} of its reach"
-    change = Change.INCREASED if outline.shift > 0 else Change.DECREASED
-    return Decision(change, f"{reason} (gate {rules.outline:.0%})", strength)
 
 
 def _strengths(height: float, volume: float, measures: Measures, rules: ClassRules) -> tuple[float, float]:

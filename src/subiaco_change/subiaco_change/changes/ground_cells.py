@@ -7,8 +7,9 @@ from dataclasses import dataclass
 import numpy as np
 from pydantic import Field
 from scipy import ndimage
+from scipy.spatial import cKDTree
 
-from subiaco_change.changes.objects import EpochView
+from subiaco_change.changes.objects import EpochView, trails
 from subiaco_change.semantics.ground import Mask, fill_gaps
 from subiaco_geo.codes import Semantic
 from subiaco_geo.config import StrictModel
@@ -30,6 +31,15 @@ class GroundChangeConfig(StrictModel):
     )
     bridge: int = Field(
         3, ge=1, description="window over which an empty cell takes its neighbours' height [cells]"
+    )
+    same_surface: float = Field(
+        0.3,
+        gt=0,
+        description="a surface is in both epochs where one calls it ground and the other holds any point so"
+        " near to it, half of the difference at most: its ground is another surface [m]",
+    )
+    same_beside: float = Field(
+        0.7, gt=0, description="how far beside the middle of a cell such a point may be [m]"
     )
     shown: float = Field(
         0.5,
@@ -68,7 +78,53 @@ def difference_cells(
     heights, bridged = _bridge(cells[0][0], cells[1][0], config)
     known = np.isfinite(cells[0][0]) | np.isfinite(cells[1][0])
     lod = np.maximum(cells[0][1], cells[1][1])
-    return GroundCells(heights[1] - heights[0], lod, bridged, known, heights[1])
+    other = _other_surface((before, after), heights, corner, config)
+    dz = np.where(other, np.nan, heights[1] - heights[0])
+    return GroundCells(dz, lod, bridged, known & ~other, heights[1])
+
+
+def _other_surface(
+    views: tuple[EpochView, EpochView],
+    heights: tuple[Floats, Floats],
+    corner: Floats,
+    config: GroundChangeConfig,
+) -> Mask:
+    """Tell in which cells the ground of two epochs is not one surface that moved.
+
+    Grass that one epoch saw through, a deck above a street, a bank that passed for a plant: the epoch
+    that calls the one surface ground holds points of the other too, of another class.
+    """
+    apart = np.abs(heights[1] - heights[0])
+    row, column = np.nonzero(apart > config.threshold)
+    other = np.zeros(apart.shape, dtype=bool)
+    if len(row) == 0:
+        return other
+    middle = corner + (np.column_stack([column, row]) + 0.5) * config.cell
+    limit = np.minimum(config.same_surface, 0.5 * apart[row, column])
+    held = np.zeros(len(row), dtype=bool)
+    for e, view in enumerate(views):
+        off = view.xyz[(view.semantic != Semantic.GROUND) & ~trails(view)]
+        surface = np.column_stack([middle, heights[1 - e][row, column]])
+        held |= _holds(off, surface, limit, config.same_beside)
+    other[row, column] = held
+    return other
+
+
+def _holds(points: Floats, places: Floats, limit: Floats, beside: float) -> Mask:
+    """Tell at which places (M, 3) points (N, 3) lie within ``beside`` and, in height, ``limit`` (M,)."""
+    if len(points) == 0:
+        return np.zeros(len(places), dtype=bool)
+    low, high = places.min(axis=0) - beside, places.max(axis=0) + beside
+    points = points[((points >= low) & (points <= high)).all(axis=1)]
+    found = np.zeros(len(places), dtype=bool)
+    if len(points) == 0:
+        return found
+    near = cKDTree(points).query_ball_point(places, np.hypot(beside, limit))
+    slot = np.repeat(np.arange(len(places)), [len(n) for n in near])
+    step = points[np.concatenate([np.asarray(n, dtype=np.int64) for n in near])] - places[slot]
+    flat = np.hypot(step[:, 0], step[:, 1]) <= beside
+    found[slot[flat & (np.abs(step[:, 2]) <= limit[slot])]] = True
+    return found
 
 
 def shown_lod(lod: Floats) -> Floats:

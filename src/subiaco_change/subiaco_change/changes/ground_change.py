@@ -26,7 +26,10 @@ _LOD_CELLS = 25  # known cells that speak for a patch without a level of detecti
 
 @dataclass(frozen=True)
 class GroundPatch:
-    """A contiguous area of changed ground: its cells, its mean difference and spread [m]."""
+    """A contiguous area of changed ground: its cells, its mean difference and spread [m].
+
+    ``confidence``: probability that a place in it moved by more than the threshold.
+    """
 
     change: Change
     area: float
@@ -35,6 +38,7 @@ class GroundPatch:
     lod: float
     cells: Ints
     outline: BaseGeometry
+    confidence: float
 
 
 @dataclass(frozen=True)
@@ -86,7 +90,7 @@ def find_patches(
         shown = np.bincount(labels.ravel(), depth.ravel(), count + 1)
         large = _possible_sizes(labels, count, unknown, config) * config.cell**2 > config.area
         for number in np.flatnonzero(large & (shown >= least)).tolist():
-            found = _make_patch(change, labels == number, dz, lod, corner, config.cell)
+            found = _make_patch(change, labels == number, dz, lod, corner, config)
             if abs(found.dz) > max(config.threshold, config.lod_factor * found.lod):
                 patch[labels == number] = len(patches)
                 patches.append(found)
@@ -164,8 +168,9 @@ def _possible_sizes(labels: Ints, count: int, blind: Mask, config: GroundChangeC
 
 
 def _make_patch(
-    change: Change, where: Mask, dz: Floats, lod: Floats, corner: Floats, cell: float
+    change: Change, where: Mask, dz: Floats, lod: Floats, corner: Floats, config: GroundChangeConfig
 ) -> GroundPatch:
+    cell = config.cell
     cells = np.argwhere(where)
     west_south = corner + cells[:, ::-1] * cell
     boxes = shapely.box(west_south[:, 0], west_south[:, 1], west_south[:, 0] + cell, west_south[:, 1] + cell)
@@ -178,7 +183,17 @@ def _make_patch(
         blocks = max(1.0, len(values) * cell**2 / _NOISE_BLOCK**2)
         spread = float(values.std()) / math.sqrt(blocks)
         level = math.hypot(level, 1.96 * spread, _noise_around(where, dz, cell))
-    return GroundPatch(change, area, float(np.median(values)), float(values.std()), level, cells, outline)
+    height, spread = float(np.median(values)), float(values.std())
+    confidence = patch_confidence(height, level, spread, config.threshold)
+    return GroundPatch(change, area, height, spread, level, cells, outline, confidence)
+
+
+def patch_confidence(dz: float, lod: float, spread: float, threshold: float) -> float:
+    """Probability that a place of a patch moved by more than the threshold, LoD95 being 1.96 sd.
+
+    Where the difference varies much from place to place, the patch is less surely one surface that moved.
+    """
+    return float(_normal_cdf((abs(dz) - threshold) / max(math.hypot(lod / 1.96, spread), 0.01)))
 
 
 def _noise_around(where: Mask, dz: Floats, cell: float) -> float:
@@ -224,7 +239,7 @@ def ground_raster(comparison: GroundComparison, origin: Floats, config: GroundCh
     return GroundChange(grids[0], grids[1], float(west), north, config.report_cell)
 
 
-def _normal_cdf(z: Floats) -> Floats:
+def _normal_cdf(z: Floats | float) -> Floats:
     from scipy.special import ndtr
 
     return np.asarray(ndtr(z))

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
@@ -13,9 +14,11 @@ from subiaco_change.changes.columns import BUILT_UP, OpenGround
 from subiaco_change.changes.decisions import Decision, DecisionConfig, decide
 from subiaco_change.changes.measures import MeasureConfig, Measures, measure
 from subiaco_change.changes.objects import Thing, join_voxels
-from subiaco_change.changes.outline import compare_outlines
 from subiaco_change.changes.passing import OwnSurvey, drove_by
+from subiaco_change.changes.plant_decisions import decide_plant
+from subiaco_change.changes.plants import PlantConfig, measure_plant
 from subiaco_change.changes.sections import NOTHING
+from subiaco_change.changes.vegetation_null import PlantMeasures, no_null
 from subiaco_change.changes.vehicle_parts import part_of_vehicle
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats, Ints
@@ -23,6 +26,7 @@ from subiaco_geo.frames import Floats, Ints
 _FLAT_TOP = 0.6  # highest top of what has no class and may be ground raised or laid on it [m]
 _LAID_TOP = 0.25  # the same of a supposed vehicle or plant: no more than ground strays from its model
 _LEVEL = 0.75  # mean upward part of its normals
+_OF_PLANTS = (Change.UNCHANGED, Change.INCREASED, Change.DECREASED)  # labels on which other plants have a say
 
 
 @dataclass(frozen=True)
@@ -35,6 +39,7 @@ class ObjectChange:
     match_kind: str
     measures: Measures
     decision: Decision
+    plant: PlantMeasures | None = None  # where the plants of the pair have a say in its label
 
     @property
     def lod(self) -> float:
@@ -66,6 +71,7 @@ class ObjectRules:
     ground: OpenGround = BUILT_UP  # where nothing stands
     own: tuple[OwnSurvey | None, OwnSurvey | None] = (None, None)  # of *before* and of *after*
     standing: tuple[Floats, Floats] = (NOTHING, NOTHING)  # all points (N, 3) that stand, of any class
+    plants: PlantConfig = field(default_factory=PlantConfig)
 
 
 def decide_object(
@@ -73,11 +79,14 @@ def decide_object(
 ) -> ObjectChange:
     """Measure and decide what the parts of one object in both epochs say together."""
     measures = measure(join_voxels(before), join_voxels(after), rules.measures, rules.ground)
-    if semantic is Semantic.VEGETATION and before and after:
-        first, second = (np.concatenate([t.xyz for t in things]) for things in (before, after))
-        measures = replace(measures, outline=compare_outlines(first, second, rules.measures.outline))
     lod = object_lod((*before, *after))
-    decision = decide(semantic, bool(before), bool(after), measures, lod, rules.decisions)
+    plant, matched = None, None
+    if semantic is Semantic.VEGETATION and before and after:
+        plant = measure_plant(before, after, measures, rules.plants, rules.standing)
+        matched = partial(decide_plant, plant, lod, rules.decisions, no_null(rules.plants.null))
+    decision = decide(semantic, bool(before), bool(after), measures, lod, rules.decisions, matched)
+    if decision.change not in _OF_PLANTS or measures.iou <= rules.decisions.vegetation.min_iou:
+        plant = None
     if decision.change in (Change.ADDED, Change.REMOVED):
         things = (*before, *after)
         own = rules.own[0] if before else rules.own[1]
@@ -88,7 +97,7 @@ def decide_object(
             or decision
         )
     kind = match_kind(len(before), len(after))
-    return ObjectChange(tuple(before), tuple(after), semantic, kind, measures, decision)
+    return ObjectChange(tuple(before), tuple(after), semantic, kind, measures, decision, plant)
 
 
 def lies_flat(semantic: Semantic, things: Sequence[Thing]) -> Decision | None:

@@ -58,16 +58,22 @@ def label_rest(
     seen_by_other: Callable[[Floats], Mask],
     evidence: EvidenceConfig,
     other_ground: Floats,
+    occupied_by_other: Callable[[Floats], Mask],
 ) -> None:
     """Label, in place, what belongs to no object.
 
-    Points of a ground patch get its label and id; the others stay Unchanged where the other epoch
-    observed the place, by its beams or by ground points (M, 3) around, and are Unobserved elsewhere.
+    Points of a ground patch get its label and id; other ground stays Unchanged where the other epoch
+    observed the place, by its beams or by ground points (M, 3) around, and is Unobserved elsewhere. What
+    stands there but was too little to be an object stays Unchanged where the other epoch holds points
+    too: that it is new or gone cannot be told of a few points.
     """
     loose = np.flatnonzero(labels.instance < 0)
     is_ground = view.semantic[loose] == Semantic.GROUND
     seen = _compared(ground, view, loose)
-    seen[~is_ground] = seen_by_other(view.xyz[loose[~is_ground]])
+    trail = labels.change[loose] == Change.NOT_REPORTED
+    seen[trail] = seen_by_other(view.xyz[loose[trail]])
+    fragment = ~is_ground & ~trail
+    seen[fragment] = occupied_by_other(view.xyz[loose[fragment]])
     hidden = np.flatnonzero(is_ground & ~seen)
     seen[hidden] = ground_observed(seen_by_other, view.xyz[loose[hidden]], evidence)
     hidden = hidden[~seen[hidden]]
@@ -113,12 +119,7 @@ def _label_ground(
     for number, item in enumerate(ground.patches):
         members = patch == number
         labels.change[members], labels.instance[members] = item.change, patch_ids[number]
-        labels.confidence[members] = patch_confidence(item.dz, item.lod)
-
-
-def patch_confidence(dz: float, lod: float, threshold: float = 0.15) -> float:
-    """Probability that the difference exceeds the threshold, LoD95 being 1.96 standard deviations."""
-    return float(ndtr((abs(dz) - threshold) / max(lod / 1.96, 0.01)))
+        labels.confidence[members] = item.confidence
 
 
 def patch_record(patch: GroundPatch, origin: Floats, z: float, evidence: str) -> ChangeRecord:
@@ -141,13 +142,17 @@ def patch_record(patch: GroundPatch, origin: Floats, z: float, evidence: str) ->
         observed_fraction=1.0,
         evidence=evidence,
         score_paper=_ground_score(patch.dz, patch.lod),
-        confidence=patch_confidence(patch.dz, patch.lod),
+        confidence=patch.confidence,
         n_before=0,
         n_after=0,
         x=float(centre.x + origin[0]),
         y=float(centre.y + origin[1]),
         z=z + float(origin[2]),
         footprint=shapely.affinity.translate(patch.outline, float(origin[0]), float(origin[1])),
+        delta_h_low_m=patch.dz - patch.lod,
+        delta_h_high_m=patch.dz + patch.lod,
+        delta_v_low_m3=(patch.dz - patch.lod) * patch.area,
+        delta_v_high_m3=(patch.dz + patch.lod) * patch.area,
         reason=f"{patch.area:.0f} m2 of ground moved {patch.dz:+.2f} m (sd {patch.dz_spread:.2f} m)",
     )
 

@@ -12,12 +12,9 @@ from scipy.spatial import cKDTree
 from shapely.geometry.base import BaseGeometry
 
 from subiaco_change.changes.columns import BUILT_UP, OpenGround, compare_volumes, stands_alone
-from subiaco_change.changes.objects import Voxels
-from subiaco_change.changes.outline import Outline, OutlineConfig
+from subiaco_change.changes.objects import Reach, Voxels
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats
-
-NO_OUTLINE = Outline()
 
 
 class MeasureConfig(StrictModel):
@@ -32,6 +29,12 @@ class MeasureConfig(StrictModel):
         1.0, gt=0, description="largest such distance, where the other epoch is sparse [m]"
     )
     same_factor: float = Field(1.25, gt=0, description="that distance in spacings of the other epoch")
+    foot: float = Field(
+        0.3,
+        ge=0,
+        description="height above ground up to which standing and lying cannot be told apart: the foot of an"
+        " object where the other epoch met ground is left out [m]",
+    )
     crossing: float = Field(
         1.0, gt=0, description="looked so far on both sides of a surface, an epoch crossed its place [m]"
     )
@@ -40,7 +43,11 @@ class MeasureConfig(StrictModel):
     )
     bins: int = Field(10, ge=2, description="bins of the height histogram, paper")
     top_quantile: float = Field(0.95, gt=0.5, le=1, description="h95, paper")
-    outline: OutlineConfig = OutlineConfig()
+
+
+def same_place(config: MeasureConfig) -> Reach:
+    """Return when points of the other epoch occupy a place."""
+    return Reach(config.same_low, config.same_high, config.same_factor, config.foot)
 
 
 @dataclass(frozen=True)
@@ -68,7 +75,6 @@ class Measures:
     seen_voxels: int
     carried: float = 0.0
     carried_columns: float = 0.0
-    outline: Outline = NO_OUTLINE
 
 
 def measure(
@@ -94,11 +100,17 @@ def measure(
         chi2=histogram_distance(seen_b.height, seen_a.height, config.bins),
         gone_share=lonely_b / max(len(seen_b), 1),
         new_share=lonely_a / max(len(seen_a), 1),
-        observed_fraction=(len(seen_b) + len(seen_a)) / max(len(before) + len(after), 1),
+        observed_fraction=(len(seen_b) + len(seen_a)) / max(_above_foot(before, after, config), 1),
         seen_voxels=len(seen_b) + len(seen_a),
         carried=_carried(before, after),
         carried_columns=volumes.carried,
     )
+
+
+def _above_foot(before: Voxels, after: Voxels, config: MeasureConfig) -> int:
+    """Count the voxels that could be told from ground."""
+    standing = same_place(config).standing
+    return sum(int(np.count_nonzero(v.seen | (v.height > standing))) for v in (before, after))
 
 
 def _carried(before: Voxels, after: Voxels) -> float:

@@ -10,15 +10,15 @@ import numpy as np
 
 from subiaco_change.changes.association import Match, associate
 from subiaco_change.changes.columns import OpenGround, ground_columns
-from subiaco_change.changes.confidence import ConfidenceConfig, confidence, features, paper_score
+from subiaco_change.changes.confidence import ConfidenceConfig, features, paper_score, probability
 from subiaco_change.changes.judging import ObjectChange, ObjectRules, decide_object
-from subiaco_change.changes.measures import footprint
+from subiaco_change.changes.measures import footprint, same_place
 from subiaco_change.changes.objects import (
     EpochView,
-    Reach,
     Thing,
     build_things,
     build_voxels,
+    join_voxels,
     stands,
 )
 from subiaco_change.changes.parts import part_things
@@ -42,7 +42,7 @@ def compare_objects(
 ) -> list[ObjectChange]:
     """Match, measure and decide every object of two epochs in one local frame."""
     edge, tolerance = rules.measures.voxel, rules.measures.tolerance
-    reach = Reach(rules.measures.same_low, rules.measures.same_high, rules.measures.same_factor)
+    reach = same_place(rules.measures)
     step = rules.measures.crossing
     bare = [ground_columns(v.xyz[v.semantic == Semantic.GROUND], edge) for v in (before, after)]
     rules = replace(
@@ -85,6 +85,21 @@ def _better(parts: Sequence[Thing]) -> Semantic:
     return max(parts, key=lambda t: t.score).semantic
 
 
+def height_of(things: Sequence[Thing], quantile: float = 0.95) -> float:
+    """Height above ground that a share of the voxels of an object stays under [m]; NaN without voxels."""
+    voxels = join_voxels(things)
+    return float(np.quantile(voxels.height, quantile)) if len(voxels) else math.nan
+
+
+def density_ratio(before: Sequence[Thing], after: Sequence[Thing]) -> float:
+    """Return the log of the points per voxel in *after* over those in *before*; 0 where one is empty."""
+    counts = [
+        sum(len(t.points) for t in things) / max(sum(len(t.voxels) for t in things), 1)
+        for things in (before, after)
+    ]
+    return math.log(counts[1] / counts[0]) if min(counts) > 0 else 0.0
+
+
 def make_record(
     change: ObjectChange, object_id: int, origin: Floats, evidence: str, trust: ConfidenceConfig
 ) -> ChangeRecord:
@@ -95,7 +110,10 @@ def make_record(
     xyz = np.concatenate([t.voxels.xyz for t in things])
     outline = footprint([t.voxels.xyz[:, :2] for t in things])
     m = change.measures
+    heights = [height_of(things) for things in (change.before, change.after)]
     score = float(np.mean([t.score for t in things]))
+    density = change.plant.density if change.plant else density_ratio(change.before, change.after)
+    found = features(change.decision, m, change.semantic, score, density, evidence)
     return ChangeRecord(
         object_id=object_id,
         semantic=change.semantic,
@@ -113,7 +131,7 @@ def make_record(
         observed_fraction=m.observed_fraction,
         evidence=evidence,
         score_paper=paper_score(change.semantic, m, change.lod),
-        confidence=confidence(change.decision, m, change.semantic, score, trust),
+        confidence=probability(change.decision, found, trust),
         n_before=int(sum(len(t.points) for t in change.before)),
         n_after=int(sum(len(t.points) for t in change.after)),
         x=float(xyz[:, 0].mean() + origin[0]),
@@ -121,5 +139,7 @@ def make_record(
         z=float(xyz[:, 2].mean() + origin[2]),
         footprint=shapely.affinity.translate(outline, float(origin[0]), float(origin[1])),
         reason=change.decision.reason,
-        features=tuple(features(change.decision, m, change.semantic, score).tolist()),
+        features=tuple(found.tolist()),
+        height_before_m=heights[0],
+        height_after_m=heights[1],
     )

@@ -17,6 +17,8 @@ from subiaco_geo.frames import Floats, Ints
 
 NO_OBJECT = -1  # instance of a point of no object
 OTHERS = -2  # instance of a point of an object that is compared elsewhere
+_GROUND_NEAR = 8  # ground points around a place that are asked for their height
+_STRAYED = 1.5  # foot of an object in heights of it: either ground may be a little off
 _LOOKED_THROUGH = 2.0  # beams that passed a point for each that returned: what stands still lets by fewer
 
 
@@ -46,7 +48,8 @@ class Voxels:
 
     ``owner`` (M,) instance; ``xyz`` (M, 3) and ``normal`` (M, 3); ``height`` (M,)
     above ground [m]; ``seen`` (M,): the other epoch observed the place;
-    ``still`` (M,): the other epoch has something other than ground there;
+    ``still`` (M,): the other epoch has something there, of whatever class; its ground counts too,
+    but for the foot of an object, which is neither still nor seen;
     ``crossed`` (M,): it is not, and the other epoch looked on both sides of the
     surface, so that it would have met it.
     """
@@ -135,7 +138,10 @@ def build_voxels(
         none = np.zeros(0, dtype=bool)
         return Voxels(owner, xyz, normal, height, none, none, none)
     still = occupied(xyz, other.xyz[stands(other)], reach)
-    seen = observed(xyz) | still
+    ground = occupied_by_ground(xyz, other.xyz[other.semantic == Semantic.GROUND], reach)
+    foot = ground & (height <= reach.standing) & ~still
+    still |= ground & ~foot
+    seen = (observed(xyz) | still) & ~foot
     crossed = seen & ~still
     crossed[crossed] = looked_across(xyz[crossed], normal[crossed], observed, step)
     return Voxels(owner, xyz, normal, height, seen, still, crossed)
@@ -169,12 +175,19 @@ class Reach:
     """Distance [m] at which points of another sampling count as the same place.
 
     ``factor`` times the spacing of the other sampling there, within ``low`` and ``high``: where an epoch is
-    sparse, the nearest of its points is far although nothing changed.
+    sparse, the nearest of its points is far although nothing changed. Ground extends sideways alone: above
+    and below it occupies ``foot``, the height up to which standing and lying cannot be told apart.
     """
 
     low: float
     high: float
     factor: float
+    foot: float = 0.3
+
+    @property
+    def standing(self) -> float:
+        """Height above its own ground from which on a place is no foot [m]: either ground may be off."""
+        return _STRAYED * self.foot
 
 
 def occupied(query: Floats, points: Floats, reach: Reach) -> Mask:
@@ -188,6 +201,31 @@ def occupied(query: Floats, points: Floats, reach: Reach) -> Mask:
     still = np.zeros(len(query), dtype=bool)
     still[found] = distance[found] <= np.clip(reach.factor * spacing, reach.low, reach.high)
     return still
+
+
+def occupied_by_ground(query: Floats, ground: Floats, reach: Reach) -> Mask:
+    """Tell which places (M, 3) ground points (N, 3) occupy: sideways within reach, and as high.
+
+    What one epoch calls a plant and the other a bank is the same surface.
+    """
+    lies = np.zeros(len(query), dtype=bool)
+    if len(ground) < 5 or len(query) == 0:
+        return lies
+    low, high = query.min(axis=0) - reach.high, query.max(axis=0) + reach.high
+    ground = ground[((ground >= low) & (ground <= high)).all(axis=1)]
+    if len(ground) < 5:
+        return lies
+    tree = cKDTree(ground[:, :2])
+    distance, slot = tree.query(
+        query[:, :2], k=min(_GROUND_NEAR, len(ground)), distance_upper_bound=reach.high
+    )
+    beside = np.isfinite(distance)
+    first = np.flatnonzero(beside[:, 0])
+    spacing = np.zeros(len(query))
+    spacing[first] = tree.query(ground[slot[first, 0], :2], k=[5])[0][:, 0]
+    beside &= distance <= np.clip(reach.factor * spacing, reach.low, reach.high)[:, None]
+    apart = np.abs(ground[np.where(beside, slot, 0), 2] - query[:, 2:])
+    return np.asarray((beside & (apart <= reach.foot)).any(axis=1))
 
 
 def _voxel_means(view: EpochView, members: Ints, edge: float) -> tuple[Ints, Floats, Floats, Floats]:

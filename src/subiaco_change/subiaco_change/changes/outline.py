@@ -36,6 +36,11 @@ class Outline:
     relative: float = math.nan
 
     @property
+    def reach(self) -> float:
+        """Reach that the relative shift is a share of [m]; NaN where unknown."""
+        return abs(self.shift / self.relative) if self.relative else math.nan
+
+    @property
     def known(self) -> bool:
         """Whether enough directions were seen in both epochs."""
         return math.isfinite(self.shift)

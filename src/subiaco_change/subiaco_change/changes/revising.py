@@ -10,13 +10,14 @@ import numpy as np
 from subiaco_change.changes.apart import pieces_apart
 from subiaco_change.changes.association import match_kind
 from subiaco_change.changes.association_costs import AssociationConfig
-from subiaco_change.changes.decisions import Decision
 from subiaco_change.changes.judging import ObjectChange, ObjectRules, decide_object
 from subiaco_change.changes.objects import Thing, join_voxels
 from subiaco_change.changes.overlaps import overlap_counts
 from subiaco_change.changes.parts import divided
+from subiaco_change.changes.plant_decisions import decide_plant
 from subiaco_change.changes.sections import Section, moved_sections, section_labels
 from subiaco_change.changes.terraced import houses_of, rows_of
+from subiaco_change.changes.vegetation_null import no_null
 from subiaco_change.changes.wings import built, find_wings
 from subiaco_geo.codes import Change, Semantic
 
@@ -148,11 +149,10 @@ def _sections(change: ObjectChange, following: int, rules: ObjectRules) -> list[
     sections, columns = moved_sections(change.before, change.after, limit, rules.standing)
     if not sections:
         return [change]
-    decisions = [_moved_top(section) for section in sections]
     alike = len({s.rise > 0 for s in sections}) == 1
     if alike and sum(len(s.xy) for s in sections) >= _WHOLE * len(columns):
-        largest = decisions[int(np.argmax([len(s.xy) for s in sections]))]
-        return [replace(change, decision=largest) if change.decision.change is Change.UNCHANGED else change]
+        largest = max(sections, key=lambda s: len(s.xy))
+        return [_of_section(change, largest, rules, only=False)]
     sides: list[list[list[Thing]]] = []
     for things in (change.before, change.after):
         side: list[list[Thing]] = [[] for _ in range(len(sections) + 1)]
@@ -167,13 +167,16 @@ def _sections(change: ObjectChange, following: int, rules: ObjectRules) -> list[
         return [change]
     left = [decide_object(rest[0], rest[1], change.semantic, rules)] if rest[0] else []
     pieces = [decide_object(b, a, change.semantic, rules) for b, a in moved]
-    return [*left, *(replace(p, decision=d) for p, d in zip(pieces, decisions, strict=True))]
+    return [*left, *(_of_section(p, s, rules, only=True) for p, s in zip(pieces, sections, strict=True))]
 
 
-def _moved_top(section: Section) -> Decision:
-    change = Change.INCREASED if section.rise > 0 else Change.DECREASED
-    reason = f"top {section.rise:+.2f} m (gate {section.gate:.2f}) over {0.25 * len(section.xy):.0f} m2"
-    return Decision(change, reason, abs(section.rise) / section.gate)
+def _of_section(change: ObjectChange, section: Section, rules: ObjectRules, *, only: bool) -> ObjectChange:
+    """Decide a hedge, or the piece of one that is a section, by the section whose tops moved."""
+    if change.plant is None:
+        return change
+    plant = replace(change.plant, section=section.rise, section_gate=section.gate, section_only=only)
+    decision = decide_plant(plant, change.lod, rules.decisions, no_null(rules.plants.null))
+    return replace(change, plant=plant, decision=decision)
 
 
 def adopt_fragments(

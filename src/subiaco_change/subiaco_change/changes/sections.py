@@ -19,6 +19,7 @@ _POINTS = 2  # least points of a column in either epoch
 _CELLS = 6  # least columns of a section
 _LENGTH = 1.5  # and least length [m]
 _SEEN = 0.5  # share of its moved surface that the other epoch must have observed
+_SMALL = 0.2  # rise of the whole plant up to which it is taken as it is [m]
 _HELD = 0.5  # share of its columns from which on something else stood where it rose or fell
 
 #: Nothing stands.
@@ -70,6 +71,46 @@ def moved_sections(
     return sections, _middles(known + corner)
 
 
+@dataclass(frozen=True)
+class Rise:
+    """Median rise of the columns of a low plant, with its standard error [m]; NaN where unknown."""
+
+    median: float = math.nan
+    sigma: float = math.nan
+
+
+def column_rise(
+    before: Sequence[Thing], after: Sequence[Thing], standing: tuple[Floats, Floats] = (NOTHING, NOTHING)
+) -> Rise:
+    """Measure how far the tops of a low plant moved, over the columns that both epochs share.
+
+    Unknown where the epoch whose tops are lower has points of another class between the two, as for
+    :func:`moved_sections`, or did not observe what is higher in the other.
+    """
+    first, second = (np.concatenate([t.xyz for t in things]) for things in (before, after))
+    corner, tops = _tops(first, second)
+    rise = tops[1] - tops[0]
+    cells = np.argwhere(np.isfinite(rise))
+    if len(cells) < _CELLS:
+        return Rise()
+    values = rise[tuple(cells.T)]
+    median = float(np.median(values))
+    found = Rise(median, 1.2533 * _spread(values - median) / math.sqrt(len(values)))
+    if abs(median) <= _SMALL:
+        return found
+    low, high = (tops if median > 0 else tops[::-1])[:, cells[:, 0], cells[:, 1]]
+    if _held(standing[int(median < 0)], cells + corner, low, high):
+        return Rise()
+    lower = tops[0] if median > 0 else tops[1]
+    seen = _observed(after if median > 0 else before, _middles(cells + corner), lower, cells)
+    return found if seen else Rise()
+
+
+def _spread(values: Floats) -> float:
+    """Robust standard deviation of values (N,) about zero."""
+    return 1.4826 * float(np.median(np.abs(values)))
+
+
 def _middles(cells: Ints) -> Floats:
     """Middles [m] of columns, both (C, 2)."""
     return (cells.astype(np.float64) + 0.5) * _CELL
@@ -108,7 +149,7 @@ def _quantiles(values: Floats, group: Ints, share: Floats) -> Floats:
 def _roughness(tops: Floats) -> float:
     """Spread of tops about those around them [m]: of a plant that few beams met, few tops are its own."""
     step = np.abs(tops - _smooth(tops))
-    return 1.4826 * float(np.nanmedian(step)) if np.isfinite(step).any() else 0.0
+    return _spread(step[np.isfinite(step)]) if np.isfinite(step).any() else 0.0
 
 
 def _smooth(rise: Floats) -> Floats:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from subiaco_change.evaluation.truth import SurveyTruth
 from subiaco_change.outputs.reading import read_change_directory
+from subiaco_geo.array_files import read_array_file
 from subiaco_geo.cloud_io import read_cloud
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Change
@@ -116,10 +117,7 @@ def _codes(path: Path, values: NDArray[Any]) -> NDArray[np.uint8]:
 
 
 def _load(path: Path) -> NDArray[Any]:
-    try:
-        return np.asarray(np.load(path, allow_pickle=False))
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: not a plain .npy array ({error})") from error
+    return read_array_file(path, "a plain .npy array", "save it with numpy.save")
 
 
 def read_published_loops(root: Path, run: str) -> list[PublishedLoop]:

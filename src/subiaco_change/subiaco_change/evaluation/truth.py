@@ -12,6 +12,7 @@ import pandas as pd
 import yaml
 from numpy.typing import NDArray
 
+from subiaco_geo.array_files import read_arrays
 from subiaco_geo.clouds import PointCloud, from_world
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.errors import InputError
@@ -81,11 +82,8 @@ def _read_scene(path: Path) -> dict[str, Any]:
 
 def read_truth_points(path: Path) -> PointCloud:
     """Read ``points.npz`` with ``xyz``, ``object``, ``class`` and ``change``."""
-    try:
-        with np.load(path, allow_pickle=False) as data:
-            arrays = {name: data[name] for name in ("xyz", "object", "class", "change")}
-    except (OSError, KeyError, ValueError) as error:
-        raise InputError(f"{path}: not the truth of a simulated epoch ({error}); simulate again") from error
+    names = ("xyz", "object", "class", "change")
+    arrays = read_arrays(path, names, "the truth of a simulated epoch", "simulate again")
     for name, allowed in _CODES.items():
         _check_codes(path, name, arrays[name], allowed)
     return from_world(

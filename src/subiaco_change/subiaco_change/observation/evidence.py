@@ -10,14 +10,21 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
-from scipy.spatial import cKDTree
 
 from subiaco_change.geometry import ColumnIndex, build_index, nearest
-from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError
-from subiaco_geo.frames import Floats, Ints
-from subiaco_geo.raywalk import accumulate_visibility, stop_at_surfaces
+from subiaco_geo.frames import Floats
+from subiaco_geo.free_space.expected_visibility import (
+    ExpectedVisibility,
+    ExpectedVisibilityConfig,
+    OccupiedVoxels,
+    occupied_corner,
+    render_views,
+    sample_poses,
+)
+from subiaco_geo.free_space.sensor_view import described_view, spin_axes
+from subiaco_geo.free_space.view_estimation import estimate_view, view_histogram
 from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.trajectories import Trajectory
 from subiaco_geo.visibility import VisibilityGrid
@@ -25,8 +32,10 @@ from subiaco_geo.visibility import VisibilityGrid
 _LOG = logging.getLogger(__name__)
 
 Flags = NDArray[np.bool_]
-Kind = Literal["observed", "trajectory", "shadow", "assumed"]
-_PAD = 0.05  # above and below the points of a voxel, a line of sight is stopped [m]
+_PRIOR = 0.5  # beams that passed, and that ended, before any is counted (Jeffreys)
+Kind = Literal["observed", "trajectory", "estimated", "shadow", "assumed"]
+#: Kinds of evidence, the best first.
+KINDS: tuple[Kind, ...] = ("observed", "trajectory", "estimated", "shadow", "assumed")
 
 
 class EvidenceConfig(StrictModel):
@@ -36,12 +45,9 @@ class EvidenceConfig(StrictModel):
         "auto", description="auto takes the best that the map has, in this order"
     )
     min_beams: int = Field(1, ge=1, description="beams that make a voxel of the visibility layer seen")
-    voxel: float = Field(0.5, gt=0, description="voxel of lines of sight drawn from a trajectory [m]")
-    max_range: float = Field(60.0, gt=0, description="longest line of sight from a trajectory [m]")
-    pose_spacing: float = Field(3.0, gt=0, description="distance between poses that look around [m]")
-    views: int = Field(4, ge=1, description="poses from which a point is looked at")
-    view_step: int = Field(
-        3, ge=1, description="step through the poses nearest to a point: 3 takes the 1st, 4th, 7th ..."
+    poses: ExpectedVisibilityConfig = Field(
+        default_factory=ExpectedVisibilityConfig,
+        description="expected visibility from a trajectory (Decision 16)",
     )
     ground_lift: float = Field(
         0.4, ge=0, description="ground is seen too where the place so far above it was [m]"
@@ -61,6 +67,9 @@ class EvidenceConfig(StrictModel):
     shadow_height: float = Field(
         15.0, gt=0, description="without trajectory: so far above a seen point a place counts as seen [m]"
     )
+    shadow_trust: float = Field(
+        0.8, gt=0.5, lt=1, description="without trajectory: probability that such a place was free"
+    )
 
 
 class _Test(Protocol):
@@ -70,10 +79,12 @@ class _Test(Protocol):
 
     def passed(self, world: Floats) -> Flags: ...
 
+    def free_probability(self, world: Floats) -> Floats: ...
+
 
 @dataclass(frozen=True)
 class _Grid:
-    """Counts of beams, measured or drawn from a trajectory."""
+    """Counts of beams that mapping measured."""
 
     grid: VisibilityGrid
     min_beams: int
@@ -85,6 +96,10 @@ class _Grid:
         hits, passes = self.grid.lookup(world)
         return np.asarray((passes >= self.min_beams) & (hits == 0))
 
+    def free_probability(self, world: Floats) -> Floats:
+        hits, passes = (counts.astype(np.float64) for counts in self.grid.lookup(world))
+        return np.asarray((passes + _PRIOR) / (hits + passes + 2.0 * _PRIOR))
+
 
 @dataclass(frozen=True)
 class _Shadow:
@@ -94,6 +109,7 @@ class _Shadow:
     origin: Floats
     radius: float
     height: float
+    trust: float
 
     def seen(self, world: Floats) -> Flags:
         local = np.ascontiguousarray(world - self.origin)
@@ -104,6 +120,11 @@ class _Shadow:
         local = np.ascontiguousarray(world - self.origin)
         near = nearest(self.index, local, self.radius)[0] >= 0
         return self._above(local) & ~near
+
+    def free_probability(self, world: Floats) -> Floats:
+        local = np.ascontiguousarray(world - self.origin)
+        near = nearest(self.index, local, self.radius)[0] >= 0
+        return np.where(near, 1.0 - self.trust, np.where(self._above(local), self.trust, 0.5))
 
     def _above(self, local: Floats) -> Flags:
         """Tell which points stand above a seen one, in its column or next to it."""
@@ -129,6 +150,9 @@ class _Everything:
     def passed(self, world: Floats) -> Flags:
         return np.ones(len(world), dtype=np.bool_)
 
+    def free_probability(self, world: Floats) -> Floats:
+        return np.full(len(world), 0.5)
+
 
 @dataclass(frozen=True)
 class Observer:
@@ -137,8 +161,9 @@ class Observer:
     Parameters
     ----------
     kind : str
-        ``observed`` (measured beams), ``trajectory`` (lines of sight drawn
-        from poses), ``shadow`` (from the points alone) or ``assumed``.
+        ``observed`` (measured beams), ``trajectory`` (expected visibility from
+        poses), ``estimated`` (from poses told by the cloud), ``shadow``
+        (from the points alone) or ``assumed``.
     to_own : callable, optional
         Brings world points (N, 3) of the pair's common CRS to the CRS in
         which this epoch's evidence lives; identity if None.
@@ -159,6 +184,14 @@ class Observer:
     def empty(self, world: Floats) -> Flags:
         """Tell which points (N, 3) this epoch saw to be empty: beams went on, nothing came back."""
         return self.test.passed(self._own(world))
+
+    def free_probability(self, world: Floats) -> Floats:
+        """Return the probability (N,) that places (N, 3) were free; 0.5 where the epoch knows nothing.
+
+        Counted beams and poses that looked through or met something, as a beta distribution with half a
+        beam each way beforehand.
+        """
+        return self.test.free_probability(self._own(world))
 
     def passes(self, world: Floats) -> Floats | None:
         """Beams (N,) that passed for each that returned at points (N, 3); None where nothing counted them."""
@@ -196,67 +229,9 @@ def ground_observed(observed: Callable[[Floats], Flags], xyz: Floats, config: Ev
     return seen
 
 
-def draw_lines_of_sight(
-    world: Floats, positions: Floats, config: EvidenceConfig, origin: Floats | None = None
-) -> VisibilityGrid:
-    """Rebuild a visibility layer from the poses of a survey and its points.
-
-    Every occupied voxel is looked at from a few poses around; a line ends
-    where it meets the points of another voxel on its way, so nothing behind a
-    surface is called seen.
-
-    Parameters
-    ----------
-    world : (N, 3) float64
-        Points of the epoch.
-    positions : (M, 3) float64
-        Positions of the sensor, in order of time.
-    config : EvidenceConfig
-    origin : (3,) float64, optional
-        Corner of the voxels [m]; two voxels off the lowest point if None.
-    """
-    if origin is None:
-        origin = sight_corner(world.min(axis=0), config)
-    points = voxel_keys(voxel_indices(world - origin, config.voxel))
-    keys, first, voxel = np.unique(points, return_index=True, return_inverse=True)
-    targets = world[first]
-    poses = _spaced(positions, config.pose_spacing)
-    ranks = 1 + config.view_step * np.arange(config.views)
-    ranks = np.unique(np.minimum(ranks, len(poses)))
-    distance, pose = cKDTree(poses).query(targets, k=ranks, distance_upper_bound=config.max_range)
-    target, view = np.nonzero(np.isfinite(distance))
-    starts = poses[pose[target, view]]
-    spans = _height_spans(world[:, 2], voxel, len(keys))
-    ends = stop_at_surfaces(starts, targets[target], keys, origin, config.voxel, spans=spans)
-    # What holds a point was seen, whether or not one of the drawn lines gets there.
-    starts, ends = np.concatenate([starts, targets]), np.concatenate([ends, targets])
-    return accumulate_visibility(starts, ends, origin, config.voxel)
-
-
-def sight_corner(low: Floats, config: EvidenceConfig) -> Floats:
-    """Corner (3,) of the voxels of lines of sight below the lowest coordinates (3,) of an epoch [m]."""
-    return np.asarray(np.floor(low) - 2.0 * config.voxel)
-
-
-def _height_spans(height: Floats, voxel: Ints, count: int) -> Floats:
-    """Height (count, 2) from just below the lowest to just above the highest point of every voxel [m]."""
-    spans = np.tile([np.inf, -np.inf], (count, 1))
-    np.minimum.at(spans[:, 0], voxel, height)
-    np.maximum.at(spans[:, 1], voxel, height)
-    return spans + np.array([-_PAD, _PAD])
-
-
-def _spaced(positions: Floats, spacing: float) -> Floats:
-    """Keep one position every ``spacing`` [m] of the way, the first always."""
-    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
-    _, first = np.unique(np.floor(way / spacing), return_index=True)
-    return positions[first]
-
-
 def weakest(kinds: Iterable[Kind]) -> Kind:
     """Return the weakest of some kinds of evidence."""
-    order: tuple[Kind, ...] = ("observed", "trajectory", "shadow", "assumed")
-    return max(kinds, key=order.index)
+    return max(kinds, key=KINDS.index)
 
 
 def evidence_kind(has_beams: bool, trajectory: Trajectory | None, config: EvidenceConfig) -> Kind:
@@ -304,7 +279,23 @@ def make_observer(
     if kind == "observed" and survey.visibility is not None:
         return Observer("observed", _Grid(survey.visibility, config.min_beams), to_own)
     if kind == "trajectory" and survey.trajectory is not None:
-        grid = draw_lines_of_sight(survey.cloud.world(), survey.trajectory.positions, config)
-        return Observer("trajectory", _Grid(grid, 1))
+        return Observer("trajectory", expected_visibility(survey, survey.trajectory, config.poses))
     index = build_index(survey.cloud.xyz, config.shadow_radius)
-    return Observer("shadow", _Shadow(index, survey.cloud.origin, config.shadow_radius, config.shadow_height))
+    shadow = _Shadow(
+        index, survey.cloud.origin, config.shadow_radius, config.shadow_height, config.shadow_trust
+    )
+    return Observer("shadow", shadow)
+
+
+def expected_visibility(
+    survey: SurveyMap, trajectory: Trajectory, config: ExpectedVisibilityConfig
+) -> ExpectedVisibility:
+    """Render what the poses of a whole epoch must have seen, by its map's sensor or an estimate of it."""
+    world = survey.cloud.world()
+    chosen = trajectory.poses[sample_poses(trajectory.positions, config.pose_spacing)]
+    images = render_views(world, chosen[:, :3, 3].copy(), spin_axes(chosen[:, :3, :3]), config)
+    view = described_view(survey.info)
+    if view is None:
+        view = estimate_view([view_histogram(world, images, config)], config)
+    occupied = OccupiedVoxels.of(world, occupied_corner(world.min(axis=0), config), config.occupied)
+    return ExpectedVisibility(images, occupied, view, config)

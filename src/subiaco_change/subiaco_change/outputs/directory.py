@@ -22,6 +22,7 @@ from subiaco_change.outputs.json_text import write_json
 from subiaco_change.outputs.parcels import build_parcels, coverage_polygons
 from subiaco_change.outputs.qgis_project import PROJECT, write_project
 from subiaco_change.outputs.raster import (
+    Coverage,
     build_coverage,
     build_lod_raster,
     join_coverage,
@@ -113,8 +114,9 @@ def run_document(
     inputs: ChangeInputs,
     table: pd.DataFrame,
     points: Mapping[str, int],
+    coverage: Coverage,
 ) -> dict[str, Any]:
-    """Return the content of ``run.json``; ``points`` by epoch."""
+    """Return the content of ``run.json``; ``points`` by epoch, areas from ``coverage``."""
     sources = {"before": inputs.before, "after": inputs.after}
     return {
         "table_hash": outputs_table.table_hash(table),
@@ -127,6 +129,8 @@ def run_document(
         "notes": dict(inputs.notes),
         "crs": result.crs,
         "points": dict(points),
+        "compared_area_m2": coverage.area(1),
+        "undecided_area_m2": coverage.area(4),
         "confidence_calibrated": inputs.calibrated,
         "seconds": dict(result.seconds),
         "stages": dict(result.costs) if isinstance(result, TiledResult) else {},
@@ -163,7 +167,7 @@ def write_change_directory(
     refuse_existing(directory, overwrite)
     refuse_foreign(directory, MARKER)
     crs = result.crs
-    table = outputs_table.build_table(result.records, crs)
+    table = outputs_table.build_table(result.records, crs, _survey_days(inputs))
     previous = read_reviewed(directory)
     lost = table.iloc[:0]
     if previous is not None:
@@ -173,7 +177,7 @@ def write_change_directory(
     with whole_directory(directory, overwrite=overwrite, marker=MARKER) as target:
         _write_table(target, table)
         if len(lost):
-            lost.to_csv(target / "reviews_without_object.csv", index=False)
+            outputs_table.write_csv(target / "reviews_without_object.csv", lost)
             _LOG.warning(
                 "%s: %d reviewed rows have no object now; see reviews_without_object.csv",
                 directory,
@@ -183,7 +187,7 @@ def write_change_directory(
         if inputs.lots is not None:
             parcels = build_parcels(table, inputs.lots, coverage)
             write_layer(target / "changes.gpkg", "parcels", parcels)
-            parcels.drop(columns="geometry").to_csv(target / "parcels.csv", index=False)
+            outputs_table.write_csv(target / "parcels.csv", parcels)
         embed_styles(
             target / "changes.gpkg", ("coverage",) if inputs.lots is None else ("coverage", "parcels")
         )
@@ -199,9 +203,16 @@ def write_change_directory(
             result.blocks.to_csv(target / "registration_blocks.csv", index=False, float_format="%.4f")
         write_json(target / "registration.json", registration_document(result.registration, crs))
         write_config(target / "config.yaml", config)
-        write_json(target / "run.json", run_document(result, config, inputs, table, points))
+        write_json(target / "run.json", run_document(result, config, inputs, table, points, coverage))
         write_project(target, crs, coverage.bounds)
         build_report(target)
+
+
+def _survey_days(inputs: ChangeInputs) -> tuple[str, str]:
+    """Day of the first scan of *before* and of *after*, ISO 8601; empty where the map has no times."""
+    epochs = inputs.notes.get("epochs", {})
+    before, after = (str(epochs.get(name, {}).get("first", ""))[:10] for name in ("before", "after"))
+    return before, after
 
 
 def rebuild(directory: Path) -> Path:

@@ -18,9 +18,10 @@ from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
 
 #: Codes of ``coverage.tif`` band 1.
-COVERAGE = {0: "neither", 1: "both", 2: "only before", 3: "only after"}
+COVERAGE = {0: "neither", 1: "both", 2: "only before", 3: "only after", 4: "undecided"}
 
 _BUDGET = 1 << 24  # cells
+_FAIR = 0.25  # share of a cell's points with which an epoch was there to be compared
 
 
 @dataclass(frozen=True)
@@ -142,8 +143,9 @@ def build_coverage(before: PointCloud, after: PointCloud, cell: float = 2.0) -> 
     """Tell per cell which epochs saw it, from the labelled clouds.
 
     A cell with points is *both* when most of them could be decided, that is,
-    the other epoch observed their place; else it belongs to the epoch with
-    more points there.
+    the other epoch observed their place; *undecided* where each epoch holds a fair share of
+    the points, but most could not be decided: too few for an object, or for a level of detection.
+    Else it belongs to the epoch with more points there.
     """
     world = np.concatenate([before.world()[:, :2], after.world()[:, :2]])
     west, south = np.floor(world.min(axis=0) / cell) * cell
@@ -158,6 +160,7 @@ def build_coverage(before: PointCloud, after: PointCloud, cell: float = 2.0) -> 
     decided = np.bincount(flat, weights=change != Change.UNOBSERVED, minlength=size)
     older = np.bincount(flat, weights=is_before, minlength=size)
     code = np.where(2 * decided >= total, 1, np.where(2 * older >= total, 2, 3))
+    code[(2 * decided < total) & (np.minimum(older, total - older) >= _FAIR * total)] = 4
     code[total == 0] = 0
     lod95 = np.concatenate([np.asarray(c.fields["lod95"], dtype=np.float64) for c in (before, after)])
     shape = (rows, columns)

@@ -17,6 +17,7 @@ COVERAGE_COLOURS: dict[str, RGB] = {
     "both": (196, 214, 196),
     "only before": (235, 190, 140),
     "only after": (190, 160, 205),
+    "undecided": (240, 225, 130),
 }
 #: Lower bounds of ``net_m3`` of a lot [m3] and its colour: lost orange, gained blue.
 _NET: tuple[tuple[float, float, RGB], ...] = (

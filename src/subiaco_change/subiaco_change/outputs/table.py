@@ -17,6 +17,7 @@ from shapely.geometry.base import BaseGeometry
 from subiaco_change.outputs.style import embed_styles
 from subiaco_change.records import ChangeRecord
 from subiaco_geo.codes import Semantic
+from subiaco_geo.csv_cells import escape_cell, restore_cell
 from subiaco_geo.errors import InputError
 
 #: Columns of the contract, in its order.
@@ -43,7 +44,18 @@ COLUMNS = (
     "x",
     "y",
     "z",
+    "delta_h_low_m",
+    "delta_h_high_m",
+    "delta_v_low_m3",
+    "delta_v_high_m3",
+    "height_before_m",
+    "height_after_m",
+    "area_m2",
+    "date_before",
+    "date_after",
 )
+#: Columns that tables of version 1 lack; they read as missing values.
+_LATER = COLUMNS[COLUMNS.index("delta_h_low_m") :]
 #: Columns that people fill in; they survive a rerun of the same pair.
 REVIEW_COLUMNS = ("review", "reviewer", "note")
 ALL_COLUMNS = (*COLUMNS, "object_uid", "reason", *REVIEW_COLUMNS, "evidence_changed")
@@ -54,6 +66,8 @@ TEXT_COLUMNS = (
     "id_after",
     "match_kind",
     "evidence",
+    "date_before",
+    "date_after",
     "object_uid",
     "reason",
     *REVIEW_COLUMNS,
@@ -70,6 +84,13 @@ STATISTICS = (
     "observed_fraction",
     "score_paper",
     "confidence",
+    "delta_h_low_m",
+    "delta_h_high_m",
+    "delta_v_low_m3",
+    "delta_v_high_m3",
+    "height_before_m",
+    "height_after_m",
+    "area_m2",
 )
 _DECIMALS = dict.fromkeys(STATISTICS, 4) | {"x": 3, "y": 3, "z": 3}
 _POINT_RADIUS = 0.25  # half a voxel of the decisions [m]: footprint of an object without area
@@ -112,8 +133,10 @@ def object_uids(records: Sequence[ChangeRecord]) -> list[str]:
     return uids
 
 
-def _row(record: ChangeRecord) -> dict[str, object]:
+def _row(record: ChangeRecord, dates: tuple[str, str]) -> dict[str, object]:
     named = {
+        "date_before": dates[0],
+        "date_after": dates[1],
         "class": record.semantic.label,
         "label": record.change.label,
         "id_before": join_ids(record.id_before),
@@ -122,7 +145,9 @@ def _row(record: ChangeRecord) -> dict[str, object]:
     return {name: named.get(name, getattr(record, name, None)) for name in COLUMNS}
 
 
-def build_table(records: Sequence[ChangeRecord], crs: str | None) -> gpd.GeoDataFrame:
+def build_table(
+    records: Sequence[ChangeRecord], crs: str | None, dates: tuple[str, str] = ("", "")
+) -> gpd.GeoDataFrame:
     """Build the table in the order of object ids, missing statistics as NaN.
 
     Parameters
@@ -130,6 +155,8 @@ def build_table(records: Sequence[ChangeRecord], crs: str | None) -> gpd.GeoData
     records : sequence of ChangeRecord
     crs : str or None
         System of the footprints and of ``x y z``.
+    dates : (str, str)
+        Day of the survey *before* and of *after*, ISO 8601; empty where not known.
 
     Returns
     -------
@@ -140,7 +167,7 @@ def build_table(records: Sequence[ChangeRecord], crs: str | None) -> gpd.GeoData
     ids = [r.object_id for r in ordered]
     if len(set(ids)) != len(ids):
         raise InputError("change records: object_id is not unique; every object needs its own")
-    frame = pd.DataFrame([_row(r) for r in ordered], columns=list(COLUMNS))
+    frame = pd.DataFrame([_row(r, dates) for r in ordered], columns=list(COLUMNS))
     for name in STATISTICS:
         values = frame[name].astype(np.float64)
         frame[name] = values.where(np.isfinite(values))
@@ -162,9 +189,12 @@ def table_hash(table: pd.DataFrame) -> str:
     return digest.hexdigest()[:16]
 
 
-def write_csv(path: Path, table: gpd.GeoDataFrame) -> None:
-    """Write every column but the footprint; missing values are empty."""
-    pd.DataFrame(table.drop(columns="geometry")).to_csv(path, index=False, lineterminator="\n")
+def write_csv(path: Path, table: pd.DataFrame, float_format: str | None = None) -> None:
+    """Write every column but the footprint; missing values are empty, and no text is a formula."""
+    frame = pd.DataFrame(table.drop(columns="geometry", errors="ignore"))
+    for name in frame.select_dtypes(["object", "string"]).columns:
+        frame[name] = frame[name].map(lambda cell: escape_cell(cell) if isinstance(cell, str) else cell)
+    frame.to_csv(path, index=False, lineterminator="\n", float_format=float_format)
 
 
 def read_csv(path: Path) -> pd.DataFrame:
@@ -180,11 +210,14 @@ def read_csv(path: Path) -> pd.DataFrame:
     except ValueError as error:  # pandas' own, too: empty, not text, rows of different length
         reason = " ".join(str(error).split())
         raise InputError(f"{path}: not a change table ({reason}); run 'subiaco change' again") from error
-    missing = [name for name in COLUMNS if name not in frame.columns]
+    missing = [name for name in COLUMNS if name not in frame.columns and name not in _LATER]
     if missing:
         raise InputError(f"{path}: column {missing[0]} is missing; run 'subiaco change' again")
+    for name in _LATER:
+        if name not in frame.columns:
+            frame[name] = "" if name in TEXT_COLUMNS else np.nan
     texts = [name for name in TEXT_COLUMNS if name in frame.columns]
-    frame[texts] = frame[texts].fillna("")
+    frame[texts] = frame[texts].fillna("").map(restore_cell)
     return frame
 
 

@@ -89,6 +89,7 @@ def unseen_facts(table: pd.DataFrame, coverage: Coverage) -> dict[str, Any]:
         "both_m2": coverage.area(1),
         "only_before_m2": coverage.area(2),
         "only_after_m2": coverage.area(3),
+        "undecided_m2": coverage.area(4),
     }
 
 

@@ -27,6 +27,7 @@ class BuildingConfig(StrictModel):
     plane_angle_deg: float = Field(10.0, gt=0, description="angle between coplanar neighbours [deg], paper")
     plane_offset: float = Field(0.08, gt=0, description="distance to the neighbour's plane [m], paper")
     plane_area: float = Field(6.0, gt=0, description="planar area of a facade or roof [m2], paper")
+    plane_cell: float = Field(0.5, gt=0, description="cell in which the area of a plane is counted [m]")
     wire_height: float = Field(4.0, gt=0, description="lowest wire or palm frond [m]")
     wire_linearity: float = Field(
         0.42, gt=0, lt=1, description="mean linearity from which a patch so high is a bundle of lines"
@@ -111,7 +112,9 @@ def building_planes(
     """Find the planar patches among free points (N,) that are facades and roofs, or may be parts of them."""
     smooth = features.roughness < config.plane_offset
     candidate = free & smooth & (features.linearity < config.max_linearity)
-    patches = planar_patches(xyz, features, candidate, config.plane_angle_deg, config.plane_offset)
+    patches = planar_patches(
+        xyz, features, candidate, config.plane_angle_deg, config.plane_offset, config.plane_cell
+    )
     high = _up_to_eaves(xyz, height, features, candidate, free, config)
     building, fronds = _kinds(patches, features, height, high, config)
     area = np.where(building, patches.area, 0.0)
@@ -141,7 +144,9 @@ def thick_walls(xyz: Floats, height: Floats, free: Mask, config: BuildingConfig)
     shape = compute_features(middle, config.thick)
     upright = np.abs(shape.normals[:, 2]) < config.facade_slope
     sheet = upright & (shape.roughness < config.thick_roughness) & (shape.linearity < config.max_linearity)
-    patches = planar_patches(middle, shape, sheet, config.plane_angle_deg, config.thick_offset)
+    patches = planar_patches(
+        middle, shape, sheet, config.plane_angle_deg, config.thick_offset, config.thick_cell
+    )
     inside = patches.label >= 0
     top = group_reduce(
         patches.label[inside],

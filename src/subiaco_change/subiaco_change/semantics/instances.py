@@ -19,6 +19,8 @@ from subiaco_geo.codes import Semantic
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
 
+_FEWEST = 8  # points of an object at any density: of fewer, another sampling may well hold none
+
 
 class InstanceConfig(StrictModel):
     """How points of a class fall into objects."""
@@ -29,6 +31,12 @@ class InstanceConfig(StrictModel):
     terraces: ProfileConfig = ProfileConfig()
     vegetation_gap: float = Field(0.8, gt=0, description="least clustering distance of foliage, paper [m]")
     vegetation_density: float = Field(1.8, gt=0, description="clustering distance times cbrt(density), paper")
+    foliage_voxel: float = Field(
+        0.9,
+        gt=0,
+        description="voxel in which the sparsest foliage touches, parted by its own density then [m]",
+    )
+    crown_cell: float = Field(0.5, gt=0, description="cell of the canopy whose dips part crowns [m]")
     crown_radius: float = Field(
         2.0, gt=0, description="smoothing and least half distance of two crown tops [m]"
     )
@@ -48,9 +56,11 @@ class InstanceConfig(StrictModel):
     other_gap: float = Field(0.6, gt=0, description="voxel in which other things touch [m]")
     min_points: tuple[int, int, int, int] = Field(
         (60, 40, 25, 12),
-        description="smallest building, plant, vehicle, other: points at 0.25 m, as 1/leaf^2 (Decision 7)",
+        description="smallest building, plant, vehicle, other: points at 0.25 m, as 1/spacing^2 (Decision 7)",
     )
-    leaf: float = Field(0.25, gt=0, description="leaf of the clouds, set by the run [m]")
+    leaf: float = Field(
+        0.25, gt=0, description="edge of the square of a surface that a point stands for, set by the run [m]"
+    )
 
 
 def segment(cloud: PointCloud, result: SemanticResult, config: InstanceConfig) -> NDArray[np.int32]:
@@ -73,7 +83,7 @@ def segment(cloud: PointCloud, result: SemanticResult, config: InstanceConfig) -
             continue
         labels = function(cloud.xyz[members], result.height_above_ground[members].astype(np.float64), config)
         smallest = config.min_points[position] * (0.25 / config.leaf) ** 2
-        labels = _renumber(cloud.xyz[members], labels, max(3, round(smallest)))
+        labels = _renumber(cloud.xyz[members], labels, max(_FEWEST, round(smallest)))
         instance[members] = np.where(labels >= 0, labels + following, -1)
         following += int(labels.max()) + 1
     return instance.astype(np.int32)
@@ -148,7 +158,7 @@ def _cluster_by_density(xyz: Floats, config: InstanceConfig) -> Ints:
     labels = np.full(len(xyz), -1, dtype=np.int64)
     following = 0
     # A voxel cluster joins points up to about twice its edge apart.
-    for members in group_indices(voxel_clusters(xyz, config.vegetation_density / 2)):
+    for members in group_indices(voxel_clusters(xyz, config.foliage_voxel)):
         gap = max(config.vegetation_gap, config.vegetation_density / np.cbrt(_density(xyz[members])))
         own = voxel_clusters(xyz[members], gap / 2)
         labels[members] = own + following
@@ -169,7 +179,7 @@ def split_crowns(xyz: Floats, height: Floats, config: InstanceConfig) -> Ints:
     basins merge while the saddle between them is less than ``crown_drop``
     below the lower top, unless each stands on a trunk of its own.
     """
-    cell = 0.5
+    cell = config.crown_cell
     index = np.floor(xyz[:, :2] / cell).astype(np.int64)
     corner = index.min(axis=0) - 1
     index -= corner

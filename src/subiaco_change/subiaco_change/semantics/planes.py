@@ -19,7 +19,7 @@ class Patches:
     """Planar patches of a cloud.
 
     ``label`` (N,) is -1 for points of none; ``normal`` (P, 3), ``centre``
-    (P, 3) [m], ``area`` (P,) [m2] of occupied 0.5 m cells in the plane, ``inner``
+    (P, 3) [m], ``area`` (P,) [m2] of occupied cells in the plane, ``inner``
     (P,) [m2] of those whose four neighbours are occupied too (none in a bundle of wires), and
     ``residual`` (P,) the root mean square distance to the plane [m].
     """
@@ -33,7 +33,7 @@ class Patches:
 
 
 def planar_patches(
-    xyz: Floats, features: Features, candidate: Mask, angle_deg: float, offset: float
+    xyz: Floats, features: Features, candidate: Mask, angle_deg: float, offset: float, cell: float
 ) -> Patches:
     """Join neighbouring candidate points whose normals agree and that lie in each other's plane.
 
@@ -46,6 +46,8 @@ def planar_patches(
         Largest angle between the normals of neighbours [deg].
     offset : float
         Largest distance of a neighbour from the tangent plane [m].
+    cell : float
+        Edge of the cells in which areas are counted [m].
     """
     edges = _smooth_edges(xyz, features, candidate, angle_deg, offset)
     component = connect(len(xyz), edges)
@@ -53,7 +55,7 @@ def planar_patches(
     keep = candidate & (sizes[component] >= 4)
     label = np.full(len(xyz), -1, dtype=np.int64)
     _, label[keep] = np.unique(component[keep], return_inverse=True)
-    return _measure(xyz, label)
+    return _measure(xyz, label, cell)
 
 
 def _smooth_edges(xyz: Floats, features: Features, candidate: Mask, angle_deg: float, offset: float) -> Ints:
@@ -70,7 +72,7 @@ def _smooth_edges(xyz: Floats, features: Features, candidate: Mask, angle_deg: f
     return np.stack([source[near], target[near]], axis=1)
 
 
-def _measure(xyz: Floats, label: Ints) -> Patches:
+def _measure(xyz: Floats, label: Ints, cell: float) -> Patches:
     inside = label >= 0
     points, own = xyz[inside], label[inside]
     count = int(own.max(initial=-1)) + 1
@@ -84,11 +86,11 @@ def _measure(xyz: Floats, label: Ints) -> Patches:
     values, vectors = np.linalg.eigh(covariance)
     normal = vectors[:, :, 0]
     residual = np.sqrt(np.maximum(values[:, 0], 0.0))
-    area, inner = _plane_area(delta, own, normal)
+    area, inner = _plane_area(delta, own, normal, cell)
     return Patches(label, normal, centre, area, inner, residual)
 
 
-def _plane_area(delta: Floats, own: Ints, normal: Floats, cell: float = 0.5) -> tuple[Floats, Floats]:
+def _plane_area(delta: Floats, own: Ints, normal: Floats, cell: float) -> tuple[Floats, Floats]:
     """Area [m2] of the occupied cells of every patch in its own plane, and of those inside it."""
     flat = np.abs(normal[:, 2]) > 0.95
     reference = np.where(flat[:, None], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0])

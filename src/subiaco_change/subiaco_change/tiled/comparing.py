@@ -4,11 +4,10 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping
-from dataclasses import fields, replace
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import shapely
 from numpy.typing import NDArray
 
 from subiaco_change.changes.ablation import Part
@@ -19,8 +18,8 @@ from subiaco_change.changes.objects import NO_OBJECT, OTHERS, EpochView
 from subiaco_change.observation.evidence import Kind, weakest
 from subiaco_change.records import ChangeRecord
 from subiaco_change.tiled.cutting import EPOCHS
+from subiaco_change.tiled.deciding import plant_words, record_words
 from subiaco_change.tiled.regions import Region, load_region
-from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.work.store import Arrays
 from subiaco_geo.work.tasks import Inputs
@@ -41,7 +40,8 @@ def compare_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
     Returns
     -------
     arrays
-        ``records``, JSON of the rows, their numbers of parts below zero; for each epoch
+        ``records``, JSON of the rows, their numbers of parts below zero; ``plants``, JSON of what was
+        measured of the plants among them; for each epoch
         ``<epoch>_tiles`` names, and ``<epoch>_points`` (P, 3): position among these, place of the point
         there, row; ``own`` (R,) bool, whether anything in the row is in both epochs.
     """
@@ -64,7 +64,10 @@ def compare_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
         )
         for change in changes
     ]
-    result: dict[str, Any] = {"records": np.array(json.dumps([record_words(r) for r in records]))}
+    result: dict[str, Any] = {
+        "records": np.array(json.dumps([record_words(r) for r in records])),
+        "plants": np.array(plant_words(changes)),
+    }
     for region, epoch in zip(regions, EPOCHS, strict=True):
         result[f"{epoch}_tiles"] = np.array(region.tiles, dtype=np.str_)
         result[f"{epoch}_points"] = _points(region, changes, epoch)
@@ -77,7 +80,7 @@ def object_rules(config: Any) -> ObjectRules:
     if Part.LOD in config.without:
         decisions = decisions.model_copy(update={"lod_floor": 0.0})
     by_class = Part.CLASS_ASSOCIATION not in config.without
-    return ObjectRules(config.measures, config.association, decisions, by_class)
+    return ObjectRules(config.measures, config.association, decisions, by_class, plants=config.plants)
 
 
 def _surroundings(low: Floats, high: Floats) -> Any:
@@ -130,24 +133,3 @@ def _points(region: Region, changes: list[ObjectChange], epoch: str) -> Ints:
     members = np.concatenate([np.zeros(0, np.int64), *rows]).astype(np.int64)
     row = np.repeat(np.arange(len(rows)), [len(r) for r in rows])
     return np.column_stack([region.slot[members], region.index[members], row]).astype(np.int32)
-
-
-def record_words(record: ChangeRecord) -> dict[str, Any]:
-    """Return a row as what JSON holds, footprints as WKB."""
-    words = {f.name: getattr(record, f.name) for f in fields(record)}
-    return {**words, "footprint": shapely.to_wkb(record.footprint, hex=True)}
-
-
-def record_of(words: Mapping[str, Any]) -> ChangeRecord:
-    """Return the row that :func:`record_words` took apart."""
-    return ChangeRecord(
-        **{
-            **words,
-            "semantic": Semantic(words["semantic"]),
-            "change": Change(words["change"]),
-            "id_before": tuple(words["id_before"]),
-            "id_after": tuple(words["id_after"]),
-            "features": tuple(words["features"]),
-            "footprint": shapely.from_wkb(words["footprint"]),
-        }
-    )

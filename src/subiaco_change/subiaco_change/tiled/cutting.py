@@ -11,12 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from subiaco_change.observation.evidence import EvidenceConfig, Kind, Observer, make_observer
+from subiaco_change.observation.evidence import Kind
 from subiaco_change.registration.pair import check_finite
+from subiaco_change.spacing import STREET_SPACING, joint_spacing, neighbour_spacings
 from subiaco_geo.clouds import PointCloud, unpack_voxel_keys, voxel_downsample
-from subiaco_geo.crs import Transform, transformer
+from subiaco_geo.crs import Transform
 from subiaco_geo.frames import Floats
-from subiaco_geo.survey_map import SurveyMap
+from subiaco_geo.free_space.sensor_view import SensorView
 from subiaco_geo.tiles import split_by_tile
 from subiaco_geo.visibility import VisibilityGrid
 from subiaco_geo.work.bench import Workbench
@@ -48,6 +49,10 @@ class Side:
         Origin of its voxels of beams [m].
     voxel : float
         Their edge [m].
+    spacing : float
+        Median distance between neighbouring points on surfaces of the epoch [m], at the working leaf.
+    view : SensorView, optional
+        Of its sensor, where what its poses saw is expected.
     """
 
     epoch: str
@@ -57,6 +62,8 @@ class Side:
     beams_crs: str | None
     corner: Floats
     voxel: float
+    spacing: float = STREET_SPACING
+    view: SensorView | None = None
 
 
 class Spill:
@@ -102,12 +109,13 @@ class Spill:
 
 @dataclass(frozen=True)
 class CutCloud:
-    """Keys of the tiles of a cloud, its least and largest world coordinates (3,) [m], and its points."""
+    """Keys of the tiles of a cloud, its least and largest world coordinates (3,) [m], points and spacing."""
 
     keys: dict[str, str]
     low: Floats
     high: Floats
     points: int
+    spacing: float  # of the thinned points [m]
 
 
 def cut_cloud(
@@ -138,7 +146,7 @@ def cut_cloud(
         No points, or coordinates that are not finite.
     """
     low, high, points = np.full(3, np.inf), np.full(3, -np.inf), 0
-    keys = {}
+    keys, spacings = {}, []
     with TemporaryDirectory(prefix="subiaco_") as folder:
         spill = Spill(Path(folder))
         for part in parts:
@@ -152,7 +160,8 @@ def cut_cloud(
         for name, arrays in spill.tiles():
             thin = voxel_downsample(PointCloud(arrays.pop("xyz"), origin, None, arrays), leaf)
             keys[name] = bench.put("cut", name, {"xyz": thin.xyz, **thin.fields})
-    return CutCloud(keys, low, high, points)
+            spacings.append(neighbour_spacings(thin.xyz))
+    return CutCloud(keys, low, high, points, joint_spacing(spacings))
 
 
 def cut_beams(bench: Workbench, parts: Iterable[VisibilityGrid], size: float) -> dict[str, str]:
@@ -192,30 +201,6 @@ def load_beams(inputs: Inputs, alias: str, corner: Floats, voxel: float) -> Visi
         return no_beams(corner, voxel)
     order = np.argsort(found["keys"], kind="stable")
     return VisibilityGrid(corner, voxel, found["keys"][order], found["hits"][order], found["passes"][order])
-
-
-def load_observer(inputs: Inputs, side: Side, points: Floats, config: EvidenceConfig) -> Observer:
-    """Build the observer of an epoch around a place.
-
-    Parameters
-    ----------
-    inputs : Inputs
-        Beams under ``beams/<epoch>/``.
-    side : Side
-    points : (N, 3) float64
-        Points of the epoch around, in its world coordinates: what shadow tests rest on.
-    config : EvidenceConfig
-    """
-    cloud = PointCloud(points - side.origin, side.origin, side.crs)
-    kind = "observed" if side.kind == "trajectory" else side.kind
-    least = 1 if side.kind == "trajectory" else config.min_beams
-    if kind == "shadow" and len(cloud) == 0:  # nothing stands around, nothing was seen
-        kind = "observed"
-    grid = load_beams(inputs, f"beams/{side.epoch}", side.corner, side.voxel) if kind == "observed" else None
-    asked = config.model_copy(update={"source": kind, "min_beams": least})
-    back = None if side.beams_crs is None else transformer(str(side.crs), side.beams_crs).apply
-    found = make_observer(SurveyMap(cloud, visibility=grid), asked, back)
-    return Observer(side.kind, found.test, found.to_own)
 
 
 def tiles_between(low: Floats, high: Floats, size: float) -> list[str]:

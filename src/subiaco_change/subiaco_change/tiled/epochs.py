@@ -12,7 +12,7 @@ import numpy as np
 
 from subiaco_change.config import ChangeConfig
 from subiaco_change.observation.common_frame import CommonFrame
-from subiaco_change.observation.evidence import evidence_kind, sight_corner
+from subiaco_change.observation.evidence import evidence_kind
 from subiaco_change.records import Registration
 from subiaco_change.registration.pair import (
     PairInfo,
@@ -21,6 +21,8 @@ from subiaco_change.registration.pair import (
     moved_trajectory,
     shares_origin,
 )
+from subiaco_change.spacing import PointSpacing
+from subiaco_change.sparse import at_spacing
 from subiaco_change.tiled.cutting import (
     EPOCHS,
     FIELDS,
@@ -31,17 +33,21 @@ from subiaco_change.tiled.cutting import (
     cut_cloud,
     tiles_between,
 )
+from subiaco_change.tiled.expected import render_tile
 from subiaco_change.tiled.framing import in_frame, registration_of
 from subiaco_change.tiled.preparing import prepare_tile
 from subiaco_change.tiled.recutting import recut_tile
 from subiaco_change.tiled.registering import find_registration
-from subiaco_change.tiled.sight import draw_tile, find_upright
+from subiaco_change.tiled.sight import find_upright
 from subiaco_change.tiled.uniting import unite
 from subiaco_geo.crs import Transform, transformer
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
+from subiaco_geo.free_space.expected_visibility import occupied_corner, sample_poses
+from subiaco_geo.free_space.sensor_view import SensorView, described_view
+from subiaco_geo.free_space.view_estimation import ViewHistogram, estimate_view
 from subiaco_geo.sources import Epoch
-from subiaco_geo.tiles import neighbours, tile_named
+from subiaco_geo.tiles import neighbours, split_by_tile, tile_named
 from subiaco_geo.trajectories import Trajectory
 from subiaco_geo.work.bench import Workbench
 from subiaco_geo.work.store import Arrays
@@ -114,10 +120,20 @@ class Epochs:
             found = self._cut_points(name, epoch, origin, own)
             extents.append((found.low, found.high))
             crs = epoch.crs if self.info.crs is None else self.info.crs
-            sides.append(self._side(name, epoch, origin, crs, found.low, own))
+            side = self._side(name, epoch, origin, crs, found.low, own)
+            sides.append(replace(side, spacing=found.spacing))
         if both:
             check_extents(extents[0], extents[1])
         self.sides = tuple(sides)
+
+    def follow_spacing(self) -> None:
+        """Raise the lengths of the configuration to what the sparser epoch can show, once both are cut."""
+        self.config = at_spacing(self.config, round(self.spacing.coarser, 2))
+
+    @property
+    def spacing(self) -> PointSpacing:
+        """Spacing of the points of both epochs, once they are cut."""
+        return PointSpacing(*(side.spacing for side in self.sides))
 
     def _cut_points(self, name: str, epoch: Epoch, origin: Floats, operation: Transform | None) -> CutCloud:
         try:
@@ -150,7 +166,7 @@ class Epochs:
         if way is not None and operation is not None:
             way = moved_trajectory(way, operation)
         kind = evidence_kind(epoch.has_beams, way, config)
-        side = Side(name, origin, crs, kind, None, origin, config.voxel)
+        side = Side(name, origin, crs, kind, None, origin, config.poses.occupied)
         self.beams[name], self.beam_edge[name] = {}, self.size
         self._keep_poses(name, epoch, way)
         if kind == "observed":
@@ -161,28 +177,36 @@ class Epochs:
                 self.beams[name] = cut_beams(self.bench, epoch.beams(), self.beam_edge[name])
                 side = replace(side, beams_crs=other, corner=first.origin, voxel=first.voxel)
         elif kind == "trajectory" and way is not None:
-            side = replace(side, corner=sight_corner(low, config))
-            self.beams[name] = self._draw(side, way.positions)
+            side = replace(side, corner=occupied_corner(low, config.poses))
+            self.beams[name] = self._render(side, way)
+            side = replace(side, view=self._view(name, epoch))
         return side
 
-    def _draw(self, side: Side, positions: Floats) -> dict[str, str]:
-        """Draw the lines of sight of an epoch, tile by tile of its own frame."""
-        own = self.clouds[side.epoch]
-        way = self.bench.put("trajectory", side.epoch, {"positions": positions})
-        rings = math.ceil(self.config.evidence.max_range / self.size)
-        near = {n for name in own for n in (name, *self._ring(name, rings))}
-        tasks = []
-        for name in sorted(near):
-            around = [n for n in (name, *neighbours(name, own, rings)) if n in own]
-            inputs = {"trajectory": way, **{f"cloud/{n}": own[n] for n in around}}
-            params = {"tile": name, "size": self.size, "side": side, "config": self.config.evidence}
-            tasks.append(Task("sight", name, draw_tile, inputs, params))
-        return self.bench.run(tasks, (0.02, 0.05))
+    def _view(self, name: str, epoch: Epoch) -> SensorView:
+        """Take the sensor that a map describes, or estimate it from what its points need."""
+        told = described_view(epoch.info)
+        if told is not None:
+            return told
+        parts = []
+        for key in self.beams[name].values():
+            piece = self.load(key)
+            parts.append(ViewHistogram(*(piece[field] for field in ("above", "ranges"))))
+        return estimate_view(parts, self.config.evidence.poses)
 
-    def _ring(self, name: str, rings: int) -> list[str]:
-        column, row = (int(v) for v in name.split("_"))
-        reach = range(-rings, rings + 1)
-        return [f"{column + c}_{row + r}" for c in reach for r in reach]
+    def _render(self, side: Side, way: Trajectory) -> dict[str, str]:
+        """Render what the poses of an epoch must have seen, tile by tile of its own frame."""
+        own, config = self.clouds[side.epoch], self.config.evidence.poses
+        poses = way.poses[sample_poses(way.positions, config.pose_spacing)]
+        by_tile = split_by_tile(poses[:, :3, 3], self.size)
+        rings = math.ceil(config.max_range / self.size)
+        tasks = []
+        for name in sorted({*own, *by_tile}):
+            looking = poses[by_tile[name]] if name in by_tile else poses[:0]
+            around = [name, *(neighbours(name, own, rings) if len(looking) else ())]
+            inputs = {f"cloud/{n}": own[n] for n in around if n in own}
+            params = {"tile": name, "size": self.size, "side": side, "config": config, "poses": looking}
+            tasks.append(Task("sight", name, render_tile, inputs, params))
+        return self.bench.run(tasks, (0.02, 0.05))
 
     def _keep_poses(self, name: str, epoch: Epoch, way: Trajectory | None) -> None:
         """Keep the pose covariances of a map, where it carries them."""
@@ -237,7 +261,7 @@ class Epochs:
             }  # fmt: skip
             inputs = {f"cloud/{n}": own[n] for n in (name, *neighbours(name, own))} | upright
             box = corners_around(name, self.size, tiles.overlap + SIGHT)
-            beams = self.beams_at(side, box)
+            beams = self.beams_at(side, box) if side.kind == "observed" else {}
             inputs |= {alias.replace(side.epoch, ALONE, 1): key for alias, key in beams.items()}
             tasks.append(Task("semantics", name, prepare_tile, inputs, params))
         return tasks
@@ -287,14 +311,18 @@ class Epochs:
         return SimpleNamespace(**{name: getattr(self.config, name) for name in names})
 
     def beams_at(self, side: Side, world: Floats) -> dict[str, str]:
-        """Tiles of beams of an epoch around places (N, 3) of its world."""
+        """Tiles of beams, or of poses that look there, of an epoch around places (N, 3) of its world."""
         known = self.beams[side.epoch]
         if not known:
             return {}
         if side.beams_crs is not None:
             world = transformer(str(side.crs), side.beams_crs).apply(world)
         edge = self.beam_edge[side.epoch]
-        near = tiles_between(world[:, :2].min(axis=0), world[:, :2].max(axis=0), edge)
+        reach = (
+            0.0 if side.view is None else min(side.view.useful_range, self.config.evidence.poses.max_range)
+        )
+        low, high = world[:, :2].min(axis=0) - reach, world[:, :2].max(axis=0) + reach
+        near = tiles_between(low, high, edge)
         return {f"beams/{side.epoch}/{n}": known[n] for n in near if n in known}
 
     def load(self, key: str) -> Arrays:

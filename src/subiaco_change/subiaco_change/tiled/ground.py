@@ -179,6 +179,7 @@ def tile_patches(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
                 "dz": patch.dz,
                 "dz_spread": patch.dz_spread,
                 "lod": patch.lod,
+                "confidence": patch.confidence,
                 "height": height,
                 "outline": shapely.to_wkb(patch.outline, hex=True),
             }

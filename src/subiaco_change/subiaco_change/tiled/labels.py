@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -13,7 +14,8 @@ from subiaco_change.changes.ablation import Part, pointwise
 from subiaco_change.changes.ground_cells import shown_lod
 from subiaco_change.changes.ground_change import GroundComparison, GroundPatch, ground_raster
 from subiaco_change.changes.labelling import Labels, label_rest, unlabelled
-from subiaco_change.changes.objects import Reach
+from subiaco_change.changes.measures import same_place
+from subiaco_change.changes.objects import occupied
 from subiaco_change.semantics.ground import Mask
 from subiaco_change.tiled.cutting import EPOCHS
 from subiaco_change.tiled.recutting import load_points, near_tile
@@ -124,7 +126,8 @@ def label_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
         labels = _of_objects(inputs, epoch, tile, view, regions[e].index[own])
         other = regions[1 - e].view
         known = other.xyz[other.semantic == Semantic.GROUND]
-        label_rest(view, labels, ground, ids, regions[1 - e].seen, config.evidence, known)
+        there = partial(occupied, points=other.xyz, reach=same_place(config.measures))
+        label_rest(view, labels, ground, ids, regions[1 - e].seen, config.evidence, known, there)
         if Part.OBJECTS in config.without:
             labels = _by_point(view, other, regions[1 - e], labels, epoch, config)
         patched[:, e] = [np.count_nonzero(labels.instance == i) for i in ids]
@@ -184,9 +187,9 @@ def _comparison(
     for anchor, number in found:
         row = _first(table, "patch_", anchor) + number
         change, height = Change(int(table["patch_change"][row])), float(table["patch_dz"][row])
-        level = float(table["patch_lod"][row])
+        level, sure = float(table["patch_lod"][row]), float(table["patch_confidence"][row])
         none = np.zeros((0, 2), dtype=np.int64)
-        patches.append(GroundPatch(change, 0.0, height, 0.0, level, none, shapely.Point()))
+        patches.append(GroundPatch(change, 0.0, height, 0.0, level, none, shapely.Point(), sure))
         ids.append(int(table["patch_id"][row]))
     corner = np.array(tile_named(params["tile"], params["size"]).core[:2]) - np.asarray(params["origin"])[:2]
     cell = params["config"].ground.cell
@@ -195,6 +198,5 @@ def _comparison(
 
 def _by_point(view: Any, other: Any, seen: Region, labels: Labels, epoch: str, config: Any) -> Labels:
     """Label what is not ground point by point."""
-    m = config.measures
-    alone = pointwise(view, other, seen.seen, epoch, Reach(m.same_low, m.same_high, m.same_factor))
+    alone = pointwise(view, other, seen.seen, epoch, same_place(config.measures))
     return replace(labels, change=np.where(view.semantic == Semantic.GROUND, labels.change, alone))

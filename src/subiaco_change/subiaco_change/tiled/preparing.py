@@ -11,10 +11,11 @@ from numpy.typing import NDArray
 
 from subiaco_change.changes.ablation import Part
 from subiaco_change.geometry import estimate_normals
-from subiaco_change.semantics.classes import SemanticResult, label_points
+from subiaco_change.semantics.classes import label_points
 from subiaco_change.semantics.clustering import voxel_clusters
 from subiaco_change.semantics.instances import segment
-from subiaco_change.tiled.cutting import Side, load_observer
+from subiaco_change.tiled.cutting import Side
+from subiaco_change.tiled.expected import load_observer
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Semantic
 from subiaco_geo.errors import InputError
@@ -107,14 +108,10 @@ def _label(
     elif Part.SEMANTICS in config.without:
         semantic, instance = _classless(cloud.xyz, semantic, config.measures.voxel)
     else:
-        instance = _segment(upright, result, config)
+        instance = segment(upright, result, config.instances)
     if Part.OBJECTS in config.without:
         instance = np.full_like(instance, -1)
     return semantic, instance, score.astype(np.float32), result.height_above_ground
-
-
-def _segment(cloud: PointCloud, result: SemanticResult, config: Any) -> NDArray[np.int32]:
-    return segment(cloud, result, config.instances.model_copy(update={"leaf": config.leaf}))
 
 
 def _classless(

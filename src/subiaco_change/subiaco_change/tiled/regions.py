@@ -13,7 +13,8 @@ from subiaco_change.changes.objects import EpochView
 from subiaco_change.observation.common_frame import seen_through
 from subiaco_change.observation.evidence import Observer
 from subiaco_change.semantics.ground import Mask
-from subiaco_change.tiled.cutting import Side, load_observer
+from subiaco_change.tiled.cutting import Side
+from subiaco_change.tiled.expected import load_observer
 from subiaco_change.tiled.framing import load_frame
 from subiaco_change.tiled.recutting import load_points
 from subiaco_geo.frames import Floats, Ints

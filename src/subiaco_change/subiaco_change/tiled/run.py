@@ -13,6 +13,7 @@ from subiaco_change.observation.common_frame import CommonFrame
 from subiaco_change.observation.evidence import weakest
 from subiaco_change.tiled.comparing import compare_tile
 from subiaco_change.tiled.cutting import EPOCHS, tiles_between
+from subiaco_change.tiled.deciding import decide_tile, find_vegetation_null
 from subiaco_change.tiled.epochs import SIGHT, Epochs, corners_around
 from subiaco_change.tiled.ground import join_over, patch_tiles, tile_ground, tile_over, tile_patches
 from subiaco_change.tiled.labels import label_tile, tile_changed
@@ -35,8 +36,8 @@ from subiaco_geo.work.tasks import Function, Task
 #: Stages in their order; *compare* and what it rests on run twice where the registration is refined.
 STAGES = (
     "cut", "sight", "registration", "upright", "semantics", "objects", "recut", "heights", "bias",
-    "residuals", "warp", "place", "displacements", "sigma", "lod", "links", "groups", "compare", "ground",
-    "over", "patches", "changed", "refine", "labels",
+    "residuals", "warp", "place", "displacements", "sigma", "lod", "links", "groups", "compare",
+    "vegetation_null", "decide", "ground", "over", "patches", "changed", "refine", "labels",
 )  # fmt: skip
 #: Slices of the configuration that each of the stages after *objects* reads.
 _READS = {
@@ -49,7 +50,9 @@ _READS = {
     "lod": ("placing", "lod", "without"),
     "links": ("measures", "association"),
     "groups": ("association",),
-    "compare": ("evidence", "measures", "association", "decisions", "confidence", "without"),
+    "compare": ("evidence", "measures", "association", "decisions", "plants", "confidence", "without"),
+    "vegetation_null": ("plants",),
+    "decide": ("decisions", "plants", "confidence"),
     "ground": ("evidence", "ground"),
     "over": ("ground",),
     "patches": ("ground",),
@@ -68,6 +71,7 @@ class Pass:
     sigma: str
     lods: Mapping[str, str]
     compared: Mapping[str, str]
+    decided: Mapping[str, str]
     ground: Mapping[str, str]
     patched: Mapping[str, str]
     reach: Mapping[str, Sequence[str]]
@@ -99,10 +103,22 @@ class CityRun(Epochs):
         grounds = self._tasks("ground", tile_ground, self._seen(frame, lods, sight=False))
         compared, ground = self.bench.together([comparing, grounds], (spans[6][0], spans[7][1]))
         patched, patch_reach = self._patches(ground, spans[8])
-        table = build_table(self.bench.store, compared, patched, counts, self.origin, self._weaker())
+        decided = self._decide(compared, spans[8])
+        table = build_table(self.bench.store, decided, patched, counts, self.origin, self._weaker())
         key = self.bench.put("table", "all", table.arrays)
         return Pass(
-            registration, frame, sigma, lods, compared, ground, patched, reach, patch_reach, table, key
+            registration,
+            frame,
+            sigma,
+            lods,
+            compared,
+            decided,
+            ground,
+            patched,
+            reach,
+            patch_reach,
+            table,
+            key,
         )
 
     def place(
@@ -266,6 +282,12 @@ class CityRun(Epochs):
             reach[tile] = names
         return self._tasks("compare", compare_tile, inputs), reach
 
+    def _decide(self, compared: Mapping[str, str], span: tuple[float, float]) -> dict[str, str]:
+        """Decide plants against the plants of all tiles; keys of the rows by tile."""
+        null = self._reduce("vegetation_null", find_vegetation_null, "compared", compared, {}, span)
+        inputs = {tile: {"compared": key, "null": null} for tile, key in compared.items()}
+        return self._per_tile("decide", decide_tile, inputs, span)
+
     def _patches(
         self, ground: Mapping[str, str], span: tuple[float, float]
     ) -> tuple[dict[str, str], dict[str, list[str]]]:
@@ -343,6 +365,7 @@ class CityRun(Epochs):
             "frame": dict(found.frame),
             "lod": dict(found.lods),
             "compare": dict(found.compared),
+            "decide": dict(found.decided),
             "ground": dict(found.ground),
             "patches": dict(found.patched),
             "labels": dict(labelled),

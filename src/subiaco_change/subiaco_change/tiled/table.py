@@ -12,7 +12,7 @@ import shapely
 from subiaco_change.changes.ground_change import GroundPatch
 from subiaco_change.changes.labelling import patch_record
 from subiaco_change.records import ChangeRecord
-from subiaco_change.tiled.comparing import record_of
+from subiaco_change.tiled.deciding import record_of
 from subiaco_geo.codes import Change
 from subiaco_geo.frames import Floats
 from subiaco_geo.work.store import Arrays, Store
@@ -44,7 +44,7 @@ def build_table(
     ----------
     store : Store
     compared, patched : mapping of str to str
-        Keys of compared objects and of patches, by tile.
+        Keys of decided objects and of patches, by tile.
     counts : (int, int)
         Objects of *before* and of *after*: pieces cut off later are numbered on from there.
     origin : (3,) float64
@@ -111,6 +111,7 @@ def patch_of(words: Mapping[str, object]) -> GroundPatch:
         float(str(words["lod"])),
         np.zeros((0, 2), dtype=np.int64),
         shapely.from_wkb(str(words["outline"])),
+        float(str(words["confidence"])),
     )
 
 

@@ -1,10 +1,13 @@
-"""Covariance of an odometry pose from those of its motions."""
+"""Covariance of an odometry pose, and velocity with its covariance, from its motions."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 
 from subiaco_geo.frames import Floats, invert_pose
+from subiaco_mapping.deskew import body_twist
 from subiaco_mapping.measurements import OdometryPose
 
 
@@ -20,6 +23,46 @@ def adjoint(pose: Floats) -> Floats:
     result[:3, :3] = result[3:, 3:] = rotation
     result[3:, :3] = _skew(pose[:3, 3]) @ rotation
     return result
+
+
+_UNKNOWN = 1e6  # variance of a velocity that nothing tells [m2/s2, rad2/s2]
+
+
+@dataclass(frozen=True)
+class BaseVelocity:
+    """Velocity of ``base_link`` in its own axes, in ROS order: linear [m/s], then angular [rad/s].
+
+    Parameters
+    ----------
+    twist : (6,) float64
+        Mean over the time since the scan before.
+    covariance : (6, 6) float64
+        Variances of 1e6 where the velocity is not known.
+    """
+
+    twist: Floats
+    covariance: Floats
+
+
+#: Nothing tells how fast the vehicle moves.
+UNKNOWN_VELOCITY = BaseVelocity(np.zeros(6), np.eye(6) * _UNKNOWN)
+
+
+def base_velocity(previous: OdometryPose | None, pose: OdometryPose, T_base_lidar: Floats) -> BaseVelocity:
+    """Return the velocity of ``base_link`` between two scans of one odometry.
+
+    Not known for the first scan of a segment, and where the pose is a prediction.
+    """
+    known = previous is not None and previous.segment == pose.segment and not pose.predicted
+    if previous is None or not known or pose.stamp_ns <= previous.stamp_ns:
+        return UNKNOWN_VELOCITY
+    duration_s = (pose.stamp_ns - previous.stamp_ns) * 1e-9
+    T_lidar_base = invert_pose(T_base_lidar)
+    motion = T_base_lidar @ invert_pose(previous.T_odom_lidar) @ pose.T_odom_lidar @ T_lidar_base
+    to_base = adjoint(T_base_lidar)
+    order = [3, 4, 5, 0, 1, 2]
+    covariance = (to_base @ pose.covariance @ to_base.T / duration_s**2)[np.ix_(order, order)]
+    return BaseVelocity(body_twist(motion, duration_s)[order], covariance)
 
 
 class PoseCovariance:

@@ -22,6 +22,7 @@ from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints, invert_pose, pose_from_quaternion, quaternion_from_pose
 from subiaco_mapping.conversions import cloud_array, stamp_ns
 from subiaco_mapping.measurements import DeskewedScan, OdometryPose
+from subiaco_mapping.nodes.covariance import UNKNOWN_VELOCITY, BaseVelocity
 from subiaco_msgs.msg import ScanQuality
 
 _POINT_TYPES: dict[str, int] = {
@@ -162,7 +163,12 @@ def transform_message(pose: Floats, parent: str, child: str, time_ns: int) -> Tr
 
 
 def odometry_message(
-    pose: OdometryPose, T_base_lidar: Floats, covariance: Floats, odom_frame: str, base_frame: str
+    pose: OdometryPose,
+    T_base_lidar: Floats,
+    covariance: Floats,
+    odom_frame: str,
+    base_frame: str,
+    velocity: BaseVelocity = UNKNOWN_VELOCITY,
 ) -> Odometry:
     """Build the odometry of ``base_link``.
 
@@ -170,10 +176,15 @@ def odometry_message(
     ----------
     covariance : (6, 6) float64
         Of the pose in ROS order: x y z, then rotation about fixed axes of ``odom``.
+    velocity : BaseVelocity
+        In the axes of ``base_link``.
     """
     message = Odometry(header=header(pose.stamp_ns, odom_frame), child_frame_id=base_frame)
     message.pose.pose = pose_message(pose.T_odom_lidar @ invert_pose(T_base_lidar))
     message.pose.covariance = covariance.ravel()
+    linear, angular = message.twist.twist.linear, message.twist.twist.angular
+    linear.x, linear.y, linear.z, angular.x, angular.y, angular.z = velocity.twist.tolist()
+    message.twist.covariance = velocity.covariance.ravel()
     return message
 
 

@@ -26,10 +26,10 @@ from subiaco_geo.topics import IMU, LIDAR_PACKETS, METADATA, POINTS, TF_STATIC
 from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.conversions import imu_from_msg, scan_from_points
 from subiaco_mapping.frontend import FrontendOutput, OdometryFrontend
-from subiaco_mapping.measurements import Extrinsics, ImuSample, Scan
+from subiaco_mapping.measurements import Extrinsics, ImuSample, OdometryPose, Scan
 from subiaco_mapping.nodes.arrivals import Arrivals
 from subiaco_mapping.nodes.counts import ConsumptionReporter, counts_message, listen_to_consumers
-from subiaco_mapping.nodes.covariance import PoseCovariance
+from subiaco_mapping.nodes.covariance import PoseCovariance, base_velocity
 from subiaco_mapping.nodes.extrinsics import StaticTransforms, sensors_needed
 from subiaco_mapping.nodes.flow import ConsumedCounter, FlowControl
 from subiaco_mapping.nodes.live import PatientStart
@@ -144,6 +144,7 @@ class OdometryApp:
         self._frontend: Frontend | None = None
         self._extrinsics = Extrinsics()
         self._covariance: PoseCovariance | None = None
+        self._last_pose: OdometryPose | None = None
         self._ended = False
         self._start = PatientStart(("imu",))
         self._run = 0
@@ -305,7 +306,7 @@ class OdometryApp:
                     return None
                 extrinsics, self._run = known, OneChain.RUN * int(time.time() % 2_000_000)
             self._extrinsics = extrinsics
-            self._covariance = PoseCovariance(self._extrinsics.T_base_lidar)
+            self._covariance, self._last_pose = PoseCovariance(self._extrinsics.T_base_lidar), None
             self._frontend = self._make_frontend(self._extrinsics, self._metadata)
         return self._frontend
 
@@ -334,7 +335,9 @@ class OdometryApp:
             self._covariance.step(output.pose),
             odom,
             sensors.base_frame,
+            base_velocity(self._last_pose, output.pose, self._extrinsics.T_base_lidar),
         )
+        self._last_pose = output.pose
         self._send(QUALITY, quality_message(output.pose, output.scan, sensors.lidar_frame))
         self._send(ODOMETRY, message)
         self._send(CLOUD, scan_message(output.scan, sensors.lidar_frame))

@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import json
 import logging
+import os
 import sys
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -22,6 +24,7 @@ from subiaco_geo.bag_files import sequence_name
 from subiaco_geo.bags import hash_bag
 from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError, SubiacoError
+from subiaco_geo.locks import held_directory, sweep
 from subiaco_geo.maps import write_map
 from subiaco_geo.simulated import mark_simulated
 from subiaco_geo.survey_map import SurveyMap
@@ -403,13 +406,27 @@ class PoseGraphApp:
         return response
 
 
+@contextmanager
+def spool_folder(output_directory: str) -> Iterator[Path]:
+    """Yield a folder for the deskewed scans (10 MB/s): beside the map, else in the temporary folder."""
+    if not output_directory:
+        with TemporaryDirectory(prefix="subiaco-spool-") as temporary:
+            yield Path(temporary)
+        return
+    output = Path(output_directory).absolute()
+    sweep(output.parent, f".{output.name}.spool-")
+    with held_directory(output.with_name(f".{output.name}.spool-{os.getpid()}")) as folder:
+        yield folder
+
+
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run the node; the deskewed scans lie in a temporary folder meanwhile."""
-    with TemporaryDirectory(prefix="subiaco-spool-") as spool:
+    """Run the node; the deskewed scans lie beside the map meanwhile."""
+    with ExitStack() as stack:
 
         def build(node: Node) -> App:
             own, config = read_models(node, PoseGraphParameters, MappingConfig)
-            return PoseGraphApp(node, own, config, MappingBackend(config, Extrinsics(), Path(spool)))
+            spool = stack.enter_context(spool_folder(own.output_directory))
+            return PoseGraphApp(node, own, config, MappingBackend(config, Extrinsics(), spool))
 
         return run_node("pose_graph", build, argv)
 

@@ -1,0 +1,125 @@
+"""What two epochs say of one plant, at equal point density (method, Decision 18)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from pydantic import Field
+
+from subiaco_change.changes.measures import Measures
+from subiaco_change.changes.objects import Thing
+from subiaco_change.changes.outline import OutlineConfig, compare_outlines
+from subiaco_change.changes.sections import NOTHING, Rise, column_rise
+from subiaco_change.changes.vegetation_null import PlantMeasures, VegetationNullConfig
+from subiaco_geo.clouds import voxel_indices, voxel_keys
+from subiaco_geo.config import StrictModel
+from subiaco_geo.frames import Floats
+
+
+class PlantConfig(StrictModel):
+    """How plants are measured."""
+
+    voxel: float = Field(
+        0.5,
+        gt=0,
+        description="edge of the voxels in which point densities of two epochs are compared [m]",
+    )
+    shared: int = Field(
+        8, ge=1, description="voxels occupied in both epochs that a ratio of point densities needs"
+    )
+    low: float = Field(
+        3.0, gt=0, description="plants whose highest points are lower than this are hedges or shrubs [m]"
+    )
+    thin: float = Field(
+        0.7, gt=0, description="narrower side below which a tall object of class vegetation has no crown [m]"
+    )
+    slender: float = Field(
+        4.0, gt=1, description="height in narrower sides from which on an object has no crown"
+    )
+    outline: OutlineConfig = OutlineConfig()
+    null: VegetationNullConfig = VegetationNullConfig()
+
+
+def measure_plant(
+    before: Sequence[Thing],
+    after: Sequence[Thing],
+    measures: Measures,
+    config: PlantConfig,
+    standing: tuple[Floats, Floats] = (NOTHING, NOTHING),
+) -> PlantMeasures:
+    """Measure a plant that both epochs hold; the denser epoch is thinned to the density of the other.
+
+    ``standing`` (N, 3) of *before* and of *after*: points above the ground of any class.
+    """
+    first, second = (np.concatenate([t.xyz for t in things]) for things in (before, after))
+    first, second, density = equal_density(first, second, config)
+    outline = compare_outlines(first, second, config.outline)
+    both = np.concatenate([first, second])
+    heights = np.concatenate([t.voxels.height for t in (*before, *after)])
+    low = bool(np.quantile(heights, 0.98) <= config.low)
+    rise = column_rise(before, after, standing) if low else Rise()
+    return PlantMeasures(
+        kind="hedge" if low else "crown",
+        density=density,
+        size=_size(both),
+        thin=not low and any(_is_thin(xyz, config) for xyz in (first, second)),
+        reach=outline.reach,
+        outline=outline.shift,
+        outline_sigma=outline.sigma,
+        top=measures.delta_h,
+        volume=measures.delta_v / max(measures.volume, 1e-6),
+        surface=measures.carried,
+        rise=rise.median,
+        rise_sigma=rise.sigma,
+    )
+
+
+def equal_density(before: Floats, after: Floats, config: PlantConfig) -> tuple[Floats, Floats, float]:
+    """Thin the denser of two point sets (N, 3), (M, 3) [m] of one plant to the density of the other.
+
+    Densities are compared in voxels that both occupy: a plant that grew is not a plant that is denser.
+    Every so many points in the order of their voxels stay, so that no place loses more than its share.
+
+    Returns
+    -------
+    (N', 3), (M', 3), float
+        Points, and the log of the density of *after* over that of *before*.
+    """
+    keys = [voxel_keys(voxel_indices(xyz, config.voxel)) for xyz in (before, after)]
+    found = [np.unique(key, return_counts=True) for key in keys]
+    _, slot_b, slot_a = np.intersect1d(found[0][0], found[1][0], assume_unique=True, return_indices=True)
+    if len(slot_b) < config.shared:
+        return before, after, 0.0
+    counts = float(found[0][1][slot_b].sum()), float(found[1][1][slot_a].sum())
+    density = math.log(counts[1] / counts[0])
+    share = math.exp(-abs(density))
+    if density > 0:
+        after = _thinned(after, keys[1], share)
+    else:
+        before = _thinned(before, keys[0], share)
+    return before, after, density
+
+
+def _thinned(xyz: Floats, keys: np.ndarray, share: float) -> Floats:
+    """Keep a share of points (N, 3), evenly over the voxels of the sorted keys (N,)."""
+    order = np.lexsort((xyz[:, 2], xyz[:, 1], xyz[:, 0], keys))
+    step = np.floor((np.arange(len(order)) + 1) * share) > np.floor(np.arange(len(order)) * share)
+    kept = np.sort(order[step])
+    return np.asarray(xyz[kept])
+
+
+def _size(xyz: Floats) -> float:
+    """Mean distance of points (N, 3) from their middle [m]."""
+    middle = 0.5 * (np.quantile(xyz, 0.05, axis=0) + np.quantile(xyz, 0.95, axis=0))
+    return max(float(np.linalg.norm(xyz - middle, axis=1).mean()), 0.1)
+
+
+def _is_thin(xyz: Floats, config: PlantConfig) -> bool:
+    """Tell whether nine tenths of points (N, 3) lie in a narrow and tall place: a pole or a trunk."""
+    step = xyz[:, :2] - xyz[:, :2].mean(axis=0)
+    axes = np.linalg.svd(step, full_matrices=False)[2]
+    low, high = np.quantile(np.column_stack([step @ axes.T, xyz[:, 2]]), [0.05, 0.95], axis=0)
+    _, narrow, height = (high - low).tolist()
+    return bool(narrow < config.thin and height > config.slender * narrow)

@@ -1,0 +1,238 @@
+"""What the plants of a pair that did not change differ by: the null distribution of every claim about one.
+
+Another sensor, another lane or another week of leaves moves the outline of every crown of a pair a little.
+Most crowns did not change between two surveys. So the crowns themselves tell how far an unchanged crown of
+this pair moves, and how much that scatters (method, Decision 18).
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Sequence
+from dataclasses import asdict, dataclass, field
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+
+from subiaco_geo.config import StrictModel
+from subiaco_geo.frames import Floats
+
+_GAUSS = 1.4826  # standard deviations in a median absolute deviation of a normal distribution
+_BIWEIGHT = 4.685  # Tukey's constant for 95 % efficiency
+_CLIPPED = 3.0  # residuals beyond so many standard deviations do not enter the scatter
+_ROUNDS = 25
+
+
+#: Trees are compared with trees, hedges and shrubs with hedges and shrubs.
+PlantKind = Literal["crown", "hedge"]
+#: What is measured of a plant, with the unit of its values.
+PLANT_MEASURES = {"outline": "m", "top": "m", "volume": "share", "surface": "share", "rise": "m"}
+
+
+class PlantScatter(StrictModel):
+    """Standard deviations between two epochs of plants that did not change."""
+
+    outline: float = Field(gt=0, description="of the shift of the outline [m]")
+    top: float = Field(gt=0, description="of the change of the top [m]")
+    volume: float = Field(gt=0, description="of the change of the volume, relative to the volume")
+    surface: float = Field(gt=0, description="of the share of the surface that is new or gone")
+    rise: float = Field(gt=0, description="of the median rise of the columns of a hedge [m]")
+
+
+@dataclass(frozen=True)
+class PlantMeasures:
+    """Differences of one plant, after minus before, and what they may depend on.
+
+    ``density``: log of the ratio of the points in voxels that both epochs occupy; ``size``: mean reach of the
+    plant from its middle [m]; ``thin``: tall, and without a crown. NaN where not measured: ``outline`` [m],
+    its standard error ``outline_sigma`` and its ``reach`` [m]; ``top`` [m]; ``volume`` and ``surface``
+    as shares; ``rise`` [m], the median rise of the columns of a low plant, and its standard error
+    ``rise_sigma``; ``section`` and ``section_gate`` [m], the median rise of a section of the hedge and the
+    limit that the section passed. ``section_only``: the row is that section alone.
+    """
+
+    kind: PlantKind
+    density: float
+    size: float
+    thin: bool
+    reach: float
+    outline: float
+    outline_sigma: float
+    top: float
+    volume: float
+    surface: float
+    rise: float
+    rise_sigma: float
+    section: float = math.nan
+    section_gate: float = math.nan
+    section_only: bool = False
+
+    def value(self, measure: str) -> float:
+        """Return one of :data:`PLANT_MEASURES`."""
+        return float(getattr(self, measure))
+
+
+class VegetationNullConfig(StrictModel):
+    """How the unchanged plants of a pair are found and used."""
+
+    plants: int = Field(
+        12, ge=5, description="matched plants of a kind from which on their own scatter is used"
+    )
+    certain: float = Field(
+        3.0, gt=0, description="standard deviations of the unchanged plants beyond which a change is claimed"
+    )
+    slope: float = Field(
+        0.15,
+        gt=0,
+        description="expected dependence on density and on size: metres, or shares, for a factor of e",
+    )
+    stated: PlantScatter = Field(
+        PlantScatter(outline=0.12, top=0.15, volume=0.10, surface=0.10, rise=0.10),
+        description="scatter of unchanged plants of simulated pairs, used where a pair has too few plants",
+    )
+    least: PlantScatter = Field(
+        PlantScatter(outline=0.03, top=0.05, volume=0.03, surface=0.03, rise=0.03),
+        description="least scatter that a pair is believed to have",
+    )
+
+
+@dataclass(frozen=True)
+class Expected:
+    """What an unchanged plant of this density ratio and size differs by, and the scatter around that.
+
+    ``count`` plants were fitted; 0 says that the scatter is the stated one.
+    """
+
+    shift: float
+    sd: float
+    count: int
+
+
+@dataclass(frozen=True)
+class NullFit:
+    """Linear model of one measure of one kind of plant: intercept, of log density ratio, of log size."""
+
+    coefficients: tuple[float, float, float]
+    centre: tuple[float, float]
+    low: tuple[float, float]
+    high: tuple[float, float]
+    sd: float
+    count: int
+
+    def expected(self, plant: PlantMeasures) -> Expected:
+        """Return what a plant like this differs by; beyond the fitted plants as at their edge."""
+        place = np.clip(_place(plant), self.low, self.high) - self.centre
+        shift = self.coefficients[0] + float(place @ np.array(self.coefficients[1:]))
+        return Expected(shift, self.sd, self.count)
+
+
+@dataclass(frozen=True)
+class VegetationNull:
+    """Fits by ``kind/measure``; what is not there has the stated scatter about no change.
+
+    ``certain``: standard deviations of the unchanged plants beyond which a change is claimed.
+    """
+
+    stated: PlantScatter
+    certain: float
+    fits: dict[str, NullFit] = field(default_factory=dict)
+
+    def expected(self, plant: PlantMeasures, measure: str) -> Expected:
+        """Return what an unchanged plant of this kind, density ratio and size differs by."""
+        fit = self.fits.get(f"{plant.kind}/{measure}")
+        if fit is None:
+            return Expected(0.0, float(getattr(self.stated, measure)), 0)
+        return fit.expected(plant)
+
+
+def fit_null(plants: Sequence[PlantMeasures], config: VegetationNullConfig) -> VegetationNull:
+    """Fit what unchanged plants differ by to all matched plants of a pair, in any order."""
+    fits = {}
+    kinds: tuple[PlantKind, ...] = ("crown", "hedge")
+    for kind in kinds:
+        own = [p for p in plants if p.kind == kind and not p.thin and not p.section_only]
+        for measure in PLANT_MEASURES:
+            values = np.array([p.value(measure) for p in own])
+            known = np.isfinite(values)
+            if np.count_nonzero(known) < config.plants:
+                continue
+            places = np.array([_place(p) for p in own])[known]
+            order = np.lexsort((*places.T, values[known]))
+            least = float(getattr(config.least, measure))
+            fits[f"{kind}/{measure}"] = _fit(places[order], values[known][order], least, config.slope)
+    return VegetationNull(config.stated, config.certain, fits)
+
+
+def _place(plant: PlantMeasures) -> Floats:
+    """Return what unchanged plants may differ by (2,): log of the density ratio, log of the size."""
+    return np.array([plant.density, math.log(plant.size)])
+
+
+def _fit(places: Floats, values: Floats, least: float, slope: float) -> NullFit:
+    """Fit one measure (N,) against covariates (N, 2), started from the half of the values closest together.
+
+    Plants that changed are outliers on either side. Slopes are held near zero as far as ``slope`` says:
+    few plants would else explain changes by their size.
+    """
+    low, high = (np.quantile(places, q, axis=0) for q in (0.05, 0.95))
+    centre = np.median(places, axis=0)
+    design = np.column_stack([np.ones(len(values)), np.clip(places, low, high) - centre])
+    middle, sd = _shortest_half(values)
+    sd = max(sd, least)
+    found = np.array([middle, 0.0, 0.0])
+    for _ in range(_ROUNDS):
+        rest = values - design @ found
+        weight = np.maximum(1.0 - (rest / (_BIWEIGHT * sd)) ** 2, 0.0) ** 2
+        pull = np.diag([1e-9, (sd / slope) ** 2, (sd / slope) ** 2])
+        found = np.linalg.solve(design.T @ (design * weight[:, None]) + pull, design.T @ (weight * values))
+        sd = max(_clipped_sd(values - design @ found, sd), least)
+    a, b, c = (float(v) for v in found)
+    return NullFit((a, b, c), _pair(centre), _pair(low), _pair(high), sd, len(values))
+
+
+def _pair(values: Floats) -> tuple[float, float]:
+    return float(values[0]), float(values[1])
+
+
+def _shortest_half(values: Floats) -> tuple[float, float]:
+    """Median of the shortest interval with half of the values (N,), and the standard deviation it implies."""
+    ordered = np.sort(values)
+    half = len(ordered) // 2 + 1
+    widths = ordered[half - 1 :] - ordered[: len(ordered) - half + 1]
+    start = int(np.argmin(widths))
+    return float(np.median(ordered[start : start + half])), 0.5 * float(widths[start]) * _GAUSS
+
+
+def _clipped_sd(rest: Floats, sd: float) -> float:
+    """Scatter of residuals (N,) about zero, without those beyond a few standard deviations."""
+    size = np.abs(rest)
+    inside = size[size <= _CLIPPED * sd]
+    return _GAUSS * float(np.median(inside)) if len(inside) else sd
+
+
+def null_words(null: VegetationNull) -> str:
+    """Write a null as JSON."""
+    return json.dumps({name: asdict(fit) for name, fit in sorted(null.fits.items())})
+
+
+def null_of(words: str, config: VegetationNullConfig) -> VegetationNull:
+    """Read what :func:`null_words` wrote."""
+    fits = {
+        name: NullFit(
+            coefficients=tuple(fit["coefficients"]),
+            centre=tuple(fit["centre"]),
+            low=tuple(fit["low"]),
+            high=tuple(fit["high"]),
+            sd=fit["sd"],
+            count=fit["count"],
+        )
+        for name, fit in json.loads(words).items()
+    }
+    return VegetationNull(config.stated, config.certain, fits)
+
+
+def no_null(config: VegetationNullConfig) -> VegetationNull:
+    """Return the null of a pair of which no plants are known."""
+    return VegetationNull(config.stated, config.certain)

@@ -1,0 +1,199 @@
+"""Expected visibility (Decision 16): what a survey must have seen, from its poses and its own cloud.
+
+A place is free where poses could have seen it, nothing of the epoch's own cloud is in front of it and no
+point in it. Whether a beam came back from behind does not matter: the sky returns nothing.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+from scipy.spatial import cKDTree
+
+from subiaco_geo.clouds import packable, voxel_indices, voxel_keys
+from subiaco_geo.config import StrictModel
+from subiaco_geo.frames import Floats, Ints
+from subiaco_geo.free_space.depth_images import DepthImages, ImageGrid, Limits, Surfaces, render
+from subiaco_geo.free_space.sensor_view import SensorView
+
+Flags = NDArray[np.bool_]
+
+
+class ExpectedVisibilityConfig(StrictModel):
+    """Depth images from a sample of poses (Decision 16)."""
+
+    pose_spacing: float = Field(2.0, gt=0, description="distance between poses that look around [m]")
+    cell_deg: float = Field(1.0, gt=0, le=5, description="cell of a depth image [deg]")
+    image_low_deg: float = Field(-45.0, ge=-90, description="lowest elevation of a depth image [deg]")
+    image_high_deg: float = Field(60.0, le=90, description="highest elevation of a depth image [deg]")
+    splat: float = Field(
+        0.75, gt=0, description="half the size of a point in an image, in spacings of the cloud"
+    )
+    min_range: float = Field(1.5, ge=0, description="points and places so near a pose are left out [m]")
+    max_range: float = Field(60.0, gt=0, description="farthest surface in a depth image [m]")
+    sky_range: float = Field(40.0, gt=0, description="against the sky a place is seen up to this range [m]")
+    horizon_deg: float = Field(
+        3.0, description="empty directions above are sky; below, water or glass may absorb beams [deg]"
+    )
+    margin: float = Field(0.3, ge=0, description="a place is free so far before a surface [m]")
+    margin_slope: float = Field(
+        0.01, ge=0, description="added to the margin a metre of range, for pose and cell [m/m]"
+    )
+    behind: float = Field(0.4, ge=0, description="so far behind its front a place still is on a surface [m]")
+    min_poses: int = Field(2, ge=1, description="poses that must agree that a place is free")
+    occupied: float = Field(0.5, gt=0, description="voxel that a point of the epoch occupies [m]")
+    pose_weight: float = Field(
+        0.5, gt=0, description="beams that one pose is worth in the probability of being free"
+    )
+    view_quantile: float = Field(
+        0.99, gt=0.5, le=1, description="share of the points that the estimated field of view explains"
+    )
+    assumed_low_deg: float = Field(
+        -25.0,
+        ge=-90,
+        le=0,
+        description="lower end of a field of view that no map describes; seen from afar, the road tells"
+        " nothing of it [deg]",
+    )
+    range_quantile: float = Field(
+        0.99, gt=0.5, le=1, description="share of the points within the estimated useful range of a pose"
+    )
+
+
+def sample_poses(positions: Floats, spacing: float) -> Ints:
+    """Return indices of positions (M, 3), in order, no two of them nearer than about ``spacing`` [m].
+
+    One a stretch of that length; where the way comes by again, places that were kept before stand in.
+    """
+    if len(positions) == 0:
+        return np.zeros(0, dtype=np.int64)
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
+    _, first = np.unique(np.floor(way / spacing), return_index=True)
+    near = cKDTree(positions[first]).query_ball_point(positions[first], 0.5 * spacing)
+    kept = np.ones(len(first), dtype=bool)
+    for index, around in enumerate(near):
+        kept[index] = not any(kept[other] for other in around if other < index)
+    return np.asarray(first[kept], dtype=np.int64)
+
+
+def point_spacing(xyz: Floats, sample: int = 4000) -> float:
+    """Return the distance between neighbouring points of a surface, of points (N, 3) [m].
+
+    The median distance to the fourth neighbour, of a sample in even steps.
+    """
+    if len(xyz) < 5:
+        return 0.0
+    some = xyz[:: max(len(xyz) // sample, 1)]
+    return float(np.median(cKDTree(xyz).query(some, k=[5])[0]))
+
+
+def image_grid(config: ExpectedVisibilityConfig) -> ImageGrid:
+    """Return the cells of the images of a configuration."""
+    return ImageGrid.covering(config.cell_deg, config.image_low_deg, config.image_high_deg)
+
+
+def render_views(world: Floats, eyes: Floats, axes: Floats, config: ExpectedVisibilityConfig) -> DepthImages:
+    """Render depth images of points (N, 3) from poses at eyes (K, 3) [m, world], spin axes (K, 3)."""
+    grid = image_grid(config)
+    origin = eyes[0] if len(eyes) else np.zeros(3)
+    near = world - origin
+    reach = config.max_range
+    if len(eyes):
+        low, high = (eyes - origin).min(axis=0) - reach, (eyes - origin).max(axis=0) + reach
+        near = near[((near >= low) & (near <= high)).all(axis=1)]
+    surfaces = Surfaces(
+        config.splat * point_spacing(near), config.min_range, reach, float(np.radians(config.horizon_deg))
+    )
+    return DepthImages(eyes, axes, render(near, eyes - origin, grid, surfaces), grid)
+
+
+def occupied_corner(low: Floats, config: ExpectedVisibilityConfig) -> Floats:
+    """Return the corner (3,) of the occupied voxels below the lowest coordinates (3,) of an epoch [m]."""
+    return np.asarray(np.floor(low) - 2.0 * config.occupied)
+
+
+@dataclass(frozen=True)
+class OccupiedVoxels:
+    """Voxels with points of an epoch: sorted packed keys, corner (3,) in the world and edge [m]."""
+
+    keys: Ints
+    corner: Floats
+    voxel: float
+
+    @staticmethod
+    def of(world: Floats, corner: Floats, voxel: float) -> OccupiedVoxels:
+        """Return the voxels of points (N, 3) [m, world]."""
+        return OccupiedVoxels(np.unique(voxel_keys(voxel_indices(world - corner, voxel))), corner, voxel)
+
+    def holds(self, world: Floats) -> Flags:
+        """Tell which places (N, 3) [m, world] lie in voxels with points."""
+        index = voxel_indices(world - self.corner, self.voxel)
+        near = packable(index)
+        if len(self.keys) == 0 or not near.any():
+            return np.zeros(len(index), dtype=np.bool_)
+        query = voxel_keys(np.where(near[:, None], index, 0))
+        slot = np.minimum(np.searchsorted(self.keys, query), len(self.keys) - 1)
+        return np.asarray(near & (self.keys[slot] == query))
+
+
+@dataclass(frozen=True)
+class ExpectedVisibility:
+    """Tells of places whether an epoch must have seen them occupied or free.
+
+    Parameters
+    ----------
+    images : DepthImages
+    occupied : OccupiedVoxels
+    view : SensorView
+    config : ExpectedVisibilityConfig
+    """
+
+    images: DepthImages
+    occupied: OccupiedVoxels
+    view: SensorView
+    config: ExpectedVisibilityConfig
+
+    def seen(self, world: Floats) -> Flags:
+        """Tell which places (N, 3) [m, world] the epoch saw, free or not."""
+        seen = self.occupied.holds(world)
+        ask = np.flatnonzero(~seen)
+        looks = self.images.looks(world[ask], self._limits(), self.config.min_poses, surface_too=True)
+        seen[ask] = (looks.free >= self.config.min_poses) | (looks.surface > 0)
+        return seen
+
+    def passed(self, world: Floats) -> Flags:
+        """Tell which places (N, 3) [m, world] the epoch saw to be free."""
+        free = ~self.occupied.holds(world)
+        ask = np.flatnonzero(free)
+        looks = self.images.looks(world[ask], self._limits(), self.config.min_poses)
+        free[ask] = looks.free >= self.config.min_poses
+        return free
+
+    def free_probability(self, world: Floats) -> Floats:
+        """Return the probability (N,) that places (N, 3) [m, world] are free; 0.5 where nothing is known.
+
+        Poses count as independent looks of ``pose_weight`` beams, under a uniform-like prior of half a
+        beam each way; a point of the epoch in the place counts as one beam that ended there.
+        """
+        looks = self.images.looks(world, self._limits())
+        weight = self.config.pose_weight
+        free, met = weight * looks.free, weight * looks.surface + self.occupied.holds(world)
+        free[looks.free < self.config.min_poses] = 0.0
+        return np.asarray((free + 0.5) / (free + met + 1.0))
+
+    def _limits(self) -> Limits:
+        config, view = self.config, self.view
+        reach = min(view.useful_range, config.max_range)
+        return Limits(
+            float(np.sin(view.elevation_min)),
+            float(np.sin(view.elevation_max)),
+            config.min_range,
+            reach,
+            min(reach, config.sky_range),
+            config.margin,
+            config.margin_slope,
+            config.behind,
+        )

@@ -1,0 +1,87 @@
+"""What a sensor looks at: its vertical field of view and useful range, as told by a map or by its points."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from subiaco_geo.errors import InputError
+from subiaco_geo.frames import Floats
+
+#: Entry of ``map.yaml``.
+SENSOR = "sensor"
+_FIELDS = ("elevation_min_deg", "elevation_max_deg", "useful_range_m")
+_UPRIGHT = np.cos(np.radians(35.0))
+
+
+@dataclass(frozen=True)
+class SensorView:
+    """Vertical field of view about the spin axis of a LiDAR, and its useful range.
+
+    Parameters
+    ----------
+    elevation_min, elevation_max : float
+        Lowest and highest beam in the sensor's own axes [rad].
+    useful_range : float
+        So far an ordinary surface returns a beam [m].
+    """
+
+    elevation_min: float
+    elevation_max: float
+    useful_range: float
+
+    def description(self) -> dict[str, float]:
+        """Return the entry ``sensor`` of ``map.yaml``."""
+        low, high = np.degrees([self.elevation_min, self.elevation_max]).round(2).tolist()
+        return dict(zip(_FIELDS, (low, high, round(float(self.useful_range), 1)), strict=True))
+
+    def joined(self, other: SensorView) -> SensorView:
+        """Return the field of view that two sensors of one vehicle cover together."""
+        return SensorView(
+            min(self.elevation_min, other.elevation_min),
+            max(self.elevation_max, other.elevation_max),
+            max(self.useful_range, other.useful_range),
+        )
+
+
+def described_view(info: Mapping[str, Any]) -> SensorView | None:
+    """Read the entry ``sensor`` of ``map.yaml``; None where there is none.
+
+    Raises
+    ------
+    InputError
+        The entry lacks an angle or the range, or holds no numbers.
+    """
+    entry = info.get(SENSOR)
+    if entry is None:
+        return None
+    try:
+        low, high, reach = (float(entry[name]) for name in _FIELDS)
+    except (KeyError, TypeError, ValueError) as error:
+        names = ", ".join(_FIELDS)
+        raise InputError(f"map.yaml: sensor needs numbers for {names}; rebuild the map") from error
+    if not (-90.0 <= low < high <= 90.0 and reach > 0):
+        raise InputError(
+            f"map.yaml: sensor covers {low} to {high} deg up to {reach} m, no field of view; rebuild the map"
+        )
+    return SensorView(float(np.radians(low)), float(np.radians(high)), reach)
+
+
+def spin_axes(rotations: Floats) -> Floats:
+    """Return the spin axis (M, 3) of a sensor in the world, from its rotations (M, 3, 3).
+
+    It is the body axis that is upright most of the way: programs differ in which one they call z, and some
+    write the axes of a camera. Where none is upright the vertical stands in.
+    """
+    vertical = np.tile([0.0, 0.0, 1.0], (len(rotations), 1))
+    if len(rotations) == 0:
+        return vertical
+    upward = rotations[:, 2, :]  # height of every body axis
+    mean = upward.mean(axis=0)
+    axis = int(np.argmax(np.abs(mean)))
+    if abs(mean[axis]) < _UPRIGHT:
+        return vertical
+    return np.ascontiguousarray(np.sign(mean[axis]) * rotations[:, :, axis])

@@ -1,0 +1,101 @@
+"""Field of view and useful range of a sensor that no map describes, from its cloud and its poses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from subiaco_geo.frames import Floats, Ints
+from subiaco_geo.free_space.depth_images import UNKNOWN, DepthImages, Depths, ImageGrid
+from subiaco_geo.free_space.expected_visibility import ExpectedVisibilityConfig
+from subiaco_geo.free_space.sensor_view import SensorView
+
+_ANGLES = np.radians(np.arange(0.0, 90.25, 0.5))  # edges of the cells of a histogram of elevations
+_STEP = 0.5  # edge of the cells of a histogram of ranges [m]
+_EVERY = 10  # cells of elevation from one histogram of ranges to the next
+_MOST = 4000  # points of a tile that are asked
+_GRAZING = 3.0  # surfaces so oblique still count as met: cells of depth a cell of width
+
+
+@dataclass(frozen=True)
+class ViewHistogram:
+    """What the points of a part of an epoch need of its sensor.
+
+    Parameters
+    ----------
+    above : (180,) int64
+        Points above the sensor by the lowest elevation from which a pose meets them unhidden.
+    ranges : (18, R) int64
+        Points by the distance to the nearest pose that meets them below an elevation, every 5 deg of it.
+    """
+
+    above: NDArray[np.int64]
+    ranges: NDArray[np.int64]
+
+
+def view_histogram(world: Floats, images: DepthImages, config: ExpectedVisibilityConfig) -> ViewHistogram:
+    """Count what points (N, 3) [m, world] need of the sensor whose poses saw them.
+
+    A point was seen by some pose. If the lowest elevation at which any pose meets it unhidden is e, then
+    the field of view reaches up to e at least; points that only steep looks reach tell where it ends.
+    """
+    points = world[:: max(len(world) // _MOST, 1)]
+    bins = int(np.ceil(config.max_range / _STEP))
+    limits = _ANGLES[_EVERY::_EVERY]
+    lowest = np.full(len(points), np.inf)
+    nearest = np.full((len(limits), len(points)), np.inf)
+    for eye, axis, image in zip(images.eyes, images.axes, images.images, strict=True):
+        met, distance, elevation = _met(points, eye, axis, image, images.grid, config)
+        lowest[met] = np.minimum(lowest[met], elevation)
+        for limit, least in zip(limits, nearest, strict=True):
+            below = met[elevation <= limit]
+            least[below] = np.minimum(least[below], distance[elevation <= limit])
+    ranges = [np.histogram(least[np.isfinite(least)], bins, (0.0, config.max_range))[0] for least in nearest]
+    above = np.histogram(lowest[np.isfinite(lowest)], _ANGLES)[0]
+    return ViewHistogram(above.astype(np.int64), np.array(ranges, dtype=np.int64))
+
+
+def _met(
+    points: Floats,
+    eye: Floats,
+    axis: Floats,
+    image: Depths,
+    grid: ImageGrid,
+    config: ExpectedVisibilityConfig,
+) -> tuple[Ints, Floats, Floats]:
+    """Points that a pose meets unhidden: which, how far [m], and at what elevation in its own axes [rad]."""
+    way = points - eye
+    distance = np.linalg.norm(way, axis=1)
+    near = np.flatnonzero((distance < config.max_range) & (distance > 2.0 * config.min_range))
+    way, r = way[near], distance[near]
+    row = np.floor((np.arcsin(way[:, 2] / r) - grid.low) / grid.cell).astype(np.int64)
+    column = np.floor((np.arctan2(way[:, 1], way[:, 0]) + np.pi) / grid.cell).astype(np.int64)
+    inside = (row >= 0) & (row < grid.rows)
+    depth = image[np.clip(row, 0, grid.rows - 1), column % grid.columns]
+    slack = config.behind + _GRAZING * grid.cell * r
+    met = inside & (depth != UNKNOWN) & (r <= 0.01 * depth + slack)
+    return near[met], r[met], np.arcsin(np.clip((way[met] @ axis) / r[met], -1.0, 1.0))
+
+
+def estimate_view(parts: Sequence[ViewHistogram], config: ExpectedVisibilityConfig) -> SensorView:
+    """Estimate the sensor from the parts of an epoch; all that the images show where there are no points."""
+    low = float(np.radians(config.assumed_low_deg))
+    high, reach = float(np.radians(config.image_high_deg)), config.max_range
+    above = np.sum([part.above for part in parts], axis=0) if parts else np.zeros(1, dtype=np.int64)
+    if above.sum() > 0:
+        cell = 1 + _quantile(above, config.view_quantile)
+        high = float(_ANGLES[cell])
+        ranges = np.sum([part.ranges for part in parts], axis=0)
+        own = ranges[min(max(-(-cell // _EVERY) - 1, 0), len(ranges) - 1)]
+        if own.sum() > 0:
+            reach = min(_STEP * (1 + _quantile(own, config.range_quantile)), reach)
+    return SensorView(low, high, float(reach))
+
+
+def _quantile(counts: NDArray[np.int64], share: float) -> int:
+    """Return the cell of a histogram in which the cumulated share reaches this."""
+    total = np.cumsum(counts)
+    return int(np.searchsorted(total, share * total[-1]))

@@ -1,0 +1,89 @@
+"""A place is free only where the other epoch has nothing, of whatever class."""
+
+import numpy as np
+import pytest
+
+from subiaco_change.changes.measures import MeasureConfig, measure, same_place
+from subiaco_change.changes.objects import EpochView, build_voxels
+from subiaco_geo.codes import Semantic
+
+REACH = same_place(MeasureConfig())
+
+
+def epoch(xyz, semantic, height=None):
+    """Points of one class; what is no ground is one object."""
+    n = len(xyz)
+    instance = np.full(n, -1 if semantic is Semantic.GROUND else 0, dtype=np.int32)
+    return EpochView(
+        xyz, np.tile([0.0, 0, 1], (n, 1)), np.full(n, semantic, dtype=np.uint8), instance,
+        xyz[:, 2] if height is None else height, np.full(n, 0.03), np.ones(n),
+    )  # fmt: skip
+
+
+def everywhere(xyz):
+    return np.ones(len(xyz), dtype=bool)
+
+
+def nowhere(xyz):
+    return np.zeros(len(xyz), dtype=bool)
+
+
+def bank(rng, count=3000):
+    """A bank 1.2 m high and 3 m wide at a slope of 0.4, with a rough surface."""
+    xy = rng.uniform([0, 0], [8, 3], (count, 2))
+    return np.column_stack([xy, 0.4 * xy[:, 1] + rng.normal(0, 0.04, count)])
+
+
+def field(rng, spacing):
+    """Flat ground at z = 0 with points about ``spacing`` [m] apart."""
+    count = int(20 * 20 / spacing**2)
+    return np.column_stack([rng.uniform(-6, 14, (count, 2)), rng.normal(0, 0.01, count)])
+
+
+def car(rng, top=1.4):
+    """Sides and roof of a box of 4.2 m by 1.8 m that ends a hand above the ground."""
+    u = rng.uniform([0, 0, 0.15], [4.2, 1.8, top], (4000, 3))
+    side = rng.integers(0, 5, 4000)
+    u[side == 0, 0], u[side == 1, 0], u[side == 2, 1], u[side == 3, 1], u[side == 4, 2] = 0, 4.2, 0, 1.8, top
+    return u
+
+
+def test_a_bank_that_the_other_epoch_calls_ground_is_occupied_in_both():
+    plant = epoch(bank(np.random.default_rng(1)), Semantic.VEGETATION)
+    ground = epoch(bank(np.random.default_rng(2)), Semantic.GROUND)
+    voxels = build_voxels(plant, ground, everywhere, 0.5, REACH)
+    high = voxels.height > REACH.standing
+    assert voxels.still[high].mean() > 0.98
+    measures = measure(voxels, voxels.select(nowhere(voxels.xyz)), MeasureConfig())
+    assert measures.gone_share < 0.02
+
+
+@pytest.mark.parametrize("spacing", [0.25, 0.9])
+def test_the_ground_under_a_car_does_not_occupy_its_place_however_sparse_it_is(spacing):
+    rng = np.random.default_rng(3)
+    voxels = build_voxels(
+        epoch(car(rng), Semantic.MOBILE), epoch(field(rng, spacing), Semantic.GROUND), everywhere, 0.5, REACH
+    )
+    high = voxels.height > REACH.standing
+    assert not voxels.still.any()
+    assert voxels.seen[high].all()
+
+
+def test_of_a_thing_on_the_ground_its_foot_is_no_evidence():
+    rng = np.random.default_rng(4)
+    voxels = build_voxels(
+        epoch(car(rng), Semantic.MOBILE), epoch(field(rng, 0.25), Semantic.GROUND), everywhere, 0.5, REACH
+    )
+    low = voxels.height <= REACH.foot
+    assert low.any()
+    assert not voxels.seen[low].any()
+    measures = measure(voxels, voxels.select(nowhere(voxels.xyz)), MeasureConfig())
+    assert measures.observed_fraction == 1.0
+    assert measures.gone_share == 1.0
+
+
+def test_what_hangs_in_the_air_above_ground_is_not_held_by_it():
+    rng = np.random.default_rng(5)
+    crown = epoch(bank(rng) + np.array([0, 0, 3.0]), Semantic.VEGETATION)
+    voxels = build_voxels(crown, epoch(field(rng, 0.25), Semantic.GROUND), everywhere, 0.5, REACH)
+    assert not voxels.still.any()

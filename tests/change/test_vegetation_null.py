@@ -1,0 +1,154 @@
+"""Plants are judged against the unchanged plants of their pair, at equal point density."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from test_decisions import CONFIG
+from test_outline import crown
+
+from subiaco_change.changes.outline import OutlineConfig, compare_outlines
+from subiaco_change.changes.plant_decisions import decide_plant
+from subiaco_change.changes.plants import PlantConfig, equal_density
+from subiaco_change.changes.vegetation_null import (
+    PlantMeasures,
+    VegetationNullConfig,
+    fit_null,
+    no_null,
+    null_of,
+    null_words,
+)
+from subiaco_geo.codes import Change
+
+NULL = VegetationNullConfig()
+TREE = PlantMeasures(
+    kind="crown", density=0.0, size=2.0, thin=False, reach=2.0, outline=0.0, outline_sigma=0.03, top=0.0,
+    volume=0.0, surface=0.0, rise=math.nan, rise_sigma=math.nan,
+)  # fmt: skip
+HEDGE = replace(TREE, kind="hedge", rise=0.0, rise_sigma=0.02)
+
+
+def street(count, shift, scatter, changed=(), seed=0, slope=0.0):
+    """Crowns whose outlines moved by ``shift`` on average, and by ``slope`` more per log density ratio."""
+    rng = np.random.default_rng(seed)
+    density = rng.uniform(-0.5, 0.5, count)
+    moved = shift + slope * density + rng.normal(scale=scatter, size=count)
+    plants = [replace(TREE, outline=m, density=d) for m, d in zip(moved, density, strict=True)]
+    return [*plants, *(replace(TREE, outline=m) for m in changed)]
+
+
+def label(plant, null):
+    return decide_plant(plant, 0.03, CONFIG, null)
+
+
+@pytest.mark.parametrize("shift", [0.25, -0.25])
+def test_a_shift_that_all_crowns_of_a_pair_share_is_no_change_and_one_beyond_is(shift):
+    null = fit_null(street(40, shift, 0.06), NULL)
+    rest = label(replace(TREE, outline=1.3 * shift), null)
+    assert rest.change is Change.UNCHANGED
+    grown = label(replace(TREE, outline=0.6), null)
+    pruned = label(replace(TREE, outline=-0.6), null)
+    assert (grown.change, pruned.change) == (Change.INCREASED, Change.DECREASED)
+    assert "the other 39 crowns of this pair moved" in grown.reason
+    assert "excess" in grown.reason
+    assert grown.sigmas > 0 > rest.sigmas
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_third_of_the_crowns_that_grew_do_not_pass_for_the_rest(seed):
+    changed = np.random.default_rng(seed + 50).uniform(0.5, 0.9, 20)
+    fit = fit_null(street(40, 0.15, 0.06, changed, seed), NULL).fits["crown/outline"]
+    assert fit.coefficients[0] == pytest.approx(0.15, abs=0.04)
+    assert fit.sd == pytest.approx(0.06, abs=0.035)
+
+
+def test_a_shift_that_follows_the_density_ratio_is_subtracted_as_far_as_it_does():
+    null = fit_null(street(80, 0.1, 0.03, slope=0.3, seed=3), NULL)
+    low, high = (null.expected(replace(TREE, density=d), "outline").shift for d in (-0.4, 0.4))
+    assert low == pytest.approx(-0.02, abs=0.03)
+    assert high == pytest.approx(0.22, abs=0.03)
+    beyond = null.expected(replace(TREE, density=5.0), "outline").shift
+    assert beyond < 0.30  # no further than the crowns that were seen
+
+
+def test_crowns_that_scatter_more_need_more_to_be_called_grown():
+    plant = replace(TREE, outline=0.35)
+    calm, unruly = (fit_null(street(40, 0.0, s), NULL) for s in (0.05, 0.2))
+    assert label(plant, calm).change is Change.INCREASED
+    assert label(plant, unruly).change is Change.UNCHANGED
+
+
+def test_few_crowns_take_the_stated_scatter_and_say_so():
+    null = fit_null(street(8, 0.2, 0.05), NULL)
+    assert null == no_null(NULL)
+    found = label(replace(TREE, outline=0.3), null)
+    assert found.change is Change.UNCHANGED
+    assert "too few crowns" in found.reason
+    assert label(replace(TREE, outline=0.5), null).change is Change.INCREASED
+
+
+def test_hedges_are_not_compared_with_crowns_and_their_columns_decide():
+    hedges = [replace(HEDGE, rise=r) for r in np.random.default_rng(1).normal(0.15, 0.04, 20)]
+    null = fit_null([*street(30, 0.0, 0.05), *hedges], NULL)
+    assert label(replace(HEDGE, rise=0.3), null).change is Change.UNCHANGED
+    grown = label(replace(HEDGE, rise=0.6), null)
+    assert grown.change is Change.INCREASED
+    assert "hedges and shrubs" in grown.reason
+    assert label(replace(HEDGE, rise=0.15, top=0.6, surface=0.3), null).change is Change.INCREASED
+    assert label(replace(HEDGE, rise=0.15, top=0.6, surface=0.12), null).change is Change.UNCHANGED
+
+
+def test_a_pole_that_passes_for_a_plant_does_not_grow_by_what_was_seen_of_it():
+    pole = replace(TREE, thin=True, outline=0.9, volume=0.4, surface=0.6)
+    assert label(pole, no_null(NULL)).change is Change.UNCHANGED
+    assert label(replace(pole, thin=False), no_null(NULL)).change is Change.INCREASED
+
+
+def test_a_measure_against_the_direction_of_its_excess_claims_nothing():
+    null = fit_null(street(40, 0.6, 0.05), NULL)
+    assert label(replace(TREE, outline=0.1), null).change is Change.UNCHANGED
+    assert label(replace(TREE, outline=-0.2), null).change is Change.DECREASED
+
+
+def test_a_top_that_no_surface_carries_is_no_change_and_says_why():
+    found = label(replace(TREE, top=0.8, surface=0.02), no_null(NULL))
+    assert found.change is Change.UNCHANGED
+    assert "does not carry" in found.reason
+
+
+@given(st.permutations(list(range(24))))
+@settings(max_examples=15, deadline=None)
+def test_the_null_does_not_depend_on_the_order_of_the_tiles(order):
+    plants = street(20, 0.1, 0.05, (0.6, 0.7, -0.5, 0.9))
+    assert fit_null([plants[i] for i in order], NULL) == fit_null(plants, NULL)
+
+
+def test_a_null_survives_being_written_and_read():
+    null = fit_null(street(30, 0.1, 0.05), NULL)
+    assert null_of(null_words(null), NULL) == null
+
+
+@pytest.mark.parametrize("share", [0.6, 0.35])
+def test_the_denser_epoch_is_thinned_to_the_density_of_the_other_where_both_have_points(share):
+    rng = np.random.default_rng(4)
+    dense = rng.uniform(-2, 2, (4000, 3))
+    sparse = rng.uniform(-2, 2, (4000, 3))[: int(4000 * share)]
+    before, after, density = equal_density(dense, sparse, PlantConfig())
+    assert density == pytest.approx(math.log(share), abs=0.1)
+    assert len(before) == pytest.approx(len(after), rel=0.1)
+    assert len(after) == len(sparse)
+
+
+def test_a_plant_that_grew_is_not_taken_for_one_that_is_denser():
+    rng = np.random.default_rng(6)
+    small, large = rng.uniform(-1, 1, (1000, 3)), rng.uniform(-2, 2, (8000, 3))
+    assert equal_density(small, large, PlantConfig())[2] == pytest.approx(0.0, abs=0.1)
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_at_equal_density_a_crown_with_a_third_of_the_points_keeps_its_outline(seed):
+    before, after, _ = equal_density(crown(2400, 2.0, seed), crown(800, 2.0, seed + 10), PlantConfig())
+    assert abs(compare_outlines(before, after, OutlineConfig()).shift) < 0.05
