@@ -120,7 +120,7 @@ def looks_of(rows: Rows, least: int) -> Looks:
     state = rows[:, _STATE]
     hit, through = (state & _HIT) > 0, (state & _BEAMS) >= least
     ends = hit | (~through & ((state & _AFTER_HIT) > 0))
-    edges = ((state & _BEGAN_HIT) > 0).astype(np.uint8) | (ends.astype(np.uint8) << 1)
+    edges = (((state & _BEGAN_HIT) > 0) + 2 * ends.astype(np.uint8)).astype(np.uint8)
     first, last = (rows[:, column].astype(np.uint32) for column in (_FIRST, _LAST))
     return Looks(rows[:, _HITS].copy(), rows[:, _THROUGH].copy(), rows[:, _RUNS].copy(), first, last, edges)
 

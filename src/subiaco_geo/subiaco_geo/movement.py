@@ -7,7 +7,7 @@ and looked through before and after. For the sequence of hits and looks through 
 * standing: every look is a hit with one unknown probability, which follows a beta distribution; hits may fall
   anywhere among the looks (beta-binomial model);
 * moving: something is in the voxel during a share of the looks, which follows a beta distribution too; the
-  hits come in runs, every further run halves the likelihood, and arrangements in as many runs are equally
+  hits come in runs, every further run takes a constant factor, and arrangements in as many runs are equally
   likely.
 
 The logarithm of the ratio of the two likelihoods is averaged over the 27 voxels around: the edge of a
@@ -33,7 +33,6 @@ from subiaco_geo.look_times import Looks
 from subiaco_geo.visibility import NO_VERDICT, SURELY_MOVED
 
 _LIMIT = 1 << 20
-_LN2 = float(np.log(2.0))
 
 
 class MovementConfig(StrictModel):
@@ -64,6 +63,13 @@ class MovementConfig(StrictModel):
         gt=0,
         description="second parameter of the beta distribution of the share of looks at a voxel during which "
         "a moving object is in it; the first is 1, so that above 1 short times are likelier [1]",
+    )
+    further_run: float = Field(
+        0.25,
+        gt=0,
+        lt=1,
+        description="factor on the likelihood of movement for every run of hits after the first; raise it "
+        "where many vehicles pass one place, lower it if sparse foliage is taken for traffic [1]",
     )
     weight: float = Field(
         6.0, gt=0, description="greatest evidence of one voxel, natural logarithm of a likelihood ratio [1]"
@@ -96,6 +102,12 @@ class MovementConfig(StrictModel):
         description="voxels whose hits span no more time than this are uncertain (probability 0.5), because "
         "a slow vehicle takes as long to drive its own length; from twice this time on they stand [s]",
     )
+    gaps: float = Field(
+        3.0,
+        ge=1,
+        description="the span from the first hit of a voxel to the last counts no more than this many times "
+        "the time in which it was hit: two vehicles may have been there at different times [1]",
+    )
 
 
 def evidence_of_movement(looks: Looks, config: MovementConfig) -> NDArray[np.float32]:
@@ -105,7 +117,7 @@ def evidence_of_movement(looks: Looks, config: MovementConfig) -> NDArray[np.flo
     stands = betaln(hits + config.standing_share, through + 1.0) - betaln(config.standing_share, 1.0)
     present = betaln(hits + 1.0, through + config.moving_share) - betaln(1.0, config.moving_share)
     ways = _log_choose(hits - 1, runs - 1) + _log_choose(through + 1, runs)
-    moves = present + _log_choose(hits + through, hits) - ways - np.log(2.0) * (runs - 1)
+    moves = present + _log_choose(hits + through, hits) - ways + np.log(config.further_run) * (runs - 1)
     return np.where(hits > 0, moves - stands, np.nan).astype(np.float32)
 
 
@@ -221,7 +233,8 @@ def _judge_part(
     seen = looks.select(hit)
     own = evidence_of_movement(seen, config).astype(np.float64)
     own = np.clip(own, -config.weight, config.weight)
-    span = np.minimum((seen.last - seen.first + 1.0) * config.window, 2 * config.brief)
+    lasted = np.minimum(seen.last - seen.first + 1.0, config.gaps * seen.hits) * config.window
+    span = np.minimum(lasted, 2 * config.brief)
     mean, around = _around(np.asarray(keys[hit]), np.column_stack([own, span]), 1).T
     brief = 0.5 * np.clip(2.0 - around / max(config.brief, 1e-9), 0.0, 1.0)
     mine = (hit >= start) & (hit < stop)

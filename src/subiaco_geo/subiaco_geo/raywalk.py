@@ -192,7 +192,7 @@ class VisibilityAccumulator:
         return self._used
 
     def _allocate(self, size: int) -> None:
-        """Make an empty table. All that is kept of a voxel lies side by side, so that a step reads one place."""
+        """Make an empty table; all of a voxel lies side by side, so that a step reads one place."""
         table = _aligned(size, _CELL if self._least == 0 else _TIMED_CELL)
         self._keys: Ints = table["key"]
         self._hits: Counts = table["hits"]

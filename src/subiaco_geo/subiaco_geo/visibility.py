@@ -172,11 +172,11 @@ def visibility_parts(path: Path, size: int = 1 << 20) -> Iterator[VisibilityGrid
 def _grid_of(
     origin: Floats, voxel: float, clock: tuple[float, int], arrays: Mapping[str, NDArray[Any]]
 ) -> VisibilityGrid:
-    counts = (arrays[name] for name in _COUNTS)
-    if clock[0] <= 0:
-        return VisibilityGrid(origin, voxel, *counts)
-    times = TimeRecord(*clock, Looks(*(arrays[name] for name in _LOOKS)))
-    return VisibilityGrid(origin, voxel, *counts, arrays["moving"], times)
+    moving, times = None, None
+    if clock[0] > 0:
+        times = TimeRecord(*clock, Looks(*(arrays[name] for name in _LOOKS)))
+        moving = arrays["moving"]
+    return VisibilityGrid(origin, voxel, arrays["keys"], arrays["hits"], arrays["passes"], moving, times)
 
 
 def _member(archive: zipfile.ZipFile, name: str) -> NDArray[Any]:

@@ -224,7 +224,8 @@ class VisibilityTiles:
             whole.append(keys=keys, **dict(zip(names, found, strict=True)))
         arrays = whole.arrays()
         looks = Looks(*(arrays.pop(name) for name in looks_named))
-        return VisibilityGrid(self._origin, self._voxel, **arrays), looks
+        keys, hits, passes = (arrays[name] for name in ("keys", "hits", "passes"))
+        return VisibilityGrid(self._origin, self._voxel, keys, hits, passes), looks
 
 
 def _joined_beams(keys: Ints, columns: list[Rows]) -> tuple[Ints, list[Rows]]:
