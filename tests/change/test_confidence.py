@@ -11,6 +11,7 @@ from subiaco_change.changes.confidence import (
     FEATURES,
     Coefficients,
     ConfidenceConfig,
+    calibration_of,
     confidence,
     decided_anew,
     discounted,
@@ -112,6 +113,8 @@ def test_evidence_or_clouds_that_were_never_calibrated_lower_a_confidence_and_ke
         low = discounted(other, simulated, config).confidence
         assert 0.5 < low < p
         assert low <= config.cap
+    unchanged = replace(row, change=Change.UNCHANGED)
+    assert discounted(unchanged, False, config).confidence == p  # the discount is for claims
     lower = discounted(replace(row, confidence=0.9 * p), False, config).confidence
     assert lower <= discounted(row, False, config).confidence
 
@@ -138,3 +141,25 @@ def test_a_fit_that_missed_on_other_surveys_is_not_called_calibrated():
     assert ConfidenceConfig(fitted_on="seeds", held_out_ece=0.04).calibrated
     assert not ConfidenceConfig(fitted_on="seeds", held_out_ece=0.06).calibrated
     assert not ConfidenceConfig(fitted_on="", held_out_ece=0.0).calibrated
+
+
+def test_a_run_says_what_its_confidences_were_fitted_on_and_why_they_do_not_hold_for_a_pair():
+    config = ConfidenceConfig(fitted_on="seeds", held_out_ece=0.02, evidence=("observed", "trajectory"))
+    known = calibration_of({"observed"}, True, config)
+    assert known.lacking == ()
+    assert known.calibrated_for["evidence"] == ["observed", "trajectory"]
+    foreign = calibration_of({"observed", "assumed"}, False, config)
+    assert len(foreign.lacking) == 2
+    assert "not calibrated for this kind of cloud" in foreign.lacking[0]
+    assert "assumed" in foreign.lacking[1]
+    never = calibration_of({"observed"}, True, ConfidenceConfig(fitted_on=""))
+    assert never.calibrated_for == {}
+    assert never.lacking
+
+
+@pytest.mark.parametrize(("share", "most"), [(0.19, 0.85), (0.5, 0.94), (1.0, 1.0)])
+def test_a_claim_about_a_place_that_was_hardly_observed_is_never_sure(share, most):
+    sure = ConfidenceConfig(single=Coefficients(intercept=8.0, **dict.fromkeys(FEATURES, 0.0)))
+    row = Decision(Change.ADDED, "", 5.0)
+    found = confidence(row, replace(TYPICAL, observed_fraction=share), Semantic.BUILDING, 0.9, sure)
+    assert most - 0.02 < found <= most

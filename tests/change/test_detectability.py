@@ -8,7 +8,8 @@ import pytest
 import rasterio
 from scipy.special import expit
 
-from subiaco_change.evaluation.confidence_fit import fit_confidence
+from subiaco_change.changes.confidence import FEATURES, ConfidenceConfig
+from subiaco_change.evaluation.confidence_fit import LEAST, fit_confidence, held_out_errors
 from subiaco_change.injection.calibrate import Calibration, CalibrationConfig, write_calibration
 from subiaco_change.injection.detectability import COLUMNS, Curve, fit_curve, fit_curves, statement
 from subiaco_change.outputs.raster import LodRaster
@@ -66,12 +67,14 @@ def test_what_was_not_tested_is_not_stated():
 def judged(count: int = 400, seed: int = 5) -> pd.DataFrame:
     """Rows whose label is right with a probability that follows the first feature."""
     rng = np.random.default_rng(seed)
-    x = rng.normal(size=(count, 5))
+    x = np.zeros((count, len(FEATURES)))
+    x[:, :5] = rng.normal(size=(count, 5))
     return pd.DataFrame(
         {
             "kind": np.where(np.arange(count) % 2, "single", "unchanged"),
             "features": list(map(tuple, x)),
             "right": rng.random(count) < expit(0.5 + 1.5 * x[:, 0]),
+            "evidence": np.where(np.arange(count) % 8 < 4, "observed", "trajectory"),
             "survey": np.where(np.arange(count) % 4 < 2, "copy 0", "copy 1"),
         }
     )
@@ -83,6 +86,21 @@ def test_confidence_is_fitted_by_kind_and_says_how_far_it_held_on_rows_left_out(
     assert slice_["single"]["margin"] == pytest.approx(1.5, abs=0.5)
     assert slice_["held_out_ece"] < 0.1
     assert "reshaped" not in slice_
+
+
+def test_only_kinds_of_evidence_whose_confidences_held_on_other_surveys_are_called_calibrated():
+    rows = judged(4000)
+    wrong = (rows["evidence"] == "trajectory") & (np.arange(len(rows)) % 3 > 0)
+    half = rows.assign(right=np.where(wrong & (rows["survey"] == "copy 1"), False, rows["right"]))
+    errors = held_out_errors(half)
+    assert errors["trajectory"] > 0.1
+    assert errors["trajectory"] > 1.5 * errors["observed"]
+    fitted = fit_confidence(rows, "two copies", "own")
+    assert set(fitted["evidence"]) <= {"observed", "trajectory"}
+    assert "trajectory" not in fit_confidence(half, "two copies")["evidence"]
+    assert ConfidenceConfig(**{**fitted, "held_out_ece": 0.02}).clouds == "own"
+    few = rows[rows["evidence"] == "observed"].head(LEAST - 1).assign(kind="single")
+    assert list(held_out_errors(few)) == ["all"]
 
 
 def test_a_calibration_is_written_with_table_curves_and_map(tmp_path):

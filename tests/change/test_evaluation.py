@@ -357,6 +357,7 @@ def test_several_pairs_pool_and_get_intervals(perfect, tmp_path):
     write_evaluation(result, tmp_path)
     document = json.loads((tmp_path / "evaluation.json").read_text())
     assert document["truth_is_simulated"] is True
+    assert (tmp_path / "reliability.png").read_bytes().startswith(b"\x89PNG")
     page = (tmp_path / "evaluation.md").read_text()
     assert page.startswith("# Evaluation against simulated truth")
     assert "| cells | 100.0 | 100.0 | 100.0 | 100.0 | 0.0 |" in page

@@ -25,8 +25,8 @@ from subiaco_geo.codes import Change
 
 NULL = VegetationNullConfig()
 TREE = PlantMeasures(
-    kind="crown", density=0.0, size=2.0, thin=False, reach=2.0, outline=0.0, outline_sigma=0.03, top=0.0,
-    volume=0.0, surface=0.0, rise=math.nan, rise_sigma=math.nan,
+    kind="crown", density=0.0, size=2.0, voxels=300, thin=False, reach=2.0, outline=0.0, outline_sigma=0.03,
+    top=0.0, volume=0.0, surface=0.0, rise=math.nan, rise_sigma=math.nan,
 )  # fmt: skip
 HEDGE = replace(TREE, kind="hedge", rise=0.0, rise_sigma=0.02)
 
@@ -84,10 +84,18 @@ def test_crowns_that_scatter_more_need_more_to_be_called_grown():
 def test_few_crowns_take_the_stated_scatter_and_say_so():
     null = fit_null(street(8, 0.2, 0.05), NULL)
     assert null == no_null(NULL)
-    found = label(replace(TREE, outline=0.3), null)
+    found = label(replace(TREE, outline=0.28), null)
     assert found.change is Change.UNCHANGED
     assert "too few crowns" in found.reason
     assert label(replace(TREE, outline=0.5), null).change is Change.INCREASED
+
+
+def test_without_the_null_the_fixed_limits_decide_alone():
+    fixed = VegetationNullConfig(enabled=False)
+    null = fit_null(street(40, 0.25, 0.06), fixed)
+    assert null.fits == {}
+    assert label(replace(TREE, outline=0.3), null).change is Change.INCREASED
+    assert label(replace(TREE, outline=0.15), null).change is Change.UNCHANGED
 
 
 def test_hedges_are_not_compared_with_crowns_and_their_columns_decide():
@@ -99,6 +107,13 @@ def test_hedges_are_not_compared_with_crowns_and_their_columns_decide():
     assert "hedges and shrubs" in grown.reason
     assert label(replace(HEDGE, rise=0.15, top=0.6, surface=0.3), null).change is Change.INCREASED
     assert label(replace(HEDGE, rise=0.15, top=0.6, surface=0.12), null).change is Change.UNCHANGED
+
+
+def test_a_share_of_few_voxels_is_no_evidence():
+    shrub = replace(HEDGE, rise=math.nan, outline=math.nan, surface=0.22)
+    calm = fit_null([replace(HEDGE, surface=v) for v in np.linspace(-0.03, 0.03, 15)], NULL)
+    assert label(replace(shrub, voxels=300), calm).change is Change.INCREASED
+    assert label(replace(shrub, voxels=8), calm).change is Change.UNCHANGED
 
 
 def test_a_pole_that_passes_for_a_plant_does_not_grow_by_what_was_seen_of_it():

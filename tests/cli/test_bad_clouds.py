@@ -168,6 +168,15 @@ def test_gda94_is_brought_to_gda2020_and_its_accuracy_recorded(gda94_change):
     assert "GDA94 to GDA2020" in note
 
 
+def test_foreign_clouds_are_told_that_confidence_was_never_calibrated_for_them(gda94_change):
+    run = json.loads((gda94_change / "run.json").read_text())
+    assert run["confidence_calibrated"] is False
+    assert run["confidence_calibrated_for"]["clouds"] == "simulated"
+    assert any("not calibrated for this kind of cloud" in line for line in run["confidence_not_calibrated"])
+    assert "not calibrated for this kind of cloud" in (gda94_change / "summary.html").read_text()
+    assert "not calibrated for this kind of cloud" in (gda94_change / "report.html").read_text()
+
+
 def test_heights_of_bare_clouds_are_not_claimed_to_be_ellipsoidal(gda94_change):
     with laspy.open(gda94_change / "after_labelled.laz") as reader:
         text = "".join(vlr.string for vlr in reader.header.vlrs if hasattr(vlr, "string"))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -13,7 +14,15 @@ from subiaco_geo.clouds import voxel_keys
 from subiaco_geo.look_times import Looks, joined_looks
 from subiaco_geo.movement import MovementConfig, connected, verdicts
 from subiaco_geo.raywalk import VisibilityAccumulator
-from subiaco_geo.visibility import NO_VERDICT, SURELY_MOVED
+from subiaco_geo.visibility import (
+    NO_VERDICT,
+    SURELY_MOVED,
+    TimeRecord,
+    VisibilityGrid,
+    load_visibility,
+    save_visibility,
+    visibility_parts,
+)
 
 CONFIG = MovementConfig()
 LENGTH = 12.0  # of the street that is looked at [m]
@@ -202,3 +211,31 @@ def test_looks_are_those_of_a_plain_count_and_do_not_depend_on_when_memory_went_
     for cut in range(1, len(beams)):
         if beams[cut - 1][0] != beams[cut][0]:
             assert windows_of(beams, least, cut)[0] == expected
+
+
+def test_a_layer_with_times_is_read_back_whole_and_in_parts_and_one_without_still_loads(
+    tmp_path: Path,
+) -> None:
+    cells = block(6.0)
+    keys, looks = voxel_keys(cells), looked_at(cells, 10.0, car(8.0))
+    counts = np.arange(len(keys), dtype=np.uint32)
+    times = TimeRecord(CONFIG.window, 123, looks)
+    grid = VisibilityGrid(np.zeros(3), 0.5, keys, counts, counts, verdicts(keys, looks, CONFIG), times)
+    save_visibility(tmp_path / "timed.npz", grid)
+    save_visibility(tmp_path / "plain.npz", VisibilityGrid(np.zeros(3), 0.5, keys, counts, counts))
+    whole, parts = load_visibility(tmp_path / "timed.npz"), list(visibility_parts(tmp_path / "timed.npz", 10))
+    assert whole.times is not None
+    assert (whole.times.window, whole.times.start_ns) == (CONFIG.window, 123)
+    for name, column in zip(vars(looks), looks.columns(), strict=True):
+        np.testing.assert_array_equal(getattr(whole.times.looks, name), column)
+        joined = np.concatenate([getattr(p.times.looks, name) for p in parts if p.times is not None])
+        np.testing.assert_array_equal(joined, column)
+    np.testing.assert_array_equal(whole.moving, grid.moving)
+    centres = (cells + 0.5) * 0.5
+    found = whole.moved(np.vstack([centres, [[900.0, 0.0, 0.0]]]))
+    assert found is not None
+    assert found[:-1].min() >= CONFIG.sure
+    assert np.isnan(found[-1])
+    plain = load_visibility(tmp_path / "plain.npz")
+    assert plain.times is None
+    assert plain.moved(centres) is None

@@ -208,6 +208,12 @@ def slow_sum(inputs, params):
     return add_up(inputs, params)
 
 
+class Workers(list):
+    """Worker processes, and the scheduler's."""
+
+    scheduler: list
+
+
 @pytest.fixture
 def cluster(tmp_path):
     """A scheduler and two workers, each a process of its own, on the loopback."""
@@ -237,7 +243,9 @@ def cluster(tmp_path):
         time.sleep(0.1)
     worker = ("dask_worker", "--scheduler-file", str(file), "--nthreads", "1", "--no-nanny", "--no-dashboard")
     processes += [start(*worker), start(*worker)]
-    yield json.loads(file.read_text())["address"], processes[1:]
+    workers = Workers(processes[1:])
+    workers.scheduler = processes[:1]
+    yield json.loads(file.read_text())["address"], workers
     for process in processes:
         process.kill()
         process.wait(WAIT)
@@ -256,6 +264,29 @@ def test_a_cluster_that_loses_a_worker_in_the_middle_leaves_the_same(tmp_path, c
     executor.close()
     assert workers[0].wait(WAIT) != 0
     assert {n: float(bench.store.load(k)["values"][0]) for n, k in keys.items()} == expected
+
+
+@pytest.mark.parametrize(
+    ("victims", "said"), [("workers", "no worker is left"), ("scheduler", "the scheduler is gone")]
+)
+def test_a_cluster_without_workers_or_scheduler_ends_the_run_and_says_so(tmp_path, cluster, victims, said):
+    address, workers = cluster
+    executor = Dask(address, patience=1.0)
+    executor._client.wait_for_workers(2, timeout=WAIT)
+    bench = Workbench(DiskStore(tmp_path / "cluster"), executor)
+    tasks = [Task(t.stage, t.name, slow_sum, t.inputs, {**t.params, "seconds": 0.3}) for t in tasks_of(bench)]
+    ended = []
+
+    def end(stage, fraction):
+        if fraction > 0.1 and not ended:
+            ended.extend(workers if victims == "workers" else workers.scheduler)
+            for process in ended:
+                process.kill()
+
+    bench.progress = end
+    with pytest.raises(SubiacoError, match=rf"--scheduler tcp.*: {said}; what is finished stays"):
+        bench.run(tasks)
+    executor.close()
 
 
 def test_a_scheduler_that_is_not_there_is_named():

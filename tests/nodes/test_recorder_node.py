@@ -16,7 +16,7 @@ import yaml
 
 from subiaco_geo.bag_recovery import recover_bag
 from subiaco_geo.bags import TYPESTORE, BagReader, BagWriter, packet_to_cdr
-from subiaco_geo.topics import FIX, IMU, LIDAR_PACKETS, METADATA, PACKET_TYPE, TF_STATIC
+from subiaco_geo.topics import FIX, IMU, LIDAR_PACKETS, METADATA, PACKET_TYPE, POINTS, TF_STATIC
 
 pytestmark = pytest.mark.ros
 
@@ -241,7 +241,8 @@ class Recording:
     """``subiaco record`` as people run it, in a domain of its own."""
 
     def __init__(self, folder: Path, domain: int, *options: str) -> None:
-        settings = ("--set", "record.stop_free_gb=0", "--set", "record.warn_free_gb=0")
+        values = ("stop_free_gb=0", "warn_free_gb=0", f'topics=["{LIDAR_PACKETS}"]')
+        settings = [word for value in values for word in ("--set", f"record.{value}")]
         self.process = subprocess.Popen(
             [
                 sys.executable,
@@ -285,27 +286,32 @@ def written(folder: Path) -> int:
     return sum(path.stat().st_size for path in folder.glob("*.mcap*")) if folder.is_dir() else 0
 
 
-def test_ctrl_c_ends_a_recording_whole_and_a_kill_is_recovered_and_resumed(ros: Any, tmp_path: Path) -> None:
+def test_a_killed_recorder_goes_on_with_a_new_file_and_ctrl_c_ends_it_whole(ros: Any, tmp_path: Path) -> None:
     domain, folder = ros.context.get_domain_id(), tmp_path / "drive"
     driver = publisher(ros, LIDAR_PACKETS)
-    first = Recording(folder, domain)
+    recording = Recording(folder, domain)
     feed(ros, driver, range(200))
     ros.until(lambda: written(folder) > 200 * SIZE, timeout=60)
-    os.kill(first.node(), signal.SIGKILL)
-    code, said = first.finish()
-    assert code == 1
-    assert "recorder was killed by SIGKILL" in said
-    assert [p.suffix for p in folder.glob("drive_*")] == [".partial"]
-
-    again = Recording(folder, domain, "--resume")
-    feed(ros, driver, range(200, 300), listeners=2)
+    killed = recording.node()
+    os.kill(killed, signal.SIGKILL)
+    ros.until(lambda: recording.node() not in (None, killed), timeout=60)
+    feed(ros, driver, range(200, 300), listeners=2)  # the killed one counts for a while
     ros.until(lambda: written(folder) > 300 * SIZE, timeout=60)
-    again.process.send_signal(signal.SIGINT)
-    code, said = again.finish()
+    recording.process.send_signal(signal.SIGINT)
+    code, said = recording.finish()
     assert code == 0, said
+    assert "recorder was killed by SIGKILL" in said
+    assert "starting it again" in said
     assert "nothing was lost" in said
 
     result = recover_bag(folder)
     kept = result.files[0].counts[LIDAR_PACKETS]
     assert kept >= 195  # what was on the disk when it was killed, a few at most on their way
     assert recorded(result.target, LIDAR_PACKETS) == [packet(k) for k in (*range(kept), *range(200, 300))]
+
+
+def test_a_recording_to_which_no_sensor_speaks_says_so_with_its_exit_code(ros: Any, tmp_path: Path) -> None:
+    recording = Recording(tmp_path / "drive", ros.context.get_domain_id(), "--duration", "1")
+    code, said = recording.finish()
+    assert code == 2
+    assert f"no LiDAR data ({LIDAR_PACKETS}, {POINTS}) was recorded" in said

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import logging
+import os
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
+from subiaco_bringup.domain import require_free_domain
 from subiaco_bringup.environment import node_environment
 from subiaco_bringup.graph import GraphSpec, change_graph, mapping_graph, merged_config
 from subiaco_bringup.supervisor import Death, OnStatus, Report, Supervisor
@@ -18,8 +20,10 @@ from subiaco_geo.errors import InputError
 LOGGER = logging.getLogger(__name__)
 
 
-def _run(graph: GraphSpec, progress: Report | None) -> None:
+def _run(graph: GraphSpec, progress: Report | None, *, replays: bool = False) -> None:
     with node_environment() as environment:
+        if replays and "ROS_DOMAIN_ID" in os.environ:
+            require_free_domain(environment)
         LOGGER.info("to watch the graph, use its domain: ROS_DOMAIN_ID=%s", environment["ROS_DOMAIN_ID"])
         Supervisor(graph, environment, progress).run()
 
@@ -55,7 +59,8 @@ def run_mapping_graph(
     Raises
     ------
     InputError
-        A bag or the configuration is at fault, or the output exists.
+        A bag or the configuration is at fault, the output exists, or other nodes use the chosen ROS domain
+        for sensor data.
     SubiacoError
         A node failed.
     """
@@ -69,7 +74,7 @@ def run_mapping_graph(
     refuse_existing(Path(output), overwrite)
     for bag in bags:
         find_storage(Path(bag))
-    _run(mapping_graph(bags, output, files, given, rate=rate, overwrite=overwrite), progress)
+    _run(mapping_graph(bags, output, files, given, rate=rate, overwrite=overwrite), progress, replays=True)
 
 
 def run_change_graph(

@@ -56,7 +56,7 @@ def live_graph(
     ]
     if record:
         recorder = recorder_spec(recording, folder / BAG, remappings=names)
-        nodes.insert(0, replace(recorder, restart=True, grace=_RECORD_GRACE))
+        nodes.insert(0, replace(recorder, grace=_RECORD_GRACE))
     return GraphSpec("live", tuple(nodes))
 
 

@@ -50,7 +50,9 @@ def recorder_spec(
         "duration": float(duration),
     }
     names = tuple((ours.lstrip("/"), source) for ours, source in remappings)
-    return NodeSpec("recorder", "subiaco_mapping", "recorder_node", parameters, names, principal)
+    return NodeSpec(
+        "recorder", "subiaco_mapping", "recorder_node", parameters, names, principal, restart=True
+    )
 
 
 def parse_remapping(text: str) -> tuple[str, str]:
@@ -83,15 +85,18 @@ def run_recording(
     remappings: Sequence[tuple[str, str]] = (),
     duration: float = 0.0,
     resume: bool = False,
-) -> dict[str, Any]:
+) -> tuple[dict[str, Any], list[str]]:
     """Record until interrupted, which is how a recording ends, or until the time is up.
 
-    The nodes of the vehicle are looked for in the caller's ROS domain.
+    A recorder that crashes is started again and goes on with a new file. The nodes of the vehicle are
+    looked for in the caller's ROS domain.
 
     Returns
     -------
     dict
         What ``recording.yaml`` says: files, messages and losses by topic.
+    list of str
+        Essential sensors of which nothing was recorded.
 
     Raises
     ------
@@ -104,7 +109,7 @@ def run_recording(
     from subiaco_mapping.recording.recorder import COUNTS_NAME
 
     files, given = list(config_files), list(settings)
-    load_config(RecordingConfig, files, given)
+    config = load_config(RecordingConfig, files, given).record
     if not (resume and output.is_dir()):
         refuse_existing(output, overwrite=False)
     graph = record_graph(output, files, given, remappings=remappings, duration=duration)
@@ -114,4 +119,6 @@ def run_recording(
             supervisor.run()
         supervisor.require_whole()
     counts = output / COUNTS_NAME
-    return dict(yaml.safe_load(counts.read_text("utf-8"))) if counts.is_file() else {}
+    facts = dict(yaml.safe_load(counts.read_text("utf-8"))) if counts.is_file() else {}
+    topics = facts.get("topics", {})
+    return facts, config.absent({name: values["received"] for name, values in topics.items()})

@@ -14,6 +14,7 @@ from typing import Any, TypeVar
 import geopandas as gpd
 import numpy as np
 
+from subiaco_change.changes.confidence import Calibration, calibration_of
 from subiaco_change.config import ChangeConfig
 from subiaco_change.outputs.directory import MARKER, ChangeInputs, write_change_directory
 from subiaco_change.outputs.parcels import read_lots
@@ -21,6 +22,7 @@ from subiaco_change.pipeline import detect_in_tiles
 from subiaco_change.records import ChangeRecord, ChangeResult, TiledResult
 from subiaco_change.tiled.run import STAGES
 from subiaco_geo.atomic import refuse_existing, refuse_foreign
+from subiaco_geo.codes import Change
 from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError, RegistrationError
 from subiaco_geo.frames import Floats
@@ -35,6 +37,7 @@ from subiaco_geo.work.store import DiskStore
 
 _LOG = logging.getLogger(__name__)
 Taken = TypeVar("Taken")
+CLAIMED = (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED)
 _JUMP = 20.0  # longer steps between scans lead from one recording to the next [m]
 _DATED = np.datetime64("2000-01-01")
 
@@ -169,7 +172,7 @@ def run_job(
     progress: Callable[[str, float], None] | None = None,
     *,
     notes: Mapping[str, str] | None = None,
-    calibrated: bool = False,
+    calibration: Calibration | None = None,
 ) -> ChangeResult:
     """Load two epochs, find changes by any method, write the change directory.
 
@@ -183,8 +186,8 @@ def run_job(
     progress : callable, optional
     notes : mapping, optional
         Further facts for ``run.json``.
-    calibrated : bool
-        Whether the method's confidences are calibrated.
+    calibration : Calibration, optional
+        What the method's confidences were fitted on.
 
     Raises
     ------
@@ -197,7 +200,7 @@ def run_job(
     result = detect(before, after)
     if progress is not None:
         progress("writing", 0.97)
-    inputs = _inputs(job, before, after, notes or {}, calibrated, lots)
+    inputs = _inputs(job, before, after, notes or {}, calibration or Calibration(), lots)
     write_change_directory(job.output, result, config, inputs, overwrite=job.overwrite)
     return result
 
@@ -214,7 +217,7 @@ def _inputs(
     before: SurveyMap | Epoch,
     after: SurveyMap | Epoch,
     notes: Mapping[str, str],
-    calibrated: bool,
+    calibration: Calibration,
     lots: gpd.GeoDataFrame | None,
 ) -> ChangeInputs:
     named = distinct(name for epoch in (before, after) for name in epoch.info.get(SIMULATIONS, []))
@@ -224,7 +227,7 @@ def _inputs(
         job.before,
         job.after,
         {**notes, **named, **facts},
-        calibrated=calibrated,
+        calibration=calibration,
         ellipsoidal=known,
         lots=lots,
     )
@@ -250,6 +253,9 @@ def run_change_and(
         result = detect_in_tiles(epochs, config, bench, transform=job.transform, given=job.given)
         if progress is not None:
             progress("writing", 0.97)
-        inputs = _inputs(job, *epochs, {}, config.confidence.calibrated, lots)
+        simulated = all(epoch.info.get(SIMULATIONS) for epoch in epochs)
+        kinds = {row.evidence for row in result.records if row.change in CLAIMED}
+        calibration = calibration_of(kinds, simulated, config.confidence)
+        inputs = _inputs(job, *epochs, {}, calibration, lots)
         write_change_directory(job.output, result, config, inputs, overwrite=job.overwrite)
         return take(result)

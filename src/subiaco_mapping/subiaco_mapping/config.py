@@ -243,6 +243,13 @@ class ManifestConfig(StrictModel):
     rtk_gap_ns: int = Field(
         2_000_000_000, gt=0, description="longer without a fixed solution is flagged [ns]"
     )
+    max_contradicting: float = Field(
+        0.5,
+        gt=0,
+        le=1,
+        description="share of a sequence's fixes outside 99.9 % of what they state, from which "
+        "they contradict the map",
+    )
 
 
 class MappingConfig(StrictModel):

@@ -58,6 +58,7 @@ class OdometryFrontend:
         self._first: Scan | None = None  # of an unbroken stretch
         self._latest_ns = 0
         self.dropped_scans = 0
+        self.implausible_imu = 0
         if metadata is not None:
             self.set_metadata(metadata)
 
@@ -90,7 +91,10 @@ class OdometryFrontend:
         return self._enqueue([scan])
 
     def on_imu(self, sample: ImuSample) -> list[FrontendOutput]:
-        """Take one IMU sample."""
+        """Take one IMU sample; one that no IMU can measure is counted and left out."""
+        if not sample.is_plausible():
+            self.implausible_imu += 1
+            return []
         self._deskewer.push_imu(sample)
         self._clock.push_imu(sample)
         return self._drain(force=False)
@@ -109,6 +113,7 @@ class OdometryFrontend:
             "packets": asdict(self.counts),
             "dropped_scans": self.dropped_scans,
             "imu_out_of_order": self._deskewer.out_of_order,
+            "imu_implausible": self.implausible_imu,
             "gyro_bias": self._deskewer.gyro_bias.round(6).tolist(),
             **self._clock.facts(),
         }

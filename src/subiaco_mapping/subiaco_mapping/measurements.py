@@ -9,6 +9,11 @@ from numpy.typing import NDArray
 
 from subiaco_geo.frames import Floats, Ints, invert_pose
 
+_MOST_GYRO = 100.0  # a gyro measures 4000 deg/s at most [rad/s]
+_MOST_ACCEL = 2000.0  # an accelerometer 200 g [m/s2]
+_LOWEST, _HIGHEST = -500.0, 10_000.0  # heights of roads above the ellipsoid [m]
+_ROUNDING = 1e-6  # of a covariance that was written as float32
+
 
 @dataclass(frozen=True)
 class ImuSample:
@@ -17,6 +22,10 @@ class ImuSample:
     time_ns: int
     gyro: Floats
     accel: Floats
+
+    def is_plausible(self) -> bool:
+        """Tell whether the values are finite and within what any vehicle's IMU measures."""
+        return bool(np.abs(self.gyro).max() < _MOST_GYRO and np.abs(self.accel).max() < _MOST_ACCEL)
 
 
 @dataclass(frozen=True)
@@ -44,10 +53,14 @@ class GnssFix:
     status: int
 
     def is_usable(self) -> bool:
-        """Tell whether the numbers are finite, on the earth, and the status claims a solution."""
+        """Tell whether the place is on the earth, the covariance one, and the status claims a solution."""
         numbers = np.array([self.latitude, self.longitude, self.altitude, *self.covariance.ravel()])
+        if self.status < 0 or not np.isfinite(numbers).all():
+            return False
         on_earth = abs(self.latitude) <= 90 and abs(self.longitude) <= 360
-        return bool(self.status >= 0 and np.isfinite(numbers).all() and on_earth)
+        on_earth = on_earth and _LOWEST < self.altitude < _HIGHEST
+        least = float(np.linalg.eigvalsh(0.5 * (self.covariance + self.covariance.T))[0])
+        return on_earth and least >= -_ROUNDING * float(np.abs(self.covariance).max())
 
 
 @dataclass(frozen=True)

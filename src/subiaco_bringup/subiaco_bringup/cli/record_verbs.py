@@ -21,6 +21,7 @@ from subiaco_bringup.cli.options import (
     set_up_logging,
 )
 from subiaco_bringup.defaults import config_files
+from subiaco_geo.errors import InputError
 
 if TYPE_CHECKING:
     from subiaco_geo.bag_recovery import BagRecovery, FileRecovery
@@ -59,7 +60,8 @@ def record(
     """Record the topics of a live vehicle, raw, until Ctrl-C; what is lost is counted and said.
 
     Files are whole every minute and flushed four times a second: a kill or a loss of power costs less
-    than a second. A disk that runs full ends the recording with every file whole.
+    than a second. A disk that runs full ends the recording with every file whole. A recorder that crashes
+    is started again. Exit code 2 where no LiDAR or no GNSS message came.
 
     Example: subiaco record -o bags/2025-03-14_am --remap /gnss/fix:=/ublox_gps_node/fix
     """
@@ -67,7 +69,7 @@ def record(
 
     set_up_logging(verbose, quiet)
     _show_what_the_recorder_says(quiet)
-    facts = run_recording(
+    facts, absent = run_recording(
         output,
         config_files("record", tuple(config or ())),
         settings or [],
@@ -77,11 +79,16 @@ def record(
     )
     for line in _summary(output, facts):
         say(line, quiet=quiet)
+    if absent:
+        raise InputError(
+            f"{output}: {' and '.join(absent)} was recorded; check that the drivers publish and that"
+            " ROS_DOMAIN_ID is theirs"
+        )
 
 
 def _summary(output: Path, facts: Mapping[str, Any]) -> list[str]:
     if not facts.get("messages"):
-        return [f"{output}: nothing was recorded; check that the drivers publish and ROS_DOMAIN_ID is theirs"]
+        return [f"{output}: nothing was recorded"]
     lines = [f"bag: {output} ({facts['messages']} messages in {facts['files']} files)"]
     for topic, counts in facts.get("topics", {}).items():
         found = ", ".join(

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
-from dataclasses import replace
-from typing import Literal
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,7 +29,8 @@ PAPER_WEIGHTS = {
 _SIGMA_HEIGHT = 0.10
 _SIGMA_VOLUME = 0.05
 _EPSILON = 1e-6
-_CALIBRATED = 0.05
+#: Largest calibration error on surveys left out of the fit at which confidences count as probabilities.
+CALIBRATED = 0.05
 
 #: What a row's confidence is a function of, in the order of the coefficients.
 FEATURES = (
@@ -38,6 +39,8 @@ FEATURES = (
 )  # fmt: skip
 #: The first of these follow from the decision alone.
 _DECIDED = 2
+_CLAIMS = ("single", "reshaped")
+_TYPICAL_SHARE = 0.8  # observed share of a typical row
 _SIGMAS = 6.0  # standard deviations from a limit beyond which more say nothing new
 
 Kind = Literal["single", "reshaped", "unchanged"]
@@ -70,17 +73,16 @@ class ConfidenceConfig(StrictModel):
     """Coefficients fitted on simulated surveys by ``scripts/calibrate_confidence.py``.
 
     On surveys that no rule was tuned on: where rules are tuned they are right more often than elsewhere.
-    Some 40 wrong rows among 500 changed ones are few to vouch for a probability: ``held_out_ece`` says
+    Some 20 wrong rows among 210 changed ones are few to vouch for a probability: ``held_out_ece`` says
     how far off it was on surveys left out.
     """
 
     fitted_on: str = Field(
-        "simulated default surveys, seeds 106 to 110, 42 s, fused maps, own registration;"
-        " 502 changed of 1594 rows; 2026-11-22",
+        "simulated: default_106, hard_106; evidence: layer; 2026-11-22; 210 changed of 788 rows",
         description="surveys, seeds, rows and date of the fit; empty says: judgements",
     )
     held_out_ece: float = Field(
-        0.011,
+        0.026,
         ge=0,
         le=1,
         description="expected calibration error over changed rows of surveys left out of the fit",
@@ -94,32 +96,60 @@ class ConfidenceConfig(StrictModel):
         " Other clouds are discounted",
     )
     discount: float = Field(
-        0.7,
+        0.75,
         gt=0,
         le=1,
         description="factor on the log odds of rows whose kind of evidence or cloud was never calibrated."
         " Lower values are more cautious",
     )
     cap: float = Field(
-        0.89,
+        0.93,
         gt=0.5,
         le=1,
         description="highest confidence of rows whose kind of evidence or cloud was never calibrated",
     )
+    unseen: float = Field(
+        0.25,
+        ge=0,
+        le=1,
+        description="doubt about a claim on a place that the other survey did not observe at all. The doubt"
+        " falls with the square of the unobserved share; higher values are more cautious",
+    )
     single: Coefficients = Coefficients(
-        intercept=2.003, margin=0.032, observed=0.314, size=1.055, purity=0.496, solid=-0.045
+        intercept=1.404,
+        margin=0.057,
+        gate=0.511,
+        observed=0.559,
+        size=0.853,
+        purity=0.576,
+        solid=0.122,
+        density=0.0,
     )
     reshaped: Coefficients = Coefficients(
-        intercept=2.775, margin=0.0, observed=0.0, size=0.704, purity=0.447, solid=0.0
+        intercept=2.739,
+        margin=0.0,
+        gate=0.053,
+        observed=0.006,
+        size=0.31,
+        purity=0.159,
+        solid=0.0,
+        density=-0.342,
     )
     unchanged: Coefficients = Coefficients(
-        intercept=4.42, margin=-1.78, observed=0.751, size=0.738, purity=0.0, solid=-1.564
+        intercept=3.496,
+        margin=-1.037,
+        gate=0.154,
+        observed=0.458,
+        size=0.873,
+        purity=0.0,
+        solid=-1.198,
+        density=0.0,
     )
 
     @property
     def calibrated(self) -> bool:
         """Whether confidences may be read as probabilities: fitted, and at most 0.05 off on other surveys."""
-        return bool(self.fitted_on) and self.held_out_ece <= _CALIBRATED
+        return bool(self.fitted_on) and self.held_out_ece <= CALIBRATED
 
     def calibrated_for(self, evidence: str, simulated: bool) -> bool:
         """Whether the fit saw rows of this kind of evidence, on clouds of this kind."""
@@ -168,7 +198,7 @@ def features(
     return np.array(
         [
             *decision_features(decision),
-            measures.observed_fraction - 0.8,
+            measures.observed_fraction - _TYPICAL_SHARE,
             math.log10(max(measures.seen_voxels, 1)) - 1.7,
             class_score - 0.7,
             float(semantic in (Semantic.BUILDING, Semantic.VEGETATION)),
@@ -200,14 +230,25 @@ def probability(decision: Decision, found: Floats, config: ConfidenceConfig) -> 
         return float(expit(1.0 + 2.0 * decision.margin))
     model: Coefficients = getattr(config, kind)
     slopes = np.array([getattr(model, name) for name in FEATURES])
-    return float(expit(model.intercept + slopes @ found))
+    p = float(expit(model.intercept + slopes @ found))
+    if kind not in _CLAIMS:
+        return p
+    hidden = min(max(1.0 - _TYPICAL_SHARE - found[FEATURES.index("observed")], 0.0), 1.0)
+    return min(p, 1.0 - config.unseen * hidden**2)
 
 
 def confidence(
     decision: Decision, measures: Measures, semantic: Semantic, class_score: float, config: ConfidenceConfig
 ) -> float:
     """Return the probability that the label is right; for a place not observed, how much was not."""
-    return probability(decision, features(decision, measures, semantic, class_score), config)
+    return bounded(
+        probability(decision, features(decision, measures, semantic, class_score), config), decision, measures
+    )
+
+
+def bounded(fitted: float, decision: Decision, measures: Measures) -> float:
+    """Bound the confidence of what stands in one epoch alone by how surely its place was free there."""
+    return min(fitted, measures.free) if kind_of(decision.change) == "single" else fitted
 
 
 def decided_anew(record: ChangeRecord, decision: Decision, config: ConfidenceConfig) -> ChangeRecord:
@@ -223,15 +264,50 @@ def decided_anew(record: ChangeRecord, decision: Decision, config: ConfidenceCon
 
 
 def discounted(record: ChangeRecord, simulated: bool, config: ConfidenceConfig) -> ChangeRecord:
-    """Lower the confidence of a row whose kind of evidence or cloud was never calibrated.
+    """Lower the confidence of a claimed change whose kind of evidence or cloud was never calibrated.
 
-    Labels that claim nothing keep theirs: it is a share of the place, not a probability.
+    Parameters
+    ----------
+    record : ChangeRecord
+    simulated : bool
+        Whether both clouds come from the simulator.
+    config : ConfidenceConfig
     """
-    if kind_of(record.change) is None or config.calibrated_for(record.evidence, simulated):
+    if kind_of(record.change) not in _CLAIMS or config.calibrated_for(record.evidence, simulated):
         return record
     p = min(max(record.confidence, 1e-6), 1.0 - 1e-6)
     lowered = min(float(expit(config.discount * math.log(p / (1.0 - p)))), config.cap)
     return replace(record, confidence=min(lowered, record.confidence))
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What ``run.json`` says of the confidences of a pair.
+
+    ``calibrated_for``: evidence, clouds and surveys of the fit; empty without one. ``lacking``: sentences
+    that say why confidences of this pair are not calibrated; empty where they are.
+    """
+
+    calibrated_for: Mapping[str, Any] = field(default_factory=dict)
+    lacking: tuple[str, ...] = ("Confidences of this method are not calibrated.",)
+
+
+def calibration_of(kinds: Iterable[str], simulated: bool, config: ConfidenceConfig) -> Calibration:
+    """Compare what the confidences were fitted on with a pair: its kinds of evidence and its clouds."""
+    if not config.calibrated:
+        return Calibration()
+    fitted = {"evidence": list(config.evidence), "clouds": config.clouds, "surveys": config.fitted_on}
+    lacking = []
+    if not simulated and config.clouds != "own":
+        lacking.append(
+            "Confidence is not calibrated for this kind of cloud: it was fitted on simulated surveys."
+            " 'subiaco calibrate' fits it to your own map."
+        )
+    missing = sorted(set(kinds) - set(config.evidence))
+    if missing:
+        names = ", ".join(missing)
+        lacking.append(f"Confidence is not calibrated for evidence of the kind {names}.")
+    return Calibration(fitted, tuple(lacking))
 
 
 #: More of this evidence never makes a label less certain.

@@ -12,6 +12,7 @@ from subiaco_change.changes.measures import Measures
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.config import StrictModel
 
+_PATCH = 4.0  # voxels of a surface that are seen, or not, together
 #: Why nothing is said of an object that both epochs saw.
 NO_LEVEL = "not decidable: too few points lie here for a level of detection"
 
@@ -58,12 +59,6 @@ class DecisionConfig(StrictModel):
     min_observed: float = Field(
         0.3, ge=0, le=1, description="observed share below which nothing is claimed, Decision 14"
     )
-    min_observed_free: float = Field(
-        0.1,
-        ge=0,
-        le=1,
-        description="the same for an unmatched object whose observed part is free almost everywhere",
-    )
     min_empty: float = Field(
         0.6, ge=0, le=1, description="share of the observed place that must be free in the other epoch"
     )
@@ -74,6 +69,13 @@ class DecisionConfig(StrictModel):
         description="mean probability of its points to have moved while they were mapped, from which an "
         "object of one epoch alone is the trail of a moving object and is not reported; the `trail_passes` "
         "settings decide on maps without times of beams [1]",
+    )
+    min_free: float = Field(
+        0.65,
+        ge=0.5,
+        lt=1,
+        description="how sure it must be, on average over the place, that nothing stands there as open to"
+        " beams as the object is in its own survey",
     )
     trail_passes: float = Field(
         2.0,
@@ -98,7 +100,9 @@ class DecisionConfig(StrictModel):
         0.65, gt=0, le=1, description="share of its surface on both sides of which its own survey looked"
     )
     trail_top: float = Field(3.8, gt=0, description="highest point of what drives by [m]")
-    min_voxels: int = Field(4, ge=1, description="observed voxels below which nothing is claimed")
+    min_voxels: int = Field(
+        3, ge=1, description="observed voxels above the foot below which nothing is claimed"
+    )
 
 
 @dataclass(frozen=True)
@@ -137,7 +141,7 @@ def decide(
     matched : callable, optional
         Decides an object that can be compared in both epochs instead of the rules of its class.
     """
-    if not _enough_seen(measures, in_before and in_after, config):
+    if not _enough_seen(measures, config):
         share = measures.observed_fraction
         return Decision(Change.UNOBSERVED, f"the other epoch observed {share:.0%} of the place", 1.0 - share)
     if not (in_before and in_after):
@@ -154,27 +158,32 @@ def decide(
     return _matched(measures, max(config.lod_factor * lod, config.lod_floor), rules)
 
 
-def _enough_seen(measures: Measures, matched: bool, config: DecisionConfig) -> bool:
+def _enough_seen(measures: Measures, config: DecisionConfig) -> bool:
     """Tell whether the other epoch observed enough of the place to claim anything."""
-    if measures.seen_voxels < config.min_voxels:
-        return False
-    if measures.observed_fraction >= config.min_observed:
-        return True
-    free = (
-        max(measures.gone_share, measures.new_share) >= 0.9 and measures.seen_voxels >= 4 * config.min_voxels
-    )
-    return not matched and free and measures.observed_fraction >= config.min_observed_free
+    return measures.seen_voxels >= config.min_voxels and measures.observed_fraction >= config.min_observed
 
 
 def _single(in_after: bool, measures: Measures, config: DecisionConfig) -> Decision:
     empty = measures.new_share if in_after else measures.gone_share
+    sigmas = (empty - config.min_empty) / math.sqrt(
+        max(empty * (1 - empty), 0.01) / max(measures.seen_voxels / _PATCH, 1.0)
+    )
     if empty < config.min_empty:
-        reason = f"no partner of its class, but {1 - empty:.0%} of the place is occupied in both epochs"
-        return Decision(Change.UNCHANGED, reason, (1 - empty) / max(1 - config.min_empty, 1e-9))
+        reason = (
+            f"No partner of its class, but {1 - empty:.0%} of the observed part is occupied in both surveys"
+            f" ({measures.observed_fraction:.0%} observed)."
+        )
+        return Decision(Change.UNCHANGED, reason, (1 - empty) / max(1 - config.min_empty, 1e-9), sigmas)
+    if measures.free < config.min_free:
+        reason = f"Too few beams for so open an object: {measures.free:.0%} sure that its place is free."
+        return Decision(Change.UNOBSERVED, reason, 1.0 - measures.free)
     change = Change.ADDED if in_after else Change.REMOVED
     own, other = ("later", "earlier") if in_after else ("earlier", "later")
-    reason = f"in the {own} survey alone; the {other} one saw its place, {empty:.0%} of it free"
-    return Decision(change, reason, empty / max(config.min_empty, 1e-9))
+    reason = (
+        f"Only the {own} survey has it; the {other} survey observed {measures.observed_fraction:.0%}"
+        f" of its place, and {empty:.0%} of that part was free (limit {config.min_empty:.0%})."
+    )
+    return Decision(change, reason, empty / max(config.min_empty, 1e-9), sigmas)
 
 
 def _mobile(measures: Measures, config: DecisionConfig) -> Decision:

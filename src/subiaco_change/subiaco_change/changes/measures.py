@@ -35,6 +35,13 @@ class MeasureConfig(StrictModel):
         description="height above ground up to which standing and lying cannot be told apart: the foot of an"
         " object where the other epoch met ground is left out [m]",
     )
+    free: float = Field(
+        0.7,
+        gt=0.5,
+        lt=1,
+        description="probability of being free from which a place where nothing is counts as seen; one beam"
+        " that went through gives 0.75",
+    )
     crossing: float = Field(
         1.0, gt=0, description="looked so far on both sides of a surface, an epoch crossed its place [m]"
     )
@@ -47,7 +54,7 @@ class MeasureConfig(StrictModel):
 
 def same_place(config: MeasureConfig) -> Reach:
     """Return when points of the other epoch occupy a place."""
-    return Reach(config.same_low, config.same_high, config.same_factor, config.foot)
+    return Reach(config.same_low, config.same_high, config.same_factor, config.foot, config.free)
 
 
 @dataclass(frozen=True)
@@ -58,7 +65,8 @@ class Measures:
     the columns that stood before; ``seen_voxels`` the number that entered.
     ``carried`` is the share of the surface that is new (positive) or gone
     (negative) on balance, counting only places that the other epoch looked across;
-    ``carried_columns`` the same of the columns that were seen to stand.
+    ``carried_columns`` the same of the columns that were seen to stand. ``free`` is the mean probability of
+    being free, in the other epoch, of the places where it holds nothing.
     """
 
     iou: float
@@ -75,6 +83,7 @@ class Measures:
     seen_voxels: int
     carried: float = 0.0
     carried_columns: float = 0.0
+    free: float = 1.0
 
 
 def measure(

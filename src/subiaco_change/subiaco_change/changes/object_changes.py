@@ -10,7 +10,7 @@ import numpy as np
 
 from subiaco_change.changes.association import Match, associate
 from subiaco_change.changes.columns import OpenGround, ground_columns
-from subiaco_change.changes.confidence import ConfidenceConfig, features, paper_score, probability
+from subiaco_change.changes.confidence import ConfidenceConfig, bounded, features, paper_score, probability
 from subiaco_change.changes.judging import ObjectChange, ObjectRules, decide_object
 from subiaco_change.changes.measures import footprint, same_place
 from subiaco_change.changes.objects import (
@@ -26,6 +26,7 @@ from subiaco_change.changes.passing import Observed, own_survey, trusted
 from subiaco_change.changes.revising import (
     adopt_fragments,
     agree_on_classes,
+    join_sides,
     join_wings,
     part_company,
     part_rows,
@@ -51,8 +52,9 @@ def compare_objects(
         own=(own_survey(before, seen_by_before), own_survey(after, seen_by_after)),
         standing=(before.xyz[stands(before)], after.xyz[stands(after)]),
     )
-    things_b = build_things(before, build_voxels(before, after, seen_by_after, edge, reach, step))
-    things_a = build_things(after, build_voxels(after, before, seen_by_before, edge, reach, step))
+    voxels_b = build_voxels(before, after, seen_by_after, edge, reach, step, rules.free[1])
+    voxels_a = build_voxels(after, before, seen_by_before, edge, reach, step, rules.free[0])
+    things_b, things_a = build_things(before, voxels_b), build_things(after, voxels_a)
     things_b, things_a = (part_things(things, rules.association.parts) for things in (things_b, things_a))
     if rules.by_class:
         things_b, things_a = agree_on_classes(things_b, things_a, rules.association, tolerance)
@@ -69,7 +71,7 @@ def compare_objects(
     changes = tell_apart(changes, rules)
     changes = part_rows(changes, rules)
     changes = part_sections(changes, rules)
-    changes = join_wings(changes, rules)
+    changes = join_sides(join_wings(changes, rules))
     return adopt_fragments(changes, things_b, things_a, rules.association, tolerance)
 
 
@@ -114,7 +116,8 @@ def make_record(
     score = float(np.mean([t.score for t in things]))
     density = change.plant.density if change.plant else density_ratio(change.before, change.after)
     found = features(change.decision, m, change.semantic, score, density, evidence)
-    certain, reason = trusted(change.decision, things, probability(change.decision, found, trust))
+    certain = bounded(probability(change.decision, found, trust), change.decision, m)
+    certain, reason = trusted(change.decision, things, certain)
     return ChangeRecord(
         object_id=object_id,
         semantic=change.semantic,

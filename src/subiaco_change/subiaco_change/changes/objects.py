@@ -23,6 +23,10 @@ _STRAYED = 1.5  # foot of an object in heights of it: either ground may be a lit
 _LOOKED_THROUGH = 2.0  # beams that passed a point for each that returned: what stands still lets by fewer
 
 
+#: How probable it is, (N,), that nothing stood at places (N, 3).
+Free = Callable[[Floats], Floats]
+
+
 @dataclass(frozen=True)
 class EpochView:
     """One epoch in the common local frame, ready to be measured.
@@ -120,6 +124,7 @@ def build_voxels(
     edge: float,
     reach: Reach,
     step: float = 1.0,
+    free: Free | None = None,
 ) -> Voxels:
     """Group the object points of an epoch into voxels and ask the other epoch about each.
 
@@ -136,6 +141,9 @@ def build_voxels(
     step : float
         How far on both sides of a surface the other epoch must have looked to
         have crossed it [m].
+    free : callable, optional
+        (M, 3) points -> (M,) probability that the place was free in the other epoch; certain where
+        observed if None.
     """
     members = np.flatnonzero(view.instance >= 0)
     owner, normal, height, xyz = _voxel_means(view, members, edge)
@@ -146,7 +154,10 @@ def build_voxels(
     ground = occupied_by_ground(xyz, other.xyz[other.semantic == Semantic.GROUND], reach)
     foot = ground & (height <= reach.standing) & ~still
     still |= ground & ~foot
-    seen = (observed(xyz) | still) & ~foot
+    seen = observed(xyz)
+    if free is not None:
+        seen[seen] = free(xyz[seen]) >= reach.free
+    seen = (seen | still) & ~foot
     crossed = seen & ~still
     crossed[crossed] = looked_across(xyz[crossed], normal[crossed], observed, step)
     return Voxels(owner, xyz, normal, height, seen, still, crossed)
@@ -182,13 +193,15 @@ class Reach:
 
     ``factor`` times the spacing of the other sampling there, within ``low`` and ``high``: where an epoch is
     sparse, the nearest of its points is far although nothing changed. Ground extends sideways alone: above
-    and below it occupies ``foot``, the height up to which standing and lying cannot be told apart.
+    and below it occupies ``foot``, the height up to which standing and lying cannot be told apart. A place
+    that nothing occupies is free from a probability of ``free`` on; below, it was not seen.
     """
 
     low: float
     high: float
     factor: float
     foot: float = 0.3
+    free: float = 0.7
 
     @property
     def standing(self) -> float:

@@ -131,10 +131,20 @@ def _excesses(
     found = {}
     for measure, limit in limits.items():
         expected = null.expected(plant, measure)
-        own = {"outline": plant.outline_sigma, "rise": plant.rise_sigma}.get(measure, 0.0)
+        own = _own_sigma(plant, measure)
         sd = max(expected.sd, own) if math.isfinite(own) else expected.sd
         found[measure] = _Excess(measure, plant.value(measure), expected, max(limit, null.certain * sd), sd)
     return found
+
+
+def _own_sigma(plant: PlantMeasures, measure: str) -> float:
+    """Return the standard error of a measure by the plant itself: of shares, that of a count of voxels.
+
+    Neighbouring voxels of a surface are seen, or not, in pairs.
+    """
+    if measure in ("volume", "surface"):
+        return math.sqrt(min(abs(plant.surface), 1.0) / max(0.5 * plant.voxels, 1.0))
+    return {"outline": plant.outline_sigma, "rise": plant.rise_sigma}.get(measure, 0.0)
 
 
 def _decision(plant: PlantMeasures, found: _Excess) -> Decision:

@@ -39,7 +39,7 @@ class PlantConfig(StrictModel):
         4.0, gt=1, description="height in narrower sides from which on an object has no crown"
     )
     outline: OutlineConfig = OutlineConfig()
-    null: VegetationNullConfig = VegetationNullConfig()
+    null_model: VegetationNullConfig = VegetationNullConfig()
 
 
 def measure_plant(
@@ -64,6 +64,7 @@ def measure_plant(
         kind="hedge" if low else "crown",
         density=density,
         size=_size(both),
+        voxels=measures.seen_voxels,
         thin=not low and any(_is_thin(xyz, config) for xyz in (first, second)),
         reach=outline.reach,
         outline=outline.shift,

@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 import pandas as pd
 from scipy.special import expit
 
-from subiaco_change.changes.confidence import FEATURES, Coefficients, fit, kind_of, rising_of
+from subiaco_change.changes.confidence import CALIBRATED, FEATURES, Coefficients, fit, kind_of, rising_of
 from subiaco_change.evaluation.objects import PointPairs, row_verdicts, together, transfer
 from subiaco_change.evaluation.scores import reliability
 from subiaco_change.records import ChangeResult
@@ -16,6 +16,7 @@ from subiaco_geo.clouds import PointCloud
 from subiaco_geo.frames import Floats
 
 RADIUS, SHARE, BINS = 0.3, 0.5, 10  # as subiaco evaluate
+LEAST = 30  # changed rows of a kind of evidence from which on its calibration can be judged
 
 
 def pair_points(result: ChangeResult, before: PointCloud, after: PointCloud) -> PointPairs:
@@ -24,8 +25,8 @@ def pair_points(result: ChangeResult, before: PointCloud, after: PointCloud) -> 
 
 
 def judged_rows(result: ChangeResult, points: PointPairs, survey: str) -> pd.DataFrame:
-    """Return the rows that truth can judge: ``kind``, ``features``, ``right``, ``survey``."""
-    fields = ("object_id", "confidence", "features")
+    """Return the rows that truth can judge: ``kind``, ``features``, ``right``, ``evidence``, ``survey``."""
+    fields = ("object_id", "confidence", "features", "evidence")
     table = pd.DataFrame([{name: getattr(r, name) for name in fields} for r in result.records])
     table["label"] = [r.change.label for r in result.records]
     table["class"] = [r.semantic.label for r in result.records]
@@ -37,7 +38,7 @@ def judged_rows(result: ChangeResult, points: PointPairs, survey: str) -> pd.Dat
 
 
 def predict(model: Coefficients, x: Floats) -> Floats:
-    """Return the confidences (N,) of features (N, 5)."""
+    """Return the confidences (N,) of features (N, 11)."""
     return np.asarray(expit(model.intercept + x @ np.array([getattr(model, name) for name in FEATURES])))
 
 
@@ -56,30 +57,52 @@ def held_out(rows: pd.DataFrame) -> Floats:
     return found
 
 
-def held_out_error(rows: pd.DataFrame) -> float:
-    """Return the expected calibration error over changed rows of surveys left out of the fit."""
+def held_out_errors(rows: pd.DataFrame) -> dict[str, float]:
+    """Return the expected calibration error over changed rows of surveys left out of the fit.
+
+    By kind of evidence, with at least :data:`LEAST` changed rows, and of all rows under ``all``.
+    """
     changed = rows[rows["kind"] != "unchanged"]
     if len(changed) == 0:
-        return float("nan")
+        return {"all": float("nan")}
     trust = held_out(changed)
     known = np.isfinite(trust)
-    curve = reliability(trust[known], changed["right"].to_numpy(bool)[known], BINS)
-    return float(curve["ece_fraction"])
+    right = changed["right"].to_numpy(bool)
+    groups = {"all": known}
+    for kind, count in changed["evidence"].value_counts().sort_index().items():
+        if count >= LEAST:
+            groups[str(kind)] = known & (changed["evidence"] == kind).to_numpy()
+    return {
+        name: float(reliability(trust[mine], right[mine], BINS)["ece_fraction"])
+        for name, mine in groups.items()
+    }
 
 
-def fit_confidence(rows: pd.DataFrame, fitted_on: str) -> dict[str, Any]:
+def held_out_error(rows: pd.DataFrame) -> float:
+    """Return the error of :func:`held_out_errors` over all kinds of evidence."""
+    return held_out_errors(rows)["all"]
+
+
+def fit_confidence(
+    rows: pd.DataFrame, fitted_on: str, clouds: Literal["simulated", "own"] = "simulated"
+) -> dict[str, Any]:
     """Fit a model a kind of row; return the slice ``confidence`` of the change configuration.
 
-    A kind without rows keeps the shipped model.
+    A kind without rows keeps the shipped model. Of the kinds of evidence, those are named that were right as
+    often as their confidences said on surveys left out of the fit. ``clouds``: see
+    :class:`~subiaco_change.changes.confidence.ConfidenceConfig`.
     """
     models = {}
     for kind, part in rows.groupby("kind"):
         x = np.array(part["features"].tolist())
         models[kind] = fit(x, part["right"].to_numpy(bool), rising=rising_of(str(kind))).model_dump()
     changed = int((rows["kind"] != "unchanged").sum())
-    error = held_out_error(rows)
+    errors = held_out_errors(rows)
+    kinds = [kind for kind, error in errors.items() if kind != "all" and error <= CALIBRATED]
     return {
         "fitted_on": f"{fitted_on}; {changed} changed of {len(rows)} rows",
-        "held_out_ece": round(error, 3) if np.isfinite(error) else 1.0,
+        "held_out_ece": round(errors["all"], 3) if np.isfinite(errors["all"]) else 1.0,
+        "evidence": kinds,
+        "clouds": clouds,
         **models,
     }

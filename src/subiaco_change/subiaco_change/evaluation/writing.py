@@ -9,18 +9,25 @@ from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from subiaco_change.evaluation.reliability_plot import draw_reliability
 from subiaco_change.outputs.json_text import plain
 from subiaco_geo.atomic import whole_file
 
 
 def write_evaluation(result: Mapping[str, Any], out_dir: Path) -> None:
-    """Write ``evaluation.json`` and ``evaluation.md``, labelled simulated where the truth is."""
+    """Write ``evaluation.json``, ``evaluation.md`` and ``reliability.png``.
+
+    Simulated truth is labelled as simulated.
+    """
     out_dir.mkdir(parents=True, exist_ok=True)
     document = plain(result)
     with whole_file(out_dir / "evaluation.json") as path:
         path.write_text(json.dumps(document, indent=2, allow_nan=False) + "\n")
     with whole_file(out_dir / "evaluation.md") as path:
         path.write_text(evaluation_markdown(document))
+    if document.get("reliability"):
+        with whole_file(out_dir / "reliability.png") as path:
+            draw_reliability(path, document["reliability"])
 
 
 def evaluation_markdown(document: Mapping[str, Any]) -> str:

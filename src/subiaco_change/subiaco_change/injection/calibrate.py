@@ -166,7 +166,7 @@ def write_calibration(
         },
     }
     with whole_directory(directory, overwrite=overwrite, marker=MARKER) as target:
-        slice_ = {"confidence": fit_confidence(result.rows, fitted_on)}
+        slice_ = {"confidence": fit_confidence(result.rows, fitted_on, "own")}
         (target / "confidence.yaml").write_text(
             yaml.safe_dump({"/**": {"ros__parameters": slice_}}, sort_keys=False)
         )

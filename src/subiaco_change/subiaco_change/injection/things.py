@@ -46,7 +46,7 @@ def label_scene(survey: SurveyMap, config: InjectionConfig) -> Scene:
     upright = levelled(cloud)
     observer = make_observer(survey, EvidenceConfig())
     passes, moved = (found(cloud.world()) for found in (observer.passes, observer.moved))
-    semantic = label_points(upright, config.semantics, passes, moved)
+    semantic = label_points(upright, config.semantics, passes, moved=moved)
     instance = segment(upright, semantic, config.instances.model_copy(update={"leaf": config.leaf}))
     for number, members in _members(instance, instance >= 0).items():
         if _is_trail(members, passes, moved, config):

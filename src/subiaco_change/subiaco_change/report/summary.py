@@ -27,11 +27,11 @@ from subiaco_change.report.facts import (
 from subiaco_change.report.gathering import Gathered
 from subiaco_geo.codes import Change
 
-#: From, to and name of how sure a claim is.
+#: From, to, how sure a claim is where confidences are calibrated, and the range in words.
 BANDS = (
-    (0.9, 1.01, "sure (0.9 and more)"),
-    (0.7, 0.9, "likely (0.7 to 0.9)"),
-    (0.0, 0.7, "doubtful (below 0.7)"),
+    (0.9, 1.01, "sure", "0.9 and more"),
+    (0.7, 0.9, "likely", "0.7 to 0.9"),
+    (0.0, 0.7, "doubtful", "below 0.7"),
 )
 _LARGEST = 10
 
@@ -51,6 +51,7 @@ def build_summary(
     """
     changed = changed_rows(change.table)
     largest = largest_rows(changed)
+    calibrated = bool(change.run.get("confidence_calibrated", False))
     return {
         "simulated": is_simulated(change.run),
         "epochs": epoch_facts(change.run),
@@ -60,17 +61,21 @@ def build_summary(
         "colours": {c.label: f"rgb{CHANGE_COLOURS[c]}" for c in Change},
         "changed": len(changed),
         "bands": [
-            {"name": name, "count": int(changed["confidence"].between(low, high, inclusive="left").sum())}
-            for low, high, name in BANDS
+            {
+                "name": f"{word} ({span})" if calibrated else span,
+                "count": int(changed["confidence"].between(low, high, inclusive="left").sum()),
+            }
+            for low, high, word, span in BANDS
         ],
-        "calibrated": bool(change.run.get("confidence_calibrated", False)),
+        "calibrated": calibrated,
+        "not_calibrated": change.run.get("confidence_not_calibrated", []),
         "assumed": int((changed["evidence"] == "assumed").sum()),
         "lod": lod_facts(found.lod),
         "unseen": unseen_facts(change.table, found.coverage),
         "map": city_map(found.city, largest),
         "coverage": coverage_picture(found.coverage),
         "largest": [dict(row, picture=pictures[row["object_id"]]) for row in largest.to_dict("records")],
-        "warnings": [*change.run.get("warnings", []), *change.registration.get("warnings", [])],
+        "warnings": [*change.registration.get("warnings", []), *change.run.get("warnings", [])],
     }
 
 

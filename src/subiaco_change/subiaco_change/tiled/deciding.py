@@ -61,7 +61,7 @@ def find_vegetation_null(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
     plants = [
         row.plant for tile in inputs.under("compared") for row in plant_rows(inputs[f"compared/{tile}"])
     ]
-    return {"null": np.array(null_words(fit_null(plants, params["config"].plants.null)))}
+    return {"null": np.array(null_words(fit_null(plants, params["config"].plants.null_model)))}
 
 
 def decide_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
@@ -80,7 +80,7 @@ def decide_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
         ``records``, JSON of the rows in their order.
     """
     config = params["config"]
-    null = null_of(str(inputs["null"]["null"]), config.plants.null)
+    null = null_of(str(inputs["null"]["null"]), config.plants.null_model)
     rows = [record_of(words) for words in json.loads(str(inputs["compared"]["records"]))]
     for found in plant_rows(inputs["compared"]):
         decision = decide_plant(found.plant, found.lod, config.decisions, null)

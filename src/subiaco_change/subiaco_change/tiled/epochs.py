@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -46,6 +47,7 @@ from subiaco_geo.frames import Floats
 from subiaco_geo.free_space.expected_visibility import occupied_corner, sample_poses
 from subiaco_geo.free_space.sensor_view import SensorView, described_view
 from subiaco_geo.free_space.view_estimation import ViewHistogram, estimate_view
+from subiaco_geo.simulated import SIMULATIONS
 from subiaco_geo.sources import Epoch
 from subiaco_geo.tiles import neighbours, split_by_tile, tile_named
 from subiaco_geo.trajectories import Trajectory
@@ -53,6 +55,7 @@ from subiaco_geo.work.bench import Workbench
 from subiaco_geo.work.store import Arrays
 from subiaco_geo.work.tasks import Task
 
+_LOG = logging.getLogger(__name__)
 #: Name of an epoch in the stages that look at one alone.
 ALONE = "epoch"
 #: Beyond the points of a task, beams are looked up so far [m].
@@ -88,6 +91,7 @@ class Epochs:
     united: dict[str, str] = field(default_factory=dict)
     points: dict[str, dict[str, str]] = field(default_factory=dict)
     lit: dict[str, bool] = field(default_factory=dict)
+    simulated: bool = False
 
     @property
     def size(self) -> float:
@@ -109,6 +113,7 @@ class Epochs:
             or georeferenced epochs whose extents are disjoint.
         """
         before, after = epochs
+        self.simulated = all(epoch.info.get(SIMULATIONS) for epoch in epochs)
         self.info, operation = agree(before.crs, after.crs)
         both = before.crs is not None and after.crs is not None
         self.origin = after.origin
@@ -225,6 +230,8 @@ class Epochs:
         stages = [[task], *(self._semantics(side) for side in self.sides)]
         found, *prepared = self.bench.together(stages, (0.05, 0.47))
         self.prepared = dict(zip(EPOCHS, prepared, strict=True))
+        for warning in self.registration(found["all"]).warnings:
+            _LOG.warning("registration: %s", warning)
         return found["all"]
 
     def registering(self) -> dict[str, Any]:

@@ -14,6 +14,7 @@ from subiaco_change.geometry import estimate_normals
 from subiaco_change.semantics.classes import label_points
 from subiaco_change.semantics.clustering import voxel_clusters
 from subiaco_change.semantics.instances import segment
+from subiaco_change.semantics.raised import find_raised
 from subiaco_change.tiled.cutting import Side
 from subiaco_change.tiled.expected import load_observer
 from subiaco_geo.clouds import PointCloud
@@ -55,7 +56,8 @@ def prepare_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
     observer = load_observer(inputs, side, world, params["config"].evidence)
     passed, moved = observer.passes(world), observer.moved(world)
     normals = estimate_normals(cloud.xyz, params["config"].normal_radius)
-    semantic, instance, score, height = _label(cloud, (passed, moved), params, inputs, names, where)
+    wide = np.concatenate([inputs[f"cloud/{name}"]["xyz"] for name in inputs.under("cloud")])
+    semantic, instance, score, height = _label(cloud, (passed, moved), params, inputs, names, where, wide)
     count = len(own)
     inner = tile_named(params["tile"], params["size"], params["overlap"] - params["edge"])
     return {
@@ -99,12 +101,18 @@ def _label(
     inputs: Inputs,
     names: list[str],
     where: list[Ints],
+    wide: Floats,
 ) -> tuple[NDArray[np.uint8], NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:
-    """Class, instance, score of the class and height above ground of every point."""
+    """Class, instance, score of the class and height above ground of every point.
+
+    ``wide`` (N, 3) are all points of the tile and its neighbours: a hall may fill the tile.
+    """
     config = params["config"]
     turn = inputs.get("upright")
     upright = PointCloud(cloud.xyz @ turn["turn"].T, cloud.origin) if "turn" in turn else cloud
-    result = label_points(upright, config.semantics, *beams)
+    passed, moved = beams
+    raised = find_raised(wide @ turn["turn"].T if "turn" in turn else wide, config.semantics.raised)
+    result = label_points(upright, config.semantics, passed, raised, moved)
     semantic = result.semantic
     score = np.take_along_axis(result.scores, semantic[:, None].astype(np.int64), axis=1)[:, 0]
     if "semantic" in params["given"]:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from subiaco_change.changes.objects import EpochView
-from subiaco_change.observation.common_frame import seen_through
+from subiaco_change.observation.common_frame import free_through, seen_through
 from subiaco_change.observation.evidence import Observer
 from subiaco_change.semantics.ground import Mask
 from subiaco_change.tiled.cutting import Side
@@ -29,7 +29,8 @@ class Region:
 
     ``view`` with the objects of the whole city as instances; ``slot`` (N,) tile among ``tiles``;
     ``index`` (N,) place of the point there; ``seen`` tells which places of the common frame the
-    epoch observed, ``empty`` where its beams went on and nothing came back.
+    epoch observed, ``empty`` where its beams went on and nothing came back, ``free`` how probable it
+    is that nothing stood there, by its beams.
     """
 
     view: EpochView
@@ -38,6 +39,7 @@ class Region:
     index: Ints
     seen: Callable[[Floats], Mask]
     empty: Callable[[Floats], Mask]
+    free: Callable[[Floats], Floats]
 
 
 def load_region(inputs: Inputs, side: Side, params: Mapping[str, Any], near: Near) -> Region:
@@ -81,6 +83,7 @@ def load_region(inputs: Inputs, side: Side, params: Mapping[str, Any], near: Nea
         index,
         seen_through(observer.observed, to_world),
         seen_through(observer.empty, to_world),
+        free_through(observer.free_probability, to_world),
     )
 
 

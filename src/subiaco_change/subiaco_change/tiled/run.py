@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from functools import partial
 from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
+from subiaco_change.changes.confidence import discounted
 from subiaco_change.observation.common_frame import CommonFrame
 from subiaco_change.observation.evidence import weakest
 from subiaco_change.tiled.comparing import compare_tile
@@ -104,7 +106,8 @@ class CityRun(Epochs):
         compared, ground = self.bench.together([comparing, grounds], (spans[6][0], spans[7][1]))
         patched, patch_reach = self._patches(ground, spans[8])
         decided = self._decide(compared, spans[8])
-        table = build_table(self.bench.store, decided, patched, counts, self.origin, self._weaker())
+        trust = partial(discounted, simulated=self.simulated, config=self.config.confidence)
+        table = build_table(self.bench.store, decided, patched, counts, self.origin, self._weaker(), trust)
         key = self.bench.put("table", "all", table.arrays)
         return Pass(
             registration,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -37,6 +37,7 @@ def build_table(
     counts: Sequence[int],
     origin: Floats,
     evidence: str,
+    trust: Callable[[ChangeRecord], ChangeRecord] = lambda row: row,
 ) -> Table:
     """Collect the rows.
 
@@ -50,6 +51,8 @@ def build_table(
     origin : (3,) float64
     evidence : str
         For rows of the ground.
+    trust : callable, optional
+        Lowers confidences that were never calibrated.
     """
     objects = {
         tile: [record_of(words) for words in json.loads(str(store.load(compared[tile])["records"]))]
@@ -77,7 +80,7 @@ def build_table(
     pieces: tuple[dict[tuple[str, int], int], ...] = ({}, {})
     records = [
         replace(
-            row,
+            trust(row),
             object_id=i,
             id_before=_named(row.id_before, tile, counts[0], pieces[0]),
             id_after=_named(row.id_after, tile, counts[1], pieces[1]),

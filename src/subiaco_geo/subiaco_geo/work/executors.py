@@ -5,10 +5,11 @@ from __future__ import annotations
 import logging
 import multiprocessing
 import os
+import time
 from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor, as_completed
+from concurrent.futures import CancelledError, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from multiprocessing import forkserver
 from typing import Any, Protocol
 
@@ -18,6 +19,7 @@ from subiaco_geo.work.tasks import Spent, Task, execute
 
 _LOG = logging.getLogger(__name__)
 _ATTEMPTS = 3  # pools started before lost workers are taken for a lasting fault
+_POLL = 0.1  # between two looks at a cluster whose tasks run [s]
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
@@ -144,6 +146,8 @@ class Dask:
         Of the scheduler, e.g. ``tcp://host:8786``.
     timeout : float
         How long to wait for it to answer [s].
+    patience : float
+        How long to go on without any worker, or without the scheduler [s].
 
     Raises
     ------
@@ -153,7 +157,7 @@ class Dask:
 
     spare = True
 
-    def __init__(self, address: str, timeout: float = 20.0) -> None:
+    def __init__(self, address: str, timeout: float = 20.0, patience: float = 120.0) -> None:
         try:
             from dask import distributed
         except ImportError as error:
@@ -163,7 +167,9 @@ class Dask:
         except (OSError, TimeoutError, ValueError) as error:
             raise InputError(f"--scheduler {address}: no scheduler answers ({error})") from error
         self._completed: Any = distributed.as_completed
+        self._address, self._patience = address, patience
         self._checked = False
+        _LOG.info("cluster %s, dashboard %s", address, self._client.dashboard_link)
 
     def run(self, store: Store, tasks: Sequence[Task]) -> Iterator[Spent]:
         """Do the tasks; the scheduler gives those of a lost worker to another."""
@@ -175,12 +181,53 @@ class Dask:
         futures = [
             self._client.submit(execute, store, task, key=task.key, retries=2, pure=False) for task in tasks
         ]
-        for future in self._completed(futures):
-            yield future.result()
+        done = self._completed(futures)
+        alone_since: float | None = None
+        while not done.is_empty():
+            if done.has_ready():
+                alone_since = None
+                yield self._result(next(done))
+                continue
+            time.sleep(_POLL)
+            missing = self._missing()
+            if missing is None:
+                alone_since = None
+            elif alone_since is None:
+                alone_since = time.monotonic()
+                _LOG.warning("%s: %s; waiting for %.0f s", self._address, missing, self._patience)
+            elif time.monotonic() - alone_since > self._patience:
+                raise self._lost(missing)
+
+    def _result(self, future: Any) -> Spent:
+        """Return what a task spent; its own error is raised as it is."""
+        try:
+            spent: Spent = future.result()
+        except (OSError, CancelledError) as error:
+            if self._missing() is None:
+                raise
+            raise self._lost("the scheduler is gone") from error
+        return spent
+
+    def _missing(self) -> str | None:
+        """Say what the cluster lacks to go on; None where nothing."""
+        if self._client.status != "running":
+            return "the scheduler is gone"
+        try:
+            workers = self._client.scheduler_info()["workers"]
+        except (OSError, KeyError):
+            return "the scheduler is gone"
+        return None if workers else "no worker is left"
+
+    def _lost(self, missing: str) -> SubiacoError:
+        return SubiacoError(
+            f"--scheduler {self._address}: {missing}; what is finished stays: start the cluster again,"
+            " then the same command goes on from there"
+        )
 
     def close(self) -> None:
         """Leave the cluster; it goes on."""
-        self._client.close()
+        with suppress(OSError, TimeoutError):
+            self._client.close()
 
 
 def _check_files(client: Any, store: DiskStore) -> None:

@@ -25,6 +25,8 @@ from subiaco_mapping.recording.recorder import Recorder
 
 REPORT_INTERVAL = 1.0
 SAY_INTERVAL = 10.0
+#: Seconds after which a recording without LiDAR or GNSS is an alarm.
+ALARM_AFTER = 10.0
 PATIENCE = 0.005
 NICENESS = -10
 
@@ -53,7 +55,7 @@ class RecorderApp:
         self.recorder = Recorder(Path(own.output), config, resume=own.resume, facts=self._facts)
         self.listener = Listener(node, config, self.recorder.add)
         self._diagnostics = Diagnostics(node)
-        self._said = self._drained = time.monotonic()
+        self._began = self._said = self._drained = time.monotonic()
         self._until = self._said + own.duration if own.duration else None
         steady = Clock(clock_type=ClockType.STEADY_TIME)
         node.create_timer(LOOK_INTERVAL, self.listener.look, clock=steady)
@@ -98,7 +100,8 @@ class RecorderApp:
     def _report(self) -> None:
         status = self.recorder.status()
         lost = self._lost()
-        problems = [*status.warnings, *self.listener.complaints()]
+        absent = self._absent()
+        problems = [*absent, *status.warnings, *self.listener.complaints()]
         if lost:
             problems.append(f"{lost} messages lost")
         text = describe(status, lost)
@@ -106,11 +109,20 @@ class RecorderApp:
             "; ".join(problems) or text,
             self._values(status, lost),
             warn=bool(problems),
-            error=self.recorder.stopped,
+            error=self.recorder.stopped or bool(absent),
         )
         if time.monotonic() - self._said >= SAY_INTERVAL:
             self._said = time.monotonic()
+            if absent:
+                alarm = f"ALARM: {'; '.join(absent)} is being recorded: check driver and ROS_DOMAIN_ID"
+                self._node.get_logger().error(alarm)
             self._node.get_logger().info("; ".join([text, *problems]))
+
+    def _absent(self) -> list[str]:
+        """Name the essential sensors that have been silent since the start, once it is time for an alarm."""
+        if time.monotonic() - self._began < ALARM_AFTER:
+            return []
+        return self._config.absent({name: counts["received"] for name, counts in self._facts().items()})
 
     def _values(self, status: RecorderStatus, lost: int) -> dict[str, object]:
         values: dict[str, object] = {

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Literal, Self
 
 from pydantic import Field, model_validator
 
 from subiaco_geo.config import StrictModel
-from subiaco_geo.topics import MESSAGE_TYPES
+from subiaco_geo.topics import FIX, LIDAR_PACKETS, MESSAGE_TYPES, POINTS
 from subiaco_mapping.topic_names import GPS_FIX, NMEA_SENTENCE, TIME_REFERENCE
+
+#: What a survey cannot do without: a name for people, and the topics of which one must have messages.
+ESSENTIAL = {"LiDAR": (LIDAR_PACKETS, POINTS), "GNSS": (FIX,)}
 
 
 class RecordConfig(StrictModel):
@@ -40,6 +44,20 @@ class RecordConfig(StrictModel):
     )
     packet_depth: int = Field(2048, ge=256, description="packets that the middleware keeps for us")
     depth: int = Field(512, ge=1, description="messages of other topics likewise; a tenth of whole clouds")
+
+    def absent(self, received: Mapping[str, int]) -> list[str]:
+        """Name the essential sensors that should be recorded and of which no message came.
+
+        Parameters
+        ----------
+        received : mapping of str to int
+            Messages a topic, by the names that the bag gets.
+        """
+        return [
+            f"no {sensor} data ({', '.join(topics)})"
+            for sensor, topics in ESSENTIAL.items()
+            if set(topics) & set(self.topics) and not any(received.get(topic) for topic in topics)
+        ]
 
     @model_validator(mode="after")
     def _watermarks_in_order(self) -> Self:
