@@ -84,6 +84,13 @@ def test_a_true_transform_is_accepted_without_a_word_and_a_wrong_one_warns(kind)
     assert any("not supported" in text for text in far.warnings)
 
 
+def test_a_transform_that_is_wrong_in_height_alone_warns_too():
+    before, after = cloud(sparse_park(3, 1)), cloud(sparse_park(3, 2))
+    result = given_registration(pose((0, 0, 0), (0.0, 0.0, 0.15)), before, after, CONFIG)
+    assert any("would move before by 0.1" in text for text in result.warnings)
+    assert result.pose_std[5] == pytest.approx(0.15, abs=0.02)
+
+
 def test_clouds_of_different_places_given_as_registered_are_not_supported():
     result = given_registration(
         np.eye(4), cloud(sparse_street(3, 1)), cloud(sparse_street(8, 2)), CONFIG, "identity"

@@ -321,7 +321,8 @@ def judge(
     if ndt_pose is not None:
         apart, angle = difference(ndt_pose, pose, pairs.points.mean(axis=0))
         there = find_pairs(source.xyz, source.planes, targets[-1], ndt_pose, 2.0 * source.leaf)
-        ndt_better = _structure(there, config) > _AS_WELL * _structure(pairs, config)
+        as_well = _AS_WELL if before.scale == 1.0 else 1.0  # sparse structure hardly tells them apart
+        ndt_better = _structure(there, config) > as_well * _structure(pairs, config)
     rmse = float(np.sqrt(np.average(pairs.residuals**2, weights=weights)))
     return Fit(
         pose, pairs, step.degenerate, step.eigenvalues, quality,

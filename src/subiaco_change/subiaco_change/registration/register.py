@@ -276,18 +276,19 @@ def _doubted(
             f"the checks: {error}{density_note(sides)}"
         )
         return replace(found, warnings=(*found.warnings, *warnings))
+    known = _report(better, sides, targets[-1], found.origin, found.method, config)
     moved = transform_points(better.pose @ invert_pose(fit.pose), fit.pairs.points) - fit.pairs.points
     along = float(np.sqrt(np.mean(np.einsum("ni,ni->n", moved, fit.pairs.normals) ** 2)))
     offset = twist_between(better.pose, fit.pose, fit.pairs.points.mean(axis=0))
-    if shift > max(_NOTED, 3.0 * found.sigma_reg_m):
+    if shift > max(_NOTED, 3.0 * float(np.linalg.norm(known.pose_std[3:]))):
         warnings.append(
             f"the {found.method} transform was used as it is, but registration would move before by "
             f"{shift:.2f} m and {angle:.2f} deg: leave it out to register"
         )
     return replace(
         found,
-        sigma_reg_m=float(np.hypot(found.sigma_reg_m, along)),
-        pose_std=np.hypot(found.pose_std, offset),
+        sigma_reg_m=float(np.hypot(known.sigma_reg_m, along)),
+        pose_std=np.hypot(known.pose_std, offset),
         warnings=(*found.warnings, *warnings),
         details={**found.details, "registration_would_move_m": shift, "registration_would_turn_deg": angle},
     )

@@ -64,7 +64,7 @@ class SemanticsConfig(StrictModel):
     sparse_scatter: float = Field(
         0.15, gt=0, description="the same where few points are near: lines of a scan cross foliage sparsely"
     )
-    sparse_reach: float = Field(0.9, gt=0, description="distance of the neighbours there [m]")
+    sparse_reach: float = Field(1.1, gt=0, description="distance of the neighbours there [m]")
     roughness: float = Field(0.06, gt=0, description="root of the smallest eigenvalue in foliage [m]")
     vegetation_height: float = Field(0.5, gt=0, description="median height of vegetation [m], paper")
     level: float = Field(0.9, gt=0, le=1, description="|n.e_z| from which a point is level")
