@@ -93,12 +93,12 @@ def _fuse(
     fusion = MapFusion(folder, config.fusion, projection, solution.sequences[0].T_local_lidar[0, :3, 3])
     total = sum(len(sequence.stamps_ns) for sequence in solution.sequences)
     done = 0
-    spools = [s.spool for s in sequences]
-    for spool, sequence in zip(spools, solution.sequences, strict=True):
+    pairs = zip((s.spool for s in sequences), solution.sequences, strict=True)
+    for spool, sequence in sorted(pairs, key=lambda pair: int(pair[1].stamps_ns[0])):
         matrices, offsets = projection.affine(sequence.T_local_lidar[:, :3, 3])
         for k, pose in enumerate(sequence.T_local_lidar):
             scan = spool.read(k)
-            fusion.add(scan, pose, matrices[k], offsets[k])
+            fusion.add(scan, pose, matrices[k], offsets[k], int(sequence.stamps_ns[k]))
             if done % _VIEWED == 0:
                 view.add(scan.xyz, scan.sky_xyz)
             done += 1

@@ -62,6 +62,14 @@ class DecisionConfig(StrictModel):
     min_empty: float = Field(
         0.6, ge=0, le=1, description="share of the observed place that must be free in the other epoch"
     )
+    trail_moved: float = Field(
+        0.6,
+        gt=0.5,
+        le=1,
+        description="mean probability of its points to have moved while they were mapped, from which an "
+        "object of one epoch alone is the trail of a moving object and is not reported; the `trail_passes` "
+        "settings decide on maps without times of beams [1]",
+    )
     min_free: float = Field(
         0.65,
         ge=0.5,

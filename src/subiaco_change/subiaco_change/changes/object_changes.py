@@ -22,7 +22,7 @@ from subiaco_change.changes.objects import (
     stands,
 )
 from subiaco_change.changes.parts import part_things
-from subiaco_change.changes.passing import Observed, own_survey
+from subiaco_change.changes.passing import Observed, own_survey, trusted
 from subiaco_change.changes.revising import (
     adopt_fragments,
     agree_on_classes,
@@ -116,6 +116,8 @@ def make_record(
     score = float(np.mean([t.score for t in things]))
     density = change.plant.density if change.plant else density_ratio(change.before, change.after)
     found = features(change.decision, m, change.semantic, score, density, evidence)
+    certain = bounded(probability(change.decision, found, trust), change.decision, m)
+    certain, reason = trusted(change.decision, things, certain)
     return ChangeRecord(
         object_id=object_id,
         semantic=change.semantic,
@@ -133,14 +135,14 @@ def make_record(
         observed_fraction=m.observed_fraction,
         evidence=evidence,
         score_paper=paper_score(change.semantic, m, change.lod),
-        confidence=bounded(probability(change.decision, found, trust), change.decision, m),
+        confidence=certain,
         n_before=int(sum(len(t.points) for t in change.before)),
         n_after=int(sum(len(t.points) for t in change.after)),
         x=float(xyz[:, 0].mean() + origin[0]),
         y=float(xyz[:, 1].mean() + origin[1]),
         z=float(xyz[:, 2].mean() + origin[2]),
         footprint=shapely.affinity.translate(outline, float(origin[0]), float(origin[1])),
-        reason=change.decision.reason,
+        reason=reason,
         features=tuple(found.tolist()),
         height_before_m=heights[0],
         height_after_m=heights[1],

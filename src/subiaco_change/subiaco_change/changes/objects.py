@@ -15,6 +15,7 @@ from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats, Ints
 
+UNCERTAIN = 0.5  # probability of having moved of what was seen for a moment only
 NO_OBJECT = -1  # instance of a point of no object
 OTHERS = -2  # instance of a point of an object that is compared elsewhere
 _GROUND_NEAR = 8  # ground points around a place that are asked for their height
@@ -33,7 +34,8 @@ class EpochView:
     ``xyz`` (N, 3) [m]; ``normals`` (N, 3); ``semantic`` (N,) uint8; ``instance`` (N,) int32,
     :data:`NO_OBJECT` or :data:`OTHERS`;
     ``height`` (N,) above ground [m]; ``lod`` (N,) [m], inf where no claim; ``score`` (N,) of the class;
-    ``passed`` (N,) beams of the epoch itself that passed a place for each that returned, where counted.
+    ``passed`` (N,) beams of the epoch itself that passed a place for each that returned, where counted;
+    ``moved`` (N,) probability that what stood there moved, where mapping kept the times of beams.
     """
 
     xyz: Floats
@@ -44,6 +46,7 @@ class EpochView:
     lod: Floats
     score: Floats
     passed: Floats | None = None
+    moved: Floats | None = None
 
 
 @dataclass(frozen=True)
@@ -93,7 +96,8 @@ class Thing:
     """One instance of one epoch: its class, points (indices and places) and voxels.
 
     ``passed`` (N,): beams of its own epoch that passed each of its points for each that returned there;
-    empty where nothing counted them. ``whole``: the instance it was parted from, -1 where it is none's part.
+    empty where nothing counted them. ``moved`` (N,): probability that each moved, empty where not known.
+    ``whole``: the instance it was parted from, -1 where it is none's part.
     """
 
     instance: int
@@ -104,6 +108,7 @@ class Thing:
     lod: float
     xyz: Floats = field(default_factory=lambda: np.zeros((0, 3)))
     passed: Floats = field(default_factory=lambda: np.zeros(0))
+    moved: Floats = field(default_factory=lambda: np.zeros(0))
     whole: int = -1
 
     @property
@@ -165,11 +170,12 @@ def stands(view: EpochView) -> Mask:
 
 def trails(view: EpochView) -> Mask:
     """Tell which points (N,) were left by what drove by: mobile, no object, and looked through."""
+    loose = np.asarray((view.semantic == Semantic.MOBILE) & (view.instance == NO_OBJECT))
+    if view.moved is not None:
+        return np.asarray(loose & (view.moved > UNCERTAIN))
     if view.passed is None:
         return np.zeros(len(view.xyz), dtype=bool)
-    return np.asarray(
-        (view.semantic == Semantic.MOBILE) & (view.instance == NO_OBJECT) & (view.passed >= _LOOKED_THROUGH)
-    )
+    return np.asarray(loose & (view.passed >= _LOOKED_THROUGH))
 
 
 def looked_across(xyz: Floats, normal: Floats, observed: Callable[[Floats], Mask], step: float) -> Mask:
@@ -273,7 +279,8 @@ def build_things(view: EpochView, voxels: Voxels) -> list[Thing]:
         score = float(view.score[members].mean())
         own = voxels.select(by_voxel[instance])
         passed = np.zeros(0) if view.passed is None else view.passed[members]
-        things.append(Thing(instance, semantic, score, members, own, lod, view.xyz[members], passed))
+        moved = np.zeros(0) if view.moved is None else view.moved[members]
+        things.append(Thing(instance, semantic, score, members, own, lod, view.xyz[members], passed, moved))
     return things
 
 

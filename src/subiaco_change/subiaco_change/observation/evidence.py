@@ -204,6 +204,16 @@ class Observer:
         hits, passes = self.test.grid.lookup(self._own(world))
         return np.asarray(passes / np.maximum(hits, 1), dtype=np.float64)
 
+    def moved(self, world: Floats) -> Floats | None:
+        """Probability (N,) that what mapping found at points (N, 3) moved; None where the map has no times.
+
+        0 where mapping has no verdict.
+        """
+        if self.kind != "observed" or not isinstance(self.test, _Grid):
+            return None
+        found = self.test.grid.moved(self._own(world))
+        return None if found is None else np.nan_to_num(found.astype(np.float64))
+
 
 def ground_observed(observed: Callable[[Floats], Flags], xyz: Floats, config: EvidenceConfig) -> Flags:
     """Tell which ground places (N, 3) an epoch saw, between its beams too.

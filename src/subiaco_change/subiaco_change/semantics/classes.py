@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -23,7 +24,7 @@ from subiaco_change.semantics.ground import GroundConfig, GroundModel, Mask, fit
 from subiaco_change.semantics.lines import LineConfig, find_lines
 from subiaco_change.semantics.raised import RaisedConfig, RaisedSurfaces, find_raised
 from subiaco_change.semantics.superpoints import SuperpointConfig, partition
-from subiaco_change.semantics.traffic import TrafficConfig, moving_points, still_blocks
+from subiaco_change.semantics.traffic import TrafficConfig, moving_points, still_blocks, timed_trails
 from subiaco_change.semantics.vehicles import VehicleConfig, free_boxes, ground_boxes, look_again
 from subiaco_geo.clouds import PointCloud, sort_spatially
 from subiaco_geo.codes import Semantic
@@ -64,7 +65,7 @@ class SemanticsConfig(StrictModel):
     sparse_scatter: float = Field(
         0.15, gt=0, description="the same where few points are near: lines of a scan cross foliage sparsely"
     )
-    sparse_reach: float = Field(0.9, gt=0, description="distance of the neighbours there [m]")
+    sparse_reach: float = Field(1.1, gt=0, description="distance of the neighbours there [m]")
     roughness: float = Field(0.06, gt=0, description="root of the smallest eigenvalue in foliage [m]")
     vegetation_height: float = Field(0.5, gt=0, description="median height of vegetation [m], paper")
     level: float = Field(0.9, gt=0, le=1, description="|n.e_z| from which a point is level")
@@ -103,6 +104,7 @@ def label_points(
     config: SemanticsConfig,
     passed: Floats | None = None,
     raised: RaisedSurfaces | None = None,
+    moved: Floats | None = None,
 ) -> SemanticResult:
     """Label every point of a cloud at the working leaf.
 
@@ -114,6 +116,8 @@ def label_points(
     passed : (N,) float, optional
         Beams that passed through the place of each point for each that returned
         from it, from a visibility layer; tells trails of traffic.
+    moved : (N,) float, optional
+        Probability that each point moved, from a map that keeps times; takes the place of ``passed``.
     raised : RaisedSurfaces, optional
         Roofs and decks in the frame of the cloud, known from farther around; found in the cloud if None.
     """
@@ -124,8 +128,8 @@ def label_points(
     height = xyz[:, 2] - ground.height(xyz[:, :2])
     features = compute_features(xyz, config.features)
     parts = partition(_superpoint_features(features, height, config), features.neighbours, config.superpoints)
-    through = None if passed is None else np.asarray(passed, dtype=np.float64)[order]
-    semantic, moving, large = _classify(xyz, height, features, parts.labels, ground, through, config)
+    beams = [None if b is None else np.asarray(b, dtype=np.float64)[order] for b in (passed, moved)]
+    semantic, moving, large = _classify(xyz, height, features, parts.labels, ground, beams, config)
     scores = _scores(semantic, features)
     back = np.argsort(order, kind="stable")
     return SemanticResult(
@@ -151,7 +155,7 @@ def _classify(
     features: Features,
     parts: Ints,
     ground: GroundModel,
-    passed: Floats | None,
+    beams: Sequence[Floats | None],
     config: SemanticsConfig,
 ) -> tuple[NDArray[np.uint8], Mask, Mask]:
     """Apply the classes in the order of their priority; the rest is *other*. Tell trails and trucks."""
@@ -161,7 +165,10 @@ def _classify(
     rest = ~is_ground
     planes = building_planes(xyz, height, features, rest, config.buildings)
     moving = np.zeros(len(xyz), dtype=bool)
-    if passed is not None:
+    passed, moved = beams
+    if moved is not None:
+        moving = timed_trails(height, moved, rest, config.traffic)
+    elif passed is not None:
         moving = moving_points(xyz, height, features, passed, rest, config.traffic)
         moving &= ~still_blocks(xyz, planes.core, moving, config.traffic)
     semantic[moving] = Semantic.MOBILE

@@ -169,7 +169,8 @@ def find_poles(xyz: Floats, height: Floats, free: Mask, planar: Mask, config: Li
     bodies, places = [], []
     for group in group_indices(cell_clusters(xyz[clear, :2], config.pole_touch)):
         own = clear[group]
-        line = _axis(xyz[own], height[own], config)
+        tall = len(own) >= 8 and np.ptp(height[own]) > config.pole_length - config.pole_layer
+        line = _axis(xyz[own], height[own], config) if tall else None
         if line is None:
             continue
         axis, on = line

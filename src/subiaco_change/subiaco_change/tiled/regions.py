@@ -56,7 +56,7 @@ def load_region(inputs: Inputs, side: Side, params: Mapping[str, Any], near: Nea
         cloud = load_points(inputs, side, name, params)
         own_world.append(piece["xyz"] + side.origin)
         index = np.flatnonzero(near(cloud.xyz))
-        passed = piece["passed"]
+        passed, moved = piece["passed"], piece["moved"]
         parts.append(
             (
                 cloud.xyz[index],
@@ -67,6 +67,7 @@ def load_region(inputs: Inputs, side: Side, params: Mapping[str, Any], near: Nea
                 inputs[f"lods/{name}"][side.epoch][index],
                 piece["score"][index],
                 passed[index] if len(passed) else passed,
+                moved[index] if len(moved) else moved,
                 np.full(len(index), position, dtype=np.int64),
                 index,
             )
@@ -89,11 +90,11 @@ def load_region(inputs: Inputs, side: Side, params: Mapping[str, Any], near: Nea
 def _view(parts: list[tuple[Any, ...]]) -> tuple[EpochView, Ints, Ints]:
     empty = (
         np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, np.uint8), np.zeros(0, np.int32),
-        *(np.zeros(0, np.float32) for _ in range(4)), np.zeros(0, np.int64), np.zeros(0, np.int64),
+        *(np.zeros(0, np.float32) for _ in range(5)), np.zeros(0, np.int64), np.zeros(0, np.int64),
     )  # fmt: skip
     joined: list[NDArray[Any]] = [np.concatenate(column) for column in zip(empty, *parts, strict=True)]
-    xyz, normals, semantic, number, height, lod, score, passed, slot, index = joined
-    counted = len(passed) == len(xyz) and len(xyz) > 0
+    xyz, normals, semantic, number, height, lod, score, passed, moved, slot, index = joined
+    counted, timed = (len(found) == len(xyz) and len(xyz) > 0 for found in (passed, moved))
     view = EpochView(
         xyz,
         normals,
@@ -103,5 +104,6 @@ def _view(parts: list[tuple[Any, ...]]) -> tuple[EpochView, Ints, Ints]:
         lod.astype(np.float64),
         score.astype(np.float64),
         passed.astype(np.float64) if counted else None,
+        moved.astype(np.float64) if timed else None,
     )
     return view, slot, index
