@@ -59,7 +59,7 @@ def test_two_levels_of_one_hall_are_both_raised():
     [
         lambda x, y: np.where(y > 0, 4.0, 0.0),  # a terrace that goes on to the end of the map
         lambda x, y: np.where(abs(x) < 40, 4.0 * np.clip(1.5 - abs(y) / 30, 0, 1), 0.0),  # a dam with ramps
-        lambda x, y: hall(60.0, 60.0, -5.0)(x, y),  # a pit
+        hall(60.0, 60.0, -5.0),  # a pit
         lambda x, y: 0.1 * x,  # a hillside
     ],
     ids=["terrace", "ramps", "pit", "hillside"],
