@@ -95,9 +95,12 @@ def oakland(*parts: str) -> Callable[[], Floats]:
 
 def site(epoch: int) -> Callable[[], Floats]:
     """One epoch of a building site, scanned by hand."""
-    return lambda: load_epoch(
-        DATA / "real_pair_site" / f"bike_parking_construction_{epoch}.ply"
-    ).cloud.world()
+    path = DATA / "real_pair_site" / f"bike_parking_construction_{epoch}.ply"
+
+    def read() -> Floats:
+        return load_epoch(path).cloud.world()
+
+    return read
 
 
 def kitti(first: int) -> Callable[[], Floats]:
@@ -194,13 +197,18 @@ def measure(pair: Pair) -> dict[str, Any]:
     except RegistrationError as reason:
         return row | {"verdict": f"refused: {reason}", "CPU s": rounded(time.process_time() - began)}
     shift, angle = error(found.T_after_before, pair.truth, found.origin)
-    spacing = found.details.get("spacing_m", np.nan)
-    verdict = "good" if shift < 0.02 else "WRONG" if shift > 3.0 * found.sigma_reg_m + 0.02 else "coarse"
+    spacing = max(found.details["spacing_before_m"], found.details["spacing_after_m"])
+    away = (
+        transform_points(found.T_after_before @ invert_pose(pair.truth), found.origin[None])[0] - found.origin
+    )
+    normalised = float(np.max(np.abs(away) / np.maximum(found.pose_std[3:], 0.003)))
+    verdict = "good" if shift < 0.02 else "WRONG" if normalised > 4.0 else "coarse"
     return row | {
         "spacing, m": rounded(spacing),
         "shift, mm": rounded(1e3 * shift),
         "angle, deg": rounded(angle, 2),
         "sigma_reg, mm": rounded(1e3 * found.sigma_reg_m),
+        "over pose_std": rounded(normalised, 2),
         "verdict": verdict,
         "start": found.method.split(" +")[0],
         "warnings": "; ".join(found.warnings),
@@ -267,7 +275,17 @@ def run_pairs(only: list[str], words: list[str]) -> list[dict[str, Any]]:
 
 def table(rows: list[dict[str, Any]]) -> None:
     """Print one line a pair."""
-    columns = ["pair", "points", "spacing, m", "shift, mm", "angle, deg", "sigma_reg, mm", "CPU s", "verdict"]
+    columns = [
+        "pair",
+        "points",
+        "spacing, m",
+        "shift, mm",
+        "angle, deg",
+        "sigma_reg, mm",
+        "over pose_std",
+        "CPU s",
+        "verdict",
+    ]
     print("| " + " | ".join(columns) + " |\n" + "|---" * len(columns) + "|")
     for row in rows:
         print("| " + " | ".join(str(row.get(column, "")) for column in columns) + " |")

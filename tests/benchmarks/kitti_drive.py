@@ -27,12 +27,13 @@ from subiaco_geo.crs import EnuFrame
 from subiaco_geo.frames import Floats, Ints, make_pose
 from subiaco_geo.topics import LATCHED, MESSAGE_TYPES
 from subiaco_mapping.bag_messages import LogMessage, cloud_message, extrinsics_message, fix_message
+from subiaco_mapping.kitti_raw import raised
 
 CRS = "EPSG:25832"  # UTM zone 32, ETRS89: the drive is in Karlsruhe
 FILE = "kitti_0926_drive_0027.npz"
 #: The scanner in the frame of the INS, our ``base_link`` [m]; its rotation is below a degree and left out.
 T_BASE_LIDAR = make_pose(np.eye(3), np.array([0.81, -0.32, 0.80]))
-SIGMA = (0.05, 0.05, 0.10)  # stated for the fixes, east, north, up [m]
+SIGMA = (0.15, 0.15, 0.30)  # by how much the positions of the INS step within a second, east, north, up [m]
 
 Subset = Callable[[int, int], bool]
 #: Sweeps by name: called with the number of a sweep and how many there are.
@@ -70,8 +71,8 @@ class Drive:
         return len(self.offsets) - 1
 
     def sweep(self, i: int) -> Floats:
-        """Return the points (N, 3) of sweep i [m]."""
-        return self.xyz_i16[self.offsets[i] : self.offsets[i + 1]].astype(np.float64) * self.scale
+        """Return the points (N, 3) of sweep i, the scanner's elevation angles put right [m]."""
+        return raised(self.xyz_i16[self.offsets[i] : self.offsets[i + 1]].astype(np.float64) * self.scale)
 
     @property
     def period_ns(self) -> float:

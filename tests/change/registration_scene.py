@@ -97,3 +97,67 @@ def errors(estimate, truth, at):
     place = np.append(np.linalg.inv(truth)[:3, :3] @ (np.asarray(at) - truth[:3, 3]), 1.0)
     shift = float(np.linalg.norm((delta @ place - place)[:3]))
     return shift, float(np.degrees(Rotation.from_matrix(delta[:3, :3]).magnitude()))
+
+
+def hummocks(x, y):
+    """Ground of a park: slopes and hummocks [m]."""
+    return 0.02 * x + 0.8 * np.sin(x / 13.0) * np.cos(y / 17.0) + 0.3 * np.sin(x / 5.0 + y / 6.0)
+
+
+@dataclass
+class Park:
+    """Ground and crowns seen from the air: few planes, no walls; ``seed`` fixes the layout."""
+
+    seed: int = 0
+    size: float = 90.0
+    trees: list = field(default_factory=list)
+
+    def __post_init__(self):
+        rng = np.random.default_rng(self.seed)
+        for _ in range(int(self.size**2 / 130)):
+            place = rng.uniform(-self.size / 2, self.size / 2, 2)
+            self.trees.append((place, rng.uniform(1.5, 4.0), rng.uniform(5.0, 12.0)))
+
+    def sample(self, seed, density=4.0, noise=0.03):
+        """One epoch: points (N, 3) of the uppermost surfaces, and some of the ground below crowns."""
+        rng = np.random.default_rng(seed)
+        xy = rng.uniform(-self.size / 2, self.size / 2, (rng.poisson(self.size**2 * density), 2))
+        z = hummocks(xy[:, 0], xy[:, 1])
+        for place, radius, top in self.trees:
+            away = np.linalg.norm(xy - place, axis=1) / radius
+            under = (away < 1.0) & (rng.random(len(xy)) < 0.75)
+            crown = hummocks(*place) + top - 0.6 * radius * away[under] ** 2
+            z[under] = np.maximum(z[under], crown - rng.exponential(0.25, under.sum()))
+        points = np.column_stack([xy, z])
+        return points + rng.normal(0, noise, points.shape)
+
+
+@dataclass
+class Wood:
+    """Trunks, ground and leaves as a scanner on the ground sees them; ``seed`` fixes the layout."""
+
+    seed: int = 0
+    size: float = 40.0
+    trunks: list = field(default_factory=list)
+
+    def __post_init__(self):
+        rng = np.random.default_rng(self.seed)
+        for _ in range(int(self.size**2 / 16)):
+            place = rng.uniform(-self.size / 2, self.size / 2, 2)
+            self.trunks.append((place, rng.uniform(0.12, 0.3), rng.normal(0, 0.04, 2), rng.uniform(1.0, 2.5)))
+
+    def sample(self, seed, density=30.0, noise=0.02):
+        """One epoch: points (N, 3)."""
+        rng = np.random.default_rng(seed)
+        xy = rng.uniform(-self.size / 2, self.size / 2, (rng.poisson(self.size**2 * density), 2))
+        parts = [np.column_stack([xy, hummocks(*xy.T)])]
+        for place, radius, lean, crown in self.trunks:
+            n = rng.poisson(2 * np.pi * radius * 9.0 * 3 * density)
+            height, angle = rng.uniform(0, 9.0, n), rng.uniform(0, 2 * np.pi, n)
+            ring = radius * np.column_stack([np.cos(angle), np.sin(angle)])
+            parts.append(np.column_stack([place + ring + height[:, None] * lean, hummocks(*place) + height]))
+            n = rng.poisson(crown**3 * density)
+            middle = np.array([*(place + 8.0 * lean), hummocks(*place) + 8.0])
+            parts.append(rng.normal(middle, 0.5 * crown, (n, 3)))
+        points = np.vstack(parts)
+        return points + rng.normal(0, noise, points.shape)

@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import pytest
 
+from subiaco_change.changes.carving import Interval
 from subiaco_change.changes.confidence import ConfidenceConfig, confidence, paper_score
 from subiaco_change.changes.decisions import DecisionConfig, decide
 from subiaco_change.changes.measures import Measures
@@ -48,9 +49,9 @@ def test_a_height_change_below_the_gate_is_not_claimed():
     assert label(delta_h=0.9, lod=0.7) is Change.INCREASED
 
 
-@pytest.mark.parametrize("semantic", [Semantic.BUILDING, Semantic.VEGETATION])
 @pytest.mark.parametrize(("dh", "dv"), [(3.0, 50.0), (-3.0, -50.0), (0.0, -17.0)])
-def test_a_change_that_no_new_or_gone_surface_carries_is_coverage(semantic, dh, dv):
+def test_a_change_of_a_plant_that_no_new_or_gone_surface_carries_is_coverage(dh, dv):
+    semantic = Semantic.VEGETATION
     assert label(semantic, delta_h=dh, delta_v=dv, carried=0.0) is Change.UNCHANGED
     assert label(semantic, delta_h=dh, delta_v=dv, carried=-math.copysign(0.5, dv)) is not label(
         semantic, delta_h=dh, delta_v=dv, carried=math.copysign(0.5, dv)
@@ -63,6 +64,37 @@ def test_a_change_that_no_new_or_gone_surface_carries_is_coverage(semantic, dh, 
 )
 def test_a_crown_whose_top_is_out_of_sight_shows_in_its_sides(share, expected):
     assert label(Semantic.VEGETATION, carried=share) is expected
+
+
+@pytest.mark.parametrize(
+    ("height", "volume", "expected"),
+    [
+        ((0.51, 3.0), (0.0, 40.0), Change.INCREASED),
+        ((0.49, 3.0), (9.9, 40.0), Change.UNCHANGED),
+        ((-0.1, 0.1), (10.1, 40.0), Change.INCREASED),
+        ((-3.0, -0.51), (-40.0, 0.0), Change.DECREASED),
+        ((-3.0, 3.0), (-40.0, 40.0), Change.UNCHANGED),
+        ((0.6, 0.7), (-40.0, -20.0), Change.DECREASED),
+        ((math.nan, math.nan), (11.0, 12.0), Change.INCREASED),
+    ],
+)
+def test_a_label_of_a_building_needs_the_whole_interval_beyond_its_limit(height, volume, expected):
+    bounds = {"height_bounds": Interval(*height), "volume_bounds": Interval(*volume)}
+    assert label(**bounds) is expected
+
+
+def test_an_interval_that_straddles_its_limit_says_so_and_costs_confidence():
+    def decided(volume):
+        bounds = replace(SAME, height_bounds=Interval(0.0, 0.0), volume_bounds=volume)
+        decision = decide(Semantic.BUILDING, True, True, bounds, 0.03, CONFIG)
+        return decision, confidence(decision, bounds, Semantic.BUILDING, 0.9, ConfidenceConfig())
+
+    straddling, doubtful = decided(Interval(5.0, 20.0))
+    clear, sure = decided(Interval(-1.0, 1.0))
+    assert straddling.change is clear.change is Change.UNCHANGED
+    assert "did not see" in straddling.reason
+    assert "did not see" not in clear.reason
+    assert doubtful < sure
 
 
 def test_new_walls_without_volume_are_no_change_of_a_house():
@@ -92,10 +124,8 @@ def test_moved_vehicles_are_left_out_of_the_report():
 
 
 def test_every_decision_gives_its_reason():
-    assert (
-        "height +3.00 m"
-        in decide(Semantic.BUILDING, True, True, replace(SAME, delta_h=3.0, carried=0.3), 0.03, CONFIG).reason
-    )
+    taller = replace(SAME, delta_h=3.0)
+    assert "height +3.00 to +3.00 m" in decide(Semantic.BUILDING, True, True, taller, 0.03, CONFIG).reason
 
 
 def test_confidence_never_falls_with_the_margin_or_with_the_size_of_what_was_seen():

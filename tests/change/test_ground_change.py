@@ -155,7 +155,9 @@ def test_cells_whose_neighbours_moved_the_other_way_are_no_part_of_a_patch():
     dz = np.full(shape, 0.3)
     dz[:, 19:21] = np.nan
     blind = np.isnan(dz)
-    hidden = GroundCells(dz, np.full(shape, 0.03), blind, ~blind, np.zeros(shape))
+    hidden = GroundCells(
+        dz, np.full(shape, 0.03), blind, ~blind, np.zeros(shape), np.zeros(shape, dtype=bool)
+    )
     assert beyond_gate(hidden, 1.0, GroundChangeConfig()).all()
     sunk = replace(hidden, dz=np.where(blind, -0.05, dz))
     assert not beyond_gate(sunk, 1.0, GroundChangeConfig())[:, 19:21].any()
@@ -170,7 +172,9 @@ def test_ground_of_one_epoch_alone_joins_the_patch_beside_it_unless_rings_are_fa
     dz[:, 20:24] = 0.3
     dz[:, 24:26] = np.nan
     unseen = np.isnan(dz)
-    cells = GroundCells(dz, np.full(shape, 0.03), unseen, np.ones(shape, dtype=bool), np.zeros(shape))
+    cells = GroundCells(
+        dz, np.full(shape, 0.03), unseen, np.ones(shape, dtype=bool), np.zeros(shape), unseen & False
+    )
     patch, found = find_patches(cells, np.zeros(2), GroundChangeConfig())
     assert len(found) == 1
     assert (patch[30, 20:24] == 0).all()

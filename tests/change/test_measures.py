@@ -64,8 +64,9 @@ def test_a_corner_where_the_ground_was_met_is_not_filled():
 def test_the_volume_of_a_house_counts_what_lies_behind_what_was_seen():
     """Two walls of a house of 12 m by 12 m tell how large it is; their columns are a twelfth of it."""
     corner = np.concatenate([block((0, 0, 0), (12, 0.5, 4)), block((0, 0.5, 0), (0.5, 12, 4))])
-    seen = measure(voxels(corner), voxels(corner), MeasureConfig())
-    assert seen.volume == pytest.approx(12 * 12 * 3.75, rel=0.1)
+    for building in (False, True):
+        seen = measure(voxels(corner), voxels(corner), MeasureConfig(), building=building)
+        assert seen.volume == pytest.approx(12 * 12 * 3.75, rel=0.15)
 
 
 def test_a_beam_that_grazes_a_wall_has_not_looked_across_it():

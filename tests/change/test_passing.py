@@ -8,9 +8,9 @@ from scipy.spatial import cKDTree
 from test_measures import block
 from test_parts import thing
 
-from subiaco_change.changes.decisions import DecisionConfig
-from subiaco_change.changes.objects import OTHERS, EpochView
-from subiaco_change.changes.passing import OwnSurvey, drove_by, own_survey
+from subiaco_change.changes.decisions import Decision, DecisionConfig
+from subiaco_change.changes.objects import OTHERS, EpochView, Thing
+from subiaco_change.changes.passing import OwnSurvey, drove_by, own_survey, trusted
 from subiaco_geo.codes import Change, Semantic
 
 RULES = DecisionConfig()
@@ -87,3 +87,36 @@ def test_a_car_that_is_compared_elsewhere_is_no_traffic():
     flat = np.ones(count)
     view = EpochView(xyz, np.zeros((count, 3)), semantic, instance, xyz[:, 2], flat, flat, 9.0 * flat)
     assert own_survey(view, everywhere).traffic.data == pytest.approx(xyz[xyz[:, 0] > 2])
+
+
+def timed(moved: float, count: int = 60) -> Thing:
+    """A thing whose points all moved with one probability."""
+    thing = passing(1.5, 1.0)
+    points = np.arange(count)
+    return replace(thing, points=points, xyz=np.zeros((count, 3)), moved=np.full(count, moved))
+
+
+def test_a_verdict_by_times_takes_the_place_of_counts() -> None:
+    looked_through = replace(timed(0.0), passed=np.full(60, 500.0))
+    assert drove_by([looked_through], Semantic.VEGETATION, None, RULES) is None
+    decision = drove_by([timed(0.95)], Semantic.VEGETATION, None, RULES)
+    assert decision is not None
+    assert decision.change is Change.NOT_REPORTED
+    assert "by the times of beams" in decision.reason
+
+
+def test_counts_decide_where_one_part_has_no_times_and_the_reason_says_so() -> None:
+    counted = replace(timed(0.0), moved=np.zeros(0), passed=np.full(60, 500.0))
+    decision = drove_by([counted], Semantic.VEGETATION, None, RULES)
+    assert decision is not None
+    assert "the map keeps no times" in decision.reason
+
+
+@pytest.mark.parametrize(("moved", "expected"), [(0.0, 0.9), (0.3, 0.7), (0.5, 0.5)])
+def test_a_claim_on_what_was_seen_for_a_moment_only_is_not_trusted(moved: float, expected: float) -> None:
+    claim = Decision(Change.ADDED, "in the later survey alone", 1.5)
+    certain, reason = trusted(claim, [timed(moved)], 0.9)
+    assert certain == pytest.approx(expected)
+    assert ("too briefly" in reason) == (moved > 0)
+    same = Decision(Change.UNCHANGED, "as it was", 0.1)
+    assert trusted(same, [timed(moved)], 0.9) == (0.9, "as it was")

@@ -32,20 +32,25 @@ AFTER = Scene(
 )
 
 
-def seen_everywhere(hidden=None):
-    """A visibility layer in which beams passed everywhere but in a hidden box (low, high)."""
+def seen_everywhere(hidden=None, points=None):
+    """A visibility layer in which ten beams passed everywhere but in a hidden box (low, high).
+
+    Ten more were returned from each voxel that holds points (N, 3).
+    """
     low, high = np.array([-34.0, -24.0, -4.0]), np.array([34.0, 24.0, 14.0])
     axes = [np.arange(a, b, 0.5) + 0.25 for a, b in zip(low, high, strict=True)]
     centres = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     if hidden is not None:
         centres = centres[~((centres > hidden[0]) & (centres < hidden[1])).all(axis=1)]
     keys = np.sort(voxel_keys(voxel_indices(centres - low, 0.5)))
-    ones = np.ones(len(keys), dtype=np.uint32)
-    return VisibilityGrid(low, 0.5, keys, 0 * ones, ones)
+    tens = np.full(len(keys), 10, dtype=np.uint32)
+    held = np.zeros(0) if points is None else voxel_keys(voxel_indices(points - low, 0.5))
+    return VisibilityGrid(low, 0.5, keys, np.where(np.isin(keys, held), tens, 0).astype(np.uint32), tens)
 
 
 def survey(scene, seed, hidden=None):
-    return SurveyMap(scene.survey(seed).cloud, visibility=seen_everywhere(hidden))
+    cloud = scene.survey(seed).cloud
+    return SurveyMap(cloud, visibility=seen_everywhere(hidden, cloud.world()))
 
 
 @pytest.fixture(scope="module")

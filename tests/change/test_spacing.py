@@ -5,6 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from subiaco_change.outputs.raster import LodRaster, lod_statement
+from subiaco_change.report.facts import lod_facts
+from subiaco_change.report.gathering import LodCounts
 from subiaco_change.spacing import (
     STREET_SPACING,
     PointSpacing,
@@ -42,3 +45,24 @@ def test_settings_grow_with_the_sparser_epoch_and_never_shrink():
     assert PointSpacing(0.1, 0.2).scale == 1.0
     assert PointSpacing(0.1, 3 * STREET_SPACING).scale == pytest.approx(3.0)
     assert PointSpacing(3 * STREET_SPACING, 0.1).coarser == pytest.approx(3 * STREET_SPACING)
+
+
+def test_the_stated_level_of_detection_is_that_of_the_whole_map_and_not_of_where_it_exists():
+    counts = LodCounts()
+    counts.add(np.concatenate([np.full(10, 0.04), np.full(990, np.inf)]).astype(np.float32))
+    assert lod_facts(counts) == {"median_cm": None, "p95_cm": None, "no_claim_percent": pytest.approx(99.0)}
+    half = LodCounts()
+    half.add(np.concatenate([np.full(600, 0.04), np.full(400, np.inf)]).astype(np.float32))
+    assert half.percentile(50.0) == pytest.approx(0.04, abs=1e-4)
+    assert half.percentile(95.0) is None
+
+
+def test_cells_count_as_without_a_level_where_fewer_than_half_of_their_points_have_one():
+    levels = np.array([[0.05, 0.05, 0.04], [0.08, np.nan, np.nan]], dtype=np.float32)
+    claimed = np.array([[1.0, 0.9, 0.1], [0.8, 0.0, np.nan]], dtype=np.float32)
+    found = lod_statement(LodRaster(levels, claimed, 0.0, 0.0, 5.0))
+    assert found["share_without"] == pytest.approx(2 / 5)
+    assert found["median_m"] == pytest.approx(0.08)
+    assert found["median_where_known_m"] == pytest.approx(0.05)
+    empty = lod_statement(LodRaster(levels, np.full((2, 3), 0.2, np.float32), 0.0, 0.0, 5.0))
+    assert empty == {"median_m": None, "median_where_known_m": None, "share_without": 1.0}

@@ -151,6 +151,30 @@ def test_a_run_heeds_the_pose_covariances_of_a_map_unless_told_not_to(heeded):
     assert (np.median(found.lods[0][np.isfinite(found.lods[0])]) > 0.07) == heeded
 
 
+def test_an_epoch_that_states_no_poses_is_never_better_known_than_one_that_does():
+    clouds = street(1, length=40.0), street(2, length=40.0)
+    poses = np.eye(4)[None].repeat(2, axis=0)
+    poses[:, :3, 3] = [(10.0, 30.0, 2.0), (30.0, 30.0, 2.0)]
+    times = np.array([10, 20])
+    nothing = tuple(np.zeros(len(c), dtype=bool) for c in clouds)
+
+    def sigma(*stated):
+        surveys = []
+        for cloud, size in zip(clouds, stated, strict=True):
+            known = None
+            if size is not None:
+                covariance = np.diag([0, 0, 0, size**2, size**2, size**2])[None].repeat(2, axis=0)
+                known = PoseUncertainty(times, ["a", "a"], covariance)
+            surveys.append(SurveyMap(cloud, Trajectory(times, poses), uncertainty=known))
+        found = place(clouds, rigid(), nothing, nothing, PlacingConfig(), LodConfig(), tuple(surveys))
+        return at(found.sigma, 20, 30, UP)
+
+    bare = sigma(None, None)
+    assert bare == pytest.approx(np.hypot(0.04, 0.04), rel=0.05)
+    assert sigma(0.03, 0.03) < sigma(0.03, None) < bare
+    assert sigma(0.2, None) == pytest.approx(sigma(0.2, 0.2), rel=0.01)
+
+
 def test_the_floor_holds_where_nothing_is_known():
     empty = PointCloud(np.array([[0.0, 0.0, 0.0]]), fields={"normals": UP[None]})
     sigma = field(empty, empty, config={"floor": 0.004})

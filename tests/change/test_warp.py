@@ -7,6 +7,7 @@ from whole import place
 
 from subiaco_change.observation.lod import LodConfig
 from subiaco_change.observation.placing import PlacingConfig
+from subiaco_change.observation.uncertainty import UncertaintyConfig
 from subiaco_change.registration.warp import WarpConfig
 
 NORTH = np.array([0.0, 1.0, 0.0])
@@ -16,7 +17,8 @@ def placed(before, after, enabled=True):
     nothing = [np.zeros(len(c), dtype=bool) for c in (before, after)]
     return place(
         (before, after), rigid(), tuple(nothing), tuple(nothing),
-        PlacingConfig(warp=WarpConfig(enabled=enabled)), LodConfig(),
+        PlacingConfig(warp=WarpConfig(enabled=enabled), uncertainty=UncertaintyConfig(unstated_pose=0.0)),
+        LodConfig(),
     )  # fmt: skip
 
 

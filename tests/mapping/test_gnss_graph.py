@@ -386,3 +386,28 @@ def test_the_local_frame_is_not_laid_at_a_fix_far_off_all_others() -> None:
     frame = gnss.local_frame([astray, *(fix_at(np.zeros(3), k) for k in range(5))], GnssConfig())
     assert frame is not None
     assert frame.latitude_deg == pytest.approx(FRAME.latitude_deg, abs=1e-9)
+
+
+def test_a_map_that_most_of_its_fixes_contradict_is_flagged_and_a_sound_one_is_not(tmp_path: Path) -> None:
+    found = {}
+    for name, error in (("sound", 0.0), ("contradicted", 4.0)):
+        backend, truth = drive(tmp_path / name)
+        rng, stamps = np.random.default_rng(8), START_NS + np.arange(len(truth)) * STEP
+        for pose, stamp in zip(truth, stamps.tolist(), strict=True):
+            antenna = pose[:3, :3] @ LEVER + pose[:3, 3]
+            backend.on_fix(fix_at(antenna + rng.normal(0, error, 3), stamp))
+        found[name] = describe(backend._sequences, backend.optimize(), CONFIG.manifest)
+    assert found["sound"]["gnss_contradicts"] is False
+    assert found["sound"]["sequences"]["drive"]["gnss"]["contradicting"] == 0
+    assert found["contradicted"]["gnss_contradicts"] is True
+    (stretch,) = found["contradicted"]["sequences"]["drive"]["flagged"]["gnss_contradicts"]
+    assert stretch["scans"] == 100
+
+
+def test_a_fix_five_kilometres_above_the_others_does_not_move_the_map(tmp_path: Path) -> None:
+    backend, truth = drive(tmp_path)
+    add_fixes(backend, truth)
+    latitude, longitude, _ = FRAME.to_geodetic(np.zeros((1, 3)))[0]
+    backend.on_fix(GnssFix(START_NS + STEP // 2, latitude, longitude, 5e3, np.eye(3) * 1e-4, 2))
+    assert backend.optimize().sequences[0].fixes_unattached == 1
+    assert errors(backend, truth).max() < 0.1

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from streams import START_NS, small_sensor, turn_packets
 
-from subiaco_geo.bags import TYPESTORE, BagReader, BagWriter
+from subiaco_geo.bags import TYPESTORE, BagReader, BagWriter, packet_to_cdr
 from subiaco_geo.topics import FIX, IMU, LIDAR_PACKETS, MESSAGE_TYPES, METADATA, POINTS, TF_STATIC
 from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.inspection import describe, inspect_bag
@@ -207,3 +207,100 @@ def test_a_bag_of_other_things_is_not_usable_and_says_how_to_name_a_lidar(tmp_pa
     facts = inspect_bag(tmp_path / "talk")
     assert facts["verdict"] == "not usable"
     assert "--set topics.points=" in facts["forbids"][0]
+
+
+def with_messages(source: Path, bag: Path, change: Callable[[str, int, Any], Any]) -> Path:
+    """Copy a bag; ``change`` gets topic, number and message (packets: bytes) and returns what is written."""
+    seen: dict[str, int] = {}
+    with BagReader(source) as reader, BagWriter(bag) as writer:
+        for item in reader.messages():
+            number = seen[item.topic] = seen.get(item.topic, -1) + 1
+            packet = item.topic == LIDAR_PACKETS
+            changed = change(item.topic, number, item.raw if packet else reader.deserialize(item))
+            if packet:
+                writer.write_raw(item.topic, item.msg_type, changed, item.log_time_ns)
+            else:
+                writer.write(item.topic, item.msg_type, changed, item.log_time_ns)
+    return bag
+
+
+def transform(parent: str, child: str, turn: tuple[float, ...] = (0, 0, 0, 1), x: float = 0.0) -> Any:
+    stamped = T["geometry_msgs/msg/TransformStamped"]
+    pose = T["geometry_msgs/msg/Transform"](
+        translation=T["geometry_msgs/msg/Vector3"](x=x, y=0.0, z=1.0),
+        rotation=T["geometry_msgs/msg/Quaternion"](*map(float, turn)),
+    )
+    return stamped(header=header(START_NS, parent), child_frame_id=child, transform=pose)
+
+
+FRAMES = {
+    "a loop": ([transform("a", "b"), transform("b", "a")], "loop"),
+    "a zero quaternion": ([transform("base_link", "imu_link", (0, 0, 0, 0))], "unit quaternion"),
+    "NaN": ([transform("base_link", "gnss_link", x=float("nan"))], "not finite"),
+}
+
+
+@pytest.mark.parametrize("name", list(FRAMES))
+def test_frames_that_are_none_are_not_usable(tmp_path: Path, name: str) -> None:
+    transforms, said = FRAMES[name]
+
+    def change(topic: str, _: int, message: Any) -> Any:
+        return T["tf2_msgs/msg/TFMessage"](transforms=transforms) if topic == TF_STATIC else message
+
+    facts = inspect_bag(with_messages(drive_bag(tmp_path / "a", seconds=2.0), tmp_path / "bag", change))
+    assert facts["verdict"] == "not usable"
+    assert said in facts["forbids"][0]
+
+
+def test_packets_that_are_all_malformed_are_not_usable(tmp_path: Path) -> None:
+    def change(topic: str, _: int, message: Any) -> Any:
+        return packet_to_cdr(bytes(100)) if topic == LIDAR_PACKETS else message
+
+    facts = inspect_bag(with_messages(drive_bag(tmp_path / "a", seconds=2.0), tmp_path / "bag", change))
+    assert facts["verdict"] == "not usable"
+    assert "LiDAR packets are malformed" in facts["forbids"][0]
+
+
+@pytest.mark.parametrize(
+    ("every", "latitude", "longitude", "verdict", "said"),
+    [
+        (1, 0.0, 0.0, "not usable", "0 N 0 E"),
+        (2, -22.95, 115.83, "not usable", "fixes jump, by up to 1001 km"),
+        (30, -22.95, 115.83, "usable with care", "2 fixes jump, by up to 1000.7 km"),
+        (1, 49.04, 8.44, "usable with care", "--set crs=EPSG:25832"),
+    ],
+)
+def test_fixes_that_cannot_place_a_map_are_told(
+    tmp_path: Path, every: int, latitude: float, longitude: float, verdict: str, said: str
+) -> None:
+    def change(topic: str, number: int, message: Any) -> Any:
+        if topic == FIX and number % every == every - 1:
+            message.latitude, message.longitude = latitude, longitude
+        return message
+
+    facts = inspect_bag(with_messages(drive_bag(tmp_path / "a"), tmp_path / "bag", change))
+    assert facts["verdict"] == verdict
+    assert any(said in text for text in facts["forbids"] + facts["cares"])
+
+
+def test_a_second_lidar_is_named(tmp_path: Path) -> None:
+    bag = drive_bag(tmp_path / "a", lidar="timed", seconds=2.0)
+    with BagReader(bag) as reader, BagWriter(tmp_path / "two") as writer:
+        for item in reader.messages():
+            writer.write_raw(item.topic, item.msg_type, item.raw, item.log_time_ns)
+            if item.topic == POINTS:
+                writer.write_raw("/rear/points", item.msg_type, item.raw, item.log_time_ns)
+    facts = inspect_bag(tmp_path / "two")
+    assert facts["verdict"] == "usable with care"
+    assert any("/rear/points is not mapped" in text for text in facts["cares"])
+
+
+def test_the_command_ends_with_two_where_a_bag_is_not_usable(tmp_path: Path) -> None:
+    from subiaco_bringup.cli.main import run
+
+    assert run(["inspect", str(drive_bag(tmp_path / "sound", seconds=2.0))]) == 0
+    bag = with_messages(
+        tmp_path / "sound", tmp_path / "bag",
+        lambda topic, _, m: packet_to_cdr(bytes(100)) if topic == LIDAR_PACKETS else m,
+    )  # fmt: skip
+    assert run(["inspect", str(bag)]) == 2

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from ouster.sdk import core
 from pydantic import ValidationError
@@ -78,8 +78,62 @@ def test_a_new_rate_is_learnt_and_backward_and_repeated_stamps_are_counted() -> 
     for stamp in [*stamps, stamps[-1], stamps[-1] - 7]:
         counter.take(stamp)
     assert counter.period_ns == 4 * PERIOD_NS
-    assert counter.lost < 3 * 51
+    assert counter.lost < 3 * 80
     assert (counter.repeated, counter.backward) == (1, 1)
+
+
+@example({25, 75})
+@example(set(range(25, 960, 50)))
+@settings(max_examples=30)
+@given(st.sets(st.integers(25, 960), max_size=20))
+def test_stamps_reveal_single_losses_exactly_where_they_are_apart(missing: set[int]) -> None:
+    apart = [k for k in sorted(missing) if not any(0 < k - other < 50 for other in missing)]
+    counter = StampCounter()
+    for k in range(1000):
+        if k not in apart:
+            counter.take(k * PERIOD_NS)
+    assert counter.lost == len(apart)
+
+
+def test_an_outage_is_lost_also_by_the_clock_of_the_host() -> None:
+    counter = StampCounter()
+    for k in [*range(200), *range(1200, 1400)]:
+        counter.take(k * PERIOD_NS, k * PERIOD_NS + 3_000_000)
+    assert (counter.lost, counter.stepped) == (1000, 0)
+
+
+def test_two_milliseconds_of_jitter_are_no_loss() -> None:
+    rng, period_ns = np.random.default_rng(7), 5_000_000
+    stamps = np.sort(np.arange(6000) * period_ns + rng.normal(0, 2e6, 6000).astype(np.int64))
+    counter = StampCounter()
+    for stamp in stamps.tolist():
+        counter.take(stamp)
+    assert counter.lost <= 2
+    assert counter.uneven > 50
+
+
+@pytest.mark.parametrize("together", [2, 3, 5])
+def test_samples_that_cross_the_bus_together_are_no_loss(together: int) -> None:
+    counter = StampCounter()
+    for k in range(6000):
+        counter.take((k // together) * together * PERIOD_NS + (k % together) * 100_000)
+    assert counter.lost == 0
+    assert counter.uneven > 1000
+
+
+def test_a_clock_that_is_set_forward_is_a_step_and_no_loss() -> None:
+    counter = StampCounter()
+    for k in range(400):
+        step_ns = 30_000_000_000 if k >= 200 else 0
+        counter.take(k * PERIOD_NS + step_ns, k * PERIOD_NS + 3_000_000)
+    assert (counter.lost, counter.stepped) == (0, 1)
+
+
+def test_messages_that_a_busy_host_takes_late_are_no_step() -> None:
+    counter, stalled = StampCounter(), 1000 * PERIOD_NS
+    for k in [*range(200), *range(500, 800)]:  # 300 were dropped while the host stood still
+        counter.take(k * PERIOD_NS, max(k * PERIOD_NS, stalled if k > 190 else 0) + 3_000_000)
+    assert (counter.lost, counter.stepped) == (300, 0)
 
 
 def sensor() -> tuple[str, list[bytes]]:

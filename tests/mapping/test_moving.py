@@ -1,6 +1,5 @@
 """What moved leaves the map, thin things stay; a map in tiles is the map in one piece."""
 
-from dataclasses import fields
 from functools import cache
 from pathlib import Path
 
@@ -14,7 +13,7 @@ from subiaco_geo.clouds import PointCloud, voxel_keys
 from subiaco_mapping.config import FusionConfig, MovingConfig
 from subiaco_mapping.finishing import FinishedMap, MapFusion
 from subiaco_mapping.fusion import VoxelAccumulator, add_scan, fused_cloud
-from subiaco_mapping.moving import moving_points, on_the_floor, turn_keys
+from subiaco_mapping.moving import height_above_floor, moved_probability
 from subiaco_mapping.outliers import beam_spacing
 from subiaco_mapping.projection import Projection
 from subiaco_mapping.tiles import TileRuns, tile_corner, tile_numbers, tiles_around
@@ -67,28 +66,34 @@ def test_the_rest_of_the_street_stays(street: dict[bool, FinishedMap]) -> None:
     assert elsewhere < 0.003 * len(street[False].cloud)
 
 
-def test_evidence_needs_a_sure_place_beside_it() -> None:
-    xyz = np.column_stack([np.arange(40) * 0.25, np.zeros(40), np.zeros(40)])
-    config = MovingConfig(sure=30.0, touching=10.0, neighbours=3)
-    assert not moving_points(xyz, np.full(40, 20.0), config).any()
-    passed = np.where(np.arange(40) < 20, 100.0, 1.0)
-    np.testing.assert_array_equal(moving_points(xyz, passed, config), np.arange(40) < 20)
+def test_what_stays_says_how_probably_it_moved(street: dict[bool, FinishedMap]) -> None:
+    cloud = street[True].cloud
+    moving = np.asarray(cloud.fields["moving"])
+    assert np.nanmax(moving) < MovingConfig().sure
+    for thing in ("pole", "fence", "hedge", "wire"):
+        assert np.nanmean(moving[REGIONS[thing](cloud.world())]) < 0.4, thing
+    all_stay = street[False].cloud
+    car = REGIONS["car"](all_stay.world())
+    assert np.nanmedian(np.asarray(all_stay.fields["moving"])[car]) >= MovingConfig().sure
+
+
+def test_the_lower_edge_of_a_vehicle_takes_the_verdict_on_the_voxel_above() -> None:
+    xyz = np.array([[0.0, 0.0, 0.1], [0.0, 0.0, 0.4], [0.0, 0.0, 0.9], [5.0, 0.0, 0.4]])
+
+    def moved(places: np.ndarray) -> np.ndarray:
+        return np.where((places[:, 2] > 0.5) & (places[:, 0] < 1), 0.99, 0.0).astype(np.float32)
+
+    found = moved_probability(xyz, xyz[:, 2], moved, 0.5)
+    np.testing.assert_allclose(found, [0.99, 0.99, 0.99, 0.0], atol=1e-6)
 
 
 def test_the_floor_is_the_lowest_of_its_surroundings_on_a_slope_too() -> None:
     x, y = (axis.ravel() for axis in np.meshgrid(np.arange(-4, 4, 0.25), np.arange(-4, 4, 0.25)))
     road = np.column_stack([x, y, 0.05 * x])
     car = road[(np.abs(x) < 2) & (np.abs(y) < 0.9)] + [0.0, 0.0, 0.3]
-    found = on_the_floor(np.vstack([road, car]), 0.15)
+    found = height_above_floor(np.vstack([road, car])) < 0.15
     np.testing.assert_array_equal(found, np.arange(len(found)) < len(road))
-    assert on_the_floor(np.zeros((0, 3)), 0.15).shape == (0,)
-
-
-@given(st.integers(0, 2**32 - 1), st.integers(0, 500))
-def test_a_turn_counts_each_voxel_once(seed: int, count: int) -> None:
-    xyz = np.random.default_rng(seed).uniform(-3, 3, (count, 3))
-    found = turn_keys(xyz, 0.5)
-    assert sorted(found) == np.unique(voxel_keys(np.floor(xyz / 0.5).astype(np.int64))).tolist()
+    assert height_above_floor(np.zeros((0, 3))).shape == (0,)
 
 
 @given(st.integers(-(10**5), 10**5), st.integers(-(10**5), 10**5), st.integers(1, 400))
@@ -157,10 +162,14 @@ def test_a_map_in_tiles_is_the_map_in_one_piece_wherever_their_borders_are(
     assert (parts.moving is None) == (whole.moving is None)
     if parts.moving is not None and whole.moving is not None:
         assert_same_cloud(parts.moving, whole.moving)
-    for field in fields(whole.visibility):
-        np.testing.assert_array_equal(
-            getattr(parts.visibility, field.name), getattr(whole.visibility, field.name)
-        )
+    for name in ("origin", "voxel", "keys", "hits", "passes", "moving"):
+        np.testing.assert_array_equal(getattr(parts.visibility, name), getattr(whole.visibility, name))
+    assert parts.visibility.times is not None
+    assert whole.visibility.times is not None
+    for found, expected in zip(
+        parts.visibility.times.looks.columns(), whole.visibility.times.looks.columns(), strict=True
+    ):
+        np.testing.assert_array_equal(found, expected)
 
 
 def test_without_movement_the_finished_map_is_the_fused_cloud(tmp_path: Path) -> None:
@@ -170,4 +179,6 @@ def test_without_movement_the_finished_map_is_the_fused_cloud(tmp_path: Path) ->
         add_scan(accumulator, scan.xyz, scan.intensity, pose)
     spacing = beam_spacing(drive(1, SEED)[0][0].xyz, config.outlier_neighbours)
     expected = fused_cloud(accumulator, config, 1, lambda p: p, lambda _p, v: v, None, spacing)
-    assert_same_cloud(fuse(tmp_path / "f", config, scans=6).cloud, expected)
+    found = fuse(tmp_path / "f", config, scans=6).cloud
+    kept = {name: values for name, values in found.fields.items() if name != "moving"}
+    assert_same_cloud(PointCloud(found.xyz, found.origin, found.crs, kept), expected)

@@ -19,6 +19,7 @@ from subiaco_geo.bags import TYPESTORE, BagWriter
 from subiaco_geo.config import load_config
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import make_pose
+from subiaco_geo.free_space.sensor_view import described_view
 from subiaco_geo.topics import IMU, LIDAR_PACKETS, MESSAGE_TYPES, METADATA, POINTS
 from subiaco_mapping.config import FramePose, MappingConfig, OdometryConfig, SensorsConfig
 from subiaco_mapping.conversions import extrinsics_from_tf, scan_from_points
@@ -45,6 +46,9 @@ def test_a_bag_without_gnss_gives_a_local_map_that_says_so(room_bag: Path) -> No
     assert survey.cloud.crs is None
     assert survey.manifest["reason"] == "no usable GNSS fix"
     assert survey.info["georeferenced"] is False
+    sensor = described_view(survey.info)
+    assert sensor is not None
+    assert sensor.elevation_min < 0 < sensor.elevation_max
     assert len(survey.trajectory) == 6
     assert list(survey.odometry) == ["room"]
     assert survey.visibility.observed(survey.cloud.world()).mean() > 0.5

@@ -45,7 +45,12 @@ class ChangeConfig(StrictModel):
         ge=10_000,
         description="points of an epoch that the registration takes; beyond, thinner and of fewer tiles",
     )
-    normal_radius: float = Field(0.8, gt=0, description="radius of normals at the working leaf [m]")
+    normal_radius: float = Field(
+        0.8,
+        gt=0,
+        description="radius of normals at the working leaf [m]; where the points of an epoch lie farther "
+        "apart than 0.36 m, 2.4 times the measured spacing",
+    )
     second_registration: bool = Field(
         True, description="register again without what the first pass calls changed (Decision 2)"
     )

@@ -64,6 +64,7 @@ def at_spacing(config: ChangeConfig, spacing: float) -> ChangeConfig:
             "semantics": semantics.model_copy(
                 update={
                     **raised(semantics, _SEMANTICS, rule.cell),
+                    **raised(semantics, ("sparse_reach",), math.inf),
                     "buildings": semantics.buildings.model_copy(
                         update=raised(semantics.buildings, _BUILDINGS, rule.cell)
                     ),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numba
 import numpy as np
@@ -10,11 +11,15 @@ from numpy.typing import NDArray
 
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
+from subiaco_geo.look_times import COLUMNS, Looks, Rows, look_hit, look_through, looks_of
 from subiaco_geo.visibility import VisibilityGrid
 
 _EMPTY = -1
 _LIMIT = 1 << 20  # voxel indices that fit a key, see subiaco_geo.clouds.voxel_keys
 _MAX_LOAD = 0.6
+_CACHE_LINE = 64  # [bytes]
+_CELL = np.dtype([("key", np.int64), ("hits", np.uint32), ("passes", np.uint32)])
+_TIMED_CELL = np.dtype([*_CELL.descr, ("looks", np.uint16, (8,))])
 
 Counts = NDArray[np.uint32]
 Flags = NDArray[np.bool_]
@@ -45,11 +50,41 @@ def _reinsert(
 
 
 @numba.njit(cache=True)
-def _walk(  # noqa: PLR0912, PLR0915
+def _move_looks(old_keys: Ints, old_looks: Rows, keys: Ints, looks: Rows) -> None:
+    """Copy the looks of every entry of one table to where a larger one, filled already, has it."""
+    for i in range(len(old_keys)):
+        if old_keys[i] != _EMPTY:
+            looks[_slot(keys, old_keys[i])] = old_looks[i]
+
+
+@numba.njit(cache=True)
+def _touch(
+    points: Floats, first: int, room: int, keys: Ints, looks: Rows, window: int, least: int
+) -> tuple[int, int]:
+    """Count a hit window at the voxels of points (voxel units) until done or the table is full."""
+    added = 0
+    for i in range(first, len(points)):
+        if added == room:
+            return i, added
+        key = np.int64(0)
+        for axis in range(3):
+            key = (key << 21) | (np.int64(np.floor(points[i, axis])) + _LIMIT)
+        slot = _slot(keys, key)
+        if keys[slot] == _EMPTY:
+            keys[slot] = key
+            added += 1
+        look_hit(looks, slot, window, least)
+    return len(points), added
+
+
+@numba.njit(cache=True)
+def _walk(  # noqa: C901, PLR0912, PLR0915
     starts: Floats, ends: Floats, returned: Flags, first: int, room: int,
-    keys: Ints, hits: Counts, passes: Counts,
+    keys: Ints, hits: Counts, passes: Counts, looks: Rows, window: int, least: int,
 ) -> tuple[int, int]:  # fmt: skip
     """Walk beams (voxel units) from index ``first`` until done or the table is full.
+
+    Looks are counted where ``window`` is not 0 (:mod:`subiaco_geo.look_times`).
 
     Amanatides and Woo (1987), with the number of steps fixed beforehand on
     every axis, so that rounding can never walk past the end voxel. Returns
@@ -85,8 +120,12 @@ def _walk(  # noqa: PLR0912, PLR0915
                 added += 1
             if i == steps and returned[ray]:
                 hits[slot] += 1
+                if window:
+                    look_hit(looks, slot, window, least)
             else:
                 passes[slot] += 1
+                if window:
+                    look_through(looks, slot, window, least)
             if tx <= ty and tx <= tz:
                 key += dx
                 nx -= 1
@@ -100,6 +139,13 @@ def _walk(  # noqa: PLR0912, PLR0915
                 nz -= 1
                 tz = tz + t_delta[2] if nz > 0 else np.inf
     return len(starts), added
+
+
+def _aligned(size: int, kind: np.dtype[Any]) -> NDArray[Any]:
+    """Return zeroed rows that begin on a border of the cache."""
+    raw = np.zeros(size * kind.itemsize + _CACHE_LINE, dtype=np.uint8)
+    first = -raw.ctypes.data % _CACHE_LINE
+    return np.asarray(raw[first : first + size * kind.itemsize].view(kind))
 
 
 def _beams(starts: Floats, ends: Floats, origin: Floats, voxel: float) -> tuple[Floats, Floats]:
@@ -128,13 +174,16 @@ class VisibilityAccumulator:
         Edge [m].
     capacity : int
         First size of the table [voxels]; it grows by itself.
+    least_beams : int
+        Walked beams of one window that make it a look through a voxel; 0 keeps no time.
     """
 
-    def __init__(self, origin: Floats, voxel: float, capacity: int = 1 << 18) -> None:
+    def __init__(self, origin: Floats, voxel: float, capacity: int = 1 << 18, least_beams: int = 0) -> None:
         if voxel <= 0:
             raise InputError(f"voxel must be positive, got {voxel}")
         self.origin = np.asarray(origin, dtype=np.float64)
         self.voxel = float(voxel)
+        self._least = least_beams
         self._used = 0
         self._allocate(1 << int(np.ceil(np.log2(max(capacity, 1024)))))
 
@@ -143,16 +192,39 @@ class VisibilityAccumulator:
         return self._used
 
     def _allocate(self, size: int) -> None:
-        self._keys: Ints = np.full(size, _EMPTY, dtype=np.int64)
-        self._hits: Counts = np.zeros(size, dtype=np.uint32)
-        self._passes: Counts = np.zeros(size, dtype=np.uint32)
+        """Make an empty table; all of a voxel lies side by side, so that a step reads one place."""
+        table = _aligned(size, _CELL if self._least == 0 else _TIMED_CELL)
+        self._keys: Ints = table["key"]
+        self._hits: Counts = table["hits"]
+        self._passes: Counts = table["passes"]
+        self._keys.fill(_EMPTY)
+        looks = table["looks"] if self._least else np.zeros((1, 2 * COLUMNS), dtype=np.uint16)[:, ::2]
+        self._looks: Rows = looks[:, :COLUMNS]
 
     def _grow(self, size: int) -> None:
-        old = self._keys, self._hits, self._passes
+        old, looks = (self._keys, self._hits, self._passes), self._looks
         self._allocate(size)
         _reinsert(*old, self._keys, self._hits, self._passes)
+        if self._least:
+            _move_looks(old[0], looks, self._keys, self._looks)
 
-    def add(self, starts: Floats, ends: Floats, returned: Flags | None = None) -> None:
+    def touch(self, points: Floats, window: int) -> None:
+        """Count a window in which something returned from the voxels of points (N, 3) [m, world].
+
+        Beams that are not walked tell this too. ``window`` is its number, 1 or more; windows come
+        in order.
+        """
+        units, _ = _beams(points, points, self.origin, self.voxel)
+        done = 0
+        while done < len(units):
+            room = int(_MAX_LOAD * len(self._keys)) - self._used
+            if room < 1:
+                self._grow(2 * len(self._keys))
+                continue
+            done, added = _touch(units, done, room, self._keys, self._looks, window, self._least)
+            self._used += added
+
+    def add(self, starts: Floats, ends: Floats, returned: Flags | None = None, window: int = 0) -> None:
         """Walk beams.
 
         Every voxel before the last counts a pass, the last one a hit.
@@ -164,7 +236,11 @@ class VisibilityAccumulator:
         returned : (N,) bool, optional
             False where the beam came back with nothing up to ``ends``: the
             last voxel counts as passed too. Default: every beam returned.
+        window : int
+            Number of the time window, 1 or more, for an accumulator that keeps time.
         """
+        if window and not self._least:
+            raise InputError("this accumulator keeps no time; give it least_beams")
         first_cell, last_cell = _beams(starts, ends, self.origin, self.voxel)
         flags = np.ones(len(starts), dtype=np.bool_) if returned is None else returned
         longest = int(np.abs(last_cell - first_cell).sum(axis=1).max(initial=0.0)) + 7
@@ -174,7 +250,10 @@ class VisibilityAccumulator:
             if room < longest:
                 self._grow(2 * len(self._keys))
                 continue
-            ray, added = _walk(first_cell, last_cell, flags, ray, room, self._keys, self._hits, self._passes)
+            ray, added = _walk(
+                first_cell, last_cell, flags, ray, room, self._keys, self._hits, self._passes,
+                self._looks, window, self._least,
+            )  # fmt: skip
             self._used += added
 
     def grid(self) -> VisibilityGrid:
@@ -184,6 +263,11 @@ class VisibilityAccumulator:
         return VisibilityGrid(
             self.origin, self.voxel, self._keys[order], self._hits[order], self._passes[order]
         )
+
+    def looks(self) -> Looks:
+        """Return the looks at every voxel, in the order of :meth:`grid`."""
+        used = np.flatnonzero(self._keys != _EMPTY)
+        return looks_of(self._looks[used[np.argsort(self._keys[used])]], self._least)
 
 
 @numba.njit(cache=True)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import zipfile
 import zlib
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
@@ -19,9 +19,41 @@ from subiaco_geo.atomic import whole_file
 from subiaco_geo.clouds import packable, voxel_indices, voxel_keys
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
+from subiaco_geo.look_times import Looks
 
+#: Probability that what returned from a voxel moved, where nothing is known of it.
+NO_VERDICT = 255
+#: The same of a thing that moved for certain; probabilities are stored in steps of 1/200.
+SURELY_MOVED = 200
+
+_COUNTS = ("keys", "hits", "passes")
+_CLOCK = ("window", "start_ns")
+_LOOKS = ("hit_windows", "through_windows", "hit_runs", "first_hit", "last_hit", "look_edges")
 _SMALL = 4096  # more than the header and the values of a corner take [bytes]
 _LEVEL = 4  # of deflate; the usual 6, numpy's, takes five times as long for no fewer bytes here
+
+
+#: Names of the columns of time in files: the fields of looks, and the verdict.
+TIME_COLUMNS = (*_LOOKS, "moving")
+
+
+@dataclass(frozen=True)
+class TimeRecord:
+    """When every voxel of a grid was hit and looked through.
+
+    Parameters
+    ----------
+    window : float
+        Length of a time window [s].
+    start_ns : int
+        UTC time at which window 1 begins; window ``w`` begins ``(w - 1) * window`` seconds later.
+    looks : Looks
+        Of M voxels.
+    """
+
+    window: float
+    start_ns: int
+    looks: Looks
 
 
 @dataclass(frozen=True)
@@ -38,6 +70,11 @@ class VisibilityGrid:
         Sorted packed voxel indices (:func:`subiaco_geo.clouds.voxel_keys`).
     hits, passes : (M,) uint32
         Beams that ended in the voxel, and that went through it.
+    moving : (M,) uint8, optional
+        Probability that what returned from the voxel moved while the survey was made, in steps of
+        1/200; :data:`NO_VERDICT` where nothing returned (:mod:`subiaco_geo.movement`).
+    times : TimeRecord, optional
+        What that rests on. Layers that were made without time have neither.
     """
 
     origin: Floats
@@ -45,18 +82,39 @@ class VisibilityGrid:
     keys: Ints
     hits: NDArray[np.uint32]
     passes: NDArray[np.uint32]
+    moving: NDArray[np.uint8] | None = None
+    times: TimeRecord | None = None
 
-    def lookup(self, world: Floats) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
-        """Return hits and passes (N,) at world points (N, 3)."""
+    def slots(self, world: Floats) -> tuple[Ints, NDArray[np.bool_]]:
+        """Return the voxel (N,) at world points (N, 3), and whether the grid holds it."""
         index = voxel_indices(world - self.origin, self.voxel)
         near = packable(index)
         if len(self.keys) == 0 or not near.any():
-            zeros = np.zeros(len(index), dtype=np.uint32)
-            return zeros, zeros.copy()
+            return np.zeros(len(index), dtype=np.int64), np.zeros(len(index), dtype=np.bool_)
         query = voxel_keys(np.where(near[:, None], index, 0))
         slot = np.minimum(np.searchsorted(self.keys, query), len(self.keys) - 1)
-        found = near & (self.keys[slot] == query)
+        return slot, near & (self.keys[slot] == query)
+
+    def lookup(self, world: Floats) -> tuple[NDArray[np.uint32], NDArray[np.uint32]]:
+        """Return hits and passes (N,) at world points (N, 3)."""
+        slot, found = self.slots(world)
+        if not found.any():
+            zeros = np.zeros(len(slot), dtype=np.uint32)
+            return zeros, zeros.copy()
         return np.where(found, self.hits[slot], 0), np.where(found, self.passes[slot], 0)
+
+    def moved(self, world: Floats) -> NDArray[np.float32] | None:
+        """Return the probability (N,) that what returned at world points (N, 3) moved.
+
+        NaN where no voxel with returns was recorded; None for a grid without time.
+        """
+        if self.moving is None:
+            return None
+        slot, found = self.slots(world)
+        if not found.any():
+            return np.full(len(slot), np.nan, dtype=np.float32)
+        code = np.where(found, self.moving[slot], NO_VERDICT)
+        return np.where(code == NO_VERDICT, np.nan, code / SURELY_MOVED).astype(np.float32)
 
     def observed(self, world: Floats, min_beams: int = 1) -> NDArray[np.bool_]:
         """Tell which world points (N, 3) lie where at least ``min_beams`` beams went."""
@@ -68,6 +126,9 @@ def save_visibility(path: Path, grid: VisibilityGrid) -> None:
     """Write a grid as compressed npz (no pickle)."""
     arrays: dict[str, NDArray[Any]] = {"origin": grid.origin, "voxel": np.array(grid.voxel, np.float64)}
     arrays |= {"keys": grid.keys, "hits": grid.hits, "passes": grid.passes}
+    if grid.times is not None and grid.moving is not None:
+        arrays |= {"window": np.array(grid.times.window), "start_ns": np.array(grid.times.start_ns)}
+        arrays |= dict(zip(_LOOKS, grid.times.looks.columns(), strict=True)) | {"moving": grid.moving}
     with (
         whole_file(path) as temporary,
         zipfile.ZipFile(temporary, "w", zipfile.ZIP_DEFLATED, compresslevel=_LEVEL) as archive,
@@ -89,22 +150,33 @@ def visibility_parts(path: Path, size: int = 1 << 20) -> Iterator[VisibilityGrid
         with zipfile.ZipFile(path) as archive:
             small = {name: _member(archive, name) for name in ("origin", "voxel")}
             origin, voxel = small["origin"].astype(np.float64), float(small["voxel"])
+            names, clock = [*_COUNTS], (0.0, 0)
+            if "window.npy" in archive.namelist():
+                names += TIME_COLUMNS
+                clock = float(_member(archive, "window")), int(_member(archive, "start_ns"))
             with ExitStack() as stack:
-                streams = [
-                    stack.enter_context(archive.open(f"{name}.npy")) for name in ("keys", "hits", "passes")
-                ]
+                streams = [stack.enter_context(archive.open(f"{name}.npy")) for name in names]
                 heads = [_head(stream) for stream in streams]
                 count = heads[0][0]
                 if any(head[0] != count for head in heads):
                     raise ValueError("its columns differ in length")
                 for start in range(0, count, size):
                     rows = min(size, count - start)
-                    keys, hits, passes = (
-                        _rows(stream, kind, rows) for stream, (_, kind) in zip(streams, heads, strict=True)
-                    )
-                    yield VisibilityGrid(origin, voxel, keys, hits, passes)
+                    read = [_rows(s, kind, rows) for s, (_, kind) in zip(streams, heads, strict=True)]
+                    part = dict(zip(names, read, strict=True))
+                    yield _grid_of(origin, voxel, clock, part)
     except (KeyError, ValueError, OSError, EOFError, BadZipFile, zlib.error) as error:
         raise InputError(f"{path}: not a visibility layer ({error}); rebuild the map") from error
+
+
+def _grid_of(
+    origin: Floats, voxel: float, clock: tuple[float, int], arrays: Mapping[str, NDArray[Any]]
+) -> VisibilityGrid:
+    moving, times = None, None
+    if clock[0] > 0:
+        times = TimeRecord(*clock, Looks(*(arrays[name] for name in _LOOKS)))
+        moving = arrays["moving"]
+    return VisibilityGrid(origin, voxel, arrays["keys"], arrays["hits"], arrays["passes"], moving, times)
 
 
 def _member(archive: zipfile.ZipFile, name: str) -> NDArray[Any]:
@@ -133,8 +205,20 @@ def _rows(stream: IO[bytes], kind: np.dtype[Any], count: int) -> NDArray[Any]:
 
 def load_visibility(path: Path) -> VisibilityGrid:
     """Read a grid written by :func:`save_visibility`."""
-    names = ("origin", "voxel", "keys", "hits", "passes")
-    data = read_arrays(path, names, "a visibility layer", "rebuild the map")
-    if not len(data["keys"]) == len(data["hits"]) == len(data["passes"]):
+    timed = _is_timed(path)
+    names = _COUNTS + (_CLOCK + TIME_COLUMNS if timed else ())
+    data = read_arrays(path, ("origin", "voxel", *names), "a visibility layer", "rebuild the map")
+    columns = [data[name] for name in names if name not in _CLOCK]
+    if any(len(column) != len(columns[0]) for column in columns):
         raise InputError(f"{path}: not a visibility layer (its columns differ in length); rebuild the map")
-    return VisibilityGrid(data["origin"], float(data["voxel"]), data["keys"], data["hits"], data["passes"])
+    clock = (float(data["window"]), int(data["start_ns"])) if timed else (0.0, 0)
+    return _grid_of(data["origin"], float(data["voxel"]), clock, data)
+
+
+def _is_timed(path: Path) -> bool:
+    """Tell whether a file holds the columns of time; a damaged one does not."""
+    try:
+        with zipfile.ZipFile(path) as archive:
+            return "window.npy" in archive.namelist()
+    except (OSError, BadZipFile):
+        return False

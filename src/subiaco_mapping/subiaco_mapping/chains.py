@@ -8,7 +8,7 @@ import numpy as np
 
 from subiaco_geo.crs import EnuFrame
 from subiaco_geo.errors import InputError
-from subiaco_geo.frames import interpolate_poses, invert_pose, make_pose
+from subiaco_geo.frames import Floats, interpolate_poses, invert_pose, make_pose
 from subiaco_mapping import gnss
 from subiaco_mapping.config import GnssConfig, MappingConfig
 from subiaco_mapping.graph.gravity import gravity_priors
@@ -16,6 +16,8 @@ from subiaco_mapping.graph.records import Chain, ChainSolution, GnssPriors, Head
 from subiaco_mapping.manifest import describe_fixes
 from subiaco_mapping.sequences import SequenceRecord
 from subiaco_mapping.solution import SequenceSolution
+
+_OUTSIDE = 16.266  # chi-square of three axes, 99.9 %
 
 
 @dataclass(frozen=True)
@@ -141,6 +143,7 @@ def summary(sequence: SequenceRecord, chain: Chain, solution: ChainSolution) -> 
     used = len(solution.residuals)
     status = np.zeros(0, dtype=np.int64) if chain.gnss is None else chain.gnss.status
     received = [fix.status for fix in sequence.fixes]
+    outside = 0 if chain.gnss is None else contradicting(solution.residuals, chain.gnss.covariance)
     return SequenceSolution(
         name=sequence.name,
         stamps_ns=chain.stamps_ns,
@@ -153,4 +156,11 @@ def summary(sequence: SequenceRecord, chain: Chain, solution: ChainSolution) -> 
         fixes_downweighted=int((solution.weights < 0.3).sum()),
         gnss_states=describe_fixes(status, received, solution),
         headings_used=0 if chain.heading is None else len(chain.heading.index),
+        fixes_contradicting=outside,
     )
+
+
+def contradicting(residuals: Floats, covariance: Floats) -> int:
+    """Count residuals (N, 3) [m], slow errors included, outside 99.9 % of their covariance (N, 3, 3)."""
+    square = np.einsum("ni,nij,nj->n", residuals, np.linalg.inv(covariance), residuals)
+    return int((square > _OUTSIDE).sum())

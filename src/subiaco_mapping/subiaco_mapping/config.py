@@ -7,6 +7,7 @@ from typing import Literal
 from pydantic import Field
 
 from subiaco_geo.config import StrictModel
+from subiaco_geo.movement import MovementConfig
 from subiaco_mapping.calibration.config import CalibrationConfig
 from subiaco_mapping.drivers import DriverName
 from subiaco_mapping.logs import LogsConfig
@@ -180,20 +181,18 @@ class GraphConfig(StrictModel):
     segment_sigma_rotation: float = Field(0.5, gt=0, description="between two segments [rad]")
 
 
-class MovingConfig(StrictModel):
-    """What moved leaves the map, for a side cloud; see :mod:`subiaco_mapping.moving`."""
+class MovingConfig(MovementConfig):
+    """What moved leaves the map, for a side cloud; see :mod:`subiaco_geo.movement`."""
 
-    enabled: bool = Field(True, description="take out what moved; needs the visibility layer")
-    sure: float = Field(
-        13.0,
-        gt=1,
-        description="beams that pass through a place for each turn that returned from it, from which it "
-        "surely moved; of 4096 beams walked a turn or fewer, averaged over neighbours [1]",
+    enabled: bool = Field(
+        True, description="whether points of moving objects leave the map; they are flagged in any case"
     )
-    touching: float = Field(4.0, gt=1, description="the same beside a place that surely moved [1]")
-    floor: float = Field(0.15, ge=0, description="what is no higher above the lowest around it stays [m]")
-    neighbours: int = Field(9, ge=2, description="map points that are averaged, the point itself included")
-    reach: float = Field(1.0, gt=0, le=5, description="within this distance [m]")
+    floor: float = Field(
+        0.15,
+        ge=0,
+        description="points no higher than this above the lowest point around stay in the map: the road "
+        "shares voxels with the vehicles on it [m]",
+    )
 
 
 class FusionConfig(StrictModel):
@@ -243,6 +242,13 @@ class ManifestConfig(StrictModel):
     )
     rtk_gap_ns: int = Field(
         2_000_000_000, gt=0, description="longer without a fixed solution is flagged [ns]"
+    )
+    max_contradicting: float = Field(
+        0.5,
+        gt=0,
+        le=1,
+        description="share of a sequence's fixes outside 99.9 % of what they state, from which "
+        "they contradict the map",
     )
 
 

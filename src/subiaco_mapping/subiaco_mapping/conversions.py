@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from subiaco_geo.errors import InputError
-from subiaco_geo.frames import Floats, Ints, invert_pose, make_pose, pose_from_quaternion
+from subiaco_geo.frames import Floats, invert_pose, make_pose, pose_from_quaternion
 from subiaco_geo.topics import POINTS, TF_STATIC
 from subiaco_mapping.config import FramePose, GnssConfig, MappingConfig, SensorsConfig
 from subiaco_mapping.drivers import rtk_state
@@ -22,11 +22,9 @@ from subiaco_mapping.measurements import (
     Returns,
     Scan,
 )
+from subiaco_mapping.point_times import TIME_FIELDS, point_times
 
 _FORMATS = {1: "i1", 2: "u1", 3: "i2", 4: "u2", 5: "i4", 6: "u4", 7: "f4", 8: "f8"}
-TIME_FIELDS = ("t", "time", "timestamp", "time_stamp", "offset_time", "timeStamp")
-_ABSOLUTE_SECONDS = 1e8
-_ABSOLUTE_NS = 10**17
 
 
 def stamp_ns(stamp: Any) -> int:
@@ -93,24 +91,6 @@ def cloud_array(message: Any) -> NDArray[np.void]:
         raise InputError(f"{POINTS}: point layout cannot be read ({error}); check its fields") from error
 
 
-def _point_times(points: NDArray[np.void], header_ns: int) -> Ints | None:
-    """Return absolute point times (N,), None where no field holds them."""
-    names = points.dtype.names or ()
-    name = next((n for n in TIME_FIELDS if n in names), None)
-    if name is None:
-        return None
-    values = points[name]
-    if np.issubdtype(values.dtype, np.integer):
-        times = values.astype(np.int64)
-        return times if len(times) and times[0] > _ABSOLUTE_NS else times + header_ns
-    if len(values) and values[0] > float(_ABSOLUTE_NS):
-        return values.astype(np.int64)
-    if len(values) and values[0] > _ABSOLUTE_SECONDS:
-        whole = np.floor(values)
-        return whole.astype(np.int64) * 10**9 + np.round((values - whole) * 1e9).astype(np.int64)
-    return header_ns + np.round(values.astype(np.float64) * 1e9).astype(np.int64)
-
-
 def _column(points: NDArray[np.void], names: tuple[str, ...], dtype: Any) -> NDArray[Any]:
     name = next((n for n in names if n in (points.dtype.names or ())), None)
     return np.zeros(len(points), dtype=dtype) if name is None else points[name].astype(dtype)
@@ -131,15 +111,17 @@ def scan_from_points(message: Any, config: MappingConfig) -> Scan:
     if missing:
         raise InputError(f"{POINTS}: no field {missing[0]}; a cloud needs x, y and z")
     header_ns = stamp_ns(message.header.stamp)
-    times_ns = None if config.deskewed else _point_times(points, header_ns)
+    xyz = np.stack([points[name] for name in "xyz"], axis=1).astype(np.float64)
+    finite = np.isfinite(xyz).all(axis=1)
+    times_ns = (
+        None if config.deskewed else point_times(points, header_ns, np.asarray(finite & xyz.any(axis=1)))
+    )
     if times_ns is None and not config.deskewed:
         raise InputError(
             f"{POINTS}: no per-point time ({', '.join(TIME_FIELDS[:5])}); record it, or set deskewed: true "
             "if the clouds are already motion-compensated"
         )
     times_ns = np.full(len(points), header_ns) if times_ns is None else times_ns
-    xyz = np.stack([points[name] for name in "xyz"], axis=1).astype(np.float64)
-    finite = np.isfinite(xyz).all(axis=1)
     reach = np.sqrt((xyz * xyz).sum(axis=1))
     keep = finite & (reach >= max(config.decode.min_range, 1e-6)) & (reach <= config.decode.max_range)
     offset_ns = config.decode.time_offset_ns
@@ -183,6 +165,19 @@ def _to_root(tree: dict[str, tuple[str, Floats]], frame: str) -> tuple[str, Floa
         seen.add(frame)
         pose = step @ pose
     return frame, pose
+
+
+def check_frames(transforms: Iterable[Any]) -> None:
+    """Refuse transforms that are not numbers, no rotations, or a loop.
+
+    Raises
+    ------
+    InputError
+        Names the frame.
+    """
+    tree = _tree(transforms)
+    for frame in tree:
+        _to_root(tree, frame)
 
 
 def _from_tf(tree: dict[str, tuple[str, Floats]], base: str, frame: str) -> Floats | None:

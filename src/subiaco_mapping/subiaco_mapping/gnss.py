@@ -17,7 +17,7 @@ from subiaco_geo.frames import Floats, Ints, interpolate_poses, invert_pose, mak
 from subiaco_mapping.config import GnssConfig
 from subiaco_mapping.measurements import GnssFix
 
-_ASTRAY_DEG = 1.0  # a fix so far off the others is not where the drive is
+_ASTRAY = np.array([1.0, 1.0, 2000.0])  # a fix so far off the others is not of the drive [deg, deg, m]
 
 
 @dataclass(frozen=True)
@@ -70,18 +70,24 @@ class Attachment:
 def local_frame(fixes: Sequence[GnssFix], config: GnssConfig) -> EnuFrame | None:
     """Return the ENU frame at the first of the best fixes, None where no fix is usable.
 
-    A fix a degree off the median of the best ones, as receivers give when they start, is not taken.
+    A fix that is :func:`near` no other, as receivers give when they start, is not taken.
     """
     usable = [fix for fix in fixes if fix.is_usable()]
     if not usable:
         return None
     best = max(fix.status for fix in usable)
     placed = [fix for fix in usable if fix.status == best]
-    rows = np.array([[fix.latitude, fix.longitude] for fix in placed])
-    near = (np.abs(rows - np.median(rows, axis=0)) < _ASTRAY_DEG).all(axis=1)
-    first = placed[int(np.argmax(near))]
+    first = placed[int(np.argmax(near(placed)))]
     origin = _to_gda2020([first], config)[0]
     return EnuFrame(float(origin[0]), float(origin[1]), float(origin[2]))
+
+
+def near(fixes: Sequence[GnssFix]) -> NDArray[np.bool_]:
+    """Mark fixes (N,) that are within a degree and 2 km of height of the median of all."""
+    rows = np.array([[fix.latitude, fix.longitude, fix.altitude] for fix in fixes]).reshape(-1, 3)
+    if len(rows) == 0:
+        return np.zeros(0, dtype=np.bool_)
+    return np.asarray((np.abs(rows - np.median(rows, axis=0)) < _ASTRAY).all(axis=1))
 
 
 class PlaceCheck:
@@ -139,8 +145,10 @@ def _floored(fix: GnssFix, config: GnssConfig) -> Floats:
 
 
 def to_enu(fixes: Sequence[GnssFix], frame: EnuFrame, config: GnssConfig) -> EnuFixes:
-    """Bring usable fixes to ENU, in time order, later ones of equal time dropped."""
-    usable = sorted((fix for fix in fixes if fix.is_usable()), key=lambda fix: fix.time_ns)
+    """Bring usable fixes to ENU, in time order; those astray and later ones of equal time are dropped."""
+    usable = [fix for fix in fixes if fix.is_usable()]
+    usable = [fix for fix, kept in zip(usable, near(usable), strict=True) if kept]
+    usable.sort(key=lambda fix: fix.time_ns)
     geodetic = _to_gda2020(usable, config)
     enu = frame.from_geodetic(*geodetic.T) if usable else np.zeros((0, 3))
     times_ns = np.array([fix.time_ns + config.time_offset_ns for fix in usable], dtype=np.int64)

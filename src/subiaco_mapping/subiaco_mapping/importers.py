@@ -21,10 +21,11 @@ from rosbags.rosbag1 import ReaderError
 from subiaco_geo.atomic import refuse_existing, refuse_foreign
 from subiaco_geo.bags import TYPESTORE, BagWriter, packet_to_cdr
 from subiaco_geo.errors import InputError
-from subiaco_geo.topics import IMU_PACKETS, LATCHED, LIDAR_PACKETS, MESSAGE_TYPES, METADATA
+from subiaco_geo.topics import IMU_PACKETS, LATCHED, LIDAR_PACKETS, MESSAGE_TYPES, METADATA, POINTS
 from subiaco_mapping.bag_messages import LogMessage
 from subiaco_mapping.decode import parse_metadata
 from subiaco_mapping.isolated_reader import read_isolated
+from subiaco_mapping.kitti_raw import kitti_messages
 
 logger = logging.getLogger(__name__)
 
@@ -174,15 +175,15 @@ def _trimmed(packets: Iterable[RecordedPacket], metadata: str) -> Iterator[Recor
 def _write_bag(
     recording: Path,
     bag: Path,
-    metadata: str,
-    packets: Iterable[RecordedPacket],
+    metadata: str | None,
+    packets: Iterable[RecordedPacket | LogMessage],
     logged: Iterable[LogMessage],
 ) -> dict[str, int]:
     counts: dict[str, int] = {}
     streams: list[Iterable[RecordedPacket | LogMessage]] = [packets, logged]
     with BagWriter(bag) as writer:
         for packet in heapq.merge(*streams, key=lambda item: item.time_ns):
-            if not counts:
+            if not counts and metadata is not None:
                 string_type = TYPESTORE.types[MESSAGE_TYPES[METADATA]]
                 writer.write(
                     METADATA,
@@ -201,7 +202,7 @@ def _write_bag(
                 latched=packet.topic in LATCHED,
             )
             counts[packet.topic] = counts.get(packet.topic, 0) + 1
-        if LIDAR_PACKETS not in counts:
+        if LIDAR_PACKETS not in counts and POINTS not in counts:
             raise InputError(
                 f"{recording}: no LiDAR packet of this sensor in it; check recording and metadata"
             )
@@ -216,12 +217,12 @@ def import_recording(
     logged: Iterable[LogMessage] = (),
     overwrite: bool = False,
 ) -> dict[str, int]:
-    """Turn a recording of raw Ouster packets into an mcap bag.
+    """Turn a recording of raw Ouster packets, or a raw folder of KITTI, into an mcap bag.
 
     Parameters
     ----------
     recording : Path
-        ``.pcap`` (with the sensor's JSON), ``.osf`` or a ROS 1 ``.bag`` of PacketMsg.
+        ``.pcap`` (with the sensor's JSON), ``.osf``, a ROS 1 ``.bag`` of PacketMsg, or a raw folder of KITTI.
     bag : Path
         rosbag2 folder to make.
     metadata : Path, optional
@@ -244,8 +245,12 @@ def import_recording(
     recording, bag = Path(recording), Path(bag)
     refuse_existing(bag, overwrite)
     refuse_foreign(bag, "metadata.yaml")
+    if recording.is_dir():
+        return _write_in_place(recording, bag, None, kitti_messages(recording), logged)
     if not recording.is_file():
-        raise InputError(f"{recording}: no such recording; give a .pcap, .osf or ROS 1 .bag")
+        raise InputError(
+            f"{recording}: no such recording; give a .pcap, .osf, ROS 1 .bag or a raw folder of KITTI"
+        )
     if recording.suffix in _PCAP_SUFFIXES:
         text = _read_text(metadata or find_metadata(recording))
         packets: Iterable[RecordedPacket] = read_isolated(recording, pcap_packets, recording, text)
@@ -269,8 +274,8 @@ def import_recording(
 def _write_in_place(
     recording: Path,
     bag: Path,
-    metadata: str,
-    packets: Iterable[RecordedPacket],
+    metadata: str | None,
+    packets: Iterable[RecordedPacket | LogMessage],
     logged: Iterable[LogMessage],
 ) -> dict[str, int]:
     """Write the whole bag under its own name in a folder beside, then put it in its place."""

@@ -11,11 +11,13 @@ import numpy as np
 
 from subiaco_geo.bags import BagReader, packet_from_cdr, require_topic
 from subiaco_geo.topics import FIX, IMU, LIDAR_PACKETS, MESSAGE_TYPES, METADATA, POINTS
+from subiaco_mapping.bag_faults import faults
 from subiaco_mapping.config import DecodeConfig, GnssConfig, MappingConfig
-from subiaco_mapping.conversions import TIME_FIELDS, fix_from_msg, stamp_ns
+from subiaco_mapping.conversions import fix_from_msg, stamp_ns
 from subiaco_mapping.decode import PacketDecoder
 from subiaco_mapping.named_bags import NamedBagReader, guess_names
 from subiaco_mapping.pipeline import read_metadata
+from subiaco_mapping.point_times import TIME_FIELDS
 from subiaco_mapping.watch.bags import watch_bag
 from subiaco_mapping.watch.verdict import judge
 
@@ -97,6 +99,7 @@ def inspect_bag(bag: Path, config: MappingConfig | None = None) -> dict[str, Any
         facts = _facts(bag, reader, config)
         monitor = watch_bag(reader, config)
         verdict = judge(monitor, reader.topics, facts["duration_s"], config.deskewed or _has_times(reader))
+        verdict = verdict.with_more(*faults(reader, facts, config))
     facts["taken_as"] = guessed
     facts["flagged"] = monitor.flags.flagged(monitor.now_ns)
     facts |= {"verdict": verdict.word, "forbids": list(verdict.forbids), "cares": list(verdict.cares)}

@@ -18,7 +18,9 @@ from pydantic import Field
 from subiaco_geo.bags import TYPESTORE
 from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError
+from subiaco_geo.frames import Floats
 from subiaco_geo.topics import HEADING, IMU
+from subiaco_mapping import rtklib
 from subiaco_mapping.bag_messages import LogMessage, fix_message, header, message
 
 _T = TYPESTORE.types
@@ -57,6 +59,7 @@ class LogsConfig(StrictModel):
     gnss: GnssColumns = GnssColumns()
     imu: ImuColumns = ImuColumns()
     heading_sigma_deg: float = Field(0.2, gt=0, description="where the log has none [deg]")
+    leap_seconds: int = Field(18, ge=0, le=60, description="GPS - UTC [s], for GPST in RTKLIB's .pos")
 
 
 def parse_time_ns(text: str) -> int:
@@ -122,6 +125,11 @@ def _imu(topic: str, time_ns: int, frame: str, yaw: float, variance: float, rate
     )
 
 
+def imu_message(time_ns: int, gyro: Floats, accel: Floats) -> LogMessage:
+    """Return a sensor_msgs/Imu of rates (3,) [rad/s] and specific force (3,) [m/s2] in ``imu_link``."""
+    return _imu(IMU, time_ns, "imu_link", 0.0, 0.0, [*map(float, gyro), *map(float, accel)])
+
+
 def _number(row: dict[str, str], column: str) -> float:
     """Return a value, NaN where the column is absent or empty."""
     text = (row.get(column) or "").strip()
@@ -139,13 +147,15 @@ def _fix(row: dict[str, str], time_ns: int, columns: GnssColumns) -> LogMessage:
 
 
 def read_gnss_log(path: Path, config: LogsConfig) -> list[LogMessage]:
-    """Return fixes, and headings where the log has them, in time order.
+    """Return fixes, and headings where the log has them, in time order; ``.pos`` is RTKLIB's.
 
     Raises
     ------
     InputError
         Names file, line or column at fault.
     """
+    if path.suffix.lower() == rtklib.SUFFIX:
+        return rtklib.read_pos(path, config.leap_seconds)
     columns, found = config.gnss, []
     needed = (columns.time, columns.latitude, columns.longitude, columns.height, columns.quality)
     for line, row in _rows(path, needed, "logs.gnss"):
@@ -173,8 +183,10 @@ def read_imu_log(path: Path, config: LogsConfig) -> list[LogMessage]:
     columns, found = config.imu, []
     for line, row in _rows(path, (columns.time, *columns.gyro, *columns.accel), "logs.imu"):
         try:
-            rates = [float(row[name]) for name in (*columns.gyro, *columns.accel)]
-            found.append(_imu(IMU, parse_time_ns(row[columns.time]), "imu_link", 0.0, 0.0, rates))
+            gyro, accel = (
+                np.array([float(row[name]) for name in names]) for names in (columns.gyro, columns.accel)
+            )
+            found.append(imu_message(parse_time_ns(row[columns.time]), gyro, accel))
         except (ValueError, TypeError, AttributeError) as error:
             raise InputError(f"{path}: line {line}: {error}; correct or remove it") from error
     return sorted(found, key=lambda message: message.time_ns)

@@ -14,12 +14,15 @@ from subiaco_mapping.config import ManifestConfig
 from subiaco_mapping.graph.records import ChainSolution
 from subiaco_mapping.measurements import GnssFix, OdometryPose
 
+#: Flag of a sequence, and key of the manifest, where most fixes contradict the map.
+CONTRADICTED = "gnss_contradicts"
 STATES = {2: "fixed", 1: "float", 0: "single"}
 
 #: What every key of the manifest means; written into it, so that its reader need not look elsewhere.
 LEGEND = {
     "georeferenced": "GNSS placed the map in its CRS; false: local axes, first scan at the origin",
     "reason": "why the map is local, empty where it is georeferenced",
+    "gnss_contradicts": "most fixes of a sequence are farther off the map than they state; flag: of which",
     "sequences": "one entry a recording, named after its bag",
     "scans": "registered LiDAR turns; in packets: turns decoded",
     "length_m": "way driven [m]",
@@ -43,6 +46,7 @@ LEGEND = {
     "refused": "fixes without a solution or with NaN",
     "unattached": "fixes before, after or in a gap of the scans",
     "downweighted": "fixes that the robust kernel left less than 30 % of their weight",
+    "contradicting": "fixes that the map is farther off than 99.9 % of what they state",
     "rmse_horizontal_m": "antenna on the map against the fixes used, horizontal [m]",
     "rmse_vertical_m": "the same, vertical [m]",
     "slow_rms_m": "what of that the graph takes for slow errors of the receiver, shared by neighbours [m]",

@@ -12,15 +12,19 @@ import numpy as np
 
 from subiaco_geo.config import config_hash
 from subiaco_geo.frames import invert_pose
+from subiaco_geo.free_space.sensor_view import SENSOR, SensorView
 from subiaco_geo.survey_map import PoseUncertainty, SurveyMap
 from subiaco_geo.trajectories import Trajectory
 from subiaco_mapping.config import GnssConfig, ManifestConfig, MappingConfig
+from subiaco_mapping.field_of_view import FieldOfView
 from subiaco_mapping.finishing import FinishedMap, MapFusion
 from subiaco_mapping.heights import height_table
-from subiaco_mapping.manifest import LEGEND, describe_sequence
+from subiaco_mapping.manifest import CONTRADICTED, LEGEND, describe_sequence, stretches
 from subiaco_mapping.projection import Projection
 from subiaco_mapping.sequences import SequenceRecord
 from subiaco_mapping.solution import GraphSolution
+
+_VIEWED = 10  # one scan in so many tells the field of view
 
 ProgressCallback = Callable[[str, float], None]
 
@@ -58,15 +62,16 @@ def build_map(
     """
     projection = Projection(solution.frame, config.crs if solution.frame is not None else None)
     # what is mapped from the folder outlives it: the disk gives it back when the map is let go
+    view = FieldOfView(config.decode.sky_range, config.decode.max_range)
     with tempfile.TemporaryDirectory(prefix=FUSION_FOLDER, dir=sequences[0].spool.folder) as folder:
-        fused = _fuse(Path(folder), sequences, solution, config, projection, report)
+        fused = _fuse(Path(folder), sequences, solution, config, projection, report, view)
     trajectory, uncertainty = _trajectory(solution, projection)
     return SurveyMap(
         cloud=fused.cloud,
         trajectory=trajectory,
         visibility=fused.visibility,
         uncertainty=uncertainty,
-        info=_info(solution, trajectory, config, inputs or {}),
+        info=_info(solution, trajectory, config, inputs or {}, view.view()),
         last=fused.last,
         moving=fused.moving,
         odometry=_odometry(sequences),
@@ -83,15 +88,19 @@ def _fuse(
     config: MappingConfig,
     projection: Projection,
     report: ProgressCallback,
+    view: FieldOfView,
 ) -> FinishedMap:
     fusion = MapFusion(folder, config.fusion, projection, solution.sequences[0].T_local_lidar[0, :3, 3])
     total = sum(len(sequence.stamps_ns) for sequence in solution.sequences)
     done = 0
-    spools = [s.spool for s in sequences]
-    for spool, sequence in zip(spools, solution.sequences, strict=True):
+    pairs = zip((s.spool for s in sequences), solution.sequences, strict=True)
+    for spool, sequence in sorted(pairs, key=lambda pair: int(pair[1].stamps_ns[0])):
         matrices, offsets = projection.affine(sequence.T_local_lidar[:, :3, 3])
         for k, pose in enumerate(sequence.T_local_lidar):
-            fusion.add(spool.read(k), pose, matrices[k], offsets[k])
+            scan = spool.read(k)
+            fusion.add(scan, pose, matrices[k], offsets[k], int(sequence.stamps_ns[k]))
+            if done % _VIEWED == 0:
+                view.add(scan.xyz, scan.sky_xyz)
             done += 1
             if done % 10 == 0 or done == total:
                 report("fusing scans", done / total)
@@ -110,7 +119,11 @@ def _odometry(sequences: Sequence[SequenceRecord]) -> dict[str, Trajectory]:
 
 
 def _info(
-    solution: GraphSolution, trajectory: Trajectory, config: MappingConfig, inputs: Mapping[str, str]
+    solution: GraphSolution,
+    trajectory: Trajectory,
+    config: MappingConfig,
+    inputs: Mapping[str, str],
+    view: SensorView | None,
 ) -> dict[str, Any]:
     start_s = int(trajectory.times_ns[0]) * 1e-9
     frame = solution.frame
@@ -118,6 +131,7 @@ def _info(
         "epoch": round(1970.0 + start_s / (365.2425 * 86400), 3),
         "leaf": config.fusion.leaf,
         "scans": len(trajectory),
+        **({} if view is None else {SENSOR: view.description()}),
         "sequences": [sequence.name for sequence in solution.sequences],
         "inputs": dict(inputs),
         "config_hash": config_hash(config),
@@ -154,14 +168,21 @@ def describe(
             "refused": solved.fixes_refused,
             "unattached": solved.fixes_unattached,
             "downweighted": solved.fixes_downweighted,
+            "contradicting": solved.fixes_contradicting,
             "headings_used": solved.headings_used,
             "states": solved.gnss_states,
         }
+        if solved.fixes_contradicting > config.max_contradicting * solved.fixes_used:
+            whole = np.ones(len(solved.stamps_ns), dtype=np.bool_)
+            facts["flagged"][CONTRADICTED] = stretches(
+                whole, solved.stamps_ns, solved.T_local_lidar[:, :3, 3]
+            )
         facts["dropped_points"] = sequence.dropped_points
         described[sequence.name] = {**facts, **sequence.facts}
     return {
         "georeferenced": solution.frame is not None,
         "reason": solution.reason,
+        CONTRADICTED: any(CONTRADICTED in facts["flagged"] for facts in described.values()),
         "sequences": described,
         "loops": solution.loops.described(),
         "legend": LEGEND,

@@ -1,81 +1,54 @@
-"""What moved leaves the map: places that let beams through in many turns and returned them in a few.
+"""Points of moving objects leave the map; the road that they drove on stays.
 
-A car that passes fills a voxel for some turns; before and after, beams go through it. Wires, poles, fences
-and leaves let beams through too, but return some of them turn after turn. So passes are counted against
-the *turns* that brought a return, not against the returns, and are averaged over the neighbours. The lowest
-of a place stays: the road shares neighbours with the cars on it, but does not drive.
+The verdict on a voxel comes from :mod:`subiaco_geo.movement`. A voxel that holds road and the lower edge of
+a vehicle was hit all the time, so its verdict is that of the road: points above the road there take the
+verdict on the voxel above. The lowest points of a place stay.
 """
 
 from __future__ import annotations
 
-import numba
+from collections.abc import Callable
+
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter
-from scipy.spatial import cKDTree
 
-from subiaco_geo.clouds import voxel_indices, voxel_keys
-from subiaco_geo.frames import Floats, Ints
-from subiaco_mapping.config import MovingConfig
+from subiaco_geo.frames import Floats
 
-#: Walked beams a turn up to which the limits of :class:`MovingConfig` hold; passes of more are scaled down.
-REFERENCE_BEAMS = 4096.0
+_SHARED = 1.5  # edges of a voxel above the floor below which its looks are shared with the floor
 _CELL = 0.5  # in plan, within which and around which the lowest is looked for [m]
 
 
-@numba.njit(cache=True)
-def _first_of_turn(keys: Ints, seen: Ints) -> NDArray[np.bool_]:
-    """Mark the keys (N,) that were not there before; ``seen`` is an empty table, a power of two long."""
-    fresh = np.zeros(len(keys), dtype=np.bool_)
-    mask = np.uint64(len(seen) - 1)
-    for i in range(len(keys)):
-        mixed = np.uint64(keys[i]) * np.uint64(0x9E3779B97F4A7C15)
-        slot = (mixed ^ (mixed >> np.uint64(32))) & mask
-        while seen[slot] != keys[i] and seen[slot] != -1:
-            slot = (slot + np.uint64(1)) & mask
-        fresh[i] = seen[slot] == -1
-        seen[slot] = keys[i]
-    return fresh
-
-
-def turn_keys(xyz: Floats, voxel: float) -> Ints:
-    """Return the keys of the voxels [m] that one turn's points (N, 3) are in, each once."""
-    keys = voxel_keys(voxel_indices(xyz, voxel))
-    table = np.full(1 << int(np.ceil(np.log2(2 * len(keys) + 2))), -1, dtype=np.int64)
-    return keys[_first_of_turn(keys, table)]
-
-
-def moving_points(xyz: Floats, passed: Floats, config: MovingConfig) -> NDArray[np.bool_]:
-    """Mark what moved.
+def moved_probability(
+    xyz: Floats, above_floor: Floats, moved: Callable[[Floats], NDArray[np.float32]], voxel: float
+) -> NDArray[np.float32]:
+    """Return the probability (N,) that points moved; NaN where nothing is known.
 
     Parameters
     ----------
     xyz : (N, 3) float64
-        A point a voxel [m].
-    passed : (N,) float64
-        Beams that passed through the place for each turn that returned one.
-    config : MovingConfig
+        One point a map voxel, z up [m].
+    above_floor : (N,) float64
+        Height above the lowest point around [m].
+    moved : callable
+        Probability by the voxel of a place (M, 3).
+    voxel : float
+        Edge of those voxels [m].
     """
-    if not config.enabled or len(xyz) < config.neighbours:
-        return np.zeros(len(xyz), dtype=np.bool_)
-    distance, index = cKDTree(xyz).query(
-        xyz, k=config.neighbours, distance_upper_bound=config.reach, workers=1
-    )
-    near = np.isfinite(distance)
-    index = np.where(near, index, 0)
-    evidence = np.log(np.maximum(passed, 0.1))
-    mean = (evidence[index] * near).sum(axis=1) / near.sum(axis=1)
-    surest = np.where(near, mean[index], -np.inf).max(axis=1)
-    return np.asarray((mean > np.log(config.touching)) & (surest > np.log(config.sure)))
+    found = moved(xyz)
+    low = np.flatnonzero(above_floor < _SHARED * voxel)
+    raised = moved(xyz[low] + [0.0, 0.0, voxel])
+    found[low] = np.fmax(found[low], raised)
+    return found
 
 
-def on_the_floor(xyz: Floats, height: float) -> NDArray[np.bool_]:
-    """Mark points (N, 3) that lie less than ``height`` above the lowest around them [m]."""
+def height_above_floor(xyz: Floats) -> Floats:
+    """Return the height (N,) of points (N, 3) above the lowest point around them [m]."""
     if len(xyz) == 0:
-        return np.zeros(0, dtype=np.bool_)
+        return np.zeros(0)
     cell = np.floor(xyz[:, :2] / _CELL).astype(np.int64)
     cell -= cell.min(axis=0)
     lowest = np.full(cell.max(axis=0) + 1, np.inf)
     np.minimum.at(lowest, (cell[:, 0], cell[:, 1]), xyz[:, 2])
     around = minimum_filter(lowest, 3, mode="nearest")
-    return np.asarray(xyz[:, 2] - around[cell[:, 0], cell[:, 1]] < height)
+    return np.asarray(xyz[:, 2] - around[cell[:, 0], cell[:, 1]])

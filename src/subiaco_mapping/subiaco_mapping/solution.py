@@ -30,6 +30,8 @@ class SequenceSolution:
     gnss_states : dict
         Counts and residuals by RTK state, see :func:`subiaco_mapping.manifest.describe_fixes`.
     headings_used : int
+    fixes_contradicting : int
+        Used fixes that the map is farther off than 99.9 % of what was stated.
     """
 
     name: str
@@ -43,6 +45,7 @@ class SequenceSolution:
     fixes_downweighted: int
     gnss_states: dict[str, Any] = field(default_factory=dict)
     headings_used: int = 0
+    fixes_contradicting: int = 0
 
 
 @dataclass(frozen=True)

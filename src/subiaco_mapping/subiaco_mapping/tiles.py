@@ -4,14 +4,16 @@ from __future__ import annotations
 
 from collections import OrderedDict
 from collections.abc import Callable
+from dataclasses import fields
 from pathlib import Path
 from typing import Any, Generic, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from subiaco_geo.clouds import unpack_voxel_keys, voxel_indices, voxel_keys
+from subiaco_geo.clouds import unpack_voxel_keys
 from subiaco_geo.frames import Floats, Ints
+from subiaco_geo.look_times import COLUMNS, WINDOWS, Looks, joined_looks, looks_of
 from subiaco_geo.raywalk import VisibilityAccumulator
 from subiaco_geo.visibility import VisibilityGrid
 from subiaco_mapping.fusion import VoxelAccumulator, VoxelStatistics, statistics_of
@@ -21,6 +23,7 @@ _REACH = 1 << 20
 _NEAR_TILES = 12  # tiles kept at hand: one with its neighbours, and some
 
 Rows = NDArray[Any]
+Join = Callable[[Ints, list[Rows]], tuple[Ints, list[Rows]]]
 Value = TypeVar("Value")
 
 
@@ -40,14 +43,20 @@ def tile_corner(tile: int, edge: int) -> Ints:
     return np.array([(tile >> _SHIFT) - _REACH, (tile & ((1 << _SHIFT) - 1)) - _REACH]) * edge
 
 
+def _grouped(keys: Ints) -> tuple[Ints, Ints, Ints]:
+    """Return the sorted keys, each once, where each begins, and the order; equal ones keep theirs."""
+    order = np.argsort(keys, kind="stable")
+    ranked = keys[order]
+    starts = np.flatnonzero(np.concatenate([[True], ranked[1:] != ranked[:-1]]))
+    return ranked[starts], starts, order
+
+
 def summed(keys: Ints, columns: list[Rows]) -> tuple[Ints, list[Rows]]:
     """Add up rows of equal keys; keys come out sorted."""
     if len(keys) == 0:
         return keys, columns
-    order = np.argsort(keys, kind="stable")
-    ranked = keys[order]
-    starts = np.flatnonzero(np.concatenate([[True], ranked[1:] != ranked[:-1]]))
-    return ranked[starts], [np.add.reduceat(c[order], starts, axis=0, dtype=c.dtype) for c in columns]
+    ranked, starts, order = _grouped(keys)
+    return ranked, [np.add.reduceat(c[order], starts, axis=0, dtype=c.dtype) for c in columns]
 
 
 class TileRuns:
@@ -58,10 +67,13 @@ class TileRuns:
     folder : Path
     edge : int
         Edge of a tile [voxels].
+    join : callable
+        Makes one row of all rows of a key, which come in the order in which they were written.
     """
 
-    def __init__(self, folder: Path, edge: int) -> None:
+    def __init__(self, folder: Path, edge: int, join: Join = summed) -> None:
         self.edge = edge
+        self._join = join
         self._folder = folder
         self._runs: list[tuple[list[Rows], dict[int, slice]]] = []
         folder.mkdir(parents=True)
@@ -85,10 +97,10 @@ class TileRuns:
         return sorted({tile for _, spans in self._runs for tile in spans})
 
     def read(self, tiles: list[int]) -> tuple[Ints, list[Rows]]:
-        """Return keys and columns of tiles, runs added up, sorted by key; there must be some."""
+        """Return keys and columns of tiles, runs joined, sorted by key; there must be some."""
         parts = [[c[spans[t]] for c in rows] for t in tiles for rows, spans in self._runs if t in spans]
         keys, *columns = (np.concatenate(column) for column in zip(*parts, strict=True))
-        return summed(keys, columns)
+        return self._join(keys, columns)
 
 
 class Recent(Generic[Value]):
@@ -138,100 +150,90 @@ class DiskColumns:
 
 
 class VisibilityTiles:
-    """A visibility layer that goes to disk when it outgrows ``most`` voxels; see VisibilityAccumulator."""
-
-    def __init__(self, folder: Path, origin: Floats, voxel: float, edge: int, most: int) -> None:
-        self._origin, self._voxel, self._most = origin, voxel, most
-        self._folder = folder
-        self._runs = TileRuns(folder / "runs", edge)
-        self._active = VisibilityAccumulator(origin, voxel)
-        self._near = Recent(self._tile)
-
-    def add(self, starts: Floats, ends: Floats, returned: NDArray[np.bool_]) -> None:
-        """Walk beams (N, 3) -> (N, 3) [m, world]."""
-        self._active.add(starts, ends, returned)
-        if len(self._active) >= self._most:
-            self.flush()
-
-    def flush(self) -> None:
-        """Write what is in memory."""
-        grid = self._active.grid()
-        if len(grid.keys):
-            self._runs.append(grid.keys, [grid.hits, grid.passes])
-            self._active = VisibilityAccumulator(self._origin, self._voxel)
-
-    def _tile(self, tile: int) -> VisibilityGrid:
-        keys, (hits, passes) = self._runs.read([tile])
-        return VisibilityGrid(self._origin, self._voxel, keys, hits, passes)
-
-    def passes(self, world: Floats) -> NDArray[np.uint32]:
-        """Return the beams (N,) that went through the voxels of points (N, 3); flushed before."""
-        tiles = tile_numbers(voxel_indices(world - self._origin, self._voxel), self._runs.edge)
-        found = np.zeros(len(world), dtype=np.uint32)
-        for tile in sorted(set(tiles.tolist()) & set(self._runs.tiles())):
-            inside = tiles == tile
-            found[inside] = self._near(tile).lookup(world[inside])[1]
-        return found
-
-    def grid(self) -> VisibilityGrid:
-        """Return the whole layer, mapped from disk; flushed before."""
-        whole = DiskColumns(self._folder / "grid")
-        whole.append(keys=np.zeros(0, np.int64), hits=np.zeros(0, np.uint32), passes=np.zeros(0, np.uint32))
-        columns: dict[int, list[int]] = {}
-        for tile in self._runs.tiles():
-            columns.setdefault(tile >> _SHIFT, []).append(tile)
-        for column in columns.values():  # keys sort by x first
-            keys, (hits, passes) = self._runs.read(column)
-            whole.append(keys=keys, hits=hits, passes=passes)
-        return VisibilityGrid(self._origin, self._voxel, **whole.arrays())
-
-
-class TurnTiles:
-    """In how many turns every voxel returned something; goes to disk like the rest.
+    """A visibility layer that goes to disk when it outgrows ``most`` voxels; see VisibilityAccumulator.
 
     Parameters
     ----------
     folder : Path
+    origin : (3,) float64
+        World coordinates of the corner of voxel (0, 0, 0) [m].
     voxel : float
         Edge [m].
     edge : int
         Edge of a tile [voxels].
     most : int
-        Rows in memory.
+        Voxels in memory.
+    least_beams : int
+        Beams in a time window that make a look through a voxel.
     """
 
-    def __init__(self, folder: Path, voxel: float, edge: int, most: int) -> None:
-        self._voxel, self._most = voxel, most
-        self._runs = TileRuns(folder, edge)
-        self._fresh: list[Ints] = []
-        self._size = 0
-        self._near = Recent(lambda tile: self._runs.read([tile]))
+    def __init__(
+        self, folder: Path, origin: Floats, voxel: float, edge: int, most: int, least_beams: int
+    ) -> None:
+        self._origin, self._voxel, self._most, self._least = origin, voxel, most, least_beams
+        self._folder = folder
+        self._runs = TileRuns(folder / "runs", edge, _joined_beams)
+        self._active = self._empty()
+        self._base, self._window = 0, 0
 
-    def add(self, keys: Ints) -> None:
-        """Take the voxels of one turn, each once."""
-        self._fresh.append(keys)
-        self._size += len(keys)
-        if self._size >= self._most:
-            self.flush()
+    def _empty(self) -> VisibilityAccumulator:
+        return VisibilityAccumulator(self._origin, self._voxel, least_beams=self._least)
+
+    def add(
+        self, starts: Floats, ends: Floats, returned: NDArray[np.bool_], hits: Floats, window: int
+    ) -> None:
+        """Walk beams (N, 3) -> (N, 3) of one scan, in which points ``hits`` (M, 3) returned [m, world].
+
+        ``window`` is the number of the time window, 1 or more. What is in memory goes to disk between
+        two windows.
+        """
+        if window != self._window:
+            reached = 0 < window - self._base < WINDOWS
+            if not reached or len(self._active) >= self._most:
+                self.flush()
+                self._base = window - 1
+            self._window = window
+        self._active.touch(hits, window - self._base)
+        self._active.add(starts, ends, returned, window - self._base)
 
     def flush(self) -> None:
         """Write what is in memory."""
-        if self._size:
-            keys, counts = np.unique(np.concatenate(self._fresh), return_counts=True)
-            self._runs.append(keys, [counts.astype(np.uint32)])
-        self._fresh, self._size = [], 0
+        grid = self._active.grid()
+        if len(grid.keys):
+            looks = self._active.looks().later(self._base)
+            self._runs.append(grid.keys, [grid.hits, grid.passes, *looks.columns()])
+            self._active = self._empty()
 
-    def turns(self, xyz: Floats) -> NDArray[np.uint32]:
-        """Return the turns (N,) that returned something from the voxels of points (N, 3)."""
-        index = voxel_indices(xyz, self._voxel)
-        tiles, query = tile_numbers(index, self._runs.edge), voxel_keys(index)
-        found = np.zeros(len(xyz), dtype=np.uint32)
-        for tile in sorted(set(tiles.tolist()) & set(self._runs.tiles())):
-            keys, (counts,) = self._near(tile)
-            inside = tiles == tile
-            slot = np.minimum(np.searchsorted(keys, query[inside]), len(keys) - 1)
-            found[inside] = np.where(keys[slot] == query[inside], counts[slot], 0)
-        return found
+    def free(self) -> None:
+        """Give the table's memory back."""
+        self._active = self._empty()
+
+    def grid(self) -> tuple[VisibilityGrid, Looks]:
+        """Return the whole layer, mapped from disk, and the looks at its voxels; flushed before."""
+        whole = DiskColumns(self._folder / "grid")
+        nothing = np.zeros((0, COLUMNS), dtype=np.uint16)
+        empty = [np.zeros(0, np.uint32), np.zeros(0, np.uint32), *looks_of(nothing, 1).columns()]
+        looks_named = tuple(f"look_{field.name}" for field in fields(Looks))
+        names = ("hits", "passes", *looks_named)
+        whole.append(keys=np.zeros(0, np.int64), **dict(zip(names, empty, strict=True)))
+        columns: dict[int, list[int]] = {}
+        for tile in self._runs.tiles():
+            columns.setdefault(tile >> _SHIFT, []).append(tile)
+        for column in columns.values():  # keys sort by x first
+            keys, found = self._runs.read(column)
+            whole.append(keys=keys, **dict(zip(names, found, strict=True)))
+        arrays = whole.arrays()
+        looks = Looks(*(arrays.pop(name) for name in looks_named))
+        keys, hits, passes = (arrays[name] for name in ("keys", "hits", "passes"))
+        return VisibilityGrid(self._origin, self._voxel, keys, hits, passes), looks
+
+
+def _joined_beams(keys: Ints, columns: list[Rows]) -> tuple[Ints, list[Rows]]:
+    """Join rows of equal keys, in the order of time: beams are added up, looks follow one another."""
+    ranked, starts, order = _grouped(keys)
+    counts = [np.add.reduceat(c[order], starts, axis=0, dtype=c.dtype) for c in columns[:2]]
+    looks = joined_looks(starts, Looks(*(c[order] for c in columns[2:])))
+    return ranked, [*counts, *looks.columns()]
 
 
 class VoxelTiles:

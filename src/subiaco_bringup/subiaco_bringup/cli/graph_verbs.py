@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from subiaco_bringup.cli.map_verdict import end_with_verdict
 from subiaco_bringup.cli.options import (
     ConfigFiles,
     Output,
@@ -60,6 +61,7 @@ def mapping(
             progress=progress,
         )
     say(f"map: {output}", quiet=quiet)
+    end_with_verdict(output, quiet=quiet)
 
 
 @graph.command("change")

@@ -30,7 +30,8 @@ A survey in four commands:
 
 \b
 Exit codes: 0 done, 2 bad input or usage, 3 a registration that failed or
-cannot be trusted, 1 a fault of ours, 130 interrupted.
+cannot be trusted, or a map that its own fixes contradict, 1 a fault of ours,
+130 interrupted.
 """
 #: What a file system refuses for reasons that are the user's to mend.
 _DISK_REFUSALS = frozenset(

@@ -8,6 +8,7 @@ from typing import Annotated, Any
 
 import typer
 
+from subiaco_bringup.cli.map_verdict import end_with_verdict
 from subiaco_bringup.cli.options import (
     AsJson,
     ConfigFiles,
@@ -94,6 +95,8 @@ def inspect(
 ) -> None:
     """Say whether a bag is usable, and why not: topics, rates, losses, clocks, RTK states, IMU.
 
+    Ends with 0 where it is usable, with or without care, and with 2 where it is not.
+
     Topics of other names are recognised by their types, or named by the configuration.
 
     Example: subiaco inspect bags/demo/before
@@ -108,13 +111,16 @@ def inspect(
         print_json(facts)
     else:
         typer.echo(describe(facts))
+    if facts["forbids"]:
+        raise typer.Exit(2)
 
 
 def import_(
     recording: Annotated[
         Path,
         typer.Argument(
-            metavar="RECORDING", help="Raw Ouster packets: .pcap with its .json, .osf, or ROS 1 .bag."
+            metavar="RECORDING",
+            help="Raw Ouster packets: .pcap with its .json, .osf, or ROS 1 .bag; or a raw folder of KITTI.",
         ),
     ],
     output: Output,
@@ -125,7 +131,11 @@ def import_(
         ),
     ] = None,
     gnss: Annotated[
-        Path | None, typer.Option(metavar="CSV", help="Fixes (and headings) with UTC stamps; see logs.gnss.")
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="Fixes (and headings): CSV with UTC stamps, see logs.gnss; or a solution of RTKLIB (.pos).",
+        ),
     ] = None,
     imu: Annotated[
         Path | None, typer.Option(metavar="CSV", help="IMU samples with UTC stamps; see logs.imu.")
@@ -136,7 +146,7 @@ def import_(
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
-    """Turn a recording of raw packets into an mcap bag that every other verb reads.
+    """Turn a recording into an mcap bag that every other verb reads.
 
     Columns of other names: --set logs.gnss.latitude=lat, and so on.
 
@@ -198,6 +208,7 @@ def map_(
     """Build one georeferenced map from the bags of one epoch.
 
     A bag without usable GNSS fixes gives a map in a local frame, without CRS.
+    A map that most of its own fixes contradict is written, flagged and ends with 3.
     Until the map is written, the work lies beside it in .MAP_DIR.journal.
 
     Example: subiaco map bags/demo/before -o out/before
@@ -227,6 +238,7 @@ def map_(
         remove(journal_folder(output))
     place = survey.cloud.crs or "a local frame without CRS"
     say(f"map: {output} ({len(survey.cloud):,} points in {place})", quiet=quiet)
+    end_with_verdict(output, quiet=quiet)
 
 
 def check(

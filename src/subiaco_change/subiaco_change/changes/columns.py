@@ -33,6 +33,16 @@ class OpenGround:
     before: Ints
     after: Ints
     empty: tuple[Empty | None, Empty | None] = (None, None)
+    cell: float = 0.5
+
+    def bare(self, epoch: int) -> Empty:
+        """Return what tells of columns (N, 2) whether an epoch, 0 or 1, met the ground there."""
+        keys = (self.before, self.after)[epoch]
+
+        def met(xy: Floats) -> Mask:
+            return _among(column_keys(np.column_stack([xy, np.zeros(len(xy))]), self.cell), keys)
+
+        return met
 
 
 #: Nobody met the ground.
@@ -41,15 +51,10 @@ BUILT_UP = OpenGround(NO_COLUMNS, NO_COLUMNS)
 
 @dataclass(frozen=True)
 class Volumes:
-    """Change of the volume, after minus before, and the volume that it is a share of [m3].
-
-    ``carried``: columns that stand in *after* and were open, less those that stood and are open, relative to
-    the mean number that was seen to stand. A gap that closes hides as much wall as is new.
-    """
+    """Change of the volume, after minus before, and the volume that it is a share of [m3]."""
 
     change: float
     whole: float
-    carried: float = 0.0
 
 
 def ground_columns(xyz: Floats, cell: float) -> Ints:
@@ -84,20 +89,16 @@ def compare_volumes(
         stand.append(tops)
         bare.append(free)
     known = np.ones(frame.shape, dtype=bool)
-    raw = [_tops(v.select(v.seen), frame) > 0 for v in (before, after)]
-    opened = []
     for epoch in (0, 1):
         unknown = (stand[epoch] == 0) & (stand[1 - epoch] > 0) & ~bare[epoch]
         unknown[unknown] = ~_open(frame, unknown, stand[1 - epoch], sides[1 - epoch], ground.empty[epoch])
         new = (before, after)[1 - epoch].select(alone[1 - epoch])
         unknown[unknown] = ~_within(new, frame.middles(unknown))
         known &= ~unknown
-        opened.append(np.count_nonzero(raw[1 - epoch] & (stand[epoch] == 0) & ~unknown))
-    carried = (opened[0] - opened[1]) / max(0.5 * (np.count_nonzero(raw[0]) + np.count_nonzero(raw[1])), 1.0)
     change = float((stand[1] - stand[0])[known].sum()) * cell**2
     first = 0 if len(before) else 1
     outline = [before.xyz, after.xyz[~alone[1]]] if first == 0 else [after.xyz]
-    return Volumes(change, _whole(stand[first], np.concatenate(outline), cell), carried)
+    return Volumes(change, _whole(stand[first], np.concatenate(outline), cell))
 
 
 def stands_alone(voxels: Voxels) -> Mask:

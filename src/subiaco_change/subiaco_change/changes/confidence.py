@@ -73,17 +73,16 @@ class ConfidenceConfig(StrictModel):
     """Coefficients fitted on simulated surveys by ``scripts/calibrate_confidence.py``.
 
     On surveys that no rule was tuned on: where rules are tuned they are right more often than elsewhere.
-    Some 40 wrong rows among 500 changed ones are few to vouch for a probability: ``held_out_ece`` says
+    Some 20 wrong rows among 210 changed ones are few to vouch for a probability: ``held_out_ece`` says
     how far off it was on surveys left out.
     """
 
     fitted_on: str = Field(
-        "simulated default surveys, seeds 106 to 110, 42 s, fused maps, own registration;"
-        " 502 changed of 1594 rows; 2026-11-22",
+        "simulated: default_106, hard_106; evidence: layer; 2026-11-22; 210 changed of 788 rows",
         description="surveys, seeds, rows and date of the fit; empty says: judgements",
     )
     held_out_ece: float = Field(
-        0.011,
+        0.026,
         ge=0,
         le=1,
         description="expected calibration error over changed rows of surveys left out of the fit",
@@ -117,13 +116,34 @@ class ConfidenceConfig(StrictModel):
         " falls with the square of the unobserved share; higher values are more cautious",
     )
     single: Coefficients = Coefficients(
-        intercept=2.003, margin=0.032, observed=0.314, size=1.055, purity=0.496, solid=-0.045
+        intercept=1.404,
+        margin=0.057,
+        gate=0.511,
+        observed=0.559,
+        size=0.853,
+        purity=0.576,
+        solid=0.122,
+        density=0.0,
     )
     reshaped: Coefficients = Coefficients(
-        intercept=2.775, margin=0.0, observed=0.0, size=0.704, purity=0.447, solid=0.0
+        intercept=2.739,
+        margin=0.0,
+        gate=0.053,
+        observed=0.006,
+        size=0.31,
+        purity=0.159,
+        solid=0.0,
+        density=-0.342,
     )
     unchanged: Coefficients = Coefficients(
-        intercept=4.42, margin=-1.78, observed=0.751, size=0.738, purity=0.0, solid=-1.564
+        intercept=3.496,
+        margin=-1.037,
+        gate=0.154,
+        observed=0.458,
+        size=0.873,
+        purity=0.0,
+        solid=-1.198,
+        density=0.0,
     )
 
     @property
@@ -221,7 +241,14 @@ def confidence(
     decision: Decision, measures: Measures, semantic: Semantic, class_score: float, config: ConfidenceConfig
 ) -> float:
     """Return the probability that the label is right; for a place not observed, how much was not."""
-    return probability(decision, features(decision, measures, semantic, class_score), config)
+    return bounded(
+        probability(decision, features(decision, measures, semantic, class_score), config), decision, measures
+    )
+
+
+def bounded(fitted: float, decision: Decision, measures: Measures) -> float:
+    """Bound the confidence of what stands in one epoch alone by how surely its place was free there."""
+    return min(fitted, measures.free) if kind_of(decision.change) == "single" else fitted
 
 
 def decided_anew(record: ChangeRecord, decision: Decision, config: ConfidenceConfig) -> ChangeRecord:

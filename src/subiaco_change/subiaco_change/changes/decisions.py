@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from pydantic import Field
 
+from subiaco_change.changes.carving import Interval
 from subiaco_change.changes.measures import Measures
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.config import StrictModel
@@ -31,9 +32,6 @@ class ClassRules(StrictModel):
         description="share of the surface, new or gone where the other epoch looked across it, that a change"
         " must be carried by (Decision 13); 0 asks for none",
     )
-    columns: bool = Field(
-        False, description="whether that share of the columns, new or gone, will do as well"
-    )
     surface: float = Field(
         math.inf, gt=0, description="that share from which it is a change of volume by itself; inf: never"
     )
@@ -47,9 +45,7 @@ class ClassRules(StrictModel):
 class DecisionConfig(StrictModel):
     """Table of section E; defaults are the paper's."""
 
-    building: ClassRules = ClassRules(
-        min_iou=0.10, height=0.50, volume=0.10, shift=1.5, carried=0.07, columns=True
-    )
+    building: ClassRules = ClassRules(min_iou=0.10, height=0.50, volume=0.10, shift=1.5)
     vegetation: ClassRules = ClassRules(
         min_iou=0.08, height=0.30, volume=0.15, shift=2.0, carried=0.10, surface=0.15, outline=0.08
     )
@@ -59,14 +55,23 @@ class DecisionConfig(StrictModel):
     min_observed: float = Field(
         0.3, ge=0, le=1, description="observed share below which nothing is claimed, Decision 14"
     )
-    min_observed_free: float = Field(
-        0.1,
-        ge=0,
-        le=1,
-        description="the same for an unmatched object whose observed part is free almost everywhere",
-    )
     min_empty: float = Field(
         0.6, ge=0, le=1, description="share of the observed place that must be free in the other epoch"
+    )
+    trail_moved: float = Field(
+        0.6,
+        gt=0.5,
+        le=1,
+        description="mean probability of its points to have moved while they were mapped, from which an "
+        "object of one epoch alone is the trail of a moving object and is not reported; the `trail_passes` "
+        "settings decide on maps without times of beams [1]",
+    )
+    min_free: float = Field(
+        0.65,
+        ge=0.5,
+        lt=1,
+        description="how sure it must be, on average over the place, that nothing stands there as open to"
+        " beams as the object is in its own survey",
     )
     trail_passes: float = Field(
         2.0,
@@ -91,7 +96,9 @@ class DecisionConfig(StrictModel):
         0.65, gt=0, le=1, description="share of its surface on both sides of which its own survey looked"
     )
     trail_top: float = Field(3.8, gt=0, description="highest point of what drives by [m]")
-    min_voxels: int = Field(4, ge=1, description="observed voxels below which nothing is claimed")
+    min_voxels: int = Field(
+        3, ge=1, description="observed voxels above the foot below which nothing is claimed"
+    )
 
 
 @dataclass(frozen=True)
@@ -130,13 +137,24 @@ def decide(
     matched : callable, optional
         Decides an object that can be compared in both epochs instead of the rules of its class.
     """
-    if not _enough_seen(measures, in_before and in_after, config):
+    if not _enough_seen(measures, config):
         share = measures.observed_fraction
         return Decision(Change.UNOBSERVED, f"the other epoch observed {share:.0%} of the place", 1.0 - share)
     if not (in_before and in_after):
         return _single(in_after, measures, config)
     if semantic in (Semantic.MOBILE, Semantic.OTHER):
         return _mobile(measures, config)
+    return _compare(semantic, measures, lod, config, matched)
+
+
+def _compare(
+    semantic: Semantic,
+    measures: Measures,
+    lod: float,
+    config: DecisionConfig,
+    matched: Callable[[], Decision] | None,
+) -> Decision:
+    """Decide a building or a plant that stands in both epochs."""
     rules = config.building if semantic is Semantic.BUILDING else config.vegetation
     if measures.iou <= rules.min_iou:
         return Decision(
@@ -144,19 +162,16 @@ def decide(
         )
     if matched is not None:
         return matched()
-    return _matched(measures, max(config.lod_factor * lod, config.lod_floor), rules)
+    gate = max(config.lod_factor * lod, config.lod_floor)
+    if not math.isfinite(gate):
+        return Decision(Change.UNOBSERVED, NO_LEVEL, 0.0)
+    by_class = _building if semantic is Semantic.BUILDING else _by_measures
+    return by_class(measures, gate, rules)
 
 
-def _enough_seen(measures: Measures, matched: bool, config: DecisionConfig) -> bool:
+def _enough_seen(measures: Measures, config: DecisionConfig) -> bool:
     """Tell whether the other epoch observed enough of the place to claim anything."""
-    if measures.seen_voxels < config.min_voxels:
-        return False
-    if measures.observed_fraction >= config.min_observed:
-        return True
-    free = (
-        max(measures.gone_share, measures.new_share) >= 0.9 and measures.seen_voxels >= 4 * config.min_voxels
-    )
-    return not matched and free and measures.observed_fraction >= config.min_observed_free
+    return measures.seen_voxels >= config.min_voxels and measures.observed_fraction >= config.min_observed
 
 
 def _single(in_after: bool, measures: Measures, config: DecisionConfig) -> Decision:
@@ -170,6 +185,9 @@ def _single(in_after: bool, measures: Measures, config: DecisionConfig) -> Decis
             f" ({measures.observed_fraction:.0%} observed)."
         )
         return Decision(Change.UNCHANGED, reason, (1 - empty) / max(1 - config.min_empty, 1e-9), sigmas)
+    if measures.free < config.min_free:
+        reason = f"Too few beams for so open an object: {measures.free:.0%} sure that its place is free."
+        return Decision(Change.UNOBSERVED, reason, 1.0 - measures.free)
     change = Change.ADDED if in_after else Change.REMOVED
     own, other = ("later", "earlier") if in_after else ("earlier", "later")
     reason = (
@@ -187,10 +205,8 @@ def _mobile(measures: Measures, config: DecisionConfig) -> Decision:
     return Decision(Change.NOT_REPORTED, reason, 1.0)
 
 
-def _matched(measures: Measures, gate: float, rules: ClassRules) -> Decision:
+def _by_measures(measures: Measures, gate: float, rules: ClassRules) -> Decision:
     """Decide by height or volume; where both directions fire, the volume's sign wins (Decision 12)."""
-    if not math.isfinite(gate):
-        return Decision(Change.UNOBSERVED, NO_LEVEL, 0.0)
     limit = max(rules.height, gate)
     relative = measures.delta_v / max(measures.volume, 1e-6)
     height = measures.delta_h / limit if math.isfinite(measures.delta_h) else 0.0
@@ -205,18 +221,47 @@ def _matched(measures: Measures, gate: float, rules: ClassRules) -> Decision:
     return Decision(change, evidence, up if rising else down)
 
 
+def _building(measures: Measures, gate: float, rules: ClassRules) -> Decision:
+    """Decide by the bounds of height and volume: a label needs the whole of one of them beyond its limit.
+
+    Where height and volume say the opposite, the volume's sign wins (Decision 12).
+    """
+    height = measures.height_bounds or Interval(measures.delta_h, measures.delta_h)
+    volume = measures.volume_bounds or Interval(measures.delta_v, measures.delta_v)
+    limit = max(rules.height, gate)
+    whole = max(measures.volume, 1e-6)
+    room = rules.volume * whole
+    up = max(_share(height.low, limit), volume.low / room)
+    down = max(_share(-height.high, limit), -volume.high / room)
+    farthest = max(_share(height.high, limit), _share(-height.low, limit), volume.high / room)
+    farthest = max(farthest, -volume.low / room)
+    evidence = f"height {height.low:+.2f} to {height.high:+.2f} m (limit {limit:.2f} m), volume"
+    evidence += f" {volume.low / whole:+.0%} to {volume.high / whole:+.0%} (limit {rules.volume:.0%})"
+    if max(up, down) <= 1:
+        if farthest > 1:
+            evidence += "; what the surveys did not see decides whether a limit is exceeded"
+        return Decision(Change.UNCHANGED, evidence, min(farthest, 1.0))
+    rising = up > 1 and (down <= 1 or volume.middle > 0)
+    change = Change.INCREASED if rising else Change.DECREASED
+    return Decision(change, evidence, up if rising else down)
+
+
+def _share(value: float, limit: float) -> float:
+    """Value as a share of its limit; 0 where it is not known."""
+    return value / limit if math.isfinite(value) else 0.0
+
+
 def _strengths(height: float, volume: float, measures: Measures, rules: ClassRules) -> tuple[float, float]:
     """How far the rules for more and for less are met; at most 1 where no surface carries the change.
 
     Columns tell the volume where their tops were seen. A crown whose top lies
     out of sight shows in its sides: there the share of new or gone surface
-    speaks. Walls close around their volume, with a roof or without.
+    speaks.
     """
     side = measures.carried / rules.surface
     up, down = max(height, volume, side), max(-height, -volume, -side)
-    carried = (measures.carried, measures.carried_columns if rules.columns else measures.carried)
-    if max(carried) < rules.carried:
+    if measures.carried < rules.carried:
         up = min(up, 1.0)
-    if -min(carried) < rules.carried:
+    if -measures.carried < rules.carried:
         down = min(down, 1.0)
     return up, down

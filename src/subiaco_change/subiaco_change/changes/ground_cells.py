@@ -41,6 +41,9 @@ class GroundChangeConfig(StrictModel):
     same_beside: float = Field(
         0.7, gt=0, description="how far beside the middle of a cell such a point may be [m]"
     )
+    same_share: float = Field(
+        0.5, gt=0, le=1, description="share of a patch on such surfaces from which on no ground moved"
+    )
     shown: float = Field(
         0.5,
         ge=0,
@@ -60,7 +63,7 @@ class GroundCells:
 
     ``dz`` after minus before, NaN where either epoch has no ground; ``lod`` [m], NaN where either has
     none; ``bridged``: took a neighbour's height in an epoch; ``known``: holds ground in either;
-    ``height`` in *after* [m].
+    ``height`` in *after* [m]; ``other``: one epoch holds the ground of the other under another class.
     """
 
     dz: Floats
@@ -68,6 +71,7 @@ class GroundCells:
     bridged: Mask
     known: Mask
     height: Floats
+    other: Mask
 
 
 def difference_cells(
@@ -79,8 +83,7 @@ def difference_cells(
     known = np.isfinite(cells[0][0]) | np.isfinite(cells[1][0])
     lod = np.maximum(cells[0][1], cells[1][1])
     other = _other_surface((before, after), heights, corner, config)
-    dz = np.where(other, np.nan, heights[1] - heights[0])
-    return GroundCells(dz, lod, bridged, known & ~other, heights[1])
+    return GroundCells(heights[1] - heights[0], lod, bridged, known, heights[1], other)
 
 
 def _other_surface(

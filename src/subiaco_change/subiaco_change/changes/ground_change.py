@@ -91,6 +91,9 @@ def find_patches(
         large = _possible_sizes(labels, count, unknown, config) * config.cell**2 > config.area
         for number in np.flatnonzero(large & (shown >= least)).tolist():
             found = _make_patch(change, labels == number, dz, lod, corner, config)
+            measured = (labels == number) & np.isfinite(dz)
+            if cells.other[measured].mean() >= config.same_share:
+                continue
             if abs(found.dz) > max(config.threshold, config.lod_factor * found.lod):
                 patch[labels == number] = len(patches)
                 patches.append(found)

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
 
+from subiaco_change.changes.absence import absence
 from subiaco_change.changes.association import match_kind
 from subiaco_change.changes.association_costs import AssociationConfig
 from subiaco_change.changes.columns import BUILT_UP, OpenGround
 from subiaco_change.changes.decisions import Decision, DecisionConfig, decide
 from subiaco_change.changes.measures import MeasureConfig, Measures, measure
-from subiaco_change.changes.objects import Thing, join_voxels
+from subiaco_change.changes.objects import Free, Thing, join_voxels
 from subiaco_change.changes.passing import OwnSurvey, drove_by
 from subiaco_change.changes.plant_decisions import decide_plant
 from subiaco_change.changes.plants import PlantConfig, measure_plant
@@ -71,6 +72,7 @@ class ObjectRules:
     ground: OpenGround = BUILT_UP  # where nothing stands
     own: tuple[OwnSurvey | None, OwnSurvey | None] = (None, None)  # of *before* and of *after*
     standing: tuple[Floats, Floats] = (NOTHING, NOTHING)  # all points (N, 3) that stand, of any class
+    free: tuple[Free | None, Free | None] = (None, None)  # what *before* and *after* know to be free
     plants: PlantConfig = field(default_factory=PlantConfig)
 
 
@@ -78,7 +80,9 @@ def decide_object(
     before: Sequence[Thing], after: Sequence[Thing], semantic: Semantic, rules: ObjectRules
 ) -> ObjectChange:
     """Measure and decide what the parts of one object in both epochs say together."""
-    measures = measure(join_voxels(before), join_voxels(after), rules.measures, rules.ground)
+    building = semantic is Semantic.BUILDING
+    measures = measure(join_voxels(before), join_voxels(after), rules.measures, rules.ground, building)
+    measures = replace(measures, free=absence(before, after, rules.free))
     lod = object_lod((*before, *after))
     plant, matched = None, None
     if semantic is Semantic.VEGETATION and before and after:

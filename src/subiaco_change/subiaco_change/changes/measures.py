@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
@@ -11,6 +11,7 @@ from pydantic import Field
 from scipy.spatial import cKDTree
 from shapely.geometry.base import BaseGeometry
 
+from subiaco_change.changes.carving import CarvingConfig, Epoch, Interval, carve
 from subiaco_change.changes.columns import BUILT_UP, OpenGround, compare_volumes, stands_alone
 from subiaco_change.changes.objects import Reach, Voxels
 from subiaco_geo.config import StrictModel
@@ -35,6 +36,13 @@ class MeasureConfig(StrictModel):
         description="height above ground up to which standing and lying cannot be told apart: the foot of an"
         " object where the other epoch met ground is left out [m]",
     )
+    free: float = Field(
+        0.7,
+        gt=0.5,
+        lt=1,
+        description="probability of being free from which a place where nothing is counts as seen; one beam"
+        " that went through gives 0.75",
+    )
     crossing: float = Field(
         1.0, gt=0, description="looked so far on both sides of a surface, an epoch crossed its place [m]"
     )
@@ -43,11 +51,12 @@ class MeasureConfig(StrictModel):
     )
     bins: int = Field(10, ge=2, description="bins of the height histogram, paper")
     top_quantile: float = Field(0.95, gt=0.5, le=1, description="h95, paper")
+    carving: CarvingConfig = CarvingConfig()
 
 
 def same_place(config: MeasureConfig) -> Reach:
     """Return when points of the other epoch occupy a place."""
-    return Reach(config.same_low, config.same_high, config.same_factor, config.foot)
+    return Reach(config.same_low, config.same_high, config.same_factor, config.foot, config.free)
 
 
 @dataclass(frozen=True)
@@ -57,8 +66,10 @@ class Measures:
     Lengths [m], volumes [m3]; NaN where a side is empty. ``volume`` is that of
     the columns that stood before; ``seen_voxels`` the number that entered.
     ``carried`` is the share of the surface that is new (positive) or gone
-    (negative) on balance, counting only places that the other epoch looked across;
-    ``carried_columns`` the same of the columns that were seen to stand.
+    (negative) on balance, counting only places that the other epoch looked across. ``free`` is the mean
+    probability of being free, in the other epoch, of the places where it holds nothing.
+    Of buildings, ``height_bounds`` and ``volume_bounds`` are what space carving leaves
+    possible (Decision 17), ``delta_h`` and ``delta_v`` their middles.
     """
 
     iou: float
@@ -74,36 +85,62 @@ class Measures:
     observed_fraction: float
     seen_voxels: int
     carried: float = 0.0
-    carried_columns: float = 0.0
+    height_bounds: Interval | None = None
+    volume_bounds: Interval | None = None
+    free: float = 1.0
 
 
 def measure(
-    before: Voxels, after: Voxels, config: MeasureConfig, ground: OpenGround | None = None
+    before: Voxels,
+    after: Voxels,
+    config: MeasureConfig,
+    ground: OpenGround = BUILT_UP,
+    building: bool = False,
 ) -> Measures:
-    """Compare the voxels of one object in two epochs; either may be empty."""
+    """Compare the voxels of one object in two epochs; either may be empty. Buildings are carved."""
     seen_b, seen_a = before.select(before.seen), after.select(after.seen)
     lonely_b, lonely_a = int(np.count_nonzero(~seen_b.still)), int(np.count_nonzero(~seen_a.still))
     whole_b, whole_a = (
         own.add(other.select(other.still)) for own, other in ((seen_b, seen_a), (seen_a, seen_b))
     )
-    volumes = compare_volumes(before, after, config.voxel, config.closing, ground or BUILT_UP)
     common = 0.5 * (len(seen_b) - lonely_b + len(seen_a) - lonely_a)
     both = len(before) > 0 and len(after) > 0
-    return Measures(
+    measures = Measures(
         iou=common / max(common + lonely_b + lonely_a, 1e-9) if both else 0.0,
         d_perp=_separation(seen_b, seen_a, config),
         delta_c=_distance(whole_b, whole_a) if both else float("nan"),
         delta_h=_top(whole_a, config) - _top(whole_b, config) if both else float("nan"),
-        delta_v=volumes.change,
+        delta_v=0.0,
         delta_v_surface=float(lonely_a - lonely_b) * config.voxel**3,
-        volume=volumes.whole,
+        volume=0.0,
         chi2=histogram_distance(seen_b.height, seen_a.height, config.bins),
         gone_share=lonely_b / max(len(seen_b), 1),
         new_share=lonely_a / max(len(seen_a), 1),
         observed_fraction=(len(seen_b) + len(seen_a)) / max(_above_foot(before, after, config), 1),
         seen_voxels=len(seen_b) + len(seen_a),
         carried=_carried(before, after),
-        carried_columns=volumes.carried,
+    )
+    if building:
+        return _carved(measures, before, after, config.carving, ground)
+    volumes = compare_volumes(before, after, config.voxel, config.closing, ground)
+    return replace(measures, delta_v=volumes.change, volume=volumes.whole)
+
+
+def _carved(
+    measures: Measures, before: Voxels, after: Voxels, config: CarvingConfig, ground: OpenGround
+) -> Measures:
+    """Add height and volume of a building by space carving (Decision 17)."""
+    carved = carve(
+        Epoch(before, ground.empty[0], ground.bare(0)), Epoch(after, ground.empty[1], ground.bare(1)), config
+    )
+    both = len(before) > 0 and len(after) > 0
+    return replace(
+        measures,
+        delta_h=carved.height.middle if both else float("nan"),
+        delta_v=carved.volume.middle,
+        volume=carved.whole,
+        height_bounds=carved.height if both else None,
+        volume_bounds=carved.volume,
     )
 
 

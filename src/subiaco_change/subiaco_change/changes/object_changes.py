@@ -10,7 +10,7 @@ import numpy as np
 
 from subiaco_change.changes.association import Match, associate
 from subiaco_change.changes.columns import OpenGround, ground_columns
-from subiaco_change.changes.confidence import ConfidenceConfig, features, paper_score, probability
+from subiaco_change.changes.confidence import ConfidenceConfig, bounded, features, paper_score, probability
 from subiaco_change.changes.judging import ObjectChange, ObjectRules, decide_object
 from subiaco_change.changes.measures import footprint, same_place
 from subiaco_change.changes.objects import (
@@ -22,10 +22,11 @@ from subiaco_change.changes.objects import (
     stands,
 )
 from subiaco_change.changes.parts import part_things
-from subiaco_change.changes.passing import Observed, own_survey
+from subiaco_change.changes.passing import Observed, own_survey, trusted
 from subiaco_change.changes.revising import (
     adopt_fragments,
     agree_on_classes,
+    join_sides,
     join_wings,
     part_company,
     part_rows,
@@ -47,12 +48,13 @@ def compare_objects(
     bare = [ground_columns(v.xyz[v.semantic == Semantic.GROUND], edge) for v in (before, after)]
     rules = replace(
         rules,
-        ground=OpenGround(bare[0], bare[1], rules.ground.empty),
+        ground=OpenGround(bare[0], bare[1], rules.ground.empty, edge),
         own=(own_survey(before, seen_by_before), own_survey(after, seen_by_after)),
         standing=(before.xyz[stands(before)], after.xyz[stands(after)]),
     )
-    things_b = build_things(before, build_voxels(before, after, seen_by_after, edge, reach, step))
-    things_a = build_things(after, build_voxels(after, before, seen_by_before, edge, reach, step))
+    voxels_b = build_voxels(before, after, seen_by_after, edge, reach, step, rules.free[1])
+    voxels_a = build_voxels(after, before, seen_by_before, edge, reach, step, rules.free[0])
+    things_b, things_a = build_things(before, voxels_b), build_things(after, voxels_a)
     things_b, things_a = (part_things(things, rules.association.parts) for things in (things_b, things_a))
     if rules.by_class:
         things_b, things_a = agree_on_classes(things_b, things_a, rules.association, tolerance)
@@ -69,7 +71,7 @@ def compare_objects(
     changes = tell_apart(changes, rules)
     changes = part_rows(changes, rules)
     changes = part_sections(changes, rules)
-    changes = join_wings(changes, rules)
+    changes = join_sides(join_wings(changes, rules))
     return adopt_fragments(changes, things_b, things_a, rules.association, tolerance)
 
 
@@ -114,6 +116,8 @@ def make_record(
     score = float(np.mean([t.score for t in things]))
     density = change.plant.density if change.plant else density_ratio(change.before, change.after)
     found = features(change.decision, m, change.semantic, score, density, evidence)
+    certain = bounded(probability(change.decision, found, trust), change.decision, m)
+    certain, reason = trusted(change.decision, things, certain)
     return ChangeRecord(
         object_id=object_id,
         semantic=change.semantic,
@@ -131,15 +135,19 @@ def make_record(
         observed_fraction=m.observed_fraction,
         evidence=evidence,
         score_paper=paper_score(change.semantic, m, change.lod),
-        confidence=probability(change.decision, found, trust),
+        confidence=certain,
         n_before=int(sum(len(t.points) for t in change.before)),
         n_after=int(sum(len(t.points) for t in change.after)),
         x=float(xyz[:, 0].mean() + origin[0]),
         y=float(xyz[:, 1].mean() + origin[1]),
         z=float(xyz[:, 2].mean() + origin[2]),
         footprint=shapely.affinity.translate(outline, float(origin[0]), float(origin[1])),
-        reason=change.decision.reason,
+        reason=reason,
         features=tuple(found.tolist()),
+        delta_h_low_m=m.height_bounds.low if m.height_bounds else math.nan,
+        delta_h_high_m=m.height_bounds.high if m.height_bounds else math.nan,
+        delta_v_low_m3=m.volume_bounds.low if m.volume_bounds else math.nan,
+        delta_v_high_m3=m.volume_bounds.high if m.volume_bounds else math.nan,
         height_before_m=heights[0],
         height_after_m=heights[1],
     )

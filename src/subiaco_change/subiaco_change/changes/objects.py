@@ -15,11 +15,16 @@ from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats, Ints
 
+UNCERTAIN = 0.5  # probability of having moved of what was seen for a moment only
 NO_OBJECT = -1  # instance of a point of no object
 OTHERS = -2  # instance of a point of an object that is compared elsewhere
 _GROUND_NEAR = 8  # ground points around a place that are asked for their height
 _STRAYED = 1.5  # foot of an object in heights of it: either ground may be a little off
 _LOOKED_THROUGH = 2.0  # beams that passed a point for each that returned: what stands still lets by fewer
+
+
+#: How probable it is, (N,), that nothing stood at places (N, 3).
+Free = Callable[[Floats], Floats]
 
 
 @dataclass(frozen=True)
@@ -29,7 +34,8 @@ class EpochView:
     ``xyz`` (N, 3) [m]; ``normals`` (N, 3); ``semantic`` (N,) uint8; ``instance`` (N,) int32,
     :data:`NO_OBJECT` or :data:`OTHERS`;
     ``height`` (N,) above ground [m]; ``lod`` (N,) [m], inf where no claim; ``score`` (N,) of the class;
-    ``passed`` (N,) beams of the epoch itself that passed a place for each that returned, where counted.
+    ``passed`` (N,) beams of the epoch itself that passed a place for each that returned, where counted;
+    ``moved`` (N,) probability that what stood there moved, where mapping kept the times of beams.
     """
 
     xyz: Floats
@@ -40,6 +46,7 @@ class EpochView:
     lod: Floats
     score: Floats
     passed: Floats | None = None
+    moved: Floats | None = None
 
 
 @dataclass(frozen=True)
@@ -89,7 +96,8 @@ class Thing:
     """One instance of one epoch: its class, points (indices and places) and voxels.
 
     ``passed`` (N,): beams of its own epoch that passed each of its points for each that returned there;
-    empty where nothing counted them. ``whole``: the instance it was parted from, -1 where it is none's part.
+    empty where nothing counted them. ``moved`` (N,): probability that each moved, empty where not known.
+    ``whole``: the instance it was parted from, -1 where it is none's part.
     """
 
     instance: int
@@ -100,6 +108,7 @@ class Thing:
     lod: float
     xyz: Floats = field(default_factory=lambda: np.zeros((0, 3)))
     passed: Floats = field(default_factory=lambda: np.zeros(0))
+    moved: Floats = field(default_factory=lambda: np.zeros(0))
     whole: int = -1
 
     @property
@@ -115,6 +124,7 @@ def build_voxels(
     edge: float,
     reach: Reach,
     step: float = 1.0,
+    free: Free | None = None,
 ) -> Voxels:
     """Group the object points of an epoch into voxels and ask the other epoch about each.
 
@@ -131,6 +141,9 @@ def build_voxels(
     step : float
         How far on both sides of a surface the other epoch must have looked to
         have crossed it [m].
+    free : callable, optional
+        (M, 3) points -> (M,) probability that the place was free in the other epoch; certain where
+        observed if None.
     """
     members = np.flatnonzero(view.instance >= 0)
     owner, normal, height, xyz = _voxel_means(view, members, edge)
@@ -141,7 +154,10 @@ def build_voxels(
     ground = occupied_by_ground(xyz, other.xyz[other.semantic == Semantic.GROUND], reach)
     foot = ground & (height <= reach.standing) & ~still
     still |= ground & ~foot
-    seen = (observed(xyz) | still) & ~foot
+    seen = observed(xyz)
+    if free is not None:
+        seen[seen] = free(xyz[seen]) >= reach.free
+    seen = (seen | still) & ~foot
     crossed = seen & ~still
     crossed[crossed] = looked_across(xyz[crossed], normal[crossed], observed, step)
     return Voxels(owner, xyz, normal, height, seen, still, crossed)
@@ -154,11 +170,12 @@ def stands(view: EpochView) -> Mask:
 
 def trails(view: EpochView) -> Mask:
     """Tell which points (N,) were left by what drove by: mobile, no object, and looked through."""
+    loose = np.asarray((view.semantic == Semantic.MOBILE) & (view.instance == NO_OBJECT))
+    if view.moved is not None:
+        return np.asarray(loose & (view.moved > UNCERTAIN))
     if view.passed is None:
         return np.zeros(len(view.xyz), dtype=bool)
-    return np.asarray(
-        (view.semantic == Semantic.MOBILE) & (view.instance == NO_OBJECT) & (view.passed >= _LOOKED_THROUGH)
-    )
+    return np.asarray(loose & (view.passed >= _LOOKED_THROUGH))
 
 
 def looked_across(xyz: Floats, normal: Floats, observed: Callable[[Floats], Mask], step: float) -> Mask:
@@ -176,13 +193,15 @@ class Reach:
 
     ``factor`` times the spacing of the other sampling there, within ``low`` and ``high``: where an epoch is
     sparse, the nearest of its points is far although nothing changed. Ground extends sideways alone: above
-    and below it occupies ``foot``, the height up to which standing and lying cannot be told apart.
+    and below it occupies ``foot``, the height up to which standing and lying cannot be told apart. A place
+    that nothing occupies is free from a probability of ``free`` on; below, it was not seen.
     """
 
     low: float
     high: float
     factor: float
     foot: float = 0.3
+    free: float = 0.7
 
     @property
     def standing(self) -> float:
@@ -260,7 +279,8 @@ def build_things(view: EpochView, voxels: Voxels) -> list[Thing]:
         score = float(view.score[members].mean())
         own = voxels.select(by_voxel[instance])
         passed = np.zeros(0) if view.passed is None else view.passed[members]
-        things.append(Thing(instance, semantic, score, members, own, lod, view.xyz[members], passed))
+        moved = np.zeros(0) if view.moved is None else view.moved[members]
+        things.append(Thing(instance, semantic, score, members, own, lod, view.xyz[members], passed, moved))
     return things
 
 

@@ -80,6 +80,7 @@ def divided(thing: Thing, labels: Ints, following: int) -> list[Thing]:
             voxels=replace(voxels, owner=np.full(len(voxels), name)),
             xyz=thing.xyz[owner == number],
             passed=thing.passed[owner == number] if len(thing.passed) else thing.passed,
+            moved=thing.moved[owner == number] if len(thing.moved) else thing.moved,
         )
         for number, name in enumerate(names)
         for voxels in [thing.voxels.select(labels == number)]

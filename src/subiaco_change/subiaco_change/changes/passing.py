@@ -55,7 +55,14 @@ def own_survey(view: EpochView, observed: Observed) -> OwnSurvey:
 def drove_by(
     things: Sequence[Thing], semantic: Semantic, own: OwnSurvey | None, rules: DecisionConfig
 ) -> Decision | None:
-    """Tell a trail from a thing: low, and passed by more beams than what stands of its kind lets by."""
+    """Tell a trail from a thing: by the verdict of mapping, which rests on times, else by counts of beams."""
+    moved = moved_share(things)
+    if moved is not None:
+        if moved < rules.trail_moved:
+            return None
+        reason = f"Probability of {moved:.0%} of having moved while it was mapped, by the times of beams,"
+        reason += f" exceeds the limit of {rules.trail_moved:.0%}."
+        return Decision(Change.NOT_REPORTED, reason, moved / rules.trail_moved)
     top = max(float(t.voxels.height.max()) for t in things)
     passed = min(float(np.quantile(t.passed, 0.25)) if len(t.passed) else 0.0 for t in things)
     least = min(rules.trail_passes_high, rules.trail_passes_lane)
@@ -64,8 +71,33 @@ def drove_by(
     enough = _enough(things, top, semantic, own, rules)
     if passed < enough:
         return None
-    reason = f"drove by while it was mapped: {passed:.1f} beams passed for each that returned"
+    reason = (
+        f"Moved while it was mapped: {passed:.1f} beams passed for each that returned, above the limit of"
+    )
+    reason += f" {enough:.1f} (counts alone, the map keeps no times)."
     return Decision(Change.NOT_REPORTED, reason, passed / enough)
+
+
+def moved_share(things: Sequence[Thing]) -> float | None:
+    """Mean probability of the points of things to have moved; None where a map has no times."""
+    if not things or any(len(t.moved) != len(t.points) or len(t.points) == 0 for t in things):
+        return None
+    return float(np.concatenate([t.moved for t in things]).mean())
+
+
+def trusted(decision: Decision, things: Sequence[Thing], confidence: float) -> tuple[float, str]:
+    """Return the confidence in what one epoch alone holds, and the reason, where it may have moved.
+
+    What was seen for a moment only, and never again, is as likely a trail as an object.
+    """
+    if decision.change not in (Change.ADDED, Change.REMOVED) or moved_share(things) is None:
+        return confidence, decision.reason
+    points = np.concatenate([t.moved for t in things])
+    moved = float(max(points.mean(), np.median(points)))
+    if 1.0 - moved >= confidence:
+        return confidence, decision.reason
+    told = f"{decision.reason}; seen too briefly to exclude that it moved (probability {moved:.0%})"
+    return 1.0 - moved, told
 
 
 def _enough(

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+import shapely
 
 from subiaco_change.changes.apart import pieces_apart
 from subiaco_change.changes.association import match_kind
@@ -22,6 +23,9 @@ from subiaco_change.changes.wings import built, find_wings
 from subiaco_geo.codes import Change, Semantic
 
 _WHOLE = 0.75  # share of its columns from which on a hedge moved as a whole
+_WALL = 0.5  # so far outside the outline of a building its walls are met [m]
+_WITHIN = 0.5  # share of a side of a building within the outline of the rest
+_HARDLY = 0.5  # observed share below which a side is no row of its own
 _CLAIMS = (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED)
 
 
@@ -50,6 +54,37 @@ def join_wings(changes: list[ObjectChange], rules: ObjectRules) -> list[ObjectCh
         before, after = ([t for part in parts for t in getattr(part, e)] for e in ("before", "after"))
         joined[host] = decide_object(before, after, Semantic.BUILDING, rules)
     return [change for i, change in enumerate(joined) if i not in wings]
+
+
+def join_sides(changes: list[ObjectChange]) -> list[ObjectChange]:
+    """Give a side of a changed building that the other epoch hardly saw to the building.
+
+    A wall within the outline of a house is a wall of it: pieces of one body are one row.
+    """
+    hosts = {
+        i: shapely.MultiPoint(join_voxels((*c.before, *c.after)).xyz[:, :2]).convex_hull.buffer(_WALL)
+        for i, c in enumerate(changes)
+        if c.semantic is Semantic.BUILDING and c.decision.change in (Change.INCREASED, Change.DECREASED)
+    }
+    joined: dict[int, list[int]] = {}
+    for number, change in enumerate(changes):
+        if (
+            change.semantic is not Semantic.BUILDING
+            or (change.before and change.after)
+            or change.measures.observed_fraction >= _HARDLY
+        ):
+            continue
+        xyz = join_voxels((*change.before, *change.after)).xyz
+        shares = {i: shapely.contains_xy(o, xyz[:, 0], xyz[:, 1]).mean() for i, o in hosts.items()}
+        best = max(shares, key=lambda i: shares[i], default=number)
+        if shares.get(best, 0.0) >= _WITHIN:
+            joined.setdefault(best, []).append(number)
+    gone = {number for numbers in joined.values() for number in numbers}
+    return [
+        _with_parts(change, [changes[k] for k in joined.get(i, [])])
+        for i, change in enumerate(changes)
+        if i not in gone
+    ]
 
 
 def part_company(changes: Sequence[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:

@@ -45,34 +45,58 @@ def find_wings(pairs: Sequence[tuple[Voxels, Voxels]], config: PartConfig) -> di
         stand between parts of it that would be apart without it: a house
         pulled from a row was no wing.
     """
+    known = list(pairs)
+    wings: dict[int, int] = {}
+    while True:
+        found = _wings_of(known, wings, config)
+        if not found:
+            return wings
+        wings |= found
+        for wing, host in found.items():  # what touches a wing touches its host
+            before, after = (
+                first.add(second) for first, second in zip(known[host], pairs[wing], strict=True)
+            )
+            known[host] = (before, after)
+
+
+def _wings_of(
+    pairs: Sequence[tuple[Voxels, Voxels]], taken: dict[int, int], config: PartConfig
+) -> dict[int, int]:
+    """Map wings that touch their hosts, less those that are taken."""
     hosts = [i for i, pair in enumerate(pairs) if all(map(len, pair)) and max(_top(v) for v in pair) >= _ROOM]
     wings: dict[int, int] = {}
     for number, pair in enumerate(pairs):
         epoch = 0 if len(pair[0]) else 1
-        if len(pair[1 - epoch]) or not len(pair[epoch]) or _top(pair[epoch]) < _ROOM:
+        if number in taken or len(pair[1 - epoch]) or not len(pair[epoch]):
             continue
         wing = pair[epoch].xyz
         contact = [_contact(wing, pairs[i][epoch].xyz, config) for i in hosts]
         if not contact or max(contact) == 0:
             continue
-        if len(contact) > 1 and sorted(contact)[-2] > _LEANS * len(wing):  # between two buildings
-            continue
         host = hosts[int(np.argmax(contact))]
-        body = pairs[host][epoch]
-        share = _bulk(pair[epoch]) / max(_bulk(body), 1e-9)
-        round_it = max(contact) >= _ROUND * len(wing)
-        if share >= config.subordinate and not round_it:
-            if _inside(pairs[host][1 - epoch].xyz, wing) >= _WITHIN:  # its walls stand where the wing was
-                wings[number] = host
-            continue
-        if _floats(pair[epoch], body):
-            continue
-        beside = _over(pair[epoch], pairs[host][1 - epoch]) < _BESIDE
-        if beside and not round_it and _rises(pair[epoch], body):
-            continue
-        if share < _SMALL or not _between(wing, body.xyz, config):
+        if _is_wing(pair[epoch], pairs[host], epoch, contact, config):
             wings[number] = host
     return wings
+
+
+def _is_wing(
+    wing: Voxels, host: tuple[Voxels, Voxels], epoch: int, contact: Sequence[int], config: PartConfig
+) -> bool:
+    """Tell whether what stands in one epoch alone is a wing of the building that it touches most."""
+    body, other = host[epoch], host[1 - epoch]
+    round_it = max(contact) >= _ROUND * len(wing)
+    if round_it and _over(wing, other) >= _BESIDE:
+        return True  # a wall of the house that a wing of the other epoch hides
+    if _top(wing) < _ROOM or (len(contact) > 1 and sorted(contact)[-2] > _LEANS * len(wing)):
+        return False  # lower than a room, or between two buildings
+    share = _bulk(wing) / max(_bulk(body), 1e-9)
+    if share >= config.subordinate and not round_it:
+        return _inside(other.xyz, wing.xyz) >= _WITHIN  # its walls stand where the wing was
+    if _floats(wing, body):
+        return False
+    if _over(wing, other) < _BESIDE and not round_it and _rises(wing, body):
+        return False
+    return share < _SMALL or not all(_between(wing.xyz, side.xyz, config) for side in host)
 
 
 def built(voxels: Voxels) -> bool:

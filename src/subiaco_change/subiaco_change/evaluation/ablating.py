@@ -28,8 +28,8 @@ DECISIONS: dict[int, tuple[str, ...]] = {
     9: ("association.contained", "association.apart", "association.parts"),
     11: ("association.cost", "association.unmatched"),
     12: ("ground.cell", "ground.closing"),
-    13: ("evidence.source", "decisions.building", "decisions.vegetation"),
-    14: ("decisions.min_observed", "decisions.min_observed_free", "decisions.min_voxels"),
+    13: ("evidence.source", "decisions.vegetation"),
+    14: ("decisions.min_observed", "decisions.min_voxels"),
     18: ("plants.null_model.enabled",),
 }
 FULL = "full"

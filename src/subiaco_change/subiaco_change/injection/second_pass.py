@@ -19,7 +19,7 @@ from subiaco_geo.clouds import PointCloud, unpack_voxel_keys, voxel_indices, vox
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.survey_map import SurveyMap
-from subiaco_geo.visibility import VisibilityGrid
+from subiaco_geo.visibility import NO_VERDICT, VisibilityGrid
 
 _SURFACE = 0.8  # radius in which a surface has its direction [m]
 _NEIGHBOURS = 8  # points between which other ones lie
@@ -165,7 +165,11 @@ def edit_visibility(grid: VisibilityGrid, origin: Floats, edited: Edited) -> Vis
     hits[full] = np.maximum(hits[full], np.maximum(passes[full], 1))
     passes[full] = 0
     kept = ~shadow | full
-    return VisibilityGrid(grid.origin, grid.voxel, grid.keys[kept], hits[kept], passes[kept])
+    moving = None if grid.moving is None else grid.moving.copy()
+    if moving is not None:
+        moving[empty], moving[full] = NO_VERDICT, 0
+        moving = moving[kept]
+    return VisibilityGrid(grid.origin, grid.voxel, grid.keys[kept], hits[kept], passes[kept], moving)
 
 
 def _shadow(centres: Floats, edited: Edited) -> Mask:

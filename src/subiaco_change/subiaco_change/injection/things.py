@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from subiaco_change.changes.objects import UNCERTAIN
 from subiaco_change.injection.config import InjectionConfig
 from subiaco_change.injection.edits import Edited
 from subiaco_change.observation.common_frame import levelled
@@ -19,7 +20,7 @@ from subiaco_change.semantics.ground import Mask
 from subiaco_change.semantics.instances import segment
 from subiaco_geo.clouds import PointCloud, voxel_downsample
 from subiaco_geo.codes import Semantic
-from subiaco_geo.frames import Ints
+from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.survey_map import SurveyMap
 
 #: Instance of points that only drove by.
@@ -43,14 +44,21 @@ def label_scene(survey: SurveyMap, config: InjectionConfig) -> Scene:
     """Find the classes and the objects of a map at the working leaf."""
     cloud = voxel_downsample(survey.cloud, config.leaf)
     upright = levelled(cloud)
-    passes = make_observer(survey, EvidenceConfig()).passes(cloud.world())
-    semantic = label_points(upright, config.semantics, passes)
+    observer = make_observer(survey, EvidenceConfig())
+    passes, moved = (found(cloud.world()) for found in (observer.passes, observer.moved))
+    semantic = label_points(upright, config.semantics, passes, moved=moved)
     instance = segment(upright, semantic, config.instances.model_copy(update={"leaf": config.leaf}))
-    if passes is not None:
-        for number, members in _members(instance, instance >= 0).items():
-            if np.quantile(passes[members], 0.25) >= config.decisions.trail_passes:
-                instance[instance == number] = TRAIL
+    for number, members in _members(instance, instance >= 0).items():
+        if _is_trail(members, passes, moved, config):
+            instance[instance == number] = TRAIL
     return Scene(cloud, semantic.semantic, instance)
+
+
+def _is_trail(members: Ints, passes: Floats | None, moved: Floats | None, config: InjectionConfig) -> bool:
+    """Tell whether an object may have moved, by times where the map has them, else by counts of beams."""
+    if moved is not None:
+        return bool(moved[members].mean() >= UNCERTAIN)
+    return passes is not None and bool(np.quantile(passes[members], 0.25) >= config.decisions.trail_passes)
 
 
 def by_turns(classes: Sequence[int], random: np.random.Generator) -> Ints:

@@ -96,3 +96,10 @@ def seen_through(
 ) -> Callable[[Floats], Mask]:
     """Ask an epoch whether it observed points given in the common frame."""
     return lambda xyz: observed(to_world(xyz)) if len(xyz) else np.zeros(0, dtype=bool)
+
+
+def free_through(
+    probability: Callable[[Floats], Floats], to_world: Callable[[Floats], Floats]
+) -> Callable[[Floats], Floats]:
+    """Ask an epoch how probable it is that points given in the common frame are free."""
+    return lambda xyz: probability(to_world(xyz)) if len(xyz) else np.zeros(0)

@@ -67,6 +67,9 @@ class EvidenceConfig(StrictModel):
     shadow_height: float = Field(
         15.0, gt=0, description="without trajectory: so far above a seen point a place counts as seen [m]"
     )
+    shadow_touch: float = Field(
+        0.35, gt=0, description="without trajectory: a point so near occupies a place [m]"
+    )
     shadow_trust: float = Field(
         0.8, gt=0.5, lt=1, description="without trajectory: probability that such a place was free"
     )
@@ -110,6 +113,7 @@ class _Shadow:
     radius: float
     height: float
     trust: float
+    touch: float
 
     def seen(self, world: Floats) -> Flags:
         local = np.ascontiguousarray(world - self.origin)
@@ -123,8 +127,8 @@ class _Shadow:
 
     def free_probability(self, world: Floats) -> Floats:
         local = np.ascontiguousarray(world - self.origin)
-        near = nearest(self.index, local, self.radius)[0] >= 0
-        return np.where(near, 1.0 - self.trust, np.where(self._above(local), self.trust, 0.5))
+        occupied = nearest(self.index, local, self.touch)[0] >= 0
+        return np.where(occupied, 1.0 - self.trust, np.where(self._above(local), self.trust, 0.5))
 
     def _above(self, local: Floats) -> Flags:
         """Tell which points stand above a seen one, in its column or next to it."""
@@ -199,6 +203,16 @@ class Observer:
             return None
         hits, passes = self.test.grid.lookup(self._own(world))
         return np.asarray(passes / np.maximum(hits, 1), dtype=np.float64)
+
+    def moved(self, world: Floats) -> Floats | None:
+        """Probability (N,) that what mapping found at points (N, 3) moved; None where the map has no times.
+
+        0 where mapping has no verdict.
+        """
+        if self.kind != "observed" or not isinstance(self.test, _Grid):
+            return None
+        found = self.test.grid.moved(self._own(world))
+        return None if found is None else np.nan_to_num(found.astype(np.float64))
 
 
 def ground_observed(observed: Callable[[Floats], Flags], xyz: Floats, config: EvidenceConfig) -> Flags:
@@ -282,7 +296,12 @@ def make_observer(
         return Observer("trajectory", expected_visibility(survey, survey.trajectory, config.poses))
     index = build_index(survey.cloud.xyz, config.shadow_radius)
     shadow = _Shadow(
-        index, survey.cloud.origin, config.shadow_radius, config.shadow_height, config.shadow_trust
+        index,
+        survey.cloud.origin,
+        config.shadow_radius,
+        config.shadow_height,
+        config.shadow_trust,
+        config.shadow_touch,
     )
     return Observer("shadow", shadow)
 

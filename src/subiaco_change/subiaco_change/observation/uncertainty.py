@@ -36,7 +36,16 @@ class UncertaintyConfig(StrictModel):
         0.7, gt=0.3, lt=1, description="of the residuals, that fixes the bias: what exceeds it may be change"
     )
     floor: float = Field(0.003, ge=0, description="smallest sigma_reg [m]")
-    pose_covariance: bool = Field(True, description="add the pose covariances that maps carry")
+    pose_covariance: bool = Field(
+        True, description="add the pose covariances that maps carry, and unstated_pose for epochs without"
+    )
+    unstated_pose: float = Field(
+        0.04,
+        ge=0,
+        description="standard deviation of the positions of an epoch that states no pose covariances (a bare "
+        "cloud) [m]; raise for surveys without RTK. Such an epoch is never taken to be better known "
+        "than the other epoch of the pair states itself to be",
+    )
 
 
 @dataclass(frozen=True)
@@ -53,6 +62,26 @@ class PoseErrors:
         """Return the variance (N,) along normals [m2] that the nearest pose gives points (N, 3)."""
         _, pose = cKDTree(self.positions).query(xyz)
         return _along(xyz - self.positions[pose], normals, self.covariances[pose])
+
+
+@dataclass(frozen=True)
+class UnstatedPoses:
+    """Standard deviation ``sigma`` [m] of the positions of an epoch whose poses are not known."""
+
+    sigma: float
+
+    def variance(self, xyz: Floats, normals: Floats) -> Floats:
+        """Return the variance (N,) along unit normals [m2] at points (N, 3): the same everywhere."""
+        return np.asarray(self.sigma**2 * np.ones(len(xyz)) * np.einsum("ni,ni->n", normals, normals))
+
+
+Poses = PoseErrors | UnstatedPoses
+
+
+def unstated_poses(stated: Sequence[PoseErrors], default: float) -> UnstatedPoses:
+    """Return what holds of an epoch without covariances: a default [m], or what the other epoch states."""
+    spread = [float(np.median(np.trace(p.covariances[:, 3:, 3:], axis1=1, axis2=2)) / 3.0) for p in stated]
+    return UnstatedPoses(float(np.sqrt(max([default**2, *spread]))))
 
 
 def pose_errors(positions: Floats, covariances: Floats, T_frame_map: Floats) -> PoseErrors:
@@ -93,8 +122,8 @@ class SigmaField:
         Residuals of the block itself.
     covariance : (6, 6) float64
         Of the rigid transform about ``centre`` (3,), rotation first [rad, m].
-    poses : tuple of PoseErrors
-        Of the epochs that carry them.
+    poses : tuple of Poses
+        Of both epochs; of one that states none, a default.
     floor : float
         [m].
     """
@@ -104,7 +133,7 @@ class SigmaField:
     count: Ints
     covariance: Floats
     centre: Floats
-    poses: tuple[PoseErrors, ...]
+    poses: tuple[Poses, ...]
     floor: float
 
     def at(self, xyz: Floats, normals: Floats) -> Floats:
@@ -157,7 +186,7 @@ def sigma_of(
     origin: Floats,
     registration: Registration,
     config: UncertaintyConfig,
-    poses: tuple[PoseErrors, ...] = (),
+    poses: tuple[Poses, ...] = (),
 ) -> SigmaField:
     """Estimate sigma_reg on a grid from samples of both epochs; ``origin`` (3,) of the common frame.
 

@@ -24,10 +24,12 @@ from subiaco_change.outputs.parcels import build_parcels, coverage_polygons
 from subiaco_change.outputs.qgis_project import PROJECT, write_project
 from subiaco_change.outputs.raster import (
     Coverage,
+    LodRaster,
     build_coverage,
     build_lod_raster,
     join_coverage,
     join_lod,
+    lod_statement,
     read_coverage,
     write_coverage,
     write_ground_change,
@@ -116,8 +118,9 @@ def run_document(
     table: pd.DataFrame,
     points: Mapping[str, int],
     coverage: Coverage,
+    lod: LodRaster,
 ) -> dict[str, Any]:
-    """Return the content of ``run.json``; ``points`` by epoch, areas from ``coverage``."""
+    """Return the content of ``run.json``; ``points`` by epoch, areas from ``coverage`` and ``lod``."""
     sources = {"before": inputs.before, "after": inputs.after}
     return {
         "table_hash": outputs_table.table_hash(table),
@@ -132,6 +135,7 @@ def run_document(
         "points": dict(points),
         "compared_area_m2": coverage.area(1),
         "undecided_area_m2": coverage.area(4),
+        "level_of_detection": lod_statement(lod),
         "confidence_calibrated": not inputs.calibration.lacking,
         "confidence_calibrated_for": dict(inputs.calibration.calibrated_for),
         "confidence_not_calibrated": list(inputs.calibration.lacking),
@@ -177,6 +181,7 @@ def write_change_directory(
         table, lost = carry_reviews(table, previous)
     rasters = [(build_coverage(*pair), build_lod_raster(*pair)) for pair in result.parts()]
     coverage = join_coverage(seen for seen, _ in rasters)
+    lod = join_lod(raster for _, raster in rasters)
     with whole_directory(directory, overwrite=overwrite, marker=MARKER) as target:
         _write_table(target, table)
         if len(lost):
@@ -201,12 +206,12 @@ def write_change_directory(
         if result.ground is not None:
             write_ground_change(target / "ground_change.tif", result.ground, crs)
         write_coverage(target / "coverage.tif", coverage, crs)
-        write_lod(target / "lod95.tif", join_lod(lod for _, lod in rasters), crs)
+        write_lod(target / "lod95.tif", lod, crs)
         if result.blocks is not None:
             result.blocks.to_csv(target / "registration_blocks.csv", index=False, float_format="%.4f")
         write_json(target / "registration.json", registration_document(result.registration, crs))
         write_config(target / "config.yaml", config)
-        write_json(target / "run.json", run_document(result, config, inputs, table, points, coverage))
+        write_json(target / "run.json", run_document(result, config, inputs, table, points, coverage, lod))
         write_project(target, crs, coverage.bounds)
         build_report(target)
 

@@ -21,6 +21,7 @@ from subiaco_geo.frames import Floats
 COVERAGE = {0: "neither", 1: "both", 2: "only before", 3: "only after", 4: "undecided"}
 
 _BUDGET = 1 << 24  # cells
+_MOSTLY = 0.5  # share of the points of a cell that must have a level of detection
 _FAIR = 0.25  # share of a cell's points with which an epoch was there to be compared
 
 
@@ -119,6 +120,29 @@ def read_coverage(path: Path) -> Coverage:
 def write_lod(path: Path, raster: LodRaster, crs: str | None) -> None:
     """Write LoD95 [m] and the share of points that claim one as a two-band GeoTIFF."""
     write_bands(path, {"lod95": raster.lod95, "claimed": raster.claimed}, raster, crs)
+
+
+def lod_statement(raster: LodRaster) -> dict[str, float | None]:
+    """State the level of detection of a whole map.
+
+    Returns
+    -------
+    dict
+        ``median_m``: median LoD95 over all cells with points, None where half of them or more have
+        none; ``median_where_known_m``: the same over the cells that have one; ``share_without``: share
+        of the cells with points in which fewer than half of the points have one.
+    """
+    seen = np.isfinite(raster.claimed)
+    if not seen.any():
+        return {"median_m": None, "median_where_known_m": None, "share_without": 1.0}
+    without = ~(raster.claimed[seen] >= _MOSTLY)
+    levels = np.where(without | np.isnan(raster.lod95[seen]), np.inf, raster.lod95[seen])
+    median, known = float(np.median(levels)), levels[np.isfinite(levels)]
+    return {
+        "median_m": median if np.isfinite(median) else None,
+        "median_where_known_m": float(np.median(known)) if len(known) else None,
+        "share_without": float(without.mean()),
+    }
 
 
 def build_lod_raster(before: PointCloud, after: PointCloud, cell: float = 5.0) -> LodRaster:

@@ -1,4 +1,4 @@
-"""How well two clouds fit at a pose, and how far that pose can be trusted."""
+"""How far a fitted pose can be trusted: from its Hessian and from blocks of residuals."""
 
 from __future__ import annotations
 
@@ -6,66 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from subiaco_change.geometry import Level, nearest
-from subiaco_change.registration.icp import Pairs, Target, jacobian
-from subiaco_geo.frames import Floats, Ints, transform_points
-
-
-@dataclass(frozen=True)
-class Quality:
-    """Fit of *before* to *after* at one pose.
-
-    Parameters
-    ----------
-    overlap : float
-        Share of the smaller cloud's 2 m columns that the other occupies too.
-    standing : float
-        Share of the planar standing points (walls, not ground) inside the
-        overlap that lie in a plane of the other epoch with the same normal.
-        Ground matches ground almost anywhere; walls do not.
-    lying : float
-        The same for planar points that lie (ground, flat roofs).
-    n_standing : int
-        Standing points inside the overlap.
-    """
-
-    overlap: float
-    standing: float
-    lying: float
-    n_standing: int
-
-    @property
-    def score(self) -> float:
-        """Matched minus a third of the unmatched standing points: for choosing between poses."""
-        return self.n_standing * (self.standing - (1.0 - self.standing) / 3.0)
-
-
-def _columns(xyz: Floats, cell: float) -> Ints:
-    """Return the number (N,) of the column of an edge [m] that each point stands in."""
-    ij = np.floor(xyz[:, :2] / cell).astype(np.int64)
-    return np.asarray((ij[:, 0] << 32) + ij[:, 1])
-
-
-def measure_quality(
-    source: Level, target: Target, pose: Floats, tolerance: float, cell: float = 2.0
-) -> Quality:
-    """Judge a pose ``T_after_before`` on one level; ``tolerance`` is the largest residual [m]."""
-    moved = transform_points(pose, source.xyz)
-    column = _columns(moved, cell)
-    ours, theirs = np.unique(column), np.unique(_columns(target.level.xyz, cell))
-    shared = np.intersect1d(ours, theirs, assume_unique=True)
-    overlap = len(shared) / max(min(len(ours), len(theirs)), 1)
-    planar = (source.planes.curvature < 0.03) & np.isin(column, shared)
-    normals = source.planes.normals @ pose[:3, :3].T
-    found, _ = nearest(target.index, moved, 2.0 * source.leaf)
-    other = target.level.planes.normals[found]
-    residual = np.abs(np.einsum("ni,ni->n", other, moved - target.level.xyz[found]))
-    agree = np.abs(np.einsum("ni,ni->n", other, normals)) > 0.9
-    match = (found >= 0) & agree & (residual < tolerance)
-    stands = planar & (np.abs(normals[:, 2]) < 0.5)
-    lies = planar & (np.abs(normals[:, 2]) > 0.8)
-    ratio = [float(match[mask].mean()) if mask.any() else 0.0 for mask in (stands, lies)]
-    return Quality(overlap, ratio[0], ratio[1], int(stands.sum()))
+from subiaco_change.registration.icp import Pairs, jacobian
+from subiaco_geo.frames import Floats
 
 
 @dataclass(frozen=True)
@@ -98,6 +40,12 @@ def _normal_sigma(rows: Floats, weights: Floats, covariance: Floats) -> float:
     """RMS over pairs of the displacement along the normal that a pose covariance causes [m]."""
     variance = np.einsum("ni,ij,nj->n", rows, covariance, rows)
     return float(np.sqrt(max(np.average(variance, weights=weights), 0.0)))
+
+
+def variance_along(pairs: Pairs, centre: Floats, covariance: Floats) -> Floats:
+    """Variance (K,) [m2] along the normals of pairs that a pose covariance (6, 6) about a centre causes."""
+    rows = jacobian(pairs, centre)
+    return np.asarray(np.einsum("ni,ij,nj->n", rows, covariance, rows))
 
 
 def estimate_uncertainty(

@@ -109,8 +109,10 @@ def _distinct(peaks: list[_Peak], count: int, yaw_gap: float, shift_gap: float) 
     return kept
 
 
-def _search(before_xy: Floats, after_xy: Floats, pixel: float, count: int) -> list[_Peak]:
-    """Correlate pictures of standing points over all yaws."""
+def _search(
+    before_xy: Floats, after_xy: Floats, pixel: float, count: int, yaws: int | None = None
+) -> list[_Peak]:
+    """Correlate pictures of standing points over all yaws, or over so many of them."""
     radius = float(np.linalg.norm(before_xy, axis=1).max(initial=pixel))
     reach = max(radius, float(np.linalg.norm(after_xy, axis=1).max(initial=pixel)))
     pixel = max(pixel, reach / 250.0)
@@ -118,13 +120,13 @@ def _search(before_xy: Floats, after_xy: Floats, pixel: float, count: int) -> li
     corner = np.full(2, -0.5 * size * pixel)
     # both pictures are band-passed: once here for both of them
     spectrum = fft.rfft2(_picture(after_xy, corner, pixel, size)) * _band(size) ** 2
-    steps = int(np.clip(np.ceil(2 * np.pi * radius / (1.5 * pixel)), 120, 720))
+    steps = yaws or int(np.clip(np.ceil(2 * np.pi * radius / (1.5 * pixel)), 120, 720))
     peaks = []
     for yaw in 2 * np.pi * np.arange(steps) / steps:
         turn = np.array([[np.cos(yaw), -np.sin(yaw)], [np.sin(yaw), np.cos(yaw)]])
         other = fft.rfft2(_picture(before_xy @ turn.T, corner, pixel, size))
         correlation = fft.irfft2(spectrum * np.conj(other), s=(size, size))
-        peaks += _peaks(correlation, pixel, float(yaw), 3)
+        peaks += _peaks(correlation, pixel, float(yaw), 3 if yaws is None else 2 * count)
     return _distinct(peaks, count, 3.0 * 2 * np.pi / steps, 3.0 * pixel)
 
 
@@ -193,3 +195,35 @@ def propose(before: Level, after: Level, pixel: float = 2.0, count: int = 12) ->
         pose[2, 3] = _height_offset(pose, flat_before, flat_after)
         candidates.append(Candidate(level_after.T @ pose @ level_before, peak.score))
     return candidates
+
+
+def propose_shifts(
+    before: Level, after: Level, pose: Floats, pixel: float, count: int = 4
+) -> list[Candidate]:
+    """Propose poses that differ from a fitted one by a level shift, the best first.
+
+    Parameters
+    ----------
+    before, after : Level
+        Coarsest levels.
+    pose : (4, 4) float64
+        ``T_after_before``; at it both clouds are upright within a few degrees.
+    pixel : float
+        Of the pictures from above [m].
+    count : int
+        Proposals wanted; the fitted pose itself is none.
+    """
+    moved = _turned(before, pose)
+    pictures = _standing(moved), _standing(after)
+    if min(map(len, pictures)) < 50:
+        return []
+    middle = np.vstack(pictures).mean(axis=0)
+    found = _search(pictures[0] - middle, pictures[1] - middle, pixel, count + 1, yaws=1)
+    candidates = []
+    for peak in found:
+        if np.hypot(*peak.shift) < 3.0 * pixel:
+            continue
+        aside = make_pose(np.eye(3), np.array([*peak.shift, 0.0]))
+        aside[2, 3] = _height_offset(aside, moved, after)
+        candidates.append(Candidate(aside @ pose, peak.score))
+    return candidates[:count]

@@ -9,37 +9,58 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from subiaco_change.geometry import Level, build_pyramid, remove_outliers
-from subiaco_change.registration.checks import (
-    Quality,
-    measure_quality,
-)
 from subiaco_change.registration.config import RegistrationConfig
 from subiaco_change.registration.icp import (
+    Noise,
     Pairs,
     Target,
     align_icp,
     find_pairs,
+    measure_noise,
     pair_weights,
     solve,
 )
 from subiaco_change.registration.ndt import Distributions, about, align_ndt, distributions
 from subiaco_change.registration.planes import PlanePairs, extract_planes, match_planes
+from subiaco_change.registration.plausibility import (
+    PLANE_POINTS,
+    Quality,
+    Support,
+    measure_quality,
+    measure_support,
+)
+from subiaco_change.spacing import PointSpacing, pair_spacing
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.errors import InputError, RegistrationError
-from subiaco_geo.frames import Floats, invert_pose, rotation_angle
+from subiaco_geo.frames import Floats, Ints, invert_pose, rotation_angle, transform_points
 
 Mask = NDArray[np.bool_]
 _POLISHES = 2  # the second takes its width from the residuals of the first
 _NARROWEST = 0.02  # biweight of a fit [m]
+_GROUPS, _GROUP_ITERATIONS = 8, 6  # of blocks that are fitted on their own
+_SMALLEST = 2.5  # edge of such a block, at the spacing of a street [m]
+_GAUSSIANS = 50  # below which NDT says nothing
+_COLUMN = 2.0  # edge of the columns of the overlap, at the spacing of a street [m]
+_LYING = 0.8  # |n_z| of what says nothing of a level shift
+_AS_WELL = 0.9  # of the weight of the ICP pose, from which the NDT pose fits as well
+_WORSE = 3.0  # times the limit by which NDT may disagree where its pose matches worse
+_SURE = 2.0  # standard errors by which a share must be too small
+_FEW = 10  # squares of structure below which a trusted start needs no support by it
+_SUPPORTED = 3.0  # standard errors by which structure must match better than by chance
 
 
 @dataclass(frozen=True)
 class Side:
-    """One epoch prepared: its centre (3,) in the common frame, and levels about that centre."""
+    """One epoch prepared: its centre (3,) in the common frame, and levels about that centre.
+
+    ``spacing``: of the points of the epoch [m]; ``scale``: factor on lengths that the pair asks for.
+    """
 
     centre: Floats
     levels: list[Level]
     grids: dict[float, Distributions]
+    spacing: float
+    scale: float
 
     def grid(self, cell: float) -> Distributions:
         """Gaussians of the finest points, kept for the next call."""
@@ -57,23 +78,53 @@ class Fit:
     degenerate: tuple[str, ...]
     eigenvalues: Floats
     quality: Quality
+    support: Support
     disagreement: float
     disagreement_deg: float
+    ndt_better: bool
     rmse: float
     start: str
 
 
-def prepare(cloud: PointCloud, exclude: Mask | None, name: str, config: RegistrationConfig) -> Side:
-    """Drop excluded and outlying points, centre, and build the pyramid."""
+def prepare_pair(
+    before: PointCloud,
+    after: PointCloud,
+    config: RegistrationConfig,
+    exclude_before: Mask | None = None,
+    exclude_after: Mask | None = None,
+) -> tuple[tuple[Side, Side], RegistrationConfig]:
+    """Prepare both epochs; return them, and the settings that their spacing asks for."""
+    clouds = (
+        _cleaned(before, exclude_before, "before", config),
+        _cleaned(after, exclude_after, "after", config),
+    )
+    spacing = pair_spacing(clouds[0].xyz, clouds[1].xyz)
+    config = config.scaled(spacing.scale)
+    sides = (
+        _side(clouds[0], spacing.before, spacing, config),
+        _side(clouds[1], spacing.after, spacing, config),
+    )
+    return sides, config
+
+
+def _cleaned(cloud: PointCloud, exclude: Mask | None, name: str, config: RegistrationConfig) -> PointCloud:
+    """Drop excluded and outlying points."""
     if exclude is not None:
         if len(exclude) != len(cloud):
             raise InputError(f"exclude_{name} has {len(exclude)} values for {len(cloud)} points")
         cloud = cloud.select(~exclude)
-    if len(cloud) < 1000:
-        raise RegistrationError(f"{name}: {len(cloud)} points are too few to register; check the cloud")
-    cloud = remove_outliers(cloud, config.outlier_neighbours, config.outlier_sigmas)
+    if len(cloud) < config.min_points:
+        raise RegistrationError(
+            f"{name}: {len(cloud)} points are too few to register (< {config.min_points}); check the cloud"
+        )
+    return remove_outliers(cloud, config.outlier_neighbours, config.outlier_sigmas)
+
+
+def _side(cloud: PointCloud, own: float, spacing: PointSpacing, config: RegistrationConfig) -> Side:
+    """Centre a cloud and build its pyramid."""
     centre = np.median(cloud.xyz, axis=0)
-    return Side(centre, build_pyramid(cloud.xyz - centre, config.leaves, config.normal_radius), {})
+    levels = build_pyramid(cloud.xyz - centre, config.leaves, config.normal_radius)
+    return Side(centre, levels, {}, own, spacing.scale)
 
 
 def _thinned(level: Level, limit: int) -> Level:
@@ -119,29 +170,41 @@ def refine_coarsely(
     """NDT on the coarsest level, from large cells to small."""
     for factor in factors:
         cell = factor * config.ndt_leaves_per_cell * config.leaves[0]
-        pose = align_ndt(before.grid(cell), after.grid(cell), pose, config.ndt_iterations).pose
+        found = _by_ndt(before, after, cell, pose, config)
+        pose = pose if found is None else found
     return pose
+
+
+def _by_ndt(
+    before: Side, after: Side, cell: float, pose: Floats, config: RegistrationConfig
+) -> Floats | None:
+    """Align Gaussians of voxels of an edge [m]; None where either epoch has too few of them."""
+    grids = before.grid(cell), after.grid(cell)
+    if min(len(grid.keys) for grid in grids) < _GAUSSIANS:
+        return None
+    return align_ndt(*grids, pose, config.ndt_iterations).pose
 
 
 def refine(
     before: Side, after: Side, targets: list[Target], pose: Floats, start: str, config: RegistrationConfig
 ) -> Fit:
     """Coarse to fine: NDT, then point-to-plane ICP, on every level (method B3)."""
-    ndt_pose = pose
+    ndt_pose = None
     finest = len(targets) - 1
     for i, target in enumerate(targets):
         source = _thinned(before.levels[i], config.icp_points)
-        cell = config.ndt_leaves_per_cell * config.leaves[i]
-        ndt_pose = align_ndt(before.grid(cell), after.grid(cell), pose, config.ndt_iterations).pose
-        ndt_pose = _remapped(pose, ndt_pose, source, target, config)
-        planes = _same_planes(before, after, ndt_pose, config) if i == finest else None
+        found = _by_ndt(before, after, config.ndt_leaves_per_cell * config.leaves[i], pose, config)
+        ndt_pose = None if found is None else _remapped(pose, found, source, target, config)
+        begin = pose if ndt_pose is None else ndt_pose
+        planes = _same_planes(before, after, begin, config) if i == finest else None
         pose, _, step = align_icp(
-            source, target, ndt_pose, tukey=config.tukey, huber=config.huber, reach=2.0 * source.leaf,
+            source, target, begin, tukey=config.tukey, huber=config.huber, reach=2.0 * source.leaf,
             min_eigenvalue=config.min_eigenvalue, max_iterations=config.icp_iterations, planes=planes,
         )  # fmt: skip
         if step is None:
             raise RegistrationError(
-                f"{start}: fewer than 50 point pairs at the {source.leaf} m level: the epochs do not overlap"
+                f"{start}: fewer than 50 point pairs at the {source.leaf:.2f} m level: "
+                "the epochs do not overlap"
             )
     pose = _polished(source, targets[-1], pose, planes, config)
     return judge(before, targets, pose, ndt_pose, start, config)
@@ -150,22 +213,78 @@ def refine(
 def _polished(
     source: Level, target: Target, pose: Floats, planes: PlanePairs | None, config: RegistrationConfig
 ) -> Floats:
-    """Fit again with a biweight as narrow as the residuals are.
+    """Fit again with biweights as narrow as the residuals of each kind of neighbourhood are.
 
     A hedge grown by 0.1 m or ground raised by 0.2 m lies well inside the 0.3 m of the method and
     pulls the fit by millimetres (Decision 2).
     """
     for _ in range(_POLISHES if config.polish > 0 else 0):
-        pairs = find_pairs(source.xyz, source.planes, target, pose, 2.0 * source.leaf)
-        if len(pairs.residuals) < 50:
+        noise = _noise(source, target, pose, config)
+        if noise is None:
             break
-        spread = 1.4826 * float(np.median(np.abs(pairs.residuals)))
-        width = min(max(config.polish * spread, _NARROWEST), config.tukey)
         pose, _, _ = align_icp(
-            source, target, pose, tukey=width, huber=config.huber, reach=2.0 * source.leaf,
+            source, target, pose, tukey=config.tukey, huber=config.huber, reach=2.0 * source.leaf,
             min_eigenvalue=config.min_eigenvalue, max_iterations=config.icp_iterations, planes=planes,
+            noise=noise,
         )  # fmt: skip
     return pose
+
+
+def _noise(source: Level, target: Target, pose: Floats, config: RegistrationConfig) -> Noise | None:
+    """Measure the spread of the residuals at a pose; None with too few."""
+    pairs = find_pairs(source.xyz, source.planes, target, pose, 2.0 * source.leaf)
+    if len(pairs.residuals) < 50:
+        return None
+    return measure_noise(pairs, config.polish, _NARROWEST, config.tukey)
+
+
+def fit_groups(
+    before: Side, target: Target, pose: Floats, centre: Floats, config: RegistrationConfig
+) -> Floats:
+    """Fit groups of blocks on their own; return the covariance (6, 6) of the pose about a centre (3,).
+
+    Points are paired anew as each group moves. On rough surfaces pairs follow a motion, so that the
+    normal equations of fixed pairs promise too much.
+    """
+    source = _thinned(before.levels[-1], config.icp_points)
+    noise = _noise(source, target, pose, config) if config.polish > 0 else None
+    names, member = _blocks(transform_points(pose, source.xyz), config.block, _SMALLEST * before.scale)
+    group = np.random.default_rng(config.seed).permutation(len(names))[member.ravel()] % _GROUPS
+    twists = []
+    for k in range(_GROUPS):
+        own = np.flatnonzero(group == k)
+        planes = source.planes
+        part = type(planes)(planes.normals[own], planes.curvature[own], planes.count[own])
+        found, _, step = align_icp(
+            Level(source.leaf, source.xyz[own], part), target, pose, tukey=config.tukey, huber=config.huber,
+            reach=2.0 * source.leaf, min_eigenvalue=config.min_eigenvalue, max_iterations=_GROUP_ITERATIONS,
+            noise=noise,
+        )  # fmt: skip
+        if step is not None:
+            twists.append(twist_between(found, pose, centre))
+    if len(twists) < 3:
+        return np.zeros((6, 6))
+    return np.atleast_2d(np.cov(np.array(twists).T)) / len(twists)
+
+
+def _blocks(xyz: Floats, edge: float, smallest: float) -> tuple[Ints, Ints]:
+    """Blocks (K, 2) of an edge [m] and the block (N,) of every point.
+
+    The edge is halved until every group has four blocks, so that each group sees the whole of a small site.
+    """
+    while True:
+        block = np.floor(xyz[:, :2] / edge).astype(np.int64)
+        names, member = np.unique(block, axis=0, return_inverse=True)
+        if len(names) >= 4 * _GROUPS or edge < 2.0 * smallest:
+            return names, member
+        edge *= 0.5
+
+
+def twist_between(one: Floats, other: Floats, centre: Floats) -> Floats:
+    """Twist (6,) about a centre (3,) from one pose to another: rotation vector [rad], then shift [m]."""
+    delta = one @ invert_pose(other)
+    turn = Rotation.from_matrix(delta[:3, :3]).as_rotvec()
+    return np.concatenate([turn, transform_points(delta, centre[None])[0] - centre])
 
 
 def _same_planes(before: Side, after: Side, pose: Floats, config: RegistrationConfig) -> PlanePairs | None:
@@ -180,49 +299,82 @@ def judge(
     before: Side,
     targets: list[Target],
     pose: Floats,
-    ndt_pose: Floats,
+    ndt_pose: Floats | None,
     start: str,
     config: RegistrationConfig,
 ) -> Fit:
-    """Measure everything that the checks look at, at a final pose."""
+    """Measure everything that the checks look at, at a final pose; without ``ndt_pose`` NDT says nothing."""
     source = _thinned(before.levels[-1], config.icp_points)
     pairs = find_pairs(source.xyz, source.planes, targets[-1], pose, 2.0 * source.leaf)
     if len(pairs.residuals) < 50:
         raise RegistrationError(
             f"{start}: {len(pairs.residuals)} point pairs at the finest level: the epochs do not overlap, "
-            f"or their points lie farther apart than {config.normal_radius} m"
+            f"or their surfaces hold too few points within {config.normal_radius:.1f} m"
         )
     weights = pair_weights(pairs, config.tukey, config.huber)
     step = solve(pairs, weights, pairs.points.mean(axis=0), config.min_eigenvalue)
     middle = max(len(targets) - 2, 0)
-    quality = measure_quality(before.levels[middle], targets[middle], pose, config.tukey)
-    delta = ndt_pose @ invert_pose(pose)
-    centre = pairs.points.mean(axis=0)
-    apart = float(np.linalg.norm(delta[:3, :3] @ centre + delta[:3, 3] - centre))
+    compared = (before.levels[middle], targets[middle], pose, config.tukey, column(before))
+    quality = measure_quality(*compared)
+    apart = angle = np.nan
+    ndt_better = False
+    if ndt_pose is not None:
+        apart, angle = difference(ndt_pose, pose, pairs.points.mean(axis=0))
+        there = find_pairs(source.xyz, source.planes, targets[-1], ndt_pose, 2.0 * source.leaf)
+        as_well = _AS_WELL if before.scale == 1.0 else 1.0  # sparse structure hardly tells them apart
+        ndt_better = _structure(there, config) > as_well * _structure(pairs, config)
     rmse = float(np.sqrt(np.average(pairs.residuals**2, weights=weights)))
     return Fit(
-        pose, pairs, step.degenerate, step.eigenvalues, quality, apart,
-        float(np.degrees(rotation_angle(delta))), rmse, start,
+        pose, pairs, step.degenerate, step.eigenvalues, quality,
+        measure_support(*compared, before.scale), apart, angle, ndt_better, rmse, start,
     )  # fmt: skip
+
+
+def _structure(pairs: Pairs, config: RegistrationConfig) -> float:
+    """Weight of the pairs that tell a level shift: those that do not lie."""
+    steep = np.abs(pairs.normals[:, 2]) < _LYING
+    return float(pair_weights(pairs, config.tukey, config.huber)[steep].sum())
+
+
+def column(side: Side) -> float:
+    """Edge of the columns by which overlap is measured [m]."""
+    return _COLUMN * side.scale
+
+
+def difference(one: Floats, other: Floats, centre: Floats) -> tuple[float, float]:
+    """Shift of a centre (3,) [m] and angle [deg] between two poses."""
+    delta = one @ invert_pose(other)
+    shift = float(np.linalg.norm(delta[:3, :3] @ centre + delta[:3, 3] - centre))
+    return shift, float(np.degrees(rotation_angle(delta)))
 
 
 def complaints(fit: Fit, trusted: bool, config: RegistrationConfig) -> list[str]:
     """Say in words which checks a fit fails; ``trusted`` says that a prior vouches for its start."""
-    q = fit.quality
+    q, support = fit.quality, fit.support
     least = config.min_standing_search if fit.start == "coarse" else config.min_standing
+    disagree = max(
+        fit.disagreement / config.max_disagreement, fit.disagreement_deg / config.max_disagreement_deg
+    )
+    words = (
+        f"only {support.match:.2f} of the walls, crowns and trunks in the overlap match, "
+        f"{support.chance:.2f} match by chance at poses aside"
+    )
+    needed = 0.0 if trusted else config.min_support
+    unsupported = support.excess - _SUPPORTED * support.excess_error < needed
     checks = [
         (q.overlap < config.min_overlap, f"overlap {q.overlap:.2f} < {config.min_overlap}"),
         (
-            q.n_standing >= 100 and q.standing < least,
+            falls_short(q.standing, q.n_standing, least),
             f"only {q.standing:.2f} of the walls in the overlap match (< {least})",
         ),
         (
-            q.lying < config.min_lying,
+            falls_short(q.lying, q.n_lying, config.min_lying),
             f"only {q.lying:.2f} of the ground in the overlap matches (< {config.min_lying})",
         ),
+        (unsupported and not (trusted and support.squares < _FEW), words),
         (fit.rmse > config.max_rmse, f"RMSE {fit.rmse:.3f} m > {config.max_rmse}"),
         (
-            fit.disagreement > config.max_disagreement or fit.disagreement_deg > config.max_disagreement_deg,
+            disagree > (1.0 if fit.ndt_better else _WORSE),
             f"NDT and ICP disagree by {fit.disagreement:.2f} m, {fit.disagreement_deg:.2f} deg",
         ),
         (
@@ -231,3 +383,26 @@ def complaints(fit: Fit, trusted: bool, config: RegistrationConfig) -> list[str]
         ),
     ]
     return [text for failed, text in checks if failed]
+
+
+def falls_short(share: float, count: int, least: float) -> bool:
+    """Tell whether a share of so many points is smaller than a limit by more than its standard error.
+
+    Points on one surface match or miss together: :data:`PLANE_POINTS` of them count as one trial.
+    """
+    trials = count / PLANE_POINTS
+    return trials > 0 and share + _SURE * np.sqrt(least * (1.0 - least) / trials) < least
+
+
+def density_note(sides: tuple[Side, Side]) -> str:
+    """Name the density of the clouds where it is below that of a mapped street; else nothing."""
+    if sides[0].scale <= 1.0:
+        return ""
+    words = [f"{name} {side.spacing:.2f} m" for name, side in zip(("before", "after"), sides, strict=True)]
+    thin = [
+        name
+        for name, side in zip(("before", "after"), sides, strict=True)
+        if np.mean(side.levels[-1].planes.count >= PLANE_POINTS) < 0.5
+    ]
+    cause = f"; {' and '.join(thin)}: too few points to tell surfaces from leaves" if thin else ""
+    return f" (density: points lie apart by {', '.join(words)}{cause})"

@@ -9,8 +9,10 @@ import numpy as np
 from subiaco_change.geometry import ColumnIndex, Level, LocalPlanes, build_index, nearest
 from subiaco_change.registration.ndt import about
 from subiaco_change.registration.planes import PlanePairs, normal_equations
-from subiaco_geo.frames import Floats, transform_points
+from subiaco_geo.frames import Floats, Ints, transform_points
 
+_CURVATURES = np.array([0.003, 0.01, 0.03, 0.06, 0.1, 0.17])  # between kinds of neighbourhoods
+_LEAST = 100  # pairs that show the spread of their kind
 _AXES = ("roll", "pitch", "yaw", "x", "y", "z")
 
 
@@ -45,6 +47,8 @@ class Pairs:
         Index of the source point.
     matched : float
         Share of the source points that found any target point in reach.
+    curvature : (K,) float64, optional
+        The larger curvature of the two neighbourhoods: 0 for planes, up to 1/3.
     """
 
     points: Floats
@@ -53,6 +57,7 @@ class Pairs:
     distances: Floats
     source: np.ndarray[tuple[int], np.dtype[np.int64]]
     matched: float
+    curvature: Floats | None = None
 
 
 def find_pairs(
@@ -83,13 +88,59 @@ def find_pairs(
     offset = moved[keep] - target.level.xyz[found[keep]]
     residual = np.einsum("ni,ni->n", normals_target[keep], offset)
     matched = float(np.mean(found >= 0)) if len(xyz) else 0.0
-    return Pairs(moved[keep], normals_target[keep], residual, distance[keep], keep, matched)
+    curvature = np.maximum(planes.curvature[keep], target.level.planes.curvature[found[keep]])
+    return Pairs(moved[keep], normals_target[keep], residual, distance[keep], keep, matched, curvature)
 
 
 def pair_weights(pairs: Pairs, tukey: float, huber: float) -> Floats:
     """Tukey biweight of the residual times Huber weight of the distance (method B3)."""
     bounded = np.clip(1.0 - (pairs.residuals / tukey) ** 2, 0.0, None)
     return np.asarray(bounded**2 * np.minimum(1.0, huber / np.maximum(pairs.distances, 1e-9)))
+
+
+@dataclass(frozen=True)
+class Noise:
+    """Spread of the residuals by the curvature of their neighbourhoods.
+
+    Walls and ground lie within centimetres of their planes, leaves within decimetres. A pair weighs as
+    the inverse of the variance of its kind, so that leaves count where nothing else fixes a direction,
+    and hardly at all where walls do.
+
+    Parameters
+    ----------
+    sigma : (7,) float64
+        Robust standard deviation of every kind, flattest first [m].
+    width : (7,) float64
+        Width of the biweight of every kind [m].
+    """
+
+    sigma: Floats
+    width: Floats
+
+    def weights(self, pairs: Pairs, huber: float) -> Floats:
+        """Return the weights (K,) of pairs."""
+        kind = _kinds(pairs)
+        bounded = np.clip(1.0 - (pairs.residuals / self.width[kind]) ** 2, 0.0, None)
+        near = np.minimum(1.0, huber / np.maximum(pairs.distances, 1e-9))
+        return np.asarray(bounded**2 * near * (self.sigma.min() / self.sigma[kind]) ** 2)
+
+
+def _kinds(pairs: Pairs) -> Ints:
+    curvature = np.zeros(len(pairs.residuals)) if pairs.curvature is None else pairs.curvature
+    return np.asarray(np.searchsorted(_CURVATURES, curvature))
+
+
+def measure_noise(pairs: Pairs, polish: float, narrowest: float, widest: float) -> Noise:
+    """Measure the spread of every kind; biweights are ``polish`` times as wide, within limits [m]."""
+    kind = _kinds(pairs)
+    size = np.abs(pairs.residuals)
+    sigma = np.full(len(_CURVATURES) + 1, 1.4826 * float(np.median(size)))
+    for k in range(len(sigma)):
+        own = size[kind == k]
+        if len(own) >= _LEAST:
+            sigma[k] = 1.4826 * float(np.median(own))
+    sigma = np.maximum(np.maximum.accumulate(sigma), narrowest / max(polish, 1.0))
+    return Noise(sigma, np.clip(polish * sigma, narrowest, widest))
 
 
 def jacobian(pairs: Pairs, centre: Floats) -> Floats:
@@ -119,6 +170,7 @@ def solve(
     centre: Floats,
     min_eigenvalue: float,
     turning: tuple[Floats, Floats] | None = None,
+    fixing: Floats | None = None,
 ) -> Step:
     """Solve the weighted normal equations, ignoring ill-conditioned directions.
 
@@ -126,7 +178,8 @@ def solve(
     that all six eigenvalues of the information a unit weight are comparable;
     an update along an eigenvector below ``min_eigenvalue`` is rejected
     (solution remapping, Zhang et al. 2016) and reported. ``turning`` holds a
-    further Hessian (3, 3) and gradient (3,) of the rotation [rad].
+    further Hessian (3, 3) and gradient (3,) of the rotation [rad]; ``fixing``
+    weights (K,) by which directions are ill-conditioned, where they are others.
     """
     length = max(float(np.sqrt(np.mean(np.sum((pairs.points - centre) ** 2, axis=1)))), 1e-6)
     scale = np.array([length] * 3 + [1.0] * 3)
@@ -134,7 +187,10 @@ def solve(
     total = max(float(weights.sum()), 1e-12)
     information = (rows.T * weights) @ rows / total
     right = -(rows.T * weights) @ pairs.residuals / total
-    values, vectors = np.linalg.eigh(information)
+    deciding = information
+    if fixing is not None:
+        deciding = (rows.T * fixing) @ rows / max(float(fixing.sum()), 1e-12)
+    values, vectors = np.linalg.eigh(deciding)
     basis = vectors[:, values >= min_eigenvalue]
     full = information.copy()
     if turning is not None:
@@ -157,8 +213,11 @@ def align_icp(
     max_iterations: int,
     reach: float,
     planes: PlanePairs | None = None,
+    noise: Noise | None = None,
 ) -> tuple[Floats, Pairs, Step | None]:
     """Iterate pairs and Gauss-Newton steps from a start pose; ``planes`` adds the plane-to-plane term.
+
+    With ``noise`` every kind of neighbourhood has a weight and a biweight of its own.
 
     Returns
     -------
@@ -175,7 +234,9 @@ def align_icp(
             return pose, pairs, None
         centre = pairs.points.mean(axis=0)
         turning = None if planes is None else normal_equations(planes, pose[:3, :3])
-        step = solve(pairs, pair_weights(pairs, tukey, huber), centre, min_eigenvalue, turning)
+        plain = pair_weights(pairs, tukey, huber)
+        weights = plain if noise is None else noise.weights(pairs, huber)
+        step = solve(pairs, weights, centre, min_eigenvalue, turning, None if noise is None else plain)
         pose = about(centre, step.twist) @ pose
         if np.linalg.norm(step.twist[3:]) < 2e-4 and np.linalg.norm(step.twist[:3]) < 2e-6:
             break

@@ -4,39 +4,43 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 
-from subiaco_change.geometry import Level
 from subiaco_change.records import Registration
-from subiaco_change.registration.checks import (
-    Uncertainty,
-    estimate_uncertainty,
-    measure_quality,
-)
-from subiaco_change.registration.coarse import propose
+from subiaco_change.registration.checks import Uncertainty, estimate_uncertainty, variance_along
+from subiaco_change.registration.coarse import propose, propose_shifts
 from subiaco_change.registration.config import RegistrationConfig
 from subiaco_change.registration.features import propose_by_features
 from subiaco_change.registration.fitting import (
     Fit,
     Mask,
     Side,
+    column,
     complaints,
+    density_note,
+    difference,
+    falls_short,
+    fit_groups,
     judge,
-    prepare,
+    prepare_pair,
     refine,
     refine_coarsely,
+    twist_between,
 )
 from subiaco_change.registration.icp import (
     Target,
     make_target,
     pair_weights,
 )
+from subiaco_change.registration.plausibility import measure_quality
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.errors import InputError, RegistrationError
-from subiaco_geo.frames import Floats, transform_points
+from subiaco_geo.frames import Floats, invert_pose, transform_points
 
 _LOG = logging.getLogger(__name__)
+_NOTED = 0.02  # what a registration would move a given transform by, before it is said [m]
 
 
 def _apart(before: Side, after: Side) -> bool:
@@ -55,15 +59,38 @@ def _from_identity(before: Side, after: Side, targets: list[Target], config: Reg
     pose = np.eye(4)
     pose[:3, 3] = before.centre - after.centre
     rough = refine_coarsely(before, after, pose, config)
-    quality = measure_quality(before.levels[0], targets[0], rough, config.tukey)
-    if quality.overlap < config.min_overlap or (
-        quality.n_standing >= 100 and quality.standing < 0.6 * config.min_standing
+    quality = measure_quality(before.levels[0], targets[0], rough, config.tukey, column(before))
+    if quality.overlap < config.min_overlap or falls_short(
+        quality.standing, quality.n_standing, 0.6 * config.min_standing
     ):
         raise RegistrationError(
             f"identity: after NDT only {quality.standing:.2f} of the walls in the overlap "
             f"({quality.overlap:.2f}) match"
         )
-    return refine(before, after, targets, pose, "identity", config)
+    fit = refine(before, after, targets, pose, "identity", config)
+    refuse_rivals(before, after, targets, fit, config)
+    return fit
+
+
+def refuse_rivals(
+    before: Side, after: Side, targets: list[Target], fit: Fit, config: RegistrationConfig
+) -> None:
+    """Refuse a fit where a pose elsewhere fits better: a row of equal houses, shifted by one."""
+    here = _score(before, targets, fit.pose, config)
+    for candidate in propose_shifts(before.levels[0], after.levels[0], fit.pose, config.coarse_pixel):
+        pose = refine_coarsely(before, after, candidate.pose, config)
+        apart, _ = difference(pose, fit.pose, fit.pairs.points.mean(axis=0))
+        there = _score(before, targets, pose, config)
+        _LOG.debug("a pose %.1f m away scores %.0f, this one %.0f", apart, there, here)
+        if apart > 2.0 * before.scale and there > config.max_rival_near * max(here, 1.0):
+            raise RegistrationError(
+                f"{fit.start}: a pose {apart:.1f} m away fits {there / max(here, 1.0):.2f} times as well "
+                f"(> {config.max_rival_near})"
+            )
+
+
+def _score(before: Side, targets: list[Target], pose: Floats, config: RegistrationConfig) -> float:
+    return measure_quality(before.levels[0], targets[0], pose, config.tukey, column(before)).score
 
 
 def _from_search(before: Side, after: Side, targets: list[Target], config: RegistrationConfig) -> Fit:
@@ -78,7 +105,7 @@ def _from_search(before: Side, after: Side, targets: list[Target], config: Regis
     poses = [candidate.pose for candidate in candidates]
     for cells in ((1.0,), (0.5,)):
         moved = [refine_coarsely(before, after, pose, config, cells) for pose in poses]
-        poses, scores = _places(moved, before.levels[0], targets[0], config.tukey)
+        poses, scores = _places(moved, before, targets[0], config.tukey)
         _LOG.debug("coarse poses score %s", np.round(scores))
     if len(scores) > 1 and scores[1] > config.max_rival * scores[0]:
         raise RegistrationError(
@@ -89,10 +116,11 @@ def _from_search(before: Side, after: Side, targets: list[Target], config: Regis
 
 
 def _places(
-    poses: list[Floats], source: Level, target: Target, tolerance: float, count: int = 5, gap: float = 2.0
+    poses: list[Floats], before: Side, target: Target, tolerance: float, count: int = 5
 ) -> tuple[list[Floats], list[float]]:
-    """Return the best poses that place the points more than a gap [m] apart, best first, and their scores."""
-    scores = [measure_quality(source, target, pose, tolerance).score for pose in poses]
+    """Return the best poses that place the points more than 2 m apart, best first, and their scores."""
+    source, gap = before.levels[0], 2.0 * before.scale
+    scores = [measure_quality(source, target, pose, tolerance, column(before)).score for pose in poses]
     sample = source.xyz[:: max(len(source.xyz) // 100, 1)]
     placed = [transform_points(pose, sample) for pose in poses]
     kept: list[int] = []
@@ -103,10 +131,14 @@ def _places(
 
 
 def _attempt(
-    before: Side, after: Side, start: Floats | None, georeferenced: bool, config: RegistrationConfig
+    before: Side,
+    after: Side,
+    targets: list[Target],
+    start: Floats | None,
+    georeferenced: bool,
+    config: RegistrationConfig,
 ) -> Fit:
     """Try the start poses that the inputs allow, and return the first fit that passes every check."""
-    targets = [make_target(level) for level in after.levels]
     attempts: list[Callable[[], Fit]]
     if start is not None:
         attempts = [lambda: refine(before, after, targets, start, "earlier fit", config)]
@@ -129,6 +161,7 @@ def _attempt(
     raise RegistrationError(
         "the epochs could not be registered: "
         + " | ".join(reasons)
+        + density_note((before, after))
         + ". Check that they show the same place, "
         "or give the transform (--transform F)"
     )
@@ -172,14 +205,12 @@ def register(
         No start pose leads to a fit that passes the checks.
     """
     after_here = after.rebased(before.origin)
-    sides = (
-        prepare(before, exclude_before, "before", config),
-        prepare(after_here, exclude_after, "after", config),
-    )
+    sides, config = prepare_pair(before, after_here, config, exclude_before, exclude_after)
     georeferenced = before.crs is not None and after.crs is not None
     pose = None if start is None else _between(start.T_after_before, sides, before.origin)
-    fit = _attempt(*sides, pose, georeferenced, config)
-    return _report(fit, sides, before.origin, f"{fit.start} + NDT + point-to-plane ICP", config)
+    targets = [make_target(level) for level in sides[1].levels]
+    fit = _attempt(*sides, targets, pose, georeferenced, config)
+    return _report(fit, sides, targets[-1], before.origin, f"{fit.start} + NDT + point-to-plane ICP", config)
 
 
 def given_registration(
@@ -204,23 +235,72 @@ def given_registration(
         )
     origin = before.origin
     after_here = after.rebased(origin)
-    sides = (prepare(before, None, "before", config), prepare(after_here, None, "after", config))
+    sides, config = prepare_pair(before, after_here, config)
     local = _between(T_world, sides, origin)
     targets = [make_target(level) for level in sides[1].levels]
     try:
-        fit = judge(sides[0], targets, local, local, method, config)
+        fit = judge(sides[0], targets, local, None, method, config)
     except RegistrationError as error:
-        raise RegistrationError(f"{error}; check the transform, or leave it out to register") from error
+        raise RegistrationError(
+            f"{error}{density_note(sides)}; check the transform, or leave it out to register"
+        ) from error
     if fit.quality.overlap < config.min_overlap:
         raise RegistrationError(
             f"the epochs do not overlap at the {method} transform (overlap {fit.quality.overlap:.2f} "
             f"< {config.min_overlap}); check its direction: it must map before to after"
         )
-    return _report(fit, sides, origin, method, config)
+    found = _report(fit, sides, targets[-1], origin, method, config)
+    return _doubted(found, fit, sides, targets, config)
+
+
+def _doubted(
+    found: Registration, fit: Fit, sides: tuple[Side, Side], targets: list[Target], config: RegistrationConfig
+) -> Registration:
+    """Test a given transform as a registration is tested, and state what speaks against it.
+
+    What a registration that starts there would move *before* by widens the stated uncertainty.
+    """
+    warnings = [
+        f"the {found.method} transform is not supported: {text}" for text in complaints(fit, True, config)
+    ]
+    try:
+        better = refine(*sides, targets, fit.pose, "refined", config)
+        against = complaints(better, True, config)
+        if against:
+            raise RegistrationError("; ".join(against))
+        refuse_rivals(*sides, targets, better, config)
+        shift, angle = difference(better.pose, fit.pose, fit.pairs.points.mean(axis=0))
+    except RegistrationError as error:
+        warnings.append(
+            f"the {found.method} transform could not be verified, because no registration from it passes "
+            f"the checks: {error}{density_note(sides)}"
+        )
+        return replace(found, warnings=(*found.warnings, *warnings))
+    known = _report(better, sides, targets[-1], found.origin, found.method, config)
+    moved = transform_points(better.pose @ invert_pose(fit.pose), fit.pairs.points) - fit.pairs.points
+    along = float(np.sqrt(np.mean(np.einsum("ni,ni->n", moved, fit.pairs.normals) ** 2)))
+    offset = twist_between(better.pose, fit.pose, fit.pairs.points.mean(axis=0))
+    if shift > max(_NOTED, 3.0 * float(np.linalg.norm(known.pose_std[3:]))):
+        warnings.append(
+            f"the {found.method} transform was used as it is, but registration would move before by "
+            f"{shift:.2f} m and {angle:.2f} deg: leave it out to register"
+        )
+    return replace(
+        found,
+        sigma_reg_m=float(np.hypot(known.sigma_reg_m, along)),
+        pose_std=np.hypot(known.pose_std, offset),
+        warnings=(*found.warnings, *warnings),
+        details={**found.details, "registration_would_move_m": shift, "registration_would_turn_deg": angle},
+    )
 
 
 def _report(
-    fit: Fit, sides: tuple[Side, Side], origin: Floats, method: str, config: RegistrationConfig
+    fit: Fit,
+    sides: tuple[Side, Side],
+    target: Target,
+    origin: Floats,
+    method: str,
+    config: RegistrationConfig,
 ) -> Registration:
     """Put a fit into world terms about the overlap centroid, with its uncertainty."""
     # The wide biweight: what changed widens the stated spread although it no longer pulls the fit.
@@ -229,23 +309,32 @@ def _report(
     spread = estimate_uncertainty(
         fit.pairs, weights, centre, config.min_eigenvalue, config.block, config.draws, config.seed
     )
+    grouped = fit_groups(sides[0], target, fit.pose, centre, config)
+    along = np.sqrt(max(float(np.average(variance_along(fit.pairs, centre, grouped), weights=weights)), 0.0))
     centroid = centre + sides[1].centre
     rotation = fit.pose[:3, :3]
     T_local = fit.pose.copy()
     T_local[:3, 3] = sides[1].centre + fit.pose[:3, 3] + rotation @ (centroid - sides[0].centre) - centroid
-    sigma = max(spread.sigma_hessian, spread.sigma_blocks, spread.block_bias, config.sigma_floor)
+    sigma = max(spread.sigma_hessian, spread.sigma_blocks, spread.block_bias, along, config.sigma_floor)
     inliers = float(np.mean(np.abs(fit.pairs.residuals) < config.tukey / 3.0)) * fit.pairs.matched
-    std = np.maximum(spread.hessian_std, spread.block_std)
+    std = np.maximum(np.maximum(spread.hessian_std, spread.block_std), np.sqrt(np.diag(grouped)))
     warnings = tuple(f"{name} is not fixed by the geometry; the prior was kept" for name in fit.degenerate)
     return Registration(
         T_local, origin + centroid, sigma, fit.rmse, inliers, std, method,
-        fit.degenerate, warnings, _details(fit, spread),
+        fit.degenerate, warnings, {**_details(fit, spread, sides), "sigma_groups_m": float(along)},
     )  # fmt: skip
 
 
-def _details(fit: Fit, spread: Uncertainty) -> dict[str, float]:
+def _details(fit: Fit, spread: Uncertainty, sides: tuple[Side, Side]) -> dict[str, float]:
     """Numbers behind the verdict, for registration.json."""
     return {
+        "spacing_before_m": sides[0].spacing,
+        "spacing_after_m": sides[1].spacing,
+        "length_scale": sides[0].scale,
+        "finest_leaf_m": sides[0].levels[-1].leaf,
+        "structure_match": fit.support.match,
+        "structure_chance": fit.support.chance,
+        "structure_error": fit.support.error,
         "overlap": fit.quality.overlap,
         "standing_match": fit.quality.standing,
         "lying_match": fit.quality.lying,

@@ -74,7 +74,7 @@ def _scaled(value: float | None, factor: float) -> float | None:
 
 
 def lod_facts(lod: LodCounts) -> dict[str, Any]:
-    """Return median and 95th percentile LoD95 [cm], and the share without any claim."""
+    """Return median and 95th percentile LoD95 of all points [cm], None for none, and the share without."""
     return {
         "median_cm": _scaled(lod.percentile(50.0), 100.0),
         "p95_cm": _scaled(lod.percentile(95.0), 100.0),

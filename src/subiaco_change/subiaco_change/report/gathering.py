@@ -33,11 +33,15 @@ class LodCounts:
         self.points += len(lod95)
 
     def percentile(self, percent: float) -> float | None:
-        """Return a percentile [m] of the levels, to a twentieth of a millimetre; None without any."""
+        """Return a percentile [m] over all points, to a twentieth of a millimetre.
+
+        A point without a level counts as one that is larger than any. None where the percentile has none.
+        """
         total = np.cumsum(self.counts)
-        if total[-1] == 0:
+        rank = percent / 100.0 * self.points
+        if total[-1] == 0 or total[-1] < rank:
             return None
-        return float(np.searchsorted(total, percent / 100.0 * total[-1]) + 0.5) * _LOD_STEP
+        return float(np.searchsorted(total, rank) + 0.5) * _LOD_STEP
 
     @property
     def unclaimed(self) -> float:

@@ -171,7 +171,7 @@ def report_context(change: ChangeDirectory, found: Gathered) -> dict[str, Any]:
         "labels": [c.label for c in Change],
         "classes": [s.label for s in Semantic],
         "simulated": is_simulated(change.run),
-        "warnings": [*change.run.get("warnings", []), *change.registration.get("warnings", [])],
+        "warnings": [*change.registration.get("warnings", []), *change.run.get("warnings", [])],
         "calibrated": bool(change.run.get("confidence_calibrated", False)),
         "not_calibrated": change.run.get("confidence_not_calibrated", []),
         "assumed": int((change.table["evidence"] == "assumed").sum()),

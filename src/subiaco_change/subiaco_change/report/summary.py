@@ -75,7 +75,7 @@ def build_summary(
         "map": city_map(found.city, largest),
         "coverage": coverage_picture(found.coverage),
         "largest": [dict(row, picture=pictures[row["object_id"]]) for row in largest.to_dict("records")],
-        "warnings": [*change.run.get("warnings", []), *change.registration.get("warnings", [])],
+        "warnings": [*change.registration.get("warnings", []), *change.run.get("warnings", [])],
     }
 
 

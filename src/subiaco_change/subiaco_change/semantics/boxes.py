@@ -31,12 +31,19 @@ def wall_coordinates(xy: Floats, cell: float = 0.25) -> Floats:
     Of directions every 3 deg, that in which the points fall into the fewest strips of a width [m].
     """
     centred = xy - xy.mean(axis=0)
-    best, turned = -1.0, centred
+    turned = centred @ wall_axes(xy, cell)
+    return turned if np.ptp(turned[:, 0]) >= np.ptp(turned[:, 1]) else turned[:, ::-1]
+
+
+def wall_axes(xy: Floats, cell: float = 0.25) -> Floats:
+    """Rotation (2, 2) whose columns are the directions of the walls that points (N, 2) are of."""
+    centred = xy - xy.mean(axis=0)
+    best, found = -1.0, np.eye(2)
     for angle in np.radians(np.arange(0, 90, 3.0)):
         axes = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
         uv = centred @ axes
         strips = np.floor((uv - uv.min(axis=0)) / cell).astype(np.int64)
         score = float(sum((np.bincount(strip).astype(np.float64) ** 2).sum() for strip in strips.T))
         if score > best:
-            best, turned = score, uv
-    return turned if np.ptp(turned[:, 0]) >= np.ptp(turned[:, 1]) else turned[:, ::-1]
+            best, found = score, axes
+    return found

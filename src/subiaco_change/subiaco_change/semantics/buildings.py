@@ -41,6 +41,11 @@ class BuildingConfig(StrictModel):
     wire_inner: float = Field(
         0.4, gt=0, le=1, description="share of a plane's cells with four neighbours: wires have few"
     )
+    wire_rise: float = Field(
+        1.0,
+        gt=0,
+        description="largest standard deviation of heights in a bundle; sparse facades have more [m]",
+    )
     frond_linearity: float = Field(0.36, gt=0, lt=1, description="the same where the patch is rough: fronds")
     frond_bend: float = Field(0.1, gt=0, description="root mean square distance to one plane [m]")
     frond_roughness: float = Field(0.04, gt=0, description="median roughness of such a patch [m]")
@@ -53,6 +58,9 @@ class BuildingConfig(StrictModel):
         lt=1,
         description="mean sqrt(l3 / l1) from which a patch is the side of a hedge; walls have half of it",
     )
+    leafy_bend: float = Field(
+        0.2, gt=0, description="root mean square distance to one plane of a rough slope that is no roof [m]"
+    )
     leafy_area: float = Field(
         25.0, gt=0, description="area from which a plane is a wall, however rough: leaves form none [m2]"
     )
@@ -64,6 +72,9 @@ class BuildingConfig(StrictModel):
         0.25, gt=0, description="distance of its cells from the neighbour's plane [m]"
     )
     thick_area: float = Field(12.0, gt=0, description="least area of such a wall [m2]")
+    facade_width: float = Field(
+        0.3, gt=0, description="standard deviation along a facade; the face of a pole has less [m]"
+    )
     facade_top: float = Field(
         2.3, gt=0, description="height that a facade reaches; lower walls are other [m]"
     )
@@ -209,13 +220,16 @@ def _kinds(
     linear, lowest = reduced(features.linearity, "mean"), reduced(height, "minimum")
     level = np.abs(patches.normal[:, 2]) > config.wire_level
     narrow = patches.inner < config.wire_inner * patches.area
-    wires = (linear > config.wire_linearity) & (level | narrow)
+    wires = (linear > config.wire_linearity) & (level | narrow) & (patches.rise < config.wire_rise)
     rough = reduced(features.roughness, "median") > config.frond_roughness
     bent = ~upright & (patches.residual > config.frond_bend) & (lowest > config.roof_height)
     fronds = bent & rough & (linear > config.frond_linearity)
     leafy = (reduced(np.sqrt(features.scatter), "mean") > config.leafy_scatter) & (
         patches.area < config.leafy_area
     )
+    slopes = ~upright & rough & (patches.residual > config.leafy_bend)
+    fronds |= slopes
+    facade &= patches.width > config.facade_width
     building = (facade | roof) & ~fronds & ~leafy & ~(wires & (lowest > config.wire_height))
     return np.asarray(building), np.asarray(fronds & (patches.area > config.part_area))
 

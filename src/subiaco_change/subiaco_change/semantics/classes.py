@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -20,8 +21,10 @@ from subiaco_change.semantics.buildings import (
 from subiaco_change.semantics.clustering import group_indices, group_reduce, voxel_clusters
 from subiaco_change.semantics.features import FeatureConfig, Features, compute_features
 from subiaco_change.semantics.ground import GroundConfig, GroundModel, Mask, fit_ground
+from subiaco_change.semantics.lines import LineConfig, find_lines
+from subiaco_change.semantics.raised import RaisedConfig, RaisedSurfaces, find_raised
 from subiaco_change.semantics.superpoints import SuperpointConfig, partition
-from subiaco_change.semantics.traffic import TrafficConfig, moving_points, still_blocks
+from subiaco_change.semantics.traffic import TrafficConfig, moving_points, still_blocks, timed_trails
 from subiaco_change.semantics.vehicles import VehicleConfig, free_boxes, ground_boxes, look_again
 from subiaco_geo.clouds import PointCloud, sort_spatially
 from subiaco_geo.codes import Semantic
@@ -33,11 +36,13 @@ class SemanticsConfig(StrictModel):
     """Rules of the five classes; heights are above the local ground model."""
 
     ground: GroundConfig = GroundConfig()
+    raised: RaisedConfig = RaisedConfig()
     features: FeatureConfig = FeatureConfig()
     superpoints: SuperpointConfig = SuperpointConfig()
     traffic: TrafficConfig = TrafficConfig()
     buildings: BuildingConfig = BuildingConfig()
     vehicles: VehicleConfig = VehicleConfig()
+    lines: LineConfig = LineConfig()
     ground_distance: float = Field(
         0.10, gt=0, description="median distance of ground to its model [m], paper"
     )
@@ -57,8 +62,13 @@ class SemanticsConfig(StrictModel):
         gt=0,
         description="ratio of standard deviations sqrt(l3 / l1) of foliage (paper: l3 / l1 > 0.35)",
     )
+    sparse_scatter: float = Field(
+        0.15, gt=0, description="the same where few points are near: lines of a scan cross foliage sparsely"
+    )
+    sparse_reach: float = Field(1.1, gt=0, description="distance of the neighbours there [m]")
     roughness: float = Field(0.06, gt=0, description="root of the smallest eigenvalue in foliage [m]")
     vegetation_height: float = Field(0.5, gt=0, description="median height of vegetation [m], paper")
+    level: float = Field(0.9, gt=0, le=1, description="|n.e_z| from which a point is level")
     tiny_width: float = Field(
         1.0,
         ge=0,
@@ -89,7 +99,13 @@ class SemanticResult:
     large: Mask
 
 
-def label_points(cloud: PointCloud, config: SemanticsConfig, passed: Floats | None = None) -> SemanticResult:
+def label_points(
+    cloud: PointCloud,
+    config: SemanticsConfig,
+    passed: Floats | None = None,
+    raised: RaisedSurfaces | None = None,
+    moved: Floats | None = None,
+) -> SemanticResult:
     """Label every point of a cloud at the working leaf.
 
     Parameters
@@ -100,15 +116,20 @@ def label_points(cloud: PointCloud, config: SemanticsConfig, passed: Floats | No
     passed : (N,) float, optional
         Beams that passed through the place of each point for each that returned
         from it, from a visibility layer; tells trails of traffic.
+    moved : (N,) float, optional
+        Probability that each point moved, from a map that keeps times; takes the place of ``passed``.
+    raised : RaisedSurfaces, optional
+        Roofs and decks in the frame of the cloud, known from farther around; found in the cloud if None.
     """
     order = sort_spatially(cloud.xyz)
     xyz = cloud.xyz[order]
-    ground = fit_ground(xyz, config.ground)
+    surfaces = find_raised(xyz, config.raised) if raised is None else raised
+    ground = fit_ground(xyz, config.ground, surfaces)
     height = xyz[:, 2] - ground.height(xyz[:, :2])
     features = compute_features(xyz, config.features)
     parts = partition(_superpoint_features(features, height, config), features.neighbours, config.superpoints)
-    through = None if passed is None else np.asarray(passed, dtype=np.float64)[order]
-    semantic, moving, large = _classify(xyz, height, features, parts.labels, ground, through, config)
+    beams = [None if b is None else np.asarray(b, dtype=np.float64)[order] for b in (passed, moved)]
+    semantic, moving, large = _classify(xyz, height, features, parts.labels, ground, beams, config)
     scores = _scores(semantic, features)
     back = np.argsort(order, kind="stable")
     return SemanticResult(
@@ -134,7 +155,7 @@ def _classify(
     features: Features,
     parts: Ints,
     ground: GroundModel,
-    passed: Floats | None,
+    beams: Sequence[Floats | None],
     config: SemanticsConfig,
 ) -> tuple[NDArray[np.uint8], Mask, Mask]:
     """Apply the classes in the order of their priority; the rest is *other*. Tell trails and trucks."""
@@ -144,11 +165,15 @@ def _classify(
     rest = ~is_ground
     planes = building_planes(xyz, height, features, rest, config.buildings)
     moving = np.zeros(len(xyz), dtype=bool)
-    if passed is not None:
+    passed, moved = beams
+    if moved is not None:
+        moving = timed_trails(height, moved, rest, config.traffic)
+    elif passed is not None:
         moving = moving_points(xyz, height, features, passed, rest, config.traffic)
         moving &= ~still_blocks(xyz, planes.core, moving, config.traffic)
     semantic[moving] = Semantic.MOBILE
     rest &= ~moving
+    rest &= ~find_lines(xyz, height, _reach(features, config), rest, planes.core, config.lines)
     foliage = (_find_foliage(height, features, parts, config) | planes.fronds) & rest
     body = rest & ~foliage & (features.linearity < config.vehicles.trunk_linearity)
     trucks, shelters = free_boxes(
@@ -169,8 +194,16 @@ def _classify(
         features.roughness < config.buildings.plane_offset
     )
     semantic[rest] = _split_rest(xyz[rest], height[rest], foliage[rest], upright[rest], config)
-    semantic = look_again(xyz, height, foliage, upright, semantic, moving, config.vehicles)
+    level = np.abs(features.normals[:, 2]) > config.level
+    semantic = look_again(xyz, height, foliage, upright, semantic, moving, trucks, level, config.vehicles)
     return semantic, moving, trucks & (semantic == Semantic.MOBILE)
+
+
+def _reach(features: Features, config: SemanticsConfig) -> Floats:
+    """Distance (N,) of the farthest neighbour that a shape is told from at least [m]."""
+    return np.asarray(
+        features.distances[:, min(config.features.min_neighbours, features.distances.shape[1] - 1)]
+    )
 
 
 def _find_ground(
@@ -188,8 +221,7 @@ def _find_ground(
         & (height > -2 * config.ground_close)
         & ~(steep & (height > 0.5 * config.ground_distance))
     )
-    few = min(config.features.min_neighbours, features.distances.shape[1] - 1)
-    dense = features.distances[:, few] < config.features.radius  # else roughness is that of the terrain
+    dense = _reach(features, config) < config.features.radius  # else roughness is that of the terrain
     foot = dense & (features.roughness > config.foot_roughness) & (height > config.foot_height)
     return np.asarray(((claimed[parts] & (np.abs(height) < 2 * config.ground_close)) | near) & ~foot)
 
@@ -199,7 +231,8 @@ def _find_foliage(height: Floats, features: Features, parts: Ints, config: Seman
     count = int(parts.max()) + 1
     scatter = group_reduce(parts, np.sqrt(features.scatter), count)
     rough = group_reduce(parts, features.roughness, count)
-    leafy = (scatter > config.scatter) & (rough > config.roughness)
+    sparse = group_reduce(parts, _reach(features, config), count) > config.sparse_reach
+    leafy = (scatter > np.where(sparse, config.sparse_scatter, config.scatter)) & (rough > config.roughness)
     return np.asarray(leafy[parts] & (height > config.ground_close))
 
 

@@ -10,6 +10,7 @@ from pydantic import Field
 from scipy import ndimage
 
 from subiaco_change.semantics.clustering import connect
+from subiaco_change.semantics.raised import RaisedSurfaces
 from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
@@ -102,7 +103,7 @@ class GroundModel:
         return np.asarray(self.known[row, column])
 
 
-def fit_ground(xyz: Floats, config: GroundConfig) -> GroundModel:
+def fit_ground(xyz: Floats, config: GroundConfig, raised: RaisedSurfaces | None = None) -> GroundModel:
     """Fit the ground under a cloud.
 
     Parameters
@@ -110,6 +111,8 @@ def fit_ground(xyz: Floats, config: GroundConfig) -> GroundModel:
     xyz : (N, 3) float64
         Local coordinates [m].
     config : GroundConfig
+    raised : RaisedSurfaces, optional
+        Roofs and decks, known from farther around; none of their points is ground.
 
     Returns
     -------
@@ -122,9 +125,16 @@ def fit_ground(xyz: Floats, config: GroundConfig) -> GroundModel:
     """
     if len(xyz) == 0:
         raise InputError("ground: the cloud has no points; check the crop or the filter before it")
+    extent = xyz
+    if raised is not None:
+        xyz = xyz[~raised.holds(xyz)]
     lattice = _LATTICE * config.cell
-    south_west = np.floor(xyz[:, :2].min(axis=0) / lattice) * lattice
-    shape, flat = _cells(xyz, south_west, config.cell)
+    south_west = np.floor(extent[:, :2].min(axis=0) / lattice) * lattice
+    shape, flat = _cells(xyz, south_west, config.cell, extent[:, :2].max(axis=0))
+    if len(xyz) == 0 and raised is not None:  # a tile that a roof fills
+        none = np.zeros(shape, dtype=bool)
+        west, south = south_west.tolist()
+        return GroundModel(west, south, config.cell, np.full(shape, raised.below), none)
     lowest = _reject_low(_lowest(xyz[:, 2], flat, shape), config)
     is_ground = _progressive_filter(lowest, config)
     surface = fill_gaps(np.where(is_ground, lowest, np.nan))
@@ -134,9 +144,12 @@ def fit_ground(xyz: Floats, config: GroundConfig) -> GroundModel:
     return GroundModel(west, south, config.cell, surface, np.asarray(distance <= config.support))
 
 
-def _cells(xyz: Floats, south_west: Floats, cell: float) -> tuple[tuple[int, int], NDArray[np.int64]]:
+def _cells(
+    xyz: Floats, south_west: Floats, cell: float, north_east: Floats
+) -> tuple[tuple[int, int], NDArray[np.int64]]:
+    """Shape of the raster up to a corner (2,) [m], and the flat cell (N,) of every point."""
     index = np.maximum(np.floor((xyz[:, :2] - south_west) / cell).astype(np.int64), 0)
-    columns, rows = (index.max(axis=0) + 1).tolist()
+    columns, rows = (np.floor((north_east - south_west) / cell).astype(np.int64) + 1).tolist()
     return (rows, columns), np.asarray(index[:, 1] * columns + index[:, 0])
 
 

@@ -18,8 +18,15 @@ from subiaco_geo.frames import Floats, Ints
 
 
 class TrafficConfig(StrictModel):
-    """Evidence of movement: beams that passed through a voxel for each that returned from it."""
+    """Evidence of movement: the verdict of mapping; without it, beams that passed for each that returned."""
 
+    probability: float = Field(
+        0.9,
+        gt=0.5,
+        le=1,
+        description="probability of having moved, from the times of beams in the map, from which a point "
+        "belongs to the trail of a moving object [1]",
+    )
     ratio: float = Field(
         20.0, gt=1, description="mean passes a return around a point from which it surely moved"
     )
@@ -32,6 +39,11 @@ class TrafficConfig(StrictModel):
     top: float = Field(3.8, gt=0, description="highest point of a trail: a bus [m]")
     reach: float = Field(1.0, gt=0, description="neighbours that are averaged [m]")
     touch: float = Field(0.5, gt=0, description="voxel in which points of a trail touch [m]")
+
+
+def timed_trails(height: Floats, moved: Floats, free: Mask, config: TrafficConfig) -> Mask:
+    """Tell which free points (N,) moved by the verdict of mapping; what lies on the ground is ground."""
+    return np.asarray(free & (height > config.bottom) & (moved >= config.probability))
 
 
 def moving_points(

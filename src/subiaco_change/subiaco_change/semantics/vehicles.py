@@ -72,6 +72,10 @@ class VehicleConfig(StrictModel):
     )
     clear_share_wide: float = Field(0.5, gt=0, le=1, description="the same for things as wide as cars")
     clear_width: float = Field(1.4, gt=0, description="width of these [m]")
+    slab_top: float = Field(
+        1.25, gt=0, description="top of a thing too low to be seen from above as a car [m]"
+    )
+    slab_level: float = Field(0.3, gt=0, le=1, description="level share of such a thing: a bed, a terrace")
     screen_upright: float = Field(
         0.7, gt=0, le=1, description="share of walls in the upper half of fences that meet"
     )
@@ -214,11 +218,14 @@ def look_again(
     upright: Mask,
     semantic: NDArray[np.uint8],
     moving: Mask,
+    large: Mask,
+    level: Mask,
     config: VehicleConfig,
 ) -> NDArray[np.uint8]:
-    """Give vehicles back that are none: sheds, and pieces of hedges and walls.
+    """Give vehicles back that are none: sheds, raised beds, and pieces of hedges and walls.
 
     A vehicle stands free. What has things against much of it is a plant or a piece of most of them.
+    What stands on wheels (``large``) is no shed; a low thing that is mostly ``level`` has no car's shape.
     """
     settled = semantic.copy()
     members = np.flatnonzero((semantic == Semantic.MOBILE) & ~moving)
@@ -228,12 +235,20 @@ def look_again(
     crowd, beside = _surroundings(xyz, height, semantic, members, labels, config)
     for number, group in enumerate(group_indices(labels)):
         mine = members[group]
-        if _is_shed(xyz[mine], height[mine], upright[mine], config):
+        if not large[mine].mean() > 0.5 and _is_shed(xyz[mine], height[mine], upright[mine], config):
             settled[mine] = Semantic.BUILDING
+        elif _is_slab(height[mine], level[mine], config):
+            settled[mine] = Semantic.OTHER
         elif crowd[number] > _crowd_limit(xyz[mine], config):
             leafy = foliage[mine].mean() > config.leafy
             settled[mine] = Semantic.VEGETATION if leafy else beside[number]
     return settled
+
+
+def _is_slab(height: Floats, level: Mask, config: VehicleConfig) -> bool:
+    """Tell a raised bed or terrace: low, and mostly level where it stands out."""
+    top = float(np.quantile(height, 0.98))
+    return bool(top < config.slab_top and level[height > 0.5 * top].mean() > config.slab_level)
 
 
 def _crowd_limit(xyz: Floats, config: VehicleConfig) -> float:

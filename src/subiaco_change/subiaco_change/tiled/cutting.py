@@ -172,7 +172,14 @@ def cut_beams(bench: Workbench, parts: Iterable[VisibilityGrid], size: float) ->
         for part in parts:
             centres = (unpack_voxel_keys(part.keys)[:, :2] + 0.5) * part.voxel + part.origin[:2]
             for name, m in split_by_tile(centres, size).items():
-                spill.add(name, {"keys": part.keys[m], "hits": part.hits[m], "passes": part.passes[m]})
+                columns: dict[str, NDArray[Any]] = {
+                    "keys": part.keys[m],
+                    "hits": part.hits[m],
+                    "passes": part.passes[m],
+                }
+                if part.moving is not None:
+                    columns["moving"] = part.moving[m]
+                spill.add(name, columns)
         for name, arrays in spill.tiles():
             keys[name] = bench.put("beams", name, arrays)
     return keys
@@ -196,11 +203,14 @@ def no_beams(corner: Floats, voxel: float) -> VisibilityGrid:
 
 def load_beams(inputs: Inputs, alias: str, corner: Floats, voxel: float) -> VisibilityGrid:
     """Put the tiles of beams under ``alias/`` together."""
-    found = join((inputs[f"{alias}/{name}"] for name in inputs.under(alias)), ("keys", "hits", "passes"))
+    names = ("keys", "hits", "passes", "moving")
+    found = join((inputs[f"{alias}/{name}"] for name in inputs.under(alias)), names)
     if not found:
         return no_beams(corner, voxel)
     order = np.argsort(found["keys"], kind="stable")
-    return VisibilityGrid(corner, voxel, found["keys"][order], found["hits"][order], found["passes"][order])
+    moving = found["moving"][order] if "moving" in found else None
+    keys, hits, passes = (found[name][order] for name in names[:3])
+    return VisibilityGrid(corner, voxel, keys, hits, passes, moving)
 
 
 def tiles_between(low: Floats, high: Floats, size: float) -> list[str]:

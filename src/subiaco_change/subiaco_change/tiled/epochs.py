@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -54,6 +55,7 @@ from subiaco_geo.work.bench import Workbench
 from subiaco_geo.work.store import Arrays
 from subiaco_geo.work.tasks import Task
 
+_LOG = logging.getLogger(__name__)
 #: Name of an epoch in the stages that look at one alone.
 ALONE = "epoch"
 #: Beyond the points of a task, beams are looked up so far [m].
@@ -228,6 +230,8 @@ class Epochs:
         stages = [[task], *(self._semantics(side) for side in self.sides)]
         found, *prepared = self.bench.together(stages, (0.05, 0.47))
         self.prepared = dict(zip(EPOCHS, prepared, strict=True))
+        for warning in self.registration(found["all"]).warnings:
+            _LOG.warning("registration: %s", warning)
         return found["all"]
 
     def registering(self) -> dict[str, Any]:

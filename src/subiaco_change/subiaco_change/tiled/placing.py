@@ -23,13 +23,14 @@ from subiaco_change.observation.lod import (
 from subiaco_change.observation.smooth_field import BlockGrid
 from subiaco_change.observation.uncertainty import (
     BiasSamples,
-    PoseErrors,
+    Poses,
     SigmaField,
     bias_samples,
     join_samples,
     pose_errors,
     sigma_of,
     spread_residuals,
+    unstated_poses,
 )
 from subiaco_change.observation.vertical_bias import bias_field, tile_medians
 from subiaco_change.registration.warp import Residuals, estimate_warp
@@ -218,19 +219,21 @@ def load_sigma(inputs: Inputs, params: Mapping[str, Any]) -> SigmaField:
     )  # fmt: skip
 
 
-def _poses(inputs: Inputs, params: Mapping[str, Any]) -> tuple[PoseErrors, ...]:
-    """Pose covariances of each epoch, turned into the common frame."""
-    if not params["config"].placing.uncertainty.pose_covariance:
+def _poses(inputs: Inputs, params: Mapping[str, Any]) -> tuple[Poses, ...]:
+    """Pose covariances of each epoch, turned into the common frame; a default for one that states none."""
+    config = params["config"].placing.uncertainty
+    if not config.pose_covariance:
         return ()
     frame = load_frame(inputs, params["origin"])
     T_frame_after = np.eye(4)
     T_frame_after[:3, 3] = -frame.origin
-    found = []
+    stated = []
     for epoch, T in (("before", frame.T_frame_before), ("after", T_frame_after)):
         if f"poses/{epoch}" in inputs:
             piece = inputs[f"poses/{epoch}"]
-            found.append(pose_errors(piece["positions"], piece["covariances"], T))
-    return tuple(found)
+            stated.append(pose_errors(piece["positions"], piece["covariances"], T))
+    missing = len(EPOCHS) - len(stated)
+    return (*stated, *[unstated_poses(stated, config.unstated_pose)] * missing)
 
 
 def tile_lods(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:

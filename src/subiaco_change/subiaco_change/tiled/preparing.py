@@ -14,6 +14,7 @@ from subiaco_change.geometry import estimate_normals
 from subiaco_change.semantics.classes import label_points
 from subiaco_change.semantics.clustering import voxel_clusters
 from subiaco_change.semantics.instances import segment
+from subiaco_change.semantics.raised import find_raised
 from subiaco_change.tiled.cutting import Side
 from subiaco_change.tiled.expected import load_observer
 from subiaco_geo.clouds import PointCloud
@@ -39,7 +40,8 @@ def prepare_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
     -------
     arrays
         Of the points of the tile (N): ``normals`` float32, ``semantic`` uint8, ``score height
-        passed`` float32 (``passed`` empty where nothing counted beams). Of the tile and then of
+        passed moved`` float32 (``passed`` empty where nothing counted beams, ``moved`` where nothing kept
+        their times). Of the tile and then of
         its surroundings (N + M): ``instance`` int32, numbers of this tile. Of the
         surroundings: ``near_tile`` uint8, position among ``neighbours``; ``near_index`` int32
         there; ``inner`` bool, away from the outer edge. ``objects`` (K, 5): class, points in
@@ -51,9 +53,11 @@ def prepare_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
     own, around, where = _gather(inputs, params["tile"], names, side, tile)
     cloud = PointCloud(np.concatenate([own, *around]), side.origin, side.crs)
     world = cloud.world()
-    passed = load_observer(inputs, side, world, params["config"].evidence).passes(world)
+    observer = load_observer(inputs, side, world, params["config"].evidence)
+    passed, moved = observer.passes(world), observer.moved(world)
     normals = estimate_normals(cloud.xyz, params["config"].normal_radius)
-    semantic, instance, score, height = _label(cloud, passed, params, inputs, names, where)
+    wide = np.concatenate([inputs[f"cloud/{name}"]["xyz"] for name in inputs.under("cloud")])
+    semantic, instance, score, height = _label(cloud, (passed, moved), params, inputs, names, where, wide)
     count = len(own)
     inner = tile_named(params["tile"], params["size"], params["overlap"] - params["edge"])
     return {
@@ -61,7 +65,8 @@ def prepare_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
         "semantic": semantic[:count],
         "score": score[:count],
         "height": height[:count],
-        "passed": np.zeros(0, np.float32) if passed is None else passed[:count].astype(np.float32),
+        "passed": _known(passed, count),
+        "moved": _known(moved, count),
         "instance": instance,
         "neighbours": np.array(names, dtype=np.str_),
         "near_tile": np.repeat(np.arange(len(names), dtype=np.uint8), [len(w) for w in where]),
@@ -69,6 +74,11 @@ def prepare_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
         "inner": inner.in_buffered(world[:, :2]),
         "objects": _summary(instance, semantic, world, count),
     }
+
+
+def _known(values: Floats | None, count: int) -> NDArray[np.float32]:
+    """Return the first values, none where they are not known."""
+    return np.zeros(0, np.float32) if values is None else values[:count].astype(np.float32)
 
 
 def _gather(
@@ -86,17 +96,23 @@ def _gather(
 
 def _label(
     cloud: PointCloud,
-    passed: Floats | None,
+    beams: tuple[Floats | None, Floats | None],
     params: Mapping[str, Any],
     inputs: Inputs,
     names: list[str],
     where: list[Ints],
+    wide: Floats,
 ) -> tuple[NDArray[np.uint8], NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:
-    """Class, instance, score of the class and height above ground of every point."""
+    """Class, instance, score of the class and height above ground of every point.
+
+    ``wide`` (N, 3) are all points of the tile and its neighbours: a hall may fill the tile.
+    """
     config = params["config"]
     turn = inputs.get("upright")
     upright = PointCloud(cloud.xyz @ turn["turn"].T, cloud.origin) if "turn" in turn else cloud
-    result = label_points(upright, config.semantics, passed)
+    passed, moved = beams
+    raised = find_raised(wide @ turn["turn"].T if "turn" in turn else wide, config.semantics.raised)
+    result = label_points(upright, config.semantics, passed, raised, moved)
     semantic = result.semantic
     score = np.take_along_axis(result.scores, semantic[:, None].astype(np.int64), axis=1)[:, 0]
     if "semantic" in params["given"]:

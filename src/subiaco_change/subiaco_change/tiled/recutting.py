@@ -17,7 +17,7 @@ from subiaco_geo.tiles import tile_named
 from subiaco_geo.work.store import Arrays
 from subiaco_geo.work.tasks import Inputs
 
-_PREPARED = ("normals", "semantic", "score", "height", "passed")
+_PREPARED = ("normals", "semantic", "score", "height", "passed", "moved")
 
 
 def recut_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
@@ -34,7 +34,7 @@ def recut_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
     -------
     arrays
         In the epoch's own frame ``xyz`` (N, 3) float64 and ``normals`` (N, 3) float32; ``semantic``
-        uint8; ``score height passed`` float32; ``number`` int32, object of the epoch, -1 for none;
+        uint8; ``score height passed moved`` float32; ``number`` int32, object of the epoch, -1 for none;
         ``intensity`` where known.
     """
     side: Side = params["side"]

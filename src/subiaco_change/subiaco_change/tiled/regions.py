@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from subiaco_change.changes.objects import EpochView
-from subiaco_change.observation.common_frame import seen_through
+from subiaco_change.observation.common_frame import free_through, seen_through
 from subiaco_change.observation.evidence import Observer
 from subiaco_change.semantics.ground import Mask
 from subiaco_change.tiled.cutting import Side
@@ -29,7 +29,8 @@ class Region:
 
     ``view`` with the objects of the whole city as instances; ``slot`` (N,) tile among ``tiles``;
     ``index`` (N,) place of the point there; ``seen`` tells which places of the common frame the
-    epoch observed, ``empty`` where its beams went on and nothing came back.
+    epoch observed, ``empty`` where its beams went on and nothing came back, ``free`` how probable it
+    is that nothing stood there, by its beams.
     """
 
     view: EpochView
@@ -38,6 +39,7 @@ class Region:
     index: Ints
     seen: Callable[[Floats], Mask]
     empty: Callable[[Floats], Mask]
+    free: Callable[[Floats], Floats]
 
 
 def load_region(inputs: Inputs, side: Side, params: Mapping[str, Any], near: Near) -> Region:
@@ -54,7 +56,7 @@ def load_region(inputs: Inputs, side: Side, params: Mapping[str, Any], near: Nea
         cloud = load_points(inputs, side, name, params)
         own_world.append(piece["xyz"] + side.origin)
         index = np.flatnonzero(near(cloud.xyz))
-        passed = piece["passed"]
+        passed, moved = piece["passed"], piece["moved"]
         parts.append(
             (
                 cloud.xyz[index],
@@ -65,6 +67,7 @@ def load_region(inputs: Inputs, side: Side, params: Mapping[str, Any], near: Nea
                 inputs[f"lods/{name}"][side.epoch][index],
                 piece["score"][index],
                 passed[index] if len(passed) else passed,
+                moved[index] if len(moved) else moved,
                 np.full(len(index), position, dtype=np.int64),
                 index,
             )
@@ -80,17 +83,18 @@ def load_region(inputs: Inputs, side: Side, params: Mapping[str, Any], near: Nea
         index,
         seen_through(observer.observed, to_world),
         seen_through(observer.empty, to_world),
+        free_through(observer.free_probability, to_world),
     )
 
 
 def _view(parts: list[tuple[Any, ...]]) -> tuple[EpochView, Ints, Ints]:
     empty = (
         np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, np.uint8), np.zeros(0, np.int32),
-        *(np.zeros(0, np.float32) for _ in range(4)), np.zeros(0, np.int64), np.zeros(0, np.int64),
+        *(np.zeros(0, np.float32) for _ in range(5)), np.zeros(0, np.int64), np.zeros(0, np.int64),
     )  # fmt: skip
     joined: list[NDArray[Any]] = [np.concatenate(column) for column in zip(empty, *parts, strict=True)]
-    xyz, normals, semantic, number, height, lod, score, passed, slot, index = joined
-    counted = len(passed) == len(xyz) and len(xyz) > 0
+    xyz, normals, semantic, number, height, lod, score, passed, moved, slot, index = joined
+    counted, timed = (len(found) == len(xyz) and len(xyz) > 0 for found in (passed, moved))
     view = EpochView(
         xyz,
         normals,
@@ -100,5 +104,6 @@ def _view(parts: list[tuple[Any, ...]]) -> tuple[EpochView, Ints, Ints]:
         lod.astype(np.float64),
         score.astype(np.float64),
         passed.astype(np.float64) if counted else None,
+        moved.astype(np.float64) if timed else None,
     )
     return view, slot, index

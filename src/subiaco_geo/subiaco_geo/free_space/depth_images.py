@@ -8,11 +8,13 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.frames import Floats, Ints
 
 #: Depth [cm] of directions about which nothing is known, and of empty ones against the sky.
 UNKNOWN, SKY = 0, 65535
 _FARTHEST = 65000.0  # depth that an image holds [cm]
+_THIN = 0.2  # least height of a point on a level surface, of its width
 _STRETCH = 0.05  # least cosine of an elevation by which a splat is widened
 
 Depths = NDArray[np.uint16]
@@ -61,12 +63,16 @@ class Surfaces:
         Points nearer to a pose are the vehicle's own, farther ones are left out [m].
     horizon : float
         Empty directions above this elevation are sky; below, something may have absorbed the beam [rad].
+    block, rise : float
+        Points lie level where those of a block of this edge are within this rise [m].
     """
 
     splat: float
     nearest: float
     farthest: float
     horizon: float
+    block: float = 1.0
+    rise: float = 0.3
 
 
 @numba.njit(cache=True, inline="always")
@@ -88,10 +94,10 @@ def _arctan2(y: float, x: float) -> float:
 
 @numba.njit(cache=True)
 def _splat(
-    xyz: Floats, eye: Floats, cell: float, low: float, depth: NDArray[np.float32],
+    xyz: Floats, level: NDArray[np.bool_], eye: Floats, cell: float, low: float, depth: NDArray[np.float32],
     splat: float, nearest: float, farthest: float,
 ) -> None:  # fmt: skip
-    """Write the nearest depth [m] of every cell that a point covers."""
+    """Write the nearest depth [m] of every cell that a point covers; points of level surfaces lie flat."""
     rows, columns = depth.shape
     for i in range(len(xyz)):
         dx, dy, dz = xyz[i, 0] - eye[0], xyz[i, 1] - eye[1], xyz[i, 2] - eye[2]
@@ -102,7 +108,8 @@ def _splat(
         r, flat = np.sqrt(r2), np.sqrt(flat2)
         elevation = (_arctan2(dz, flat) - low) / cell
         half = splat / r / cell
-        first, last = int(np.floor(elevation - half)), int(np.floor(elevation + half))
+        tall = max(half * abs(dz) / r, half * _THIN) if level[i] else half
+        first, last = int(np.floor(elevation - tall)), int(np.floor(elevation + tall))
         if last < 0 or first >= rows:
             continue
         azimuth = (_arctan2(dy, dx) + np.pi) / cell
@@ -134,6 +141,20 @@ def _closed(depth: NDArray[np.float32], sky_row: int) -> Depths:
     return image
 
 
+def level_points(xyz: Floats, block: float, rise: float) -> NDArray[np.bool_]:
+    """Tell which points (N, 3) lie on a level surface: in their block all points are within a rise [m].
+
+    Seen at a grazing angle, the road would stand up as a curb if its points were as tall as they are wide.
+    """
+    if len(xyz) == 0:
+        return np.zeros(0, dtype=np.bool_)
+    _, place = np.unique(voxel_keys(voxel_indices(xyz - xyz[0], block)), return_inverse=True)
+    span = np.tile([np.inf, -np.inf], (int(place.max()) + 1, 1))
+    np.minimum.at(span[:, 0], place, xyz[:, 2])
+    np.maximum.at(span[:, 1], place, xyz[:, 2])
+    return np.asarray((span[:, 1] - span[:, 0] <= rise)[place])
+
+
 def render(xyz: Floats, eyes: Floats, grid: ImageGrid, surfaces: Surfaces) -> Depths:
     """Render the depth images of points (N, 3) from eyes (K, 3), one frame [m].
 
@@ -143,11 +164,22 @@ def render(xyz: Floats, eyes: Floats, grid: ImageGrid, surfaces: Surfaces) -> De
         Range of the nearest surface of every cell [cm], :data:`SKY` or :data:`UNKNOWN`.
     """
     points = np.ascontiguousarray(xyz, dtype=np.float64)
+    level = level_points(points, surfaces.block, surfaces.rise)
     images = np.zeros((len(eyes), grid.rows, grid.columns), dtype=np.uint16)
     sky_row = int(np.ceil((surfaces.horizon - grid.low) / grid.cell))
     for number, eye in enumerate(np.ascontiguousarray(eyes, dtype=np.float64)):
         depth = np.full((grid.rows, grid.columns), np.inf, dtype=np.float32)
-        _splat(points, eye, grid.cell, grid.low, depth, surfaces.splat, surfaces.nearest, surfaces.farthest)
+        _splat(
+            points,
+            level,
+            eye,
+            grid.cell,
+            grid.low,
+            depth,
+            surfaces.splat,
+            surfaces.nearest,
+            surfaces.farthest,
+        )
         images[number] = _closed(depth, sky_row)
     return images
 

@@ -26,12 +26,16 @@ class ExpectedVisibilityConfig(StrictModel):
     """Depth images from a sample of poses (Decision 16)."""
 
     pose_spacing: float = Field(2.0, gt=0, description="distance between poses that look around [m]")
-    cell_deg: float = Field(1.0, gt=0, le=5, description="cell of a depth image [deg]")
-    image_low_deg: float = Field(-45.0, ge=-90, description="lowest elevation of a depth image [deg]")
-    image_high_deg: float = Field(60.0, le=90, description="highest elevation of a depth image [deg]")
+    cell_deg: float = Field(0.75, gt=0, le=5, description="cell of a depth image [deg]")
+    image_low_deg: float = Field(-35.0, ge=-90, description="lowest elevation of a depth image [deg]")
+    image_high_deg: float = Field(55.0, le=90, description="highest elevation of a depth image [deg]")
     splat: float = Field(
         0.75, gt=0, description="half the size of a point in an image, in spacings of the cloud"
     )
+    level_block: float = Field(
+        1.0, gt=0, description="block in which points decide whether their surface is level [m]"
+    )
+    level_rise: float = Field(0.3, ge=0, description="points of a level block lie within this height [m]")
     min_range: float = Field(1.5, ge=0, description="points and places so near a pose are left out [m]")
     max_range: float = Field(60.0, gt=0, description="farthest surface in a depth image [m]")
     sky_range: float = Field(40.0, gt=0, description="against the sky a place is seen up to this range [m]")
@@ -49,7 +53,7 @@ class ExpectedVisibilityConfig(StrictModel):
         0.5, gt=0, description="beams that one pose is worth in the probability of being free"
     )
     view_quantile: float = Field(
-        0.99, gt=0.5, le=1, description="share of the points that the estimated field of view explains"
+        0.998, gt=0.5, le=1, description="share of the points that the estimated field of view explains"
     )
     assumed_low_deg: float = Field(
         -25.0,
@@ -105,7 +109,12 @@ def render_views(world: Floats, eyes: Floats, axes: Floats, config: ExpectedVisi
         low, high = (eyes - origin).min(axis=0) - reach, (eyes - origin).max(axis=0) + reach
         near = near[((near >= low) & (near <= high)).all(axis=1)]
     surfaces = Surfaces(
-        config.splat * point_spacing(near), config.min_range, reach, float(np.radians(config.horizon_deg))
+        config.splat * point_spacing(near),
+        config.min_range,
+        reach,
+        float(np.radians(config.horizon_deg)),
+        config.level_block,
+        config.level_rise,
     )
     return DepthImages(eyes, axes, render(near, eyes - origin, grid, surfaces), grid)
 

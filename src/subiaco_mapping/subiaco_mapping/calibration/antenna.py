@@ -1,9 +1,9 @@
 """Lever arm, clock and heading offset of the antenna, from RTK fixed fixes against odometry.
 
 Odometry drifts, so that it is held rigid to the fixes over short stretches only, each placed on
-its own; lever arm and clock are shared by all. Turns hold the horizontal lever, changes of speed
-the clock. On flat roads the height of the antenna cannot be told from that of the stretch, and it
-stays as given.
+its own; lever arm, clock and the scale of odometry are shared by all. Turns hold the horizontal
+lever, changes of speed the clock. On flat roads the height of the antenna cannot be told from that
+of the stretch, and it stays as given.
 """
 
 from __future__ import annotations
@@ -26,6 +26,8 @@ from subiaco_mapping.measurements import GnssFix, HeadingSample
 ODOMETRY_SIGMA = 0.01  # of a pose within its stretch [m]
 SLOPE = 0.05  # of a stretch against the vertical that is known [rad]
 FIXES_A_STRETCH = 12
+PRIOR_SCALE = 0.01  # of odometry: what range offsets of a sensor do to it
+SHARED = 5  # values before those of the stretches
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,8 @@ class AntennaFit:
     offset_observed : bool
     heading_offset, heading_sigma : float or None
         Of the antenna baseline less ``base_link``, counter-clockwise [rad]; None without headings.
+    scale, scale_sigma : float
+        By which share the way is longer than odometry's.
     residual : float
         Spread of the fixes [m].
     fixes : int
@@ -55,6 +59,8 @@ class AntennaFit:
     offset_observed: bool
     heading_offset: float | None
     heading_sigma: float | None
+    scale: float
+    scale_sigma: float
     residual: float
     fixes: int
 
@@ -71,7 +77,7 @@ class _Stretches:
 
 
 class AntennaProblem:
-    """Residuals of fixes against odometry. Values: lever (3) [m], offset [s], then six a stretch."""
+    """Residuals of fixes against odometry. Values: lever (3) [m], offset [s], scale, then six a stretch."""
 
     def __init__(self, odometry: OdometryTrack, T_base_lidar: Floats, stretches: _Stretches) -> None:
         self._odometry = odometry
@@ -80,21 +86,23 @@ class AntennaProblem:
 
     def placements(self, x: Floats) -> Floats:
         """Return ``T_enu_odom`` (W, 4, 4)."""
-        change = x[4:].reshape(-1, 6)
+        change = x[SHARED:].reshape(-1, 6)
         placed = self.data.T_enu_odom.copy()
         placed[:, :3, :3] = Rotation.from_rotvec(change[:, :3]).as_matrix() @ placed[:, :3, :3]
         placed[:, :3, 3] += change[:, 3:]
         return placed
 
-    def at(self, times_ns: Ints, offset_s: float) -> Floats:
-        """Return ``T_odom_base`` (N, 4, 4) at stamps of the receiver."""
+    def at(self, times_ns: Ints, offset_s: float, scale: float = 0.0) -> Floats:
+        """Return ``T_odom_base`` (N, 4, 4) at stamps of the receiver, the way longer by a share."""
         stamps_ns = self._odometry.stamps_ns
         query = np.clip(times_ns + round(offset_s * 1e9), stamps_ns[0], stamps_ns[-1])
-        return interpolate_poses(stamps_ns, self._odometry.T_odom_lidar, query) @ self._T_lidar_base
+        poses = interpolate_poses(stamps_ns, self._odometry.T_odom_lidar, query)
+        poses[:, :3, 3] *= 1.0 + scale
+        return poses @ self._T_lidar_base
 
     def residual(self, x: Floats) -> Floats:
         """Return the antenna by odometry less the fixes (N, 3) [m]."""
-        poses = self.placements(x)[self.data.stretch] @ self.at(self.data.times_ns, x[3])
+        poses = self.placements(x)[self.data.stretch] @ self.at(self.data.times_ns, x[3], x[4])
         return np.asarray(poses[:, :3, :3] @ x[:3] + poses[:, :3, 3] - self.data.enu)
 
 
@@ -177,9 +185,9 @@ def fit_antenna(
         return None
     problem = AntennaProblem(odometry, T_base_lidar, data)
     count = len(data.T_enu_odom)
-    given = np.concatenate([t_base_gnss, [offset_s], np.zeros(6 * count)])
+    given = np.concatenate([t_base_gnss, [offset_s, 0.0], np.zeros(6 * count)])
     slopes = np.tile([SLOPE, SLOPE, 1.0, 10.0, 10.0, 10.0], count)
-    prior = np.concatenate([np.full(3, config.prior_lever), [config.prior_offset], slopes])
+    prior = np.concatenate([np.full(3, config.prior_lever), [config.prior_offset, PRIOR_SCALE], slopes])
     limits = np.full(len(given), np.inf)
     limits[:3], limits[3] = config.max_lever, config.max_gnss_offset
     scale = 1.0
@@ -202,6 +210,8 @@ def fit_antenna(
         offset_observed=bool(found.observed[3]),
         heading_offset=heading[0],
         heading_sigma=heading[1],
+        scale=float(x[4]),
+        scale_sigma=float(found.sigma[4]),
         residual=spread(problem.residual(x)),
         fixes=len(data.times_ns),
     )
@@ -223,6 +233,6 @@ def _heading(
     off = np.array([h.yaw for h in usable]) - yaw
     centre = np.angle(np.exp(1j * off).mean())
     off = centre + np.angle(np.exp(1j * (off - centre)))
-    placed = sigma[4:].reshape(-1, 6)[:, 2]
+    placed = sigma[SHARED:].reshape(-1, 6)[:, 2]
     share = 1.0 / np.sqrt((1.0 / placed**2).sum())
     return float(np.median(off)), float(np.hypot(share, spread(off - np.median(off)) / np.sqrt(len(off) / 5)))

@@ -227,6 +227,10 @@ def _parameters(
         found.append(Parameter(name, "m", before, after, sigma_m, observed))
     ms = (given.gnss_offset_ns * 1e-6, rig.gnss_offset_ns * 1e-6, antenna.offset_sigma * 1e3)
     found.append(Parameter("added to GNSS stamps", "ms", *ms, antenna.offset_observed))
+    notes.append(
+        f"way driven by the fixes over that by odometry: {1.0 + antenna.scale:.4f} (sigma "
+        f"{antenna.scale_sigma:.4f}); not used, range offsets of a sensor do this"
+    )
     if antenna.heading_offset is None or antenna.heading_sigma is None:
         notes.append("heading of the antenna baseline: kept, too few headings")
     else:

@@ -12,7 +12,7 @@ from subiaco_geo.maps import plain
 from subiaco_geo.simulated import SIMULATIONS
 from subiaco_geo.survey_map import SurveyMap
 from subiaco_mapping.config import MappingConfig
-from subiaco_mapping.manifest import LEGEND
+from subiaco_mapping.manifest import CONTRADICTED, LEGEND
 from subiaco_mapping.quality.series import STATES, Series, series_of
 from subiaco_mapping.quality.verdict import checks, verdict
 from subiaco_mapping.quality.walls import Coverage, Walls, coverage, wall_thickness
@@ -68,6 +68,7 @@ def assess(survey: SurveyMap, solution: GraphSolution, config: MappingConfig) ->
         "sequences": {one.name: _sequence_facts(one) for one in series},
         "positions": _position_facts(series),
         "fixes_used": _by_state(used),
+        "contradicted": _contradicted(survey),
         "withheld": withheld if isinstance(withheld, str) else withheld.described(),
         "loops": solution.loops.described(),
         "walls": walls.described(),
@@ -78,6 +79,17 @@ def assess(survey: SurveyMap, solution: GraphSolution, config: MappingConfig) ->
     facts["checks"] = checks(facts, config.quality)
     facts["verdict"] = verdict(facts)
     return Assessment(series, used, withheld, walls, cells, plain(facts))
+
+
+def _contradicted(survey: SurveyMap) -> list[str]:
+    """Say of which sequences most fixes contradict the map."""
+    sequences = survey.manifest.get("sequences", {})
+    return [
+        f"{name}: {facts['gnss']['contradicting']} of {facts['gnss']['used']} fixes are farther off the map "
+        "than they state; check their stamps, heights and the antenna's place"
+        for name, facts in sequences.items()
+        if CONTRADICTED in facts.get("flagged", {})
+    ]
 
 
 def _used(solution: GraphSolution) -> FixErrors:

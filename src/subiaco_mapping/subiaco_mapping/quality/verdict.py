@@ -19,6 +19,7 @@ _CHECKS = (
 )
 _OPENINGS = {
     "good": "Good",
+    "contradicted": "Contradicted by its own fixes",
     "check": "Look before you sign",
     "unchecked": "Not checked against fixes",
     "local": "Local map, without coordinates",
@@ -73,9 +74,12 @@ def verdict(facts: dict[str, Any]) -> dict[str, Any]:
         if one["ok"] is False
     ]
     unchecked = not isinstance(facts["withheld"], dict)
-    grade = (
-        "local" if not facts["georeferenced"] else "check" if wrong else "unchecked" if unchecked else "good"
-    )
+    grade = "check" if wrong else "unchecked" if unchecked else "good"
+    if not facts["georeferenced"]:
+        grade = "local"
+    elif facts.get("contradicted"):
+        grade = "contradicted"
+        wrong.insert(0, "; ".join(facts["contradicted"]))
     said = "; ".join(_said(facts)) or "nothing could be measured"
     return {"grade": grade, "sentence": f"{_OPENINGS[grade]}: {said}.", "wrong": wrong}
 

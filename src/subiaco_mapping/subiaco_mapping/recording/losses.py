@@ -11,6 +11,7 @@ import numpy as np
 
 from subiaco_geo.bags import packet_from_cdr
 from subiaco_geo.errors import InputError
+from subiaco_geo.frames import Ints
 from subiaco_geo.topics import FIX, IMU, MESSAGE_TYPES, POINTS
 
 _STAMP = struct.Struct("<iI")
@@ -18,6 +19,11 @@ _CDR_HEAD = 4
 #: Packets this far behind or ahead are another run of the sensor, not a loss.
 _RESTART_FRAMES = 600
 _REMEMBERED = 4096
+_AROUND = 20  # messages on either side of a step that tell whether some are missing
+_FEWEST = 5
+_FIRST = 100  # messages until the rate is known
+_SURE = 0.6  # share of a period by which messages are late from which one is missing
+_STEP_NS = 500_000_000  # a clock that is off by more at once was set
 #: Types of sensors with a steady rate; all begin with a header.
 PERIODIC_TYPES = frozenset(MESSAGE_TYPES[topic] for topic in (IMU, FIX, POINTS))
 
@@ -58,37 +64,98 @@ class SequenceCounter:
 
 
 class StampCounter:
-    """Losses of a periodic sensor, from gaps between the stamps of its headers."""
+    """Losses of a periodic sensor, where its header stamps fall short of its usual rate.
+
+    A long step alone proves nothing: stamps jitter, and samples that cross a bus together have theirs in
+    pairs. Messages are missing where those after the step are later, on the mean, than the rate allows. A
+    clock that is set forward leaves the same gap as an outage; then stamps are ahead of the arrivals.
+    """
 
     def __init__(self) -> None:
-        self.lost = 0
         self.backward = 0
         self.repeated = 0
+        self.stepped = 0
+        self.uneven = 0
+        self._lost = 0
         self._last: int | None = None
-        self._steps: deque[int] = deque(maxlen=51)
+        self._stamps: deque[int] = deque(maxlen=_AROUND + 1)
+        self._closed: list[int] = []  # the same, with the gaps that were counted closed up
+        self._shift = 0
+        self._started = False
+        self._periods: deque[float] = deque(maxlen=101)
+        self._delays: deque[int] = deque(maxlen=100)
 
     @property
     def period_ns(self) -> int | None:
-        """Median time between messages [ns], once ten steps are known."""
-        if len(self._steps) < 10:
-            return None
-        return int(np.median(self._steps))
+        """Usual time between messages [ns], once enough are known."""
+        # below the median: windows with a gap are longer, and under many losses they are half of all
+        return int(np.quantile(self._periods, 0.4)) if self._periods else None
 
-    def take(self, stamp_ns: int) -> int:
-        """Note one stamp; return how many messages are missing just before it."""
+    @property
+    def lost(self) -> int:
+        """Messages that are missing so far; the newest gaps as far as can be told yet."""
+        closed = np.array(self._closed, dtype=np.int64)
+        found = self._lost
+        for at in range(len(closed) - _AROUND + 1 if self._started else 1, len(closed)):
+            missing = self._missing(closed, at) or 0
+            closed[at:] -= missing * (self.period_ns or 0)
+            found += missing
+        return found
+
+    def take(self, stamp_ns: int, received_ns: int | None = None) -> None:
+        """Note one stamp, and when its message came by the host's clock."""
         last, self._last = self._last, stamp_ns
-        if last is None:
-            return 0
-        step = stamp_ns - last
-        if step <= 0:
-            self.backward += step < 0
-            self.repeated += step == 0
-            return 0
+        if last is not None and stamp_ns <= last:
+            self.backward += stamp_ns < last
+            self.repeated += stamp_ns == last
+            if last - stamp_ns > _STEP_NS:
+                self._begin()
+            return
+        if received_ns is not None:
+            if self._delays and received_ns - stamp_ns < min(self._delays) - _STEP_NS:
+                self.stepped += 1
+                self._begin()
+            self._delays.append(received_ns - stamp_ns)
+        self._stamps.append(stamp_ns)
+        if len(self._stamps) > _AROUND:
+            self._periods.append((self._stamps[-1] - self._stamps[0]) / _AROUND)
+        self._closed.append(stamp_ns - self._shift)
+        if len(self._closed) >= (2 * _AROUND if self._started else _FIRST):
+            self._judge()
+
+    def _begin(self) -> None:
+        """Forget what stood before a step of the clock, but for the rate."""
+        self._lost = self.lost
+        self._stamps.clear()
+        self._closed.clear()
+        self._delays.clear()
+        self._shift, self._started = 0, False
+
+    def _judge(self) -> None:
+        """Count what is missing before the message that has enough others on both sides; drop the oldest."""
+        at = len(self._closed) - _AROUND
+        closed = np.array(self._closed, dtype=np.int64)
+        for k in (at,) if self._started else range(1, at + 1):
+            missing = self._missing(closed, k)
+            if missing is not None:
+                self._lost += missing
+                self.uneven += missing == 0
+                move = missing * (self.period_ns or 0)
+                self._shift += move
+                closed[k:] -= move
+        self._closed, self._started = closed[1:].tolist(), True
+
+    def _missing(self, closed: Ints, at: int) -> int | None:
+        """Return how many messages are missing before one; None where the step to it is as usual."""
         period = self.period_ns
-        missing = 0 if period is None else max(0, round(step / period) - 1)
-        self.lost += missing
-        self._steps.append(step)
-        return missing
+        step = int(closed[at] - closed[at - 1])
+        if period is None or step < 1.5 * period:
+            return None
+        count = min(at, len(closed) - at, _AROUND)
+        if count < _FEWEST:
+            return None
+        late = float(closed[at : at + count].mean() - closed[at - count : at].mean()) / period - count
+        return min(max(int(late + 1.0 - _SURE), 0), round(step / period) - 1)
 
 
 @dataclass
@@ -223,7 +290,7 @@ class TopicCounter:
         if self.stamped:
             stamp = header_stamp_ns(raw)
             if stamp is not None:
-                self.stamps.take(stamp)
+                self.stamps.take(stamp, received_ns)
         if self.packets is not None:
             self.packets.take(raw)
 
@@ -248,5 +315,7 @@ class TopicCounter:
                 "lost_by_stamp": stamps.lost,
                 "stamps_backward": stamps.backward,
                 "stamps_repeated": stamps.repeated,
+                "stamps_stepped": stamps.stepped,
+                "stamps_uneven": stamps.uneven,
             }
         return facts | (asdict(self.packets.counts) if self.packets is not None else {})

@@ -39,6 +39,16 @@ class Verdict:
     forbids: tuple[str, ...]
     cares: tuple[str, ...]
 
+    def with_more(self, forbids: Sequence[str], cares: Sequence[str]) -> Verdict:
+        """Return the verdict with further reasons."""
+        return verdict_of((*forbids, *self.forbids), (*self.cares, *cares))
+
+
+def verdict_of(forbids: Sequence[str], cares: Sequence[str]) -> Verdict:
+    """Return the verdict that reasons make."""
+    word = USELESS if forbids else CARE if cares else USABLE
+    return Verdict(word, tuple(forbids), tuple(cares))
+
 
 def judge(monitor: Monitor, topics: Collection[str], duration: float, point_times: bool = True) -> Verdict:
     """Judge a survey by what the watch saw.
@@ -63,8 +73,7 @@ def judge(monitor: Monitor, topics: Collection[str], duration: float, point_time
         (forbids if spoils else cares).append(text)
     if FIX in topics and not any(state != "none" for state in monitor.gnss.states):
         cares.append(f"no usable fix on {FIX}: the map will be local, without CRS")
-    word = USELESS if forbids else CARE if cares else USABLE
-    return Verdict(word, tuple(forbids), tuple(cares))
+    return verdict_of(forbids, cares)
 
 
 def _by_topics(topics: Collection[str], point_times: bool) -> tuple[list[str], list[str]]:

@@ -1,0 +1,190 @@
+"""Whether two clouds fit at a pose: shares of matching surfaces, and how far they exceed chance."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from subiaco_change.geometry import Level, LocalPlanes, nearest
+from subiaco_change.registration.icp import Target
+from subiaco_geo.frames import Floats, Ints, transform_points
+
+#: Points that a neighbourhood needs before its flatness tells a surface from leaves.
+PLANE_POINTS = 12
+_FLAT = 0.03  # curvature of a plane
+_LEAST = 4  # points around a point that belongs to anything
+_STEEP, _LEVEL = 0.5, 0.8  # |n_z| of a wall at most, of ground at least
+_ALIKE = 0.9  # |cosine| of normals of the same surface
+_NEAR = 0.5  # reach of a match without a plane, in leaves
+_ASIDE = (6.0, 10.0)  # shifts at which a match is chance, along the axes and across them [m]
+
+
+@dataclass(frozen=True)
+class Quality:
+    """Fit of *before* to *after* at one pose.
+
+    Parameters
+    ----------
+    overlap : float
+        Share of the smaller cloud's columns that the other occupies too.
+    standing : float
+        Share of the points of walls inside the overlap that lie in a plane
+        of the other epoch with the same normal. Ground matches ground almost
+        anywhere; walls do not. A wall needs :data:`PLANE_POINTS` neighbours.
+    lying : float
+        The same for planar points that lie (ground, flat roofs).
+    rough : float
+        Share of the points inside the overlap that belong to no plane
+        (crowns, trunks, edges) and have a point of the other epoch near.
+    n_standing, n_lying, n_rough : int
+        Points inside the overlap.
+    """
+
+    overlap: float
+    standing: float
+    lying: float
+    rough: float
+    n_standing: int
+    n_lying: int
+    n_rough: int
+
+    @property
+    def score(self) -> float:
+        """Matched minus a third of the unmatched structure: for choosing between poses."""
+        shares = ((self.n_standing, self.standing), (self.n_rough, self.rough))
+        return sum(n * (share - (1.0 - share) / 3.0) for n, share in shares)
+
+
+@dataclass(frozen=True)
+class _Matches:
+    """Kind of every source point, whether it lies in the overlap, and whether it matches."""
+
+    standing: NDArray[np.bool_]
+    lying: NDArray[np.bool_]
+    rough: NDArray[np.bool_]
+    match: NDArray[np.bool_]
+    overlap: float
+
+
+def _columns(xyz: Floats, cell: float) -> Ints:
+    """Return the number (N,) of the column of an edge [m] that each point stands in."""
+    ij = np.floor(xyz[:, :2] / cell).astype(np.int64)
+    return np.asarray((ij[:, 0] << 32) + ij[:, 1])
+
+
+def planar(planes: LocalPlanes) -> NDArray[np.bool_]:
+    """Tell which points (N,) lie in a plane that their neighbourhood is large enough to show."""
+    return np.asarray((planes.curvature < _FLAT) & (planes.count >= PLANE_POINTS))
+
+
+def _matches(source: Level, target: Target, pose: Floats, tolerance: float, cell: float) -> _Matches:
+    moved = transform_points(pose, source.xyz)
+    column = _columns(moved, cell)
+    ours, theirs = np.unique(column), np.unique(_columns(target.level.xyz, cell))
+    shared = np.intersect1d(ours, theirs, assume_unique=True)
+    inside = np.isin(column, shared)
+    flat = planar(source.planes)
+    normals = source.planes.normals @ pose[:3, :3].T
+    found, distance = nearest(target.index, moved, 2.0 * source.leaf)
+    other = target.level.planes.normals[found]
+    residual = np.abs(np.einsum("ni,ni->n", other, moved - target.level.xyz[found]))
+    agree = np.abs(np.einsum("ni,ni->n", other, normals)) > _ALIKE
+    in_plane = (found >= 0) & agree & (residual < tolerance)
+    near = (found >= 0) & (distance < _NEAR * source.leaf)
+    return _Matches(
+        flat & inside & (np.abs(normals[:, 2]) < _STEEP),
+        flat & inside & (np.abs(normals[:, 2]) > _LEVEL),
+        ~flat & inside & (source.planes.count >= _LEAST),
+        np.where(flat, in_plane, near),
+        len(shared) / max(min(len(ours), len(theirs)), 1),
+    )
+
+
+def measure_quality(
+    source: Level, target: Target, pose: Floats, tolerance: float, cell: float = 2.0
+) -> Quality:
+    """Judge a pose ``T_after_before`` on one level.
+
+    Parameters
+    ----------
+    source : Level
+    target : Target
+    pose : (4, 4) float64
+    tolerance : float
+        Largest distance from a plane [m].
+    cell : float
+        Edge of the columns of the overlap [m].
+    """
+    m = _matches(source, target, pose, tolerance, cell)
+    kinds = (m.standing, m.lying, m.rough)
+    standing, lying, rough = (float(m.match[kind].mean()) if kind.any() else 0.0 for kind in kinds)
+    n_standing, n_lying, n_rough = (int(kind.sum()) for kind in kinds)
+    return Quality(m.overlap, standing, lying, rough, n_standing, n_lying, n_rough)
+
+
+@dataclass(frozen=True)
+class Support:
+    """How far the match of structure exceeds what chance gives.
+
+    Parameters
+    ----------
+    match : float
+        Share of the structure (walls, and points of no plane) that matches.
+    chance : float
+        The same at poses 6 to 10 m aside, where only chance matches.
+    error : float
+        Standard error of ``match``, from squares of the ground.
+    squares : int
+        Squares with structure.
+    """
+
+    match: float
+    chance: float
+    error: float
+    squares: int
+
+    @property
+    def excess(self) -> float:
+        """Share of the structure that matches beyond chance: 0 by chance, 1 all of it."""
+        return (self.match - self.chance) / max(1.0 - self.chance, 1e-6)
+
+    @property
+    def excess_error(self) -> float:
+        """Standard error of ``excess``."""
+        return self.error / max(1.0 - self.chance, 1e-6)
+
+
+def measure_support(
+    source: Level, target: Target, pose: Floats, tolerance: float, cell: float = 2.0, scale: float = 1.0
+) -> Support:
+    """Compare the match of structure at a pose with that at poses aside.
+
+    Parameters
+    ----------
+    source, target, pose, tolerance, cell
+        As for :func:`measure_quality`.
+    scale : float
+        Factor on lengths that follow the spacing of the clouds.
+    """
+    here = _matches(source, target, pose, tolerance, cell)
+    structure = here.standing | here.rough
+    if not structure.any():
+        return Support(0.0, 0.0, 1.0, 0)
+    match = float(here.match[structure].mean())
+    places = transform_points(pose, source.xyz[structure])
+    square = np.unique(_columns(places, 2.5 * cell), return_inverse=True)[1].ravel()
+    surplus = np.bincount(square, here.match[structure] - match)
+    squares = len(surplus)
+    error = float(np.sqrt(np.sum(surplus**2) * squares / max(squares - 1, 1)) / structure.sum())
+    matched = total = 0
+    stretch = max(1.0, 0.5 * scale)
+    for k in range(8):
+        angle = np.pi / 4 * k
+        aside = pose.copy()
+        aside[:2, 3] += stretch * _ASIDE[k % 2] * np.array([np.cos(angle), np.sin(angle)])
+        there = _matches(source, target, aside, tolerance, cell)
+        kept = there.standing | there.rough
+        matched, total = matched + int(there.match[kept].sum()), total + int(kept.sum())
+    return Support(match, matched / max(total, 1), error, squares)

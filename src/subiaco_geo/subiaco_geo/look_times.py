@@ -1,0 +1,166 @@
+"""When a voxel was looked at: short time windows in which it returned something or was looked through.
+
+A window in which any beam returned from a voxel is a *hit window*; one in which nothing returned although
+enough beams went through is a *through window*. Both are *looks*. Consecutive hit windows, with no look
+through the voxel between them, make one *run*: a parked car has one, a vehicle that drove by has one,
+a queue that crawls by a few, a hedge many.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+
+from subiaco_geo.frames import Ints
+
+COLUMNS = 7  # of the running state of a voxel, see below
+WINDOWS = 1 << 15  # so many windows the running state can tell apart
+
+_WINDOW, _STATE, _HITS, _THROUGH, _RUNS, _FIRST, _LAST = range(COLUMNS)
+_BEAMS = 0xFF  # of the state: beams that went through in this window, as far as they count
+_HIT, _AFTER_HIT, _BEGAN_HIT = 0x100, 0x200, 0x400  # this window; the look before it; the first look
+
+Rows = NDArray[np.uint16]
+Counts = NDArray[np.uint16]
+
+
+@numba.njit(cache=True, inline="always")
+def _closed(state, least):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Return the state of a voxel at the beginning of a window, from that at the end of the last one."""
+    if state & _HIT:
+        return (state & _BEGAN_HIT) | _AFTER_HIT
+    if (state & _BEAMS) >= least:
+        return state & _BEGAN_HIT
+    return state & (_AFTER_HIT | _BEGAN_HIT)
+
+
+@numba.njit(cache=True, inline="always")
+def look_through(rows, slot, window, least):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Count a beam that went through a voxel; ``rows`` (M, COLUMNS) hold the running states."""
+    state = np.int64(rows[slot, _STATE])
+    if rows[slot, _WINDOW] == window:
+        if (state & _BEAMS) >= least:
+            return
+        state += 1
+    else:
+        rows[slot, _WINDOW] = window
+        state = _closed(state, least) + 1
+    rows[slot, _STATE] = state
+    if (state & _BEAMS) == least and not state & _HIT:
+        rows[slot, _THROUGH] += 1
+
+
+@numba.njit(cache=True, inline="always")
+def look_hit(rows, slot, window, least):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Count a return from a voxel; ``rows`` (M, COLUMNS) hold the running states."""
+    state = np.int64(rows[slot, _STATE])
+    if rows[slot, _WINDOW] == window:
+        if state & _HIT:
+            return
+        if (state & _BEAMS) >= least:
+            rows[slot, _THROUGH] -= 1
+    else:
+        rows[slot, _WINDOW] = window
+        state = _closed(state, least)
+    if rows[slot, _HITS] == 0:
+        rows[slot, _FIRST] = window
+        if rows[slot, _THROUGH] == 0:
+            state |= _BEGAN_HIT
+    rows[slot, _LAST] = window
+    rows[slot, _HITS] += 1
+    if not state & _AFTER_HIT:
+        rows[slot, _RUNS] += 1
+    rows[slot, _STATE] = state | _HIT
+
+
+@dataclass(frozen=True)
+class Looks:
+    """Looks at every voxel of a grid.
+
+    Parameters
+    ----------
+    hits, through : (M,) uint16
+        Windows in which something returned, and in which nothing did although beams went through.
+    runs : (M,) uint16
+        Of hit windows without a look through the voxel between them.
+    first, last : (M,) uint32
+        Number of the first and the last hit window, 1 or more; 0 where nothing returned.
+    edges : (M,) uint8
+        1: the first look was a hit; 2: the last one was.
+    """
+
+    hits: Counts
+    through: Counts
+    runs: Counts
+    first: NDArray[np.uint32]
+    last: NDArray[np.uint32]
+    edges: NDArray[np.uint8]
+
+    def columns(self) -> list[NDArray[Any]]:
+        """Return the fields in order."""
+        return [getattr(self, field.name) for field in fields(self)]
+
+    def select(self, index: Any) -> Looks:
+        """Return the looks at some of the voxels: a mask, indices or a slice."""
+        return Looks(*(column[index] for column in self.columns()))
+
+    def later(self, windows: int) -> Looks:
+        """Return them with every window numbered so many later."""
+        shift = np.uint32(windows)
+        first, last = (np.where(c > 0, c + shift, 0).astype(np.uint32) for c in (self.first, self.last))
+        return Looks(self.hits, self.through, self.runs, first, last, self.edges)
+
+
+def looks_of(rows: Rows, least: int) -> Looks:
+    """Read the running states (M, COLUMNS) of voxels."""
+    state = rows[:, _STATE]
+    hit, through = (state & _HIT) > 0, (state & _BEAMS) >= least
+    ends = hit | (~through & ((state & _AFTER_HIT) > 0))
+    edges = (((state & _BEGAN_HIT) > 0) + 2 * ends.astype(np.uint8)).astype(np.uint8)
+    first, last = (rows[:, column].astype(np.uint32) for column in (_FIRST, _LAST))
+    return Looks(rows[:, _HITS].copy(), rows[:, _THROUGH].copy(), rows[:, _RUNS].copy(), first, last, edges)
+
+
+def joined_looks(starts: Ints, looks: Looks) -> Looks:
+    """Join the looks of the same voxels at different times.
+
+    Parameters
+    ----------
+    starts : (M,) int64
+        Where the rows of each voxel begin; they go on to the next start.
+    looks : Looks
+        Rows of one voxel lie side by side, in the order of time.
+    """
+    ends = np.append(starts[1:], len(looks.hits)).astype(np.int64)
+    return Looks(*_join(starts, ends, *looks.columns()))
+
+
+@numba.njit(cache=True)
+def _join(starts, ends, hits, through, runs, first, last, edges):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    count = len(starts)
+    out = np.zeros((3, count), dtype=np.uint16)
+    times = np.zeros((2, count), dtype=np.uint32)
+    sides = np.zeros(count, dtype=np.uint8)
+    for k in range(count):
+        total, looked = np.zeros(3, dtype=np.int64), False
+        for i in range(starts[k], ends[k]):
+            if hits[i] == 0 and through[i] == 0:
+                continue
+            total += np.array([hits[i], through[i], runs[i]], dtype=np.int64)
+            if not looked:
+                sides[k] = edges[i]
+            else:
+                if sides[k] & 2 and edges[i] & 1:
+                    total[2] -= 1
+                sides[k] = (sides[k] & 1) | (edges[i] & 2)
+            looked = True
+            if hits[i]:
+                times[0, k] = first[i] if times[0, k] == 0 else min(times[0, k], first[i])
+                times[1, k] = max(times[1, k], last[i])
+        for column in range(3):
+            out[column, k] = min(total[column], 65535)
+    return out[0], out[1], out[2], times[0], times[1], sides

@@ -1,0 +1,262 @@
+"""Moving or standing, told by time: hits among looks, voxel by voxel and over connected components.
+
+A thing that stands is hit whenever it is looked at, or, where it is thin or porous, in a share of the looks,
+again and again. Something that moved is hit in one short run of looks, or in a few runs where a queue crawls,
+and looked through before and after. For the sequence of hits and looks through a voxel two models compete:
+
+* standing: every look is a hit with one unknown probability, which follows a beta distribution; hits may fall
+  anywhere among the looks (beta-binomial model);
+* moving: something is in the voxel during a share of the looks, which follows a beta distribution too; the
+  hits come in runs, every further run takes a constant factor, and arrangements in as many runs are equally
+  likely.
+
+The logarithm of the ratio of the two likelihoods is averaged over the 27 voxels around: the edge of a
+standing surface, which beams from afar pass and beams from near meet, takes part in the verdict on the
+surface. Voxels with positive mean evidence that touch form a connected component, which gets one verdict. Its
+voxels are not independent: a component counts as many of them as fit along its edge, the cube root of their
+number.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, fields
+
+import numba
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+from scipy.special import betaln, gammaln
+
+from subiaco_geo.config import StrictModel
+from subiaco_geo.frames import Floats, Ints
+from subiaco_geo.look_times import Looks
+from subiaco_geo.visibility import NO_VERDICT, SURELY_MOVED
+
+_LIMIT = 1 << 20
+
+
+class MovementConfig(StrictModel):
+    """Verdict on what returned from a voxel: it moved, it stands, or nobody can tell."""
+
+    window: float = Field(
+        0.2,
+        ge=0.05,
+        le=2.0,
+        description="length of a time window [s]; a window in which a voxel returned something is a hit, one "
+        "in which enough beams passed through it without any return is a look through it",
+    )
+    least_beams: int = Field(
+        3,
+        ge=1,
+        le=255,
+        description="beams of those walked (`visibility_stride`) that must pass through a voxel in a window "
+        "to make it a look through it; raise it if edges of standing objects are taken for moving ones [1]",
+    )
+    standing_share: float = Field(
+        2.0,
+        gt=0,
+        description="first parameter of the beta distribution of a standing object's share of hits among "
+        "looks; the second is 1, so that above 1 dense objects are likelier than porous ones [1]",
+    )
+    moving_share: float = Field(
+        3.0,
+        gt=0,
+        description="second parameter of the beta distribution of the share of looks at a voxel during which "
+        "a moving object is in it; the first is 1, so that above 1 short times are likelier [1]",
+    )
+    further_run: float = Field(
+        0.25,
+        gt=0,
+        lt=1,
+        description="factor on the likelihood of movement for every run of hits after the first; raise it "
+        "where many vehicles pass one place, lower it if sparse foliage is taken for traffic [1]",
+    )
+    weight: float = Field(
+        6.0, gt=0, description="greatest evidence of one voxel, natural logarithm of a likelihood ratio [1]"
+    )
+    touching: float = Field(
+        -1.0,
+        le=0,
+        description="evidence from which a voxel beside a moving component moved with it, natural logarithm "
+        "of a likelihood ratio; just below 0 takes voxels that say nothing themselves [1]",
+    )
+    standing: float = Field(
+        -2.0,
+        le=0,
+        description="evidence below which a voxel stands although the component it lies in moved, natural "
+        "logarithm of a likelihood ratio [1]",
+    )
+    prior: float = Field(
+        -4.0, description="logarithm of the odds that a component moved, before any evidence [1]"
+    )
+    sure: float = Field(
+        0.9,
+        gt=0.5,
+        le=1,
+        description="probability of having moved from which points leave the map for `moving.laz`; points "
+        "below stay, with their probability in the field `moving` [1]",
+    )
+    brief: float = Field(
+        1.5,
+        ge=0,
+        description="voxels whose hits span no more time than this are uncertain (probability 0.5), because "
+        "a slow vehicle takes as long to drive its own length; from twice this time on they stand [s]",
+    )
+    gaps: float = Field(
+        3.0,
+        ge=1,
+        description="the span from the first hit of a voxel to the last counts no more than this many times "
+        "the time in which it was hit: two vehicles may have been there at different times [1]",
+    )
+
+
+def evidence_of_movement(looks: Looks, config: MovementConfig) -> NDArray[np.float32]:
+    """Log likelihood ratio (M,) of moving against standing of every voxel; NaN where nothing returned."""
+    hits, through = looks.hits.astype(np.float64), looks.through.astype(np.float64)
+    runs = np.maximum(looks.runs, 1.0)
+    stands = betaln(hits + config.standing_share, through + 1.0) - betaln(config.standing_share, 1.0)
+    present = betaln(hits + 1.0, through + config.moving_share) - betaln(1.0, config.moving_share)
+    ways = _log_choose(hits - 1, runs - 1) + _log_choose(through + 1, runs)
+    moves = present + _log_choose(hits + through, hits) - ways + np.log(config.further_run) * (runs - 1)
+    return np.where(hits > 0, moves - stands, np.nan).astype(np.float32)
+
+
+def _log_choose(total: Floats, chosen: Floats) -> Floats:
+    """Logarithm of the number of ways to choose; 0 where the arguments make no sense."""
+    rest = np.maximum(total - chosen, 0.0)
+    return np.asarray(gammaln(np.maximum(total, 0.0) + 1) - gammaln(chosen + 1) - gammaln(rest + 1))
+
+
+@numba.njit(cache=True)
+def _around(keys, values, reach):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Mean (N, C) of values (N, C) over the voxels within ``reach`` cells of each; keys are sorted."""
+    count, width = values.shape
+    total = np.zeros((count, width), dtype=np.float64)
+    number = np.zeros(count, dtype=np.int64)
+    for dx in range(-reach, reach + 1):
+        for dy in range(-reach, reach + 1):
+            step, j = (dx << 42) + (dy << 21), 0
+            for i in range(count):
+                low = keys[i] + step - reach
+                while j < count and keys[j] < low:
+                    j += 1
+                other = j
+                while other < count and keys[other] <= low + 2 * reach:
+                    for column in range(width):
+                        total[i, column] += values[other, column]
+                    number[i] += 1
+                    other += 1
+    for i in range(count):
+        total[i] /= number[i]
+    return total
+
+
+@numba.njit(cache=True)
+def _root(parent, i):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    while parent[i] != i:
+        parent[i] = parent[parent[i]]
+        i = parent[i]
+    return i
+
+
+@numba.njit(cache=True)
+def connected(keys: Ints) -> Ints:
+    """Return the component (N,) of every voxel: the least row of those it touches; keys are sorted."""
+    count = len(keys)
+    parent = np.arange(count)
+    for dx in range(2):
+        for dy in range(-1, 2):
+            step, j = (dx << 42) + (dy << 21), 0
+            for i in range(count):
+                low = keys[i] + step - 1
+                while j < count and keys[j] < low:
+                    j += 1
+                other = j
+                while other < count and keys[other] <= low + 2:
+                    a, b = _root(parent, i), _root(parent, other)
+                    if a < b:
+                        parent[b] = a
+                    else:
+                        parent[a] = b
+                    other += 1
+    for i in range(count):
+        parent[i] = _root(parent, i)
+    return parent
+
+
+@dataclass(frozen=True)
+class _Doubtful:
+    """Voxels that may have moved: row in the grid, own evidence, and whether their component may."""
+
+    row: Ints
+    own: Floats
+    candidate: NDArray[np.bool_]
+
+
+def verdicts(keys: Ints, looks: Looks, config: MovementConfig, most: int = 1 << 22) -> NDArray[np.uint8]:
+    """Decide of every voxel whether what returned from it moved.
+
+    Parameters
+    ----------
+    keys : (M,) int64
+        Sorted packed voxel indices (:func:`subiaco_geo.clouds.voxel_keys`); may be mapped from disk.
+    looks : Looks
+        At these voxels.
+    config : MovementConfig
+    most : int
+        Voxels taken at a time; does not change the result.
+
+    Returns
+    -------
+    (M,) uint8
+        Probability in steps of 1/200; :data:`NO_VERDICT` where nothing returned.
+    """
+    code = np.full(len(keys), NO_VERDICT, dtype=np.uint8)
+    parts = [_judge_part(keys, looks, config, start, most, code) for start in range(0, len(keys), most)]
+    if not parts:
+        return code
+    names = [field.name for field in fields(_Doubtful)]
+    found = _Doubtful(**{n: np.concatenate([getattr(p, n) for p in parts]) for n in names})
+    chance = _component_chance(np.asarray(keys[found.row]), found, config)
+    code[found.row] = np.maximum(code[found.row], np.round(chance * SURELY_MOVED))
+    return code
+
+
+def _judge_part(
+    keys: Ints, looks: Looks, config: MovementConfig, start: int, most: int, code: NDArray[np.uint8]
+) -> _Doubtful:
+    """Write the verdict on the voxels of a part as if all stood; return those that may have moved."""
+    stop = min(start + most, len(keys))
+    low, high = (int(keys[start]) >> 42) - 1, (int(keys[stop - 1]) >> 42) + 2
+    first, last = np.searchsorted(keys, [low << 42, high << 42])
+    hit = first + np.flatnonzero(looks.hits[first:last])
+    seen = looks.select(hit)
+    own = evidence_of_movement(seen, config).astype(np.float64)
+    own = np.clip(own, -config.weight, config.weight)
+    lasted = np.minimum(seen.last - seen.first + 1.0, config.gaps * seen.hits) * config.window
+    span = np.minimum(lasted, 2 * config.brief)
+    mean, around = _around(np.asarray(keys[hit]), np.column_stack([own, span]), 1).T
+    brief = 0.5 * np.clip(2.0 - around / max(config.brief, 1e-9), 0.0, 1.0)
+    mine = (hit >= start) & (hit < stop)
+    code[hit[mine]] = np.round(brief * SURELY_MOVED)[mine]
+    doubtful = mine & ((mean > 0) | (own > config.touching))
+    return _Doubtful(hit[doubtful], own[doubtful], (mean > 0)[doubtful])
+
+
+def _component_chance(keys: Ints, found: _Doubtful, config: MovementConfig) -> Floats:
+    """Probability (D,) that the doubtful voxels moved, with their component or beside one that did."""
+    chance = np.zeros(len(keys))
+    inside = np.flatnonzero(found.candidate)
+    if len(inside) == 0:
+        return chance
+    part = connected(keys[inside])
+    size = np.maximum(np.bincount(part), 1)
+    mean = np.bincount(part, found.own[inside]) / size
+    odds = config.prior + mean * np.cbrt(size)
+    chance[inside] = (1.0 / (1.0 + np.exp(-np.clip(odds, -50.0, 50.0))))[part]
+    moved = np.where(chance >= config.sure, chance, 0.0)
+    near = _around(keys, np.column_stack([moved, moved > 0]), 1)
+    beside = near[:, 0] / np.maximum(near[:, 1], 1e-9)
+    joins = (near[:, 1] > 0) & (found.own > config.touching)
+    chance = np.where(joins, np.maximum(chance, beside), chance)
+    return np.where(found.own > config.standing, chance, 0.0)

@@ -1,0 +1,85 @@
+"""What beams prove about a place they crossed, and how that enters decision and confidence."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from test_decisions import CONFIG, SAME
+
+from subiaco_change.changes.absence import absence, opacity, porous_chance
+from subiaco_change.changes.confidence import ConfidenceConfig, confidence
+from subiaco_change.changes.decisions import decide
+from subiaco_change.changes.objects import Thing, Voxels
+from subiaco_geo.codes import Change, Semantic
+
+ALONE = replace(SAME, iou=0.0, gone_share=1.0, delta_c=np.nan, delta_h=np.nan, seen_voxels=60)
+
+
+def after_beams(count):
+    """The chance that a place is free that so many beams crossed and none returned from."""
+    return np.array([(count + 0.5) / (count + 1.0)])
+
+
+@given(beams=st.integers(0, 500), returned=st.floats(0.01, 0.99))
+def test_more_beams_prove_more_and_the_more_an_object_returned_the_fewer_are_needed(beams, returned):
+    chance = porous_chance(after_beams(beams), returned)[0]
+    assert 0.5 <= chance <= 1.0
+    assert porous_chance(after_beams(beams + 1), returned)[0] >= chance
+    assert porous_chance(after_beams(beams), min(returned + 0.005, 0.995))[0] >= chance
+
+
+def test_a_beam_through_the_place_of_a_wall_says_more_than_four_through_that_of_a_hedge():
+    assert porous_chance(after_beams(2), 0.7)[0] > 0.9
+    assert porous_chance(after_beams(4), 0.1)[0] == pytest.approx(1 / (1 + 0.9**4))
+    assert porous_chance(after_beams(4), 0.1)[0] < CONFIG.min_free
+
+
+def test_without_counts_of_its_own_survey_the_chance_is_that_of_the_beams():
+    chances = np.array([0.2, 0.5, 0.75, 0.99])
+    assert porous_chance(chances, None) == pytest.approx(chances)
+
+
+def thing(passed, still=0):
+    """Ten voxels, the first ``still`` occupied in the other epoch; ``passed`` own beams for each return."""
+    count = 10
+    xyz = np.column_stack([np.arange(count), np.zeros(count), np.ones(count)])
+    held = np.arange(count) < still
+    voxels = Voxels(
+        np.zeros(count, int), xyz, xyz * 0, np.ones(count), np.ones(count, dtype=bool), held, ~held
+    )
+    return Thing(0, Semantic.VEGETATION, 0.9, np.arange(count), voxels, 0.03, xyz, np.full(count, passed))
+
+
+def test_the_absence_of_an_object_is_asked_of_the_other_epoch_and_of_free_places_alone():
+    def known(xyz):
+        assert (xyz[:, 0] >= 4).all()
+        return np.full(len(xyz), 0.9)
+
+    found = absence([thing(1.0, still=4)], [], (None, known))
+    assert opacity([thing(1.0)]) == pytest.approx(0.5)
+    assert found == pytest.approx(1 / (1 + 0.5**4))
+    assert absence([thing(1.0)], [], (known, None)) == 1.0
+
+
+def removed(**changes):
+    return decide(Semantic.VEGETATION, True, False, replace(ALONE, **changes), 0.03, CONFIG)
+
+
+def test_what_too_few_beams_crossed_is_unobserved():
+    assert removed().change is Change.REMOVED
+    assert removed(free=0.6).change is Change.UNOBSERVED
+
+
+def test_one_beam_through_each_place_never_gives_nine_tenths():
+    """However large the object is and however well its class is known."""
+    measures = replace(ALONE, free=0.75, seen_voxels=5000)
+    decision = replace(removed(), margin=20.0)
+    assert confidence(decision, measures, Semantic.VEGETATION, 1.0, ConfidenceConfig()) <= 0.75
+    sure = replace(measures, free=0.99)
+    assert confidence(decision, sure, Semantic.VEGETATION, 1.0, ConfidenceConfig()) > 0.9
+
+
+def test_with_a_fifth_of_its_place_seen_nothing_is_claimed():
+    assert removed(observed_fraction=0.19).change is Change.UNOBSERVED

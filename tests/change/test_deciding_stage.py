@@ -1,0 +1,76 @@
+"""Plants of one tile are decided against the plants of all tiles of the pair."""
+
+import json
+from dataclasses import asdict, replace
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+import shapely
+from test_confidence import TYPICAL, _record
+from test_vegetation_null import TREE, street
+
+from subiaco_change.changes.confidence import features
+from subiaco_change.changes.decisions import Decision
+from subiaco_change.config import ChangeConfig
+from subiaco_change.tiled.deciding import PlantRow, decide_tile, find_vegetation_null, record_of, record_words
+from subiaco_geo.codes import Change, Semantic
+from subiaco_geo.work.store import MemoryStore
+from subiaco_geo.work.tasks import Inputs
+
+CONFIG = ChangeConfig()
+PARAMS = {"config": SimpleNamespace(**{n: getattr(CONFIG, n) for n in ("decisions", "plants", "confidence")})}
+GROWN = Decision(Change.INCREASED, "before the pair was known", 2.0, 3.0)
+
+
+def row(number):
+    found = features(GROWN, TYPICAL, Semantic.VEGETATION, 0.8)
+    return _record(
+        object_id=number, semantic=Semantic.VEGETATION, change=Change.INCREASED, id_before=(number,),
+        id_after=(number,), match_kind="one_to_one", evidence="observed", features=tuple(found.tolist()),
+        footprint=shapely.box(0, 0, 1, 1), reason=GROWN.reason,
+    )  # fmt: skip
+
+
+def tile(plants):
+    """What one tile leaves of its plants, all called grown by fixed limits; one more row is no plant."""
+    records = [row(k) for k in range(len(plants) + 1)]
+    words = [asdict(PlantRow(k + 1, plant, 0.03)) for k, plant in enumerate(plants)]
+    return {
+        "records": np.array(json.dumps([record_words(r) for r in records])),
+        "plants": np.array(json.dumps(words)),
+    }
+
+
+def decided(store, key, null):
+    found = decide_tile(Inputs(store, {"compared": key, "null": null}), PARAMS)
+    return [record_of(words) for words in json.loads(str(found["records"]))]
+
+
+@pytest.fixture
+def store():
+    return MemoryStore()
+
+
+def test_a_tile_is_decided_by_what_the_crowns_of_all_tiles_did(store):
+    rest = street(30, 0.25, 0.05)
+    few = [replace(TREE, outline=0.28), replace(TREE, outline=0.8)]
+    for name, plants in (("a", rest[:15]), ("b", [*rest[15:], *few])):
+        store.save(name, tile(plants))
+    keys = {"compared/a": "a", "compared/b": "b"}
+    store.save("null", find_vegetation_null(Inputs(store, keys), PARAMS))
+    rows = decided(store, "b", "null")
+    assert [r.change for r in rows[-2:]] == [Change.UNCHANGED, Change.INCREASED]
+    assert "the other 31 crowns of this pair moved +0.2" in rows[-1].reason
+    assert rows[0].change is Change.INCREASED  # no plant: stays as it was decided
+    assert rows[0].reason == GROWN.reason
+
+
+def test_the_null_is_the_same_however_the_crowns_lie_in_tiles(store):
+    plants = street(30, 0.25, 0.05, (0.9, -0.7))
+    store.save("all", tile(plants))
+    store.save("a", tile(plants[20:]))
+    store.save("b", tile(plants[:20]))
+    whole = find_vegetation_null(Inputs(store, {"compared/x": "all"}), PARAMS)
+    parts = find_vegetation_null(Inputs(store, {"compared/x": "a", "compared/y": "b"}), PARAMS)
+    assert str(whole["null"]) == str(parts["null"])

@@ -1,0 +1,69 @@
+"""Properties of the decisions on randomly drawn houses, drives and sensors, for every kind of evidence.
+
+What was built is never called less, what was taken away never more; the same on more houses:
+``tests/benchmarks/bench_wrong_signs.py``.
+"""
+
+from dataclasses import replace
+from functools import cache
+
+import numpy as np
+import pytest
+from random_houses import KINDS, OPPOSITE, compare, draw_case, label_of, labels, seen_from_street
+
+from subiaco_geo.codes import Change
+
+SEEDS = range(8)
+QUICK = tuple(kind for kind in KINDS if kind != "trajectory")
+QUIET = {Change.UNCHANGED, Change.UNOBSERVED}
+
+
+@cache
+def case(seed):
+    """One street with a house and the house extended, each surveyed by a drive of its own."""
+    return draw_case(seed)
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("seed", SEEDS[:4])
+def test_what_was_built_is_never_less_and_what_was_taken_away_never_more(seed, kind):
+    small, large = case(seed).surveys
+    for before, after, truth in ((small, large, Change.INCREASED), (large, small, Change.DECREASED)):
+        found = labels(compare(before, after, kind))
+        assert not set(found) & set(OPPOSITE[truth]), (case(seed).what, found)
+
+
+@pytest.mark.parametrize("kind", QUICK)
+def test_extensions_that_both_drives_saw_are_found(kind):
+    shown = [seed for seed in SEEDS if seen_from_street(case(seed))]
+    right = [label_of(compare(*case(seed).surveys, kind)) is Change.INCREASED for seed in shown]
+    assert len(shown) >= 4
+    assert sum(right) >= 0.75 * len(shown)
+
+
+@pytest.mark.parametrize("kind", QUICK)
+def test_two_drives_past_one_house_find_no_change_of_it(kind):
+    """Other lane, other beams, other noise."""
+    for seed in SEEDS[:3]:
+        again = draw_case(seed, extended=False)
+        assert label_of(compare(*again.surveys, kind)) in QUIET
+
+
+@pytest.mark.parametrize("seed", SEEDS[:4])
+def test_less_evidence_may_silence_a_claim_and_never_turns_it(seed):
+    rng = np.random.default_rng(seed)
+    small, large = case(seed).surveys
+    truth = label_of(compare(small, large, "observed"))
+    for share in (0.5, 0.1):
+        blind = [_forgetful(survey, share, rng) for survey in (small, large)]
+        assert label_of(compare(blind[0], blind[1], "observed")) in {truth, Change.INCREASED, *QUIET}
+        assert label_of(compare(blind[1], blind[0], "observed")) in {Change.DECREASED, *QUIET}
+
+
+def _forgetful(survey, share, rng):
+    """The survey with the record of a share of the blocks of 2 m that its beams passed."""
+    grid = survey.map.visibility
+    block, slot = np.unique(grid.keys >> 2, return_inverse=True)
+    kept = (rng.random(len(block)) < share)[slot] | (grid.hits > 0)
+    less = replace(grid, keys=grid.keys[kept], hits=grid.hits[kept], passes=grid.passes[kept])
+    return replace(survey, map=replace(survey.map, visibility=less))

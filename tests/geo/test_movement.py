@@ -1,0 +1,241 @@
+"""Moving or standing, told by time: known sequences of hits and looks through voxels."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from subiaco_geo.clouds import voxel_keys
+from subiaco_geo.look_times import Looks, joined_looks
+from subiaco_geo.movement import MovementConfig, connected, verdicts
+from subiaco_geo.raywalk import VisibilityAccumulator
+from subiaco_geo.visibility import (
+    NO_VERDICT,
+    SURELY_MOVED,
+    TimeRecord,
+    VisibilityGrid,
+    load_visibility,
+    save_visibility,
+    visibility_parts,
+)
+
+CONFIG = MovementConfig()
+LENGTH = 12.0  # of the street that is looked at [m]
+Present = Callable[[np.ndarray, float], np.ndarray]
+
+
+def looked_at(cells: np.ndarray, seconds: float, present: Present, start: float = 0.0) -> Looks:
+    """Look at voxels (M, 3) in every window: hit where something is present, looked through elsewhere."""
+    count = round(seconds / CONFIG.window)
+    hit = np.stack([present(cells, start + k * CONFIG.window) for k in range(count)], axis=1)
+    rises = np.diff(hit.astype(int), axis=1, prepend=0) > 0
+    window = np.arange(1, count + 1)
+    first = np.where(hit.any(axis=1), hit.argmax(axis=1) + 1, 0)
+    last = (hit * window).max(axis=1)
+    sums = (hit.sum(axis=1), (~hit).sum(axis=1), rises.sum(axis=1))
+    edges = (hit[:, 0] + 2 * hit[:, -1]).astype(np.uint8)
+    hits, through, runs = (column.astype(np.uint16) for column in sums)
+    return Looks(hits, through, runs, first.astype(np.uint32), last.astype(np.uint32), edges)
+
+
+def block(length: float, height: int = 3, width: int = 1) -> np.ndarray:
+    """Voxels (M, 3) of something along x, in the order of their keys."""
+    shape = np.meshgrid(np.arange(round(length / 0.5)), np.arange(width), np.arange(height), indexing="ij")
+    return np.stack([axis.ravel() for axis in shape], axis=1)
+
+
+def probability(cells: np.ndarray, looks: Looks) -> np.ndarray:
+    """Probability (M,) that what was hit moved; NaN where nothing was."""
+    code = verdicts(voxel_keys(cells), looks, CONFIG)
+    return np.where(code == NO_VERDICT, np.nan, code / SURELY_MOVED)
+
+
+def car(speed: float, length: float = 4.5, wait: tuple[float, float] = (0.0, 0.0)) -> Present:
+    """A car that comes from x = -10 m; it waits ``wait`` = (begin, length) seconds on its way."""
+
+    def present(cells: np.ndarray, seconds: float) -> np.ndarray:
+        driven = seconds if seconds < wait[0] else max(wait[0], seconds - wait[1])
+        front = -10.0 + speed * driven
+        x = 0.5 * cells[:, 0]
+        return np.asarray((x < front) & (x + 0.5 > front - length))
+
+    return present
+
+
+@pytest.mark.parametrize("speed", [3.0, 5.0, 8.0, 11.0, 15.0])
+def test_a_car_that_crosses_at_any_speed_moved(speed: float) -> None:
+    cells = block(LENGTH)
+    found = probability(cells, looked_at(cells, 10.0, car(speed)))
+    assert np.nanmin(found) >= CONFIG.sure
+
+
+def test_a_car_that_stops_at_a_light_for_five_seconds_and_leaves_moved() -> None:
+    cells = block(LENGTH)
+    looks = looked_at(cells, 14.0, car(5.0, wait=(3.0, 5.0)))
+    assert looks.hits.max() * CONFIG.window > 5.0
+    assert np.nanmin(probability(cells, looks)) >= CONFIG.sure
+
+
+def test_a_crawling_queue_moved_although_each_place_was_hit_for_most_of_the_time() -> None:
+    def queue(cells: np.ndarray, seconds: float) -> np.ndarray:
+        phase = (0.5 * cells[:, 0] - 1.2 * seconds) % 7.0  # a car of 4.5 m every 7 m at 1.2 m/s
+        return np.asarray(phase < 4.5)
+
+    cells = block(LENGTH)
+    looks = looked_at(cells, 20.0, queue)
+    assert np.mean(looks.hits / (looks.hits + looks.through)) > 0.6
+    assert np.nanmedian(probability(cells, looks)) >= CONFIG.sure
+
+
+@pytest.mark.parametrize(("share", "width"), [(1.0, 1), (0.7, 2), (0.35, 2), (0.2, 2), (0.1, 2)])
+def test_hedges_fences_and_trees_stand_however_porous(share: float, width: int) -> None:
+    rng = np.random.default_rng(5)
+
+    def porous(cells: np.ndarray, _: float) -> np.ndarray:
+        return np.asarray(rng.random(len(cells)) < share)
+
+    cells = block(6.0, width=width)
+    found = probability(cells, looked_at(cells, 8.0, porous))
+    assert np.nanmean(found) < 0.25
+    assert np.nanmax(found) < CONFIG.sure
+
+
+def test_a_pole_stands_although_beams_pass_beside_it_in_half_of_the_windows() -> None:
+    rng = np.random.default_rng(6)
+    cells = block(0.5, height=8)
+    looks = looked_at(cells, 8.0, lambda c, _: np.asarray(rng.random(len(c)) < 0.5))
+    assert np.nanmax(probability(cells, looks)) < 0.1
+
+
+def test_a_shrub_seen_briefly_on_two_passes_stands() -> None:
+    cells = block(1.0, height=2, width=2)
+    looks = looked_at(cells, 1.0, lambda c, _: np.ones(len(c), dtype=bool))
+    alone = probability(cells, looks)
+    assert alone == pytest.approx(np.full(len(cells), 0.5))
+    starts = np.arange(len(cells)) * 2
+    both = [np.stack([a, b], axis=1).ravel() for a, b in zip(looks.columns(), later(looks, 200), strict=True)]
+    assert np.nanmax(probability(cells, joined_looks(starts, Looks(*both)))) < 0.1
+
+
+def later(looks: Looks, windows: int) -> list[np.ndarray]:
+    return looks.later(windows).columns()
+
+
+def test_a_thing_seen_for_a_third_of_a_second_alone_is_uncertain() -> None:
+    cells = block(2.0)
+    found = probability(cells, looked_at(cells, 0.4, lambda c, _: np.ones(len(c), dtype=bool)))
+    assert found == pytest.approx(np.full(len(cells), 0.5))
+
+
+def test_nothing_is_said_of_voxels_that_returned_nothing() -> None:
+    cells = block(2.0)
+    looks = looked_at(cells, 4.0, lambda c, _: np.zeros(len(c), dtype=bool))
+    assert (verdicts(voxel_keys(cells), looks, CONFIG) == NO_VERDICT).all()
+    assert verdicts(np.zeros(0, np.int64), looks.select(slice(0, 0)), CONFIG).shape == (0,)
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 200))
+@settings(deadline=None, max_examples=25)
+def test_verdicts_do_not_depend_on_how_many_voxels_are_taken_at_a_time(seed: int, most: int) -> None:
+    rng = np.random.default_rng(seed)
+    cells = np.unique(rng.integers(-6, 6, (300, 3)), axis=0)
+    keys = np.sort(voxel_keys(cells))
+    looks = looked_at(cells, 6.0, lambda c, t: np.asarray((c[:, 0] == int(2 * t) - 6) | (c[:, 1] > 4)))
+    np.testing.assert_array_equal(verdicts(keys, looks, CONFIG, most), verdicts(keys, looks, CONFIG))
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(deadline=None, max_examples=25)
+def test_connected_voxels_are_those_that_touch_one_another(seed: int) -> None:
+    cells = np.unique(np.random.default_rng(seed).integers(0, 9, (60, 3)), axis=0)
+    part = connected(voxel_keys(cells))
+    apart = np.abs(cells[:, None] - cells[None]).max(axis=2)
+    touching = np.linalg.matrix_power((apart <= 1).astype(float), 8) > 0
+    for _ in range(4):
+        touching = touching.astype(float) @ touching.astype(float) > 0
+    np.testing.assert_array_equal(part[:, None] == part[None], touching)
+
+
+def windows_of(beams: list[tuple[int, bool]], least: int, cut: int | None = None) -> tuple[list[int], int]:
+    """Hits, looks through, runs, first and last window of a voxel, and its edges, from the accumulator."""
+    parts, start, end = [], np.array([[0.25, 0.25, 0.25]]), np.array([[2.25, 0.25, 0.25]])
+    groups = [beams] if cut is None else [beams[:cut], beams[cut:]]
+    for group in groups:
+        store = VisibilityAccumulator(np.zeros(3), 0.5, 1024, least_beams=least)
+        store.add(start + 5, end + 5, window=1)  # another place
+        for window, hit in group:
+            if hit:
+                store.touch(np.array([[1.25, 0.25, 0.25]]), window)
+            else:
+                store.add(start, end, window=window)
+        slot = np.flatnonzero(store.grid().keys == voxel_keys(np.array([[2, 0, 0]])))
+        parts.append(store.looks().select(slot))
+    columns = [np.concatenate(column) for column in zip(*(p.columns() for p in parts), strict=True)]
+    looks = joined_looks(np.zeros(1, np.int64), Looks(*columns))
+    *counts, edges = (int(column[0]) for column in looks.columns())
+    return counts, edges
+
+
+def test_a_window_is_a_look_through_only_with_enough_beams_and_no_return() -> None:
+    assert windows_of([(1, False), (2, False), (2, False), (3, False), (3, False), (3, True)], 2) == (
+        [1, 1, 1, 3, 3],
+        2,
+    )
+    assert windows_of([(4, True), (4, False), (4, False)], 2) == ([1, 0, 1, 4, 4], 3)
+
+
+@given(st.lists(st.tuples(st.integers(0, 2), st.booleans()), min_size=1, max_size=30), st.integers(1, 3))
+@settings(deadline=None, max_examples=60)
+def test_looks_are_those_of_a_plain_count_and_do_not_depend_on_when_memory_went_to_disk(
+    steps: list[tuple[int, bool]], least: int
+) -> None:
+    window, beams = 1, []
+    for step, hit in steps:
+        window += step
+        beams.append((window, hit))
+    told = []
+    for w in sorted({w for w, _ in beams}):
+        if any(hit for v, hit in beams if v == w):
+            told.append((w, True))
+        elif sum(v == w for v, _ in beams) >= least:
+            told.append((w, False))
+    hits = [w for w, hit in told if hit]
+    runs = sum(hit and (k == 0 or not told[k - 1][1]) for k, (_, hit) in enumerate(told))
+    expected = [len(hits), len(told) - len(hits), runs, min(hits, default=0), max(hits, default=0)]
+    assert windows_of(beams, least)[0] == expected
+    for cut in range(1, len(beams)):
+        if beams[cut - 1][0] != beams[cut][0]:
+            assert windows_of(beams, least, cut)[0] == expected
+
+
+def test_a_layer_with_times_is_read_back_whole_and_in_parts_and_one_without_still_loads(
+    tmp_path: Path,
+) -> None:
+    cells = block(6.0)
+    keys, looks = voxel_keys(cells), looked_at(cells, 10.0, car(8.0))
+    counts = np.arange(len(keys), dtype=np.uint32)
+    times = TimeRecord(CONFIG.window, 123, looks)
+    grid = VisibilityGrid(np.zeros(3), 0.5, keys, counts, counts, verdicts(keys, looks, CONFIG), times)
+    save_visibility(tmp_path / "timed.npz", grid)
+    save_visibility(tmp_path / "plain.npz", VisibilityGrid(np.zeros(3), 0.5, keys, counts, counts))
+    whole, parts = load_visibility(tmp_path / "timed.npz"), list(visibility_parts(tmp_path / "timed.npz", 10))
+    assert whole.times is not None
+    assert (whole.times.window, whole.times.start_ns) == (CONFIG.window, 123)
+    for name, column in zip(vars(looks), looks.columns(), strict=True):
+        np.testing.assert_array_equal(getattr(whole.times.looks, name), column)
+        joined = np.concatenate([getattr(p.times.looks, name) for p in parts if p.times is not None])
+        np.testing.assert_array_equal(joined, column)
+    np.testing.assert_array_equal(whole.moving, grid.moving)
+    centres = (cells + 0.5) * 0.5
+    found = whole.moved(np.vstack([centres, [[900.0, 0.0, 0.0]]]))
+    assert found is not None
+    assert found[:-1].min() >= CONFIG.sure
+    assert np.isnan(found[-1])
+    plain = load_visibility(tmp_path / "plain.npz")
+    assert plain.times is None
+    assert plain.moved(centres) is None
