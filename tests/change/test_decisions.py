@@ -70,7 +70,10 @@ def test_a_crown_whose_top_is_out_of_sight_shows_in_its_sides(share, expected):
     ("height", "volume", "expected"),
     [
         ((0.51, 3.0), (0.0, 40.0), Change.INCREASED),
-        ((0.49, 3.0), (9.9, 40.0), Change.UNCHANGED),
+        ((0.24, 3.0), (4.9, 40.0), Change.UNCHANGED),
+        ((0.0, 0.1), (9.0, 17.0), Change.INCREASED),
+        ((0.0, 0.1), (-17.0, -9.0), Change.DECREASED),
+        ((0.0, 0.1), (6.0, 13.0), Change.UNCHANGED),
         ((-0.1, 0.1), (10.1, 40.0), Change.INCREASED),
         ((-3.0, -0.51), (-40.0, 0.0), Change.DECREASED),
         ((-3.0, 3.0), (-40.0, 40.0), Change.UNCHANGED),
@@ -78,7 +81,7 @@ def test_a_crown_whose_top_is_out_of_sight_shows_in_its_sides(share, expected):
         ((math.nan, math.nan), (11.0, 12.0), Change.INCREASED),
     ],
 )
-def test_a_label_of_a_building_needs_the_whole_interval_beyond_its_limit(height, volume, expected):
+def test_a_label_of_a_building_needs_the_middle_beyond_its_limit_and_a_certain_sign(height, volume, expected):
     bounds = {"height_bounds": Interval(*height), "volume_bounds": Interval(*volume)}
     assert label(**bounds) is expected
 
@@ -89,12 +92,17 @@ def test_an_interval_that_straddles_its_limit_says_so_and_costs_confidence():
         decision = decide(Semantic.BUILDING, True, True, bounds, 0.03, CONFIG)
         return decision, confidence(decision, bounds, Semantic.BUILDING, 0.9, ConfidenceConfig())
 
-    straddling, doubtful = decided(Interval(5.0, 20.0))
+    straddling, doubtful = decided(Interval(2.0, 12.0))
     clear, sure = decided(Interval(-1.0, 1.0))
     assert straddling.change is clear.change is Change.UNCHANGED
     assert "did not see" in straddling.reason
     assert "did not see" not in clear.reason
     assert doubtful < sure
+    barely, clearly = decided(Interval(8.0, 20.0))[0], decided(Interval(15.0, 20.0))[0]
+    assert barely.change is clearly.change is Change.INCREASED
+    assert "did not see" in barely.reason
+    assert "did not see" not in clearly.reason
+    assert barely.sigmas < clearly.sigmas
 
 
 def test_new_walls_without_volume_are_no_change_of_a_house():
@@ -116,6 +124,20 @@ def test_one_sided_objects_need_a_place_that_was_seen_empty():
     assert label(after=False, gone_share=0.2) is Change.UNCHANGED
     assert label(after=False, gone_share=0.9, observed_fraction=0.05) is Change.UNOBSERVED
     assert label(before=False, new_share=1.0, seen_voxels=2) is Change.UNOBSERVED
+
+
+@pytest.mark.parametrize(
+    ("voxels", "observed", "free", "expected"),
+    [
+        (400, 0.28, 0.95, Change.REMOVED),
+        (60, 0.28, 0.95, Change.UNOBSERVED),
+        (400, 0.10, 0.95, Change.UNOBSERVED),
+        (400, 0.28, 0.80, Change.UNOBSERVED),
+    ],
+)
+def test_a_large_part_that_was_seen_free_is_enough_of_a_large_object(voxels, observed, free, expected):
+    seen = {"seen_voxels": voxels, "observed_fraction": observed, "gone_share": free}
+    assert label(after=False, **seen) is expected
 
 
 def test_moved_vehicles_are_left_out_of_the_report():
