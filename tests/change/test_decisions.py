@@ -3,6 +3,7 @@
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 
 from subiaco_change.changes.carving import Interval
@@ -23,6 +24,9 @@ def label(semantic=Semantic.BUILDING, lod=0.03, before=True, after=True, **chang
     rules = CONFIG.vegetation if semantic is Semantic.VEGETATION else CONFIG.building
     way = changes.get("delta_v", 0.0) or changes.get("delta_h", 0.0)
     changes.setdefault("carried", math.copysign(rules.carried, way) if way else 0.0)
+    changes.setdefault(
+        "delta_v", 5.0 * np.sign(changes.get("delta_h", 0.0))
+    )  # what a change of height carries
     return decide(semantic, before, after, replace(SAME, **changes), lod, CONFIG).change
 
 
@@ -105,6 +109,12 @@ def test_an_interval_that_straddles_its_limit_says_so_and_costs_confidence():
     assert barely.sigmas < clearly.sigmas
 
 
+def test_a_change_of_height_that_no_volume_carries_is_none():
+    bounds = {"height_bounds": Interval(5.3, 7.9), "volume_bounds": Interval(0.0, 0.0)}
+    assert label(**bounds) is Change.UNCHANGED
+    assert label(**bounds | {"volume_bounds": Interval(0.0, 30.0)}) is Change.INCREASED
+
+
 def test_new_walls_without_volume_are_no_change_of_a_house():
     assert label(Semantic.BUILDING, carried=0.3) is Change.UNCHANGED
 
@@ -146,7 +156,7 @@ def test_moved_vehicles_are_left_out_of_the_report():
 
 
 def test_every_decision_gives_its_reason():
-    taller = replace(SAME, delta_h=3.0)
+    taller = replace(SAME, delta_h=3.0, delta_v=40.0)
     assert "height +3.00 to +3.00 m" in decide(Semantic.BUILDING, True, True, taller, 0.03, CONFIG).reason
 
 
@@ -155,7 +165,7 @@ def test_confidence_never_falls_with_the_margin_or_with_the_size_of_what_was_see
     steep = shipped.reshaped.model_copy(update={"margin": 1.0, "size": 1.0})
 
     def trust(config, **changes):
-        measures = replace(SAME, carried=0.07 if changes["delta_h"] > 0.5 else 0.0, **changes)
+        measures = replace(SAME, delta_v=5.0 if changes["delta_h"] > 0 else 0.0, **changes)
         decision = decide(Semantic.BUILDING, True, True, measures, 0.03, CONFIG)
         return confidence(decision, measures, Semantic.BUILDING, 0.9, config)
 

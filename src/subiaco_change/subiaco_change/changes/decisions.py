@@ -40,6 +40,12 @@ class ClassRules(StrictModel):
         description="share of the limit that the nearer bound of a building's change must exceed; 1 asks for"
         " the whole interval beyond the limit [1]",
     )
+    height_volume: float = Field(
+        0.25,
+        ge=0,
+        description="share of the volume limit that the change of volume may reach at least where the height"
+        " of a building changed; less contradicts the height [1]",
+    )
     surface: float = Field(
         math.inf, gt=0, description="that share from which it is a change of volume by itself; inf: never"
     )
@@ -266,8 +272,8 @@ def _building(measures: Measures, gate: float, rules: ClassRules) -> Decision:
         Interval(_share(height.low, limit), _share(height.high, limit)),
         Interval(volume.low / room, volume.high / room),
     )
-    up = max(_beyond(bound, rules.certain) for bound in bounds)
-    down = max(_beyond(-bound, rules.certain) for bound in bounds)
+    up = _rise(*bounds, rules)
+    down = _rise(-bounds[0], -bounds[1], rules)
     evidence = f"height {height.low:+.2f} to {height.high:+.2f} m (limit {limit:.2f} m), volume"
     evidence += f" {volume.low / whole:+.0%} to {volume.high / whole:+.0%} (limit {rules.volume:.0%})"
     straddles = any(bound.low <= side <= bound.high for bound in bounds for side in (-1.0, 1.0))
@@ -278,6 +284,15 @@ def _building(measures: Measures, gate: float, rules: ClassRules) -> Decision:
     rising = up > 1 and (down <= 1 or volume.middle > 0)
     change = Change.INCREASED if rising else Change.DECREASED
     return Decision(change, evidence, up if rising else down, _sigmas(bounds, rising))
+
+
+def _rise(height: Interval, volume: Interval, rules: ClassRules) -> float:
+    """Return by how much a rise of a building is met; that of its height needs volume that carries it.
+
+    Where one epoch saw little of a house, the columns that both know may be of its neighbours.
+    """
+    carried = math.isnan(volume.high) or volume.high >= rules.height_volume
+    return max(_beyond(height, rules.certain) if carried else 0.0, _beyond(volume, rules.certain))
 
 
 def _beyond(bound: Interval, certain: float) -> float:

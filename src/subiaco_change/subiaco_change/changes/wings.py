@@ -96,7 +96,7 @@ def _is_wing(
         return False
     if _over(wing, other) < _BESIDE and not round_it and _rises(wing, body):
         return False
-    return share < _SMALL or not all(_between(wing.xyz, side.xyz, config) for side in host)
+    return share < _SMALL or not any(_between(wing.xyz, side.xyz, config) for side in host if len(side))
 
 
 def built(voxels: Voxels) -> bool:
