@@ -24,6 +24,7 @@ _BESIDE = 0.5  # less of a neighbour lies within the outline of a house in the e
 _HALF_STOREY = 1.5  # what stands beside a house and is taller by more is another house [m]
 _UNDERSIDE = 0.6  # what begins higher, in shares of its top, stands on nothing
 _NEIGHBOURS = 6  # voxels, itself among them, whose normals are compared
+_HIDDEN = 0.5  # less than this share of a wall is seen to be gone where something hides it
 _SMOOTH = 0.78  # mean cosine between the normals of neighbours: leaves stay below 0.75
 
 
@@ -85,7 +86,8 @@ def _is_wing(
     """Tell whether what stands in one epoch alone is a wing of the building that it touches most."""
     body, other = host[epoch], host[1 - epoch]
     round_it = max(contact) >= _ROUND * len(wing)
-    if round_it and _over(wing, other) >= _BESIDE:
+    free = float((wing.seen & ~wing.still).mean())
+    if round_it and free < _HIDDEN and _over(wing, other) >= _BESIDE:
         return True  # a wall of the house that a wing of the other epoch hides
     if _top(wing) < _ROOM or (len(contact) > 1 and sorted(contact)[-2] > _LEANS * len(wing)):
         return False  # lower than a room, or between two buildings

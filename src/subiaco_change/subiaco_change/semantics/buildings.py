@@ -73,7 +73,7 @@ class BuildingConfig(StrictModel):
     )
     thick_area: float = Field(12.0, gt=0, description="least area of such a wall [m2]")
     facade_width: float = Field(
-        0.3, gt=0, description="standard deviation along a facade; the face of a pole has less [m]"
+        0.15, gt=0, description="standard deviation along a facade; the face of a pole has less [m]"
     )
     facade_top: float = Field(
         2.3, gt=0, description="height that a facade reaches; lower walls are other [m]"
