@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.special import expit, logit
 from test_decisions import CONFIG, SAME
 
 from subiaco_change.changes.absence import absence, opacity, porous_chance
@@ -59,8 +60,17 @@ def test_the_absence_of_an_object_is_asked_of_the_other_epoch_and_of_free_places
 
     found = absence([thing(1.0, still=4)], [], (None, known))
     assert opacity([thing(1.0)]) == pytest.approx(0.5)
-    assert found == pytest.approx(1 / (1 + 0.5**4))
+    assert found == pytest.approx(expit(logit(1 / (1 + 0.5**4)) * (6 / 4) ** 0.5))
     assert absence([thing(1.0)], [], (known, None)) == 1.0
+
+
+@pytest.mark.parametrize(("count", "least", "most"), [(4, 0.6, 0.7), (20, 0.7, 0.85), (400, 0.95, 1.0)])
+def test_thin_evidence_in_many_places_is_evidence(count, least, most):
+    xyz = np.column_stack([np.arange(count), np.zeros(count), np.ones(count)])
+    yes = np.ones(count, dtype=bool)
+    voxels = Voxels(np.zeros(count, int), xyz, xyz * 0, np.ones(count), yes, ~yes, yes)
+    part = Thing(0, Semantic.VEGETATION, 0.9, np.arange(count), voxels, 0.03, xyz, np.zeros(0))
+    assert least <= absence([part], [], (None, lambda places: np.full(len(places), 0.64))) <= most
 
 
 def removed(**changes):

@@ -9,15 +9,20 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy.special import expit, logit
 
 from subiaco_change.changes.objects import Free, Thing, join_voxels
 from subiaco_geo.frames import Floats
 
+_PATCH = 4.0  # voxels that are crossed by the same beams, or by none
 _SURE = 1e-6  # less than this is never left of a doubt
 
 
 def absence(before: Sequence[Thing], after: Sequence[Thing], free: tuple[Free | None, Free | None]) -> float:
-    """Mean probability that the places where the other epoch holds nothing are free of the object.
+    """Probability that the object is absent where the other epoch holds nothing.
+
+    The mean log odds of the places, times the square root of the number of patches that they form: places
+    beside each other are crossed by the same beams, and what fools one may fool its neighbours.
 
     Parameters
     ----------
@@ -33,7 +38,10 @@ def absence(before: Sequence[Thing], after: Sequence[Thing], free: tuple[Free | 
             places = voxels.xyz[voxels.seen & ~voxels.still]
             chances.append(porous_chance(known(places), opacity(things)))
     joined = np.concatenate(chances)
-    return float(joined.mean()) if len(joined) else 1.0
+    if len(joined) == 0:
+        return 1.0
+    mean = min(max(float(joined.mean()), _SURE), 1.0 - _SURE)
+    return float(expit(logit(mean) * max(len(joined) / _PATCH, 1.0) ** 0.5))
 
 
 def opacity(things: Sequence[Thing]) -> float | None:

@@ -94,11 +94,11 @@ class DecisionConfig(StrictModel):
         "settings decide on maps without times of beams [1]",
     )
     min_free: float = Field(
-        0.65,
+        0.8,
         ge=0.5,
         lt=1,
-        description="how sure it must be, on average over the place, that nothing stands there as open to"
-        " beams as the object is in its own survey",
+        description="Probability that an object of one survey is absent in the other, from the beams that"
+        " crossed its place there, below which nothing is claimed. Raise it to claim less on thin evidence.",
     )
     trail_passes: float = Field(
         2.0,
