@@ -6,6 +6,7 @@ import logging
 import multiprocessing
 import os
 import time
+from collections import deque
 from collections.abc import Iterator, Sequence
 from concurrent.futures import CancelledError, ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -167,6 +168,7 @@ class Dask:
         except (OSError, TimeoutError, ValueError) as error:
             raise InputError(f"--scheduler {address}: no scheduler answers ({error})") from error
         self._completed: Any = distributed.as_completed
+        self._closed: Any = distributed.comm.CommClosedError
         self._address, self._patience = address, patience
         self._checked = False
         _LOG.info("cluster %s, dashboard %s", address, self._client.dashboard_link)
@@ -181,12 +183,16 @@ class Dask:
         futures = [
             self._client.submit(execute, store, task, key=task.key, retries=2, pure=False) for task in tasks
         ]
-        done = self._completed(futures)
+        done, ready = self._completed(futures), deque[Any]()
         alone_since: float | None = None
-        while not done.is_empty():
-            if done.has_ready():
+        while ready or not done.is_empty():
+            while done.has_ready():
+                ready.append(next(done))
+            spent = self._result(ready[0]) if ready else None
+            if spent is not None:
+                ready.popleft()
                 alone_since = None
-                yield self._result(next(done))
+                yield spent
                 continue
             time.sleep(_POLL)
             missing = self._missing()
@@ -198,13 +204,16 @@ class Dask:
             elif time.monotonic() - alone_since > self._patience:
                 raise self._lost(missing)
 
-    def _result(self, future: Any) -> Spent:
-        """Return what a task spent; its own error is raised as it is."""
+    def _result(self, future: Any) -> Spent | None:
+        """Return what a finished task spent; None where its worker died with the answer: it is done again.
+
+        The task's own error is raised as it is.
+        """
         try:
-            spent: Spent = future.result()
-        except (OSError, CancelledError) as error:
-            if self._missing() is None:
-                raise
+            spent: Spent = future.result(timeout=1.0)
+        except TimeoutError:
+            return None
+        except (self._closed, CancelledError) as error:
             raise self._lost("the scheduler is gone") from error
         return spent
 
