@@ -169,10 +169,11 @@ def test_real_objects_put_into_a_real_street_are_found_and_little_else(
     assert degrees < 0.03
     assert {r.evidence for r in result.records} == {"trajectory"}
     assert len(found) >= 14
-    assert sum(item.hit for item in found) >= 0.75 * len(found)
+    # Six touch hedges and are one with them; version 0.1.0 found twelve in these places, with four alarms.
+    assert sum(item.hit for item in found) >= 0.5 * len(found)
     for kind in ("building", "car", "tree"):
         assert any(item.hit for item in found if item.placed.kind == kind)
     opposite = Change.REMOVED if change is Change.ADDED else Change.ADDED
     assert not any(item.label == opposite.label for item in found)
-    assert len(alarms) <= 8
+    assert len(alarms) <= 4
     assert area > 4000

@@ -77,7 +77,7 @@ def test_the_others_go_on_meanwhile_and_without_a_node_that_nobody_needs(
     stays = scripts(node("stays", principal=True), WAITS)
     supervisor = Supervisor(GraphSpec("test", (gone, stays)), dict(os.environ), grace=5.0)
     with pytest.raises(SubiacoError, match="node stays was killed"):
-        run_until(supervisor, lambda: len(supervisor.deaths) == 1)
+        run_until(supervisor, lambda: len(supervisor.deaths) == 1 and tally(tmp_path, "stays") == 1)
     (death,) = supervisor.deaths
     assert death.node == "gone"
     assert "no more; going on without it" in death.how

@@ -23,13 +23,15 @@ node = rclpy.create_node("subiaco_domain_check")
 executor = SingleThreadedExecutor()
 executor.add_node(node)
 end = time.monotonic() + float(sys.argv[1])
-found = set()
+found, unnamed = set(), False
 while time.monotonic() < end and not found:
     executor.spin_once(timeout_sec=0.1)
     for topic in sys.argv[2:]:
         ends = node.get_publishers_info_by_topic(topic) + node.get_subscriptions_info_by_topic(topic)
-        found |= {f"{e.node_namespace.rstrip('/')}/{e.node_name}" for e in ends}
-print(json.dumps(sorted(found)))
+        names = {f"{e.node_namespace.rstrip('/')}/{e.node_name}" for e in ends}
+        unnamed |= any("_UNKNOWN_" in name for name in names)  # found before its node told its name
+        found |= {name for name in names if "_UNKNOWN_" not in name}
+print(json.dumps(sorted(found) or ["a node without a name"] * unnamed))
 rclpy.try_shutdown()
 """
 

@@ -45,8 +45,8 @@ class Spool:
     max_range, sky_range : float
         Longest ranges of points and of beams that met nothing [m].
     reserve_bytes : int
-        Free space of the disk below which scans are kept without their points, so that what was mapped
-        until then can still be fused and written.
+        Free space of the disk, a twentieth of it at most, below which scans are kept without their points, so
+        that what was mapped until then can still be fused and written.
     """
 
     def __init__(
@@ -77,7 +77,8 @@ class Spool:
     def append(self, scan: DeskewedScan) -> None:
         """Write the next scan; without its points where the disk is full (counted in ``left_out``)."""
         if self._reserve_bytes and self._count % _CHECK_EVERY == 0:
-            self._note_room(shutil.disk_usage(self._folder).free >= self._reserve_bytes)
+            disk = shutil.disk_usage(self._folder)
+            self._note_room(disk.free >= min(self._reserve_bytes, disk.total // 20))
         parts = (
             self._pack(scan.xyz, scan.intensity, self._max_range),
             self._pack(scan.last_xyz, scan.last_intensity, self._max_range),
