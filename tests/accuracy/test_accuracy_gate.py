@@ -36,8 +36,8 @@ class Gate:
 
 GATES = (
     Gate("easy", 201, 8.0, False, 0.0, 0.0, 99, 99),
-    Gate("default", 202, 8.0, True, 0.0, 0.0, 99, 99),
-    Gate("hard", 203, 8.0, False, 0.0, 0.0, 99, 99),
+    Gate("default", 202, 16.0, True, 0.0, 0.0, 99, 99),
+    Gate("hard", 203, 16.0, False, 0.0, 0.0, 99, 99),
 )
 
 

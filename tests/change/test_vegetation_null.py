@@ -12,7 +12,7 @@ from test_outline import crown
 
 from subiaco_change.changes.outline import OutlineConfig, compare_outlines
 from subiaco_change.changes.plant_decisions import decide_plant
-from subiaco_change.changes.plants import PlantConfig, equal_density
+from subiaco_change.changes.plants import PlantConfig, _is_thin, equal_density
 from subiaco_change.changes.vegetation_null import (
     PlantMeasures,
     VegetationNullConfig,
@@ -167,3 +167,16 @@ def test_a_plant_that_grew_is_not_taken_for_one_that_is_denser():
 def test_at_equal_density_a_crown_with_a_third_of_the_points_keeps_its_outline(seed):
     before, after, _ = equal_density(crown(2400, 2.0, seed), crown(800, 2.0, seed + 10), PlantConfig())
     assert abs(compare_outlines(before, after, OutlineConfig()).shift) < 0.05
+
+
+@pytest.mark.parametrize("count", [0, 1, 2, 3])
+def test_the_shape_of_very_few_points_can_be_asked(count):
+    points = np.random.default_rng(1).random((count, 3)) * [0.01, 0.01, 5.0]
+    assert _is_thin(points, PlantConfig()) in {True, False}
+
+
+def test_a_pole_is_thin_and_a_crown_is_not():
+    rng = np.random.default_rng(2)
+    pole = rng.normal(size=(200, 3)) * 0.03 + np.column_stack([np.zeros((200, 2)), np.linspace(0, 5, 200)])
+    assert _is_thin(pole, PlantConfig())
+    assert not _is_thin(rng.random((200, 3)) * 4.0, PlantConfig())

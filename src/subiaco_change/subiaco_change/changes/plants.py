@@ -119,8 +119,10 @@ def _size(xyz: Floats) -> float:
 
 def _is_thin(xyz: Floats, config: PlantConfig) -> bool:
     """Tell whether nine tenths of points (N, 3) lie in a narrow and tall place: a pole or a trunk."""
+    if len(xyz) < 2:
+        return False
     step = xyz[:, :2] - xyz[:, :2].mean(axis=0)
-    axes = np.linalg.svd(step, full_matrices=False)[2]
+    axes = np.linalg.eigh(step.T @ step)[1].T[::-1]  # long side first; always two of them
     low, high = np.quantile(np.column_stack([step @ axes.T, xyz[:, 2]]), [0.05, 0.95], axis=0)
     _, narrow, height = (high - low).tolist()
     return bool(narrow < config.thin and height > config.slender * narrow)
