@@ -22,7 +22,7 @@ def absence(before: Sequence[Thing], after: Sequence[Thing], free: tuple[Free | 
     """Probability that the object is absent where the other epoch holds nothing.
 
     The mean log odds of the places, times the square root of the number of patches that they form: places
-    beside each other are crossed by the same beams, and what fools one may fool its neighbours.
+    beside each other are crossed by the same beams, so their errors are correlated.
 
     Parameters
     ----------

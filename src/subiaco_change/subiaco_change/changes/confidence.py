@@ -247,7 +247,7 @@ def confidence(
 
 
 def bounded(fitted: float, decision: Decision, measures: Measures) -> float:
-    """Bound the confidence of what stands in one epoch alone by how surely its place was free there."""
+    """Bound the confidence of an object of one epoch by how surely its place was free in the other."""
     return min(fitted, measures.free) if kind_of(decision.change) == "single" else fitted
 
 
