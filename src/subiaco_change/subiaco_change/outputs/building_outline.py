@@ -99,7 +99,7 @@ def _merged_ring(corners: Floats) -> NDArray[np.float64] | None:
     if len(corners) < 4 or along.all() or not along.any():
         return None
     first = int(np.flatnonzero(along != np.roll(along, 1))[0])
-    corners, edges, along = (np.roll(values, -first, axis=0) for values in (corners, edges, along))
+    corners, edges, along = np.roll(corners, -first, 0), np.roll(edges, -first, 0), np.roll(along, -first)
     run = np.r_[0, np.cumsum(along[1:] != along[:-1])]
     if run[-1] < 3:
         return None
@@ -109,4 +109,5 @@ def _merged_ring(corners: Floats) -> NDArray[np.float64] | None:
     place = np.bincount(run, across * length) / np.bincount(run, length)
     is_along = along[np.r_[0, np.flatnonzero(np.diff(run)) + 1]]
     following = np.roll(place, -1)
-    return np.where(is_along[:, None], np.c_[following, place], np.c_[place, following])
+    x, y = np.where(is_along, following, place), np.where(is_along, place, following)
+    return np.stack([x, y], axis=1)
