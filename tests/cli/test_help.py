@@ -43,7 +43,7 @@ OPTIONS = {
         "--parcels",
         "--overwrite",
     ],
-    "export": ["--to", "copc", "dxf", "--output", "--cloudcompare", "--review", "not-rejected"],
+    "export": ["--to", "copc", "dxf", "--output", "--cloudcompare", "--review", "accepted"],
     "review": ["CHANGE_DIR", "reviews.csv", "--json"],
     "check": ["--control", "--crs", "--json"],
     "trajectory": ["--output", "--align", "--json", "--overwrite"],
