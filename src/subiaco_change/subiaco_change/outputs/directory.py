@@ -55,6 +55,7 @@ _PACKAGES = (
     "subiaco-change",
     "numpy",
     "scipy",
+    "open3d-cpu",
     "open3d",
     "small-gicp",
     "geopandas",
