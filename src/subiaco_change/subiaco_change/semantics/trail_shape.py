@@ -172,8 +172,9 @@ def trail_probability(xyz: Floats, height: Floats, config: TrailShapeConfig) -> 
     labels, _ = ndimage.label(wide, _AROUND)
     rim = int(np.ceil(config.beside / config.cell))
     for number, found in enumerate(ndimage.find_objects(labels), 1):
-        down, across = (_widened(part, rim, size) for part, size in zip(found, cells.shape, strict=True))
-        window = (down, across)
+        low = [max(part.start - rim, 0) for part in found]
+        high = [part.stop + rim for part in found]
+        window = (slice(low[0], high[0]), slice(low[1], high[1]))
         swath = _measure(labels[window] == number, wide[window], raster, window, config)
         if swath is not None:
             chance = _by_parts(swath, axis[window], raster, config)
@@ -219,10 +220,6 @@ def _axis(body: Mask, config: TrailShapeConfig) -> Mask:
             held[int(place > half)] += closed[row : row + rows, column : column + columns]
         found |= np.minimum(held[0] - 1, held[1]) >= config.run_share * half
     return found
-
-
-def _widened(part: slice, rim: int, size: int) -> slice:
-    return slice(max(part.start - rim, 0), min(part.stop + rim, size))
 
 
 def _rasterise(xyz: Floats, height: Floats, config: TrailShapeConfig) -> _Raster:
