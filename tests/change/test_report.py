@@ -11,7 +11,6 @@ from html.parser import HTMLParser
 import numpy as np
 import pandas as pd
 import pytest
-
 from result_scene import SceneConfig
 
 from subiaco_change.outputs.directory import ChangeInputs, write_change_directory
@@ -130,7 +129,9 @@ def test_nine_thousand_rows_make_a_page_that_a_browser_opens(result, tmp_path, m
     rng = np.random.default_rng(5)
     kinds = (Change.ADDED, Change.REMOVED, Change.UNCHANGED)
     rows = [
-        replace(result.records[k % 6], object_id=k, change=kinds[k % 3], confidence=float(rng.uniform(0.5, 1)))
+        replace(
+            result.records[k % 6], object_id=k, change=kinds[k % 3], confidence=float(rng.uniform(0.5, 1))
+        )
         for k in range(9000)
     ]
     target = tmp_path / "out"

@@ -18,6 +18,7 @@ from subiaco_change.report.citymap import city_map
 from subiaco_change.report.facts import (
     CHANGED_LABELS,
     changed_rows,
+    findings,
     is_simulated,
     legend,
     lod_facts,
@@ -185,7 +186,7 @@ def report_context(change: ChangeDirectory, found: Gathered) -> dict[str, Any]:
         "labels": [c.label for c in Change],
         "classes": [s.label for s in Semantic],
         "simulated": is_simulated(change.run),
-        "warnings": [*change.registration.get("warnings", []), *change.run.get("warnings", [])],
+        "findings": findings(change.run, change.registration),
         "calibrated": bool(change.run.get("confidence_calibrated", False)),
         "not_calibrated": change.run.get("confidence_not_calibrated", []),
         "assumed": int((change.table["evidence"] == "assumed").sum()),
