@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from subiaco_change.semantics.trail_shape import TrailShapeConfig, trail_probability
+from subiaco_change.semantics.trail_raster import TrailShapeConfig
+from subiaco_change.semantics.trail_shape import trail_probability
 from subiaco_geo.frames import Floats
 
 CONFIG = TrailShapeConfig()
@@ -92,6 +93,30 @@ def test_a_crown_over_a_trail_is_not_part_of_it() -> None:
     _, moved, above = chances(street(), trail(0.0), crown)
     assert (moved > SURE).mean() > 0.9
     assert above.max() < 0.5
+
+
+def walk(y: float, seed: int = 8, points: int = 700) -> Floats:
+    """What a person on foot leaves, 0.5 m wide and 1.7 m high, along 20 m."""
+    rng = np.random.default_rng(seed)
+    way = np.column_stack([rng.uniform(-10, 10, points), rng.normal(y, 0.11, points)])
+    return np.column_stack([way, rng.uniform(0.2, 1.7, points)])
+
+
+def fence(y: float, seed: int = 9, points: int = 700) -> Floats:
+    """A fence of that length and height, a plane to 2 cm."""
+    rng = np.random.default_rng(seed)
+    way = np.column_stack([rng.uniform(-10, 10, points), rng.normal(y, 0.02, points)])
+    return np.column_stack([way, rng.uniform(0.0, 1.7, points)])
+
+
+def test_a_person_on_foot_is_told_from_a_fence_by_thickness() -> None:
+    _, person, standing = chances(street(), walk(-5.0), fence(5.0))
+    assert (person > SURE).mean() > 0.9
+    assert standing.max() < 0.5
+
+
+def test_what_hides_the_ground_behind_it_is_no_thin_trail() -> None:
+    assert chances(street(hidden=(-10, 10, -8.0, -5.0)), walk(-5.0))[1].max() < 0.5
 
 
 def test_nothing_above_the_ground_leaves_no_trail() -> None:
