@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from subiaco_change.semantics.trail_raster import TrailShapeConfig
+from subiaco_change.semantics.trail_ends import with_pieces
+from subiaco_change.semantics.trail_raster import Raster, TrailShapeConfig
 from subiaco_change.semantics.trail_shape import trail_probability
 from subiaco_geo.frames import Floats
 
@@ -130,3 +131,24 @@ def test_the_order_of_the_points_does_not_matter() -> None:
     order = np.random.default_rng(6).permutation(len(xyz))
     straight = trail_probability(xyz, xyz[:, 2], CONFIG)
     np.testing.assert_array_equal(trail_probability(xyz[order], xyz[order, 2], CONFIG), straight[order])
+
+
+def test_a_piece_beyond_a_trail_belongs_to_it_and_one_aside_does_not() -> None:
+    body = np.zeros((40, 200), dtype=np.bool_)
+    body[17:23, 10:120] = True  # a trail, 1.8 m wide
+    body[18:22, 124], body[30:34, 124] = True, True  # 1.2 m beyond its end; 2.4 m beside its edge
+    cells = np.where(np.arange(200) < 120, 0.99, 0.0) * body
+    ground = np.ones_like(body)
+    raster = Raster(np.zeros((0, 2), np.int64), ground, body, body, np.where(body, 1.5, -np.inf))
+    found = with_pieces(cells, raster, SURE, CONFIG)
+    assert (found[18:22, 124] >= SURE).all()
+    assert not found[30:34, 124].any()
+    np.testing.assert_array_equal(found[:, :120], cells[:, :120])
+
+
+def test_a_vehicle_that_stands_in_line_with_a_trail_is_no_piece_of_it() -> None:
+    _, moved, standing = chances(
+        street(hidden=(32, 36.4, -0.7, 0.7)), trail(0.0), shell(34.2, 0.0, 11, points=900)
+    )
+    assert (moved > SURE).mean() > 0.9
+    assert (standing > 0.5).mean() < 0.4

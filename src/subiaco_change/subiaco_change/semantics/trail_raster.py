@@ -114,6 +114,20 @@ class TrailShapeConfig(StrictModel):
     beside: float = Field(
         1.8, gt=0, description="distance from a swath within which the ground beside it is asked [m]"
     )
+    piece: float = Field(
+        2.0,
+        ge=0,
+        description="footprint from which a short body that continues a trail is a standing vehicle [m2]",
+    )
+    piece_length: float = Field(
+        7.0, ge=0, description="length of a body above which the body is longer than a standing vehicle [m]"
+    )
+    piece_gap: float = Field(
+        2.5, ge=0, description="greatest distance from a trail, or from a piece of it, to its next piece [m]"
+    )
+    piece_aside: float = Field(
+        1.4, ge=0, description="greatest distance of a piece from the axis of its trail [m]"
+    )
     thin_length: float = Field(
         11.5,
         gt=0,

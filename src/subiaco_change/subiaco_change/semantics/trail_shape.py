@@ -13,8 +13,9 @@ import numpy as np
 from scipy import ndimage
 
 from subiaco_change.semantics.thin_trails import thin_trails
+from subiaco_change.semantics.trail_ends import with_pieces
 from subiaco_change.semantics.trail_raster import AROUND, TrailShapeConfig, rasterise
-from subiaco_change.semantics.trail_swaths import find_swaths, with_edges
+from subiaco_change.semantics.trail_swaths import SURE, find_swaths, with_edges
 from subiaco_geo.frames import Floats, Ints
 
 _LAYER = 0.5  # height of a layer in which a trail is followed upward [m]
@@ -38,7 +39,7 @@ def trail_probability(xyz: Floats, height: Floats, config: TrailShapeConfig) -> 
         return chance
     raster = rasterise(xyz, height, config)
     cells, wide = find_swaths(raster, config)
-    cells = with_edges(cells, wide, raster.body, config)
+    cells = with_pieces(with_edges(cells, wide, raster.body, config), raster, SURE, config)
     found = _upward(height, cells, raster.index, config)
     thin = np.flatnonzero(body & (found < _DOUBTFUL))
     found[thin] = np.maximum(found[thin], thin_trails(xyz[thin], raster.index[thin], raster, config))

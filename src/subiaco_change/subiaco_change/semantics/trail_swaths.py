@@ -13,7 +13,7 @@ from subiaco_change.semantics.trail_raster import AROUND, Raster, TrailShapeConf
 from subiaco_geo.frames import Floats
 
 _DIRECTIONS = 24  # of straight lines in half a turn
-_SURE = 0.9  # probability from which an edge belongs to a trail
+SURE = 0.95  # probability of the edges and pieces that belong to a trail
 _VEHICLE = 3.0  # footprint from which a part beside the axis of a trail may be a vehicle [m2]
 _PART = 1.0  # footprint of the least such part [m2]
 _TALLER = 0.5  # what rises so far above a trail does not belong to it [m]
@@ -57,10 +57,10 @@ def with_edges(cells: Floats, wide: Mask, body: Mask, config: TrailShapeConfig) 
     found = np.where(wide, cells, near)
     width = 2 * round(config.edge / config.cell) + 1
     reached = ndimage.grey_dilation(cells, footprint=np.ones((width, width)))
-    left, count = ndimage.label(body & (found < _SURE), AROUND)
+    left, count = ndimage.label(body & (found < SURE), AROUND)
     if count:
         numbers = np.arange(1, count + 1)
-        share = np.asarray(ndimage.mean(reached >= _SURE, left, numbers))
+        share = np.asarray(ndimage.mean(reached >= SURE, left, numbers))
         inside = np.append(False, share >= config.edge_share)[left] & ~wide
         found[inside] = reached[inside]
     return np.asarray(found)
