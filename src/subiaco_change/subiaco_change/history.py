@@ -18,7 +18,7 @@ from shapely.geometry import MultiPolygon
 
 from subiaco_change.config import ChangeConfig
 from subiaco_change.job import ChangeJob, Work, run_change
-from subiaco_change.outputs.directory import write_layer
+from subiaco_change.outputs.geopackage import write_layer
 from subiaco_change.outputs.reviews import read_reviewed, same_objects
 from subiaco_change.outputs.table import write_csv
 from subiaco_geo.atomic import refuse_existing, refuse_foreign, whole_directory

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import logging
 import platform
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
@@ -13,11 +12,11 @@ from pathlib import Path
 from typing import Any
 
 import geopandas as gpd
-import pandas as pd
 
 from subiaco_change.changes.confidence import Calibration
 from subiaco_change.outputs import table as outputs_table
 from subiaco_change.outputs.clouds import write_labelled
+from subiaco_change.outputs.geopackage import write_geopackage, write_layer
 from subiaco_change.outputs.hashing import hash_path
 from subiaco_change.outputs.json_text import write_json
 from subiaco_change.outputs.parcels import build_parcels, coverage_polygons
@@ -56,6 +55,7 @@ _PACKAGES = (
     "subiaco-change",
     "numpy",
     "scipy",
+    "open3d-cpu",
     "open3d",
     "small-gicp",
     "geopandas",
@@ -115,7 +115,7 @@ def run_document(
     result: ChangeResult | TiledResult,
     config: StrictModel,
     inputs: ChangeInputs,
-    table: pd.DataFrame,
+    table_hash: str,
     points: Mapping[str, int],
     coverage: Coverage,
     lod: LodRaster,
@@ -123,7 +123,7 @@ def run_document(
     """Return the content of ``run.json``; ``points`` by epoch, areas from ``coverage`` and ``lod``."""
     sources = {"before": inputs.before, "after": inputs.after}
     return {
-        "table_hash": outputs_table.table_hash(table),
+        "table_hash": table_hash,
         "config_hash": config_hash(config),
         "versions": _versions(),
         "inputs": {
@@ -174,7 +174,8 @@ def write_change_directory(
     refuse_existing(directory, overwrite)
     refuse_foreign(directory, MARKER)
     crs = result.crs
-    table = outputs_table.build_table(result.records, crs, _survey_days(inputs))
+    found = outputs_table.build_table(result.records, crs, _survey_days(inputs))
+    digest, table = outputs_table.table_hash(found), outputs_table.with_regular_outlines(found)
     previous = read_reviewed(directory)
     lost = table.iloc[:0]
     if previous is not None:
@@ -191,14 +192,7 @@ def write_change_directory(
                 directory,
                 len(lost),
             )
-        write_layer(target / "changes.gpkg", "coverage", coverage_polygons(coverage, crs))
-        if inputs.lots is not None:
-            parcels = build_parcels(table, inputs.lots, coverage)
-            write_layer(target / "changes.gpkg", "parcels", parcels)
-            outputs_table.write_csv(target / "parcels.csv", parcels)
-        embed_styles(
-            target / "changes.gpkg", ("coverage",) if inputs.lots is None else ("coverage", "parcels")
-        )
+        _write_areas(target, table, inputs.lots, coverage)
         points = {
             epoch: write_labelled(target, epoch, partial(result.epoch, epoch), ellipsoidal=inputs.ellipsoidal)
             for epoch in ("before", "after")
@@ -211,7 +205,7 @@ def write_change_directory(
             result.blocks.to_csv(target / "registration_blocks.csv", index=False, float_format="%.4f")
         write_json(target / "registration.json", registration_document(result.registration, crs))
         write_config(target / "config.yaml", config)
-        write_json(target / "run.json", run_document(result, config, inputs, table, points, coverage, lod))
+        write_json(target / "run.json", run_document(result, config, inputs, digest, points, coverage, lod))
         write_project(target, crs, coverage.bounds)
         build_report(target)
 
@@ -245,14 +239,20 @@ def rebuild(directory: Path) -> Path:
     return page
 
 
-def write_layer(package: Path, name: str, frame: gpd.GeoDataFrame) -> None:
-    """Add a layer of polygons to a GeoPackage."""
-    with warnings.catch_warnings():  # a local map has no CRS, and says so elsewhere
-        warnings.filterwarnings("ignore", message="'crs' was not provided")
-        frame.to_file(package, layer=name, driver="GPKG", engine="pyogrio", geometry_type="MultiPolygon")
-
-
 def _write_table(target: Path, table: gpd.GeoDataFrame) -> None:
     outputs_table.write_csv(target / "changes.csv", table)
-    outputs_table.write_geopackage(target / "changes.gpkg", table)
+    write_geopackage(target / "changes.gpkg", table)
     outputs_table.write_parquet(target / "changes.parquet", table)
+
+
+def _write_areas(
+    target: Path, table: gpd.GeoDataFrame, lots: gpd.GeoDataFrame | None, coverage: Coverage
+) -> None:
+    """Write the layers ``coverage`` and, with lots, ``parcels``, with their styles."""
+    package = target / "changes.gpkg"
+    write_layer(package, "coverage", coverage_polygons(coverage, table.crs))
+    if lots is not None:
+        parcels = build_parcels(table, lots, coverage)
+        write_layer(package, "parcels", parcels)
+        outputs_table.write_csv(target / "parcels.csv", parcels)
+    embed_styles(package, ("coverage",) if lots is None else ("coverage", "parcels"))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import warnings
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -14,7 +13,7 @@ import pandas as pd
 from shapely.geometry import MultiPolygon, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from subiaco_change.outputs.style import embed_styles
+from subiaco_change.outputs.building_outline import regular_outline
 from subiaco_change.records import ChangeRecord
 from subiaco_geo.codes import Semantic
 from subiaco_geo.csv_cells import escape_cell, restore_cell
@@ -54,6 +53,9 @@ COLUMNS = (
     "date_before",
     "date_after",
 )
+#: Columns that :func:`table_hash` covers. A column that is added to :data:`COLUMNS` later enters it only when
+#: the method changes with it, so that a hash stays comparable between versions.
+HASHED_COLUMNS = (*COLUMNS[: COLUMNS.index("date_after") + 1], "reason")
 #: Columns that tables of version 1 lack; they read as missing values.
 _LATER = COLUMNS[COLUMNS.index("delta_h_low_m") :]
 #: Columns that people fill in; they survive a rerun of the same pair.
@@ -180,9 +182,22 @@ def build_table(
     return gpd.GeoDataFrame(frame, geometry=geometry, crs=crs)
 
 
+def with_regular_outlines(table: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
+    """Return a table whose buildings have footprints with right angles, of the same areas."""
+    is_building = (table["class"] == Semantic.BUILDING.label).to_numpy()
+    shapes = [
+        regular_outline(shape) if chosen else shape
+        for shape, chosen in zip(table.geometry, is_building, strict=True)
+    ]
+    return table.set_geometry(gpd.GeoSeries(shapes, index=table.index, crs=table.crs))
+
+
 def table_hash(table: pd.DataFrame) -> str:
-    """Return a hash of every computed column and footprint, but not of names and reviews of earlier runs."""
-    computed = table[[*COLUMNS, "reason"]]
+    """Return a hash of what the method found: :data:`HASHED_COLUMNS` and footprints of :func:`build_table`.
+
+    Names and reviews of earlier runs do not enter it, nor do the outlines of :func:`with_regular_outlines`.
+    """
+    computed = table[list(HASHED_COLUMNS)]
     digest = hashlib.sha256(computed.to_csv(index=False, lineterminator="\n").encode())
     for shape in table.geometry:
         digest.update(shape.normalize().wkt.encode())
@@ -219,16 +234,6 @@ def read_csv(path: Path) -> pd.DataFrame:
     texts = [name for name in TEXT_COLUMNS if name in frame.columns]
     frame[texts] = frame[texts].fillna("").map(restore_cell)
     return frame
-
-
-def write_geopackage(path: Path, table: gpd.GeoDataFrame) -> None:
-    """Write layers ``objects`` and ``ground``, with styles that QGIS applies by itself."""
-    is_ground = table["class"] == Semantic.GROUND.label
-    for layer, rows in (("objects", table[~is_ground]), ("ground", table[is_ground])):
-        with warnings.catch_warnings():  # a local map has no CRS, and says so elsewhere
-            warnings.filterwarnings("ignore", message="'crs' was not provided")
-            rows.to_file(path, layer=layer, driver="GPKG", engine="pyogrio", geometry_type="MultiPolygon")
-    embed_styles(path, ("objects", "ground"))
 
 
 def write_parquet(path: Path, table: gpd.GeoDataFrame) -> None:

@@ -10,6 +10,7 @@ import numpy as np
 import pandas as pd
 
 from subiaco_change.outputs.raster import Coverage
+from subiaco_change.outputs.review_state import is_rejected
 from subiaco_change.records import CHANGE_COLOURS
 from subiaco_change.report.gathering import LodCounts
 from subiaco_geo.codes import Change, Semantic
@@ -34,7 +35,7 @@ def is_simulated(run: Mapping[str, Any]) -> bool:
 
 
 def changed_rows(table: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
-    """Return the rows called changed, the surest first."""
+    """Return the rows called changed, those that a reviewer rejected too, the surest first."""
     rows = table[table["label"].isin(CHANGED_LABELS)]
     return rows.sort_values(["confidence", "object_id"], ascending=[False, True])
 
@@ -94,7 +95,8 @@ def unseen_facts(table: pd.DataFrame, coverage: Coverage) -> dict[str, Any]:
 
 
 def summary(table: pd.DataFrame) -> list[dict[str, Any]]:
-    """Return counts by class (rows) and label, with totals last."""
+    """Return counts by class (rows) and label, with totals last; rejected rows are left out."""
+    table = table[~is_rejected(table)]
     counts = pd.crosstab(table["class"], table["label"]).reindex(
         index=[s.label for s in Semantic], columns=[c.label for c in Change], fill_value=0
     )

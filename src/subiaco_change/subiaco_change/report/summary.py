@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from subiaco_change.outputs.raster import COVERAGE, Coverage
 from subiaco_change.outputs.reading import ChangeDirectory
+from subiaco_change.outputs.review_state import is_rejected, review_counts
 from subiaco_change.outputs.style import COVERAGE_COLOURS
 from subiaco_change.records import CHANGE_COLOURS
 from subiaco_change.report.citymap import city_map, webp_uri
@@ -49,7 +50,8 @@ def build_summary(
     pictures : mapping of int to Evidence
         By object id, for every changed row.
     """
-    changed = changed_rows(change.table)
+    claimed = changed_rows(change.table)
+    changed = claimed[~is_rejected(claimed)]
     largest = largest_rows(changed)
     calibrated = bool(change.run.get("confidence_calibrated", False))
     return {
@@ -60,6 +62,7 @@ def build_summary(
         "labels": list(CHANGED_LABELS),
         "colours": {c.label: f"rgb{CHANGE_COLOURS[c]}" for c in Change},
         "changed": len(changed),
+        "reviews": review_counts(change.table),
         "bands": [
             {
                 "name": f"{word} ({span})" if calibrated else span,
