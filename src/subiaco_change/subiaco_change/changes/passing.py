@@ -55,13 +55,13 @@ def own_survey(view: EpochView, observed: Observed) -> OwnSurvey:
 def drove_by(
     things: Sequence[Thing], semantic: Semantic, own: OwnSurvey | None, rules: DecisionConfig
 ) -> Decision | None:
-    """Tell a trail from a thing: by the verdict of mapping, which rests on times, else by counts of beams.
+    """Tell a trail from a thing: by the probability that its points moved, else by counts of beams.
 
-    What was seen for a moment only is claimed to be neither (Decision 21).
+    What is as likely to have moved as not is claimed to be neither (Decision 21).
     """
     moved = moved_share(things)
     if moved is not None:
-        return _by_times(moved, things, rules)
+        return _by_probability(moved, things, rules)
     top = max(float(t.voxels.height.max()) for t in things)
     passed = min(float(np.quantile(t.passed, 0.25)) if len(t.passed) else 0.0 for t in things)
     least = min(rules.trail_passes_high, rules.trail_passes_lane)
@@ -77,16 +77,17 @@ def drove_by(
     return Decision(Change.NOT_REPORTED, reason, passed / enough)
 
 
-def _by_times(moved: float, things: Sequence[Thing], rules: DecisionConfig) -> Decision | None:
+def _by_probability(moved: float, things: Sequence[Thing], rules: DecisionConfig) -> Decision | None:
     """Decide by the mean probability of having moved: moved, too uncertain to say, or None where it stood."""
     if moved >= rules.trail_moved:
-        reason = f"Probability of {moved:.0%} of having moved while it was mapped, by the times of beams,"
+        reason = f"Probability of {moved:.0%} of having moved while it was mapped"
         reason += f" exceeds the limit of {rules.trail_moved:.0%}."
         return Decision(Change.NOT_REPORTED, reason, moved / rules.trail_moved)
     uncertain = moved_at_most(things)
     if uncertain < rules.trail_uncertain:
         return None
-    reason = f"Its own survey saw it too briefly to exclude that it moved (probability {uncertain:.0%})."
+    reason = f"It may have moved while it was mapped (probability {uncertain:.0%},"
+    reason += f" limit {rules.trail_uncertain:.0%})."
     return Decision(Change.UNOBSERVED, reason, 1.0 - uncertain)
 
 
@@ -113,7 +114,7 @@ def trusted(decision: Decision, things: Sequence[Thing], confidence: float) -> t
     moved = moved_at_most(things)
     if 1.0 - moved >= confidence:
         return confidence, decision.reason
-    told = f"{decision.reason}; seen too briefly to exclude that it moved (probability {moved:.0%})"
+    told = f"{decision.reason}; it may have moved while it was mapped (probability {moved:.0%})"
     return 1.0 - moved, told
 
 
