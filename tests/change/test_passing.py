@@ -118,7 +118,7 @@ def test_what_is_as_likely_a_trail_as_an_object_is_not_claimed(moved: float, cla
     assert (decision is None) == claimed
     if decision is not None:
         assert decision.change is Change.UNOBSERVED
-        assert f"(probability {moved:.0%})" in decision.reason
+        assert f"(probability {moved:.0%}, limit 50%)" in decision.reason
 
 
 @pytest.mark.parametrize(("moved", "expected"), [(0.0, 0.9), (0.3, 0.7), (0.5, 0.5)])
