@@ -8,8 +8,10 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 import pyogrio
+from pyproj.exceptions import ProjError
 from rasterio.features import rasterize, shapes
 from rasterio.transform import from_origin
+from shapely.errors import ShapelyError
 from shapely.geometry import MultiPolygon, shape
 
 from subiaco_change.outputs.raster import COVERAGE, Coverage
@@ -17,6 +19,12 @@ from subiaco_geo.codes import Change
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
 
+#: What libraries raise where a vector file is damaged.
+_FAULTS = (
+    pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, pyogrio.errors.FeatureError,
+    pyogrio.errors.GeometryError, pyogrio.errors.CRSError, OSError, ValueError, ShapelyError, ProjError,
+    LookupError, TypeError, OverflowError,
+)  # fmt: skip
 #: Labels that count as a change.
 CHANGED = (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED)
 OUTSIDE = "outside all lots"  # name of the row that takes what lies on no lot
@@ -49,8 +57,9 @@ def read_lots(path: Path, crs: str | None) -> gpd.GeoDataFrame:
         )
     try:
         frame = gpd.read_file(path, engine="pyogrio")
-    except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, OSError) as error:
-        raise InputError(f"{path}: no lots could be read ({error}); give a GeoPackage or GeoJSON") from error
+    except _FAULTS as error:
+        said = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{path}: no lots could be read ({said}); give a GeoPackage or GeoJSON") from error
     if "geometry" not in frame.columns or frame.crs is None:
         raise InputError(f"{path}: lots need polygons with a CRS; assign one in QGIS and export again")
     areas = frame[frame.geometry.geom_type.isin(["Polygon", "MultiPolygon"])]
@@ -59,7 +68,14 @@ def read_lots(path: Path, crs: str | None) -> gpd.GeoDataFrame:
     names = {str(column).lower(): column for column in areas.columns}
     key = next((names[k] for k in ("lot_id", "lot", "id", "name") if k in names), None)
     lots = [str(v) for v in (areas.index if key is None else areas[key])]
-    return gpd.GeoDataFrame({"lot": lots}, geometry=areas.geometry.to_crs(crs).make_valid().values, crs=crs)
+    try:
+        outlines = areas.geometry.to_crs(crs).make_valid()
+    except (ShapelyError, ProjError) as error:
+        said = " ".join(str(error).split())
+        raise InputError(f"{path}: outlines of lots are damaged ({said}); repair them in QGIS") from error
+    if not np.isfinite(outlines.bounds.to_numpy()).all():
+        raise InputError(f"{path}: lots lie outside the area of {crs}; check the CRS of the file")
+    return gpd.GeoDataFrame({"lot": lots}, geometry=outlines.values, crs=crs)
 
 
 def build_parcels(table: gpd.GeoDataFrame, lots: gpd.GeoDataFrame, coverage: Coverage) -> gpd.GeoDataFrame:

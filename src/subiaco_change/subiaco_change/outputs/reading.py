@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -13,6 +12,7 @@ import geopandas as gpd
 
 from subiaco_change.outputs import table as outputs_table
 from subiaco_change.outputs.clouds import labelled_path, open_labelled, read_labelled
+from subiaco_change.outputs.documents import RegistrationDocument, RunDocument, read_document
 from subiaco_geo.cloud_windows import CloudFile
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.errors import InputError
@@ -61,19 +61,9 @@ def read_change_directory(directory: Path) -> ChangeDirectory:
             raise InputError(f"{directory}: {name} is missing; not the output of 'subiaco change'")
     for epoch in ("before", "after"):
         labelled_path(directory, epoch)
-    table = outputs_table.read_csv(directory / "changes.csv")
-    shapes = gpd.read_parquet(directory / "changes.parquet", columns=["object_id", "geometry"])
     return ChangeDirectory(
         directory,
-        gpd.GeoDataFrame(table, geometry=shapes.geometry.values, crs=shapes.crs),
-        _read_json(directory / "registration.json"),
-        _read_json(directory / "run.json"),
+        outputs_table.with_footprints(directory, outputs_table.read_csv(directory / "changes.csv")),
+        read_document(directory / "registration.json", RegistrationDocument),
+        read_document(directory / "run.json", RunDocument),
     )
-
-
-def _read_json(path: Path) -> dict[str, Any]:
-    try:
-        document = json.loads(path.read_text())
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: not valid JSON ({error}); run 'subiaco change' again") from error
-    return dict(document)

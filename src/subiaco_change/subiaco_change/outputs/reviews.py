@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import geopandas as gpd
 import numpy as np
 import pandas as pd
 
-from subiaco_change.outputs.table import REVIEW_COLUMNS, STATISTICS, read_csv
+from subiaco_change.outputs.table import REVIEW_COLUMNS, STATISTICS, read_csv, with_footprints
+from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Ints
 
 _REVIEWS = """
@@ -26,16 +28,27 @@ def read_reviewed(directory: Path) -> gpd.GeoDataFrame | None:
     frame = read_csv(directory / "changes.csv")
     package = directory / "changes.gpkg"
     if package.is_file() and "object_uid" in frame.columns:
-        with sqlite3.connect(package) as connection:
-            edited = pd.read_sql_query(_REVIEWS, connection).fillna("").set_index("object_uid")
+        edited = _typed_into(package)
         for name in REVIEW_COLUMNS:
             typed = frame["object_uid"].map(edited[name]).fillna("")
             frame[name] = frame[name].where(frame[name] != "", typed)
     if not (directory / "changes.parquet").is_file():
         return None
-    shapes = gpd.read_parquet(directory / "changes.parquet", columns=["object_id", "geometry"])
-    footprints = frame["object_id"].map(shapes.set_index("object_id").geometry)
-    return gpd.GeoDataFrame(frame, geometry=gpd.GeoSeries(footprints, crs=shapes.crs), crs=shapes.crs)
+    return with_footprints(directory, frame)
+
+
+def _typed_into(package: Path) -> pd.DataFrame:
+    """Return the reviews of a GeoPackage as texts, by ``object_uid``."""
+    try:
+        with closing(sqlite3.connect(package)) as connection:
+            edited = pd.read_sql_query(_REVIEWS, connection)
+    except (sqlite3.Error, pd.errors.DatabaseError, OverflowError, UnicodeDecodeError) as error:
+        said = " ".join(str(error).split())[-200:]
+        raise InputError(
+            f"{package}: reviews cannot be read ({said}); repair it in QGIS or move it away"
+        ) from error
+    texts = edited.fillna("").astype(str).drop_duplicates("object_uid")
+    return texts.set_index("object_uid")
 
 
 def same_objects(table: gpd.GeoDataFrame, previous: gpd.GeoDataFrame) -> tuple[Ints, Ints]:
