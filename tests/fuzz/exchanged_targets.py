@@ -236,6 +236,9 @@ def _change_directory() -> Path:
 
 def _make_change(folder: Path) -> None:
     shutil.copytree(_change_directory(), folder)
+    rows = (folder / "changes.csv").read_text().splitlines()
+    uid = rows[1].split(",")[rows[0].split(",").index("object_uid")]
+    (folder / "reviews.csv").write_text(f"object_uid,review,reviewer,note\n{uid},confirmed,ab,seen\n")
 
 
 def _read_change(folder: Path) -> object:
@@ -590,6 +593,7 @@ EXCHANGED = (
     Target("watch manifest", ".yaml", _read_manifest, lambda _folder: [_MANIFEST]),
     Target("street lights", ".geojson", _read_streets, _json(_STREETS), named=""),
     part("change changes.csv", "changes.csv", _make_change, _read_change),
+    part("change reviews.csv", "reviews.csv", _make_change, _read_change),
     part("change changes.parquet", "changes.parquet", _make_change, _read_change, damaged_parquet),
     part("change changes.gpkg", "changes.gpkg", _make_change, _read_change, damaged_database),
     part("change coverage.tif", "coverage.tif", _make_change, _read_coverage),

@@ -11,7 +11,7 @@ import numpy as np
 
 from subiaco_geo.bag_files import sequence_name
 from subiaco_geo.bags import BagReader, hash_bag, packet_from_cdr, require_topic
-from subiaco_geo.crs import require_ellipsoidal
+from subiaco_geo.crs_area import require_usable
 from subiaco_geo.errors import InputError, errors_name
 from subiaco_geo.simulated import mark_simulated
 from subiaco_geo.survey_map import SurveyMap
@@ -196,7 +196,7 @@ def map_survey(
     """
     if not bags:
         raise InputError("no bag given; name at least one rosbag2 folder, .mcap or simulated epoch folder")
-    require_ellipsoidal(config.crs)
+    require_usable(config.crs)
     report = progress or silent
     with opened(journal, config, resume=resume) as work:
         backend = JournalledBackend(config, work)

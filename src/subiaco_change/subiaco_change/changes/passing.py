@@ -55,12 +55,12 @@ def own_survey(view: EpochView, observed: Observed) -> OwnSurvey:
 def drove_by(
     things: Sequence[Thing], semantic: Semantic, own: OwnSurvey | None, rules: DecisionConfig
 ) -> Decision | None:
-    """Tell a trail from a thing: by the verdict of mapping, which rests on times, else by counts of beams."""
+    """Tell a trail from a thing: by the probability that its points moved, else by counts of beams."""
     moved = moved_share(things)
     if moved is not None:
         if moved < rules.trail_moved:
             return None
-        reason = f"Probability of {moved:.0%} of having moved while it was mapped, by the times of beams,"
+        reason = f"Probability of {moved:.0%} of having moved while it was mapped"
         reason += f" exceeds the limit of {rules.trail_moved:.0%}."
         return Decision(Change.NOT_REPORTED, reason, moved / rules.trail_moved)
     top = max(float(t.voxels.height.max()) for t in things)
@@ -96,7 +96,7 @@ def trusted(decision: Decision, things: Sequence[Thing], confidence: float) -> t
     moved = float(max(points.mean(), np.median(points)))
     if 1.0 - moved >= confidence:
         return confidence, decision.reason
-    told = f"{decision.reason}; seen too briefly to exclude that it moved (probability {moved:.0%})"
+    told = f"{decision.reason}; it may have moved while it was mapped (probability {moved:.0%})"
     return 1.0 - moved, told
 
 

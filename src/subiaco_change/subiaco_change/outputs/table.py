@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import warnings
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -16,7 +15,7 @@ from shapely.errors import ShapelyError
 from shapely.geometry import MultiPolygon, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from subiaco_change.outputs.style import embed_styles
+from subiaco_change.outputs.building_outline import regular_outline
 from subiaco_change.records import ChangeRecord
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.csv_cells import escape_cell, restore_cell
@@ -56,6 +55,9 @@ COLUMNS = (
     "date_before",
     "date_after",
 )
+#: Columns that :func:`table_hash` covers. A column that is added to :data:`COLUMNS` later enters it only when
+#: the method changes with it, so that a hash stays comparable between versions.
+HASHED_COLUMNS = (*COLUMNS[: COLUMNS.index("date_after") + 1], "reason")
 #: Columns that tables of version 1 lack; they read as missing values.
 _LATER = COLUMNS[COLUMNS.index("delta_h_low_m") :]
 #: Columns that people fill in; they survive a rerun of the same pair.
@@ -184,9 +186,22 @@ def build_table(
     return gpd.GeoDataFrame(frame, geometry=geometry, crs=crs)
 
 
+def with_regular_outlines(table: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
+    """Return a table whose buildings have footprints with right angles, of the same areas."""
+    is_building = (table["class"] == Semantic.BUILDING.label).to_numpy()
+    shapes = [
+        regular_outline(shape) if chosen else shape
+        for shape, chosen in zip(table.geometry, is_building, strict=True)
+    ]
+    return table.set_geometry(gpd.GeoSeries(shapes, index=table.index, crs=table.crs))
+
+
 def table_hash(table: pd.DataFrame) -> str:
-    """Return a hash of every computed column and footprint, but not of names and reviews of earlier runs."""
-    computed = table[[*COLUMNS, "reason"]]
+    """Return a hash of what the method found: :data:`HASHED_COLUMNS` and footprints of :func:`build_table`.
+
+    Names and reviews of earlier runs do not enter it, nor do the outlines of :func:`with_regular_outlines`.
+    """
+    computed = table[list(HASHED_COLUMNS)]
     digest = hashlib.sha256(computed.to_csv(index=False, lineterminator="\n").encode())
     for shape in table.geometry:
         digest.update(shape.normalize().wkt.encode())
@@ -248,39 +263,42 @@ def _refuse_strange(path: Path, frame: pd.DataFrame) -> None:
             )
 
 
-def with_footprints(directory: Path, table: pd.DataFrame) -> gpd.GeoDataFrame:
-    """Give a table the footprints of ``changes.parquet``, by object id.
+def read_stored(path: Path) -> gpd.GeoDataFrame:
+    """Read a table written by :func:`write_parquet`: the review columns as they were stored, and footprints.
 
     Raises
     ------
     InputError
-        The file is damaged, or lacks an object of the table.
+        The file is damaged, or holds no footprints.
     """
-    path = directory / "changes.parquet"
     try:
-        shapes = gpd.read_parquet(path, columns=["object_id", "geometry"])
-        found = table["object_id"].map(shapes.set_index("object_id").geometry)
-        outlines = gpd.GeoSeries(found, crs=shapes.crs)
+        stored = gpd.read_parquet(path)
+        stored.geometry.is_empty.any()  # a damaged outline is found here
     except _PARQUET_FAULTS as error:
         said = " ".join(str(error).split())[-300:]
         raise InputError(f"{path}: footprints cannot be read ({said}); run 'subiaco change' again") from error
+    if "object_id" not in stored.columns or stored["object_id"].duplicated().any():
+        raise InputError(f"{path}: column object_id does not number the objects; run 'subiaco change' again")
+    return stored
+
+
+def with_footprints(table: pd.DataFrame, stored: gpd.GeoDataFrame, path: Path) -> gpd.GeoDataFrame:
+    """Give a table the footprints of a stored one, by object id.
+
+    Raises
+    ------
+    InputError
+        An object of the table has none; ``path`` is the file of the stored one.
+    """
+    found = table["object_id"].map(stored.set_index("object_id").geometry)
+    outlines = gpd.GeoSeries(found, crs=stored.crs)
     lacking = table.loc[(outlines.isna() | outlines.is_empty).to_numpy(), "object_id"]
     if len(lacking):
         raise InputError(
             f"{path}: no footprint of object {lacking.iloc[0]}; the files beside it are of another run:"
             " run 'subiaco change' again"
         )
-    return gpd.GeoDataFrame(table, geometry=outlines, crs=shapes.crs)
-
-
-def write_geopackage(path: Path, table: gpd.GeoDataFrame) -> None:
-    """Write layers ``objects`` and ``ground``, with styles that QGIS applies by itself."""
-    is_ground = table["class"] == Semantic.GROUND.label
-    for layer, rows in (("objects", table[~is_ground]), ("ground", table[is_ground])):
-        with warnings.catch_warnings():  # a local map has no CRS, and says so elsewhere
-            warnings.filterwarnings("ignore", message="'crs' was not provided")
-            rows.to_file(path, layer=layer, driver="GPKG", engine="pyogrio", geometry_type="MultiPolygon")
-    embed_styles(path, ("objects", "ground"))
+    return gpd.GeoDataFrame(table, geometry=outlines, crs=stored.crs)
 
 
 def write_parquet(path: Path, table: gpd.GeoDataFrame) -> None:

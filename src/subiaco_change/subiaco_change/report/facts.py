@@ -10,9 +10,11 @@ import numpy as np
 import pandas as pd
 
 from subiaco_change.outputs.raster import Coverage
+from subiaco_change.outputs.review_state import is_rejected
 from subiaco_change.records import CHANGE_COLOURS
 from subiaco_change.report.gathering import LodCounts
 from subiaco_geo.codes import Change, Semantic
+from subiaco_geo.findings import Finding
 from subiaco_geo.frames import rotation_angle
 from subiaco_geo.simulated import SIMULATIONS
 
@@ -28,13 +30,21 @@ _MEANINGS = {
 }
 
 
+def findings(run: Mapping[str, Any], registration: Mapping[str, Any]) -> list[dict[str, str]]:
+    """Return what speaks against a result, what is serious first; of a run without a list, its warnings."""
+    if "findings" in run:
+        return list(run["findings"])
+    texts = [*registration.get("warnings", []), *run.get("warnings", [])]
+    return [Finding("unnamed", "warning", text).document() for text in texts]
+
+
 def is_simulated(run: Mapping[str, Any]) -> bool:
     """Tell whether an epoch of the run was simulated, as far as is known."""
     return bool(run.get("notes", {}).get(SIMULATIONS))
 
 
 def changed_rows(table: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
-    """Return the rows called changed, the surest first."""
+    """Return the rows called changed, those that a reviewer rejected too, the surest first."""
     rows = table[table["label"].isin(CHANGED_LABELS)]
     return rows.sort_values(["confidence", "object_id"], ascending=[False, True])
 
@@ -94,7 +104,8 @@ def unseen_facts(table: pd.DataFrame, coverage: Coverage) -> dict[str, Any]:
 
 
 def summary(table: pd.DataFrame) -> list[dict[str, Any]]:
-    """Return counts by class (rows) and label, with totals last."""
+    """Return counts by class (rows) and label, with totals last; rejected rows are left out."""
+    table = table[~is_rejected(table)]
     counts = pd.crosstab(table["class"], table["label"]).reindex(
         index=[s.label for s in Semantic], columns=[c.label for c in Change], fill_value=0
     )
