@@ -77,7 +77,7 @@ class Sight:
     def seen(self, points: Floats, surfaces: Floats) -> Mask:
         """Tell which points (N, 3) some pose sees past surfaces (S, 3), the points' own among them."""
         lines = self.lines(points)
-        used = np.unique(lines.pose)
+        used = np.unique(lines.pose).astype(np.int64)
         ends = np.concatenate([points, self.poses[used]])
         low, high = ends.min(axis=0)[:2] - 1.0, ends.max(axis=0)[:2] + 1.0
         near = surfaces[((surfaces[:, :2] > low) & (surfaces[:, :2] < high)).all(axis=1)]
