@@ -4,16 +4,21 @@ import json
 import re
 import shutil
 import subprocess
+import time
+from dataclasses import replace
 from html.parser import HTMLParser
 
 import numpy as np
 import pandas as pd
 import pytest
+from result_scene import SceneConfig
 
+from subiaco_change.outputs.directory import ChangeInputs, write_change_directory
 from subiaco_change.report import page as report_page
 from subiaco_change.report import pictures
 from subiaco_change.report.facts import CHANGED_LABELS, number, summary
 from subiaco_change.report.page import build_report, fullest_blocks
+from subiaco_geo.codes import Change
 from subiaco_geo.errors import InputError
 
 VOID = {"meta", "img", "input", "br", "link", "hr"}
@@ -118,6 +123,32 @@ def test_a_city_shows_the_blocks_with_most_changes_and_says_what_is_left_out(
     text = build_report(target).read_text()
     assert len(re.findall("<details", text)) == 1
     assert "1 blocks with fewer changes are left out" in text
+
+
+def test_nine_thousand_rows_make_a_page_that_a_browser_opens(result, tmp_path, monkeypatch):
+    rng = np.random.default_rng(5)
+    kinds = (Change.ADDED, Change.REMOVED, Change.UNCHANGED)
+    rows = [
+        replace(
+            result.records[k % 6], object_id=k, change=kinds[k % 3], confidence=float(rng.uniform(0.5, 1))
+        )
+        for k in range(9000)
+    ]
+    target = tmp_path / "out"
+    monkeypatch.setattr(report_page, "_MOST_PICTURES", 12)
+    begun = time.process_time()
+    write_change_directory(target, replace(result, records=tuple(rows)), SceneConfig(), ChangeInputs())
+    spent = time.process_time() - begun
+    text = (target / "report.html").read_text(encoding="utf-8")
+    page, words = Page(text), re.sub(r"<[^>]+>", "", text)
+    assert len(page.rows) == 3000
+    assert all(row["data-changed"] == "1" for row in page.rows.values())
+    assert "3000 of 9000 rows" in words
+    assert len([i for i in page.images if i["alt"].startswith("Object ")]) == 12
+    assert "5988 changed rows have no picture" in words
+    assert {link[1:] for link in page.links} <= page.ids
+    assert len(text) < 12e6
+    assert spent < 60.0
 
 
 def test_the_page_refers_to_nothing_outside_itself(html, page):

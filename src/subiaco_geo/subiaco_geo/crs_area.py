@@ -8,7 +8,7 @@ from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
-from pyproj import CRS, Geod, Proj
+from pyproj import CRS, Geod, Proj, Transformer
 from pyproj.aoi import AreaOfInterest
 from pyproj.database import query_crs_info
 from pyproj.enums import PJType
@@ -17,6 +17,7 @@ from pyproj.transformer import TransformerGroup
 
 from subiaco_geo.crs import horizontal, require_ellipsoidal, require_map_crs
 from subiaco_geo.errors import InputError
+from subiaco_geo.frames import Floats
 
 #: Largest difference of the projection's scale from 1; the edge of a UTM zone at the equator has 0.00098.
 MAX_SCALE = 0.001
@@ -55,19 +56,47 @@ def require_inside(latitude: float, longitude: float, crs: str) -> None:
         )
 
 
+def area_contains(crs: CRS, latitude: float, longitude: float, margin: float = 0.0) -> bool:
+    """Tell whether the area of use of a CRS holds a place [deg]; one without an area holds every place."""
+    area = crs.area_of_use
+    if area is None:
+        return True
+    width = (area.east - area.west) % 360.0 or 360.0  # areas may cross the 180th meridian
+    east = (longitude - area.west + margin) % 360.0
+    return bool(area.south - margin <= latitude <= area.north + margin and east <= width + 2 * margin)
+
+
 def _why_not(latitude: float, longitude: float, crs: CRS) -> str | None:
-    area = horizontal(crs).area_of_use
-    if area is not None:
-        width = (area.east - area.west) % 360.0 or 360.0  # areas may cross the 180th meridian
-        east = (longitude - area.west + MARGIN_DEG) % 360.0
-        south, north = area.south - MARGIN_DEG, area.north + MARGIN_DEG
-        if not (south <= latitude <= north and east <= width + 2 * MARGIN_DEG):
-            return f"are outside its area of use ({(area.name or 'unnamed').split(':')[0].rstrip('.')})"
+    flat = horizontal(crs)
+    if not area_contains(flat, latitude, longitude, MARGIN_DEG):
+        area = flat.area_of_use
+        name = (area.name if area is not None else None) or "unnamed"
+        return f"are outside its area of use ({name.split(':')[0].rstrip('.')})"
     scales = scale_factors(latitude, longitude, crs)
     worst = float(np.abs(scales - 1.0).max()) if np.isfinite(scales).all() else np.inf
     if worst > MAX_SCALE:
         return f"are where its lengths are off by {1e3 * min(worst, 9.999):.1f} m a kilometre"
     return None
+
+
+def outside(place: Floats, crs: str) -> str | None:
+    """Say why a CRS is not made for a place (3,) that is given in it [m]; None where it is.
+
+    Returns
+    -------
+    str or None
+        A clause such as ``latitude -32.0, longitude 115.9, are outside its area of use (...)``.
+    """
+    found = require_map_crs(crs)
+    geodetic = horizontal(found).geodetic_crs
+    if geodetic is None:
+        return None
+    projection = Transformer.from_crs(geodetic.to_3d(), horizontal(found).to_3d(), always_xy=True)
+    lon, lat, _ = projection.transform(*place.tolist(), direction="INVERSE")
+    if not np.isfinite([lon, lat]).all():
+        return "are outside its range"
+    why = _why_not(lat, lon, found)
+    return None if why is None else f"latitude {lat:.4f}, longitude {lon:.4f}, {why}"
 
 
 def scale_factors(latitude: float, longitude: float, crs: CRS) -> NDArray[np.float64]:

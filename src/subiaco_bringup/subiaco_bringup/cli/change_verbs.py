@@ -12,6 +12,7 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
+from subiaco_bringup.cli.finding_box import say_findings
 from subiaco_bringup.cli.options import (
     AsJson,
     ConfigFiles,
@@ -165,6 +166,8 @@ def change(
                 work=work,
             )
         say(f"history: {output / 'history.csv'} ({len(history)} objects)", quiet=quiet)
+        for found in sorted(output.glob("*_to_*/run.json")):
+            say_findings(found.parent)
         return
     before, after = epochs
     job = ChangeJob(
@@ -175,6 +178,7 @@ def change(
     counts = Counter(record.change.label for record in records)
     listed = ", ".join(f"{count} {label}" for label, count in sorted(counts.items()))
     say(f"changes: {output} ({listed or 'no objects'}); open {output / 'report.html'}", quiet=quiet)
+    say_findings(output)
 
 
 def evaluate(

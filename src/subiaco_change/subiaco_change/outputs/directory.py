@@ -41,6 +41,7 @@ from subiaco_change.records import ChangeResult, Registration, TiledResult
 from subiaco_change.report.page import build_report
 from subiaco_geo.atomic import refuse_existing, refuse_foreign, whole_directory
 from subiaco_geo.config import StrictModel, config_hash, write_config
+from subiaco_geo.findings import SEVERITIES, Finding
 from subiaco_geo.work.tasks import peak_mib
 
 __all__ = ["ChangeDirectory", "ChangeInputs", "read_change_directory", "rebuild", "write_change_directory"]
@@ -71,7 +72,8 @@ class ChangeInputs:
     ``calibration`` tells what the confidences were fitted on; the report
     says where they were not calibrated. ``ellipsoidal`` tells that heights are known to
     be ellipsoidal, so that the LAZ files may say so. ``lots`` are
-    those of :func:`~subiaco_change.outputs.parcels.read_lots`, for the layer ``parcels``.
+    those of :func:`~subiaco_change.outputs.parcels.read_lots`, for the layer ``parcels``. ``findings`` are
+    those of the surveys and their registration (:mod:`subiaco_change.input_checks`).
     """
 
     before: Path | None = None
@@ -80,6 +82,7 @@ class ChangeInputs:
     calibration: Calibration = field(default_factory=Calibration)
     ellipsoidal: bool = False
     lots: gpd.GeoDataFrame | None = None
+    findings: tuple[Finding, ...] = ()
 
 
 def registration_document(registration: Registration, crs: str | None) -> dict[str, Any]:
@@ -111,6 +114,13 @@ def _versions() -> dict[str, str]:
     return found
 
 
+def findings_of(result: ChangeResult | TiledResult, inputs: ChangeInputs) -> tuple[Finding, ...]:
+    """Return all that speaks against a result, what is serious first."""
+    warned = tuple(Finding("registration", "warning", text) for text in result.registration.warnings)
+    found = (*inputs.findings, *result.findings, *warned)
+    return tuple(sorted(found, key=lambda finding: SEVERITIES.index(finding.severity)))
+
+
 def run_document(
     result: ChangeResult | TiledResult,
     config: StrictModel,
@@ -122,6 +132,7 @@ def run_document(
 ) -> dict[str, Any]:
     """Return the content of ``run.json``; ``points`` by epoch, areas from ``coverage`` and ``lod``."""
     sources = {"before": inputs.before, "after": inputs.after}
+    findings = findings_of(result, inputs)
     return {
         "table_hash": table_hash,
         "config_hash": config_hash(config),
@@ -142,7 +153,8 @@ def run_document(
         "seconds": dict(result.seconds),
         "stages": dict(result.costs) if isinstance(result, TiledResult) else {},
         "peak_memory_mib": peak_mib(),
-        "warnings": list(result.warnings),
+        "findings": [f.document() for f in findings],
+        "warnings": [f.text for f in findings],
     }
 
 

@@ -14,6 +14,7 @@ from subiaco_change.outputs.review_state import is_rejected
 from subiaco_change.records import CHANGE_COLOURS
 from subiaco_change.report.gathering import LodCounts
 from subiaco_geo.codes import Change, Semantic
+from subiaco_geo.findings import Finding
 from subiaco_geo.frames import rotation_angle
 from subiaco_geo.simulated import SIMULATIONS
 
@@ -27,6 +28,14 @@ _MEANINGS = {
     Change.NOT_REPORTED: "movable things such as cars that were matched; left out on purpose",
     Change.UNOBSERVED: "the other epoch could not see the place: nothing is claimed",
 }
+
+
+def findings(run: Mapping[str, Any], registration: Mapping[str, Any]) -> list[dict[str, str]]:
+    """Return what speaks against a result, what is serious first; of a run without a list, its warnings."""
+    if "findings" in run:
+        return list(run["findings"])
+    texts = [*registration.get("warnings", []), *run.get("warnings", [])]
+    return [Finding("unnamed", "warning", text).document() for text in texts]
 
 
 def is_simulated(run: Mapping[str, Any]) -> bool:

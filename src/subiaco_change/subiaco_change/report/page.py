@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 from typing import Any
 
+import geopandas as gpd
 import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
@@ -17,6 +18,7 @@ from subiaco_change.report.citymap import city_map
 from subiaco_change.report.facts import (
     CHANGED_LABELS,
     changed_rows,
+    findings,
     is_simulated,
     legend,
     lod_facts,
@@ -27,13 +29,15 @@ from subiaco_change.report.facts import (
 )
 from subiaco_change.report.gathering import Gathered, gather
 from subiaco_change.report.paint import height_range
-from subiaco_change.report.summary import build_summary
+from subiaco_change.report.summary import build_summary, largest_rows
 from subiaco_geo.atomic import whole_file
 from subiaco_geo.codes import Change, Semantic
 
 _SHOWN = ("change", "projection", "height", "semantics", "instances")
 #: Blocks beyond these, those with fewest changes, are left out: what bounds the report.
 _MOST_BLOCKS = 40
+#: Rows beyond these are in the files only, and changed rows beyond these have no picture.
+_MOST_ROWS, _MOST_PICTURES = 3000, 400
 #: Table columns of the report: column, heading, decimals (None for text), unit or explanation.
 #: Those of :data:`MORE` unfold on demand.
 TABLE_COLUMNS: tuple[tuple[str, str, int | None, str], ...] = (
@@ -102,11 +106,15 @@ def build_report(directory: Path) -> Path:
     changed = changed_rows(change.table)
     found = gather(change)
     blocks, marks = found.blocks.blocks(), changed_marks(changed)
-    drawn = dict(zip(changed["object_id"], evidence.evidence_pictures(found.epochs, changed), strict=True))
+    pictured = pictured_rows(changed, _MOST_PICTURES)
+    drawn = dict(zip(pictured["object_id"], evidence.evidence_pictures(found.epochs, pictured), strict=True))
     fullest = fullest_blocks(blocks, marks, _MOST_BLOCKS)
+    shown = changed.iloc[:_MOST_ROWS]
     context = report_context(change, found) | {
-        "map": city_map(found.city, changed),
+        "map": city_map(found.city, shown),
+        "linked": {str(number) for number in shown["object_id"]},
         "evidence": drawn,
+        "without_picture": len(changed) - len(drawn),
         "blocks": open_fullest([_block_context(found, block, marks) for block in fullest]),
         "left_out": len(blocks) - len(fullest),
         "evaluation": _evaluation(directory),
@@ -155,6 +163,12 @@ def fullest_blocks(
     return [block for index, block in enumerate(blocks) if index in kept]
 
 
+def pictured_rows(changed: gpd.GeoDataFrame, most: int) -> gpd.GeoDataFrame:
+    """Return the changed rows that get a picture: the largest changes, then those of highest confidence."""
+    first = largest_rows(changed)
+    return pd.concat([first, changed.drop(first.index)]).iloc[:most]
+
+
 def report_context(change: ChangeDirectory, found: Gathered) -> dict[str, Any]:
     """Return what the template needs beside the pictures."""
     return {
@@ -166,12 +180,13 @@ def report_context(change: ChangeDirectory, found: Gathered) -> dict[str, Any]:
         "summary": summary(change.table),
         "columns": TABLE_COLUMNS,
         "more": MORE,
-        "rows": table_rows(change.table),
+        "rows": table_rows(change.table)[:_MOST_ROWS],
+        "all_rows": len(change.table),
         "class_colours": {s.label: f"rgb{SEMANTIC_COLOURS[s]}" for s in Semantic},
         "labels": [c.label for c in Change],
         "classes": [s.label for s in Semantic],
         "simulated": is_simulated(change.run),
-        "warnings": [*change.registration.get("warnings", []), *change.run.get("warnings", [])],
+        "findings": findings(change.run, change.registration),
         "calibrated": bool(change.run.get("confidence_calibrated", False)),
         "not_calibrated": change.run.get("confidence_not_calibrated", []),
         "assumed": int((change.table["evidence"] == "assumed").sum()),

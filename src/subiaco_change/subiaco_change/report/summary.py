@@ -20,6 +20,7 @@ from subiaco_change.report.evidence import Evidence
 from subiaco_change.report.facts import (
     CHANGED_LABELS,
     changed_rows,
+    findings,
     is_simulated,
     lod_facts,
     summary,
@@ -53,6 +54,7 @@ def build_summary(
     claimed = changed_rows(change.table)
     changed = claimed[~is_rejected(claimed)]
     largest = largest_rows(changed)
+    found_findings = findings(change.run, change.registration)
     calibrated = bool(change.run.get("confidence_calibrated", False))
     return {
         "simulated": is_simulated(change.run),
@@ -78,7 +80,8 @@ def build_summary(
         "map": city_map(found.city, largest),
         "coverage": coverage_picture(found.coverage),
         "largest": [dict(row, picture=pictures[row["object_id"]]) for row in largest.to_dict("records")],
-        "warnings": [*change.registration.get("warnings", []), *change.run.get("warnings", [])],
+        "alarms": [f for f in found_findings if f["severity"] == "serious"],
+        "warnings": [f for f in found_findings if f["severity"] != "serious"],
     }
 
 

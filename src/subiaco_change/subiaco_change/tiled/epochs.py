@@ -19,7 +19,10 @@ from subiaco_change.registration.pair import (
     PairInfo,
     agree,
     check_extents,
+    check_places,
+    lowest_points,
     moved_trajectory,
+    refuse_height_offset,
     shares_origin,
 )
 from subiaco_change.spacing import PointSpacing
@@ -60,6 +63,7 @@ _LOG = logging.getLogger(__name__)
 ALONE = "epoch"
 #: Beyond the points of a task, beams are looked up so far [m].
 SIGHT = 6.0
+_HEIGHT_TILES = 50  # tiles that tell whether the heights of both epochs are of one kind
 _BEAMS = 0.5  # edge of a tile of counted beams, of a tile of points: tasks read few that are too far
 
 
@@ -116,6 +120,8 @@ class Epochs:
         self.simulated = all(epoch.info.get(SIMULATIONS) for epoch in epochs)
         self.info, operation = agree(before.crs, after.crs)
         both = before.crs is not None and after.crs is not None
+        if before.crs is not None and after.crs is not None:
+            check_places(before.origin, after.origin, before.crs, after.crs, operation)
         self.origin = after.origin
         shared = shares_origin(before.origin, after.origin, both)
         origins = (after.origin if shared else before.origin, after.origin)
@@ -130,6 +136,24 @@ class Epochs:
         if both:
             check_extents(extents[0], extents[1])
         self.sides = tuple(sides)
+
+    def check_heights(self) -> None:
+        """Refuse georeferenced epochs whose heights are of two kinds, from tiles that both have.
+
+        Raises
+        ------
+        InputError
+            See :func:`~subiaco_change.registration.pair.refuse_height_offset`.
+        """
+        if self.info.crs is None:
+            return
+        shared = sorted(self.clouds["before"].keys() & self.clouds["after"].keys())
+        chosen = shared[:: max(len(shared) // _HEIGHT_TILES, 1)]
+        low: list[dict[tuple[int, int], float]] = [{}, {}]
+        for e, side in enumerate(self.sides):
+            for name in chosen:
+                low[e] |= lowest_points(self.load(self.clouds[side.epoch][name])["xyz"] + side.origin)
+        refuse_height_offset(low[0], low[1])
 
     def follow_spacing(self) -> None:
         """Raise the lengths of the configuration to what the sparser epoch can show, once both are cut."""
