@@ -42,7 +42,7 @@ def test_they_survive_a_rerun_of_the_pair(directory, result, cheap_report):
 
 def test_what_is_no_picture_is_refused(directory, tmp_path):
     (tmp_path / "logo.svg").write_text("<svg/>")
-    with pytest.raises(InputError, match="give a .png"):
+    with pytest.raises(InputError, match="no logo"):
         store_project_facts(directory, None, None, tmp_path / "logo.svg")
     (directory / "project.json").write_text("{")
     with pytest.raises(InputError, match="not valid JSON"):

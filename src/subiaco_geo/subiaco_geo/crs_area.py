@@ -92,7 +92,7 @@ def outside(place: Floats, crs: str) -> str | None:
     if geodetic is None:
         return None
     projection = Transformer.from_crs(geodetic.to_3d(), horizontal(found).to_3d(), always_xy=True)
-    lon, lat, _ = projection.transform(*place.tolist(), direction="INVERSE")
+    lon, lat, _ = projection.transform(place[0], place[1], place[2], direction="INVERSE")
     if not np.isfinite([lon, lat]).all():
         return "are outside its range"
     why = _why_not(lat, lon, found)

@@ -71,7 +71,7 @@ def known_shifts(
     if geodetic is None:
         return
     projection = Transformer.from_crs(geodetic.to_3d(), flat.to_3d(), always_xy=True)
-    lon, lat, height = projection.transform(*place.tolist(), direction="INVERSE")
+    lon, lat, height = projection.transform(place[0], place[1], place[2], direction="INVERSE")
     covering = [frame for frame in _PLATE_FRAMES if area_contains(CRS(frame[1]), lat, lon)]
     if not np.isfinite([lon, lat, height]).all() or not covering:
         return
