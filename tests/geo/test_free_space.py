@@ -103,6 +103,16 @@ def test_what_holds_points_is_seen_and_is_not_free(street: ExpectedVisibility) -
     assert (street.free_probability(places) < 0.5).all()
 
 
+def test_a_place_without_points_just_behind_the_front_of_a_wall_is_unknown(
+    street: ExpectedVisibility,
+) -> None:
+    """Images are coarser than the cloud: that poses meet the wall near a place does not occupy the place."""
+    places = at((0, 9.9, 2.0), (3, 9.9, 1.0))
+    assert not street.occupied.holds(places).any()
+    assert (street.images.looks(places, street._limits()).surface > 0).all()
+    assert np.all(street.free_probability(places) >= 0.5)
+
+
 def test_beyond_the_useful_range_and_above_the_field_of_view_nothing_is_known() -> None:
     one = expected(scene(), lane()[:3])  # from x = -25 to -21 m
     far, high = at((40, 0, 1.5)), at((-24, 6, 9.0))

@@ -73,7 +73,7 @@ def _lit_odds(
     open_ground: float,
     config: TrailShapeConfig,
 ) -> float:
-    """Log odds of a trail by the ground beside it and beneath it, and by what is over it."""
+    """Log odds of a trail by the ground beside it, its height, and what is over it."""
     away = ndimage.distance_transform_edt(~cells)
     ring = (away > 1.5) & (away * config.cell < config.beside) & ~bodies
     if not ring.any():
@@ -81,9 +81,10 @@ def _lit_odds(
     ground, tops = raster.ground[window], raster.top[window]
     beside = float(ground[ring].mean())
     lit = limited((beside / open_ground - config.lit) / config.ground_scale)
-    beneath = limited((float(ground[cells].mean()) / max(beside, 0.1) - config.lit) / config.ground_scale)
+    reached = tops[cells & np.isfinite(tops)]
+    tall = limited((float(np.median(reached)) - config.thin_top) / config.thin_top_scale)
     over = limited((config.overhead - float((tops[cells] > config.body_top).mean())) / config.ground_scale)
-    return min(lit, beneath, over)
+    return min(lit, tall, over)
 
 
 def _thickness(xy: Floats) -> Floats:

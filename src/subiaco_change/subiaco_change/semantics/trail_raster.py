@@ -128,8 +128,16 @@ class TrailShapeConfig(StrictModel):
     piece_aside: float = Field(
         1.4, ge=0, description="greatest distance of a piece from the axis of its trail [m]"
     )
+    thin_top: float = Field(
+        1.0,
+        gt=0,
+        description="median height of a thin swath at which a person is as likely as a low hedge [m]",
+    )
+    thin_top_scale: float = Field(
+        0.1, gt=0, description="difference of that height that changes the log odds by 1 [m]"
+    )
     thin_length: float = Field(
-        11.5,
+        8.0,
         gt=0,
         description="length of a thin swath at which the trail of a cyclist or a person on foot is as likely"
         " as a standing object [m]",

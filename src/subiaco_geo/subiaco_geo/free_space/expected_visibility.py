@@ -185,11 +185,14 @@ class ExpectedVisibility:
         """Return the probability (N,) that places (N, 3) [m, world] are free; 0.5 where nothing is known.
 
         Poses count as independent looks of ``pose_weight`` beams, under a uniform-like prior of half a
-        beam each way; a point of the epoch in the place counts as one beam that ended there.
+        beam each way; a point of the epoch in the place counts as one beam that ended there. Poses that meet
+        a surface at a place without a point know nothing of it: images are coarser than the cloud, and what
+        lies behind the front of a crown or a wall is not known to be occupied.
         """
         looks = self.images.looks(world, self._limits())
         weight = self.config.pose_weight
-        free, met = weight * looks.free, weight * looks.surface + self.occupied.holds(world)
+        held = self.occupied.holds(world)
+        free, met = weight * looks.free, (weight * looks.surface + 1.0) * held
         free[looks.free < self.config.min_poses] = 0.0
         return np.asarray((free + 0.5) / (free + met + 1.0))
 
