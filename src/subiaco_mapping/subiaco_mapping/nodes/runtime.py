@@ -241,9 +241,7 @@ def run_node(name: str, build: Callable[[Node], App], argv: Sequence[str] | None
             raise
         return interrupted
     finally:
-        signal.pthread_sigmask(
-            signal.SIG_BLOCK, {signal.SIGINT}
-        )  # a second one changes nothing
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # a second one changes nothing
         logging.getLogger().handlers = []
         rclpy.try_shutdown()
 
