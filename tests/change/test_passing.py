@@ -112,6 +112,15 @@ def test_counts_decide_where_one_part_has_no_times_and_the_reason_says_so() -> N
     assert "the map keeps no times" in decision.reason
 
 
+@pytest.mark.parametrize(("moved", "claimed"), [(0.0, True), (0.45, True), (0.5, False), (0.55, False)])
+def test_what_is_as_likely_a_trail_as_an_object_is_not_claimed(moved: float, claimed: bool) -> None:
+    decision = drove_by([timed(moved)], Semantic.VEGETATION, None, RULES)
+    assert (decision is None) == claimed
+    if decision is not None:
+        assert decision.change is Change.UNOBSERVED
+        assert f"(probability {moved:.0%}, limit 50%)" in decision.reason
+
+
 @pytest.mark.parametrize(("moved", "expected"), [(0.0, 0.9), (0.3, 0.7), (0.5, 0.5)])
 def test_a_claim_on_what_was_seen_for_a_moment_only_is_not_trusted(moved: float, expected: float) -> None:
     claim = Decision(Change.ADDED, "in the later survey alone", 1.5)
