@@ -93,12 +93,20 @@ class DecisionConfig(StrictModel):
         "object of one epoch alone is the trail of a moving object and is not reported; the `trail_passes` "
         "settings decide on maps without times of beams [1]",
     )
+    trail_uncertain: float = Field(
+        0.5,
+        gt=0,
+        le=1,
+        description="probability of having moved while it was mapped, from which on an object of one epoch"
+        " alone is as likely a trail as an object: it is Unobserved [1]",
+    )
     min_free: float = Field(
         0.8,
         ge=0.5,
         lt=1,
         description="Probability that an object of one survey is absent in the other, from the beams that"
-        " crossed its place there, below which nothing is claimed. Raise it to claim less on thin evidence.",
+        " crossed its place there, below which nothing is claimed; the same for the surface by which a plant"
+        " grew or was trimmed. Raise it to claim less on thin evidence.",
     )
     least_volume: float = Field(
         2.0,

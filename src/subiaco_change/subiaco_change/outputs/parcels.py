@@ -8,8 +8,10 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 import pyogrio
+from pyproj.exceptions import ProjError
 from rasterio.features import rasterize, shapes
 from rasterio.transform import from_origin
+from shapely.errors import ShapelyError
 from shapely.geometry import MultiPolygon, shape
 
 from subiaco_change.outputs.raster import COVERAGE, Coverage
@@ -18,6 +20,12 @@ from subiaco_geo.codes import Change
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
 
+#: What libraries raise where a vector file is damaged.
+_FAULTS = (
+    pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, pyogrio.errors.FeatureError,
+    pyogrio.errors.GeometryError, pyogrio.errors.CRSError, OSError, ValueError, ShapelyError, ProjError,
+    LookupError, TypeError, OverflowError,
+)  # fmt: skip
 #: Labels that count as a change.
 CHANGED = (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED)
 OUTSIDE = "outside all lots"  # name of the row that takes what lies on no lot
@@ -59,8 +67,9 @@ def read_lots(path: Path, crs: str | None) -> gpd.GeoDataFrame:
         )
     try:
         frame = gpd.read_file(path, engine="pyogrio")
-    except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, OSError) as error:
-        raise InputError(f"{path}: no lots could be read ({error}); give a GeoPackage or GeoJSON") from error
+    except _FAULTS as error:
+        said = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{path}: no lots could be read ({said}); give a GeoPackage or GeoJSON") from error
     if "geometry" not in frame.columns or frame.crs is None:
         raise InputError(f"{path}: lots need polygons with a CRS; assign one in QGIS and export again")
     areas = frame[frame.geometry.geom_type.isin(["Polygon", "MultiPolygon"])]
@@ -72,7 +81,14 @@ def read_lots(path: Path, crs: str | None) -> gpd.GeoDataFrame:
     named = [areas.geometry.name, *([key] if str(key).lower() == "lot" else [])]
     own = areas.drop(columns=named).rename(columns=_attribute_name).reset_index(drop=True)
     kept = pd.concat([pd.DataFrame({"lot": lots}), own.loc[:, ~own.columns.duplicated()]], axis=1)
-    return gpd.GeoDataFrame(kept, geometry=areas.geometry.to_crs(crs).make_valid().values, crs=crs)
+    try:
+        outlines = areas.geometry.to_crs(crs).make_valid()
+    except (ShapelyError, ProjError) as error:
+        said = " ".join(str(error).split())
+        raise InputError(f"{path}: outlines of lots are damaged ({said}); repair them in QGIS") from error
+    if not np.isfinite(outlines.bounds.to_numpy()).all():
+        raise InputError(f"{path}: lots lie outside the area of {crs}; check the CRS of the file")
+    return gpd.GeoDataFrame(kept, geometry=outlines.values, crs=crs)
 
 
 def _attribute_name(column: str) -> str:

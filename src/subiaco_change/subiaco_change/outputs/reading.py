@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -12,6 +11,7 @@ from typing import Any
 import geopandas as gpd
 
 from subiaco_change.outputs.clouds import labelled_path, open_labelled, read_labelled
+from subiaco_change.outputs.documents import RegistrationDocument, RunDocument, read_document
 from subiaco_change.outputs.reviews import read_reviewed
 from subiaco_geo.cloud_windows import CloudFile
 from subiaco_geo.clouds import PointCloud
@@ -66,14 +66,6 @@ def read_change_directory(directory: Path) -> ChangeDirectory:
     return ChangeDirectory(
         directory,
         table,
-        _read_json(directory / "registration.json"),
-        _read_json(directory / "run.json"),
+        read_document(directory / "registration.json", RegistrationDocument),
+        read_document(directory / "run.json", RunDocument),
     )
-
-
-def _read_json(path: Path) -> dict[str, Any]:
-    try:
-        document = json.loads(path.read_text())
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: not valid JSON ({error}); run 'subiaco change' again") from error
-    return dict(document)

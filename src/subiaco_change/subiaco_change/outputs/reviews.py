@@ -12,7 +12,7 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 
-from subiaco_change.outputs.table import REVIEW_COLUMNS, STATISTICS, read_csv
+from subiaco_change.outputs.table import REVIEW_COLUMNS, STATISTICS, read_csv, read_stored, with_footprints
 from subiaco_geo.csv_cells import restore_cell
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Ints
@@ -35,22 +35,37 @@ def read_reviewed(directory: Path) -> gpd.GeoDataFrame | None:
     """
     if not (directory / "changes.csv").is_file() or not (directory / "changes.parquet").is_file():
         return None
-    frame, stored = read_csv(directory / "changes.csv"), gpd.read_parquet(directory / "changes.parquet")
-    footprints = frame["object_id"].map(stored.set_index("object_id").geometry)
-    table = gpd.GeoDataFrame(frame, geometry=gpd.GeoSeries(footprints, crs=stored.crs), crs=stored.crs)
+    frame, stored = read_csv(directory / "changes.csv"), read_stored(directory / "changes.parquet")
+    table = with_footprints(frame, stored, directory / "changes.parquet")
     if "object_uid" not in frame.columns or "object_uid" not in stored.columns:
         return table
     typed = frame.set_index("object_uid")[list(REVIEW_COLUMNS)]
-    known = stored.set_index("object_uid").reindex(columns=list(REVIEW_COLUMNS), fill_value="").fillna("")
+    known = _reviews_of(stored)
     table[list(REVIEW_COLUMNS)] = known.reindex(frame["object_uid"]).fillna("").to_numpy()
     if (directory / "changes.gpkg").is_file():
-        with closing(sqlite3.connect(directory / "changes.gpkg")) as connection:
-            drawn = pd.read_sql_query(_REVIEWS, connection).fillna("").set_index("object_uid")
-        table = apply_reviews(table, drawn, known)
+        table = apply_reviews(table, _drawn(directory / "changes.gpkg"), known)
     table = apply_reviews(table, typed, known)
     if (directory / REVIEW_FILE).is_file():
         table = apply_reviews(table, read_review_file(directory / REVIEW_FILE))
     return table
+
+
+def _reviews_of(frame: pd.DataFrame) -> pd.DataFrame:
+    """Return the review columns of a table as texts, by ``object_uid``."""
+    texts = frame.drop_duplicates("object_uid").set_index("object_uid")
+    return texts.reindex(columns=list(REVIEW_COLUMNS), fill_value="").fillna("").astype(str)
+
+
+def _drawn(package: Path) -> pd.DataFrame:
+    """Return the reviews of a GeoPackage."""
+    try:
+        with closing(sqlite3.connect(package)) as connection:
+            return _reviews_of(pd.read_sql_query(_REVIEWS, connection))
+    except (sqlite3.Error, pd.errors.DatabaseError, OverflowError, UnicodeDecodeError) as error:
+        said = " ".join(str(error).split())[-200:]
+        raise InputError(
+            f"{package}: reviews cannot be read ({said}); repair it in QGIS or move it away"
+        ) from error
 
 
 def apply_reviews(
@@ -95,13 +110,16 @@ def read_review_file(path: Path) -> pd.DataFrame:
         raise InputError(f"{path}: no reviews could be read ({error}); save them from the report") from error
     first = text.partition("\n")[0]
     separator = ";" if first.count(";") > first.count(",") else ","
-    rows = csv.DictReader(io.StringIO(text), delimiter=separator)
-    names = rows.fieldnames or []
+    try:
+        reader = csv.DictReader(io.StringIO(text), delimiter=separator)
+        names, rows = reader.fieldnames or [], list(reader)
+    except csv.Error as error:
+        raise InputError(f"{path}: no reviews could be read ({error}); save them from the report") from error
     for name in ("object_uid", "review"):
         if name not in names:
             raise InputError(f"{path}: column {name} is missing; give the file that the report saves")
     kept = [name for name in REVIEW_COLUMNS if name in names]
-    found = pd.DataFrame(list(rows), columns=["object_uid", *kept]).fillna("")
+    found = pd.DataFrame(rows, columns=["object_uid", *kept]).fillna("")
     found[kept] = found[kept].map(restore_cell)
     return found.drop_duplicates("object_uid", keep="last").set_index("object_uid")
 
