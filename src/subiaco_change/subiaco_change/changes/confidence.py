@@ -104,8 +104,8 @@ class ConfidenceConfig(StrictModel):
             MeasuredBand(low=0.9, high=1.01, right=106, claims=118),
             MeasuredBand(low=0.7, high=0.9, right=81, claims=90),
         ),
-        description="claims with a confidence in each band that were right on surveys left out of the fit. The"
-        " summary page prints these numbers; a band without any claim is missing",
+        description="claims with a confidence in each band that were right on surveys left out of the fit."
+        " The summary page prints these numbers; a band without any claim is missing",
     )
     evidence: tuple[str, ...] = Field(
         ("observed",), description="kinds of evidence among the rows of the fit; other kinds are discounted"
