@@ -2,8 +2,8 @@
 
     python scripts/licences.py      # docs/licences.md, docs/sbom.cdx.json (CycloneDX)
 
-Run in the virtual environment of the project, after `make setup`. A package under the GPL or AGPL, or one that
-names no licence, makes the exit code 1.
+Run in the virtual environment of the project, after `make setup`. A package under the GPL or AGPL,
+or one that names no licence, makes the exit code 1.
 """
 
 from __future__ import annotations

@@ -5,7 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from subiaco_change.semantics.trail_shape import TrailShapeConfig, trail_probability
+from subiaco_change.semantics.trail_ends import with_pieces
+from subiaco_change.semantics.trail_raster import Raster, TrailShapeConfig
+from subiaco_change.semantics.trail_shape import trail_probability
 from subiaco_geo.frames import Floats
 
 CONFIG = TrailShapeConfig()
@@ -94,6 +96,30 @@ def test_a_crown_over_a_trail_is_not_part_of_it() -> None:
     assert above.max() < 0.5
 
 
+def walk(y: float, seed: int = 8, points: int = 700) -> Floats:
+    """What a person on foot leaves, 0.5 m wide and 1.7 m high, along 20 m."""
+    rng = np.random.default_rng(seed)
+    way = np.column_stack([rng.uniform(-10, 10, points), rng.normal(y, 0.11, points)])
+    return np.column_stack([way, rng.uniform(0.2, 1.7, points)])
+
+
+def fence(y: float, seed: int = 9, points: int = 700) -> Floats:
+    """A fence of that length and height, a plane to 2 cm."""
+    rng = np.random.default_rng(seed)
+    way = np.column_stack([rng.uniform(-10, 10, points), rng.normal(y, 0.02, points)])
+    return np.column_stack([way, rng.uniform(0.0, 1.7, points)])
+
+
+def test_a_person_on_foot_is_told_from_a_fence_by_thickness() -> None:
+    _, person, standing = chances(street(), walk(-5.0), fence(5.0))
+    assert (person > SURE).mean() > 0.9
+    assert standing.max() < 0.5
+
+
+def test_what_hides_the_ground_behind_it_is_no_thin_trail() -> None:
+    assert chances(street(hidden=(-10, 10, -8.0, -5.0)), walk(-5.0))[1].max() < 0.5
+
+
 def test_nothing_above_the_ground_leaves_no_trail() -> None:
     xyz = street()
     assert not trail_probability(xyz, xyz[:, 2], CONFIG).any()
@@ -105,3 +131,24 @@ def test_the_order_of_the_points_does_not_matter() -> None:
     order = np.random.default_rng(6).permutation(len(xyz))
     straight = trail_probability(xyz, xyz[:, 2], CONFIG)
     np.testing.assert_array_equal(trail_probability(xyz[order], xyz[order, 2], CONFIG), straight[order])
+
+
+def test_a_piece_beyond_a_trail_belongs_to_it_and_one_aside_does_not() -> None:
+    body = np.zeros((40, 200), dtype=np.bool_)
+    body[17:23, 10:120] = True  # a trail, 1.8 m wide
+    body[18:22, 124], body[30:34, 124] = True, True  # 1.2 m beyond its end; 2.4 m beside its edge
+    cells = np.where(np.arange(200) < 120, 0.99, 0.0) * body
+    ground = np.ones_like(body)
+    raster = Raster(np.zeros((0, 2), np.int64), ground, body, body, np.where(body, 1.5, -np.inf))
+    found = with_pieces(cells, raster, SURE, CONFIG)
+    assert (found[18:22, 124] >= SURE).all()
+    assert not found[30:34, 124].any()
+    np.testing.assert_array_equal(found[:, :120], cells[:, :120])
+
+
+def test_a_vehicle_that_stands_in_line_with_a_trail_is_no_piece_of_it() -> None:
+    _, moved, standing = chances(
+        street(hidden=(32, 36.4, -0.7, 0.7)), trail(0.0), shell(34.2, 0.0, 11, points=900)
+    )
+    assert (moved > SURE).mean() > 0.9
+    assert (standing > 0.5).mean() < 0.4

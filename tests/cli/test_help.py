@@ -51,7 +51,7 @@ OPTIONS = {
     "recover": ["--output", "--in-place", "--thorough", "--json"],
     "baseline": ["dsm|nn|m3c2|c2c", "--output", "--transform", "--registration", "identity", "--overwrite"],
     "evaluate": ["--output", "--json"],
-    "report": ["CHANGE_DIR"],
+    "report": ["CHANGE_DIR", "--project", "--client", "--logo"],
 }
 
 

@@ -7,7 +7,7 @@ import logging
 import shutil
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -17,6 +17,7 @@ import numpy as np
 
 from subiaco_change.changes.confidence import Calibration, calibration_of
 from subiaco_change.config import ChangeConfig
+from subiaco_change.extensions import Extensions
 from subiaco_change.input_checks import (
     InputCheckConfig,
     check_shift,
@@ -129,6 +130,13 @@ class ChangeJob:
         Given ``T_after_before`` in world coordinates; identity says that the
         epochs are registered already.
     overwrite : bool
+    parcels : Path, optional
+        Polygons of lots by which the changes are added up.
+    given : tuple of str
+        Point fields that replace stages: ``semantic``, ``instance``.
+    work : Work
+    extensions : Extensions
+        Functions that replace parts of the method.
     """
 
     before: Path
@@ -141,6 +149,7 @@ class ChangeJob:
     parcels: Path | None = None
     given: tuple[str, ...] = ()
     work: Work = Work()
+    extensions: Extensions = field(default_factory=Extensions)
 
 
 def read_transform(path: Path) -> Floats:
@@ -291,16 +300,27 @@ def run_change_and(
 ) -> Taken:
     """Run our own method as :func:`run_change`; return what is taken of the result."""
     lots = _start(job)
-    epochs = open_epoch(job.before, job.trajectory_before), open_epoch(job.after, job.trajectory_after)
+    epochs: tuple[Epoch, Epoch] = (
+        open_epoch(job.before, job.trajectory_before),
+        open_epoch(job.after, job.trajectory_after),
+    )
+    load = (
+        partial(load_epoch, job.before, job.trajectory_before),
+        partial(load_epoch, job.after, job.trajectory_after),
+    )
+    transform = job.extensions.transform(load, job.transform)
+    epochs = job.extensions.segmented(epochs, load)
+    given = job.given if job.extensions.segmentation is None else ("semantic", "instance")
     surveys = facts_of(epochs[0]), facts_of(epochs[1])
     poses = config.placing.uncertainty
     found = _announced(check_surveys((job.before, job.after), surveys, config.checks))
     found += unstated_findings(surveys, poses.unstated_pose, used=poses.pose_covariance)
     with workbench(job.work, job.output, progress) as bench:
         result = detect_in_tiles(
-            epochs, config, bench, transform=job.transform, given=job.given, room=partial(_require_room, job)
+            epochs, config, bench, transform=transform, given=given, room=partial(_require_room, job)
         )
-        if job.transform is None:
+        result = job.extensions.decided(result)
+        if transform is None:
             found += _announced(check_shift(result.registration, surveys, poses.unstated_pose, config.checks))
         if progress is not None:
             progress("writing", 0.97)

@@ -239,18 +239,33 @@ def report(
     change_directory: Annotated[
         Path, typer.Argument(metavar="CHANGE_DIR", help="What 'subiaco change' wrote.")
     ],
+    project: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Name of the project in the header of the report.")
+    ] = None,
+    client: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Name of the client in the header of the report.")
+    ] = None,
+    logo: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Picture in the header: .png, .jpg or .webp.")
+    ] = None,
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
     """Build report.html and summary.html of a change directory again, and changes.qgs where it is missing.
 
-    A changes.qgs that is there is left as it is: it may hold your own layers.
+    A changes.qgs that is there is left as it is: it may hold your own layers. Project, client and logo are
+    kept for the next time.
 
-    Example: subiaco report out/change
+    Example: subiaco report out/change --project "Survey 2025" --client "City of Subiaco"
     """
     from subiaco_change.outputs.directory import rebuild
+    from subiaco_change.outputs.reading import read_change_directory
+    from subiaco_change.report.project import store_project_facts
 
     set_up_logging(verbose, quiet)
+    if (project, client, logo) != (None, None, None):
+        read_change_directory(change_directory)
+        store_project_facts(change_directory, project, client, logo)
     say(f"report: {rebuild(change_directory)}", quiet=quiet)
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import platform
+import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
@@ -39,6 +40,7 @@ from subiaco_change.outputs.reviews import carry_reviews, read_reviewed
 from subiaco_change.outputs.style import embed_styles
 from subiaco_change.records import ChangeResult, Registration, TiledResult
 from subiaco_change.report.page import build_report
+from subiaco_change.report.project import PROJECT_FACTS
 from subiaco_geo.atomic import refuse_existing, refuse_foreign, whole_directory
 from subiaco_geo.config import StrictModel, config_hash, write_config
 from subiaco_geo.findings import SEVERITIES, Finding
@@ -220,6 +222,8 @@ def write_change_directory(
         write_config(target / "config.yaml", config)
         write_json(target / "run.json", run_document(result, config, inputs, digest, points, coverage, lod))
         write_project(target, crs, coverage.bounds)
+        if (directory / PROJECT_FACTS).is_file():
+            shutil.copyfile(directory / PROJECT_FACTS, target / PROJECT_FACTS)
         build_report(target)
 
 

@@ -30,6 +30,16 @@ _MEANINGS = {
 }
 
 
+#: Colours that people with any kind of colour vision tell apart (Okabe and Ito, 2008).
+SAFE_COLOURS = CHANGE_COLOURS | {
+    Change.ADDED: (0, 158, 115),
+    Change.REMOVED: (204, 121, 167),
+    Change.INCREASED: (0, 114, 178),
+    Change.DECREASED: (230, 159, 0),
+}
+_SIGNS = dict(zip(Change, ("+", "\u2212", "\u25b2", "\u25bc", "=", "\u00b7", "?"), strict=True))
+
+
 def findings(run: Mapping[str, Any], registration: Mapping[str, Any]) -> list[dict[str, str]]:
     """Return what speaks against a result, what is serious first; of a run without a list, its warnings."""
     if "findings" in run:
@@ -57,8 +67,17 @@ def number(value: Any, decimals: int = 2) -> str:
 
 
 def legend() -> list[dict[str, str]]:
-    """Return label, colour and meaning of every outcome."""
-    return [{"label": c.label, "colour": f"rgb{CHANGE_COLOURS[c]}", "meaning": _MEANINGS[c]} for c in Change]
+    """Return label, colour, colour for the colour-blind, sign and meaning of every outcome."""
+    return [
+        {
+            "label": c.label,
+            "colour": f"rgb{CHANGE_COLOURS[c]}",
+            "safe": f"rgb{SAFE_COLOURS[c]}",
+            "sign": _SIGNS[c],
+            "meaning": _MEANINGS[c],
+        }
+        for c in Change
+    ]
 
 
 def registration_facts(registration: Mapping[str, Any]) -> dict[str, Any]:

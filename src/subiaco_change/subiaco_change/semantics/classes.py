@@ -25,7 +25,7 @@ from subiaco_change.semantics.lines import LineConfig, find_lines
 from subiaco_change.semantics.raised import RaisedConfig, RaisedSurfaces, find_raised
 from subiaco_change.semantics.superpoints import SuperpointConfig, partition
 from subiaco_change.semantics.traffic import TrafficConfig, moving_points, still_blocks, timed_trails
-from subiaco_change.semantics.trail_shape import TrailShapeConfig
+from subiaco_change.semantics.trail_raster import TrailShapeConfig
 from subiaco_change.semantics.vehicles import VehicleConfig, free_boxes, ground_boxes, look_again
 from subiaco_geo.clouds import PointCloud, sort_spatially
 from subiaco_geo.codes import Semantic
