@@ -18,13 +18,8 @@ def refuse_existing(
 ) -> None:
     """Raise where an output stands already and may not be replaced, or where none can be written."""
     if path.exists() and not overwrite:
-<<<<<<< HEAD
-        raise InputError(f"{path}: exists already; choose another place or pass --overwrite")
-    ground = ground_of(path.absolute().parent)
-=======
         raise InputError(f"{path}: exists already; {remedy}")
-    ground = next(place for place in path.absolute().parents if place.exists())
->>>>>>> main
+    ground = ground_of(path.absolute().parent)
     if not ground.is_dir():
         raise InputError(f"{ground}: is a file, so {path} cannot be written; choose another place")
     require_writable(ground)
