@@ -32,6 +32,9 @@ _EPSILON = 1e-6
 #: Largest calibration error on surveys left out of the fit at which confidences count as probabilities.
 CALIBRATED = 0.05
 
+#: Confidences from which on the bands of the summary begin.
+BANDS = (0.9, 0.7, 0.0)
+
 #: What a row's confidence is a function of, in the order of the coefficients.
 FEATURES = (
     "margin", "gate", "observed", "size", "purity", "solid", "density",
@@ -69,6 +72,15 @@ class Coefficients(StrictModel):
     assumed: float = Field(0.0, description="1 where free space is assumed")
 
 
+class MeasuredBand(StrictModel):
+    """How many claims with a confidence in one band were right, on surveys left out of the fit."""
+
+    low: float = Field(ge=0, le=1, description="lowest confidence of the band [1]")
+    high: float = Field(ge=0, description="confidence at which the next band begins [1]")
+    right: int = Field(ge=0, description="claims in the band that were right [claims]")
+    claims: int = Field(ge=1, description="claims in the band [claims]")
+
+
 class ConfidenceConfig(StrictModel):
     """Coefficients fitted on simulated surveys by ``scripts/calibrate_confidence.py``.
 
@@ -86,6 +98,14 @@ class ConfidenceConfig(StrictModel):
         ge=0,
         le=1,
         description="expected calibration error over changed rows of surveys left out of the fit",
+    )
+    bands: tuple[MeasuredBand, ...] = Field(
+        (
+            MeasuredBand(low=0.9, high=1.01, right=106, claims=118),
+            MeasuredBand(low=0.7, high=0.9, right=81, claims=90),
+        ),
+        description="claims with a confidence in each band that were right on surveys left out of the fit."
+        " The summary page prints these numbers; a band without any claim is missing",
     )
     evidence: tuple[str, ...] = Field(
         ("observed",), description="kinds of evidence among the rows of the fit; other kinds are discounted"
@@ -285,11 +305,13 @@ class Calibration:
     """What ``run.json`` says of the confidences of a pair.
 
     ``calibrated_for``: evidence, clouds and surveys of the fit; empty without one. ``lacking``: sentences
-    that say why confidences of this pair are not calibrated; empty where they are.
+    that say why confidences of this pair are not calibrated; empty where they are. ``bands``: how many
+    claims of each band were right on surveys left out of the fit; empty where that was never measured.
     """
 
     calibrated_for: Mapping[str, Any] = field(default_factory=dict)
     lacking: tuple[str, ...] = ("Confidences of this method are not calibrated.",)
+    bands: tuple[MeasuredBand, ...] = ()
 
 
 def calibration_of(kinds: Iterable[str], simulated: bool, config: ConfidenceConfig) -> Calibration:
@@ -307,7 +329,8 @@ def calibration_of(kinds: Iterable[str], simulated: bool, config: ConfidenceConf
     if missing:
         names = ", ".join(missing)
         lacking.append(f"Confidence is not calibrated for evidence of the kind {names}.")
-    return Calibration(fitted, tuple(lacking))
+    own = config.fitted_on == ConfidenceConfig().fitted_on or "bands" in config.model_fields_set
+    return Calibration(fitted, tuple(lacking), config.bands if own and not lacking else ())
 
 
 #: More of this evidence never makes a label less certain.

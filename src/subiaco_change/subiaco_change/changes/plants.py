@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 from scipy.spatial import cKDTree
 
-from subiaco_change.changes.absence import pooled
+from subiaco_change.changes.absence import absence, pooled
 from subiaco_change.changes.measures import Measures
 from subiaco_change.changes.objects import Free, Thing
 from subiaco_change.changes.outline import OutlineConfig, compare_outlines
@@ -67,8 +67,8 @@ def measure_plant(
     and of *after*: how probable it is that places (N, 3) are free; None: certain.
     """
     first, second = (np.concatenate([t.xyz for t in things]) for things in (before, after))
-    lost = free_shell(first, standing[1], free[1], config)
-    gained = free_shell(second, standing[0], free[0], config)
+    lost = min(free_shell(first, standing[1], free[1], config), absence(before, (), free))
+    gained = min(free_shell(second, standing[0], free[0], config), absence((), after, free))
     first, second, density = equal_density(first, second, config)
     outline = compare_outlines(first, second, config.outline)
     both = np.concatenate([first, second])
@@ -91,7 +91,6 @@ def measure_plant(
         rise_sigma=rise.sigma,
         free_gained=gained,
         free_lost=lost,
-        absent=measures.free,
     )
 
 

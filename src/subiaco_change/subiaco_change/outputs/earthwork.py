@@ -38,27 +38,25 @@ def cut_and_fill(raster: Path, polygons: gpd.GeoDataFrame, sigma_common: float) 
     GeoDataFrame
         The polygons with ``cut_m3`` and ``fill_m3`` (cells whose difference exceeds their level of detection;
         both positive), ``net_m3`` (fill less cut), ``net_95_m3`` (half width of its 95 % interval),
-        ``compared_m2`` (cells with ground in both epochs), its share ``compared_fraction`` of the polygon, and
-        ``changed_m2`` (cells beyond the level of detection).
+        ``compared_m2`` (cells with ground in both epochs), its share ``compared_fraction`` of the polygon,
+        and ``changed_m2`` (cells beyond the level of detection).
 
     Notes
     -----
     The interval covers the true net volume of all compared cells, also of those whose change is too small to
     be detected. Its variance is that of the common error times the squared area, plus the other variances of
-    the cells, taken as independent: level of detection over 1.96, squared, less the common variance. A cell without
-    a level of detection takes the largest of the polygon.
+    the cells, taken as independent: level of detection over 1.96, squared, less the common variance. A cell
+    without a level of detection takes the largest of the polygon.
 
     Raises
     ------
     InputError
         A polygon's CRS is not that of the raster.
     """
-    rows = []
     with rasterio.open(raster) as dataset:
         if polygons.crs is None or dataset.crs is None or polygons.crs.to_2d() != dataset.crs:
             raise InputError(f"{raster}: the polygons are in another CRS; bring them to {dataset.crs}")
-        for shape in polygons.geometry:
-            rows.append(_volumes(dataset, shape, sigma_common))
+        rows = [_volumes(dataset, shape, sigma_common) for shape in polygons.geometry]
     frame = pd.DataFrame(rows, columns=list(VOLUMES), index=polygons.index)
     clash = {name: f"{name}_lot" for name in VOLUMES if name in polygons.columns}
     return gpd.GeoDataFrame(pd.concat([polygons.rename(columns=clash), frame], axis=1), crs=polygons.crs)

@@ -13,8 +13,8 @@ from subiaco_geo.errors import InputError
 
 #: Points below which a tested accuracy is not stated (ASPRS 2023, at least 30 checkpoints).
 ENOUGH = 30
-#: From RMSE and standard deviation to 95 %: heights; horizontal from the RMSE of the distance (NSSDA), and from
-#: the standard deviation of one axis (circular error, ICSM SP1).
+#: Factors to 95 %: heights; horizontal from the RMSE of the distance (NSSDA), and from the standard deviation
+#: of one axis (circular error, ICSM SP1).
 _VERTICAL, _HORIZONTAL_RMSE, _CIRCULAR = 1.96, 1.7308, 2.4477
 _CHECK = ("points", "horizontal_points", "rmse_horizontal_m", "vertical_points", "rmse_vertical_m")
 
