@@ -4,6 +4,7 @@ The envelope of an object in both epochs is cut into cells. In each epoch a cell
 
 * *solid*: below the highest surface that the epoch has in its column, or behind two walls that the other
   epoch does not have, with nothing but unknown cells between,
+  and not looked through: under a canopy is nothing solid,
 * *free*: the epoch looked through it, or met the ground in its column,
 * *unknown*: everything else.
 
@@ -40,6 +41,7 @@ _MOST_SIDES = 4  # of the six sides of a cell
 _TOP = 0.05  # a voxel lies so far below the edge that it is of [m]
 _FEW = 4  # columns that make no height
 _TOUCHING = np.ones((3, 3, 3), dtype=bool)
+_BESIDE_SURFACE = np.ones((3, 3, 5), dtype=bool)  # a surface may fill any part of the cell that it lies in
 _FACES = ndimage.generate_binary_structure(3, 1)
 
 
@@ -96,6 +98,27 @@ class Interval:
         return Interval(-self.high, -self.low)
 
 
+@dataclass(frozen=True, eq=False)
+class ColumnChange:
+    """What the columns of an object gained, less what they lost: ``change`` (nx, ny) [m].
+
+    ``foot`` (nx, ny) is the height above ground at which that begins [m], inf where nothing changed;
+    ``tops`` (2, nx, ny) those of both epochs [m], 0 where none was seen.
+    Columns of an edge ``cell`` [m] lie along its walls: ``corner`` (2,) [m], ``turn`` (2, 2).
+    """
+
+    corner: Floats
+    turn: Floats
+    cell: float
+    change: Floats
+    foot: Floats
+    tops: Floats
+
+    def slots(self, xy: Floats) -> Ints:
+        """Columns (N, 2) of places (N, 2)."""
+        return np.floor((xy @ self.turn.T - self.corner) / self.cell).astype(np.int64)
+
+
 @dataclass(frozen=True)
 class Carved:
     """Change of the volume [m3] and of the height [m], and the volume *before* [m3]."""
@@ -103,6 +126,7 @@ class Carved:
     volume: Interval
     height: Interval
     whole: float
+    columns: ColumnChange | None = None
 
 
 @dataclass(frozen=True)
@@ -153,15 +177,20 @@ class _Frame:
 
 @dataclass(frozen=True)
 class _State:
-    """What an epoch knows of every cell; ``top`` (nx, ny) of its surfaces [m], 0 where it has none."""
+    """What an epoch knows of every cell; ``top`` (nx, ny) of its surfaces [m], 0 where it has none.
+
+    ``hollow`` lies below a top and was looked through: under a canopy, or behind a window. It is neither
+    solid nor known to be outside.
+    """
 
     solid: Cells
     free: Cells
+    hollow: Cells
     top: Floats
 
     @property
     def unknown(self) -> Cells:
-        return ~(self.solid | self.free)
+        return ~(self.solid | self.free | self.hollow)
 
 
 def carve(before: Epoch, after: Epoch, config: CarvingConfig) -> Carved:
@@ -179,10 +208,19 @@ def carve(before: Epoch, after: Epoch, config: CarvingConfig) -> Carved:
     frame = _frame(Voxels.joined(both), config)
     states = tuple(_state(epoch, other.voxels, frame) for epoch, other in ((before, after), (after, before)))
     gain, gained = _difference(states[0], states[1], after.voxels, frame, config)
-    loss, _ = _difference(states[1], states[0], before.voxels, frame, config)
+    loss, lost = _difference(states[1], states[0], before.voxels, frame, config)
     volume = Interval(gain.low - loss.high, gain.high - loss.low)
     old = states[0] if len(before.voxels) else states[1]
-    return Carved(volume, _height(states, frame, config), _whole(old, both, gained, frame))
+    columns = _column_change(gained, lost, np.stack([state.top for state in states]), frame)
+    return Carved(volume, _height(states, frame, config), _whole(old, both, gained, frame), columns)
+
+
+def _column_change(gained: Cells, lost: Cells, tops: Floats, frame: _Frame) -> ColumnChange:
+    """Sum up the changed cells by columns."""
+    changed = gained | lost
+    change = (gained.sum(axis=2) - lost.sum(axis=2, dtype=np.float64)) * frame.rise
+    foot = np.where(changed.any(axis=2), changed.argmax(axis=2) * frame.rise, np.inf)
+    return ColumnChange(frame.corner, frame.turn, frame.cell, change, foot, tops)
 
 
 def _frame(voxels: Voxels, config: CarvingConfig) -> _Frame:
@@ -215,20 +253,22 @@ def _state(epoch: Epoch, other: Voxels, frame: _Frame) -> _State:
     A surface of the other epoch that this one has too, though it sampled it elsewhere, counts as its own.
     """
     nx, ny, nz = frame.shape
-    top = _tops(epoch.voxels.add(_shared(other, epoch)), frame)
-    solid = frame.levels <= top[:, :, None] + _TOP
+    own = epoch.voxels.add(_shared(other, epoch))
+    top = _tops(own, frame)
+    below = frame.levels <= top[:, :, None] + _TOP
     middles = frame.middles()
     open_column = epoch.bare(middles).reshape(nx, ny) & (top == 0)
     free = np.repeat(open_column[:, :, None], nz, axis=2)
     if epoch.empty is None:  # nothing tells free space: only above what was seen there is room for the sky
-        free |= (top > 0)[:, :, None] & ~solid
-    else:
-        ask = ~(solid | free)
-        column, level = np.divmod(np.flatnonzero(ask.ravel()), nz)
-        height = frame.foot.ravel()[column] + frame.levels[level]
-        free[ask] = epoch.empty(np.column_stack([middles[column], height]))
-        free = _between_beams(free, solid, top)
-    return _State(solid, free, top)
+        return _State(below, free | ((top > 0)[:, :, None] & ~below), np.zeros_like(below), top)
+    ask = ~free & ~ndimage.binary_dilation(_surface(own, frame) > 0, _BESIDE_SURFACE, mask=below)
+    ask |= ~(free | below)
+    column, level = np.divmod(np.flatnonzero(ask.ravel()), nz)
+    height = frame.foot.ravel()[column] + frame.levels[level]
+    free[ask] = epoch.empty(np.column_stack([middles[column], height]))
+    hollow = free & below
+    free = _between_beams(free & ~below, below, top)
+    return _State(below & ~hollow, free, hollow, top)
 
 
 def _between_beams(free: Cells, solid: Cells, top: Floats) -> Cells:
@@ -303,7 +343,8 @@ def _difference(
     """Volume [m3] that was free and is solid, and its cells; cells that one epoch does not know widen it."""
     solid = new.solid | _behind_new_walls(old, new, frame, config)
     number, count = ndimage.label(old.free & solid, _TOUCHING)
-    support = np.bincount(number.ravel(), _surface(voxels, frame).ravel(), minlength=count + 1)
+    surface = _surface(voxels.select(~voxels.still), frame)
+    support = np.bincount(number.ravel(), surface.ravel(), minlength=count + 1)
     supported = support >= config.support
     supported[0] = False
     changed = supported[number]
@@ -317,11 +358,10 @@ def _difference(
 
 
 def _surface(voxels: Voxels, frame: _Frame) -> Ints:
-    """Numbers (nx, ny, nz) of voxels that the other epoch does not have."""
+    """Numbers (nx, ny, nz) of voxels."""
     surface = np.zeros(frame.shape, dtype=np.int64)
-    own = voxels.select(~voxels.still)
-    level = np.floor(own.height / frame.rise).astype(np.int64)
-    slot = np.column_stack([frame.slots(own.xyz[:, :2]), level])
+    level = np.floor(voxels.height / frame.rise).astype(np.int64)
+    slot = np.column_stack([frame.slots(voxels.xyz[:, :2]), level])
     np.add.at(surface, tuple(slot[(level >= 0) & (level < frame.shape[2])].T), 1)
     return surface
 
@@ -377,8 +417,8 @@ def _tops_between(state: _State, frame: _Frame, config: CarvingConfig) -> tuple[
 def _whole(state: _State, voxels: tuple[Voxels, Voxels], gained: Cells, frame: _Frame) -> float:
     """Volume *before* of a body of which a part was seen [m3].
 
-    The rectangle around what stood, less the columns known to be open, at the mean height: of most
-    houses the street sees the front, half of the roof and no inside.
+    The rectangle around what stood, less the columns known to be open: of most houses the street sees the
+    front, half of the roof and no inside. Columns at its edge count whole, as those of a change do.
     """
     stood = state.top > 0
     if not stood.any():
@@ -391,9 +431,23 @@ def _whole(state: _State, voxels: tuple[Voxels, Voxels], gained: Cells, frame: _
     low, high = np.quantile(slot, [0.005, 0.995], axis=0).astype(np.int64)
     inside = np.zeros(stood.shape, dtype=bool)
     inside[low[0] : high[0] + 1, low[1] : high[1] + 1] = True
-    mean = float(state.top[stood].mean())
-    below = frame.levels <= mean
-    opened = ~stood & np.asarray(2 * state.free[:, :, below].sum(axis=2) >= np.count_nonzero(below))
-    tops = np.where(stood, state.top, np.where(inside & ~opened, mean, 0.0))
-    sides = np.maximum(high - low, 1) / np.maximum(high - low + 1, 1)  # columns reach beyond walls
-    return float(tops.sum()) * frame.cell**2 * float(np.prod(sides))
+    tops = _filled(state.top)
+    below = frame.levels < tops[:, :, None]
+    opened = ~stood & (2 * (state.free & below).sum(axis=2) >= below.sum(axis=2))
+    return float(tops[stood | (inside & ~opened)].sum()) * frame.cell**2
+
+
+def _filled(tops: Floats) -> Floats:
+    """Tops (nx, ny) of columns, those that were not seen (0) interpolated along both walls.
+
+    Of a pitched roof the street sees the half in front, and where the gables end.
+    """
+    total, count = np.zeros_like(tops), np.zeros_like(tops)
+    for filled, known in ((total, tops), (total.T, tops.T)):
+        place = np.arange(known.shape[1])
+        for number, row in enumerate(known):
+            if row.any():
+                filled[number] += np.interp(place, place[row > 0], row[row > 0])
+    count += (tops > 0).any(axis=0)[None, :]
+    count += (tops > 0).any(axis=1)[:, None]
+    return np.where(tops > 0, tops, total / np.maximum(count, 1.0))
