@@ -41,7 +41,8 @@ _MOST_SIDES = 4  # of the six sides of a cell
 _TOP = 0.05  # a voxel lies so far below the edge that it is of [m]
 _FEW = 4  # columns that make no height
 _TOUCHING = np.ones((3, 3, 3), dtype=bool)
-_BESIDE_SURFACE = np.ones((3, 3, 5), dtype=bool)  # a surface may fill any part of the cell that it lies in
+_BESIDE_WALL, _BESIDE_ROOF = np.ones((3, 3, 5), dtype=bool), _TOUCHING  # a surface lies anywhere in its cell
+_LEVEL = 0.7  # |n.e_z| from which a surface is a roof
 _FACES = ndimage.generate_binary_structure(3, 1)
 
 
@@ -261,7 +262,7 @@ def _state(epoch: Epoch, other: Voxels, frame: _Frame) -> _State:
     free = np.repeat(open_column[:, :, None], nz, axis=2)
     if epoch.empty is None:  # nothing tells free space: only above what was seen there is room for the sky
         return _State(below, free | ((top > 0)[:, :, None] & ~below), np.zeros_like(below), top)
-    ask = ~free & ~ndimage.binary_dilation(_surface(own, frame) > 0, _BESIDE_SURFACE, mask=below)
+    ask = ~free & ~_beside_surfaces(own, below, frame)
     ask |= ~(free | below)
     column, level = np.divmod(np.flatnonzero(ask.ravel()), nz)
     height = frame.foot.ravel()[column] + frame.levels[level]
@@ -269,6 +270,16 @@ def _state(epoch: Epoch, other: Voxels, frame: _Frame) -> _State:
     hollow = free & below
     free = _between_beams(free & ~below, below, top)
     return _State(below & ~hollow, free, hollow, top)
+
+
+def _beside_surfaces(voxels: Voxels, below: Cells, frame: _Frame) -> Cells:
+    """Cells below tops that surfaces of voxels may fill; between the voxels of a wall are gaps."""
+    level = np.abs(voxels.normal[:, 2]) > _LEVEL
+    kinds = ((voxels.select(~level), _BESIDE_WALL), (voxels.select(level), _BESIDE_ROOF))
+    filled = np.zeros_like(below)
+    for own, reach in kinds:
+        filled |= ndimage.binary_dilation(_surface(own, frame) > 0, reach, mask=below)
+    return filled
 
 
 def _between_beams(free: Cells, solid: Cells, top: Floats) -> Cells:
