@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from random_houses import Box, Sensor, Street, compare, survey
 
-from subiaco_change.changes.carving import ColumnChange
+from subiaco_change.changes.column_change import ColumnChange
 from subiaco_change.changes.storeys import changed_houses
 from subiaco_geo.codes import Change
 

@@ -24,7 +24,9 @@ from pydantic import Field
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from subiaco_change.changes.column_change import ColumnChange
 from subiaco_change.changes.objects import Voxels
+from subiaco_change.changes.unseen_columns import body_tops
 from subiaco_change.semantics.boxes import wall_axes
 from subiaco_change.semantics.ground import Mask
 from subiaco_geo.config import StrictModel
@@ -97,27 +99,6 @@ class Interval:
 
     def __neg__(self) -> Interval:
         return Interval(-self.high, -self.low)
-
-
-@dataclass(frozen=True, eq=False)
-class ColumnChange:
-    """What the columns of an object gained, less what they lost: ``change`` (nx, ny) [m].
-
-    ``foot`` (nx, ny) is the height above ground at which that begins [m], inf where nothing changed;
-    ``tops`` (2, nx, ny) those of both epochs [m], 0 where none was seen.
-    Columns of an edge ``cell`` [m] lie along its walls: ``corner`` (2,) [m], ``turn`` (2, 2).
-    """
-
-    corner: Floats
-    turn: Floats
-    cell: float
-    change: Floats
-    foot: Floats
-    tops: Floats
-
-    def slots(self, xy: Floats) -> Ints:
-        """Columns (N, 2) of places (N, 2)."""
-        return np.floor((xy @ self.turn.T - self.corner) / self.cell).astype(np.int64)
 
 
 @dataclass(frozen=True)
@@ -212,16 +193,10 @@ def carve(before: Epoch, after: Epoch, config: CarvingConfig) -> Carved:
     loss, lost = _difference(states[1], states[0], before.voxels, frame, config)
     volume = Interval(gain.low - loss.high, gain.high - loss.low)
     old = states[0] if len(before.voxels) else states[1]
-    columns = _column_change(gained, lost, np.stack([state.top for state in states]), frame)
+    tops = np.stack([state.top for state in states])
+    grid = (frame.corner, frame.turn, frame.cell)
+    columns = ColumnChange.of(gained, lost, tops, frame.rise, grid)
     return Carved(volume, _height(states, frame, config), _whole(old, both, gained, frame), columns)
-
-
-def _column_change(gained: Cells, lost: Cells, tops: Floats, frame: _Frame) -> ColumnChange:
-    """Sum up the changed cells by columns."""
-    changed = gained | lost
-    change = (gained.sum(axis=2) - lost.sum(axis=2, dtype=np.float64)) * frame.rise
-    foot = np.where(changed.any(axis=2), changed.argmax(axis=2) * frame.rise, np.inf)
-    return ColumnChange(frame.corner, frame.turn, frame.cell, change, foot, tops)
 
 
 def _frame(voxels: Voxels, config: CarvingConfig) -> _Frame:
@@ -426,11 +401,7 @@ def _tops_between(state: _State, frame: _Frame, config: CarvingConfig) -> tuple[
 
 
 def _whole(state: _State, voxels: tuple[Voxels, Voxels], gained: Cells, frame: _Frame) -> float:
-    """Volume *before* of a body of which a part was seen [m3].
-
-    The rectangle around what stood, less the columns known to be open: of most houses the street sees the
-    front, half of the roof and no inside. Columns at its edge count whole, as those of a change do.
-    """
+    """Volume *before* of a body of which a part was seen [m3]: in the rectangle around what stood."""
     stood = state.top > 0
     if not stood.any():
         return 0.0
@@ -442,23 +413,4 @@ def _whole(state: _State, voxels: tuple[Voxels, Voxels], gained: Cells, frame: _
     low, high = np.quantile(slot, [0.005, 0.995], axis=0).astype(np.int64)
     inside = np.zeros(stood.shape, dtype=bool)
     inside[low[0] : high[0] + 1, low[1] : high[1] + 1] = True
-    tops = _filled(state.top)
-    below = frame.levels < tops[:, :, None]
-    opened = ~stood & (2 * (state.free & below).sum(axis=2) >= below.sum(axis=2))
-    return float(tops[stood | (inside & ~opened)].sum()) * frame.cell**2
-
-
-def _filled(tops: Floats) -> Floats:
-    """Tops (nx, ny) of columns, those that were not seen (0) interpolated along both walls.
-
-    Of a pitched roof the street sees the half in front, and where the gables end.
-    """
-    total, count = np.zeros_like(tops), np.zeros_like(tops)
-    for filled, known in ((total, tops), (total.T, tops.T)):
-        place = np.arange(known.shape[1])
-        for number, row in enumerate(known):
-            if row.any():
-                filled[number] += np.interp(place, place[row > 0], row[row > 0])
-    count += (tops > 0).any(axis=0)[None, :]
-    count += (tops > 0).any(axis=1)[:, None]
-    return np.where(tops > 0, tops, total / np.maximum(count, 1.0))
+    return float(body_tops(state.top, inside, state.free, frame.levels).sum()) * frame.cell**2

@@ -11,7 +11,8 @@ from pydantic import Field
 from scipy.spatial import cKDTree
 from shapely.geometry.base import BaseGeometry
 
-from subiaco_change.changes.carving import CarvingConfig, ColumnChange, Epoch, Interval, carve
+from subiaco_change.changes.carving import CarvingConfig, Epoch, Interval, carve
+from subiaco_change.changes.column_change import ColumnChange
 from subiaco_change.changes.columns import BUILT_UP, OpenGround, compare_volumes, stands_alone
 from subiaco_change.changes.objects import Reach, Voxels
 from subiaco_geo.config import StrictModel

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
-from subiaco_change.changes.carving import ColumnChange
+from subiaco_change.changes.column_change import ColumnChange
 from subiaco_change.semantics.ground import Mask
 from subiaco_change.semantics.profiles import ProfileConfig
 from subiaco_geo.frames import Floats, Ints

@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from subiaco_change.changes.apart import Piece, bodies_of
 from subiaco_change.changes.association_costs import AssociationConfig
-from subiaco_change.changes.carving import ColumnChange
+from subiaco_change.changes.column_change import ColumnChange
 from subiaco_change.changes.columns import column_keys
 from subiaco_change.changes.objects import Thing, join_voxels
 from subiaco_change.changes.parts import divided
