@@ -157,7 +157,7 @@ def part_rows(changes: Sequence[ObjectChange], rules: ObjectRules) -> list[Objec
         columns = _measured([changes[i] for i in members], rules).columns
         ways = [houses_of(before, after, rules.association, following)]
         if columns is not None:
-            ways.insert(0, houses_that_changed(before, after, columns, rules.association, following))
+            ways.append(houses_that_changed(before, after, columns, rules.association, following))
         parts = next((parts for parts in (_fared(way, rules) for way in ways) if parts), [])
         if parts:
             following += sum(len(p.before) + len(p.after) for p in parts)

@@ -43,6 +43,6 @@ def interpolated_tops(tops: Floats) -> Floats:
         for number, row in enumerate(known):
             if row.any():
                 filled[number] += np.interp(place, place[row > 0], row[row > 0])
-    count += (tops > 0).any(axis=0)[None, :]
-    count += (tops > 0).any(axis=1)[:, None]
+    for axis in (0, 1):
+        count += np.any(tops > 0, axis=axis, keepdims=True)
     return np.asarray(np.where(tops > 0, tops, total / np.maximum(count, 1.0)))
