@@ -178,8 +178,10 @@ def _measured(members: Sequence[ObjectChange], rules: ObjectRules) -> Measures:
     """Measure the members of a row together."""
     if len(members) == 1:
         return members[0].measures
-    sides = (join_voxels([t for m in members for t in getattr(m, epoch)]) for epoch in ("before", "after"))
-    return measure(*sides, rules.measures, rules.ground, building=True)
+    before, after = (
+        join_voxels([t for m in members for t in getattr(m, epoch)]) for epoch in ("before", "after")
+    )
+    return measure(before, after, rules.measures, rules.ground, building=True)
 
 
 def part_sections(changes: Sequence[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
