@@ -13,7 +13,7 @@ VENV="$ROOT/.venv"
 WS="$ROOT/ros2_ws"
 APT_ROS="${SUBIACO_APT_ROS:-/opt/ros/jazzy}"
 INTERFACES=(subiaco_msgs tf2_msgs ouster_sensor_msgs)
-PYTHON_PACKAGES=(subiaco_geo subiaco_sim subiaco_mapping subiaco_change subiaco_bringup)
+PYTHON_PACKAGES=(subiaco_geo subiaco_sim subiaco_mapping subiaco_change subiaco_bringup subiaco)
 
 say() { printf '[setup %3ds] %s\n' "$SECONDS" "$*"; }
 fail() {
@@ -123,29 +123,19 @@ create_venv() {
     "$python" -m venv "${options[@]}" "$VENV"
 }
 
-# pip's long output, a line every 20 packages.
-show_pip_progress() {
-    local line count=0
-    while IFS= read -r line; do
-        case "$line" in
-            Collecting*)
-                count=$((count + 1))
-                if [ $((count % 20)) -eq 0 ]; then say "  $count packages fetched"; fi
-                ;;
-            Installing\ collected*) say "  unpacking" ;;
-        esac
-    done
-}
+# Entries of the lock, with their hashes, of which the first word matches (or, after !, does not match) a pattern.
+locked() { awk -v pattern="${1#!}" -v wanted="$([[ "$1" == !* ]] && echo 0 || echo 1)" \
+    '/^[^ #]/ { chosen = ($1 ~ pattern) == wanted } chosen' "$ROOT/requirements.lock"; }
 
+# uv checks the hash of every package, and installs them in a tenth of pip's time.
 install_requirements() {
-    local lock="$ROOT/requirements.lock"
-    if has_apt_ros; then
-        lock="$VENV/requirements.without-ros.txt"
-        grep -v '^ros-' "$ROOT/requirements.lock" >"$lock"
-    fi
-    say "installing $(grep -c '==' "$lock") locked packages (about 2 GB; a minute or two)"
-    "$VENV/bin/python" -m pip install --no-deps --disable-pip-version-check --progress-bar off -r "$lock" |
-        show_pip_progress
+    local uv="$VENV/requirements.uv.txt" lock="$VENV/requirements.txt"
+    locked '^uv==' >"$uv"
+    if has_apt_ros; then locked '!^ros-' >"$lock"; else locked '!^$' >"$lock"; fi
+    say "installing $(grep -c '==' "$lock") locked packages (1.8 GB)"
+    "$VENV/bin/python" -m pip install --quiet --no-deps --require-hashes --disable-pip-version-check -r "$uv"
+    # copied, because some files are patched below and uv's cache must stay whole
+    "$VENV/bin/uv" pip install --quiet --python "$VENV/bin/python" --no-deps --require-hashes --link-mode copy -r "$lock"
 }
 
 set_up_venv() {
@@ -221,7 +211,7 @@ set_up_workspace() {
     frozen="$(cd "$ROOT" && find config src/subiaco_bringup/{launch,rviz,foxglove} -type f 2>/dev/null |
         LC_ALL=C sort | sha256sum)" || true
     local sources
-    sources="$(digest src/subiaco_{geo,sim,mapping,change,bringup}/{package.xml,setup.py,setup.cfg})"
+    sources="$(digest src/subiaco{,_geo,_sim,_mapping,_change,_bringup}/{package.xml,setup.py,setup.cfg})"
     (
         enter_build_environment
         build_once .interfaces "$base $(digest src/subiaco_msgs src/vendor_msgs) ${interfaces[*]}" "${interfaces[@]}"

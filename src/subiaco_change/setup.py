@@ -22,7 +22,7 @@ setup(
     zip_safe=False,
     entry_points={
         "console_scripts": [
-            "change_node = subiaco_change.nodes.change_node:main",
+            "change_node = subiaco_change.nodes.executables:change_node",
         ],
     },
 )

@@ -15,7 +15,7 @@ from __future__ import annotations
 import argparse
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -95,17 +95,26 @@ PAIRS = {
 
 def write_part(scans: KittiScans, part: Part, bag: Path) -> None:
     """Write a part of the drive as ``/lidar/points``."""
+
+    def chosen(i: int) -> tuple[int, Floats, Floats]:
+        xyz, intensity = scans.scan(i)
+        kept = np.ones(len(xyz), dtype=bool) if part.points is None else part.points(xyz)
+        return i, xyz[kept], intensity[kept]
+
+    write_sweeps((chosen(i) for i in part.scans), bag)
+
+
+def write_sweeps(sweeps: Iterable[tuple[int, Floats, Floats]], bag: Path) -> None:
+    """Write sweeps as ``/lidar/points``: the number of each, its points (N, 3) [m] and intensities (N,)."""
     kinds = TYPESTORE.types
     field = kinds["sensor_msgs/msg/PointField"]
     fields = [field(name, 4 * i, 7, 1) for i, name in enumerate(("x", "y", "z", "intensity"))]
     with BagWriter(bag) as writer:
-        for i in part.scans:
-            xyz, intensity = scans.scan(i)
-            kept = np.ones(len(xyz), dtype=bool) if part.points is None else part.points(xyz)
+        for i, xyz, intensity in sweeps:
             stamp_ns = KITTI_START_NS + i * KITTI_PERIOD_NS
             stamp = kinds["builtin_interfaces/msg/Time"](stamp_ns // 10**9, stamp_ns % 10**9)
             header = kinds["std_msgs/msg/Header"](stamp, "lidar_link")
-            rows = np.column_stack([xyz[kept], intensity[kept]]).astype("<f4")
+            rows = np.column_stack([xyz, intensity]).astype("<f4")
             data = rows.view(np.uint8).ravel()
             cloud = kinds[MESSAGE_TYPES[POINTS]](
                 header, 1, len(rows), fields, False, 16, 16 * len(rows), data, True

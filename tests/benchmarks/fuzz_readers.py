@@ -1,11 +1,12 @@
 # ruff: noqa: T201
-"""Fuzz every reader for a stated time: damaged inputs may be refused, in one line, and nothing else.
+"""Fuzz every reader: damaged inputs may be refused, in one line that names the file, and nothing else.
 
-    python tests/benchmarks/fuzz_readers.py --seconds 20 --seed 1 [--only ply,las] [--keep FOLDER]
+    python tests/benchmarks/fuzz_readers.py --cases 20000 --seconds 60 --seed 1 [--only ply,las]
 
 Each reader runs in a process of its own, so that a crash of native code is seen, under a limit of processor
-time and memory a case (see tests/fuzz/fuzz_targets.py). Prints cases, accepted ones and faults; the exit
-status is 1 where there was a fault. What failed is kept in the folder given.
+time and memory a case (see tests/fuzz/fuzz_cases.py). Prints cases, accepted ones and faults; the exit status
+is 1 where there was a fault. What failed is kept in the folder given; ``--page`` writes the table of
+docs/damaged-files.md, and ``--again FOLDER`` reads what failed once more.
 """
 
 from __future__ import annotations
@@ -18,96 +19,191 @@ import sys
 import tempfile
 import time
 from collections import Counter
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "fuzz"))
 
-from fuzz_targets import TARGETS, Fault, Target, damaged, run
+from fuzz_cases import CPU_SECONDS, MEMORY, Edit, Fault, Target, run
+from fuzz_targets import TARGETS
 
 _HANG = 120.0  # wall clock without a sign of life [s]
+_SIGN = 5.0  # wall clock between two signs of life [s]
 
 
-def edits_of(rng: np.random.Generator) -> list[tuple[int, int, int]]:
+@dataclass(frozen=True)
+class Tally:
+    """What became of one reader."""
+
+    name: str
+    cases: int
+    accepted: int
+    longest: float
+    faults: Counter[str]
+
+
+def edits_of(rng: np.random.Generator) -> list[Edit]:
     """Draw one to five edits."""
     drawn = rng.integers(0, 2**31, (int(rng.integers(1, 6)), 3))
     return [(int(kind), int(where), int(what)) for kind, where, what in drawn]
 
 
-def fuzz(target: Target, seconds: float, seed: int, folder: Path) -> None:
-    """Run cases of one reader; a line of JSON at the end, faults as they come."""
+def fresh(folder: Path) -> Path:
+    """Return an empty folder to work in."""
+    work = folder / "work"
+    shutil.rmtree(work, ignore_errors=True)
+    work.mkdir(parents=True)
+    return work
+
+
+def whole_inputs(target: Target, folder: Path) -> list[bytes]:
+    """Make and read the whole inputs of a target, which loads the libraries outside the bounds."""
     seeds = target.seeds(folder)
     for data in seeds:
         (folder / f"case{target.suffix}").write_bytes(data)
-        target.read(folder / f"case{target.suffix}")  # libraries are loaded outside the bounds
+        target.read(folder / f"case{target.suffix}")
         if not run(target, data, folder):
             raise SystemExit(f"{target.name}: a whole input is refused")
+    return seeds
+
+
+def fuzz(target: Target, cases: int, seconds: float, seed: int, folder: Path) -> None:
+    """Run cases of one reader; a line of JSON every few seconds, faults as they come."""
+    work = fresh(folder)
+    seeds = whole_inputs(target, work)
     rng = np.random.default_rng([seed, *target.name.encode()])
-    cases = accepted = 0
-    longest = 0.0
+    accepted, longest = 0, 0.0
     end = time.monotonic() + seconds
-    while time.monotonic() < end:
-        data = damaged(seeds[cases % len(seeds)], edits_of(rng))
-        cases += 1
+    said = time.monotonic()
+    for case in range(1, cases + 1):
+        data = target.damage(seeds[case % len(seeds)], edits_of(rng))
         started = time.process_time()
         try:
-            accepted += run(target, data, folder)
+            accepted += run(target, data, work)
         except Fault as fault:
-            (folder / f"fault-{cases}{target.suffix}").write_bytes(data)
-            print(json.dumps({"fault": str(fault), "case": cases}), flush=True)
+            (folder / f"fault-{case}{target.suffix}").write_bytes(data)
+            print(json.dumps({"fault": str(fault), "case": case}), flush=True)
         longest = max(longest, time.process_time() - started)
-    print(json.dumps({"cases": cases, "accepted": accepted, "longest": round(longest, 2)}), flush=True)
+        now = time.monotonic()
+        if case == cases or now > end or now > said + _SIGN:
+            said = now
+            print(json.dumps({"cases": case, "accepted": accepted, "longest": longest}), flush=True)
+        if now > end:
+            return
 
 
-def watched(target: Target, seconds: float, seed: int, folder: Path) -> tuple[dict[str, float], Counter[str]]:
-    """Run :func:`fuzz` in a process; return its figures and the faults with their number."""
-    command = [sys.executable, __file__, "--child", target.name, "--seconds", str(seconds)]
-    command += ["--seed", str(seed), "--keep", str(folder)]
+def read_again(target: Target, kept: Path, folder: Path) -> None:
+    """Read the cases that failed once more; a line of JSON each."""
+    work = fresh(folder)
+    whole_inputs(target, work)
+    for path in sorted(kept.glob(f"fault-*{target.suffix}")):
+        try:
+            said = "accepted" if run(target, path.read_bytes(), work) else "refused"
+        except Fault as fault:
+            said = str(fault)
+        print(json.dumps({"file": path.name, "said": said}), flush=True)
+
+
+def watched(target: Target, options: argparse.Namespace, folder: Path) -> Tally:
+    """Run :func:`fuzz` in a process and count what it says."""
+    command = [sys.executable, __file__, "--child", target.name, "--seconds", str(options.seconds)]
+    command += ["--cases", str(options.cases), "--seed", str(options.seed), "--keep", str(folder)]
+    died: list[str] = []
     try:
-        done = subprocess.run(command, capture_output=True, text=True, timeout=seconds + _HANG, check=False)
-        lines = [json.loads(line) for line in done.stdout.splitlines() if line.startswith("{")]
-        died = (
-            []
-            if done.returncode == 0
-            else [f"the process ended with {done.returncode}: {done.stderr[-300:]}"]
+        done = subprocess.run(
+            command, capture_output=True, text=True, timeout=options.seconds + _HANG, check=False
         )
-    except subprocess.TimeoutExpired:
-        lines, died = [], ["it hung in native code"]
+        out = done.stdout
+        if done.returncode != 0:
+            died = [f"the process ended with {done.returncode}: {done.stderr[-300:]}"]
+    except subprocess.TimeoutExpired as error:
+        out = (error.stdout or b"").decode(errors="replace")
+        died = ["it hung in native code"]
+    case = folder / "work" / f"case{target.suffix}"
+    if died and case.is_file():
+        shutil.copy(case, folder / f"fault-0{target.suffix}")
+    lines = [json.loads(line) for line in out.splitlines() if line.startswith("{")]
     faults = Counter([line["fault"] for line in lines if "fault" in line] + died)
-    figures = next((line for line in lines if "cases" in line), {"cases": 0, "accepted": 0, "longest": 0.0})
-    return figures, faults
+    counted = [line for line in lines if "cases" in line]
+    last = counted[-1] if counted else {"cases": 0, "accepted": 0, "longest": 0.0}
+    return Tally(target.name, last["cases"], last["accepted"], last["longest"], faults)
+
+
+_PAGE = """# Damaged files
+
+Every reader of files that people exchange is given damaged ones: flipped bits, pieces that are cut or
+doubled, numbers that no file holds, types that were swapped, columns that are missing. A reader may read
+such a file, or refuse it in one line that names it. Any other exception, more than {seconds:g} s of
+processor time, or more than {memory} GiB of memory is a fault.
+
+**{cases:,} cases, {faults} faults, seed {seed}.** This page was written by
+`python tests/benchmarks/fuzz_readers.py {arguments}`.
+The tests run a short share of such cases, the same ones every time (`tests/fuzz`).
+
+| reader | cases | read | refused | longest case [s CPU] | faults |
+| --- | ---: | ---: | ---: | ---: | ---: |
+"""
+
+
+def page(tallies: list[Tally], options: argparse.Namespace) -> str:
+    """Return the table of docs/damaged-files.md."""
+    arguments = f"--cases {options.cases} --seconds {options.seconds:g} --seed {options.seed}"
+    head = _PAGE.format(
+        seconds=CPU_SECONDS, memory=MEMORY >> 30, cases=sum(t.cases for t in tallies),
+        faults=sum(t.faults.total() for t in tallies), seed=options.seed,
+        arguments=f"{arguments} --page docs/damaged-files.md",
+    )  # fmt: skip
+    rows = []
+    for t in tallies:
+        faults = t.faults.total()
+        refused = t.cases - t.accepted - faults
+        rows.append(
+            f"| {t.name} | {t.cases:,} | {t.accepted:,} | {refused:,} | {t.longest:.2f} | {faults} |\n"
+        )
+    return head + "".join(rows)
 
 
 def main() -> None:
     """Fuzz the readers asked for, one after another."""
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
-    parser.add_argument("--seconds", type=float, default=20.0, help="a reader")
+    parser.add_argument("--cases", type=int, default=10**9, help="most cases a reader")
+    parser.add_argument("--seconds", type=float, default=20.0, help="most seconds a reader")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", default="", help="readers, separated by commas")
     parser.add_argument("--keep", type=Path, help="folder for what failed")
+    parser.add_argument("--again", type=Path, help="folder of an earlier run: read what failed there")
+    parser.add_argument("--page", type=Path, help="file for the table")
     parser.add_argument("--child", default="", help=argparse.SUPPRESS)
     options = parser.parse_args()
     named = {target.name: target for target in TARGETS}
     if options.child:
-        fuzz(named[options.child], options.seconds, options.seed, options.keep)
+        fuzz(named[options.child], options.cases, options.seconds, options.seed, options.keep)
         return
     wanted = [name for name in options.only.split(",") if name] or list(named)
     root = options.keep or Path(tempfile.mkdtemp(prefix="fuzz-"))
-    total, failed, started = 0, 0, time.monotonic()
+    tallies, started = [], time.monotonic()
     for name in wanted:
-        folder = root / name.replace(" ", "-")
+        folder = root / name.replace(" ", "-").replace("/", "-")
         folder.mkdir(parents=True, exist_ok=True)
-        figures, faults = watched(named[name], options.seconds, options.seed, folder)
-        total, failed = total + int(figures["cases"]), failed + sum(faults.values())
-        said = f"{figures['cases']:7d} cases {figures['accepted']:7d} accepted"
-        print(f"{name:16s} {said}  longest {figures['longest']:5.2f} s CPU  {sum(faults.values())} faults")
-        for fault, times in faults.most_common(8):
+        if options.again is not None:
+            read_again(named[name], options.again / folder.name, folder)
+            continue
+        tally = watched(named[name], options, folder)
+        tallies.append(tally)
+        said = f"{tally.cases:7d} cases {tally.accepted:7d} accepted  longest {tally.longest:5.2f} s CPU"
+        print(f"{name:28s} {said}  {tally.faults.total()} faults", flush=True)
+        for fault, times in tally.faults.most_common(8):
             print(f"    {times:5d} x {fault}", flush=True)
-    print(f"{total} cases, {failed} faults, {time.monotonic() - started:.0f} s, seed {options.seed}")
+        if options.page is not None:
+            options.page.write_text(page(tallies, options), encoding="utf-8")
+    faults = sum(tally.faults.total() for tally in tallies)
+    cases = sum(tally.cases for tally in tallies)
+    print(f"{cases} cases, {faults} faults, {time.monotonic() - started:.0f} s, seed {options.seed}")
     if options.keep is None:
         shutil.rmtree(root, ignore_errors=True)
-    sys.exit(failed > 0)
+    sys.exit(faults > 0)
 
 
 if __name__ == "__main__":

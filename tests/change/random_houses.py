@@ -90,10 +90,11 @@ class Sensor:
 
 @dataclass(frozen=True)
 class Street:
-    """What stands in an epoch: the house, and what stands around it (neighbours, parked vans)."""
+    """What stands in an epoch: the house (or another object), and neighbours and parked vans around it."""
 
     house: tuple[Box, ...]
     around: tuple[Box, ...] = ()
+    semantic: Semantic = Semantic.BUILDING  # of the house
 
 
 @dataclass(frozen=True)
@@ -160,7 +161,7 @@ def survey(street, sensor, seed):
     view = EpochView(
         xyz,
         normal[index],
-        np.where(own == 0, int(Semantic.GROUND), int(Semantic.BUILDING)).astype(np.uint8),
+        np.choose(own, [int(Semantic.GROUND), int(street.semantic), int(Semantic.BUILDING)]).astype(np.uint8),
         np.where(house, 0, np.where(own == 0, -1, OTHERS)).astype(np.int32),
         xyz[:, 2].copy(),
         np.full(len(xyz), 0.05),

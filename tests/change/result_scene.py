@@ -10,6 +10,7 @@ from subiaco_change.records import ChangeRecord, ChangeResult, GroundChange, Reg
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.config import StrictModel
+from subiaco_geo.findings import Finding
 from subiaco_geo.frames import exp_se3
 
 ORIGIN = np.array([391_200.0, 6_464_500.0, 30.0])
@@ -155,5 +156,5 @@ def scene_result(seed: int = 7) -> ChangeResult:
         registration=registration,
         ground=ground_raster(),
         seconds={"register": 1.5, "decide": 0.25},
-        warnings=("epoch 'before' has no visibility layer <test & escape>",),
+        findings=(Finding("scene", "warning", "epoch 'before' has no visibility layer <test & escape>"),),
     )

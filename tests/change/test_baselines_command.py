@@ -34,7 +34,7 @@ def test_the_command_writes_a_change_directory_that_reads_back(clouds, tmp_path,
     document = json.loads((out / "run.json").read_text())
     assert document["notes"]["baseline"] == method
     assert not document["confidence_calibrated"]
-    assert any("no visibility" in warning for warning in document["warnings"])
+    assert any("neither visibility" in warning for warning in document["warnings"])
 
 
 def test_the_report_of_a_baseline_is_built_too(clouds, tmp_path):

@@ -50,6 +50,16 @@ def test_a_house_that_stands_around_a_short_wall_came_or_went_by_itself(first, l
     assert label in {r.decision.change for r in rows}
 
 
+@pytest.mark.parametrize("added", [True, False])
+def test_a_house_whose_absence_is_assumed_came_or_went_with_its_whole_volume(added):
+    house = [thing(box(10.0, 8.0, 5.0), np.zeros(len(box(10.0, 8.0, 5.0)), dtype=bool))]
+    sides = ([], house) if added else (house, [])
+    measures = decide_object(*sides, Semantic.BUILDING, RULES).measures
+    sign = 1.0 if added else -1.0
+    assert 300.0 < sign * measures.delta_v < 400.0
+    assert measures.volume_bounds.low == measures.volume_bounds.high == measures.delta_v
+
+
 def test_a_house_that_lost_most_of_itself_stays_one_row():
     row = matched(box(10.0, 8.0, 5.0), box(3.0, 8.0, 2.5))
     assert part_company([row], RULES) == [row]

@@ -24,6 +24,8 @@ def label(semantic=Semantic.BUILDING, lod=0.03, before=True, after=True, **chang
     rules = CONFIG.vegetation if semantic is Semantic.VEGETATION else CONFIG.building
     way = changes.get("delta_v", 0.0) or changes.get("delta_h", 0.0)
     changes.setdefault("carried", math.copysign(rules.carried, way) if way else 0.0)
+    if not (before and after):
+        changes.setdefault("delta_v", 50.0 if after else -50.0)  # what a building encloses
     changes.setdefault(
         "delta_v", 5.0 * np.sign(changes.get("delta_h", 0.0))
     )  # what a change of height carries
@@ -46,6 +48,18 @@ def label(semantic=Semantic.BUILDING, lod=0.03, before=True, after=True, **chang
 )
 def test_buildings_follow_the_table(changes, expected):
     assert label(**changes) is expected
+
+
+@pytest.mark.parametrize(("before", "after", "sign"), [(True, False, -1.0), (False, True, 1.0)])
+def test_a_building_of_one_survey_that_encloses_no_volume_is_a_piece_of_a_wall(before, after, sign):
+    share = {"gone_share": 1.0} if before else {"new_share": 1.0}
+    claimed = Change.REMOVED if before else Change.ADDED
+    for volume, expected in ((0.0, Change.UNOBSERVED), (1.9, Change.UNOBSERVED), (2.1, claimed)):
+        assert label(before=before, after=after, delta_v=sign * volume, **share) is expected
+        fence = label(Semantic.OTHER, before=before, after=after, delta_v=sign * volume, **share)
+        assert fence is claimed  # a fence encloses nothing
+    found = decide(Semantic.BUILDING, before, after, replace(SAME, delta_v=0.0, **share), 0.03, CONFIG)
+    assert "encloses 0.0 m³ (limit 2 m³)" in found.reason
 
 
 def test_a_height_change_below_the_gate_is_not_claimed():

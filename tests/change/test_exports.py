@@ -5,11 +5,19 @@ from __future__ import annotations
 import geopandas as gpd
 import laspy
 import numpy as np
+import pandas as pd
+import pyogrio
 import pytest
+from geopandas.testing import assert_geodataframe_equal
+from scipy.spatial import cKDTree
 
+from subiaco_change.outputs.clouds import ASPRS_CODES, POINT_FIELDS
 from subiaco_change.outputs.exports import export_changes
+from subiaco_change.outputs.reviews import read_reviewed
+from subiaco_change.outputs.table import ALL_COLUMNS, TEXT_COLUMNS
 from subiaco_geo.cloud_io import read_cloud
 from subiaco_geo.clouds import from_world
+from subiaco_geo.codes import Semantic
 from subiaco_geo.errors import InputError
 from subiaco_geo.exports import export_map
 from subiaco_geo.maps import write_map
@@ -25,12 +33,110 @@ def test_the_table_as_geojson_lies_in_longitude_and_latitude(change_directory, r
     assert rows.geometry.bounds["miny"].between(-32.2, -31.7).all()
 
 
-@pytest.mark.parametrize("kind", ["gpkg", "parquet"])
-def test_the_table_keeps_its_rows(change_directory, result, tmp_path, kind):
-    (file,) = export_changes(change_directory, tmp_path / "out", kind)
-    rows = gpd.read_parquet(file) if kind == "parquet" else gpd.read_file(file, layer="objects")
-    assert set(rows["object_id"]) <= {r.object_id for r in result.records}
-    assert "review" in rows.columns
+def cells(frame):
+    """Rows by object id, every cell as a text or a rounded number, missing ones as an empty text."""
+    plain = pd.DataFrame(frame.drop(columns="geometry", errors="ignore"))
+    for name in plain.columns:
+        if name in TEXT_COLUMNS:
+            values = plain[name].astype(object)
+            plain[name] = values.where(values.notna(), "").map(lambda v: str(v).split(" 00:00")[0])
+    return plain.set_index("object_id").sort_index()
+
+
+READERS = {
+    "gpkg": lambda p: pd.concat([gpd.read_file(p / "changes.gpkg", layer=n) for n in ("objects", "ground")]),
+    "parquet": lambda p: gpd.read_parquet(p / "changes.parquet"),
+    "geojson": lambda p: gpd.read_file(p / "changes.geojson"),
+    "kml": lambda p: gpd.read_file(p / "changes.kml").astype({"object_id": int}),
+    "csv": lambda p: pd.read_csv(p / "changes.csv", dtype=dict.fromkeys(TEXT_COLUMNS, str)),
+    "shp": lambda p: gpd.read_file(p / "changes.shp").rename(
+        columns=pd.read_csv(p / "columns.csv").set_index("shapefile")["column"].to_dict()
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", READERS)
+def test_every_cell_of_the_table_survives_its_export(change_directory, tmp_path, kind):
+    export_changes(change_directory, tmp_path / "out", kind)
+    read = READERS[kind](tmp_path / "out")
+    stored = read_reviewed(change_directory)
+    given = cells(stored)
+    found = cells(read)
+    assert set(given.columns) <= set(found.columns)
+    for name in given.columns:
+        if name in TEXT_COLUMNS:
+            assert found[name].tolist() == given[name].tolist(), name
+        else:
+            numbers = pd.to_numeric(found[name]).to_numpy(dtype=np.float64)
+            np.testing.assert_allclose(numbers, given[name].to_numpy(np.float64), atol=1e-4, err_msg=name)
+    if kind not in ("csv", "kml"):
+        back = read.set_index("object_id").to_crs("EPSG:7850").geometry.area.sort_index()
+        np.testing.assert_allclose(back, stored.set_index("object_id").geometry.area.sort_index(), rtol=1e-3)
+
+
+def test_a_geopackage_keeps_every_layer_with_its_style(change_directory, tmp_path):
+    (file,) = export_changes(change_directory, tmp_path / "out", "gpkg")
+    names = pyogrio.list_layers(change_directory / "changes.gpkg")[:, 0]
+    assert sorted(pyogrio.list_layers(file)[:, 0]) == sorted(names)
+    coverage = [gpd.read_file(path, layer="coverage") for path in (change_directory / "changes.gpkg", file)]
+    assert_geodataframe_equal(*coverage)
+
+
+def test_a_drawing_has_a_layer_a_label_and_the_row_at_every_outline(change_directory, result, tmp_path):
+    (file,) = export_changes(change_directory, tmp_path / "out", "dxf")
+    drawn = pyogrio.read_dataframe(file)
+    outlines = drawn[drawn["Text"].fillna("") == ""]
+    assert len(outlines) == len(result.records)
+    assert set(outlines["Layer"]) == {r.change.label.upper() for r in result.records}
+    lines = file.read_text(encoding="ascii").splitlines()
+    groups = list(zip(map(int, lines[::2]), lines[1::2], strict=True))
+    starts = [k for k, group in enumerate(groups) if group == (0, "POLYLINE")]
+    records = sorted(result.records, key=lambda r: r.object_id)
+    for record, row, start in zip(records, outlines.itertuples(), starts, strict=True):
+        end = groups.index((0, "VERTEX"), start)
+        assert (1001, "SUBIACO") in groups[start:end]
+        data = dict(text.split("=", 1) for code, text in groups[start:end] if code == 1000)
+        assert set(data) == set(ALL_COLUMNS)
+        assert (data["object_id"], data["class"]) == (str(record.object_id), record.semantic.label)
+        west, south, east, north = row.geometry.bounds
+        assert (east - west) * (north - south) == pytest.approx(record.footprint.area, rel=1e-3)
+    assert set(drawn["Text"].dropna()) >= {str(r.object_id) for r in result.records}
+
+
+@pytest.mark.parametrize("kind", ["laz", "copc", "ply"])
+@pytest.mark.parametrize("epoch", ["before", "after"])
+def test_every_field_of_every_point_survives_its_export(change_directory, result, tmp_path, kind, epoch):
+    files = export_changes(change_directory, tmp_path / "out", kind)
+    (file,) = (f for f in files if f.name.startswith(epoch))
+    cloud, source = read_cloud(file), getattr(result, epoch)
+    places = [np.column_stack([c.world() - source.origin, c.fields["confidence"]]) for c in (cloud, source)]
+    distance, pairs = cKDTree(places[1]).query(places[0])
+    assert distance.max() < 1.5e-3
+    assert len(np.unique(pairs)) == len(cloud) == len(source)
+    for name in (*POINT_FIELDS, "intensity"):
+        values, expected = cloud.fields[name], np.asarray(source.fields[name])[pairs]
+        if name == "lod95" and kind != "ply":
+            expected = np.where(np.isinf(expected), np.nan, expected)  # LAS readers stumble over infinity
+        if name == "intensity" and kind != "ply":
+            expected = np.round(expected)
+        np.testing.assert_array_equal(values, expected, err_msg=name)
+    assert "7850" in cloud.crs
+    if kind != "ply":
+        codes = [ASPRS_CODES[Semantic(code)] for code in np.asarray(source.fields["semantic"])[pairs]]
+        np.testing.assert_array_equal(cloud.fields["classification"], codes)
+
+
+def test_extra_dimensions_say_what_they_are_and_hold_no_infinity(change_directory, tmp_path):
+    export_changes(change_directory, tmp_path / "laz", "laz")
+    for folder in (change_directory, tmp_path / "laz"):
+        las = laspy.read(folder / "after_labelled.laz")
+        described = {d.name: d.description for d in las.point_format.extra_dimensions}
+        assert set(described) >= set(POINT_FIELDS)
+        assert all(described.values())
+        assert described["instance"] == "object_id of the table, -1 none"
+        for name in described:
+            assert not np.isinf(las[name]).any()
+        assert np.isnan(las["lod95"]).sum() == 50
 
 
 def test_clouds_as_copc_and_for_cloudcompare(change_directory, result, tmp_path):

@@ -60,6 +60,15 @@ def test_nothing_is_claimed_below_the_level_of_detection():
     assert compare_ground(*rough, GroundChangeConfig()).patches == ()
 
 
+@pytest.mark.parametrize(("moved", "count"), [(0.3, 1), (0.9, 0)])
+def test_low_parts_of_what_moved_are_no_ground(moved, count):
+    where = lambda x, y: (x > 30) & (x < 38) & (y > 30) & (y < 38)  # noqa: E731
+    before = view(lambda x, y: 0.4 * where(x, y), seed=1)
+    told = np.where(where(before.xyz[:, 0], before.xyz[:, 1]), moved, 0.1)
+    found = compare_ground(replace(before, moved=told), view(seed=2), GroundChangeConfig()).patches
+    assert len(found) == count
+
+
 def blind_there(lift, where, seed=2):
     """An epoch without a level of detection where ``where`` holds."""
     found = view(lift, seed=seed)

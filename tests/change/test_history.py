@@ -69,6 +69,49 @@ def test_an_object_that_the_middle_epoch_could_not_see_is_one_object_and_says_so
     assert row["changes"] == ""
 
 
+def test_an_object_that_both_pairs_call_occupied_is_neither_new_nor_gone():
+    history = follow(
+        table(("a", "building", "Unchanged", "4", "", 0)),
+        table(("b", "building", "Unchanged", "", "6", 0.3)),
+    )
+    row = history.loc["a"]
+    assert len(history) == 1
+    assert row["object_uids"] == "a;b"
+    assert (row["first_seen"], row["last_seen"]) == ("2019", "2025")
+    assert (row["appeared_after"], row["gone_by"], row["not_seen"]) == ("", "", "")
+
+
+def test_two_rows_of_one_pair_at_one_place_that_is_occupied_in_both_are_one_object():
+    history = follow(
+        table(("a", "building", "Unchanged", "4", "", 0), ("b", "building", "Unchanged", "", "5", 0.2)),
+        table(("c", "building", "Removed", "5", "", 0.2)),
+    )
+    assert list(history.index) == ["a"]
+    assert history.loc["a", "object_uids"] == "a;b;c"
+    assert history.loc["a", "gone_by"] == "2025"
+
+
+def possible_ends(label: str, instance: str) -> set[tuple[str, str]]:
+    """Return the ids before and after that a row of a label can have where it has one instance."""
+    ends = {"Added": {("", instance)}, "Removed": {(instance, "")}}
+    return ends.get(label, {(instance, ""), ("", instance)})
+
+
+@pytest.mark.parametrize("first", ["Unchanged", "Unobserved", "Increased", "Decreased", "Added", "Removed"])
+@pytest.mark.parametrize("second", ["Unchanged", "Unobserved", "Increased", "Decreased", "Added", "Removed"])
+def test_a_history_claims_absence_only_where_a_pair_says_added_or_removed(first: str, second: str):
+    for ends_first in possible_ends(first, "1"):
+        for ends_second in possible_ends(second, "2"):
+            history = follow(
+                table(("a", "building", first, *ends_first, 0)),
+                table(("b", "building", second, *ends_second, 50)),
+            )
+            for name, label in (("a", first), ("b", second)):
+                row = history.loc[name]
+                assert bool(row["appeared_after"]) == (label == "Added")
+                assert bool(row["gone_by"]) == (label == "Removed")
+
+
 def test_a_shed_that_was_replaced_by_another_is_two_objects():
     history = follow(
         table(("a", "building", "Removed", "4", "", 0), ("b", "building", "Added", "", "5", 0)),

@@ -65,7 +65,40 @@ def test_a_ballpark_operation_is_refused():
 
 def test_one_crs_without_the_other_is_said():
     _, _, info = check_pair(survey(), survey(crs=None, origin=np.zeros(3)))
-    assert "after has no CRS" in info.warnings[0]
+    assert "after has no CRS" in info.findings[0].text
+
+
+def test_heights_above_the_geoid_against_heights_above_the_ellipsoid_are_refused_with_both_named():
+    for shift, lower in ((33.1, "before"), (-33.1, "after")):
+        with pytest.raises(InputError, match=rf"heights of {lower} are 33\.1 m lower.*geoid \(AHD"):
+            check_pair(survey(), survey(shift=(0.3, 0.4, shift), seed=2))
+        check_pair(survey(), survey(shift=(0.3, 0.4, shift), seed=2), aligned=False)
+
+
+def test_a_hill_of_other_ground_is_no_other_kind_of_height():
+    rng = np.random.default_rng(4)
+    flat = rng.uniform(0, 50, (20_000, 3)) * (1, 1, 0.01)
+    raised = flat + np.column_stack([np.zeros((len(flat), 2)), np.where(flat[:, 0] > 30, 8.0, 0.0)])
+    before, after = (SurveyMap(PointCloud(xyz, PERTH, "EPSG:7850")) for xyz in (flat, raised))
+    check_pair(before, after)
+
+
+def test_a_wrong_zone_label_is_refused_and_the_right_zone_named():
+    with pytest.raises(InputError, match="coordinates agree as they are") as refused:
+        check_pair(survey(crs="EPSG:7851"), survey())
+    assert "km apart" in str(refused.value)
+    elsewhere = transformer("EPSG:7850", "EPSG:7851").apply(PERTH[None])[0]
+    with pytest.raises(
+        InputError, match="coordinates of before fit if its CRS is EPSG:7851 instead of EPSG:7850"
+    ):
+        check_pair(survey(origin=elsewhere), survey())
+
+
+def test_a_frame_that_is_known_to_metres_only_is_a_warning():
+    _, _, info = check_pair(survey(crs="EPSG:32750"), survey(seed=2))
+    (found,) = info.findings
+    assert (found.code, found.severity) == ("crs_operation", "warning")
+    assert "accurate to 3.0 m" in found.sentence
 
 
 def test_empty_clouds_and_nan_are_refused():

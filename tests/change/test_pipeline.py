@@ -79,6 +79,14 @@ def test_houses_are_removed_raised_shortened_and_added(result, x, y, change):
     assert at(result, Semantic.BUILDING, x, y).change is change
 
 
+def test_a_new_house_has_a_height_after_and_a_removed_one_a_height_before(result):
+    built, removed = at(result, Semantic.BUILDING, -22, -13), at(result, Semantic.BUILDING, -8, 13)
+    assert 2.5 < built.height_after_m < 9.0
+    assert np.isnan(built.height_before_m)
+    assert 2.5 < removed.height_before_m < 9.0
+    assert np.isnan(removed.height_after_m)
+
+
 def test_a_storey_of_three_metres_measures_three_metres(result):
     assert at(result, Semantic.BUILDING, 8, 13).delta_h_m == pytest.approx(3.0, abs=0.3)
 

@@ -12,7 +12,7 @@ from test_outline import crown
 
 from subiaco_change.changes.outline import OutlineConfig, compare_outlines
 from subiaco_change.changes.plant_decisions import decide_plant
-from subiaco_change.changes.plants import PlantConfig, _is_thin, equal_density
+from subiaco_change.changes.plants import PlantConfig, _is_thin, equal_density, free_shell
 from subiaco_change.changes.vegetation_null import (
     PlantMeasures,
     VegetationNullConfig,
@@ -55,6 +55,41 @@ def test_a_shift_that_all_crowns_of_a_pair_share_is_no_change_and_one_beyond_is(
     assert "the other 39 crowns of this pair moved" in grown.reason
     assert "excess" in grown.reason
     assert grown.sigmas > 0 > rest.sigmas
+
+
+@pytest.mark.parametrize(
+    ("free", "thin", "absent", "claimed"),
+    [(0.9, False, 0.5, True), (0.6, False, 0.9, False), (0.9, True, 0.9, True), (0.9, True, 0.6, False)],
+    ids=["looked through", "not looked at", "a pole looked through", "a pole between beams"],
+)
+def test_growth_is_claimed_only_where_the_earlier_survey_saw_the_place_free(free, thin, absent, claimed):
+    tree = replace(TREE, thin=thin, top=1.5, surface=0.3, outline=0.0 if thin else 0.6)
+    grown = label(replace(tree, free_gained=free, free_lost=0.0, absent=absent), no_null(NULL))
+    assert grown.change is (Change.INCREASED if claimed else Change.UNCHANGED)
+    assert ("was free in the earlier survey" in grown.reason) != claimed
+    less = replace(tree, top=-1.5, surface=-0.3, outline=-tree.outline, free_gained=0.0, free_lost=free)
+    pruned = label(replace(less, absent=absent), no_null(NULL))
+    assert pruned.change is (Change.DECREASED if claimed else Change.UNCHANGED)
+
+
+def test_surface_of_one_epoch_alone_is_what_has_nothing_of_the_other_near_it():
+    """A crown of 2 m that grew to 2.4 m: places of the new shell are asked, places of the old are not."""
+    small, large = crown(4000, 2.0, 1), crown(4000, 2.4, 2)
+
+    def known_outside(places):
+        return np.where(np.linalg.norm(places - (0.0, 0.0, 5.0), axis=1) > 2.2, 0.9, 0.0)
+
+    assert free_shell(large, small, known_outside, PlantConfig()) > 0.9
+    assert free_shell(small, large, known_outside, PlantConfig(shell=0.6)) == 0.5
+    assert free_shell(large, small, None, PlantConfig()) == 1.0
+
+
+@pytest.mark.parametrize(("count", "least", "most"), [(3, 0.6, 0.6), (500, 0.9, 1.0)])
+def test_many_places_are_surer_than_few_and_places_without_beams_never_are(count, least, most):
+    leaves, nothing = crown(count, 2.0, 1), np.zeros((0, 3))
+    together = free_shell(leaves, nothing, lambda p: np.full(len(p), 0.6), PlantConfig())
+    assert least - 1e-9 <= together <= most + 1e-9
+    assert free_shell(leaves, nothing, lambda p: np.full(len(p), 0.5), PlantConfig()) == pytest.approx(0.5)
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import html
 import json
+import re
 import shutil
 
 import laspy
@@ -198,6 +200,43 @@ def test_heights_of_our_own_maps_are_stated_as_ellipsoidal(command, tmp_path):
         text = "".join(vlr.string for vlr in reader.header.vlrs if hasattr(vlr, "string"))
     assert "VERT_CS" in text
     assert "ellipsoidal height" in text
+
+
+def test_a_serious_finding_stands_in_command_line_run_report_and_summary(command, tmp_path):
+    cloud = write_street(tmp_path / "street.ply")
+    (tmp_path / "copy.ply").write_bytes(cloud.read_bytes())
+    options = ["--registration", "identity", "-q", "--set", "leaf=0.5"]
+    ran = command("change", cloud, tmp_path / "copy.ply", "-o", tmp_path / "out", *options)
+    assert ran.code == 0, ran.err
+    (found,) = [f for f in json.loads((tmp_path / "out/run.json").read_text())["findings"]
+                if f["severity"] == "serious"]  # fmt: skip
+    assert found["code"] == "same_survey"
+    assert found["sentence"] in ran.err
+    assert found["remedy"] in ran.err
+    for page in ("report.html", "summary.html"):
+        text = html.unescape((tmp_path / "out" / page).read_text())
+        (box,) = re.findall(r'<p class="alarm"[^>]*>(.*?)</p>', text, re.DOTALL)
+        assert found["sentence"] in box
+        assert found["remedy"] in box
+
+
+def test_ahd_against_ellipsoidal_heights_is_refused_before_the_registration(refused, tmp_path, good):
+    high = write_street(tmp_path / "ahd.ply", shift=(0.0, 0.0, 32.7), seed=2)
+    refused(pair(good, high, tmp_path), "32.7 m lower", "ellipsoid", "AHD", "--transform")
+
+
+def test_a_zone_label_that_is_wrong_is_refused_with_the_distance(refused, tmp_path, good):
+    wrong = write_street(tmp_path / "zone51.ply", crs="EPSG:7851", seed=2)
+    refused(pair(wrong, good, tmp_path), "km apart", "EPSG:7851", "coordinates agree as they are")
+
+
+def test_a_survey_in_gda94_labelled_gda2020_is_named_in_the_result(command, tmp_path, good):
+    shifted = write_street(tmp_path / "gda94.ply", shift=(-0.996, -1.495, 0.078), seed=2)
+    ran = command("change", shifted, good, "-o", tmp_path / "out", "-q", "--set", "leaf=0.5")
+    assert ran.code == 0, ran.err
+    codes = {f["code"]: f for f in json.loads((tmp_path / "out/run.json").read_text())["findings"]}
+    assert "GDA94 (BEFORE) and GDA2020 (AFTER), 1.80 m" in codes["datum_mismatch"]["sentence"]
+    assert "GDA94 (BEFORE)" in ran.err
 
 
 def test_an_earlier_change_directory_is_replaced_only_when_asked(refused, gda94_change, tmp_path):

@@ -17,7 +17,9 @@ VERBS = [
     "change",
     "evaluate",
     "report",
+    "review",
     "export",
+    "deliver",
     "baseline",
     "ablate",
     "inject",
@@ -42,14 +44,16 @@ OPTIONS = {
         "--parcels",
         "--overwrite",
     ],
-    "export": ["--to", "copc", "--output", "--cloudcompare"],
+    "export": ["--to", "copc", "dxf", "--output", "--cloudcompare", "--review", "accepted"],
+    "deliver": ["CHANGE_DIR", "--output", "--review", "--polygons", "--check", "--cell", "--without-clouds"],
+    "review": ["CHANGE_DIR", "reviews.csv", "--json"],
     "check": ["--control", "--crs", "--json"],
     "trajectory": ["--output", "--align", "--json", "--overwrite"],
     "record": ["--output", "--resume", "--duration", "--remap", "--config", "--set", "--quiet", "--verbose"],
     "recover": ["--output", "--in-place", "--thorough", "--json"],
     "baseline": ["dsm|nn|m3c2|c2c", "--output", "--transform", "--registration", "identity", "--overwrite"],
     "evaluate": ["--output", "--json"],
-    "report": ["CHANGE_DIR"],
+    "report": ["CHANGE_DIR", "--project", "--client", "--logo"],
 }
 
 

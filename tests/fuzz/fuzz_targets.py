@@ -1,148 +1,17 @@
-"""What is fuzzed: whole small inputs, how they are damaged, and readers that may only refuse.
-
-A case is a seed file and a list of edits. A reader may return, or raise :class:`SubiacoError`; anything
-else, more than :data:`CPU_SECONDS` of processor time or more than :data:`MEMORY` bytes above what the process
-held before is a fault.
-"""
+"""Readers that are fuzzed: clouds, bags, packets, texts, and (exchanged_targets.py) folders and logs."""
 
 from __future__ import annotations
 
 import re
-import resource
-import signal
 import struct
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass
+from collections.abc import Callable
 from functools import cache
 from pathlib import Path
 
 import numpy as np
-import psutil
 import yaml
-
-from subiaco_geo.errors import SubiacoError
-
-CPU_SECONDS = 10.0
-MEMORY = 1 << 30
-_WHOLE_NUMBERS = (0, 1, 0x7F, 0xFF, 0xFFFF, 2**31 - 1, 2**32 - 1, 10**9, 10**12, 2**63 - 1, 2**64 - 1)
-_WORDS = (
-    b"0", b"-1", b"1000000000000", b"99999999999999999999999", b"1e999", b"nan", b"-inf", b"1e-320", b"",
-    b"\x00", b"\xff\xfe", b"[[[[", b"{", b"~", b"!!python/object/apply:os.getcwd []", b"&a [*a, *a]",
-    b"2025-13-45", b"0x", b"1_0", b'"', b"\n", b"\r",
-)  # fmt: skip
-Edit = tuple[int, int, int]
-KINDS = 10
-
-
-def damaged(data: bytes, edits: Sequence[Edit]) -> bytes:
-    """Apply edits ``(kind, where, what)``; half of them fall into the first 400 bytes, where headers are."""
-    for kind, where, what in edits:
-        reach = len(data) if where & 1 else min(len(data), 400)
-        at = (where >> 1) % (reach + 1)
-        data = _EDITS[kind % KINDS](data, at, what)
-    return data
-
-
-def _put(data: bytes, at: int, piece: bytes) -> bytes:
-    return data[:at] + piece + data[at + len(piece) :]
-
-
-def _number(data: bytes, at: int, what: int) -> bytes:
-    """Write an awkward whole number of 1, 2, 4 or 8 bytes."""
-    size = (1, 2, 4, 8)[what % 4]
-    value = _WHOLE_NUMBERS[what // 4 % len(_WHOLE_NUMBERS)] % (1 << 8 * size)
-    return _put(data, at, value.to_bytes(size, "little"))
-
-
-def _word(data: bytes, at: int, what: int) -> bytes:
-    """Replace the next word or number of a text by an awkward one."""
-    found = re.compile(rb"[\w.+-]+").search(data, at)
-    start, end = found.span() if found else (at, at)
-    return data[:start] + _WORDS[what % len(_WORDS)] + data[end:]
-
-
-def _line(data: bytes, at: int, what: int) -> bytes:
-    """Drop, double or move a line."""
-    lines = data.split(b"\n")
-    index = data[:at].count(b"\n")
-    line = lines.pop(index)
-    if what % 3:
-        lines[index:index] = [line] * 2 if what % 3 == 1 else []
-        lines[what // 3 % (len(lines) + 1) :][:0] = [line]
-    return b"\n".join(lines)
-
-
-_EDITS: tuple[Callable[[bytes, int, int], bytes], ...] = (
-    lambda data, at, what: _put(data, at, bytes([data[at] ^ (1 << what % 8)])) if at < len(data) else data,
-    lambda data, at, what: _put(data, at, bytes([what % 256])),
-    _number,
-    _number,
-    _word,
-    _word,
-    _line,
-    lambda data, at, what: data[:at],
-    lambda data, at, what: data[:at] + data[at + what % 64 :],
-    lambda data, at, what: data[:at] + data[at : at + what % 64] + data[at:],
-)
-
-
-class Fault(AssertionError):  # noqa: N818
-    """A reader did what it must not."""
-
-
-def _too_long(_signal: int, _frame: object) -> None:
-    raise Fault(f"more than {CPU_SECONDS:g} s of processor time")
-
-
-@contextmanager
-def bounds() -> Iterator[None]:
-    """Bound processor time and memory of what runs inside, native code too."""
-    soft, hard = resource.getrlimit(resource.RLIMIT_AS)
-    resource.setrlimit(resource.RLIMIT_AS, (psutil.Process().memory_info().vms + MEMORY, hard))
-    before = signal.signal(signal.SIGPROF, _too_long)
-    signal.setitimer(signal.ITIMER_PROF, CPU_SECONDS)
-    try:
-        yield
-    finally:
-        signal.setitimer(signal.ITIMER_PROF, 0)
-        signal.signal(signal.SIGPROF, before)
-        resource.setrlimit(resource.RLIMIT_AS, (soft, hard))
-
-
-@dataclass(frozen=True)
-class Target:
-    """A reader and the whole inputs that are damaged for it."""
-
-    name: str
-    suffix: str
-    read: Callable[[Path], object]
-    seeds: Callable[[Path], list[bytes]]
-
-
-def run(target: Target, data: bytes, folder: Path) -> bool:
-    """Read data within bounds and tell whether they were accepted.
-
-    Raises
-    ------
-    Fault
-        It crashed, hung, or took the memory.
-    """
-    path = folder / f"case{target.suffix}"
-    path.write_bytes(data)
-    try:
-        with bounds():
-            target.read(path)
-    except SubiacoError as error:
-        if "\n" in str(error) or len(str(error)) > 2000:
-            raise Fault(f"the refusal is no single line: {str(error)[:300]!r}") from error
-        return False
-    except Fault:
-        raise
-    except Exception as error:
-        raise Fault(f"{target.name}: {type(error).__name__}: {str(error)[:300]}") from error
-    return True
-
+from exchanged_targets import EXCHANGED
+from fuzz_cases import Target
 
 # ---------------------------------------------------------------- clouds
 
@@ -207,7 +76,7 @@ def _read_cloud(path: Path) -> object:
 
 
 @cache
-def _sensor() -> tuple[str, tuple[bytes, ...]]:
+def small_sensor() -> tuple[str, tuple[bytes, ...]]:
     """A sensor of 16 beams at 512x10, and the packets of two turns."""
     from ouster.sdk import core
 
@@ -233,7 +102,7 @@ def _read_packets(path: Path) -> object:
     from subiaco_mapping.config import DecodeConfig
     from subiaco_mapping.decode import PacketDecoder
 
-    decoder = PacketDecoder(_sensor()[0], DecodeConfig())
+    decoder = PacketDecoder(small_sensor()[0], DecodeConfig())
     data, size = path.read_bytes(), decoder.packet_size
     packets = [data[start : start + size] for start in range(0, len(data), size)]
     scans = [scan for packet in packets for scan in decoder.push(packet)] + decoder.flush()
@@ -247,7 +116,7 @@ def _read_metadata(path: Path) -> object:
     from subiaco_mapping.decode import PacketDecoder
 
     decoder = PacketDecoder(path.read_text(errors="replace"), DecodeConfig())
-    for packet in _sensor()[1][:3]:
+    for packet in small_sensor()[1][:3]:
         decoder.push(packet)
     return decoder.flush()
 
@@ -367,33 +236,15 @@ def _read_table(path: Path) -> object:
 def _table_seeds(_folder: Path) -> list[bytes]:
     from subiaco_change.outputs.table import COLUMNS
 
-    return [(",".join(COLUMNS) + "\n" + ",".join(["1"] * len(COLUMNS)) + "\n").encode()]
+    named = {"class": "building", "label": "Added"}
+    row = ",".join(named.get(name, "1") for name in COLUMNS)
+    return [f"{','.join(COLUMNS)}\n{row}\n".encode()]
 
 
 def _read_transform(path: Path) -> object:
     from subiaco_change.job import read_transform
 
     return read_transform(path)
-
-
-def _read_map_facts(path: Path) -> object:
-    """Read a map directory whose ``map.yaml`` is damaged."""
-    from subiaco_geo.maps import read_map, write_map
-    from subiaco_geo.survey_map import SurveyMap
-
-    folder = path.parent / "map"
-    if not folder.is_dir():
-        write_map(folder, SurveyMap(cloud=_small_cloud(), info={"seed": 1}))
-    (folder / "map.yaml").write_bytes(path.read_bytes())
-    return read_map(folder)
-
-
-def _map_facts_seeds(folder: Path) -> list[bytes]:
-    from subiaco_geo.maps import write_map
-    from subiaco_geo.survey_map import SurveyMap
-
-    write_map(folder / "seedmap", SurveyMap(cloud=_small_cloud(), info={"seed": 1}))
-    return [(folder / "seedmap" / "map.yaml").read_bytes()]
 
 
 def _text(*texts: str) -> Callable[[Path], list[bytes]]:
@@ -410,18 +261,23 @@ _ROUTE = (
 )
 
 TARGETS = (
-    Target("packets", ".bin", _read_packets, lambda _folder: [b"".join(_sensor()[1])]),
-    Target("sensor metadata", ".json", _read_metadata, lambda _folder: [_sensor()[0].encode()]),
+    Target("packets", ".bin", _read_packets, lambda _folder: [b"".join(small_sensor()[1])]),
+    Target(
+        "sensor metadata",
+        ".json",
+        _read_metadata,
+        lambda _folder: [small_sensor()[0].encode()],
+        "/ouster/metadata",
+    ),
     Target("bag", ".mcap", _read_bag, _bag_seeds),
-    Target("bag metadata", ".yaml", _read_bag_folder, _metadata_yaml_seeds),
+    Target("bag metadata", ".yaml", _read_bag_folder, _metadata_yaml_seeds, named="folder"),
     Target("recovery", ".mcap.partial", _recover, _bag_seeds),
     Target("ply", ".ply", _read_cloud, _ply_seeds),
     Target("pcd", ".pcd", _read_cloud, _pcd_seeds),
     Target("las", ".las", _read_cloud, _written(".las")),
     Target("laz", ".laz", _read_cloud, _written(".laz")),
     Target("configuration", ".yaml", _read_config, _config_seeds),
-    Target("setting", ".txt", _setting, _text("odometry.voxel=0.8", "crs=EPSG:7850")),
-    Target("map facts", ".yaml", _read_map_facts, _map_facts_seeds),
+    Target("setting", ".txt", _setting, _text("odometry.voxel=0.8", "crs=EPSG:7850"), named=""),
     Target("tum", ".tum", _read_tum, _text(_TUM)),
     Target("kitti", ".txt", _read_kitti, _text(_KITTI)),
     Target("control", ".csv", _read_control, _text(_CONTROL)),
@@ -429,4 +285,5 @@ TARGETS = (
     Target("route table", ".csv", _read_route, _text("lat,lon\n-31.9,115.8\n-31.8,115.9\n")),
     Target("change table", ".csv", _read_table, _table_seeds),
     Target("transform", ".txt", _read_transform, _text("1 0 0 0\n0 1 0 0\n0 0 1 0\n0 0 0 1\n")),
+    *EXCHANGED,
 )

@@ -7,7 +7,8 @@ from collections.abc import Callable
 from pathlib import Path
 
 import pytest
-from fuzz_targets import KINDS, MEMORY, TARGETS, Fault, Target, bounds, damaged, run
+from fuzz_cases import KINDS, MEMORY, Fault, Target, bounds, run
+from fuzz_targets import TARGETS
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -46,7 +47,7 @@ def test_a_damaged_input_is_read_or_refused_in_one_line(name: str, seeds) -> Non
     @settings(max_examples=12, suppress_health_check=list(HealthCheck))
     @given(which=st.integers(0, len(whole) - 1), edits=EDITS)
     def trial(which: int, edits: list[tuple[int, int, int]]) -> None:
-        run(target, damaged(whole[which], edits), folder)
+        run(target, target.damage(whole[which], edits), folder)
 
     trial()
 
@@ -131,6 +132,29 @@ def test_sensor_metadata_of_a_size_that_no_sensor_has_is_refused(
     )
     assert damaged_text != text
     assert run(NAMED["sensor metadata"], damaged_text.encode(), tmp_path) is False
+
+
+@pytest.mark.parametrize(
+    ("name", "target"),
+    [
+        ("fault_107.mcap", "drive bag"),
+        ("fault_10784.mcap", "bag"),
+        ("fault_2084.bin", "packets"),
+        ("fault_6012.tum", "tum"),
+        ("crash_import.pcap", "pcap"),
+        ("crash_import.osf", "osf"),
+        ("crc_test.pcap", "pcap"),
+        ("empty_pcap.pcap", "pcap"),
+    ],
+)
+def test_recordings_that_raised_before_are_read_or_refused(
+    shared_data: Path, name: str, target: str, seeds, tmp_path: Path
+) -> None:
+    path = shared_data / "ouster" / "negative" / name
+    if not path.is_file():
+        pytest.skip(f"no {path}")
+    seeds(NAMED[target])
+    run(NAMED[target], path.read_bytes(), tmp_path)
 
 
 def test_the_bounds_catch_a_reader_that_takes_memory_hangs_or_raises(tmp_path: Path) -> None:

@@ -15,7 +15,7 @@ from subiaco_geo.crs import (
     EnuFrame,
     crs_text,
     ellipsoidal_heights,
-    fixes_to_gda2020,
+    fixes_to_datum,
     las_wkt,
     require_crs,
     require_ellipsoidal,
@@ -167,29 +167,50 @@ def test_a_compound_keeps_its_vertical_part() -> None:
     assert crs_text(CRS.from_wkt(las_wkt(crs))) == "EPSG:7850+5711"
 
 
-def test_itrf_fixes_move_by_the_plate_motion_since_2020() -> None:
+@pytest.mark.parametrize("frame", ["ITRF2014", "EPSG:7912"])
+def test_itrf_fixes_move_by_the_plate_motion_since_2020(frame: str) -> None:
     fix = np.array([[-31.948, 115.825, 20.0]])
-    moved = fixes_to_gda2020(fix, "ITRF2014", 2026.8)
+    moved = fixes_to_datum(fix, frame, MGA, 2026.8)
     east, north, up = EnuFrame(*fix[0]).from_geodetic(*moved.T)[0]
     assert np.hypot(east, north) == pytest.approx(0.47, abs=0.06)  # 7 cm a year, NNE
     assert north < 0
     assert abs(up) < 0.02
-    still = fixes_to_gda2020(fix, "ITRF2014", 2020.0)
+    still = fixes_to_datum(fix, frame, MGA, 2020.0)
     np.testing.assert_allclose(still, fix, atol=1e-9)
 
 
+def test_itrf_fixes_of_europe_move_by_two_and_a_half_centimetres_a_year_since_1989() -> None:
+    fix = np.array([[49.04, 8.44, 160.0]])
+    moved = fixes_to_datum(fix, "ITRF2014", "EPSG:25832", 2019.0)
+    east, north, _ = EnuFrame(*fix[0]).from_geodetic(*moved.T)[0]
+    assert np.hypot(east, north) == pytest.approx(30 * 0.025, abs=0.1)
+    assert east < 0
+
+
 def test_itrf_fixes_without_an_epoch_are_refused() -> None:
-    with pytest.raises(InputError, match="epoch"):
-        fixes_to_gda2020([[-31.9, 115.8, 0.0]], "ITRF2014")
+    with pytest.raises(InputError, match=r"set gnss\.epoch"):
+        fixes_to_datum([[-31.9, 115.8, 0.0]], "ITRF2014", MGA)
 
 
-def test_gda2020_fixes_are_taken_as_they_are() -> None:
-    np.testing.assert_array_equal(fixes_to_gda2020([[-31.9, 115.8, 0.0]], "GDA2020"), [[-31.9, 115.8, 0.0]])
+@pytest.mark.parametrize(
+    ("frame", "crs"), [("map", MGA), ("GDA2020", MGA), ("EPSG:7843", MGA), ("ETRS89", "EPSG:25832")]
+)
+def test_fixes_in_the_datum_of_the_map_are_taken_as_they_are(frame: str, crs: str) -> None:
+    fix = [[-31.9, 115.8, 0.0]]
+    np.testing.assert_array_equal(fixes_to_datum(fix, frame, crs), fix)
 
 
-def test_an_unknown_frame_of_fixes_is_refused() -> None:
-    with pytest.raises(InputError, match="GDA2020, ITRF2014"):
-        fixes_to_gda2020([[0.0, 0.0, 0.0]], "WGS84")  # type: ignore[arg-type]
+@pytest.mark.parametrize(
+    ("frame", "said"),
+    [
+        ("Atlantis 2001", "not known"),
+        ("EPSG:7850", "no system of latitude and longitude"),
+        ("WGS84", "good to 3 m only"),  # an ensemble of realisations
+    ],
+)
+def test_a_frame_of_fixes_that_does_not_fit_the_map_is_refused(frame: str, said: str) -> None:
+    with pytest.raises(InputError, match=said):
+        fixes_to_datum([[-31.9, 115.8, 0.0]], frame, MGA)
 
 
 @pytest.mark.parametrize("origin", [(np.nan, 115.0, 0.0), (-91.0, 115.0, 0.0)])

@@ -11,7 +11,6 @@ from subiaco_geo.raywalk import (
     VisibilityAccumulator,
     accumulate_visibility,
     merge_grids,
-    stop_at_surfaces,
 )
 
 ORIGIN = np.array([391_000.0, 6_464_000.0, -20.0])
@@ -104,16 +103,3 @@ def test_beams_that_are_not_finite_or_too_far_are_refused():
     coarse, fine = (accumulate_visibility(good, good, np.zeros(3), voxel) for voxel in (0.5, 0.25))
     with pytest.raises(InputError, match="differ in origin or voxel"):
         merge_grids([coarse, fine])
-
-
-def test_line_goes_on_above_what_a_voxel_holds_and_stops_where_it_meets_it() -> None:
-    starts = np.array([[0.1, 0.25, 0.45], [0.1, 0.25, 0.05]])
-    ends = starts + np.array([9.0, 0.0, 0.0])
-    wall = voxel_keys(np.array([[10, 0, 0]]))  # 5.0 to 5.5 m ahead, 0 to 0.5 m high
-    grid = (wall, np.zeros(3), 0.5)
-    low = np.array([[0.0, 0.2]])
-    stopped = stop_at_surfaces(starts, ends, *grid, spans=low)
-    assert np.allclose(stopped[0], ends[0])
-    assert 5.0 <= stopped[1, 0] <= 5.5
-    full = stop_at_surfaces(starts, ends, *grid)
-    assert np.all(full[:, 0] <= 5.5)

@@ -1,5 +1,6 @@
 """Work in pieces: kept by what it rests on, done once, whoever does it."""
 
+import importlib
 import json
 import os
 import signal
@@ -17,6 +18,7 @@ from hypothesis import strategies as st
 from subiaco_geo.errors import InputError, SubiacoError
 from subiaco_geo.work.bench import Workbench, stages_from
 from subiaco_geo.work.executors import Dask, InProcess, LocalPool, make_executor
+from subiaco_geo.work.source_code import source_fingerprint
 from subiaco_geo.work.store import DiskStore, MemoryStore
 from subiaco_geo.work.tasks import Task, fingerprint
 
@@ -293,3 +295,26 @@ def test_a_scheduler_that_is_not_there_is_named():
     pytest.importorskip("distributed")
     with pytest.raises(InputError, match=r"tcp://127\.0\.0\.1:9: no scheduler answers"):
         Dask("tcp://127.0.0.1:9", timeout=0.5)
+
+
+@pytest.mark.parametrize("as_package", [True, False], ids=["package", "script"])
+def test_changed_source_code_changes_the_key_of_a_stage_and_of_no_other(tmp_path, monkeypatch, as_package):
+    name = f"stage_of_a_test_{'package' if as_package else 'script'}"
+    file = tmp_path / name / "stages" / "one.py" if as_package else tmp_path / f"{name}.py"
+    file.parent.mkdir(parents=True, exist_ok=True)
+    file.write_text("def stage(inputs, params):\n    return {}\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    dotted = f"{name}.stages.one" if as_package else name
+
+    def key():
+        source_fingerprint.cache_clear()
+        return Task("stage", "tile", importlib.import_module(dotted).stage).key
+
+    own = Task("stage", "tile", fingerprint).key
+    first = key()
+    assert key() == first
+    file.write_text("def stage(inputs, params):\n    return {'more': 1}\n")
+    assert key() != first
+    source_fingerprint.cache_clear()
+    assert Task("stage", "tile", fingerprint).key == own
+    source_fingerprint.cache_clear()

@@ -33,8 +33,13 @@ def decode(bufs: list[bytes], metadata: str, config: DecodeConfig = EVERYTHING):
     return scans, decoder.counts
 
 
-def synthetic(columns: int = 512, frames: int = 3, fill: int = 10_000) -> tuple[list[bytes], str]:
-    """Packets of a sensor that sees everything at one range; column k of frame f holds fill + k + f."""
+def synthetic(
+    columns: int = 512, frames: int = 3, fill: int = 10_000, step: tuple[int, int] = (0, 0)
+) -> tuple[list[bytes], str]:
+    """Packets of a sensor that sees everything at one range; column k of frame f holds fill + k + f.
+
+    ``step``: the clock is set at this column, counted over all frames, by so much [ns].
+    """
     info = core.SensorInfo.from_default(core.LidarMode(columns, 10))
     form, settings = info.format, info.config
     form.udp_profile_lidar = settings.udp_profile_lidar = core.UDPProfileLidar.RNG19_RFL8_SIG16_NIR16
@@ -49,6 +54,7 @@ def synthetic(columns: int = 512, frames: int = 3, fill: int = 10_000) -> tuple[
         frame.frame_id = number + 7
         spacing = 100_000_000 // columns
         frame.timestamp[:] = 10**18 + number * 100_000_000 + np.arange(columns) * spacing
+        frame.timestamp[max(0, step[0] - number * columns) :] += step[1]
         frame.measurement_id[:] = np.arange(columns)
         frame.status[:] = 1
         frame.field("RANGE")[:] = fill + np.arange(columns)[None, :] * 8 + number * 8
@@ -191,6 +197,32 @@ def test_zeroed_and_jumping_stamps_are_interpolated_anew() -> None:
     filled, bad = complete_times(stamps, np.ones(512, dtype=bool), 195_312.5, 20_000_000)
     assert bad == 32
     assert np.abs(filled - truth).max() < 2000
+
+
+@pytest.mark.parametrize("at", [255, 256, 257])
+@pytest.mark.parametrize("step_ns", [3 * 10**9, -3 * 10**9, 10**18 // 2])
+def test_a_clock_that_is_set_in_the_very_middle_of_a_turn_leaves_one_line_of_times(
+    at: int, step_ns: int
+) -> None:
+    """Half of the columns carry either clock, as where PPS lock is found: no median lies on one of them."""
+    truth = 10**18 + np.arange(512, dtype=np.int64) * 195_312
+    stamps = truth + np.where(np.arange(512) < at, 0, step_ns)
+    filled, bad = complete_times(stamps, np.ones(512, dtype=bool), 195_312.5, 20_000_000)
+    clock = 0 if abs(filled[0] - truth[0]) < 2000 else step_ns  # before the step, or after it
+    assert bad == (512 - at if clock == 0 else at)
+    assert np.abs(filled - truth - clock).max() < 2000
+
+
+def test_a_recording_whose_clock_is_set_in_the_middle_of_a_turn_decodes_whole() -> None:
+    bufs, metadata = synthetic()
+    whole, _ = decode(bufs, metadata)
+    stepped, metadata = synthetic(step=(512 + 256, 3 * 10**9))
+    scans, counts = decode(stepped, metadata)
+    assert counts.bad_stamps == 256
+    assert [len(scan.first) for scan in scans] == [len(scan.first) for scan in whole]
+    turns = [scan.end_ns - scan.start_ns for scan in scans]
+    assert turns == pytest.approx([whole[0].end_ns - whole[0].start_ns] * 3, abs=2000)
+    assert scans[2].start_ns - whole[2].start_ns == 3 * 10**9
 
 
 def test_a_packet_of_the_wrong_size_is_malformed_not_fatal() -> None:

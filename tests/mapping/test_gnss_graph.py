@@ -7,6 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from mapping_scenes import SECOND, START_NS, relative, turning_pose
+from pyproj import Proj
 from scipy.spatial.transform import Rotation
 
 from subiaco_geo.crs import EnuFrame
@@ -358,7 +359,7 @@ def test_a_preview_that_cannot_be_georeferenced_yet_is_local_and_starts_anew_whe
 
 def test_fixes_in_ahd_are_refused_without_a_grid() -> None:
     fixes = [fix_at(np.zeros(3), START_NS)]
-    with pytest.raises(InputError, match=r"gnss\.heights: AHD needs gnss\.geoid_grid"):
+    with pytest.raises(InputError, match=r"gnss\.heights: .* need gnss\.geoid_grid"):
         gnss.to_enu(fixes, FRAME, GnssConfig(heights="AHD"))
 
 
@@ -367,6 +368,36 @@ def test_fixes_where_the_crs_is_not_made_for_are_refused_before_a_map_is_made(tm
     add_fixes(backend, truth)
     with pytest.raises(InputError, match=r"EPSG:7856 \(GDA2020 / MGA zone 56\).*--set crs=EPSG:7850"):
         backend.optimize()
+
+
+@pytest.mark.parametrize(
+    ("place", "crs", "code", "source"),
+    [
+        ((-31.948, 115.825), "auto", 7850, "auto"),
+        ((49.04, 8.44), "auto", 25832, "auto"),
+        ((48.86, 2.35), "EPSG:2154", 2154, "given"),
+    ],
+    ids=["Perth", "Karlsruhe", "Paris with the national grid"],
+)
+def test_a_map_is_made_in_the_crs_of_its_place_or_in_the_given_one(
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    place: tuple[float, float],
+    crs: str,
+    code: int,
+    source: str,
+) -> None:
+    monkeypatch.setitem(globals(), "FRAME", EnuFrame(*place, 50.0))
+    backend, truth = drive(tmp_path, config=CONFIG.model_copy(update={"crs": crs}))
+    add_fixes(backend, truth)
+    survey = backend.build_map()
+    assert survey.cloud.crs == f"EPSG:{code}"
+    assert survey.info["crs_source"] == source
+    projection = Proj(code)
+    assert survey.trajectory is not None
+    first = survey.trajectory.poses[0, :2, 3]
+    latitude, longitude, _ = FRAME.to_geodetic(truth[:1, :3, 3])[0]
+    assert np.abs(first - projection(longitude, latitude)).max() < 0.05
 
 
 def test_twenty_fixes_elsewhere_end_the_reading_and_one_astray_does_not() -> None:

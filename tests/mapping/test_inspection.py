@@ -278,7 +278,8 @@ def test_fixes_that_cannot_place_a_map_are_told(
             message.latitude, message.longitude = latitude, longitude
         return message
 
-    facts = inspect_bag(with_messages(drive_bag(tmp_path / "a"), tmp_path / "bag", change))
+    bag = with_messages(drive_bag(tmp_path / "a"), tmp_path / "bag", change)
+    facts = inspect_bag(bag, MappingConfig(crs="EPSG:7850"))
     assert facts["verdict"] == verdict
     assert any(said in text for text in facts["forbids"] + facts["cares"])
 

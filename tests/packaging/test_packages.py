@@ -12,7 +12,7 @@ from subiaco_geo import __version__
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 SOURCES = REPOSITORY / "src"
-OURS = sorted(path.parent for path in SOURCES.glob("subiaco_*/package.xml"))
+OURS = sorted(path.parent for path in SOURCES.glob("subiaco*/package.xml"))
 PYTHON = [package for package in OURS if (package / "setup.py").exists()]
 ALL = [*OURS, *sorted(path.parent for path in (SOURCES / "vendor_msgs").glob("*/package.xml"))]
 
@@ -27,9 +27,9 @@ def setup_arguments(package: Path) -> dict[str, ast.expr]:
     return {keyword.arg: keyword.value for keyword in calls[0].keywords if keyword.arg}
 
 
-def test_the_six_packages_of_the_architecture_are_there() -> None:
-    rooms = ("bringup", "change", "geo", "mapping", "msgs", "sim")
-    assert [package.name for package in OURS] == [f"subiaco_{room}" for room in rooms]
+def test_the_packages_of_the_architecture_are_there() -> None:
+    rooms = ("", "_bringup", "_change", "_geo", "_mapping", "_msgs", "_sim")
+    assert [package.name for package in OURS] == [f"subiaco{room}" for room in rooms]
 
 
 @pytest.mark.parametrize("package", ALL, ids=name_of)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib.util
+import json
 import re
 import subprocess
 import xml.etree.ElementTree as ET
@@ -50,6 +51,51 @@ def test_the_lock_pins_every_requirement_at_an_allowed_version() -> None:
             wanted = Requirement(line)
             assert lock.get(canonical(wanted.name)), f"{wanted.name} is not locked"
             assert all(version in wanted.specifier for version in lock[canonical(wanted.name)]), line
+
+
+def entries_of(text: str) -> dict[str, list[str]]:
+    """Lines of every entry of a lock, by the first word of its first line."""
+    found: dict[str, list[str]] = {}
+    for line in text.splitlines():
+        if line and line[0] not in " #":
+            found[line.split()[0]] = entry = [line]
+        elif found and line.strip().startswith("--hash"):
+            entry.append(line)
+    return found
+
+
+def test_every_locked_package_has_a_hash_and_none_that_the_overrides_leave_out_is_there() -> None:
+    entries = entries_of((REPOSITORY / "requirements.lock").read_text(encoding="utf-8"))
+    assert all("--hash=sha256:" in "".join(lines) for lines in entries.values())
+    names = {canonical(entry.partition("==")[0]) for entry in entries}
+    overrides = (REPOSITORY / "requirements.overrides").read_text(encoding="utf-8").splitlines()
+    left_out = {line.partition(";")[0].strip() for line in overrides if "never" in line}
+    assert left_out
+    assert not left_out & names
+
+
+def test_with_an_apt_ros_the_entries_of_ros_are_left_out_whole() -> None:
+    lock = entries_of((REPOSITORY / "requirements.lock").read_text(encoding="utf-8"))
+    without = entries_of(bash("locked '!^ros-'").stdout)
+    assert without == {name: lines for name, lines in lock.items() if not name.startswith("ros-")}
+    assert len(without) < len(lock) == len(entries_of(bash("locked '!^$'").stdout))
+    assert list(entries_of(bash("locked '^uv=='").stdout)) == [
+        name for name in lock if name.startswith("uv==")
+    ]
+
+
+def test_licences_and_bill_of_materials_are_those_of_the_lock_and_without_gpl() -> None:
+    entries = entries_of((REPOSITORY / "requirements.lock").read_text(encoding="utf-8"))
+    locked = {(canonical(n), v) for n, _, v in (entry.partition("==") for entry in entries)}
+    bill = json.loads((REPOSITORY / "docs/sbom.cdx.json").read_text(encoding="utf-8"))
+    listed = {(part["name"], part["version"]) for part in bill["components"]}
+    assert listed <= locked, "renew it: python scripts/licences.py"
+    page = (REPOSITORY / "docs/licences.md").read_text(encoding="utf-8")
+    elsewhere = set(page.rpartition("machines: ")[2].strip(" .\n").split(", "))
+    assert {name for name, _ in locked} == {name for name, _ in listed} | elsewhere
+    licences = {part["name"]: part["licenses"][0]["license"]["name"] for part in bill["components"]}
+    assert all(licences.values())
+    assert not [n for n, text in licences.items() if re.search(r"\bA?GPL|GNU (Affero )?General Public", text)]
 
 
 @pytest.mark.parametrize("script", SCRIPTS, ids=lambda path: path.name)

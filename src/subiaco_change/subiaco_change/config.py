@@ -13,6 +13,7 @@ from subiaco_change.changes.decisions import DecisionConfig
 from subiaco_change.changes.ground_cells import GroundChangeConfig
 from subiaco_change.changes.measures import MeasureConfig
 from subiaco_change.changes.plants import PlantConfig
+from subiaco_change.input_checks import InputCheckConfig
 from subiaco_change.observation.evidence import EvidenceConfig
 from subiaco_change.observation.lod import LodConfig
 from subiaco_change.observation.placing import PlacingConfig
@@ -71,6 +72,7 @@ class ChangeConfig(StrictModel):
     decisions: DecisionConfig = DecisionConfig()
     ground: GroundChangeConfig = GroundChangeConfig()
     confidence: ConfidenceConfig = ConfidenceConfig()
+    checks: InputCheckConfig = InputCheckConfig()
 
 
 def left_out(config: ChangeConfig, parts: Sequence[str]) -> ChangeConfig:

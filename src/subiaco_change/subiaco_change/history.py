@@ -18,7 +18,7 @@ from shapely.geometry import MultiPolygon
 
 from subiaco_change.config import ChangeConfig
 from subiaco_change.job import ChangeJob, Work, run_change
-from subiaco_change.outputs.directory import write_layer
+from subiaco_change.outputs.geopackage import write_layer
 from subiaco_change.outputs.reviews import read_reviewed, same_objects
 from subiaco_change.outputs.table import write_csv
 from subiaco_geo.atomic import refuse_existing, refuse_foreign, whole_directory
@@ -40,6 +40,8 @@ COLUMNS = (
     "confidence",
     "object_uids",
 )
+#: What a pair says of an object that it claims to be absent in the epoch of an end.
+_ABSENT = {"id_before": Change.ADDED, "id_after": Change.REMOVED}
 _CHANGED = (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED)
 
 
@@ -142,9 +144,14 @@ def build_history(steps: Sequence[Step]) -> gpd.GeoDataFrame:
     """Follow every object through the tables of epochs that follow each other.
 
     Two rows are one object where they share an instance of the epoch
-    between them, or where that epoch did not see the place and their
-    footprints agree. A changed ground patch has no instances and stands alone.
-    Moving things are left out.
+    between them, or where neither has an instance there, no pair claims
+    absence, and their footprints agree. Two rows of one pair are one object
+    where each pair says of both that the place is occupied in the other
+    epoch, and their footprints agree. A changed ground patch has no
+    instances and is an object of its own. Mobile objects are left out.
+
+    An epoch counts as one that saw the object absent only where a row says
+    Added or Removed.
 
     Parameters
     ----------
@@ -165,7 +172,8 @@ def build_history(steps: Sequence[Step]) -> gpd.GeoDataFrame:
         _links(first.table, second.table) + starts[number : number + 2]
         for number, (first, second) in enumerate(pairwise(kept))
     ]
-    pairs = np.concatenate([*links, np.empty((0, 2), dtype=np.int64)])
+    places = [_same_place(step.table) + start for step, start in zip(kept, starts, strict=False)]
+    pairs = np.concatenate([*links, *places, np.empty((0, 2), dtype=np.int64)])
     size = int(starts[-1])
     graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), (size, size))
     _, component = connected_components(graph, directed=False)
@@ -185,13 +193,33 @@ def _links(first: gpd.GeoDataFrame, second: gpd.GeoDataFrame) -> Ints:
         for instance in text.split(";")
         for other in instances.get(instance, ())
     ]
-    unseen = [
-        np.flatnonzero((table["label"] == Change.UNOBSERVED.label) & (table[end] == ""))
-        for table, end in ((first, "id_after"), (second, "id_before"))
-    ]
-    new, old = same_objects(second.iloc[unseen[1]], first.iloc[unseen[0]])
-    pairs += list(zip(unseen[0][old], unseen[1][new], strict=True))
+    open_ends = _without_instance(first, "id_after"), _without_instance(second, "id_before")
+    pairs += _pairs_by_place(first, open_ends[0], second, open_ends[1])
     return np.array(sorted(set(pairs)), dtype=np.int64).reshape(-1, 2)
+
+
+def _same_place(table: gpd.GeoDataFrame) -> Ints:
+    """Rows (P, 2) of one table that are one object: each is occupied in the other epoch, at one place."""
+    occupied = table["label"] != Change.UNOBSERVED.label
+    old, new = (
+        np.intersect1d(_without_instance(table, end), np.flatnonzero(occupied))
+        for end in ("id_after", "id_before")
+    )
+    return np.array(_pairs_by_place(table, old, table, new), dtype=np.int64).reshape(-1, 2)
+
+
+def _without_instance(table: gpd.GeoDataFrame, end: str) -> Ints:
+    """Rows (K,) without an instance in an epoch that do not claim that the object is absent there."""
+    claimed = table["label"] == _ABSENT[end].label
+    return np.flatnonzero((table[end] == "") & ~claimed & (table["class"] != Semantic.GROUND.label))
+
+
+def _pairs_by_place(
+    first: gpd.GeoDataFrame, rows: Ints, second: gpd.GeoDataFrame, others: Ints
+) -> list[tuple[int, int]]:
+    """Pair rows of two tables whose class and footprint agree."""
+    new, old = same_objects(second.iloc[others], first.iloc[rows])
+    return list(zip(rows[old].tolist(), others[new].tolist(), strict=True))
 
 
 def _instances(column: pd.Series) -> dict[str, list[int]]:
@@ -210,10 +238,13 @@ def _history(steps: Sequence[Step], starts: Ints, members: Ints) -> tuple[Any, .
     for member in members:
         number = int(np.searchsorted(starts, member, side="right")) - 1
         step, row = steps[number], steps[number].table.iloc[member - starts[number]]
-        is_ground = row["class"] == Semantic.GROUND.label
-        for epoch, ids in ((number, row["id_before"]), (number + 1, row["id_after"])):
-            missing = unknown if row["label"] == Change.UNOBSERVED.label else absent
-            (seen if ids or is_ground else missing).add(epoch)
+        for epoch, end in ((number, "id_before"), (number + 1, "id_after")):
+            if row["label"] == _ABSENT[end].label:
+                absent.add(epoch)
+            elif row["label"] == Change.UNOBSERVED.label and not row[end]:
+                unknown.add(epoch)
+            else:
+                seen.add(epoch)
         uids.append(row["object_uid"])
         if row["label"] in [c.label for c in _CHANGED]:
             changes.append(f"{step.before} to {step.after}: {row['label']}")

@@ -7,7 +7,8 @@ import logging
 import shutil
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
+from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
 
@@ -16,6 +17,15 @@ import numpy as np
 
 from subiaco_change.changes.confidence import Calibration, calibration_of
 from subiaco_change.config import ChangeConfig
+from subiaco_change.extensions import Extensions
+from subiaco_change.input_checks import (
+    InputCheckConfig,
+    check_shift,
+    check_surveys,
+    facts_of,
+    unstated_findings,
+)
+from subiaco_change.observation.uncertainty import UncertaintyConfig
 from subiaco_change.outputs.directory import MARKER, ChangeInputs, write_change_directory
 from subiaco_change.outputs.parcels import read_lots
 from subiaco_change.pipeline import detect_in_tiles
@@ -25,6 +35,7 @@ from subiaco_geo.atomic import refuse_existing, refuse_foreign
 from subiaco_geo.codes import Change
 from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError, RegistrationError
+from subiaco_geo.findings import Finding, announce
 from subiaco_geo.frames import Floats
 from subiaco_geo.locks import locked
 from subiaco_geo.maps import load_epoch
@@ -116,6 +127,13 @@ class ChangeJob:
         Given ``T_after_before`` in world coordinates; identity says that the
         epochs are registered already.
     overwrite : bool
+    parcels : Path, optional
+        Polygons of lots by which the changes are added up.
+    given : tuple of str
+        Point fields that replace stages: ``semantic``, ``instance``.
+    work : Work
+    extensions : Extensions
+        Functions that replace parts of the method.
     """
 
     before: Path
@@ -128,6 +146,7 @@ class ChangeJob:
     parcels: Path | None = None
     given: tuple[str, ...] = ()
     work: Work = Work()
+    extensions: Extensions = field(default_factory=Extensions)
 
 
 def read_transform(path: Path) -> Floats:
@@ -197,12 +216,24 @@ def run_job(
     lots = _start(job)
     before = load_epoch(job.before, job.trajectory_before)
     after = load_epoch(job.after, job.trajectory_after)
+    checks, poses = InputCheckConfig(), UncertaintyConfig().unstated_pose
+    surveys = facts_of(before), facts_of(after)
+    found = _announced(check_surveys((job.before, job.after), surveys, checks))
     result = detect(before, after)
+    if job.transform is None:
+        found += _announced(check_shift(result.registration, surveys, poses, checks))
     if progress is not None:
         progress("writing", 0.97)
     inputs = _inputs(job, before, after, notes or {}, calibration or Calibration(), lots)
+    inputs = replace(inputs, findings=found)
     write_change_directory(job.output, result, config, inputs, overwrite=job.overwrite)
     return result
+
+
+def _announced(findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
+    """Say findings as they are made, long before the run ends."""
+    announce(findings, _LOG)
+    return findings
 
 
 def _start(job: ChangeJob) -> gpd.GeoDataFrame | None:
@@ -248,14 +279,31 @@ def run_change_and(
 ) -> Taken:
     """Run our own method as :func:`run_change`; return what is taken of the result."""
     lots = _start(job)
-    epochs = open_epoch(job.before, job.trajectory_before), open_epoch(job.after, job.trajectory_after)
+    epochs: tuple[Epoch, Epoch] = (
+        open_epoch(job.before, job.trajectory_before),
+        open_epoch(job.after, job.trajectory_after),
+    )
+    load = (
+        partial(load_epoch, job.before, job.trajectory_before),
+        partial(load_epoch, job.after, job.trajectory_after),
+    )
+    transform = job.extensions.transform(load, job.transform)
+    epochs = job.extensions.segmented(epochs, load)
+    given = job.given if job.extensions.segmentation is None else ("semantic", "instance")
+    surveys = facts_of(epochs[0]), facts_of(epochs[1])
+    poses = config.placing.uncertainty
+    found = _announced(check_surveys((job.before, job.after), surveys, config.checks))
+    found += unstated_findings(surveys, poses.unstated_pose, used=poses.pose_covariance)
     with workbench(job.work, job.output, progress) as bench:
-        result = detect_in_tiles(epochs, config, bench, transform=job.transform, given=job.given)
+        result = detect_in_tiles(epochs, config, bench, transform=transform, given=given)
+        result = job.extensions.decided(result)
+        if transform is None:
+            found += _announced(check_shift(result.registration, surveys, poses.unstated_pose, config.checks))
         if progress is not None:
             progress("writing", 0.97)
         simulated = all(epoch.info.get(SIMULATIONS) for epoch in epochs)
         kinds = {row.evidence for row in result.records if row.change in CLAIMED}
         calibration = calibration_of(kinds, simulated, config.confidence)
-        inputs = _inputs(job, *epochs, {}, calibration, lots)
+        inputs = replace(_inputs(job, *epochs, {}, calibration, lots), findings=found)
         write_change_directory(job.output, result, config, inputs, overwrite=job.overwrite)
         return take(result)

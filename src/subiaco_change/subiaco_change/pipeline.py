@@ -19,6 +19,7 @@ from subiaco_change.tiled.framing import field_of, load_frame
 from subiaco_change.tiled.placing import load_sigma
 from subiaco_change.tiled.run import CityRun, Pass
 from subiaco_geo.clouds import PointCloud
+from subiaco_geo.findings import Finding
 from subiaco_geo.frames import Floats
 from subiaco_geo.sources import Epoch, LoadedEpoch
 from subiaco_geo.survey_map import SurveyMap
@@ -84,6 +85,8 @@ def detect_in_tiles(
     """
     run = CityRun(bench, config, tuple(given))
     run.cut(epochs)
+    if transform is None or np.array_equal(transform, np.eye(4)):
+        run.check_heights()
     run.follow_spacing()
     registration = run.register(transform)
     run.number()
@@ -94,7 +97,9 @@ def detect_in_tiles(
     if refined:
         changed = run.changed(found, (0.72, 0.73))
         again, moved, failed = run.refine(found, changed)
-        info = replace(info, warnings=(*info.warnings, *failed))
+        info = replace(
+            info, findings=(*info.findings, *(Finding("registration", "warning", f) for f in failed))
+        )
         if moved > config.second_shift:
             found = run.compare(again, changed, (0.76, 0.92))
     labelled = run.label(found)
@@ -115,7 +120,7 @@ def _assemble(run: CityRun, found: Pass, labelled: Mapping[str, str], info: Pair
         run.sides[1].crs,
         _with_operation(registration, info),
         _raster(run, labelled),
-        info.warnings,
+        info.findings,
         block_table(sigma, frame),
         run.bench.costs(),
         tiles,

@@ -12,6 +12,7 @@ from shapely.geometry.base import BaseGeometry
 
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Change, Semantic
+from subiaco_geo.findings import Finding
 from subiaco_geo.frames import Floats
 
 #: Colours of the paper, red green blue 0-255.
@@ -143,7 +144,7 @@ class ChangeResult:
     registration: Registration
     ground: GroundChange | None
     seconds: Mapping[str, float] = field(default_factory=dict)
-    warnings: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
     blocks: pd.DataFrame | None = None
 
     @property
@@ -174,7 +175,7 @@ class TiledResult:
     crs: str | None
     registration: Registration
     ground: GroundChange | None
-    warnings: tuple[str, ...]
+    findings: tuple[Finding, ...]
     blocks: pd.DataFrame | None
     costs: Mapping[str, Mapping[str, float]]
     tiles: Sequence[str]
@@ -204,7 +205,7 @@ class TiledResult:
             self.registration,
             self.ground,
             self.seconds,
-            self.warnings,
+            self.findings,
             self.blocks,
         )
 

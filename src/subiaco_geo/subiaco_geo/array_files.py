@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import io
+import struct
+import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterable
@@ -17,7 +20,10 @@ from subiaco_geo.errors import InputError
 _ALWAYS = 64 << 20
 #: Largest ratio of the arrays to the compressed file that holds them; deflate itself reaches 1030.
 _RATIO = 200
-_FAULTS = (KeyError, ValueError, OSError, EOFError, zipfile.BadZipFile, zlib.error, NotImplementedError)
+#: Longest header of an array that numpy reads [bytes].
+_HEADER = 10_000
+#: What damaged archives and headers raise.
+ARRAY_FAULTS = (KeyError, ValueError, OSError, EOFError, zipfile.BadZipFile, zlib.error, NotImplementedError)
 
 
 def read_array_file(path: Path, what: str, remedy: str) -> NDArray[Any]:
@@ -36,7 +42,7 @@ def read_array_file(path: Path, what: str, remedy: str) -> NDArray[Any]:
     """
     try:
         with path.open("rb") as stream:
-            return _read(stream, path.stat().st_size)
+            return read_array(stream, path.stat().st_size)
     except (OSError, ValueError, EOFError) as error:
         raise InputError(f"{path}: not {what} ({_said(error)}); {remedy}") from error
 
@@ -66,17 +72,40 @@ def read_arrays(path: Path, names: Iterable[str], what: str, remedy: str) -> dic
             arrays = {}
             for name, member in members.items():
                 with archive.open(member) as stream:
-                    arrays[name] = _read(stream, member.file_size)
+                    arrays[name] = read_array(stream, member.file_size)
             return arrays
-    except _FAULTS as error:
+    except ARRAY_FAULTS as error:
         raise InputError(f"{path}: not {what} ({_said(error)}); {remedy}") from error
 
 
-def _read(stream: IO[bytes], size: int) -> NDArray[Any]:
+def read_array_head(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
+    """Read shape, whether it is in Fortran's order, and type from the header of an array.
+
+    Raises
+    ------
+    ValueError, EOFError
+        The header is damaged, or longer than headers are.
+    """
+    major, _ = np.lib.format.read_magic(stream)
+    form = "<H" if major == 1 else "<I"
+    prefix = stream.read(struct.calcsize(form))
+    if len(prefix) < struct.calcsize(form):
+        raise EOFError("its header is cut")
+    (length,) = struct.unpack(form, prefix)
+    if length > _HEADER:
+        raise ValueError(f"its header states a length of {length} bytes")
+    header = io.BytesIO(prefix + stream.read(length))
+    read = np.lib.format.read_array_header_1_0 if major == 1 else np.lib.format.read_array_header_2_0
+    try:
+        shape, fortran, kind = read(header)
+    except (tokenize.TokenError, SyntaxError, TypeError) as error:
+        raise ValueError("its header cannot be read") from error
+    return shape, fortran, kind
+
+
+def read_array(stream: IO[bytes], size: int) -> NDArray[Any]:
     """Read an array after its header was compared with the size of the stream [bytes]."""
-    version = np.lib.format.read_magic(stream)
-    head = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    shape, fortran, kind = head(stream)
+    shape, fortran, kind = read_array_head(stream)
     count = 1
     for extent in shape:
         count *= int(extent)

@@ -12,10 +12,12 @@ from subiaco_geo.errors import InputError
 from subiaco_geo.locks import held_directory, sweep
 
 
-def refuse_existing(path: Path, overwrite: bool) -> None:
+def refuse_existing(
+    path: Path, overwrite: bool, remedy: str = "choose another place or pass --overwrite"
+) -> None:
     """Raise where an output stands already and may not be replaced, or where none can be written."""
     if path.exists() and not overwrite:
-        raise InputError(f"{path}: exists already; choose another place or pass --overwrite")
+        raise InputError(f"{path}: exists already; {remedy}")
     ground = next(place for place in path.absolute().parents if place.exists())
     if not ground.is_dir():
         raise InputError(f"{ground}: is a file, so {path} cannot be written; choose another place")

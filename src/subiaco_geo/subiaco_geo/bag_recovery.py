@@ -138,7 +138,7 @@ def recover_file(source: Path, target: Path) -> FileRecovery:
         ``source`` is no mcap file, or ``target`` exists.
     """
     _require_mcap(source)
-    refuse_existing(target, overwrite=False)
+    refuse_existing(target, overwrite=False, remedy="choose another place")
     target.with_name(target.name + _RECOVERING).unlink(missing_ok=True)
     writer = SegmentWriter(target, _RECOVERING)
     size = source.stat().st_size

@@ -29,6 +29,7 @@ from rosbags.interfaces import (
 )
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+from rosbags.typesys.base import TypesysError
 from rosbags.typesys.store import Typestore
 
 from subiaco_geo.atomic import refuse_existing
@@ -112,7 +113,7 @@ class BagWriter:
 
     def __init__(self, path: Path, *, compress: bool = True) -> None:
         self.path = Path(path)
-        refuse_existing(self.path, overwrite=False)
+        refuse_existing(self.path, overwrite=False, remedy="choose another place")
         self._partial = self.path.with_name(f".{self.path.name}.{getpid()}.partial")
         self._compress = compress
         self._connections: dict[tuple[str, str], Connection] = {}
@@ -136,7 +137,7 @@ class BagWriter:
         try:
             writer.__exit__(kind, error, trace)
             if kind is None:
-                refuse_existing(self.path, overwrite=False)
+                refuse_existing(self.path, overwrite=False, remedy="choose another place")
                 writer.path.rename(self.path)
         finally:
             shutil.rmtree(self._partial, ignore_errors=True)
@@ -284,8 +285,9 @@ class BagReader:
         try:
             return store.deserialize_cdr(message.raw, message.msg_type)
         except Exception as error:
+            said = " ".join(str(error).split())[:300]
             raise InputError(
-                f"{self.path}: {message.topic}: a {message.msg_type} that cannot be decoded ({error}); "
+                f"{self.path}: {message.topic}: a {message.msg_type} that cannot be decoded ({said}); "
                 "record again"
             ) from error
 
@@ -299,7 +301,7 @@ class BagReader:
         if message.msg_type not in self._own_types.fielddefs:
             raise InputError(
                 f"{self.path}: {message.topic}: unknown message type {message.msg_type}, "
-                "and the bag does not define it; record with its message package installed"
+                "and the bag has no whole definition of it; record with its message package installed"
             )
         return self._own_types
 
@@ -309,8 +311,9 @@ class BagReader:
         known = connection.msgtype in store.fielddefs
         if known or connection.msgdef.format != MessageDefinitionFormat.MSG:
             return
-        types = get_types_from_msg(connection.msgdef.data, connection.msgtype)
-        store.register({name: fields for name, fields in types.items() if name not in store.fielddefs})
+        with suppress(TypesysError, *READ_FAULTS):  # a damaged definition defines nothing
+            types = get_types_from_msg(connection.msgdef.data, connection.msgtype)
+            store.register({name: fields for name, fields in types.items() if name not in store.fielddefs})
 
 
 def require_topic(reader: BagReader, topic: str, msg_type: str) -> TopicInfo:

@@ -10,6 +10,7 @@ import numpy as np
 
 from subiaco_geo.cloud_parts import cloud_parts
 from subiaco_geo.clouds import PointCloud
+from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
 
 #: Points read at a time for a window, how many such runs are kept for the next one, and are read in a pass.
@@ -45,6 +46,8 @@ class CloudFile:
             starts = np.arange(0, len(world), RUN)
             ends = (np.minimum, np.maximum)
             boxes.append(np.stack([end.reduceat(world, starts, axis=0) for end in ends], axis=1))
+        if not boxes:
+            raise InputError(f"{path}: holds no points; copy or export it again")
         self._boxes: Floats = np.concatenate(boxes)
         self.low: Floats = self._boxes[:, 0].min(axis=0)
         self.high: Floats = self._boxes[:, 1].max(axis=0)

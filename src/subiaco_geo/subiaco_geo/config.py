@@ -109,7 +109,17 @@ def read_parameters(path: Path) -> dict[str, Any]:
         raise InputError(f"{path}: expected '/**:' then 'ros__parameters:' at the top") from error
     if not isinstance(parameters or {}, dict):
         raise InputError(f"{path}: 'ros__parameters:' must hold names and values")
+    _refuse_odd_names(parameters or {}, str(path))
     return dict(parameters or {})
+
+
+def _refuse_odd_names(values: Mapping[Any, Any], source: str) -> None:
+    """Refuse names that YAML takes for numbers, truth values or nothing."""
+    for name, value in values.items():
+        if not isinstance(name, str):
+            raise InputError(f"{source}: {name!r} is no name of a setting; correct or remove it")
+        if isinstance(value, Mapping):
+            _refuse_odd_names(value, source)
 
 
 def parse_setting(setting: str) -> dict[str, Any]:
@@ -124,6 +134,7 @@ def parse_setting(setting: str) -> dict[str, Any]:
         raise InputError(f"--set {setting}: the value is not valid YAML; quote it") from error
     for part in reversed(parts):
         value = {part: value}
+    _refuse_odd_names(value, f"--set {setting}")
     return dict(value)
 
 

@@ -11,7 +11,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Literal
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -22,9 +21,9 @@ from pyproj.transformer import TransformerGroup
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, make_pose
 
-#: Geodetic frames in which GNSS fixes may be declared, latitude longitude height.
-FIX_FRAMES: dict[str, str] = {"GDA2020": "EPSG:7843", "ITRF2014": "EPSG:7912"}
-FixFrame = Literal["GDA2020", "ITRF2014"]
+#: Frame of fixes that are given in the datum of the map's CRS.
+MAP_FRAME = "map"
+_FIX_ACCURACY = 0.2  # a datum shift that is worse than this spoils an RTK survey [m]
 _STEP = 10.0
 
 
@@ -195,17 +194,20 @@ def _run(operation: Transformer, xyz: Floats, what: str) -> Floats:
     return moved
 
 
-def fixes_to_gda2020(lat_lon_h: ArrayLike, frame: FixFrame, epoch: float | None = None) -> Floats:
-    """Bring GNSS fixes to GDA2020.
+def fixes_to_datum(lat_lon_h: ArrayLike, frame: str, crs: str, epoch: float | None = None) -> Floats:
+    """Bring GNSS fixes to the geodetic datum of a map's CRS.
 
     Parameters
     ----------
     lat_lon_h : (N, 3) float
         Degrees, degrees, ellipsoidal height [m].
-    frame : {"GDA2020", "ITRF2014"}
-        What the receiver's solution refers to: the frame of the RTK base.
+    frame : str
+        Geodetic system of the receiver's solution, that of its RTK base: ``map`` for the datum of the map's
+        CRS, or a system that PROJ knows by name or code, such as ``GDA2020``, ``ETRS89``, ``ITRF2014``.
+    crs : str
+        Projected CRS of the map.
     epoch : float, optional
-        Decimal year of the observation; needed for ITRF2014 (plate motion).
+        Decimal year of the observation; needed where the system of the fixes is dynamic (plate motion).
 
     Returns
     -------
@@ -214,20 +216,54 @@ def fixes_to_gda2020(lat_lon_h: ArrayLike, frame: FixFrame, epoch: float | None 
     Raises
     ------
     InputError
-        An unknown frame, or ITRF2014 without an epoch.
+        An unknown system, a dynamic one without an epoch, or no operation between the datums within 0.2 m.
     """
     fixes = np.array(lat_lon_h, dtype=np.float64)
-    if frame not in FIX_FRAMES:
-        raise InputError(f"frame of the fixes {frame!r}: not known; one of {', '.join(FIX_FRAMES)}")
-    if frame == "GDA2020":
+    if frame == MAP_FRAME:
         return fixes
-    if epoch is None:
-        raise InputError("frame of the fixes ITRF2014: needs the epoch as a decimal year, e.g. 2026.8")
-    operation = Transformer.from_crs(FIX_FRAMES[frame], FIX_FRAMES["GDA2020"], allow_ballpark=False)
-    moved = operation.transform(
-        fixes[:, 0], fixes[:, 1], fixes[:, 2], np.full(len(fixes), epoch), errcheck=True
-    )
-    return np.stack(moved[:3], axis=1)
+    source, target = _geodetic(frame), _geodetic_base(crs)
+    if source.datum == target.datum:
+        return fixes
+    if epoch is None and "Dynamic" in (source.datum.type_name if source.datum is not None else ""):
+        raise InputError(
+            f"gnss.declared_frame {frame}: set gnss.epoch to the decimal year of the survey, e.g. 2026.8; "
+            "coordinates in this system move with the plates"
+        )
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", UserWarning)  # a better operation needs a grid that is not here
+        operations = TransformerGroup(source, target, always_xy=True, allow_ballpark=False).transformers
+    if not operations or not 0.0 <= operations[0].accuracy <= _FIX_ACCURACY:
+        stated = f"is good to {operations[0].accuracy:g} m only" if operations else "is not known"
+        raise InputError(
+            f"gnss.declared_frame {frame}: its relation to {target.name} {stated}; declare the system of the "
+            f"RTK base, or {MAP_FRAME} where the base has the datum of the map"
+        )
+    times = np.full(len(fixes), 0.0 if epoch is None else epoch)
+    moved = operations[0].transform(fixes[:, 1], fixes[:, 0], fixes[:, 2], times, errcheck=True)
+    return np.stack([moved[1], moved[0], moved[2]], axis=1)
+
+
+def _geodetic(frame: str) -> CRS:
+    """Return the three-dimensional geographic CRS that a frame of fixes names."""
+    try:
+        found = CRS.from_user_input(frame)
+    except CRSError as error:
+        raise InputError(
+            f"gnss.declared_frame {frame!r}: not known; one such as GDA2020, ETRS89, ITRF2014, EPSG:7843, "
+            f"or {MAP_FRAME}"
+        ) from error
+    if not found.is_geographic:
+        raise InputError(
+            f"gnss.declared_frame {frame}: {found.name} is no system of latitude and longitude; give its base"
+        )
+    return found.to_3d()
+
+
+def _geodetic_base(crs: str) -> CRS:
+    base = horizontal(require_map_crs(crs)).geodetic_crs
+    if base is None:
+        raise InputError(f"crs {crs}: has no geodetic base; choose a projected one such as EPSG:7850")
+    return base.to_3d()
 
 
 def ellipsoidal_heights(lat_lon_h: ArrayLike, grid: Path) -> Floats:
@@ -370,7 +406,4 @@ def _check_points(xyz: ArrayLike) -> Floats:
 def _projection(crs: str) -> Transformer:
     """Operation from longitude, latitude [deg], height of a CRS's own datum to its grid."""
     flat = horizontal(require_map_crs(crs))
-    geodetic = flat.geodetic_crs
-    if geodetic is None:
-        raise InputError(f"crs {crs}: has no geodetic base; choose a projected one such as EPSG:7850")
-    return Transformer.from_crs(geodetic.to_3d(), flat.to_3d(), always_xy=True)
+    return Transformer.from_crs(_geodetic_base(crs), flat.to_3d(), always_xy=True)

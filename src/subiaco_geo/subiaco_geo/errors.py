@@ -1,5 +1,11 @@
 """The exceptions of the project; the command line turns them into exit codes."""
 
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
 
 class SubiacoError(Exception):
     """Root of every error raised on purpose.
@@ -21,3 +27,14 @@ class RegistrationError(SubiacoError):
     """Two epochs could not be registered, or not to be trusted (exit code 3)."""
 
     exit_code = 3
+
+
+@contextmanager
+def errors_name(path: Path) -> Iterator[None]:
+    """Let input errors that are raised inside name the file that is read there, where they do not yet."""
+    try:
+        yield
+    except InputError as error:
+        if str(path) in str(error):
+            raise
+        raise InputError(f"{path}: {error}") from error

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 
 import numpy as np
@@ -32,7 +32,14 @@ def for_cloudcompare(cloud: PointCloud) -> PointCloud:
     return PointCloud(cloud.xyz, cloud.origin, cloud.crs, fields)
 
 
-def copy_cloud(source: Path, target: Path, *, ellipsoidal: bool = True, cloudcompare: bool = False) -> None:
+def copy_cloud(
+    source: Path,
+    target: Path,
+    *,
+    ellipsoidal: bool = True,
+    cloudcompare: bool = False,
+    convert: Callable[[PointCloud], PointCloud] = lambda cloud: cloud,
+) -> None:
     """Write a cloud file in another form, by its ending; from a binary PLY part by part.
 
     Parameters
@@ -42,11 +49,14 @@ def copy_cloud(source: Path, target: Path, *, ellipsoidal: bool = True, cloudcom
         For LAS: state in the CRS that heights are ellipsoidal.
     cloudcompare : bool
         See :func:`for_cloudcompare`.
+    convert : callable
+        Applied to every part before it is written; must give the same fields for each.
     """
 
     def parts() -> Iterator[PointCloud]:
         for part in cloud_parts(source, None):
-            yield for_cloudcompare(part) if cloudcompare else part
+            converted = convert(part)
+            yield for_cloudcompare(converted) if cloudcompare else converted
 
     if target.name.endswith(".copc.laz"):
         write_copc_parts(target, parts, ellipsoidal=ellipsoidal)

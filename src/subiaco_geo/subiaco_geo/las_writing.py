@@ -30,6 +30,20 @@ _LIMITS = {
     "classification": 255, "return_number": 15, "number_of_returns": 15,
     "user_data": 255, "point_source_id": 65535,
 }  # fmt: skip
+#: Descriptions of extra dimensions in the file, 32 characters at most as LAS has it.
+DESCRIPTIONS = {
+    "change": "0add 1rem 2inc 3dec 4same 255?",
+    "semantic": "0grnd 1bldg 2veg 3mobile 4other",
+    "instance": "object_id of the table, -1 none",
+    "confidence": "of the label, 0 to 1",
+    "lod95": "level of detection m, NaN none",
+    "nx": "surface normal, east",
+    "ny": "surface normal, north",
+    "nz": "surface normal, up",
+    "n": "measurements fused in this point",
+    "spread": "scatter along the normal, m",
+    "moving": "probability of having moved",
+}
 _PART = 1 << 19  # points turned into records at a time
 
 
@@ -37,7 +51,8 @@ def write_las(path: Path, cloud: PointCloud, *, ellipsoidal: bool = True) -> Non
     """Write LAS 1.4, compressed when the name ends in ``.laz``.
 
     Coordinates step by 1 mm. Point format 7 with ``red green blue``, else 6;
-    fields that LAS has no place for become extra bytes. Floating intensity is
+    fields that LAS has no place for become extra bytes with a description; an infinite value of one becomes
+    NaN. Floating intensity is
     rounded to 16 bits, after scaling by 65535 if it lies within 0-1. Memory
     holds half a million points of it; the cloud's arrays may be mapped from disk.
 
@@ -196,7 +211,12 @@ def _header(path: Path, cloud: PointCloud, columns: dict[str, Column]) -> laspy.
     header.generating_software = "subiaco"
     places = {*STANDARD, *(COLOURS if coloured else ())}
     extra = {name: values for name, values in columns.items() if name not in places}
-    header.add_extra_dims([laspy.ExtraBytesParams(n, _extra_type(path, n, v)) for n, v in extra.items()])
+    header.add_extra_dims(
+        [
+            laspy.ExtraBytesParams(name, _extra_type(path, name, values), DESCRIPTIONS.get(name, ""))
+            for name, values in extra.items()
+        ]
+    )
     for record in header.vlrs.get("ExtraBytesVlr"):
         for field in record.extra_bytes_structs:  # laspy 2.7 takes the first point of a part for its range
             field.options &= ~(field.MIN_BIT_MASK | field.MAX_BIT_MASK)
@@ -234,8 +254,8 @@ def _set_fields(path: Path, las: laspy.LasData, columns: dict[str, Column], unit
             las[name] = _intensity(path, values, unit_intensity)
         elif name in _LIMITS:
             las[name] = _whole(path, name, values, _LIMITS[name]).astype(np.uint16)
-        else:
-            las[name] = values
+        else:  # readers take an infinite value into the range of a dimension; NaN says that there is none
+            las[name] = np.where(np.isinf(values), np.nan, values) if values.dtype.kind == "f" else values
 
 
 def _whole(path: Path, name: str, values: Column, limit: int) -> Column:

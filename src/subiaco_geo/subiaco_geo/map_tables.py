@@ -41,8 +41,11 @@ def write_uncertainty(path: Path, uncertainty: PoseUncertainty) -> None:
 
 def read_uncertainty(path: Path) -> PoseUncertainty:
     """Read what :func:`write_uncertainty` wrote; InputError for anything else."""
-    with path.open(newline="") as stream:
-        header, *rows = list(csv.reader(stream)) or [[]]
+    try:
+        with path.open(newline="", encoding="utf-8") as stream:
+            header, *rows = list(csv.reader(stream)) or [[]]
+    except (OSError, UnicodeDecodeError, csv.Error) as error:
+        raise InputError(f"{path}: damaged ({error}); rebuild the map") from error
     if header != _UNCERTAINTY_COLUMNS:
         raise InputError(f"{path}: unexpected columns; rebuild the map")
     try:
@@ -75,11 +78,17 @@ def write_tile_uncertainty(path: Path, survey: SurveyMap, heights: Floats) -> No
 
 def read_heights(path: Path) -> Floats:
     """Read what :func:`write_heights` wrote; InputError for anything else."""
-    with path.open() as stream:
-        if stream.readline().strip().split(",") != list(HEIGHT_COLUMNS):
-            raise InputError(f"{path}: unexpected columns; rebuild the map")
-        rows = [line.split(",") for line in stream if line.strip()]
     try:
-        return np.array(rows, dtype=np.float64).reshape(len(rows), len(HEIGHT_COLUMNS))
+        head, *lines = path.read_text(encoding="utf-8").splitlines() or [""]
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: damaged ({error}); rebuild the map") from error
+    if head.strip().split(",") != list(HEIGHT_COLUMNS):
+        raise InputError(f"{path}: unexpected columns; rebuild the map")
+    rows = [line.split(",") for line in lines if line.strip()]
+    try:
+        heights = np.array(rows, dtype=np.float64).reshape(len(rows), len(HEIGHT_COLUMNS))
     except ValueError as error:
         raise InputError(f"{path}: damaged ({error}); rebuild the map") from error
+    if np.isinf(heights).any() or np.isnan(heights[:, [0, 1, 3]]).any():
+        raise InputError(f"{path}: damaged (a tile has no place or an infinite height); rebuild the map")
+    return heights

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 import yaml
 
+from subiaco_geo.config import load_yaml
 from subiaco_geo.errors import InputError
 
 if TYPE_CHECKING:
@@ -42,8 +43,8 @@ def simulation_of(path: Path) -> dict[str, Any] | None:
         said = folder / "truth" / "scene.yaml"
         if said.is_file():
             try:
-                return name_simulation(yaml.load(said.read_text(), yaml.CSafeLoader))
-            except (OSError, yaml.YAMLError, AttributeError) as error:
+                return name_simulation(load_yaml(said.read_text(encoding="utf-8")))
+            except (OSError, yaml.YAMLError, AttributeError, UnicodeDecodeError) as error:
                 raise InputError(f"{said}: cannot be read ({error}); simulate the survey anew") from error
     return None
 

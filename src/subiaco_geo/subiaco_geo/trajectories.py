@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from decimal import Decimal, InvalidOperation
+from decimal import Decimal
 from pathlib import Path
 
 import numpy as np
@@ -67,7 +67,7 @@ def parse_seconds(text: str) -> int:
     """Read seconds, with or without an exponent, as nanoseconds, exactly."""
     try:
         time_ns = int((Decimal(text) * 10**9).to_integral_value())
-    except (InvalidOperation, OverflowError, ValueError) as error:
+    except (ArithmeticError, ValueError) as error:
         raise ValueError(f"{text!r} is not a time in seconds") from error
     if not -(2**63) <= time_ns < 2**63:
         raise ValueError(f"{text!r} is not a time in seconds that 64 bits of nanoseconds hold")

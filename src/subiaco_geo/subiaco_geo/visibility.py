@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import zipfile
-import zlib
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack
 from dataclasses import dataclass
@@ -14,7 +13,7 @@ from zipfile import BadZipFile
 import numpy as np
 from numpy.typing import NDArray
 
-from subiaco_geo.array_files import read_arrays
+from subiaco_geo.array_files import ARRAY_FAULTS, read_array, read_array_head, read_arrays
 from subiaco_geo.atomic import whole_file
 from subiaco_geo.clouds import packable, voxel_indices, voxel_keys
 from subiaco_geo.errors import InputError
@@ -26,6 +25,7 @@ NO_VERDICT = 255
 #: The same of a thing that moved for certain; probabilities are stored in steps of 1/200.
 SURELY_MOVED = 200
 
+_PLACE = ("origin", "voxel")
 _COUNTS = ("keys", "hits", "passes")
 _CLOCK = ("window", "start_ns")
 _LOOKS = ("hit_windows", "through_windows", "hit_runs", "first_hit", "last_hit", "look_edges")
@@ -148,12 +148,9 @@ def visibility_parts(path: Path, size: int = 1 << 20) -> Iterator[VisibilityGrid
     """
     try:
         with zipfile.ZipFile(path) as archive:
-            small = {name: _member(archive, name) for name in ("origin", "voxel")}
-            origin, voxel = small["origin"].astype(np.float64), float(small["voxel"])
-            names, clock = [*_COUNTS], (0.0, 0)
-            if "window.npy" in archive.namelist():
-                names += TIME_COLUMNS
-                clock = float(_member(archive, "window")), int(_member(archive, "start_ns"))
+            timed = "window.npy" in archive.namelist()
+            names = [*_COUNTS, *(TIME_COLUMNS if timed else ())]
+            small = {name: _member(archive, name) for name in (*_PLACE, *(_CLOCK if timed else ()))}
             with ExitStack() as stack:
                 streams = [stack.enter_context(archive.open(f"{name}.npy")) for name in names]
                 heads = [_head(stream) for stream in streams]
@@ -163,34 +160,54 @@ def visibility_parts(path: Path, size: int = 1 << 20) -> Iterator[VisibilityGrid
                 for start in range(0, count, size):
                     rows = min(size, count - start)
                     read = [_rows(s, kind, rows) for s, (_, kind) in zip(streams, heads, strict=True)]
-                    part = dict(zip(names, read, strict=True))
-                    yield _grid_of(origin, voxel, clock, part)
-    except (KeyError, ValueError, OSError, EOFError, BadZipFile, zlib.error) as error:
+                    yield _grid_of(small | dict(zip(names, read, strict=True)))
+    except ARRAY_FAULTS as error:
         raise InputError(f"{path}: not a visibility layer ({error}); rebuild the map") from error
 
 
-def _grid_of(
-    origin: Floats, voxel: float, clock: tuple[float, int], arrays: Mapping[str, NDArray[Any]]
-) -> VisibilityGrid:
+def _grid_of(arrays: Mapping[str, NDArray[Any]]) -> VisibilityGrid:
+    """Make a grid of the arrays of a file; ValueError where they are none of a grid."""
+    origin, voxel = arrays["origin"], _number(arrays, "voxel")
+    if origin.shape != (3,) or origin.dtype.kind not in "fiu" or not np.isfinite(origin).all():
+        raise ValueError(f"origin has shape {origin.shape} and type {origin.dtype}, or is not finite")
+    if not 0.0 < voxel < np.inf:
+        raise ValueError(f"voxel is {voxel} m")
+    timed = "window" in arrays
+    columns = {name: arrays[name] for name in (*_COUNTS, *(TIME_COLUMNS if timed else ()))}
+    for name, column in columns.items():
+        if column.shape != arrays["keys"].shape or column.ndim != 1 or column.dtype.kind not in "iu":
+            raise ValueError(f"{name} has shape {column.shape} and type {column.dtype}")
+    if (np.diff(columns["keys"]) <= 0).any():
+        raise ValueError("its voxels are not in order")
     moving, times = None, None
-    if clock[0] > 0:
-        times = TimeRecord(*clock, Looks(*(arrays[name] for name in _LOOKS)))
-        moving = arrays["moving"]
-    return VisibilityGrid(origin, voxel, arrays["keys"], arrays["hits"], arrays["passes"], moving, times)
+    if timed:
+        window, start_ns = _number(arrays, "window"), int(_number(arrays, "start_ns", "iu"))
+        if not 0.0 < window < np.inf:
+            raise ValueError(f"window is {window} s")
+        times = TimeRecord(window, start_ns, Looks(*(columns[name] for name in _LOOKS)))
+        moving = columns["moving"]
+    keys, hits, passes = (columns[name] for name in _COUNTS)
+    return VisibilityGrid(origin.astype(np.float64), float(voxel), keys, hits, passes, moving, times)
+
+
+def _number(arrays: Mapping[str, NDArray[Any]], name: str, kinds: str = "fiu") -> Any:
+    array = arrays[name]
+    if array.shape != () or array.dtype.kind not in kinds:
+        raise ValueError(f"{name} has shape {array.shape} and type {array.dtype}")
+    return array.item()
 
 
 def _member(archive: zipfile.ZipFile, name: str) -> NDArray[Any]:
-    if archive.getinfo(f"{name}.npy").file_size > _SMALL:
+    size = archive.getinfo(f"{name}.npy").file_size
+    if size > _SMALL:
         raise ValueError(f"{name} is no corner or edge")
     with archive.open(f"{name}.npy") as stream:
-        return np.asarray(np.lib.format.read_array(stream, allow_pickle=False))
+        return read_array(stream, size)
 
 
 def _head(stream: IO[bytes]) -> tuple[int, np.dtype[Any]]:
     """Read the head of a column: its length and type."""
-    version = np.lib.format.read_magic(stream)
-    read = np.lib.format.read_array_header_1_0 if version == (1, 0) else np.lib.format.read_array_header_2_0
-    shape, _, kind = read(stream)
+    shape, _, kind = read_array_head(stream)
     if len(shape) != 1 or kind.kind not in "iu":
         raise ValueError(f"a column has shape {shape} and type {kind}")
     return int(shape[0]), kind
@@ -205,14 +222,12 @@ def _rows(stream: IO[bytes], kind: np.dtype[Any], count: int) -> NDArray[Any]:
 
 def load_visibility(path: Path) -> VisibilityGrid:
     """Read a grid written by :func:`save_visibility`."""
-    timed = _is_timed(path)
-    names = _COUNTS + (_CLOCK + TIME_COLUMNS if timed else ())
-    data = read_arrays(path, ("origin", "voxel", *names), "a visibility layer", "rebuild the map")
-    columns = [data[name] for name in names if name not in _CLOCK]
-    if any(len(column) != len(columns[0]) for column in columns):
-        raise InputError(f"{path}: not a visibility layer (its columns differ in length); rebuild the map")
-    clock = (float(data["window"]), int(data["start_ns"])) if timed else (0.0, 0)
-    return _grid_of(data["origin"], float(data["voxel"]), clock, data)
+    names = _PLACE + _COUNTS + (_CLOCK + TIME_COLUMNS if _is_timed(path) else ())
+    arrays = read_arrays(path, names, "a visibility layer", "rebuild the map")
+    try:
+        return _grid_of(arrays)
+    except ValueError as error:
+        raise InputError(f"{path}: not a visibility layer ({error}); rebuild the map") from error
 
 
 def _is_timed(path: Path) -> bool:

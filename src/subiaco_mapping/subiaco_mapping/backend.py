@@ -6,7 +6,7 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-from subiaco_geo.crs import require_ellipsoidal
+from subiaco_geo.crs_area import require_usable
 from subiaco_geo.errors import InputError
 from subiaco_geo.survey_map import SurveyMap
 from subiaco_mapping.config import MappingConfig
@@ -40,7 +40,7 @@ class MappingBackend:
     """
 
     def __init__(self, config: MappingConfig, extrinsics: Extrinsics, spool: Path) -> None:
-        require_ellipsoidal(config.crs)
+        require_usable(config.crs)
         self._config = config
         self._extrinsics = extrinsics
         self._spool = spool

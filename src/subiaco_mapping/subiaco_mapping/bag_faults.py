@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 
 from subiaco_geo.bags import BagReader
-from subiaco_geo.crs_area import require_inside
+from subiaco_geo.crs_area import crs_at, require_inside
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
 from subiaco_geo.topics import FIX, IMU_PACKETS, LIDAR_PACKETS, MESSAGE_TYPES, POINTS, TF_STATIC
@@ -92,7 +92,7 @@ def _fixes(reader: BagReader, config: MappingConfig) -> tuple[list[str], list[st
     cares = [f"{int(jumps.sum())} fixes jump, by up to {steps.max() / 1e3:.1f} km"] if jumps.any() else []
     latitude, longitude = np.median(place, axis=0).tolist()
     try:
-        require_inside(latitude, longitude, config.crs)
+        require_inside(latitude, longitude, crs_at(latitude, longitude, config.crs))
     except InputError as error:
         cares.append(str(error))
     return [], cares

@@ -30,6 +30,13 @@ class LogMessage:
     cdr: bytes
 
 
+def stamp_ns(time_ns: int) -> int:
+    """Return a time that a ROS stamp can hold; ValueError for one before 1970 or after 2038."""
+    if not 0 <= time_ns < 2**31 * 10**9:
+        raise ValueError(f"{time_ns} ns is no time between 1970 and 2038")
+    return time_ns
+
+
 def header(time_ns: int, frame: str) -> Any:
     """Return a std_msgs/Header."""
     stamp = _T["builtin_interfaces/msg/Time"](sec=int(time_ns) // 10**9, nanosec=int(time_ns) % 10**9)

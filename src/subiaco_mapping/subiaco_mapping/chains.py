@@ -36,7 +36,7 @@ class Placement:
     reasons: tuple[str | None, ...]
 
 
-def place_sequences(sequences: list[SequenceRecord], config: GnssConfig) -> Placement:
+def place_sequences(sequences: list[SequenceRecord], config: MappingConfig) -> Placement:
     """Find out which sequences GNSS places.
 
     Raises
@@ -44,34 +44,36 @@ def place_sequences(sequences: list[SequenceRecord], config: GnssConfig) -> Plac
     InputError
         A sequence has fixes and no lever arm.
     """
-    frame = gnss.local_frame([fix for sequence in sequences for fix in sequence.fixes], config)
+    frame = gnss.local_frame(
+        [fix for sequence in sequences for fix in sequence.fixes], config.gnss, config.crs
+    )
     if frame is None:
         return Placement(None, ("no usable GNSS fix",) * len(sequences))
     reasons = tuple(_why_not(sequence, frame, config) for sequence in sequences)
     return Placement(None if all(reasons) else frame, reasons)
 
 
-def _why_not(sequence: SequenceRecord, frame: EnuFrame, config: GnssConfig) -> str | None:
+def _why_not(sequence: SequenceRecord, frame: EnuFrame, config: MappingConfig) -> str | None:
     if sequence.fixes and sequence.extrinsics.t_base_gnss is None:
         raise InputError(
             "/tf_static: no antenna lever arm; record base_link -> gnss_link or set sensors.gnss in "
             "config/sensors.yaml"
         )
     fixes, attachment = _attached(sequence, frame, config)
-    return gnss.enough_to_place(fixes.enu[attachment.kept], config)
+    return gnss.enough_to_place(fixes.enu[attachment.kept], config.gnss)
 
 
 def _attached(
-    sequence: SequenceRecord, frame: EnuFrame, config: GnssConfig
+    sequence: SequenceRecord, frame: EnuFrame, config: MappingConfig
 ) -> tuple[gnss.EnuFixes, gnss.Attachment]:
-    fixes = gnss.to_enu(sequence.fixes, frame, config)
+    fixes = gnss.to_enu(sequence.fixes, frame, config.gnss, config.crs)
     lever = sequence.extrinsics.t_lidar_gnss if sequence.fixes else np.zeros(3)
     attachment = gnss.attach(
         fixes.times_ns,
         sequence.stamps_ns,
         sequence.T_odom_lidar,
         lever,
-        config.max_pose_gap_ns,
+        config.gnss.max_pose_gap_ns,
     )
     return fixes, attachment
 
@@ -87,7 +89,7 @@ def chain_of(
     ups = np.einsum("nij,nj->ni", poses[gravity.index, :3, :3], gravity.up)
     up_odom = ups.mean(axis=0) if len(ups) else base_up
     T_world_odom = make_pose(gnss.level_rotation(up_odom), np.zeros(3)) if len(ups) else np.eye(4)
-    priors = None if frame is None else _fixes_of(sequence, frame, config.gnss)
+    priors = None if frame is None else _fixes_of(sequence, frame, config)
     heading = None if frame is None else _headings_of(sequence, config.gnss)
     if placed and priors is not None:
         at = poses[priors.index]
@@ -108,7 +110,7 @@ def chain_of(
     )
 
 
-def _fixes_of(sequence: SequenceRecord, frame: EnuFrame, config: GnssConfig) -> GnssPriors:
+def _fixes_of(sequence: SequenceRecord, frame: EnuFrame, config: MappingConfig) -> GnssPriors:
     fixes, attachment = _attached(sequence, frame, config)
     fixes = fixes.select(attachment.kept)
     return GnssPriors(

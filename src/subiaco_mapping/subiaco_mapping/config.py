@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from typing import Literal
+from typing import Any, Literal
 
-from pydantic import Field
+from pydantic import Field, field_validator
 
 from subiaco_geo.config import StrictModel
 from subiaco_geo.movement import MovementConfig
@@ -132,12 +132,23 @@ class GnssConfig(StrictModel):
     float_below: float = Field(
         1.5, gt=0, description="where the status cannot tell: a smaller stated sigma is RTK float [m]"
     )
-    declared_frame: Literal["GDA2020", "ITRF2014"] = Field("GDA2020", description="frame of the fixes")
-    epoch: float | None = Field(None, description="decimal year of ITRF coordinates")
-    heights: Literal["ellipsoidal", "AHD"] = Field(
-        "ellipsoidal", description="what the fixes' altitudes are above; AHD needs geoid_grid"
+    declared_frame: str = Field(
+        "map",
+        description="geodetic system of the fixes, that of the RTK base: map for the datum of the map's CRS, "
+        "or a name or code that PROJ knows (GDA2020, ETRS89, ITRF2014, EPSG:7843)",
     )
-    geoid_grid: str = Field("", description="file of geoid undulations as PROJ reads them: AUSGeoid2020")
+    epoch: float | None = Field(
+        None,
+        description="decimal year of the survey, needed where the system of the fixes moves with the plates",
+    )
+    heights: Literal["ellipsoidal", "geoid"] = Field(
+        "ellipsoidal",
+        description="surface above which the fixes' altitudes are given; geoid (or AHD) needs geoid_grid",
+    )
+    geoid_grid: str = Field(
+        "",
+        description="file of geoid undulations that PROJ reads, .gtx or .tif, such as AUSGeoid2020 for AHD",
+    )
     sigma_fixed: float = Field(0.015, gt=0, description="floor for status 2 [m]")
     sigma_float: float = Field(0.4, gt=0, description="floor for status 1 [m]")
     sigma_single: float = Field(2.0, gt=0, description="floor for status 0 [m]")
@@ -161,6 +172,11 @@ class GnssConfig(StrictModel):
     heading_sigma_deg: float = Field(0.2, gt=0, description="floor of a heading, in quadrature [deg]")
     min_fixes: int = Field(10, ge=3, description="fixes needed to place a sequence")
     min_length: float = Field(20.0, gt=0, description="way they must span [m]")
+
+    @field_validator("heights", mode="before")
+    @classmethod
+    def _australian_heights_are_geoid_heights(cls, value: Any) -> Any:
+        return "geoid" if value == "AHD" else value
 
 
 class GraphConfig(StrictModel):
@@ -255,7 +271,11 @@ class ManifestConfig(StrictModel):
 class MappingConfig(StrictModel):
     """Everything from bag to map."""
 
-    crs: str = Field("EPSG:7850", description="CRS of the map: GDA2020 / MGA zone 50")
+    crs: str = Field(
+        "auto",
+        description="projected CRS of the map, an EPSG code or WKT; auto takes the UTM zone of the fixes on "
+        "the region's newest datum (in Perth EPSG:7850, GDA2020 / MGA zone 50)",
+    )
     threads: int = Field(1, ge=1, description="1 is deterministic")
     deskewed: bool = Field(False, description="point clouds come without point times, already deskewed")
     topics: TopicsConfig = TopicsConfig()

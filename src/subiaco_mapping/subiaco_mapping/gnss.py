@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from subiaco_geo.crs import EnuFrame, ellipsoidal_heights, fixes_to_gda2020
-from subiaco_geo.crs_area import require_inside
+from subiaco_geo.crs import EnuFrame, ellipsoidal_heights, fixes_to_datum
+from subiaco_geo.crs_area import AUTO, crs_at, require_inside
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints, interpolate_poses, invert_pose, make_pose
 from subiaco_mapping.config import GnssConfig
@@ -67,10 +67,11 @@ class Attachment:
     kept: NDArray[np.bool_]
 
 
-def local_frame(fixes: Sequence[GnssFix], config: GnssConfig) -> EnuFrame | None:
+def local_frame(fixes: Sequence[GnssFix], config: GnssConfig, crs: str = AUTO) -> EnuFrame | None:
     """Return the ENU frame at the first of the best fixes, None where no fix is usable.
 
-    A fix that is :func:`near` no other, as receivers give when they start, is not taken.
+    A fix that is :func:`near` no other, as receivers give when they start, is not taken. The frame is in the
+    datum of the map's CRS ``crs``.
     """
     usable = [fix for fix in fixes if fix.is_usable()]
     if not usable:
@@ -78,7 +79,7 @@ def local_frame(fixes: Sequence[GnssFix], config: GnssConfig) -> EnuFrame | None
     best = max(fix.status for fix in usable)
     placed = [fix for fix in usable if fix.status == best]
     first = placed[int(np.argmax(near(placed)))]
-    origin = _to_gda2020([first], config)[0]
+    origin = _to_datum([first], config, crs_at(first.latitude, first.longitude, crs))[0]
     return EnuFrame(float(origin[0]), float(origin[1]), float(origin[2]))
 
 
@@ -117,19 +118,19 @@ class PlaceCheck:
             self._seen.append((fix.latitude, fix.longitude))
             if len(self._seen) == self._ENOUGH:
                 latitude, longitude = np.median(np.array(self._seen), axis=0).tolist()
-                require_inside(latitude, longitude, self._crs)
+                require_inside(latitude, longitude, crs_at(latitude, longitude, self._crs))
 
 
-def _to_gda2020(fixes: Sequence[GnssFix], config: GnssConfig) -> Floats:
+def _to_datum(fixes: Sequence[GnssFix], config: GnssConfig, crs: str) -> Floats:
     rows = np.array([[f.latitude, f.longitude, f.altitude] for f in fixes]).reshape(-1, 3)
-    if config.heights == "AHD":
+    if config.heights == "geoid":
         if not config.geoid_grid:
             raise InputError(
-                "gnss.heights: AHD needs gnss.geoid_grid, the AUSGeoid2020 grid as .gtx or .tif; "
-                "or let the receiver send ellipsoidal heights"
+                "gnss.heights: heights above the geoid need gnss.geoid_grid, the grid of undulations as .gtx "
+                "or .tif (AUSGeoid2020 for AHD); or let the receiver send ellipsoidal heights"
             )
         rows = ellipsoidal_heights(rows, Path(config.geoid_grid))
-    return fixes_to_gda2020(rows, config.declared_frame, config.epoch)
+    return fixes_to_datum(rows, config.declared_frame, crs, config.epoch)
 
 
 def sigma_floor(status: int, config: GnssConfig) -> float:
@@ -144,12 +145,15 @@ def _floored(fix: GnssFix, config: GnssConfig) -> Floats:
     return np.asarray(0.5 * (fix.covariance + fix.covariance.T) + np.diag(floor))
 
 
-def to_enu(fixes: Sequence[GnssFix], frame: EnuFrame, config: GnssConfig) -> EnuFixes:
-    """Bring usable fixes to ENU, in time order; those astray and later ones of equal time are dropped."""
+def to_enu(fixes: Sequence[GnssFix], frame: EnuFrame, config: GnssConfig, crs: str = AUTO) -> EnuFixes:
+    """Bring usable fixes to ENU, in time order; those astray and later ones of equal time are dropped.
+
+    ``frame`` is in the datum of the map's CRS ``crs``, and so are the positions.
+    """
     usable = [fix for fix in fixes if fix.is_usable()]
     usable = [fix for fix, kept in zip(usable, near(usable), strict=True) if kept]
     usable.sort(key=lambda fix: fix.time_ns)
-    geodetic = _to_gda2020(usable, config)
+    geodetic = _to_datum(usable, config, crs_at(frame.latitude_deg, frame.longitude_deg, crs))
     enu = frame.from_geodetic(*geodetic.T) if usable else np.zeros((0, 3))
     times_ns = np.array([fix.time_ns + config.time_offset_ns for fix in usable], dtype=np.int64)
     covariance = np.array([_floored(fix, config) for fix in usable]).reshape(-1, 3, 3)

@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import heapq
 import logging
+import struct
 import tempfile
+import zlib
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,6 +32,11 @@ from subiaco_mapping.kitti_raw import kitti_messages
 logger = logging.getLogger(__name__)
 
 _ROS1_TAILS = {"lidar_packets": LIDAR_PACKETS, "imu_packets": IMU_PACKETS}
+#: What the reader of ROS 1 bags raises where one is damaged; sizes in it may exceed any memory.
+_ROS1_FAULTS = (
+    ReaderError, OSError, ValueError, LookupError, AssertionError, EOFError, MemoryError, OverflowError,
+    struct.error, RuntimeError, TypeError, zlib.error,
+)  # fmt: skip
 _PCAP_SUFFIXES = (".pcap", ".pcapng")
 
 
@@ -158,8 +165,9 @@ def ros1_recording(recording: Path) -> tuple[str | None, list[RecordedPacket]]:
                     metadata = bytes(raw[4 : 4 + size]).decode()
                 elif tail in _ROS1_TAILS and connection.msgtype.endswith("/PacketMsg"):
                     packets.append(RecordedPacket(_ROS1_TAILS[tail], time_ns, bytes(raw[4 : 4 + size])))
-    except (ReaderError, OSError, ValueError) as error:
-        raise InputError(f"{recording}: not a whole ROS 1 bag ({error}); run 'rosbag reindex'") from error
+    except _ROS1_FAULTS as error:
+        said = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{recording}: not a whole ROS 1 bag ({said}); run 'rosbag reindex'") from error
     return metadata, packets
 
 

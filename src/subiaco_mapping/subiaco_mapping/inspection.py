@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from subiaco_geo.bags import BagReader, packet_from_cdr, require_topic
+from subiaco_geo.errors import errors_name
 from subiaco_geo.topics import FIX, IMU, LIDAR_PACKETS, MESSAGE_TYPES, METADATA, POINTS
 from subiaco_mapping.bag_faults import faults
 from subiaco_mapping.config import DecodeConfig, GnssConfig, MappingConfig
@@ -96,7 +97,8 @@ def inspect_bag(bag: Path, config: MappingConfig | None = None) -> dict[str, Any
         guessed = guess_names(plain.topics, config.topics)
     names = {theirs: ours for ours, theirs in config.topics.remappings()} | guessed
     with NamedBagReader(Path(bag), names) as reader:
-        facts = _facts(bag, reader, config)
+        with errors_name(Path(bag)):
+            facts = _facts(bag, reader, config)
         monitor = watch_bag(reader, config)
         verdict = judge(monitor, reader.topics, facts["duration_s"], config.deskewed or _has_times(reader))
         verdict = verdict.with_more(*faults(reader, facts, config))

@@ -13,10 +13,10 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-from subiaco_geo import __version__
 from subiaco_geo.atomic import whole_file
 from subiaco_geo.errors import InputError
 from subiaco_geo.locks import locked
+from subiaco_geo.work.source_code import source_fingerprint
 from subiaco_geo.work.tasks import fingerprint
 from subiaco_mapping.backend import MappingBackend, sequence_folder
 from subiaco_mapping.config import MappingConfig
@@ -71,14 +71,6 @@ def _size(folder: Path) -> int:
     return sum(path.stat().st_size for path in folder.rglob("*") if path.is_file())
 
 
-def _program() -> str:
-    """Hash this package, so that nothing goes on with what another version of it began."""
-    digest = hashlib.sha256(__version__.encode())
-    for path in sorted(Path(__file__).parent.rglob("*.py")):
-        digest.update(path.read_bytes())
-    return digest.hexdigest()
-
-
 def reading_hash(config: MappingConfig) -> str:
     """Hash the settings that reading a recording rests on; where others change, none is read again."""
     settings = config.model_dump(mode="json", exclude=_LATER)
@@ -100,7 +92,7 @@ class Journal:
 
     def __init__(self, folder: Path, config: MappingConfig, *, resume: bool) -> None:
         self.folder, self._config = folder, config
-        run = {"config": reading_hash(config), "program": _program()}
+        run = {"config": reading_hash(config), "program": source_fingerprint(__name__)}
         found = self._read() if resume else {}
         if found and found.get("run") != run:
             logger.warning("%s: begun by another configuration or version; mapping from the start", folder)

@@ -142,7 +142,10 @@ def _points(path: Path) -> NDArray[np.float32]:
     data = path.read_bytes()
     if len(data) % 16:
         raise InputError(f"{path}: {len(data)} bytes are no rows of four float32; copy the file again")
-    return np.frombuffer(data, dtype="<f4").reshape(-1, 4)
+    points = np.frombuffer(data, dtype="<f4").reshape(-1, 4)
+    if not np.isfinite(points[:, :3]).all():
+        raise InputError(f"{path}: coordinates that are not finite; copy the file again")
+    return points
 
 
 def _frames(folder: Path) -> dict[str, Floats]:
@@ -152,11 +155,12 @@ def _frames(folder: Path) -> dict[str, Floats]:
         raise InputError(
             f"{folder}: no {CALIBRATION} in it or above it; it is in the calibration archive of the day"
         )
-    rows = dict(line.split(":", 1) for line in path.read_text(encoding="utf-8").splitlines() if ":" in line)
     try:
+        lines = path.read_text(encoding="utf-8").splitlines()
+        rows = dict(line.split(":", 1) for line in lines if ":" in line)
         rotation = np.array(rows["R"].split(), dtype=np.float64).reshape(3, 3)
         place = np.array(rows["T"].split(), dtype=np.float64).reshape(3)
-    except (KeyError, ValueError) as error:
+    except (OSError, KeyError, ValueError) as error:
         raise InputError(f"{path}: R or T cannot be read ({error}); copy the file again") from error
     if not np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-3):
         raise InputError(f"{path}: R is no rotation; copy the file again")

@@ -21,7 +21,7 @@ from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
 from subiaco_geo.topics import HEADING, IMU
 from subiaco_mapping import rtklib
-from subiaco_mapping.bag_messages import LogMessage, fix_message, header, message
+from subiaco_mapping.bag_messages import LogMessage, fix_message, header, message, stamp_ns
 
 _T = TYPESTORE.types
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
@@ -72,13 +72,13 @@ def parse_time_ns(text: str) -> int:
     """
     text = text.strip()
     whole, _, part = text.partition(".")
-    if whole.isdigit() and (part.isdigit() or not part):
+    if whole.isdecimal() and (part.isdecimal() or not part):
         if len(whole) > 15:
-            return int(whole)
-        return int(whole) * 10**9 + int((part + "0" * 9)[:9])
+            return stamp_ns(int(whole))
+        return stamp_ns(int(whole) * 10**9 + int((part + "0" * 9)[:9]))
     stamp = datetime.fromisoformat(text)
     since = (stamp if stamp.tzinfo else stamp.replace(tzinfo=UTC)) - _EPOCH
-    return (since.days * 86400 + since.seconds) * 10**9 + since.microseconds * 1000
+    return stamp_ns((since.days * 86400 + since.seconds) * 10**9 + since.microseconds * 1000)
 
 
 def _rows(path: Path, needed: tuple[str, ...], key: str) -> Iterator[tuple[int, dict[str, str]]]:
@@ -95,8 +95,9 @@ def _rows(path: Path, needed: tuple[str, ...], key: str) -> Iterator[tuple[int, 
             names = reader.fieldnames or ()
             missing = [name for name in needed if name not in names]
             if missing:
+                found = " ".join(", ".join(names).split())[:300]
                 raise InputError(
-                    f"{path}: no column {missing[0]!r} (it has {', '.join(names) or 'none'}); "
+                    f"{path}: no column {missing[0]!r} (it has {found or 'none'}); "
                     f"name yours with --set {key}.FIELD=COLUMN"
                 )
             for row in reader:

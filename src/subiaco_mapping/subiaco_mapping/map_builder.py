@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 
 from subiaco_geo.config import config_hash
+from subiaco_geo.crs_area import AUTO
 from subiaco_geo.frames import invert_pose
 from subiaco_geo.free_space.sensor_view import SENSOR, SensorView
 from subiaco_geo.survey_map import PoseUncertainty, SurveyMap
@@ -60,7 +61,7 @@ def build_map(
     -------
     SurveyMap
     """
-    projection = Projection(solution.frame, config.crs if solution.frame is not None else None)
+    projection = Projection.of_place(solution.frame, config.crs)
     # what is mapped from the folder outlives it: the disk gives it back when the map is let go
     view = FieldOfView(config.decode.sky_range, config.decode.max_range)
     with tempfile.TemporaryDirectory(prefix=FUSION_FOLDER, dir=sequences[0].spool.folder) as folder:
@@ -136,6 +137,7 @@ def _info(
         "inputs": dict(inputs),
         "config_hash": config_hash(config),
         "georeferenced": frame is not None,
+        "crs_source": None if frame is None else "auto" if config.crs == AUTO else "given",
         "local_because": solution.reason,
         "enu_origin": None if frame is None else [frame.latitude_deg, frame.longitude_deg, frame.height],
         "geoid_grid": _grid_hash(config.gnss),
@@ -144,7 +146,7 @@ def _info(
 
 
 def _grid_hash(config: GnssConfig) -> str | None:
-    if config.heights != "AHD":
+    if config.heights == "ellipsoidal":
         return None
     return hashlib.sha256(Path(config.geoid_grid).read_bytes()).hexdigest()
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from subiaco_geo.bag_files import sequence_name
 from subiaco_geo.bags import BagReader, hash_bag, packet_from_cdr, require_topic
-from subiaco_geo.crs import require_ellipsoidal
-from subiaco_geo.errors import InputError
+from subiaco_geo.crs_area import require_usable
+from subiaco_geo.errors import InputError, errors_name
 from subiaco_geo.simulated import mark_simulated
 from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.topics import FIX, HEADING, IMU, LIDAR_PACKETS, MESSAGE_TYPES, METADATA, POINTS, TF_STATIC
@@ -106,9 +106,10 @@ def run_sequence(
     for topic in (IMU, FIX, HEADING):
         if topic in reader.topics:
             require_topic(reader, topic, MESSAGE_TYPES[topic])
-    extrinsics = read_extrinsics(reader, config)
-    metadata = read_metadata(reader) if lidar == LIDAR_PACKETS else None
-    frontend = OdometryFrontend(config, extrinsics, metadata)
+    with errors_name(reader.path):
+        extrinsics = read_extrinsics(reader, config)
+        metadata = read_metadata(reader) if lidar == LIDAR_PACKETS else None
+        frontend = OdometryFrontend(config, extrinsics, metadata)
     name = sequence_name(reader.path)
     backend.start_sequence(name, extrinsics)
 
@@ -195,7 +196,7 @@ def map_survey(
     """
     if not bags:
         raise InputError("no bag given; name at least one rosbag2 folder, .mcap or simulated epoch folder")
-    require_ellipsoidal(config.crs)
+    require_usable(config.crs)
     report = progress or silent
     with opened(journal, config, resume=resume) as work:
         backend = JournalledBackend(config, work)

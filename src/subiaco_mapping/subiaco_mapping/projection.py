@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from subiaco_geo.crs import EnuFrame
+from subiaco_geo.crs_area import crs_at
 from subiaco_geo.frames import Floats
 
 _BASIS = 50.0
@@ -18,6 +19,13 @@ class Projection:
 
     frame: EnuFrame | None
     crs: str | None
+
+    @classmethod
+    def of_place(cls, frame: EnuFrame | None, crs: str) -> Projection:
+        """Return the projection of a survey about ``frame`` to the configured CRS, which may be ``auto``."""
+        if frame is None:
+            return cls(None, None)
+        return cls(frame, crs_at(frame.latitude_deg, frame.longitude_deg, crs))
 
     def points(self, xyz: Floats) -> Floats:
         """Return world coordinates (N, 3) [m]."""

@@ -16,7 +16,7 @@ import numpy as np
 
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
-from subiaco_mapping.bag_messages import LogMessage, fix_message
+from subiaco_mapping.bag_messages import LogMessage, fix_message, stamp_ns
 
 #: Quality to our states: 2 RTK fixed, 1 float, 0 single and differential.
 STATES = {1: 2, 2: 1, 3: 0, 4: 0, 5: 0, 6: 0}
@@ -136,6 +136,5 @@ def _time_ns(cells: list[str], system: str, leap_seconds: int) -> int:
     else:
         seconds, _, part = second.partition(".")
         time_ns = _GPS_EPOCH_NS + int(first) * _WEEK_NS + int(seconds) * 10**9 + int((part + "0" * 9)[:9])
-    if system == "JST":
-        return time_ns - _JST_NS
-    return time_ns - leap_seconds * 10**9 if system == "GPST" else time_ns
+    later = {"JST": _JST_NS, "GPST": leap_seconds * 10**9}
+    return stamp_ns(time_ns - later.get(system, 0))

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from subiaco_geo.crs import EnuFrame
-from subiaco_geo.crs_area import require_inside
+from subiaco_geo.crs_area import crs_at, require_inside
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, invert_pose
 from subiaco_mapping.chains import Placement, chain_of, place_sequences, summary
@@ -66,7 +66,7 @@ class SurveyGraph:
             A sequence can be placed neither by GNSS nor by what it shares with the others, GNSS is
             required and does not place one, or the fixes are where the CRS must not be used.
         """
-        placement = place_sequences(sequences, self._config.gnss)
+        placement = place_sequences(sequences, self._config)
         state = self._start(sequences, placement)
         while state.waiting:
             self._join(sequences, state, placement)
@@ -93,7 +93,7 @@ class SurveyGraph:
         InputError
             GNSS is required and does not place a sequence, or the fixes are where the CRS must not be used.
         """
-        placement = place_sequences(sequences, self._config.gnss)
+        placement = place_sequences(sequences, self._config)
         state = self._start(sequences, placement)
         if self._live is None or self._live.frame != placement.frame:
             self._live = _Live(placement.frame, LiveGraph(self._config.graph, self._config.gnss))
@@ -136,7 +136,8 @@ class SurveyGraph:
     def _start(self, sequences: list[SequenceRecord], placement: Placement) -> _State:
         """Take what GNSS places; of a local map, the first sequence."""
         if placement.frame is not None:
-            require_inside(placement.frame.latitude_deg, placement.frame.longitude_deg, self._config.crs)
+            latitude, longitude = placement.frame.latitude_deg, placement.frame.longitude_deg
+            require_inside(latitude, longitude, crs_at(latitude, longitude, self._config.crs))
         placed = [reason is None for reason in placement.reasons]
         for sequence, reason in zip(sequences, placement.reasons, strict=True):
             if reason is not None and self._config.gnss.required:

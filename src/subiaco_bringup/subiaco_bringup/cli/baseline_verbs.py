@@ -10,6 +10,7 @@ from typing import Annotated
 import typer
 
 from subiaco_bringup.cli.change_verbs import After, Before, RegistrationName, TransformFile, known_transform
+from subiaco_bringup.cli.finding_box import say_findings
 from subiaco_bringup.cli.options import (
     ConfigFiles,
     Output,
@@ -73,6 +74,7 @@ def baseline(
     counts = Counter(record.change.label for record in result.records)
     listed = ", ".join(f"{count} {label}" for label, count in sorted(counts.items()))
     say(f"{method.value}: {output} ({listed or 'no change'}); open {output / 'report.html'}", quiet=quiet)
+    say_findings(output)
 
 
 def ablate(

@@ -12,6 +12,7 @@ import numpy as np
 import typer
 from numpy.typing import NDArray
 
+from subiaco_bringup.cli.finding_box import say_findings
 from subiaco_bringup.cli.options import (
     AsJson,
     ConfigFiles,
@@ -165,6 +166,8 @@ def change(
                 work=work,
             )
         say(f"history: {output / 'history.csv'} ({len(history)} objects)", quiet=quiet)
+        for found in sorted(output.glob("*_to_*/run.json")):
+            say_findings(found.parent)
         return
     before, after = epochs
     job = ChangeJob(
@@ -175,6 +178,7 @@ def change(
     counts = Counter(record.change.label for record in records)
     listed = ", ".join(f"{count} {label}" for label, count in sorted(counts.items()))
     say(f"changes: {output} ({listed or 'no objects'}); open {output / 'report.html'}", quiet=quiet)
+    say_findings(output)
 
 
 def evaluate(
@@ -235,19 +239,70 @@ def report(
     change_directory: Annotated[
         Path, typer.Argument(metavar="CHANGE_DIR", help="What 'subiaco change' wrote.")
     ],
+    project: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Name of the project in the header of the report.")
+    ] = None,
+    client: Annotated[
+        str | None, typer.Option(metavar="NAME", help="Name of the client in the header of the report.")
+    ] = None,
+    logo: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Picture in the header: .png, .jpg or .webp.")
+    ] = None,
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
     """Build report.html and summary.html of a change directory again, and changes.qgs where it is missing.
 
-    A changes.qgs that is there is left as it is: it may hold your own layers.
+    A changes.qgs that is there is left as it is: it may hold your own layers. Project, client and logo are
+    kept for the next time.
 
-    Example: subiaco report out/change
+    Example: subiaco report out/change --project "Survey 2025" --client "City of Subiaco"
     """
     from subiaco_change.outputs.directory import rebuild
+    from subiaco_change.outputs.reading import read_change_directory
+    from subiaco_change.report.project import store_project_facts
 
     set_up_logging(verbose, quiet)
+    if (project, client, logo) != (None, None, None):
+        read_change_directory(change_directory)
+        store_project_facts(change_directory, project, client, logo)
     say(f"report: {rebuild(change_directory)}", quiet=quiet)
+
+
+def review(
+    change_directory: Annotated[
+        Path, typer.Argument(metavar="CHANGE_DIR", help="What 'subiaco change' wrote.")
+    ],
+    files: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="[REVIEWS]", help="Review files that the report saved; later ones win."),
+    ] = None,
+    as_json: AsJson = False,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Take reviews up into the table, the GeoPackage, the lots and the pages of a change directory.
+
+    Reviews come from the files given, from reviews.csv in the directory, and from what was typed into
+    changes.csv or into changes.gpkg (the form in QGIS). Rejected changes leave every count.
+
+    Example: subiaco review out/change reviews.csv
+    """
+    from subiaco_change.outputs.directory import rebuild
+    from subiaco_change.outputs.review_files import take_up_reviews
+    from subiaco_change.outputs.review_state import review_counts
+
+    set_up_logging(verbose, quiet)
+    table, unknown = take_up_reviews(change_directory, list(files or []))
+    page = rebuild(change_directory)
+    counts = review_counts(table) | {"unknown": unknown}
+    if as_json:
+        print_json(counts)
+        return
+    listed = f"{counts['accepted']} accepted, {counts['rejected']} rejected"
+    say(f"review: {counts['reviewed']} of {counts['changed']} changes ({listed}); open {page}", quiet=quiet)
+    if unknown:
+        say(f"review: {len(unknown)} reviews have no object in this table, first {unknown[0]}", quiet=quiet)
 
 
 class ExportKind(StrEnum):
@@ -259,6 +314,10 @@ class ExportKind(StrEnum):
     GPKG = "gpkg"
     PARQUET = "parquet"
     GEOJSON = "geojson"
+    CSV = "csv"
+    SHP = "shp"
+    KML = "kml"
+    DXF = "dxf"
     TILES = "tiles"
     KITTI = "kitti"
 
@@ -271,13 +330,21 @@ def export(
         typer.Option(
             metavar="FORM",
             help="Clouds: laz, copc, ply. Maps also: tiles (LAZ of 80 m and an index), kitti (trajectory)."
-            " Tables: gpkg, parquet, geojson.",
+            " Tables: gpkg, parquet, geojson, csv, shp, kml, dxf.",
         ),
     ],
     cloudcompare: Annotated[
         bool,
         typer.Option("--cloudcompare", help="Name PLY fields so that CloudCompare loads them."),
     ] = False,
+    review: Annotated[
+        str,
+        typer.Option(
+            metavar="WHICH",
+            help="Changes to write by their review: all, accepted or not-rejected. Points of the other"
+            " changes get code 254.",
+        ),
+    ] = "all",
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
@@ -291,8 +358,12 @@ def export(
     set_up_logging(verbose, quiet)
     if cloudcompare and to is not ExportKind.PLY:
         raise InputError(f"--cloudcompare names the fields of a PLY; it does not go with --to {to}")
-    run = export_map if (directory / "map.yaml").is_file() else export_changes
-    files = run(directory, output, to.value, cloudcompare=cloudcompare)
+    if not (directory / "map.yaml").is_file():
+        files = export_changes(directory, output, to.value, cloudcompare=cloudcompare, review=review)
+    elif review != "all":
+        raise InputError(f"--review {review}: {directory} is a map, which has no reviews; leave it out")
+    else:
+        files = export_map(directory, output, to.value, cloudcompare=cloudcompare)
     names = ", ".join(str(file) for file in files) if len(files) < 5 else f"{len(files)} files in {output}"
     say(f"{to}: {names}", quiet=quiet)
 
@@ -302,4 +373,5 @@ def register(app: typer.Typer) -> None:
     app.command("change", short_help="Find what changed between two maps.")(change)
     app.command("evaluate", short_help="Score what was found against truth.")(evaluate)
     app.command("report", short_help="Build report.html of a change directory again.")(report)
+    app.command("review", short_help="Take reviews up into the outputs of a change directory.")(review)
     app.command("export", short_help="Write a map or changes in a form other programs ask for.")(export)

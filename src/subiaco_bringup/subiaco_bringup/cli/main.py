@@ -12,6 +12,7 @@ import typer
 from subiaco_bringup.cli import (
     baseline_verbs,
     change_verbs,
+    delivery_verbs,
     graph_verbs,
     record_verbs,
     survey_verbs,
@@ -51,6 +52,7 @@ app = typer.Typer(
 )
 survey_verbs.register(app)
 change_verbs.register(app)
+delivery_verbs.register(app)
 baseline_verbs.register(app)
 trust_verbs.register(app)
 graph_verbs.register(app)

@@ -20,6 +20,7 @@ from subiaco_change.records import ChangeResult
 from subiaco_change.registration.pair import check_pair
 from subiaco_change.registration.register import given_registration, register
 from subiaco_geo.errors import InputError
+from subiaco_geo.findings import Finding
 from subiaco_geo.frames import Floats
 from subiaco_geo.survey_map import SurveyMap
 
@@ -32,13 +33,15 @@ METHODS: dict[str, Callable[[Pair, BaselineConfig], Verdict]] = {
     "m3c2": difference_along_normals,
     "c2c": difference_by_threshold,
 }
-_CAUTION = "baseline {}: no visibility, no objects, no classes; its confidence is no probability"
+_CAUTION = (
+    "The baseline {} knows neither visibility nor objects nor classes. Its confidence is no probability."
+)
 
 
 def prepare_pair(
     before: SurveyMap, after: SurveyMap, config: BaselineConfig, transform: Floats | None = None
-) -> tuple[Pair, tuple[str, ...]]:
-    """Bring two epochs into one frame, as the change stage does, and into cells; also returns warnings.
+) -> tuple[Pair, tuple[Finding, ...]]:
+    """Bring two epochs into one frame, as the change stage does, and into cells; also returns findings.
 
     Parameters
     ----------
@@ -48,7 +51,7 @@ def prepare_pair(
         Given ``T_after_before`` in world coordinates; without it the epochs
         are registered by our own registration, once.
     """
-    before, after, info = check_pair(before, after, config.leaf)
+    before, after, info = check_pair(before, after, config.leaf, aligned=_aligned(transform))
     clouds = [
         survey.cloud.with_fields(normals=estimate_normals(survey.cloud.xyz, config.normal_radius))
         for survey in (before, after)
@@ -59,7 +62,12 @@ def prepare_pair(
         method = "identity" if np.array_equal(transform, np.eye(4)) else "given"
         registration = given_registration(transform, clouds[0], clouds[1], config.registration, method)
     moved = CommonFrame(registration, clouds[1].origin).bring(clouds[0])
-    return make_pair(moved, clouds[1], registration, config), info.warnings
+    return make_pair(moved, clouds[1], registration, config), info.findings
+
+
+def _aligned(transform: Floats | None) -> bool:
+    """Tell whether the coordinates of both epochs are taken as they are."""
+    return transform is None or np.array_equal(transform, np.eye(4))
 
 
 def compare_pair(pair: Pair, method: str, config: BaselineConfig) -> ChangeResult:
@@ -68,8 +76,8 @@ def compare_pair(pair: Pair, method: str, config: BaselineConfig) -> ChangeResul
     number, names = connect(verdict.code)
     clouds = label_points(pair, verdict, number, config)
     records = make_records(pair, verdict, number, names, clouds, method)
-    warnings = (_CAUTION.format(method),)
-    return ChangeResult(records, clouds[0], clouds[1], pair.registration, None, {}, warnings)
+    caution = Finding("baseline", "note", _CAUTION.format(method))
+    return ChangeResult(records, clouds[0], clouds[1], pair.registration, None, {}, (caution,))
 
 
 def detect_simply(
@@ -97,14 +105,14 @@ def detect_simply(
     say = progress or (lambda _name, _fraction: None)
     started = time.perf_counter()
     say("registration", 0.05)
-    pair, warnings = prepare_pair(before, after, config, transform)
+    pair, findings = prepare_pair(before, after, config, transform)
     prepared = time.perf_counter()
     say(method, 0.6)
     result = compare_pair(pair, method, config)
     seconds = {"preparation": prepared - started, method: time.perf_counter() - prepared}
     return ChangeResult(
         result.records, result.before, result.after, result.registration, None, seconds,
-        (*warnings, *result.warnings),
+        (*findings, *result.findings),
     )  # fmt: skip
 
 

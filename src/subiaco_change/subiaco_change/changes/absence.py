@@ -38,10 +38,13 @@ def absence(before: Sequence[Thing], after: Sequence[Thing], free: tuple[Free | 
             places = voxels.xyz[voxels.seen & ~voxels.still]
             chances.append(porous_chance(known(places), opacity(things)))
     joined = np.concatenate(chances)
-    if len(joined) == 0:
-        return 1.0
-    mean = min(max(float(joined.mean()), _SURE), 1.0 - _SURE)
-    return float(expit(logit(mean) * max(len(joined) / _PATCH, 1.0) ** 0.5))
+    return 1.0 if len(joined) == 0 else pooled(float(joined.mean()), len(joined))
+
+
+def pooled(mean: float, voxels: int) -> float:
+    """Probability that places are free together: ``mean`` of so many voxels, four of which form a patch."""
+    within = min(max(mean, _SURE), 1.0 - _SURE)
+    return float(expit(logit(within) * max(voxels / _PATCH, 1.0) ** 0.5))
 
 
 def opacity(things: Sequence[Thing]) -> float | None:

@@ -93,12 +93,26 @@ class DecisionConfig(StrictModel):
         "object of one epoch alone is the trail of a moving object and is not reported; the `trail_passes` "
         "settings decide on maps without times of beams [1]",
     )
+    trail_uncertain: float = Field(
+        0.5,
+        gt=0,
+        le=1,
+        description="probability of having moved while it was mapped, from which on an object of one epoch"
+        " alone is as likely a trail as an object: it is Unobserved [1]",
+    )
     min_free: float = Field(
         0.8,
         ge=0.5,
         lt=1,
         description="Probability that an object of one survey is absent in the other, from the beams that"
-        " crossed its place there, below which nothing is claimed. Raise it to claim less on thin evidence.",
+        " crossed its place there, below which nothing is claimed; the same for the surface by which a plant"
+        " grew or was trimmed. Raise it to claim less on thin evidence.",
+    )
+    least_volume: float = Field(
+        2.0,
+        ge=0,
+        description="Volume that a building of one survey alone must enclose to be called Added or Removed"
+        " [m3]; less is a piece of a wall. Raise it to claim no small sheds.",
     )
     trail_passes: float = Field(
         2.0,
@@ -168,7 +182,8 @@ def decide(
         share = measures.observed_fraction
         return Decision(Change.UNOBSERVED, f"the other epoch observed {share:.0%} of the place", 1.0 - share)
     if not (in_before and in_after):
-        return _single(in_after, measures, config)
+        decision = _single(in_after, measures, config)
+        return _enclosing(decision, measures, config) if semantic is Semantic.BUILDING else decision
     if semantic in (Semantic.MOBILE, Semantic.OTHER):
         return _mobile(measures, config)
     return _compare(semantic, measures, lod, config, matched)
@@ -228,6 +243,20 @@ def _single(in_after: bool, measures: Measures, config: DecisionConfig) -> Decis
         f" of its place, and {empty:.0%} of that part was free (limit {config.min_empty:.0%})."
     )
     return Decision(change, reason, empty / max(config.min_empty, 1e-9), sigmas)
+
+
+def _enclosing(decision: Decision, measures: Measures, config: DecisionConfig) -> Decision:
+    """Claim a building of one survey alone only where it encloses a volume; else it is a piece of a wall."""
+    if decision.change not in (Change.ADDED, Change.REMOVED):
+        return decision
+    if not abs(measures.delta_v) < config.least_volume:
+        return decision
+    which = "later" if decision.change is Change.ADDED else "earlier"
+    reason = (
+        f"Only the {which} survey has it, but it encloses {abs(measures.delta_v):.1f} m³ (limit"
+        f" {config.least_volume:g} m³): a piece of a wall, of which nothing is claimed."
+    )
+    return Decision(Change.UNOBSERVED, reason, 0.0)
 
 
 def _mobile(measures: Measures, config: DecisionConfig) -> Decision:

@@ -9,7 +9,7 @@ from pydantic import Field
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from subiaco_change.changes.objects import EpochView, trails
+from subiaco_change.changes.objects import UNCERTAIN, EpochView, trails
 from subiaco_change.semantics.ground import Mask, fill_gaps
 from subiaco_geo.codes import Semantic
 from subiaco_geo.config import StrictModel
@@ -78,12 +78,18 @@ def difference_cells(
     before: EpochView, after: EpochView, corner: Floats, shape: tuple[int, int], config: GroundChangeConfig
 ) -> GroundCells:
     """Difference the ground of two epochs in the cells of a window that all their ground points lie in."""
-    cells = [_cell_heights(v, v.semantic == Semantic.GROUND, corner, shape, config) for v in (before, after)]
+    cells = [_cell_heights(v, _still_ground(v), corner, shape, config) for v in (before, after)]
     heights, bridged = _bridge(cells[0][0], cells[1][0], config)
     known = np.isfinite(cells[0][0]) | np.isfinite(cells[1][0])
     lod = np.maximum(cells[0][1], cells[1][1])
     other = _other_surface((before, after), heights, corner, config)
     return GroundCells(heights[1] - heights[0], lod, bridged, known, heights[1], other)
+
+
+def _still_ground(view: EpochView) -> Mask:
+    """Tell which points (N,) are ground: low parts of a moving object that pass for it are not."""
+    ground = view.semantic == Semantic.GROUND
+    return ground if view.moved is None else np.asarray(ground & (view.moved <= UNCERTAIN))
 
 
 def _other_surface(

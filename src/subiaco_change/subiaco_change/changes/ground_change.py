@@ -182,7 +182,7 @@ def _make_patch(
     area = len(cells) * cell**2
     known = lod[where & np.isfinite(lod)]
     level = float(np.median(known)) if len(known) else _nearest_lod(cells, lod)
-    if len(known) < 0.5 * len(values):  # mostly sparse: neighbours err together, over a block
+    if len(known) < 0.5 * len(cells):  # thinly seen: neighbours err together, over a block
         blocks = max(1.0, len(values) * cell**2 / _NOISE_BLOCK**2)
         spread = float(values.std()) / math.sqrt(blocks)
         level = math.hypot(level, 1.96 * spread, _noise_around(where, dz, cell))

@@ -86,7 +86,7 @@ def decide_object(
     lod = object_lod((*before, *after))
     plant, matched = None, None
     if semantic is Semantic.VEGETATION and before and after:
-        plant = measure_plant(before, after, measures, rules.plants, rules.standing)
+        plant = measure_plant(before, after, measures, rules.plants, rules.standing, rules.free)
         matched = partial(decide_plant, plant, lod, rules.decisions, no_null(rules.plants.null_model))
     decision = decide(semantic, bool(before), bool(after), measures, lod, rules.decisions, matched)
     if decision.change not in _OF_PLANTS or measures.iou <= rules.decisions.vegetation.min_iou:

@@ -136,13 +136,17 @@ def _carved(
         Epoch(before, ground.empty[0], ground.bare(0)), Epoch(after, ground.empty[1], ground.bare(1)), config
     )
     both = len(before) > 0 and len(after) > 0
+    volume = carved.volume
+    if not both and ground.empty[0 if len(after) else 1] is None:  # its absence is assumed, so is its volume
+        own = carved.whole if len(after) else -carved.whole
+        volume = Interval(own, own)
     return replace(
         measures,
         delta_h=carved.height.middle if both else float("nan"),
-        delta_v=carved.volume.middle,
+        delta_v=volume.middle,
         volume=carved.whole,
         height_bounds=carved.height if both else None,
-        volume_bounds=carved.volume,
+        volume_bounds=volume,
         columns=carved.columns,
     )
 

@@ -55,14 +55,13 @@ def own_survey(view: EpochView, observed: Observed) -> OwnSurvey:
 def drove_by(
     things: Sequence[Thing], semantic: Semantic, own: OwnSurvey | None, rules: DecisionConfig
 ) -> Decision | None:
-    """Tell a trail from a thing: by the verdict of mapping, which rests on times, else by counts of beams."""
+    """Tell a trail from a thing: by the probability that its points moved, else by counts of beams.
+
+    What is as likely to have moved as not is claimed to be neither (Decision 21).
+    """
     moved = moved_share(things)
     if moved is not None:
-        if moved < rules.trail_moved:
-            return None
-        reason = f"Probability of {moved:.0%} of having moved while it was mapped, by the times of beams,"
-        reason += f" exceeds the limit of {rules.trail_moved:.0%}."
-        return Decision(Change.NOT_REPORTED, reason, moved / rules.trail_moved)
+        return _by_probability(moved, things, rules)
     top = max(float(t.voxels.height.max()) for t in things)
     passed = min(float(np.quantile(t.passed, 0.25)) if len(t.passed) else 0.0 for t in things)
     least = min(rules.trail_passes_high, rules.trail_passes_lane)
@@ -76,6 +75,26 @@ def drove_by(
     )
     reason += f" {enough:.1f} (counts alone, the map keeps no times)."
     return Decision(Change.NOT_REPORTED, reason, passed / enough)
+
+
+def _by_probability(moved: float, things: Sequence[Thing], rules: DecisionConfig) -> Decision | None:
+    """Decide by the mean probability of having moved: moved, too uncertain to say, or None where it stood."""
+    if moved >= rules.trail_moved:
+        reason = f"Probability of {moved:.0%} of having moved while it was mapped"
+        reason += f" exceeds the limit of {rules.trail_moved:.0%}."
+        return Decision(Change.NOT_REPORTED, reason, moved / rules.trail_moved)
+    uncertain = moved_at_most(things)
+    if uncertain < rules.trail_uncertain:
+        return None
+    reason = f"It may have moved while it was mapped (probability {uncertain:.0%},"
+    reason += f" limit {rules.trail_uncertain:.0%})."
+    return Decision(Change.UNOBSERVED, reason, 1.0 - uncertain)
+
+
+def moved_at_most(things: Sequence[Thing]) -> float:
+    """Probability that things moved: the mean of their points or the median, whichever is larger."""
+    points = np.concatenate([t.moved for t in things])
+    return float(max(points.mean(), np.median(points)))
 
 
 def moved_share(things: Sequence[Thing]) -> float | None:
@@ -92,11 +111,10 @@ def trusted(decision: Decision, things: Sequence[Thing], confidence: float) -> t
     """
     if decision.change not in (Change.ADDED, Change.REMOVED) or moved_share(things) is None:
         return confidence, decision.reason
-    points = np.concatenate([t.moved for t in things])
-    moved = float(max(points.mean(), np.median(points)))
+    moved = moved_at_most(things)
     if 1.0 - moved >= confidence:
         return confidence, decision.reason
-    told = f"{decision.reason}; seen too briefly to exclude that it moved (probability {moved:.0%})"
+    told = f"{decision.reason}; it may have moved while it was mapped (probability {moved:.0%})"
     return 1.0 - moved, told
 
 

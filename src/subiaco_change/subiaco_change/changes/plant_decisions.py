@@ -69,9 +69,26 @@ def decide_plant(plant: PlantMeasures, lod: float, config: DecisionConfig, null:
         return Decision(Change.UNOBSERVED, NO_LEVEL, 0.0)
     section = _decide_section(plant, null) if math.isfinite(plant.section) else None
     if section is not None and plant.section_only:
-        return section
+        return _where_free(section, plant, config)
     whole = _decide_whole(plant, gate, config.vegetation, null)
-    return section if section is not None and whole.change is Change.UNCHANGED else whole
+    chosen = section if section is not None and whole.change is Change.UNCHANGED else whole
+    return _where_free(chosen, plant, config)
+
+
+def _where_free(decision: Decision, plant: PlantMeasures, config: DecisionConfig) -> Decision:
+    """Leave a plant unchanged whose new or lost surface lies where the other survey did not look."""
+    if decision.change not in (Change.INCREASED, Change.DECREASED):
+        return decision
+    grew = decision.change is Change.INCREASED
+    free = plant.free_gained if grew else plant.free_lost
+    if plant.thin:  # beams pass beside a pole
+        free = min(free, plant.absent)
+    if free >= config.min_free:
+        return decision
+    other, surface = ("earlier", "new") if grew else ("later", "lost")
+    reason = f"{decision.reason} Not claimed: it is {free:.0%} sure that the place of the {surface} surface"
+    reason += f" was free in the {other} survey (limit {config.min_free:.0%})."
+    return Decision(Change.UNCHANGED, reason, 1.0, 0.0)
 
 
 def _decide_section(plant: PlantMeasures, null: VegetationNull) -> Decision:

@@ -7,15 +7,20 @@ from collections.abc import Sequence
 
 import numpy as np
 from pydantic import Field
+from scipy.spatial import cKDTree
 
+from subiaco_change.changes.absence import pooled
 from subiaco_change.changes.measures import Measures
-from subiaco_change.changes.objects import Thing
+from subiaco_change.changes.objects import Free, Thing
 from subiaco_change.changes.outline import OutlineConfig, compare_outlines
 from subiaco_change.changes.sections import NOTHING, Rise, column_rise
 from subiaco_change.changes.vegetation_null import PlantMeasures, VegetationNullConfig
 from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats
+
+_SAMPLE = 500  # points of a plant that are asked for the surface that one epoch alone has
+_NOT_KNOWN = 0.5  # probability of being free of a place of which nothing is known
 
 
 class PlantConfig(StrictModel):
@@ -38,6 +43,12 @@ class PlantConfig(StrictModel):
     slender: float = Field(
         4.0, gt=1, description="height in narrower sides from which on an object has no crown"
     )
+    shell: float = Field(
+        0.3,
+        gt=0,
+        description="a point of one epoch is surface that this epoch alone has, where nothing of the other"
+        " stands within this distance [m]",
+    )
     outline: OutlineConfig = OutlineConfig()
     null_model: VegetationNullConfig = VegetationNullConfig()
 
@@ -48,12 +59,16 @@ def measure_plant(
     measures: Measures,
     config: PlantConfig,
     standing: tuple[Floats, Floats] = (NOTHING, NOTHING),
+    free: tuple[Free | None, Free | None] = (None, None),
 ) -> PlantMeasures:
     """Measure a plant that both epochs hold; the denser epoch is thinned to the density of the other.
 
-    ``standing`` (N, 3) of *before* and of *after*: points above the ground of any class.
+    ``standing`` (N, 3) of *before* and of *after*: points above the ground of any class. ``free`` of *before*
+    and of *after*: how probable it is that places (N, 3) are free; None: certain.
     """
     first, second = (np.concatenate([t.xyz for t in things]) for things in (before, after))
+    lost = free_shell(first, standing[1], free[1], config)
+    gained = free_shell(second, standing[0], free[0], config)
     first, second, density = equal_density(first, second, config)
     outline = compare_outlines(first, second, config.outline)
     both = np.concatenate([first, second])
@@ -74,7 +89,29 @@ def measure_plant(
         surface=measures.carried,
         rise=rise.median,
         rise_sigma=rise.sigma,
+        free_gained=gained,
+        free_lost=lost,
+        absent=measures.free,
     )
+
+
+def free_shell(xyz: Floats, standing: Floats, free: Free | None, config: PlantConfig) -> float:
+    """Return how probable it is that the surface that one epoch alone has was free in the other.
+
+    Of points (N, 3) with no standing point (M, 3) of the other epoch within ``config.shell``, taken together
+    as the places of an object are; 0.5 where there are none. Surface that the other epoch did not look at
+    may have stood there as well.
+    """
+    if free is None:
+        return 1.0
+    alone = xyz[:: -(-len(xyz) // _SAMPLE)]
+    low, high = alone.min(axis=0) - config.shell, alone.max(axis=0) + config.shell
+    near = standing[((standing >= low) & (standing <= high)).all(axis=1)]
+    if len(near):
+        alone = alone[np.isinf(cKDTree(near).query(alone, distance_upper_bound=config.shell)[0])]
+    if len(alone) == 0:
+        return _NOT_KNOWN
+    return pooled(float(free(alone).mean()), len(np.unique(voxel_keys(voxel_indices(alone, config.voxel)))))
 
 
 def equal_density(before: Floats, after: Floats, config: PlantConfig) -> tuple[Floats, Floats, float]:

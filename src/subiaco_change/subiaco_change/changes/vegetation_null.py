@@ -51,7 +51,9 @@ class PlantMeasures:
     ``reach`` [m]; ``top`` [m]; ``volume`` and ``surface`` as shares; ``rise`` [m], the median rise of the
     columns of a low plant, and its standard error ``rise_sigma``; ``section`` and ``section_gate`` [m], the
     median rise of a section of the hedge and the limit that the section passed. ``section_only``: the row
-    is that section alone.
+    is that section alone. ``free_gained`` and ``free_lost``: probability that the surface that *after*, or
+    *before*, alone has was free in the other epoch. ``absent``: the same of its places of either epoch
+    alone, as for an object of one epoch.
     """
 
     kind: PlantKind
@@ -70,6 +72,9 @@ class PlantMeasures:
     section: float = math.nan
     section_gate: float = math.nan
     section_only: bool = False
+    free_gained: float = 1.0
+    free_lost: float = 1.0
+    absent: float = 1.0
 
     def value(self, measure: str) -> float:
         """Return one of :data:`PLANT_MEASURES`."""

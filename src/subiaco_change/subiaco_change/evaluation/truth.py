@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from subiaco_geo.array_files import read_arrays
 from subiaco_geo.clouds import PointCloud, from_world
 from subiaco_geo.codes import Change, Semantic
+from subiaco_geo.config import load_yaml
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
 from subiaco_geo.trajectories import Trajectory, read_tum
@@ -49,19 +50,20 @@ def read_truth(sim_out: Path) -> SurveyTruth:
     InputError
         A file is missing or is not what it should be.
     """
-    scene = _read_scene(sim_out / "truth" / "scene.yaml")
-    transform = np.asarray(scene.get("T_after_before", np.eye(4)), dtype=np.float64)
-    if transform.shape != (4, 4):
-        raise InputError(f"{sim_out}/truth/scene.yaml: T_after_before must be 4x4, got {transform.shape}")
-    objects = sim_out / "truth" / "objects.csv"
-    if not objects.is_file():
-        raise InputError(f"{objects}: missing; give the output of 'subiaco simulate'")
+    path = sim_out / "truth" / "scene.yaml"
+    scene = _read_scene(path)
+    try:
+        transform = np.asarray(scene.get("T_after_before", np.eye(4)), dtype=np.float64)
+    except (ValueError, TypeError, OverflowError) as error:
+        raise InputError(f"{path}: T_after_before holds no numbers ({error}); simulate again") from error
+    if transform.shape != (4, 4) or not np.isfinite(transform).all():
+        raise InputError(f"{path}: T_after_before must be 4x4 and finite, got {transform.shape}")
     clouds = {epoch: read_truth_points(sim_out / epoch / "truth" / "points.npz") for epoch in EPOCHS}
     drives = {epoch: sim_out / epoch / "truth" / "trajectory.tum" for epoch in EPOCHS}
     return SurveyTruth(
         clouds["before"],
         clouds["after"],
-        pd.read_csv(objects),
+        _read_objects(sim_out / "truth" / "objects.csv"),
         transform,
         scene,
         {epoch: read_tum(path) for epoch, path in drives.items() if path.is_file()},
@@ -70,14 +72,22 @@ def read_truth(sim_out: Path) -> SurveyTruth:
 
 def _read_scene(path: Path) -> dict[str, Any]:
     try:
-        scene = yaml.safe_load(path.read_text())
+        scene = load_yaml(path.read_text(encoding="utf-8"))
     except OSError as error:
         raise InputError(f"{path}: missing; give the output of 'subiaco simulate'") from error
-    except yaml.YAMLError as error:
+    except (yaml.YAMLError, UnicodeDecodeError) as error:
         raise InputError(f"{path}: not valid YAML; simulate again") from error
     if not isinstance(scene, dict):
         raise InputError(f"{path}: expected a mapping; simulate again")
     return scene
+
+
+def _read_objects(path: Path) -> pd.DataFrame:
+    try:
+        return pd.read_csv(path)
+    except (OSError, ValueError, OverflowError) as error:  # pandas' own are ValueErrors
+        said = " ".join(str(error).split())
+        raise InputError(f"{path}: cannot be read ({said}); give the output of 'subiaco simulate'") from error
 
 
 def read_truth_points(path: Path) -> PointCloud:

@@ -17,7 +17,10 @@ class SightConfig(StrictModel):
     pose_spacing: float = Field(2.0, gt=0, description="distance between poses that look around [m]")
     views: int = Field(6, ge=1, description="nearest poses from which a place is looked at")
     max_range: float = Field(60.0, gt=0, description="longest line of sight [m]")
-    voxel: float = Field(0.25, gt=0, description="voxel in which surfaces stop a line [m]")
+    width: float = Field(0.25, gt=0, description="width of a point that hides what is behind it [m]")
+    cell_deg: float = Field(
+        0.5, gt=0, le=5, description="cell of the depth images of what hides a line of sight [deg]"
+    )
 
 
 class RepeatConfig(StrictModel):

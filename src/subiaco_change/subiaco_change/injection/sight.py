@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from subiaco_change.injection.config import SightConfig
 from subiaco_change.semantics.ground import Mask
-from subiaco_geo.clouds import voxel_indices, voxel_keys
-from subiaco_geo.frames import Floats
-from subiaco_geo.raywalk import stop_at_surfaces
+from subiaco_geo.frames import Floats, Ints
+from subiaco_geo.free_space.depth_images import DepthImages, ImageGrid, Surfaces, render
+from subiaco_geo.free_space.expected_visibility import sample_poses
 
-_MARGIN = 0.5  # a line that ends so near a point has reached it [m]
-_SKIP = 0.5  # nothing stops a line so near its start [m]
+_BEHIND = 0.5  # so far behind the front of a surface a point still is on it [m]
+_NEAREST = 0.5  # nothing hides a point so near the sensor [m]
+_STEEPEST = 75.0  # elevation up to which surfaces hide, up and down [deg]
 
 
 @dataclass(frozen=True)
@@ -50,9 +50,7 @@ class Sight:
     @classmethod
     def of_drive(cls, positions: Floats, config: SightConfig) -> Sight:
         """Take positions (M, 3) in order of time, one every ``pose_spacing``."""
-        way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(positions, axis=0), axis=1))])
-        _, first = np.unique(np.floor(way / config.pose_spacing), return_index=True)
-        return cls(positions[first], config)
+        return cls(positions[sample_poses(positions, config.pose_spacing)], config)
 
     def lines(self, points: Floats) -> Lines:
         """Return the lines from the nearest poses to points (N, 3)."""
@@ -66,20 +64,10 @@ class Sight:
 
     def blocked(self, lines: Lines, points: Floats, blockers: Floats) -> Mask:
         """Tell which lines (L,) to points (N, 3) end at blockers (B, 3)."""
-        centre = blockers[:, :2].mean(axis=0)
-        radius = float(np.linalg.norm(blockers[:, :2] - centre, axis=1).max()) + 1.0
-        heights = blockers[:, 2].min() - 0.5, blockers[:, 2].max() + 0.5
-        shares = _shares(self.poses, points, lines.pose, lines.point, centre, radius, *heights)
-        ask = np.flatnonzero(shares[:, 1] > shares[:, 0])
-        starts, targets = self.poses[lines.pose[ask]], points[lines.point[ask]]
-        entry, leave = (starts + shares[ask, i, None] * (targets - starts) for i in (0, 1))
-        ends = self._stopped(entry, leave, blockers, skip=0.0)
-        free = (np.linalg.norm(ends - leave, axis=1) < 1e-6) | (
-            np.linalg.norm(ends - targets, axis=1) < _MARGIN
-        )
-        blocked = np.zeros(len(lines.point), dtype=bool)
-        blocked[ask] = ~free
-        return blocked
+        centre = blockers.mean(axis=0)
+        reach = self.config.max_range + float(np.linalg.norm(blockers - centre, axis=1).max())
+        near = np.flatnonzero(np.linalg.norm(self.poses - centre, axis=1) < reach)
+        return self._hides(near, blockers, lines, points)
 
     def hidden(self, points: Floats, blockers: Floats) -> Mask:
         """Tell which points (N, 3) no pose sees any more past blockers (B, 3)."""
@@ -89,54 +77,20 @@ class Sight:
     def seen(self, points: Floats, surfaces: Floats) -> Mask:
         """Tell which points (N, 3) some pose sees past surfaces (S, 3), the points' own among them."""
         lines = self.lines(points)
-        starts, ends = self.poses[lines.pose], points[lines.point]
-        low = np.minimum(starts.min(axis=0), ends.min(axis=0))[:2] - 1.0 if len(starts) else np.zeros(2)
-        high = np.maximum(starts.max(axis=0), ends.max(axis=0))[:2] + 1.0 if len(starts) else np.zeros(2)
+        used = np.unique(lines.pose).astype(np.int64)
+        ends = np.concatenate([points, self.poses[used]])
+        low, high = ends.min(axis=0)[:2] - 1.0, ends.max(axis=0)[:2] + 1.0
         near = surfaces[((surfaces[:, :2] > low) & (surfaces[:, :2] < high)).all(axis=1)]
-        reached = np.linalg.norm(self._stopped(starts, ends, near, skip=_SKIP) - ends, axis=1) < _MARGIN
-        return np.asarray(np.bincount(lines.point[reached], minlength=len(points)) > 0)
+        hidden = self._hides(used, near, lines, points)
+        return np.asarray(np.bincount(lines.point[~hidden], minlength=len(points)) > 0)
 
-    def _stopped(self, starts: Floats, ends: Floats, surfaces: Floats, skip: float) -> Floats:
-        """Return where lines (L, 3) -> (L, 3) end at surfaces (S, 3)."""
-        if len(starts) == 0 or len(surfaces) == 0:
-            return ends
-        voxel = self.config.voxel
-        origin = np.floor(np.minimum(surfaces.min(axis=0), starts.min(axis=0))) - 2 * voxel
-        keys, place = np.unique(voxel_keys(voxel_indices(surfaces - origin, voxel)), return_inverse=True)
-        spans = np.tile([np.inf, -np.inf], (len(keys), 1))
-        np.minimum.at(spans[:, 0], place, surfaces[:, 2])
-        np.maximum.at(spans[:, 1], place, surfaces[:, 2])
-        spans += np.array([-voxel / 2, voxel / 2])
-        return stop_at_surfaces(starts, ends, keys, origin, voxel, skip=skip, spans=spans)
-
-
-@numba.njit(cache=True)
-def _shares(
-    poses: Floats,
-    points: Floats,
-    pose: NDArray[np.int32],
-    point: NDArray[np.int32],
-    centre: Floats,
-    radius: float,
-    low: float,
-    high: float,
-) -> NDArray[np.float32]:
-    """Return which part (L, 2) of every line runs through an upright cylinder, from 0 to 1; none: 0, 0."""
-    found = np.zeros((len(pose), 2), dtype=np.float32)
-    for i in range(len(pose)):
-        start, end = poses[pose[i]], points[point[i]]
-        wx, wy, wz = end[0] - start[0], end[1] - start[1], end[2] - start[2]
-        cx, cy = centre[0] - start[0], centre[1] - start[1]
-        length2 = max(wx * wx + wy * wy, 1e-12)
-        middle = (cx * wx + cy * wy) / length2
-        aside2 = (middle * wx - cx) ** 2 + (middle * wy - cy) ** 2
-        if aside2 >= radius * radius:
-            continue
-        half = np.sqrt((radius * radius - aside2) / length2)
-        first, last = max(middle - half, 0.0), min(middle + half, 1.0)
-        if last <= first:
-            continue
-        z0, z1 = start[2] + first * wz, start[2] + last * wz
-        if max(z0, z1) > low and min(z0, z1) < high:
-            found[i, 0], found[i, 1] = first, last
-    return found
+    def _hides(self, poses: Ints, surfaces: Floats, lines: Lines, points: Floats) -> Mask:
+        """Tell which lines (L,) from some of the poses (K,) to points (N, 3) end at surfaces (S, 3)."""
+        config, eyes = self.config, self.poses[poses]
+        grid = ImageGrid.covering(config.cell_deg, -_STEEPEST, _STEEPEST)
+        shown = Surfaces(0.5 * config.width, _NEAREST, config.max_range, 0.0)
+        upright = np.tile([0.0, 0.0, 1.0], (len(eyes), 1))
+        images = DepthImages(eyes, upright, render(surfaces, eyes, grid, shown), grid)
+        image = np.full(len(self.poses), -1, dtype=np.int64)
+        image[poses] = np.arange(len(poses))
+        return images.hides(points, lines.point, image[lines.pose], _BEHIND)

@@ -75,6 +75,12 @@ def labelled_cloud(cloud: PointCloud) -> PointCloud:
     return PointCloud(cloud.xyz, cloud.origin, cloud.crs, fields)
 
 
+def with_asprs_codes(cloud: PointCloud) -> PointCloud:
+    """Return a labelled cloud with its ASPRS code in the field ``classification``."""
+    codes = asprs_lookup()[np.asarray(cloud.fields["semantic"]).astype(np.int64)]
+    return cloud.with_fields(classification=codes)
+
+
 def _check_codes(values: NDArray[np.generic], name: str, allowed: list[int]) -> None:
     strange = np.setdiff1d(values, allowed)
     if len(strange):
@@ -116,8 +122,7 @@ def write_labelled(
         def labelled() -> Iterator[PointCloud]:
             for part in parts():
                 cloud = labelled_cloud(part)
-                codes = asprs_lookup()[cloud.fields["semantic"].astype(np.int64)]
-                stream.append(cloud.with_fields(classification=codes))
+                stream.append(with_asprs_codes(cloud))
                 yield cloud
 
         write_ply_parts(directory / f"{epoch}_labelled.ply", labelled(), count)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 import platform
-import warnings
+import shutil
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from functools import partial
@@ -13,11 +13,11 @@ from pathlib import Path
 from typing import Any
 
 import geopandas as gpd
-import pandas as pd
 
 from subiaco_change.changes.confidence import Calibration
 from subiaco_change.outputs import table as outputs_table
 from subiaco_change.outputs.clouds import write_labelled
+from subiaco_change.outputs.geopackage import write_geopackage, write_layer
 from subiaco_change.outputs.hashing import hash_path
 from subiaco_change.outputs.json_text import write_json
 from subiaco_change.outputs.parcels import build_parcels, coverage_polygons
@@ -40,8 +40,10 @@ from subiaco_change.outputs.reviews import carry_reviews, read_reviewed
 from subiaco_change.outputs.style import embed_styles
 from subiaco_change.records import ChangeResult, Registration, TiledResult
 from subiaco_change.report.page import build_report
+from subiaco_change.report.project import PROJECT_FACTS
 from subiaco_geo.atomic import refuse_existing, refuse_foreign, whole_directory
 from subiaco_geo.config import StrictModel, config_hash, write_config
+from subiaco_geo.findings import SEVERITIES, Finding
 from subiaco_geo.work.tasks import peak_mib
 
 __all__ = ["ChangeDirectory", "ChangeInputs", "read_change_directory", "rebuild", "write_change_directory"]
@@ -56,6 +58,7 @@ _PACKAGES = (
     "subiaco-change",
     "numpy",
     "scipy",
+    "open3d-cpu",
     "open3d",
     "small-gicp",
     "geopandas",
@@ -71,7 +74,8 @@ class ChangeInputs:
     ``calibration`` tells what the confidences were fitted on; the report
     says where they were not calibrated. ``ellipsoidal`` tells that heights are known to
     be ellipsoidal, so that the LAZ files may say so. ``lots`` are
-    those of :func:`~subiaco_change.outputs.parcels.read_lots`, for the layer ``parcels``.
+    those of :func:`~subiaco_change.outputs.parcels.read_lots`, for the layer ``parcels``. ``findings`` are
+    those of the surveys and their registration (:mod:`subiaco_change.input_checks`).
     """
 
     before: Path | None = None
@@ -80,6 +84,7 @@ class ChangeInputs:
     calibration: Calibration = field(default_factory=Calibration)
     ellipsoidal: bool = False
     lots: gpd.GeoDataFrame | None = None
+    findings: tuple[Finding, ...] = ()
 
 
 def registration_document(registration: Registration, crs: str | None) -> dict[str, Any]:
@@ -111,19 +116,27 @@ def _versions() -> dict[str, str]:
     return found
 
 
+def findings_of(result: ChangeResult | TiledResult, inputs: ChangeInputs) -> tuple[Finding, ...]:
+    """Return all that speaks against a result, what is serious first."""
+    warned = tuple(Finding("registration", "warning", text) for text in result.registration.warnings)
+    found = (*inputs.findings, *result.findings, *warned)
+    return tuple(sorted(found, key=lambda finding: SEVERITIES.index(finding.severity)))
+
+
 def run_document(
     result: ChangeResult | TiledResult,
     config: StrictModel,
     inputs: ChangeInputs,
-    table: pd.DataFrame,
+    table_hash: str,
     points: Mapping[str, int],
     coverage: Coverage,
     lod: LodRaster,
 ) -> dict[str, Any]:
     """Return the content of ``run.json``; ``points`` by epoch, areas from ``coverage`` and ``lod``."""
     sources = {"before": inputs.before, "after": inputs.after}
+    findings = findings_of(result, inputs)
     return {
-        "table_hash": outputs_table.table_hash(table),
+        "table_hash": table_hash,
         "config_hash": config_hash(config),
         "versions": _versions(),
         "inputs": {
@@ -142,7 +155,8 @@ def run_document(
         "seconds": dict(result.seconds),
         "stages": dict(result.costs) if isinstance(result, TiledResult) else {},
         "peak_memory_mib": peak_mib(),
-        "warnings": list(result.warnings),
+        "findings": [f.document() for f in findings],
+        "warnings": [f.text for f in findings],
     }
 
 
@@ -174,7 +188,8 @@ def write_change_directory(
     refuse_existing(directory, overwrite)
     refuse_foreign(directory, MARKER)
     crs = result.crs
-    table = outputs_table.build_table(result.records, crs, _survey_days(inputs))
+    found = outputs_table.build_table(result.records, crs, _survey_days(inputs))
+    digest, table = outputs_table.table_hash(found), outputs_table.with_regular_outlines(found)
     previous = read_reviewed(directory)
     lost = table.iloc[:0]
     if previous is not None:
@@ -191,14 +206,7 @@ def write_change_directory(
                 directory,
                 len(lost),
             )
-        write_layer(target / "changes.gpkg", "coverage", coverage_polygons(coverage, crs))
-        if inputs.lots is not None:
-            parcels = build_parcels(table, inputs.lots, coverage)
-            write_layer(target / "changes.gpkg", "parcels", parcels)
-            outputs_table.write_csv(target / "parcels.csv", parcels)
-        embed_styles(
-            target / "changes.gpkg", ("coverage",) if inputs.lots is None else ("coverage", "parcels")
-        )
+        _write_areas(target, table, inputs.lots, coverage)
         points = {
             epoch: write_labelled(target, epoch, partial(result.epoch, epoch), ellipsoidal=inputs.ellipsoidal)
             for epoch in ("before", "after")
@@ -211,8 +219,10 @@ def write_change_directory(
             result.blocks.to_csv(target / "registration_blocks.csv", index=False, float_format="%.4f")
         write_json(target / "registration.json", registration_document(result.registration, crs))
         write_config(target / "config.yaml", config)
-        write_json(target / "run.json", run_document(result, config, inputs, table, points, coverage, lod))
+        write_json(target / "run.json", run_document(result, config, inputs, digest, points, coverage, lod))
         write_project(target, crs, coverage.bounds)
+        if (directory / PROJECT_FACTS).is_file():
+            shutil.copyfile(directory / PROJECT_FACTS, target / PROJECT_FACTS)
         build_report(target)
 
 
@@ -245,14 +255,20 @@ def rebuild(directory: Path) -> Path:
     return page
 
 
-def write_layer(package: Path, name: str, frame: gpd.GeoDataFrame) -> None:
-    """Add a layer of polygons to a GeoPackage."""
-    with warnings.catch_warnings():  # a local map has no CRS, and says so elsewhere
-        warnings.filterwarnings("ignore", message="'crs' was not provided")
-        frame.to_file(package, layer=name, driver="GPKG", engine="pyogrio", geometry_type="MultiPolygon")
-
-
 def _write_table(target: Path, table: gpd.GeoDataFrame) -> None:
     outputs_table.write_csv(target / "changes.csv", table)
-    outputs_table.write_geopackage(target / "changes.gpkg", table)
+    write_geopackage(target / "changes.gpkg", table)
     outputs_table.write_parquet(target / "changes.parquet", table)
+
+
+def _write_areas(
+    target: Path, table: gpd.GeoDataFrame, lots: gpd.GeoDataFrame | None, coverage: Coverage
+) -> None:
+    """Write the layers ``coverage`` and, with lots, ``parcels``, with their styles."""
+    package = target / "changes.gpkg"
+    write_layer(package, "coverage", coverage_polygons(coverage, table.crs))
+    if lots is not None:
+        parcels = build_parcels(table, lots, coverage)
+        write_layer(package, "parcels", parcels)
+        outputs_table.write_csv(target / "parcels.csv", parcels)
+    embed_styles(package, ("coverage",) if lots is None else ("coverage", "parcels"))

@@ -2,22 +2,46 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 
 import geopandas as gpd
+import numpy as np
+import pandas as pd
+import pyogrio
 
-from subiaco_change.outputs.clouds import labelled_path
+from subiaco_change.outputs.clouds import change_palette, labelled_path, with_asprs_codes
+from subiaco_change.outputs.drawing_exchange import write_dxf
+from subiaco_change.outputs.geopackage import write_geopackage, write_layer
+from subiaco_change.outputs.parcels import CHANGED, rebuild_parcels
+from subiaco_change.outputs.raster import read_coverage
+from subiaco_change.outputs.review_state import selected_by_review
 from subiaco_change.outputs.reviews import read_reviewed
-from subiaco_change.outputs.table import write_geopackage, write_parquet
+from subiaco_change.outputs.style import embed_styles
+from subiaco_change.outputs.table import write_csv, write_parquet
 from subiaco_geo.atomic import whole_directory
+from subiaco_geo.clouds import PointCloud
+from subiaco_geo.codes import Change
 from subiaco_geo.errors import InputError
 from subiaco_geo.exports import CLOUD_ENDINGS, copy_cloud
 
-#: What GeoJSON asks for (RFC 7946).
-_GEOJSON_CRS = "EPSG:4326"
+#: What GeoJSON (RFC 7946) and KML ask for.
+_LONGITUDE_LATITUDE = "EPSG:4326"
+TABLE_KINDS = ("gpkg", "parquet", "geojson", "csv", "shp", "kml", "dxf")
+#: Names of at most ten characters for shapefiles; other columns are short enough.
+SHORT_NAMES = {
+    "match_kind": "match_kind", "delta_v_m3": "delta_v_m3", "delta_v_surface_m3": "dv_surf_m3",
+    "observed_fraction": "observed", "score_paper": "score", "confidence": "confidence",
+    "delta_h_low_m": "dh_low_m", "delta_h_high_m": "dh_high_m", "delta_v_low_m3": "dv_low_m3",
+    "delta_v_high_m3": "dv_high_m3", "height_before_m": "h_before_m", "height_after_m": "h_after_m",
+    "date_before": "date_befor", "date_after": "date_after", "object_uid": "object_uid",
+    "evidence_changed": "evid_chang", "d_perp_m": "d_perp_m", "id_before": "id_before",
+}  # fmt: skip
 
 
-def export_changes(directory: Path, output: Path, kind: str, *, cloudcompare: bool = False) -> list[Path]:
+def export_changes(
+    directory: Path, output: Path, kind: str, *, cloudcompare: bool = False, review: str = "all"
+) -> list[Path]:
     """Write the labelled clouds or the table of a change directory in another form.
 
     Parameters
@@ -27,10 +51,15 @@ def export_changes(directory: Path, output: Path, kind: str, *, cloudcompare: bo
     output : Path
         New directory.
     kind : str
-        ``laz``, ``copc``, ``ply`` (clouds of both epochs), ``gpkg``, ``parquet`` or ``geojson`` (the table,
-        reviews included; GeoJSON in longitude and latitude).
+        ``laz``, ``copc``, ``ply`` (clouds of both epochs; LAZ with ASPRS classes), or one of
+        :data:`TABLE_KINDS` (the table, reviews included). A GeoPackage has every layer of ``changes.gpkg``;
+        GeoJSON and KML are in longitude and latitude; a shapefile has :data:`SHORT_NAMES`, which
+        ``columns.csv`` lists.
     cloudcompare : bool
         Name PLY fields so that CloudCompare loads them.
+    review : str
+        Rows to write by their review: ``all``, ``accepted`` or ``not-rejected``. In clouds, points of a
+        change that is left out get code 254, NotReported.
 
     Returns
     -------
@@ -40,25 +69,45 @@ def export_changes(directory: Path, output: Path, kind: str, *, cloudcompare: bo
     ------
     InputError
         Not a change directory, a kind that it does not have, a table without
-        CRS as GeoJSON, or an output that exists.
+        CRS as GeoJSON or KML, or an output that exists.
     """
-    if kind not in (*CLOUD_ENDINGS, "gpkg", "parquet", "geojson"):
+    if kind not in (*CLOUD_ENDINGS, *TABLE_KINDS):
         raise InputError(f"{directory}: a table of changes has no {kind}; give another --to")
     table = read_reviewed(directory)
     if table is None:
         raise InputError(f"{directory}: not the output of 'subiaco change' (no changes.csv, changes.parquet)")
+    chosen = selected_by_review(table, review)
     with whole_directory(output) as target:
         if kind in CLOUD_ENDINGS:
+            left_out = table.loc[~chosen, "object_id"].to_numpy(dtype=np.int64)
             for epoch in ("before", "after"):
                 copy_cloud(
                     labelled_path(directory, epoch),
                     target / f"{epoch}_labelled{CLOUD_ENDINGS[kind]}",
                     ellipsoidal=False,
                     cloudcompare=cloudcompare,
+                    convert=_conversion(left_out, classify=kind != "ply"),
                 )
         else:
-            _write_table(target, table, kind)
+            _write_table(target, table[chosen], kind)
+            if kind == "gpkg":
+                _copy_layers(directory, target / "changes.gpkg", table[chosen])
     return sorted(output.iterdir())
+
+
+def _conversion(left_out: np.ndarray, *, classify: bool) -> Callable[[PointCloud], PointCloud]:
+    """Return what is done to every part of a cloud: labels of rows left out, ASPRS classes."""
+
+    def convert(cloud: PointCloud) -> PointCloud:
+        if len(left_out):
+            change = np.asarray(cloud.fields["change"]).copy()
+            hidden = np.isin(cloud.fields["instance"], left_out) & np.isin(change, CHANGED)
+            change[hidden] = Change.NOT_REPORTED
+            red, green, blue = change_palette()[change.astype(np.int64)].T
+            cloud = cloud.with_fields(change=change, red=red, green=green, blue=blue)
+        return with_asprs_codes(cloud) if classify else cloud
+
+    return convert
 
 
 def _write_table(target: Path, table: gpd.GeoDataFrame, kind: str) -> None:
@@ -66,7 +115,33 @@ def _write_table(target: Path, table: gpd.GeoDataFrame, kind: str) -> None:
         write_geopackage(target / "changes.gpkg", table)
     elif kind == "parquet":
         write_parquet(target / "changes.parquet", table)
+    elif kind == "csv":
+        write_csv(target / "changes.csv", table)
+    elif kind == "shp":
+        short = table.rename(columns=SHORT_NAMES)
+        short.to_file(target / "changes.shp", engine="pyogrio", encoding="UTF-8")
+        pairs = {"column": table.columns[:-1], "shapefile": short.columns[:-1]}
+        pd.DataFrame(pairs).to_csv(target / "columns.csv", index=False)
+    elif kind == "dxf":
+        write_dxf(target / "changes.dxf", table)
     elif table.crs is None:
         raise InputError("the table has no CRS, so it has no longitude and latitude; give --to gpkg")
     else:
-        table.to_crs(_GEOJSON_CRS).to_file(target / "changes.geojson", driver="GeoJSON", engine="pyogrio")
+        placed = table.to_crs(_LONGITUDE_LATITUDE)
+        if kind == "geojson":
+            placed.to_file(target / "changes.geojson", driver="GeoJSON", engine="pyogrio")
+        else:
+            named = placed.assign(Name=placed["label"] + " " + placed["object_id"].astype(str))
+            named = named.assign(Description=placed["reason"])
+            named.to_file(target / "changes.kml", driver="KML", engine="pyogrio")
+
+
+def _copy_layers(directory: Path, package: Path, table: gpd.GeoDataFrame) -> None:
+    """Copy the layers beside the table; lots are counted from the rows that the export has."""
+    source = directory / "changes.gpkg"
+    held = [name for name in ("coverage", "parcels") if name in pyogrio.list_layers(source)[:, 0]]
+    for name in held:
+        write_layer(package, name, gpd.read_file(source, layer=name, engine="pyogrio"))
+    if "parcels" in held:
+        rebuild_parcels(package, table, read_coverage(directory / "coverage.tif"))
+    embed_styles(package, held)

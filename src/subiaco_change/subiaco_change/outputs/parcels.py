@@ -8,18 +8,34 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 import pyogrio
+from pyproj.exceptions import ProjError
 from rasterio.features import rasterize, shapes
 from rasterio.transform import from_origin
+from shapely.errors import ShapelyError
 from shapely.geometry import MultiPolygon, shape
 
 from subiaco_change.outputs.raster import COVERAGE, Coverage
+from subiaco_change.outputs.review_state import is_rejected
 from subiaco_geo.codes import Change
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
 
+#: What libraries raise where a vector file is damaged.
+_FAULTS = (
+    pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, pyogrio.errors.FeatureError,
+    pyogrio.errors.GeometryError, pyogrio.errors.CRSError, OSError, ValueError, ShapelyError, ProjError,
+    LookupError, TypeError, OverflowError,
+)  # fmt: skip
 #: Labels that count as a change.
 CHANGED = (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED)
 OUTSIDE = "outside all lots"  # name of the row that takes what lies on no lot
+_SUMS = (
+    "rejected",
+    "changed_m2",
+    "net_m3",
+    "area_m2",
+    "observed_fraction",
+)  # columns of a lot beside the counts
 _BOTH = next(code for code, name in COVERAGE.items() if name == "both")
 
 
@@ -36,7 +52,9 @@ def read_lots(path: Path, crs: str | None) -> gpd.GeoDataFrame:
     Returns
     -------
     GeoDataFrame
-        ``lot`` (the file's ``lot_id``, ``lot``, ``id`` or ``name``, else the row number), ``geometry``.
+        ``lot`` (the file's ``lot_id``, ``lot``, ``id`` or ``name``, else the row number), every attribute of
+        the file, ``geometry``. An attribute named as a column of :func:`build_parcels` gets the suffix
+        ``_lot``.
 
     Raises
     ------
@@ -49,8 +67,9 @@ def read_lots(path: Path, crs: str | None) -> gpd.GeoDataFrame:
         )
     try:
         frame = gpd.read_file(path, engine="pyogrio")
-    except (pyogrio.errors.DataSourceError, pyogrio.errors.DataLayerError, OSError) as error:
-        raise InputError(f"{path}: no lots could be read ({error}); give a GeoPackage or GeoJSON") from error
+    except _FAULTS as error:
+        said = " ".join(str(error).split()) or type(error).__name__
+        raise InputError(f"{path}: no lots could be read ({said}); give a GeoPackage or GeoJSON") from error
     if "geometry" not in frame.columns or frame.crs is None:
         raise InputError(f"{path}: lots need polygons with a CRS; assign one in QGIS and export again")
     areas = frame[frame.geometry.geom_type.isin(["Polygon", "MultiPolygon"])]
@@ -59,31 +78,49 @@ def read_lots(path: Path, crs: str | None) -> gpd.GeoDataFrame:
     names = {str(column).lower(): column for column in areas.columns}
     key = next((names[k] for k in ("lot_id", "lot", "id", "name") if k in names), None)
     lots = [str(v) for v in (areas.index if key is None else areas[key])]
-    return gpd.GeoDataFrame({"lot": lots}, geometry=areas.geometry.to_crs(crs).make_valid().values, crs=crs)
+    named = [areas.geometry.name, *([key] if str(key).lower() == "lot" else [])]
+    own = areas.drop(columns=named).rename(columns=_attribute_name).reset_index(drop=True)
+    kept = pd.concat([pd.DataFrame({"lot": lots}), own.loc[:, ~own.columns.duplicated()]], axis=1)
+    try:
+        outlines = areas.geometry.to_crs(crs).make_valid()
+    except (ShapelyError, ProjError) as error:
+        said = " ".join(str(error).split())
+        raise InputError(f"{path}: outlines of lots are damaged ({said}); repair them in QGIS") from error
+    if not np.isfinite(outlines.bounds.to_numpy()).all():
+        raise InputError(f"{path}: lots lie outside the area of {crs}; check the CRS of the file")
+    return gpd.GeoDataFrame(kept, geometry=outlines.values, crs=crs)
+
+
+def _attribute_name(column: str) -> str:
+    """Name of an attribute of the lots beside our columns; GeoPackage compares names without case."""
+    taken = {"lot", "fid", "geom", "geometry", *(c.label.lower() for c in Change), *_SUMS}
+    return f"{column}_lot" if str(column).lower() in taken else str(column)
 
 
 def build_parcels(table: gpd.GeoDataFrame, lots: gpd.GeoDataFrame, coverage: Coverage) -> gpd.GeoDataFrame:
     """Add up the changes of every lot.
 
     An object counts once, on the lot that holds most of its footprint; its
-    area and volume are shared by footprint area. What lies on no lot stands in
+    area and volume are shared by footprint area. A row that a reviewer rejected counts as
+    ``rejected`` and as nothing else. What lies on no lot stands in
     a last row, so that the rows add up to the table.
 
     Returns
     -------
     GeoDataFrame
-        ``lot``, a count for every label, ``changed_m2`` (footprints of what changed), ``net_m3`` (2.5D),
-        ``area_m2`` of the lot, ``observed_fraction``.
+        ``lot``, a count for every label, ``rejected``, ``changed_m2`` (footprints of what changed),
+        ``net_m3`` (2.5D), ``area_m2`` of the lot, ``observed_fraction``, then the attributes of the lots.
     """
     owner, place, share = _shares(table, lots)
     home = np.full(len(table), len(lots))
     home[owner] = place  # pairs are sorted by share: the largest is written last
-    size = len(lots) + 1
+    size, rejected = len(lots) + 1, is_rejected(table)
     columns: dict[str, object] = {"lot": [*lots["lot"], OUTSIDE]}
     for change in (*CHANGED, Change.UNCHANGED, Change.UNOBSERVED):
-        chosen = (table["label"] == change.label).to_numpy()
+        chosen = (table["label"] == change.label).to_numpy() & ~rejected
         columns[change.label.lower()] = np.bincount(home[chosen], minlength=size)
-    changed = table["label"].isin([c.label for c in CHANGED]).to_numpy()
+    columns["rejected"] = np.bincount(home[rejected], minlength=size)
+    changed = table["label"].isin([c.label for c in CHANGED]).to_numpy() & ~rejected
     outline = np.where(changed, table.geometry.area.to_numpy(), 0.0)
     volume = np.where(changed, table["delta_v_m3"].fillna(0.0).to_numpy(dtype=np.float64), 0.0)
     columns["changed_m2"] = np.round(np.bincount(place, outline[owner] * share, minlength=size), 3)
@@ -92,7 +129,25 @@ def build_parcels(table: gpd.GeoDataFrame, lots: gpd.GeoDataFrame, coverage: Cov
     columns["area_m2"] = np.round([*area, np.nan], 1)
     columns["observed_fraction"] = np.round([*_observed(lots, area, coverage), np.nan], 3)
     geometry = [*lots.geometry, MultiPolygon()]
-    return gpd.GeoDataFrame(columns, geometry=geometry, crs=lots.crs)
+    attributes = pd.DataFrame(lots.drop(columns=["lot", lots.geometry.name])).convert_dtypes(
+        convert_string=False, convert_floating=False
+    )
+    frame = pd.concat([pd.DataFrame(columns), attributes.reset_index(drop=True)], axis=1)
+    return gpd.GeoDataFrame(frame, geometry=geometry, crs=lots.crs)
+
+
+def rebuild_parcels(package: Path, table: gpd.GeoDataFrame, coverage: Coverage) -> gpd.GeoDataFrame:
+    """Count the layer ``parcels`` of a GeoPackage anew, with the lots and attributes that it holds.
+
+    The layer is replaced; its style stays.
+    """
+    old = gpd.read_file(package, layer="parcels", engine="pyogrio")
+    counted = {c.label.lower() for c in Change}
+    own = [name for name in old.columns if name not in counted and name not in _SUMS]
+    lots = old.loc[old["lot"] != OUTSIDE, own].reset_index(drop=True)
+    parcels = build_parcels(table, lots, coverage)
+    parcels.to_file(package, layer="parcels", driver="GPKG", engine="pyogrio", geometry_type="MultiPolygon")
+    return parcels
 
 
 def _shares(table: gpd.GeoDataFrame, lots: gpd.GeoDataFrame) -> tuple[Ints, Ints, Floats]:

@@ -7,14 +7,17 @@ from __future__ import annotations
 
 import xml.etree.ElementTree as ET
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import groupby
 from pathlib import Path
 
 import numpy as np
 import pyogrio
 from pyproj import CRS
 
+from subiaco_change.outputs.qgis_forms import form_elements
 from subiaco_change.outputs.raster import COVERAGE
+from subiaco_change.outputs.review_state import ACCEPTED
 from subiaco_change.outputs.style import COVERAGE_COLOURS, RGB, renderer
 from subiaco_change.records import CHANGE_COLOURS
 from subiaco_geo.codes import Change
@@ -23,7 +26,15 @@ _DOCTYPE = "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>\n"
 #: Name of the project in a change directory.
 PROJECT = "changes.qgs"
 _VERSION = "3.28.0-Firenze"
-_VECTOR = ("ground", "objects", "parcels", "coverage")  # from top to bottom
+#: Layers of the GeoPackage, from top to bottom: name in the file, name for people, group, shown or not.
+_VECTOR = (
+    ("ground", "Changed ground", "Changes", True),
+    ("objects", "Objects", "Changes", True),
+    ("parcels", "Changes by lot", "Lots", True),
+    ("coverage", "What each survey saw", "Coverage and accuracy", False),
+)
+#: Layer that shows what a reviewer accepted, and the rows that it takes.
+_ACCEPTED = f"|subset=\"review\" = '{ACCEPTED}'"
 _LOD_STEPS = ((0.0, (68, 1, 84)), (0.05, (59, 82, 139)), (0.1, (33, 145, 140)), (0.2, (253, 231, 37)))
 _DZ_STEPS = (
     (-0.5, CHANGE_COLOURS[Change.DECREASED]),
@@ -34,14 +45,19 @@ _DZ_STEPS = (
 
 @dataclass(frozen=True)
 class _Layer:
-    """One layer: its name for people, source beside the project, kind, provider, and its style as XML."""
+    """One layer: its name for people, its group, source beside the project, kind, provider, and style as XML.
+
+    ``form`` holds the elements of :func:`~subiaco_change.outputs.qgis_forms.form_elements`.
+    """
 
     name: str
+    group: str
     source: str
     kind: str
     provider: str
     style: str
-    shown: bool = True
+    shown: bool = False
+    form: str = ""
 
     @property
     def id(self) -> str:
@@ -69,8 +85,10 @@ def write_project(directory: Path, crs: str | None, bounds: Sequence[float]) -> 
         ET.SubElement(root, "projectCrs").append(system)
     layers = _layers(directory)
     tree = ET.SubElement(root, "layer-tree-group")
-    for layer in layers:
-        _tree_entry(tree, layer)
+    for name, members in groupby(layers, key=lambda layer: layer.group):
+        group = ET.SubElement(tree, "layer-tree-group", name=name, checked="Qt::Checked", expanded="1")
+        for layer in members:
+            _tree_entry(group, layer)
     _canvas(root, bounds, system)
     held = ET.SubElement(root, "projectlayers")
     for layer in layers:
@@ -78,7 +96,7 @@ def write_project(directory: Path, crs: str | None, bounds: Sequence[float]) -> 
     order = ET.SubElement(root, "layerorder")
     for layer in layers:
         ET.SubElement(order, "layer", id=layer.id)
-    _relative_paths(root)
+    _properties(root, projected=system is not None)
     ET.indent(root, " ")
     path = directory / PROJECT
     path.write_text(_DOCTYPE + ET.tostring(root, encoding="unicode") + "\n", encoding="utf-8")
@@ -88,22 +106,33 @@ def write_project(directory: Path, crs: str | None, bounds: Sequence[float]) -> 
 def _layers(directory: Path) -> list[_Layer]:
     """Layers of the files that are there, from top to bottom."""
     named = set(pyogrio.list_layers(directory / "changes.gpkg")[:, 0])
-    layers = [
-        _Layer(name, f"./changes.gpkg|layername={name}", "vector", "ogr", renderer(name), name != "coverage")
-        for name in _VECTOR
-        if name in named
+    vectors = [
+        _vector_layer(name, title, group, shown) for name, title, group, shown in _VECTOR if name in named
     ]
-    seen = [(code, name, COVERAGE_COLOURS[name]) for code, name in COVERAGE.items() if name != "neither"]
-    rest = (
-        _Layer("ground change [m]", "./ground_change.tif", "raster", "gdal", _ramp(_DZ_STEPS), shown=False),
-        _Layer("level of detection [m]", "./lod95.tif", "raster", "gdal", _ramp(_LOD_STEPS), shown=False),
-        _Layer("seen by (raster)", "./coverage.tif", "raster", "gdal", _palette(seen), shown=False),
-        _Layer("points after", "./after_labelled.laz", "point-cloud", "pdal", _point_colours(), shown=False),
-        _Layer(
-            "points before", "./before_labelled.laz", "point-cloud", "pdal", _point_colours(), shown=False
-        ),
+    accepted = replace(
+        _vector_layer("objects", "Accepted changes", "Changes", shown=False),
+        source=f"./changes.gpkg|layername=objects{_ACCEPTED}",
     )
+    layers = [*vectors[:2], accepted, *vectors[2:]]
+    seen = [(code, name, COVERAGE_COLOURS[name]) for code, name in COVERAGE.items() if name != "neither"]
+    known, points = "Coverage and accuracy", "Point clouds"
+    ramps = (
+        ("Level of detection [m]", "./lod95.tif", _ramp(_LOD_STEPS)),
+        ("What each survey saw, cells", "./coverage.tif", _palette(seen)),
+        ("Change of ground height [m]", "./ground_change.tif", _ramp(_DZ_STEPS)),
+    )
+    clouds = (
+        ("Points of the later survey", "./after_labelled.laz"),
+        ("Points of the earlier survey", "./before_labelled.laz"),
+    )
+    rest = [_Layer(name, known, source, "raster", "gdal", style) for name, source, style in ramps]
+    rest += [_Layer(n, points, source, "point-cloud", "pdal", _point_colours()) for n, source in clouds]
     return layers + [layer for layer in rest if (directory / layer.source).is_file()]
+
+
+def _vector_layer(name: str, title: str, group: str, shown: bool) -> _Layer:
+    source = f"./changes.gpkg|layername={name}"
+    return _Layer(title, group, source, "vector", "ogr", renderer(name), shown, form_elements(name))
 
 
 def _tree_entry(tree: ET.Element, layer: _Layer) -> None:
@@ -134,6 +163,7 @@ def _map_layer(layer: _Layer, system: ET.Element | None) -> ET.Element:
     element = ET.Element("maplayer", type=layer.kind, hasScaleBasedVisibilityFlag="0")
     if layer.kind == "vector":
         element.attrib |= {"geometry": "Polygon", "wkbType": "MultiPolygon"}
+        element.set("labelsEnabled", str(int("<labeling" in layer.form)))
     ET.SubElement(element, "id").text = layer.id
     ET.SubElement(element, "datasource").text = layer.source
     ET.SubElement(element, "layername").text = layer.name
@@ -144,6 +174,7 @@ def _map_layer(layer: _Layer, system: ET.Element | None) -> ET.Element:
     if layer.kind == "vector":
         provider.set("encoding", "UTF-8")
     element.append(ET.fromstring(layer.style))  # noqa: S314 (our own text)
+    element.extend(ET.fromstring(f"<form>{layer.form}</form>"))  # noqa: S314 (our own text)
     ET.SubElement(element, "blendMode").text = "0"
     ET.SubElement(element, "layerOpacity").text = "1"
     return element
@@ -169,9 +200,12 @@ def _system(crs: str | None) -> ET.Element | None:
     return element
 
 
-def _relative_paths(root: ET.Element) -> None:
-    paths = ET.SubElement(ET.SubElement(root, "properties"), "Paths")
-    ET.SubElement(paths, "Absolute", type="bool").text = "false"
+def _properties(root: ET.Element, *, projected: bool) -> None:
+    """Relative paths; and that the project has a CRS, without which QGIS ignores ``projectCrs``."""
+    properties = ET.SubElement(root, "properties")
+    ET.SubElement(ET.SubElement(properties, "Paths"), "Absolute", type="bool").text = "false"
+    system = ET.SubElement(properties, "SpatialRefSys")
+    ET.SubElement(system, "ProjectionsEnabled", type="int").text = str(int(projected))
 
 
 def _hex(rgb: RGB) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cached_property
@@ -11,8 +10,9 @@ from typing import Any
 
 import geopandas as gpd
 
-from subiaco_change.outputs import table as outputs_table
 from subiaco_change.outputs.clouds import labelled_path, open_labelled, read_labelled
+from subiaco_change.outputs.documents import RegistrationDocument, RunDocument, read_document
+from subiaco_change.outputs.reviews import read_reviewed
 from subiaco_geo.cloud_windows import CloudFile
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.errors import InputError
@@ -22,7 +22,7 @@ from subiaco_geo.errors import InputError
 class ChangeDirectory:
     """A change directory as read back.
 
-    ``table`` has the columns of contracts section 4 and footprints;
+    ``table`` has the columns of contracts section 4, footprints, and the reviews of every file;
     ``registration`` and ``run`` are the parsed JSON files.
     """
 
@@ -61,19 +61,11 @@ def read_change_directory(directory: Path) -> ChangeDirectory:
             raise InputError(f"{directory}: {name} is missing; not the output of 'subiaco change'")
     for epoch in ("before", "after"):
         labelled_path(directory, epoch)
-    table = outputs_table.read_csv(directory / "changes.csv")
-    shapes = gpd.read_parquet(directory / "changes.parquet", columns=["object_id", "geometry"])
+    table = read_reviewed(directory)
+    assert table is not None  # both files are there
     return ChangeDirectory(
         directory,
-        gpd.GeoDataFrame(table, geometry=shapes.geometry.values, crs=shapes.crs),
-        _read_json(directory / "registration.json"),
-        _read_json(directory / "run.json"),
+        table,
+        read_document(directory / "registration.json", RegistrationDocument),
+        read_document(directory / "run.json", RunDocument),
     )
-
-
-def _read_json(path: Path) -> dict[str, Any]:
-    try:
-        document = json.loads(path.read_text())
-    except (OSError, ValueError) as error:
-        raise InputError(f"{path}: not valid JSON ({error}); run 'subiaco change' again") from error
-    return dict(document)

@@ -2,40 +2,126 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import sqlite3
+from contextlib import closing
 from pathlib import Path
 
 import geopandas as gpd
 import numpy as np
 import pandas as pd
 
-from subiaco_change.outputs.table import REVIEW_COLUMNS, STATISTICS, read_csv
+from subiaco_change.outputs.table import REVIEW_COLUMNS, STATISTICS, read_csv, read_stored, with_footprints
+from subiaco_geo.csv_cells import restore_cell
+from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Ints
 
 _REVIEWS = """
 select object_uid, review, reviewer, note from objects
 union all select object_uid, review, reviewer, note from ground
 """
+#: What the report saves and a run reads beside the table.
+REVIEW_FILE = "reviews.csv"
 _MIN_OVERLAP = 0.3  # footprints of one class that overlap so much (IoU) are one object in two runs
 
 
 def read_reviewed(directory: Path) -> gpd.GeoDataFrame | None:
-    """Return the previous table with its footprints and the reviews typed into its CSV or its GeoPackage."""
-    if not (directory / "changes.csv").is_file():
+    """Return the previous table with its footprints and every review that people gave.
+
+    Reviews are read from ``changes.gpkg``, ``changes.csv`` and ``reviews.csv``. The GeoParquet holds them as
+    they were stored last: a cell that differs from it was edited since. Where several files edited one cell,
+    the later of this list holds.
+    """
+    if not (directory / "changes.csv").is_file() or not (directory / "changes.parquet").is_file():
         return None
-    frame = read_csv(directory / "changes.csv")
-    package = directory / "changes.gpkg"
-    if package.is_file() and "object_uid" in frame.columns:
-        with sqlite3.connect(package) as connection:
-            edited = pd.read_sql_query(_REVIEWS, connection).fillna("").set_index("object_uid")
-        for name in REVIEW_COLUMNS:
-            typed = frame["object_uid"].map(edited[name]).fillna("")
-            frame[name] = frame[name].where(frame[name] != "", typed)
-    if not (directory / "changes.parquet").is_file():
-        return None
-    shapes = gpd.read_parquet(directory / "changes.parquet", columns=["object_id", "geometry"])
-    footprints = frame["object_id"].map(shapes.set_index("object_id").geometry)
-    return gpd.GeoDataFrame(frame, geometry=gpd.GeoSeries(footprints, crs=shapes.crs), crs=shapes.crs)
+    frame, stored = read_csv(directory / "changes.csv"), read_stored(directory / "changes.parquet")
+    table = with_footprints(frame, stored, directory / "changes.parquet")
+    if "object_uid" not in frame.columns or "object_uid" not in stored.columns:
+        return table
+    typed = frame.set_index("object_uid")[list(REVIEW_COLUMNS)]
+    known = _reviews_of(stored)
+    table[list(REVIEW_COLUMNS)] = known.reindex(frame["object_uid"]).fillna("").to_numpy()
+    if (directory / "changes.gpkg").is_file():
+        table = apply_reviews(table, _drawn(directory / "changes.gpkg"), known)
+    table = apply_reviews(table, typed, known)
+    if (directory / REVIEW_FILE).is_file():
+        table = apply_reviews(table, read_review_file(directory / REVIEW_FILE))
+    return table
+
+
+def _reviews_of(frame: pd.DataFrame) -> pd.DataFrame:
+    """Return the review columns of a table as texts, by ``object_uid``."""
+    texts = frame.drop_duplicates("object_uid").set_index("object_uid")
+    return texts.reindex(columns=list(REVIEW_COLUMNS), fill_value="").fillna("").astype(str)
+
+
+def _drawn(package: Path) -> pd.DataFrame:
+    """Return the reviews of a GeoPackage."""
+    try:
+        with closing(sqlite3.connect(package)) as connection:
+            return _reviews_of(pd.read_sql_query(_REVIEWS, connection))
+    except (sqlite3.Error, pd.errors.DatabaseError, OverflowError, UnicodeDecodeError) as error:
+        said = " ".join(str(error).split())[-200:]
+        raise InputError(
+            f"{package}: reviews cannot be read ({said}); repair it in QGIS or move it away"
+        ) from error
+
+
+def apply_reviews(
+    table: gpd.GeoDataFrame, reviews: pd.DataFrame, known: pd.DataFrame | None = None
+) -> gpd.GeoDataFrame:
+    """Return a table with the review columns that differ from what was stored.
+
+    Parameters
+    ----------
+    table : GeoDataFrame
+    reviews, known : DataFrame
+        Review columns by ``object_uid``: as they are now, and as they were stored; None applies all.
+    """
+    result = table.copy()
+    for name in (n for n in REVIEW_COLUMNS if n in reviews.columns):
+        now = reviews[name]
+        if known is not None:
+            now = now[now != known[name].reindex(now.index)]
+        edited = result["object_uid"].map(now[~now.index.duplicated()])
+        result[name] = edited.where(edited.notna(), result[name])
+    return result
+
+
+def read_review_file(path: Path) -> pd.DataFrame:
+    """Read a review file: ``object_uid`` and ``review``, optionally ``reviewer`` and ``note``.
+
+    The file is what the report saves, or a change table. Cells are separated by commas or semicolons.
+
+    Returns
+    -------
+    DataFrame
+        The review columns that the file has, as texts, by ``object_uid``.
+
+    Raises
+    ------
+    InputError
+        No such file, not text, or a column is missing.
+    """
+    try:
+        text = path.read_text(encoding="utf-8-sig")
+    except (OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: no reviews could be read ({error}); save them from the report") from error
+    first = text.partition("\n")[0]
+    separator = ";" if first.count(";") > first.count(",") else ","
+    try:
+        reader = csv.DictReader(io.StringIO(text), delimiter=separator)
+        names, rows = reader.fieldnames or [], list(reader)
+    except csv.Error as error:
+        raise InputError(f"{path}: no reviews could be read ({error}); save them from the report") from error
+    for name in ("object_uid", "review"):
+        if name not in names:
+            raise InputError(f"{path}: column {name} is missing; give the file that the report saves")
+    kept = [name for name in REVIEW_COLUMNS if name in names]
+    found = pd.DataFrame(rows, columns=["object_uid", *kept]).fillna("")
+    found[kept] = found[kept].map(restore_cell)
+    return found.drop_duplicates("object_uid", keep="last").set_index("object_uid")
 
 
 def same_objects(table: gpd.GeoDataFrame, previous: gpd.GeoDataFrame) -> tuple[Ints, Ints]:

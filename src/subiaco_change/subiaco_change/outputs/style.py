@@ -8,6 +8,8 @@ from contextlib import closing
 from pathlib import Path
 from xml.sax.saxutils import quoteattr
 
+from subiaco_change.outputs.qgis_forms import form_elements
+from subiaco_change.outputs.review_state import REJECTED
 from subiaco_change.records import CHANGE_COLOURS
 from subiaco_geo.codes import Change
 
@@ -27,6 +29,8 @@ _NET: tuple[tuple[float, float, RGB], ...] = (
     (5.0, 50.0, (165, 200, 230)),
     (50.0, 1e9, CHANGE_COLOURS[Change.INCREASED]),
 )
+#: Expression of QGIS: a row that a reviewer rejected is drawn as an empty outline, whatever its label.
+_LABEL_OR_REJECTED = f"case when \"review\" = '{REJECTED}' then '{REJECTED}' else \"label\" end"
 _CREATE = """
 create table if not exists layer_styles (
   id integer primary key autoincrement not null,
@@ -49,22 +53,24 @@ values ('', '', ?, ?, 'change', ?, '', 1, 'colours of the paper', '')
 def renderer(layer: str) -> str:
     """Return the QGIS renderer of a layer.
 
-    ``coverage`` is coloured by what was seen, ``parcels`` by net volume, anything else by ``label``.
+    ``coverage`` is coloured by what was seen, ``parcels`` by net volume, anything else by ``label``;
+    rejected rows are empty outlines.
     """
     if layer == "coverage":
         return _categorised("seen", [(name, rgb, 110) for name, rgb in COVERAGE_COLOURS.items()])
     if layer == "parcels":
         return _graduated("net_m3", _NET)
     faint = (Change.UNCHANGED, Change.NOT_REPORTED, Change.UNOBSERVED)
-    return _categorised("label", [(c.label, CHANGE_COLOURS[c], 60 if c in faint else 150) for c in Change])
+    entries = [(c.label, CHANGE_COLOURS[c], 60 if c in faint else 150) for c in Change]
+    return _categorised(_LABEL_OR_REJECTED, [*entries, (REJECTED, (110, 110, 110), 0)])
 
 
 def layer_qml(layer: str) -> str:
     """Return the style of a layer of polygons as a QGIS style document."""
     return (
         "<!DOCTYPE qgis PUBLIC 'http://mrcc.com/qgis.dtd' 'SYSTEM'>\n"
-        '<qgis version="3.28" styleCategories="Symbology">'
-        f"{renderer(layer)}<layerGeometryType>2</layerGeometryType></qgis>"
+        '<qgis version="3.28" styleCategories="Symbology|Labeling|Fields|Forms|MapTips" labelsEnabled="1">'
+        f"{renderer(layer)}{form_elements(layer)}<layerGeometryType>2</layerGeometryType></qgis>"
     )
 
 
@@ -75,8 +81,9 @@ def _categorised(attribute: str, entries: Sequence[tuple[str, RGB, int]]) -> str
     )
     symbols = "".join(_symbol(i, rgb, alpha) for i, (_, rgb, alpha) in enumerate(entries))
     return (
-        f'<renderer-v2 type="categorizedSymbol" attr="{attribute}" enableorderby="0" forceraster="0" '
-        f'symbollevels="0"><categories>{categories}</categories><symbols>{symbols}</symbols></renderer-v2>'
+        f'<renderer-v2 type="categorizedSymbol" attr={quoteattr(attribute)} enableorderby="0" '
+        f'forceraster="0" symbollevels="0"><categories>{categories}</categories>'
+        f"<symbols>{symbols}</symbols></renderer-v2>"
     )
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import hashlib
-import warnings
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,12 +10,14 @@ from pathlib import Path
 import geopandas as gpd
 import numpy as np
 import pandas as pd
+from pyproj.exceptions import ProjError
+from shapely.errors import ShapelyError
 from shapely.geometry import MultiPolygon, Point, Polygon
 from shapely.geometry.base import BaseGeometry
 
-from subiaco_change.outputs.style import embed_styles
+from subiaco_change.outputs.building_outline import regular_outline
 from subiaco_change.records import ChangeRecord
-from subiaco_geo.codes import Semantic
+from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.csv_cells import escape_cell, restore_cell
 from subiaco_geo.errors import InputError
 
@@ -54,6 +55,9 @@ COLUMNS = (
     "date_before",
     "date_after",
 )
+#: Columns that :func:`table_hash` covers. A column that is added to :data:`COLUMNS` later enters it only when
+#: the method changes with it, so that a hash stays comparable between versions.
+HASHED_COLUMNS = (*COLUMNS[: COLUMNS.index("date_after") + 1], "reason")
 #: Columns that tables of version 1 lack; they read as missing values.
 _LATER = COLUMNS[COLUMNS.index("delta_h_low_m") :]
 #: Columns that people fill in; they survive a rerun of the same pair.
@@ -92,6 +96,8 @@ STATISTICS = (
     "height_after_m",
     "area_m2",
 )
+#: What libraries raise where a GeoParquet file is damaged.
+_PARQUET_FAULTS = (OSError, ValueError, LookupError, TypeError, ShapelyError, ProjError, NotImplementedError)
 _DECIMALS = dict.fromkeys(STATISTICS, 4) | {"x": 3, "y": 3, "z": 3}
 _POINT_RADIUS = 0.25  # half a voxel of the decisions [m]: footprint of an object without area
 _CELL = 1.0  # rounding of positions in object_uid [m]
@@ -180,9 +186,22 @@ def build_table(
     return gpd.GeoDataFrame(frame, geometry=geometry, crs=crs)
 
 
+def with_regular_outlines(table: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
+    """Return a table whose buildings have footprints with right angles, of the same areas."""
+    is_building = (table["class"] == Semantic.BUILDING.label).to_numpy()
+    shapes = [
+        regular_outline(shape) if chosen else shape
+        for shape, chosen in zip(table.geometry, is_building, strict=True)
+    ]
+    return table.set_geometry(gpd.GeoSeries(shapes, index=table.index, crs=table.crs))
+
+
 def table_hash(table: pd.DataFrame) -> str:
-    """Return a hash of every computed column and footprint, but not of names and reviews of earlier runs."""
-    computed = table[[*COLUMNS, "reason"]]
+    """Return a hash of what the method found: :data:`HASHED_COLUMNS` and footprints of :func:`build_table`.
+
+    Names and reviews of earlier runs do not enter it, nor do the outlines of :func:`with_regular_outlines`.
+    """
+    computed = table[list(HASHED_COLUMNS)]
     digest = hashlib.sha256(computed.to_csv(index=False, lineterminator="\n").encode())
     for shape in table.geometry:
         digest.update(shape.normalize().wkt.encode())
@@ -213,22 +232,73 @@ def read_csv(path: Path) -> pd.DataFrame:
     missing = [name for name in COLUMNS if name not in frame.columns and name not in _LATER]
     if missing:
         raise InputError(f"{path}: column {missing[0]} is missing; run 'subiaco change' again")
-    for name in _LATER:
+    for name in (*_LATER, "reason", *REVIEW_COLUMNS, "evidence_changed"):
         if name not in frame.columns:
             frame[name] = "" if name in TEXT_COLUMNS else np.nan
     texts = [name for name in TEXT_COLUMNS if name in frame.columns]
     frame[texts] = frame[texts].fillna("").map(restore_cell)
+    _refuse_strange(path, frame)
     return frame
 
 
-def write_geopackage(path: Path, table: gpd.GeoDataFrame) -> None:
-    """Write layers ``objects`` and ``ground``, with styles that QGIS applies by itself."""
-    is_ground = table["class"] == Semantic.GROUND.label
-    for layer, rows in (("objects", table[~is_ground]), ("ground", table[is_ground])):
-        with warnings.catch_warnings():  # a local map has no CRS, and says so elsewhere
-            warnings.filterwarnings("ignore", message="'crs' was not provided")
-            rows.to_file(path, layer=layer, driver="GPKG", engine="pyogrio", geometry_type="MultiPolygon")
-    embed_styles(path, ("objects", "ground"))
+def _refuse_strange(path: Path, frame: pd.DataFrame) -> None:
+    """Refuse cells that no table of ours holds: texts for numbers, unknown labels, an id twice."""
+    if len(frame) == 0:
+        return
+    again = "undo the edit, or run 'subiaco change' again"
+    for name in (*STATISTICS, "object_id", "n_before", "n_after", "x", "y", "z"):
+        if not pd.api.types.is_numeric_dtype(frame[name].dtype):
+            raise InputError(f"{path}: column {name} holds what is no number; {again}")
+    for name in ("object_id", "n_before", "n_after", "x", "y", "z"):
+        if not np.isfinite(frame[name].to_numpy(dtype=np.float64)).all():
+            raise InputError(f"{path}: column {name} lacks a value; {again}")
+    if not pd.api.types.is_integer_dtype(frame["object_id"].dtype) or frame["object_id"].duplicated().any():
+        raise InputError(f"{path}: column object_id does not number the objects; {again}")
+    for name, allowed in (("class", Semantic), ("label", Change)):
+        known = [code.label for code in allowed]
+        strange = frame.loc[~frame[name].isin(known), name]
+        if len(strange):
+            raise InputError(
+                f"{path}: column {name} holds {strange.iloc[0]!r:.40}, not one of {', '.join(known)}; {again}"
+            )
+
+
+def read_stored(path: Path) -> gpd.GeoDataFrame:
+    """Read a table written by :func:`write_parquet`: the review columns as they were stored, and footprints.
+
+    Raises
+    ------
+    InputError
+        The file is damaged, or holds no footprints.
+    """
+    try:
+        stored = gpd.read_parquet(path)
+        stored.geometry.is_empty.any()  # a damaged outline is found here
+    except _PARQUET_FAULTS as error:
+        said = " ".join(str(error).split())[-300:]
+        raise InputError(f"{path}: footprints cannot be read ({said}); run 'subiaco change' again") from error
+    if "object_id" not in stored.columns or stored["object_id"].duplicated().any():
+        raise InputError(f"{path}: column object_id does not number the objects; run 'subiaco change' again")
+    return stored
+
+
+def with_footprints(table: pd.DataFrame, stored: gpd.GeoDataFrame, path: Path) -> gpd.GeoDataFrame:
+    """Give a table the footprints of a stored one, by object id.
+
+    Raises
+    ------
+    InputError
+        An object of the table has none; ``path`` is the file of the stored one.
+    """
+    found = table["object_id"].map(stored.set_index("object_id").geometry)
+    outlines = gpd.GeoSeries(found, crs=stored.crs)
+    lacking = table.loc[(outlines.isna() | outlines.is_empty).to_numpy(), "object_id"]
+    if len(lacking):
+        raise InputError(
+            f"{path}: no footprint of object {lacking.iloc[0]}; the files beside it are of another run:"
+            " run 'subiaco change' again"
+        )
+    return gpd.GeoDataFrame(table, geometry=outlines, crs=stored.crs)
 
 
 def write_parquet(path: Path, table: gpd.GeoDataFrame) -> None:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import logging
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,11 +9,17 @@ import numpy as np
 from subiaco_geo.clouds import PointCloud, voxel_downsample
 from subiaco_geo.crs import Transform, transformer
 from subiaco_geo.errors import InputError
+from subiaco_geo.findings import Finding
 from subiaco_geo.frames import Floats
 from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.trajectories import Trajectory
 
-_LOG = logging.getLogger(__name__)
+_COARSE = 0.5  # a coordinate operation of which no more is known explains shifts of decimetres [m]
+_FAR = 100_000.0  # surveys of one city lie nearer to each other [m]
+_NEAR = 20_000.0  # so near to each other they may be of one city [m]
+_CELL = 4.0  # edge of cells whose lowest points are compared [m]
+_HEIGHT_OFFSET = 5.0  # heights that differ by more are of two kinds [m]
+_HEIGHT_CELLS = 20  # cells that such a statement needs
 
 
 @dataclass(frozen=True)
@@ -31,14 +36,14 @@ class PairInfo:
         Its accuracy as PROJ states it [m].
     beams_crs : str or None
         CRS in which the visibility layer of *before* still lives, where it is another.
-    warnings : tuple of str
+    findings : tuple of Finding
     """
 
     crs: str | None
     operation: str = "none"
     accuracy_m: float = 0.0
     beams_crs: str | None = None
-    warnings: tuple[str, ...] = ()
+    findings: tuple[Finding, ...] = ()
 
 
 def _check_cloud(name: str, cloud: PointCloud) -> None:
@@ -73,6 +78,90 @@ def check_extents(before: tuple[Floats, Floats], after: tuple[Floats, Floats]) -
         )
 
 
+def check_places(
+    before: Floats, after: Floats, crs_before: str, crs_after: str, operation: Transform | None
+) -> None:
+    """Refuse georeferenced epochs that lie in different cities, and name the label that explains it.
+
+    Parameters
+    ----------
+    before, after : (3,) float64
+        A place of each epoch in its own CRS [m].
+    crs_before, crs_after : str
+    operation : Transform, optional
+        From the CRS of *before* to that of *after*.
+    """
+    moved = before if operation is None else operation.apply(before[None])[0]
+    distance = _apart(moved, after)
+    if distance < _FAR:
+        return
+    if operation is not None and _apart(before, after) < _NEAR:
+        hint = "the coordinates agree as they are, so that one of the two CRS is probably wrong"
+    else:
+        hint = _other_zone(before, after, crs_before, crs_after)
+    raise InputError(
+        f"the epochs lie in different places, {distance / 1000:.0f} km apart: before E {before[0]:.0f}, "
+        f"N {before[1]:.0f} in {crs_before}, after E {after[0]:.0f}, N {after[1]:.0f} in {crs_after}; "
+        f"{hint}; "
+        "check that the files belong together and that their CRS are right"
+    )
+
+
+def _apart(first: Floats, second: Floats) -> float:
+    return float(np.linalg.norm(first[:2] - second[:2]))
+
+
+def _other_zone(before: Floats, after: Floats, crs_before: str, crs_after: str) -> str:
+    """Find the neighbouring zone in which the coordinates of one epoch would lie beside the other epoch."""
+    for name, own, place, crs, other in (
+        ("before", crs_before, before, crs_after, after),
+        ("after", crs_after, after, crs_before, before),
+    ):
+        number = own.removeprefix("EPSG:")
+        for step in (1, -1, 2, -2, 3, -3) if number.isdigit() else ():
+            zone = f"EPSG:{int(number) + step}"
+            try:
+                there = transformer(zone, crs).apply(place[None])[0]
+            except InputError:
+                continue
+            if _apart(there, other) < _NEAR:
+                return f"the coordinates of {name} fit if its CRS is {zone} instead of {own}"
+    return "no neighbouring zone explains it"
+
+
+def lowest_points(xyz: Floats) -> dict[tuple[int, int], float]:
+    """Return the height of the lowest point [m] of every cell of 4 m of points (N, 3) in the world."""
+    cells, member = np.unique(np.floor(xyz[:, :2] / _CELL).astype(np.int64), axis=0, return_inverse=True)
+    low = np.full(len(cells), np.inf)
+    np.minimum.at(low, member.ravel(), xyz[:, 2])
+    return {(int(i), int(j)): float(z) for (i, j), z in zip(cells, low, strict=True)}
+
+
+def refuse_height_offset(before: dict[tuple[int, int], float], after: dict[tuple[int, int], float]) -> None:
+    """Refuse georeferenced epochs whose heights are of two kinds, from :func:`lowest_points` of both.
+
+    Raises
+    ------
+    InputError
+        The lowest points of most cells differ by one and the same offset of more than 5 m.
+    """
+    shared = before.keys() & after.keys()
+    if len(shared) < _HEIGHT_CELLS:
+        return
+    differences = np.array([after[cell] - before[cell] for cell in sorted(shared)])
+    offset = float(np.median(differences))
+    spread = 1.4826 * float(np.median(np.abs(differences - offset)))
+    if abs(offset) <= _HEIGHT_OFFSET or spread > max(1.0, 0.1 * abs(offset)):
+        return
+    lower = "before" if offset > 0 else "after"
+    raise InputError(
+        f"the heights of {lower} are {abs(offset):.1f} m lower than those of the other epoch, at one place "
+        "in plan: one epoch probably has heights above the ellipsoid and the other above the geoid (AHD in "
+        "Australia; the two differ by about 33 m around Perth); bring both to one kind of height, or give "
+        "the shift with --transform"
+    )
+
+
 def moved_trajectory(trajectory: Trajectory, operation: Transform) -> Trajectory:
     """Transform poses: positions by the operation, axes by its local rotation."""
     positions = trajectory.positions
@@ -101,20 +190,23 @@ def agree(before: str | None, after: str | None) -> tuple[PairInfo, Transform | 
         A difference that PROJ can only guess at.
     """
     if before is None or after is None:
-        warnings: tuple[str, ...] = ()
+        found: tuple[Finding, ...] = ()
         if before != after:
             which = "before" if before is None else "after"
-            warnings = (f"{which} has no CRS: the epochs are registered without priors",)
-        return PairInfo(None, warnings=warnings), None
+            sentence = f"The survey {which} has no CRS: the epochs are registered without priors."
+            found = (Finding("crs_missing", "warning", sentence, "Write the CRS into the file."),)
+        return PairInfo(None, findings=found), None
     if before == after:
         return PairInfo(after), None
     operation = transformer(before, after)
-    note = (
-        f"before was brought from {before} to {after} by {operation.name!r}, "
-        f"accurate to {operation.accuracy_m} m"
+    sentence = (
+        f"The survey before was brought from {before} to {after} by {operation.name!r}, "
+        f"accurate to {operation.accuracy_m} m."
     )
-    _LOG.info(note)
-    return PairInfo(after, operation.name, operation.accuracy_m, before, (note,)), operation
+    coarse = operation.accuracy_m > _COARSE
+    remedy = "Give both surveys the CRS of one geodetic frame, that of the base station." if coarse else ""
+    finding = Finding("crs_operation", "warning" if coarse else "note", sentence, remedy)
+    return PairInfo(after, operation.name, operation.accuracy_m, before, (finding,)), operation
 
 
 def _to_crs(survey: SurveyMap, crs: str, operation: Transform) -> SurveyMap:
@@ -133,7 +225,7 @@ def shares_origin(before: Floats, after: Floats, both_crs: bool) -> bool:
 
 
 def check_pair(
-    before: SurveyMap, after: SurveyMap, leaf: float = 0.25
+    before: SurveyMap, after: SurveyMap, leaf: float = 0.25, *, aligned: bool = True
 ) -> tuple[SurveyMap, SurveyMap, PairInfo]:
     """Make two epochs comparable.
 
@@ -142,6 +234,8 @@ def check_pair(
     before, after : SurveyMap
     leaf : float
         Working leaf to which both clouds are downsampled [m].
+    aligned : bool
+        No transform is given that says otherwise: heights of two kinds are refused.
 
     Returns
     -------
@@ -161,10 +255,14 @@ def check_pair(
     _check_cloud("after", after.cloud)
     both = before.crs is not None and after.crs is not None
     info, operation = agree(before.crs, after.crs)
+    if before.crs is not None and after.crs is not None:
+        check_places(before.cloud.origin, after.cloud.origin, before.crs, after.crs, operation)
     if operation is not None and info.crs is not None:
         before = _to_crs(before, info.crs, operation)
     if both:
         check_extents(_extent(before.cloud), _extent(after.cloud))
+        if aligned:
+            refuse_height_offset(lowest_points(before.cloud.world()), lowest_points(after.cloud.world()))
     if shares_origin(before.cloud.origin, after.cloud.origin, both):
         before = replace(before, cloud=before.cloud.rebased(after.cloud.origin))
     clouds = [voxel_downsample(survey.cloud, leaf) for survey in (before, after)]

@@ -10,9 +10,11 @@ import numpy as np
 import pandas as pd
 
 from subiaco_change.outputs.raster import Coverage
+from subiaco_change.outputs.review_state import is_rejected
 from subiaco_change.records import CHANGE_COLOURS
 from subiaco_change.report.gathering import LodCounts
 from subiaco_geo.codes import Change, Semantic
+from subiaco_geo.findings import Finding
 from subiaco_geo.frames import rotation_angle
 from subiaco_geo.simulated import SIMULATIONS
 
@@ -28,13 +30,31 @@ _MEANINGS = {
 }
 
 
+#: Colours that people with any kind of colour vision tell apart (Okabe and Ito, 2008).
+SAFE_COLOURS = CHANGE_COLOURS | {
+    Change.ADDED: (0, 158, 115),
+    Change.REMOVED: (204, 121, 167),
+    Change.INCREASED: (0, 114, 178),
+    Change.DECREASED: (230, 159, 0),
+}
+_SIGNS = dict(zip(Change, ("+", "\u2212", "\u25b2", "\u25bc", "=", "\u00b7", "?"), strict=True))
+
+
+def findings(run: Mapping[str, Any], registration: Mapping[str, Any]) -> list[dict[str, str]]:
+    """Return what speaks against a result, what is serious first; of a run without a list, its warnings."""
+    if "findings" in run:
+        return list(run["findings"])
+    texts = [*registration.get("warnings", []), *run.get("warnings", [])]
+    return [Finding("unnamed", "warning", text).document() for text in texts]
+
+
 def is_simulated(run: Mapping[str, Any]) -> bool:
     """Tell whether an epoch of the run was simulated, as far as is known."""
     return bool(run.get("notes", {}).get(SIMULATIONS))
 
 
 def changed_rows(table: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
-    """Return the rows called changed, the surest first."""
+    """Return the rows called changed, those that a reviewer rejected too, the surest first."""
     rows = table[table["label"].isin(CHANGED_LABELS)]
     return rows.sort_values(["confidence", "object_id"], ascending=[False, True])
 
@@ -47,8 +67,17 @@ def number(value: Any, decimals: int = 2) -> str:
 
 
 def legend() -> list[dict[str, str]]:
-    """Return label, colour and meaning of every outcome."""
-    return [{"label": c.label, "colour": f"rgb{CHANGE_COLOURS[c]}", "meaning": _MEANINGS[c]} for c in Change]
+    """Return label, colour, colour for the colour-blind, sign and meaning of every outcome."""
+    return [
+        {
+            "label": c.label,
+            "colour": f"rgb{CHANGE_COLOURS[c]}",
+            "safe": f"rgb{SAFE_COLOURS[c]}",
+            "sign": _SIGNS[c],
+            "meaning": _MEANINGS[c],
+        }
+        for c in Change
+    ]
 
 
 def registration_facts(registration: Mapping[str, Any]) -> dict[str, Any]:
@@ -94,7 +123,8 @@ def unseen_facts(table: pd.DataFrame, coverage: Coverage) -> dict[str, Any]:
 
 
 def summary(table: pd.DataFrame) -> list[dict[str, Any]]:
-    """Return counts by class (rows) and label, with totals last."""
+    """Return counts by class (rows) and label, with totals last; rejected rows are left out."""
+    table = table[~is_rejected(table)]
     counts = pd.crosstab(table["class"], table["label"]).reindex(
         index=[s.label for s in Semantic], columns=[c.label for c in Change], fill_value=0
     )

@@ -4,19 +4,25 @@ from __future__ import annotations
 
 import base64
 import json
+import shutil
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
+import geopandas as gpd
+import numpy as np
 import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
 from subiaco_change.outputs.reading import ChangeDirectory, read_change_directory
-from subiaco_change.records import CHANGE_COLOURS, SEMANTIC_COLOURS
+from subiaco_change.outputs.review_state import review_counts
+from subiaco_change.records import SEMANTIC_COLOURS
 from subiaco_change.report import evidence, pictures
 from subiaco_change.report.citymap import city_map
 from subiaco_change.report.facts import (
     CHANGED_LABELS,
     changed_rows,
+    findings,
     is_simulated,
     legend,
     lod_facts,
@@ -27,13 +33,31 @@ from subiaco_change.report.facts import (
 )
 from subiaco_change.report.gathering import Gathered, gather
 from subiaco_change.report.paint import height_range
-from subiaco_change.report.summary import build_summary
+from subiaco_change.report.project import project_facts
+from subiaco_change.report.row_data import (
+    CHUNK,
+    FOLDER,
+    pack,
+    picture_chunks,
+    places_of,
+    row_data,
+    write_chunks,
+)
+from subiaco_change.report.summary import build_summary, epoch_facts, largest_rows
 from subiaco_geo.atomic import whole_file
 from subiaco_geo.codes import Change, Semantic
 
 _SHOWN = ("change", "projection", "height", "semantics", "instances")
 #: Blocks beyond these, those with fewest changes, are left out: what bounds the report.
 _MOST_BLOCKS = 40
+#: Changed rows beyond these have no picture: what bounds the time.
+_MOST_PICTURES = 20_000
+#: A table with more rows than this gives the page its changed rows only.
+_MOST_ROWS = 5000
+#: Beyond so many changes, pictures lie in a folder beside the page.
+_MOST_INSIDE = 500
+#: Numbers drawn over the picture of a block, those of the surest changes.
+_MOST_MARKS = 40
 #: Table columns of the report: column, heading, decimals (None for text), unit or explanation.
 #: Those of :data:`MORE` unfold on demand.
 TABLE_COLUMNS: tuple[tuple[str, str, int | None, str], ...] = (
@@ -102,23 +126,94 @@ def build_report(directory: Path) -> Path:
     changed = changed_rows(change.table)
     found = gather(change)
     blocks, marks = found.blocks.blocks(), changed_marks(changed)
-    drawn = dict(zip(changed["object_id"], evidence.evidence_pictures(found.epochs, changed), strict=True))
-    fullest = fullest_blocks(blocks, marks, _MOST_BLOCKS)
+    pictured = pictured_rows(changed, _MOST_PICTURES)
+    drawn = dict(zip(pictured["object_id"], evidence.evidence_pictures(found.epochs, pictured), strict=True))
+    drawn_blocks = [
+        _block_context(found, block, marks) for block in fullest_blocks(blocks, marks, _MOST_BLOCKS)
+    ]
+    rows = page_rows(change.table)
+    chunks = picture_chunks([int(number) for number in changed["object_id"]], drawn)
+    inside = len(changed) <= _MOST_INSIDE
+    files = {} if inside else _block_files(drawn_blocks)
+    places = places_of(rows, blocks, directory / "changes.gpkg")
     context = report_context(change, found) | {
-        "map": city_map(found.city, changed),
-        "evidence": drawn,
-        "blocks": open_fullest([_block_context(found, block, marks) for block in fullest]),
-        "left_out": len(blocks) - len(fullest),
+        "map": city_map(found.city, changed.iloc[:0]),
+        "data": pack(_page_document(change, found, rows, places, changed, drawn)),
+        "chunks": [json.dumps(chunk, separators=(",", ":")) for chunk in chunks] if inside else [],
+        "places": sorted(set(places) - {""}, key=_by_number),
+        "project": project_facts(directory),
+        "epochs": epoch_facts(change.run),
+        "reviews": review_counts(change.table),
+        "linked": {str(number) for number in rows["object_id"]},
+        "without_picture": len(changed) - len(drawn),
+        "blocks": open_fullest(drawn_blocks),
+        "left_out": len(blocks) - len(drawn_blocks),
         "evaluation": _evaluation(directory),
     }
     with whole_file(directory / "overview.png") as path:
         path.write_bytes(pictures.overview(found.overview, blocks, marks))
+    if inside:
+        shutil.rmtree(directory / FOLDER, ignore_errors=True)
+    else:
+        write_chunks(directory, chunks, files)
     with whole_file(directory / "report.html") as path:
         path.write_text(environment().get_template("report.html.j2").render(context), encoding="utf-8")
     with whole_file(directory / "summary.html") as path:
         text = environment().get_template("summary.html.j2").render(build_summary(change, found, drawn))
         path.write_text(text, encoding="utf-8")
     return directory / "report.html"
+
+
+def page_rows(table: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
+    """Return the rows of the page: changed ones first, the surest on top; of large tables no others."""
+    kept = table if len(table) <= _MOST_ROWS else table[table["label"].isin(CHANGED_LABELS)]
+    changed = kept["label"].isin(CHANGED_LABELS)
+    ordered = kept.assign(_changed=changed).sort_values(
+        ["_changed", "confidence", "object_id"], ascending=[False, False, True]
+    )
+    return ordered.drop(columns="_changed")
+
+
+def _page_document(
+    change: ChangeDirectory,
+    found: Gathered,
+    rows: gpd.GeoDataFrame,
+    places: list[str],
+    changed: gpd.GeoDataFrame,
+    drawn: Mapping[int, evidence.Evidence],
+) -> dict[str, Any]:
+    """Return what the script of the page works on."""
+    frame = found.city.frame
+    return {
+        "hash": str(change.run.get("table_hash", "")),
+        "crs": change.run.get("crs"),
+        "columns": [[*column, column[0] in MORE] for column in TABLE_COLUMNS],
+        "rows": row_data(rows, TABLE_COLUMNS, frame, places),
+        "left_out": len(change.table) - len(rows),
+        "chunk": CHUNK,
+        "folder": FOLDER,
+        "place_of": {
+            str(number): index for index, number in enumerate(changed["object_id"]) if number in drawn
+        },
+        "panel": _panel(),
+        "map": {"width": frame.shape[1] * frame.pixel, "height": frame.shape[0] * frame.pixel},
+    }
+
+
+def _by_number(name: str) -> tuple[int, str]:
+    """Order names of places: shorter ones first, so that A2 stands before A10."""
+    return len(name), name
+
+
+def _block_files(blocks: list[dict[str, Any]]) -> dict[str, bytes]:
+    """Take the pictures of blocks out of the page; it names them as files of the folder beside it."""
+    files = {}
+    for block in blocks:
+        for picture in block["pictures"]:
+            name = f"block_{block['name']}_{picture['kind']}.webp"
+            files[name] = base64.b64decode(picture["uri"].partition(",")[2])
+            picture["uri"] = f"{FOLDER}/{name}"
+    return files
 
 
 def environment() -> Environment:
@@ -131,13 +226,18 @@ def environment() -> Environment:
         lstrip_blocks=True,
     )
     found.filters["number"] = number
-    found.globals["panel"] = {
+    found.globals["panel"] = _panel()
+    return found
+
+
+def _panel() -> dict[str, int]:
+    """Return the sizes of a picture on the page [pixel]."""
+    return {
         "side": evidence.PANEL,
         "head": evidence.HEAD,
         "width": evidence.WIDTH,
         "height": evidence.HEIGHT,
     }
-    return found
 
 
 def changed_marks(changed: pd.DataFrame) -> list[pictures.Mark]:
@@ -150,9 +250,16 @@ def fullest_blocks(
     blocks: list[pictures.Block], marks: list[pictures.Mark], most: int
 ) -> list[pictures.Block]:
     """Return the blocks with most changed objects, in their own order."""
-    counts = [sum(block.holds(m.x, m.y) for m in marks) for block in blocks]
+    x, y = np.array([mark.x for mark in marks]), np.array([mark.y for mark in marks])
+    counts = [int(np.count_nonzero(block.holds(x, y))) for block in blocks] if marks else [0] * len(blocks)
     kept = set(sorted(range(len(blocks)), key=lambda i: (-counts[i], i))[:most])
     return [block for index, block in enumerate(blocks) if index in kept]
+
+
+def pictured_rows(changed: gpd.GeoDataFrame, most: int) -> gpd.GeoDataFrame:
+    """Return the changed rows that get a picture: the largest changes, then those of highest confidence."""
+    first = largest_rows(changed)
+    return pd.concat([first, changed.drop(first.index)]).iloc[:most]
 
 
 def report_context(change: ChangeDirectory, found: Gathered) -> dict[str, Any]:
@@ -166,34 +273,16 @@ def report_context(change: ChangeDirectory, found: Gathered) -> dict[str, Any]:
         "summary": summary(change.table),
         "columns": TABLE_COLUMNS,
         "more": MORE,
-        "rows": table_rows(change.table),
+        "all_rows": len(change.table),
         "class_colours": {s.label: f"rgb{SEMANTIC_COLOURS[s]}" for s in Semantic},
         "labels": [c.label for c in Change],
         "classes": [s.label for s in Semantic],
         "simulated": is_simulated(change.run),
-        "warnings": [*change.registration.get("warnings", []), *change.run.get("warnings", [])],
+        "findings": findings(change.run, change.registration),
         "calibrated": bool(change.run.get("confidence_calibrated", False)),
         "not_calibrated": change.run.get("confidence_not_calibrated", []),
         "assumed": int((change.table["evidence"] == "assumed").sum()),
     }
-
-
-def table_rows(table: pd.DataFrame) -> list[dict[str, Any]]:
-    """Return the rows, changed ones first and the surest of those on top."""
-    changed = table["label"].isin(CHANGED_LABELS)
-    ordered = table.assign(_changed=changed).sort_values(
-        ["_changed", "confidence", "object_id"], ascending=[False, False, True]
-    )
-    colours = {c.label: f"rgb{CHANGE_COLOURS[c]}" for c in Change}
-    return [
-        {
-            "colour": colours[row["label"]],
-            "changed": row["_changed"],
-            "reason": row["reason"],
-            **{c: row[c] for c, *_ in TABLE_COLUMNS},
-        }
-        for row in ordered.to_dict("records")
-    ]
 
 
 def _block_context(found: Gathered, block: pictures.Block, marks: list[pictures.Mark]) -> dict[str, Any]:
@@ -209,7 +298,7 @@ def _block_context(found: Gathered, block: pictures.Block, marks: list[pictures.
         "corner": (west, south),
         "heights": height_range((before, after)),
         "changed": [m.text for m in inside],
-        "marks": [{"x": m.x - west, "y": north - m.y, "text": m.text} for m in inside],
+        "marks": [{"x": m.x - west, "y": north - m.y, "text": m.text} for m in inside[:_MOST_MARKS]],
         "pictures": [
             {"kind": kind, "caption": pictures.KINDS[kind], "uri": _data_uri(drawn[kind])} for kind in _SHOWN
         ],

@@ -12,6 +12,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.patches import Patch
 from matplotlib.patheffects import withStroke
+from numpy.typing import NDArray
 from PIL import Image
 
 from subiaco_change.records import CHANGE_COLOURS
@@ -45,9 +46,11 @@ class Block:
     core: tuple[float, float, float, float]
     bounds: tuple[float, float, float, float]
 
-    def holds(self, x: float, y: float) -> bool:
-        """Tell whether a world position lies in the core."""
-        return self.core[0] <= x < self.core[2] and self.core[1] <= y < self.core[3]
+    def holds(self, x: Floats | float, y: Floats | float) -> NDArray[np.bool_]:
+        """Tell whether world positions lie in the core."""
+        west, south, east, north = self.core
+        x, y = np.asarray(x), np.asarray(y)
+        return np.asarray((x >= west) & (x < east) & (y >= south) & (y < north))
 
 
 @dataclass(frozen=True)

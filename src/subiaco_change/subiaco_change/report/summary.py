@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from subiaco_change.outputs.raster import COVERAGE, Coverage
 from subiaco_change.outputs.reading import ChangeDirectory
+from subiaco_change.outputs.review_state import is_rejected, review_counts
 from subiaco_change.outputs.style import COVERAGE_COLOURS
 from subiaco_change.records import CHANGE_COLOURS
 from subiaco_change.report.citymap import city_map, webp_uri
@@ -19,6 +20,7 @@ from subiaco_change.report.evidence import Evidence
 from subiaco_change.report.facts import (
     CHANGED_LABELS,
     changed_rows,
+    findings,
     is_simulated,
     lod_facts,
     summary,
@@ -49,8 +51,10 @@ def build_summary(
     pictures : mapping of int to Evidence
         By object id, for every changed row.
     """
-    changed = changed_rows(change.table)
+    claimed = changed_rows(change.table)
+    changed = claimed[~is_rejected(claimed)]
     largest = largest_rows(changed)
+    found_findings = findings(change.run, change.registration)
     calibrated = bool(change.run.get("confidence_calibrated", False))
     return {
         "simulated": is_simulated(change.run),
@@ -60,6 +64,7 @@ def build_summary(
         "labels": list(CHANGED_LABELS),
         "colours": {c.label: f"rgb{CHANGE_COLOURS[c]}" for c in Change},
         "changed": len(changed),
+        "reviews": review_counts(change.table),
         "bands": [
             {
                 "name": f"{word} ({span})" if calibrated else span,
@@ -75,7 +80,8 @@ def build_summary(
         "map": city_map(found.city, largest),
         "coverage": coverage_picture(found.coverage),
         "largest": [dict(row, picture=pictures[row["object_id"]]) for row in largest.to_dict("records")],
-        "warnings": [*change.registration.get("warnings", []), *change.run.get("warnings", [])],
+        "alarms": [f for f in found_findings if f["severity"] == "serious"],
+        "warnings": [f for f in found_findings if f["severity"] != "serious"],
     }
 
 

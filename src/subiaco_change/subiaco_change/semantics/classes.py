@@ -25,6 +25,7 @@ from subiaco_change.semantics.lines import LineConfig, find_lines
 from subiaco_change.semantics.raised import RaisedConfig, RaisedSurfaces, find_raised
 from subiaco_change.semantics.superpoints import SuperpointConfig, partition
 from subiaco_change.semantics.traffic import TrafficConfig, moving_points, still_blocks, timed_trails
+from subiaco_change.semantics.trail_raster import TrailShapeConfig
 from subiaco_change.semantics.vehicles import VehicleConfig, free_boxes, ground_boxes, look_again
 from subiaco_geo.clouds import PointCloud, sort_spatially
 from subiaco_geo.codes import Semantic
@@ -40,6 +41,7 @@ class SemanticsConfig(StrictModel):
     features: FeatureConfig = FeatureConfig()
     superpoints: SuperpointConfig = SuperpointConfig()
     traffic: TrafficConfig = TrafficConfig()
+    trail_shape: TrailShapeConfig = TrailShapeConfig()
     buildings: BuildingConfig = BuildingConfig()
     vehicles: VehicleConfig = VehicleConfig()
     lines: LineConfig = LineConfig()
@@ -117,7 +119,8 @@ def label_points(
         Beams that passed through the place of each point for each that returned
         from it, from a visibility layer; tells trails of traffic.
     moved : (N,) float, optional
-        Probability that each point moved, from a map that keeps times; takes the place of ``passed``.
+        Probability that each point moved, from the times of a map or the shape of a trail in a cloud without
+        counts; takes the place of ``passed``.
     raised : RaisedSurfaces, optional
         Roofs and decks in the frame of the cloud, known from farther around; found in the cloud if None.
     """

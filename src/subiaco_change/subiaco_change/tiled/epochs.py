@@ -19,10 +19,13 @@ from subiaco_change.registration.pair import (
     PairInfo,
     agree,
     check_extents,
+    check_places,
+    lowest_points,
     moved_trajectory,
+    refuse_height_offset,
     shares_origin,
 )
-from subiaco_change.spacing import PointSpacing
+from subiaco_change.spacing import PointSpacing, spacing_scale
 from subiaco_change.sparse import at_spacing
 from subiaco_change.tiled.cutting import (
     EPOCHS,
@@ -40,6 +43,7 @@ from subiaco_change.tiled.preparing import prepare_tile
 from subiaco_change.tiled.recutting import recut_tile
 from subiaco_change.tiled.registering import find_registration
 from subiaco_change.tiled.sight import find_upright
+from subiaco_change.tiled.trails import find_trails
 from subiaco_change.tiled.uniting import unite
 from subiaco_geo.crs import Transform, transformer
 from subiaco_geo.errors import InputError
@@ -60,6 +64,7 @@ _LOG = logging.getLogger(__name__)
 ALONE = "epoch"
 #: Beyond the points of a task, beams are looked up so far [m].
 SIGHT = 6.0
+_HEIGHT_TILES = 50  # tiles that tell whether the heights of both epochs are of one kind
 _BEAMS = 0.5  # edge of a tile of counted beams, of a tile of points: tasks read few that are too far
 
 
@@ -86,6 +91,7 @@ class Epochs:
     clouds: dict[str, dict[str, str]] = field(default_factory=dict)
     beams: dict[str, dict[str, str]] = field(default_factory=dict)
     beam_edge: dict[str, float] = field(default_factory=dict)
+    trails: dict[str, dict[str, str]] = field(default_factory=dict)
     poses: dict[str, str] = field(default_factory=dict)
     prepared: dict[str, dict[str, str]] = field(default_factory=dict)
     united: dict[str, str] = field(default_factory=dict)
@@ -116,6 +122,8 @@ class Epochs:
         self.simulated = all(epoch.info.get(SIMULATIONS) for epoch in epochs)
         self.info, operation = agree(before.crs, after.crs)
         both = before.crs is not None and after.crs is not None
+        if before.crs is not None and after.crs is not None:
+            check_places(before.origin, after.origin, before.crs, after.crs, operation)
         self.origin = after.origin
         shared = shares_origin(before.origin, after.origin, both)
         origins = (after.origin if shared else before.origin, after.origin)
@@ -125,11 +133,28 @@ class Epochs:
             found = self._cut_points(name, epoch, origin, own)
             extents.append((found.low, found.high))
             crs = epoch.crs if self.info.crs is None else self.info.crs
-            side = self._side(name, epoch, origin, crs, found.low, own)
-            sides.append(replace(side, spacing=found.spacing))
+            sides.append(self._side(name, epoch, origin, crs, found, own))
         if both:
             check_extents(extents[0], extents[1])
         self.sides = tuple(sides)
+
+    def check_heights(self) -> None:
+        """Refuse georeferenced epochs whose heights are of two kinds, from tiles that both have.
+
+        Raises
+        ------
+        InputError
+            See :func:`~subiaco_change.registration.pair.refuse_height_offset`.
+        """
+        if self.info.crs is None:
+            return
+        shared = sorted(self.clouds["before"].keys() & self.clouds["after"].keys())
+        chosen = shared[:: max(len(shared) // _HEIGHT_TILES, 1)]
+        low: list[dict[tuple[int, int], float]] = [{}, {}]
+        for e, side in enumerate(self.sides):
+            for name in chosen:
+                low[e] |= lowest_points(self.load(self.clouds[side.epoch][name])["xyz"] + side.origin)
+        refuse_height_offset(low[0], low[1])
 
     def follow_spacing(self) -> None:
         """Raise the lengths of the configuration to what the sparser epoch can show, once both are cut."""
@@ -162,7 +187,7 @@ class Epochs:
         epoch: Epoch,
         origin: Floats,
         crs: str | None,
-        low: Floats,
+        cut: CutCloud,
         operation: Transform | None,
     ) -> Side:
         """Cut what the evidence of an epoch rests on, and tell what tasks must know of it."""
@@ -171,7 +196,8 @@ class Epochs:
         if way is not None and operation is not None:
             way = moved_trajectory(way, operation)
         kind = evidence_kind(epoch.has_beams, way, config)
-        side = Side(name, origin, crs, kind, None, origin, config.poses.occupied)
+        side = Side(name, origin, crs, kind, None, origin, config.poses.occupied, cut.spacing)
+        self.trails[name] = {} if kind == "observed" else self._trails(side)
         self.beams[name], self.beam_edge[name] = {}, self.size
         self._keep_poses(name, epoch, way)
         if kind == "observed":
@@ -182,7 +208,7 @@ class Epochs:
                 self.beams[name] = cut_beams(self.bench, epoch.beams(), self.beam_edge[name])
                 side = replace(side, beams_crs=other, corner=first.origin, voxel=first.voxel)
         elif kind == "trajectory" and way is not None:
-            side = replace(side, corner=occupied_corner(low, config.poses))
+            side = replace(side, corner=occupied_corner(cut.low, config.poses))
             self.beams[name] = self._render(side, way)
             side = replace(side, view=self._view(name, epoch))
         return side
@@ -198,18 +224,40 @@ class Epochs:
             parts.append(ViewHistogram(*(piece[field] for field in ("above", "ranges"))))
         return estimate_view(parts, self.config.evidence.poses)
 
+    def _trails(self, side: Side) -> dict[str, str]:
+        """Tell ghost trails by their shape, where nothing counted beams."""
+        own, semantics = self.clouds[side.epoch], self.config.semantics
+        shape = semantics.trail_shape
+        shape = shape.model_copy(update={"cell": shape.cell * spacing_scale(side.spacing)})
+        params = {
+            "size": self.size,
+            "side": replace(side, epoch=ALONE),
+            "semantics": semantics.model_copy(update={"trail_shape": shape}),
+        }
+        upright = self._upright(replace(side, epoch=ALONE), own)
+        tasks = []
+        for name in sorted(own):
+            inputs = {f"cloud/{n}": own[n] for n in (name, *neighbours(name, own))} | upright
+            tasks.append(Task("trails", name, find_trails, inputs, {"tile": name, **params}))
+        return self.bench.run(tasks, (0.02, 0.03))
+
     def _render(self, side: Side, way: Trajectory) -> dict[str, str]:
         """Render what the poses of an epoch must have seen, tile by tile of its own frame."""
         own, config = self.clouds[side.epoch], self.config.evidence.poses
         poses = way.poses[sample_poses(way.positions, config.pose_spacing)]
         by_tile = split_by_tile(poses[:, :3, 3], self.size)
         rings = math.ceil(config.max_range / self.size)
+        moved = self.config.semantics.traffic.probability
         tasks = []
         for name in sorted({*own, *by_tile}):
             looking = poses[by_tile[name]] if name in by_tile else poses[:0]
             around = [name, *(neighbours(name, own, rings) if len(looking) else ())]
             inputs = {f"cloud/{n}": own[n] for n in around if n in own}
-            params = {"tile": name, "size": self.size, "side": side, "config": config, "poses": looking}
+            inputs |= {f"trails/{n}": self.trails[side.epoch][n] for n in around if n in own}
+            params = {
+                "tile": name, "size": self.size, "side": side, "config": config, "poses": looking,
+                "moved": moved,
+            }  # fmt: skip
             tasks.append(Task("sight", name, render_tile, inputs, params))
         return self.bench.run(tasks, (0.02, 0.05))
 
@@ -270,6 +318,8 @@ class Epochs:
             box = corners_around(name, self.size, tiles.overlap + SIGHT)
             beams = self.beams_at(side, box) if side.kind == "observed" else {}
             inputs |= {alias.replace(side.epoch, ALONE, 1): key for alias, key in beams.items()}
+            trails = self.trails[side.epoch]
+            inputs |= {f"trails/{n}": trails[n] for n in (name, *neighbours(name, own)) if n in trails}
             tasks.append(Task("semantics", name, prepare_tile, inputs, params))
         return tasks
 

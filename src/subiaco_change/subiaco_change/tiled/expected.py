@@ -34,10 +34,11 @@ def render_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
     Parameters
     ----------
     inputs : Inputs
-        ``cloud/<tile>`` as far around as a pose looks, of the tile alone where it has no poses.
+        ``cloud/<tile>`` as far around as a pose looks, of the tile alone where it has no poses;
+        ``trails/<tile>`` beside them.
     params : mapping
-        ``tile size side config poses``: the configuration of expected visibility, and the poses
-        (K, 4, 4) in the tile.
+        ``tile size side config poses moved``: the configuration of expected visibility, the poses
+        (K, 4, 4) in the tile, and the probability of having moved from which points hide nothing.
 
     Returns
     -------
@@ -49,10 +50,8 @@ def render_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
     config = params["config"]
     poses = params["poses"]
     tile = tile_named(params["tile"], params["size"], config.max_range)
-    world = (
-        np.concatenate([np.zeros((0, 3)), *(inputs[f"cloud/{n}"]["xyz"] for n in inputs.under("cloud"))])
-        + side.origin
-    )
+    parts = [_standing(inputs, name, params["moved"]) for name in inputs.under("cloud")]
+    world = np.concatenate([np.zeros((0, 3)), *parts]) + side.origin
     world = world[tile.in_buffered(world[:, :2])]
     own = world[tile.in_core(world[:, :2])]
     images = render_views(world, poses[:, :3, 3].copy(), spin_axes(poses[:, :3, :3]), config)
@@ -65,6 +64,13 @@ def render_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
         "above": needs.above,
         "ranges": needs.ranges,
     }
+
+
+def _standing(inputs: Inputs, name: str, limit: float) -> Floats:
+    """Return the points (N, 3) of a tile that no moving object left: a ghost trail hides nothing."""
+    xyz = np.asarray(inputs[f"cloud/{name}"]["xyz"])
+    trails = inputs.get(f"trails/{name}")
+    return xyz[trails["moved"] < limit] if "moved" in trails else xyz
 
 
 def load_expected(

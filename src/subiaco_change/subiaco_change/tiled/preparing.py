@@ -17,6 +17,7 @@ from subiaco_change.semantics.instances import segment
 from subiaco_change.semantics.raised import find_raised
 from subiaco_change.tiled.cutting import Side
 from subiaco_change.tiled.expected import load_observer
+from subiaco_change.tiled.trails import load_moved
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Semantic
 from subiaco_geo.errors import InputError
@@ -32,7 +33,8 @@ def prepare_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
     Parameters
     ----------
     inputs : Inputs
-        ``cloud/<tile>`` of the tile and its neighbours, ``beams/<epoch>/...``; ``upright`` for local clouds.
+        ``cloud/<tile>`` of the tile and its neighbours, ``beams/<epoch>/...``; ``upright`` for local
+        clouds; ``trails/<tile>`` where nothing counted beams.
     params : mapping
         ``tile size overlap edge side config given``.
 
@@ -55,6 +57,8 @@ def prepare_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
     world = cloud.world()
     observer = load_observer(inputs, side, world, params["config"].evidence)
     passed, moved = observer.passes(world), observer.moved(world)
+    if passed is None:
+        moved = load_moved(inputs, params["tile"], names, where)
     normals = estimate_normals(cloud.xyz, params["config"].normal_radius)
     wide = np.concatenate([inputs[f"cloud/{name}"]["xyz"] for name in inputs.under("cloud")])
     semantic, instance, score, height = _label(cloud, (passed, moved), params, inputs, names, where, wide)

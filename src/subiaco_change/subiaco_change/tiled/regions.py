@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from subiaco_change.changes.objects import EpochView
+from subiaco_change.changes.objects import UNCERTAIN, EpochView
 from subiaco_change.observation.common_frame import free_through, seen_through
 from subiaco_change.observation.evidence import Observer
 from subiaco_change.semantics.ground import Mask
@@ -17,7 +17,9 @@ from subiaco_change.tiled.cutting import Side
 from subiaco_change.tiled.expected import load_observer
 from subiaco_change.tiled.framing import load_frame
 from subiaco_change.tiled.recutting import load_points
+from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats, Ints
+from subiaco_geo.work.store import Arrays
 from subiaco_geo.work.tasks import Inputs
 
 Near = Callable[[Floats], Mask]
@@ -54,9 +56,9 @@ def load_region(inputs: Inputs, side: Side, params: Mapping[str, Any], near: Nea
     for position, name in enumerate(tiles):
         piece = inputs[f"points/{side.epoch}/{name}"]
         cloud = load_points(inputs, side, name, params)
-        own_world.append(piece["xyz"] + side.origin)
         index = np.flatnonzero(near(cloud.xyz))
         passed, moved = piece["passed"], piece["moved"]
+        own_world.append(piece["xyz"][_standing(piece)] + side.origin)
         parts.append(
             (
                 cloud.xyz[index],
@@ -85,6 +87,12 @@ def load_region(inputs: Inputs, side: Side, params: Mapping[str, Any], near: Nea
         seen_through(observer.empty, to_world),
         free_through(observer.free_probability, to_world),
     )
+
+
+def _standing(piece: Arrays) -> Mask:
+    """Tell which points (N,) of a tile belong to no ghost trail, which proves no sight of places near it."""
+    loose = (piece["semantic"] == Semantic.MOBILE) & (piece["number"] < 0)
+    return np.asarray(~(loose & (piece["moved"] > UNCERTAIN)) if len(piece["moved"]) else loose | True)
 
 
 def _view(parts: list[tuple[Any, ...]]) -> tuple[EpochView, Ints, Ints]:

@@ -268,6 +268,27 @@ def _look(  # noqa: C901, PLR0912
         counts[i, 0], counts[i, 1], counts[i, 2] = free, surface, hidden
 
 
+@numba.njit(cache=True)
+def _hides(
+    places: Floats, eyes: Floats, images: Depths, cell: float, low: float,
+    place: NDArray[np.int32], image: Ints, behind: float, hidden: NDArray[np.bool_],
+) -> None:  # fmt: skip
+    """Tell which lines of sight end at a surface before their place."""
+    _, rows, columns = images.shape
+    for line in range(len(place)):
+        k, i = image[line], place[line]
+        if k < 0:
+            continue
+        dx, dy, dz = places[i, 0] - eyes[k, 0], places[i, 1] - eyes[k, 1], places[i, 2] - eyes[k, 2]
+        flat2 = dx * dx + dy * dy
+        row = int(np.floor((_arctan2(dz, np.sqrt(flat2)) - low) / cell))
+        if row < 0 or row >= rows:
+            continue
+        depth = images[k, row, int(np.floor((_arctan2(dy, dx) + np.pi) / cell)) % columns]
+        if depth not in (UNKNOWN, SKY):
+            hidden[line] = np.sqrt(flat2 + dz * dz) > 0.01 * depth + behind
+
+
 @dataclass(frozen=True)
 class DepthImages:
     """Depth images of an epoch's own cloud from a sample of its poses.
@@ -307,3 +328,24 @@ class DepthImages:
                 counts,
             )  # fmt: skip
         return Looks(counts[:, 0].copy(), counts[:, 1].copy(), counts[:, 2].copy())
+
+    def hides(self, world: Floats, place: NDArray[np.int32], image: Ints, behind: float) -> NDArray[np.bool_]:
+        """Tell which lines of sight (L,) end at a surface of their image before they reach their place.
+
+        Parameters
+        ----------
+        world : (N, 3) float64
+            Places [m].
+        place, image : (L,) int
+            Which place a line leads to, and from which of the images; none where negative.
+        behind : float
+            So far behind the front of a surface a place still is on it [m].
+        """
+        hidden = np.zeros(len(place), dtype=np.bool_)
+        if len(self.eyes):
+            origin = self.eyes[0]
+            _hides(
+                np.ascontiguousarray(world - origin), self.eyes - origin, self.images, self.grid.cell,
+                self.grid.low, place, image, behind, hidden,
+            )  # fmt: skip
+        return hidden

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from pydantic import BaseModel
 
-from subiaco_geo import __version__
+from subiaco_geo.work.source_code import source_fingerprint
 from subiaco_geo.work.store import Array, Arrays, Store
 
 #: A piece of work: the arrays it rests on, by alias, and its parameters -> the arrays it leaves.
@@ -131,9 +131,10 @@ class Task:
 
     @cached_property
     def key(self) -> str:
-        """Return ``stage/name-hash``: another input or parameter is another key."""
+        """Return ``stage/name-hash``: another input, another parameter or other code is another key."""
         where = f"{self.function.__module__}.{self.function.__qualname__}"
-        return f"{self.stage}/{self.name}-{fingerprint([__version__, where, self.inputs, self.params])}"
+        code = source_fingerprint(self.function.__module__)
+        return f"{self.stage}/{self.name}-{fingerprint([code, where, self.inputs, self.params])}"
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,9 @@ class CalibrationConfig(StrictModel):
     max_imu_offset: float = Field(0.003, gt=0, description="a larger sigma: not observed, kept [s]")
     max_gnss_offset: float = Field(0.01, gt=0, description="a larger sigma: not observed, kept [s]")
     window: float = Field(0.5, gt=0, description="half width of an accelerometer window [s]")
+    body_window: float = Field(
+        2.0, gt=0, description="length over which turns and ways of an INS are held against odometry's [s]"
+    )
     stretch: float = Field(20.0, gt=2, description="length over which odometry is held rigid to fixes [s]")
     shared: float = Field(5.0, ge=1, description="fixes that share one error: variance is multiplied by it")
     min_fixes: int = Field(50, ge=10, description="RTK fixed fixes needed for the antenna")

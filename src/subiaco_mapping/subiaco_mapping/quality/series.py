@@ -54,7 +54,7 @@ class Series:
 def series_of(solution: GraphSolution, config: MappingConfig) -> list[Series]:
     """Return the series of all sequences; the solution must hold its graph."""
     assert solution.graph is not None
-    projection = Projection(solution.frame, config.crs if solution.frame is not None else None)
+    projection = Projection.of_place(solution.frame, config.crs)
     return [
         _series(solved, solution.graph.chains[number], projection, config)
         for number, solved in enumerate(solution.sequences)
