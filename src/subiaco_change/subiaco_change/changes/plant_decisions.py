@@ -81,8 +81,6 @@ def _where_free(decision: Decision, plant: PlantMeasures, config: DecisionConfig
         return decision
     grew = decision.change is Change.INCREASED
     free = plant.free_gained if grew else plant.free_lost
-    if plant.thin:  # beams pass beside a pole
-        free = min(free, plant.absent)
     if free >= config.min_free:
         return decision
     other, surface = ("earlier", "new") if grew else ("later", "lost")

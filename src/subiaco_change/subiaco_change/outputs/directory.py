@@ -152,6 +152,7 @@ def run_document(
         "confidence_calibrated": not inputs.calibration.lacking,
         "confidence_calibrated_for": dict(inputs.calibration.calibrated_for),
         "confidence_not_calibrated": list(inputs.calibration.lacking),
+        "confidence_bands": [band.model_dump() for band in inputs.calibration.bands],
         "seconds": dict(result.seconds),
         "stages": dict(result.costs) if isinstance(result, TiledResult) else {},
         "peak_memory_mib": peak_mib(),

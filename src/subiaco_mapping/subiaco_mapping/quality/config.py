@@ -24,4 +24,10 @@ class QualityConfig(StrictModel):
     max_ratio: float = Field(1.5, gt=0, description="withheld errors over their stated sigma, by the median")
     max_seam: float = Field(0.05, gt=0, description="seams, 95 % [m]")
     max_wall: float = Field(0.06, gt=0, description="wall thickness, 95 % of patches [m]")
+    max_pause_days: float = Field(
+        2.0,
+        gt=0,
+        description="longest pause between two drives of one map [days]; beyond it the map probably mixes"
+        " surveys. Raise it for a survey that took several weeks",
+    )
     max_flagged: float = Field(0.05, ge=0, le=1, description="share of the way that the manifest flags")
