@@ -122,6 +122,8 @@ def test_the_pages_strike_rejected_rows_through_and_say_how_many_were_reviewed(d
     text = (directory / "summary.html").read_text(encoding="utf-8")
     assert "1 of 6 claimed changes were reviewed by a person: 0 accepted, 1 rejected" in text
     assert "object 2<" not in text
+    report = (directory / "report.html").read_text(encoding="utf-8")
+    assert "1 changes were rejected by a reviewer" in report
     assert not (directory / "reviews.csv").exists()
     assert (directory / "reviews_applied.csv").is_file()
 

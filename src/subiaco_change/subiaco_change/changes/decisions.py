@@ -22,37 +22,49 @@ NO_LEVEL = "not decidable: too few points lie here for a level of detection"
 class ClassRules(StrictModel):
     """Thresholds of one class."""
 
-    min_iou: float = Field(ge=0, le=1, description="overlap from which two objects are one that changed")
-    same_iou: float = Field(0.20, ge=0, le=1, description="overlap of an unchanged object")
-    height: float = Field(gt=0, description="height change [m]")
-    volume: float = Field(gt=0, description="volume change relative to the volume")
-    shift: float = Field(gt=0, description="centroid distance of an unchanged object [m]")
+    min_iou: float = Field(
+        ge=0,
+        le=1,
+        description="Voxel intersection over union above which two matched objects are compared for "
+        "changes [1]",
+    )
+    same_iou: float = Field(
+        0.20, ge=0, le=1, description="Voxel intersection over union above which an object is unchanged [1]"
+    )
+    height: float = Field(gt=0, description="Smallest height change that is reported [m]")
+    volume: float = Field(
+        gt=0, description="Smallest volume change that is reported, as a fraction of the volume"
+    )
+    shift: float = Field(gt=0, description="Largest centroid distance of an unchanged object [m]")
     carried: float = Field(
         0.0,
         ge=0,
-        description="share of the surface, new or gone where the other epoch looked across it, that a change"
-        " must be carried by (Decision 13); 0 asks for none",
+        description="Fraction of new or gone surface, observed by the other epoch, that must support a "
+        "change (Decision 13); 0 asks for none",
     )
     certain: float = Field(
         0.5,
         ge=0,
         le=1,
-        description="share of the limit that the nearer bound of a building's change must exceed; 1 asks for"
-        " the whole interval beyond the limit [1]",
+        description="Fraction of the limit that the nearer bound of a building's change must exceed; 1 "
+        "asks for the whole interval beyond the limit",
     )
     height_volume: float = Field(
         0.25,
         ge=0,
-        description="share of the volume limit that the change of volume may reach at least where the height"
-        " of a building changed; less contradicts the height [1]",
+        description="Fraction of the volume limit that the upper bound of a building's volume change must "
+        "reach to support its height change",
     )
     surface: float = Field(
-        math.inf, gt=0, description="that share from which it is a change of volume by itself; inf: never"
+        math.inf,
+        gt=0,
+        description="Fraction of new or gone surface that is a change of volume by itself; inf for never",
     )
     outline: float = Field(
         math.inf,
         gt=0,
-        description="shift of the outline relative to its reach that is a change by itself; inf: never",
+        description="Shift of the outline, as a fraction of its distance from the middle, that is a "
+        "change by itself; inf for never",
     )
 
 
@@ -64,81 +76,115 @@ class DecisionConfig(StrictModel):
         min_iou=0.08, height=0.30, volume=0.15, shift=2.0, carried=0.10, surface=0.15, outline=0.08
     )
     mobile: ClassRules = ClassRules(min_iou=0.20, height=math.inf, volume=math.inf, shift=2.0)
-    lod_factor: float = Field(1.2, gt=0, description="gate as a multiple of the level of detection, paper")
-    lod_floor: float = Field(0.10, ge=0, description="least gate [m], Decision 4")
+    lod_factor: float = Field(
+        1.2, gt=0, description="Limit of a height change as a multiple of the level of detection (paper)"
+    )
+    lod_floor: float = Field(0.10, ge=0, description="Smallest limit of a height change [m] (Decision 4)")
     min_observed: float = Field(
-        0.3, ge=0, le=1, description="observed share below which nothing is claimed, Decision 14"
+        0.3,
+        ge=0,
+        le=1,
+        description="Observed fraction of a place below which no change is claimed (Decision 14)",
     )
     large_voxels: int = Field(
         100,
         ge=1,
-        description="Observed voxels (0.5 m) from which a large part of an unmatched object was observed. A"
-        " smaller share of the place is then enough, if nearly all of that part is free: a house whose garden"
-        " side alone was seen to be gone is gone. Raise it to claim less.",
+        description="Observed voxels (0.5 m) from which a large part of an unmatched object was observed, "
+        "so that min_observed_large applies. Raise it to claim less",
     )
     min_observed_large: float = Field(
-        0.15, ge=0, le=1, description="observed share of the place that is enough then [1]"
+        0.15,
+        ge=0,
+        le=1,
+        description="Observed fraction of the place of a large unmatched object from which a change is "
+        "claimed",
     )
     large_free: float = Field(
-        0.9, ge=0, le=1, description="share of the observed part that must be free then [1]"
+        0.9,
+        ge=0,
+        le=1,
+        description="Fraction of the observed part of a large unmatched object that must be free for "
+        "min_observed_large to apply",
     )
     min_empty: float = Field(
-        0.6, ge=0, le=1, description="share of the observed place that must be free in the other epoch"
+        0.6,
+        ge=0,
+        le=1,
+        description="Fraction of the observed place that must be free in the other epoch for an object to "
+        "be Added or Removed",
     )
     trail_moved: float = Field(
         0.6,
         gt=0.5,
         le=1,
-        description="mean probability of its points to have moved while they were mapped, from which an "
-        "object of one epoch alone is the trail of a moving object and is not reported; the `trail_passes` "
-        "settings decide on maps without times of beams [1]",
+        description="Mean probability of having moved, from beam times, from which an object of one epoch "
+        "alone is a ghost trail and is not reported; maps without beam times use the trail_passes "
+        "settings",
     )
     trail_uncertain: float = Field(
         0.5,
         gt=0,
         le=1,
-        description="probability of having moved while it was mapped, from which on an object of one epoch"
-        " alone is as likely a trail as an object: it is Unobserved [1]",
+        description="Probability of having moved, from beam times, from which an object of one epoch "
+        "alone is Unobserved",
     )
     min_free: float = Field(
         0.8,
         ge=0.5,
         lt=1,
-        description="Probability that an object of one survey is absent in the other, from the beams that"
-        " crossed its place there, below which nothing is claimed; the same for the surface by which a plant"
-        " grew or was trimmed. Raise it to claim less on thin evidence.",
+        description="Probability that an object or new plant surface is absent in the other survey, from "
+        "crossing beams, below which nothing is claimed. Raise it to claim less",
     )
     least_volume: float = Field(
         2.0,
         ge=0,
-        description="Volume that a building of one survey alone must enclose to be called Added or Removed"
-        " [m3]; less is a piece of a wall. Raise it to claim no small sheds.",
+        description="Volume that a building of one survey alone must enclose to be Added or Removed [m3]. "
+        "Raise it to claim no small sheds",
     )
     trail_passes: float = Field(
         2.0,
         gt=0,
-        description="beams that passed for each that returned, from which on what stands in one epoch alone"
-        " only drove by: at the densest quarter of its points; walls, which let none by",
+        description="Passes per return, at the densest quarter of points, from which a building-like "
+        "object of one epoch is a ghost trail [1]",
     )
     trail_passes_thin: float = Field(
         5.0,
         gt=0,
-        description="the same for all but buildings: beams graze what is thinner than a voxel or ends below"
-        " the sensor",
+        description="Passes per return from which an object of one epoch that is no building is a ghost "
+        "trail [1]; beams graze thin objects",
     )
     trail_passes_lane: float = Field(
-        1.3, gt=0, description="the same for what lies in the trail of known traffic"
+        1.3,
+        gt=0,
+        description="Passes per return from which an object of one epoch in a lane with known traffic is "
+        "a ghost trail [1]",
     )
     trail_passes_high: float = Field(
-        1.0, gt=0, description="the same for what is high and was looked through: no plant, fence or car is"
+        1.0,
+        gt=0,
+        description="Passes per return from which a high object that its own survey observed from both "
+        "sides is a ghost trail [1]",
     )
-    trail_high: float = Field(2.6, gt=0, description="top from which on a thing is high [m]")
+    trail_high: float = Field(
+        2.6,
+        gt=0,
+        description="Height above ground of its top from which an object counts as high in the ghost "
+        "trail rules [m]",
+    )
     trail_through: float = Field(
-        0.65, gt=0, le=1, description="share of its surface on both sides of which its own survey looked"
+        0.65,
+        gt=0,
+        le=1,
+        description="Fraction of the surface that its own survey must observe on both sides for a high "
+        "object to be a ghost trail",
     )
-    trail_top: float = Field(3.8, gt=0, description="highest point of what drives by [m]")
+    trail_top: float = Field(
+        3.8, gt=0, description="Largest height above ground of the top of a moving object [m]"
+    )
     min_voxels: int = Field(
-        3, ge=1, description="observed voxels above the foot below which nothing is claimed"
+        3,
+        ge=1,
+        description="Number of observed voxels above the foot of an object below which no change is claimed",
     )
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import rasterio
@@ -15,10 +16,10 @@ from rasterio.windows import Window
 
 from subiaco_change.outputs.clouds import open_labelled
 from subiaco_geo.atomic import whole_file
-from subiaco_geo.cloud_windows import CloudFile
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.errors import InputError
+from subiaco_geo.frames import Floats
 
 #: Bands of a raster, heights and differences [m].
 BANDS = ("difference", "lod95", "before", "after")
@@ -36,6 +37,23 @@ class RasterGrid:
     rows: int
     columns: int
     cell: float
+
+    @classmethod
+    def around(cls, low: Floats, high: Floats, cell: float) -> RasterGrid:
+        """Return the grid on whole multiples of a cell [m] that holds an extent (2 or more,) [m].
+
+        Raises
+        ------
+        InputError
+            A cell that is not positive, or one so small that a raster would pass two thousand million cells.
+        """
+        if cell <= 0.0:
+            raise InputError(f"--cell {cell}: must be larger than 0 m")
+        first, last = np.floor(low[:2] / cell), np.floor(high[:2] / cell) + 1
+        columns, rows = (last - first).astype(np.int64).tolist()
+        if rows * columns > _MOST_CELLS:
+            raise InputError(f"a raster of {rows} x {columns} cells is too large; give a larger --cell")
+        return cls(float(first[0] * cell), float(last[1] * cell), rows, columns, cell)
 
     def windows(self) -> Iterator[tuple[Window, tuple[float, float, float, float]]]:
         """Yield windows of at most 256 cells a side with west, south, east, north [m]."""
@@ -71,30 +89,15 @@ def write_difference_rasters(directory: Path, target: Path, cell: float = 0.5) -
     Raises
     ------
     InputError
-        A cell that is not positive, or one so small that a raster would pass two thousand million cells.
+        As :meth:`RasterGrid.around`.
     """
-    if cell <= 0.0:
-        raise InputError(f"--cell {cell}: must be larger than 0 m")
     epochs = open_labelled(directory, "before"), open_labelled(directory, "after")
-    grid = _grid(epochs, cell)
+    low, high = np.minimum(*(e.low for e in epochs)), np.maximum(*(e.high for e in epochs))
+    grid = RasterGrid.around(low, high, cell)
     crs = next(epochs[1].parts()).crs
     paths = [target / "surface_difference.tif", target / "ground_difference.tif"]
     plain = [path.with_suffix(".plain.tif") for path in paths]
-    profile = {
-        "driver": "GTiff",
-        "height": grid.rows,
-        "width": grid.columns,
-        "count": len(BANDS),
-        "dtype": "float32",
-        "crs": crs,
-        "transform": from_origin(grid.west, grid.north, cell, cell),
-        "nodata": _EMPTY,
-        "tiled": True,
-        "blockxsize": _BLOCK,
-        "blockysize": _BLOCK,
-        "compress": "deflate",
-        "bigtiff": "if_safer",
-    }
+    profile = raster_profile(grid, crs, count=len(BANDS))
     try:
         with (
             rasterio.open(plain[0], "w", **profile) as surface,
@@ -109,22 +112,36 @@ def write_difference_rasters(directory: Path, target: Path, cell: float = 0.5) -
             for dataset in (surface, ground):
                 dataset.descriptions = BANDS
         for source, path in zip(plain, paths, strict=True):
-            with whole_file(path) as temporary:
-                copy_raster(source, temporary, driver="COG", compress="deflate", predictor="yes")
+            write_cog(source, path)
     finally:
         for source in plain:
             source.unlink(missing_ok=True)
     return paths
 
 
-def _grid(epochs: tuple[CloudFile, CloudFile], cell: float) -> RasterGrid:
-    """Return the grid on whole multiples of a cell that holds both epochs."""
-    low = np.floor(np.minimum(*(epoch.low[:2] for epoch in epochs)) / cell)
-    high = np.floor(np.maximum(*(epoch.high[:2] for epoch in epochs)) / cell) + 1
-    columns, rows = (high - low).astype(np.int64).tolist()
-    if rows * columns > _MOST_CELLS:
-        raise InputError(f"a raster of {rows} x {columns} cells is too large; give a larger --cell")
-    return RasterGrid(float(low[0] * cell), float(high[1] * cell), rows, columns, cell)
+def raster_profile(grid: RasterGrid, crs: str | None, count: int) -> dict[str, Any]:
+    """Return the profile of a tiled float32 GeoTIFF with NaN where nothing is known."""
+    return {
+        "driver": "GTiff",
+        "height": grid.rows,
+        "width": grid.columns,
+        "count": count,
+        "dtype": "float32",
+        "crs": crs,
+        "transform": from_origin(grid.west, grid.north, grid.cell, grid.cell),
+        "nodata": _EMPTY,
+        "tiled": True,
+        "blockxsize": _BLOCK,
+        "blockysize": _BLOCK,
+        "compress": "deflate",
+        "bigtiff": "if_safer",
+    }
+
+
+def write_cog(source: Path, path: Path) -> None:
+    """Copy a GeoTIFF as a cloud-optimised one, with overviews."""
+    with whole_file(path) as temporary:
+        copy_raster(source, temporary, driver="COG", compress="deflate", predictor="yes")
 
 
 def _bands(
@@ -158,6 +175,11 @@ def _height(
         count = np.bincount(flat, minlength=size)
         total = np.bincount(flat, z, minlength=size)
         return np.where(count > 0, total / np.maximum(count, 1), np.nan)
+    return highest_points(flat, z, size)
+
+
+def highest_points(flat: NDArray[np.int64], z: NDArray[np.float64], size: int) -> NDArray[np.float64]:
+    """Return the height (size,) of the highest point of every cell [m], NaN without points."""
     highest = np.full(size, -np.inf)
     np.maximum.at(highest, flat, z)
     return np.where(np.isfinite(highest), highest, np.nan)
