@@ -21,7 +21,12 @@ SCHEMA = json.loads(
     files("subiaco_change.outputs").joinpath("change_table.schema.json").read_text(encoding="utf-8")
 )
 COLUMNS: dict[str, dict[str, Any]] = SCHEMA["items"]["properties"]
-_TYPES = {"string": str, "integer": int, "number": (int, float), "null": type(None)}
+_TYPES: dict[str, tuple[type, ...]] = {
+    "string": (str,),
+    "integer": (int,),
+    "number": (int, float),
+    "null": (type(None),),
+}
 
 
 def _documented() -> dict[str, list[str]]:
