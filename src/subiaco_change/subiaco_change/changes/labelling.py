@@ -1,4 +1,4 @@
-"""Every point gets the label of its object, or of its ground (contracts, section 4)."""
+"""Every point gets the label of its object, or of its ground."""
 
 from __future__ import annotations
 
