@@ -318,6 +318,7 @@ class ExportKind(StrEnum):
     SHP = "shp"
     KML = "kml"
     DXF = "dxf"
+    TERRAIN = "terrain"
     TILES = "tiles"
     KITTI = "kitti"
 
@@ -329,7 +330,8 @@ def export(
         ExportKind,
         typer.Option(
             metavar="FORM",
-            help="Clouds: laz, copc, ply. Maps also: tiles (LAZ of 80 m and an index), kitti (trajectory)."
+            help="Clouds: laz, copc, ply. Maps also: tiles (LAZ of 80 m and an index), kitti (trajectory),"
+            " terrain (ground and surface models, hillshade, contours)."
             " Tables: gpkg, parquet, geojson, csv, shp, kml, dxf.",
         ),
     ],
@@ -353,17 +355,21 @@ def export(
     Example: subiaco export out/2025 --to copc -o out/2025_copc
     """
     from subiaco_change.outputs.exports import export_changes
+    from subiaco_change.outputs.terrain import export_terrain
     from subiaco_geo.exports import export_map
 
     set_up_logging(verbose, quiet)
     if cloudcompare and to is not ExportKind.PLY:
         raise InputError(f"--cloudcompare names the fields of a PLY; it does not go with --to {to}")
-    if not (directory / "map.yaml").is_file():
-        files = export_changes(directory, output, to.value, cloudcompare=cloudcompare, review=review)
-    elif review != "all":
+    is_map = (directory / "map.yaml").is_file() or to is ExportKind.TERRAIN
+    if is_map and review != "all":
         raise InputError(f"--review {review}: {directory} is a map, which has no reviews; leave it out")
-    else:
+    if to is ExportKind.TERRAIN:
+        files = export_terrain(directory, output)
+    elif is_map:
         files = export_map(directory, output, to.value, cloudcompare=cloudcompare)
+    else:
+        files = export_changes(directory, output, to.value, cloudcompare=cloudcompare, review=review)
     names = ", ".join(str(file) for file in files) if len(files) < 5 else f"{len(files)} files in {output}"
     say(f"{to}: {names}", quiet=quiet)
 

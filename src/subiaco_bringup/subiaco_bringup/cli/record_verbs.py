@@ -137,14 +137,29 @@ def _told(result: BagRecovery) -> list[str]:
     if not result.changed:
         return [f"{result.target}: whole already, {result.messages} messages; nothing to do"]
     lines = [_file_told(file) for file in result.files if not file.whole]
-    return [*lines, f"bag: {result.target} ({result.messages} messages, {result.bytes_lost} bytes lost)"]
+    return [
+        *lines,
+        f"bag: {result.target} ({result.messages} messages kept, {_lost_told(*result.files)} lost)",
+    ]
+
+
+def _lost_told(*files: FileRecovery) -> str:
+    """Count what is lost in messages, and in bytes where a file does not tell how many messages it held."""
+    counted = [file.messages_lost for file in files if file.messages_lost is not None]
+    messages = sum(sum(lost.values()) for lost in counted)
+    unknown = sum(file.bytes_lost for file in files if file.messages_lost is None)
+    told = [f"{messages} messages"] if messages or not unknown else []
+    return " and ".join([*told, *([f"{unknown} bytes of an unknown number of messages"] if unknown else [])])
 
 
 def _file_told(file: FileRecovery) -> str:
     if file.target is None:
         return f"{file.source.name}: no message can be read; {file.bytes_lost} bytes lost"
     last = datetime.fromtimestamp(file.end_ns * 1e-9, UTC).strftime("%Y-%m-%d %H:%M:%S.%f")[:-3]
-    told = f"{file.source.name}: kept {file.messages} messages up to {last} UTC, lost {file.bytes_lost} bytes"
+    told = f"{file.source.name}: kept {file.messages} messages up to {last} UTC, lost {_lost_told(file)}"
+    if file.messages_lost:
+        topics = ", ".join(f"{count} of {topic}" for topic, count in sorted(file.messages_lost.items()))
+        told += f" ({topics})"
     if file.lost_s:
         told += f", about {file.lost_s:.2f} s before it was cut"
     if file.damaged_chunks:

@@ -217,7 +217,7 @@ def map_(
     from subiaco_geo.maps import write_map
     from subiaco_mapping.config import MappingConfig
     from subiaco_mapping.journal import journal_folder, remove
-    from subiaco_mapping.pipeline import map_survey
+    from subiaco_mapping.pipeline import map_survey, require_room_for
 
     set_up_logging(verbose, quiet)
     if resume and not overwrite and (output / "map.yaml").is_file():
@@ -225,6 +225,7 @@ def map_(
         return
     refuse_existing(output, overwrite)
     refuse_foreign(output, "map.yaml")
+    require_room_for(bags, output)
     files = config_files("mapping", tuple(config or ()))
     model = load_config(MappingConfig, files, _settings(settings, threads=threads))
     with Progress(quiet=quiet) as progress:
