@@ -30,9 +30,11 @@ def leaves(model: BaseModel, prefix: str = "") -> Iterator[tuple[str, FieldInfo,
             yield f"{prefix}{name}", field, model.model_dump(mode="json", include={name})[name]
 
 
-def _bounds(field: FieldInfo) -> tuple[float | None, float | None, list[str]]:
-    """Return the least and the greatest value of a field, and its bounds in words."""
-    low, high, words = None, None, []
+def _bounds(field: FieldInfo) -> tuple[Any, Any, list[str]]:
+    """Return the least and the greatest value of a field, None without one, and its bounds in words."""
+    low: Any = None
+    high: Any = None
+    words: list[str] = []
     for rule in field.metadata:
         if isinstance(rule, annotated_types.Ge):
             low, said = rule.ge, f"at least {rule.ge}"
@@ -45,7 +47,7 @@ def _bounds(field: FieldInfo) -> tuple[float | None, float | None, list[str]]:
         else:
             continue
         words.append(said)
-    return low, high, words  # type: ignore[return-value]
+    return low, high, words
 
 
 def descriptor(field: FieldInfo, kind: Parameter.Type) -> ParameterDescriptor:
