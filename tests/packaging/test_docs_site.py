@@ -77,3 +77,21 @@ def test_every_make_target_that_the_documentation_shows_exists() -> None:
     for page in PAGES:
         for target in re.findall(r"`make ([a-z-]+)`", page.read_text(encoding="utf-8")):
             assert target in targets, f"{page}: make {target}"
+
+
+def test_every_link_of_the_front_page_leads_to_a_file() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    links = [t for t in re.findall(r"\]\(([^)#]+)[^)]*\)", text) if not t.startswith("http")]
+    assert len(links) > 20
+    assert not [target for target in links if not (ROOT / target).exists()]
+
+
+def test_every_figure_of_the_front_page_stands_on_the_page_that_it_links() -> None:
+    text = (ROOT / "README.md").read_text(encoding="utf-8")
+    lines = re.findall(r"^\* \*\*.+?(?=^\* |^$)", text, flags=re.MULTILINE | re.DOTALL)
+    assert len(lines) == 6
+    for line in lines:
+        (page,) = set(re.findall(r"\]\((docs/[^)#]+)", line))
+        shown = (ROOT / page).read_text(encoding="utf-8")
+        missing = [figure for figure in re.findall(r"\b\d+\.\d+\b", line) if figure not in shown]
+        assert not missing, f"{line}: {missing} not on {page}"
