@@ -93,6 +93,8 @@ def workbench(
     redo = frozenset() if work.redo is None else stages_from(STAGES, work.redo)
     kept = _stage_folder(work, output)
     with locked(kept):
+        if work.stages is None and any(kept.glob("*/*.npz")):
+            _LOG.warning("%s: what a run that was stopped finished there is used again", kept)
         executor = make_executor(work.workers, work.scheduler, ("subiaco_change.tiled.run",))
         try:
             yield Workbench(DiskStore(kept.absolute()), executor, progress, redo)

@@ -16,7 +16,7 @@ from subiaco_geo.config import StrictModel
 _EXACT = 0.05  # least half width of bounds in units of their limit: cells are no finer
 _PATCH = 4.0  # voxels of a surface that are seen, or not, together
 #: Why nothing is said of an object that both epochs saw.
-NO_LEVEL = "not decidable: too few points lie here for a level of detection"
+NO_LEVEL = "Too few points lie at this place for a level of detection: nothing is claimed."
 
 
 class ClassRules(StrictModel):
@@ -117,9 +117,8 @@ class DecisionConfig(StrictModel):
         0.6,
         gt=0.5,
         le=1,
-        description="Mean probability of having moved, from beam times, from which an object of one epoch "
-        "alone is a ghost trail and is not reported; maps without beam times use the trail_passes "
-        "settings",
+        description="Mean probability of having moved from which an object of one epoch alone is a ghost "
+        "trail; maps without beam times use the trail_passes settings",
     )
     trail_uncertain: float = Field(
         0.5,
@@ -225,8 +224,7 @@ def decide(
         Decides an object that can be compared in both epochs instead of the rules of its class.
     """
     if not _enough_seen(measures, in_before and in_after, config):
-        share = measures.observed_fraction
-        return Decision(Change.UNOBSERVED, f"the other epoch observed {share:.0%} of the place", 1.0 - share)
+        return Decision(Change.UNOBSERVED, _unobserved(measures, config), 1.0 - measures.observed_fraction)
     if not (in_before and in_after):
         decision = _single(in_after, measures, config)
         return _enclosing(decision, measures, config) if semantic is Semantic.BUILDING else decision
@@ -246,7 +244,10 @@ def _compare(
     rules = config.building if semantic is Semantic.BUILDING else config.vegetation
     if measures.iou <= rules.min_iou:
         return Decision(
-            Change.UNCHANGED, f"matched, but overlap {measures.iou:.2f} is too small to compare", 0.5
+            Change.UNCHANGED,
+            f"The 3D overlap {measures.iou:.2f} does not exceed the limit of {rules.min_iou:.2f}:"
+            " too little to compare, and no change is claimed.",
+            0.5,
         )
     if matched is not None:
         return matched()
@@ -268,6 +269,20 @@ def _enough_seen(measures: Measures, matched: bool, config: DecisionConfig) -> b
     return not matched and large and free and measures.observed_fraction >= config.min_observed_large
 
 
+def _unobserved(measures: Measures, config: DecisionConfig) -> str:
+    """Say why nothing is claimed of a place that the other survey hardly observed."""
+    share = measures.observed_fraction
+    if share >= config.min_observed:
+        return (
+            f"The other survey observed {measures.seen_voxels} voxels of it, fewer than the limit of"
+            f" {config.min_voxels}: nothing is claimed."
+        )
+    return (
+        f"The other survey observed {share:.0%} of its place, less than the limit of"
+        f" {config.min_observed:.0%}: nothing is claimed."
+    )
+
+
 def _single(in_after: bool, measures: Measures, config: DecisionConfig) -> Decision:
     empty = measures.new_share if in_after else measures.gone_share
     sigmas = (empty - config.min_empty) / math.sqrt(
@@ -275,18 +290,26 @@ def _single(in_after: bool, measures: Measures, config: DecisionConfig) -> Decis
     )
     if empty < config.min_empty:
         reason = (
-            f"No partner of its class, but {1 - empty:.0%} of the observed part is occupied in both surveys"
-            f" ({measures.observed_fraction:.0%} observed)."
+            f"It has no partner of its class, but {empty:.0%} of its observed part was free in the"
+            " other survey,"
+            f" less than the limit of {config.min_empty:.0%} ({measures.observed_fraction:.0%} of"
+            " the place were"
+            " observed): its place is occupied in both surveys."
         )
         return Decision(Change.UNCHANGED, reason, (1 - empty) / max(1 - config.min_empty, 1e-9), sigmas)
     if measures.free < config.min_free:
-        reason = f"Too few beams for so open an object: {measures.free:.0%} sure that its place is free."
+        reason = (
+            f"The probability that its place was free in the other survey is {measures.free:.0%},"
+            " less than the"
+            f" limit of {config.min_free:.0%}: nothing is claimed."
+        )
         return Decision(Change.UNOBSERVED, reason, 1.0 - measures.free)
     change = Change.ADDED if in_after else Change.REMOVED
     own, other = ("later", "earlier") if in_after else ("earlier", "later")
     reason = (
         f"Only the {own} survey has it; the {other} survey observed {measures.observed_fraction:.0%}"
-        f" of its place, and {empty:.0%} of that part was free (limit {config.min_empty:.0%})."
+        f" of its place, and {empty:.0%} of that part was free (limit {config.min_empty:.0%}): it"
+        f" {'is new' if in_after else 'is gone'}."
     )
     return Decision(change, reason, empty / max(config.min_empty, 1e-9), sigmas)
 
@@ -308,8 +331,17 @@ def _enclosing(decision: Decision, measures: Measures, config: DecisionConfig) -
 def _mobile(measures: Measures, config: DecisionConfig) -> Decision:
     rules = config.mobile
     if measures.iou > rules.same_iou and measures.delta_c < rules.shift:
-        return Decision(Change.UNCHANGED, f"overlap {measures.iou:.2f}, moved {measures.delta_c:.2f} m", 1.0)
-    reason = f"matched, overlap {measures.iou:.2f}, moved {measures.delta_c:.2f} m: left out, as in the paper"
+        reason = (
+            f"The 3D overlap {measures.iou:.2f} exceeds the limit of {rules.same_iou:.2f}, and the"
+            " centroid moved by"
+            f" {measures.delta_c:.2f} m, less than the limit of {rules.shift:.2f} m: the object stayed."
+        )
+        return Decision(Change.UNCHANGED, reason, 1.0)
+    reason = (
+        f"The 3D overlap {measures.iou:.2f} (limit {rules.same_iou:.2f}) and centroid shift"
+        f" {measures.delta_c:.2f} m"
+        f" (limit {rules.shift:.2f} m): a movable object that moved is not reported."
+    )
     return Decision(Change.NOT_REPORTED, reason, 1.0)
 
 
@@ -319,14 +351,14 @@ def _by_measures(measures: Measures, gate: float, rules: ClassRules) -> Decision
     relative = measures.delta_v / max(measures.volume, 1e-6)
     height = measures.delta_h / limit if math.isfinite(measures.delta_h) else 0.0
     up, down = _strengths(height, relative / rules.volume, measures, rules)
-    evidence = f"height {measures.delta_h:+.2f} m (gate {limit:.2f})"
-    evidence += f", volume {relative:+.0%} (gate {rules.volume:.0%})"
-    evidence += f", {measures.carried:+.0%} of the surface new or gone"
+    evidence = f"Height change {measures.delta_h:+.2f} m (limit {limit:.2f} m), volume change {relative:+.0%}"
+    evidence += f" (limit {rules.volume:.0%}), new or lost surface {measures.carried:+.0%} (limit"
+    evidence += f" {rules.carried:.0%}): "
     if up <= 1 and down <= 1:
-        return Decision(Change.UNCHANGED, evidence, max(up, down))
+        return Decision(Change.UNCHANGED, f"{evidence}no change beyond the limits.", max(up, down))
     rising = measures.delta_v > 0 if up > 1 and down > 1 else up > 1
     change = Change.INCREASED if rising else Change.DECREASED
-    return Decision(change, evidence, up if rising else down)
+    return Decision(change, f"{evidence}it {'grew' if rising else 'shrank'}.", up if rising else down)
 
 
 def _building(measures: Measures, gate: float, rules: ClassRules) -> Decision:
@@ -349,16 +381,24 @@ def _building(measures: Measures, gate: float, rules: ClassRules) -> Decision:
     )
     up = _rise(*bounds, rules)
     down = _rise(-bounds[0], -bounds[1], rules)
-    evidence = f"height {height.low:+.2f} to {height.high:+.2f} m (limit {limit:.2f} m), volume"
-    evidence += f" {volume.low / whole:+.0%} to {volume.high / whole:+.0%} (limit {rules.volume:.0%})"
+    evidence = f"Height change {_span(height)} (limit {limit:.2f} m), volume change"
+    evidence += f" {volume.low / whole:+.0%} to {volume.high / whole:+.0%} (limit {rules.volume:.0%}): "
     straddles = any(bound.low <= side <= bound.high for bound in bounds for side in (-1.0, 1.0))
     if straddles:
-        evidence += "; what the surveys did not see decides whether a limit is exceeded"
+        evidence += "space that a survey did not see decides whether a limit is exceeded, and "
     if max(up, down) <= 1:
+        evidence += "no change is claimed."
         return Decision(Change.UNCHANGED, evidence, 1.0 if straddles else max(up, down, 0.0))
     rising = up > 1 and (down <= 1 or volume.middle > 0)
     change = Change.INCREASED if rising else Change.DECREASED
+    evidence += f"the building {'grew' if rising else 'shrank'} by its middle estimate."
     return Decision(change, evidence, up if rising else down, _sigmas(bounds, rising))
+
+
+def _span(height: Interval) -> str:
+    """Write the bounds of a change of height."""
+    known = math.isfinite(height.low) and math.isfinite(height.high)
+    return f"{height.low:+.2f} to {height.high:+.2f} m" if known else "not known"
 
 
 def _rise(height: Interval, volume: Interval, rules: ClassRules) -> float:

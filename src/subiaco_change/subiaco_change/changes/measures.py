@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import shapely
@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from shapely.geometry.base import BaseGeometry
 
 from subiaco_change.changes.carving import CarvingConfig, Epoch, Interval, carve
+from subiaco_change.changes.column_change import ColumnChange
 from subiaco_change.changes.columns import BUILT_UP, OpenGround, compare_volumes, stands_alone
 from subiaco_change.changes.objects import Reach, Voxels
 from subiaco_geo.config import StrictModel
@@ -115,6 +116,7 @@ class Measures:
     height_bounds: Interval | None = None
     volume_bounds: Interval | None = None
     free: float = 1.0
+    columns: ColumnChange | None = field(default=None, compare=False, repr=False)
 
 
 def measure(
@@ -172,6 +174,7 @@ def _carved(
         volume=carved.whole,
         height_bounds=carved.height if both else None,
         volume_bounds=volume,
+        columns=carved.columns,
     )
 
 

@@ -168,7 +168,7 @@ def write_change_directory(
     inputs: ChangeInputs,
     overwrite: bool = False,
 ) -> None:
-    """Write every product of contracts section 4, with the report.
+    """Write every product of a change run, with the report.
 
     Parameters
     ----------

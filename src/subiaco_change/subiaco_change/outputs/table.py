@@ -57,7 +57,7 @@ COLUMNS = (
 )
 #: Columns that :func:`table_hash` covers. A column that is added to :data:`COLUMNS` later enters it only when
 #: the method changes with it, so that a hash stays comparable between versions.
-HASHED_COLUMNS = (*COLUMNS[: COLUMNS.index("date_after") + 1], "reason")
+HASHED_COLUMNS = COLUMNS[: COLUMNS.index("date_after") + 1]
 #: Columns that tables of version 1 lack; they read as missing values.
 _LATER = COLUMNS[COLUMNS.index("delta_h_low_m") :]
 #: Columns that people fill in; they survive a rerun of the same pair.
@@ -199,7 +199,8 @@ def with_regular_outlines(table: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
 def table_hash(table: pd.DataFrame) -> str:
     """Return a hash of what the method found: :data:`HASHED_COLUMNS` and footprints of :func:`build_table`.
 
-    Names and reviews of earlier runs do not enter it, nor do the outlines of :func:`with_regular_outlines`.
+    Reasons, names and reviews of earlier runs do not enter it, nor do the outlines of
+    :func:`with_regular_outlines`.
     """
     computed = table[list(HASHED_COLUMNS)]
     digest = hashlib.sha256(computed.to_csv(index=False, lineterminator="\n").encode())
