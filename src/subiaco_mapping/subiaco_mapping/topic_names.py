@@ -43,7 +43,7 @@ class TopicsConfig(StrictModel):
     )
     points: str = Field(
         "",
-        description="Topic of point clouds with point times (sensor_msgs/PointCloud2); empty for /lidar/points",
+        description="Topic of clouds with point times (sensor_msgs/PointCloud2); empty for /lidar/points",
     )
     imu: str = Field("", description="Topic of the IMU (sensor_msgs/Imu); empty for /imu/data")
     fix: str = Field("", description="Topic of the GNSS fixes (sensor_msgs/NavSatFix); empty for /gnss/fix")

@@ -92,10 +92,10 @@ class Coefficients(StrictModel):
 class MeasuredBand(StrictModel):
     """How many claims with a confidence in one band were right, on surveys left out of the fit."""
 
-    low: float = Field(ge=0, le=1, description="lowest confidence of the band [1]")
-    high: float = Field(ge=0, description="confidence at which the next band begins [1]")
-    right: int = Field(ge=0, description="claims in the band that were right [claims]")
-    claims: int = Field(ge=1, description="claims in the band [claims]")
+    low: float = Field(ge=0, le=1, description="Lowest confidence of the band [1]")
+    high: float = Field(ge=0, description="Confidence at which the next band begins [1]")
+    right: int = Field(ge=0, description="Number of claims in the band that were right")
+    claims: int = Field(ge=1, description="Number of claims in the band")
 
 
 class ConfidenceConfig(StrictModel):
@@ -122,8 +122,8 @@ class ConfidenceConfig(StrictModel):
             MeasuredBand(low=0.9, high=1.01, right=106, claims=118),
             MeasuredBand(low=0.7, high=0.9, right=81, claims=90),
         ),
-        description="claims with a confidence in each band that were right on surveys left out of the fit."
-        " The summary page prints these numbers; a band without any claim is missing",
+        description="Claims per confidence band, right and total, on surveys left out of the fit, as "
+        "printed on the summary page; bands without claims are absent",
     )
     evidence: tuple[str, ...] = Field(
         ("observed",),

@@ -117,9 +117,8 @@ class DecisionConfig(StrictModel):
         0.6,
         gt=0.5,
         le=1,
-        description="Mean probability of having moved, from beam times, from which an object of one epoch "
-        "alone is a ghost trail and is not reported; maps without beam times use the trail_passes "
-        "settings",
+        description="Mean probability of having moved from which an object of one epoch alone is a ghost "
+        "trail; maps without beam times use the trail_passes settings",
     )
     trail_uncertain: float = Field(
         0.5,
