@@ -22,6 +22,7 @@ setup(
         ("share/" + NAME + "/config/drivers", glob("config/drivers/*.yaml")),
         ("share/" + NAME + "/config/dds", glob("config/dds/*")),
         ("share/" + NAME + "/launch", glob("launch/*.launch.py")),
+        ("share/" + NAME + "/systemd", glob("systemd/*.service")),
         ("share/" + NAME + "/rviz", glob("rviz/*.rviz")),
         ("share/" + NAME + "/foxglove", glob("foxglove/*.json")),
     ],

@@ -12,7 +12,7 @@ setup(
     maintainer_email="maintainers@subiaco.example.org",
     license="Apache-2.0",
     packages=find_packages(include=[NAME, NAME + ".*"]),
-    package_data={NAME: ["py.typed", "**/*.html", "**/*.jinja", "**/*.j2"]},
+    package_data={NAME: ["py.typed", "**/*.html", "**/*.jinja", "**/*.j2", "**/*.schema.json"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + NAME]),
         ("share/" + NAME, ["package.xml"]),
@@ -22,7 +22,7 @@ setup(
     zip_safe=False,
     entry_points={
         "console_scripts": [
-            "change_node = subiaco_change.nodes.change_node:main",
+            "change_node = subiaco_change.nodes.executables:change_node",
         ],
     },
 )

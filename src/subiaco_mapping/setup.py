@@ -22,11 +22,11 @@ setup(
     zip_safe=False,
     entry_points={
         "console_scripts": [
-            "replay_node = subiaco_mapping.nodes.replay_node:main",
-            "recorder_node = subiaco_mapping.nodes.recorder_node:main",
-            "monitor_node = subiaco_mapping.nodes.monitor_node:main",
-            "odometry_node = subiaco_mapping.nodes.odometry_node:main",
-            "pose_graph_node = subiaco_mapping.nodes.pose_graph_node:main",
+            "replay_node = subiaco_mapping.nodes.executables:replay_node",
+            "recorder_node = subiaco_mapping.nodes.executables:recorder_node",
+            "monitor_node = subiaco_mapping.nodes.executables:monitor_node",
+            "odometry_node = subiaco_mapping.nodes.executables:odometry_node",
+            "pose_graph_node = subiaco_mapping.nodes.executables:pose_graph_node",
         ],
     },
 )

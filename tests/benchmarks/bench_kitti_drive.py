@@ -7,7 +7,8 @@ Drive 0027 (188 sweeps, not deskewed): odometry is run once by each program on t
 goes through the pose graph with the fixes of every case. The reference is the position and attitude of the
 INS: its positions step by 0.1 to 0.3 m within a second, its speed does not, so that the way driven is held
 against the speed. Cases with fixes are compared as they lie, those without after a rigid alignment. Also
-estimated: the clock of the fixes against the sweeps, for clocks put wrong on purpose. Drive 0005 (77 sweeps):
+estimated: the clock of the fixes against the sweeps, for clocks put wrong on purpose, and the rotation of the
+scanner in the INS, for scanners turned on purpose. Drive 0005 (77 sweeps):
 the way that point to point and plane to plane find, beside the way by speed.
 """
 
@@ -22,12 +23,14 @@ from pathlib import Path
 
 import numpy as np
 from kitti_drive import CRS, SIGMA, T_BASE_LIDAR, Drive, point_times, read_drive, withheld
+from scipy.spatial.transform import Rotation
 
 from subiaco_geo.frames import Floats, Ints, make_pose
 from subiaco_geo.trajectories import Trajectory
 from subiaco_geo.trajectory_errors import overlap, pose_errors, relative_error
 from subiaco_mapping.backend import MappingBackend
 from subiaco_mapping.calibration.antenna import AntennaFit, fit_antenna
+from subiaco_mapping.calibration.attitude import BodyTrack, fit_body_rotation
 from subiaco_mapping.calibration.config import CalibrationConfig
 from subiaco_mapping.calibration.imu import OdometryTrack
 from subiaco_mapping.config import MappingConfig
@@ -38,6 +41,7 @@ WITHHELD_S = (10.0, 4.0)
 Row = dict[str, object]
 STRETCH = 50.0  # of the relative error [m]
 CLOCKS = (0.0, 0.1, -0.1)  # added to the stamps of the fixes [s]
+ROTATIONS = ((0.0, 0.0, 0.0), (0.0, 0.0, 3.0), (2.0, -2.0, 0.0))  # by which the scanner is turned [deg]
 POINT_TO_POINT = {"refine": False, "convergence": 5e-4}
 
 
@@ -176,6 +180,24 @@ def clock(drive: Drive, run: Run, clock_s: float) -> AntennaFit:
     return found
 
 
+def body_rotation(drive: Drive, run: Run, put_deg: tuple[float, float, float]) -> Row:
+    """Estimate the scanner's rotation in the INS; the scanner is turned by ``put_deg`` on purpose."""
+    turned = make_pose(Rotation.from_euler("xyz", put_deg, degrees=True).as_matrix(), np.zeros(3))
+    track = OdometryTrack(
+        run.trajectory.times_ns, run.trajectory.poses @ turned, np.zeros(len(run.trajectory), np.int64)
+    )
+    found = fit_body_rotation(
+        track, BodyTrack(drive.ins_ns, drive.truth()), T_BASE_LIDAR, CalibrationConfig(max_rotation_deg=1.0)
+    )
+    angles = Rotation.from_matrix(found.R_body_lidar).as_euler("xyz", degrees=True)
+    row: Row = {"put_deg": " ".join(f"{v:g}" for v in put_deg)}
+    for axis, angle, sigma, seen in zip(
+        ("roll", "pitch", "yaw"), angles, np.degrees(found.sigma), found.observed, strict=True
+    ):
+        row[f"{axis}_deg"] = f"{angle:.2f} ({sigma:.2f}){'' if seen else ' kept'}"
+    return {**row, "clock_s": found.offset_s, "clock_sigma_s": found.offset_sigma, "windows": found.windows}
+
+
 def street(data: Path) -> dict[str, object]:
     """Return the ways over the 77 sweeps of drive 0005, the motion taken off by azimuth, and by speed [m]."""
     folder = data / "kitti_scans"
@@ -238,9 +260,10 @@ def main() -> None:
         clocks.append(
             {"put_s": put, "found_s": fit.offset_s, "sigma_s": fit.offset_sigma, "scale": fit.scale}
         )
-    figures = {"rows": rows, "clocks": clocks, "street": street(given.data),
+    rotations = [body_rotation(drive, ours, put) for put in ROTATIONS]
+    figures = {"rows": rows, "clocks": clocks, "rotations": rotations, "street": street(given.data),
              "cpu_s_a_sweep": {"ours": ours.seconds, "kiss-icp": peer.seconds}}  # fmt: skip
-    print(table(rows), table(clocks), json.dumps(figures["street"], indent=1), sep="\n\n")
+    print(table(rows), table(clocks), table(rotations), json.dumps(figures["street"], indent=1), sep="\n\n")
     print(f"CPU seconds a sweep: ours {ours.seconds:.3f}, kiss-icp {peer.seconds:.3f}")
     if given.json is not None:
         given.json.write_text(json.dumps(figures, indent=1), encoding="utf-8")

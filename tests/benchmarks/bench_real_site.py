@@ -98,14 +98,15 @@ def main() -> None:
     epochs = read_site(words.data, 0), read_site(words.data, 1)
     result = detect_changes(*epochs, ChangeConfig(), transform=transform)
     found, wrong = score(result, read_truth())
+    print("| object | drawn as | common label | share | |\n|---|---|---|---|---|")
     for item, common, share in found:
-        mark = "right" if share >= 0.5 else "WRONG"
-        print(f"{mark}  {item.name}: {common}, {share:.2f} of it {' or '.join(item.labels)}")
+        mark = "right" if share >= 0.5 else "wrong"
+        print(f"| {item.name} | {' or '.join(item.labels)} | {common} | {share:.2f} | {mark} |")
+    print(f"| all | {len(found)} | | | {sum(s >= 0.5 for *_, s in found)} right, {len(wrong)} false claims |")
     for r in wrong:
         print(
             f"false {r.semantic.label} {r.change.label} {r.confidence:.2f} at {r.x:.1f} {r.y:.1f}: {r.reason}"
         )
-    print(f"{sum(share >= 0.5 for *_, share in found)} of {len(found)} right, {len(wrong)} false claims")
 
 
 if __name__ == "__main__":

@@ -113,6 +113,40 @@ def test_a_new_fence_beside_a_house_encloses_nothing():
         assert found.volume.low < 0.1 * found.whole
 
 
+CANOPY = ((0, -2.5, TALL - 0.6), (LENGTH, 0, TALL - 0.2))  # before the front wall, on nothing
+
+
+def test_a_canopy_that_one_survey_missed_takes_no_volume_with_it():
+    """The survey that has the canopy looked through below it; the other, of fewer beams, above it too."""
+    under = inside(((-9, -9, 0), (30, 0, TALL - 0.6)), *(OUT[n] for n in ("west", "above", "east")))
+    has = Epoch(voxels(*house()).add(voxels(sheet(*CANOPY), still=False)), under, nothing_met)
+    found = carve(has, epoch(house(), PLAIN), CONFIG)
+    assert found.volume.high == 0.0
+    assert found.volume.low > -0.15 * found.whole
+
+
+def test_the_volume_of_a_house_of_which_the_street_sees_half_a_roof_is_that_of_the_whole():
+    """Under a pitched roof with its ridge along the street: 10 by 8 m, 3 m at the eaves, 5 m at the ridge."""
+    deep = np.arange(CELL / 2, DEPTH, CELL)
+    rise = TALL + 2.0 - 0.5 * np.abs(deep - DEPTH / 2)
+    gables = [
+        sheet((x, y - CELL / 2, 0), (x + CELL, y + CELL / 2, top))
+        for x in (0, LENGTH - CELL)
+        for y, top in zip(deep, rise, strict=True)
+    ]
+    roof = np.array(
+        [
+            (x, y, top)
+            for x in np.arange(CELL / 2, LENGTH, CELL)
+            for y, top in zip(deep, rise, strict=True)
+            if y < DEPTH / 2
+        ]
+    )
+    both = epoch([sheet((0, 0, 0), (LENGTH, CELL, TALL)), *gables, roof], seen("street"))
+    found = carve(both, both, CONFIG)
+    assert found.whole == pytest.approx(LENGTH * DEPTH * 4.0, rel=0.06)
+
+
 def test_swapping_the_epochs_swaps_the_bounds():
     there = carve(epoch(house(), PLAIN), extended(), CONFIG)
     back = carve(extended(), epoch(house(), PLAIN), CONFIG)

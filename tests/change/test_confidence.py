@@ -4,6 +4,7 @@ import math
 from dataclasses import MISSING, fields, replace
 
 import numpy as np
+import pandas as pd
 import pytest
 from scipy.special import expit
 
@@ -22,6 +23,7 @@ from subiaco_change.changes.confidence import (
 )
 from subiaco_change.changes.decisions import Decision
 from subiaco_change.changes.measures import Measures
+from subiaco_change.evaluation.confidence_fit import fit_confidence, measured_bands
 from subiaco_change.records import ChangeRecord
 from subiaco_geo.codes import Change, Semantic
 
@@ -163,3 +165,32 @@ def test_a_claim_about_a_place_that_was_hardly_observed_is_never_sure(share, mos
     row = Decision(Change.ADDED, "", 5.0)
     found = confidence(row, replace(TYPICAL, observed_fraction=share), Semantic.BUILDING, 0.9, sure)
     assert most - 0.02 < found <= most
+
+
+def test_bands_are_called_by_what_was_measured_on_surveys_left_out():
+    rng = np.random.default_rng(8)
+    count = 600
+    x = np.zeros((count, len(FEATURES)))
+    x[:, FEATURES.index("observed")] = rng.uniform(-2.0, 2.0, count)
+    right = rng.random(count) < expit(1.0 + 1.5 * x[:, FEATURES.index("observed")])
+    rows = pd.DataFrame({"kind": "single", "features": list(x), "right": right, "evidence": "observed"})
+    rows["survey"] = np.where(np.arange(count) % 2, "a", "b")
+    bands = measured_bands(rows)
+    assert [(b["low"], b["high"]) for b in bands] == [(0.9, 1.01), (0.7, 0.9), (0.0, 0.7)]
+    assert sum(b["claims"] for b in bands) == count
+    assert sum(b["right"] for b in bands) == right.sum()
+    for band in bands:
+        share = band["right"] / band["claims"]
+        assert band["low"] - 0.06 <= share <= band["high"] + 0.06
+    config = ConfidenceConfig(**fit_confidence(rows, "made up"))
+    assert calibration_of(["observed"], True, config).bands == config.bands
+    assert len(config.bands) == 3
+
+
+def test_bands_that_were_measured_on_other_surveys_are_not_printed():
+    ours = ConfidenceConfig()
+    assert calibration_of(["observed"], True, ours).bands == ours.bands != ()
+    assert calibration_of(["observed"], False, ours).bands == ()
+    assert calibration_of(["shadow"], True, ours).bands == ()
+    refitted = ConfidenceConfig(fitted_on="another fit without bands")
+    assert calibration_of(["observed"], True, refitted).bands == ()

@@ -171,7 +171,10 @@ def test_moved_vehicles_are_left_out_of_the_report():
 
 def test_every_decision_gives_its_reason():
     taller = replace(SAME, delta_h=3.0, delta_v=40.0)
-    assert "height +3.00 to +3.00 m" in decide(Semantic.BUILDING, True, True, taller, 0.03, CONFIG).reason
+    assert (
+        "Height change +3.00 to +3.00 m (limit 0.50 m)"
+        in decide(Semantic.BUILDING, True, True, taller, 0.03, CONFIG).reason
+    )
 
 
 def test_confidence_never_falls_with_the_margin_or_with_the_size_of_what_was_seen():

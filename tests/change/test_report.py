@@ -28,6 +28,7 @@ from subiaco_change.report.facts import CHANGED_LABELS, number, summary
 from subiaco_change.report.page import TABLE_COLUMNS, build_report, fullest_blocks
 from subiaco_geo.codes import Change
 from subiaco_geo.errors import InputError
+from subiaco_geo.findings import Finding
 
 VOID = {"meta", "img", "input", "br", "link", "hr"}
 
@@ -377,9 +378,9 @@ def many_changes(result, count):
 
 @pytest.fixture(scope="module", params=[100, 5000, 20_000])
 def large(request, result, tmp_path_factory):
-    """A change directory of many changes with pictures of the usual size, and the seconds its pages took."""
+    """A change directory of many changes with small pictures, and the seconds its pages took."""
     target, rng = tmp_path_factory.mktemp("large") / "out", np.random.default_rng(1)
-    drawn = evidence.Evidence(rng.bytes(6000), "M1 1L9 1L9 9Z", (3.0, 90.0), 40.0, 5, "looking north")
+    drawn = evidence.Evidence(rng.bytes(1500), "M1 1L9 1L9 9Z", (3.0, 90.0), 40.0, 5, "looking north")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(outputs, "build_report", lambda _: None)
         patch.setattr(report_page.evidence, "evidence_pictures", lambda _, rows: [drawn] * len(rows))
@@ -439,8 +440,21 @@ def test_a_browser_opens_any_number_of_changes_with_a_page_of_rows_and_the_pictu
     assert spent < 30.0  # with the start of the browser, on a machine that does other work
 
 
+LONG = "A survey was moved by 1.80 m, which is 18 times the standard deviation of 9.8 cm, and so on. " * 3
+
+
 @needs_chromium
-def test_the_summary_prints_on_two_sheets_and_nothing_is_cut_off(change_directory, tmp_path):
+@pytest.mark.parametrize("alarms", [0, 1, 3, 5])
+def test_the_summary_prints_on_two_sheets_and_nothing_is_cut_off(change_directory, tmp_path, alarms):
+    if alarms:
+        shutil.copytree(change_directory, tmp_path / "copy")
+        change_directory = tmp_path / "copy"
+        run = json.loads((change_directory / "run.json").read_text())
+        run["findings"] = [
+            Finding(f"code_{k}", "serious", LONG, "Do that.").document() for k in range(alarms)
+        ]
+        (change_directory / "run.json").write_text(json.dumps(run))
+        build_report(change_directory)
     page = tmp_path / "summary.html"
     fits = """<script>document.body.setAttribute("data-fits", Array.prototype.map.call(
       document.querySelectorAll(".page"), function (p) {

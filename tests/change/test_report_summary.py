@@ -45,6 +45,24 @@ def test_counts_add_up_to_the_changes(facts, result):
     assert sum(row["total"] for row in facts["counts"][:-1]) == facts["changed"]
 
 
+def test_bands_of_confidence_are_called_by_what_was_measured_or_said_to_be_unmeasured(
+    change_directory, tmp_path
+):
+    target = tmp_path / "copy"
+    shutil.copytree(change_directory, target)
+    run = json.loads((target / "run.json").read_text())
+    assert run["confidence_bands"] == []
+    assert (target / "summary.html").read_text().count('<td class="soft">not measured</td>') == 3
+    run |= {"confidence_calibrated": True}
+    run["confidence_bands"] = [{"low": 0.9, "high": 1.01, "right": 106, "claims": 118}]
+    (target / "run.json").write_text(json.dumps(run))
+    build_report(target)
+    text = (target / "summary.html").read_text()
+    assert "106 of 118 were right" in text
+    assert text.count("not measured") == 2
+    assert "sure (" not in text
+
+
 def test_the_largest_come_by_volume_whatever_its_sign(change):
     changed = changed_rows(change.table)
     volumes = largest_rows(changed)["delta_v_m3"].abs().tolist()

@@ -19,6 +19,7 @@ from subiaco_change.outputs.reading import read_change_directory
 from subiaco_change.outputs.review_files import take_up_reviews
 from subiaco_change.outputs.review_state import review_counts, review_states, selected_by_review
 from subiaco_change.outputs.reviews import read_review_file
+from subiaco_change.outputs.table import TEXT_COLUMNS, read_csv
 from subiaco_change.report.facts import summary
 from subiaco_geo.cloud_io import read_cloud
 from subiaco_geo.codes import Change
@@ -121,6 +122,8 @@ def test_the_pages_strike_rejected_rows_through_and_say_how_many_were_reviewed(d
     text = (directory / "summary.html").read_text(encoding="utf-8")
     assert "1 of 6 claimed changes were reviewed by a person: 0 accepted, 1 rejected" in text
     assert "object 2<" not in text
+    report = (directory / "report.html").read_text(encoding="utf-8")
+    assert "1 changes were rejected by a reviewer" in report
     assert not (directory / "reviews.csv").exists()
     assert (directory / "reviews_applied.csv").is_file()
 
@@ -186,3 +189,14 @@ def test_a_box_of_lots_keeps_the_attributes_of_its_file(tmp_path):
     frame.to_file(tmp_path / "lots.gpkg")
     lots = read_lots(tmp_path / "lots.gpkg", "EPSG:7850")
     assert list(lots.columns) == ["lot", "lot_id", "Removed_lot", "zone", "geometry"]
+
+
+def test_a_table_saved_by_a_spreadsheet_with_semicolons_and_decimal_commas_is_read(
+    change_directory, tmp_path
+):
+    plain = read_csv(change_directory / "changes.csv")
+    typed = pd.read_csv(change_directory / "changes.csv", dtype=str, keep_default_na=False)
+    numbers = [name for name in typed.columns if name not in TEXT_COLUMNS]
+    typed[numbers] = typed[numbers].map(lambda text: text.replace(".", ","))
+    typed.to_csv(tmp_path / "changes.csv", sep=";", index=False, encoding="utf-8-sig")
+    pd.testing.assert_frame_equal(read_csv(tmp_path / "changes.csv"), plain)

@@ -3,12 +3,16 @@
 from __future__ import annotations
 
 import os
+import re
 import subprocess
 import sys
 
 import pytest
+import typer
 from small_bags import points_bag, room
 from small_clouds import write_street
+
+from subiaco_bringup.cli import main
 
 CONFIG = "/**:\n  ros__parameters:\n    {line}\n"
 
@@ -116,6 +120,39 @@ def test_an_output_that_exists(refused, good, bag, tmp_path):
         refused(arguments, "out: exists already", "--overwrite")
 
 
+def test_a_recording_that_exists_is_gone_on_with_or_left_alone(refused, tmp_path):
+    (tmp_path / "out").mkdir()
+    said = refused(["record", "-o", tmp_path / "out"], "out: exists already", "--resume")
+    assert "--overwrite" not in said
+
+
+def test_refusals_of_the_recorder_leave_no_folder(refused, tmp_path):
+    for arguments, said in (
+        (["--set", "nonsense=1"], "no such setting"),
+        (["--remap", "/gnss/fix"], "expected OUR_TOPIC:=SOURCE"),
+        (["--config", tmp_path / "none.yaml"], "none.yaml"),
+    ):
+        refused(["record", "-o", tmp_path / "drive", *arguments], said)
+        assert list(tmp_path.iterdir()) == []
+
+
+def test_messages_name_no_option_that_no_verb_has(repository):
+    """Texts of the sources that advise an option; `--ros-args` and options of other programs are left out."""
+    command = typer.main.get_command(main.app)
+    groups = [command, *(c for c in command.commands.values() if hasattr(c, "commands"))]
+    verbs = [verb for group in groups for verb in group.commands.values()]
+    known = {option for verb in verbs for p in verb.params for option in (*p.opts, *p.secondary_opts)}
+    advised = re.compile(r"(?:pass|give|use|with|without|leave|add|or|and) (--[a-z][a-z-]+)")
+    foreign = {"--clock", "--ros-args", "--shm-size"}
+    found = {
+        (path.name, option)
+        for path in (repository / "src").rglob("*.py")
+        for option in advised.findall(path.read_text(encoding="utf-8"))
+    }
+    assert len(found) >= 15
+    assert {(name, option) for name, option in found if option not in known | foreign} == set()
+
+
 def test_a_folder_of_other_things_is_never_replaced(refused, good, bag, tmp_path):
     (tmp_path / "home").mkdir()
     (tmp_path / "home" / "thesis.tex").write_text("years of work")
@@ -143,7 +180,7 @@ def break_down(*_, **__):
 
 def test_an_interruption_leaves_nothing(refused, bag, tmp_path, monkeypatch):
     monkeypatch.setattr("subiaco_mapping.pipeline.map_survey", interrupt)
-    refused(["map", bag, "-o", tmp_path / "out"], "interrupted", "nothing was left", code=130)
+    refused(["map", bag, "-o", tmp_path / "out"], "interrupted", "no output was written", code=130)
 
 
 def test_an_interrupted_run_leaves_its_stages_and_goes_on_from_there(
@@ -158,7 +195,9 @@ def test_an_interrupted_run_leaves_its_stages_and_goes_on_from_there(
     assert "the same command goes on from there" in caplog.text
     assert {path.name for path in tmp_path.iterdir()} == {"good.ply", "out.stages"}
     monkeypatch.undo()
+    caplog.clear()
     assert command(*run).code == 0
+    assert "what a run that was stopped finished there is used again" in caplog.text
     assert {path.name for path in tmp_path.iterdir()} == {"good.ply", "out"}
 
 

@@ -6,7 +6,6 @@ table, rows of a database. Damage to their bytes alone would end at the check su
 
 from __future__ import annotations
 
-import gzip
 import io
 import json
 import shutil
@@ -43,13 +42,6 @@ def damaged_archive(data: bytes, edits: Sequence[Edit]) -> bytes:
         for name, content in members.items():
             archive.writestr(name, content)
     return out.getvalue()
-
-
-def damaged_gzip(data: bytes, edits: Sequence[Edit]) -> bytes:
-    """Damage what a gzip file holds; every fourth case, the file itself."""
-    if edits[0][2] % 4 == 0:
-        return damaged(data, edits)
-    return gzip.compress(damaged(gzip.decompress(data), edits), 1)
 
 
 _CELLS: tuple[Any, ...] = (None, "", "text", -1, 2**63 - 1, 1e300, float("nan"), b"\0\1", "2025-13-45", 0)
@@ -496,24 +488,6 @@ def _read_kitti_raw(folder: Path) -> object:
     return list(kitti_messages(folder))
 
 
-def _make_recorded(folder: Path) -> None:
-    folder.mkdir()
-    rows = [
-        f"2025/07/08 19:34:{k // 4:02d}.{k % 4 * 250:03d} 1 2 3 1 9 .1 .1 .1 0 0 0 0 9 {min(k, 40) / 8} 0 0"
-        for k in range(160)
-    ]
-    (folder / "gnss.pos").write_text("% header\n" + "\n".join(rows) + "\n")
-    start = 1_752_003_240.0  # 2025-07-08 19:34 as seconds since 1970
-    lines = [f"{start + k / 50:.3f},0.1,0.2,9.8,0.001,0.002,0.003" for k in range(2000)]
-    (folder / "imu.csv.gz").write_bytes(gzip.compress(("# header\n" + "\n".join(lines)).encode(), 1))
-
-
-def _read_recorded(folder: Path) -> object:
-    from subiaco_sim.recorded import read_recorded_drive
-
-    return read_recorded_drive(folder)
-
-
 def _lots_seeds(driver: str, suffix: str, crs: str) -> Callable[[Path], list[bytes]]:
     def seeds(folder: Path) -> list[bytes]:
         import geopandas as gpd
@@ -621,8 +595,6 @@ EXCHANGED = (
             "oxts/data/0000000001.txt", "calib_imu_to_velo.txt",
         )
     ),
-    part("recorded gnss.pos", "gnss.pos", _make_recorded, _read_recorded),
-    part("recorded imu.csv.gz", "imu.csv.gz", _make_recorded, _read_recorded, damaged_gzip),
     Target("lots geojson", ".geojson", _read_lots, _lots_seeds("GeoJSON", ".geojson", "EPSG:4326")),
     Target(
         "lots geopackage", ".gpkg", _read_lots, _lots_seeds("GPKG", ".gpkg", "EPSG:7850"),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import shutil
+from io import BytesIO
 from pathlib import Path
 
 import pytest
@@ -14,6 +15,7 @@ from rosbags.rosbag2 import Reader
 
 from subiaco_geo.bag_files import PARTIAL
 from subiaco_geo.bag_metadata import describe_segment, write_bag_metadata
+from subiaco_geo.bag_records import RecordWalk
 from subiaco_geo.bag_recovery import recover_bag
 from subiaco_geo.bag_segments import RecordedTopic, SegmentWriter, natural_order, qos_text, sole_writer
 from subiaco_geo.bags import TYPESTORE, BagReader, packet_to_cdr
@@ -175,6 +177,21 @@ def test_a_damaged_chunk_in_the_middle_costs_only_itself(tmp_path: Path) -> None
     assert set(range(100)) - set(kept) == set(range(20, 40))
     assert result.files[0].damaged_chunks == 1
     assert result.files[0].bytes_lost > 0
+    assert result.files[0].messages_lost == {LIDAR_PACKETS: 16, IMU_PACKETS: 4}
+
+
+def test_the_messages_of_a_damaged_chunk_are_counted_by_its_index_where_no_summary_tells(
+    tmp_path: Path,
+) -> None:
+    walk = RecordWalk(BytesIO(), 0)
+    walk.ended, walk.damaged_chunks = True, 1
+    assert walk.lost({}) is None
+    walk.indexed.update({7: 16})
+    assert walk.lost({}) == {"channel 7": 16}
+
+
+def test_the_messages_behind_a_cut_are_not_known(recording: Path) -> None:
+    assert recover_bag(recording).files[2].messages_lost is None
 
 
 def test_topics_described_in_a_damaged_first_chunk_come_from_the_summary(tmp_path: Path) -> None:

@@ -8,7 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, invert_pose, make_pose
-from subiaco_mapping.calibration.attitude import BodyTrack, fit_body_rotation
+from subiaco_mapping.calibration.attitude import BodyTrack, fit_body_rotation, sharing
 from subiaco_mapping.calibration.config import CalibrationConfig
 from subiaco_mapping.calibration.imu import OdometryTrack
 
@@ -84,6 +84,16 @@ def test_driving_straight_leaves_the_roll_open() -> None:
     assert found.observed.tolist() == [False, True, True]
     error = error_deg(found.R_body_lidar, true[:3, :3])
     assert np.abs(error[1:]).max() < 0.15
+
+
+@pytest.mark.parametrize(("along", "least", "most"), [(0.0, 1.0, 3.0), (0.9, 10.0, 30.0)])
+def test_errors_that_wander_count_as_few(along: float, least: float, most: float) -> None:
+    """Autoregressive errors share one error for (1 + a) / (1 - a) samples: 1 and 19."""
+    steps = np.random.default_rng(6).normal(0.0, 1.0, (4000, 2))
+    wandering = steps.copy()
+    for k in range(1, len(steps)):
+        wandering[k] += along * wandering[k - 1]
+    assert least <= sharing(wandering) <= most
 
 
 def test_a_short_recording_says_so() -> None:

@@ -68,6 +68,27 @@ def test_a_point_outside_the_map_has_no_residual_and_is_named(tmp_path: Path) ->
     assert any("OUT" in text for text in residuals.summary()["warnings"])
 
 
+@pytest.mark.parametrize(("shift", "side"), [(32.9, "below"), (-32.9, "above")])
+def test_heights_above_the_geoid_are_told_from_a_point_outside_the_map(
+    tmp_path: Path, shift: float, side: str
+) -> None:
+    rows = [f"P{i},{388_005 + i},{6_464_020},{10 + 0.05 * (5 + i) + shift:.4f}" for i in range(6)]
+    path = write_points(tmp_path / "ahd.csv", [*rows, f"OUT,{surveyed(400, 10)}"])
+    text = describe_control(check_control(sloping_map(), read_control(path, CRS)))
+    assert f"warning: the map lies 32.9 m {side} 6 of 7 control points" in text
+    assert "geoid (AHD" in text
+    assert "no map surface" not in text
+
+
+def test_control_points_in_gda94_are_named_by_the_shift_of_the_picked_places(tmp_path: Path) -> None:
+    header = "name,east,north,height,map_east,map_north"
+    rows = [f"P{i},{surveyed(5 + i, 20)},{388_005 + i + 0.99},{6_464_020 + 1.50}" for i in range(5)]
+    points = read_control(write_points(tmp_path / "gda94.csv", rows, header), CRS)
+    (said, *_) = check_control(sloping_map(), points).summary()["warnings"]
+    assert "1.80 m off the control points" in said
+    assert "probably in GDA94; give their CRS with --crs" in said
+
+
 def test_control_in_another_system_is_brought_to_the_map(tmp_path: Path) -> None:
     points = read_control(
         write_points(tmp_path / "c.csv", ["A,388000,6464000,10"]), "EPSG:28350", "EPSG:7850"

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -157,6 +158,8 @@ def test_a_configured_name_is_read_and_wins(tmp_path: Path) -> None:
     [
         ({"lidar_on": lambda s: s < 3}, "not usable", "lidar_silent once, 5.0 s in all"),
         ({"lidar_on": lambda s: not 3 <= s < 3.7}, "usable with care", "lidar_silent once, 0.8 s in all"),
+        ({"lidar_on": lambda s: s > 3}, "not usable", "the LiDAR begins 3.1 s after the recording (39%"),
+        ({"lidar_on": lambda s: s > 1.2}, "usable with care", "the LiDAR begins 1.3 s after the recording"),
         ({"imu_on": lambda _s: False}, "usable with care", "no /imu/data"),
         ({"gnss_on": lambda _s: False}, "usable with care", "no /gnss/fix: the map will be local"),
         ({"status": -1}, "usable with care", "no usable fix on /gnss/fix"),
@@ -259,6 +262,28 @@ def test_packets_that_are_all_malformed_are_not_usable(tmp_path: Path) -> None:
     facts = inspect_bag(with_messages(drive_bag(tmp_path / "a", seconds=2.0), tmp_path / "bag", change))
     assert facts["verdict"] == "not usable"
     assert "LiDAR packets are malformed" in facts["forbids"][0]
+
+
+@pytest.mark.parametrize("kept", ["every eighth packet", "the first packets of a turn", "every eighth turn"])
+def test_a_bag_without_most_of_its_packets_is_not_usable_and_the_loss_is_named(
+    tmp_path: Path, kept: str
+) -> None:
+    source, turn = drive_bag(tmp_path / "a", seconds=4.0), 32
+    keep: dict[str, Callable[[int], bool]] = {
+        "every eighth packet": lambda n: n % 8 == 0,
+        "the first packets of a turn": lambda n: n % turn < turn // 8,
+        "every eighth turn": lambda n: (n // turn) % 8 == 0,
+    }
+    number = -1
+    with BagReader(source) as reader, BagWriter(tmp_path / "bag") as writer:
+        for item in reader.messages():
+            number += item.topic == LIDAR_PACKETS
+            if item.topic != LIDAR_PACKETS or keep[kept](number):
+                writer.write_raw(item.topic, item.msg_type, item.raw, item.log_time_ns)
+    facts = inspect_bag(tmp_path / "bag")
+    assert facts["verdict"] == "not usable"
+    assert re.search(r"8[5-8]% of the LiDAR packets lost", facts["forbids"][0]), facts["forbids"]
+    assert "of the LiDAR packets lost" in describe(facts).splitlines()[2]
 
 
 @pytest.mark.parametrize(

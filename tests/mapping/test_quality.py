@@ -16,6 +16,7 @@ from subiaco_geo.crs import EnuFrame
 from subiaco_geo.frames import interpolate_poses
 from subiaco_geo.maps import write_map
 from subiaco_geo.survey_map import SurveyMap
+from subiaco_geo.trajectories import Trajectory
 from subiaco_mapping.backend import MappingBackend
 from subiaco_mapping.config import GnssConfig, GraphConfig, MappingConfig
 from subiaco_mapping.measurements import DeskewedScan, Extrinsics, GnssFix, OdometryPose
@@ -228,6 +229,18 @@ def test_what_misses_its_limit_is_named_and_the_map_is_not_called_good(solution,
     assert found["sentence"].startswith("Look before you sign")
     assert len(found["wrong"]) == 1
     assert named in found["wrong"][0]
+
+
+@pytest.mark.parametrize(("days", "grade"), [(0.4, "good"), (1.9, "good"), (3.0, "check"), (728.0, "check")])
+def test_drives_of_different_days_in_one_map_are_told_in_its_first_clause(solution, days, grade):
+    pause = np.array([0, 0, 1, 1]) * int(days * 86_400e9)
+    times = 1_700_000_000 * 10**9 + np.arange(4) * 10**9 + pause
+    survey = replace(surveyed(), trajectory=Trajectory(times, np.tile(np.eye(4), (4, 1, 1))))
+    found = assess(survey, solution, CONFIG).facts["verdict"]
+    assert found["grade"] == grade
+    clause = f"its drives lie {days:.0f} days apart"
+    assert (clause in found["sentence"]) == (grade == "check")
+    assert ("map the drives of each survey by themselves" in found["sentence"]) == (grade == "check")
 
 
 def test_a_map_without_fixes_is_called_local_and_says_what_it_could_not_check(tmp_path):

@@ -143,7 +143,7 @@ def test_a_second_start_goes_on_with_a_new_file_only_if_told(tmp_path: Path) -> 
     with pytest.raises(InputError, match="is being recorded into"):
         recorder(tmp_path / "drive", resume=True)
     first.close()
-    with pytest.raises(InputError, match="exists already"):
+    with pytest.raises(InputError, match=r"exists already; .*--resume"):
         recorder(tmp_path / "drive")
     again = recorder(tmp_path / "drive", resume=True)
     again.add(PACKETS, packet(1), START_NS + 1)
@@ -177,6 +177,7 @@ def test_a_disk_below_the_lower_watermark_ends_the_recording_whole(tmp_path: Pat
 def test_a_disk_that_is_full_from_the_start_is_refused(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="make room"):
         recorder(tmp_path / "drive", free=10)
+    assert list(tmp_path.iterdir()) == []
 
 
 @pytest.fixture

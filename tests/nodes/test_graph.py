@@ -20,7 +20,7 @@ from subiaco_bringup.graph import (
     ros_parameters,
 )
 from subiaco_geo.config import load_config
-from subiaco_geo.errors import InputError
+from subiaco_geo.errors import InputError, SubiacoError
 from subiaco_mapping.config import MappingConfig
 
 LAUNCH = Path(__file__).resolve().parents[2] / "src" / "subiaco_bringup" / "launch"
@@ -104,6 +104,10 @@ class SetEnvironmentVariable(Action):
     """Stands for launch.actions.SetEnvironmentVariable."""
 
 
+class RegisterEventHandler(Action):
+    """Stands for launch.actions.RegisterEventHandler."""
+
+
 class Configuration:
     """Stands for LaunchConfiguration; the context is a plain dict."""
 
@@ -123,7 +127,7 @@ def launch_stub(monkeypatch: pytest.MonkeyPatch) -> None:
             "DeclareLaunchArgument": Action,
             "EmitEvent": Action,
             "OpaqueFunction": OpaqueFunction,
-            "RegisterEventHandler": Action,
+            "RegisterEventHandler": RegisterEventHandler,
             "SetEnvironmentVariable": SetEnvironmentVariable,
         },
         "launch.substitutions": {"LaunchConfiguration": Configuration},
@@ -158,6 +162,22 @@ def launched_nodes(file: Path, **arguments: str) -> list[dict[str, Any]]:
     return [a.named for a in expand.named["function"](context) if isinstance(a, Node)]
 
 
+class Ended:
+    """Stands for the event of a process that has ended, and for a context of a launch that goes on."""
+
+    def __init__(self, code: int = 0, *, shut_down: bool = False) -> None:
+        self.returncode, self.is_shutdown = code, shut_down
+
+
+def ends_of(file: Path, **arguments: str) -> dict[str, Any]:
+    """Return what follows from the end of each executable of a launch file."""
+    actions = description_of(file)
+    context = {a.given[0]: a.named["default_value"] for a in actions if type(a) is Action} | arguments
+    (expand,) = [a for a in actions if isinstance(a, OpaqueFunction)]
+    handlers = [a.given[0] for a in expand.named["function"](context) if isinstance(a, RegisterEventHandler)]
+    return {h.named["target_action"].named["executable"]: h.named["on_exit"] for h in handlers}
+
+
 def launched_lines(file: Path, **arguments: str) -> list[list[str]]:
     """Return the command lines of the nodes of a launch file."""
     nodes = launched_nodes(file, **arguments)
@@ -181,6 +201,48 @@ def test_launch_file_and_supervisor_start_the_same_mapping_command_lines(tmp_pat
         bags, tmp_path / "out", config_files("mapping"), ["odometry.voxel=0.8"], rate=2.0, overwrite=True
     )
     assert launched == command_lines(graph)
+
+
+@pytest.mark.usefixtures("launch_stub")
+@pytest.mark.parametrize("name", ["replay_node", "odometry_node", "pose_graph_node"])
+@pytest.mark.parametrize("code", [1, 2, -9])
+def test_a_launch_ends_with_an_error_when_any_node_of_the_mapping_dies(
+    name: str, code: int, tmp_path: Path
+) -> None:
+    end = ends_of(LAUNCH / "mapping.launch.py", bag="/nope", output=str(tmp_path / "out"))[name]
+    with pytest.raises(SubiacoError, match=rf"node \w+ ended with exit code {code}"):
+        end(Ended(code), Ended())
+
+
+@pytest.mark.usefixtures("launch_stub")
+def test_a_launch_ends_well_with_its_principal_node_alone_and_says_nothing_of_nodes_that_it_stops(
+    tmp_path: Path,
+) -> None:
+    ends = ends_of(LAUNCH / "mapping.launch.py", bag="/nope", output=str(tmp_path / "out"))
+    assert [name for name, end in ends.items() if end(Ended(0), Ended())] == ["pose_graph_node"]
+    assert all(end(Ended(1), Ended(shut_down=True)) == [] for end in ends.values())
+
+
+@pytest.mark.usefixtures("launch_stub")
+def test_a_launch_starts_a_live_node_again_a_few_times_and_goes_on_without_the_map(tmp_path: Path) -> None:
+    from subiaco_bringup.supervisor import MOST_RESTARTS
+
+    ends = ends_of(LAUNCH / "live.launch.py", output=str(tmp_path / "drive"))
+    assert ends["pose_graph_node"](Ended(1), Ended()) == []
+    for _ in range(MOST_RESTARTS):
+        assert ends["odometry_node"](Ended(-11), Ended()) == []
+    with pytest.raises(SubiacoError, match="node odometry ended with exit code -11"):
+        ends["odometry_node"](Ended(-11), Ended())
+    with pytest.raises(SubiacoError, match="node recorder ended with exit code 2"):
+        ends["recorder_node"](Ended(2), Ended())
+
+
+@pytest.mark.usefixtures("launch_stub")
+@pytest.mark.parametrize("file", sorted(LAUNCH.glob("*.launch.py")), ids=lambda path: path.name)
+def test_a_launch_refuses_a_setting_that_is_none_before_it_starts_a_node(file: Path, tmp_path: Path) -> None:
+    given = {name: str(tmp_path / name) for name in ("bag", "output", "before", "after")}
+    with pytest.raises(InputError, match="nonsense: no such setting"):
+        launched_nodes(file, **given, set="nonsense=1")
 
 
 @pytest.mark.usefixtures("launch_stub")
@@ -322,7 +384,9 @@ def test_a_launch_file_keeps_to_this_host_where_nothing_else_is_set(
     assert not [a for a in description_of(file) if isinstance(a, SetEnvironmentVariable)]
 
 
-def test_every_process_of_every_graph_is_an_executable_of_its_package(tmp_path: Path) -> None:
+def test_every_process_of_every_graph_is_an_executable_of_its_package(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     from subiaco_bringup.live_graph import live_graph
 
     graphs = [
@@ -332,5 +396,10 @@ def test_every_process_of_every_graph_is_an_executable_of_its_package(tmp_path: 
     ]
     for spec in {node.executable: node for graph in graphs for node in graph.nodes}.values():
         said = (LAUNCH.parents[1] / spec.package / "setup.py").read_text()
-        assert f"{spec.executable} = {spec.package}.nodes.{spec.executable}:main" in said
+        assert f"{spec.executable} = {spec.package}.nodes.executables:{spec.executable}" in said
         assert importlib.util.find_spec(f"{spec.package}.nodes.{spec.executable}") is not None
+        executables = importlib.import_module(f"{spec.package}.nodes.executables")
+        started: list[str] = []
+        monkeypatch.setattr(executables, "start", started.append)
+        getattr(executables, spec.executable)()
+        assert started == [f"{spec.package}.nodes.{spec.executable}"]

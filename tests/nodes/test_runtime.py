@@ -171,12 +171,41 @@ def test_a_parameter_file_that_is_missing_is_exit_code_2(tmp_path: Path) -> None
 
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
-def test_a_signal_ends_a_node_quietly_with_130(number: signal.Signals) -> None:
+@pytest.mark.parametrize(("supervised", "code"), [(True, 130), (False, 0)])
+def test_a_signal_ends_a_node_quietly_with_130_under_our_supervisor_and_0_under_launch(
+    number: signal.Signals, supervised: bool, code: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("SUBIACO_SUPERVISOR", raising=False)
+    if supervised:
+        monkeypatch.setenv("SUBIACO_SUPERVISOR", str(os.getpid()))
     process = probe("pass")
     assert process.stdout is not None
     while "CONFIG " not in process.stdout.readline():
         assert process.poll() is None
     process.send_signal(number)
     output = process.communicate(timeout=30)[0]
-    assert process.returncode == 130
+    assert process.returncode == code
     assert "Traceback" not in output
+
+
+SLOW_NODE = """
+import os, signal, time
+os.kill(os.getpid(), signal.SIGINT)
+time.sleep(0.2)
+from subiaco_mapping.nodes.runtime import run_node
+
+def main():
+    return run_node("slow", lambda node: None)
+"""
+
+
+def test_an_interruption_during_the_imports_of_a_node_ends_it_quietly(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.delenv("SUBIACO_SUPERVISOR", raising=False)
+    (tmp_path / "slow_node.py").write_text(SLOW_NODE)
+    program = "import sys; from subiaco_mapping.nodes.executables import start; sys.exit(start('slow_node'))"
+    done = subprocess.run(
+        [sys.executable, "-c", program], cwd=tmp_path, capture_output=True, text=True, timeout=60, check=False
+    )
+    assert (done.returncode, done.stdout, done.stderr) == (0, "", "")

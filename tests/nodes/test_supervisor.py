@@ -32,7 +32,7 @@ def scripts(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> Callable[[NodeSp
         return spec
 
     monkeypatch.setattr(module, "process_command", command)
-    monkeypatch.setattr(module, "_RESTART_DELAY", 0.05)
+    monkeypatch.setattr(module, "RESTART_DELAY", 0.05)
     return script
 
 
@@ -141,7 +141,8 @@ os.kill(os.getpid(), signal.SIGINT)
 from subiaco_mapping.nodes.runtime import run_node
 sys.exit(run_node('starting', lambda node: None))"""
     starting = scripts(node("starting"), program)
-    supervisor = Supervisor(GraphSpec("test", (starting,)), dict(os.environ))
+    environment = os.environ | {"SUBIACO_SUPERVISOR": str(os.getpid())}
+    supervisor = Supervisor(GraphSpec("test", (starting,)), environment)
     with pytest.raises(KeyboardInterrupt):
         supervisor.run()
     assert [process.code for process in supervisor.processes] == [module.INTERRUPTED]

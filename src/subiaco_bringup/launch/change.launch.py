@@ -9,6 +9,8 @@ from launch import LaunchDescription
 from subiaco_bringup.defaults import config_files
 from subiaco_bringup.graph import GraphSpec, change_graph
 from subiaco_bringup.launching import launch_description, split_paths, split_words
+from subiaco_change.config import ChangeConfig
+from subiaco_geo.config import load_config
 
 ARGUMENTS = (
     ("before", None, "map directory or cloud of the earlier epoch"),
@@ -21,13 +23,15 @@ ARGUMENTS = (
 
 
 def describe(values: dict[str, str]) -> GraphSpec:
-    """Describe the graph that the arguments ask for."""
+    """Describe the graph that the arguments ask for; a setting that is none is refused before it starts."""
+    files, settings = config_files("change", tuple(split_paths(values["config"]))), split_words(values["set"])
+    load_config(ChangeConfig, files, settings)
     return change_graph(
         Path(values["before"]),
         Path(values["after"]),
         Path(values["output"]),
-        config_files("change", tuple(split_paths(values["config"]))),
-        split_words(values["set"]),
+        files,
+        settings,
         overwrite=values["overwrite"].lower() == "true",
     )
 

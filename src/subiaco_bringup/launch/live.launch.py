@@ -8,6 +8,7 @@ from pathlib import Path
 from launch import LaunchDescription
 from subiaco_bringup.defaults import config_files
 from subiaco_bringup.graph import GraphSpec
+from subiaco_bringup.jobs import require_live_config
 from subiaco_bringup.launching import launch_description, split_paths, split_words
 from subiaco_bringup.live_graph import live_graph
 from subiaco_bringup.recording import parse_remapping
@@ -24,11 +25,16 @@ ARGUMENTS = (
 
 
 def describe(values: dict[str, str]) -> GraphSpec:
-    """Describe the graph that the arguments ask for."""
-    return live_graph(
-        Path(values["output"]),
+    """Describe the graph that the arguments ask for; a setting that is none is refused before it starts."""
+    files, settings = (
         config_files("mapping", tuple(split_paths(values["config"]))),
         split_words(values["set"]),
+    )
+    require_live_config(files, settings)
+    return live_graph(
+        Path(values["output"]),
+        files,
+        settings,
         remappings=[parse_remapping(word) for word in split_words(values["remap"])],
         route=Path(values["route"]) if values["route"] else None,
         record=values["record"].lower() == "true",

@@ -9,6 +9,8 @@ from launch import LaunchDescription
 from subiaco_bringup.defaults import config_files
 from subiaco_bringup.graph import GraphSpec, mapping_graph
 from subiaco_bringup.launching import launch_description, split_paths, split_words
+from subiaco_geo.config import load_config
+from subiaco_mapping.config import MappingConfig
 
 ARGUMENTS = (
     ("bag", None, "bags of one epoch, separated by blanks; one a sequence"),
@@ -21,12 +23,17 @@ ARGUMENTS = (
 
 
 def describe(values: dict[str, str]) -> GraphSpec:
-    """Describe the graph that the arguments ask for."""
+    """Describe the graph that the arguments ask for; a setting that is none is refused before it starts."""
+    files, settings = (
+        config_files("mapping", tuple(split_paths(values["config"]))),
+        split_words(values["set"]),
+    )
+    load_config(MappingConfig, files, settings)
     return mapping_graph(
         split_paths(values["bag"]),
         Path(values["output"]),
-        config_files("mapping", tuple(split_paths(values["config"]))),
-        split_words(values["set"]),
+        files,
+        settings,
         rate=float(values["rate"]),
         overwrite=values["overwrite"].lower() == "true",
     )

@@ -10,6 +10,8 @@ from subiaco_bringup.defaults import config_files
 from subiaco_bringup.graph import GraphSpec
 from subiaco_bringup.launching import launch_description, split_paths, split_words
 from subiaco_bringup.recording import parse_remapping, record_graph
+from subiaco_geo.config import load_config
+from subiaco_mapping.recording.config import RecordingConfig
 
 ARGUMENTS = (
     ("output", None, "bag folder to write; an existing one is gone on with"),
@@ -21,11 +23,13 @@ ARGUMENTS = (
 
 
 def describe(values: dict[str, str]) -> GraphSpec:
-    """Describe the graph that the arguments ask for."""
+    """Describe the graph that the arguments ask for; a setting that is none is refused before it starts."""
+    files, settings = config_files("record", tuple(split_paths(values["config"]))), split_words(values["set"])
+    load_config(RecordingConfig, files, settings)
     return record_graph(
         Path(values["output"]),
-        config_files("record", tuple(split_paths(values["config"]))),
-        split_words(values["set"]),
+        files,
+        settings,
         remappings=[parse_remapping(text) for text in split_words(values["remap"])],
         duration=float(values["duration"]),
     )

@@ -100,6 +100,23 @@ def run_change_graph(
     _run(change_graph(before, after, output, files, given, overwrite=overwrite), progress)
 
 
+def require_live_config(config_files: Iterable[Path], settings: Iterable[str]) -> None:
+    """Refuse a configuration that the recorder or the mapping nodes do not know.
+
+    Raises
+    ------
+    InputError
+        Names the setting at fault.
+    """
+    from subiaco_mapping.config import MappingConfig
+    from subiaco_mapping.recording.config import RecordingConfig
+
+    values = merged_config(config_files, settings)
+    recorder = {"record": values.pop("record", {})}
+    validate(RecordingConfig, recorder, "configuration")
+    validate(MappingConfig, values, "configuration")
+
+
 def run_live_graph(
     output: Path,
     config_files: Iterable[Path] = (),
@@ -132,16 +149,11 @@ def run_live_graph(
         what it had; what the others wrote stands.
     """
     from subiaco_bringup.live_graph import MAP, SEQUENCE, live_graph
-    from subiaco_mapping.config import MappingConfig
-    from subiaco_mapping.recording.config import RecordingConfig
     from subiaco_mapping.watch.files import MANIFEST, add_stretches
     from subiaco_mapping.watch.routes import read_route
 
     files, given = list(config_files), list(settings)
-    values = merged_config(files, given)
-    recorder = {"record": values.pop("record", {})}
-    validate(RecordingConfig, recorder, "configuration")
-    validate(MappingConfig, values, "configuration")
+    require_live_config(files, given)
     if route is not None:
         read_route(route)
     if output.exists() and (not output.is_dir() or any(output.iterdir())):

@@ -4,12 +4,15 @@ from __future__ import annotations
 
 import os
 import shlex
+import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
 from subiaco_bringup.environment import dds_defaults
-from subiaco_bringup.graph import GraphSpec
+from subiaco_bringup.graph import GraphSpec, NodeSpec
+from subiaco_bringup.supervisor import MOST_RESTARTS, RESTART_DELAY, SETTLING
+from subiaco_geo.errors import InputError, RegistrationError, SubiacoError
 
 Arguments = dict[str, str]
 
@@ -24,12 +27,50 @@ def split_paths(text: str) -> list[Path]:
     return [Path(word) for word in split_words(text)]
 
 
+class NodeEnd:
+    """What ``launch`` does when a node has ended, by the rules of our supervisor.
+
+    Parameters
+    ----------
+    spec : NodeSpec
+    shutdown : callable
+        Gives the action that ends the launch, from its reason.
+    """
+
+    def __init__(self, spec: NodeSpec, shutdown: Callable[[str], Any]) -> None:
+        self._spec, self._shutdown = spec, shutdown
+        self._deaths, self._started = 0, time.monotonic()
+
+    def __call__(self, event: Any, context: Any) -> list[Any]:
+        """Return the actions that follow.
+
+        Raises
+        ------
+        SubiacoError
+            The job cannot go on: ``launch`` shuts the other nodes down and exits with 1.
+        """
+        spec, code = self._spec, int(event.returncode)
+        if context.is_shutdown:
+            return []
+        if code == 0:
+            return [self._shutdown(f"{spec.name} has ended")] if spec.principal else []
+        ran, self._started = time.monotonic() - self._started, time.monotonic()
+        refused = code in (InputError.exit_code, RegistrationError.exit_code) and ran < SETTLING
+        self._deaths += 1
+        if not refused and (not spec.essential or (spec.restart and self._deaths <= MOST_RESTARTS)):
+            return []
+        raise SubiacoError(f"node {spec.name} ended with exit code {code}; it said why above")
+
+
 def launch_actions(graph: GraphSpec) -> list[Any]:
-    """Return one ``launch_ros`` node a process; the end of the principal one ends the launch."""
+    """Return one ``launch_ros`` node a process, and what follows from the end of each."""
     from launch.actions import EmitEvent, RegisterEventHandler
     from launch.event_handlers import OnProcessExit
     from launch.events import Shutdown
     from launch_ros.actions import Node
+
+    def shutdown(reason: str) -> Any:
+        return EmitEvent(event=Shutdown(reason=reason))
 
     actions: list[Any] = []
     for spec in graph.nodes:
@@ -39,14 +80,13 @@ def launch_actions(graph: GraphSpec) -> list[Any]:
             arguments=spec.arguments(),
             output="screen",
             respawn=spec.restart,
-            respawn_delay=1.0,
+            respawn_delay=RESTART_DELAY,
+            respawn_max_retries=MOST_RESTARTS,
             sigterm_timeout=str(spec.grace),
             sigkill_timeout=str(spec.grace),
         )
-        actions.append(node)
-        if spec.principal:
-            ended = EmitEvent(event=Shutdown(reason=f"{spec.name} has ended"))
-            actions.append(RegisterEventHandler(OnProcessExit(target_action=node, on_exit=[ended])))
+        ended = OnProcessExit(target_action=node, on_exit=NodeEnd(spec, shutdown))
+        actions += [RegisterEventHandler(ended), node]
     return actions
 
 

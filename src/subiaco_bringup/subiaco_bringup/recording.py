@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
@@ -17,7 +18,7 @@ from subiaco_geo.config import load_config
 from subiaco_geo.errors import InputError
 
 #: Closing a recording takes the time that the disk needs for what waits in memory.
-_GRACE = 60.0
+GRACE = 60.0
 
 
 def recorder_spec(
@@ -106,19 +107,22 @@ def run_recording(
         The recorder failed.
     """
     from subiaco_mapping.recording.config import RecordingConfig
-    from subiaco_mapping.recording.recorder import COUNTS_NAME
+    from subiaco_mapping.recording.recorder import COUNTS_NAME, RESUME_REMEDY
 
     files, given = list(config_files), list(settings)
     config = load_config(RecordingConfig, files, given).record
-    if not (resume and output.is_dir()):
-        refuse_existing(output, overwrite=False)
+    fresh = not (resume and output.is_dir())
+    if fresh:
+        refuse_existing(output, overwrite=False, remedy=RESUME_REMEDY)
     graph = record_graph(output, files, given, remappings=remappings, duration=duration)
     with node_environment(shared=True) as environment:
-        supervisor = Supervisor(graph, environment, grace=_GRACE)
+        supervisor = Supervisor(graph, environment, grace=GRACE)
         with suppress(KeyboardInterrupt):
             supervisor.run()
         supervisor.require_whole()
     counts = output / COUNTS_NAME
     facts = dict(yaml.safe_load(counts.read_text("utf-8"))) if counts.is_file() else {}
+    if fresh and counts.is_file() and not facts.get("messages"):
+        shutil.rmtree(output)  # a folder without a message is no recording
     topics = facts.get("topics", {})
     return facts, config.absent({name: values["received"] for name, values in topics.items()})

@@ -36,9 +36,11 @@ _LEVELS = {
 }
 _POLL = 0.05
 #: A node that goes with bad input this soon will not do better the next time [s].
-_SETTLING = 15.0
-_MOST_RESTARTS = 5
-_RESTART_DELAY = 1.0
+SETTLING = 15.0
+#: A node that crashes more often than this is not started again.
+MOST_RESTARTS = 5
+#: Before the first restart; each further one waits longer by as much [s].
+RESTART_DELAY = 1.0
 INTERRUPTED = 130
 
 
@@ -299,10 +301,10 @@ class Supervisor:
         """Restart a failed node, or go on without it, where that is safe."""
         spec = process.spec
         refused = process.code in (InputError.exit_code, RegistrationError.exit_code)
-        if refused and time.monotonic() - process.started < _SETTLING:
+        if refused and time.monotonic() - process.started < SETTLING:
             return False
         before = sum(death.node == spec.name for death in self.deaths)
-        again = spec.restart and before < _MOST_RESTARTS
+        again = spec.restart and before < MOST_RESTARTS
         if not again and spec.essential:
             return False
         what = "starting it again" if again else "going on without it"
@@ -311,7 +313,7 @@ class Supervisor:
         self.deaths.append(Death(spec.name, time.time_ns(), f"{how}; {what}"))
         self.processes.remove(process)
         if again:
-            self._due.append((time.monotonic() + _RESTART_DELAY * (1 + before), spec))
+            self._due.append((time.monotonic() + RESTART_DELAY * (1 + before), spec))
         return True
 
     def _stop(self) -> None:

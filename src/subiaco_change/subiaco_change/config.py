@@ -28,38 +28,56 @@ from subiaco_geo.errors import InputError
 class TileConfig(StrictModel):
     """Tiles in which a run is done (method, part C5)."""
 
-    size: float = Field(80.0, ge=40, multiple_of=20, description="edge of a tile [m], paper")
-    overlap: float = Field(10.0, ge=5, description="surroundings that a tile sees [m], paper")
+    size: float = Field(80.0, ge=40, multiple_of=20, description="Edge of a processing tile [m] (paper)")
+    overlap: float = Field(
+        10.0,
+        ge=5,
+        description="Width of the surroundings that are processed together with a tile [m] (paper)",
+    )
     edge: float = Field(
-        2.0, ge=0, description="outermost part of these, too near the end of sight to tell objects [m]"
+        2.0,
+        ge=0,
+        description="Width of the outermost part of the surroundings, in which no object is classified [m]",
     )
 
 
 class ChangeConfig(StrictModel):
     """Everything that decides what a change run says."""
 
-    leaf: float = Field(0.25, gt=0, le=0.5, description="working leaf of both clouds [m], paper")
-    seed: int = Field(0, ge=0, description="seed of every random choice")
+    leaf: float = Field(
+        0.25,
+        gt=0,
+        le=0.5,
+        description="Voxel edge to which both clouds are thinned before the comparison [m] (paper)",
+    )
+    seed: int = Field(0, ge=0, description="Seed of all random numbers of a comparison")
     tiles: TileConfig = TileConfig()
     registration_points: int = Field(
         1_000_000,
         ge=10_000,
-        description="points of an epoch that the registration takes; beyond, thinner and of fewer tiles",
+        description="Largest number of points of an epoch used by the registration; more points are "
+        "thinned and come from fewer tiles",
     )
     normal_radius: float = Field(
         0.8,
         gt=0,
-        description="radius of normals at the working leaf [m]; where the points of an epoch lie farther "
-        "apart than 0.36 m, 2.4 times the measured spacing",
+        description="Radius of normals of the thinned clouds [m]; 2.4 times the point spacing where the "
+        "spacing exceeds 0.36 m",
     )
     second_registration: bool = Field(
-        True, description="register again without what the first pass calls changed (Decision 2)"
+        True,
+        description="Register a second time without the points that the first comparison found changed "
+        "(Decision 2)",
     )
     second_shift: float = Field(
-        0.005, ge=0, description="shift from which the second estimate is worth a new pass [m]"
+        0.005,
+        ge=0,
+        description="Shift between first and second registration from which the comparison is repeated [m]",
     )
     spacing: SpacingConfig = SpacingConfig()
-    without: tuple[Part, ...] = Field((), description="parts left out, for ablations")
+    without: tuple[Part, ...] = Field(
+        (), description="Parts of the method that are disabled, for ablation studies"
+    )
     registration: RegistrationConfig = RegistrationConfig()
     placing: PlacingConfig = PlacingConfig()
     lod: LodConfig = LodConfig()

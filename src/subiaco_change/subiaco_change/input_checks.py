@@ -34,38 +34,38 @@ class InputCheckConfig(StrictModel):
     pause_days: float = Field(
         2.0,
         gt=0,
-        description="longest pause between two drives of one survey before the survey counts as several"
-        " [days]. Raise it for a survey that took several weeks",
+        description="Longest pause between two drives of one survey before a finding is reported [days]. "
+        "Raise it for a survey that took several weeks",
     )
     other_epoch_days: float = Field(
         30.0,
         gt=0,
-        description="pause between two drives of one survey from which on the finding is serious [days]."
-        " Raise it for a survey that took several months",
+        description="Pause between two drives of one survey from which the finding is serious [days]. "
+        "Raise it for a survey that took several months",
     )
     shift_sigmas: float = Field(
         3.0,
         gt=0,
-        description="shift by the registration, in standard deviations that the surveys state, from which on"
-        " the shift is reported. Raise it where the stated uncertainties are known to be too small",
+        description="Registration shift that is reported, as a multiple of the standard deviation that "
+        "the surveys state. Raise it where stated uncertainties are too small",
     )
     least_shift: float = Field(
         0.1,
         ge=0,
-        description="smallest shift by the registration that is reported where both surveys state the"
-        " uncertainty of their poses [m]",
+        description="Smallest registration shift that is reported where both surveys state the "
+        "uncertainty of their poses [m]",
     )
     least_shift_unstated: float = Field(
         0.5,
         ge=0,
-        description="smallest shift by the registration that is reported where a survey states no uncertainty"
-        " of its poses [m]. Raise it for surveys that were placed without RTK",
+        description="Smallest registration shift that is reported where a survey states no pose "
+        "uncertainty [m]. Raise it for surveys without RTK",
     )
     datum_tolerance: float = Field(
         0.15,
         gt=0,
-        description="largest distance between the shift by the registration and a known shift between"
-        " geodetic frames at which the frames are named [m]",
+        description="Largest difference between the registration shift and a known shift between geodetic "
+        "frames at which the frames are named [m]",
     )
 
 

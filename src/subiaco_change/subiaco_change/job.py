@@ -28,12 +28,14 @@ from subiaco_change.input_checks import (
 from subiaco_change.observation.uncertainty import UncertaintyConfig
 from subiaco_change.outputs.directory import MARKER, ChangeInputs, write_change_directory
 from subiaco_change.outputs.parcels import read_lots
+from subiaco_change.outputs.reviews import read_reviewed
 from subiaco_change.pipeline import detect_in_tiles
 from subiaco_change.records import ChangeRecord, ChangeResult, TiledResult
 from subiaco_change.tiled.run import STAGES
 from subiaco_geo.atomic import refuse_existing, refuse_foreign
 from subiaco_geo.codes import Change
 from subiaco_geo.config import StrictModel
+from subiaco_geo.disk import ground_of, require_room
 from subiaco_geo.errors import InputError, RegistrationError
 from subiaco_geo.findings import Finding, announce
 from subiaco_geo.frames import Floats
@@ -50,6 +52,7 @@ _LOG = logging.getLogger(__name__)
 Taken = TypeVar("Taken")
 CLAIMED = (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED)
 _JUMP = 20.0  # longer steps between scans lead from one recording to the next [m]
+_RESULT_BYTES, _STAGE_BYTES = 60, 200  # a point takes on the disk; measured: 58, and 220 to 315
 _DATED = np.datetime64("2000-01-01")
 
 
@@ -88,8 +91,10 @@ def workbench(
         ``redo`` is no stage, another run works on the same output, or the scheduler does not answer.
     """
     redo = frozenset() if work.redo is None else stages_from(STAGES, work.redo)
-    kept = work.stages or output.with_name(f"{output.name}.stages")
+    kept = _stage_folder(work, output)
     with locked(kept):
+        if work.stages is None and any(kept.glob("*/*.npz")):
+            _LOG.warning("%s: what a run that was stopped finished there is used again", kept)
         executor = make_executor(work.workers, work.scheduler, ("subiaco_change.tiled.run",))
         try:
             yield Workbench(DiskStore(kept.absolute()), executor, progress, redo)
@@ -230,6 +235,23 @@ def run_job(
     return result
 
 
+def _require_room(job: ChangeJob, points: int) -> None:
+    """Refuse a run whose stages or result would fill a disk, from the points at the working leaf."""
+    stages = _stage_folder(job.work, job.output)
+    done = sum(file.stat().st_size for file in stages.rglob("*.npz"))  # of a run that was stopped
+    needed = max(points * _STAGE_BYTES - done, 0)
+    if ground_of(stages).stat().st_dev == ground_of(job.output).stat().st_dev:
+        require_room(job.output, points * _RESULT_BYTES + needed, "the run")
+        return
+    require_room(stages, needed, "the run")
+    require_room(job.output, points * _RESULT_BYTES, "the result")
+
+
+def _stage_folder(work: Work, output: Path) -> Path:
+    """Return where the finished stages of a run lie."""
+    return work.stages or output.with_name(f"{output.name}.stages")
+
+
 def _announced(findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
     """Say findings as they are made, long before the run ends."""
     announce(findings, _LOG)
@@ -237,9 +259,10 @@ def _announced(findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
 
 
 def _start(job: ChangeJob) -> gpd.GeoDataFrame | None:
-    """Refuse an output that is there; return the lots, if there are any."""
+    """Refuse an output that is there, or whose reviews cannot be read; return the lots, if there are any."""
     refuse_existing(job.output, job.overwrite)
     refuse_foreign(job.output, MARKER)
+    read_reviewed(job.output)  # a table that cannot be read back is refused before the work, not after it
     return None if job.parcels is None else read_lots(job.parcels, open_epoch(job.after).crs)
 
 
@@ -295,7 +318,9 @@ def run_change_and(
     found = _announced(check_surveys((job.before, job.after), surveys, config.checks))
     found += unstated_findings(surveys, poses.unstated_pose, used=poses.pose_covariance)
     with workbench(job.work, job.output, progress) as bench:
-        result = detect_in_tiles(epochs, config, bench, transform=transform, given=given)
+        result = detect_in_tiles(
+            epochs, config, bench, transform=transform, given=given, room=partial(_require_room, job)
+        )
         result = job.extensions.decided(result)
         if transform is None:
             found += _announced(check_shift(result.registration, surveys, poses.unstated_pose, config.checks))

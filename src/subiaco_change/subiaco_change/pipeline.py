@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any
@@ -78,13 +78,17 @@ def detect_in_tiles(
     *,
     transform: Floats | None = None,
     given: Sequence[str] = (),
+    room: Callable[[int], None] | None = None,
 ) -> TiledResult:
     """Find what changed between two epochs without ever holding one of them; see :func:`detect_changes`.
 
-    The result reads its clouds from the store of the bench: use it while that is there.
+    The result reads its clouds from the store of the bench: use it while that is there. ``room`` is told how
+    many points both thinned clouds have, once they are cut, and may refuse them.
     """
     run = CityRun(bench, config, tuple(given))
     run.cut(epochs)
+    if room is not None:
+        room(run.kept_points)
     if transform is None or np.array_equal(transform, np.eye(4)):
         run.check_heights()
     run.follow_spacing()

@@ -26,15 +26,25 @@ class SpacingConfig(StrictModel):
     served: float = Field(
         STREET_SPACING,
         gt=0,
-        description="largest spacing served by the lengths as they are [m]",
+        description="Largest point spacing up to which the configured lengths are used unchanged [m]",
     )
     cell: float = Field(
-        1.2, gt=0, description="spacings across a cell of which neighbours on one surface are mostly occupied"
+        1.2,
+        gt=0,
+        description="Smallest cell edge as a multiple of the point spacing, so that neighbours on one "
+        "surface are connected",
     )
     same: float = Field(
-        1.6, gt=0, description="spacings at which a place counts as occupied by the other epoch"
+        1.6,
+        gt=0,
+        description="Distance within which the other epoch occupies a place, as a multiple of the point "
+        "spacing",
     )
-    plane: float = Field(2.4, gt=0, description="spacings in a radius that holds enough points for a plane")
+    plane: float = Field(
+        2.4,
+        gt=0,
+        description="Radius of normals and of the level of detection as a multiple of the point spacing",
+    )
 
 
 _NOMINAL = 0.25  # leaf at which the fewest points of objects are stated [m]

@@ -8,19 +8,21 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from subiaco_geo.disk import ground_of, require_writable
 from subiaco_geo.errors import InputError
 from subiaco_geo.locks import held_directory, sweep
 
 
-def refuse_existing(path: Path, overwrite: bool) -> None:
+def refuse_existing(
+    path: Path, overwrite: bool, remedy: str = "choose another place or pass --overwrite"
+) -> None:
     """Raise where an output stands already and may not be replaced, or where none can be written."""
     if path.exists() and not overwrite:
-        raise InputError(f"{path}: exists already; choose another place or pass --overwrite")
-    ground = next(place for place in path.absolute().parents if place.exists())
+        raise InputError(f"{path}: exists already; {remedy}")
+    ground = ground_of(path.absolute().parent)
     if not ground.is_dir():
         raise InputError(f"{ground}: is a file, so {path} cannot be written; choose another place")
-    if not os.access(ground, os.W_OK | os.X_OK):
-        raise InputError(f"{ground}: may not be written to; choose another place or ask for the rights")
+    require_writable(ground)
 
 
 def refuse_foreign(path: Path, marker: str | None) -> None:

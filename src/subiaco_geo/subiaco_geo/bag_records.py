@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import struct
 import zlib
-from collections.abc import Iterator
+from collections import Counter
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from io import BytesIO
 from typing import BinaryIO
@@ -14,8 +15,9 @@ from mcap.data_stream import ReadDataStream
 from mcap.exceptions import McapError
 from mcap.opcode import Opcode
 from mcap.reader import make_reader
-from mcap.records import Channel, Chunk, Message, Schema
+from mcap.records import Channel, Chunk, Message, MessageIndex, Schema
 from mcap.stream_reader import breakup_chunk
+from mcap.summary import Summary
 
 from subiaco_geo.bag_chunks import most_unfolded, unfold
 from subiaco_geo.bag_files import MCAP_MAGIC
@@ -40,6 +42,10 @@ class RecordWalk:
         The file's own end was reached.
     damaged_chunks, damaged_bytes, unnamed : int
         Records left out, their size, and messages of a topic whose description was lost with one.
+    promised : dict of str to int, optional
+        Messages that the file held by topic, as its summary says; None where it has none.
+    indexed : Counter of int
+        Messages by channel that the indexes behind damaged chunks name.
     """
 
     def __init__(self, stream: BinaryIO, size: int) -> None:
@@ -52,6 +58,9 @@ class RecordWalk:
         self.damaged_chunks = 0
         self.damaged_bytes = 0
         self.unnamed = 0
+        self.promised: dict[str, int] | None = None
+        self.indexed: Counter[int] = Counter()
+        self._behind_damage = False
         self._room = most_unfolded(size)
 
     def messages(self) -> Iterator[tuple[Channel, Message]]:
@@ -86,7 +95,10 @@ class RecordWalk:
         except _DAMAGE:
             self.damaged_chunks += 1
             self.damaged_bytes += len(body) + _RECORD_HEAD.size
+            self._behind_damage = opcode == Opcode.CHUNK
             return
+        if opcode == Opcode.CHUNK:
+            self._behind_damage = False
         for record in records:
             if isinstance(record, Schema):
                 self.schemas[record.id] = record
@@ -110,6 +122,9 @@ class RecordWalk:
             yield Channel.read(stream)
         elif opcode == Opcode.MESSAGE:
             yield Message.read(stream, len(body))
+        elif opcode == Opcode.MESSAGE_INDEX and self._behind_damage:
+            index = MessageIndex.read(stream)
+            self.indexed[index.channel_id] += len(index.records)
 
     def _unfolded(self, chunk: Chunk) -> Chunk:
         """Unfold a chunk, as long as the file as a whole stays within bounds."""
@@ -128,3 +143,24 @@ class RecordWalk:
         if summary is not None:
             self.schemas.update(summary.schemas)
             self.channels.update(summary.channels)
+            self._learn_counts(summary)
+
+    def _learn_counts(self, summary: Summary) -> None:
+        if summary.statistics is None:
+            return
+        counts: Counter[str] = Counter()
+        for number, count in summary.statistics.channel_message_counts.items():
+            if number in self.channels:
+                counts[self.channels[number].topic] += count
+        self.promised = dict(counts)
+
+    def lost(self, kept: Mapping[str, int]) -> dict[str, int] | None:
+        """Return the messages that are lost by topic; None where the file does not tell how many it held."""
+        if self.promised is not None:
+            return {t: n - kept.get(t, 0) for t, n in self.promised.items() if n > kept.get(t, 0)}
+        if not self.ended or sum(self.indexed.values()) == 0 < self.damaged_chunks:
+            return None
+        counts: Counter[str] = Counter()
+        for number, count in self.indexed.items():
+            counts[self.channels[number].topic if number in self.channels else f"channel {number}"] += count
+        return dict(counts)

@@ -37,6 +37,8 @@ class FileRecovery:
         Bytes after the last good record, and of damaged chunks.
     damaged_chunks, unnamed : int
         Chunks left out; messages of a topic whose description was lost with one.
+    messages_lost : dict of str to int, optional
+        Messages lost by topic; None where the file does not tell how many it held.
     lost_s : float
         Time from the last message kept to the last write to the file [s]; 0 where the clocks differ.
     """
@@ -50,6 +52,7 @@ class FileRecovery:
     bytes_lost: int = 0
     damaged_chunks: int = 0
     unnamed: int = 0
+    messages_lost: dict[str, int] | None = field(default_factory=dict)
     lost_s: float = 0.0
 
     @property
@@ -138,7 +141,7 @@ def recover_file(source: Path, target: Path) -> FileRecovery:
         ``source`` is no mcap file, or ``target`` exists.
     """
     _require_mcap(source)
-    refuse_existing(target, overwrite=False)
+    refuse_existing(target, overwrite=False, remedy="choose another place")
     target.with_name(target.name + _RECOVERING).unlink(missing_ok=True)
     writer = SegmentWriter(target, _RECOVERING)
     size = source.stat().st_size
@@ -163,6 +166,7 @@ def recover_file(source: Path, target: Path) -> FileRecovery:
         bytes_lost=lost,
         damaged_chunks=walk.damaged_chunks,
         unnamed=walk.unnamed,
+        messages_lost=walk.lost(counts),
         lost_s=0.0 if walk.ended else _silence(source, last),
     )
 

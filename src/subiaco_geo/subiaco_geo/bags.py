@@ -113,7 +113,7 @@ class BagWriter:
 
     def __init__(self, path: Path, *, compress: bool = True) -> None:
         self.path = Path(path)
-        refuse_existing(self.path, overwrite=False)
+        refuse_existing(self.path, overwrite=False, remedy="choose another place")
         self._partial = self.path.with_name(f".{self.path.name}.{getpid()}.partial")
         self._compress = compress
         self._connections: dict[tuple[str, str], Connection] = {}
@@ -137,7 +137,7 @@ class BagWriter:
         try:
             writer.__exit__(kind, error, trace)
             if kind is None:
-                refuse_existing(self.path, overwrite=False)
+                refuse_existing(self.path, overwrite=False, remedy="choose another place")
                 writer.path.rename(self.path)
         finally:
             shutil.rmtree(self._partial, ignore_errors=True)

@@ -86,6 +86,9 @@ def read_heights(path: Path) -> Floats:
         raise InputError(f"{path}: unexpected columns; rebuild the map")
     rows = [line.split(",") for line in lines if line.strip()]
     try:
-        return np.array(rows, dtype=np.float64).reshape(len(rows), len(HEIGHT_COLUMNS))
+        heights = np.array(rows, dtype=np.float64).reshape(len(rows), len(HEIGHT_COLUMNS))
     except ValueError as error:
         raise InputError(f"{path}: damaged ({error}); rebuild the map") from error
+    if np.isinf(heights).any() or np.isnan(heights[:, [0, 1, 3]]).any():
+        raise InputError(f"{path}: damaged (a tile has no place or an infinite height); rebuild the map")
+    return heights

@@ -42,71 +42,71 @@ class MovementConfig(StrictModel):
         0.2,
         ge=0.05,
         le=2.0,
-        description="length of a time window [s]; a window in which a voxel returned something is a hit, one "
-        "in which enough beams passed through it without any return is a look through it",
+        description="Length of a time window [s]. A window with returns from a voxel is a hit; one with "
+        "enough passing beams and no return is a look through the voxel",
     )
     least_beams: int = Field(
         3,
         ge=1,
         le=255,
-        description="beams of those walked (`visibility_stride`) that must pass through a voxel in a window "
-        "to make it a look through it; raise it if edges of standing objects are taken for moving ones [1]",
+        description="Number of traced beams (visibility_stride) that must pass through a voxel in a "
+        "window for a look through. Raise it if edges of static objects count as moving",
     )
     standing_share: float = Field(
         2.0,
         gt=0,
-        description="first parameter of the beta distribution of a standing object's share of hits among "
-        "looks; the second is 1, so that above 1 dense objects are likelier than porous ones [1]",
+        description="First parameter of the beta distribution of the hit fraction of a static object [1]; "
+        "above 1, dense objects are likelier than porous ones",
     )
     moving_share: float = Field(
         3.0,
         gt=0,
-        description="second parameter of the beta distribution of the share of looks at a voxel during which "
-        "a moving object is in it; the first is 1, so that above 1 short times are likelier [1]",
+        description="Second parameter of the beta distribution of the fraction of time that a moving "
+        "object spends in a voxel [1]; above 1, short times are likelier",
     )
     further_run: float = Field(
         0.25,
         gt=0,
         lt=1,
-        description="factor on the likelihood of movement for every run of hits after the first; raise it "
-        "where many vehicles pass one place, lower it if sparse foliage is taken for traffic [1]",
+        description="Factor on the likelihood of movement per run of hits after the first. Raise it for "
+        "busy traffic, lower it if sparse foliage counts as moving",
     )
     weight: float = Field(
-        6.0, gt=0, description="greatest evidence of one voxel, natural logarithm of a likelihood ratio [1]"
+        6.0,
+        gt=0,
+        description="Greatest evidence of one voxel, as the natural logarithm of a likelihood ratio [1]",
     )
     touching: float = Field(
         -1.0,
         le=0,
-        description="evidence from which a voxel beside a moving component moved with it, natural logarithm "
-        "of a likelihood ratio; just below 0 takes voxels that say nothing themselves [1]",
+        description="Evidence (log likelihood ratio) from which a voxel beside a moving component moved "
+        "too [1]; just below 0 includes voxels without evidence",
     )
     standing: float = Field(
         -2.0,
         le=0,
-        description="evidence below which a voxel stands although the component it lies in moved, natural "
-        "logarithm of a likelihood ratio [1]",
+        description="Evidence (log likelihood ratio) below which a voxel is static although its component "
+        "moved [1]",
     )
-    prior: float = Field(
-        -4.0, description="logarithm of the odds that a component moved, before any evidence [1]"
-    )
+    prior: float = Field(-4.0, description="Log odds that a component moved, before any evidence [1]")
     sure: float = Field(
         0.9,
         gt=0.5,
         le=1,
-        description="probability of having moved from which points leave the map for `moving.laz`; points "
-        "below stay, with their probability in the field `moving` [1]",
+        description="Probability of having moved from which points leave the map for `moving.laz`; other "
+        "points keep their probability in the field `moving`",
     )
     brief: float = Field(
         1.5,
         ge=0,
-        description="voxels whose hits span no more time than this are uncertain (probability 0.5), because "
-        "a slow vehicle takes as long to drive its own length; from twice this time on they stand [s]",
+        description="Time span of hits up to which a voxel is uncertain (probability 0.5), as a slow "
+        "vehicle passes in that time [s]; from twice the span on, the voxel is static",
     )
     gaps: float = Field(
         3.0,
         ge=1,
-        description="the span from the first hit of a voxel to the last counts no more than this many times "
-        "the time in which it was hit: two vehicles may have been there at different times [1]",
+        description="Largest ratio of the span between first and last hit to the time with hits that "
+        "counts; longer spans may be two vehicles",
     )
 
 

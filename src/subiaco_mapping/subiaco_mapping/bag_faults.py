@@ -18,6 +18,8 @@ _EARTH = 6_371_000.0  # [m]
 _FASTEST = 100.0  # between two fixes; no survey is driven so fast [m/s]
 _FARTHEST = 200.0  # that fixes may step [m]
 _SPOILT = 0.1  # share of fixes that jump above which they are useless
+_LATE = 1.0  # after the recording, at which a LiDAR may begin [s]
+_LATE_SHARE = 0.2  # of the recording without LiDAR at its beginning, that spoils it
 _MALFORMED = 0.5  # share of packets likewise
 
 
@@ -33,6 +35,8 @@ def faults(reader: BagReader, facts: dict[str, Any], config: MappingConfig) -> t
     config : MappingConfig
     """
     forbids, cares = _packets(facts.get("lidar", {})), _other_lidars(reader)
+    late, spoils = _late(facts)
+    (forbids if spoils else cares).extend(late)
     if TF_STATIC in reader.topics:
         forbids += _frames(reader)
     if FIX in reader.topics:
@@ -48,6 +52,19 @@ def _packets(lidar: dict[str, Any]) -> list[str]:
         share = f"{malformed} of {max(received, malformed)} LiDAR packets are malformed"
         return [share + "; record the metadata of this sensor with them, it tells how they are laid out"]
     return []
+
+
+def _late(facts: dict[str, Any]) -> tuple[list[str], bool]:
+    """Return what a LiDAR that begins after the recording costs, and whether that spoils the survey."""
+    topics, whole = facts.get("topics", {}), facts.get("duration_s", 0.0)
+    begun = [topics[t]["begins_s"] for t in (LIDAR_PACKETS, POINTS) if topics.get(t, {}).get("count")]
+    begins = min(begun, default=0.0)
+    if begins <= _LATE:
+        return [], False
+    share = begins / whole
+    return [
+        f"the LiDAR begins {begins:.1f} s after the recording ({share:.0%} of it); drive those streets again"
+    ], share > _LATE_SHARE
 
 
 def _frames(reader: BagReader) -> list[str]:

@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.crs import transformer
+from subiaco_geo.datum_shifts import likely_shift
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
 
@@ -23,6 +24,7 @@ _PICKED = ("map_east", "map_north", "map_height")
 _RADIUS = 0.75  # map points around a control point that carry its surface [m]
 _REACH = 1.0  # above or below the control point, map points are another surface [m]
 _TRIM = 3.0  # points so many robust deviations off the fitted plane are left out
+_ALIKE = 3  # control points that must err alike before a cause is named
 _FEW = 8  # fewer map points carry no plane
 
 
@@ -57,12 +59,19 @@ class ControlResiduals:
         Of the picked point where its height is given, else of the map's surface.
     support : (N,) int64
         Map points that carry the surface.
+    offset : (N,) float64
+        Height of the lowest map surface at the place over the surveyed one, however far it lies; NaN
+        where the map has no points [m].
+    crs : str, optional
+        Of map and points.
     """
 
     points: ControlPoints
     horizontal: Floats
     vertical: Floats
     support: np.ndarray[Any, np.dtype[np.int64]]
+    offset: Floats
+    crs: str | None = None
 
     def summary(self) -> dict[str, Any]:
         """Return RMSE, bias and counts; a figure without points is None."""
@@ -91,9 +100,44 @@ class ControlResiduals:
                     f"{count} {name} points: {ENOUGH} or more are needed for a statement of accuracy"
                 )
         bare = [n for n, v in zip(self.points.names, self.vertical, strict=True) if not np.isfinite(v)]
-        if bare:
+        heights = self._other_heights()
+        if heights is not None:
+            found.insert(0, heights)
+        elif bare:
             found.append(f"no map surface at {', '.join(bare)}: outside the map, or too few points there")
-        return found
+        frames = self._other_frame()
+        return found if frames is None else [frames, *found]
+
+    def _other_heights(self) -> str | None:
+        """Say that the map's heights and the surveyed ones are of two kinds, where they lie apart alike."""
+        apart = self.offset[np.isfinite(self.offset) & ~np.isfinite(self.vertical)]
+        if len(apart) < max(_ALIKE, len(self.offset) / 2):
+            return None
+        offset = float(np.median(apart))
+        if abs(offset) <= _REACH or 1.4826 * float(np.median(np.abs(apart - offset))) > _REACH:
+            return None
+        side = "above" if offset > 0 else "below"
+        return (
+            f"the map lies {abs(offset):.1f} m {side} {len(apart)} of {len(self.offset)} control points: the "
+            "map has heights above the ellipsoid, the control points probably above the geoid (AHD in "
+            "Australia; the two differ by about 33 m around Perth); bring the control points to heights "
+            "above the ellipsoid"
+        )
+
+    def _other_frame(self) -> str | None:
+        """Name the geodetic frames that explain the horizontal bias."""
+        flat = self.horizontal[np.isfinite(self.horizontal).all(axis=1)]
+        if len(flat) < _ALIKE or self.crs is None:
+            return None
+        bias = np.append(flat.mean(axis=0), 0.0)
+        found = likely_shift(bias, self.points.surveyed[0], self.crs)
+        if found is None:
+            return None
+        return (
+            f"the map lies {float(np.linalg.norm(bias)):.2f} m off the control points, which is the shift "
+            f"between {found.before} and {found.after} ({found.size:.2f} m): the control points are probably "
+            f"in {found.before}; give their CRS with --crs"
+        )
 
 
 def read_control(path: Path, map_crs: str, crs: str | None = None) -> ControlPoints:
@@ -164,14 +208,17 @@ def check_control(cloud: PointCloud, points: ControlPoints) -> ControlResiduals:
     local = points.surveyed - cloud.origin
     near = cKDTree(cloud.xyz[:, :2]).query_ball_point(local[:, :2], _RADIUS)
     vertical = points.picked[:, 2] - points.surveyed[:, 2]
-    support = np.zeros(len(local), dtype=np.int64)
+    support, offset = np.zeros(len(local), dtype=np.int64), np.full(len(local), np.nan)
     for row, indices in enumerate(near):
         around = cloud.xyz[indices]
+        if len(around) >= _FEW:
+            offset[row] = np.quantile(around[:, 2], 0.2) - local[row, 2]
         around = around[np.abs(around[:, 2] - local[row, 2]) < _REACH] - local[row]
         support[row] = len(around)
         if np.isnan(vertical[row]):
             vertical[row] = _surface_offset(around)
-    return ControlResiduals(points, (points.picked - points.surveyed)[:, :2], vertical, support)
+    horizontal = (points.picked - points.surveyed)[:, :2]
+    return ControlResiduals(points, horizontal, vertical, support, offset, cloud.crs)
 
 
 def _surface_offset(around: Floats) -> float:

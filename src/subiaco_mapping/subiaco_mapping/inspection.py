@@ -26,10 +26,12 @@ _STATES = {2: "rtk fixed", 1: "float", 0: "single", -1: "none", -2: "unknown"}
 _GAP_FACTOR = 5.0
 
 
-def _rate_facts(times_ns: list[int], msg_type: str) -> dict[str, Any]:
+def _rate_facts(times_ns: list[int], msg_type: str, start_ns: int) -> dict[str, Any]:
     """Return count, rate [Hz] and the gaps of a topic by log time [s]."""
     times = np.sort(np.array(times_ns, dtype=np.int64))
     facts: dict[str, Any] = {"type": msg_type, "count": len(times)}
+    if len(times):
+        facts["begins_s"] = round((int(times[0]) - start_ns) * 1e-9, 3)
     if len(times) > 2 and times[-1] > times[0]:
         steps = np.diff(times) * 1e-9
         typical = max(float(np.median(steps)), float(steps.mean()))
@@ -125,7 +127,10 @@ def _facts(bag: Path, reader: BagReader, config: MappingConfig) -> dict[str, Any
         "bag": str(bag),
         "start_s": round(reader.start_ns * 1e-9, 3),
         "duration_s": round((reader.end_ns - reader.start_ns) * 1e-9, 3),
-        "topics": {t: _rate_facts(times[t], info.msg_type) for t, info in sorted(reader.topics.items())},
+        "topics": {
+            t: _rate_facts(times[t], info.msg_type, reader.start_ns)
+            for t, info in sorted(reader.topics.items())
+        },
     }
     for topic in (LIDAR_PACKETS, POINTS, FIX, IMU):
         if topic in reader.topics:

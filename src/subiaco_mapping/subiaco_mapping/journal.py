@@ -57,7 +57,9 @@ def opened(folder: Path | None, config: MappingConfig, *, resume: bool) -> Itera
             if journal.finished == 0 or isinstance(error, InputError):  # the same would fail again
                 remove(folder)
             else:
-                logger.warning("%d recordings are done; --resume goes on from there", journal.finished)
+                logger.warning(
+                    "%d recordings are finished; the same command goes on from there", journal.finished
+                )
             raise
 
 

@@ -33,24 +33,46 @@ _UNKNOWN_M = {2: 0.02, 1: 0.5, 0: 3.0}  # sigma by state where a log has none [m
 class GnssColumns(StrictModel):
     """Columns of the GNSS log."""
 
-    time: str = Field("utc", description="ISO 8601 in UTC, or seconds or nanoseconds since 1970")
-    latitude: str = Field("latitude", description="[deg]")
-    longitude: str = Field("longitude", description="[deg]")
-    height: str = Field("height", description="ellipsoidal [m]")
-    quality: str = Field("quality", description="as NMEA GGA: 4 RTK fixed, 5 float, 1 single, 0 none")
-    sigma_east: str = Field("sigma_east", description="[m]; may be absent")
-    sigma_north: str = Field("sigma_north", description="[m]; may be absent")
-    sigma_up: str = Field("sigma_up", description="[m]; may be absent")
-    heading: str = Field("heading", description="of the antenna baseline, from north [deg]; may be absent")
-    heading_sigma: str = Field("heading_sigma", description="[deg]; may be absent")
+    time: str = Field(
+        "utc", description="Column with the time: ISO 8601 in UTC, or seconds or nanoseconds since 1970"
+    )
+    latitude: str = Field("latitude", description="Column with the latitude [deg]")
+    longitude: str = Field("longitude", description="Column with the longitude [deg]")
+    height: str = Field("height", description="Column with the ellipsoidal height [m]")
+    quality: str = Field(
+        "quality",
+        description="Column with the fix quality as in NMEA GGA: 4 RTK fixed, 5 float, 1 single, 0 none",
+    )
+    sigma_east: str = Field(
+        "sigma_east", description="Column with the standard deviation towards east [m]; may be absent"
+    )
+    sigma_north: str = Field(
+        "sigma_north", description="Column with the standard deviation towards north [m]; may be absent"
+    )
+    sigma_up: str = Field(
+        "sigma_up", description="Column with the vertical standard deviation [m]; may be absent"
+    )
+    heading: str = Field(
+        "heading",
+        description="Column with the heading of the antenna baseline from north [deg]; may be absent",
+    )
+    heading_sigma: str = Field(
+        "heading_sigma", description="Column with the standard deviation of the heading [deg]; may be absent"
+    )
 
 
 class ImuColumns(StrictModel):
     """Columns of the IMU log."""
 
-    time: str = Field("utc", description="ISO 8601 in UTC, or seconds or nanoseconds since 1970")
-    gyro: tuple[str, str, str] = Field(("gyro_x", "gyro_y", "gyro_z"), description="[rad/s]")
-    accel: tuple[str, str, str] = Field(("accel_x", "accel_y", "accel_z"), description="[m/s2]")
+    time: str = Field(
+        "utc", description="Column with the time: ISO 8601 in UTC, or seconds or nanoseconds since 1970"
+    )
+    gyro: tuple[str, str, str] = Field(
+        ("gyro_x", "gyro_y", "gyro_z"), description="Columns with the angular rates about x, y, z [rad/s]"
+    )
+    accel: tuple[str, str, str] = Field(
+        ("accel_x", "accel_y", "accel_z"), description="Columns with the specific forces along x, y, z [m/s2]"
+    )
 
 
 class LogsConfig(StrictModel):
@@ -58,8 +80,12 @@ class LogsConfig(StrictModel):
 
     gnss: GnssColumns = GnssColumns()
     imu: ImuColumns = ImuColumns()
-    heading_sigma_deg: float = Field(0.2, gt=0, description="where the log has none [deg]")
-    leap_seconds: int = Field(18, ge=0, le=60, description="GPS - UTC [s], for GPST in RTKLIB's .pos")
+    heading_sigma_deg: float = Field(
+        0.2, gt=0, description="Standard deviation of headings for which the log states none [deg]"
+    )
+    leap_seconds: int = Field(
+        18, ge=0, le=60, description="Offset GPS - UTC [s] for GPST stamps in .pos files of RTKLIB"
+    )
 
 
 def parse_time_ns(text: str) -> int:
@@ -164,7 +190,7 @@ def read_gnss_log(path: Path, config: LogsConfig) -> list[LogMessage]:
             time_ns = parse_time_ns(row[columns.time])
             found.append(_fix(row, time_ns, columns))
             heading, sigma = _number(row, columns.heading), _number(row, columns.heading_sigma)
-        except (ValueError, TypeError, AttributeError) as error:
+        except (ValueError, TypeError, AttributeError, OverflowError) as error:
             raise InputError(f"{path}: line {line}: {error}; correct or remove it") from error
         if np.isfinite(heading):
             sigma = sigma if sigma > 0 else config.heading_sigma_deg
@@ -188,6 +214,6 @@ def read_imu_log(path: Path, config: LogsConfig) -> list[LogMessage]:
                 np.array([float(row[name]) for name in names]) for names in (columns.gyro, columns.accel)
             )
             found.append(imu_message(parse_time_ns(row[columns.time]), gyro, accel))
-        except (ValueError, TypeError, AttributeError) as error:
+        except (ValueError, TypeError, AttributeError, OverflowError) as error:
             raise InputError(f"{path}: line {line}: {error}; correct or remove it") from error
     return sorted(found, key=lambda message: message.time_ns)

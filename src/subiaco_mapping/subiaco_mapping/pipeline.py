@@ -12,6 +12,7 @@ import numpy as np
 from subiaco_geo.bag_files import sequence_name
 from subiaco_geo.bags import BagReader, hash_bag, packet_from_cdr, require_topic
 from subiaco_geo.crs_area import require_usable
+from subiaco_geo.disk import free_bytes, require_room
 from subiaco_geo.errors import InputError, errors_name
 from subiaco_geo.simulated import mark_simulated
 from subiaco_geo.survey_map import SurveyMap
@@ -37,6 +38,7 @@ from subiaco_mapping.sequence_files import pack
 from subiaco_mapping.watch.files import with_watched
 
 logger = logging.getLogger(__name__)
+_LEAST_ROOM = 100_000_000  # without which no map is begun [byte]
 
 
 def lidar_topic(reader: BagReader) -> str:
@@ -157,6 +159,34 @@ def read_recording(_: Inputs, params: Mapping[str, Any]) -> Arrays:
     with open_bag(Path(params["bag"]), config.topics) as reader:
         run_sequence(reader, sink, config, silent, PlaceCheck(config.crs))
     return {"record": np.frombuffer(pack(sink.record), dtype=np.uint8)}
+
+
+def require_room_for(bags: Sequence[Path], output: Path) -> None:
+    """Refuse an output on a disk without room for the map, and warn where scans may find no room.
+
+    Parameters
+    ----------
+    bags : sequence of Path
+    output : Path
+        Map directory; the deskewed scans lie beside it while the run lasts.
+
+    Raises
+    ------
+    InputError
+        The disk has less than a twentieth of the bags' size, or less than 100 MB.
+    """
+    size = sum(file.stat().st_size for bag in bags for file in _files_of(bag))
+    require_room(output, max(size // 20, _LEAST_ROOM), "the map")
+    free = free_bytes(output)
+    if free < size:
+        logger.warning(
+            "%s: the disk has %.1f GB left and the bags hold %.1f GB; points of later scans may find no room",
+            output, free / 1e9, size / 1e9,
+        )  # fmt: skip
+
+
+def _files_of(bag: Path) -> list[Path]:
+    return [file for file in bag.rglob("*") if file.is_file()] if bag.is_dir() else [bag] * bag.is_file()
 
 
 def map_survey(

@@ -28,18 +28,41 @@ _OURS = {
 class TopicsConfig(StrictModel):
     """Where the vehicle's drivers publish; empty is our own name."""
 
-    metadata: str = Field("", description="std_msgs/String, the LiDAR's JSON; ours: /ouster/metadata")
-    lidar_packets: str = Field("", description="ouster_sensor_msgs/PacketMsg; ours: /ouster/lidar_packets")
-    imu_packets: str = Field("", description="ouster_sensor_msgs/PacketMsg; ours: /ouster/imu_packets")
-    points: str = Field("", description="sensor_msgs/PointCloud2 with times; ours: /lidar/points")
-    imu: str = Field("", description="sensor_msgs/Imu; ours: /imu/data")
-    fix: str = Field("", description="sensor_msgs/NavSatFix; ours: /gnss/fix")
-    heading: str = Field("", description="sensor_msgs/Imu of a dual antenna; ours: /gnss/heading")
-    time_reference: str = Field(
-        "", description="sensor_msgs/TimeReference, one a pulse; ours: /gnss/time_reference"
+    metadata: str = Field(
+        "", description="Topic of the LiDAR metadata as JSON (std_msgs/String); empty for /ouster/metadata"
     )
-    gps_fix: str = Field("", description="gps_msgs/GPSFix, for its DOP; ours: /gnss/gps_fix")
-    nmea_sentence: str = Field("", description="nmea_msgs/Sentence, likewise; ours: /gnss/nmea_sentence")
+    lidar_packets: str = Field(
+        "",
+        description="Topic of the LiDAR packets (ouster_sensor_msgs/PacketMsg); default "
+        "/ouster/lidar_packets",
+    )
+    imu_packets: str = Field(
+        "",
+        description="Topic of the LiDAR's IMU packets (ouster_sensor_msgs/PacketMsg); default "
+        "/ouster/imu_packets",
+    )
+    points: str = Field(
+        "",
+        description="Topic of clouds with point times (sensor_msgs/PointCloud2); empty for /lidar/points",
+    )
+    imu: str = Field("", description="Topic of the IMU (sensor_msgs/Imu); empty for /imu/data")
+    fix: str = Field("", description="Topic of the GNSS fixes (sensor_msgs/NavSatFix); empty for /gnss/fix")
+    heading: str = Field(
+        "", description="Topic of the dual-antenna heading (sensor_msgs/Imu); empty for /gnss/heading"
+    )
+    time_reference: str = Field(
+        "",
+        description="Topic of PPS time stamps, one per pulse (sensor_msgs/TimeReference); default "
+        "/gnss/time_reference",
+    )
+    gps_fix: str = Field(
+        "", description="Topic of dilutions of precision (gps_msgs/GPSFix); empty for /gnss/gps_fix"
+    )
+    nmea_sentence: str = Field(
+        "",
+        description="Topic of NMEA sentences with dilutions of precision (nmea_msgs/Sentence); default "
+        "/gnss/nmea_sentence",
+    )
 
     def remappings(self) -> tuple[tuple[str, str], ...]:
         """Return pairs of our name and the driver's, where they differ."""

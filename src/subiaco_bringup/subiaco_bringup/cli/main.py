@@ -12,11 +12,13 @@ import typer
 from subiaco_bringup.cli import (
     baseline_verbs,
     change_verbs,
+    delivery_verbs,
     graph_verbs,
     record_verbs,
     survey_verbs,
     trust_verbs,
 )
+from subiaco_geo.disk import is_disk_full
 from subiaco_geo.errors import SubiacoError
 
 EPILOG = """\b
@@ -51,6 +53,7 @@ app = typer.Typer(
 )
 survey_verbs.register(app)
 change_verbs.register(app)
+delivery_verbs.register(app)
 baseline_verbs.register(app)
 trust_verbs.register(app)
 graph_verbs.register(app)
@@ -69,8 +72,19 @@ def _report_usage(message: str, command: str) -> None:
         _report(f"{' '.join(message.split())} (see '{command} --help')")
 
 
-def _report_unexpected(error: Exception) -> int:
+def _output_of(words: Sequence[str]) -> str:
+    """Return the output that a command names, else what to call it."""
+    for option in ("-o", "--output"):
+        if option in words[:-1]:
+            return words[words.index(option) + 1]
+    return "the output"
+
+
+def _report_unexpected(error: Exception, words: Sequence[str]) -> int:
     """Report a fault of ours, or rights, room and paths that the file system refused: the user's to mend."""
+    if is_disk_full(error):
+        _report(f"{_output_of(words)}: the disk is full; make room and give the same command again")
+        return 2
     if isinstance(error, OSError) and error.errno in _DISK_REFUSALS and error.filename is not None:
         reason = (error.strerror or "refused").lower()
         _report(f"{error.filename}: {reason}; choose another place, or make room or rights there")
@@ -105,9 +119,9 @@ def run(arguments: Sequence[str] | None = None) -> int:
     except Exception as error:  # noqa: BLE001 - the border: anything else is a fault of ours
         if verbose:
             traceback.print_exc()
-        return _report_unexpected(error)
+        return _report_unexpected(error, words)
     if outcome == _INTERRUPTED:  # typer turns Ctrl-C into this code without a word
-        _report("interrupted; nothing was left under a final name")
+        _report("interrupted; no output was written")
     return int(outcome or 0)
 
 

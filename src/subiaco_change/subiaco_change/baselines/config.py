@@ -24,59 +24,94 @@ Voids = Literal["unobserved", "ground", "unchanged"]
 class CellConfig(StrictModel):
     """From single points or heights to labelled cells; the same for every method."""
 
-    cell: float = Field(0.5, gt=0, description="cell of decisions [m], published protocol")
+    cell: float = Field(
+        0.5, gt=0, description="Edge of the cells in which baselines decide [m] (published protocol)"
+    )
     share: float = Field(
         0.3,
         gt=0,
         le=1,
-        description="share of an epoch's points that makes a cell changed, published protocol",
+        description="Smallest fraction of changed points of an epoch for a cell to be changed (published "
+        "protocol)",
     )
     thing_height: float = Field(
-        0.5, gt=0, description="height above the ground of its own epoch from which a point is no ground [m]"
+        0.5,
+        gt=0,
+        description="Height above the ground of its own epoch from which a point belongs to an object [m]",
     )
     paint: Literal["cell", "surface"] = Field(
         "surface",
-        description="points that take a cell's label: all of them, or those of the surface that changed",
+        description="Points that take the label of a changed cell: all of them, or only points of the "
+        "surface that changed",
     )
 
 
 class DsmConfig(StrictModel):
     """Difference of digital surface models: highest point per cell."""
 
-    threshold: float = Field(0.15, gt=0, description="height difference of a change [m]; tuned")
-    opening: int = Field(
-        0, ge=0, description="radius of the morphological opening [cells], 0 for none; tuned"
+    threshold: float = Field(
+        0.15, gt=0, description="Smallest height difference that is a change [m] (tuned)"
     )
-    min_area: float = Field(4.0, ge=0, description="smallest contiguous change [m2]; tuned")
-    voids: Voids = Field("ground", description="what a cell without points in one epoch is; tuned")
+    opening: int = Field(
+        0,
+        ge=0,
+        description="Radius of the morphological opening of changed cells [cells]; 0 for none (tuned)",
+    )
+    min_area: float = Field(4.0, ge=0, description="Smallest contiguous area of a change [m2] (tuned)")
+    voids: Voids = Field("ground", description="Label of a cell without points in one epoch (tuned)")
 
 
 class NearestConfig(StrictModel):
     """Nearest-neighbour differencing against a level of detection."""
 
-    lod_factor: float = Field(1.2, ge=0, description="gate as a multiple of the level of detection, paper")
-    minimum: float = Field(0.35, ge=0, description="smallest distance of a change [m]; tuned")
-    radius: float = Field(1.0, gt=0, description="neighbourhood of the level of detection [m], paper")
-    noise: float = Field(0.01, ge=0, description="floor of the roughness term of an epoch [m], as of ours")
-    opening: int = Field(
-        0, ge=0, description="radius of the morphological opening [cells], 0 for none; tuned"
+    lod_factor: float = Field(
+        1.2, ge=0, description="Limit of a change as a multiple of the level of detection (paper)"
     )
-    min_area: float = Field(4.0, ge=0, description="smallest contiguous change [m2]; tuned")
+    minimum: float = Field(0.35, ge=0, description="Smallest point distance that is a change [m] (tuned)")
+    radius: float = Field(
+        1.0, gt=0, description="Radius of the neighbourhood for the level of detection [m] (paper)"
+    )
+    noise: float = Field(
+        0.01,
+        ge=0,
+        description="Smallest roughness term of an epoch in the level of detection [m]; equals that of "
+        "the full method",
+    )
+    opening: int = Field(
+        0,
+        ge=0,
+        description="Radius of the morphological opening of changed cells [cells]; 0 for none (tuned)",
+    )
+    min_area: float = Field(4.0, ge=0, description="Smallest contiguous area of a change [m2] (tuned)")
     voids: Voids = Field(
-        "ground", description="what a changed cell without points in the other epoch is; tuned"
+        "ground", description="Label of a changed cell without points in the other epoch (tuned)"
     )
 
 
 class CloudToCloudConfig(StrictModel):
     """Nearest-neighbour distance (C2C) against one fixed threshold."""
 
-    threshold: float = Field(0.75, gt=0, description="distance of a change [m]; as of nn")
-    opening: int = Field(
-        0, ge=0, description="radius of the morphological opening [cells], 0 for none; as of nn"
+    threshold: float = Field(
+        0.75,
+        gt=0,
+        description="Smallest cloud-to-cloud distance that is a change [m]; as tuned for the "
+        "nearest-neighbour baseline",
     )
-    min_area: float = Field(4.0, ge=0, description="smallest contiguous change [m2]; as of nn")
+    opening: int = Field(
+        0,
+        ge=0,
+        description="Radius of the morphological opening of changed cells [cells]; 0 for none; as for the "
+        "nearest-neighbour baseline",
+    )
+    min_area: float = Field(
+        4.0,
+        ge=0,
+        description="Smallest contiguous area of a change [m2]; as for the nearest-neighbour baseline",
+    )
     voids: Voids = Field(
-        "unchanged", description="what a changed cell without points in the other epoch is; as of nn"
+        "unchanged",
+        description="Label of a changed cell without points in the other epoch; as for the "
+        "nearest-neighbour baseline",
     )
 
 
@@ -84,34 +119,48 @@ class M3c2Config(StrictModel):
     """M3C2 (Lague, Brodu and Leroux 2013) against its own level of detection."""
 
     normal_radius: float = Field(
-        2.0, gt=0, description="radius of the normals (half of D) [m], common practice"
+        2.0, gt=0, description="Radius in which normals are estimated (half of D) [m] (common practice)"
     )
-    radius: float = Field(1.0, gt=0, description="radius of the cylinder (half of d) [m], paper")
+    radius: float = Field(1.0, gt=0, description="Radius of the projection cylinder (half of d) [m] (paper)")
     half_length: float = Field(
-        1.0, gt=0, description="half length of the cylinder in either epoch [m]; tuned"
+        1.0, gt=0, description="Half length of the projection cylinder in either epoch [m] (tuned)"
     )
-    min_count: int = Field(4, ge=1, description="points below which no distance is stated, Lague et al.")
-    noise: float = Field(0.0, ge=0, description="floor of s / sqrt(N) [m]; the published form has none")
+    min_count: int = Field(
+        4,
+        ge=1,
+        description="Number of points in the cylinder below which no distance is computed (Lague et al.)",
+    )
+    noise: float = Field(
+        0.0, ge=0, description="Smallest value of s / sqrt(N) [m]; the published form has none"
+    )
     minimum: float = Field(
-        0.10, ge=0, description="smallest distance of a change [m], the paper's gate; tuned"
+        0.10, ge=0, description="Smallest M3C2 distance that is a change [m] (limit of the paper, tuned)"
     )
     no_counterpart: Literal["unchanged", "changed"] = Field(
-        "changed", description="what a point is whose cylinder is empty in the other epoch; tuned"
+        "changed", description="Label of a point whose cylinder is empty in the other epoch (tuned)"
     )
     opening: int = Field(
-        1, ge=0, description="radius of the morphological opening [cells], 0 for none; tuned"
+        1,
+        ge=0,
+        description="Radius of the morphological opening of changed cells [cells]; 0 for none (tuned)",
     )
-    min_area: float = Field(1.0, ge=0, description="smallest contiguous change [m2]; tuned")
+    min_area: float = Field(1.0, ge=0, description="Smallest contiguous area of a change [m2] (tuned)")
     voids: Voids = Field(
-        "ground", description="what a changed cell without points in the other epoch is; tuned"
+        "ground", description="Label of a changed cell without points in the other epoch (tuned)"
     )
 
 
 class BaselineConfig(StrictModel):
     """Everything that decides what a simple method says."""
 
-    leaf: float = Field(0.25, gt=0, description="working leaf of both clouds [m], as of ours")
-    normal_radius: float = Field(0.8, gt=0, description="radius of normals for registration and LoD [m]")
+    leaf: float = Field(
+        0.25,
+        gt=0,
+        description="Voxel edge to which both clouds are thinned [m]; equals that of the full method",
+    )
+    normal_radius: float = Field(
+        0.8, gt=0, description="Radius of the normals for registration and level of detection [m]"
+    )
     registration: RegistrationConfig = RegistrationConfig()
     ground: GroundConfig = GroundConfig()
     cells: CellConfig = CellConfig()

@@ -24,41 +24,76 @@ _PHI_REACH = 0.5  # voxels farther apart are not the intersection of two objects
 class AssociationConfig(StrictModel):
     """Gates, scales and prices of the assignment."""
 
-    gate_distance: float = Field(2.0, gt=0, description="centroid distance of a candidate, paper [m]")
+    gate_distance: float = Field(
+        2.0, gt=0, description="Largest centroid distance of two objects that may be matched [m] (paper)"
+    )
     gate_overlap: float = Field(
-        0.3, gt=0, le=1, description="footprint IoU of a candidate at any distance (Decision 8)"
+        0.3,
+        gt=0,
+        le=1,
+        description="Footprint intersection over union from which two objects may be matched at any "
+        "distance [1] (Decision 8)",
     )
     spread_distance: float = Field(
-        1.0, gt=0, description="spread of the centroid of the same object [m] (Decision 11)"
+        1.0,
+        gt=0,
+        description="Standard deviation of the centroid of one object between two epochs [m] (Decision 11)",
     )
-    spread_relative: float = Field(0.15, ge=0, description="and per metre of its size")
-    spread_overlap: float = Field(0.35, gt=0, description="spread of 1 - footprint IoU of the same object")
+    spread_relative: float = Field(
+        0.15, ge=0, description="Additional standard deviation of the centroid per metre of object size [m/m]"
+    )
+    spread_overlap: float = Field(
+        0.35,
+        gt=0,
+        description="Standard deviation of 1 - footprint intersection over union for one object in two "
+        "epochs [1]",
+    )
     spread_histogram: float = Field(
-        0.35, gt=0, description="spread of the histogram distance of the same object"
+        0.35,
+        gt=0,
+        description="Standard deviation of the height histogram distance for one object in two epochs [1]",
     )
     cost: Literal["scaled", "plain"] = Field(
-        "scaled", description="plain adds metres and ratios with the paper's weights 1, 2, 0.5 (Decision 11)"
+        "scaled",
+        description="Matching cost: scaled sums squared differences over their standard deviations; plain "
+        "uses the paper's weights 1, 2, 0.5 (Decision 11)",
     )
     kappa: float = Field(
         0.0,
         ge=0,
-        description="weight of phi = max(0, LoD95 - d_perp) in the plain cost, paper 2 (Decision 8) [1/m]",
+        description="Weight of phi = max(0, LoD95 - d_perp) in the plain matching cost [1/m]; the paper "
+        "uses 2 (Decision 8)",
     )
-    unmatched: float = Field(6.0, gt=0, description="price of one unmatched object, on the chi-square scale")
+    unmatched: float = Field(
+        6.0,
+        gt=0,
+        description="Cost of leaving one object unmatched, on the chi-square scale [1]; raise it for more "
+        "matches",
+    )
     contained: float = Field(
-        0.5, gt=0, le=1, description="share of its voxels that puts a fragment inside an object (Decision 9)"
+        0.5,
+        gt=0,
+        le=1,
+        description="Fraction of the voxels of a fragment that must lie inside an object for the two to "
+        "be joined (Decision 9)",
     )
     parts: PartConfig = PartConfig()
     apart: float = Field(
         0.15,
         gt=0,
         le=1,
-        description="share of a match from which on one of several fragments may be a body of its own",
+        description="Fraction of a match from which one of several fragments may be a separate object",
     )
     stacked: float = Field(
-        0.3, ge=0, le=1, description="share of common columns from which on two fragments are one body"
+        0.3, ge=0, le=1, description="Fraction of common columns from which two fragments are one object"
     )
-    same_place: float = Field(0.5, gt=0, le=1, description="voxel overlap of one thing with two classes (C6)")
+    same_place: float = Field(
+        0.5,
+        gt=0,
+        le=1,
+        description="Fraction of common voxels from which two objects of different classes are one object "
+        "(method C6)",
+    )
 
 
 def candidate_costs(

@@ -4,6 +4,7 @@ The envelope of an object in both epochs is cut into cells. In each epoch a cell
 
 * *solid*: below the highest surface that the epoch has in its column, or behind two walls that the other
   epoch does not have, with nothing but unknown cells between,
+  and not looked through: under a canopy is nothing solid,
 * *free*: the epoch looked through it, or met the ground in its column,
 * *unknown*: everything else.
 
@@ -23,7 +24,9 @@ from pydantic import Field
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from subiaco_change.changes.column_change import ColumnChange
 from subiaco_change.changes.objects import Voxels
+from subiaco_change.changes.unseen_columns import body_tops
 from subiaco_change.semantics.boxes import wall_axes
 from subiaco_change.semantics.ground import Mask
 from subiaco_geo.config import StrictModel
@@ -40,6 +43,8 @@ _MOST_SIDES = 4  # of the six sides of a cell
 _TOP = 0.05  # a voxel lies so far below the edge that it is of [m]
 _FEW = 4  # columns that make no height
 _TOUCHING = np.ones((3, 3, 3), dtype=bool)
+_BESIDE_WALL, _BESIDE_ROOF = np.ones((3, 3, 5), dtype=bool), _TOUCHING  # a surface lies anywhere in its cell
+_LEVEL = 0.7  # |n.e_z| from which a surface is a roof
 _FACES = ndimage.generate_binary_structure(3, 1)
 
 
@@ -47,36 +52,47 @@ class CarvingConfig(StrictModel):
     """Cells of the space carving of buildings."""
 
     cell: float = Field(
-        0.5, gt=0, description="edge of the cells [m]; smaller cells cost memory, larger ones blur walls"
+        0.5,
+        gt=0,
+        description="Edge of the cells of space carving [m]; smaller cells cost memory, larger cells blur "
+        "walls",
     )
     max_cells: int = Field(
-        400_000, gt=1000, description="cells of one object; beyond, the cells of that object grow"
+        400_000,
+        gt=1000,
+        description="Largest number of cells of one object; larger objects are carved with larger cells",
     )
     thickness: int = Field(
-        2, ge=1, description="least extent in cells of a change of volume: thinner ones are noise of surfaces"
+        2,
+        ge=1,
+        description="Smallest extent of a change of volume [cells]; thinner changes are noise of surfaces",
     )
     support: int = Field(
         6,
         ge=1,
-        description="voxels of a changed surface that a changed volume must have; fewer make no claim",
+        description="Number of voxels of changed surface that a changed volume must have; fewer make no "
+        "claim",
     )
     room: float = Field(
-        2.2, gt=0, description="least height of walls that enclose a volume [m]; lower ones are fences"
+        2.2, gt=0, description="Smallest height of walls that enclose a volume [m]; lower walls are fences"
     )
     wall_gap: float = Field(
-        3.0, ge=0, description="longest gap between seen pieces of one wall that is closed along it [m]"
+        3.0,
+        ge=0,
+        description="Longest gap between observed pieces of one wall that is closed along the wall [m]",
     )
     capped: float = Field(
         0.3,
         ge=0,
         le=1,
-        description="share of the columns that must have free space above their top: then heights rest on"
-        " these columns alone; raise it to widen the bounds of the heights",
+        description="Fraction of columns with free space above their top from which the height rests on "
+        "these columns alone; raise it for wider height bounds",
     )
     roof_gap: float = Field(
         1.25,
         ge=0,
-        description="free space begins so near above a seen top [m]: then that top is the top of the column",
+        description="Largest distance from an observed top to the free space above at which the observed "
+        "top is the top of the column [m]",
     )
 
 
@@ -103,6 +119,7 @@ class Carved:
     volume: Interval
     height: Interval
     whole: float
+    columns: ColumnChange | None = None
 
 
 @dataclass(frozen=True)
@@ -153,15 +170,20 @@ class _Frame:
 
 @dataclass(frozen=True)
 class _State:
-    """What an epoch knows of every cell; ``top`` (nx, ny) of its surfaces [m], 0 where it has none."""
+    """What an epoch knows of every cell; ``top`` (nx, ny) of its surfaces [m], 0 where it has none.
+
+    ``hollow`` lies below a top and was looked through: under a canopy, or behind a window. It is neither
+    solid nor known to be outside.
+    """
 
     solid: Cells
     free: Cells
+    hollow: Cells
     top: Floats
 
     @property
     def unknown(self) -> Cells:
-        return ~(self.solid | self.free)
+        return ~(self.solid | self.free | self.hollow)
 
 
 def carve(before: Epoch, after: Epoch, config: CarvingConfig) -> Carved:
@@ -179,10 +201,13 @@ def carve(before: Epoch, after: Epoch, config: CarvingConfig) -> Carved:
     frame = _frame(Voxels.joined(both), config)
     states = tuple(_state(epoch, other.voxels, frame) for epoch, other in ((before, after), (after, before)))
     gain, gained = _difference(states[0], states[1], after.voxels, frame, config)
-    loss, _ = _difference(states[1], states[0], before.voxels, frame, config)
+    loss, lost = _difference(states[1], states[0], before.voxels, frame, config)
     volume = Interval(gain.low - loss.high, gain.high - loss.low)
     old = states[0] if len(before.voxels) else states[1]
-    return Carved(volume, _height(states, frame, config), _whole(old, both, gained, frame))
+    tops = np.stack([state.top for state in states])
+    grid = (frame.corner, frame.turn, frame.cell)
+    columns = ColumnChange.of(gained, lost, tops, frame.rise, grid)
+    return Carved(volume, _height(states, frame, config), _whole(old, both, gained, frame), columns)
 
 
 def _frame(voxels: Voxels, config: CarvingConfig) -> _Frame:
@@ -215,20 +240,32 @@ def _state(epoch: Epoch, other: Voxels, frame: _Frame) -> _State:
     A surface of the other epoch that this one has too, though it sampled it elsewhere, counts as its own.
     """
     nx, ny, nz = frame.shape
-    top = _tops(epoch.voxels.add(_shared(other, epoch)), frame)
-    solid = frame.levels <= top[:, :, None] + _TOP
+    own = epoch.voxels.add(_shared(other, epoch))
+    top = _tops(own, frame)
+    below = frame.levels <= top[:, :, None] + _TOP
     middles = frame.middles()
     open_column = epoch.bare(middles).reshape(nx, ny) & (top == 0)
     free = np.repeat(open_column[:, :, None], nz, axis=2)
     if epoch.empty is None:  # nothing tells free space: only above what was seen there is room for the sky
-        free |= (top > 0)[:, :, None] & ~solid
-    else:
-        ask = ~(solid | free)
-        column, level = np.divmod(np.flatnonzero(ask.ravel()), nz)
-        height = frame.foot.ravel()[column] + frame.levels[level]
-        free[ask] = epoch.empty(np.column_stack([middles[column], height]))
-        free = _between_beams(free, solid, top)
-    return _State(solid, free, top)
+        return _State(below, free | ((top > 0)[:, :, None] & ~below), np.zeros_like(below), top)
+    ask = ~free & ~_beside_surfaces(own, below, frame)
+    ask |= ~(free | below)
+    column, level = np.divmod(np.flatnonzero(ask.ravel()), nz)
+    height = frame.foot.ravel()[column] + frame.levels[level]
+    free[ask] = epoch.empty(np.column_stack([middles[column], height]))
+    hollow = free & below
+    free = _between_beams(free & ~below, below, top)
+    return _State(below & ~hollow, free, hollow, top)
+
+
+def _beside_surfaces(voxels: Voxels, below: Cells, frame: _Frame) -> Cells:
+    """Cells below tops that surfaces of voxels may fill; between the voxels of a wall are gaps."""
+    level = np.abs(voxels.normal[:, 2]) > _LEVEL
+    kinds = ((voxels.select(~level), _BESIDE_WALL), (voxels.select(level), _BESIDE_ROOF))
+    filled = np.zeros_like(below)
+    for own, reach in kinds:
+        filled |= ndimage.binary_dilation(_surface(own, frame) > 0, reach, mask=below)
+    return filled
 
 
 def _between_beams(free: Cells, solid: Cells, top: Floats) -> Cells:
@@ -303,7 +340,8 @@ def _difference(
     """Volume [m3] that was free and is solid, and its cells; cells that one epoch does not know widen it."""
     solid = new.solid | _behind_new_walls(old, new, frame, config)
     number, count = ndimage.label(old.free & solid, _TOUCHING)
-    support = np.bincount(number.ravel(), _surface(voxels, frame).ravel(), minlength=count + 1)
+    surface = _surface(voxels.select(~voxels.still), frame)
+    support = np.bincount(number.ravel(), surface.ravel(), minlength=count + 1)
     supported = support >= config.support
     supported[0] = False
     changed = supported[number]
@@ -317,11 +355,10 @@ def _difference(
 
 
 def _surface(voxels: Voxels, frame: _Frame) -> Ints:
-    """Numbers (nx, ny, nz) of voxels that the other epoch does not have."""
+    """Numbers (nx, ny, nz) of voxels."""
     surface = np.zeros(frame.shape, dtype=np.int64)
-    own = voxels.select(~voxels.still)
-    level = np.floor(own.height / frame.rise).astype(np.int64)
-    slot = np.column_stack([frame.slots(own.xyz[:, :2]), level])
+    level = np.floor(voxels.height / frame.rise).astype(np.int64)
+    slot = np.column_stack([frame.slots(voxels.xyz[:, :2]), level])
     np.add.at(surface, tuple(slot[(level >= 0) & (level < frame.shape[2])].T), 1)
     return surface
 
@@ -375,11 +412,7 @@ def _tops_between(state: _State, frame: _Frame, config: CarvingConfig) -> tuple[
 
 
 def _whole(state: _State, voxels: tuple[Voxels, Voxels], gained: Cells, frame: _Frame) -> float:
-    """Volume *before* of a body of which a part was seen [m3].
-
-    The rectangle around what stood, less the columns known to be open, at the mean height: of most
-    houses the street sees the front, half of the roof and no inside.
-    """
+    """Volume *before* of a body of which a part was seen [m3]: in the rectangle around what stood."""
     stood = state.top > 0
     if not stood.any():
         return 0.0
@@ -391,9 +424,4 @@ def _whole(state: _State, voxels: tuple[Voxels, Voxels], gained: Cells, frame: _
     low, high = np.quantile(slot, [0.005, 0.995], axis=0).astype(np.int64)
     inside = np.zeros(stood.shape, dtype=bool)
     inside[low[0] : high[0] + 1, low[1] : high[1] + 1] = True
-    mean = float(state.top[stood].mean())
-    below = frame.levels <= mean
-    opened = ~stood & np.asarray(2 * state.free[:, :, below].sum(axis=2) >= np.count_nonzero(below))
-    tops = np.where(stood, state.top, np.where(inside & ~opened, mean, 0.0))
-    sides = np.maximum(high - low, 1) / np.maximum(high - low + 1, 1)  # columns reach beyond walls
-    return float(tops.sum()) * frame.cell**2 * float(np.prod(sides))
+    return float(body_tops(state.top, inside, state.free, frame.levels).sum()) * frame.cell**2

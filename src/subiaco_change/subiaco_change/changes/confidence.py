@@ -32,6 +32,9 @@ _EPSILON = 1e-6
 #: Largest calibration error on surveys left out of the fit at which confidences count as probabilities.
 CALIBRATED = 0.05
 
+#: Confidences from which on the bands of the summary begin.
+BANDS = (0.9, 0.7, 0.0)
+
 #: What a row's confidence is a function of, in the order of the coefficients.
 FEATURES = (
     "margin", "gate", "observed", "size", "purity", "solid", "density",
@@ -49,24 +52,50 @@ Kind = Literal["single", "reshaped", "unchanged"]
 class Coefficients(StrictModel):
     """Logistic model of one kind of row; see :func:`features`."""
 
-    intercept: float = Field(description="log odds of a typical row")
-    margin: float = Field(description="of the margin of the rule that decided")
+    intercept: float = Field(description="Log odds of a typical row [1]")
+    margin: float = Field(description="Coefficient of the margin by which the deciding rule was met")
     gate: float = Field(
-        0.0, description="of the distance between measure and limit, in 3 standard deviations, about 1"
+        0.0,
+        description="Coefficient of the distance between measure and limit, in units of 3 standard "
+        "deviations",
     )
-    observed: float = Field(description="of the observed share, about 0.8")
-    size: float = Field(description="of log10 of the observed voxels, about 1.7")
-    purity: float = Field(description="of the class score, about 0.7")
-    solid: float = Field(description="1 for buildings and vegetation, 0 for mobile and other things")
+    observed: float = Field(
+        description="Coefficient of the observed fraction, which is about 0.8 in a typical row"
+    )
+    size: float = Field(
+        description="Coefficient of log10 of the number of observed voxels, which is about 1.7 in a "
+        "typical row"
+    )
+    purity: float = Field(description="Coefficient of the class score, which is about 0.7 in a typical row")
+    solid: float = Field(
+        description="Coefficient of the class: 1 for buildings and vegetation, 0 for mobile and other objects"
+    )
     density: float = Field(
-        0.0, description="of the size of the log of the ratio of the point densities of both epochs"
+        0.0, description="Coefficient of the absolute log ratio of the point densities of both epochs"
     )
-    trajectory: float = Field(0.0, description="1 where free space follows from a given trajectory")
+    trajectory: float = Field(
+        0.0, description="Coefficient of free space from a given trajectory (1 where that is the evidence)"
+    )
     estimated: float = Field(
-        0.0, description="1 where free space follows from poses estimated from the cloud"
+        0.0,
+        description="Coefficient of free space from poses estimated from the cloud (1 where that is the "
+        "evidence)",
     )
-    shadow: float = Field(0.0, description="1 where free space follows from a shadow test")
-    assumed: float = Field(0.0, description="1 where free space is assumed")
+    shadow: float = Field(
+        0.0, description="Coefficient of free space from a shadow test (1 where that is the evidence)"
+    )
+    assumed: float = Field(
+        0.0, description="Coefficient of free space that is assumed (1 where that is the evidence)"
+    )
+
+
+class MeasuredBand(StrictModel):
+    """How many claims with a confidence in one band were right, on surveys left out of the fit."""
+
+    low: float = Field(ge=0, le=1, description="Lowest confidence of the band [1]")
+    high: float = Field(ge=0, description="Confidence at which the next band begins [1]")
+    right: int = Field(ge=0, description="Number of claims in the band that were right")
+    claims: int = Field(ge=1, description="Number of claims in the band")
 
 
 class ConfidenceConfig(StrictModel):
@@ -79,41 +108,52 @@ class ConfidenceConfig(StrictModel):
 
     fitted_on: str = Field(
         "simulated: default_106, hard_106; evidence: layer; 2026-11-22; 210 changed of 788 rows",
-        description="surveys, seeds, rows and date of the fit; empty says: judgements",
+        description="Surveys, seeds, rows and date of the confidence fit; empty if the coefficients were "
+        "not fitted",
     )
     held_out_ece: float = Field(
         0.026,
         ge=0,
         le=1,
-        description="expected calibration error over changed rows of surveys left out of the fit",
+        description="Expected calibration error over changed rows of surveys left out of the fit [1]",
+    )
+    bands: tuple[MeasuredBand, ...] = Field(
+        (
+            MeasuredBand(low=0.9, high=1.01, right=106, claims=118),
+            MeasuredBand(low=0.7, high=0.9, right=81, claims=90),
+        ),
+        description="Claims per confidence band, right and total, on surveys left out of the fit, as "
+        "printed on the summary page; bands without claims are absent",
     )
     evidence: tuple[str, ...] = Field(
-        ("observed",), description="kinds of evidence among the rows of the fit; other kinds are discounted"
+        ("observed",),
+        description="Kinds of evidence among the rows of the fit; the confidence of rows with other kinds "
+        "is discounted",
     )
     clouds: Literal["simulated", "own"] = Field(
         "simulated",
-        description="clouds of the fit: simulated surveys, or injected copies of the survey that is compared."
-        " Other clouds are discounted",
+        description="Clouds of the fit: simulated surveys, or injected copies of the compared survey. "
+        "Rows of other clouds are discounted",
     )
     discount: float = Field(
         0.75,
         gt=0,
         le=1,
-        description="factor on the log odds of rows whose kind of evidence or cloud was never calibrated."
-        " Lower values are more cautious",
+        description="Factor on the log odds of rows whose kind of evidence or cloud was never calibrated. "
+        "Lower values are more cautious",
     )
     cap: float = Field(
         0.93,
         gt=0.5,
         le=1,
-        description="highest confidence of rows whose kind of evidence or cloud was never calibrated",
+        description="Highest confidence of rows whose kind of evidence or cloud was never calibrated [1]",
     )
     unseen: float = Field(
         0.25,
         ge=0,
         le=1,
-        description="doubt about a claim on a place that the other survey did not observe at all. The doubt"
-        " falls with the square of the unobserved share; higher values are more cautious",
+        description="Doubt about a change in a place that the other survey did not observe at all, as a "
+        "probability. Higher values are more cautious",
     )
     single: Coefficients = Coefficients(
         intercept=1.404,
@@ -285,11 +325,13 @@ class Calibration:
     """What ``run.json`` says of the confidences of a pair.
 
     ``calibrated_for``: evidence, clouds and surveys of the fit; empty without one. ``lacking``: sentences
-    that say why confidences of this pair are not calibrated; empty where they are.
+    that say why confidences of this pair are not calibrated; empty where they are. ``bands``: how many
+    claims of each band were right on surveys left out of the fit; empty where that was never measured.
     """
 
     calibrated_for: Mapping[str, Any] = field(default_factory=dict)
     lacking: tuple[str, ...] = ("Confidences of this method are not calibrated.",)
+    bands: tuple[MeasuredBand, ...] = ()
 
 
 def calibration_of(kinds: Iterable[str], simulated: bool, config: ConfidenceConfig) -> Calibration:
@@ -307,7 +349,8 @@ def calibration_of(kinds: Iterable[str], simulated: bool, config: ConfidenceConf
     if missing:
         names = ", ".join(missing)
         lacking.append(f"Confidence is not calibrated for evidence of the kind {names}.")
-    return Calibration(fitted, tuple(lacking))
+    own = config.fitted_on == ConfidenceConfig().fitted_on or "bands" in config.model_fields_set
+    return Calibration(fitted, tuple(lacking), config.bands if own and not lacking else ())
 
 
 #: More of this evidence never makes a label less certain.

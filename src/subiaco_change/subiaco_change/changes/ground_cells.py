@@ -21,39 +21,58 @@ NO_CLAIM = 10.0  # level of detection shown where there is none [m]
 class GroundChangeConfig(StrictModel):
     """Ground differencing."""
 
-    cell: float = Field(0.5, gt=0, description="cell in which ground is compared [m], Decision 12")
-    report_cell: float = Field(2.0, gt=0, description="cell of the raster handed on [m], paper")
-    threshold: float = Field(0.15, gt=0, description="elevation difference of a change [m], paper")
-    area: float = Field(25.0, gt=0, description="contiguous area of a change [m2], paper")
-    lod_factor: float = Field(1.2, gt=0, description="gate as a multiple of the level of detection, paper")
+    cell: float = Field(
+        0.5, gt=0, description="Edge of the cells in which ground heights are compared [m] (Decision 12)"
+    )
+    report_cell: float = Field(
+        2.0, gt=0, description="Edge of the cells of the delivered raster of height differences [m] (paper)"
+    )
+    threshold: float = Field(
+        0.15, gt=0, description="Smallest elevation difference that is a ground change [m] (paper)"
+    )
+    area: float = Field(25.0, gt=0, description="Smallest contiguous area of a ground change [m2] (paper)")
+    lod_factor: float = Field(
+        1.2, gt=0, description="Limit of a ground change as a multiple of the level of detection (paper)"
+    )
     max_spread: float = Field(
-        0.12, gt=0, description="spread of heights in a cell beyond which it is no clean ground [m]"
+        0.12,
+        gt=0,
+        description="Standard deviation of the heights in a cell above which the cell holds no clean "
+        "ground [m]",
     )
     bridge: int = Field(
-        3, ge=1, description="window over which an empty cell takes its neighbours' height [cells]"
+        3, ge=1, description="Window in which an empty cell takes the height of its neighbours [cells]"
     )
     same_surface: float = Field(
         0.3,
         gt=0,
-        description="a surface is in both epochs where one calls it ground and the other holds any point so"
-        " near to it, half of the difference at most: its ground is another surface [m]",
+        description="Largest height distance of a point from the other epoch's ground at which both "
+        "epochs contain that surface, so that no ground moved [m]",
     )
     same_beside: float = Field(
-        0.7, gt=0, description="how far beside the middle of a cell such a point may be [m]"
+        0.7,
+        gt=0,
+        description="Largest horizontal distance of a point from a cell centre at which the point shows "
+        "the other epoch's ground surface [m]",
     )
     same_share: float = Field(
-        0.5, gt=0, le=1, description="share of a patch on such surfaces from which on no ground moved"
+        0.5,
+        gt=0,
+        le=1,
+        description="Fraction of a patch whose surfaces exist in both epochs from which the patch is no "
+        "ground change",
     )
     shown: float = Field(
         0.5,
         ge=0,
-        description="volume seen to have moved, in volumes of the least change (area times threshold)",
+        description="Observed volume that a ground change needs, as a multiple of the smallest area times "
+        "the threshold",
     )
     closing: int = Field(
         5,
         ge=0,
-        description="cells out of sight between changed ones up to twice this apart (a parked car, 5 m) are"
-        " filled, and count towards the area this far around, doubling it at most [cells]",
+        description="Half width of occluded gaps between changed cells that are filled and count towards "
+        "the area [cells]; 5 covers a parked car",
     )
 
 

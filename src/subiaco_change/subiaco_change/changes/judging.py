@@ -113,4 +113,9 @@ def lies_flat(semantic: Semantic, things: Sequence[Thing]) -> Decision | None:
     level = float(np.abs(voxels.normal[:, 2]).mean())
     if level < _LEVEL:
         return None
-    return Decision(Change.NOT_REPORTED, "lies flat on the ground, which is compared by itself", 1.0)
+    reason = (
+        f"Its top lies {float(np.quantile(voxels.height, 0.95)):.2f} m above the ground (limit"
+        f" {limit:.2f} m), and"
+        " it is level: it is part of the ground, which is compared separately."
+    )
+    return Decision(Change.NOT_REPORTED, reason, 1.0)

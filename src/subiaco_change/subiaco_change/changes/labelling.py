@@ -1,4 +1,4 @@
-"""Every point gets the label of its object, or of its ground (contracts, section 4)."""
+"""Every point gets the label of its object, or of its ground."""
 
 from __future__ import annotations
 
@@ -153,7 +153,12 @@ def patch_record(patch: GroundPatch, origin: Floats, z: float, evidence: str) ->
         delta_h_high_m=patch.dz + patch.lod,
         delta_v_low_m3=(patch.dz - patch.lod) * patch.area,
         delta_v_high_m3=(patch.dz + patch.lod) * patch.area,
-        reason=f"{patch.area:.0f} m2 of ground moved {patch.dz:+.2f} m (sd {patch.dz_spread:.2f} m)",
+        reason=(
+            f"The ground level changed by {patch.dz:+.2f} m (standard deviation"
+            f" {patch.dz_spread:.2f} m, LoD95"
+            f" {patch.lod:.2f} m) over {patch.area:.0f} m²: beyond the limits of height and area, it was"
+            f" {'raised' if patch.dz > 0 else 'lowered'}."
+        ),
     )
 
 

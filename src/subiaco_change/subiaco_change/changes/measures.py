@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import shapely
@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 from shapely.geometry.base import BaseGeometry
 
 from subiaco_change.changes.carving import CarvingConfig, Epoch, Interval, carve
+from subiaco_change.changes.column_change import ColumnChange
 from subiaco_change.changes.columns import BUILT_UP, OpenGround, compare_volumes, stands_alone
 from subiaco_change.changes.objects import Reach, Voxels
 from subiaco_geo.config import StrictModel
@@ -21,36 +22,63 @@ from subiaco_geo.frames import Floats
 class MeasureConfig(StrictModel):
     """Voxels and histograms of the measures."""
 
-    voxel: float = Field(0.5, gt=0, description="edge of the voxels, paper [m]")
+    voxel: float = Field(
+        0.5, gt=0, description="Edge of the voxels in which objects are compared [m] (paper)"
+    )
     tolerance: float = Field(
-        0.5, gt=0, description="distance of voxels of two objects that overlap: undoes voxel aliasing [m]"
+        0.5,
+        gt=0,
+        description="Largest distance of overlapping voxels of two objects [m]; compensates voxel aliasing",
     )
-    same_low: float = Field(0.35, gt=0, description="least distance at which a place counts as occupied [m]")
+    same_low: float = Field(
+        0.35,
+        gt=0,
+        description="Smallest distance to a point of the other epoch at which a place counts as occupied [m]",
+    )
     same_high: float = Field(
-        1.0, gt=0, description="largest such distance, where the other epoch is sparse [m]"
+        1.0,
+        gt=0,
+        description="Largest distance to a point of the other epoch at which a place counts as occupied, "
+        "used where points are sparse [m]",
     )
-    same_factor: float = Field(1.25, gt=0, description="that distance in spacings of the other epoch")
+    same_factor: float = Field(
+        1.25,
+        gt=0,
+        description="Distance at which a place counts as occupied, as a multiple of the point spacing of "
+        "the other epoch",
+    )
     foot: float = Field(
         0.3,
         ge=0,
-        description="height above ground up to which standing and lying cannot be told apart: the foot of an"
-        " object where the other epoch met ground is left out [m]",
+        description="Height above ground below which voxels of an object are left out where the other "
+        "epoch observed ground [m]",
     )
     free: float = Field(
         0.7,
         gt=0.5,
         lt=1,
-        description="probability of being free from which a place where nothing is counts as seen; one beam"
-        " that went through gives 0.75",
+        description="Probability of being free from which a place without points counts as observed; one "
+        "passing beam gives 0.75",
     )
     crossing: float = Field(
-        1.0, gt=0, description="looked so far on both sides of a surface, an epoch crossed its place [m]"
+        1.0,
+        gt=0,
+        description="Distance on both sides of a surface that an epoch must have observed for the place "
+        "to count as crossed by beams [m]",
     )
     closing: float = Field(
-        1.5, ge=0, description="columns out of sight between others up to twice this apart are filled [m]"
+        1.5,
+        ge=0,
+        description="Half width of gaps of occluded columns that are filled when volumes are compared [m]",
     )
-    bins: int = Field(10, ge=2, description="bins of the height histogram, paper")
-    top_quantile: float = Field(0.95, gt=0.5, le=1, description="h95, paper")
+    bins: int = Field(10, ge=2, description="Number of bins of the height histogram (paper)")
+    top_quantile: float = Field(
+        0.95,
+        gt=0.5,
+        le=1,
+        description="Quantile of the heights that is the top of an object, as a fraction (0.95 for h95, "
+        "paper)",
+    )
     carving: CarvingConfig = CarvingConfig()
 
 
@@ -88,6 +116,7 @@ class Measures:
     height_bounds: Interval | None = None
     volume_bounds: Interval | None = None
     free: float = 1.0
+    columns: ColumnChange | None = field(default=None, compare=False, repr=False)
 
 
 def measure(
@@ -145,6 +174,7 @@ def _carved(
         volume=carved.whole,
         height_bounds=carved.height if both else None,
         volume_bounds=volume,
+        columns=carved.columns,
     )
 
 

@@ -21,10 +21,16 @@ from subiaco_geo.frames import Floats, Ints
 class OutlineConfig(StrictModel):
     """Sectors in which outlines are compared."""
 
-    sectors: int = Field(12, ge=4, description="directions around")
-    rings: int = Field(5, ge=1, description="directions from the bottom to the top")
-    points: int = Field(3, ge=1, description="points of either epoch that a direction needs")
-    directions: int = Field(16, ge=4, description="directions that an outline needs")
+    sectors: int = Field(
+        12, ge=4, description="Number of horizontal directions in which outlines are compared"
+    )
+    rings: int = Field(
+        5,
+        ge=1,
+        description="Number of vertical directions, from bottom to top, in which outlines are compared",
+    )
+    points: int = Field(3, ge=1, description="Number of points that a direction needs in either epoch")
+    directions: int = Field(16, ge=4, description="Number of directions that an outline needs to be compared")
 
 
 @dataclass(frozen=True)

@@ -24,25 +24,40 @@ _ABOVE = 0.25  # what is higher above a part, in its columns, hangs over it [m]
 class PartConfig(StrictModel):
     """What makes a part of an instance an object of its own."""
 
-    points: int = Field(20, ge=0, description="least points of a part; 0: instances are never parted")
-    gap: float = Field(0.75, gt=0, description="voxel in which pieces of one part touch [m]")
-    length: float = Field(0.8, gt=0, description="least longest side, seen from above [m]")
-    foot: float = Field(0.9, gt=0, description="a part stands when it begins below this height [m]")
+    points: int = Field(
+        20,
+        ge=0,
+        description="Smallest number of points of a part that changed on its own; 0 never splits instances",
+    )
+    gap: float = Field(
+        0.75, gt=0, description="Edge of the voxels in which pieces of one part are connected [m]"
+    )
+    length: float = Field(0.8, gt=0, description="Smallest horizontal extent of a part that is split off [m]")
+    foot: float = Field(
+        0.9, gt=0, description="Height above ground below which a part must begin to be split off [m]"
+    )
     top: float = Field(
-        0.6, ge=0, description="and mostly ends above this one: else it is ground told wrong [m]"
+        0.6,
+        ge=0,
+        description="Height above ground that the upper tenth of a part must exceed [m]; lower parts are "
+        "misclassified ground",
     )
     whole: float = Field(
         0.75,
         gt=0,
         le=1,
-        description="share of its columns, from bottom to top, that stands in one epoch alone",
+        description="Fraction of the observed voxels in the columns of a part that must exist in one "
+        "epoch alone",
     )
     remainder: float = Field(
-        0.1, ge=0, lt=1, description="share of the instance that must be left when the part is taken out"
+        0.1, ge=0, lt=1, description="Fraction of the instance that must remain when its parts are split off"
     )
-    touch: float = Field(1.5, gt=0, description="distance at which a part touches a building [m]")
+    touch: float = Field(1.5, gt=0, description="Distance within which a part adjoins a building [m]")
     subordinate: float = Field(
-        1.0, gt=0, description="a part of less than this share of the building's volume is a wing of it"
+        1.0,
+        gt=0,
+        description="Ratio of part volume to building volume below which an adjoining part is a wing of "
+        "the building",
     )
 
 

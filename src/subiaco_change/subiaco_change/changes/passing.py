@@ -73,7 +73,7 @@ def drove_by(
     reason = (
         f"Moved while it was mapped: {passed:.1f} beams passed for each that returned, above the limit of"
     )
-    reason += f" {enough:.1f} (counts alone, the map keeps no times)."
+    reason += f" {enough:.1f} (counts alone, the map keeps no times): the trail of a moving object."
     return Decision(Change.NOT_REPORTED, reason, passed / enough)
 
 
@@ -81,13 +81,13 @@ def _by_probability(moved: float, things: Sequence[Thing], rules: DecisionConfig
     """Decide by the mean probability of having moved: moved, too uncertain to say, or None where it stood."""
     if moved >= rules.trail_moved:
         reason = f"Probability of {moved:.0%} of having moved while it was mapped"
-        reason += f" exceeds the limit of {rules.trail_moved:.0%}."
+        reason += f" exceeds the limit of {rules.trail_moved:.0%}: the trail of a moving object."
         return Decision(Change.NOT_REPORTED, reason, moved / rules.trail_moved)
     uncertain = moved_at_most(things)
     if uncertain < rules.trail_uncertain:
         return None
     reason = f"It may have moved while it was mapped (probability {uncertain:.0%},"
-    reason += f" limit {rules.trail_uncertain:.0%})."
+    reason += f" limit {rules.trail_uncertain:.0%}): nothing is claimed."
     return Decision(Change.UNOBSERVED, reason, 1.0 - uncertain)
 
 

@@ -81,8 +81,6 @@ def _where_free(decision: Decision, plant: PlantMeasures, config: DecisionConfig
         return decision
     grew = decision.change is Change.INCREASED
     free = plant.free_gained if grew else plant.free_lost
-    if plant.thin:  # beams pass beside a pole
-        free = min(free, plant.absent)
     if free >= config.min_free:
         return decision
     other, surface = ("earlier", "new") if grew else ("later", "lost")
@@ -164,16 +162,30 @@ def _own_sigma(plant: PlantMeasures, measure: str) -> float:
     return {"outline": plant.outline_sigma, "rise": plant.rise_sigma}.get(measure, 0.0)
 
 
+_CONCLUSIONS = {
+    Change.UNCHANGED: "no change is claimed",
+    Change.INCREASED: "it grew",
+    Change.DECREASED: "it shrank",
+}
+
+
 def _decision(plant: PlantMeasures, found: _Excess) -> Decision:
     """Say what was compared, the value, what the other plants did, the limit and the conclusion."""
     if not math.isfinite(found.value):
-        return Decision(Change.UNCHANGED, f"{_name(plant)}: too few points of both epochs to compare.", 0.0)
+        return Decision(
+            Change.UNCHANGED,
+            f"{_name(plant)}: too few points of both surveys to compare, and no change is claimed.",
+            0.0,
+        )
     change = Change.UNCHANGED
     if abs(found.strength) > 1:
         change = Change.INCREASED if found.strength > 0 else Change.DECREASED
     verb = "does not exceed" if change is Change.UNCHANGED else "exceeds"
     limit = _quantity(found.limit, found.unit, sign=False)
-    reason = f"{_compared(plant, found)} {verb} the limit of {limit}."
+    conclusion = {Change.UNCHANGED: "no change is claimed", Change.INCREASED: "it grew"}.get(
+        change, "it shrank"
+    )
+    reason = f"{_compared(plant, found)} {verb} the limit of {limit}: {conclusion}."
     return Decision(change, reason, abs(found.strength), found.sigmas)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 from pydantic import Field
 from scipy.spatial import cKDTree
 
-from subiaco_change.changes.absence import pooled
+from subiaco_change.changes.absence import absence, pooled
 from subiaco_change.changes.measures import Measures
 from subiaco_change.changes.objects import Free, Thing
 from subiaco_change.changes.outline import OutlineConfig, compare_outlines
@@ -29,25 +29,25 @@ class PlantConfig(StrictModel):
     voxel: float = Field(
         0.5,
         gt=0,
-        description="edge of the voxels in which point densities of two epochs are compared [m]",
+        description="Edge of the voxels in which the point densities of two epochs are compared [m]",
     )
     shared: int = Field(
-        8, ge=1, description="voxels occupied in both epochs that a ratio of point densities needs"
+        8, ge=1, description="Number of voxels occupied in both epochs that a ratio of point densities needs"
     )
-    low: float = Field(
-        3.0, gt=0, description="plants whose highest points are lower than this are hedges or shrubs [m]"
-    )
+    low: float = Field(3.0, gt=0, description="Top height below which plants are hedges or shrubs [m]")
     thin: float = Field(
-        0.7, gt=0, description="narrower side below which a tall object of class vegetation has no crown [m]"
+        0.7, gt=0, description="Width below which a tall object of class vegetation has no crown [m]"
     )
     slender: float = Field(
-        4.0, gt=1, description="height in narrower sides from which on an object has no crown"
+        4.0,
+        gt=1,
+        description="Ratio of height to width from which an object of class vegetation has no crown",
     )
     shell: float = Field(
         0.3,
         gt=0,
-        description="a point of one epoch is surface that this epoch alone has, where nothing of the other"
-        " stands within this distance [m]",
+        description="Distance without points of the other epoch from which a point is surface of its own "
+        "epoch alone [m]",
     )
     outline: OutlineConfig = OutlineConfig()
     null_model: VegetationNullConfig = VegetationNullConfig()
@@ -67,8 +67,8 @@ def measure_plant(
     and of *after*: how probable it is that places (N, 3) are free; None: certain.
     """
     first, second = (np.concatenate([t.xyz for t in things]) for things in (before, after))
-    lost = free_shell(first, standing[1], free[1], config)
-    gained = free_shell(second, standing[0], free[0], config)
+    lost = min(free_shell(first, standing[1], free[1], config), absence(before, (), free))
+    gained = min(free_shell(second, standing[0], free[0], config), absence((), after, free))
     first, second, density = equal_density(first, second, config)
     outline = compare_outlines(first, second, config.outline)
     both = np.concatenate([first, second])
@@ -91,7 +91,6 @@ def measure_plant(
         rise_sigma=rise.sigma,
         free_gained=gained,
         free_lost=lost,
-        absent=measures.free,
     )
 
 

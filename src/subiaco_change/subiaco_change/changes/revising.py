@@ -8,16 +8,17 @@ from dataclasses import replace
 import numpy as np
 import shapely
 
-from subiaco_change.changes.apart import pieces_apart
+from subiaco_change.changes.apart import Piece, pieces_apart
 from subiaco_change.changes.association import match_kind
 from subiaco_change.changes.association_costs import AssociationConfig
 from subiaco_change.changes.judging import ObjectChange, ObjectRules, decide_object
+from subiaco_change.changes.measures import Measures, measure
 from subiaco_change.changes.objects import Thing, join_voxels
 from subiaco_change.changes.overlaps import overlap_counts
 from subiaco_change.changes.parts import divided
 from subiaco_change.changes.plant_decisions import decide_plant
 from subiaco_change.changes.sections import Section, moved_sections, section_labels
-from subiaco_change.changes.terraced import houses_of, rows_of
+from subiaco_change.changes.terraced import houses_of, houses_that_changed, rows_of
 from subiaco_change.changes.vegetation_null import no_null
 from subiaco_change.changes.wings import built, find_wings
 from subiaco_geo.codes import Change, Semantic
@@ -56,10 +57,11 @@ def join_wings(changes: list[ObjectChange], rules: ObjectRules) -> list[ObjectCh
     return [change for i, change in enumerate(joined) if i not in wings]
 
 
-def join_sides(changes: list[ObjectChange]) -> list[ObjectChange]:
+def join_sides(changes: list[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
     """Give a side of a changed building that the other epoch hardly saw to the building.
 
-    A wall within the outline of a house is a wall of it: pieces of one body are one row.
+    A wall within the outline of a house is a wall of it: pieces of one body are one row. Where absence is
+    assumed and not observed, what was built may hide any wall.
     """
     hosts = {
         i: shapely.MultiPoint(join_voxels((*c.before, *c.after)).xyz[:, :2]).convex_hull.buffer(_WALL)
@@ -71,7 +73,7 @@ def join_sides(changes: list[ObjectChange]) -> list[ObjectChange]:
         if (
             change.semantic is not Semantic.BUILDING
             or (change.before and change.after)
-            or change.measures.observed_fraction >= _HARDLY
+            or not _hardly_seen(change, rules)
         ):
             continue
         xyz = join_voxels((*change.before, *change.after)).xyz
@@ -85,6 +87,12 @@ def join_sides(changes: list[ObjectChange]) -> list[ObjectChange]:
         for i, change in enumerate(changes)
         if i not in gone
     ]
+
+
+def _hardly_seen(change: ObjectChange, rules: ObjectRules) -> bool:
+    """Tell whether the epoch that lacks an object hardly saw its place, or nothing tells what it saw."""
+    other = 1 if change.before else 0
+    return rules.ground.empty[other] is None or change.measures.observed_fraction < _HARDLY
 
 
 def part_company(changes: Sequence[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
@@ -153,15 +161,34 @@ def part_rows(changes: Sequence[ObjectChange], rules: ObjectRules) -> list[Objec
         before, after = ([t for i in members for t in getattr(changes[i], e)] for e in ("before", "after"))
         if not before or not after:
             continue
-        pieces = houses_of(before, after, rules.association, following)
-        following += sum(len(b) + len(a) for b, a in pieces)
-        if len(pieces) == 1 or not all(b and a for b, a in pieces):
-            continue
-        parts = [decide_object(b, a, Semantic.BUILDING, rules) for b, a in pieces]
-        labels = {part.decision.change for part in parts}
-        if len(labels) > 1 and not labels.isdisjoint(_CLAIMS):
+        columns = _measured([changes[i] for i in members], rules).columns
+        ways = [houses_of(before, after, rules.association, following)]
+        if columns is not None:
+            ways.append(houses_that_changed(before, after, columns, rules.association, following))
+        parts = next((parts for parts in (_fared(way, rules) for way in ways) if parts), [])
+        if parts:
+            following += sum(len(p.before) + len(p.after) for p in parts)
             told |= {i: [] for i in members} | {members[0]: parts}
     return [change for some in told.values() for change in some]
+
+
+def _fared(pieces: Sequence[Piece], rules: ObjectRules) -> list[ObjectChange]:
+    """Decide the houses of a row one by one; none where they fared alike, or one has no partner."""
+    if len(pieces) == 1 or not all(b and a for b, a in pieces):
+        return []
+    parts = [decide_object(b, a, Semantic.BUILDING, rules) for b, a in pieces]
+    labels = {part.decision.change for part in parts}
+    return parts if len(labels) > 1 and not labels.isdisjoint(_CLAIMS) else []
+
+
+def _measured(members: Sequence[ObjectChange], rules: ObjectRules) -> Measures:
+    """Measure the members of a row together."""
+    if len(members) == 1:
+        return members[0].measures
+    before, after = (
+        join_voxels([t for m in members for t in getattr(m, epoch)]) for epoch in ("before", "after")
+    )
+    return measure(before, after, rules.measures, rules.ground, building=True)
 
 
 def part_sections(changes: Sequence[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:

@@ -9,9 +9,11 @@ from scipy.spatial import cKDTree
 
 from subiaco_change.changes.apart import Piece, bodies_of
 from subiaco_change.changes.association_costs import AssociationConfig
+from subiaco_change.changes.column_change import ColumnChange
 from subiaco_change.changes.columns import column_keys
 from subiaco_change.changes.objects import Thing, join_voxels
 from subiaco_change.changes.parts import divided
+from subiaco_change.changes.storeys import changed_houses
 from subiaco_change.semantics.boxes import wall_coordinates
 from subiaco_change.semantics.clustering import connect, group_indices
 from subiaco_change.semantics.profiles import ProfileConfig, level_steps, part_slots
@@ -67,6 +69,27 @@ def houses_of(
         owner = np.repeat(np.arange(len(bodies)), [sum(len(t.voxels) for t in body) for body in bodies])
         places = np.concatenate([t.voxels.xyz[:, :2] for body in bodies for t in body])
         labels = labels * len(bodies) + owner[cKDTree(places).query(xy)[1]]
+    return _pieces(sides, xy, labels, config, following)
+
+
+def houses_that_changed(
+    before: Sequence[Thing],
+    after: Sequence[Thing],
+    columns: ColumnChange,
+    config: AssociationConfig,
+    following: int,
+) -> list[Piece]:
+    """Divide a row where a storey was built on one of its houses, or taken off; arguments as for houses_of.
+
+    The storey shows in its walls although its roof is out of sight.
+    """
+    sides = (tuple(before), tuple(after))
+    xy = np.concatenate([join_voxels(side).xyz[:, :2] for side in sides])
+    return _pieces(sides, xy, changed_houses(columns, xy), config, following)
+
+
+def _pieces(sides: Piece, xy: Floats, labels: Ints, config: AssociationConfig, following: int) -> list[Piece]:
+    """Divide things of both epochs by labels (N,) of their voxels' places (N, 2); small parts join others."""
     labels = np.unique(labels, return_inverse=True)[1]
     large = np.bincount(labels) >= config.apart * len(xy)
     if np.count_nonzero(large) < 2:

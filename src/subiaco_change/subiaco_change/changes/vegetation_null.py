@@ -34,11 +34,23 @@ PLANT_MEASURES = {"outline": "m", "top": "m", "volume": "share", "surface": "sha
 class PlantScatter(StrictModel):
     """Standard deviations between two epochs of plants that did not change."""
 
-    outline: float = Field(gt=0, description="of the shift of the outline [m]")
-    top: float = Field(gt=0, description="of the change of the top [m]")
-    volume: float = Field(gt=0, description="of the change of the volume, relative to the volume")
-    surface: float = Field(gt=0, description="of the share of the surface that is new or gone")
-    rise: float = Field(gt=0, description="of the median rise of the columns of a hedge [m]")
+    outline: float = Field(
+        gt=0, description="Standard deviation of the shift of the outline of unchanged plants [m]"
+    )
+    top: float = Field(
+        gt=0, description="Standard deviation of the top height change of unchanged plants [m]"
+    )
+    volume: float = Field(
+        gt=0,
+        description="Standard deviation of the volume change of unchanged plants, as a fraction of the "
+        "volume",
+    )
+    surface: float = Field(
+        gt=0, description="Standard deviation of the fraction of new or gone surface of unchanged plants"
+    )
+    rise: float = Field(
+        gt=0, description="Standard deviation of the median rise of the columns of unchanged hedges [m]"
+    )
 
 
 @dataclass(frozen=True)
@@ -52,8 +64,7 @@ class PlantMeasures:
     columns of a low plant, and its standard error ``rise_sigma``; ``section`` and ``section_gate`` [m], the
     median rise of a section of the hedge and the limit that the section passed. ``section_only``: the row
     is that section alone. ``free_gained`` and ``free_lost``: probability that the surface that *after*, or
-    *before*, alone has was free in the other epoch. ``absent``: the same of its places of either epoch
-    alone, as for an object of one epoch.
+    *before*, alone has was free in the other epoch.
     """
 
     kind: PlantKind
@@ -74,7 +85,6 @@ class PlantMeasures:
     section_only: bool = False
     free_gained: float = 1.0
     free_lost: float = 1.0
-    absent: float = 1.0
 
     def value(self, measure: str) -> float:
         """Return one of :data:`PLANT_MEASURES`."""
@@ -86,28 +96,33 @@ class VegetationNullConfig(StrictModel):
 
     enabled: bool = Field(
         True,
-        description="judge plants against the unchanged plants of the pair (Decision 18); without, by fixed"
-        " limits alone",
+        description="Compare plants with the unchanged plants of the pair (Decision 18); otherwise use "
+        "fixed limits alone",
     )
     plants: int = Field(
-        12, ge=5, description="matched plants of a kind from which on their own scatter is used"
+        12,
+        ge=5,
+        description="Number of matched plants of one kind from which the scatter measured on the pair is "
+        "used",
     )
     certain: float = Field(
-        3.0, gt=0, description="standard deviations of the unchanged plants beyond which a change is claimed"
+        3.0,
+        gt=0,
+        description="Number of standard deviations of unchanged plants beyond which a change is claimed",
     )
     slope: float = Field(
         0.15,
         gt=0,
-        description="expected dependence on density and on size: metres, or shares, for a factor of e",
+        description="Expected dependence of a plant measure on density and size, for a factor of e [m or 1]",
     )
     stated: PlantScatter = Field(
         PlantScatter(outline=0.10, top=0.10, volume=0.05, surface=0.05, rise=0.08),
-        description="scatter of unchanged plants, used where a pair has too few plants; the largest found on"
-        " simulated pairs with 64 and 128 beams and crowns that swelled by 2 to 8 %, rounded up",
+        description="Scatter of unchanged plants where a pair has too few plants: the largest on "
+        "simulated pairs (64 and 128 beams, crowns swelling 2 to 8 %)",
     )
     least: PlantScatter = Field(
         PlantScatter(outline=0.03, top=0.05, volume=0.03, surface=0.03, rise=0.03),
-        description="least scatter that a pair is believed to have",
+        description="Smallest scatter of unchanged plants that is accepted as measured on a pair",
     )
 
 

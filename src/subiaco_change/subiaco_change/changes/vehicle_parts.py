@@ -34,13 +34,20 @@ def part_of_vehicle(
         return None
     across = 0.5 * abs(measures.carried) / max(measures.gone_share, measures.new_share)
     if across < _ACROSS:
-        reason = f"a part of a vehicle that the other epoch grazed: it looked across {across:.0%} of it"
+        reason = (
+            f"The other survey looked across {across:.0%} of this part of a vehicle, less than the limit of"
+            f" {_ACROSS:.0%}: nothing is claimed."
+        )
         return Decision(Change.UNOBSERVED, reason, 1.0 - across)
     xyz = join_voxels(things).xyz
     held = _held(xyz, standing)
     if held < _HELD or _width(xyz) >= _VEHICLE:
         return None
-    reason = f"a part of a vehicle, {held:.0%} of it beside what stands there in the other epoch"
+    reason = (
+        f"{held:.0%} of this part of a vehicle lies beside points of the other survey (limit"
+        f" {_HELD:.0%}): it is"
+        " part of an object that both surveys have."
+    )
     return Decision(Change.UNCHANGED, reason, held)
 
 

@@ -8,7 +8,15 @@ import numpy as np
 import pandas as pd
 from scipy.special import expit
 
-from subiaco_change.changes.confidence import CALIBRATED, FEATURES, Coefficients, fit, kind_of, rising_of
+from subiaco_change.changes.confidence import (
+    BANDS,
+    CALIBRATED,
+    FEATURES,
+    Coefficients,
+    fit,
+    kind_of,
+    rising_of,
+)
 from subiaco_change.evaluation.objects import PointPairs, row_verdicts, together, transfer
 from subiaco_change.evaluation.scores import reliability
 from subiaco_change.records import ChangeResult
@@ -78,6 +86,27 @@ def held_out_errors(rows: pd.DataFrame) -> dict[str, float]:
     }
 
 
+def measured_bands(rows: pd.DataFrame) -> list[dict[str, float | int]]:
+    """Count the changed rows that were right by bands of confidence, by models fitted on the other surveys.
+
+    Returns
+    -------
+    list of dict
+        Those of :class:`~subiaco_change.changes.confidence.MeasuredBand`; a band without rows is left out.
+    """
+    changed = rows[rows["kind"] != "unchanged"]
+    if len(changed) == 0:
+        return []
+    trust, right = held_out(changed), changed["right"].to_numpy(bool)
+    found: list[dict[str, float | int]] = []
+    for low, high in zip(BANDS, (1.01, *BANDS), strict=False):
+        inside = (trust >= low) & (trust < high)
+        if inside.any():
+            count, hits = int(inside.sum()), int((inside & right).sum())
+            found.append({"low": low, "high": high, "right": hits, "claims": count})
+    return found
+
+
 def held_out_error(rows: pd.DataFrame) -> float:
     """Return the error of :func:`held_out_errors` over all kinds of evidence."""
     return held_out_errors(rows)["all"]
@@ -102,6 +131,7 @@ def fit_confidence(
     return {
         "fitted_on": f"{fitted_on}; {changed} changed of {len(rows)} rows",
         "held_out_ece": round(errors["all"], 3) if np.isfinite(errors["all"]) else 1.0,
+        "bands": measured_bands(rows),
         "evidence": kinds,
         "clouds": clouds,
         **models,

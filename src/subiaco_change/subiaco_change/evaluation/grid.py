@@ -19,25 +19,26 @@ _HALF = 1 << 30
 class GridConfig(StrictModel):
     """Grid and cell rule; written into every result."""
 
-    cell: float = Field(0.5, gt=0.0, description="Edge of a cell, published protocol [m]")
-    origin_x: float = Field(0.0, description="World x of a cell corner [m]")
-    origin_y: float = Field(0.0, description="World y of a cell corner [m]")
+    cell: float = Field(0.5, gt=0.0, description="Edge of an evaluation cell [m] (published protocol)")
+    origin_x: float = Field(0.0, description="World x coordinate of a cell corner [m]")
+    origin_y: float = Field(0.0, description="World y coordinate of a cell corner [m]")
     share: float = Field(
         0.3,
         gt=0.0,
         le=1.0,
-        description="A changed label takes the cell with at least this share of its points",
+        description="Smallest fraction of the points of a cell that gives a changed label to the cell",
     )
     unobserved_share: float = Field(
         0.5,
         ge=0.0,
         le=1.0,
-        description="Without a changed label, more than this share of 255 makes the cell 255",
+        description="Fraction of points with label 255 above which a cell without a changed label is 255",
     )
     leaf: float = Field(
         0.25,
         ge=0.0,
-        description="Points of one label and epoch in one voxel count once; 0 counts every point [m]",
+        description="Edge of the voxels in which points of one label and epoch count once [m]; 0 counts "
+        "every point",
     )
 
 

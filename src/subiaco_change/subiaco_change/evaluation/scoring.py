@@ -52,20 +52,25 @@ class EvaluationConfig(StrictModel):
     """How predictions are scored."""
 
     grid: GridConfig = GridConfig()
-    radius: float = Field(0.3, gt=0.0, description="Truth points farther than this do not label a point [m]")
-    object_share: float = Field(
-        0.5, gt=0.0, le=1.0, description="An object is right, or found, from this share of its points on"
+    radius: float = Field(
+        0.3, gt=0.0, description="Largest distance of a truth point that labels a map point [m]"
     )
-    min_points: int = Field(30, ge=1, description="Objects with fewer points are not counted")
+    object_share: float = Field(
+        0.5,
+        gt=0.0,
+        le=1.0,
+        description="Fraction of its points from which an object counts as found or as correct",
+    )
+    min_points: int = Field(30, ge=1, description="Smallest number of points of an object that is scored")
     min_size: float = Field(
-        1.0, ge=0.0, description="Real changes with a shorter longest side are not counted [m]"
+        1.0, ge=0.0, description="Smallest longest side of a real change that is scored [m]"
     )
     rpe_length: float = Field(
-        10.0, gt=0.0, description="Driven length of a stretch for the relative error [m]"
+        10.0, gt=0.0, description="Length of the trajectory segments for the relative pose error [m]"
     )
-    bins: int = Field(10, ge=2, description="Bins of the reliability table")
-    draws: int = Field(1000, ge=100, description="Bootstrap draws over scenes")
-    seed: int = Field(0, ge=0, description="Seed of the bootstrap")
+    bins: int = Field(10, ge=2, description="Number of bins of the reliability table")
+    draws: int = Field(1000, ge=100, description="Number of bootstrap samples over scenes")
+    seed: int = Field(0, ge=0, description="Seed of the bootstrap over scenes")
 
 
 @dataclass(frozen=True)

@@ -47,8 +47,12 @@ MARKER = "calibration.json"
 class CalibrationConfig(StrictModel):
     """How many copies, and what is done to them."""
 
-    copies: int = Field(4, ge=2, description="injected copies that the fit rests on")
-    fresh: int = Field(1, ge=0, description="further copies on which the statement is tried")
+    copies: int = Field(
+        4, ge=2, description="Number of injected copies of the survey on which the confidence is fitted"
+    )
+    fresh: int = Field(
+        1, ge=0, description="Number of further injected copies on which the fitted confidence is tested"
+    )
     injection: InjectionConfig = InjectionConfig()
 
 

@@ -14,12 +14,21 @@ from subiaco_geo.config import StrictModel
 class SightConfig(StrictModel):
     """Lines of sight from the drive."""
 
-    pose_spacing: float = Field(2.0, gt=0, description="distance between poses that look around [m]")
-    views: int = Field(6, ge=1, description="nearest poses from which a place is looked at")
-    max_range: float = Field(60.0, gt=0, description="longest line of sight [m]")
-    width: float = Field(0.25, gt=0, description="width of a point that hides what is behind it [m]")
+    pose_spacing: float = Field(
+        2.0,
+        gt=0,
+        description="Distance along the trajectory between poses from which visibility is computed [m]",
+    )
+    views: int = Field(
+        6, ge=1, description="Number of nearest poses from which the visibility of a place is computed"
+    )
+    max_range: float = Field(60.0, gt=0, description="Longest line of sight [m]")
+    width: float = Field(0.25, gt=0, description="Width of a point that occludes the space behind it [m]")
     cell_deg: float = Field(
-        0.5, gt=0, le=5, description="cell of the depth images of what hides a line of sight [deg]"
+        0.5,
+        gt=0,
+        le=5,
+        description="Angular size of the cells of the depth images in which occlusion is computed [deg]",
     )
 
 
@@ -30,40 +39,77 @@ class RepeatConfig(StrictModel):
     those that hit it wanders along the surface, and in foliage they meet other leaves.
     """
 
-    sigma: float = Field(0.015, ge=0, description="noise of a map point, where the map has no spread [m]")
+    sigma: float = Field(
+        0.015,
+        ge=0,
+        description="Standard deviation of the noise of a map point, used where the map states no spread [m]",
+    )
     again: float = Field(
-        0.5, gt=0, le=1, description="chance that a voxel which one beam hit is hit again, a beam"
+        0.5,
+        gt=0,
+        le=1,
+        description="Probability that a voxel hit by one beam is hit again by one beam of a repeated survey",
     )
     uneven: float = Field(
-        1.0, gt=0, description="shape of the gamma distribution of beams from place to place; inf is even"
+        1.0,
+        gt=0,
+        description="Shape parameter of the gamma distribution of beams between places [1]; inf is even",
     )
-    place: float = Field(2.0, gt=0, description="edge of such a place [m]")
-    beams: float = Field(3.0, ge=1, description="beams a voxel, where the map does not count them")
-    wander: float = Field(1.0, ge=0, description="shift of the middle of a voxel, over that of chance")
-    foliage: float = Field(0.4, ge=0, description="largest distance to the leaf that is hit instead [m]")
+    place: float = Field(
+        2.0, gt=0, description="Edge of the places between which the number of beams varies [m]"
+    )
+    beams: float = Field(
+        3.0, ge=1, description="Number of beams per voxel, used where the map does not count beams"
+    )
+    wander: float = Field(
+        1.0, ge=0, description="Factor on the random shift of the mean point of a voxel in a repeated survey"
+    )
+    foliage: float = Field(
+        0.4, ge=0, description="Largest distance between the leaves that two surveys of one plant hit [m]"
+    )
 
 
 class InjectionConfig(StrictModel):
     """How many changes of each kind, where, and how large."""
 
-    seed: int = Field(0, ge=0, description="seed of every choice")
-    leaf: float = Field(0.25, gt=0, le=0.5, description="leaf at which objects are taken and put [m]")
-    inserted: int = Field(10, ge=0, description="objects put where nothing stood")
-    removed: int = Field(8, ge=0, description="objects taken away")
-    moved: int = Field(4, ge=0, description="objects taken from one place to another")
-    grown: int = Field(6, ge=0, description="plants and buildings made taller")
-    cut: int = Field(6, ge=0, description="plants and buildings cut to a part of their height")
-    patches: int = Field(6, ge=0, description="ground patches raised or lowered")
-    min_points: int = Field(120, ge=10, description="smallest object that is taken")
-    max_range: float = Field(35.0, gt=0, description="farthest from the drive that anything is put [m]")
-    clearance: float = Field(0.9, ge=0, description="free ground around an object that is put [m]")
-    scale: tuple[float, float] = Field((0.3, 1.0), description="sizes of objects that are put")
-    growth: tuple[float, float] = Field((0.1, 0.6), description="relative growth in height")
-    cutting: tuple[float, float] = Field((0.1, 0.6), description="share of the height that is cut off")
-    patch_rise: tuple[float, float] = Field((0.10, 0.50), description="rise or fall of a patch [m]")
-    patch_width: tuple[float, float] = Field((3.0, 6.0), description="width of a patch [m]")
-    patch_length: tuple[float, float] = Field((11.0, 16.0), description="length of a patch [m]")
-    tries: int = Field(400, ge=1, description="places tried for an object before it is left out")
+    seed: int = Field(0, ge=0, description="Seed of all random numbers of the injection")
+    leaf: float = Field(
+        0.25, gt=0, le=0.5, description="Point spacing at which objects are extracted and inserted [m]"
+    )
+    inserted: int = Field(10, ge=0, description="Number of objects inserted in free places")
+    removed: int = Field(8, ge=0, description="Number of objects removed")
+    moved: int = Field(4, ge=0, description="Number of objects moved to another place")
+    grown: int = Field(6, ge=0, description="Number of plants and buildings whose height is increased")
+    cut: int = Field(6, ge=0, description="Number of plants and buildings whose height is reduced")
+    patches: int = Field(6, ge=0, description="Number of ground patches that are raised or lowered")
+    min_points: int = Field(
+        120, ge=10, description="Smallest number of points of an object that is used for injection"
+    )
+    max_range: float = Field(
+        35.0, gt=0, description="Largest distance from the trajectory at which changes are injected [m]"
+    )
+    clearance: float = Field(0.9, ge=0, description="Free distance around an inserted object [m]")
+    scale: tuple[float, float] = Field(
+        (0.3, 1.0), description="Smallest and largest scale factor of inserted objects"
+    )
+    growth: tuple[float, float] = Field(
+        (0.1, 0.6), description="Smallest and largest increase in height, as a fraction of the height"
+    )
+    cutting: tuple[float, float] = Field(
+        (0.1, 0.6), description="Smallest and largest reduction in height, as a fraction of the height"
+    )
+    patch_rise: tuple[float, float] = Field(
+        (0.10, 0.50), description="Smallest and largest rise or fall of a ground patch [m]"
+    )
+    patch_width: tuple[float, float] = Field(
+        (3.0, 6.0), description="Smallest and largest width of a ground patch [m]"
+    )
+    patch_length: tuple[float, float] = Field(
+        (11.0, 16.0), description="Smallest and largest length of a ground patch [m]"
+    )
+    tries: int = Field(
+        400, ge=1, description="Number of places tried for an object before the object is left out"
+    )
     sight: SightConfig = SightConfig()
     repeat: RepeatConfig = RepeatConfig()
     semantics: SemanticsConfig = SemanticsConfig()

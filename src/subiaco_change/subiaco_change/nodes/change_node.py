@@ -44,12 +44,17 @@ POLL = 0.1
 class ChangeParameters(StrictModel):
     """Parameters of the change node; everything else is the change configuration."""
 
-    before: str = Field("", description="map to compare at start; empty waits for goals")
-    after: str = Field("", description="the later map")
-    output: str = Field("", description="change directory to write")
-    overwrite: bool = Field(False, description="replace an existing change directory")
-    map_frame: str = Field("map", description="frame of the published clouds")
-    exit_at_end: bool = Field(False, description="end when the comparison given by parameters is done")
+    before: str = Field(
+        "",
+        description="Map directory of the earlier survey to compare at start; empty waits for action goals",
+    )
+    after: str = Field("", description="Map directory of the later survey to compare at start")
+    output: str = Field("", description="Directory to which the change result is written")
+    overwrite: bool = Field(False, description="Replace an existing change directory")
+    map_frame: str = Field("map", description="Frame of the published point clouds")
+    exit_at_end: bool = Field(
+        False, description="End the node after the comparison that its parameters requested"
+    )
 
     def request(self) -> ChangeJob | None:
         """Return the comparison that the parameters ask for, if they do."""

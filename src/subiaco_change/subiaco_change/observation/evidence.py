@@ -42,36 +42,63 @@ class EvidenceConfig(StrictModel):
     """Free-space evidence (Decision 13)."""
 
     source: Literal["auto", "observed", "trajectory", "shadow", "assumed"] = Field(
-        "auto", description="auto takes the best that the map has, in this order"
+        "auto",
+        description="Evidence of free space; auto takes the best that the map has, in the order observed, "
+        "trajectory, shadow",
     )
-    min_beams: int = Field(1, ge=1, description="beams that make a voxel of the visibility layer seen")
+    min_beams: int = Field(
+        1, ge=1, description="Number of beams from which a voxel of the visibility layer counts as observed"
+    )
     poses: ExpectedVisibilityConfig = Field(
         default_factory=ExpectedVisibilityConfig,
-        description="expected visibility from a trajectory (Decision 16)",
+        description="Settings of the expected visibility computed from a trajectory (Decision 16)",
     )
     ground_lift: float = Field(
-        0.4, ge=0, description="ground is seen too where the place so far above it was [m]"
+        0.4,
+        ge=0,
+        description="Height above a ground point at which an observed place shows that the ground was "
+        "observed [m]",
     )
     ground_ring: float = Field(
-        1.0, gt=0, description="radius of the ring of eight places that stand in for ground between beams [m]"
+        1.0,
+        gt=0,
+        description="Radius of the ring of eight places that represents the ground between beams [m]",
     )
     ground_share: float = Field(
-        0.75, gt=0, le=1, description="share of that ring that must have been seen (Decision 14)"
+        0.75,
+        gt=0,
+        le=1,
+        description="Fraction of the ring around a ground point that must be observed for the ground to "
+        "count as observed (Decision 14)",
     )
     ground_between: float = Field(
-        3.0, gt=0, description="ground between ground points this near on three sides was seen [m]"
+        3.0,
+        gt=0,
+        description="Distance of ground points on three sides within which the ground between them counts "
+        "as observed [m]",
     )
     shadow_radius: float = Field(
-        1.0, gt=0, description="without trajectory: points this near prove sight [m]"
+        1.0,
+        gt=0,
+        description="Distance of a point that proves a place was visible in a cloud without trajectory [m]",
     )
     shadow_height: float = Field(
-        15.0, gt=0, description="without trajectory: so far above a seen point a place counts as seen [m]"
+        15.0,
+        gt=0,
+        description="Height above an observed point up to which places count as observed in a cloud "
+        "without trajectory [m]",
     )
     shadow_touch: float = Field(
-        0.35, gt=0, description="without trajectory: a point so near occupies a place [m]"
+        0.35,
+        gt=0,
+        description="Distance within which a point occupies a place in a cloud without trajectory [m]",
     )
     shadow_trust: float = Field(
-        0.8, gt=0.5, lt=1, description="without trajectory: probability that such a place was free"
+        0.8,
+        gt=0.5,
+        lt=1,
+        description="Probability that a place without points above an observed point was free in a cloud "
+        "without trajectory",
     )
 
 

@@ -25,25 +25,44 @@ class LodConfig(StrictModel):
     radius: float = Field(
         1.0,
         gt=0,
-        description="radius of the cylinder along the point's own normal [m]; where points lie farther apart "
-        "than 0.36 m in either epoch, 2.4 times the measured spacing",
+        description="Radius of the cylinder along the normal of a point [m]; 2.4 times the point spacing "
+        "where the spacing exceeds 0.36 m",
     )
-    self_half_length: float = Field(0.5, gt=0, description="cylinder in both epochs: half length [m]")
+    self_half_length: float = Field(
+        0.5, gt=0, description="Half length of the cylinder that is evaluated first in both epochs [m]"
+    )
     half_length: float = Field(
-        1.0, gt=0, description="half length in the other epoch where the short one holds too little [m]"
+        1.0,
+        gt=0,
+        description="Half length of the cylinder in the other epoch where the shorter cylinder contains "
+        "too few points [m]",
     )
-    min_count: int = Field(8, ge=1, description="points below which nothing is claimed (infinite LoD)")
+    min_count: int = Field(
+        8,
+        ge=1,
+        description="Number of points in the cylinder below which no change is claimed (infinite level of "
+        "detection)",
+    )
     normal_agreement: float = Field(
         0.5,
         ge=0,
         le=1,
-        description="smallest |cosine| of normals of points that count; 0 takes all",
+        description="Smallest absolute cosine between the normals of points that count [1]; 0 accepts all "
+        "points",
     )
-    noise: float = Field(0.01, ge=0, description="floor of s / sqrt(N) an epoch: sensor and map noise [m]")
+    noise: float = Field(
+        0.01,
+        ge=0,
+        description="Smallest value of s / sqrt(N) of an epoch, for the noise of sensor and map [m]; "
+        "raise it for noisy maps",
+    )
     combine: Literal["quadrature", "linear"] = Field(
-        "quadrature", description="how sigma_reg joins: quadrature (paper), linear (M3C2)"
+        "quadrature",
+        description="How sigma_reg enters the level of detection: quadrature (paper) or linear (M3C2)",
     )
-    normal_radius: float = Field(0.8, gt=0, description="radius of normals where a cloud has none [m]")
+    normal_radius: float = Field(
+        0.8, gt=0, description="Radius in which normals are estimated where a cloud has none [m]"
+    )
 
 
 @dataclass(frozen=True)

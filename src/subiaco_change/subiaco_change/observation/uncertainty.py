@@ -24,27 +24,40 @@ _STEEP = 0.7  # |vertical component| of a normal from which a surface lies rathe
 class UncertaintyConfig(StrictModel):
     """Uncertainty of the registration over the city."""
 
-    block: float = Field(20.0, gt=0, description="block of residuals that share a bias [m]")
-    spacing: float = Field(2.0, gt=0, description="one residual a surface in so many metres counts [m]")
-    min_residuals: int = Field(40, ge=5, description="residuals a block needs, else its neighbours join")
+    block: float = Field(
+        20.0, gt=0, description="Edge of the blocks in which registration residuals share a bias [m]"
+    )
+    spacing: float = Field(
+        2.0, gt=0, description="Distance between residuals on one surface that count as independent [m]"
+    )
+    min_residuals: int = Field(
+        40,
+        ge=5,
+        description="Number of residuals that a block needs; blocks with fewer use those of their neighbours",
+    )
     roughness: float = Field(
         0.08,
         gt=0,
-        description="largest roughness, either epoch, of surfaces that tell of the registration [m]",
+        description="Largest roughness in either epoch of surfaces whose residuals enter sigma_reg [m]",
     )
     quantile: float = Field(
-        0.7, gt=0.3, lt=1, description="of the residuals, that fixes the bias: what exceeds it may be change"
+        0.7,
+        gt=0.3,
+        lt=1,
+        description="Quantile of the absolute residuals that determines the bias of a block, as a "
+        "fraction; larger residuals may be change",
     )
-    floor: float = Field(0.003, ge=0, description="smallest sigma_reg [m]")
+    floor: float = Field(0.003, ge=0, description="Smallest value of sigma_reg [m]")
     pose_covariance: bool = Field(
-        True, description="add the pose covariances that maps carry, and unstated_pose for epochs without"
+        True,
+        description="Add the pose covariances of the maps to sigma_reg, and unstated_pose for epochs "
+        "without them",
     )
     unstated_pose: float = Field(
         0.04,
         ge=0,
-        description="standard deviation of the positions of an epoch that states no pose covariances (a bare "
-        "cloud) [m]; raise for surveys without RTK. Such an epoch is never taken to be better known "
-        "than the other epoch of the pair states itself to be",
+        description="Position standard deviation of an epoch without pose covariances (a bare cloud) [m], "
+        "never less than that of the other epoch; raise it for surveys without RTK",
     )
 
 

@@ -21,13 +21,26 @@ _CELL = 0.5  # of the compared heights [m]
 class VerticalBiasConfig(StrictModel):
     """Vertical bias between epochs (Decision 3)."""
 
-    tile: float = Field(20.0, gt=0, description="tile whose median difference counts once [m], paper")
-    reach: int = Field(2, ge=1, description="tiles on each side over which the median of tiles is taken")
-    min_tiles: int = Field(6, ge=1, description="tiles with ground below which nothing is removed")
-    limit: float = Field(
-        0.10, ge=0, description="largest departure of the field from its median over the map [m]"
+    tile: float = Field(
+        20.0, gt=0, description="Edge of the tiles whose median height difference counts once [m] (paper)"
     )
-    max_offset: float = Field(1.0, ge=0, description="largest median over the map that is removed [m]")
+    reach: int = Field(
+        2,
+        ge=1,
+        description="Number of tiles on each side over which the median of tiles is taken; raise it for a "
+        "smoother field",
+    )
+    min_tiles: int = Field(
+        6, ge=1, description="Number of tiles with ground below which no vertical bias is removed"
+    )
+    limit: float = Field(
+        0.10, ge=0, description="Largest departure of the vertical bias from its median over the map [m]"
+    )
+    max_offset: float = Field(
+        1.0,
+        ge=0,
+        description="Largest median height difference over the map that is removed as vertical bias [m]",
+    )
 
 
 def bias_field(

@@ -152,6 +152,7 @@ def run_document(
         "confidence_calibrated": not inputs.calibration.lacking,
         "confidence_calibrated_for": dict(inputs.calibration.calibrated_for),
         "confidence_not_calibrated": list(inputs.calibration.lacking),
+        "confidence_bands": [band.model_dump() for band in inputs.calibration.bands],
         "seconds": dict(result.seconds),
         "stages": dict(result.costs) if isinstance(result, TiledResult) else {},
         "peak_memory_mib": peak_mib(),
@@ -167,7 +168,7 @@ def write_change_directory(
     inputs: ChangeInputs,
     overwrite: bool = False,
 ) -> None:
-    """Write every product of contracts section 4, with the report.
+    """Write every product of a change run, with the report.
 
     Parameters
     ----------

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -26,6 +26,7 @@ _LONGEST = 250  # characters of a string of extended data
 _TEXT_HEIGHT = 1.0  # of the object number [m]
 
 Group = tuple[int, Any]
+_ENTITIES: tuple[Group, ...] = ((0, "SECTION"), (2, "ENTITIES"))
 
 
 def write_dxf(path: Path, table: gpd.GeoDataFrame) -> None:
@@ -39,16 +40,29 @@ def write_dxf(path: Path, table: gpd.GeoDataFrame) -> None:
     path : Path
     table : GeoDataFrame
     """
-    groups = [*_head(), (0, "SECTION"), (2, "ENTITIES")]
+    groups = [*_head({name.upper(): colour for name, colour in _COLOURS.items()}), *_ENTITIES]
     columns = [name for name in table.columns if name != table.geometry.name]
     for row, shape in zip(table[columns].to_dict("records"), table.geometry, strict=True):
         data = [f"{name}={_text(row[name])}"[:_LONGEST] for name in columns]
         for polygon in shape.geoms:
             for ring in (polygon.exterior, *polygon.interiors):
-                groups += _polyline(row["label"], ring.coords[:-1], row["z"], data)
+                groups += _polyline(row["label"].upper(), ring.coords[:-1], row["z"], data)
         groups += _label(row, shape.representative_point().coords[0])
-    groups += [(0, "ENDSEC"), (0, "EOF")]
-    text = "".join(f"{code}\n{value}\n" for code, value in groups)
+    _write(path, groups)
+
+
+def write_contour_dxf(path: Path, lines: gpd.GeoDataFrame) -> None:
+    """Write contours (``height_m``, lines) as polylines of the layer ``CONTOUR`` at their heights."""
+    groups: list[Group] = [*_head({"CONTOUR": 8}), *_ENTITIES]
+    for height, line in zip(lines["height_m"], lines.geometry, strict=True):
+        groups += _polyline("CONTOUR", line.coords, float(height), [], closed=False)
+    _write(path, groups)
+
+
+def _write(path: Path, groups: list[Group]) -> None:
+    """Write the groups of a drawing and its end."""
+    pairs = [*groups, (0, "ENDSEC"), (0, "EOF")]
+    text = "".join(f"{code}\n{value}\n" for code, value in pairs)
     path.write_text(text, encoding="ascii", errors="replace", newline="\r\n")
 
 
@@ -57,20 +71,23 @@ def _text(value: Any) -> str:
     return "" if pd.isna(value) else " ".join(str(value).split())
 
 
-def _head() -> Iterator[Group]:
-    """Version, units, layers and the application of the extended data."""
+def _head(layers: Mapping[str, int]) -> Iterator[Group]:
+    """Version, layers with their colours, and the application of the extended data."""
     yield from [(0, "SECTION"), (2, "HEADER"), (9, "$ACADVER"), (1, "AC1009"), (0, "ENDSEC")]
-    yield from [(0, "SECTION"), (2, "TABLES"), (0, "TABLE"), (2, "LAYER"), (70, len(_COLOURS))]
-    for name, colour in _COLOURS.items():
-        yield from [(0, "LAYER"), (2, name.upper()), (70, 0), (62, colour), (6, "CONTINUOUS")]
+    yield from [(0, "SECTION"), (2, "TABLES"), (0, "TABLE"), (2, "LAYER"), (70, len(layers))]
+    for name, colour in layers.items():
+        yield from [(0, "LAYER"), (2, name), (70, 0), (62, colour), (6, "CONTINUOUS")]
     yield from [(0, "ENDTAB"), (0, "TABLE"), (2, "APPID"), (70, 1), (0, "APPID"), (2, _APPLICATION), (70, 0)]
     yield from [(0, "ENDTAB"), (0, "ENDSEC")]
 
 
-def _polyline(label: str, corners: Any, height: float, data: list[str]) -> Iterator[Group]:
-    layer = label.upper()
-    yield from [(0, "POLYLINE"), (8, layer), (66, 1), (10, 0.0), (20, 0.0), (30, f"{height:.3f}"), (70, 1)]
-    yield (1001, _APPLICATION)
+def _polyline(
+    layer: str, corners: Any, height: float, data: list[str], *, closed: bool = True
+) -> Iterator[Group]:
+    yield from [(0, "POLYLINE"), (8, layer), (66, 1), (10, 0.0), (20, 0.0), (30, f"{height:.3f}")]
+    yield (70, int(closed))
+    if data:
+        yield (1001, _APPLICATION)
     yield from ((1000, text) for text in data)
     for corner in corners:
         yield from [(0, "VERTEX"), (8, layer), (10, f"{corner[0]:.3f}"), (20, f"{corner[1]:.3f}")]

@@ -22,7 +22,7 @@ from subiaco_geo.errors import InputError
 class ChangeDirectory:
     """A change directory as read back.
 
-    ``table`` has the columns of contracts section 4, footprints, and the reviews of every file;
+    ``table`` has the columns of ``docs/reference/change-table.md``, footprints, and reviews of every file;
     ``registration`` and ``run`` are the parsed JSON files.
     """
 

@@ -57,7 +57,7 @@ COLUMNS = (
 )
 #: Columns that :func:`table_hash` covers. A column that is added to :data:`COLUMNS` later enters it only when
 #: the method changes with it, so that a hash stays comparable between versions.
-HASHED_COLUMNS = (*COLUMNS[: COLUMNS.index("date_after") + 1], "reason")
+HASHED_COLUMNS = COLUMNS[: COLUMNS.index("date_after") + 1]
 #: Columns that tables of version 1 lack; they read as missing values.
 _LATER = COLUMNS[COLUMNS.index("delta_h_low_m") :]
 #: Columns that people fill in; they survive a rerun of the same pair.
@@ -199,7 +199,8 @@ def with_regular_outlines(table: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
 def table_hash(table: pd.DataFrame) -> str:
     """Return a hash of what the method found: :data:`HASHED_COLUMNS` and footprints of :func:`build_table`.
 
-    Names and reviews of earlier runs do not enter it, nor do the outlines of :func:`with_regular_outlines`.
+    Reasons, names and reviews of earlier runs do not enter it, nor do the outlines of
+    :func:`with_regular_outlines`.
     """
     computed = table[list(HASHED_COLUMNS)]
     digest = hashlib.sha256(computed.to_csv(index=False, lineterminator="\n").encode())
@@ -219,13 +220,15 @@ def write_csv(path: Path, table: pd.DataFrame, float_format: str | None = None) 
 def read_csv(path: Path) -> pd.DataFrame:
     """Read a table written by :func:`write_csv`, texts as texts.
 
+    Spreadsheets that separate cells by semicolons and write decimal commas are read too.
+
     Raises
     ------
     InputError
         Not a CSV, or a column of the contract is missing.
     """
     try:
-        frame = pd.read_csv(path, dtype=dict.fromkeys(TEXT_COLUMNS, str), keep_default_na=True)
+        frame = _read_cells(path)
     except ValueError as error:  # pandas' own, too: empty, not text, rows of different length
         reason = " ".join(str(error).split())
         raise InputError(f"{path}: not a change table ({reason}); run 'subiaco change' again") from error
@@ -238,6 +241,17 @@ def read_csv(path: Path) -> pd.DataFrame:
     texts = [name for name in TEXT_COLUMNS if name in frame.columns]
     frame[texts] = frame[texts].fillna("").map(restore_cell)
     _refuse_strange(path, frame)
+    return frame
+
+
+def _read_cells(path: Path) -> pd.DataFrame:
+    with path.open(encoding="utf-8-sig") as stream:
+        first = stream.readline()
+    if first.count(";") <= first.count(","):
+        return pd.read_csv(path, dtype=dict.fromkeys(TEXT_COLUMNS, str), keep_default_na=True)
+    frame = pd.read_csv(path, sep=";", dtype=str, keep_default_na=True, encoding="utf-8-sig")
+    for name in frame.columns.difference(TEXT_COLUMNS):
+        frame[name] = pd.to_numeric(frame[name].str.replace(",", "."))
     return frame
 
 

@@ -23,18 +23,24 @@ _ROUNDS = 10
 class WarpConfig(StrictModel):
     """Residual warp."""
 
-    enabled: bool = Field(False, description="remove smooth residuals that a rigid transform leaves")
-    block: float = Field(20.0, gt=0, description="distance of the nodes [m]")
+    enabled: bool = Field(False, description="Remove smooth residuals that remain after the rigid transform")
+    block: float = Field(20.0, gt=0, description="Distance between the nodes of the warp grid [m]")
     stiffness: float = Field(
-        0.02, gt=0, description="expected difference of displacement between neighbouring nodes [m]"
+        0.02,
+        gt=0,
+        description="Expected difference of displacement between neighbouring nodes [m]; raise it for a "
+        "more flexible warp",
     )
-    noise: float = Field(0.03, gt=0, description="what a single residual is trusted to [m]")
+    noise: float = Field(
+        0.03, gt=0, description="Standard deviation of a single residual of the warp estimate [m]"
+    )
     reach: float = Field(
         0.08,
         gt=0,
-        description="residual about the smooth field beyond which it is change; under the gate [m]",
+        description="Distance of a residual from the smooth field beyond which the residual is change "
+        "[m]; smaller than the change limits",
     )
-    limit: float = Field(0.25, gt=0, description="largest displacement [m]")
+    limit: float = Field(0.25, gt=0, description="Largest displacement of the warp per component [m]")
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ import geopandas as gpd
 import numpy as np
 from numpy.typing import NDArray
 
+from subiaco_change.changes.confidence import BANDS
 from subiaco_change.outputs.raster import COVERAGE, Coverage
 from subiaco_change.outputs.reading import ChangeDirectory
 from subiaco_change.outputs.review_state import is_rejected, review_counts
@@ -29,12 +30,8 @@ from subiaco_change.report.facts import (
 from subiaco_change.report.gathering import Gathered
 from subiaco_geo.codes import Change
 
-#: From, to, how sure a claim is where confidences are calibrated, and the range in words.
-BANDS = (
-    (0.9, 1.01, "sure", "0.9 and more"),
-    (0.7, 0.9, "likely", "0.7 to 0.9"),
-    (0.0, 0.7, "doubtful", "below 0.7"),
-)
+#: From, to, and the range in words.
+SPANS = tuple(zip(BANDS, (1.01, *BANDS[:-1]), ("0.9 and more", "0.7 to 0.9", "below 0.7"), strict=True))
 _LARGEST = 10
 
 
@@ -55,6 +52,7 @@ def build_summary(
     changed = claimed[~is_rejected(claimed)]
     largest = largest_rows(changed)
     found_findings = findings(change.run, change.registration)
+    measured = {band["low"]: band for band in change.run.get("confidence_bands", [])}
     calibrated = bool(change.run.get("confidence_calibrated", False))
     return {
         "simulated": is_simulated(change.run),
@@ -67,10 +65,11 @@ def build_summary(
         "reviews": review_counts(change.table),
         "bands": [
             {
-                "name": f"{word} ({span})" if calibrated else span,
+                "name": span,
                 "count": int(changed["confidence"].between(low, high, inclusive="left").sum()),
+                "measured": measured.get(low),
             }
-            for low, high, word, span in BANDS
+            for low, high, span in SPANS
         ],
         "calibrated": calibrated,
         "not_calibrated": change.run.get("confidence_not_calibrated", []),

@@ -22,85 +22,212 @@ class BuildingConfig(StrictModel):
     """Which planes are buildings, and what belongs to them; heights are above the local ground model."""
 
     max_linearity: float = Field(
-        0.92, gt=0, lt=1, description="linearity of a point that may join a patch; lines have no normal"
+        0.92,
+        gt=0,
+        lt=1,
+        description="Largest linearity of a point that may join a planar patch [1]; points along lines "
+        "have no normal",
     )
-    plane_angle_deg: float = Field(10.0, gt=0, description="angle between coplanar neighbours [deg], paper")
-    plane_offset: float = Field(0.08, gt=0, description="distance to the neighbour's plane [m], paper")
-    plane_area: float = Field(6.0, gt=0, description="planar area of a facade or roof [m2], paper")
-    plane_cell: float = Field(0.5, gt=0, description="cell in which the area of a plane is counted [m]")
-    wire_height: float = Field(4.0, gt=0, description="lowest wire or palm frond [m]")
+    plane_angle_deg: float = Field(
+        10.0,
+        gt=0,
+        description="Largest angle between the normals of neighbouring points of one planar patch [deg] "
+        "(paper)",
+    )
+    plane_offset: float = Field(
+        0.08,
+        gt=0,
+        description="Largest distance of a point from its neighbour's plane within one planar patch [m] "
+        "(paper)",
+    )
+    plane_area: float = Field(
+        6.0,
+        gt=0,
+        description="Smallest area of a planar patch that is a facade or a roof by itself [m2] (paper)",
+    )
+    plane_cell: float = Field(
+        0.5, gt=0, description="Edge of the cells in which the area of a planar patch is counted [m]"
+    )
+    wire_height: float = Field(
+        4.0,
+        gt=0,
+        description="Height above ground above which linear points and patches can be wires or palm "
+        "fronds [m]",
+    )
     wire_linearity: float = Field(
-        0.42, gt=0, lt=1, description="mean linearity from which a patch so high is a bundle of lines"
+        0.42, gt=0, lt=1, description="Mean linearity above which a planar patch can be a bundle of wires [1]"
     )
     wire_level: float = Field(
         0.97,
         gt=0,
         lt=1,
-        description="|n.e_z| from which a bundle of lines hangs level; thin roofs are pitched",
+        description="Vertical component of a patch normal above which a bundle of wires hangs level [1]; "
+        "roofs are pitched",
     )
     wire_inner: float = Field(
-        0.4, gt=0, le=1, description="share of a plane's cells with four neighbours: wires have few"
+        0.4,
+        gt=0,
+        le=1,
+        description="Fraction of the cells of a patch with four occupied neighbours; below it, the patch "
+        "may be wires",
     )
     wire_rise: float = Field(
         1.0,
         gt=0,
-        description="largest standard deviation of heights in a bundle; sparse facades have more [m]",
+        description="Largest standard deviation of the heights in a bundle of wires [m]; sparse facades "
+        "have more",
     )
-    frond_linearity: float = Field(0.36, gt=0, lt=1, description="the same where the patch is rough: fronds")
-    frond_bend: float = Field(0.1, gt=0, description="root mean square distance to one plane [m]")
-    frond_roughness: float = Field(0.04, gt=0, description="median roughness of such a patch [m]")
-    wire_roughness: float = Field(0.045, gt=0, description="largest roughness of a point of wires [m]")
-    wire_length: float = Field(4.0, gt=0, description="shortest run of wires seen from above [m]")
-    wire_touch: float = Field(0.4, gt=0, description="voxel in which points of wires touch [m]")
+    frond_linearity: float = Field(
+        0.36,
+        gt=0,
+        lt=1,
+        description="Mean linearity above which a rough, bent patch consists of palm fronds [1]",
+    )
+    frond_bend: float = Field(
+        0.1,
+        gt=0,
+        description="Root mean square distance from its plane above which a patch can consist of palm "
+        "fronds [m]",
+    )
+    frond_roughness: float = Field(
+        0.04,
+        gt=0,
+        description="Median roughness above which a patch can be palm fronds or foliage instead of a roof "
+        "[m]",
+    )
+    wire_roughness: float = Field(
+        0.045, gt=0, description="Largest roughness of a point that belongs to a wire [m]"
+    )
+    wire_length: float = Field(4.0, gt=0, description="Shortest horizontal extent of a run of wires [m]")
+    wire_touch: float = Field(
+        0.4,
+        gt=0,
+        description="Edge of the voxels in which points of wires are connected into one component [m]",
+    )
     leafy_scatter: float = Field(
         0.18,
         gt=0,
         lt=1,
-        description="mean sqrt(l3 / l1) from which a patch is the side of a hedge; walls have half of it",
+        description="Mean sqrt(l3 / l1) above which a small planar patch is the side of a hedge, not a "
+        "wall [1]",
     )
     leafy_bend: float = Field(
-        0.2, gt=0, description="root mean square distance to one plane of a rough slope that is no roof [m]"
+        0.2,
+        gt=0,
+        description="Root mean square distance from its plane above which a rough, inclined patch is "
+        "foliage, not a roof [m]",
     )
     leafy_area: float = Field(
-        25.0, gt=0, description="area from which a plane is a wall, however rough: leaves form none [m2]"
+        25.0,
+        gt=0,
+        description="Area of a planar patch from which scattered points no longer make the patch foliage "
+        "[m2]",
     )
-    facade_slope: float = Field(0.25, gt=0, description="|n.e_z| of a facade, paper")
+    facade_slope: float = Field(
+        0.25,
+        gt=0,
+        description="Largest vertical component of the normal of a facade [1] (paper); raise it to accept "
+        "inclined walls",
+    )
     thick: FeatureConfig = FeatureConfig(neighbours=24, radius=1.5)
-    thick_cell: float = Field(0.5, gt=0, description="cell in which walls seen twice are one [m]")
-    thick_roughness: float = Field(0.16, gt=0, description="roughness of such a wall over 1.5 m [m]")
-    thick_offset: float = Field(
-        0.25, gt=0, description="distance of its cells from the neighbour's plane [m]"
+    thick_cell: float = Field(
+        0.5,
+        gt=0,
+        description="Edge of the voxels in which a wall that was mapped as several sheets is averaged to "
+        "one [m]",
     )
-    thick_area: float = Field(12.0, gt=0, description="least area of such a wall [m2]")
+    thick_roughness: float = Field(
+        0.16,
+        gt=0,
+        description="Largest roughness, over a radius of 1.5 m, of a wall that was mapped as several "
+        "sheets [m]",
+    )
+    thick_offset: float = Field(
+        0.25,
+        gt=0,
+        description="Largest distance between neighbouring voxel means of a wall that was mapped as "
+        "several sheets [m]",
+    )
+    thick_area: float = Field(
+        12.0, gt=0, description="Smallest area of a wall that was mapped as several sheets [m2]"
+    )
     facade_width: float = Field(
-        0.15, gt=0, description="standard deviation along a facade; the face of a pole has less [m]"
+        0.15,
+        gt=0,
+        description="Smallest standard deviation of points along a facade [m]; the face of a pole has less",
     )
     facade_top: float = Field(
-        2.3, gt=0, description="height that a facade reaches; lower walls are other [m]"
+        2.3,
+        gt=0,
+        description="Height above ground that a facade must reach [m]; lower walls become class other",
     )
-    eaves: float = Field(0.35, ge=0, description="how far below it a wall may end in rough eaves [m]")
-    facade_share: float = Field(0.3, ge=0, le=1, description="share of a facade that is so high")
-    part_area: float = Field(2.0, gt=0, description="area of a patch that touches larger ones [m2]")
+    eaves: float = Field(
+        0.35,
+        ge=0,
+        description="Distance below facade_top at which a wall may end if rough eaves continue above the "
+        "wall [m]",
+    )
+    facade_share: float = Field(
+        0.3,
+        ge=0,
+        le=1,
+        description="Fraction of the points of a facade that must lie where a wall reaches facade_top",
+    )
+    part_area: float = Field(
+        2.0,
+        gt=0,
+        description="Smallest area of a planar patch that joins a larger facade or roof near it [m2]",
+    )
     roof_height: float = Field(
-        2.0, gt=0, description="height above which any planar patch is a roof [m], Decision in C3"
+        2.0,
+        gt=0,
+        description="Median height above ground above which any planar patch that is not upright is a "
+        "roof [m] (method C3)",
     )
-    roof_level: float = Field(0.5, gt=0, lt=1, description="|n.e_z| of a roof's points")
-    roof_cell: float = Field(0.5, gt=0, description="cell of the footprint of roofs [m]")
-    chimney: float = Field(1.2, ge=0, description="height above a roof that still belongs to it [m]")
+    roof_level: float = Field(
+        0.5, gt=0, lt=1, description="Smallest vertical component of the normal of a roof point [1]"
+    )
+    roof_cell: float = Field(0.5, gt=0, description="Edge of the cells of the footprint of roofs [m]")
+    chimney: float = Field(
+        1.2, ge=0, description="Height above a roof up to which points belong to the building [m]"
+    )
     under_gap: float = Field(
-        0.3, gt=0, description="air above a thing under a roof that is no part of it: cars, fences [m]"
+        0.3,
+        gt=0,
+        description="Clearance below a roof above which an object under the roof, a car for instance, is "
+        "separate [m]",
     )
     under_share: float = Field(
-        0.5, gt=0, le=1, description="share of such a thing with posts of the roof or the like above it"
+        0.5,
+        gt=0,
+        le=1,
+        description="Largest fraction of the points of an object under a roof that may have roof posts "
+        "above them",
     )
-    under_points: int = Field(15, gt=0, description="fewest points of such a thing")
-    touch: float = Field(0.25, gt=0, description="voxel in which parts of one thing touch [m]")
-    attach: float = Field(1.0, ge=0, description="reach of a building over its small parts [m]")
+    under_points: int = Field(
+        15, gt=0, description="Smallest number of points of a separate object under a roof"
+    )
+    touch: float = Field(
+        0.25,
+        gt=0,
+        description="Edge of the voxels in which points of one object at a building are connected [m]",
+    )
+    attach: float = Field(
+        1.0,
+        ge=0,
+        description="Distance from a building within which smooth small parts join the building [m]",
+    )
     edge: float = Field(
-        0.7, ge=0, description="reach of a building over rough points: edges look like foliage [m]"
+        0.7,
+        ge=0,
+        description="Distance from a building within which points that look like foliage join the "
+        "building [m]",
     )
     contact: float = Field(
-        0.5, ge=0, description="reach over what goes on beyond: fences and plants that touch [m]"
+        0.5,
+        ge=0,
+        description="Distance from a building within which points of fences and plants that extend "
+        "farther join it [m]",
     )
 
 

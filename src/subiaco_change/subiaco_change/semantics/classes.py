@@ -46,38 +46,86 @@ class SemanticsConfig(StrictModel):
     vehicles: VehicleConfig = VehicleConfig()
     lines: LineConfig = LineConfig()
     ground_distance: float = Field(
-        0.10, gt=0, description="median distance of ground to its model [m], paper"
+        0.10,
+        gt=0,
+        description="Largest median distance of a ground superpoint from the ground model [m] (paper)",
     )
     ground_angle_deg: float = Field(
-        25.0, gt=0, lt=90, description="normal against the model's normal [deg], Decision 6"
+        25.0,
+        gt=0,
+        lt=90,
+        description="Largest angle between the normal of a ground point and the normal of the ground "
+        "model [deg] (Decision 6)",
     )
-    ground_share: float = Field(0.8, gt=0, le=1, description="share of near-horizontal points, paper")
+    ground_share: float = Field(
+        0.8,
+        gt=0,
+        le=1,
+        description="Smallest fraction of the points of a ground superpoint whose normals agree with the "
+        "ground model (paper)",
+    )
     ground_close: float = Field(
-        0.15, gt=0, description="band in which kerbs and markings are closed into ground [m]"
+        0.15,
+        gt=0,
+        description="Height above the ground model below which kerbs and road markings count as ground [m]",
     )
     foot_roughness: float = Field(
-        0.06, gt=0, description="roughness of a point where something stands on the ground [m]"
+        0.06,
+        gt=0,
+        description="Roughness above which a point near the ground belongs to the foot of an object [m]",
     )
-    foot_height: float = Field(0.04, ge=0, description="lowest point of such a foot that is no ground [m]")
+    foot_height: float = Field(
+        0.04,
+        ge=0,
+        description="Height above the ground model from which rough points belong to the foot of an "
+        "object, not to the ground [m]",
+    )
     scatter: float = Field(
         0.25,
         gt=0,
-        description="ratio of standard deviations sqrt(l3 / l1) of foliage (paper: l3 / l1 > 0.35)",
+        description="Median sqrt(l3 / l1) above which a superpoint is foliage [1] (paper: l3 / l1 > 0.35)",
     )
     sparse_scatter: float = Field(
-        0.15, gt=0, description="the same where few points are near: lines of a scan cross foliage sparsely"
+        0.15,
+        gt=0,
+        description="Median sqrt(l3 / l1) above which a superpoint is foliage where neighbours are "
+        "farther away than sparse_reach [1]",
     )
-    sparse_reach: float = Field(1.1, gt=0, description="distance of the neighbours there [m]")
-    roughness: float = Field(0.06, gt=0, description="root of the smallest eigenvalue in foliage [m]")
-    vegetation_height: float = Field(0.5, gt=0, description="median height of vegetation [m], paper")
-    level: float = Field(0.9, gt=0, le=1, description="|n.e_z| from which a point is level")
+    sparse_reach: float = Field(
+        1.1,
+        gt=0,
+        description="Distance of the farthest required neighbour above which a superpoint counts as "
+        "sparse [m]",
+    )
+    roughness: float = Field(
+        0.06,
+        gt=0,
+        description="Median roughness (square root of the smallest eigenvalue) above which a superpoint "
+        "can be foliage [m]",
+    )
+    vegetation_height: float = Field(
+        0.5,
+        gt=0,
+        description="Median height above ground that a cluster of vegetation must exceed [m] (paper)",
+    )
+    level: float = Field(
+        0.9, gt=0, le=1, description="Vertical component of the normal above which a point is level [1]"
+    )
     tiny_width: float = Field(
         1.0,
         ge=0,
-        description="width below which every neighbourhood holds the whole thing: bins look like leaves [m]",
+        description="Width below which a low cluster is class other, because its features resemble "
+        "foliage at any shape [m]",
     )
-    tiny_top: float = Field(1.3, ge=0, description="top of such a thing [m]")
-    cluster_voxel: float = Field(0.4, gt=0, description="voxel in which the rest falls into clusters [m]")
+    tiny_top: float = Field(
+        1.3, ge=0, description="Height above ground below which a narrow cluster is class other [m]"
+    )
+    cluster_voxel: float = Field(
+        0.4,
+        gt=0,
+        description="Edge of the voxels in which points that are neither ground nor building are "
+        "clustered [m]",
+    )
 
 
 @dataclass(frozen=True)

@@ -18,9 +18,18 @@ from subiaco_geo.frames import Floats
 class FeatureConfig(StrictModel):
     """Neighbourhood of the eigen-features."""
 
-    neighbours: int = Field(20, ge=4, le=64, description="neighbours in the k-NN graph")
-    radius: float = Field(0.6, gt=0, description="radius of the eigen-features [m]")
-    min_neighbours: int = Field(12, ge=3, description="taken from farther away where the radius holds fewer")
+    neighbours: int = Field(
+        20, ge=4, le=64, description="Number of neighbours of a point in the k-nearest-neighbour graph"
+    )
+    radius: float = Field(
+        0.6, gt=0, description="Radius of the neighbourhood from which eigenvalue features are computed [m]"
+    )
+    min_neighbours: int = Field(
+        12,
+        ge=3,
+        description="Smallest number of neighbours for eigenvalue features; the radius grows where it "
+        "contains fewer",
+    )
 
 
 @dataclass(frozen=True)

@@ -28,36 +28,88 @@ class GroundConfig(StrictModel):
     filter*, with a refit of the surface to the points that it keeps.
     """
 
-    cell: float = Field(0.5, gt=0, description="raster cell [m]")
+    cell: float = Field(0.5, gt=0, description="Edge of the cells of the ground raster [m]")
     max_window: float = Field(
-        14.0, gt=0, description="largest radius of the opening: half the widest roof [m]"
+        14.0,
+        gt=0,
+        description="Largest radius of the morphological opening [m]; must exceed half the width of the "
+        "widest roof",
     )
-    slope: float = Field(0.15, gt=0, description="steepest ground accepted by the opening [m/m]")
+    slope: float = Field(
+        0.15,
+        gt=0,
+        description="Steepest terrain slope that the morphological opening accepts [m/m]; raise it in "
+        "hilly areas",
+    )
     step: float = Field(
-        0.30, gt=0, description="height above the opened surface that a kerb or drive may have [m]"
+        0.30,
+        gt=0,
+        description="Largest height above the opened surface, besides the slope, at which a cell is "
+        "ground [m]; kerbs and driveways need some",
     )
-    slope_reach: float = Field(4.0, gt=0, description="largest radius over which the slope may add up [m]")
-    trend: float = Field(4.0, gt=0, description="smoothing of the slope that is taken out [m]")
+    slope_reach: float = Field(
+        4.0, gt=0, description="Largest opening radius over which the accepted slope accumulates [m]"
+    )
+    trend: float = Field(
+        4.0,
+        gt=0,
+        description="Standard deviation of the Gaussian that smooths the terrain before its slope is "
+        "subtracted [m]",
+    )
     thin_step: float = Field(
-        0.07, gt=0, description="the same for each cell of radius: feet of walls are thin and low [m]"
+        0.07,
+        gt=0,
+        description="Height above the opened surface accepted for each cell of opening radius, up to step "
+        "[m]; removes low feet of walls",
     )
     low_outlier: float = Field(
-        0.8, gt=0, description="depth below all cells around at which a cell is noise [m]"
+        0.8, gt=0, description="Depth below all surrounding cells from which a cell is a low outlier [m]"
     )
-    low_reach: float = Field(4.0, gt=0, description="radius of these surroundings [m]")
-    refit_band: float = Field(0.30, gt=0, description="points this near the first surface refit it [m]")
+    low_reach: float = Field(
+        4.0, gt=0, description="Radius of the surroundings with which low outliers are compared [m]"
+    )
+    refit_band: float = Field(
+        0.30,
+        gt=0,
+        description="Distance from the lowest surface within which points refine the ground height [m]",
+    )
     max_spread: float = Field(
-        0.06, gt=0, description="spread of heights in a cell beyond which it is no ground [m]"
+        0.06,
+        gt=0,
+        description="Standard deviation of the heights in a cell above which the cell is no ground [m]",
     )
-    run_step: float = Field(0.1, ge=0, description="step between neighbouring cells of one surface [m]")
-    run_slope: float = Field(0.4, ge=0, description="and its slope [m/m]")
-    run_reach: float = Field(3.0, gt=0, description="farthest neighbours that are compared [m]")
-    run_area: float = Field(5.0, ge=0, description="least area of such a surface that is given back [m2]")
+    run_step: float = Field(
+        0.1,
+        ge=0,
+        description="Largest step between neighbouring cells of a surface that continues the ground [m]",
+    )
+    run_slope: float = Field(
+        0.4,
+        ge=0,
+        description="Steepest slope between neighbouring cells of a surface that continues the ground [m/m]",
+    )
+    run_reach: float = Field(
+        3.0,
+        gt=0,
+        description="Largest distance between two cells that are compared when the ground is continued [m]",
+    )
+    run_area: float = Field(
+        5.0,
+        ge=0,
+        description="Smallest area of a surface that is returned to the ground because it continues the "
+        "ground [m2]",
+    )
     run_share: float = Field(
-        0.4, gt=0, le=1, description="share of its border at which it runs on from ground"
+        0.4,
+        gt=0,
+        le=1,
+        description="Fraction of the border with the ground that must be free of steps for a surface to "
+        "continue the ground",
     )
     support: float = Field(
-        4.0, gt=0, description="farthest a ground cell may be for a height to count as known [m]"
+        4.0,
+        gt=0,
+        description="Distance from the nearest ground cell up to which a ground height counts as known [m]",
     )
 
 

@@ -26,40 +26,76 @@ class InstanceConfig(StrictModel):
     """How points of a class fall into objects."""
 
     building_gap: float = Field(
-        0.8, gt=0, description="cell in which parts of one building touch, seen from above [m]"
+        0.8,
+        gt=0,
+        description="Edge of the cells, seen from above, in which parts of one building are connected [m]",
     )
     terraces: ProfileConfig = ProfileConfig()
-    vegetation_gap: float = Field(0.8, gt=0, description="least clustering distance of foliage, paper [m]")
-    vegetation_density: float = Field(1.8, gt=0, description="clustering distance times cbrt(density), paper")
+    vegetation_gap: float = Field(
+        0.8, gt=0, description="Smallest clustering distance of foliage [m] (paper)"
+    )
+    vegetation_density: float = Field(
+        1.8,
+        gt=0,
+        description="Clustering distance of foliage times the cube root of its point density [1] (paper); "
+        "raise it to merge sparse crowns",
+    )
     foliage_voxel: float = Field(
         0.9,
         gt=0,
-        description="voxel in which the sparsest foliage touches, parted by its own density then [m]",
+        description="Edge of the voxels of the first clustering of foliage, before each cluster is split "
+        "by its own density [m]",
     )
-    crown_cell: float = Field(0.5, gt=0, description="cell of the canopy whose dips part crowns [m]")
+    crown_cell: float = Field(
+        0.5, gt=0, description="Edge of the canopy raster cells in which crowns are separated [m]"
+    )
     crown_radius: float = Field(
-        2.0, gt=0, description="smoothing and least half distance of two crown tops [m]"
+        2.0,
+        gt=0,
+        description="Radius that sets the smoothing of the canopy before crown tops are searched [m]; "
+        "raise it for fewer, larger crowns",
     )
-    crown_drop: float = Field(0.5, gt=0, description="depth of the dip that parts two crowns [m]")
-    trunk_top: float = Field(2.0, gt=0, description="height below which trunks are looked for [m]")
-    trunk_width: float = Field(0.8, gt=0, description="widest trunk [m]")
+    crown_drop: float = Field(
+        0.5,
+        gt=0,
+        description="Depth of the canopy dip that separates two crowns [m]; raise it to merge "
+        "neighbouring crowns",
+    )
+    trunk_top: float = Field(
+        2.0, gt=0, description="Height above ground below which tree trunks are searched [m]"
+    )
+    trunk_width: float = Field(0.8, gt=0, description="Largest width of a tree trunk [m]")
     hedges: ProfileConfig = ProfileConfig(step=0.3, width=2.5, level=2.0, slack=0.35, lowest=0.5)
-    hedge_top: float = Field(2.8, gt=0, description="highest hedge [m]")
-    hedge_slender: float = Field(0.4, gt=0, le=1, description="widest hedge for its length")
+    hedge_top: float = Field(2.8, gt=0, description="Largest height above ground of a hedge [m]")
+    hedge_slender: float = Field(0.4, gt=0, le=1, description="Largest ratio of width to length of a hedge")
     mobile_gap: float = Field(
-        0.3, gt=0, description="cell in which points of a vehicle touch, after the split [m]"
+        0.3,
+        gt=0,
+        description="Edge of the cells, seen from above, in which points of one vehicle instance are "
+        "connected [m]",
     )
     rows: RowConfig = RowConfig()
     mobile_erosion: float = Field(
-        0.15, ge=0, description="band above ground left out when clustering, paper [m]"
+        0.15,
+        ge=0,
+        description="Height above ground of the band that is left out when vehicles are clustered [m] "
+        "(paper)",
     )
-    other_gap: float = Field(0.6, gt=0, description="voxel in which other things touch [m]")
+    other_gap: float = Field(
+        0.6,
+        gt=0,
+        description="Edge of the voxels in which points of an object of class other are connected [m]",
+    )
     min_points: tuple[int, int, int, int] = Field(
         (60, 40, 25, 12),
-        description="smallest building, plant, vehicle, other: points at 0.25 m, as 1/spacing^2 (Decision 7)",
+        description="Smallest number of points of a building, plant, vehicle and other object, at a point "
+        "spacing of 0.25 m (Decision 7)",
     )
     leaf: float = Field(
-        0.25, gt=0, description="edge of the square of a surface that a point stands for, set by the run [m]"
+        0.25,
+        gt=0,
+        description="Point spacing to which the smallest numbers of points are scaled [m]; set by the "
+        "program for every run",
     )
 
 

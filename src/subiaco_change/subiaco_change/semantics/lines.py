@@ -26,33 +26,88 @@ _AROUND = 2  # cells of a pole's width that are looked at on every side of it
 class LineConfig(StrictModel):
     """What a wire and a pole are; heights are above the local ground model."""
 
-    wire_height: float = Field(3.0, gt=0, description="lowest wire [m]")
-    wire_cell: float = Field(0.4, gt=0, description="cell whose mean stands for a bundle there [m]")
-    wire_far: float = Field(
-        0.5, gt=0, description="distance of the neighbours that shapes are told from, at a wire [m]"
+    wire_height: float = Field(3.0, gt=0, description="Smallest height above ground of a wire [m]")
+    wire_cell: float = Field(
+        0.4, gt=0, description="Edge of the voxels whose mean point represents a bundle of wires [m]"
     )
-    wire_reach: float = Field(0.9, gt=0, description="radius in which a wire is a line by itself [m]")
-    wire_thick: float = Field(0.12, gt=0, description="largest standard deviation across it [m]")
-    wire_link: float = Field(1.6, gt=0, description="distance at which parts of one line are joined [m]")
-    wire_aside: float = Field(0.2, gt=0, description="how far one part may lie off the other's line [m]")
-    wire_length: float = Field(5.0, gt=0, description="shortest wire, seen from above [m]")
-    wire_straight: float = Field(0.25, gt=0, description="root mean square distance to one line in plan [m]")
-    wire_level: float = Field(0.35, gt=0, description="steepest wire [m/m]")
-    wire_width: float = Field(0.25, gt=0, description="half width followed along a wire [m]")
-    wire_gap: float = Field(3.0, gt=0, description="gap over which a wire is followed [m]")
-    pole_layer: float = Field(0.5, gt=0, description="layer in which a pole shows [m]")
-    pole_touch: float = Field(0.3, gt=0, description="cell in which the clear layers of a pole touch [m]")
-    pole_width: float = Field(0.3, gt=0, description="half width of a pole with what is fixed to it [m]")
-    pole_ring: float = Field(0.9, gt=0, description="radius that is clear around a pole [m]")
-    pole_clear: float = Field(0.7, gt=0, le=1, description="share of points near a layer that are the pole's")
-    pole_length: float = Field(4.0, gt=0, description="length over which a pole stands clear [m]")
-    pole_top: float = Field(5.0, gt=0, description="lowest top of a pole that passes through crowns [m]")
-    pole_straight: float = Field(0.13, gt=0, description="root mean square distance to its axis [m]")
-    pole_lean: float = Field(0.15, gt=0, description="largest slope of its axis against the vertical [m/m]")
-    pole_foot: float = Field(3.0, gt=0, description="lowest point of a pole; edges of roofs hang higher [m]")
-    pole_planar: float = Field(0.3, gt=0, le=1, description="share of a pole that lies in walls or roofs")
-    pole_apart: float = Field(2.5, gt=0, description="distance of a pole from any other [m]")
-    pole_filled: float = Field(0.7, gt=0, le=1, description="share of its layers that hold points")
+    wire_far: float = Field(
+        0.5,
+        gt=0,
+        description="Mean distance to the neighbours above which a voxel is sparse enough to be a wire [m]",
+    )
+    wire_reach: float = Field(
+        0.9, gt=0, description="Radius in which the neighbours of a wire must form a single line [m]"
+    )
+    wire_thick: float = Field(
+        0.12, gt=0, description="Largest standard deviation of points across a wire [m]"
+    )
+    wire_link: float = Field(
+        1.6, gt=0, description="Largest distance between consecutive pieces that are joined to one wire [m]"
+    )
+    wire_aside: float = Field(
+        0.2,
+        gt=0,
+        description="Largest distance of a piece from the line of the adjoining piece of a wire [m]",
+    )
+    wire_length: float = Field(5.0, gt=0, description="Shortest horizontal length of a wire [m]")
+    wire_straight: float = Field(
+        0.25,
+        gt=0,
+        description="Largest root mean square distance of a wire from a straight line, seen from above [m]",
+    )
+    wire_level: float = Field(0.35, gt=0, description="Steepest slope of a wire [m/m]")
+    wire_width: float = Field(
+        0.25,
+        gt=0,
+        description="Distance from the fitted curve of a wire within which points belong to the wire [m]",
+    )
+    wire_gap: float = Field(3.0, gt=0, description="Longest gap across which a wire is followed [m]")
+    pole_layer: float = Field(
+        0.5, gt=0, description="Height of the layers in which the clearance around a pole is measured [m]"
+    )
+    pole_touch: float = Field(
+        0.3,
+        gt=0,
+        description="Edge of the cells, seen from above, in which clear layers are connected to one pole [m]",
+    )
+    pole_width: float = Field(0.3, gt=0, description="Half width of a pole with its attachments [m]")
+    pole_ring: float = Field(
+        0.9, gt=0, description="Radius around a pole in which few other points may lie [m]"
+    )
+    pole_clear: float = Field(
+        0.7,
+        gt=0,
+        le=1,
+        description="Smallest fraction of the points within pole_ring of a layer that belong to the pole",
+    )
+    pole_length: float = Field(
+        4.0, gt=0, description="Smallest length over which a pole has clearance around it [m]"
+    )
+    pole_top: float = Field(5.0, gt=0, description="Height above ground that a pole must exceed [m]")
+    pole_straight: float = Field(
+        0.13, gt=0, description="Largest root mean square distance of the points of a pole from its axis [m]"
+    )
+    pole_lean: float = Field(
+        0.15, gt=0, description="Largest inclination of the axis of a pole against the vertical [m/m]"
+    )
+    pole_foot: float = Field(
+        3.0,
+        gt=0,
+        description="Largest height above ground of the lowest point of a pole [m]; edges of roofs hang "
+        "higher",
+    )
+    pole_planar: float = Field(
+        0.3, gt=0, le=1, description="Largest fraction of the points of a pole that lie in walls or roofs"
+    )
+    pole_apart: float = Field(
+        2.5,
+        gt=0,
+        description="Smallest distance between two poles [m]; closer ones are columns of one sparsely "
+        "mapped wall",
+    )
+    pole_filled: float = Field(
+        0.7, gt=0, le=1, description="Smallest fraction of the layers of a pole that contain points"
+    )
 
 
 def find_lines(

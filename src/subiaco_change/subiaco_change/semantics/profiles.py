@@ -13,13 +13,33 @@ from subiaco_geo.frames import Floats, Ints
 class ProfileConfig(StrictModel):
     """Steps that part a row; the defaults are those of houses."""
 
-    step: float = Field(0.85, gt=0, description="step of the tops from one thing to the next [m]")
-    width: float = Field(3.5, gt=0, description="shortest thing of a row [m]")
-    level: float = Field(2.0, gt=0, description="stretch that is level on either side of the step [m]")
-    slack: float = Field(0.3, gt=0, description="share of the step that heights on a level stretch may vary")
-    sudden: float = Field(0.8, gt=0, le=1, description="share of the step within the length of a top or two")
-    cell: float = Field(0.5, gt=0, description="length over which the top is taken [m]")
-    lowest: float = Field(2.8, gt=0, description="lower tops are garages and carports, no houses [m]")
+    step: float = Field(
+        0.85, gt=0, description="Smallest step of the top height between two objects of a row [m]"
+    )
+    width: float = Field(3.5, gt=0, description="Shortest length of one object in a row [m]")
+    level: float = Field(
+        2.0, gt=0, description="Length of the stretch on either side of a step that must be level [m]"
+    )
+    slack: float = Field(
+        0.3,
+        gt=0,
+        description="Largest variation of the heights on a level stretch, as a fraction of the step",
+    )
+    sudden: float = Field(
+        0.8,
+        gt=0,
+        le=1,
+        description="Fraction of the step that must occur between two adjacent cells of the profile",
+    )
+    cell: float = Field(
+        0.5, gt=0, description="Length of the cells of the profile in which the top height is taken [m]"
+    )
+    lowest: float = Field(
+        2.8,
+        gt=0,
+        description="Smallest top height above ground on both sides of a step [m]; lower tops are garages "
+        "and carports",
+    )
 
 
 def level_steps(top: Floats, config: ProfileConfig) -> Ints:

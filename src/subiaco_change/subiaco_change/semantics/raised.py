@@ -26,16 +26,41 @@ _LATTICE = 16.0  # the raster begins on whole multiples, so that tiles share the
 class RaisedConfig(StrictModel):
     """Roofs and decks wider than the window of the ground filter."""
 
-    cell: float = Field(1.0, gt=0, description="raster cell [m]")
-    area: float = Field(
-        200.0, ge=0, description="least area of a raised surface; the ground filter finds smaller ones [m2]"
+    cell: float = Field(
+        1.0, gt=0, description="Edge of the raster cells in which raised surfaces are searched [m]"
     )
-    step: float = Field(0.3, gt=0, description="step between neighbouring cells of one surface [m]")
-    slope: float = Field(0.6, ge=0, description="and its slope, that of a pitched roof [m/m]")
-    drop: float = Field(2.0, gt=0, description="height of the edge of a raised surface [m]")
-    reach: float = Field(2.0, gt=0, description="how far from the edge the lower surface may begin [m]")
+    area: float = Field(
+        200.0,
+        ge=0,
+        description="Smallest area of a raised surface, a deck or large roof [m2]; the ground filter "
+        "removes smaller ones",
+    )
+    step: float = Field(
+        0.3, gt=0, description="Largest step between neighbouring cells of one raised surface [m]"
+    )
+    slope: float = Field(
+        0.6,
+        ge=0,
+        description="Steepest slope between neighbouring cells of one raised surface [m/m]; a pitched "
+        "roof needs about 0.6",
+    )
+    drop: float = Field(
+        2.0,
+        gt=0,
+        description="Height by which the edge of a raised surface must exceed the surface below [m]",
+    )
+    reach: float = Field(
+        2.0,
+        gt=0,
+        description="Distance from the edge of a raised surface within which the lower surface must begin "
+        "[m]",
+    )
     share: float = Field(
-        0.7, gt=0.5, le=1, description="share of its edge, but for what rises from it, that ends in a drop"
+        0.7,
+        gt=0.5,
+        le=1,
+        description="Fraction of the edge of a raised surface that must end in a drop, walls above the "
+        "edge excluded",
     )
 
 

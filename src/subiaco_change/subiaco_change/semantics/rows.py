@@ -14,12 +14,28 @@ from subiaco_geo.frames import Floats, Ints
 class RowConfig(StrictModel):
     """What a row of cars is, and what the cars in it are."""
 
-    length: float = Field(5.2, gt=0, description="a longer cluster may be a row [m]")
-    width: float = Field(2.3, gt=0, description="a wider cluster may be a row [m]")
-    top: float = Field(2.4, gt=0, description="a higher cluster is a truck, no row [m]")
-    gap: float = Field(0.2, gt=0, description="gap that parts a row: 0.3 m less noise [m]")
-    car_length: float = Field(2.8, gt=0, description="shortest car that a cut may leave, as seen [m]")
-    car_width: float = Field(1.0, gt=0, description="narrowest car that a cut may leave, as seen [m]")
+    length: float = Field(
+        5.2, gt=0, description="Length above which a cluster of vehicles may be a row of cars [m]"
+    )
+    width: float = Field(
+        2.3, gt=0, description="Width above which a cluster of vehicles may be a row of cars [m]"
+    )
+    top: float = Field(
+        2.4,
+        gt=0,
+        description="Height above ground above which a cluster is a truck and is not divided into cars [m]",
+    )
+    gap: float = Field(
+        0.2,
+        gt=0,
+        description="Smallest gap at which a row of cars is divided [m]; 0.3 m less the noise of the map",
+    )
+    car_length: float = Field(
+        2.8, gt=0, description="Shortest observed length of a car that results from dividing a row [m]"
+    )
+    car_width: float = Field(
+        1.0, gt=0, description="Smallest observed width of a car that results from dividing a row [m]"
+    )
 
 
 def split_rows(xy: Floats, height: Floats, labels: Ints, config: RowConfig) -> Ints:

@@ -23,17 +23,27 @@ from subiaco_geo.frames import Floats, Ints
 class SuperpointConfig(StrictModel):
     """Potts energy and its minimisation."""
 
-    strength: float = Field(0.8, gt=0, description="eta, weight of the boundary, paper")
+    strength: float = Field(
+        0.8,
+        gt=0,
+        description="Weight eta of the boundary length in the energy of the partition (paper); raise it "
+        "for larger superpoints",
+    )
     sigma: float = Field(
         0.23,
         gt=0,
-        description="sigma_f: median feature distance of streets, fixed so that tiles agree with the whole",
+        description="Feature distance sigma_f that scales the boundary weights [1]; fixed so that tiles "
+        "agree with the whole map",
     )
-    rounds: int = Field(6, ge=1, le=30, description="steps in which eta doubles up to its final value")
+    rounds: int = Field(
+        6, ge=1, le=30, description="Number of merging rounds, in which eta doubles up to its final value"
+    )
     height_scale: float = Field(
-        4.0, gt=0, description="height above ground that weighs as much as a feature of 1 [m]"
+        4.0, gt=0, description="Height above ground that weighs as much as a feature value of 1 [m]"
     )
-    neighbours: int = Field(8, ge=2, description="nearest neighbours that become edges of the graph")
+    neighbours: int = Field(
+        8, ge=2, description="Number of nearest neighbours that become edges of the partition graph"
+    )
 
 
 @dataclass(frozen=True)

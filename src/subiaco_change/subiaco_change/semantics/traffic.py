@@ -24,21 +24,46 @@ class TrafficConfig(StrictModel):
         0.9,
         gt=0.5,
         le=1,
-        description="probability of having moved, from the times of beams in the map, from which a point "
-        "belongs to the trail of a moving object [1]",
+        description="Probability of having moved, from the beam times in the map, from which a point "
+        "belongs to a ghost trail",
     )
     ratio: float = Field(
-        20.0, gt=1, description="mean passes a return around a point from which it surely moved"
+        20.0,
+        gt=1,
+        description="Mean ratio of passes to returns around a point above which the point certainly moved",
     )
-    spread_ratio: float = Field(7.0, gt=1, description="the same for points that touch such ones")
-    core_share: float = Field(0.3, gt=0, le=1, description="share of sure points in a trail")
+    spread_ratio: float = Field(
+        7.0,
+        gt=1,
+        description="Mean ratio of passes to returns above which a point joins a ghost trail that "
+        "contains certain points",
+    )
+    core_share: float = Field(
+        0.3, gt=0, le=1, description="Fraction of the points of a ghost trail that must certainly have moved"
+    )
     block_share: float = Field(
-        0.5, gt=0, le=1, description="share from which joined planes are a trail, not a building"
+        0.5,
+        gt=0,
+        le=1,
+        description="Fraction of moving points from which connected planar patches are a ghost trail, not "
+        "a building",
     )
-    bottom: float = Field(0.15, ge=0, description="lowest point of a trail; lower ones are ground [m]")
-    top: float = Field(3.8, gt=0, description="highest point of a trail: a bus [m]")
-    reach: float = Field(1.0, gt=0, description="neighbours that are averaged [m]")
-    touch: float = Field(0.5, gt=0, description="voxel in which points of a trail touch [m]")
+    bottom: float = Field(
+        0.15,
+        ge=0,
+        description="Height above ground of the lowest point of a ghost trail [m]; lower points are ground",
+    )
+    top: float = Field(
+        3.8,
+        gt=0,
+        description="Largest height above ground of a point of a ghost trail [m]; a bus is 3.8 m high",
+    )
+    reach: float = Field(
+        1.0, gt=0, description="Radius in which the ratio of passes to returns is averaged [m]"
+    )
+    touch: float = Field(
+        0.5, gt=0, description="Edge of the voxels in which points of one ghost trail are connected [m]"
+    )
 
 
 def timed_trails(height: Floats, moved: Floats, free: Mask, config: TrafficConfig) -> Mask:

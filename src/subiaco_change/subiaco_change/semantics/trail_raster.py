@@ -21,112 +21,127 @@ class TrailShapeConfig(StrictModel):
     cell: float = Field(
         0.3,
         gt=0,
-        description="edge of the raster cells in which the shape of trails is measured [m]; coarser clouds"
-        " need larger cells",
+        description="Edge of the raster cells in which the shape of ghost trails is measured [m]; coarser "
+        "clouds need larger cells",
     )
     bottom: float = Field(
-        0.3, gt=0, description="height above ground from which points belong to the body of a vehicle [m]"
+        0.3, gt=0, description="Height above ground from which points belong to the body of a vehicle [m]"
     )
     body_top: float = Field(
-        2.0, gt=0, description="height above ground up to which the width of a trail is measured [m]"
+        2.0, gt=0, description="Height above ground up to which the width of a ghost trail is measured [m]"
     )
-    top: float = Field(3.8, gt=0, description="greatest height above ground of a vehicle [m]")
+    top: float = Field(3.8, gt=0, description="Greatest height above ground of a vehicle [m]")
     ground_band: float = Field(
-        0.15, gt=0, description="distance from the ground model within which a point is ground [m]"
+        0.15, gt=0, description="Distance from the ground model within which a point is ground [m]"
     )
     roof: float = Field(
         0.4,
         ge=0,
-        description="distance below the highest point of a vehicle that its roof may take; what lies lower"
-        " and away from the sides is inside the vehicle [m]",
+        description="Thickness of the roof of a vehicle below its highest point; lower points away from "
+        "the sides are inside the vehicle [m]",
     )
     run: float = Field(
         5.0,
         gt=0,
-        description="distance for which a trail must go on, forth and back along a straight line; the whole"
-        " line is longer than a parked vehicle [m]",
+        description="Distance for which a ghost trail must continue in both directions along a straight "
+        "line [m]; above half a parked vehicle",
     )
     run_share: float = Field(
         0.75,
         gt=0,
         le=1,
-        description="share of such a line that must be occupied, gaps of one cell closed [1]",
+        description="Fraction of the straight line through a ghost trail that must be occupied, gaps of "
+        "one cell closed",
     )
     least_area: float = Field(
-        4.0, gt=0, description="footprint below which the shape of a trail says nothing [m2]"
+        4.0, gt=0, description="Footprint below which the shape of a ghost trail is not evaluated [m2]"
     )
     length: float = Field(
         15.0,
         gt=0,
-        description="length of a swath, its area over its width, at which a trail is as likely as a row of"
-        " standing objects; raise it where long hedges stand between lanes [m]",
+        description="Length of a swath (area over width) at which a trail is as likely as a row of static "
+        "objects [m]; raise it where long hedges line the lanes",
     )
     length_scale: float = Field(
-        1.2, gt=0, description="difference of length that changes the log odds of a trail by 1 [m]"
+        1.2,
+        gt=0,
+        description="Difference of swath length that changes the log odds of a ghost trail by 1 [m]",
     )
     width: float = Field(
-        1.5, gt=0, description="width of a swath from which a vehicle is likelier than a hedge [m]"
+        1.5, gt=0, description="Width of a swath from which a vehicle is likelier than a hedge [m]"
     )
     widest: float = Field(
-        3.6, gt=0, description="width of a swath above which it is no trail of one vehicle [m]"
+        3.6, gt=0, description="Width of a swath above which it cannot be the ghost trail of one vehicle [m]"
     )
     width_scale: float = Field(
-        0.15, gt=0, description="difference of width that changes the log odds of a trail by 1 [m]"
+        0.15,
+        gt=0,
+        description="Difference of swath width that changes the log odds of a ghost trail by 1 [m]",
     )
     fill: float = Field(
         0.38,
         gt=0,
         lt=1,
-        description="share of the cells inside a swath that hold points below its roof, at which a trail is"
-        " as likely as a standing vehicle [1]",
+        description="Fraction of the cells inside a swath with points below its roof at which a trail is "
+        "as likely as a static vehicle",
     )
     fill_scale: float = Field(
-        0.06, gt=0, description="difference of that share that changes the log odds of a trail by 1 [1]"
+        0.06,
+        gt=0,
+        description="Difference of the filled fraction of a swath that changes the log odds of a ghost "
+        "trail by 1 [1]",
     )
     ground: float = Field(
         0.9,
         gt=0,
         lt=1,
-        description="share of the cells beneath a swath where ground was seen, relative to the cells beside"
-        " it, at which a trail is as likely as a standing object [1]",
+        description="Fraction of ground observed beneath a swath, relative to beside it, at which a trail "
+        "is as likely as a static object",
     )
     ground_scale: float = Field(
-        0.04, gt=0, description="difference of that share that changes the log odds of a trail by 1 [1]"
+        0.04,
+        gt=0,
+        description="Difference of the fraction of observed ground that changes the log odds of a ghost "
+        "trail by 1 [1]",
     )
     prior: float = Field(
-        -1.0, description="log odds that a swath is a trail before its shape is considered [1]"
+        -1.0, description="Log odds that a swath is a ghost trail before its shape is considered [1]"
     )
     beside_axis: float = Field(
         -2.0,
         le=0,
-        description="log odds that a part of a swath beside its axis belongs to the trail, before its"
-        " shape is considered; lower it where standing vehicles that touch a trail are left out [1]",
+        description="Prior log odds that a part of a swath beside its axis belongs to the trail [1]; "
+        "lower it if parked vehicles beside a trail are left out",
     )
     edge: float = Field(
         0.9,
         ge=0,
-        description="distance from a trail up to which the ragged edge of the trail reaches; small objects"
-        " wholly within it count as trail, raise it where edges of trails are reported as objects [m]",
+        description="Distance from a ghost trail within which small objects count as its ragged edge [m]; "
+        "raise it if trail edges are reported as objects",
     )
     edge_share: float = Field(
-        0.95, gt=0, le=1, description="share of the footprint of such an object that must lie within it [1]"
+        0.95,
+        gt=0,
+        le=1,
+        description="Fraction of the footprint of a small object that must lie at the edge of a ghost "
+        "trail for the object to be dropped",
     )
     beside: float = Field(
-        1.8, gt=0, description="distance from a swath within which the ground beside it is asked [m]"
+        1.8, gt=0, description="Distance from a swath within which the ground beside it is compared [m]"
     )
     piece: float = Field(
         2.0,
         ge=0,
-        description="footprint from which a short body that continues a trail is a standing vehicle [m2]",
+        description="Footprint from which a short body in line with a ghost trail is a static vehicle [m2]",
     )
     piece_length: float = Field(
-        7.0, ge=0, description="length of a body above which the body is longer than a standing vehicle [m]"
+        7.0, ge=0, description="Length above which a body is too long to be a static vehicle [m]"
     )
     piece_gap: float = Field(
-        2.5, ge=0, description="greatest distance from a trail, or from a piece of it, to its next piece [m]"
+        2.5, ge=0, description="Greatest gap between a ghost trail, or a piece of it, and its next piece [m]"
     )
     piece_aside: float = Field(
-        1.4, ge=0, description="greatest distance of a piece from the axis of its trail [m]"
+        1.4, ge=0, description="Greatest distance of a piece from the axis of its ghost trail [m]"
     )
     thin_top: float = Field(
         1.0,
@@ -139,37 +154,43 @@ class TrailShapeConfig(StrictModel):
     thin_length: float = Field(
         8.0,
         gt=0,
-        description="length of a thin swath at which the trail of a cyclist or a person on foot is as likely"
-        " as a standing object [m]",
+        description="Length of a thin swath at which the trail of a cyclist or pedestrian is as likely as "
+        "a static object [m]",
     )
     thin_length_scale: float = Field(
-        0.5, gt=0, description="difference of that length that changes the log odds by 1 [m]"
+        0.5,
+        gt=0,
+        description="Difference of the length of a thin swath that changes the log odds of a ghost trail "
+        "by 1 [m]",
     )
     thickness: float = Field(
         0.07,
         gt=0,
-        description="standard deviation across a thin swath at which a person is as likely as a fence or a"
-        " wall [m]",
+        description="Standard deviation across a thin swath at which a person is as likely as a fence or "
+        "a wall [m]",
     )
     thickest: float = Field(
-        0.25, gt=0, description="standard deviation across a swath above which the swath is not thin [m]"
+        0.25, gt=0, description="Standard deviation across a swath above which the swath is not thin [m]"
     )
     thickness_scale: float = Field(
-        0.01, gt=0, description="difference of that standard deviation that changes the log odds by 1 [m]"
+        0.01,
+        gt=0,
+        description="Difference of the standard deviation across a thin swath that changes the log odds "
+        "of a ghost trail by 1 [m]",
     )
     lit: float = Field(
         0.85,
         gt=0,
         lt=1,
-        description="share of the cells beside a thin swath where ground was seen, relative to open ground,"
-        " at which a trail is as likely as a wall that hides the ground behind it [1]",
+        description="Fraction of ground observed beside a thin swath, relative to open ground, at which a "
+        "trail is as likely as a wall that occludes the ground behind it",
     )
     overhead: float = Field(
         0.1,
         ge=0,
         lt=1,
-        description="share of the footprint of a thin swath with points higher than a person above which the"
-        " swath is no trail [1]",
+        description="Fraction of the footprint of a thin swath with points higher than a person above "
+        "which the swath is no ghost trail",
     )
 
 

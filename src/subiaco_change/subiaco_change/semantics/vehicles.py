@@ -19,67 +19,174 @@ from subiaco_geo.frames import Floats, Ints
 class VehicleConfig(StrictModel):
     """Boxes of vehicles; heights are above the local ground model."""
 
-    truck_length: float = Field(13.0, gt=0, description="longest truck or bus [m]")
-    truck_width: float = Field(3.3, gt=0, description="widest truck or bus [m]")
+    truck_length: float = Field(13.0, gt=0, description="Longest length of a truck or bus [m]")
+    truck_width: float = Field(3.3, gt=0, description="Widest width of a truck or bus [m]")
     truck_min_width: float = Field(
-        0.8, gt=0, description="least width seen of a truck [m]; a lone wall has less"
+        0.8, gt=0, description="Smallest observed width of a truck or bus [m]; a free-standing wall has less"
     )
-    truck_top: float = Field(3.8, gt=0, description="highest truck or bus [m]")
-    truck_gap: float = Field(0.4, gt=0, description="cell in which parts of a truck touch [m]")
+    truck_top: float = Field(3.8, gt=0, description="Largest height above ground of a truck or bus [m]")
+    truck_gap: float = Field(
+        0.4,
+        gt=0,
+        description="Edge of the cells, seen from above, in which points of a truck are connected [m]",
+    )
     truck_planes: float = Field(
-        0.25, ge=0, le=1, description="share of a truck that lies in planes of a facade's size"
+        0.25,
+        ge=0,
+        le=1,
+        description="Smallest fraction of the points of a truck that lie in planar patches as large as a "
+        "facade",
     )
     trunk_linearity: float = Field(
-        0.8, gt=0, le=1, description="linearity from which a point is of a trunk or pole beside a truck"
+        0.8,
+        gt=0,
+        le=1,
+        description="Linearity above which a point next to a truck belongs to a tree trunk or a pole [1]",
     )
-    truck_edge: float = Field(0.7, ge=0, description="reach of a truck over its small parts [m]")
+    truck_edge: float = Field(
+        0.7, ge=0, description="Distance from a truck within which small parts join the truck [m]"
+    )
     wheels: float = Field(
         0.68,
         gt=0,
-        description="points near the ground for those a metre up; trucks stand on wheels",
+        description="Largest ratio of point density near the ground to that at 1 m height for a truck, "
+        "which is open between its wheels",
     )
-    mobile_length: float = Field(5.5, gt=0, description="longest side of a vehicle [m] (paper: 5)")
-    mobile_height: float = Field(3.0, gt=0, description="top of a vehicle [m], paper")
+    mobile_length: float = Field(
+        5.5, gt=0, description="Longest length of a vehicle that is no truck [m] (paper: 5 m)"
+    )
+    mobile_height: float = Field(
+        3.0, gt=0, description="Largest height above ground of a vehicle that is no truck [m] (paper)"
+    )
     mobile_top: float = Field(
-        2.6, gt=0, description="height below which vehicles are looked for, under crowns [m]"
+        2.6,
+        gt=0,
+        description="Height above ground below which vehicles are searched, to keep tree crowns out [m]",
     )
     mobile_hard: float = Field(
-        0.4, ge=0, le=1, description="share of a vehicle that does not look like foliage"
+        0.4,
+        ge=0,
+        le=1,
+        description="Smallest fraction of the points of a vehicle that are not foliage; half of it "
+        "suffices for a car-sized box",
     )
-    split_band: float = Field(0.3, ge=0, description="band above ground that joins vehicle and hedge [m]")
-    split_gap: float = Field(0.3, gt=0, description="cell in which parts of one vehicle touch [m]")
+    split_band: float = Field(
+        0.3,
+        ge=0,
+        description="Height above ground of the lowest band, which is left out to separate vehicles from "
+        "hedges [m]",
+    )
+    split_gap: float = Field(
+        0.3,
+        gt=0,
+        description="Edge of the cells, seen from above, in which points of one vehicle are connected [m]",
+    )
     rows: RowConfig = RowConfig()
-    shed_top: float = Field(2.1, gt=0, description="height from which a short box is a shed [m]")
+    shed_top: float = Field(
+        2.1, gt=0, description="Height above ground from which a short box with upright walls is a shed [m]"
+    )
     shed_straight_top: float = Field(
-        1.9, gt=0, description="the same for a box as wide at its top as below [m]"
+        1.9,
+        gt=0,
+        description="Height above ground from which a short box that does not narrow towards its top is a "
+        "shed [m]",
     )
-    shed_straight: float = Field(0.95, gt=0, le=1, description="width of its top for that below")
-    shed_fill: float = Field(0.3, gt=0, le=1, description="share of its rectangle that it fills")
-    shed_length: float = Field(4.4, gt=0, description="length below which a high box is a shed [m]")
-    mobile_volume: float = Field(60.0, gt=0, description="box of a vehicle [m3], paper")
-    mobile_min_width: float = Field(0.8, gt=0, description="narrower things are posts and fences [m]")
-    overhang: float = Field(0.15, ge=0, description="how far a top may stand out: shelters have eaves [m]")
-    top_band: float = Field(0.35, gt=0, description="height of that top [m]")
+    shed_straight: float = Field(
+        0.95,
+        gt=0,
+        le=1,
+        description="Ratio of top width to body width from which a box does not narrow towards its top",
+    )
+    shed_fill: float = Field(
+        0.3,
+        gt=0,
+        le=1,
+        description="Smallest fraction of its bounding rectangle that a shed lower than shed_top fills",
+    )
+    shed_length: float = Field(4.4, gt=0, description="Length above which a high box is no shed [m]")
+    mobile_volume: float = Field(
+        60.0,
+        gt=0,
+        description="Largest volume of the bounding box of a vehicle that is no truck [m3] (paper)",
+    )
+    mobile_min_width: float = Field(
+        0.8, gt=0, description="Smallest width of a vehicle [m]; narrower objects are posts and fences"
+    )
+    overhang: float = Field(
+        0.15,
+        ge=0,
+        description="Distance by which the top must project beyond the body for an object to be a shelter "
+        "with eaves [m]",
+    )
+    top_band: float = Field(
+        0.35,
+        gt=0,
+        description="Height of the uppermost band whose width is compared with the width of the body [m]",
+    )
     leafy: float = Field(
-        0.4, gt=0, le=1, description="share of foliage from which what does not stand free is a plant"
+        0.4,
+        gt=0,
+        le=1,
+        description="Fraction of foliage points from which a vehicle candidate without clearance is a plant",
     )
-    clear_gap: float = Field(0.4, gt=0, description="voxel in which points of one thing touch [m]")
-    clear_reach: float = Field(0.8, gt=0, description="distance at which a vehicle stands free [m]")
-    clear_cell: float = Field(0.25, gt=0, description="cell in which its surroundings are counted [m]")
-    clear_height: float = Field(0.4, gt=0, description="height from which something stands there [m]")
+    clear_gap: float = Field(
+        0.4, gt=0, description="Edge of the voxels in which points of one vehicle candidate are connected [m]"
+    )
+    clear_reach: float = Field(
+        0.8,
+        gt=0,
+        description="Distance around a vehicle candidate in which its clearance from other objects is "
+        "measured [m]",
+    )
+    clear_cell: float = Field(
+        0.25,
+        gt=0,
+        description="Edge of the cells in which the clearance around a vehicle candidate is counted [m]",
+    )
+    clear_height: float = Field(
+        0.4,
+        gt=0,
+        description="Height above ground from which a point blocks a cell around a vehicle candidate [m]",
+    )
     clear_share: float = Field(
-        0.4, gt=0, le=1, description="share of its surroundings from which a narrow thing does not stand free"
+        0.4,
+        gt=0,
+        le=1,
+        description="Fraction of blocked cells around a candidate narrower than clear_width above which "
+        "it is no vehicle",
     )
-    clear_share_wide: float = Field(0.5, gt=0, le=1, description="the same for things as wide as cars")
-    clear_width: float = Field(1.4, gt=0, description="width of these [m]")
+    clear_share_wide: float = Field(
+        0.5,
+        gt=0,
+        le=1,
+        description="Fraction of blocked cells around a candidate at least clear_width wide above which "
+        "it is no vehicle",
+    )
+    clear_width: float = Field(
+        1.4, gt=0, description="Width from which a vehicle candidate is as wide as a car [m]"
+    )
     slab_top: float = Field(
-        1.25, gt=0, description="top of a thing too low to be seen from above as a car [m]"
+        1.25,
+        gt=0,
+        description="Height above ground below which a vehicle candidate may be a raised bed or a terrace "
+        "[m]",
     )
-    slab_level: float = Field(0.3, gt=0, le=1, description="level share of such a thing: a bed, a terrace")
+    slab_level: float = Field(
+        0.3,
+        gt=0,
+        le=1,
+        description="Fraction of level points above which a low vehicle candidate is a raised bed or a "
+        "terrace",
+    )
     screen_upright: float = Field(
-        0.7, gt=0, le=1, description="share of walls in the upper half of fences that meet"
+        0.7,
+        gt=0,
+        le=1,
+        description="Fraction of wall points in the upper half above which a box may be a set of fences",
     )
-    screen_fill: float = Field(0.38, gt=0, le=1, description="share of their rectangle that such fences fill")
+    screen_fill: float = Field(
+        0.38, gt=0, le=1, description="Largest fraction of its bounding rectangle that a set of fences fills"
+    )
 
 
 def free_boxes(

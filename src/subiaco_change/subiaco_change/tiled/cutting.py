@@ -115,6 +115,7 @@ class CutCloud:
     low: Floats
     high: Floats
     points: int
+    kept: int  # of these, at the leaf
     spacing: float  # of the thinned points [m]
 
 
@@ -145,7 +146,7 @@ def cut_cloud(
     InputError
         No points, or coordinates that are not finite.
     """
-    low, high, points = np.full(3, np.inf), np.full(3, -np.inf), 0
+    low, high, points, kept = np.full(3, np.inf), np.full(3, -np.inf), 0, 0
     keys, spacings = {}, []
     with TemporaryDirectory(prefix="subiaco_") as folder:
         spill = Spill(Path(folder))
@@ -159,9 +160,10 @@ def cut_cloud(
                 spill.add(name, {"xyz": world[members] - origin, **fields})
         for name, arrays in spill.tiles():
             thin = voxel_downsample(PointCloud(arrays.pop("xyz"), origin, None, arrays), leaf)
+            kept += len(thin)
             keys[name] = bench.put("cut", name, {"xyz": thin.xyz, **thin.fields})
             spacings.append(neighbour_spacings(thin.xyz))
-    return CutCloud(keys, low, high, points, joint_spacing(spacings))
+    return CutCloud(keys, low, high, points, kept, joint_spacing(spacings))
 
 
 def cut_beams(bench: Workbench, parts: Iterable[VisibilityGrid], size: float) -> dict[str, str]:

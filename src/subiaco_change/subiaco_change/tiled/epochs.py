@@ -98,6 +98,7 @@ class Epochs:
     points: dict[str, dict[str, str]] = field(default_factory=dict)
     lit: dict[str, bool] = field(default_factory=dict)
     simulated: bool = False
+    kept_points: int = 0  # of both epochs, at the working leaf
 
     @property
     def size(self) -> float:
@@ -174,6 +175,7 @@ class Epochs:
         if found.points == 0:
             raise InputError(f"{name}: the cloud is empty; check the file")
         self.clouds[name] = found.keys
+        self.kept_points += found.kept
         for field_name in self.given:
             if any(field_name not in self.load(key) for key in found.keys.values()):
                 raise InputError(

@@ -1,4 +1,4 @@
-"""Every point of a tile gets the label of its row, or of its ground (contracts, section 4)."""
+"""Every point of a tile gets the label of its row, or of its ground."""
 
 from __future__ import annotations
 

@@ -25,45 +25,77 @@ Flags = NDArray[np.bool_]
 class ExpectedVisibilityConfig(StrictModel):
     """Depth images from a sample of poses (Decision 16)."""
 
-    pose_spacing: float = Field(2.0, gt=0, description="distance between poses that look around [m]")
-    cell_deg: float = Field(0.75, gt=0, le=5, description="cell of a depth image [deg]")
-    image_low_deg: float = Field(-35.0, ge=-90, description="lowest elevation of a depth image [deg]")
-    image_high_deg: float = Field(55.0, le=90, description="highest elevation of a depth image [deg]")
+    pose_spacing: float = Field(
+        2.0,
+        gt=0,
+        description="Distance along the trajectory between poses from which depth images are computed [m]",
+    )
+    cell_deg: float = Field(0.75, gt=0, le=5, description="Angular size of the cells of a depth image [deg]")
+    image_low_deg: float = Field(-35.0, ge=-90, description="Lowest elevation angle of a depth image [deg]")
+    image_high_deg: float = Field(55.0, le=90, description="Highest elevation angle of a depth image [deg]")
     splat: float = Field(
-        0.75, gt=0, description="half the size of a point in an image, in spacings of the cloud"
+        0.75,
+        gt=0,
+        description="Half the size of a point in a depth image, as a multiple of the point spacing",
     )
     level_block: float = Field(
-        1.0, gt=0, description="block in which points decide whether their surface is level [m]"
+        1.0, gt=0, description="Edge of the blocks in which points decide whether their surface is level [m]"
     )
-    level_rise: float = Field(0.3, ge=0, description="points of a level block lie within this height [m]")
-    min_range: float = Field(1.5, ge=0, description="points and places so near a pose are left out [m]")
-    max_range: float = Field(60.0, gt=0, description="farthest surface in a depth image [m]")
-    sky_range: float = Field(40.0, gt=0, description="against the sky a place is seen up to this range [m]")
+    level_rise: float = Field(
+        0.3, ge=0, description="Largest height range of the points of a level block [m]"
+    )
+    min_range: float = Field(
+        1.5, ge=0, description="Distance from a pose below which points and places are ignored [m]"
+    )
+    max_range: float = Field(60.0, gt=0, description="Largest distance of a surface in a depth image [m]")
+    sky_range: float = Field(
+        40.0, gt=0, description="Distance from a pose up to which places against the sky count as free [m]"
+    )
     horizon_deg: float = Field(
-        3.0, description="empty directions above are sky; below, water or glass may absorb beams [deg]"
+        3.0,
+        description="Elevation angle above which directions without points are sky [deg]; below, water or "
+        "glass may absorb beams",
     )
-    margin: float = Field(0.3, ge=0, description="a place is free so far before a surface [m]")
+    margin: float = Field(
+        0.3,
+        ge=0,
+        description="Distance in front of a surface at which free space ends [m]; raise it for less "
+        "precise poses",
+    )
     margin_slope: float = Field(
-        0.01, ge=0, description="added to the margin a metre of range, for pose and cell [m/m]"
+        0.01,
+        ge=0,
+        description="Increase of the free space margin per metre of range, for errors of pose and cell "
+        "size [m/m]",
     )
-    behind: float = Field(0.4, ge=0, description="so far behind its front a place still is on a surface [m]")
-    min_poses: int = Field(2, ge=1, description="poses that must agree that a place is free")
-    occupied: float = Field(0.5, gt=0, description="voxel that a point of the epoch occupies [m]")
+    behind: float = Field(
+        0.4,
+        ge=0,
+        description="Distance behind the front of a surface up to which a place is on the surface [m]",
+    )
+    min_poses: int = Field(2, ge=1, description="Number of poses that must agree that a place is free")
+    occupied: float = Field(0.5, gt=0, description="Edge of the voxel that a point of the epoch occupies [m]")
     pose_weight: float = Field(
-        0.5, gt=0, description="beams that one pose is worth in the probability of being free"
+        0.5, gt=0, description="Number of beams that one pose counts for in the probability of being free"
     )
     view_quantile: float = Field(
-        0.998, gt=0.5, le=1, description="share of the points that the estimated field of view explains"
+        0.998,
+        gt=0.5,
+        le=1,
+        description="Fraction of the points that the estimated field of view must contain",
     )
     assumed_low_deg: float = Field(
         -25.0,
         ge=-90,
         le=0,
-        description="lower end of a field of view that no map describes; seen from afar, the road tells"
-        " nothing of it [deg]",
+        description="Lower end of a field of view that no map describes, because the road from afar does "
+        "not show it [deg]",
     )
     range_quantile: float = Field(
-        0.99, gt=0.5, le=1, description="share of the points within the estimated useful range of a pose"
+        0.99,
+        gt=0.5,
+        le=1,
+        description="Fraction of the points that lie within the estimated useful range of a pose",
     )
 
 

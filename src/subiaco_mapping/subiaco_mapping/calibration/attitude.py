@@ -117,6 +117,24 @@ class BodyProblem:
         return np.stack([np.interp(seconds, self._body_t, self._position[:, k]) for k in range(3)], axis=1)
 
 
+def sharing(residuals: Floats) -> float:
+    """Return how many successive residuals (W, C) share one error: their integrated autocorrelation.
+
+    Windows overlap, and the position of an INS wanders for many seconds. Summed up to the first lag
+    without correlation, the largest of the columns.
+    """
+    largest = 1.0
+    for column in residuals.T if len(residuals) > 1 else ():
+        rest = np.clip(column, -3.0 * spread(column), 3.0 * spread(column))
+        count = len(rest)
+        power = np.abs(np.fft.rfft(rest, 2 * count)) ** 2
+        correlation = np.fft.irfft(power)[:count] / max(float(np.sum(rest**2)), 1e-30)
+        ended = np.flatnonzero(correlation <= 0)
+        last = int(ended[0]) if len(ended) else count
+        largest = max(largest, 1.0 + 2.0 * float(correlation[1:last].sum()))
+    return largest
+
+
 def fit_body_rotation(
     odometry: OdometryTrack, body: BodyTrack, T_body_lidar: Floats, config: CalibrationConfig
 ) -> BodyRotationFit:
@@ -143,23 +161,24 @@ def fit_body_rotation(
             f"attitude: covers {len(problem)} windows of {window_s:g} s, {MIN_SCANS} are needed;"
             " record longer"
         )
-    # windows overlap: so many share one error
-    shared = max(window_s / float(np.median(np.diff(odometry.stamps_ns))) * 1e9, 1.0)
     turn = np.radians(config.prior_rotation_deg)
     prior = np.array([turn, turn, turn, config.prior_offset, PRIOR_SCALE])
     free = np.full(5, np.inf)
     limits = free.copy()
     limits[:3], limits[3] = np.radians(config.max_rotation_deg), config.max_gnss_offset
-    scales = (TURN_SIGMA, WAY_SIGMA)
+    overlap = max(window_s / float(np.median(np.diff(odometry.stamps_ns))) * 1e9, 1.0)
+    scales, shared = (TURN_SIGMA, WAY_SIGMA), (overlap, overlap)
     for limit in (free, limits):
+        whole = [scale * np.sqrt(count) for scale, count in zip(scales, shared, strict=True)]
 
-        def residual(x: Floats, scales: tuple[float, float] = scales) -> Floats:
-            parts = zip(problem.residuals(x), scales, strict=True)
-            return np.concatenate([(part / (scale * np.sqrt(shared))).ravel() for part, scale in parts])
+        def residual(x: Floats, whole: list[float] = whole) -> Floats:
+            parts = zip(problem.residuals(x), whole, strict=True)
+            return np.concatenate([(part / sigma).ravel() for part, sigma in parts])
 
         found = solve(residual, np.zeros(5), prior, limit)
         turned, way = problem.residuals(found.values)
         scales = (max(spread(turned), 1e-6), max(spread(way), 1e-4) if len(way) else WAY_SIGMA)
+        shared = (max(overlap, sharing(turned)), max(overlap, sharing(way)))
     return BodyRotationFit(
         R_body_lidar=problem.rotation(found.values),
         sigma=found.sigma[:3],

@@ -58,15 +58,17 @@ class MonitorParameters(StrictModel):
     """Parameters of the monitor node; everything else is the mapping configuration."""
 
     output_directory: str = Field(
-        "", description="where manifest.yaml and quality.geojson go; empty: nowhere"
+        "", description="Directory for manifest.yaml and quality.geojson; empty writes no files"
     )
-    sequence: str = Field("live", description="name of the drive in the manifest")
-    route: str = Field("", description="planned route: GeoJSON, or CSV with lat and lon")
-    disk_path: str = Field("", description="a folder on the disk to be watched; empty: output_directory")
-    map_frame: str = Field("map", description="frame of the markers")
+    sequence: str = Field("live", description="Name of the drive in the manifest")
+    route: str = Field("", description="File of the planned route: GeoJSON, or CSV with lat and lon")
+    disk_path: str = Field(
+        "", description="Folder on the disk whose free space is monitored; empty takes output_directory"
+    )
+    map_frame: str = Field("map", description="Frame of the published markers")
     pps_words: tuple[str, ...] = Field(
         PPS_WORDS,
-        description="a status on /diagnostics whose name holds one of these tells the lock on the pulse",
+        description="Words in the name of a status on /diagnostics that reports the lock on the PPS signal",
     )
 
 

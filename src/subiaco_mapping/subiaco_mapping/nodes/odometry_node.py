@@ -86,11 +86,11 @@ _FACTS_INTERVAL = 1.0
 class OdometryParameters(StrictModel):
     """Parameters of the odometry node; everything else is the mapping configuration."""
 
-    odom_frame: str = Field("odom", description="frame of the odometry")
-    consumers: tuple[str, ...] = Field((), description="nodes whose counts of our output are waited for")
-    exit_at_end: bool = Field(False, description="end with the replay")
+    odom_frame: str = Field("odom", description="Frame of the odometry poses")
+    consumers: tuple[str, ...] = Field((), description="Nodes whose message counts the odometry waits for")
+    exit_at_end: bool = Field(False, description="End the node when the replay ends")
     follow_offers: bool = Field(
-        False, description="take the sensors' topics as reliable or best effort as drivers offer them"
+        False, description="Subscribe to sensor topics as reliable or best effort, as the drivers offer them"
     )
 
 

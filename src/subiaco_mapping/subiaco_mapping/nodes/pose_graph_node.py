@@ -98,24 +98,47 @@ SCAN_DEPTH = 128
 class PoseGraphParameters(StrictModel):
     """Parameters of the pose-graph node; everything else is the mapping configuration."""
 
-    odom_frame: str = Field("odom", description="frame of the odometry")
-    map_frame: str = Field("map", description="local east, north, up")
-    earth_frame: str = Field("earth", description="earth-centred, earth-fixed")
-    output_directory: str = Field("", description="map directory to write at the end; empty writes none")
-    overwrite: bool = Field(False, description="replace an existing map directory")
-    bags: tuple[str, ...] = Field((), description="the replayed bags, named with hashes in map.yaml")
-    preview_points: int = Field(1_000_000, gt=0, le=1_000_000, description="most points on map/points")
-    exit_at_end: bool = Field(False, description="end with the odometry")
+    odom_frame: str = Field("odom", description="Frame of the odometry poses")
+    map_frame: str = Field("map", description="Frame of the map (local east, north, up)")
+    earth_frame: str = Field("earth", description="Frame of the earth (earth-centred, earth-fixed)")
+    output_directory: str = Field(
+        "", description="Map directory that is written at the end; empty writes none"
+    )
+    overwrite: bool = Field(False, description="Replace an existing map directory")
+    bags: tuple[str, ...] = Field((), description="Replayed bags, recorded with their hashes in map.yaml")
+    preview_points: int = Field(
+        1_000_000,
+        gt=0,
+        le=1_000_000,
+        description="Largest number of points published on map/points at the end",
+    )
+    exit_at_end: bool = Field(False, description="End the node when the odometry ends")
     follow_offers: bool = Field(
-        False, description="take fixes and headings as reliable or best effort as drivers offer them"
+        False,
+        description="Subscribe to fixes and headings as reliable or best effort, as the drivers offer them",
     )
     live_period: float = Field(
-        0.0, ge=0, description="between two updates of path and map while driving; 0: at the end only [s]"
+        0.0,
+        ge=0,
+        description="Time between two updates of path and map during the drive [s]; 0 updates at the end "
+        "only",
     )
-    live_voxel: float = Field(0.4, gt=0, description="one point a voxel on map/points while driving [m]")
-    live_points: int = Field(300_000, gt=0, le=1_000_000, description="most points on map/points likewise")
-    save_on_exit: bool = Field(False, description="write output_directory when interrupted, too")
-    watch_manifest: str = Field("", description="manifest.yaml of the monitor, which the map's extends")
+    live_voxel: float = Field(
+        0.4,
+        gt=0,
+        description="Edge of the voxels of which one point each is published on map/points during the "
+        "drive [m]",
+    )
+    live_points: int = Field(
+        300_000,
+        gt=0,
+        le=1_000_000,
+        description="Largest number of points published on map/points during the drive",
+    )
+    save_on_exit: bool = Field(False, description="Write output_directory also when the node is interrupted")
+    watch_manifest: str = Field(
+        "", description="File manifest.yaml of the monitor, to which the manifest of the map is added"
+    )
 
 
 class Backend(Protocol):

@@ -34,9 +34,11 @@ NICENESS = -10
 class RecorderParameters(StrictModel):
     """Parameters of the recorder node."""
 
-    output: str = Field(description="bag folder to write")
-    resume: bool = Field(False, description="go on with a new file where the folder exists")
-    duration: float = Field(0.0, ge=0, description="end after so long; 0: until told [s]")
+    output: str = Field(description="Bag folder that is written")
+    resume: bool = Field(False, description="Continue with a new file if the bag folder exists")
+    duration: float = Field(
+        0.0, ge=0, description="Time after which the recording ends [s]; 0 records until stopped"
+    )
 
 
 class RecorderApp:

@@ -36,12 +36,16 @@ PATIENCE = 0.02
 class ReplayParameters(StrictModel):
     """Parameters of the replay node."""
 
-    bags: tuple[str, ...] = Field(description="bags to play, one a sequence")
-    consumers: tuple[str, ...] = Field((), description="nodes that count what they take, and are waited for")
-    rate: float = Field(0.0, ge=0, description="log seconds a second; 0 is as fast as the consumers")
-    topics: tuple[str, ...] = Field(tuple(MESSAGE_TYPES), description="topics to play")
-    names: TopicsConfig = Field(TopicsConfig(), description="names of the topics in the bags")
-    consumer_timeout: float = Field(60.0, gt=0, description="wait for the consumers to appear [s]")
+    bags: tuple[str, ...] = Field(description="Bags to replay, one per sequence")
+    consumers: tuple[str, ...] = Field((), description="Nodes whose message counts the replay waits for")
+    rate: float = Field(
+        0.0,
+        ge=0,
+        description="Replay speed as a multiple of real time; 0 replays as fast as the consumers can process",
+    )
+    topics: tuple[str, ...] = Field(tuple(MESSAGE_TYPES), description="Topics that are replayed")
+    names: TopicsConfig = Field(TopicsConfig(), description="Names of the topics in the bags")
+    consumer_timeout: float = Field(60.0, gt=0, description="Time to wait for the consumers to appear [s]")
 
 
 def _message_class(topic: str) -> Any:

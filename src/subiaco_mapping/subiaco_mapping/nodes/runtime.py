@@ -23,8 +23,10 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from subiaco_geo.config import StrictModel, merge, validate
 from subiaco_geo.errors import InputError, SubiacoError
+from subiaco_mapping.nodes.parameters import describe_parameters
 
 INTERRUPTED = 130
+_SUPERVISOR = "SUBIACO_SUPERVISOR"  # the process that started this one
 
 #: Parameters that ROS itself declares.
 _ROS_OWN = ("use_sim_time", "qos_overrides", "start_type_description_service")
@@ -92,7 +94,8 @@ def nested(flat: Mapping[str, Any]) -> dict[str, Any]:
 
 def node_values(node: Node) -> dict[str, Any]:
     """Return the parameters given to a node, nested, without those that ROS declares itself."""
-    given = {name: parameter.value for name, parameter in node.get_parameters_by_prefix("").items()}
+    found = node.get_parameters_by_prefix("").items()
+    given = {name: parameter.value for name, parameter in found if parameter.value is not None}
     return {name: value for name, value in nested(given).items() if name not in _ROS_OWN}
 
 
@@ -114,9 +117,13 @@ def read_models(node: Node, own: type[Model], config: type[StrictModel] | None =
     mine = {name: value for name, value in values.items() if name in own.model_fields}
     rest = {name: value for name, value in values.items() if name not in own.model_fields}
     source = f"parameters of {node.get_name()}"
+    found = validate(own, mine if config is not None else {**mine, **rest}, source)
+    describe_parameters(node, found)
     if config is None:
-        return validate(own, {**mine, **rest}, source), None
-    return validate(own, mine, source), validate(config, rest, source)
+        return found, None
+    settings = validate(config, rest, source)
+    describe_parameters(node, settings)
+    return found, settings
 
 
 class _RosLogHandler(logging.Handler):
@@ -189,7 +196,7 @@ def wait_until_received(publishers: Iterable[Publisher], timeout: float = 5.0) -
 
 def _orphaned() -> bool:
     """Whether the supervisor that started this process is gone."""
-    supervisor = os.environ.get("SUBIACO_SUPERVISOR")
+    supervisor = os.environ.get(_SUPERVISOR)
     return supervisor is not None and os.getppid() != int(supervisor)
 
 
@@ -214,13 +221,15 @@ def run_node(name: str, build: Callable[[Node], App], argv: Sequence[str] | None
 
     Exit codes are those of the command line: 0 done, 2 bad input, 3 a
     registration that failed, 130 interrupted; an unexpected fault is a
-    traceback and 1.
+    traceback and 1. Without our supervisor, under ``ros2 launch`` and ``ros2 run``, an
+    interruption is the usual end and gives 0: any other code is an error there.
     """
+    interrupted = INTERRUPTED if _SUPERVISOR in os.environ else 0
     try:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})  # see the supervisor: imports are done
         rclpy.init(args=list(sys.argv if argv is None else [name, *argv]))
     except KeyboardInterrupt:
-        return INTERRUPTED
+        return interrupted
     except (RCLError, ParameterException, RuntimeError) as error:
         sys.stderr.write(f"[FATAL] {name}: {' '.join(str(error).split())}\n")
         return InputError.exit_code
@@ -229,15 +238,16 @@ def run_node(name: str, build: Callable[[Node], App], argv: Sequence[str] | None
         _attach_logging(node)
         return _run(node, build)
     except (ExternalShutdownException, KeyboardInterrupt):
-        return INTERRUPTED
+        return interrupted
     except SubiacoError as error:  # at the end: interrupted, there is no node any more that could log it
         sys.stderr.write(f"[FATAL] {error}\n")
         return error.exit_code
     except (RuntimeError, ImportError):  # an RCLError, or what a call that the end cut short makes of itself
         if rclpy.ok():
             raise
-        return INTERRUPTED
+        return interrupted
     finally:
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # a second one changes nothing
         logging.getLogger().handlers = []
         rclpy.try_shutdown()
 

@@ -10,18 +10,57 @@ from subiaco_geo.config import StrictModel
 class QualityConfig(StrictModel):
     """Quality report of a map; limits are those of its verdict, nothing is refused."""
 
-    enabled: bool = Field(True, description="write quality.html and quality.json beside the map")
+    enabled: bool = Field(True, description="Write quality.html and quality.json into the map directory")
     withheld: bool = Field(
-        True, description="solve once more without a share of the fixes and compare; costs one more solution"
+        True, description="Compare the map with withheld GNSS fixes; takes a second optimisation"
     )
-    withheld_block_ns: int = Field(5_000_000_000, gt=0, description="length of a withheld block [ns]")
-    withheld_every: int = Field(10, ge=2, description="one block in so many is withheld")
-    max_horizontal: float = Field(0.05, gt=0, description="withheld fixes, horizontal RMSE [m]")
-    max_vertical: float = Field(0.08, gt=0, description="withheld fixes, vertical RMSE [m]")
+    withheld_block_ns: int = Field(
+        5_000_000_000, gt=0, description="Length of a block of withheld fixes [ns]"
+    )
+    withheld_every: int = Field(10, ge=2, description="Number of blocks of fixes of which one is withheld")
+    max_horizontal: float = Field(
+        0.05,
+        gt=0,
+        description="Largest horizontal root mean square error at withheld fixes for the verdict good [m]",
+    )
+    max_vertical: float = Field(
+        0.08,
+        gt=0,
+        description="Largest vertical root mean square error at withheld fixes for the verdict good [m]",
+    )
     max_contradicting: float = Field(
-        0.05, ge=0, le=1, description="share of withheld fixes beyond 99.9 % of what was stated"
+        0.05,
+        ge=0,
+        le=1,
+        description="Largest fraction of withheld fixes outside their stated 99.9 % interval for the "
+        "verdict good",
     )
-    max_ratio: float = Field(1.5, gt=0, description="withheld errors over their stated sigma, by the median")
-    max_seam: float = Field(0.05, gt=0, description="seams, 95 % [m]")
-    max_wall: float = Field(0.06, gt=0, description="wall thickness, 95 % of patches [m]")
-    max_flagged: float = Field(0.05, ge=0, le=1, description="share of the way that the manifest flags")
+    max_ratio: float = Field(
+        1.5,
+        gt=0,
+        description="Largest median ratio of errors at withheld fixes to their stated standard deviations "
+        "for the verdict good",
+    )
+    max_seam: float = Field(
+        0.05,
+        gt=0,
+        description="Largest 95 % quantile of seams between and within drives for the verdict good [m]",
+    )
+    max_wall: float = Field(
+        0.06,
+        gt=0,
+        description="Largest 95 % quantile of wall thickness over patches for the verdict good [m]",
+    )
+    max_pause_days: float = Field(
+        2.0,
+        gt=0,
+        description="Longest pause between two drives of one map [days]; a longer pause suggests mixed "
+        "surveys. Raise it for a survey that took several weeks",
+    )
+    max_flagged: float = Field(
+        0.05,
+        ge=0,
+        le=1,
+        description="Largest fraction of the driven distance that the manifest may flag for one reason "
+        "for the verdict good",
+    )

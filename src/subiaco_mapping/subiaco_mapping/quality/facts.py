@@ -19,6 +19,8 @@ from subiaco_mapping.quality.walls import Coverage, Walls, coverage, wall_thickn
 from subiaco_mapping.quality.withheld import FixErrors, fix_errors, withheld_check
 from subiaco_mapping.solution import GraphSolution
 
+_DAY_NS = 86_400_000_000_000
+
 
 @dataclass(frozen=True)
 class Assessment:
@@ -66,6 +68,7 @@ def assess(survey: SurveyMap, solution: GraphSolution, config: MappingConfig) ->
         "crs": survey.crs,
         "simulated": bool(survey.info.get(SIMULATIONS)),
         "sequences": {one.name: _sequence_facts(one) for one in series},
+        "pause_days": _pause_days(survey),
         "positions": _position_facts(series),
         "fixes_used": _by_state(used),
         "contradicted": _contradicted(survey),
@@ -79,6 +82,14 @@ def assess(survey: SurveyMap, solution: GraphSolution, config: MappingConfig) ->
     facts["checks"] = checks(facts, config.quality)
     facts["verdict"] = verdict(facts)
     return Assessment(series, used, withheld, walls, cells, plain(facts))
+
+
+def _pause_days(survey: SurveyMap) -> float | None:
+    """Return the longest time between consecutive scans of a map [days]; None without scans."""
+    way = survey.trajectory
+    if way is None or len(way) < 2:
+        return None
+    return float(np.diff(np.sort(way.times_ns)).max()) / _DAY_NS
 
 
 def _contradicted(survey: SurveyMap) -> list[str]:

@@ -15,6 +15,7 @@ _CHECKS = (
     ("Seams between drives, 95 %", ("loops", "between", "seam_p95_m"), "max_seam"),
     ("Seams within a drive, 95 %", ("loops", "within", "seam_p95_m"), "max_seam"),
     ("Wall thickness, 95 %", ("walls", "thickness_p95_m"), "max_wall"),
+    ("Pause between drives", ("pause_days",), "max_pause_days"),
     ("Share of the way that one reason flags", ("flagged", "share"), "max_flagged"),
 )
 _OPENINGS = {
@@ -52,6 +53,8 @@ def _at(facts: Any, path: tuple[str, ...]) -> float | None:
 
 
 def _unit(name: str) -> str:
+    if name.endswith("_days"):
+        return "days"
     return "m" if name.endswith("_m") else "%" if name.startswith("share") else "times"
 
 
@@ -59,6 +62,8 @@ def amount(value: float | None, unit: str = "m") -> str:
     """Write a figure for people: millimetres below a decimetre, a dash where there is none."""
     if value is None:
         return "–"
+    if unit == "days":
+        return f"{value:.1f} days"
     if unit == "%":
         return f"{100 * value:.1f} %"
     if unit == "times":
@@ -87,6 +92,11 @@ def verdict(facts: dict[str, Any]) -> dict[str, Any]:
 def _said(facts: dict[str, Any]) -> list[str]:
     """Return the clauses of the sentence."""
     held, walls, said = facts["withheld"], facts["walls"], []
+    if any(one["unit"] == "days" and one["ok"] is False for one in facts["checks"]):
+        said.append(
+            f"its drives lie {facts['pause_days']:.0f} days apart, so that what changed between them is in "
+            "the map twice or half: map the drives of each survey by themselves"
+        )
     if isinstance(held, dict):
         said.append(
             f"{held['fixes'] - held['contradicting']} of {held['fixes']} RTK fixes that this check left out "

@@ -20,30 +20,51 @@ class RecordConfig(StrictModel):
 
     topics: tuple[str, ...] = Field(
         (*MESSAGE_TYPES, TIME_REFERENCE, GPS_FIX, NMEA_SENTENCE, "/diagnostics"),
-        description="topics to record, by the names that the bag gets",
+        description="Topics to record, by their names in the bag",
     )
-    all_topics: bool = Field(False, description="record every other topic of the graph too")
+    all_topics: bool = Field(False, description="Record all other topics of the ROS graph too")
     exclude: tuple[str, ...] = Field(
-        ("/clock", "/rosout", "/parameter_events"), description="left out of all_topics"
+        ("/clock", "/rosout", "/parameter_events"), description="Topics that all_topics leaves out"
     )
-    split_duration: float = Field(60.0, gt=0, description="a new file after so long [s]")
-    chunk_bytes: int = Field(1 << 20, ge=1 << 12, le=1 << 26, description="a chunk is closed at this size")
+    split_duration: float = Field(60.0, gt=0, description="Duration after which a new bag file begins [s]")
+    chunk_bytes: int = Field(
+        1 << 20, ge=1 << 12, le=1 << 26, description="Size at which a chunk of the bag file is closed [bytes]"
+    )
     flush_interval: float = Field(
-        0.25, gt=0, le=1.0, description="and at latest after so long: what a kill can cost [s]"
+        0.25,
+        gt=0,
+        le=1.0,
+        description="Longest time until recorded data are written, and so lost at most if the process is "
+        "killed [s]",
     )
     fsync: Literal["chunk", "flush", "close"] = Field(
-        "flush", description="when the disk must have it: every chunk, every flush_interval, every file"
+        "flush",
+        description="Interval at which data are forced to the disk: every chunk, every flush_interval, or "
+        "every file",
     )
     queue_mb: int = Field(
-        512, ge=16, description="messages held while the disk is slow; more are dropped [MB]"
+        512,
+        ge=16,
+        description="Memory for messages that wait for a slow disk [MB]; further messages are dropped",
     )
-    warn_free_gb: float = Field(20.0, ge=0, description="less free space is a warning [GB]")
-    stop_free_gb: float = Field(2.0, ge=0, description="less free space ends the recording, whole [GB]")
+    warn_free_gb: float = Field(20.0, ge=0, description="Free disk space below which the recorder warns [GB]")
+    stop_free_gb: float = Field(
+        2.0, ge=0, description="Free disk space below which the recording ends with complete files [GB]"
+    )
     exit_when_stopped: bool = Field(
-        True, description="end the process then; false: stay and say so on diagnostics"
+        True,
+        description="End the process when the disk is full; otherwise keep running and report on "
+        "/diagnostics",
     )
-    packet_depth: int = Field(2048, ge=256, description="packets that the middleware keeps for us")
-    depth: int = Field(512, ge=1, description="messages of other topics likewise; a tenth of whole clouds")
+    packet_depth: int = Field(
+        2048, ge=256, description="Queue depth of the middleware for LiDAR and IMU packets [messages]"
+    )
+    depth: int = Field(
+        512,
+        ge=1,
+        description="Queue depth of the middleware for other topics [messages]; a tenth for complete "
+        "point clouds",
+    )
 
     def absent(self, received: Mapping[str, int]) -> list[str]:
         """Name the essential sensors that should be recorded and of which no message came.

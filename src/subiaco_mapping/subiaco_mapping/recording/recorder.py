@@ -31,11 +31,20 @@ _NAP = 0.02  # woken by time and not by every message: many are written in one g
 Facts = Callable[[], Mapping[str, Any]]
 
 
-def _prepare(folder: Path, resume: bool) -> None:
+#: What to do about a folder that is there already.
+RESUME_REMEDY = "choose another place, or pass --resume to go on in it with a new file"
+
+
+def _prepare(folder: Path, resume: bool) -> bool:
+    """Make the folder; False where it was there before."""
     if resume and folder.is_dir():
-        return
-    refuse_existing(folder, overwrite=False)
-    folder.mkdir(parents=True)
+        return False
+    refuse_existing(folder, overwrite=False, remedy=RESUME_REMEDY)
+    try:
+        folder.mkdir(parents=True)
+    except OSError as error:
+        raise InputError(f"{folder}: cannot be made ({error.strerror}); choose another place") from error
+    return True
 
 
 def _existing(folder: Path) -> tuple[list[SegmentInfo], int]:
@@ -81,13 +90,15 @@ class Recorder:
         self.folder = Path(folder).absolute()
         self._config = config
         self._facts = facts or dict
-        _prepare(self.folder, resume)
+        fresh = _prepare(self.folder, resume)
         self._held = ExitStack()
         self._held.enter_context(sole_writer(self.folder))
         try:
             self._room = DiskRoom(self.folder, config, free)
         except InputError:
             self._held.close()
+            if fresh:
+                self.folder.rmdir()
             raise
         self._segments, self._index = _existing(self.folder)
         self._segment: SegmentWriter | None = None

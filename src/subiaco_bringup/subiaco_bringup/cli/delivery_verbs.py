@@ -1,0 +1,56 @@
+"""The verb that makes a delivery of a change directory."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from subiaco_bringup.cli.options import Output, Quiet, Verbose, say, set_up_logging
+
+
+def deliver(
+    change_directory: Annotated[
+        Path, typer.Argument(metavar="CHANGE_DIR", help="What 'subiaco change' wrote.")
+    ],
+    output: Output,
+    review: Annotated[
+        str,
+        typer.Option(metavar="WHICH", help="Rows to deliver by their review: all, accepted or not-rejected."),
+    ] = "all",
+    polygons: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Areas for cut and fill: .gpkg, .geojson, .shp. [lots of the run]"),
+    ] = None,
+    check: Annotated[
+        Path | None,
+        typer.Option(metavar="JSON", help="Output of 'subiaco check --json', for the accuracy statement."),
+    ] = None,
+    cell: Annotated[
+        float, typer.Option(metavar="M", help="Edge of the cells of the difference rasters, in metres.")
+    ] = 0.5,
+    without_clouds: Annotated[
+        bool, typer.Option("--without-clouds", help="Leave the point clouds out.")
+    ] = False,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Make the folder that a client is handed: tables, rasters, clouds, volumes, accuracy statement.
+
+    It has ISO 19115 metadata, and a manifest with the SHA-256 of every file.
+
+    Example: subiaco deliver out/change -o delivery --review accepted --polygons lots.gpkg
+    """
+    from subiaco_change.delivery import Delivery, deliver
+
+    set_up_logging(verbose, quiet)
+    files = deliver(
+        change_directory, output, Delivery(review, polygons, check, cell, clouds=not without_clouds)
+    )
+    say(f"delivery: {output} ({len(files)} files); open {output / 'README.txt'}", quiet=quiet)
+
+
+def register(app: typer.Typer) -> None:
+    """Add this verb to the command."""
+    app.command("deliver", short_help="Make the folder that a client is handed.")(deliver)

@@ -1,0 +1,205 @@
+# ruff: noqa: T201
+"""Airborne clouds against themselves: shifted, thinned by half, and with buildings and trees taken out.
+
+    python tests/benchmarks/bench_airborne.py $SUBIACO_TEST_DATA
+
+Both epochs are random halves of one cloud, so that they share no point. *Before* lies 0.7 m off and is turned
+by half a degree. From *after* a share of the objects is removed and ground put in their place, as high as the
+ground around and as dense as the cloud. Objects are what stands higher than 2 m over more than 20 m2, told
+roofs from trees by the share of their points on local planes. Told by other code than that under test.
+Printed are the error of the registration at its defaults, how many removed objects are found (half of their
+points labelled Removed), and every claim that touches none of them.
+"""
+
+from __future__ import annotations
+
+import argparse
+import time
+from collections.abc import Iterator
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+import shapely
+from scipy import ndimage
+from scipy.spatial import cKDTree
+from scipy.spatial.transform import Rotation
+
+from subiaco_change.config import ChangeConfig
+from subiaco_change.pipeline import detect_changes
+from subiaco_change.records import ChangeResult
+from subiaco_geo.clouds import from_world
+from subiaco_geo.codes import Change
+from subiaco_geo.errors import SubiacoError
+from subiaco_geo.frames import Floats, Ints, invert_pose, make_pose, transform_points
+from subiaco_geo.maps import load_epoch
+from subiaco_geo.survey_map import SurveyMap
+
+CELL = 1.0  # of the raster in which objects are told [m]
+WINDOW = 41  # cells over which the lowest is ground
+TALL, LEAST = 2.0, 20.0  # least height [m] and area [m2] of an object
+FLAT, PLANAR = 0.12, 0.6  # distance from a local plane [m]; share of points so near that makes a roof
+EVERY = 4  # one object of so many is removed
+TURN, SHIFT = (0.1, -0.1, 0.5), (0.5, -0.4, 0.2)  # rotation vector [deg] and shift [m] of *before*
+CLAIMS = (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED)
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Points (N, 3) [m], heights above ground (N,), objects (N,) of points, -1 none; which are roofs (K,)."""
+
+    xyz: Floats
+    height: Floats
+    owner: Ints
+    roof: list[bool]
+
+
+def clouds_of(data: Path) -> Iterator[tuple[str, Floats]]:
+    """Yield the airborne clouds that lie in the folder of real recordings."""
+    path = data / "autzen" / "autzen_crop_650x300m_rgb.laz"
+    if path.exists():
+        xyz = load_epoch(path).cloud.world()
+        x, y = (xyz[:, k] - xyz[:, k].min() for k in (0, 1))
+        for name, west in (("west", 0.0), ("middle", 220.0), ("east", 440.0)):
+            yield f"autzen {name}", xyz[(x >= west) & (x < west + 200.0) & (y < 200.0)]
+    tiles = sorted((data / "ign_lidarhd").glob("*.laz"))
+    if tiles:
+        yield "IGN", np.concatenate([load_epoch(tile).cloud.world() for tile in tiles])
+
+
+def told_apart(xyz: Floats) -> Scene:
+    """Tell objects by a raster of heights above the lowest cells around."""
+    index = np.floor((xyz[:, :2] - xyz[:, :2].min(axis=0)) / CELL).astype(np.int64)
+    shape = tuple((index.max(axis=0) + 1).tolist())
+    low = np.full(shape, np.inf)
+    np.minimum.at(low, tuple(index.T), xyz[:, 2])
+    filled = np.where(np.isfinite(low), low, np.nanmax(low[np.isfinite(low)]))
+    ground = ndimage.gaussian_filter(ndimage.grey_opening(filled, size=(WINDOW, WINDOW)), 3.0)
+    height = xyz[:, 2] - ground[tuple(index.T)]
+    tall = np.zeros(shape, dtype=bool)
+    tall[tuple(index[height > TALL].T)] = True
+    labels, count = ndimage.label(ndimage.binary_opening(tall, np.ones((2, 2))))
+    owner = labels[tuple(index.T)] - 1
+    owner[height < 0.3] = -1
+    sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:] * CELL**2
+    owner[np.isin(owner, np.flatnonzero(sizes < LEAST))] = -1
+    owner = np.where(owner >= 0, np.unique(owner, return_inverse=True)[1] - int((owner < 0).any()), -1)
+    roof = [_planar(xyz[owner == k]) for k in range(int(owner.max()) + 1)]
+    return Scene(xyz, height, owner, roof)
+
+
+def _planar(xyz: Floats) -> bool:
+    """Tell whether most points (N, 3) lie on planes through their neighbours."""
+    some = xyz[:: max(len(xyz) // 400, 1)]
+    near = cKDTree(xyz).query(some, k=min(12, len(xyz)))[1]
+    centred = xyz[near] - xyz[near].mean(axis=1, keepdims=True)
+    least = np.sqrt(np.linalg.eigvalsh(np.einsum("nki,nkj->nij", centred, centred) / near.shape[1])[:, 0])
+    return bool(np.mean(least < FLAT) >= PLANAR)
+
+
+def emptied(scene: Scene, kept: Ints, removed: Ints, seed: int) -> Floats:
+    """Return points (M, 3) of a half without objects, ground put in their place."""
+    rng = np.random.default_rng(seed)
+    gone = np.isin(scene.owner, removed)
+    half = np.zeros(len(scene.xyz), dtype=bool)
+    half[kept] = True
+    ground = scene.xyz[half & (np.abs(scene.height) < 0.3)]
+    tree = cKDTree(ground[:, :2])
+    laid = [scene.xyz[half & ~gone]]
+    for number in removed.tolist():
+        beneath = half & gone & (scene.owner == number)
+        xy = scene.xyz[beneath, :2] + rng.uniform(-0.3, 0.3, (int(beneath.sum()), 2))
+        distance, near = tree.query(xy, k=12)
+        weight = 1.0 / np.maximum(distance, 0.1)
+        z = (ground[near, 2] * weight).sum(axis=1) / weight.sum(axis=1)
+        laid.append(np.column_stack([xy, z + rng.normal(0.0, 0.03, len(xy))]))
+    return np.concatenate(laid)
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """A comparison: result, removed objects (roof, points in *before*), error of the registration [m]."""
+
+    result: ChangeResult
+    removed: list[tuple[bool, Floats]]
+    shift: float
+
+    def line(self, name: str, seconds: float) -> str:
+        """Return the row of the table."""
+        tree = cKDTree(self.result.before.world())
+        found = {True: [0, 0], False: [0, 0]}
+        for roof, xyz in self.removed:
+            label = self.result.before.fields["change"][tree.query(xyz)[1]]
+            found[roof][0] += int(np.mean(label == Change.REMOVED) >= 0.5)
+            found[roof][1] += 1
+        false = self.false_claims()
+        world = self.result.after.world()
+        area = len(np.unique(np.floor(world[:, :2]).astype(np.int64), axis=0))
+        counts = [sum(r > c for r in false.values()) for c in (0.0, 0.5, 0.9)]
+        rates = [f"{n} ({1000 * n / area:.2f})" for n in counts]
+        told = " | ".join(f"{hits} of {count}" for hits, count in (found[True], found[False]))
+        return f"| {name} | {1e3 * self.shift:.0f} | {told} | {' | '.join(rates)} | {seconds:.0f} |"
+
+    def false_claims(self) -> dict[str, float]:
+        """Return claims that touch no removed object, in words, with their confidence."""
+        outlines = [shapely.MultiPoint(xyz[:, :2]).convex_hull.buffer(1.0) for _, xyz in self.removed]
+        known = shapely.union_all(outlines)
+        return {
+            f"{r.semantic.label} {r.change.label} {r.confidence:.2f} n {r.n_before}/{r.n_after}"
+            f" at {r.x:.1f} {r.y:.1f}: {r.reason}": r.confidence
+            for r in self.result.records
+            if r.change in CLAIMS and not r.footprint.intersects(known)
+        }
+
+
+def compare(xyz: Floats, seed: int) -> Outcome:
+    """Compare a cloud with itself, objects removed."""
+    scene = told_apart(xyz)
+    rng = np.random.default_rng(seed)
+    order = rng.permutation(len(scene.roof))
+    chosen = [k for kind in (True, False) for k in [n for n in order if scene.roof[n] == kind][::EVERY]]
+    removed = np.array(chosen, dtype=np.int64)
+    first = rng.random(len(xyz)) < 0.5
+    centre = np.median(xyz, axis=0)
+    turn = Rotation.from_rotvec(np.radians(TURN)).as_matrix()
+    truth = make_pose(turn, np.asarray(SHIFT) + centre - turn @ centre)
+    before = transform_points(invert_pose(truth), xyz[first])
+    after = emptied(scene, np.flatnonzero(~first), removed, seed)
+    epochs = (SurveyMap(from_world(points)) for points in (before, after))
+    result = detect_changes(*epochs, ChangeConfig())
+    given = result.registration
+    found = given.T_local.copy()
+    found[:3, 3] += given.origin - found[:3, :3] @ given.origin
+    shift = float(np.linalg.norm(transform_points(found @ invert_pose(truth), centre[None])[0] - centre))
+    own = [(scene.roof[k], xyz[first & (scene.owner == k)]) for k in chosen]
+    return Outcome(result, [(roof, points) for roof, points in own if len(points) >= 5], shift)
+
+
+def main() -> None:
+    """Compare every cloud with itself."""
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
+    parser.add_argument("data", type=Path)
+    parser.add_argument("--only", nargs="*", default=[], help="words, one of which a cloud's name holds")
+    parser.add_argument("--seed", type=int, default=1)
+    parser.add_argument("--rows", action="store_true", help="print every false claim")
+    words = parser.parse_args()
+    head = "cloud | shift, mm | buildings found | trees found | false claims (on 1000 m2)"
+    table = [f"| {head} | above 0.5 | above 0.9 | CPU s |", "|---|---|---|---|---|---|---|---|"]
+    for name, xyz in clouds_of(words.data):
+        if words.only and not any(word in name for word in words.only):
+            continue
+        started = time.process_time()
+        try:
+            outcome = compare(xyz, words.seed)
+        except SubiacoError as error:
+            table.append(f"| {name} | refused: {error} | | | | | | |")
+            continue
+        table.append(outcome.line(name, time.process_time() - started))
+        print(table[-1], flush=True)
+        if words.rows:
+            print(*outcome.false_claims(), sep="\n")
+    print("\n".join(table))
+
+
+if __name__ == "__main__":
+    main()
