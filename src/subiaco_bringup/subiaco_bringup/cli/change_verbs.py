@@ -152,7 +152,7 @@ def change(
     if len(epochs) > 2:
         if trajectory_before or trajectory_after or transform or given:
             raise InputError(
-                "change: --trajectory-*, --transform, --semantics and --instances go with two epochs"
+                "change: --trajectory-*, --transform, --semantics and --instances need two epochs"
             )
         with Progress(quiet=quiet) as progress:
             history = run_epochs(
@@ -360,7 +360,7 @@ def export(
 
     set_up_logging(verbose, quiet)
     if cloudcompare and to is not ExportKind.PLY:
-        raise InputError(f"--cloudcompare names the fields of a PLY; it does not go with --to {to}")
+        raise InputError(f"--cloudcompare names the fields of a PLY; it cannot be combined with --to {to}")
     is_map = (directory / "map.yaml").is_file() or to is ExportKind.TERRAIN
     if is_map and review != "all":
         raise InputError(f"--review {review}: {directory} is a map, which has no reviews; leave it out")
