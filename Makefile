@@ -1,7 +1,7 @@
 # The two commands: make demo, make test. Everything else is a part of them.
 SHELL := /bin/bash
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test bench lint format colcon-test clean distclean
+.PHONY: help setup demo test docs bench lint format colcon-test clean distclean
 
 # Sourced for anything that runs our code: virtual environment, workspace, DDS settings.
 ENV := source ros2_ws/env.sh
@@ -21,6 +21,9 @@ lint: setup  ## ruff and mypy
 test: setup  ## set-up, lint, every test
 	@$(ENV) && status=0; scripts/lint.sh || status=$$?; scripts/test.sh $(PYTEST_ARGS) || status=$$?; \
 	if [ $$status -ne 0 ]; then echo "make test: lint or tests failed, see above" >&2; fi; exit $$status
+
+docs: setup  ## the documentation as a site: out/docs/index.html (no network)
+	@$(ENV) && NO_MKDOCS_2_WARNING=1 python -m mkdocs build --strict
 
 bench: setup  ## speed and memory beside peers: benchmarks.json, docs/benchmarks.md (a quiet machine, 15 minutes)
 	@$(ENV) && python tests/benchmarks/bench.py $(BENCH_ARGS)

@@ -107,11 +107,8 @@ def emptied(scene: Scene, kept: Ints, removed: Ints, seed: int) -> Floats:
     tree = cKDTree(ground[:, :2])
     laid = [scene.xyz[half & ~gone]]
     for number in removed.tolist():
-        own = scene.xyz[scene.owner == number]
-        outline = shapely.MultiPoint(own[:, :2]).buffer(0.7)
         beneath = half & gone & (scene.owner == number)
         xy = scene.xyz[beneath, :2] + rng.uniform(-0.3, 0.3, (int(beneath.sum()), 2))
-        xy = xy[shapely.contains_xy(outline, xy[:, 0], xy[:, 1])]
         distance, near = tree.query(xy, k=12)
         weight = 1.0 / np.maximum(distance, 0.1)
         z = (ground[near, 2] * weight).sum(axis=1) / weight.sum(axis=1)

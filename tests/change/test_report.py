@@ -378,9 +378,9 @@ def many_changes(result, count):
 
 @pytest.fixture(scope="module", params=[100, 5000, 20_000])
 def large(request, result, tmp_path_factory):
-    """A change directory of many changes with pictures of the usual size, and the seconds its pages took."""
+    """A change directory of many changes with small pictures, and the seconds its pages took."""
     target, rng = tmp_path_factory.mktemp("large") / "out", np.random.default_rng(1)
-    drawn = evidence.Evidence(rng.bytes(6000), "M1 1L9 1L9 9Z", (3.0, 90.0), 40.0, 5, "looking north")
+    drawn = evidence.Evidence(rng.bytes(1500), "M1 1L9 1L9 9Z", (3.0, 90.0), 40.0, 5, "looking north")
     with pytest.MonkeyPatch.context() as patch:
         patch.setattr(outputs, "build_report", lambda _: None)
         patch.setattr(report_page.evidence, "evidence_pictures", lambda _, rows: [drawn] * len(rows))

@@ -180,7 +180,7 @@ def break_down(*_, **__):
 
 def test_an_interruption_leaves_nothing(refused, bag, tmp_path, monkeypatch):
     monkeypatch.setattr("subiaco_mapping.pipeline.map_survey", interrupt)
-    refused(["map", bag, "-o", tmp_path / "out"], "interrupted", "nothing was left", code=130)
+    refused(["map", bag, "-o", tmp_path / "out"], "interrupted", "no output was written", code=130)
 
 
 def test_an_interrupted_run_leaves_its_stages_and_goes_on_from_there(

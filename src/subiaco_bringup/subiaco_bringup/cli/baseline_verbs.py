@@ -81,7 +81,8 @@ def ablate(
     cases: Annotated[
         list[Path],
         typer.Argument(
-            metavar="BEFORE AFTER TRUTH", help="Two epochs and their truth; more triples are scored together."
+            metavar="BEFORE AFTER TRUTH",
+            help="Two epochs and their ground truth; several triples are scored together.",
         ),
     ],
     output: Output,
@@ -96,7 +97,7 @@ def ablate(
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
-    """Turn each part of the method off, and each Decision back to the paper, and score what that costs.
+    """Run an ablation study: disable each component, or restore the paper's setting, and report the scores.
 
     Example: subiaco ablate bags/demo/before bags/demo/after bags/demo -o out/ablations
     """

@@ -34,7 +34,7 @@ _EPOCH_HELP = "Map directory, or a bare cloud: .ply, .las, .laz, .copc.laz, .pcd
 Before = Annotated[Path, typer.Argument(metavar="BEFORE", help=_EPOCH_HELP)]
 After = Annotated[Path, typer.Argument(metavar="AFTER", help=_EPOCH_HELP)]
 TrajectoryFile = Annotated[
-    Path | None, typer.Option(metavar="F", help="Where the scanner went (TUM), for a bare cloud.")
+    Path | None, typer.Option(metavar="F", help="Trajectory of the scanner (TUM), for a bare cloud.")
 ]
 
 TransformFile = Annotated[
@@ -45,7 +45,7 @@ TransformFile = Annotated[
     ),
 ]
 RegistrationName = Annotated[
-    str | None, typer.Option(help="'identity' takes the two epochs as aligned already.")
+    str | None, typer.Option(help="'identity' compares the epochs as they are, without registration.")
 ]
 
 
@@ -91,12 +91,15 @@ def change(
         list[str] | None,
         typer.Option(
             metavar="PART",
-            help="Leave a part out: lod, class_association, semantics or objects; may be repeated.",
+            help="Disable a component: lod, class_association, semantics or objects; may be repeated.",
         ),
     ] = None,
     parcels: Annotated[
         Path | None,
-        typer.Option(metavar="LOTS", help="Polygons (.gpkg, .geojson, .shp) to add the changes up by."),
+        typer.Option(
+            metavar="LOTS",
+            help="Polygons (.gpkg, .geojson, .shp), such as lots, for which the changes are summed up.",
+        ),
     ] = None,
     semantics: Annotated[
         str | None,
@@ -110,17 +113,21 @@ def change(
     ] = None,
     keep_stages: Annotated[
         Path | None,
-        typer.Option(metavar="DIR", help="Keep what every stage leaves there; a later run takes it up."),
+        typer.Option(
+            metavar="DIR", help="Keep the results of every stage in this folder; a later run uses them again."
+        ),
     ] = None,
     from_stage: Annotated[
         str | None,
-        typer.Option("--from", metavar="STAGE", help="Do this stage and those after it again."),
+        typer.Option("--from", metavar="STAGE", help="Repeat this stage and all later stages."),
     ] = None,
     workers: Annotated[
-        int | None, typer.Option(metavar="N", help="Processes; the result does not depend on it. [all cores]")
+        int | None,
+        typer.Option(metavar="N", help="Number of processes [all cores]. Does not change the result."),
     ] = None,
     scheduler: Annotated[
-        str | None, typer.Option(metavar="ADDRESS", help="Work on a dask cluster, e.g. tcp://host:8786.")
+        str | None,
+        typer.Option(metavar="ADDRESS", help="Address of a dask cluster to work on, e.g. tcp://host:8786."),
     ] = None,
     config: ConfigFiles = None,
     settings: Settings = None,
@@ -130,9 +137,9 @@ def change(
 ) -> None:
     """Find what changed between two maps: labelled clouds, a table, a report.
 
-    A run that was stopped goes on where it was when the same command is given again.
+    The same command continues a run that was stopped.
 
-    More than two epochs: every pair that follows, and history.csv, which follows each object through all.
+    With more than two epochs, every consecutive pair is compared, and history.csv follows each object.
 
     Example: subiaco change out/before out/after -o out/change
     """
@@ -152,7 +159,7 @@ def change(
     if len(epochs) > 2:
         if trajectory_before or trajectory_after or transform or given:
             raise InputError(
-                "change: --trajectory-*, --transform, --semantics and --instances need two epochs"
+                "change: --trajectory-*, --transform, --semantics and --instances need exactly two epochs"
             )
         with Progress(quiet=quiet) as progress:
             history = run_epochs(
@@ -186,7 +193,7 @@ def evaluate(
         list[Path],
         typer.Argument(
             metavar="CHANGE_DIR TRUTH",
-            help="What was found, and the simulated survey it was found in; more pairs are scored together.",
+            help="Change directory and the survey with its ground truth; several pairs are scored together.",
         ),
     ],
     output: Annotated[
@@ -360,7 +367,9 @@ def export(
 
     set_up_logging(verbose, quiet)
     if cloudcompare and to is not ExportKind.PLY:
-        raise InputError(f"--cloudcompare names the fields of a PLY; it cannot be combined with --to {to}")
+        raise InputError(
+            f"--cloudcompare names the fields of a PLY; with --to {to} it has no meaning; leave it out"
+        )
     is_map = (directory / "map.yaml").is_file() or to is ExportKind.TERRAIN
     if is_map and review != "all":
         raise InputError(f"--review {review}: {directory} is a map, which has no reviews; leave it out")

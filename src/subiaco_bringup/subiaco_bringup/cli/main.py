@@ -121,7 +121,7 @@ def run(arguments: Sequence[str] | None = None) -> int:
             traceback.print_exc()
         return _report_unexpected(error, words)
     if outcome == _INTERRUPTED:  # typer turns Ctrl-C into this code without a word
-        _report("interrupted; nothing was left under a final name")
+        _report("interrupted; no output was written")
     return int(outcome or 0)
 
 

@@ -43,9 +43,11 @@ def record(
         Path, typer.Option("-o", "--output", metavar="BAG_DIR", help="rosbag2 folder to write.")
     ],
     resume: Annotated[
-        bool, typer.Option("--resume", help="Go on in a folder that exists, with a new file.")
+        bool, typer.Option("--resume", help="Continue in an existing folder, with a new file.")
     ] = False,
-    duration: Annotated[float, typer.Option(help="End after so many seconds; 0: until Ctrl-C.")] = 0.0,
+    duration: Annotated[
+        float, typer.Option(help="Length of the recording in seconds; 0 records until Ctrl-C.")
+    ] = 0.0,
     remap: Annotated[
         list[str] | None,
         typer.Option(
@@ -57,7 +59,7 @@ def record(
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
-    """Record the topics of a live vehicle, raw, until Ctrl-C; what is lost is counted and said.
+    """Record the raw topics of a live vehicle until Ctrl-C, and report every lost message.
 
     Files are whole every minute and flushed four times a second: a kill or a loss of power costs less
     than a second. A disk that runs full ends the recording with every file whole. A recorder that crashes
@@ -102,11 +104,11 @@ def _summary(output: Path, facts: Mapping[str, Any]) -> list[str]:
 def recover(
     bag: Annotated[
         Path,
-        typer.Argument(metavar="BAG", help="Recording that was cut: its folder, .mcap or .mcap.partial."),
+        typer.Argument(metavar="BAG", help="Recording that was cut off: its folder, .mcap or .mcap.partial."),
     ],
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", metavar="PATH", help="Where to; NAME.recovered beside it if absent."),
+        typer.Option("-o", "--output", metavar="PATH", help="Repaired recording [NAME.recovered beside it]."),
     ] = None,
     in_place: Annotated[
         bool, typer.Option("--in-place", help="Replace the cut files by whole ones, and delete them.")
@@ -118,7 +120,7 @@ def recover(
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
-    """Make a cut recording whole, and say what is gone. The original is left as it is.
+    """Repair a recording that was cut off, and report what is lost. The original is not changed.
 
     Example: subiaco recover bags/2025-03-14_am
     """
@@ -180,4 +182,4 @@ def _as_json(result: BagRecovery) -> dict[str, Any]:
 def register(app: typer.Typer) -> None:
     """Add these verbs to the command."""
     app.command("record", short_help="Record the topics of a live vehicle.")(record)
-    app.command("recover", short_help="Make a cut recording whole.")(recover)
+    app.command("recover", short_help="Repair a recording that was cut off.")(recover)

@@ -36,9 +36,7 @@ def simulate(
     out: Annotated[Path, typer.Argument(metavar="OUT", help="Survey directory to write.")],
     seed: Annotated[
         int | None,
-        typer.Option(
-            help="Number that scene, changes and noise follow from; the same gives the same survey."
-        ),
+        typer.Option(help="Seed of scene, changes and noise; equal seeds give equal surveys."),
     ] = None,
     preset: Annotated[
         str | None,
@@ -146,7 +144,7 @@ def import_(
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
-    """Turn a recording into an mcap bag that every other verb reads.
+    """Convert a recording into an mcap bag that every other verb reads.
 
     Columns of other names: --set logs.gnss.latitude=lat, and so on.
 
@@ -178,11 +176,13 @@ def map_(
     config: ConfigFiles = None,
     settings: Settings = None,
     threads: Annotated[
-        int | None, typer.Option(help="Processor threads; 1 gives the same map every time.")
+        int | None, typer.Option(help="Number of threads; with 1, the map is identical in every run.")
     ] = None,
     workers: Annotated[
         int | None,
-        typer.Option(min=1, help="Recordings read beside each other; all cores. The map is the same."),
+        typer.Option(
+            min=1, help="Number of recordings read in parallel [all cores]. Does not change the map."
+        ),
     ] = None,
     resume: Annotated[
         bool | None,
@@ -254,7 +254,7 @@ def check(
     ],
     crs: Annotated[
         str | None,
-        typer.Option(metavar="EPSG:N", help="CRS of the control points; that of the map if absent."),
+        typer.Option(metavar="EPSG:N", help="CRS of the control points [that of the map]."),
     ] = None,
     as_json: AsJson = False,
     verbose: Verbose = False,
@@ -281,7 +281,10 @@ def check(
 def calibrate_rig(
     bag: Annotated[
         Path,
-        typer.Argument(metavar="BAG", help="One to three minutes with turns both ways and changes of speed."),
+        typer.Argument(
+            metavar="BAG",
+            help="Recording of one to three minutes with turns in both directions and changes of speed.",
+        ),
     ],
     output: Output,
     config: ConfigFiles = None,
@@ -290,7 +293,7 @@ def calibrate_rig(
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
-    """Refine where IMU and antenna sit, and their time offsets, from a short recording.
+    """Estimate the positions of IMU and antenna and their time offsets from a short recording.
 
     Starts from /tf_static and the configuration, keeps what the motion does not show, and says
     whether facades come out thinner. Writes rig.yaml for --config, report.md, calibration.json.
@@ -313,8 +316,8 @@ def calibrate_rig(
 
 
 def trajectory(
-    estimate: Annotated[Path, typer.Argument(metavar="ESTIMATE", help="TUM file to judge.")],
-    reference: Annotated[Path, typer.Argument(metavar="REFERENCE", help="TUM file to judge it by.")],
+    estimate: Annotated[Path, typer.Argument(metavar="ESTIMATE", help="Trajectory to evaluate, a TUM file.")],
+    reference: Annotated[Path, typer.Argument(metavar="REFERENCE", help="Reference trajectory, a TUM file.")],
     output: Output,
     align: Annotated[
         bool, typer.Option("--align", help="Move the estimate rigidly onto the reference first.")

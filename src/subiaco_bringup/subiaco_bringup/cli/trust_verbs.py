@@ -26,8 +26,8 @@ ObjectFolder = Annotated[
     Path | None,
     typer.Option(
         metavar="DIR",
-        help="Clouds of objects to put, one a file, named by class (building*, tree*, car* ...); "
-        "objects of the map itself where absent.",
+        help="Clouds of objects to insert, one object a file, named by class (building*, tree*, car* ...) "
+        "[objects of the map itself].",
     ),
 ]
 
@@ -39,14 +39,14 @@ def inject(
     output: Output,
     objects: ObjectFolder = None,
     trajectory: TrajectoryFile = None,
-    seed: Annotated[int | None, typer.Option(help="Seed of every choice.")] = None,
+    seed: Annotated[int | None, typer.Option(help="Seed of all random choices.")] = None,
     config: ConfigFiles = None,
     settings: Settings = None,
     overwrite: Overwrite = False,
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
-    """Put known changes into a map, with what they hide hidden, and write the truth beside it.
+    """Insert known changes into a map, with correct occlusion, and write the ground truth beside it.
 
     'subiaco change MAP MAP2' then finds them, and 'subiaco evaluate CHANGE_DIR MAP2' scores that. How
     many, how large: --set inserted=20, removed, moved, grown, cut, patches, patch_rise ...; truth/scene.yaml
@@ -82,7 +82,7 @@ def calibrate(
     output: Output,
     objects: ObjectFolder = None,
     trajectory: TrajectoryFile = None,
-    copies: Annotated[int | None, typer.Option(help="Injected copies that the fit rests on.")] = None,
+    copies: Annotated[int | None, typer.Option(help="Number of injected copies for the fit.")] = None,
     registration: RegistrationName = None,
     repeat: Annotated[
         Path | None,
@@ -101,7 +101,7 @@ def calibrate(
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
-    """Find out on one's own map how small a change is still found, and how far confidences hold.
+    """Estimate the smallest detectable change on your map and calibrate the confidence values.
 
     It runs change detection on injected copies of MAP; 'subiaco change --config DIR/confidence.yaml' takes
     the confidences from there. Every class needs a dozen changes at least: more --copies, or more in each
@@ -141,5 +141,5 @@ def calibrate(
 
 def register(app: typer.Typer) -> None:
     """Add these verbs to the command."""
-    app.command("inject", short_help="Put known changes into a map.")(inject)
-    app.command("calibrate", short_help="Find out how small a change is found on one's own map.")(calibrate)
+    app.command("inject", short_help="Insert known changes into a map.")(inject)
+    app.command("calibrate", short_help="Estimate the smallest detectable change on your map.")(calibrate)

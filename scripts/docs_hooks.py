@@ -1,0 +1,47 @@
+"""What the documentation site does beside Markdown.
+
+Formulas become MathML, so that a page needs no script. A link to a file of the repository outside of ``docs``
+becomes the path of that file, because the site does not hold it.
+"""
+
+from __future__ import annotations
+
+import html
+import re
+from pathlib import Path, PurePosixPath
+from typing import Any
+
+from latex2mathml.converter import convert
+
+ROOT = Path(__file__).resolve().parents[1]
+_FORMULA = re.compile(
+    r'<(?P<tag>span|div) class="arithmatex">\\(?P<open>[(\[])(?P<latex>.*?)\\[)\]]</(?P=tag)>', re.DOTALL
+)
+_LINK = re.compile(r"(?<!!)\[(?P<text>[^\]]*)\]\((?P<target>\.\./[^)#]*)\)")
+
+
+def on_page_markdown(markdown: str, page: Any, **_: object) -> str:
+    """Return a page without links that leave ``docs``; a hook of MkDocs."""
+    folder = PurePosixPath("docs", page.file.src_uri).parent
+    return _LINK.sub(lambda found: _inside(found, folder), markdown)
+
+
+def on_page_content(content: str, **_: object) -> str:
+    """Return a page whose formulas are MathML; a hook of MkDocs."""
+    return _FORMULA.sub(_mathml, content)
+
+
+def _inside(link: re.Match[str], folder: PurePosixPath) -> str:
+    path = (ROOT / folder / link["target"]).resolve()
+    if path.is_relative_to(ROOT / "docs"):
+        return link[0]
+    if not path.exists():
+        raise FileNotFoundError(f"{folder}: the link {link[0]} leads nowhere")
+    name = path.relative_to(ROOT).as_posix()
+    return f"`{name}`" if name.endswith(link["text"]) else f"{link['text']} (`{name}`)"
+
+
+def _mathml(found: re.Match[str]) -> str:
+    display = "block" if found["open"] == "[" else "inline"
+    formula: str = convert(html.unescape(found["latex"]).strip(), display=display)
+    return f"<{found['tag']}>{formula}</{found['tag']}>"
