@@ -46,6 +46,7 @@ from subiaco_change.report.row_data import (
 from subiaco_change.report.summary import build_summary, epoch_facts, largest_rows
 from subiaco_geo.atomic import whole_file
 from subiaco_geo.codes import Change, Semantic
+from subiaco_geo.errors import InputError
 
 _SHOWN = ("change", "projection", "height", "semantics", "instances")
 #: Blocks beyond these, those with fewest changes, are left out: what bounds the report.
@@ -123,6 +124,9 @@ def build_report(directory: Path) -> Path:
         The directory is not a complete change directory.
     """
     change = read_change_directory(directory)
+    if "object_uid" not in change.table.columns:
+        table = directory / "changes.csv"
+        raise InputError(f"{table}: column object_uid is missing; run 'subiaco change' again")
     changed = changed_rows(change.table)
     found = gather(change)
     blocks, marks = found.blocks.blocks(), changed_marks(changed)
