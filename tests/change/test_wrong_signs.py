@@ -41,6 +41,13 @@ def test_extensions_that_both_drives_saw_are_found(kind):
     assert sum(right) >= 0.75 * len(shown)
 
 
+def test_where_absence_is_assumed_a_wall_behind_a_new_wing_is_a_wall_of_the_house():
+    """Seed 1002 builds in front of the house, and hides a wall that the earlier drive saw."""
+    small, large = draw_case(1002).surveys
+    assert labels(compare(small, large, "assumed")) == [Change.INCREASED]
+    assert labels(compare(large, small, "assumed")) == [Change.DECREASED]
+
+
 @pytest.mark.parametrize("kind", QUICK)
 def test_two_drives_past_one_house_find_no_change_of_it(kind):
     """Other lane, other beams, other noise."""

@@ -71,7 +71,7 @@ def compare_objects(
     changes = tell_apart(changes, rules)
     changes = part_rows(changes, rules)
     changes = part_sections(changes, rules)
-    changes = join_sides(join_wings(changes, rules))
+    changes = join_sides(join_wings(changes, rules), rules)
     return adopt_fragments(changes, things_b, things_a, rules.association, tolerance)
 
 

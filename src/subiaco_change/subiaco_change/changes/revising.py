@@ -57,10 +57,11 @@ def join_wings(changes: list[ObjectChange], rules: ObjectRules) -> list[ObjectCh
     return [change for i, change in enumerate(joined) if i not in wings]
 
 
-def join_sides(changes: list[ObjectChange]) -> list[ObjectChange]:
+def join_sides(changes: list[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
     """Give a side of a changed building that the other epoch hardly saw to the building.
 
-    A wall within the outline of a house is a wall of it: pieces of one body are one row.
+    A wall within the outline of a house is a wall of it: pieces of one body are one row. Where absence is
+    assumed and not observed, what was built may hide any wall.
     """
     hosts = {
         i: shapely.MultiPoint(join_voxels((*c.before, *c.after)).xyz[:, :2]).convex_hull.buffer(_WALL)
@@ -72,7 +73,7 @@ def join_sides(changes: list[ObjectChange]) -> list[ObjectChange]:
         if (
             change.semantic is not Semantic.BUILDING
             or (change.before and change.after)
-            or change.measures.observed_fraction >= _HARDLY
+            or not _hardly_seen(change, rules)
         ):
             continue
         xyz = join_voxels((*change.before, *change.after)).xyz
@@ -86,6 +87,12 @@ def join_sides(changes: list[ObjectChange]) -> list[ObjectChange]:
         for i, change in enumerate(changes)
         if i not in gone
     ]
+
+
+def _hardly_seen(change: ObjectChange, rules: ObjectRules) -> bool:
+    """Tell whether the epoch that lacks an object hardly saw its place, or nothing tells what it saw."""
+    other = 1 if change.before else 0
+    return rules.ground.empty[other] is None or change.measures.observed_fraction < _HARDLY
 
 
 def part_company(changes: Sequence[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
