@@ -5,8 +5,8 @@
 
 Each reader runs in a process of its own, so that a crash of native code is seen, under a limit of processor
 time and memory a case (see tests/fuzz/fuzz_cases.py). Prints cases, accepted ones and faults; the exit status
-is 1 where there was a fault. What failed is kept in the folder given; ``--page`` writes the table of
-docs/damaged-files.md, and ``--again FOLDER`` reads what failed once more.
+is 1 where there was a fault. Counts and what failed are kept in the folder given, over several runs;
+``--page docs/damaged-files.md`` writes the table of these, after every file that failed was read once more.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
@@ -35,13 +35,14 @@ _SIGN = 5.0  # wall clock between two signs of life [s]
 
 @dataclass(frozen=True)
 class Tally:
-    """What became of one reader."""
+    """What became of one reader in one run."""
 
     name: str
+    seed: int
     cases: int
     accepted: int
     longest: float
-    faults: Counter[str]
+    faults: int
 
 
 def edits_of(rng: np.random.Generator) -> list[Edit]:
@@ -83,7 +84,7 @@ def fuzz(target: Target, cases: int, seconds: float, seed: int, folder: Path) ->
         try:
             accepted += run(target, data, work)
         except Fault as fault:
-            (folder / f"fault-{case}{target.suffix}").write_bytes(data)
+            (folder / f"fault-{seed}-{case}{target.suffix}").write_bytes(data)
             print(json.dumps({"fault": str(fault), "case": case}), flush=True)
         longest = max(longest, time.process_time() - started)
         now = time.monotonic()
@@ -94,11 +95,11 @@ def fuzz(target: Target, cases: int, seconds: float, seed: int, folder: Path) ->
             return
 
 
-def read_again(target: Target, kept: Path, folder: Path) -> None:
+def read_again(target: Target, folder: Path) -> None:
     """Read the cases that failed once more; a line of JSON each."""
     work = fresh(folder)
     whole_inputs(target, work)
-    for path in sorted(kept.glob(f"fault-*{target.suffix}")):
+    for path in sorted(folder.glob(f"fault-*{target.suffix}")):
         try:
             said = "accepted" if run(target, path.read_bytes(), work) else "refused"
         except Fault as fault:
@@ -106,8 +107,8 @@ def read_again(target: Target, kept: Path, folder: Path) -> None:
         print(json.dumps({"file": path.name, "said": said}), flush=True)
 
 
-def watched(target: Target, options: argparse.Namespace, folder: Path) -> Tally:
-    """Run :func:`fuzz` in a process and count what it says."""
+def watched(target: Target, options: argparse.Namespace, folder: Path) -> tuple[Tally, Counter[str]]:
+    """Run :func:`fuzz` in a process; return the counts, and what faults were said how often."""
     command = [sys.executable, __file__, "--child", target.name, "--seconds", str(options.seconds)]
     command += ["--cases", str(options.cases), "--seed", str(options.seed), "--keep", str(folder)]
     died: list[str] = []
@@ -123,12 +124,13 @@ def watched(target: Target, options: argparse.Namespace, folder: Path) -> Tally:
         died = ["it hung in native code"]
     case = folder / "work" / f"case{target.suffix}"
     if died and case.is_file():
-        shutil.copy(case, folder / f"fault-0{target.suffix}")
+        shutil.copy(case, folder / f"fault-{options.seed}-died{target.suffix}")
     lines = [json.loads(line) for line in out.splitlines() if line.startswith("{")]
     faults = Counter([line["fault"] for line in lines if "fault" in line] + died)
     counted = [line for line in lines if "cases" in line]
     last = counted[-1] if counted else {"cases": 0, "accepted": 0, "longest": 0.0}
-    return Tally(target.name, last["cases"], last["accepted"], last["longest"], faults)
+    counts = last["cases"], last["accepted"], last["longest"], faults.total()
+    return Tally(target.name, options.seed, *counts), faults
 
 
 _PAGE = """# Damaged files
@@ -138,69 +140,89 @@ doubled, numbers that no file holds, types that were swapped, columns that are m
 such a file, or refuse it in one line that names it. Any other exception, more than {seconds:g} s of
 processor time, or more than {memory} GiB of memory is a fault.
 
-**{cases:,} cases, {faults} faults, seed {seed}.** This page was written by
-`python tests/benchmarks/fuzz_readers.py {arguments}`.
+**{cases:,} cases (seeds {seeds}) found {faults} faults; of these files, {left} still fail.** The table adds
+up the runs of `python tests/benchmarks/fuzz_readers.py --seconds S --seed N --keep DIR`, and
+`--page docs/damaged-files.md --keep DIR` writes this page after it has read every file that failed once more.
 The tests run a short share of such cases, the same ones every time (`tests/fuzz`).
 
-| reader | cases | read | refused | longest case [s CPU] | faults |
-| --- | ---: | ---: | ---: | ---: | ---: |
+| reader | cases | read | refused | longest case [s CPU] | faults found | left |
+| --- | ---: | ---: | ---: | ---: | ---: | ---: |
 """
 
 
-def page(tallies: list[Tally], options: argparse.Namespace) -> str:
-    """Return the table of docs/damaged-files.md."""
-    arguments = f"--cases {options.cases} --seconds {options.seconds:g} --seed {options.seed}"
+def page(tallies: list[Tally], left: dict[str, int]) -> str:
+    """Return the table of docs/damaged-files.md; ``left`` counts the files of a reader that still fail."""
     head = _PAGE.format(
         seconds=CPU_SECONDS, memory=MEMORY >> 30, cases=sum(t.cases for t in tallies),
-        faults=sum(t.faults.total() for t in tallies), seed=options.seed,
-        arguments=f"{arguments} --page docs/damaged-files.md",
+        faults=sum(t.faults for t in tallies), left=sum(left.values()),
+        seeds=", ".join(map(str, sorted({t.seed for t in tallies}))),
     )  # fmt: skip
     rows = []
-    for t in tallies:
-        faults = t.faults.total()
-        refused = t.cases - t.accepted - faults
-        rows.append(
-            f"| {t.name} | {t.cases:,} | {t.accepted:,} | {refused:,} | {t.longest:.2f} | {faults} |\n"
-        )
+    for name in dict.fromkeys(target.name for target in TARGETS):
+        own = [t for t in tallies if t.name == name]
+        cases, accepted, faults = (sum(getattr(t, n) for t in own) for n in ("cases", "accepted", "faults"))
+        longest = max((t.longest for t in own), default=0.0)
+        counts = f"{cases:,} | {accepted:,} | {cases - accepted - faults:,}"
+        rows.append(f"| {name} | {counts} | {longest:.2f} | {faults} | {left.get(name, 0)} |\n")
     return head + "".join(rows)
 
 
-def main() -> None:
-    """Fuzz the readers asked for, one after another."""
+def still_failing(target: Target, folder: Path) -> int:
+    """Return how many of the kept cases of a reader still fail, each read in a process of its own."""
+    if not any(folder.glob("fault-*")):
+        return 0
+    command = [sys.executable, __file__, "--child", target.name, "--again", "--keep", str(folder)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=600, check=False)
+    said = [json.loads(line)["said"] for line in done.stdout.splitlines() if line.startswith("{")]
+    kept = len(list(folder.glob("fault-*")))
+    return kept - sum(one in ("accepted", "refused") for one in said)
+
+
+def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("--cases", type=int, default=10**9, help="most cases a reader")
     parser.add_argument("--seconds", type=float, default=20.0, help="most seconds a reader")
     parser.add_argument("--seed", type=int, default=1)
     parser.add_argument("--only", default="", help="readers, separated by commas")
-    parser.add_argument("--keep", type=Path, help="folder for what failed")
-    parser.add_argument("--again", type=Path, help="folder of an earlier run: read what failed there")
-    parser.add_argument("--page", type=Path, help="file for the table")
+    parser.add_argument("--keep", type=Path, help="folder for counts and for what failed, over several runs")
+    parser.add_argument("--page", type=Path, help="write the table of the runs kept, and run none")
+    parser.add_argument("--again", action="store_true", help="read what failed once more, and run none")
     parser.add_argument("--child", default="", help=argparse.SUPPRESS)
-    options = parser.parse_args()
+    return parser.parse_args()
+
+
+def main() -> None:
+    """Fuzz the readers asked for, one after another; or write the table of the runs so far."""
+    options = _options()
     named = {target.name: target for target in TARGETS}
+    if options.child and options.again:
+        read_again(named[options.child], options.keep)
+        return
     if options.child:
         fuzz(named[options.child], options.cases, options.seconds, options.seed, options.keep)
         return
-    wanted = [name for name in options.only.split(",") if name] or list(named)
     root = options.keep or Path(tempfile.mkdtemp(prefix="fuzz-"))
-    tallies, started = [], time.monotonic()
-    for name in wanted:
-        folder = root / name.replace(" ", "-").replace("/", "-")
-        folder.mkdir(parents=True, exist_ok=True)
-        if options.again is not None:
-            read_again(named[name], options.again / folder.name, folder)
-            continue
-        tally = watched(named[name], options, folder)
-        tallies.append(tally)
-        said = f"{tally.cases:7d} cases {tally.accepted:7d} accepted  longest {tally.longest:5.2f} s CPU"
-        print(f"{name:28s} {said}  {tally.faults.total()} faults", flush=True)
-        for fault, times in tally.faults.most_common(8):
-            print(f"    {times:5d} x {fault}", flush=True)
+    folders = {name: root / name.replace(" ", "-").replace("/", "-") for name in named}
+    counts = root / "counts.jsonl"
+    if options.page is not None or options.again:
+        left = {name: still_failing(target, folders[name]) for name, target in named.items()}
+        print({name: number for name, number in left.items() if number} or "nothing that failed fails still")
         if options.page is not None:
-            options.page.write_text(page(tallies, options), encoding="utf-8")
-    faults = sum(tally.faults.total() for tally in tallies)
-    cases = sum(tally.cases for tally in tallies)
-    print(f"{cases} cases, {faults} faults, {time.monotonic() - started:.0f} s, seed {options.seed}")
+            tallies = [Tally(**json.loads(line)) for line in counts.read_text().splitlines()]
+            options.page.write_text(page(tallies, left), encoding="utf-8")
+        sys.exit(any(left.values()))
+    cases = faults = 0
+    for name in [name for name in options.only.split(",") if name] or list(named):
+        folders[name].mkdir(parents=True, exist_ok=True)
+        tally, said = watched(named[name], options, folders[name])
+        with counts.open("a") as stream:
+            stream.write(json.dumps(asdict(tally)) + "\n")
+        cases, faults = cases + tally.cases, faults + tally.faults
+        figures = f"{tally.cases:7d} cases {tally.accepted:7d} accepted  longest {tally.longest:5.2f} s CPU"
+        print(f"{name:28s} {figures}  {tally.faults} faults", flush=True)
+        for fault, times in said.most_common(8):
+            print(f"    {times:5d} x {fault}", flush=True)
+    print(f"{cases} cases, {faults} faults, seed {options.seed}")
     if options.keep is None:
         shutil.rmtree(root, ignore_errors=True)
     sys.exit(faults > 0)

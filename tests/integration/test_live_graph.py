@@ -16,7 +16,12 @@ from live_run import LiveRun
 from scipy.spatial import cKDTree
 
 from subiaco_geo.bags import BagReader
+from subiaco_geo.config import load_config
 from subiaco_geo.maps import read_map
+from subiaco_geo.survey_map import SurveyMap
+from subiaco_geo.topics import FIX, IMU, LIDAR_PACKETS
+from subiaco_mapping.config import MappingConfig
+from subiaco_mapping.pipeline import map_survey
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.usefixtures("own_domain")]
 
@@ -52,10 +57,6 @@ def test_a_survey_is_recorded_watched_mapped_and_ended_whole(
     survey: Path, live: LiveRun, tmp_path: Path
 ) -> None:
     """The GNSS driver is gone for a while; the map grows meanwhile; the record gives the same map again."""
-    from subiaco_geo.config import load_config
-    from subiaco_mapping.config import MappingConfig
-    from subiaco_mapping.pipeline import map_survey
-
     folder, drive = tmp_path / "survey", survey / "before" / "bag"
     live.until(lambda: live.heard("lidar: none: nothing yet"))
     said = play(live, drive, "--listeners", 3, "--mute", "/gnss/fix", *MUTED, "--save", tmp_path / "saved")
@@ -102,6 +103,51 @@ def test_a_survey_is_recorded_watched_mapped_and_ended_whole(
     distance, _ = cKDTree(again.cloud.xyz).query(whole.cloud.xyz)
     assert np.quantile(distance, 0.99) < SAME
     assert "gnss_silent" in again.manifest["sequences"]["survey"]["flagged"]
+
+
+@pytest.fixture(scope="module")
+def from_the_bag(survey: Path) -> SurveyMap:
+    """The map of the bag in process, where nothing can be lost."""
+    return map_survey([survey / "before"], load_config(MappingConfig, [], list(SETTINGS)))
+
+
+@pytest.mark.parametrize("rate", [1.0, 0.5])
+def test_a_bag_player_that_knows_nothing_of_ours_gives_the_map_of_the_bag_or_the_loss_is_counted(
+    survey: Path, from_the_bag: SurveyMap, tmp_path: Path, rate: float
+) -> None:
+    """As ``ros2 bag play --clock 40 --rate``: it waits for nobody, and what is missed stands in the map."""
+    drive, folder = survey / "before" / "bag", tmp_path / "drive"
+    graph = LiveRun("-o", folder, "--no-record", "--sim-time", settings=SETTINGS)
+    try:
+        graph.until(lambda: graph.heard("lidar: none: nothing yet"))
+        play(graph, drive, "--listeners", 2, "--rate", rate)
+        assert graph.stop() == 0, graph.text
+    finally:
+        graph.kill()
+    assert not (folder / "bag").exists()
+
+    played = read_map(folder / "map")
+    driven = played.manifest["sequences"]["live"]
+    arrivals = {**driven["arrivals_odometry"], **driven["arrivals_pose_graph"]}
+    with BagReader(drive) as reader:
+        recorded = {topic: info.count for topic, info in reader.topics.items()}
+    for topic in (LIDAR_PACKETS, IMU, FIX):
+        counts = arrivals[topic]
+        assert counts["received"] + counts["lost"] + counts["before_start"] == recorded[topic]
+    missed = sum(counts["lost"] + counts["left_out"] for counts in arrivals.values())
+
+    assert played.trajectory is not None
+    assert from_the_bag.trajectory is not None
+    _, first, second = np.intersect1d(
+        played.trajectory.times_ns, from_the_bag.trajectory.times_ns, return_indices=True
+    )
+    if missed == 0:
+        assert len(from_the_bag.trajectory.times_ns) - len(first) <= 1  # the scan that only an end closes
+        apart = played.trajectory.positions[first] - from_the_bag.trajectory.positions[second]
+        assert np.linalg.norm(apart, axis=1).max() < SAME
+        assert len(played.cloud) == pytest.approx(len(from_the_bag.cloud), rel=0.05)
+    else:  # a machine too busy for real time
+        assert graph.heard("missing|lost|misses"), graph.text
 
 
 def test_a_folder_that_holds_a_drive_is_not_written_into(tmp_path: Path) -> None:

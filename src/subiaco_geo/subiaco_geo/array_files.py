@@ -121,4 +121,5 @@ def read_array(stream: IO[bytes], size: int) -> NDArray[Any]:
 
 
 def _said(error: BaseException) -> str:
-    return f"no array {error}" if isinstance(error, KeyError) else str(error)
+    said = f"no array {error}" if isinstance(error, KeyError) else str(error)
+    return " ".join(said.split())[:300]

@@ -8,7 +8,6 @@ from contextlib import ExitStack
 from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
-from zipfile import BadZipFile
 
 import numpy as np
 from numpy.typing import NDArray
@@ -162,7 +161,8 @@ def visibility_parts(path: Path, size: int = 1 << 20) -> Iterator[VisibilityGrid
                     read = [_rows(s, kind, rows) for s, (_, kind) in zip(streams, heads, strict=True)]
                     yield _grid_of(small | dict(zip(names, read, strict=True)))
     except ARRAY_FAULTS as error:
-        raise InputError(f"{path}: not a visibility layer ({error}); rebuild the map") from error
+        said = " ".join(str(error).split())[:300]
+        raise InputError(f"{path}: not a visibility layer ({said}); rebuild the map") from error
 
 
 def _grid_of(arrays: Mapping[str, NDArray[Any]]) -> VisibilityGrid:
@@ -235,5 +235,5 @@ def _is_timed(path: Path) -> bool:
     try:
         with zipfile.ZipFile(path) as archive:
             return "window.npy" in archive.namelist()
-    except (OSError, BadZipFile):
+    except ARRAY_FAULTS:
         return False

@@ -190,7 +190,7 @@ def read_gnss_log(path: Path, config: LogsConfig) -> list[LogMessage]:
             time_ns = parse_time_ns(row[columns.time])
             found.append(_fix(row, time_ns, columns))
             heading, sigma = _number(row, columns.heading), _number(row, columns.heading_sigma)
-        except (ValueError, TypeError, AttributeError) as error:
+        except (ValueError, TypeError, AttributeError, OverflowError) as error:
             raise InputError(f"{path}: line {line}: {error}; correct or remove it") from error
         if np.isfinite(heading):
             sigma = sigma if sigma > 0 else config.heading_sigma_deg
@@ -214,6 +214,6 @@ def read_imu_log(path: Path, config: LogsConfig) -> list[LogMessage]:
                 np.array([float(row[name]) for name in names]) for names in (columns.gyro, columns.accel)
             )
             found.append(imu_message(parse_time_ns(row[columns.time]), gyro, accel))
-        except (ValueError, TypeError, AttributeError) as error:
+        except (ValueError, TypeError, AttributeError, OverflowError) as error:
             raise InputError(f"{path}: line {line}: {error}; correct or remove it") from error
     return sorted(found, key=lambda message: message.time_ns)

@@ -51,6 +51,13 @@ class _Notes(_Document):
     epochs: _Drives = _Drives()
 
 
+class _Finding(_Document):
+    code: str
+    severity: str
+    sentence: str
+    remedy: str
+
+
 class RunDocument(_Document):
     """``run.json``: sources, points and coordinate system of a run, and what limits its confidences."""
 
@@ -63,6 +70,7 @@ class RunDocument(_Document):
     confidence_calibrated: bool = False
     confidence_not_calibrated: list[str] = Field(default_factory=list)
     warnings: list[str] = Field(default_factory=list)
+    findings: list[_Finding] = Field(default_factory=list)
 
 
 class RegistrationDocument(_Document):

@@ -46,6 +46,7 @@ from subiaco_change.report.row_data import (
 from subiaco_change.report.summary import build_summary, epoch_facts, largest_rows
 from subiaco_geo.atomic import whole_file
 from subiaco_geo.codes import Change, Semantic
+from subiaco_geo.errors import InputError
 
 _SHOWN = ("change", "projection", "height", "semantics", "instances")
 #: Blocks beyond these, those with fewest changes, are left out: what bounds the report.
@@ -78,7 +79,7 @@ TABLE_COLUMNS: tuple[tuple[str, str, int | None, str], ...] = (
     ("delta_c_m", "Δc [m]", 2, "shift of the centroid"),
     ("iou_3d", "IoU 3D", 2, "overlap of occupied voxels, 1 = identical"),
     ("d_perp_m", "D⊥ [m]", 3, "displacement along the surface normal"),
-    ("lod95_m", "LoD95 [m]", 3, "smallest displacement that can be told from noise"),
+    ("lod95_m", "LoD95 [m]", 3, "smallest displacement that is distinguishable from noise"),
     ("observed_fraction", "Observed", 2, "share of the object's place that the other epoch saw"),
     ("evidence", "Evidence", None, "how we know what the other epoch saw"),
     ("match_kind", "Match", None, "one to one, split, merge or none"),
@@ -123,6 +124,9 @@ def build_report(directory: Path) -> Path:
         The directory is not a complete change directory.
     """
     change = read_change_directory(directory)
+    if "object_uid" not in change.table.columns:
+        table = directory / "changes.csv"
+        raise InputError(f"{table}: column object_uid is missing; run 'subiaco change' again")
     changed = changed_rows(change.table)
     found = gather(change)
     blocks, marks = found.blocks.blocks(), changed_marks(changed)

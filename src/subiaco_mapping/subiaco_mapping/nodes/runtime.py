@@ -23,6 +23,7 @@ from rclpy.qos_overriding_options import QoSOverridingOptions
 
 from subiaco_geo.config import StrictModel, merge, validate
 from subiaco_geo.errors import InputError, SubiacoError
+from subiaco_mapping.nodes.parameters import describe_parameters
 
 INTERRUPTED = 130
 _SUPERVISOR = "SUBIACO_SUPERVISOR"  # the process that started this one
@@ -93,7 +94,8 @@ def nested(flat: Mapping[str, Any]) -> dict[str, Any]:
 
 def node_values(node: Node) -> dict[str, Any]:
     """Return the parameters given to a node, nested, without those that ROS declares itself."""
-    given = {name: parameter.value for name, parameter in node.get_parameters_by_prefix("").items()}
+    found = node.get_parameters_by_prefix("").items()
+    given = {name: parameter.value for name, parameter in found if parameter.value is not None}
     return {name: value for name, value in nested(given).items() if name not in _ROS_OWN}
 
 
@@ -115,9 +117,13 @@ def read_models(node: Node, own: type[Model], config: type[StrictModel] | None =
     mine = {name: value for name, value in values.items() if name in own.model_fields}
     rest = {name: value for name, value in values.items() if name not in own.model_fields}
     source = f"parameters of {node.get_name()}"
+    found = validate(own, mine if config is not None else {**mine, **rest}, source)
+    describe_parameters(node, found)
     if config is None:
-        return validate(own, {**mine, **rest}, source), None
-    return validate(own, mine, source), validate(config, rest, source)
+        return found, None
+    settings = validate(config, rest, source)
+    describe_parameters(node, settings)
+    return found, settings
 
 
 class _RosLogHandler(logging.Handler):
