@@ -35,7 +35,7 @@ _LEVELS = {
     "FATAL": logging.DEBUG,  # raised as the error of the job instead
 }
 _POLL = 0.05
-#: A node that goes with bad input this soon will not do better the next time [s].
+#: A node that ends with bad input within this time is not started again, as it would end again [s].
 SETTLING = 15.0
 #: A node that crashes more often than this is not started again.
 MOST_RESTARTS = 5

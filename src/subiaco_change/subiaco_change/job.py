@@ -127,7 +127,7 @@ class ChangeJob:
     output : Path
         Change directory to write.
     trajectory_before, trajectory_after : Path, optional
-        TUM files that go with bare clouds.
+        TUM files of the trajectories of bare clouds.
     transform : (4, 4) float64, optional
         Given ``T_after_before`` in world coordinates; identity says that the
         epochs are registered already.

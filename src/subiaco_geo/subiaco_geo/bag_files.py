@@ -14,7 +14,7 @@ from rosbags.rosbag2 import ReaderError
 from subiaco_geo.errors import InputError
 
 MCAP_MAGIC = b"\x89MCAP0\r\n"
-#: What stands after the name of a file that is being written, or was cut.
+#: Suffix of the name of a file that is being written, or was cut.
 PARTIAL = ".partial"
 _STORAGE_SUFFIXES = (".mcap", ".db3")
 _RECORDINGS = {".bag": "a ROS 1 bag", ".pcap": "a packet capture", ".pcapng": "a packet capture"}

@@ -150,7 +150,7 @@ class SegmentWriter:
     path : Path
         Final name.
     suffix : str
-        What stands after the name until :meth:`close`.
+        Suffix of the name until :meth:`close`.
     """
 
     def __init__(self, path: Path, suffix: str = PARTIAL) -> None:

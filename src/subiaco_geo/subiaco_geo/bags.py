@@ -1,7 +1,7 @@
 """Survey recordings: rosbag2 folders and mcap files, read and written without ROS.
 
 Payloads stay raw CDR bytes until somebody asks for a message, so that a bag of
-packets is walked at the speed of the disk.
+packets is read at the speed of the disk.
 """
 
 from __future__ import annotations

@@ -95,7 +95,7 @@ def _check_whole(path: Path, found: int, expected: int) -> None:
 
 
 def _refuse_impossible(path: Path) -> None:
-    """Refuse sizes that the file cannot hold, before anything is allocated or walked for them."""
+    """Refuse sizes that the file cannot hold, before memory is allocated or points are read."""
     size = path.stat().st_size
     with path.open("rb") as stream:
         head = stream.read(375).ljust(375, b"\0")

@@ -2,7 +2,7 @@
 
 A window in which any beam returned from a voxel is a *hit window*; one in which nothing returned although
 enough beams went through is a *through window*. Both are *looks*. Consecutive hit windows, with no look
-through the voxel between them, make one *run*: a parked car has one, a vehicle that drove by has one,
+through the voxel between them, make one *run*: a parked car has one, a passing vehicle has one,
 a queue that crawls by a few, a hedge many.
 """
 

@@ -175,7 +175,7 @@ class VisibilityAccumulator:
     capacity : int
         First size of the table [voxels]; it grows by itself.
     least_beams : int
-        Walked beams of one window that make it a look through a voxel; 0 keeps no time.
+        Traced beams of one window that make the window a look through a voxel; 0 keeps no time.
     """
 
     def __init__(self, origin: Floats, voxel: float, capacity: int = 1 << 18, least_beams: int = 0) -> None:
@@ -211,7 +211,7 @@ class VisibilityAccumulator:
     def touch(self, points: Floats, window: int) -> None:
         """Count a window in which something returned from the voxels of points (N, 3) [m, world].
 
-        Beams that are not walked tell this too. ``window`` is its number, 1 or more; windows come
+        Beams that are not traced are counted here too. ``window`` is its number, 1 or more; windows come
         in order.
         """
         units, _ = _beams(points, points, self.origin, self.voxel)

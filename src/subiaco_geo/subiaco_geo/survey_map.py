@@ -73,7 +73,7 @@ class SurveyMap:
     pages : mapping of str to str
         Reports to lay beside the map: file name and text; not read back.
     moving : PointCloud, optional
-        What moved while the survey drove by; it is not in ``cloud``.
+        Points of objects that moved during the survey; not in ``cloud``.
     """
 
     cloud: PointCloud

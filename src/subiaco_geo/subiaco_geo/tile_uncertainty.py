@@ -1,4 +1,4 @@
-"""How well every tile of a map is placed, from the covariances of the poses that drove by."""
+"""How well every tile of a map is placed, from the covariances of the poses near the tile."""
 
 from __future__ import annotations
 

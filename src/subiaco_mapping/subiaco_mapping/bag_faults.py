@@ -20,7 +20,7 @@ _FARTHEST = 200.0  # that fixes may step [m]
 _SPOILT = 0.1  # share of fixes that jump above which they are useless
 _LATE = 1.0  # after the recording, at which a LiDAR may begin [s]
 _LATE_SHARE = 0.2  # of the recording without LiDAR at its beginning, that spoils it
-_MALFORMED = 0.5  # share of packets likewise
+_MALFORMED = 0.5  # share of malformed packets above which the packets are useless
 
 
 def faults(reader: BagReader, facts: dict[str, Any], config: MappingConfig) -> tuple[list[str], list[str]]:

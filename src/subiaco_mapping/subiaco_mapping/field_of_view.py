@@ -1,4 +1,4 @@
-"""What the sensors of a survey looked at, told by their scans, for the entry ``sensor`` of ``map.yaml``."""
+"""Field of view of the sensors of a survey, estimated from their scans, for ``sensor`` in ``map.yaml``."""
 
 from __future__ import annotations
 

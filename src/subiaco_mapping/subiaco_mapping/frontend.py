@@ -29,7 +29,7 @@ class OdometryFrontend:
     """Take sensor data in any interleaving of topics, give registered scans in order.
 
     A scan waits until the IMU covers its end, so that the result depends on each topic's own
-    order only; where the IMU stays away for ``deskew.imu_wait_ns`` of stream time it goes without.
+    order only; after ``deskew.imu_wait_ns`` of stream time without IMU data, the scan proceeds without.
 
     Parameters
     ----------
@@ -100,7 +100,7 @@ class OdometryFrontend:
         return self._drain(force=False)
 
     def finish(self) -> list[FrontendOutput]:
-        """Close the stream: whatever waits goes with what there is."""
+        """Close the stream: waiting scans are processed with the data received so far."""
         if self._decoder is not None:
             self._waiting.extend(self._decoder.flush())
         outputs = self._drain(force=True)

@@ -1,4 +1,4 @@
-"""What of a survey deserves a second look, by stretch and metre."""
+"""Stretches of a survey that should be inspected, by time and distance."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ LEGEND = {
     "deskew": "scans by how motion inside them was removed: gyro_accelerometer, gyro, "
     "constant_velocity, none",
     "segments": "stretches of unbroken odometry; 1 is right",
-    "flagged": "stretches that deserve a second look, by reason; empty is right",
+    "flagged": "stretches that should be inspected, by reason; empty is right",
     "packet_loss": "flag: a larger share of the LiDAR columns lost than manifest.max_lost_ratio",
     "degenerate": "flag: the scene did not hold the position in some direction",
     "unregistered": "flag: registration failed, the pose is predicted",

@@ -181,9 +181,9 @@ class OdometryPose:
         Of the motion since the scan before: rotation [rad], then translation [m], axes of
         ``lidar_link`` (right perturbation).
     inliers : int
-        Keypoints matched in the second look.
+        Points matched in the plane-to-plane refinement.
     residual_rmse : float
-        Of the second look [m].
+        Of the plane-to-plane refinement [m].
     degenerate : bool
         A direction is not held by the scene.
     segment : int

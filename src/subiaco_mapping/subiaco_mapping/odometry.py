@@ -1,8 +1,8 @@
-"""Scan to local map odometry: kiss-icp's core, and a second look, plane to plane.
+"""Scan to local map odometry: kiss-icp's core, and a plane-to-plane refinement.
 
 Point to point alone sticks to the rings of a scan: seen from almost the same place they lie where they lay,
-so that a car that pulls away lags by centimetres and the map turns by a tenth of a degree. The second look
-does not, and says how well the pose is held; where it is not held in some direction, kiss-icp's pose stays.
+so that a car that pulls away lags by centimetres and the map turns by a tenth of a degree. The refinement
+does not, and gives the covariance of the pose; where it is not held in some direction, kiss-icp's pose stays.
 """
 
 from __future__ import annotations
@@ -26,7 +26,7 @@ logger = logging.getLogger(__name__)
 
 PLANE_VARIANCE = 2e-3  # variance along the normal in small_gicp's plane-to-plane metric [m2]
 TYPICAL_RANGE = 20.0
-_LOOK_REACH = 5.0 / 3.0  # correspondences of the second look in widths of the first one's kernel
+_LOOK_REACH = 5.0 / 3.0  # correspondence distance of the refinement, in widths of the ICP kernel
 
 
 class OdometryBackend(Protocol):

@@ -2,7 +2,7 @@
 
 A beam comes back with nothing from the open sky, but also from glass, from a wet road that mirrors it
 away, from black paint, from twigs thinner than the beam, and now and then from a plain wall (an isolated
-drop-out). Only the sky may be walked as free space, so a beam is taken where
+drop-out). Only beams to the sky may be traced as free space, so a beam is used where
 
 * all of its neighbourhood of 3 rings x 5 columns returned nothing, in columns that were received: that
   leaves out drop-outs, edges and lost packets;

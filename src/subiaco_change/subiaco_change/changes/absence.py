@@ -54,7 +54,7 @@ def opacity(things: Sequence[Thing]) -> float | None:
 
 
 def porous_chance(chance: Floats, returned: float | None) -> Floats:
-    """Probability (N,) that no object which returns such a share of beams stands at places.
+    """Probability (N,) that no object with this fraction of returned beams is at the places.
 
     ``chance`` (N,) is that of the place being free whatever stood there: (k + 1/2) / (k + 1) after k beams
     that crossed it. Had the object stood there, k beams would all have missed it with (1 - returned)^k.

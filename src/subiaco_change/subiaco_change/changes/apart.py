@@ -37,7 +37,7 @@ def pieces_apart(
     -------
     list of (before, after)
         Things that are no body of their own (too small, or above or below
-        another) go with the nearest.
+        another) join the nearest body.
     """
     sides = (tuple(before), tuple(after))
     bodies = [bodies_of(side, config) for side in sides]

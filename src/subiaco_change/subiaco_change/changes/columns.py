@@ -72,8 +72,8 @@ def compare_volumes(
 ) -> Volumes:
     """Compare the columns of one object in two epochs; either may be empty.
 
-    Evidence tells what is new or gone; how large that is, the epoch in which it stands tells. So of
-    what stands in both, places count that both observed, and of what stands in one alone, all of it.
+    Evidence shows which parts are new or gone; their size is measured in the epoch that contains them. Of
+    parts in both epochs, the places that both observed count; of parts in one epoch alone, all places.
     A column that one of the epochs neither saw standing nor open is no change. The share is one of
     what stood before, as far as either epoch saw it.
     """

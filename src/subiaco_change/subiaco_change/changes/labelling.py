@@ -39,7 +39,7 @@ class Labels:
 
 
 def unlabelled(view: EpochView) -> Labels:
-    """Return labels of points of which nothing is said yet; nothing ever is of what drove by."""
+    """Return labels of points before any decision; ghost trails keep these labels."""
     count = len(view.xyz)
     return Labels(
         np.where(trails(view), Change.NOT_REPORTED, Change.UNCHANGED).astype(np.uint8),

@@ -128,23 +128,23 @@ def measure(
 ) -> Measures:
     """Compare the voxels of one object in two epochs; either may be empty. Buildings are carved."""
     seen_b, seen_a = before.select(before.seen), after.select(after.seen)
-    lonely_b, lonely_a = int(np.count_nonzero(~seen_b.still)), int(np.count_nonzero(~seen_a.still))
+    alone_b, alone_a = int(np.count_nonzero(~seen_b.still)), int(np.count_nonzero(~seen_a.still))
     whole_b, whole_a = (
         own.add(other.select(other.still)) for own, other in ((seen_b, seen_a), (seen_a, seen_b))
     )
-    common = 0.5 * (len(seen_b) - lonely_b + len(seen_a) - lonely_a)
+    common = 0.5 * (len(seen_b) - alone_b + len(seen_a) - alone_a)
     both = len(before) > 0 and len(after) > 0
     measures = Measures(
-        iou=common / max(common + lonely_b + lonely_a, 1e-9) if both else 0.0,
+        iou=common / max(common + alone_b + alone_a, 1e-9) if both else 0.0,
         d_perp=_separation(seen_b, seen_a, config),
         delta_c=_distance(whole_b, whole_a) if both else float("nan"),
         delta_h=_top(whole_a, config) - _top(whole_b, config) if both else float("nan"),
         delta_v=0.0,
-        delta_v_surface=float(lonely_a - lonely_b) * config.voxel**3,
+        delta_v_surface=float(alone_a - alone_b) * config.voxel**3,
         volume=0.0,
         chi2=histogram_distance(seen_b.height, seen_a.height, config.bins),
-        gone_share=lonely_b / max(len(seen_b), 1),
-        new_share=lonely_a / max(len(seen_a), 1),
+        gone_share=alone_b / max(len(seen_b), 1),
+        new_share=alone_a / max(len(seen_a), 1),
         observed_fraction=(len(seen_b) + len(seen_a)) / max(_above_foot(before, after, config), 1),
         seen_voxels=len(seen_b) + len(seen_a),
         carried=_carried(before, after),
@@ -179,7 +179,7 @@ def _carved(
 
 
 def _above_foot(before: Voxels, after: Voxels, config: MeasureConfig) -> int:
-    """Count the voxels that could be told from ground."""
+    """Count the voxels that are high enough to be distinguished from ground."""
     standing = same_place(config).standing
     return sum(int(np.count_nonzero(v.seen | (v.height > standing))) for v in (before, after))
 

@@ -20,7 +20,7 @@ NO_OBJECT = -1  # instance of a point of no object
 OTHERS = -2  # instance of a point of an object that is compared elsewhere
 _GROUND_NEAR = 8  # ground points around a place that are asked for their height
 _STRAYED = 1.5  # foot of an object in heights of it: either ground may be a little off
-_LOOKED_THROUGH = 2.0  # beams that passed a point for each that returned: what stands still lets by fewer
+_LOOKED_THROUGH = 2.0  # passing beams per returned beam at a point; static objects have fewer
 
 
 #: How probable it is, (N,), that nothing stood at places (N, 3).
@@ -169,7 +169,7 @@ def stands(view: EpochView) -> Mask:
 
 
 def trails(view: EpochView) -> Mask:
-    """Tell which points (N,) were left by what drove by: mobile, no object, and looked through."""
+    """Tell which points (N,) are ghost trails: mobile, no object, and passed by beams."""
     loose = np.asarray((view.semantic == Semantic.MOBILE) & (view.instance == NO_OBJECT))
     if view.moved is not None:
         return np.asarray(loose & (view.moved > UNCERTAIN))

@@ -1,6 +1,6 @@
-"""What only drove by while it was mapped, told from what stands (method, part A, *moving things*).
+"""Ghost trails of objects that moved while they were mapped (method, part A, *moving things*).
 
-Trails that the semantics did not tell look like plants, walls or fragments of one epoch alone. Their own
+Trails that the semantics did not detect look like plants, walls or fragments of one epoch alone. Their own
 survey saw them pass: beams went through each place before and after. But beams also graze what is thinner
 than a voxel or ends below the sensor, so that a hedge lets by as many as the trail of a slow lorry.
 """
@@ -121,7 +121,7 @@ def trusted(decision: Decision, things: Sequence[Thing], confidence: float) -> t
 def _enough(
     things: Sequence[Thing], top: float, semantic: Semantic, own: OwnSurvey | None, rules: DecisionConfig
 ) -> float:
-    """Beams that passed for each that returned, from which on things only drove by."""
+    """Smallest number of passing beams per returned beam at which objects are a ghost trail."""
     enough = rules.trail_passes if semantic is Semantic.BUILDING else rules.trail_passes_thin
     if own is None:
         return enough

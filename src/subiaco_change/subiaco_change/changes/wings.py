@@ -21,7 +21,7 @@ _LEANS = 0.25  # what touches a second building with more of itself stands betwe
 _WITHIN = 0.3  # share of a host inside a part in one epoch alone, from which the part was the house itself
 _PARTY = 0.5  # walls so near the edge of an outline are shared with a neighbour [m]
 _BESIDE = 0.5  # less of a neighbour lies within the outline of a house in the epoch without it
-_HALF_STOREY = 1.5  # what stands beside a house and is taller by more is another house [m]
+_HALF_STOREY = 1.5  # an adjoining part that is taller by more is another house [m]
 _UNDERSIDE = 0.6  # what begins higher, in shares of its top, stands on nothing
 _NEIGHBOURS = 6  # voxels, itself among them, whose normals are compared
 _HIDDEN = 0.5  # less than this share of a wall is seen to be gone where something hides it
@@ -83,7 +83,7 @@ def _wings_of(
 def _is_wing(
     wing: Voxels, host: tuple[Voxels, Voxels], epoch: int, contact: Sequence[int], config: PartConfig
 ) -> bool:
-    """Tell whether what stands in one epoch alone is a wing of the building that it touches most."""
+    """Tell whether a part of one epoch alone is a wing of the building that the part touches most."""
     body, other = host[epoch], host[1 - epoch]
     round_it = max(contact) >= _ROUND * len(wing)
     free = float((wing.seen & ~wing.still).mean())

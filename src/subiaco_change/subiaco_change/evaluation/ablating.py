@@ -41,7 +41,7 @@ _REGISTRATION = ("second_registration", "registration")
 
 @dataclass(frozen=True)
 class Case:
-    """Two epochs and the truth that goes with them."""
+    """Two epochs and their truth."""
 
     before: Path
     after: Path

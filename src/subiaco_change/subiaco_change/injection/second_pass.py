@@ -148,8 +148,8 @@ def _noise(fields: Mapping[str, NDArray[Any]], count: Floats, repeat: RepeatConf
 def edit_visibility(grid: VisibilityGrid, origin: Floats, edited: Edited) -> VisibilityGrid:
     """Return the visibility layer of the copy.
 
-    Where something was taken away beams pass now; where something stands they
-    end; what stands behind it is not seen. What a removed thing hid stays unseen.
+    Beams pass where an object was removed and end where an object was inserted; places behind an
+    inserted object are occluded. Places that a removed object occluded stay unobserved.
     """
 
     def keys_of(local: Floats) -> Ints:

@@ -19,7 +19,7 @@ _KNOWN = 0.6  # share of the footprint that stands on ground that was seen
 
 @dataclass
 class Site:
-    """Ground heights on a grid, and what stands on it; grows as things are put.
+    """Ground heights on a grid, and the cells that objects occupy; grows as objects are inserted.
 
     ``height`` (rows, columns) [m], NaN where no ground was seen; ``blocked`` alike.
     """

@@ -23,7 +23,7 @@ from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.survey_map import SurveyMap
 
-#: Instance of points that only drove by.
+#: Instance of points of a ghost trail.
 TRAIL = -2
 _TOUCHING = 0.5  # fragments this near an object are parts of it [m]
 
@@ -32,7 +32,7 @@ _TOUCHING = 0.5  # fragments this near an object are parts of it [m]
 class Scene:
     """A map at the working leaf, with the class (N,) uint8 and the object (N,) int32 of every point.
 
-    An object of :data:`TRAIL` only drove by, -1 is none.
+    The object :data:`TRAIL` is a ghost trail, -1 is no object.
     """
 
     cloud: PointCloud
@@ -74,8 +74,8 @@ def by_turns(classes: Sequence[int], random: np.random.Generator) -> Ints:
 def things_of(edited: Edited) -> list[Ints]:
     """Members of every object near the drive that is large enough to be edited.
 
-    Fragments that touch an object belong to it: nothing of it stays behind. What only drove by
-    while it was mapped is no object.
+    Fragments that touch an object belong to it: nothing of it stays behind. A ghost trail
+    is no object.
     """
     size = np.bincount(edited.instance[edited.instance >= 0])
     large = (edited.instance >= 0) & (size[np.maximum(edited.instance, 0)] >= edited.config.min_points)

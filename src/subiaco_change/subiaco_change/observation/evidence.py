@@ -193,7 +193,7 @@ class Observer:
     ----------
     kind : str
         ``observed`` (measured beams), ``trajectory`` (expected visibility from
-        poses), ``estimated`` (from poses told by the cloud), ``shadow``
+        poses), ``estimated`` (from poses estimated from the cloud), ``shadow``
         (from the points alone) or ``assumed``.
     to_own : callable, optional
         Brings world points (N, 3) of the pair's common CRS to the CRS in

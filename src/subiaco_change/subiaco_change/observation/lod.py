@@ -1,4 +1,4 @@
-"""Level of detection: how large a displacement must be before it can be told from noise."""
+"""Level of detection: the smallest displacement that is distinguishable from noise."""
 
 from __future__ import annotations
 

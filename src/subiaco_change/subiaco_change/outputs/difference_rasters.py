@@ -70,8 +70,8 @@ def write_difference_rasters(directory: Path, target: Path, cell: float = 0.5) -
 
     The surface of a cell is the highest point of an epoch without moving objects (NotReported); the ground is
     the mean height of its ground points. ``difference`` is *after* less *before* where both epochs have
-    points, ``lod95`` the median level of detection of the points of the cell: a difference below it cannot be
-    told from noise at 95 %. Cells without a value are NaN.
+    points, ``lod95`` the median level of detection of the points of the cell: a smaller difference is not
+    distinguishable from noise at 95 %. Cells without a value are NaN.
 
     Parameters
     ----------

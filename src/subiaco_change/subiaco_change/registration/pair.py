@@ -19,7 +19,7 @@ _FAR = 100_000.0  # surveys of one city lie nearer to each other [m]
 _NEAR = 20_000.0  # so near to each other they may be of one city [m]
 _CELL = 4.0  # edge of cells whose lowest points are compared [m]
 _HEIGHT_OFFSET = 5.0  # heights that differ by more are of two kinds [m]
-_HEIGHT_CELLS = 20  # cells that such a statement needs
+_HEIGHT_CELLS = 20  # cells that a statement on heights needs
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ def read_check(path: Path) -> dict[str, Any]:
     Raises
     ------
     InputError
-        Not such a file.
+        Not the output of ``subiaco check --json``.
     """
     try:
         known = json.loads(path.read_text(encoding="utf-8"))

@@ -79,7 +79,7 @@ TABLE_COLUMNS: tuple[tuple[str, str, int | None, str], ...] = (
     ("delta_c_m", "Δc [m]", 2, "shift of the centroid"),
     ("iou_3d", "IoU 3D", 2, "overlap of occupied voxels, 1 = identical"),
     ("d_perp_m", "D⊥ [m]", 3, "displacement along the surface normal"),
-    ("lod95_m", "LoD95 [m]", 3, "smallest displacement that can be told from noise"),
+    ("lod95_m", "LoD95 [m]", 3, "smallest displacement that is distinguishable from noise"),
     ("observed_fraction", "Observed", 2, "share of the object's place that the other epoch saw"),
     ("evidence", "Evidence", None, "how we know what the other epoch saw"),
     ("match_kind", "Match", None, "one to one, split, merge or none"),

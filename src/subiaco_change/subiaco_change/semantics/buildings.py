@@ -366,7 +366,7 @@ def within_roofs(
 ) -> tuple[Mask, Mask]:
     """Tell which free points are in the footprint of a roof, not far above it: chimneys, dormers, walls.
 
-    What stands below with air over it, and is no wall, is told apart: cars, fences.
+    Objects below a roof with a clearance above them that are no walls are kept apart: cars, fences.
     """
     level = np.abs(features.normals[:, 2])
     roof, facade = core & (level > config.roof_level), core & (level < config.facade_slope)

@@ -251,7 +251,7 @@ def _classify(
 
 
 def _reach(features: Features, config: SemanticsConfig) -> Floats:
-    """Distance (N,) of the farthest neighbour that a shape is told from at least [m]."""
+    """Distance (N,) of the farthest neighbour that eigenvalue features need [m]."""
     return np.asarray(
         features.distances[:, min(config.features.min_neighbours, features.distances.shape[1] - 1)]
     )

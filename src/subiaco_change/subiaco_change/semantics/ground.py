@@ -266,7 +266,7 @@ def _progressive_filter(lowest: Floats, config: GroundConfig) -> Mask:
 def _run_on(lowest: Floats, ground: Mask, config: GroundConfig) -> Mask:
     """Give back to the ground cells what goes on from them without a step: banks, what walls retain.
 
-    Roofs and crowns end in steps all around; so does what stands on a hill, but for a part.
+    Roofs and crowns end in steps all around; objects on a hill do so along most of their border.
     """
     known = np.isfinite(lowest)
     nearest = ndimage.distance_transform_edt(~known, return_distances=False, return_indices=True)

@@ -119,7 +119,7 @@ def find_lines(
     ----------
     xyz, height : (N, 3), (N,) float64 [m]
     reach : (N,) float
-        Distance of the neighbours that shapes are told from [m]: where many are near there is no wire.
+        Distance of the neighbours that eigenvalue features use [m]: dense places contain no wire.
     free : (N,) bool
         Neither ground nor known to be of something else.
     planar : (N,) bool
@@ -137,8 +137,8 @@ def find_wires(xyz: Floats, height: Floats, reach: Floats, free: Mask, config: L
     if len(high) < 8:
         return found
     middle, cell = _cell_means(xyz[high], config.wire_cell)
-    lonely = np.bincount(cell, reach[high]) > config.wire_far * np.bincount(cell)
-    thin, direction = _thin(middle, np.flatnonzero(lonely), config)
+    sparse = np.bincount(cell, reach[high]) > config.wire_far * np.bincount(cell)
+    thin, direction = _thin(middle, np.flatnonzero(sparse), config)
     for run in group_indices(_joined(middle[thin], direction, config)):
         line = _line(middle[thin[run]], config)
         if line is not None:

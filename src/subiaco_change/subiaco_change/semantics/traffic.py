@@ -1,8 +1,8 @@
-"""Trails of what moved while the survey drove by (method, part A, *moving things*).
+"""Ghost trails of objects that moved during the survey (method, part A, *moving things*).
 
-A fused map shows moving vehicles and people as trails in the air above the road. What stands still
-stops about as many beams as it lets by; a trail was there for a moment only, so that a voxel of it
-saw hundreds of beams pass for each that returned.
+A fused map shows moving vehicles and people as ghost trails above the road. A static object
+returns about as many beams as pass it; a moving object occupies a voxel for a moment only, so that
+hundreds of beams pass through the voxel for each that returns.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Raster in which the ghost trails of moving objects are told from standing ones, and its configuration."""
+"""Raster in which ghost trails are distinguished from static objects, and its configuration."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ghost trails of moving vehicles in a cloud that keeps neither counts nor times of beams, told by shape.
+"""Ghost trails of moving vehicles in a cloud without counts and times of beams, detected by shape.
 
 A vehicle that moved while it was mapped leaves a swath as wide as itself and many times as long. The swath
 is filled from side to side, because the front and the rear of the vehicle were met at every place along it,

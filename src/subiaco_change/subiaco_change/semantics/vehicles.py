@@ -204,9 +204,9 @@ def free_boxes(
     part : (N,) bool
         Smaller planes, of which a shelter may consist.
     hard : (N,) bool
-        Points that may belong to such a box: neither ground nor foliage.
+        Points that may belong to a truck or shelter: neither ground nor foliage.
     free : (N,) bool
-        All that is no ground, by which wheels are told from walls.
+        Points that are no ground, which distinguish wheels from walls.
     config : VehicleConfig
     """
     below = _Columns(xyz, height, np.flatnonzero(free & (height < config.truck_top)), config.truck_gap)
@@ -331,8 +331,8 @@ def look_again(
 ) -> NDArray[np.uint8]:
     """Give vehicles back that are none: sheds, raised beds, and pieces of hedges and walls.
 
-    A vehicle stands free. What has things against much of it is a plant or a piece of most of them.
-    What stands on wheels (``large``) is no shed; a low thing that is mostly ``level`` has no car's shape.
+    A vehicle has clearance around it. A candidate without clearance takes the class of its surroundings.
+    An object on wheels (``large``) is no shed; a low object that is mostly ``level`` is no car.
     """
     settled = semantic.copy()
     members = np.flatnonzero((semantic == Semantic.MOBILE) & ~moving)

@@ -1,4 +1,4 @@
-"""Which way is up, told from all tiles of an epoch."""
+"""The upward direction, estimated from all tiles of an epoch."""
 
 from __future__ import annotations
 

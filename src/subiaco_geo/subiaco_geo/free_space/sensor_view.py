@@ -1,4 +1,4 @@
-"""What a sensor looks at: its vertical field of view and useful range, as told by a map or by its points."""
+"""Vertical field of view and useful range of a sensor, as stated by a map or estimated from points."""
 
 from __future__ import annotations
 

@@ -2,8 +2,8 @@
 
 Odometry drifts, so that it is held rigid to the fixes over short stretches only, each placed on
 its own; lever arm, clock and the scale of odometry are shared by all. Turns hold the horizontal
-lever, changes of speed the clock. On flat roads the height of the antenna cannot be told from that
-of the stretch, and it stays as given.
+lever, changes of speed the clock. On flat roads the height of the antenna is not observable beside
+that of the stretch, and the given height is kept.
 """
 
 from __future__ import annotations

@@ -326,7 +326,7 @@ class OdometryApp:
 
     def _publish_one(self, output: FrontendOutput) -> None:
         assert self._covariance is not None
-        if self._run:  # a live odometry that is restarted is told from the one before
+        if self._run:  # segments of a restarted live odometry differ from those before
             output = replace(output, pose=replace(output.pose, segment=output.pose.segment + self._run))
         sensors, odom = self._config.sensors, self._own.odom_frame
         message = odometry_message(

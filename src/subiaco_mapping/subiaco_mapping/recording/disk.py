@@ -48,7 +48,7 @@ class DiskRoom:
             )
 
     def due(self, now: float) -> bool:
-        """Whether it is time to look again."""
+        """Whether the free space should be read anew."""
         return now - self._looked >= _LOOK_INTERVAL
 
     def look(self, now: float, written: int) -> None:

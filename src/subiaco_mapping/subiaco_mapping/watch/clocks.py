@@ -111,7 +111,7 @@ class ClockWatch:
             self._since_ns = None  # what drift is measured against begins anew
 
     def steps(self, now_ns: int) -> list[ClockStep]:
-        """Return the steps whose owner can be told by now; each is returned once."""
+        """Return the steps whose sensor is identified at this time; each step is returned once."""
         if not self._pending:
             return []
         first_ns = min(when for when, _ in self._pending.values())

@@ -49,7 +49,7 @@ class _Odometry:
 class Monitor:
     """Watch the streams of one survey.
 
-    Two times go with every message: ``now_ns`` never jumps (a steady clock, or the time of a
+    Every message has two times: ``now_ns`` never jumps (a steady clock, or the time of a
     replay), ``arrival_ns`` is what the host's clock said. Stretches are in ``now_ns``.
 
     Parameters
