@@ -28,13 +28,13 @@ import pandas as pd
 import yaml
 
 from subiaco_change.config import ChangeConfig
-from subiaco_change.evaluation.confidence_fit import fit_confidence, held_out_errors, judged_rows, pair_points
-from subiaco_change.evaluation.layouts import in_after_frame
-from subiaco_change.evaluation.truth import read_truth
 from subiaco_change.pipeline import detect_changes
+from subiaco_evaluation.confidence_fit import fit_confidence, held_out_errors, judged_rows, pair_points
+from subiaco_evaluation.layouts import in_after_frame
+from subiaco_evaluation.truth import read_truth
 from subiaco_geo.maps import load_epoch
 from subiaco_geo.survey_map import SurveyMap
-from subiaco_geo.work.bench import Workbench
+from subiaco_geo.work.task_runner import TaskRunner
 
 #: Evidence of a survey by name: what its maps are left without.
 VARIANTS: dict[str, tuple[str, ...]] = {
@@ -52,7 +52,7 @@ def bare_of(survey: SurveyMap, without: tuple[str, ...]) -> SurveyMap:
 
 def rows_of(survey: Path, variants: list[str], kept: Path | None) -> pd.DataFrame:
     """Return the judged rows of a survey with every kind of evidence."""
-    found, real, bench = [], None, Workbench()  # kinds of evidence share the stages that they can
+    found, real, bench = [], None, TaskRunner()  # kinds of evidence share the stages that they can
     for name in variants:
         file = None if kept is None else kept / f"{survey.name}-{name}.pkl"
         if file is not None and file.is_file():

@@ -1,7 +1,7 @@
 """Tune the simple methods on tuning seeds: one setting after the other, each value tabulated.
 
 Fused maps, the true registration, cells of the published protocol pooled over the seeds; the settings of
-:mod:`subiaco_change.baselines.config` are where the search begins. Reporting seeds are refused.
+:mod:`subiaco_evaluation.baselines.config` are where the search begins. Reporting seeds are refused.
 
 Called by ``scripts/prove_presets.py --tune``.
 """
@@ -15,13 +15,13 @@ from typing import Any
 
 import numpy as np
 
-from subiaco_change.baselines.cells import Pair
-from subiaco_change.baselines.config import BaselineConfig
-from subiaco_change.baselines.run import compare_pair, prepare_pair
-from subiaco_change.evaluation.grid import Cells, GridConfig, look_up, rasterise
-from subiaco_change.evaluation.layouts import in_after_frame
-from subiaco_change.evaluation.scores import confusion, scores
-from subiaco_change.evaluation.truth import read_truth
+from subiaco_evaluation.baselines.cells import Pair
+from subiaco_evaluation.baselines.config import BaselineConfig
+from subiaco_evaluation.baselines.run import compare_pair, prepare_pair
+from subiaco_evaluation.grid import Cells, GridConfig, look_up, rasterise
+from subiaco_evaluation.layouts import in_after_frame
+from subiaco_evaluation.scores import confusion, scores
+from subiaco_evaluation.truth import read_truth
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.frames import Ints
 from subiaco_geo.maps import load_epoch

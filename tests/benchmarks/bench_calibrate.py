@@ -29,17 +29,17 @@ import numpy as np
 import pandas as pd
 from numpy.typing import NDArray
 
-from subiaco_change.changes.confidence import Coefficients, ConfidenceConfig
 from subiaco_change.config import ChangeConfig
-from subiaco_change.evaluation.confidence_fit import BINS, fit_confidence, judged_rows, pair_points, predict
-from subiaco_change.evaluation.layouts import in_after_frame
-from subiaco_change.evaluation.scores import reliability
-from subiaco_change.evaluation.truth import read_truth
-from subiaco_change.injection.config import InjectionConfig
-from subiaco_change.injection.detectability import fit_curves, outcomes, smallest_table, statement
-from subiaco_change.injection.inject import inject
-from subiaco_change.injection.things import label_scene
+from subiaco_change.decisions.confidence import Coefficients, ConfidenceConfig
 from subiaco_change.pipeline import detect_changes
+from subiaco_evaluation.confidence_fit import BINS, fit_confidence, judged_rows, pair_points, predict
+from subiaco_evaluation.injection.config import InjectionConfig
+from subiaco_evaluation.injection.detectability import fit_curves, outcomes, smallest_table, statement
+from subiaco_evaluation.injection.inject import inject
+from subiaco_evaluation.injection.source_objects import label_scene
+from subiaco_evaluation.layouts import in_after_frame
+from subiaco_evaluation.scores import reliability
+from subiaco_evaluation.truth import read_truth
 from subiaco_geo.maps import load_epoch
 
 EDITS = {"inserted": 20, "removed": 12, "moved": 6, "grown": 12, "cut": 12, "patches": 14}

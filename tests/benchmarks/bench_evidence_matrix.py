@@ -25,8 +25,8 @@ import numpy as np
 import yaml
 
 from subiaco_change.config import ChangeConfig
-from subiaco_change.evaluation.scoring import evaluate
 from subiaco_change.job import ChangeJob, run_change
+from subiaco_evaluation.scoring import evaluate
 from subiaco_geo.atomic import whole_file
 from subiaco_geo.cloud_io import read_cloud, write_cloud
 from subiaco_geo.clouds import PointCloud, voxel_indices, voxel_keys

@@ -21,9 +21,9 @@ from scipy.spatial.transform import Rotation
 
 from subiaco_geo.frames import Floats, exp_se3, invert_pose, make_pose
 from subiaco_mapping.config import GnssConfig, GraphConfig
-from subiaco_mapping.graph.live import LiveGraph
-from subiaco_mapping.graph.records import Chain, GnssPriors, GravityPriors, LoopEdge
-from subiaco_mapping.graph.solver import solve
+from subiaco_mapping.pose_graph.incremental import LiveGraph
+from subiaco_mapping.pose_graph.records import Chain, GnssPriors, GravityPriors, LoopEdge
+from subiaco_mapping.pose_graph.solver import solve
 
 LAP = 600  # scans
 

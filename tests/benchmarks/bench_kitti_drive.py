@@ -34,8 +34,8 @@ from subiaco_mapping.calibration.attitude import BodyTrack, fit_body_rotation
 from subiaco_mapping.calibration.config import CalibrationConfig
 from subiaco_mapping.calibration.imu import OdometryTrack
 from subiaco_mapping.config import MappingConfig
-from subiaco_mapping.frontend import FrontendOutput, OdometryFrontend
 from subiaco_mapping.measurements import Extrinsics, GnssFix, Returns, Scan
+from subiaco_mapping.odometry.frontend import FrontendOutput, OdometryFrontend
 
 WITHHELD_S = (10.0, 4.0)
 Row = dict[str, object]

@@ -38,7 +38,7 @@ from whole import place
 
 from subiaco_change.config import ChangeConfig
 from subiaco_change.geometry import estimate_normals
-from subiaco_change.observation.lod import combine, lod_of, measure_displacements
+from subiaco_change.level_of_detection.displacement_lod import combine, lod_of, measure_displacements
 from subiaco_change.registration.pair import check_pair
 from subiaco_change.registration.register import register
 from subiaco_geo.clouds import PointCloud

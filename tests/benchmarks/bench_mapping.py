@@ -34,11 +34,11 @@ from subiaco_geo.topics import FIX, IMU, LIDAR_PACKETS
 from subiaco_geo.trajectories import read_tum
 from subiaco_mapping.backend import MappingBackend
 from subiaco_mapping.config import MappingConfig
-from subiaco_mapping.conversions import fix_from_msg, imu_from_msg
-from subiaco_mapping.decode import PacketDecoder
-from subiaco_mapping.frontend import FrontendOutput, OdometryFrontend
 from subiaco_mapping.measurements import Extrinsics, ImuSample, Scan
+from subiaco_mapping.odometry.frontend import FrontendOutput, OdometryFrontend
 from subiaco_mapping.pipeline import read_extrinsics, read_metadata
+from subiaco_mapping.preprocessing.conversions import fix_from_msg, imu_from_msg
+from subiaco_mapping.preprocessing.decode import PacketDecoder
 
 
 @dataclass

@@ -21,9 +21,9 @@ from typing import Any
 from bench_city import run_once, time_m3c2
 from results import keep, rounded
 
-from subiaco_change.baselines.config import BaselineConfig
-from subiaco_change.baselines.run import run_baseline
 from subiaco_change.job import ChangeJob
+from subiaco_evaluation.baselines.config import BaselineConfig
+from subiaco_evaluation.baselines.run import run_baseline
 
 
 def time_surfaces(survey: Path) -> tuple[float, float]:

@@ -28,9 +28,14 @@ from real_data import read_kitti
 from real_street import KINDS, common_area, fuse
 
 from subiaco_change.config import ChangeConfig
-from subiaco_change.injection.calibrate import Calibration, CalibrationConfig, calibrate, write_calibration
-from subiaco_change.injection.config import InjectionConfig
-from subiaco_change.injection.inject import read_donors
+from subiaco_evaluation.injection.calibrate import (
+    Calibration,
+    CalibrationConfig,
+    calibrate,
+    write_calibration,
+)
+from subiaco_evaluation.injection.config import InjectionConfig
+from subiaco_evaluation.injection.inject import read_donors
 from subiaco_geo.cloud_io import write_cloud
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.frames import make_pose

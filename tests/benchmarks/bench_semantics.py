@@ -32,13 +32,13 @@ import numpy as np
 from numpy.typing import NDArray
 from results import keep, rounded
 
-from subiaco_change.observation.evidence import EvidenceConfig, make_observer
-from subiaco_change.semantics import classes
-from subiaco_change.semantics.classes import SemanticResult, SemanticsConfig, label_points
-from subiaco_change.semantics.features import FeatureConfig, compute_features
-from subiaco_change.semantics.ground import fit_ground
-from subiaco_change.semantics.instances import InstanceConfig, segment
-from subiaco_change.semantics.superpoints import partition
+from subiaco_change.segmentation import classes
+from subiaco_change.segmentation.classes import SemanticResult, SemanticsConfig, label_points
+from subiaco_change.segmentation.features import FeatureConfig, compute_features
+from subiaco_change.segmentation.ground_model import fit_ground
+from subiaco_change.segmentation.instances import InstanceConfig, segment
+from subiaco_change.segmentation.superpoints import partition
+from subiaco_change.visibility_evidence import EvidenceConfig, make_observer
 from subiaco_geo.clouds import (
     PointCloud,
     from_world,

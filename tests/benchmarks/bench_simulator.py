@@ -28,7 +28,7 @@ CORES = 2
 
 
 @dataclass
-class Spent:
+class TaskCost:
     """Seconds by the wall clock and of the CPU in one stage."""
 
     wall: float = 0.0
@@ -39,13 +39,13 @@ class StageClock:
     """Adds up what every stage takes, as the progress is told."""
 
     def __init__(self) -> None:
-        self.spent: dict[str, Spent] = {}
+        self.spent: dict[str, TaskCost] = {}
         self._stage, self._wall, self._cpu = "imports", time.perf_counter(), time.process_time()
 
     def __call__(self, stage: str, _share: float) -> None:
         """Charge the time since the last call to the stage that was under way then."""
         wall, cpu = time.perf_counter(), time.process_time()
-        entry = self.spent.setdefault(self._stage, Spent())
+        entry = self.spent.setdefault(self._stage, TaskCost())
         entry.wall += wall - self._wall
         entry.cpu += cpu - self._cpu
         self._stage, self._wall, self._cpu = stage, wall, cpu

@@ -26,8 +26,8 @@ from subiaco_geo.bags import BagWriter
 from subiaco_geo.crs import EnuFrame
 from subiaco_geo.frames import Floats, Ints, make_pose
 from subiaco_geo.topics import LATCHED, MESSAGE_TYPES
-from subiaco_mapping.bag_messages import LogMessage, cloud_message, extrinsics_message, fix_message
-from subiaco_mapping.kitti_raw import raised
+from subiaco_mapping.importers.bag_messages import LogMessage, cloud_message, extrinsics_message, fix_message
+from subiaco_mapping.importers.kitti_raw import raised
 
 CRS = "EPSG:25832"  # UTM zone 32, ETRS89: the drive is in Karlsruhe
 FILE = "kitti_0926_drive_0027.npz"

@@ -11,12 +11,12 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 import open3d as o3d
 
-from subiaco_change.changes.columns import NO_COLUMNS, OpenGround
-from subiaco_change.changes.object_changes import compare_objects
-from subiaco_change.changes.objects import OTHERS, EpochView
 from subiaco_change.config import ChangeConfig
-from subiaco_change.observation.evidence import EvidenceConfig, make_observer
-from subiaco_change.tiled.comparing import object_rules
+from subiaco_change.decisions.column_volumes import NO_COLUMNS, OpenGround
+from subiaco_change.decisions.object_comparison import compare_objects
+from subiaco_change.decisions.voxel_objects import OTHERS, EpochView
+from subiaco_change.tiling.tile_comparison import object_rules
+from subiaco_change.visibility_evidence import EvidenceConfig, make_observer
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.raywalk import VisibilityAccumulator

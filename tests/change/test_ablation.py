@@ -5,15 +5,15 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from subiaco_change.changes.ablation import Part, pointwise, view_without
-from subiaco_change.changes.association_costs import AssociationConfig
-from subiaco_change.changes.decisions import DecisionConfig
-from subiaco_change.changes.judging import ObjectRules
-from subiaco_change.changes.measures import MeasureConfig
-from subiaco_change.changes.object_changes import compare_objects
-from subiaco_change.changes.objects import EpochView, Reach
-from subiaco_change.changes.parts import PartConfig
+from subiaco_change.association.costs import AssociationConfig
 from subiaco_change.config import ChangeConfig, left_out
+from subiaco_change.decisions.ablation import Part, pointwise, view_without
+from subiaco_change.decisions.measures import MeasureConfig
+from subiaco_change.decisions.object_comparison import compare_objects
+from subiaco_change.decisions.object_decision import ObjectRules
+from subiaco_change.decisions.rules import DecisionConfig
+from subiaco_change.decisions.voxel_objects import EpochView, Reach
+from subiaco_change.instance_splitting.one_epoch_parts import PartConfig
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.errors import InputError
 

@@ -9,10 +9,10 @@ from hypothesis import strategies as st
 from scipy.special import expit, logit
 from test_decisions import CONFIG, SAME
 
-from subiaco_change.changes.absence import absence, opacity, porous_chance
-from subiaco_change.changes.confidence import ConfidenceConfig, confidence
-from subiaco_change.changes.decisions import decide
-from subiaco_change.changes.objects import Thing, Voxels
+from subiaco_change.decisions.absence import absence, opacity, porous_chance
+from subiaco_change.decisions.confidence import ConfidenceConfig, confidence
+from subiaco_change.decisions.rules import decide
+from subiaco_change.decisions.voxel_objects import Thing, Voxels
 from subiaco_geo.codes import Change, Semantic
 
 ALONE = replace(SAME, iou=0.0, gone_share=1.0, delta_c=np.nan, delta_h=np.nan, seen_voxels=60)

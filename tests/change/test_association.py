@@ -8,10 +8,10 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from subiaco_change.changes.association import assign, associate
-from subiaco_change.changes.association_costs import AssociationConfig, candidate_costs
-from subiaco_change.changes.judging import object_lod
-from subiaco_change.changes.objects import Thing, Voxels
+from subiaco_change.association.costs import AssociationConfig, candidate_costs
+from subiaco_change.association.matching import assign, associate
+from subiaco_change.decisions.object_decision import object_lod
+from subiaco_change.decisions.voxel_objects import Thing, Voxels
 from subiaco_geo.codes import Semantic
 
 

@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 from scenes import Scene
 
-from subiaco_change.baselines.cells import clean, make_pair
-from subiaco_change.baselines.config import BaselineConfig, DsmConfig
-from subiaco_change.baselines.dsm import difference_surfaces
-from subiaco_change.baselines.run import METHODS, compare_pair, detect_simply, prepare_pair
+from subiaco_evaluation.baselines.cells import clean, make_pair
+from subiaco_evaluation.baselines.config import BaselineConfig, DsmConfig
+from subiaco_evaluation.baselines.dsm import difference_surfaces
+from subiaco_evaluation.baselines.run import METHODS, compare_pair, detect_simply, prepare_pair
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.errors import InputError, RegistrationError

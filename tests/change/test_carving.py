@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from subiaco_change.changes.carving import CarvingConfig, Epoch, carve
-from subiaco_change.changes.objects import Voxels
+from subiaco_change.decisions.space_carving import CarvingConfig, Epoch, carve
+from subiaco_change.decisions.voxel_objects import Voxels
 
 CELL = 0.5
 LENGTH, DEPTH, TALL = 10.0, 8.0, 3.0

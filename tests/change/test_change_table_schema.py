@@ -92,7 +92,7 @@ def test_classes_and_labels_of_the_schema_are_those_of_the_code() -> None:
 
 
 def test_kinds_of_evidence_of_the_schema_are_those_of_the_code() -> None:
-    from subiaco_change.observation.evidence import KINDS
+    from subiaco_change.visibility_evidence import KINDS
 
     assert COLUMNS["evidence"]["enum"] == list(KINDS)
 

@@ -5,10 +5,16 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from subiaco_change.changes.columns import BUILT_UP, NO_COLUMNS, OpenGround, compare_volumes, stands_alone
-from subiaco_change.changes.decisions import DecisionConfig, decide
-from subiaco_change.changes.measures import MeasureConfig, measure
-from subiaco_change.changes.objects import Voxels
+from subiaco_change.decisions.column_volumes import (
+    BUILT_UP,
+    NO_COLUMNS,
+    OpenGround,
+    compare_volumes,
+    stands_alone,
+)
+from subiaco_change.decisions.measures import MeasureConfig, measure
+from subiaco_change.decisions.rules import DecisionConfig, decide
+from subiaco_change.decisions.voxel_objects import Voxels
 from subiaco_geo.codes import Change, Semantic
 
 CELL, CLOSING = 0.5, 1.5

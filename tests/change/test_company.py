@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from subiaco_change.changes.association_costs import AssociationConfig
-from subiaco_change.changes.decisions import DecisionConfig
-from subiaco_change.changes.judging import ObjectRules, decide_object
-from subiaco_change.changes.measures import MeasureConfig
-from subiaco_change.changes.objects import Thing, Voxels
-from subiaco_change.changes.revising import part_company
+from subiaco_change.association.costs import AssociationConfig
+from subiaco_change.decisions.measures import MeasureConfig
+from subiaco_change.decisions.object_decision import ObjectRules, decide_object
+from subiaco_change.decisions.rules import DecisionConfig
+from subiaco_change.decisions.voxel_objects import Thing, Voxels
+from subiaco_change.instance_splitting.split_merge import split_low_overlap_matches
 from subiaco_geo.codes import Change, Semantic
 
 RULES = ObjectRules(MeasureConfig(), AssociationConfig(), DecisionConfig())
@@ -45,7 +45,7 @@ def test_a_house_that_stands_around_a_short_wall_came_or_went_by_itself(first, l
     wall, house = box(0.5, 4.0, 1.0), box(10.0, 8.0, 5.0)
     row = matched(wall, house) if first else matched(house, wall)
     assert row.decision.change is Change.UNCHANGED  # too little overlap to compare
-    rows = part_company([row], RULES)
+    rows = split_low_overlap_matches([row], RULES)
     assert [len(r.before) + len(r.after) for r in rows] == [1, 1]
     assert label in {r.decision.change for r in rows}
 
@@ -62,9 +62,9 @@ def test_a_house_whose_absence_is_assumed_came_or_went_with_its_whole_volume(add
 
 def test_a_house_that_lost_most_of_itself_stays_one_row():
     row = matched(box(10.0, 8.0, 5.0), box(3.0, 8.0, 2.5))
-    assert part_company([row], RULES) == [row]
+    assert split_low_overlap_matches([row], RULES) == [row]
 
 
 def test_a_house_that_did_not_change_stays_one_row():
     row = matched(box(10.0, 8.0, 5.0), box(10.0, 8.0, 5.0))
-    assert part_company([row], RULES) == [row]
+    assert split_low_overlap_matches([row], RULES) == [row]

@@ -8,7 +8,7 @@ import pandas as pd
 import pytest
 from scipy.special import expit
 
-from subiaco_change.changes.confidence import (
+from subiaco_change.decisions.confidence import (
     FEATURES,
     Coefficients,
     ConfidenceConfig,
@@ -21,10 +21,10 @@ from subiaco_change.changes.confidence import (
     kind_of,
     probability,
 )
-from subiaco_change.changes.decisions import Decision
-from subiaco_change.changes.measures import Measures
-from subiaco_change.evaluation.confidence_fit import fit_confidence, measured_bands
+from subiaco_change.decisions.measures import Measures
+from subiaco_change.decisions.rules import Decision
 from subiaco_change.records import ChangeRecord
+from subiaco_evaluation.confidence_fit import fit_confidence, measured_bands
 from subiaco_geo.codes import Change, Semantic
 
 

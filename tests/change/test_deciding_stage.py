@@ -10,10 +10,16 @@ import shapely
 from test_confidence import TYPICAL, _record
 from test_vegetation_null import TREE, street
 
-from subiaco_change.changes.confidence import features
-from subiaco_change.changes.decisions import Decision
 from subiaco_change.config import ChangeConfig
-from subiaco_change.tiled.deciding import PlantRow, decide_tile, find_vegetation_null, record_of, record_words
+from subiaco_change.decisions.confidence import features
+from subiaco_change.decisions.rules import Decision
+from subiaco_change.tiling.plant_stage import (
+    PlantRow,
+    decide_tile,
+    find_vegetation_null,
+    record_of,
+    record_words,
+)
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.work.store import MemoryStore
 from subiaco_geo.work.tasks import Inputs

@@ -6,10 +6,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from subiaco_change.changes.carving import Interval
-from subiaco_change.changes.confidence import ConfidenceConfig, confidence, paper_score
-from subiaco_change.changes.decisions import DecisionConfig, decide
-from subiaco_change.changes.measures import Measures
+from subiaco_change.decisions.confidence import ConfidenceConfig, confidence, paper_score
+from subiaco_change.decisions.measures import Measures
+from subiaco_change.decisions.rules import DecisionConfig, decide
+from subiaco_change.decisions.space_carving import Interval
 from subiaco_geo.codes import Change, Semantic
 
 SAME = Measures(

@@ -8,11 +8,11 @@ import pytest
 import rasterio
 from scipy.special import expit
 
-from subiaco_change.changes.confidence import FEATURES, ConfidenceConfig
-from subiaco_change.evaluation.confidence_fit import LEAST, fit_confidence, held_out_errors
-from subiaco_change.injection.calibrate import Calibration, CalibrationConfig, write_calibration
-from subiaco_change.injection.detectability import COLUMNS, Curve, fit_curve, fit_curves, statement
-from subiaco_change.outputs.raster import LodRaster
+from subiaco_change.decisions.confidence import FEATURES, ConfidenceConfig
+from subiaco_change.outputs.rasters import LodRaster
+from subiaco_evaluation.confidence_fit import LEAST, fit_confidence, held_out_errors
+from subiaco_evaluation.injection.calibrate import Calibration, CalibrationConfig, write_calibration
+from subiaco_evaluation.injection.detectability import COLUMNS, Curve, fit_curve, fit_curves, statement
 
 TRUE = Curve(a=3.0, b=5.0, c=-2.0, tested=(0.05, 1.0), count=0, found=0)
 

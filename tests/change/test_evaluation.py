@@ -11,10 +11,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from result_scene import SceneConfig, scene_result
 
-from subiaco_change.evaluation import objects
-from subiaco_change.evaluation.grid import GridConfig, cell_keys, cell_rule, look_up, rasterise
-from subiaco_change.evaluation.layouts import read_published_pair
-from subiaco_change.evaluation.scores import (
+from subiaco_change.outputs.directory import ChangeInputs, write_change_directory
+from subiaco_evaluation import object_matching as objects
+from subiaco_evaluation.grid import GridConfig, cell_keys, cell_rule, look_up, rasterise
+from subiaco_evaluation.layouts import read_published_pair
+from subiaco_evaluation.scores import (
     bootstrap,
     class_f1,
     class_iou,
@@ -23,14 +24,13 @@ from subiaco_change.evaluation.scores import (
     risk_coverage,
     scores,
 )
-from subiaco_change.evaluation.scoring import (
+from subiaco_evaluation.scoring import (
     EvaluationConfig,
     evaluate,
     evaluate_published,
     registration_error,
     write_evaluation,
 )
-from subiaco_change.outputs.directory import ChangeInputs, write_change_directory
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import exp_se3, invert_pose, make_pose

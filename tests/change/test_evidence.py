@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from subiaco_change.observation.evidence import EvidenceConfig, ground_observed, make_observer
+from subiaco_change.visibility_evidence import EvidenceConfig, ground_observed, make_observer
 from subiaco_geo.clouds import PointCloud, voxel_downsample
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import make_pose

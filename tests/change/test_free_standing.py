@@ -5,7 +5,7 @@ import pytest
 from scenes import Scene, ground_z
 from scipy.spatial import cKDTree
 
-from subiaco_change.semantics.classes import SemanticsConfig, label_points
+from subiaco_change.segmentation.classes import SemanticsConfig, label_points
 from subiaco_geo.clouds import PointCloud, voxel_downsample
 from subiaco_geo.codes import Semantic
 

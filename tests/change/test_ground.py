@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scenes import Scene, ground_z
 
-from subiaco_change.semantics.ground import GroundConfig, fill_gaps, fit_ground
+from subiaco_change.segmentation.ground_model import GroundConfig, fill_gaps, fit_ground
 from subiaco_geo.errors import InputError
 
 

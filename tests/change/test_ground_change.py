@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from whole import compare_ground
 
-from subiaco_change.changes.ground_cells import GroundCells, GroundChangeConfig
-from subiaco_change.changes.ground_change import beyond_gate, find_patches, ground_raster
-from subiaco_change.changes.objects import EpochView
+from subiaco_change.decisions.ground_cells import GroundCells, GroundChangeConfig
+from subiaco_change.decisions.ground_change import beyond_gate, find_patches, ground_raster
+from subiaco_change.decisions.voxel_objects import EpochView
 from subiaco_geo.codes import Change, Semantic
 
 

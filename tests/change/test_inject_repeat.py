@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from subiaco_change.injection.config import InjectionConfig, RepeatConfig
-from subiaco_change.injection.repeat import measured_repeat
-from subiaco_change.injection.second_pass import resampled
-from subiaco_change.injection.things import Scene, by_turns
+from subiaco_evaluation.injection.config import InjectionConfig, RepeatConfig
+from subiaco_evaluation.injection.repeat import measured_repeat
+from subiaco_evaluation.injection.second_pass import resampled
+from subiaco_evaluation.injection.source_objects import Scene, by_turns
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Semantic
 from subiaco_geo.errors import InputError

@@ -7,11 +7,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from subiaco_change.evaluation.scoring import evaluate
-from subiaco_change.evaluation.truth import read_truth
-from subiaco_change.evaluation.writing import evaluation_markdown
-from subiaco_change.injection.config import InjectionConfig, RepeatConfig, SightConfig
-from subiaco_change.injection.edits import (
+from subiaco_evaluation.injection.config import InjectionConfig, RepeatConfig, SightConfig
+from subiaco_evaluation.injection.edits import (
     Donor,
     Edited,
     Put,
@@ -24,11 +21,14 @@ from subiaco_change.injection.edits import (
     reshape,
     take_away,
 )
-from subiaco_change.injection.inject import inject, read_donors
-from subiaco_change.injection.second_pass import edit_visibility, resampled
-from subiaco_change.injection.sight import Sight
-from subiaco_change.injection.site import Site
-from subiaco_change.injection.writing import write_injected
+from subiaco_evaluation.injection.inject import inject, read_donors
+from subiaco_evaluation.injection.occlusion import Sight
+from subiaco_evaluation.injection.second_pass import edit_visibility, resampled
+from subiaco_evaluation.injection.site import Site
+from subiaco_evaluation.injection.truth_writing import write_injected
+from subiaco_evaluation.score_files import evaluation_markdown
+from subiaco_evaluation.scoring import evaluate
+from subiaco_evaluation.truth import read_truth
 from subiaco_geo.cloud_io import write_cloud
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Change, Semantic

@@ -7,11 +7,11 @@ from hypothesis import strategies as st
 from scenes import Scene, car, ground_z, house, pole, tree
 from scipy.spatial import cKDTree
 
-from subiaco_change.semantics.classes import SemanticsConfig, label_points
-from subiaco_change.semantics.clustering import voxel_clusters
-from subiaco_change.semantics.features import FeatureConfig, compute_features, neighbour_eigen
-from subiaco_change.semantics.instances import InstanceConfig, segment
-from subiaco_change.semantics.superpoints import (
+from subiaco_change.segmentation.classes import SemanticsConfig, label_points
+from subiaco_change.segmentation.clustering import voxel_clusters
+from subiaco_change.segmentation.features import FeatureConfig, compute_features, neighbour_eigen
+from subiaco_change.segmentation.instances import InstanceConfig, segment
+from subiaco_change.segmentation.superpoints import (
     SuperpointConfig,
     edge_weights,
     graph_edges,

@@ -2,9 +2,9 @@
 
 import numpy as np
 
-from subiaco_change.changes.labelling import label_rest, surrounded, unlabelled
-from subiaco_change.changes.objects import EpochView
-from subiaco_change.observation.evidence import EvidenceConfig
+from subiaco_change.decisions.point_labels import label_rest, surrounded, unlabelled
+from subiaco_change.decisions.voxel_objects import EpochView
+from subiaco_change.visibility_evidence import EvidenceConfig
 from subiaco_geo.codes import Change, Semantic
 
 

@@ -7,9 +7,9 @@ from scenes import Scene
 from scipy.spatial.transform import Rotation
 
 from subiaco_change.config import ChangeConfig
-from subiaco_change.observation.common_frame import levelled
-from subiaco_change.observation.evidence import EvidenceConfig
+from subiaco_change.level_of_detection.common_frame import levelled
 from subiaco_change.pipeline import detect_changes
+from subiaco_change.visibility_evidence import EvidenceConfig
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.survey_map import SurveyMap

@@ -9,7 +9,7 @@ import pytest
 from scipy.spatial import cKDTree
 
 from subiaco_change.geometry import estimate_normals
-from subiaco_change.observation.lod import (
+from subiaco_change.level_of_detection.displacement_lod import (
     LodConfig,
     combine,
     compare_epochs,

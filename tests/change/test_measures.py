@@ -5,13 +5,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from subiaco_change.changes.association_costs import AssociationConfig
-from subiaco_change.changes.columns import NO_COLUMNS, OpenGround, compare_volumes, ground_columns
-from subiaco_change.changes.decisions import Decision
-from subiaco_change.changes.judging import ObjectChange
-from subiaco_change.changes.measures import MeasureConfig, measure
-from subiaco_change.changes.objects import Thing, Voxels, looked_across
-from subiaco_change.changes.revising import adopt_fragments
+from subiaco_change.association.costs import AssociationConfig
+from subiaco_change.decisions.column_volumes import NO_COLUMNS, OpenGround, compare_volumes, ground_columns
+from subiaco_change.decisions.measures import MeasureConfig, measure
+from subiaco_change.decisions.object_decision import ObjectChange
+from subiaco_change.decisions.rules import Decision
+from subiaco_change.decisions.voxel_objects import Thing, Voxels, looked_across
+from subiaco_change.instance_splitting.split_merge import adopt_fragments
 from subiaco_geo.codes import Change, Semantic
 
 

@@ -3,8 +3,8 @@
 import numpy as np
 import pytest
 
-from subiaco_change.changes.measures import MeasureConfig, measure, same_place
-from subiaco_change.changes.objects import EpochView, build_voxels
+from subiaco_change.decisions.measures import MeasureConfig, measure, same_place
+from subiaco_change.decisions.voxel_objects import EpochView, build_voxels
 from subiaco_geo.codes import Semantic
 
 REACH = same_place(MeasureConfig())

@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from subiaco_change.evaluation.grid import GridConfig, cell_centres, cell_keys
-from subiaco_change.evaluation.paired import paired_difference, tile_matrices
-from subiaco_change.evaluation.scores import confusion
+from subiaco_evaluation.grid import GridConfig, cell_centres, cell_keys
+from subiaco_evaluation.paired import paired_difference, tile_matrices
+from subiaco_evaluation.scores import confusion
 from subiaco_geo.errors import InputError
 
 GRID = GridConfig()

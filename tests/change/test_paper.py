@@ -6,7 +6,7 @@ from pathlib import Path
 import pytest
 
 from subiaco_change.config import ChangeConfig
-from subiaco_change.evaluation.ablating import DECISIONS, variants
+from subiaco_evaluation.ablation_study import DECISIONS, variants
 from subiaco_geo.config import load_config
 
 PAPER = Path(__file__).parents[2] / "config" / "paper.yaml"

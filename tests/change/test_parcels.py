@@ -10,7 +10,7 @@ import pytest
 from shapely.geometry import box
 
 from subiaco_change.outputs.parcels import OUTSIDE, build_parcels, coverage_polygons, read_lots
-from subiaco_change.outputs.raster import Coverage
+from subiaco_change.outputs.rasters import Coverage
 from subiaco_geo.errors import InputError
 
 CRS = "EPSG:7850"

@@ -6,15 +6,15 @@ import numpy as np
 import pytest
 from test_measures import block, voxels, walls
 
-from subiaco_change.changes.apart import pieces_apart
-from subiaco_change.changes.association_costs import AssociationConfig
-from subiaco_change.changes.decisions import DecisionConfig
-from subiaco_change.changes.judging import ObjectRules, decide_object, lies_flat
-from subiaco_change.changes.measures import MeasureConfig, Measures
-from subiaco_change.changes.objects import Thing, Voxels
-from subiaco_change.changes.parts import PartConfig, part_things
-from subiaco_change.changes.vehicle_parts import part_of_vehicle
-from subiaco_change.changes.wings import built, find_wings
+from subiaco_change.association.costs import AssociationConfig
+from subiaco_change.decisions.building_extensions import built, find_wings
+from subiaco_change.decisions.measures import MeasureConfig, Measures
+from subiaco_change.decisions.object_decision import ObjectRules, decide_object, is_misclassified_ground
+from subiaco_change.decisions.rules import DecisionConfig
+from subiaco_change.decisions.voxel_objects import Thing, Voxels
+from subiaco_change.instance_splitting.merged_instances import pieces_apart
+from subiaco_change.instance_splitting.one_epoch_parts import PartConfig, part_things
+from subiaco_change.instance_splitting.vehicle_parts import part_of_vehicle
 from subiaco_geo.codes import Change, Semantic
 
 CONFIG = PartConfig()
@@ -210,7 +210,7 @@ def test_a_roof_over_its_walls_and_a_small_fragment_are_no_bodies_of_their_own()
 )
 def test_what_lies_flat_is_left_to_the_ground(semantic, height, flat):
     slab = thing([(block((0, 0, 0), (8, 2, height)), False)])
-    decision = lies_flat(semantic, [slab])
+    decision = is_misclassified_ground(semantic, [slab])
     assert (decision is not None) == flat
     assert decision is None or decision.change is Change.NOT_REPORTED
 
@@ -241,7 +241,7 @@ def test_a_part_of_a_vehicle_that_the_other_epoch_only_grazed_is_not_claimed():
 def test_a_low_wall_does_not_lie_flat():
     wall = thing([(block((0, 0, 0), (8, 0.5, 0.5)), False)])
     sideways = replace(wall.voxels, normal=np.tile([0.0, 1.0, 0.0], (len(wall.voxels), 1)))
-    assert lies_flat(Semantic.OTHER, [replace(wall, voxels=sideways)]) is None
+    assert is_misclassified_ground(Semantic.OTHER, [replace(wall, voxels=sideways)]) is None
 
 
 def test_a_house_that_lost_most_of_itself_is_one_with_what_is_left_inside_its_outline():

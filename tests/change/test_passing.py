@@ -8,9 +8,9 @@ from scipy.spatial import cKDTree
 from test_measures import block
 from test_parts import thing
 
-from subiaco_change.changes.decisions import Decision, DecisionConfig
-from subiaco_change.changes.objects import OTHERS, EpochView, Thing
-from subiaco_change.changes.passing import OwnSurvey, drove_by, own_survey, trusted
+from subiaco_change.decisions.dynamic_objects import OwnSurvey, is_moving_object_trail, own_survey, trusted
+from subiaco_change.decisions.rules import Decision, DecisionConfig
+from subiaco_change.decisions.voxel_objects import OTHERS, EpochView, Thing
 from subiaco_geo.codes import Change, Semantic
 
 RULES = DecisionConfig()
@@ -58,7 +58,7 @@ def passing(top, passed):
     ],
 )
 def test_what_passed_is_told_from_what_beams_graze(passed, top, semantic, observed, trail):
-    decision = drove_by([passing(top, passed)], semantic, OwnSurvey(observed, NOWHERE), RULES)
+    decision = is_moving_object_trail([passing(top, passed)], semantic, OwnSurvey(observed, NOWHERE), RULES)
     assert (decision is not None) == trail
     if decision is not None:
         assert decision.change is Change.NOT_REPORTED
@@ -69,14 +69,14 @@ def test_what_lies_in_the_lane_of_known_traffic_needs_fewer_beams():
     places = passing(1.5, 2.0)
     along = OwnSurvey(nowhere, cKDTree(np.add(places.xyz, (0.0, 0.5, 0.0))))
     beside = OwnSurvey(nowhere, cKDTree(np.add(places.xyz, (0.0, 2.0, 0.0))))  # half of it is within a metre
-    assert drove_by([places], Semantic.VEGETATION, along, RULES) is not None
-    assert drove_by([places], Semantic.VEGETATION, beside, RULES) is None
-    assert drove_by([passing(1.5, 1.0)], Semantic.VEGETATION, along, RULES) is None
+    assert is_moving_object_trail([places], Semantic.VEGETATION, along, RULES) is not None
+    assert is_moving_object_trail([places], Semantic.VEGETATION, beside, RULES) is None
+    assert is_moving_object_trail([passing(1.5, 1.0)], Semantic.VEGETATION, along, RULES) is None
 
 
 def test_an_object_is_a_trail_only_if_all_its_parts_were_looked_through():
     parts = [passing(1.5, 9.0), passing(1.5, 0.5)]
-    assert drove_by(parts, Semantic.MOBILE, OwnSurvey(everywhere, NOWHERE), RULES) is None
+    assert is_moving_object_trail(parts, Semantic.MOBILE, OwnSurvey(everywhere, NOWHERE), RULES) is None
 
 
 def test_a_car_that_is_compared_elsewhere_is_no_traffic():
@@ -98,8 +98,8 @@ def timed(moved: float, count: int = 60) -> Thing:
 
 def test_a_verdict_by_times_takes_the_place_of_counts() -> None:
     looked_through = replace(timed(0.0), passed=np.full(60, 500.0))
-    assert drove_by([looked_through], Semantic.VEGETATION, None, RULES) is None
-    decision = drove_by([timed(0.95)], Semantic.VEGETATION, None, RULES)
+    assert is_moving_object_trail([looked_through], Semantic.VEGETATION, None, RULES) is None
+    decision = is_moving_object_trail([timed(0.95)], Semantic.VEGETATION, None, RULES)
     assert decision is not None
     assert decision.change is Change.NOT_REPORTED
     assert "95% of having moved" in decision.reason
@@ -107,14 +107,14 @@ def test_a_verdict_by_times_takes_the_place_of_counts() -> None:
 
 def test_counts_decide_where_one_part_has_no_times_and_the_reason_says_so() -> None:
     counted = replace(timed(0.0), moved=np.zeros(0), passed=np.full(60, 500.0))
-    decision = drove_by([counted], Semantic.VEGETATION, None, RULES)
+    decision = is_moving_object_trail([counted], Semantic.VEGETATION, None, RULES)
     assert decision is not None
     assert "the map keeps no times" in decision.reason
 
 
 @pytest.mark.parametrize(("moved", "claimed"), [(0.0, True), (0.45, True), (0.5, False), (0.55, False)])
 def test_what_is_as_likely_a_trail_as_an_object_is_not_claimed(moved: float, claimed: bool) -> None:
-    decision = drove_by([timed(moved)], Semantic.VEGETATION, None, RULES)
+    decision = is_moving_object_trail([timed(moved)], Semantic.VEGETATION, None, RULES)
     assert (decision is None) == claimed
     if decision is not None:
         assert decision.change is Change.UNOBSERVED

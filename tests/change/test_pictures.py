@@ -10,8 +10,8 @@ from PIL import Image
 
 from subiaco_change.records import CHANGE_COLOURS
 from subiaco_change.report import pictures
-from subiaco_change.report.paint import BACKGROUND, instance_colours, paint
-from subiaco_change.report.raster import Above, Frame, fill_holes, hillshade, top_view
+from subiaco_change.report.colours import BACKGROUND, instance_colours, paint
+from subiaco_change.report.top_views import Above, Frame, fill_holes, hillshade, top_view
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Change
 

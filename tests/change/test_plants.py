@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scenes import tree
 
-from subiaco_change.semantics.instances import InstanceConfig, split_crowns, split_hedge
+from subiaco_change.segmentation.instances import InstanceConfig, split_crowns, split_hedge
 
 
 def hedge(*tops, length=4.0):

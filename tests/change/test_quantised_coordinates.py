@@ -5,12 +5,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from subiaco_change.baselines.cells import common_grid
-from subiaco_change.changes.ground_cells import GroundChangeConfig, difference_cells
-from subiaco_change.changes.objects import EpochView
-from subiaco_change.semantics.ground import GroundConfig, fit_ground
-from subiaco_change.tiled.ground import _RIM, _window
-from subiaco_change.tiled.recutting import near_tile
+from subiaco_change.decisions.ground_cells import GroundChangeConfig, difference_cells
+from subiaco_change.decisions.voxel_objects import EpochView
+from subiaco_change.segmentation.ground_model import GroundConfig, fit_ground
+from subiaco_change.tiling.ground_stage import _RIM, _window
+from subiaco_change.tiling.retiling import near_tile
+from subiaco_evaluation.baselines.cells import common_grid
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Semantic
 from subiaco_geo.tiles import tile_named

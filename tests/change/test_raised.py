@@ -3,9 +3,9 @@
 import numpy as np
 import pytest
 
-from subiaco_change.semantics.classes import SemanticsConfig, label_points
-from subiaco_change.semantics.ground import GroundConfig, fit_ground
-from subiaco_change.semantics.raised import RaisedConfig, find_raised
+from subiaco_change.segmentation.classes import SemanticsConfig, label_points
+from subiaco_change.segmentation.ground_model import GroundConfig, fit_ground
+from subiaco_change.segmentation.raised_surfaces import RaisedConfig, find_raised
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Semantic
 

@@ -8,9 +8,9 @@ from dataclasses import replace
 
 import pytest
 
-from subiaco_change.changes.carving import Interval
-from subiaco_change.changes.decisions import NO_LEVEL, DecisionConfig, decide
-from subiaco_change.changes.measures import Measures
+from subiaco_change.decisions.measures import Measures
+from subiaco_change.decisions.rules import NO_LEVEL, DecisionConfig, decide
+from subiaco_change.decisions.space_carving import Interval
 from subiaco_change.outputs.table import build_table, table_hash
 from subiaco_geo.codes import Semantic
 

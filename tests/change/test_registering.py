@@ -5,8 +5,8 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from subiaco_change.tiled.cutting import Side
-from subiaco_change.tiled.registering import gather
+from subiaco_change.tiling.epoch_tiles import Side
+from subiaco_change.tiling.registration_stage import gather
 from subiaco_geo.work.store import MemoryStore
 from subiaco_geo.work.tasks import Inputs
 

@@ -17,9 +17,9 @@ from subiaco_change.registration.features import propose_by_features, ransac
 from subiaco_change.registration.icp import Pairs, solve
 from subiaco_change.registration.planes import PlanePairs, extract_planes, match_planes, normal_equations
 from subiaco_change.registration.register import given_registration, register
-from subiaco_change.tiled.cutting import Side
-from subiaco_change.tiled.framing import registration_arrays
-from subiaco_change.tiled.registering import register_again
+from subiaco_change.tiling.epoch_tiles import Side
+from subiaco_change.tiling.frame_arrays import registration_arrays
+from subiaco_change.tiling.registration_stage import register_again
 from subiaco_geo.cloud_io import write_cloud
 from subiaco_geo.clouds import PointCloud, voxel_downsample
 from subiaco_geo.errors import RegistrationError

@@ -22,8 +22,9 @@ from shapely.geometry import box
 from subiaco_change.outputs import directory as outputs
 from subiaco_change.outputs.directory import ChangeInputs, write_change_directory
 from subiaco_change.outputs.reviews import read_review_file
-from subiaco_change.report import evidence, pictures
+from subiaco_change.report import evidence_pictures as evidence
 from subiaco_change.report import page as report_page
+from subiaco_change.report import pictures
 from subiaco_change.report.facts import CHANGED_LABELS, number, summary
 from subiaco_change.report.page import TABLE_COLUMNS, build_report, fullest_blocks
 from subiaco_geo.codes import Change

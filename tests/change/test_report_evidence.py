@@ -11,7 +11,8 @@ from shapely.geometry import MultiPolygon, box
 
 from subiaco_change.outputs.clouds import open_labelled
 from subiaco_change.records import CHANGE_COLOURS
-from subiaco_change.report.evidence import (
+from subiaco_change.report.colours import BACKGROUND
+from subiaco_change.report.evidence_pictures import (
     HEIGHT,
     MAX_BYTES,
     PANEL,
@@ -23,7 +24,6 @@ from subiaco_change.report.evidence import (
     evidence_pictures,
     svg_path,
 )
-from subiaco_change.report.paint import BACKGROUND
 from subiaco_geo.cloud_windows import CloudFile
 from subiaco_geo.codes import Change
 from subiaco_geo.ply_io import write_ply

@@ -8,10 +8,11 @@ import numpy as np
 import pytest
 
 from subiaco_change.job import drive_facts
-from subiaco_change.outputs.reading import read_change_directory
-from subiaco_change.report import evidence, page
+from subiaco_change.outputs.change_directory_reading import read_change_directory
+from subiaco_change.report import evidence_pictures as evidence
+from subiaco_change.report import page
+from subiaco_change.report.cloud_windows import gather
 from subiaco_change.report.facts import changed_rows
-from subiaco_change.report.gathering import gather
 from subiaco_change.report.page import build_report
 from subiaco_change.report.summary import build_summary, day_of, epoch_facts, largest_rows
 from subiaco_geo.survey_map import SurveyMap

@@ -3,12 +3,12 @@
 import numpy as np
 import pytest
 
-from subiaco_change.changes.association_costs import AssociationConfig
-from subiaco_change.changes.decisions import DecisionConfig
-from subiaco_change.changes.judging import ObjectRules, decide_object
-from subiaco_change.changes.measures import MeasureConfig
-from subiaco_change.changes.objects import Thing, Voxels
-from subiaco_change.changes.revising import part_rows
+from subiaco_change.association.costs import AssociationConfig
+from subiaco_change.decisions.measures import MeasureConfig
+from subiaco_change.decisions.object_decision import ObjectRules, decide_object
+from subiaco_change.decisions.rules import DecisionConfig
+from subiaco_change.decisions.voxel_objects import Thing, Voxels
+from subiaco_change.instance_splitting.split_merge import split_row_houses
 from subiaco_geo.codes import Change, Semantic
 
 RULES = ObjectRules(MeasureConfig(), AssociationConfig(), DecisionConfig())
@@ -52,7 +52,7 @@ def labels(heights, groups, matches):
         for b, a in matches
     ]
     found = {}
-    for change in part_rows(changes, RULES):
+    for change in split_row_houses(changes, RULES):
         xyz = np.concatenate([t.xyz for t in (*change.before, *change.after)])
         for place in np.unique(np.floor(xyz[:, 0] / WIDTH).astype(int)).tolist():
             found.setdefault(place, set()).add(change.decision.change)

@@ -6,14 +6,14 @@ import numpy as np
 import pytest
 from test_measures import block, voxels
 
-from subiaco_change.changes.association_costs import AssociationConfig
-from subiaco_change.changes.decisions import Decision, DecisionConfig
-from subiaco_change.changes.judging import ObjectChange, ObjectRules
-from subiaco_change.changes.measures import MeasureConfig, measure
-from subiaco_change.changes.objects import Thing
-from subiaco_change.changes.plants import measure_plant
-from subiaco_change.changes.revising import part_sections
-from subiaco_change.changes.sections import moved_sections
+from subiaco_change.association.costs import AssociationConfig
+from subiaco_change.decisions.measures import MeasureConfig, measure
+from subiaco_change.decisions.object_decision import ObjectChange, ObjectRules
+from subiaco_change.decisions.plant_measures import measure_plant
+from subiaco_change.decisions.rules import Decision, DecisionConfig
+from subiaco_change.decisions.voxel_objects import Thing
+from subiaco_change.instance_splitting.hedge_sections import moved_sections
+from subiaco_change.instance_splitting.split_merge import split_hedge_segments
 from subiaco_geo.codes import Change, Semantic
 
 RULES = ObjectRules(MeasureConfig(), AssociationConfig(), DecisionConfig())
@@ -34,7 +34,7 @@ def decided(before, after):
     whole = Decision(Change.UNCHANGED, "as a whole", 0.5)
     plant = measure_plant([before], [after], measures, RULES.plants)
     change = ObjectChange((before,), (after,), Semantic.VEGETATION, "one_to_one", measures, whole, plant)
-    return part_sections([change], RULES)
+    return split_hedge_segments([change], RULES)
 
 
 @pytest.mark.parametrize(("height", "label"), [(1.1, Change.DECREASED), (2.0, Change.INCREASED)])

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from subiaco_change.outputs.raster import LodRaster, lod_statement
+from subiaco_change.outputs.rasters import LodRaster, lod_statement
+from subiaco_change.report.cloud_windows import LodCounts
 from subiaco_change.report.facts import lod_facts
-from subiaco_change.report.gathering import LodCounts
 from subiaco_change.spacing import (
     STREET_SPACING,
     PointSpacing,

@@ -14,9 +14,9 @@ from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.errors import InputError
 from subiaco_geo.survey_map import SurveyMap
-from subiaco_geo.work.bench import Workbench, stages_from
 from subiaco_geo.work.executors import InProcess, LocalPool
 from subiaco_geo.work.store import DiskStore
+from subiaco_geo.work.task_runner import TaskRunner, stages_from
 
 IDENTITY = np.eye(4)
 #: Small tiles, so that a street of 70 m has several; a house and a hedge stand across their edges.
@@ -55,7 +55,7 @@ def hash_of(result):
 def kept(tmp_path_factory):
     """Stages of one run, and its result."""
     folder = tmp_path_factory.mktemp("run") / "stages"
-    return folder, run(Workbench(DiskStore(folder)))
+    return folder, run(TaskRunner(DiskStore(folder)))
 
 
 def test_changes_across_the_edges_of_tiles_are_found_whole(kept):
@@ -84,9 +84,9 @@ def test_points_of_every_tile_carry_the_id_of_their_row(kept):
 
 def test_the_table_is_the_same_backwards_and_by_two_workers(kept, tmp_path):
     expected = hash_of(kept[1])
-    assert hash_of(run(Workbench(executor=Backwards()))) == expected
-    pool = LocalPool(2, ("subiaco_change.tiled.run",))
-    assert hash_of(run(Workbench(DiskStore(tmp_path), pool))) == expected
+    assert hash_of(run(TaskRunner(executor=Backwards()))) == expected
+    pool = LocalPool(2, ("subiaco_change.tiling.run",))
+    assert hash_of(run(TaskRunner(DiskStore(tmp_path), pool))) == expected
     pool.close()
 
 
@@ -97,7 +97,7 @@ def test_a_run_that_was_stopped_goes_on_where_it_was(kept, tmp_path):
         shutil.rmtree(folder / stage)
     for path in sorted((folder / "semantics").iterdir())[::2]:
         path.unlink()
-    bench = Workbench(DiskStore(folder))
+    bench = TaskRunner(DiskStore(folder))
     assert hash_of(run(bench)) == hash_of(kept[1])
     done = {(spent.stage, spent.name) for spent in bench.spent}
     assert {stage for stage, _ in done} == {"semantics", "compare", "labels", "patches"}
@@ -107,17 +107,17 @@ def test_a_run_that_was_stopped_goes_on_where_it_was(kept, tmp_path):
 def test_another_setting_redoes_only_what_rests_on_it(kept, tmp_path):
     folder = tmp_path / "stages"
     shutil.copytree(kept[0], folder)
-    bench = Workbench(DiskStore(folder))
+    bench = TaskRunner(DiskStore(folder))
     other = CONFIG.model_copy(update={"ground": CONFIG.ground.model_copy(update={"area": 60.0})})
     result = detect_changes(*pair(), other, transform=IDENTITY, bench=bench)
-    assert {spent.stage for spent in bench.spent} == {"ground", "over", "patches", "labels"}
+    assert {spent.stage for spent in bench.spent} == {"ground", "threshold_components", "patches", "labels"}
     assert not [r for r in result.records if r.semantic is Semantic.GROUND]
 
 
 def test_stages_from_one_on_are_done_again(kept, tmp_path):
     folder = tmp_path / "stages"
     shutil.copytree(kept[0], folder)
-    bench = Workbench(DiskStore(folder), redo=stages_from(("semantics", "compare", "labels"), "compare"))
+    bench = TaskRunner(DiskStore(folder), redo=stages_from(("semantics", "compare", "labels"), "compare"))
     assert hash_of(run(bench)) == hash_of(kept[1])
     assert {spent.stage for spent in bench.spent} == {"compare", "labels"}
 

@@ -7,11 +7,11 @@ import pytest
 from scenes import Scene, ground_z
 from scipy.spatial import cKDTree
 
-from subiaco_change.changes.labelling import unlabelled
-from subiaco_change.changes.objects import EpochView, Reach, build_voxels
-from subiaco_change.observation.evidence import EvidenceConfig, make_observer
-from subiaco_change.semantics.classes import SemanticsConfig, label_points
-from subiaco_change.semantics.instances import InstanceConfig, segment
+from subiaco_change.decisions.point_labels import unlabelled
+from subiaco_change.decisions.voxel_objects import EpochView, Reach, build_voxels
+from subiaco_change.segmentation.classes import SemanticsConfig, label_points
+from subiaco_change.segmentation.instances import InstanceConfig, segment
+from subiaco_change.visibility_evidence import EvidenceConfig, make_observer
 from subiaco_geo.clouds import PointCloud, voxel_downsample, voxel_indices, voxel_keys
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.survey_map import SurveyMap

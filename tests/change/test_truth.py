@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 import yaml
 
-from subiaco_change.evaluation.layouts import in_after_frame
-from subiaco_change.evaluation.truth import read_truth, read_truth_points
+from subiaco_evaluation.layouts import in_after_frame
+from subiaco_evaluation.truth import read_truth, read_truth_points
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import exp_se3, make_pose, transform_points
 from subiaco_geo.trajectories import Trajectory, write_tum

@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 from test_baselines import AFTER, BEFORE
 
-from subiaco_change.baselines.config import BaselineConfig
-from subiaco_change.baselines.run import compare_pair, prepare_pair
+from subiaco_evaluation.baselines.config import BaselineConfig
+from subiaco_evaluation.baselines.run import compare_pair, prepare_pair
 
 SCRIPTS = Path(__file__).parents[2] / "scripts"
 

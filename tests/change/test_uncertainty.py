@@ -5,9 +5,9 @@ import pytest
 from placing_scene import UP, rigid, street
 from whole import place, sigma_field
 
-from subiaco_change.observation.lod import LodConfig, combine, measure_displacements
-from subiaco_change.observation.placing import PlacingConfig
-from subiaco_change.observation.uncertainty import (
+from subiaco_change.level_of_detection.alignment_corrections import PlacingConfig
+from subiaco_change.level_of_detection.displacement_lod import LodConfig, combine, measure_displacements
+from subiaco_change.level_of_detection.registration_uncertainty import (
     PoseErrors,
     UncertaintyConfig,
     pose_errors,

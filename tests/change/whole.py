@@ -7,15 +7,15 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from subiaco_change.changes.ground_cells import GroundChangeConfig, difference_cells, shown_lod
-from subiaco_change.changes.ground_change import GroundComparison, find_patches
-from subiaco_change.changes.objects import EpochView
 from subiaco_change.config import ChangeConfig
-from subiaco_change.observation.common_frame import CommonFrame
-from subiaco_change.observation.lod import LodConfig, measure_displacements
-from subiaco_change.observation.placing import PlacingConfig
-from subiaco_change.observation.smooth_field import BlockGrid, SmoothField
-from subiaco_change.observation.uncertainty import (
+from subiaco_change.decisions.ground_cells import GroundChangeConfig, difference_cells, shown_lod
+from subiaco_change.decisions.ground_change import GroundComparison, find_patches
+from subiaco_change.decisions.voxel_objects import EpochView
+from subiaco_change.level_of_detection.alignment_corrections import PlacingConfig
+from subiaco_change.level_of_detection.common_frame import CommonFrame
+from subiaco_change.level_of_detection.displacement_field import BlockGrid, SmoothField
+from subiaco_change.level_of_detection.displacement_lod import LodConfig, measure_displacements
+from subiaco_change.level_of_detection.registration_uncertainty import (
     PoseErrors,
     SigmaField,
     UncertaintyConfig,
@@ -23,19 +23,19 @@ from subiaco_change.observation.uncertainty import (
     join_samples,
     sigma_of,
 )
-from subiaco_change.observation.vertical_bias import VerticalBiasConfig, bias_field, tile_medians
+from subiaco_change.level_of_detection.vertical_bias import VerticalBiasConfig, bias_field, tile_medians
 from subiaco_change.records import Registration
-from subiaco_change.tiled.cutting import EPOCHS, Side
-from subiaco_change.tiled.framing import load_frame, registration_arrays
-from subiaco_change.tiled.placing import city_grid, load_sigma
-from subiaco_change.tiled.run import CityRun
+from subiaco_change.tiling.alignment import city_grid, load_sigma
+from subiaco_change.tiling.epoch_tiles import EPOCHS, Side
+from subiaco_change.tiling.frame_arrays import load_frame, registration_arrays
+from subiaco_change.tiling.run import ChangeRun
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats
 from subiaco_geo.sources import LoadedEpoch
 from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.tiles import split_by_tile
-from subiaco_geo.work.bench import Workbench
+from subiaco_geo.work.task_runner import TaskRunner
 from subiaco_geo.work.tasks import Inputs
 
 _SIZE = 80.0
@@ -115,7 +115,7 @@ def place(
     What is neither ``ground`` nor ``unsteady`` (plants, vehicles) counts as a building.
     """
     config = ChangeConfig(placing=placing, lod=lod)
-    run = CityRun(Workbench(), config)
+    run = ChangeRun(TaskRunner(), config)
     run.origin = clouds[1].origin
     run.sides = tuple(
         Side(epoch, c.origin, c.crs, "assumed", None, np.zeros(3), 0.5)
@@ -142,7 +142,7 @@ def place(
 
 
 def _cut(
-    run: CityRun, epoch: str, cloud: PointCloud, frame: CommonFrame, semantic: NDArray[np.uint8]
+    run: ChangeRun, epoch: str, cloud: PointCloud, frame: CommonFrame, semantic: NDArray[np.uint8]
 ) -> dict[str, NDArray[np.int64]]:
     """Cut a cloud by the tiles of the common frame; return which of its points each tile has."""
     moved = frame.bring(cloud) if epoch == "before" else cloud
@@ -150,7 +150,7 @@ def _cut(
     normals = np.asarray(cloud.fields["normals"], dtype=np.float32)
     run.points[epoch] = {
         name: run.bench.put(
-            "recut", f"{epoch}_{name}",
+            "retiling", f"{epoch}_{name}",
             {"xyz": cloud.xyz[own], "normals": normals[own], "semantic": semantic[own]},
         )
         for name, own in members.items()

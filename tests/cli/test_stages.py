@@ -36,7 +36,7 @@ def test_stages_are_kept_taken_up_and_done_again_with_the_same_table(command, st
     assert again.code == 0, again.err
     assert hash_in(tmp_path / "b") == hash_in(tmp_path / "a")
     renewed = {path.parent.name for path, time in pieces.items() if path.stat().st_mtime_ns != time}
-    again = {"compare", "vegetation_null", "decide", "ground", "over", "labels"}
+    again = {"compare", "vegetation_null", "decide", "ground", "threshold_components", "labels"}
     assert renewed == again  # the streets have no patch of ground
 
 

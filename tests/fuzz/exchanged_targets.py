@@ -192,7 +192,7 @@ def _visibility_seeds(folder: Path) -> list[bytes]:
 
 def _read_manifest(path: Path) -> object:
     """Go on with an earlier watch, whose manifest this is."""
-    from subiaco_mapping.watch.files import SurveyFiles, read_manifest
+    from subiaco_mapping.health_monitor.files import SurveyFiles, read_manifest
 
     read_manifest(path)
     (path.parent / "manifest.yaml").write_bytes(path.read_bytes())
@@ -200,7 +200,7 @@ def _read_manifest(path: Path) -> object:
 
 
 def _read_streets(path: Path) -> object:
-    from subiaco_mapping.watch.files import STREETS, SurveyFiles
+    from subiaco_mapping.health_monitor.files import STREETS, SurveyFiles
 
     (path.parent / STREETS).write_bytes(path.read_bytes())
     return SurveyFiles(path.parent, "a", [])
@@ -235,7 +235,7 @@ def _make_change(folder: Path) -> None:
 
 def _read_change(folder: Path) -> object:
     """Read a change directory as the report and a second run of the same pair do."""
-    from subiaco_change.outputs.reading import read_change_directory
+    from subiaco_change.outputs.change_directory_reading import read_change_directory
     from subiaco_change.outputs.reviews import carry_reviews, read_reviewed
 
     change = read_change_directory(folder)
@@ -254,7 +254,7 @@ def _read_report(folder: Path) -> object:
 
 
 def _read_coverage(folder: Path) -> object:
-    from subiaco_change.outputs.raster import read_coverage
+    from subiaco_change.outputs.rasters import read_coverage
 
     return read_coverage(folder / "coverage.tif")
 
@@ -282,8 +282,8 @@ def _make_truth(folder: Path) -> None:
 
 def _read_truth(folder: Path) -> object:
     """Read a truth, and labels of another method for its points."""
-    from subiaco_change.evaluation.layouts import read_prediction, scene_name
-    from subiaco_change.evaluation.truth import read_truth
+    from subiaco_evaluation.layouts import read_prediction, scene_name
+    from subiaco_evaluation.truth import read_truth
     from subiaco_geo.simulated import simulation_of
 
     truth = read_truth(folder)
@@ -323,7 +323,7 @@ def _pcap_seeds(folder: Path) -> list[bytes]:
 
 
 def _read_pcap(path: Path) -> object:
-    from subiaco_mapping.importers import pcap_packets
+    from subiaco_mapping.importers.packets import pcap_packets
 
     return list(pcap_packets(path, _sensor()[0]))
 
@@ -341,7 +341,7 @@ def _osf_seeds(folder: Path) -> list[bytes]:
 
 
 def _read_osf(path: Path) -> object:
-    from subiaco_mapping.importers import osf_recording
+    from subiaco_mapping.importers.packets import osf_recording
 
     return list(osf_recording(path))
 
@@ -369,7 +369,7 @@ def _ros1_seeds(folder: Path) -> list[bytes]:
 
 
 def _read_ros1(path: Path) -> object:
-    from subiaco_mapping.importers import ros1_recording
+    from subiaco_mapping.importers.packets import ros1_recording
 
     return ros1_recording(path)
 
@@ -378,8 +378,8 @@ def _drive_seeds(folder: Path) -> list[bytes]:
     """A bag with a message of everything that mapping reads."""
     from subiaco_geo.bags import TYPESTORE, BagWriter, packet_to_cdr
     from subiaco_geo.topics import LIDAR_PACKETS, MESSAGE_TYPES, METADATA
-    from subiaco_mapping.bag_messages import cloud_message, extrinsics_message, fix_message
-    from subiaco_mapping.logs import imu_message
+    from subiaco_mapping.importers.bag_messages import cloud_message, extrinsics_message, fix_message
+    from subiaco_mapping.importers.csv_logs import imu_message
 
     text = TYPESTORE.types[MESSAGE_TYPES[METADATA]](data=_sensor()[0])
     place = np.array([-31.95, 115.83, 12.0])
@@ -403,7 +403,7 @@ def _drive_seeds(folder: Path) -> list[bytes]:
 
 
 def _read_drive(path: Path) -> object:
-    from subiaco_mapping.inspection import describe, inspect_bag
+    from subiaco_mapping.inspection.inspect_bag import describe, inspect_bag
 
     return describe(inspect_bag(path))
 
@@ -434,13 +434,13 @@ def _map_drive(path: Path) -> object:
 
 
 def _read_gnss(path: Path) -> object:
-    from subiaco_mapping.logs import LogsConfig, read_gnss_log
+    from subiaco_mapping.importers.csv_logs import LogsConfig, read_gnss_log
 
     return read_gnss_log(path, LogsConfig())
 
 
 def _read_imu(path: Path) -> object:
-    from subiaco_mapping.logs import LogsConfig, read_imu_log
+    from subiaco_mapping.importers.csv_logs import LogsConfig, read_imu_log
 
     return read_imu_log(path, LogsConfig())
 
@@ -483,7 +483,7 @@ def _make_kitti(folder: Path) -> None:
 
 
 def _read_kitti_raw(folder: Path) -> object:
-    from subiaco_mapping.kitti_raw import kitti_messages
+    from subiaco_mapping.importers.kitti_raw import kitti_messages
 
     return list(kitti_messages(folder))
 

@@ -100,7 +100,7 @@ def small_sensor() -> tuple[str, tuple[bytes, ...]]:
 def _read_packets(path: Path) -> object:
     """Decode what a file holds, cut at the size of a packet; the rest is a packet of its own."""
     from subiaco_mapping.config import DecodeConfig
-    from subiaco_mapping.decode import PacketDecoder
+    from subiaco_mapping.preprocessing.decode import PacketDecoder
 
     decoder = PacketDecoder(small_sensor()[0], DecodeConfig())
     data, size = path.read_bytes(), decoder.packet_size
@@ -113,7 +113,7 @@ def _read_packets(path: Path) -> object:
 
 def _read_metadata(path: Path) -> object:
     from subiaco_mapping.config import DecodeConfig
-    from subiaco_mapping.decode import PacketDecoder
+    from subiaco_mapping.preprocessing.decode import PacketDecoder
 
     decoder = PacketDecoder(path.read_text(errors="replace"), DecodeConfig())
     for packet in small_sensor()[1][:3]:
@@ -222,7 +222,7 @@ def _read_control(path: Path) -> object:
 
 
 def _read_route(path: Path) -> object:
-    from subiaco_mapping.watch.routes import read_route
+    from subiaco_mapping.health_monitor.routes import read_route
 
     return read_route(path)
 

@@ -16,10 +16,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from subiaco_geo.errors import InputError, SubiacoError
-from subiaco_geo.work.bench import Workbench, stages_from
 from subiaco_geo.work.executors import Dask, InProcess, LocalPool, make_executor
 from subiaco_geo.work.source_code import source_fingerprint
 from subiaco_geo.work.store import DiskStore, MemoryStore
+from subiaco_geo.work.task_runner import TaskRunner, stages_from
 from subiaco_geo.work.tasks import Task, fingerprint
 
 WAIT = 60.0
@@ -97,10 +97,10 @@ def test_what_cannot_be_told_apart_has_no_fingerprint():
 
 
 def test_finished_tasks_are_not_done_again_and_a_new_parameter_does_them_anew(tmp_path):
-    bench = Workbench(DiskStore(tmp_path))
+    bench = TaskRunner(DiskStore(tmp_path))
     first = bench.run(tasks_of(bench))
     assert len(bench.spent) == 6
-    resumed = Workbench(DiskStore(tmp_path))
+    resumed = TaskRunner(DiskStore(tmp_path))
     assert resumed.run(tasks_of(resumed)) == first
     assert resumed.spent == []
     assert resumed.kept == 6
@@ -110,9 +110,9 @@ def test_finished_tasks_are_not_done_again_and_a_new_parameter_does_them_anew(tm
 
 
 def test_stages_are_done_again_from_the_one_asked_for_and_once_only(tmp_path):
-    bench = Workbench(DiskStore(tmp_path))
+    bench = TaskRunner(DiskStore(tmp_path))
     bench.run(tasks_of(bench))
-    again = Workbench(DiskStore(tmp_path), redo=stages_from(("cut", "sum", "table"), "sum"))
+    again = TaskRunner(DiskStore(tmp_path), redo=stages_from(("cut", "sum", "table"), "sum"))
     again.run(tasks_of(again))
     again.run(tasks_of(again))
     assert len(again.spent) == 6
@@ -121,7 +121,7 @@ def test_stages_are_done_again_from_the_one_asked_for_and_once_only(tmp_path):
 
 
 def test_what_stages_cost_is_added_up(tmp_path):
-    bench = Workbench(DiskStore(tmp_path))
+    bench = TaskRunner(DiskStore(tmp_path))
     bench.run(tasks_of(bench))
     costs = bench.costs()
     assert set(costs) == {"sum"}
@@ -133,7 +133,7 @@ def test_what_stages_cost_is_added_up(tmp_path):
 
 def test_progress_goes_from_the_beginning_of_a_stage_to_its_end():
     told = []
-    bench = Workbench(progress=lambda stage, fraction: told.append((stage, fraction)))
+    bench = TaskRunner(progress=lambda stage, fraction: told.append((stage, fraction)))
     bench.run(tasks_of(bench), (0.2, 0.5))
     assert told[0] == ("sum", 0.2)
     assert told[-1] == ("sum", pytest.approx(0.5))
@@ -150,7 +150,7 @@ class LastFirst(InProcess):
 
 def test_stages_beside_each_other_are_each_keyed_and_told_of_once_and_in_order():
     told = []
-    bench = Workbench(executor=LastFirst(), progress=lambda stage, fraction: told.append((stage, fraction)))
+    bench = TaskRunner(executor=LastFirst(), progress=lambda stage, fraction: told.append((stage, fraction)))
     first = tasks_of(bench)
     second = [replace(task, stage="other") for task in first]
     keys = bench.together([first, second], (0.2, 0.4))
@@ -165,7 +165,7 @@ def test_worker_processes_leave_what_one_process_leaves(tmp_path):
     results = []
     for name, executor in (("one", InProcess()), ("two", LocalPool(2))):
         store = DiskStore(tmp_path / name)
-        bench = Workbench(store, executor)
+        bench = TaskRunner(store, executor)
         keys = bench.run(tasks_of(bench))
         results.append({tile: (key, float(store.load(key)["values"][0])) for tile, key in keys.items()})
         executor.close()
@@ -174,7 +174,7 @@ def test_worker_processes_leave_what_one_process_leaves(tmp_path):
 
 def test_a_killed_worker_is_replaced_and_its_task_done(tmp_path, caplog):
     executor = LocalPool(2)
-    bench = Workbench(DiskStore(tmp_path / "stages"), executor)
+    bench = TaskRunner(DiskStore(tmp_path / "stages"), executor)
     mark = str(tmp_path / "mark")
     key = bench.one(Task("sum", "0_0", die_once, {}, {"mark": mark}))
     executor.close()
@@ -183,7 +183,7 @@ def test_a_killed_worker_is_replaced_and_its_task_done(tmp_path, caplog):
 
 def test_workers_that_always_die_end_the_run_with_a_reason(tmp_path):
     executor = LocalPool(1)
-    bench = Workbench(DiskStore(tmp_path), executor)
+    bench = TaskRunner(DiskStore(tmp_path), executor)
     with pytest.raises(SubiacoError, match=r"died 3 times.*0_0.*fewer workers"):
         bench.one(Task("sum", "0_0", die))
     executor.close()
@@ -191,7 +191,7 @@ def test_workers_that_always_die_end_the_run_with_a_reason(tmp_path):
 
 def test_the_error_of_a_task_ends_the_run_as_it_is(tmp_path):
     executor = LocalPool(1)
-    bench = Workbench(DiskStore(tmp_path), executor)
+    bench = TaskRunner(DiskStore(tmp_path), executor)
     with pytest.raises(InputError, match="tile 3_4: no points"):
         bench.one(Task("sum", "3_4", fail, {}, {"tile": "3_4"}))
     executor.close()
@@ -255,10 +255,10 @@ def cluster(tmp_path):
 
 def test_a_cluster_that_loses_a_worker_in_the_middle_leaves_the_same(tmp_path, cluster):
     address, workers = cluster
-    alone = Workbench(DiskStore(tmp_path / "alone"))
+    alone = TaskRunner(DiskStore(tmp_path / "alone"))
     expected = {n: float(alone.store.load(k)["values"][0]) for n, k in alone.run(tasks_of(alone)).items()}
     executor = make_executor(scheduler=address)
-    bench = Workbench(DiskStore(tmp_path / "cluster"), executor)
+    bench = TaskRunner(DiskStore(tmp_path / "cluster"), executor)
     executor._client.wait_for_workers(2, timeout=WAIT)
     tasks = [Task(t.stage, t.name, slow_sum, t.inputs, {**t.params, "seconds": 0.3}) for t in tasks_of(bench)]
     bench.progress = lambda stage, fraction: workers[0].kill() if fraction > 0.1 else None
@@ -275,7 +275,7 @@ def test_a_cluster_without_workers_or_scheduler_ends_the_run_and_says_so(tmp_pat
     address, workers = cluster
     executor = Dask(address, patience=1.0)
     executor._client.wait_for_workers(2, timeout=WAIT)
-    bench = Workbench(DiskStore(tmp_path / "cluster"), executor)
+    bench = TaskRunner(DiskStore(tmp_path / "cluster"), executor)
     tasks = [Task(t.stage, t.name, slow_sum, t.inputs, {**t.params, "seconds": 0.3}) for t in tasks_of(bench)]
     ended = []
 

@@ -21,9 +21,9 @@ from subiaco_geo.cloud_io import read_cloud
 from subiaco_geo.maps import read_map
 from subiaco_geo.topics import IMU_PACKETS, LIDAR_PACKETS
 from subiaco_mapping.config import DecodeConfig
-from subiaco_mapping.decode import DecodeCounts, PacketDecoder
 from subiaco_mapping.measurements import Returns, Scan
 from subiaco_mapping.pipeline import read_metadata
+from subiaco_mapping.preprocessing.decode import DecodeCounts, PacketDecoder
 
 OS1 = "OS-1-128_v2.3.0_1024x10_lb_n3.pcap"
 OS1_DUAL = "OS-1-128_767798045_1024x10_20230712_120049.pcap"

@@ -13,8 +13,8 @@ from ouster.sdk import core
 from subiaco_geo.bags import packet_to_cdr
 from subiaco_geo.crs import EnuFrame
 from subiaco_mapping.config import MappingConfig
+from subiaco_mapping.health_monitor.monitor import Monitor, OdometryNote
 from subiaco_mapping.measurements import GnssFix, ImuSample
-from subiaco_mapping.watch.monitor import Monitor, OdometryNote
 
 START_NS = 1_760_000_000_000_000_000
 HOME = EnuFrame(-31.95, 115.83, 20.0)

@@ -11,7 +11,7 @@ from ouster.sdk import core
 
 from subiaco_geo.errors import InputError
 from subiaco_mapping.config import DecodeConfig
-from subiaco_mapping.decode import PacketDecoder, complete_times
+from subiaco_mapping.preprocessing.decode import PacketDecoder, complete_times
 
 EVERYTHING = DecodeConfig(min_range=0.0, max_range=1000.0)
 SINGLE = ("OS-1-128_v2.3.0_1024x10_lb_n3.pcap", "OS-1-128_v2.3.0_1024x10.json")

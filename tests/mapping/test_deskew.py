@@ -7,8 +7,8 @@ from scipy.spatial.transform import Rotation
 
 from subiaco_geo.frames import invert_pose, make_pose
 from subiaco_mapping.config import DeskewConfig
-from subiaco_mapping.deskew import Deskewer, body_twist
 from subiaco_mapping.measurements import Extrinsics, ImuSample, Returns, Scan
+from subiaco_mapping.preprocessing.deskew import Deskewer, body_twist
 
 PERIOD = SECOND // 10
 R_IMU = Rotation.from_euler("xyz", [180.0, 10.0, 90.0], degrees=True).as_matrix()

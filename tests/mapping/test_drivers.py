@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from subiaco_mapping.config import GnssConfig
-from subiaco_mapping.conversions import fix_from_msg
-from subiaco_mapping.drivers import DriverName
+from subiaco_mapping.preprocessing.conversions import fix_from_msg
+from subiaco_mapping.preprocessing.gnss_drivers import DriverName
 
 UNKNOWN, APPROXIMATED, DIAGONAL, KNOWN = 0, 1, 2, 3
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from subiaco_mapping.field_of_view import FieldOfView
+from subiaco_mapping.fusion.field_of_view import FieldOfView
 
 
 def scan(

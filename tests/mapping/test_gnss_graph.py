@@ -13,16 +13,16 @@ from scipy.spatial.transform import Rotation
 from subiaco_geo.crs import EnuFrame
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import exp_se3, make_pose
-from subiaco_mapping import gnss
 from subiaco_mapping.backend import MappingBackend
 from subiaco_mapping.config import GnssConfig, GraphConfig, MappingConfig
-from subiaco_mapping.graph.gravity import gravity_priors
-from subiaco_mapping.graph.records import Chain, ChainSolution, GnssPriors, GravityPriors, HeadingPriors
-from subiaco_mapping.graph.slow_errors import link_precision, own_precision, slow_errors
-from subiaco_mapping.graph.solver import solve
+from subiaco_mapping.fusion.map_builder import describe
 from subiaco_mapping.manifest import describe_fixes
-from subiaco_mapping.map_builder import describe
 from subiaco_mapping.measurements import DeskewedScan, Extrinsics, GnssFix, HeadingSample, OdometryPose
+from subiaco_mapping.pose_graph import gnss
+from subiaco_mapping.pose_graph.correlated_gnss_errors import link_precision, own_precision, slow_errors
+from subiaco_mapping.pose_graph.gravity import gravity_priors
+from subiaco_mapping.pose_graph.records import Chain, ChainSolution, GnssPriors, GravityPriors, HeadingPriors
+from subiaco_mapping.pose_graph.solver import solve
 
 FRAME = EnuFrame(-31.948, 115.825, 12.0)
 LEVER = np.array([-0.4, 0.3, 0.9])

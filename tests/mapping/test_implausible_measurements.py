@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from subiaco_mapping.config import MappingConfig
-from subiaco_mapping.frontend import OdometryFrontend
 from subiaco_mapping.measurements import Extrinsics, GnssFix, ImuSample
+from subiaco_mapping.odometry.frontend import OdometryFrontend
 
 FIX = GnssFix(0, -31.95, 115.83, 20.0, np.diag([1e-4, 1e-4, 4e-4]), 2)
 

@@ -11,10 +11,16 @@ from subiaco_geo.bags import TYPESTORE, BagReader
 from subiaco_geo.errors import InputError
 from subiaco_geo.topics import FIX, HEADING, IMU, LIDAR_PACKETS, METADATA
 from subiaco_mapping.config import GnssConfig
-from subiaco_mapping.conversions import fix_from_msg, heading_from_msg, imu_from_msg
-from subiaco_mapping.importers import import_recording
-from subiaco_mapping.inspection import inspect_bag
-from subiaco_mapping.logs import GnssColumns, LogsConfig, parse_time_ns, read_gnss_log, read_imu_log
+from subiaco_mapping.importers.csv_logs import (
+    GnssColumns,
+    LogsConfig,
+    parse_time_ns,
+    read_gnss_log,
+    read_imu_log,
+)
+from subiaco_mapping.importers.packets import import_recording
+from subiaco_mapping.inspection.inspect_bag import inspect_bag
+from subiaco_mapping.preprocessing.conversions import fix_from_msg, heading_from_msg, imu_from_msg
 
 LOGS = LogsConfig()
 GNSS = """utc,latitude,longitude,height,quality,sigma_east,sigma_north,sigma_up,heading,heading_sigma

@@ -7,8 +7,8 @@ import pytest
 from rig_drives import IMU_LATE, T_BASE_IMU, T_BASE_LIDAR, rig_drive
 
 from subiaco_geo.frames import invert_pose
-from subiaco_mapping.imu_clock import ClockEstimate, ImuClock
 from subiaco_mapping.measurements import ImuSample, OdometryPose
+from subiaco_mapping.preprocessing.imu_clock import ClockEstimate, ImuClock
 
 R_LIDAR_IMU = (invert_pose(T_BASE_LIDAR) @ T_BASE_IMU)[:3, :3]
 

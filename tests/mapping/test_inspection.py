@@ -15,7 +15,7 @@ from streams import START_NS, small_sensor, turn_packets
 from subiaco_geo.bags import TYPESTORE, BagReader, BagWriter, packet_to_cdr
 from subiaco_geo.topics import FIX, IMU, LIDAR_PACKETS, MESSAGE_TYPES, METADATA, POINTS, TF_STATIC
 from subiaco_mapping.config import MappingConfig
-from subiaco_mapping.inspection import describe, inspect_bag
+from subiaco_mapping.inspection.inspect_bag import describe, inspect_bag
 from subiaco_mapping.named_bags import NamedBagReader, open_bag
 from subiaco_mapping.topic_names import TopicsConfig
 

@@ -9,8 +9,8 @@ from pathlib import Path
 import pytest
 
 from subiaco_geo.errors import InputError
-from subiaco_mapping.importers import import_recording, osf_recording
-from subiaco_mapping.isolated_reader import read_isolated
+from subiaco_mapping.importers.isolated_reader import read_isolated
+from subiaco_mapping.importers.packets import import_recording, osf_recording
 
 
 def test_items_arrive_in_order_and_complete() -> None:

@@ -11,15 +11,15 @@ from subiaco_geo.errors import InputError
 from subiaco_geo.frames import exp_se3, invert_pose, make_pose, rotation_angle, transform_points
 from subiaco_mapping.backend import MappingBackend
 from subiaco_mapping.config import MappingConfig
-from subiaco_mapping.graph.records import LoopEdge
-from subiaco_mapping.loops.config import LoopConfig
-from subiaco_mapping.loops.consistency import consistent_set, disagreement
-from subiaco_mapping.loops.overlay import overlay
-from subiaco_mapping.loops.places import Place
-from subiaco_mapping.loops.registration import Prepared, register
-from subiaco_mapping.loops.scan_context import SECTORS, compare, describe
-from subiaco_mapping.loops.submaps import Submap, SubmapBuilder
+from subiaco_mapping.loop_closure.config import LoopConfig
+from subiaco_mapping.loop_closure.consistency import consistent_set, disagreement
+from subiaco_mapping.loop_closure.overlay import overlay
+from subiaco_mapping.loop_closure.places import Place
+from subiaco_mapping.loop_closure.scan_context import SECTORS, compare, describe
+from subiaco_mapping.loop_closure.submap_registration import Prepared, register
+from subiaco_mapping.loop_closure.submaps import Submap, SubmapBuilder
 from subiaco_mapping.measurements import DeskewedScan, Extrinsics, OdometryPose
+from subiaco_mapping.pose_graph.records import LoopEdge
 
 CONFIG = LoopConfig()
 

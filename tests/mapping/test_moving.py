@@ -11,12 +11,12 @@ from traffic_scene import REGIONS, drive
 
 from subiaco_geo.clouds import PointCloud, voxel_keys
 from subiaco_mapping.config import FusionConfig, MovingConfig
-from subiaco_mapping.finishing import FinishedMap, MapFusion
-from subiaco_mapping.fusion import VoxelAccumulator, add_scan, fused_cloud
-from subiaco_mapping.moving import height_above_floor, moved_probability
-from subiaco_mapping.outliers import beam_spacing
-from subiaco_mapping.projection import Projection
-from subiaco_mapping.tiles import TileRuns, tile_corner, tile_numbers, tiles_around
+from subiaco_mapping.fusion.dynamic_objects import height_above_floor, moved_probability
+from subiaco_mapping.fusion.finishing import FinishedMap, MapFusion
+from subiaco_mapping.fusion.outliers import beam_spacing
+from subiaco_mapping.fusion.projection import Projection
+from subiaco_mapping.fusion.voxel_fusion import VoxelAccumulator, add_scan, fused_cloud
+from subiaco_mapping.fusion.voxel_tiles import TileRuns, tile_corner, tile_numbers, tiles_around
 
 SEED = 21
 

@@ -10,9 +10,9 @@ from mapping_scenes import SECOND, START_NS, cast, relative, room_scan, turning_
 
 from subiaco_geo.frames import invert_pose, make_pose
 from subiaco_mapping.config import MappingConfig, OdometryConfig
-from subiaco_mapping.frontend import OdometryFrontend
 from subiaco_mapping.measurements import DeskewedScan, Extrinsics, Returns, Scan
-from subiaco_mapping.odometry import KissOdometry
+from subiaco_mapping.odometry.frontend import OdometryFrontend
+from subiaco_mapping.odometry.scan_matching import KissOdometry
 
 STEP = SECOND // 10
 SMALL = OdometryConfig(voxel=0.5)

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from subiaco_mapping.config import FusionConfig
-from subiaco_mapping.outliers import beam_spacing, lonely_points
+from subiaco_mapping.fusion.outliers import beam_spacing, lonely_points
 
 CONFIG = FusionConfig()
 STEP = np.radians(0.7)  # between two beams

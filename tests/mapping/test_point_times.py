@@ -10,7 +10,7 @@ from mapping_scenes import START_NS, point_cloud_message
 
 from subiaco_geo.errors import InputError
 from subiaco_mapping.config import MappingConfig
-from subiaco_mapping.conversions import scan_from_points
+from subiaco_mapping.preprocessing.conversions import scan_from_points
 
 COUNT = 400
 SHARE = np.linspace(0.0, 1.0, COUNT)  # of a sweep of 0.1 s

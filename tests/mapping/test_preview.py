@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from subiaco_geo.frames import exp_se3, make_pose
-from subiaco_mapping.preview import LivePreview, OneChain
+from subiaco_mapping.fusion.preview import LivePreview, OneChain
 
 
 def at(x: float, yaw: float = 0.0) -> np.ndarray:

@@ -19,15 +19,15 @@ from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.trajectories import Trajectory
 from subiaco_mapping.backend import MappingBackend
 from subiaco_mapping.config import GnssConfig, GraphConfig, MappingConfig
+from subiaco_mapping.map_quality import wall_thickness as walls
+from subiaco_mapping.map_quality.config import QualityConfig
+from subiaco_mapping.map_quality.figures import assess
+from subiaco_mapping.map_quality.gnss_holdout import FixErrors, withheld_check, withheld_rows
+from subiaco_mapping.map_quality.page import with_quality
+from subiaco_mapping.map_quality.verdict import amount
+from subiaco_mapping.map_quality.wall_thickness import coverage, wall_thickness
 from subiaco_mapping.measurements import DeskewedScan, Extrinsics, GnssFix, OdometryPose
-from subiaco_mapping.quality import walls
-from subiaco_mapping.quality.config import QualityConfig
-from subiaco_mapping.quality.facts import assess
-from subiaco_mapping.quality.page import with_quality
-from subiaco_mapping.quality.verdict import amount
-from subiaco_mapping.quality.walls import coverage, wall_thickness
-from subiaco_mapping.quality.withheld import FixErrors, withheld_check, withheld_rows
-from subiaco_mapping.solution import GraphSolution
+from subiaco_mapping.pose_graph.solution import GraphSolution
 
 FRAME = EnuFrame(-31.948, 115.825, 12.0)
 LEVER = np.array([-0.4, 0.3, 0.9])

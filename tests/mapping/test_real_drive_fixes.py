@@ -12,7 +12,7 @@ import pytest
 from subiaco_geo.bags import BagReader
 from subiaco_geo.topics import FIX, POINTS, TF_STATIC
 from subiaco_mapping.config import MappingConfig
-from subiaco_mapping.conversions import scan_from_points
+from subiaco_mapping.preprocessing.conversions import scan_from_points
 
 
 @pytest.fixture(scope="module")

@@ -15,6 +15,7 @@ from subiaco_geo.maps import write_map
 from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.topics import FIX, MESSAGE_TYPES, POINTS
 from subiaco_mapping import pipeline
+from subiaco_mapping.checkpoint.checkpoint import journal_folder
 from subiaco_mapping.config import (
     FramePose,
     FusionConfig,
@@ -24,8 +25,7 @@ from subiaco_mapping.config import (
     QualityConfig,
     SensorsConfig,
 )
-from subiaco_mapping.journal import journal_folder
-from subiaco_mapping.loops.config import LoopConfig
+from subiaco_mapping.loop_closure.config import LoopConfig
 
 CONFIG = MappingConfig(
     deskewed=True,

@@ -10,9 +10,9 @@ import pytest
 from subiaco_geo.bags import TYPESTORE
 from subiaco_geo.errors import InputError
 from subiaco_mapping.config import GnssConfig
-from subiaco_mapping.conversions import fix_from_msg
-from subiaco_mapping.logs import LogsConfig, parse_time_ns, read_gnss_log
+from subiaco_mapping.importers.csv_logs import LogsConfig, parse_time_ns, read_gnss_log
 from subiaco_mapping.measurements import GnssFix
+from subiaco_mapping.preprocessing.conversions import fix_from_msg
 
 NAMES = (
     "latitude(deg) longitude(deg) height(m) Q ns sdn(m) sde(m) sdu(m) sdne(m) sdeu(m) sdun(m) age(s) ratio"

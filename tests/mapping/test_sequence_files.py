@@ -13,11 +13,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from subiaco_geo.errors import InputError
+from subiaco_mapping.checkpoint.sequence_files import TABLES, pack, unpack
 from subiaco_mapping.config import MappingConfig
-from subiaco_mapping.loops.config import LoopConfig
-from subiaco_mapping.loops.submaps import Submap
+from subiaco_mapping.loop_closure.config import LoopConfig
+from subiaco_mapping.loop_closure.submaps import Submap
 from subiaco_mapping.measurements import DeskewedScan, Extrinsics, GnssFix, HeadingSample, OdometryPose
-from subiaco_mapping.sequence_files import TABLES, pack, unpack
 from subiaco_mapping.sequences import SequenceRecord, begin_sequence
 
 CONFIG = MappingConfig()

@@ -11,11 +11,11 @@ from scipy.ndimage import binary_erosion
 
 from subiaco_geo.frames import make_pose
 from subiaco_geo.raywalk import VisibilityAccumulator
+from subiaco_mapping.checkpoint.scan_spool import SpooledScan
 from subiaco_mapping.config import DecodeConfig, FusionConfig
-from subiaco_mapping.decode import PacketDecoder
-from subiaco_mapping.fusion import walked_beams
-from subiaco_mapping.sky import COLUMNS_PER_TURN, MAX_CLUTTER, RING_STEP, sky_mask, thinned
-from subiaco_mapping.spool import SpooledScan
+from subiaco_mapping.fusion.voxel_fusion import walked_beams
+from subiaco_mapping.preprocessing.decode import PacketDecoder
+from subiaco_mapping.preprocessing.sky import COLUMNS_PER_TURN, MAX_CLUTTER, RING_STEP, sky_mask, thinned
 
 
 def street(rings: int = 64, columns: int = 128) -> np.ndarray:

@@ -12,10 +12,17 @@ from hypothesis import strategies as st
 from streams import HOME, START_NS, Drive, watched
 
 from subiaco_geo.errors import InputError
-from subiaco_mapping.watch.config import QualityConfig
-from subiaco_mapping.watch.positions import Place, Positions, planar_turn
-from subiaco_mapping.watch.quality import AMBER, GREEN, RED, UNDRIVEN, StreetBook, write_geojson
-from subiaco_mapping.watch.routes import cut_line, read_route, route_enu
+from subiaco_mapping.health_monitor.config import QualityConfig
+from subiaco_mapping.health_monitor.positions import Place, Positions, planar_turn
+from subiaco_mapping.health_monitor.routes import cut_line, read_route, route_enu
+from subiaco_mapping.health_monitor.street_quality import (
+    AMBER,
+    GREEN,
+    RED,
+    UNDRIVEN,
+    StreetBook,
+    write_geojson,
+)
 
 SECOND = 10**9
 

@@ -9,7 +9,7 @@ from subiaco_bringup.cli.main import run
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import exp_se3
 from subiaco_geo.trajectories import Trajectory, write_tum
-from subiaco_mapping.quality.compare import compare, table
+from subiaco_mapping.map_quality.trajectory_comparison import compare, table
 
 
 def circle(offset=(0.0, 0.0, 0.0)) -> Trajectory:

@@ -10,7 +10,7 @@ import yaml
 from streams import START_NS, Drive, watched
 
 from subiaco_mapping.config import MappingConfig
-from subiaco_mapping.watch.monitor import Monitor
+from subiaco_mapping.health_monitor.monitor import Monitor
 
 NOTICED = 2.0  # seconds
 

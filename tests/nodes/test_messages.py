@@ -10,8 +10,8 @@ import pytest
 
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import exp_se3, invert_pose
-from subiaco_mapping.conversions import cloud_array, stamp_ns
 from subiaco_mapping.measurements import DeskewedScan, OdometryPose
+from subiaco_mapping.preprocessing.conversions import cloud_array, stamp_ns
 
 pytestmark = pytest.mark.ros
 
@@ -194,7 +194,7 @@ def test_the_local_frame_lies_on_the_earth_where_its_origin_says() -> None:
 
 
 def test_messages_of_one_stamp_are_put_together_and_torn_sets_counted() -> None:
-    from subiaco_mapping.nodes.matching import StampMatcher
+    from subiaco_mapping.nodes.stamp_matching import StampMatcher
 
     matcher = StampMatcher(("pose", "cloud"))
     assert matcher.add("cloud", 1, "c1") is None

@@ -22,10 +22,10 @@ class Bench:
         from std_msgs.msg import String
 
         from subiaco_mapping.config import MappingConfig
+        from subiaco_mapping.health_monitor.files import SurveyFiles
+        from subiaco_mapping.health_monitor.monitor import Monitor
         from subiaco_mapping.nodes.monitor_node import MonitorApp, MonitorParameters
         from subiaco_mapping.nodes.runtime import read_models
-        from subiaco_mapping.watch.files import SurveyFiles
-        from subiaco_mapping.watch.monitor import Monitor
 
         self.ros = ros
         self.now_ns = T0_NS
@@ -167,8 +167,8 @@ def test_street_lights_are_lines_in_the_map_once_its_origin_is_known(ros: Any) -
 
 def test_a_monitor_that_was_restarted_goes_on_with_what_it_wrote(ros: Any, tmp_path: Path) -> None:
     from subiaco_mapping.config import MappingConfig
-    from subiaco_mapping.watch.files import SurveyFiles
-    from subiaco_mapping.watch.monitor import Monitor
+    from subiaco_mapping.health_monitor.files import SurveyFiles
+    from subiaco_mapping.health_monitor.monitor import Monitor
 
     bench = Bench(ros, tmp_path)
     bench.monitor.on_points(bench.now_ns, bench.now_ns, bench.now_ns)

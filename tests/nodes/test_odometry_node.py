@@ -28,7 +28,7 @@ class FakeFrontend:
         self.scans = 0
 
     def _output(self) -> Any:
-        from subiaco_mapping.frontend import FrontendOutput
+        from subiaco_mapping.odometry.frontend import FrontendOutput
 
         self.scans += 1
         stamp = T0_NS + self.scans * 100_000_000

@@ -50,7 +50,7 @@ class FakeBackend:
         self.fixes.append(fix)
 
     def optimize(self) -> Any:
-        from subiaco_mapping.solution import GraphSolution, SequenceSolution
+        from subiaco_mapping.pose_graph.solution import GraphSolution, SequenceSolution
 
         if not self.taken:
             raise InputError("no scan")
@@ -224,8 +224,8 @@ def test_the_end_waits_for_the_last_scan_and_then_writes_the_map(ros: Any, tmp_p
 
 
 def test_path_map_origin_and_frames_are_published_in_the_local_frame(ros: Any, tmp_path: Path) -> None:
-    from subiaco_mapping.conversions import cloud_array
     from subiaco_mapping.nodes.frame import earth_from_enu
+    from subiaco_mapping.preprocessing.conversions import cloud_array
 
     bench = Bench(ros, FakeBackend(), output_directory=str(tmp_path / "map"), preview_points=60)
     bench.begin()

@@ -20,7 +20,7 @@ from subiaco_change.extensions import (
     SegmentationFunction,
 )
 from subiaco_change.job import ChangeJob, Work, run_change
-from subiaco_change.outputs.reading import ChangeDirectory, read_change_directory
+from subiaco_change.outputs.change_directory_reading import ChangeDirectory, read_change_directory
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.config import load_config
 from subiaco_geo.frames import Floats

@@ -149,8 +149,8 @@ def run_live_graph(
         what it had; what the others wrote stands.
     """
     from subiaco_bringup.live_graph import MAP, SEQUENCE, live_graph
-    from subiaco_mapping.watch.files import MANIFEST, add_stretches
-    from subiaco_mapping.watch.routes import read_route
+    from subiaco_mapping.health_monitor.files import MANIFEST, add_stretches
+    from subiaco_mapping.health_monitor.routes import read_route
 
     files, given = list(config_files), list(settings)
     require_live_config(files, given)

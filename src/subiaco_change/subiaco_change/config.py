@@ -6,21 +6,21 @@ from collections.abc import Sequence
 
 from pydantic import Field
 
-from subiaco_change.changes.ablation import Part
-from subiaco_change.changes.association_costs import AssociationConfig
-from subiaco_change.changes.confidence import ConfidenceConfig
-from subiaco_change.changes.decisions import DecisionConfig
-from subiaco_change.changes.ground_cells import GroundChangeConfig
-from subiaco_change.changes.measures import MeasureConfig
-from subiaco_change.changes.plants import PlantConfig
+from subiaco_change.association.costs import AssociationConfig
+from subiaco_change.decisions.ablation import Part
+from subiaco_change.decisions.confidence import ConfidenceConfig
+from subiaco_change.decisions.ground_cells import GroundChangeConfig
+from subiaco_change.decisions.measures import MeasureConfig
+from subiaco_change.decisions.plant_measures import PlantConfig
+from subiaco_change.decisions.rules import DecisionConfig
 from subiaco_change.input_checks import InputCheckConfig
-from subiaco_change.observation.evidence import EvidenceConfig
-from subiaco_change.observation.lod import LodConfig
-from subiaco_change.observation.placing import PlacingConfig
+from subiaco_change.level_of_detection.alignment_corrections import PlacingConfig
+from subiaco_change.level_of_detection.displacement_lod import LodConfig
 from subiaco_change.registration.config import RegistrationConfig
-from subiaco_change.semantics.classes import SemanticsConfig
-from subiaco_change.semantics.instances import InstanceConfig
+from subiaco_change.segmentation.classes import SemanticsConfig
+from subiaco_change.segmentation.instances import InstanceConfig
 from subiaco_change.sparse import SpacingConfig
+from subiaco_change.visibility_evidence import EvidenceConfig
 from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError
 

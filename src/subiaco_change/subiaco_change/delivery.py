@@ -14,13 +14,13 @@ import geopandas as gpd
 import pyogrio
 from pyproj import CRS
 
+from subiaco_change.outputs.change_directory_reading import ChangeDirectory, read_change_directory
 from subiaco_change.outputs.difference_rasters import write_difference_rasters
 from subiaco_change.outputs.earthwork import cut_and_fill
 from subiaco_change.outputs.exports import export_changes
 from subiaco_change.outputs.geopackage import write_layer
 from subiaco_change.outputs.iso_metadata import DeliveryFacts, iso_metadata
 from subiaco_change.outputs.parcels import OUTSIDE, read_lots
-from subiaco_change.outputs.reading import ChangeDirectory, read_change_directory
 from subiaco_change.outputs.review_state import review_counts
 from subiaco_change.outputs.table import write_csv
 from subiaco_change.report.accuracy import accuracy_facts, read_check

@@ -15,8 +15,8 @@ from typing import Any, TypeVar
 import geopandas as gpd
 import numpy as np
 
-from subiaco_change.changes.confidence import Calibration, calibration_of
 from subiaco_change.config import ChangeConfig
+from subiaco_change.decisions.confidence import Calibration, calibration_of
 from subiaco_change.extensions import Extensions
 from subiaco_change.input_checks import (
     InputCheckConfig,
@@ -25,13 +25,13 @@ from subiaco_change.input_checks import (
     facts_of,
     unstated_findings,
 )
-from subiaco_change.observation.uncertainty import UncertaintyConfig
+from subiaco_change.level_of_detection.registration_uncertainty import UncertaintyConfig
 from subiaco_change.outputs.directory import MARKER, ChangeInputs, write_change_directory
 from subiaco_change.outputs.parcels import read_lots
 from subiaco_change.outputs.reviews import read_reviewed
 from subiaco_change.pipeline import detect_in_tiles
 from subiaco_change.records import ChangeRecord, ChangeResult, TiledResult
-from subiaco_change.tiled.run import STAGES
+from subiaco_change.tiling.run import STAGES
 from subiaco_geo.atomic import refuse_existing, refuse_foreign
 from subiaco_geo.codes import Change
 from subiaco_geo.config import StrictModel
@@ -44,9 +44,9 @@ from subiaco_geo.maps import load_epoch
 from subiaco_geo.simulated import SIMULATIONS, distinct
 from subiaco_geo.sources import Epoch, open_epoch
 from subiaco_geo.survey_map import SurveyMap
-from subiaco_geo.work.bench import Workbench, stages_from
 from subiaco_geo.work.executors import make_executor
 from subiaco_geo.work.store import DiskStore
+from subiaco_geo.work.task_runner import TaskRunner, stages_from
 
 _LOG = logging.getLogger(__name__)
 Taken = TypeVar("Taken")
@@ -82,7 +82,7 @@ class Work:
 @contextmanager
 def workbench(
     work: Work, output: Path, progress: Callable[[str, float], None] | None = None
-) -> Iterator[Workbench]:
+) -> Iterator[TaskRunner]:
     """Set up the bench for a run that writes ``output``; stages beside it go when the run succeeds.
 
     Raises
@@ -95,9 +95,9 @@ def workbench(
     with locked(kept):
         if work.stages is None and any(kept.glob("*/*.npz")):
             _LOG.warning("%s: what a run that was stopped finished there is used again", kept)
-        executor = make_executor(work.workers, work.scheduler, ("subiaco_change.tiled.run",))
+        executor = make_executor(work.workers, work.scheduler, ("subiaco_change.tiling.run",))
         try:
-            yield Workbench(DiskStore(kept.absolute()), executor, progress, redo)
+            yield TaskRunner(DiskStore(kept.absolute()), executor, progress, redo)
         except (InputError, RegistrationError):
             executor.close()  # what runs beside the task that failed still writes
             _forget(work, kept)  # the same input would fail again

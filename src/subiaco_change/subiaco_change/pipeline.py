@@ -11,20 +11,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from subiaco_change.config import ChangeConfig
-from subiaco_change.observation.placing import block_table, stated_registration
+from subiaco_change.level_of_detection.alignment_corrections import block_table, stated_registration
 from subiaco_change.records import ChangeRecord, ChangeResult, GroundChange, Registration, TiledResult
 from subiaco_change.registration.pair import PairInfo
-from subiaco_change.tiled.cutting import EPOCHS
-from subiaco_change.tiled.framing import field_of, load_frame
-from subiaco_change.tiled.placing import load_sigma
-from subiaco_change.tiled.run import CityRun, Pass
+from subiaco_change.tiling.alignment import load_sigma
+from subiaco_change.tiling.epoch_tiles import EPOCHS
+from subiaco_change.tiling.frame_arrays import field_of, load_frame
+from subiaco_change.tiling.run import ChangeRun, Pass
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.findings import Finding
 from subiaco_geo.frames import Floats
 from subiaco_geo.sources import Epoch, LoadedEpoch
 from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.tiles import tile_named
-from subiaco_geo.work.bench import Progress, Workbench
+from subiaco_geo.work.task_runner import Progress, TaskRunner
 from subiaco_geo.work.tasks import Inputs
 
 _LABELS = ("change", "semantic", "instance", "confidence", "lod95", "normals")
@@ -38,7 +38,7 @@ def detect_changes(
     *,
     transform: Floats | None = None,
     given: Sequence[str] = (),
-    bench: Workbench | None = None,
+    bench: TaskRunner | None = None,
 ) -> ChangeResult:
     """Find what changed between two epochs.
 
@@ -54,7 +54,7 @@ def detect_changes(
         the epochs are registered already. Without it they are registered.
     given : sequence of str
         Point fields that replace stages: ``semantic``, ``instance``.
-    bench : Workbench, optional
+    bench : TaskRunner, optional
         Where stages are kept and who does them; in memory and in this process by default.
 
     Returns
@@ -66,7 +66,7 @@ def detect_changes(
     ------
     InputError, RegistrationError
     """
-    bench = Workbench(progress=progress) if bench is None else bench
+    bench = TaskRunner(progress=progress) if bench is None else bench
     pair = LoadedEpoch(before), LoadedEpoch(after)
     return detect_in_tiles(pair, config, bench, transform=transform, given=given).whole()
 
@@ -74,7 +74,7 @@ def detect_changes(
 def detect_in_tiles(
     epochs: tuple[Epoch, Epoch],
     config: ChangeConfig,
-    bench: Workbench,
+    bench: TaskRunner,
     *,
     transform: Floats | None = None,
     given: Sequence[str] = (),
@@ -85,7 +85,7 @@ def detect_in_tiles(
     The result reads its clouds from the store of the bench: use it while that is there. ``room`` is told how
     many points both thinned clouds have, once they are cut, and may refuse them.
     """
-    run = CityRun(bench, config, tuple(given))
+    run = ChangeRun(bench, config, tuple(given))
     run.cut(epochs)
     if room is not None:
         room(run.kept_points)
@@ -111,7 +111,7 @@ def detect_in_tiles(
     return _assemble(run, found, labelled, info)
 
 
-def _assemble(run: CityRun, found: Pass, labelled: Mapping[str, str], info: PairInfo) -> TiledResult:
+def _assemble(run: ChangeRun, found: Pass, labelled: Mapping[str, str], info: PairInfo) -> TiledResult:
     tiles = sorted(labelled)
     inputs = Inputs(run.bench.store, {**found.frame, **run.poses, "sigma": found.sigma})
     frame = load_frame(inputs, run.origin)
@@ -132,7 +132,7 @@ def _assemble(run: CityRun, found: Pass, labelled: Mapping[str, str], info: Pair
     )
 
 
-def _with_points(run: CityRun, found: Pass, labelled: Mapping[str, str]) -> tuple[ChangeRecord, ...]:
+def _with_points(run: ChangeRun, found: Pass, labelled: Mapping[str, str]) -> tuple[ChangeRecord, ...]:
     """Fill in how many points the patches of ground have."""
     records = list(found.table.records)
     counts: dict[int, NDArray[np.int64]] = {}
@@ -144,7 +144,7 @@ def _with_points(run: CityRun, found: Pass, labelled: Mapping[str, str]) -> tupl
     return tuple(records)
 
 
-def _tile(run: CityRun, labelled: Mapping[str, str], epoch: str, tile: str) -> PointCloud:
+def _tile(run: ChangeRun, labelled: Mapping[str, str], epoch: str, tile: str) -> PointCloud:
     """Labelled points of a tile of an epoch."""
     piece = run.load(labelled[tile])
     fields: dict[str, NDArray[Any]] = {name: piece[f"{epoch}_{name}"] for name in _LABELS}
@@ -155,7 +155,7 @@ def _tile(run: CityRun, labelled: Mapping[str, str], epoch: str, tile: str) -> P
     return PointCloud(piece[f"{epoch}_xyz"], run.origin, side.crs, fields)
 
 
-def _raster(run: CityRun, labelled: Mapping[str, str]) -> GroundChange | None:
+def _raster(run: ChangeRun, labelled: Mapping[str, str]) -> GroundChange | None:
     """Lay the rasters of the tiles side by side, row 0 in the north."""
     cell = run.config.ground.report_cell
     edge = round(run.size / cell)

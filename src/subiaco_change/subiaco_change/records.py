@@ -135,7 +135,7 @@ class ChangeResult:
     int32, ``confidence`` float32, ``lod95`` float32 and, where known,
     ``intensity`` float32 and ``normals``. ``blocks`` has a row for every 20 m
     block that tells of the registration: see
-    :func:`subiaco_change.observation.placing.block_table`.
+    :func:`subiaco_change.level_of_detection.alignment_corrections.block_table`.
     """
 
     records: tuple[ChangeRecord, ...]
@@ -167,7 +167,7 @@ class ChangeResult:
 class TiledResult:
     """Everything that a run in tiles found; as :class:`ChangeResult`, its clouds tile by tile.
 
-    ``costs``: by stage, see :meth:`subiaco_geo.work.bench.Workbench.costs`. ``tile`` reads the
+    ``costs``: by stage, see :meth:`subiaco_geo.work.task_runner.TaskRunner.costs`. ``tile`` reads the
     cloud of an epoch in one of ``tiles``; it may be empty.
     """
 

@@ -10,11 +10,11 @@ from subiaco_geo.crs_area import require_usable
 from subiaco_geo.errors import InputError
 from subiaco_geo.survey_map import SurveyMap
 from subiaco_mapping.config import MappingConfig
-from subiaco_mapping.map_builder import ProgressCallback, build_map, silent
+from subiaco_mapping.fusion.map_builder import ProgressCallback, build_map, silent
 from subiaco_mapping.measurements import DeskewedScan, Extrinsics, GnssFix, HeadingSample, OdometryPose
+from subiaco_mapping.pose_graph.solution import GraphSolution, LiveEstimate
+from subiaco_mapping.pose_graph.survey_graph import SurveyGraph
 from subiaco_mapping.sequences import SequenceRecord, begin_sequence
-from subiaco_mapping.solution import GraphSolution, LiveEstimate
-from subiaco_mapping.survey_graph import SurveyGraph
 
 
 def sequence_folder(spool: Path, number: int) -> Path:
@@ -134,7 +134,7 @@ class MappingBackend:
 
     def with_quality(self, survey: SurveyMap, progress: ProgressCallback | None = None) -> SurveyMap:
         """Return a map that this back end has built with its quality report beside it."""
-        from subiaco_mapping.quality.page import with_quality  # matplotlib, for this alone
+        from subiaco_mapping.map_quality.page import with_quality  # matplotlib, for this alone
 
         (progress or silent)("checking the map", 0.0)
         return with_quality(survey, self.optimize(), self._config)

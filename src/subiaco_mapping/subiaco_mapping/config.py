@@ -9,12 +9,12 @@ from pydantic import Field, field_validator
 from subiaco_geo.config import StrictModel
 from subiaco_geo.movement import MovementConfig
 from subiaco_mapping.calibration.config import CalibrationConfig
-from subiaco_mapping.drivers import DriverName
-from subiaco_mapping.logs import LogsConfig
-from subiaco_mapping.loops.config import LoopConfig
-from subiaco_mapping.quality.config import QualityConfig
+from subiaco_mapping.health_monitor.config import WatchConfig
+from subiaco_mapping.importers.csv_logs import LogsConfig
+from subiaco_mapping.loop_closure.config import LoopConfig
+from subiaco_mapping.map_quality.config import QualityConfig
+from subiaco_mapping.preprocessing.gnss_drivers import DriverName
 from subiaco_mapping.topic_names import TopicsConfig
-from subiaco_mapping.watch.config import WatchConfig
 
 Triple = tuple[float, float, float]
 

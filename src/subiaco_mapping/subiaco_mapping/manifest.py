@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 
 from subiaco_geo.frames import Floats, Ints
 from subiaco_mapping.config import ManifestConfig
-from subiaco_mapping.graph.records import ChainSolution
 from subiaco_mapping.measurements import GnssFix, OdometryPose
+from subiaco_mapping.pose_graph.records import ChainSolution
 
 #: Flag of a sequence, and key of the manifest, where most fixes contradict the map.
 CONTRADICTED = "gnss_contradicts"

@@ -148,7 +148,7 @@ class DeskewedScan:
     last_xyz, last_intensity : arrays
         The second return, (0, 3) and (0,) where the sensor gives one only.
     sky_xyz : (K, 3) float64
-        How far beams that met nothing prove the air empty [m]; see :mod:`subiaco_mapping.sky`.
+        How far beams that met nothing prove the air empty [m]; see :mod:`subiaco_mapping.preprocessing.sky`.
     accel : (3,) float64 or None
         Mean specific force over the scan in ``lidar_link`` [m/s2].
     columns, lost_columns, dropped_points : int

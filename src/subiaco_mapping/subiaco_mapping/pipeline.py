@@ -19,23 +19,23 @@ from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.topics import FIX, HEADING, IMU, LIDAR_PACKETS, MESSAGE_TYPES, METADATA, POINTS, TF_STATIC
 from subiaco_geo.work.store import Arrays
 from subiaco_geo.work.tasks import Inputs
+from subiaco_mapping.checkpoint.checkpoint import JournalledBackend, opened
+from subiaco_mapping.checkpoint.sequence_files import pack
 from subiaco_mapping.config import MappingConfig
-from subiaco_mapping.conversions import (
+from subiaco_mapping.fusion.map_builder import ProgressCallback, silent
+from subiaco_mapping.health_monitor.files import with_watched
+from subiaco_mapping.measurements import DeskewedScan, Extrinsics, GnssFix, HeadingSample, OdometryPose
+from subiaco_mapping.named_bags import open_bag
+from subiaco_mapping.odometry.frontend import FrontendOutput, OdometryFrontend
+from subiaco_mapping.pose_graph.gnss import PlaceCheck
+from subiaco_mapping.preprocessing.conversions import (
     extrinsics_from_tf,
     fix_from_msg,
     heading_from_msg,
     imu_from_msg,
     scan_from_points,
 )
-from subiaco_mapping.frontend import FrontendOutput, OdometryFrontend
-from subiaco_mapping.gnss import PlaceCheck
-from subiaco_mapping.journal import JournalledBackend, opened
-from subiaco_mapping.map_builder import ProgressCallback, silent
-from subiaco_mapping.measurements import DeskewedScan, Extrinsics, GnssFix, HeadingSample, OdometryPose
-from subiaco_mapping.named_bags import open_bag
 from subiaco_mapping.recordings import OneSequence, Recording, name_all, read_beside
-from subiaco_mapping.sequence_files import pack
-from subiaco_mapping.watch.files import with_watched
 
 logger = logging.getLogger(__name__)
 _LEAST_ROOM = 100_000_000  # without which no map is begun [byte]
@@ -208,7 +208,7 @@ def map_survey(
     progress : callable, optional
         Told stage and fraction.
     journal : Path, optional
-        Folder for the work of this run (:mod:`subiaco_mapping.journal`); it stays there, so that a
+        Folder for the work of this run (:mod:`subiaco_mapping.checkpoint.checkpoint`); it stays there, so that a
         run that is killed can go on. Without one, work goes to a temporary folder.
     resume : bool
         Go on with what the journal holds; recordings that are done are not read again.

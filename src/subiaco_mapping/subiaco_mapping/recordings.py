@@ -15,9 +15,9 @@ from subiaco_geo.work.executors import make_executor
 from subiaco_geo.work.store import DiskStore
 from subiaco_geo.work.tasks import Function, Task
 from subiaco_mapping.backend import sequence_folder
+from subiaco_mapping.checkpoint.checkpoint import Journal
 from subiaco_mapping.config import MappingConfig
-from subiaco_mapping.journal import Journal
-from subiaco_mapping.map_builder import ProgressCallback
+from subiaco_mapping.fusion.map_builder import ProgressCallback
 from subiaco_mapping.measurements import DeskewedScan, Extrinsics, GnssFix, HeadingSample, OdometryPose
 from subiaco_mapping.sequences import SequenceRecord, begin_sequence
 

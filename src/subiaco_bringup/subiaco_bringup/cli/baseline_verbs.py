@@ -61,9 +61,9 @@ def baseline(
 
     Example: subiaco baseline dsm out/before out/after -o out/dsm --transform out/change/registration.json
     """
-    from subiaco_change.baselines.config import BaselineConfig
-    from subiaco_change.baselines.run import run_baseline
     from subiaco_change.job import ChangeJob
+    from subiaco_evaluation.baselines.config import BaselineConfig
+    from subiaco_evaluation.baselines.run import run_baseline
 
     set_up_logging(verbose, quiet)
     given = known_transform(transform, registration)
@@ -102,7 +102,7 @@ def ablate(
     Example: subiaco ablate bags/demo/before bags/demo/after bags/demo -o out/ablations
     """
     from subiaco_change.config import ChangeConfig
-    from subiaco_change.evaluation.ablating import Case, ablations_markdown, run_ablations
+    from subiaco_evaluation.ablation_study import Case, ablations_markdown, run_ablations
 
     set_up_logging(verbose, quiet)
     if len(cases) % 3:

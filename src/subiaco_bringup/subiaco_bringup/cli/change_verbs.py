@@ -220,9 +220,9 @@ def evaluate(
 
     Example: subiaco evaluate out/change bags/demo -o out/evaluation
     """
-    from subiaco_change.evaluation.scoring import compare, evaluate_published
-    from subiaco_change.evaluation.scoring import evaluate as score
-    from subiaco_change.evaluation.writing import evaluation_markdown, write_evaluation
+    from subiaco_evaluation.score_files import evaluation_markdown, write_evaluation
+    from subiaco_evaluation.scoring import compare, evaluate_published
+    from subiaco_evaluation.scoring import evaluate as score
 
     set_up_logging(verbose, quiet)
     if published is not None and len(pairs) == 1:
@@ -265,8 +265,8 @@ def report(
 
     Example: subiaco report out/change --project "Survey 2025" --client "City of Subiaco"
     """
+    from subiaco_change.outputs.change_directory_reading import read_change_directory
     from subiaco_change.outputs.directory import rebuild
-    from subiaco_change.outputs.reading import read_change_directory
     from subiaco_change.report.project import store_project_facts
 
     set_up_logging(verbose, quiet)

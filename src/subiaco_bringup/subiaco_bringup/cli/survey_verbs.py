@@ -100,7 +100,7 @@ def inspect(
     Example: subiaco inspect bags/demo/before
     """
     from subiaco_mapping.config import MappingConfig
-    from subiaco_mapping.inspection import describe, inspect_bag
+    from subiaco_mapping.inspection.inspect_bag import describe, inspect_bag
 
     set_up_logging(verbose, quiet=False)
     model = load_config(MappingConfig, config_files("mapping", tuple(config or ())), settings or [])
@@ -151,8 +151,8 @@ def import_(
     Example: subiaco import drive.pcap --gnss gnss.csv --imu imu.csv -o bags/drive
     """
     from subiaco_mapping.config import MappingConfig
-    from subiaco_mapping.importers import import_recording
-    from subiaco_mapping.logs import read_gnss_log, read_imu_log
+    from subiaco_mapping.importers.csv_logs import read_gnss_log, read_imu_log
+    from subiaco_mapping.importers.packets import import_recording
 
     set_up_logging(verbose, quiet)
     logs = load_config(MappingConfig, config_files("mapping", tuple(config or ())), settings or []).logs
@@ -215,8 +215,8 @@ def map_(
     """
     from subiaco_geo.atomic import refuse_existing, refuse_foreign
     from subiaco_geo.maps import write_map
+    from subiaco_mapping.checkpoint.checkpoint import journal_folder, remove
     from subiaco_mapping.config import MappingConfig
-    from subiaco_mapping.journal import journal_folder, remove
     from subiaco_mapping.pipeline import map_survey, require_room_for
 
     set_up_logging(verbose, quiet)
@@ -335,7 +335,7 @@ def trajectory(
     """
     from subiaco_geo.atomic import refuse_existing
     from subiaco_geo.trajectories import read_tum
-    from subiaco_mapping.quality.compare import compare, table, write_comparison
+    from subiaco_mapping.map_quality.trajectory_comparison import compare, table, write_comparison
 
     set_up_logging(verbose, quiet)
     refuse_existing(output, overwrite)

@@ -54,10 +54,10 @@ def inject(
 
     Example: subiaco inject out/2025 -o out/2025_injected --seed 3
     """
-    from subiaco_change.injection.config import InjectionConfig
-    from subiaco_change.injection.inject import inject as put_in
-    from subiaco_change.injection.inject import read_donors
-    from subiaco_change.injection.writing import write_injected
+    from subiaco_evaluation.injection.config import InjectionConfig
+    from subiaco_evaluation.injection.inject import inject as put_in
+    from subiaco_evaluation.injection.inject import read_donors
+    from subiaco_evaluation.injection.truth_writing import write_injected
     from subiaco_geo.atomic import refuse_existing, refuse_foreign
     from subiaco_geo.maps import load_epoch
 
@@ -112,9 +112,9 @@ def calibrate(
     import pandas as pd
 
     from subiaco_change.config import ChangeConfig
-    from subiaco_change.injection.calibrate import CalibrationConfig, write_calibration
-    from subiaco_change.injection.calibrate import calibrate as run
-    from subiaco_change.injection.inject import read_donors
+    from subiaco_evaluation.injection.calibrate import CalibrationConfig, write_calibration
+    from subiaco_evaluation.injection.calibrate import calibrate as run
+    from subiaco_evaluation.injection.inject import read_donors
     from subiaco_geo.atomic import refuse_existing, refuse_foreign
     from subiaco_geo.maps import load_epoch
 

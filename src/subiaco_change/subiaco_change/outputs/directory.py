@@ -14,15 +14,16 @@ from typing import Any
 
 import geopandas as gpd
 
-from subiaco_change.changes.confidence import Calibration
+from subiaco_change.decisions.confidence import Calibration
 from subiaco_change.outputs import table as outputs_table
+from subiaco_change.outputs.change_directory_reading import ChangeDirectory, read_change_directory
 from subiaco_change.outputs.clouds import write_labelled
 from subiaco_change.outputs.geopackage import write_geopackage, write_layer
 from subiaco_change.outputs.hashing import hash_path
 from subiaco_change.outputs.json_text import write_json
 from subiaco_change.outputs.parcels import build_parcels, coverage_polygons
 from subiaco_change.outputs.qgis_project import PROJECT, write_project
-from subiaco_change.outputs.raster import (
+from subiaco_change.outputs.rasters import (
     Coverage,
     LodRaster,
     build_coverage,
@@ -35,7 +36,6 @@ from subiaco_change.outputs.raster import (
     write_ground_change,
     write_lod,
 )
-from subiaco_change.outputs.reading import ChangeDirectory, read_change_directory
 from subiaco_change.outputs.reviews import carry_reviews, read_reviewed
 from subiaco_change.outputs.style import embed_styles
 from subiaco_change.records import ChangeResult, Registration, TiledResult

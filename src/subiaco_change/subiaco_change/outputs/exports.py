@@ -14,7 +14,7 @@ from subiaco_change.outputs.clouds import change_palette, labelled_path, with_as
 from subiaco_change.outputs.drawing_exchange import write_dxf
 from subiaco_change.outputs.geopackage import write_geopackage, write_layer
 from subiaco_change.outputs.parcels import CHANGED, rebuild_parcels
-from subiaco_change.outputs.raster import read_coverage
+from subiaco_change.outputs.rasters import read_coverage
 from subiaco_change.outputs.review_state import selected_by_review
 from subiaco_change.outputs.reviews import read_reviewed
 from subiaco_change.outputs.style import embed_styles

@@ -14,7 +14,7 @@ from rasterio.transform import from_origin
 from shapely.errors import ShapelyError
 from shapely.geometry import MultiPolygon, shape
 
-from subiaco_change.outputs.raster import COVERAGE, Coverage
+from subiaco_change.outputs.rasters import COVERAGE, Coverage
 from subiaco_change.outputs.review_state import is_rejected
 from subiaco_geo.codes import Change
 from subiaco_geo.errors import InputError

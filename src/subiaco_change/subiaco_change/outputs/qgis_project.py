@@ -16,7 +16,7 @@ import pyogrio
 from pyproj import CRS
 
 from subiaco_change.outputs.qgis_forms import form_elements
-from subiaco_change.outputs.raster import COVERAGE
+from subiaco_change.outputs.rasters import COVERAGE
 from subiaco_change.outputs.review_state import ACCEPTED
 from subiaco_change.outputs.style import COVERAGE_COLOURS, RGB, renderer
 from subiaco_change.records import CHANGE_COLOURS

@@ -11,9 +11,9 @@ import geopandas as gpd
 import pandas as pd
 
 from subiaco_change.outputs import table as outputs_table
+from subiaco_change.outputs.change_directory_reading import read_change_directory
 from subiaco_change.outputs.parcels import rebuild_parcels
-from subiaco_change.outputs.raster import read_coverage
-from subiaco_change.outputs.reading import read_change_directory
+from subiaco_change.outputs.rasters import read_coverage
 from subiaco_change.outputs.reviews import REVIEW_FILE, apply_reviews, read_review_file, read_reviewed
 from subiaco_geo.atomic import whole_file
 

@@ -15,8 +15,8 @@ from shapely.geometry import LineString
 
 from subiaco_change.outputs.difference_rasters import RasterGrid, highest_points, raster_profile, write_cog
 from subiaco_change.outputs.drawing_exchange import write_contour_dxf
-from subiaco_change.report.raster import hillshade
-from subiaco_change.semantics.ground import GroundConfig, fit_ground
+from subiaco_change.report.top_views import hillshade
+from subiaco_change.segmentation.ground_model import GroundConfig, fit_ground
 from subiaco_geo.atomic import whole_directory
 from subiaco_geo.cloud_windows import CloudFile
 from subiaco_geo.errors import InputError
@@ -32,7 +32,7 @@ _RASTERS = ("dtm", "dsm", "hillshade")
 def export_terrain(directory: Path, output: Path, cell: float = 0.5, interval: float = 0.5) -> list[Path]:
     """Write ``dtm.tif``, ``dsm.tif``, ``hillshade.tif``, ``contours.gpkg`` and ``contours.dxf`` of a map.
 
-    The ground model (DTM) is the filtered ground of :func:`~subiaco_change.semantics.ground.fit_ground`,
+    The ground model (DTM) is the filtered ground of :func:`~subiaco_change.segmentation.ground_model.fit_ground`,
     known within 4 m of a ground cell; the surface model (DSM) is the highest point of a cell. Contours are
     cut at the edges of blocks of 1,024 cells.
 

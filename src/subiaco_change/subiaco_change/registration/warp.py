@@ -13,7 +13,7 @@ from pydantic import Field
 from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
-from subiaco_change.observation.smooth_field import BlockGrid, SmoothField
+from subiaco_change.level_of_detection.displacement_field import BlockGrid, SmoothField
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats
 

@@ -11,9 +11,9 @@ import pandas as pd
 from PIL import Image
 
 from subiaco_change.records import CHANGE_COLOURS
-from subiaco_change.report.evidence import svg_path
-from subiaco_change.report.paint import Colours, paint
-from subiaco_change.report.raster import Above
+from subiaco_change.report.colours import Colours, paint
+from subiaco_change.report.evidence_pictures import svg_path
+from subiaco_change.report.top_views import Above
 from subiaco_geo.codes import Change
 
 #: Pixels of the picture along its longer side.

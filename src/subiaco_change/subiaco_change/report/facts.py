@@ -9,10 +9,10 @@ import geopandas as gpd
 import numpy as np
 import pandas as pd
 
-from subiaco_change.outputs.raster import Coverage
+from subiaco_change.outputs.rasters import Coverage
 from subiaco_change.outputs.review_state import is_rejected
 from subiaco_change.records import CHANGE_COLOURS
-from subiaco_change.report.gathering import LodCounts
+from subiaco_change.report.cloud_windows import LodCounts
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.findings import Finding
 from subiaco_geo.frames import rotation_angle

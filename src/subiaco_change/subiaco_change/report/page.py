@@ -14,11 +14,14 @@ import numpy as np
 import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
-from subiaco_change.outputs.reading import ChangeDirectory, read_change_directory
+from subiaco_change.outputs.change_directory_reading import ChangeDirectory, read_change_directory
 from subiaco_change.outputs.review_state import review_counts
 from subiaco_change.records import SEMANTIC_COLOURS
-from subiaco_change.report import evidence, pictures
+from subiaco_change.report import evidence_pictures as evidence
+from subiaco_change.report import pictures
 from subiaco_change.report.citymap import city_map
+from subiaco_change.report.cloud_windows import Gathered, gather
+from subiaco_change.report.colours import height_range
 from subiaco_change.report.facts import (
     CHANGED_LABELS,
     changed_rows,
@@ -31,8 +34,6 @@ from subiaco_change.report.facts import (
     summary,
     unseen_facts,
 )
-from subiaco_change.report.gathering import Gathered, gather
-from subiaco_change.report.paint import height_range
 from subiaco_change.report.project import project_facts
 from subiaco_change.report.row_data import (
     CHUNK,

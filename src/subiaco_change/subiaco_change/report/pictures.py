@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from subiaco_change.records import CHANGE_COLOURS
-from subiaco_change.report.paint import Colours, height_range, paint
-from subiaco_change.report.raster import Above, Frame
+from subiaco_change.report.colours import Colours, height_range, paint
+from subiaco_change.report.top_views import Above, Frame
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Change
 from subiaco_geo.frames import Floats

@@ -15,9 +15,9 @@ import pyogrio
 
 from subiaco_change.outputs.parcels import OUTSIDE
 from subiaco_change.outputs.review_state import review_states
-from subiaco_change.report.evidence import Evidence, svg_path
+from subiaco_change.report.evidence_pictures import Evidence, svg_path
 from subiaco_change.report.pictures import Block
-from subiaco_change.report.raster import Frame
+from subiaco_change.report.top_views import Frame
 from subiaco_geo.atomic import whole_directory
 
 #: Pictures of a chunk; a page of the table shows half as many rows.
@@ -102,7 +102,7 @@ def picture_chunks(order: Sequence[int], drawn: Mapping[int, Evidence]) -> list[
     """Return the pictures by object id in chunks of :data:`CHUNK` rows of the page.
 
     A picture is a list of the WebP in base64, outline, ends of the footprint in a section, scale bar in
-    pixels and in metres, and the note; see :class:`~subiaco_change.report.evidence.Evidence`.
+    pixels and in metres, and the note; see :class:`~subiaco_change.report.evidence_pictures.Evidence`.
     """
     chunks = []
     for start in range(0, len(order), CHUNK):

@@ -10,14 +10,15 @@ import geopandas as gpd
 import numpy as np
 from numpy.typing import NDArray
 
-from subiaco_change.changes.confidence import BANDS
-from subiaco_change.outputs.raster import COVERAGE, Coverage
-from subiaco_change.outputs.reading import ChangeDirectory
+from subiaco_change.decisions.confidence import BANDS
+from subiaco_change.outputs.change_directory_reading import ChangeDirectory
+from subiaco_change.outputs.rasters import COVERAGE, Coverage
 from subiaco_change.outputs.review_state import is_rejected, review_counts
 from subiaco_change.outputs.style import COVERAGE_COLOURS
 from subiaco_change.records import CHANGE_COLOURS
 from subiaco_change.report.citymap import city_map, webp_uri
-from subiaco_change.report.evidence import Evidence
+from subiaco_change.report.cloud_windows import Gathered
+from subiaco_change.report.evidence_pictures import Evidence
 from subiaco_change.report.facts import (
     CHANGED_LABELS,
     changed_rows,
@@ -27,7 +28,6 @@ from subiaco_change.report.facts import (
     summary,
     unseen_facts,
 )
-from subiaco_change.report.gathering import Gathered
 from subiaco_geo.codes import Change
 
 #: From, to, and the range in words.

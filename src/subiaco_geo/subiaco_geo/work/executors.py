@@ -16,7 +16,7 @@ from typing import Any, Protocol
 
 from subiaco_geo.errors import InputError, SubiacoError
 from subiaco_geo.work.store import DiskStore, Store
-from subiaco_geo.work.tasks import Spent, Task, execute
+from subiaco_geo.work.tasks import Task, TaskCost, execute
 
 _LOG = logging.getLogger(__name__)
 _ATTEMPTS = 3  # pools started before lost workers are taken for a lasting fault
@@ -32,7 +32,7 @@ class Executor(Protocol):
 
     spare: bool
 
-    def run(self, store: Store, tasks: Sequence[Task]) -> Iterator[Spent]:
+    def run(self, store: Store, tasks: Sequence[Task]) -> Iterator[TaskCost]:
         """Do the tasks; the first that fails ends the run with its error."""
         ...
 
@@ -46,7 +46,7 @@ class InProcess:
 
     spare = False
 
-    def run(self, store: Store, tasks: Sequence[Task]) -> Iterator[Spent]:
+    def run(self, store: Store, tasks: Sequence[Task]) -> Iterator[TaskCost]:
         """Do the tasks in the order given."""
         for task in tasks:
             yield execute(store, task)
@@ -75,7 +75,7 @@ class LocalPool:
         with _one_thread():
             forkserver.ensure_running()
 
-    def run(self, store: Store, tasks: Sequence[Task]) -> Iterator[Spent]:
+    def run(self, store: Store, tasks: Sequence[Task]) -> Iterator[TaskCost]:
         """Do the tasks; what a killed worker left undone is done by a fresh one."""
         if not isinstance(store, DiskStore):
             raise InputError("worker processes need stages on disk; use a DiskStore")
@@ -93,7 +93,7 @@ class LocalPool:
             f"{next(iter(left.values())).name} among them; if memory is short, use fewer workers"
         )
 
-    def _drain(self, store: Store, left: dict[str, Task]) -> Iterator[Spent]:
+    def _drain(self, store: Store, left: dict[str, Task]) -> Iterator[TaskCost]:
         with _one_thread():  # workers start with the tasks
             pool = self._started()
             futures = {pool.submit(execute, store, task): key for key, task in left.items()}
@@ -173,7 +173,7 @@ class Dask:
         self._checked = False
         _LOG.info("cluster %s, dashboard %s", address, self._client.dashboard_link)
 
-    def run(self, store: Store, tasks: Sequence[Task]) -> Iterator[Spent]:
+    def run(self, store: Store, tasks: Sequence[Task]) -> Iterator[TaskCost]:
         """Do the tasks; the scheduler gives those of a lost worker to another."""
         if not isinstance(store, DiskStore):
             raise InputError("a cluster needs stages on disk; use a DiskStore")
@@ -204,13 +204,13 @@ class Dask:
             elif time.monotonic() - alone_since > self._patience:
                 raise self._lost(missing)
 
-    def _result(self, future: Any) -> Spent | None:
+    def _result(self, future: Any) -> TaskCost | None:
         """Return what a finished task spent; None where its worker died with the answer: it is done again.
 
         The task's own error is raised as it is.
         """
         try:
-            spent: Spent = future.result(timeout=1.0)
+            spent: TaskCost = future.result(timeout=1.0)
         except TimeoutError:
             return None
         except (self._closed, CancelledError) as error:

@@ -138,7 +138,7 @@ class Task:
 
 
 @dataclass(frozen=True)
-class Spent:
+class TaskCost:
     """What a task cost: seconds of the clock and of the processor, largest memory of its process [MiB]."""
 
     stage: str
@@ -148,12 +148,12 @@ class Spent:
     peak_mib: float
 
 
-def execute(store: Store, task: Task) -> Spent:
+def execute(store: Store, task: Task) -> TaskCost:
     """Do a task and keep what it leaves."""
     wall, cpu = time.perf_counter(), time.process_time()
     store.save(task.key, task.function(Inputs(store, task.inputs), task.params))
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
-    return Spent(task.stage, task.name, wall, cpu, peak_mib())
+    return TaskCost(task.stage, task.name, wall, cpu, peak_mib())
 
 
 def peak_mib() -> float:

@@ -16,12 +16,12 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from subiaco_geo.frames import Floats, Ints, interpolate_poses, invert_pose
-from subiaco_mapping import gnss
 from subiaco_mapping.calibration.config import CalibrationConfig
 from subiaco_mapping.calibration.estimate import solve, spread
 from subiaco_mapping.calibration.imu import OdometryTrack
 from subiaco_mapping.config import GnssConfig
 from subiaco_mapping.measurements import GnssFix, HeadingSample
+from subiaco_mapping.pose_graph import gnss
 
 ODOMETRY_SIGMA = 0.01  # of a pose within its stretch [m]
 SLOPE = 0.05  # of a stretch against the vertical that is known [rad]

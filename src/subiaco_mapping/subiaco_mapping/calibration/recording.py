@@ -14,11 +14,11 @@ from subiaco_geo.topics import FIX, IMU
 from subiaco_mapping.calibration.facades import sampled
 from subiaco_mapping.calibration.imu import ImuTrack, OdometryTrack
 from subiaco_mapping.config import MappingConfig
-from subiaco_mapping.conversions import imu_from_msg
-from subiaco_mapping.map_builder import ProgressCallback
+from subiaco_mapping.fusion.map_builder import ProgressCallback
 from subiaco_mapping.measurements import DeskewedScan, Extrinsics, GnssFix, HeadingSample, OdometryPose
 from subiaco_mapping.named_bags import open_bag
 from subiaco_mapping.pipeline import run_sequence
+from subiaco_mapping.preprocessing.conversions import imu_from_msg
 
 
 @dataclass

@@ -17,7 +17,7 @@ from subiaco_mapping.calibration.facades import FacadeComparison, compare, find_
 from subiaco_mapping.calibration.imu import ImuFit, ImuTrack, fit_imu
 from subiaco_mapping.calibration.recording import Collected, drive_through, read_imu
 from subiaco_mapping.config import FramePose, MappingConfig
-from subiaco_mapping.map_builder import ProgressCallback, silent
+from subiaco_mapping.fusion.map_builder import ProgressCallback, silent
 from subiaco_mapping.measurements import Extrinsics
 
 logger = logging.getLogger(__name__)

@@ -7,8 +7,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from subiaco_geo.frames import Floats, invert_pose
-from subiaco_mapping.deskew import body_twist
 from subiaco_mapping.measurements import OdometryPose
+from subiaco_mapping.preprocessing.deskew import body_twist
 
 
 def _skew(vector: Floats) -> Floats:

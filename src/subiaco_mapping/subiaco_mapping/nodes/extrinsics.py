@@ -7,8 +7,8 @@ from typing import Any
 
 from subiaco_geo.topics import FIX, IMU
 from subiaco_mapping.config import SensorsConfig
-from subiaco_mapping.conversions import extrinsics_from_tf
 from subiaco_mapping.measurements import Extrinsics
+from subiaco_mapping.preprocessing.conversions import extrinsics_from_tf
 
 
 def sensors_needed(topics: Collection[str]) -> list[str]:

@@ -18,7 +18,7 @@ from subiaco_mapping.nodes.messages import (
     xyz_cloud,
 )
 from subiaco_mapping.nodes.runtime import latched, reliable, wait_until_received
-from subiaco_mapping.solution import GraphSolution, LiveEstimate
+from subiaco_mapping.pose_graph.solution import GraphSolution, LiveEstimate
 from tf2_msgs.msg import TFMessage
 
 #: Most poses on the path; a viewer needs no more.

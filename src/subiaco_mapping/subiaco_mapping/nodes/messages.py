@@ -1,4 +1,4 @@
-"""Numpy to rclpy messages and back: the ROS side of ``subiaco_mapping.conversions``.
+"""Numpy to rclpy messages and back: the ROS side of ``subiaco_mapping.preprocessing.conversions``.
 
 Clouds on topics are float32 in a local frame. Their bytes go in with
 ``array.frombytes``: assigning a numpy array to ``data`` checks every byte in
@@ -20,9 +20,9 @@ from std_msgs.msg import Header
 
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints, invert_pose, pose_from_quaternion, quaternion_from_pose
-from subiaco_mapping.conversions import cloud_array, stamp_ns
 from subiaco_mapping.measurements import DeskewedScan, OdometryPose
 from subiaco_mapping.nodes.covariance import UNKNOWN_VELOCITY, BaseVelocity
+from subiaco_mapping.preprocessing.conversions import cloud_array, stamp_ns
 from subiaco_msgs.msg import ScanQuality
 
 _POINT_TYPES: dict[str, int] = {

@@ -28,20 +28,20 @@ from subiaco_geo.crs import EnuFrame
 from subiaco_geo.errors import InputError
 from subiaco_geo.topics import FIX, IMU, LIDAR_PACKETS, METADATA, POINTS
 from subiaco_mapping.config import MappingConfig
-from subiaco_mapping.conversions import fix_from_msg, imu_from_msg, stamp_ns
+from subiaco_mapping.health_monitor.config import PPS_WORDS
+from subiaco_mapping.health_monitor.dop import dop_of_gps_fix, dop_of_nmea
+from subiaco_mapping.health_monitor.files import SurveyFiles
+from subiaco_mapping.health_monitor.monitor import Monitor, OdometryNote
+from subiaco_mapping.health_monitor.routes import read_route
+from subiaco_mapping.health_monitor.snapshot import Snapshot, take_snapshot
 from subiaco_mapping.nodes.markers import street_markers
-from subiaco_mapping.nodes.matching import StampMatcher
 from subiaco_mapping.nodes.names import ODOMETRY, QUALITY
-from subiaco_mapping.nodes.offers import OfferedSubscription, Wanted, follow_offers
+from subiaco_mapping.nodes.qos_adaptation import OfferedSubscription, Wanted, follow_offers
 from subiaco_mapping.nodes.runtime import App, latched, read_models, run_node
+from subiaco_mapping.nodes.stamp_matching import StampMatcher
+from subiaco_mapping.preprocessing.conversions import fix_from_msg, imu_from_msg, stamp_ns
 from subiaco_mapping.recording.losses import header_stamp_ns
 from subiaco_mapping.topic_names import GPS_FIX, NMEA_SENTENCE, TIME_REFERENCE
-from subiaco_mapping.watch.config import PPS_WORDS
-from subiaco_mapping.watch.dop import dop_of_gps_fix, dop_of_nmea
-from subiaco_mapping.watch.files import SurveyFiles
-from subiaco_mapping.watch.monitor import Monitor, OdometryNote
-from subiaco_mapping.watch.routes import read_route
-from subiaco_mapping.watch.snapshot import Snapshot, take_snapshot
 from subiaco_msgs.msg import ScanQuality
 
 TICK_INTERVAL = 0.1

@@ -24,21 +24,20 @@ from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import invert_pose
 from subiaco_geo.topics import IMU, LIDAR_PACKETS, METADATA, POINTS, TF_STATIC
 from subiaco_mapping.config import MappingConfig
-from subiaco_mapping.conversions import imu_from_msg, scan_from_points
-from subiaco_mapping.frontend import FrontendOutput, OdometryFrontend
+from subiaco_mapping.fusion.preview import OneChain
 from subiaco_mapping.measurements import Extrinsics, ImuSample, OdometryPose, Scan
-from subiaco_mapping.nodes.arrivals import Arrivals
 from subiaco_mapping.nodes.counts import ConsumptionReporter, counts_message, listen_to_consumers
 from subiaco_mapping.nodes.covariance import PoseCovariance, base_velocity
 from subiaco_mapping.nodes.extrinsics import StaticTransforms, sensors_needed
 from subiaco_mapping.nodes.flow import ConsumedCounter, FlowControl
-from subiaco_mapping.nodes.live import PatientStart
+from subiaco_mapping.nodes.live_sources import ExtrinsicsWaiter
 from subiaco_mapping.nodes.messages import (
     odometry_message,
     quality_message,
     scan_message,
     transform_message,
 )
+from subiaco_mapping.nodes.missed_messages import Arrivals
 from subiaco_mapping.nodes.names import (
     CLOUD,
     END,
@@ -49,7 +48,7 @@ from subiaco_mapping.nodes.names import (
     QUALITY,
     SEQUENCE,
 )
-from subiaco_mapping.nodes.offers import Apart, Wanted, drain, follow_offers
+from subiaco_mapping.nodes.qos_adaptation import Apart, Wanted, drain, follow_offers
 from subiaco_mapping.nodes.runtime import (
     App,
     Diagnostics,
@@ -59,7 +58,8 @@ from subiaco_mapping.nodes.runtime import (
     reliable,
     run_node,
 )
-from subiaco_mapping.preview import OneChain
+from subiaco_mapping.odometry.frontend import FrontendOutput, OdometryFrontend
+from subiaco_mapping.preprocessing.conversions import imu_from_msg, scan_from_points
 from subiaco_msgs.msg import ReplayCounts, ScanQuality
 from tf2_msgs.msg import TFMessage
 
@@ -146,7 +146,7 @@ class OdometryApp:
         self._covariance: PoseCovariance | None = None
         self._last_pose: OdometryPose | None = None
         self._ended = False
-        self._start = PatientStart(("imu",))
+        self._start = ExtrinsicsWaiter(("imu",))
         self._run = 0
         self._arrivals = Arrivals()
         self._facts_at = 0.0

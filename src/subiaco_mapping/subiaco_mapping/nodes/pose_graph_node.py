@@ -31,7 +31,8 @@ from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.topics import FIX, HEADING, TF_STATIC
 from subiaco_mapping.backend import MappingBackend
 from subiaco_mapping.config import MappingConfig
-from subiaco_mapping.conversions import fix_from_msg, heading_from_msg, stamp_ns
+from subiaco_mapping.fusion.preview import OneChain
+from subiaco_mapping.health_monitor.files import extended, read_manifest, with_watched
 from subiaco_mapping.measurements import (
     DeskewedScan,
     Extrinsics,
@@ -39,14 +40,13 @@ from subiaco_mapping.measurements import (
     HeadingSample,
     OdometryPose,
 )
-from subiaco_mapping.nodes.arrivals import Arrivals
 from subiaco_mapping.nodes.counts import ConsumptionReporter
 from subiaco_mapping.nodes.extrinsics import StaticTransforms, sensors_needed
 from subiaco_mapping.nodes.flow import ConsumedCounter
-from subiaco_mapping.nodes.live import LiveMap, PatientStart
+from subiaco_mapping.nodes.live_sources import ExtrinsicsWaiter, LiveMap
 from subiaco_mapping.nodes.map_publisher import MapPublisher
-from subiaco_mapping.nodes.matching import StampMatcher
 from subiaco_mapping.nodes.messages import pose_from_messages, scan_from_messages
+from subiaco_mapping.nodes.missed_messages import Arrivals
 from subiaco_mapping.nodes.names import (
     CLOUD,
     FACTS,
@@ -56,7 +56,7 @@ from subiaco_mapping.nodes.names import (
     QUALITY,
     SEQUENCE,
 )
-from subiaco_mapping.nodes.offers import follow_offers
+from subiaco_mapping.nodes.qos_adaptation import follow_offers
 from subiaco_mapping.nodes.runtime import (
     App,
     Diagnostics,
@@ -67,9 +67,9 @@ from subiaco_mapping.nodes.runtime import (
     reliable,
     run_node,
 )
-from subiaco_mapping.preview import OneChain
-from subiaco_mapping.solution import GraphSolution, LiveEstimate
-from subiaco_mapping.watch.files import extended, read_manifest, with_watched
+from subiaco_mapping.nodes.stamp_matching import StampMatcher
+from subiaco_mapping.pose_graph.solution import GraphSolution, LiveEstimate
+from subiaco_mapping.preprocessing.conversions import fix_from_msg, heading_from_msg, stamp_ns
 from subiaco_msgs.msg import ReplayCounts, ScanQuality
 from subiaco_msgs.srv import Optimize, SaveMap
 from tf2_msgs.msg import TFMessage
@@ -195,7 +195,7 @@ class PoseGraphApp:
         self._announced: ReplayCounts | None = None
         self._marker: tuple[str, ReplayCounts] | None = None
         self._sequence = "live"
-        self._start = PatientStart(("gnss",))
+        self._start = ExtrinsicsWaiter(("gnss",))
         self._chain = OneChain()
         self._scans = 0
         self._arrivals = Arrivals()

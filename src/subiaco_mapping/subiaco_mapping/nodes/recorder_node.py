@@ -16,8 +16,8 @@ from rclpy.node import Node
 
 from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError
-from subiaco_mapping.nodes.listening import Listener
-from subiaco_mapping.nodes.offers import LOOK_INTERVAL
+from subiaco_mapping.nodes.qos_adaptation import LOOK_INTERVAL
+from subiaco_mapping.nodes.raw_subscriptions import Listener
 from subiaco_mapping.nodes.runtime import Diagnostics, read_models, run_node
 from subiaco_mapping.recording.config import RecordConfig, RecordingConfig
 from subiaco_mapping.recording.entries import RecorderStatus

@@ -186,7 +186,7 @@ class PacketCounter:
     def __init__(self, metadata_json: str, counts: PacketCounts | None = None) -> None:
         from ouster.sdk import core
 
-        from subiaco_mapping.decode import expected_columns, parse_metadata
+        from subiaco_mapping.preprocessing.decode import expected_columns, parse_metadata
 
         info = parse_metadata(metadata_json)
         self.metadata = metadata_json

@@ -1,0 +1,180 @@
+"""What it costs to call two objects one (method, part D, Decisions 8 and 11)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+from pydantic import Field
+from scipy.spatial import cKDTree
+
+from subiaco_change.decisions.measures import histogram_distance, oriented_rectangle, rectangle_iou
+from subiaco_change.decisions.voxel_objects import Thing
+from subiaco_change.instance_splitting.one_epoch_parts import PartConfig
+from subiaco_geo.config import StrictModel
+from subiaco_geo.frames import Floats, Ints
+
+#: Weights of centroid distance [1/m], 1 - IoU and histogram distance, paper.
+_PAPER_COST = (1.0, 2.0, 0.5)
+_PHI_REACH = 0.5  # voxels farther apart are not the intersection of two objects [m]
+
+
+class AssociationConfig(StrictModel):
+    """Gates, scales and prices of the assignment."""
+
+    gate_distance: float = Field(
+        2.0, gt=0, description="Largest centroid distance of two objects that may be matched [m] (paper)"
+    )
+    gate_overlap: float = Field(
+        0.3,
+        gt=0,
+        le=1,
+        description="Footprint intersection over union from which two objects may be matched at any "
+        "distance [1] (Decision 8)",
+    )
+    spread_distance: float = Field(
+        1.0,
+        gt=0,
+        description="Standard deviation of the centroid of one object between two epochs [m] (Decision 11)",
+    )
+    spread_relative: float = Field(
+        0.15, ge=0, description="Additional standard deviation of the centroid per metre of object size [m/m]"
+    )
+    spread_overlap: float = Field(
+        0.35,
+        gt=0,
+        description="Standard deviation of 1 - footprint intersection over union for one object in two "
+        "epochs [1]",
+    )
+    spread_histogram: float = Field(
+        0.35,
+        gt=0,
+        description="Standard deviation of the height histogram distance for one object in two epochs [1]",
+    )
+    cost: Literal["scaled", "plain"] = Field(
+        "scaled",
+        description="Matching cost: scaled sums squared differences over their standard deviations; plain "
+        "uses the paper's weights 1, 2, 0.5 (Decision 11)",
+    )
+    kappa: float = Field(
+        0.0,
+        ge=0,
+        description="Weight of phi = max(0, LoD95 - d_perp) in the plain matching cost [1/m]; the paper "
+        "uses 2 (Decision 8)",
+    )
+    unmatched: float = Field(
+        6.0,
+        gt=0,
+        description="Cost of leaving one object unmatched, on the chi-square scale [1]; raise it for more "
+        "matches",
+    )
+    contained: float = Field(
+        0.5,
+        gt=0,
+        le=1,
+        description="Fraction of the voxels of a fragment that must lie inside an object for the two to "
+        "be joined (Decision 9)",
+    )
+    parts: PartConfig = PartConfig()
+    apart: float = Field(
+        0.15,
+        gt=0,
+        le=1,
+        description="Fraction of a match from which one of several fragments may be a separate object",
+    )
+    stacked: float = Field(
+        0.3, ge=0, le=1, description="Fraction of common columns from which two fragments are one object"
+    )
+    same_place: float = Field(
+        0.5,
+        gt=0,
+        le=1,
+        description="Fraction of common voxels from which two objects of different classes are one object "
+        "(method C6)",
+    )
+
+
+def candidate_costs(
+    before: Sequence[Thing],
+    after: Sequence[Thing],
+    groups_b: Sequence[tuple[int, ...]],
+    groups_a: Sequence[tuple[int, ...]],
+    config: AssociationConfig,
+) -> tuple[Ints, Ints, Floats]:
+    """Gated pairs of groups (E,), (E,) and their chi-square costs (E,)."""
+    shapes_b = [_shape([before[i] for i in group]) for group in groups_b]
+    shapes_a = [_shape([after[j] for j in group]) for group in groups_a]
+    rows, columns, costs = [], [], []
+    for i, j in _near_pairs(shapes_b, shapes_a, config):
+        b, a = shapes_b[i], shapes_a[j]
+        overlap = rectangle_iou(b.rectangle, a.rectangle)
+        distance = float(np.linalg.norm(b.centroid - a.centroid))
+        if distance > config.gate_distance and overlap < config.gate_overlap:
+            continue
+        rows.append(i)
+        columns.append(j)
+        costs.append(_cost(distance, overlap, b, a, config))
+    return (
+        np.array(rows, dtype=np.int64),
+        np.array(columns, dtype=np.int64),
+        np.array(costs, dtype=np.float64),
+    )
+
+
+def _cost(distance: float, overlap: float, b: _Shape, a: _Shape, config: AssociationConfig) -> float:
+    """Price of calling two groups one object: a chi-square, or the paper's plain sum."""
+    histogram = histogram_distance(b.heights, a.heights, 10)
+    if config.cost == "plain":
+        weights = _PAPER_COST
+        printed = weights[0] * distance + weights[1] * (1 - overlap) + weights[2] * histogram
+        return printed + (config.kappa * _phi(b, a) if config.kappa > 0 else 0.0)
+    spread = config.spread_distance + config.spread_relative * max(b.size, a.size)
+    terms = (distance / spread, (1 - overlap) / config.spread_overlap, histogram / config.spread_histogram)
+    return sum(t**2 for t in terms)
+
+
+def _phi(b: _Shape, a: _Shape) -> float:
+    """Return how far the median separation along the normal stays under the level of detection [m]."""
+    distance, slot = cKDTree(a.xyz).query(b.xyz, distance_upper_bound=_PHI_REACH)
+    shared = np.isfinite(distance)
+    level = max(b.lod, a.lod)
+    if not shared.any() or not np.isfinite(level):
+        return 0.0
+    step = a.xyz[slot[shared]] - b.xyz[shared]
+    return max(0.0, level - float(np.median(np.abs(np.einsum("ij,ij->i", b.normal[shared], step)))))
+
+
+@dataclass(frozen=True)
+class _Shape:
+    xyz: Floats
+    normal: Floats
+    lod: float
+    centroid: Floats
+    heights: Floats
+    rectangle: object
+    size: float
+    reach: float
+
+
+def _shape(things: Sequence[Thing]) -> _Shape:
+    xyz = np.concatenate([t.voxels.xyz for t in things])
+    heights = np.concatenate([t.voxels.height for t in things])
+    size = float(np.linalg.norm(np.ptp(xyz, axis=0)))
+    normal = np.concatenate([t.voxels.normal for t in things])
+    lod = max(t.lod for t in things)
+    return _Shape(xyz, normal, lod, xyz.mean(axis=0), heights, oriented_rectangle(xyz[:, :2]), size, size / 2)
+
+
+def _near_pairs(
+    shapes_b: Sequence[_Shape], shapes_a: Sequence[_Shape], config: AssociationConfig
+) -> list[tuple[int, int]]:
+    """Pairs of groups whose circles come within the gate."""
+    tree = cKDTree([s.centroid[:2] for s in shapes_a])
+    widest = max(s.reach for s in shapes_a)
+    pairs: list[tuple[int, int]] = []
+    for i, shape in enumerate(shapes_b):
+        reach = config.gate_distance + shape.reach + widest
+        pairs.extend((i, j) for j in sorted(tree.query_ball_point(shape.centroid[:2], reach)))
+    return pairs

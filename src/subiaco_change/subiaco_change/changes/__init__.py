@@ -1,1 +1,0 @@
-"""Objects of two epochs: association, measures, decisions (method, parts D and E)."""

@@ -1,0 +1,1 @@
+"""Measures of matched objects, and the label that follows from them (method, part E)."""

@@ -1,0 +1,65 @@
+"""How surely the places of an object are free in the other epoch: what beams prove about what they crossed.
+
+A beam that crosses the place of a wall proves that the wall is gone; one that crosses the place of a hedge
+may have found a gap. How many of its own survey's beams the object let by tells which of the two it is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.special import expit, logit
+
+from subiaco_change.decisions.voxel_objects import Free, Thing, join_voxels
+from subiaco_geo.frames import Floats
+
+_PATCH = 4.0  # voxels that are crossed by the same beams, or by none
+_SURE = 1e-6  # less than this is never left of a doubt
+
+
+def absence(before: Sequence[Thing], after: Sequence[Thing], free: tuple[Free | None, Free | None]) -> float:
+    """Probability that the object is absent where the other epoch holds nothing.
+
+    The mean log odds of the places, times the square root of the number of patches that they form: places
+    beside each other are crossed by the same beams, so their errors are correlated.
+
+    Parameters
+    ----------
+    before, after : sequence of Thing
+        Parts of the object in both epochs.
+    free : (callable, callable)
+        How probable *before* and *after* find it that places (N, 3) are free; None: certain.
+    """
+    chances = [np.zeros(0)]
+    for things, known in ((before, free[1]), (after, free[0])):
+        if things and known is not None:
+            voxels = join_voxels(things)
+            places = voxels.xyz[voxels.seen & ~voxels.still]
+            chances.append(porous_chance(known(places), opacity(things)))
+    joined = np.concatenate(chances)
+    return 1.0 if len(joined) == 0 else pooled(float(joined.mean()), len(joined))
+
+
+def pooled(mean: float, voxels: int) -> float:
+    """Probability that places are free together: ``mean`` of so many voxels, four of which form a patch."""
+    within = min(max(mean, _SURE), 1.0 - _SURE)
+    return float(expit(logit(within) * max(voxels / _PATCH, 1.0) ** 0.5))
+
+
+def opacity(things: Sequence[Thing]) -> float | None:
+    """Share of the beams of its own survey that an object returned; None where nothing counted them."""
+    passed = np.concatenate([t.passed for t in things])
+    return None if len(passed) == 0 else float(1.0 / (1.0 + passed.mean()))
+
+
+def porous_chance(chance: Floats, returned: float | None) -> Floats:
+    """Probability (N,) that no object with this fraction of returned beams is at the places.
+
+    ``chance`` (N,) is that of the place being free whatever stood there: (k + 1/2) / (k + 1) after k beams
+    that crossed it. Had the object stood there, k beams would all have missed it with (1 - returned)^k.
+    """
+    if returned is None:
+        return chance
+    beams = np.maximum(chance - 0.5, 0.0) / np.maximum(1.0 - chance, _SURE)
+    return np.asarray(1.0 / (1.0 + (1.0 - min(returned, 1.0 - _SURE)) ** beams))

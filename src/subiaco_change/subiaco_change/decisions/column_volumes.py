@@ -1,0 +1,203 @@
+"""Volumes between the ground and the tops of objects, in columns that both epochs know (Decision 13)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from subiaco_change.decisions.voxel_objects import Voxels
+from subiaco_change.segmentation.bounding_rectangles import box_coordinates
+from subiaco_change.segmentation.ground_model import Mask
+from subiaco_geo.clouds import voxel_indices, voxel_keys
+from subiaco_geo.frames import Floats, Ints
+
+NO_COLUMNS: Ints = np.zeros(0, dtype=np.int64)
+_ALONE = 0.75  # share of its observed surface from which on a part stands in one epoch alone
+_CROSSED = 0.2  # share of its new surface that the other epoch must have looked across
+_STRAY = 0.005  # share of places beyond the walls at either end
+_PROBES = (0.3, 0.6, 0.9)  # heights in shares of a top at which a survey is asked whether a column is open
+
+#: Tells which places (N, 3) a survey looked through.
+Empty = Callable[[Floats], Mask]
+
+
+@dataclass(frozen=True)
+class OpenGround:
+    """Where nothing stands: columns in which an epoch met the ground (sorted keys), what it saw through."""
+
+    before: Ints
+    after: Ints
+    empty: tuple[Empty | None, Empty | None] = (None, None)
+    cell: float = 0.5
+
+    def bare(self, epoch: int) -> Empty:
+        """Return what tells of columns (N, 2) whether an epoch, 0 or 1, met the ground there."""
+        keys = (self.before, self.after)[epoch]
+
+        def met(xy: Floats) -> Mask:
+            return _among(column_keys(np.column_stack([xy, np.zeros(len(xy))]), self.cell), keys)
+
+        return met
+
+
+#: Nobody met the ground.
+BUILT_UP = OpenGround(NO_COLUMNS, NO_COLUMNS)
+
+
+@dataclass(frozen=True)
+class Volumes:
+    """Change of the volume, after minus before, and the volume that it is a share of [m3]."""
+
+    change: float
+    whole: float
+
+
+def ground_columns(xyz: Floats, cell: float) -> Ints:
+    """Return the sorted keys of the columns of ground points (N, 3)."""
+    return np.unique(column_keys(xyz, cell))
+
+
+def column_keys(xyz: Floats, cell: float) -> Ints:
+    """Return the key (N,) of the column that every point (N, 3) stands in."""
+    return voxel_keys(voxel_indices(xyz * (1.0, 1.0, 0.0), cell))
+
+
+def compare_volumes(
+    before: Voxels, after: Voxels, cell: float, closing: float, ground: OpenGround
+) -> Volumes:
+    """Compare the columns of one object in two epochs; either may be empty.
+
+    Evidence shows which parts are new or gone; their size is measured in the epoch that contains them. Of
+    parts in both epochs, the places that both observed count; of parts in one epoch alone, all places.
+    A column that one of the epochs neither saw standing nor open is no change. The share is one of
+    what stood before, as far as either epoch saw it.
+    """
+    if len(before) + len(after) == 0:
+        return Volumes(0.0, 0.0)
+    alone = [stands_alone(v) for v in (before, after)]
+    sides = [v.select(v.seen | new) for v, new in zip((before, after), alone, strict=True)]
+    sides = [own.add(other.select(other.still)) for own, other in (sides, sides[::-1])]
+    frame = _Frame.around(np.concatenate([v.xyz for v in (before, after)]), cell, round(closing / cell))
+    stand, bare = [], []
+    for side, keys, empty in zip(sides, (ground.before, ground.after), ground.empty, strict=True):
+        tops, free = _standing(side, frame, keys, empty)
+        stand.append(tops)
+        bare.append(free)
+    known = np.ones(frame.shape, dtype=bool)
+    for epoch in (0, 1):
+        unknown = (stand[epoch] == 0) & (stand[1 - epoch] > 0) & ~bare[epoch]
+        unknown[unknown] = ~_open(frame, unknown, stand[1 - epoch], sides[1 - epoch], ground.empty[epoch])
+        new = (before, after)[1 - epoch].select(alone[1 - epoch])
+        unknown[unknown] = ~_within(new, frame.middles(unknown))
+        known &= ~unknown
+    change = float((stand[1] - stand[0])[known].sum()) * cell**2
+    first = 0 if len(before) else 1
+    outline = [before.xyz, after.xyz[~alone[1]]] if first == 0 else [after.xyz]
+    return Volumes(change, _whole(stand[first], np.concatenate(outline), cell))
+
+
+def stands_alone(voxels: Voxels) -> Mask:
+    """Tell which voxels (M,) are of parts that stand in one epoch alone, and were looked across."""
+    if len(voxels) == 0:
+        return np.zeros(0, dtype=bool)
+    part = np.unique(voxels.owner, return_inverse=True)[1]
+    seen = np.bincount(part, voxels.seen)
+    free = np.bincount(part, voxels.seen & ~voxels.still)
+    crossed = np.bincount(part, voxels.crossed)
+    return np.asarray(((free >= _ALONE * seen) & (crossed > _CROSSED * free))[part])
+
+
+@dataclass(frozen=True)
+class _Frame:
+    """Columns of a place: first of them, how many, their edge [m], and half the widest gap that is filled."""
+
+    corner: Ints
+    shape: tuple[int, ...]
+    cell: float
+    margin: int
+
+    @staticmethod
+    def around(xyz: Floats, cell: float, margin: int) -> _Frame:
+        index = np.floor(xyz[:, :2] / cell).astype(np.int64)
+        corner = index.min(axis=0) - margin
+        return _Frame(corner, tuple((index.max(axis=0) + 1 + margin - corner).tolist()), cell, margin)
+
+    def middles(self, where: Mask) -> Floats:
+        """Middles (C, 2) of the columns of a mask [m]."""
+        return np.asarray((np.argwhere(where) + self.corner + 0.5) * self.cell)
+
+
+def _standing(voxels: Voxels, frame: _Frame, ground: Ints, empty: Empty | None) -> tuple[Floats, Mask]:
+    """Tops of columns, gaps between them filled, and where nothing stands instead, both (rows, columns).
+
+    Columns that nobody looked into, but that stand between others no more than twice the margin apart,
+    are filled to the lower of these: a wing whose walls were seen has a volume although its roof was not.
+    Where the epoch met the ground (sorted keys) or looked through there is nothing to fill.
+    """
+    tops = _tops(voxels, frame)
+    bare = tops == 0.0
+    middle = frame.middles(bare)
+    bare[bare] = _among(column_keys(np.column_stack([middle, np.zeros(len(middle))]), frame.cell), ground)
+    if frame.margin == 0 or len(voxels) == 0:
+        return tops, bare
+    size = 2 * frame.margin + 1
+    closed = ndimage.grey_closing(tops, size=(size, size), mode="constant")
+    filled = (closed > 0) & (tops == 0) & ~bare
+    bare[filled] = empty is not None and _open(frame, filled, closed, voxels, empty)
+    return np.where(bare, 0.0, closed), bare
+
+
+def _among(keys: Ints, known: Ints) -> Mask:
+    """Tell which keys (N,) are among the known ones (M,), sorted: many, and the same for every object."""
+    if len(known) == 0:
+        return np.zeros(len(keys), dtype=bool)
+    return np.asarray(known[np.minimum(np.searchsorted(known, keys), len(known) - 1)] == keys)
+
+
+def _tops(voxels: Voxels, frame: _Frame) -> Floats:
+    tops = np.zeros(frame.shape)
+    index = np.floor(voxels.xyz[:, :2] / frame.cell).astype(np.int64) - frame.corner
+    np.maximum.at(tops, (index[:, 0], index[:, 1]), voxels.height)
+    return tops
+
+
+def _open(frame: _Frame, where: Mask, tops: Floats, standing: Voxels, empty: Empty | None) -> Mask:
+    """Tell in which columns of a mask (C,) a survey looked through what would stand there to its top.
+
+    Without a record of beams everything counts as looked through.
+    """
+    middle = frame.middles(where)
+    if empty is None or len(middle) == 0:
+        return np.ones(len(middle), dtype=bool)
+    near = cKDTree(standing.xyz[:, :2]).query(middle)[1]
+    foot = standing.xyz[near, 2] - standing.height[near]
+    passed = [empty(np.column_stack([middle, foot + share * tops[where]])) for share in _PROBES]
+    return np.asarray(np.sum(passed, axis=0) >= 1)
+
+
+def _within(new: Voxels, middle: Floats) -> Mask:
+    """Tell which columns (C, 2) lie inside the smallest rectangles around parts that stand alone."""
+    inside = np.zeros(len(middle), dtype=bool)
+    if len(middle) == 0:
+        return inside
+    for owner in np.unique(new.owner):
+        outline = shapely.MultiPoint(new.xyz[new.owner == owner, :2]).buffer(0.25).minimum_rotated_rectangle
+        inside |= shapely.contains_xy(outline, middle[:, 0], middle[:, 1])
+    return inside
+
+
+def _whole(tops: Floats, xyz: Floats, cell: float) -> float:
+    """Volume of a body of which a part was seen: the rectangle around it at its mean height [m3].
+
+    Of most houses the street sees the front, half of the roof and no inside.
+    """
+    area = float(np.count_nonzero(tops > 0)) * cell**2
+    if area == 0.0:
+        return 0.0
+    low, high = np.quantile(box_coordinates(xyz[:, :2]), [_STRAY, 1.0 - _STRAY], axis=0)
+    return float(tops.sum()) * cell**2 * max(1.0, float(np.prod(high - low + cell)) / area)

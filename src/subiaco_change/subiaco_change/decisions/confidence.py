@@ -1,0 +1,397 @@
+"""How far to trust a row: the paper's score, and a calibrated probability (method, Decision 15)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Literal
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+from scipy.optimize import minimize
+from scipy.special import expit
+
+from subiaco_change.decisions.measures import Measures
+from subiaco_change.decisions.rules import Decision
+from subiaco_change.records import ChangeRecord
+from subiaco_geo.codes import Change, Semantic
+from subiaco_geo.config import StrictModel
+from subiaco_geo.frames import Floats
+
+#: Weights h, v, o, c, p of the paper.
+PAPER_WEIGHTS = {
+    Semantic.BUILDING: (0.35, 0.30, 0.20, 0.10, 0.05),
+    Semantic.VEGETATION: (0.30, 0.35, 0.15, 0.10, 0.10),
+    Semantic.GROUND: (0.50, 0.0, 0.25, 0.0, 0.25),
+}
+_SIGMA_HEIGHT = 0.10
+_SIGMA_VOLUME = 0.05
+_EPSILON = 1e-6
+#: Largest calibration error on surveys left out of the fit at which confidences count as probabilities.
+CALIBRATED = 0.05
+
+#: Confidences from which on the bands of the summary begin.
+BANDS = (0.9, 0.7, 0.0)
+
+#: What a row's confidence is a function of, in the order of the coefficients.
+FEATURES = (
+    "margin", "gate", "observed", "size", "purity", "solid", "density",
+    "trajectory", "estimated", "shadow", "assumed",
+)  # fmt: skip
+#: The first of these follow from the decision alone.
+_DECIDED = 2
+_CLAIMS = ("single", "reshaped")
+_TYPICAL_SHARE = 0.8  # observed share of a typical row
+_SIGMAS = 6.0  # standard deviations from a limit beyond which more say nothing new
+
+Kind = Literal["single", "reshaped", "unchanged"]
+
+
+class Coefficients(StrictModel):
+    """Logistic model of one kind of row; see :func:`features`."""
+
+    intercept: float = Field(description="Log odds of a typical row [1]")
+    margin: float = Field(description="Coefficient of the margin by which the deciding rule was met")
+    gate: float = Field(
+        0.0,
+        description="Coefficient of the distance between measure and limit, in units of 3 standard "
+        "deviations",
+    )
+    observed: float = Field(
+        description="Coefficient of the observed fraction, which is about 0.8 in a typical row"
+    )
+    size: float = Field(
+        description="Coefficient of log10 of the number of observed voxels, which is about 1.7 in a "
+        "typical row"
+    )
+    purity: float = Field(description="Coefficient of the class score, which is about 0.7 in a typical row")
+    solid: float = Field(
+        description="Coefficient of the class: 1 for buildings and vegetation, 0 for mobile and other objects"
+    )
+    density: float = Field(
+        0.0, description="Coefficient of the absolute log ratio of the point densities of both epochs"
+    )
+    trajectory: float = Field(
+        0.0, description="Coefficient of free space from a given trajectory (1 where that is the evidence)"
+    )
+    estimated: float = Field(
+        0.0,
+        description="Coefficient of free space from poses estimated from the cloud (1 where that is the "
+        "evidence)",
+    )
+    shadow: float = Field(
+        0.0, description="Coefficient of free space from a shadow test (1 where that is the evidence)"
+    )
+    assumed: float = Field(
+        0.0, description="Coefficient of free space that is assumed (1 where that is the evidence)"
+    )
+
+
+class MeasuredBand(StrictModel):
+    """How many claims with a confidence in one band were right, on surveys left out of the fit."""
+
+    low: float = Field(ge=0, le=1, description="Lowest confidence of the band [1]")
+    high: float = Field(ge=0, description="Confidence at which the next band begins [1]")
+    right: int = Field(ge=0, description="Number of claims in the band that were right")
+    claims: int = Field(ge=1, description="Number of claims in the band")
+
+
+class ConfidenceConfig(StrictModel):
+    """Coefficients fitted on simulated surveys by ``scripts/calibrate_confidence.py``.
+
+    On surveys that no rule was tuned on: where rules are tuned they are right more often than elsewhere.
+    Some 20 wrong rows among 210 changed ones are few to vouch for a probability: ``held_out_ece`` says
+    how far off it was on surveys left out.
+    """
+
+    fitted_on: str = Field(
+        "simulated: default_106, hard_106; evidence: layer; 2026-11-22; 210 changed of 788 rows",
+        description="Surveys, seeds, rows and date of the confidence fit; empty if the coefficients were "
+        "not fitted",
+    )
+    held_out_ece: float = Field(
+        0.026,
+        ge=0,
+        le=1,
+        description="Expected calibration error over changed rows of surveys left out of the fit [1]",
+    )
+    bands: tuple[MeasuredBand, ...] = Field(
+        (
+            MeasuredBand(low=0.9, high=1.01, right=106, claims=118),
+            MeasuredBand(low=0.7, high=0.9, right=81, claims=90),
+        ),
+        description="Claims per confidence band, right and total, on surveys left out of the fit, as "
+        "printed on the summary page; bands without claims are absent",
+    )
+    evidence: tuple[str, ...] = Field(
+        ("observed",),
+        description="Kinds of evidence among the rows of the fit; the confidence of rows with other kinds "
+        "is discounted",
+    )
+    clouds: Literal["simulated", "own"] = Field(
+        "simulated",
+        description="Clouds of the fit: simulated surveys, or injected copies of the compared survey. "
+        "Rows of other clouds are discounted",
+    )
+    discount: float = Field(
+        0.75,
+        gt=0,
+        le=1,
+        description="Factor on the log odds of rows whose kind of evidence or cloud was never calibrated. "
+        "Lower values are more cautious",
+    )
+    cap: float = Field(
+        0.93,
+        gt=0.5,
+        le=1,
+        description="Highest confidence of rows whose kind of evidence or cloud was never calibrated [1]",
+    )
+    unseen: float = Field(
+        0.25,
+        ge=0,
+        le=1,
+        description="Doubt about a change in a place that the other survey did not observe at all, as a "
+        "probability. Higher values are more cautious",
+    )
+    single: Coefficients = Coefficients(
+        intercept=1.404,
+        margin=0.057,
+        gate=0.511,
+        observed=0.559,
+        size=0.853,
+        purity=0.576,
+        solid=0.122,
+        density=0.0,
+    )
+    reshaped: Coefficients = Coefficients(
+        intercept=2.739,
+        margin=0.0,
+        gate=0.053,
+        observed=0.006,
+        size=0.31,
+        purity=0.159,
+        solid=0.0,
+        density=-0.342,
+    )
+    unchanged: Coefficients = Coefficients(
+        intercept=3.496,
+        margin=-1.037,
+        gate=0.154,
+        observed=0.458,
+        size=0.873,
+        purity=0.0,
+        solid=-1.198,
+        density=0.0,
+    )
+
+    @property
+    def calibrated(self) -> bool:
+        """Whether confidences may be read as probabilities: fitted, and at most 0.05 off on other surveys."""
+        return bool(self.fitted_on) and self.held_out_ece <= CALIBRATED
+
+    def calibrated_for(self, evidence: str, simulated: bool) -> bool:
+        """Whether the fit saw rows of this kind of evidence, on clouds of this kind."""
+        return self.calibrated and evidence in self.evidence and (simulated or self.clouds == "own")
+
+
+def paper_score(semantic: Semantic, measures: Measures, lod: float) -> float:
+    """Return the paper's score, never below 0.5; NaN for mobile, other and unmatched objects."""
+    if semantic not in PAPER_WEIGHTS or not math.isfinite(measures.delta_c) or not math.isfinite(lod):
+        return math.nan
+    shift = 2.0 if semantic is Semantic.VEGETATION else 1.5
+    terms = (
+        abs(measures.delta_h) / math.hypot(lod, _SIGMA_HEIGHT),
+        abs(measures.delta_v) / math.sqrt((measures.volume * _SIGMA_VOLUME) ** 2 + _EPSILON),
+        1.0 - measures.iou,
+        max(0.0, measures.delta_c - shift) / shift,
+        abs(measures.d_perp) / max(lod, 1e-6) if math.isfinite(measures.d_perp) else 0.0,
+    )
+    total = sum(w * t for w, t in zip(PAPER_WEIGHTS[semantic], terms, strict=True))
+    return float(expit(min(total, 50.0)))
+
+
+def kind_of(change: Change) -> Kind | None:
+    """Name the model of a label; None for labels that claim nothing."""
+    if change in (Change.ADDED, Change.REMOVED):
+        return "single"
+    if change in (Change.INCREASED, Change.DECREASED):
+        return "reshaped"
+    return "unchanged" if change is Change.UNCHANGED else None
+
+
+def features(
+    decision: Decision,
+    measures: Measures,
+    semantic: Semantic,
+    class_score: float,
+    density: float = 0.0,
+    evidence: str = "observed",
+) -> Floats:
+    """Return what a confidence rests on (11,), about zero for a typical row.
+
+    In the order of :data:`FEATURES`: those of :func:`decision_features`; observed share less 0.8; log10 of
+    the observed voxels less 1.7; class score less 0.7; whether it is a building or vegetation; the size of
+    the log ratio of the point densities ``density``, at most 2; and the kind of ``evidence``.
+    """
+    return np.array(
+        [
+            *decision_features(decision),
+            measures.observed_fraction - _TYPICAL_SHARE,
+            math.log10(max(measures.seen_voxels, 1)) - 1.7,
+            class_score - 0.7,
+            float(semantic in (Semantic.BUILDING, Semantic.VEGETATION)),
+            min(abs(density), 2.0),
+            *(float(evidence == kind) for kind in FEATURES[-4:]),
+        ]
+    )
+
+
+def decision_features(decision: Decision) -> tuple[float, float]:
+    """Return what follows from the decision alone.
+
+    The log of the margin (how often over the threshold that decided, between 1 and 20; for Unchanged how near
+    the threshold, 0 to 1); and the distance between measure and limit in 3 standard deviations less 1,
+    between -1 and 1, 0 where unknown.
+    """
+    unchanged = decision.change is Change.UNCHANGED
+    margin = min(decision.margin, 1.0) if unchanged else math.log(min(max(decision.margin, 1.0), 20.0))
+    if math.isnan(decision.sigmas):
+        return margin, 0.0
+    beyond = -decision.sigmas if unchanged else decision.sigmas
+    return margin, 2.0 * min(max(beyond, 0.0), _SIGMAS) / _SIGMAS - 1.0
+
+
+def probability(decision: Decision, found: Floats, config: ConfidenceConfig) -> float:
+    """Return the probability that a label is right, from :func:`features`; see :func:`confidence`."""
+    kind = kind_of(decision.change)
+    if kind is None:
+        return float(expit(1.0 + 2.0 * decision.margin))
+    model: Coefficients = getattr(config, kind)
+    slopes = np.array([getattr(model, name) for name in FEATURES])
+    p = float(expit(model.intercept + slopes @ found))
+    if kind not in _CLAIMS:
+        return p
+    hidden = min(max(1.0 - _TYPICAL_SHARE - found[FEATURES.index("observed")], 0.0), 1.0)
+    return min(p, 1.0 - config.unseen * hidden**2)
+
+
+def confidence(
+    decision: Decision, measures: Measures, semantic: Semantic, class_score: float, config: ConfidenceConfig
+) -> float:
+    """Return the probability that the label is right; for a place not observed, how much was not."""
+    return bounded(
+        probability(decision, features(decision, measures, semantic, class_score), config), decision, measures
+    )
+
+
+def bounded(fitted: float, decision: Decision, measures: Measures) -> float:
+    """Bound the confidence of an object of one epoch by how surely its place was free in the other."""
+    return min(fitted, measures.free) if kind_of(decision.change) == "single" else fitted
+
+
+def decided_anew(record: ChangeRecord, decision: Decision, config: ConfidenceConfig) -> ChangeRecord:
+    """Return a row with another decision, and the confidence in that."""
+    found = np.array([*decision_features(decision), *record.features[_DECIDED:]])
+    return replace(
+        record,
+        change=decision.change,
+        reason=decision.reason,
+        confidence=probability(decision, found, config),
+        features=tuple(found.tolist()),
+    )
+
+
+def discounted(record: ChangeRecord, simulated: bool, config: ConfidenceConfig) -> ChangeRecord:
+    """Lower the confidence of a claimed change whose kind of evidence or cloud was never calibrated.
+
+    Parameters
+    ----------
+    record : ChangeRecord
+    simulated : bool
+        Whether both clouds come from the simulator.
+    config : ConfidenceConfig
+    """
+    if kind_of(record.change) not in _CLAIMS or config.calibrated_for(record.evidence, simulated):
+        return record
+    p = min(max(record.confidence, 1e-6), 1.0 - 1e-6)
+    lowered = min(float(expit(config.discount * math.log(p / (1.0 - p)))), config.cap)
+    return replace(record, confidence=min(lowered, record.confidence))
+
+
+@dataclass(frozen=True)
+class Calibration:
+    """What ``run.json`` says of the confidences of a pair.
+
+    ``calibrated_for``: evidence, clouds and surveys of the fit; empty without one. ``lacking``: sentences
+    that say why confidences of this pair are not calibrated; empty where they are. ``bands``: how many
+    claims of each band were right on surveys left out of the fit; empty where that was never measured.
+    """
+
+    calibrated_for: Mapping[str, Any] = field(default_factory=dict)
+    lacking: tuple[str, ...] = ("Confidences of this method are not calibrated.",)
+    bands: tuple[MeasuredBand, ...] = ()
+
+
+def calibration_of(kinds: Iterable[str], simulated: bool, config: ConfidenceConfig) -> Calibration:
+    """Compare what the confidences were fitted on with a pair: its kinds of evidence and its clouds."""
+    if not config.calibrated:
+        return Calibration()
+    fitted = {"evidence": list(config.evidence), "clouds": config.clouds, "surveys": config.fitted_on}
+    lacking = []
+    if not simulated and config.clouds != "own":
+        lacking.append(
+            "Confidence is not calibrated for this kind of cloud: it was fitted on simulated surveys."
+            " 'subiaco calibrate' fits it to your own map."
+        )
+    missing = sorted(set(kinds) - set(config.evidence))
+    if missing:
+        names = ", ".join(missing)
+        lacking.append(f"Confidence is not calibrated for evidence of the kind {names}.")
+    own = config.fitted_on == ConfidenceConfig().fitted_on or "bands" in config.model_fields_set
+    return Calibration(fitted, tuple(lacking), config.bands if own and not lacking else ())
+
+
+#: More of this evidence never makes a label less certain.
+RISING = ("gate", "observed", "size", "purity")
+#: Densities that differ more, or weaker evidence, never make a label more certain.
+FALLING = ("density", "trajectory", "estimated", "shadow", "assumed")
+
+
+def rising_of(kind: str) -> tuple[str, ...]:
+    """Name the evidence of a kind of row that may only raise its confidence."""
+    return RISING if kind == "unchanged" else ("margin", *RISING)
+
+
+def fit(x: Floats, right: NDArray[np.bool_], ridge: float = 1.0, rising: Sequence[str] = ()) -> Coefficients:
+    """Fit one model by penalised likelihood.
+
+    Parameters
+    ----------
+    x : (N, 11) float64
+        Evidence of the rows, :func:`features`.
+    right : (N,) bool
+        Whether the label was right.
+    ridge : float
+        Weight of the squared slopes; the intercept is free, so the mean
+        confidence is the share of right labels.
+    rising : sequence of str
+        Evidence whose slope may not be negative: few rows would else say that
+        less of it is more.
+    """
+    sign = np.where(right, 1.0, -1.0)
+
+    def loss(w: Floats) -> tuple[float, Floats]:
+        z = sign * (w[0] + x @ w[1:])
+        pull = -sign * expit(-z)
+        gradient = np.concatenate([[pull.sum()], x.T @ pull + 2 * ridge * w[1:]])
+        return float(np.logaddexp(0.0, -z).sum() + ridge * (w[1:] ** 2).sum()), gradient
+
+    bounds = [
+        (None, None),
+        *((0.0 if name in rising else None, 0.0 if name in FALLING else None) for name in FEATURES),
+    ]
+    found = minimize(loss, np.zeros(x.shape[1] + 1), jac=True, method="L-BFGS-B", bounds=bounds)
+    values = [round(float(v), 3) for v in found.x]
+    return Coefficients(intercept=values[0], **dict(zip(FEATURES, values[1:], strict=True)))

@@ -1,0 +1,215 @@
+"""Ground of two epochs differenced cell by cell."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from pydantic import Field
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from subiaco_change.decisions.voxel_objects import UNCERTAIN, EpochView, trails
+from subiaco_change.segmentation.ground_model import Mask, fill_gaps
+from subiaco_geo.codes import Semantic
+from subiaco_geo.config import StrictModel
+from subiaco_geo.frames import Floats
+
+NO_CLAIM = 10.0  # level of detection shown where there is none [m]
+
+
+class GroundChangeConfig(StrictModel):
+    """Ground differencing."""
+
+    cell: float = Field(
+        0.5, gt=0, description="Edge of the cells in which ground heights are compared [m] (Decision 12)"
+    )
+    report_cell: float = Field(
+        2.0, gt=0, description="Edge of the cells of the delivered raster of height differences [m] (paper)"
+    )
+    threshold: float = Field(
+        0.15, gt=0, description="Smallest elevation difference that is a ground change [m] (paper)"
+    )
+    area: float = Field(25.0, gt=0, description="Smallest contiguous area of a ground change [m2] (paper)")
+    lod_factor: float = Field(
+        1.2, gt=0, description="Limit of a ground change as a multiple of the level of detection (paper)"
+    )
+    max_spread: float = Field(
+        0.12,
+        gt=0,
+        description="Standard deviation of the heights in a cell above which the cell holds no clean "
+        "ground [m]",
+    )
+    bridge: int = Field(
+        3, ge=1, description="Window in which an empty cell takes the height of its neighbours [cells]"
+    )
+    same_surface: float = Field(
+        0.3,
+        gt=0,
+        description="Largest height distance of a point from the other epoch's ground at which both "
+        "epochs contain that surface, so that no ground moved [m]",
+    )
+    same_beside: float = Field(
+        0.7,
+        gt=0,
+        description="Largest horizontal distance of a point from a cell centre at which the point shows "
+        "the other epoch's ground surface [m]",
+    )
+    same_share: float = Field(
+        0.5,
+        gt=0,
+        le=1,
+        description="Fraction of a patch whose surfaces exist in both epochs from which the patch is no "
+        "ground change",
+    )
+    shown: float = Field(
+        0.5,
+        ge=0,
+        description="Observed volume that a ground change needs, as a multiple of the smallest area times "
+        "the threshold",
+    )
+    closing: int = Field(
+        5,
+        ge=0,
+        description="Half width of occluded gaps between changed cells that are filled and count towards "
+        "the area [cells]; 5 covers a parked car",
+    )
+
+
+@dataclass(frozen=True)
+class GroundCells:
+    """Cells (rows, columns) of two epochs, row 0 in the south.
+
+    ``dz`` after minus before, NaN where either epoch has no ground; ``lod`` [m], NaN where either has
+    none; ``bridged``: took a neighbour's height in an epoch; ``known``: holds ground in either;
+    ``height`` in *after* [m]; ``other``: one epoch holds the ground of the other under another class.
+    """
+
+    dz: Floats
+    lod: Floats
+    bridged: Mask
+    known: Mask
+    height: Floats
+    other: Mask
+
+
+def difference_cells(
+    before: EpochView, after: EpochView, corner: Floats, shape: tuple[int, int], config: GroundChangeConfig
+) -> GroundCells:
+    """Difference the ground of two epochs in the cells of a window that all their ground points lie in."""
+    cells = [_cell_heights(v, _still_ground(v), corner, shape, config) for v in (before, after)]
+    heights, bridged = _bridge(cells[0][0], cells[1][0], config)
+    known = np.isfinite(cells[0][0]) | np.isfinite(cells[1][0])
+    lod = np.maximum(cells[0][1], cells[1][1])
+    other = _other_surface((before, after), heights, corner, config)
+    return GroundCells(heights[1] - heights[0], lod, bridged, known, heights[1], other)
+
+
+def _still_ground(view: EpochView) -> Mask:
+    """Tell which points (N,) are ground: low parts of a moving object that pass for it are not."""
+    ground = view.semantic == Semantic.GROUND
+    return ground if view.moved is None else np.asarray(ground & (view.moved <= UNCERTAIN))
+
+
+def _other_surface(
+    views: tuple[EpochView, EpochView],
+    heights: tuple[Floats, Floats],
+    corner: Floats,
+    config: GroundChangeConfig,
+) -> Mask:
+    """Tell in which cells the ground of two epochs is not one surface that moved.
+
+    Grass that one epoch saw through, a deck above a street, a bank that passed for a plant: the epoch
+    that calls the one surface ground holds points of the other too, of another class.
+    """
+    apart = np.abs(heights[1] - heights[0])
+    row, column = np.nonzero(apart > config.threshold)
+    other = np.zeros(apart.shape, dtype=bool)
+    if len(row) == 0:
+        return other
+    middle = corner + (np.column_stack([column, row]) + 0.5) * config.cell
+    limit = np.minimum(config.same_surface, 0.5 * apart[row, column])
+    held = np.zeros(len(row), dtype=bool)
+    for e, view in enumerate(views):
+        off = view.xyz[(view.semantic != Semantic.GROUND) & ~trails(view)]
+        surface = np.column_stack([middle, heights[1 - e][row, column]])
+        held |= _holds(off, surface, limit, config.same_beside)
+    other[row, column] = held
+    return other
+
+
+def _holds(points: Floats, places: Floats, limit: Floats, beside: float) -> Mask:
+    """Tell at which places (M, 3) points (N, 3) lie within ``beside`` and, in height, ``limit`` (M,)."""
+    if len(points) == 0:
+        return np.zeros(len(places), dtype=bool)
+    low, high = places.min(axis=0) - beside, places.max(axis=0) + beside
+    points = points[((points >= low) & (points <= high)).all(axis=1)]
+    found = np.zeros(len(places), dtype=bool)
+    if len(points) == 0:
+        return found
+    near = cKDTree(points).query_ball_point(places, np.hypot(beside, limit))
+    slot = np.repeat(np.arange(len(places)), [len(n) for n in near])
+    step = points[np.concatenate([np.asarray(n, dtype=np.int64) for n in near])] - places[slot]
+    flat = np.hypot(step[:, 0], step[:, 1]) <= beside
+    found[slot[flat & (np.abs(step[:, 2]) <= limit[slot])]] = True
+    return found
+
+
+def shown_lod(lod: Floats) -> Floats:
+    """Fill the level of detection of cells that have none from those around."""
+    shown = fill_gaps(lod) if np.isfinite(lod).any() else np.full_like(lod, NO_CLAIM)
+    return np.where(np.isfinite(lod), lod, shown)
+
+
+def _cell_heights(
+    view: EpochView, mask: Mask, corner: Floats, shape: tuple[int, int], config: GroundChangeConfig
+) -> tuple[Floats, Floats]:
+    """Mean height and LoD of every cell; NaN where empty or where the heights spread."""
+    xyz, lod = view.xyz[mask], view.lod[mask]
+    index = np.floor((xyz[:, :2] - corner) / config.cell).astype(np.int64)
+    # The window was cut in world coordinates: on its rim, the last digits of the local ones may differ.
+    index = np.clip(index, 0, np.array(shape[::-1]) - 1)
+    flat = index[:, 1] * shape[1] + index[:, 0]
+    size = shape[0] * shape[1]
+    count = np.bincount(flat, minlength=size)
+    safe = np.maximum(count, 1)
+    mean = np.bincount(flat, xyz[:, 2], size) / safe
+    spread = np.sqrt(np.bincount(flat, (xyz[:, 2] - mean[flat]) ** 2, size) / safe)
+    finite = np.isfinite(lod)
+    level = np.bincount(flat, np.where(finite, lod, 0.0), size)
+    some = np.bincount(flat, finite, size)
+    level = np.where(some > 0, level / np.maximum(some, 1), np.nan)
+    good = (count > 0) & (spread < config.max_spread)
+    return np.where(good, mean, np.nan).reshape(shape), np.where(good, level, np.nan).reshape(shape)
+
+
+def _bridge(before: Floats, after: Floats, config: GroundChangeConfig) -> tuple[tuple[Floats, Floats], Mask]:
+    """Bridge empty cells next to known ones, so that sparse ground stays contiguous; tell which they are.
+
+    Heights are carried over relative to a smooth surface through both
+    epochs: on a slope nothing is gained or lost.
+    """
+    known = [np.isfinite(v) for v in (before, after)]
+    if not all(k.any() for k in known):
+        return (before, after), np.zeros(before.shape, dtype=bool)
+    smooth = ndimage.gaussian_filter(fill_gaps(np.fmin(before, after)), 2.0 / config.cell, mode="nearest")
+    bridged = []
+    for values, mask in zip((before, after), known, strict=True):
+        weight = ndimage.uniform_filter(mask.astype(float), config.bridge, mode="constant")
+        total = ndimage.uniform_filter(np.where(mask, values - smooth, 0.0), config.bridge, mode="constant")
+        mean = smooth + total / np.maximum(weight, 1e-9)
+        enough = weight * config.bridge**2 > 1.5
+        bridged.append(np.where(mask, values, np.where(enough, mean, np.nan)))
+    return (bridged[0], bridged[1]), ~(known[0] & known[1])
+
+
+def block_median(values: Floats, factor: int) -> Floats:
+    """Median of the finite values of blocks of ``factor`` by ``factor`` cells; NaN where there is none."""
+    rows, columns = (-(-n // factor) for n in values.shape)
+    padded = np.full((rows * factor, columns * factor), np.nan)
+    padded[: values.shape[0], : values.shape[1]] = values
+    blocks = padded.reshape(rows, factor, columns, factor).transpose(0, 2, 1, 3).reshape(rows, columns, -1)
+    medians = np.full((rows, columns), np.nan)
+    some = np.isfinite(blocks).any(axis=2)
+    medians[some] = np.nanmedian(blocks[some], axis=1)
+    return medians

@@ -1,0 +1,255 @@
+"""Changes of the ground: cells of 0.5 m, contiguous patches, a 2 m raster (method, Decisions 3 and 12)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+from numpy.typing import NDArray
+from scipy import ndimage
+from shapely.geometry.base import BaseGeometry
+
+from subiaco_change.decisions.ground_cells import NO_CLAIM, GroundCells, GroundChangeConfig, block_median
+from subiaco_change.decisions.voxel_objects import EpochView
+from subiaco_change.records import GroundChange
+from subiaco_change.segmentation.ground_model import Mask
+from subiaco_geo.codes import Change, Semantic
+from subiaco_geo.frames import Floats, Ints
+
+_DENSE = 0.5  # share of the ground around that both epochs measured where one can hide from the other
+_AROUND = 10.0  # what lies this near tells the noise of a thinly seen patch [m]
+_NOISE_BLOCK = 2.0  # within which thinly seen heights err together [m]
+_LOD_CELLS = 25  # known cells that speak for a patch without a level of detection
+
+
+@dataclass(frozen=True)
+class GroundPatch:
+    """A contiguous area of changed ground: its cells, its mean difference and spread [m].
+
+    ``confidence``: probability that a place in it moved by more than the threshold.
+    """
+
+    change: Change
+    area: float
+    dz: float
+    dz_spread: float
+    lod: float
+    cells: Ints
+    outline: BaseGeometry
+    confidence: float
+
+
+@dataclass(frozen=True)
+class GroundComparison:
+    """Differences, after minus before, on cells of the common frame.
+
+    ``dz`` (rows, columns), row 0 in the south, NaN where either epoch has no
+    ground; ``patch`` (rows, columns) index into ``patches`` or -1.
+    """
+
+    corner: Floats
+    cell: float
+    dz: Floats
+    lod: Floats
+    patch: Ints
+    patches: tuple[GroundPatch, ...]
+
+    def cell_of(self, xy: Floats) -> tuple[Ints, Ints, Mask]:
+        """Row, column and whether inside, for points (N, 2)."""
+        index = np.floor((xy - self.corner) / self.cell).astype(np.int64)
+        inside = ((index >= 0) & (index < np.array(self.dz.shape[::-1]))).all(axis=1)
+        clipped = np.clip(index, 0, np.array(self.dz.shape[::-1]) - 1)
+        return clipped[:, 1], clipped[:, 0], np.asarray(inside)
+
+
+def find_patches(
+    cells: GroundCells, corner: Floats, config: GroundChangeConfig
+) -> tuple[Ints, tuple[GroundPatch, ...]]:
+    """Connect cells of one sign beyond the gate, and keep what is large enough and stands out as a whole.
+
+    A cell with too few points for a level of detection of its own (NaN) is
+    gated by the threshold alone; its patch then answers for it with the level
+    of detection of its mean. What nobody measured does not part a patch: a
+    parked car hides the ground, and its neighbours' mean is no evidence.
+    """
+    dz, lod = cells.dz, cells.lod
+    patch = np.full(dz.shape, -1, dtype=np.int64)
+    patches: list[GroundPatch] = []
+    gate = _gate(lod, config)
+    unknown = ~np.isfinite(dz)
+    least = config.shown * config.area * config.threshold / config.cell**2
+    for sign, change in ((1.0, Change.INCREASED), (-1.0, Change.DECREASED)):
+        rise = np.nan_to_num(sign * dz, nan=-1.0)
+        over = rise > gate
+        labels, count = ndimage.label(beyond_gate(cells, sign, config), structure=np.ones((3, 3)))
+        labels = _to_half_height(labels, count, rise, gate, config)
+        labels = _to_hidden(labels, unknown, cells.known, config)
+        depth = np.where(over, np.minimum(rise, 2 * config.threshold), 0.0)  # a few deep cells are noise
+        shown = np.bincount(labels.ravel(), depth.ravel(), count + 1)
+        large = _possible_sizes(labels, count, unknown, config) * config.cell**2 > config.area
+        for number in np.flatnonzero(large & (shown >= least)).tolist():
+            found = _make_patch(change, labels == number, dz, lod, corner, config)
+            measured = (labels == number) & np.isfinite(dz)
+            if cells.other[measured].mean() >= config.same_share:
+                continue
+            if abs(found.dz) > max(config.threshold, config.lod_factor * found.lod):
+                patch[labels == number] = len(patches)
+                patches.append(found)
+    return patch, tuple(patches)
+
+
+def _gate(lod: Floats, config: GroundChangeConfig) -> Floats:
+    return np.asarray(np.fmax(config.threshold, config.lod_factor * lod))
+
+
+def beyond_gate(cells: GroundCells, sign: float, config: GroundChangeConfig) -> Mask:
+    """Tell which cells changed in one direction, those that nobody measured between them included.
+
+    Not those whose neighbours moved the other way.
+    """
+    over = np.nan_to_num(sign * cells.dz, nan=-1.0) > _gate(cells.lod, config)
+    against = np.nan_to_num(sign * cells.dz, nan=1.0) <= 0.0
+    return _closed(over, cells.bridged & ~over & ~against, config)
+
+
+def _to_hidden(labels: Ints, unknown: Mask, known: Mask, config: GroundChangeConfig) -> Ints:
+    """Give cells that one epoch alone saw to the patch of the nearest cell that both saw.
+
+    The near edge of a pit hides its floor, and what was there before is gone with the rest. Where an
+    epoch measured less than half of the ground around, its rings are far apart, and nothing is hidden.
+    """
+    if config.closing == 0 or unknown.all():
+        return labels
+    distance, nearest = ndimage.distance_transform_edt(unknown, return_indices=True)
+    size = 2 * config.closing + 1
+    both, either = (ndimage.uniform_filter(m.astype(np.float64), size) for m in (~unknown, known))
+    taken = unknown & known & (labels == 0) & (distance <= config.closing) & (both >= _DENSE * either)
+    return np.where(taken, labels[nearest[0], nearest[1]], labels)
+
+
+def _closed(over: Mask, blind: Mask, config: GroundChangeConfig) -> Mask:
+    """Add the blind cells that lie between changed ones."""
+    if config.closing == 0:
+        return over
+    size = 2 * config.closing + 1
+    padded = np.pad(over, config.closing)
+    closed = ndimage.binary_closing(padded, structure=np.ones((size, size)))
+    inside = slice(config.closing, -config.closing)
+    return np.asarray(over | (blind & closed[inside, inside]))
+
+
+def _to_half_height(labels: Ints, count: int, rise: Floats, gate: Floats, config: GroundChangeConfig) -> Ints:
+    """Move the edge of every patch out to where half of its height is reached.
+
+    A cell that the edge runs through holds the mean of both sides: under the
+    threshold, although half of it changed. ``rise`` (rows, columns) is signed
+    so that the patch is positive, ``gate`` what its cells exceeded.
+    """
+    grown = labels.copy()
+    for number, window in enumerate(ndimage.find_objects(labels, count), start=1):
+        around = tuple(slice(max(s.start - 1, 0), s.stop + 1) for s in window)
+        mine = labels[around] == number
+        if np.count_nonzero(mine) * config.cell**2 < 0.25 * config.area:
+            continue
+        half = 0.5 * float(np.median(rise[around][mine & (rise[around] > gate[around])]))
+        edge = ndimage.binary_dilation(mine, np.ones((3, 3))) & (grown[around] == 0)
+        grown[around][edge & (rise[around] > half)] = number
+    return grown
+
+
+def _possible_sizes(labels: Ints, count: int, blind: Mask, config: GroundChangeConfig) -> Ints:
+    """Cells of every patch and blind ones around it: the edge of a pit hides its floor."""
+    sizes = np.bincount(labels.ravel(), minlength=count + 1)
+    sizes[0] = 0
+    size = 2 * config.closing + 1
+    around = np.where(blind & (labels == 0), ndimage.grey_dilation(labels, size=(size, size)), 0)
+    hidden = np.bincount(around.ravel(), minlength=count + 1)
+    hidden[0] = 0
+    return np.asarray(sizes + np.minimum(hidden, sizes))
+
+
+def _make_patch(
+    change: Change, where: Mask, dz: Floats, lod: Floats, corner: Floats, config: GroundChangeConfig
+) -> GroundPatch:
+    cell = config.cell
+    cells = np.argwhere(where)
+    west_south = corner + cells[:, ::-1] * cell
+    boxes = shapely.box(west_south[:, 0], west_south[:, 1], west_south[:, 0] + cell, west_south[:, 1] + cell)
+    outline = shapely.union_all(boxes)
+    values = dz[where & np.isfinite(dz)]
+    area = len(cells) * cell**2
+    known = lod[where & np.isfinite(lod)]
+    level = float(np.median(known)) if len(known) else _nearest_lod(cells, lod)
+    if len(known) < 0.5 * len(cells):  # thinly seen: neighbours err together, over a block
+        blocks = max(1.0, len(values) * cell**2 / _NOISE_BLOCK**2)
+        spread = float(values.std()) / math.sqrt(blocks)
+        level = math.hypot(level, 1.96 * spread, _noise_around(where, dz, cell))
+    height, spread = float(np.median(values)), float(values.std())
+    confidence = patch_confidence(height, level, spread, config.threshold)
+    return GroundPatch(change, area, height, spread, level, cells, outline, confidence)
+
+
+def patch_confidence(dz: float, lod: float, spread: float, threshold: float) -> float:
+    """Probability that a place of a patch moved by more than the threshold, LoD95 being 1.96 sd.
+
+    Where the difference varies much from place to place, the patch is less surely one surface that moved.
+    """
+    return float(_normal_cdf((abs(dz) - threshold) / max(math.hypot(lod / 1.96, spread), 0.01)))
+
+
+def _noise_around(where: Mask, dz: Floats, cell: float) -> float:
+    """Return the difference that 95 % of the blocks around a patch stay below [m].
+
+    Seen thinly and from afar, neighbours err together (attitude, grazing rings): their mean gets no
+    better with their number.
+    """
+    rows, columns = (
+        slice(max(int(i.min()) - reach, 0), int(i.max()) + reach + 1)
+        for i, reach in ((i, round(_AROUND / cell)) for i in np.nonzero(where))
+    )
+    around = np.where(where[rows, columns], np.nan, dz[rows, columns])
+    factor = max(1, round(_NOISE_BLOCK / cell))
+    blocks = block_median(around, factor)
+    values = blocks[np.isfinite(blocks)]
+    return float(np.quantile(np.abs(values), 0.95)) if len(values) else 0.0
+
+
+def _nearest_lod(cells: Ints, lod: Floats) -> float:
+    """Median level of detection of the known cells nearest to the middle of a patch that has none [m]."""
+    known = np.argwhere(np.isfinite(lod))
+    if len(known) == 0:
+        return NO_CLAIM
+    distance = np.linalg.norm(known - cells.mean(axis=0), axis=1)
+    near = known[np.argsort(distance, kind="stable")[:_LOD_CELLS]]
+    return float(np.median(lod[near[:, 0], near[:, 1]]))
+
+
+def ground_raster(comparison: GroundComparison, origin: Floats, config: GroundChangeConfig) -> GroundChange:
+    """Reduce the comparison to medians of the reporting cells, row 0 in the north, world corner.
+
+    ``confidence`` is how surely the cell's difference lies on its side of the threshold, taking LoD95 as 1.96
+    standard deviations.
+    """
+    factor = round(config.report_cell / config.cell)
+    dz, lod = (block_median(values, factor) for values in (comparison.dz, comparison.lod))
+    sigma = np.maximum(lod / 1.96, 0.01)
+    confidence = _normal_cdf(np.abs(np.abs(dz) - config.threshold) / sigma)
+    west, south = comparison.corner + origin[:2]
+    north = float(south + len(dz) * config.report_cell)
+    grids = [np.asarray(v[::-1], dtype=np.float32) for v in (dz, confidence)]
+    return GroundChange(grids[0], grids[1], float(west), north, config.report_cell)
+
+
+def _normal_cdf(z: Floats | float) -> Floats:
+    from scipy.special import ndtr
+
+    return np.asarray(ndtr(z))
+
+
+def patch_points(comparison: GroundComparison, view: EpochView) -> NDArray[np.int64]:
+    """Patch (N,) of every ground point of an epoch, -1 for none."""
+    row, column, inside = comparison.cell_of(view.xyz[:, :2])
+    ground = inside & (view.semantic == Semantic.GROUND)
+    return np.where(ground, comparison.patch[row, column], -1)

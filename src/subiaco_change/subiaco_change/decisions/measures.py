@@ -1,0 +1,246 @@
+"""What two matched objects differ by (method, part E, Decision 13)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import shapely
+from pydantic import Field
+from scipy.spatial import cKDTree
+from shapely.geometry.base import BaseGeometry
+
+from subiaco_change.decisions.column_change import ColumnChange
+from subiaco_change.decisions.column_volumes import BUILT_UP, OpenGround, compare_volumes, stands_alone
+from subiaco_change.decisions.space_carving import CarvingConfig, Epoch, Interval, carve
+from subiaco_change.decisions.voxel_objects import Reach, Voxels
+from subiaco_geo.config import StrictModel
+from subiaco_geo.frames import Floats
+
+
+class MeasureConfig(StrictModel):
+    """Voxels and histograms of the measures."""
+
+    voxel: float = Field(
+        0.5, gt=0, description="Edge of the voxels in which objects are compared [m] (paper)"
+    )
+    tolerance: float = Field(
+        0.5,
+        gt=0,
+        description="Largest distance of overlapping voxels of two objects [m]; compensates voxel aliasing",
+    )
+    same_low: float = Field(
+        0.35,
+        gt=0,
+        description="Smallest distance to a point of the other epoch at which a place counts as occupied [m]",
+    )
+    same_high: float = Field(
+        1.0,
+        gt=0,
+        description="Largest distance to a point of the other epoch at which a place counts as occupied, "
+        "used where points are sparse [m]",
+    )
+    same_factor: float = Field(
+        1.25,
+        gt=0,
+        description="Distance at which a place counts as occupied, as a multiple of the point spacing of "
+        "the other epoch",
+    )
+    foot: float = Field(
+        0.3,
+        ge=0,
+        description="Height above ground below which voxels of an object are left out where the other "
+        "epoch observed ground [m]",
+    )
+    free: float = Field(
+        0.7,
+        gt=0.5,
+        lt=1,
+        description="Probability of being free from which a place without points counts as observed; one "
+        "passing beam gives 0.75",
+    )
+    crossing: float = Field(
+        1.0,
+        gt=0,
+        description="Distance on both sides of a surface that an epoch must have observed for the place "
+        "to count as crossed by beams [m]",
+    )
+    closing: float = Field(
+        1.5,
+        ge=0,
+        description="Half width of gaps of occluded columns that are filled when volumes are compared [m]",
+    )
+    bins: int = Field(10, ge=2, description="Number of bins of the height histogram (paper)")
+    top_quantile: float = Field(
+        0.95,
+        gt=0.5,
+        le=1,
+        description="Quantile of the heights that is the top of an object, as a fraction (0.95 for h95, "
+        "paper)",
+    )
+    carving: CarvingConfig = CarvingConfig()
+
+
+def same_place(config: MeasureConfig) -> Reach:
+    """Return when points of the other epoch occupy a place."""
+    return Reach(config.same_low, config.same_high, config.same_factor, config.foot, config.free)
+
+
+@dataclass(frozen=True)
+class Measures:
+    """Differences, after minus before, in space that both epochs observed.
+
+    Lengths [m], volumes [m3]; NaN where a side is empty. ``volume`` is that of
+    the columns that stood before; ``seen_voxels`` the number that entered.
+    ``carried`` is the share of the surface that is new (positive) or gone
+    (negative) on balance, counting only places that the other epoch looked across. ``free`` is the mean
+    probability of being free, in the other epoch, of the places where it holds nothing.
+    Of buildings, ``height_bounds`` and ``volume_bounds`` are what space carving leaves
+    possible (Decision 17), ``delta_h`` and ``delta_v`` their middles.
+    """
+
+    iou: float
+    d_perp: float
+    delta_c: float
+    delta_h: float
+    delta_v: float
+    delta_v_surface: float
+    volume: float
+    chi2: float
+    gone_share: float
+    new_share: float
+    observed_fraction: float
+    seen_voxels: int
+    carried: float = 0.0
+    height_bounds: Interval | None = None
+    volume_bounds: Interval | None = None
+    free: float = 1.0
+    columns: ColumnChange | None = field(default=None, compare=False, repr=False)
+
+
+def measure(
+    before: Voxels,
+    after: Voxels,
+    config: MeasureConfig,
+    ground: OpenGround = BUILT_UP,
+    building: bool = False,
+) -> Measures:
+    """Compare the voxels of one object in two epochs; either may be empty. Buildings are carved."""
+    seen_b, seen_a = before.select(before.seen), after.select(after.seen)
+    alone_b, alone_a = int(np.count_nonzero(~seen_b.still)), int(np.count_nonzero(~seen_a.still))
+    whole_b, whole_a = (
+        own.add(other.select(other.still)) for own, other in ((seen_b, seen_a), (seen_a, seen_b))
+    )
+    common = 0.5 * (len(seen_b) - alone_b + len(seen_a) - alone_a)
+    both = len(before) > 0 and len(after) > 0
+    measures = Measures(
+        iou=common / max(common + alone_b + alone_a, 1e-9) if both else 0.0,
+        d_perp=_separation(seen_b, seen_a, config),
+        delta_c=_distance(whole_b, whole_a) if both else float("nan"),
+        delta_h=_top(whole_a, config) - _top(whole_b, config) if both else float("nan"),
+        delta_v=0.0,
+        delta_v_surface=float(alone_a - alone_b) * config.voxel**3,
+        volume=0.0,
+        chi2=histogram_distance(seen_b.height, seen_a.height, config.bins),
+        gone_share=alone_b / max(len(seen_b), 1),
+        new_share=alone_a / max(len(seen_a), 1),
+        observed_fraction=(len(seen_b) + len(seen_a)) / max(_above_foot(before, after, config), 1),
+        seen_voxels=len(seen_b) + len(seen_a),
+        carried=_carried(before, after),
+    )
+    if building:
+        return _carved(measures, before, after, config.carving, ground)
+    volumes = compare_volumes(before, after, config.voxel, config.closing, ground)
+    return replace(measures, delta_v=volumes.change, volume=volumes.whole)
+
+
+def _carved(
+    measures: Measures, before: Voxels, after: Voxels, config: CarvingConfig, ground: OpenGround
+) -> Measures:
+    """Add height and volume of a building by space carving (Decision 17)."""
+    carved = carve(
+        Epoch(before, ground.empty[0], ground.bare(0)), Epoch(after, ground.empty[1], ground.bare(1)), config
+    )
+    both = len(before) > 0 and len(after) > 0
+    volume = carved.volume
+    if not both and ground.empty[0 if len(after) else 1] is None:  # its absence is assumed, so is its volume
+        own = carved.whole if len(after) else -carved.whole
+        volume = Interval(own, own)
+    return replace(
+        measures,
+        delta_h=carved.height.middle if both else float("nan"),
+        delta_v=volume.middle,
+        volume=carved.whole,
+        height_bounds=carved.height if both else None,
+        volume_bounds=volume,
+        columns=carved.columns,
+    )
+
+
+def _above_foot(before: Voxels, after: Voxels, config: MeasureConfig) -> int:
+    """Count the voxels that are high enough to be distinguished from ground."""
+    standing = same_place(config).standing
+    return sum(int(np.count_nonzero(v.seen | (v.height > standing))) for v in (before, after))
+
+
+def _carried(before: Voxels, after: Voxels) -> float:
+    """Surface that is new less surface that is gone, relative to the mean surface of the two.
+
+    Of a part that stands in one epoch alone all is new, or gone, also what the other never looked at.
+    """
+    after_new, before_gone = (int(np.count_nonzero(v.crossed | stands_alone(v))) for v in (after, before))
+    net = after_new - before_gone
+    return net / max(0.5 * (len(before) + len(after)), 1.0)
+
+
+def _separation(before: Voxels, after: Voxels, config: MeasureConfig) -> float:
+    """Median distance along the normal of *before* over the shared voxels [m]."""
+    if len(before) == 0 or len(after) == 0:
+        return float("nan")
+    distance, slot = cKDTree(after.xyz).query(before.xyz, distance_upper_bound=config.tolerance)
+    shared = np.isfinite(distance)
+    if not shared.any():
+        return float("nan")
+    step = after.xyz[slot[shared]] - before.xyz[shared]
+    return float(np.median(np.einsum("ij,ij->i", before.normal[shared], step)))
+
+
+def _distance(before: Voxels, after: Voxels) -> float:
+    if len(before) == 0 or len(after) == 0:
+        return float("nan")
+    return float(np.linalg.norm(after.xyz.mean(axis=0) - before.xyz.mean(axis=0)))
+
+
+def _top(voxels: Voxels, config: MeasureConfig) -> float:
+    return float(np.quantile(voxels.height, config.top_quantile)) if len(voxels) else float("nan")
+
+
+def histogram_distance(before: Floats, after: Floats, bins: int) -> float:
+    """Chi-square distance, 0 to 1, of two height histograms over their common range."""
+    if len(before) == 0 or len(after) == 0:
+        return 1.0
+    span = (min(before.min(), after.min()), max(before.max(), after.max()) + 1e-6)
+    h, g = (np.histogram(v, bins, span)[0] / len(v) for v in (before, after))
+    return float(0.5 * np.sum((h - g) ** 2 / np.maximum(h + g, 1e-12)))
+
+
+def oriented_rectangle(xy: Floats) -> BaseGeometry:
+    """Smallest-area rectangle around points (N, 2), at least 0.25 m wide."""
+    hull = shapely.MultiPoint(xy).convex_hull.buffer(0.125, cap_style="square", join_style="mitre")
+    return shapely.minimum_rotated_rectangle(hull)
+
+
+def rectangle_iou(first: BaseGeometry, second: BaseGeometry) -> float:
+    """Area of the intersection over the union of two footprints."""
+    common = float(first.intersection(second).area)
+    return common / max(float(first.area) + float(second.area) - common, 1e-9)
+
+
+def footprint(parts: Sequence[Floats], cell: float = 0.5) -> BaseGeometry:
+    """Outline [m] of the cells that points (N, 2) occupy, small gaps closed."""
+    xy = np.concatenate(list(parts))
+    cells = np.unique(np.floor(xy / cell).astype(np.int64), axis=0) * cell
+    boxes = shapely.box(cells[:, 0], cells[:, 1], cells[:, 0] + cell, cells[:, 1] + cell)
+    outline = shapely.union_all(boxes).buffer(cell, join_style="mitre").buffer(-cell, join_style="mitre")
+    return outline.simplify(0.2 * cell)

@@ -1,0 +1,121 @@
+"""One object of two epochs, its parts matched: measured, and decided."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+import numpy as np
+
+from subiaco_change.association.costs import AssociationConfig
+from subiaco_change.association.matching import match_kind
+from subiaco_change.decisions.absence import absence
+from subiaco_change.decisions.column_volumes import BUILT_UP, OpenGround
+from subiaco_change.decisions.dynamic_objects import OwnSurvey, is_moving_object_trail
+from subiaco_change.decisions.measures import MeasureConfig, Measures, measure
+from subiaco_change.decisions.plant_decisions import decide_plant
+from subiaco_change.decisions.plant_measures import PlantConfig, measure_plant
+from subiaco_change.decisions.rules import Decision, DecisionConfig, decide
+from subiaco_change.decisions.vegetation_null import PlantMeasures, no_null
+from subiaco_change.decisions.voxel_objects import Free, Thing, join_voxels
+from subiaco_change.instance_splitting.hedge_sections import NOTHING
+from subiaco_change.instance_splitting.vehicle_parts import part_of_vehicle
+from subiaco_geo.codes import Change, Semantic
+from subiaco_geo.frames import Floats, Ints
+
+_FLAT_TOP = 0.6  # highest top of what has no class and may be ground raised or laid on it [m]
+_LAID_TOP = 0.25  # the same of a supposed vehicle or plant: no more than ground strays from its model
+_LEVEL = 0.75  # mean upward part of its normals
+_OF_PLANTS = (Change.UNCHANGED, Change.INCREASED, Change.DECREASED)  # labels on which other plants have a say
+
+
+@dataclass(frozen=True)
+class ObjectChange:
+    """One object: its parts in both epochs, what was measured, and what was decided."""
+
+    before: tuple[Thing, ...]
+    after: tuple[Thing, ...]
+    semantic: Semantic
+    match_kind: str
+    measures: Measures
+    decision: Decision
+    plant: PlantMeasures | None = None  # where the plants of the pair have a say in its label
+
+    @property
+    def lod(self) -> float:
+        """Median level of detection of its parts [m]."""
+        return object_lod((*self.before, *self.after))
+
+    def points(self, epoch: str) -> Ints:
+        """Return the indices of its points in the cloud of an epoch, ``before`` or ``after``."""
+        parts = [t.points for t in getattr(self, epoch)]
+        return np.concatenate(parts) if parts else np.zeros(0, dtype=np.int64)
+
+
+def object_lod(things: Sequence[Thing]) -> float:
+    """Median of the levels of detection of things by their voxels [m]: a twig without one hides no house."""
+    levels = np.array([t.lod for t in things])
+    order = np.argsort(levels)
+    weight = np.cumsum([max(len(things[i].voxels), 1) for i in order])
+    return float(levels[order[int(np.searchsorted(weight, 0.5 * weight[-1]))]])
+
+
+@dataclass(frozen=True)
+class ObjectRules:
+    """The slices of configuration that this stage reads."""
+
+    measures: MeasureConfig
+    association: AssociationConfig
+    decisions: DecisionConfig
+    by_class: bool = True  # objects of different classes are never one
+    ground: OpenGround = BUILT_UP  # where nothing stands
+    own: tuple[OwnSurvey | None, OwnSurvey | None] = (None, None)  # of *before* and of *after*
+    standing: tuple[Floats, Floats] = (NOTHING, NOTHING)  # all points (N, 3) that stand, of any class
+    free: tuple[Free | None, Free | None] = (None, None)  # what *before* and *after* know to be free
+    plants: PlantConfig = field(default_factory=PlantConfig)
+
+
+def decide_object(
+    before: Sequence[Thing], after: Sequence[Thing], semantic: Semantic, rules: ObjectRules
+) -> ObjectChange:
+    """Measure and decide what the parts of one object in both epochs say together."""
+    building = semantic is Semantic.BUILDING
+    measures = measure(join_voxels(before), join_voxels(after), rules.measures, rules.ground, building)
+    measures = replace(measures, free=absence(before, after, rules.free))
+    lod = object_lod((*before, *after))
+    plant, matched = None, None
+    if semantic is Semantic.VEGETATION and before and after:
+        plant = measure_plant(before, after, measures, rules.plants, rules.standing, rules.free)
+        matched = partial(decide_plant, plant, lod, rules.decisions, no_null(rules.plants.null_model))
+    decision = decide(semantic, bool(before), bool(after), measures, lod, rules.decisions, matched)
+    if decision.change not in _OF_PLANTS or measures.iou <= rules.decisions.vegetation.min_iou:
+        plant = None
+    if decision.change in (Change.ADDED, Change.REMOVED):
+        things = (*before, *after)
+        own = rules.own[0] if before else rules.own[1]
+        decision = (
+            is_misclassified_ground(semantic, things)
+            or is_moving_object_trail(things, semantic, own, rules.decisions)
+            or part_of_vehicle(things, semantic, measures, rules.standing[int(bool(before))])
+            or decision
+        )
+    kind = match_kind(len(before), len(after))
+    return ObjectChange(tuple(before), tuple(after), semantic, kind, measures, decision, plant)
+
+
+def is_misclassified_ground(semantic: Semantic, things: Sequence[Thing]) -> Decision | None:
+    """Leave a low, level thing to the ground's comparison: it is ground told wrong."""
+    voxels = join_voxels(things)
+    limit = _FLAT_TOP if semantic is Semantic.OTHER else _LAID_TOP
+    if semantic is Semantic.BUILDING or float(np.quantile(voxels.height, 0.95)) > limit:
+        return None
+    level = float(np.abs(voxels.normal[:, 2]).mean())
+    if level < _LEVEL:
+        return None
+    reason = (
+        f"Its top lies {float(np.quantile(voxels.height, 0.95)):.2f} m above the ground (limit"
+        f" {limit:.2f} m), and"
+        " it is level: it is part of the ground, which is compared separately."
+    )
+    return Decision(Change.NOT_REPORTED, reason, 1.0)

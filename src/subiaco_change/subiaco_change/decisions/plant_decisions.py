@@ -1,0 +1,212 @@
+"""Deciding a plant that both epochs hold against the unchanged plants of the pair (method, Decision 18)."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+from subiaco_change.decisions.rules import NO_LEVEL, ClassRules, Decision, DecisionConfig
+from subiaco_change.decisions.vegetation_null import PLANT_MEASURES, Expected, PlantMeasures, VegetationNull
+from subiaco_geo.codes import Change
+
+_NAMES = {
+    "outline": "outline",
+    "top": "top",
+    "volume": "volume",
+    "surface": "new or lost surface",
+    "rise": "top",
+}
+
+
+@dataclass(frozen=True)
+class _Excess:
+    """One measure beyond what an unchanged plant of the pair shows, with its limit."""
+
+    measure: str
+    value: float
+    expected: Expected
+    limit: float
+    sd: float
+
+    @property
+    def unit(self) -> str:
+        """Unit of the value, ``m`` or ``share``."""
+        return PLANT_MEASURES[self.measure]
+
+    @property
+    def excess(self) -> float:
+        """What is left once the shift of the unchanged plants is subtracted."""
+        return self.value - self.expected.shift
+
+    @property
+    def strength(self) -> float:
+        """Excess in limits, signed; zero where it was not measured or has the other sign than the value."""
+        if not math.isfinite(self.excess) or self.excess * self.value <= 0:
+            return 0.0
+        return self.excess / self.limit
+
+    @property
+    def sigmas(self) -> float:
+        """Standard deviations by which the excess passes its limit; negative where it does not."""
+        return (abs(self.strength) - 1.0) * self.limit / self.sd
+
+
+def decide_plant(plant: PlantMeasures, lod: float, config: DecisionConfig, null: VegetationNull) -> Decision:
+    """Decide one plant of both epochs.
+
+    Parameters
+    ----------
+    plant : PlantMeasures
+        At equal point density.
+    lod : float
+        Its level of detection [m].
+    config : DecisionConfig
+    null : VegetationNull
+        Of the pair.
+    """
+    gate = max(config.lod_factor * lod, config.lod_floor)
+    if not math.isfinite(gate):
+        return Decision(Change.UNOBSERVED, NO_LEVEL, 0.0)
+    section = _decide_section(plant, null) if math.isfinite(plant.section) else None
+    if section is not None and plant.section_only:
+        return _where_free(section, plant, config)
+    whole = _decide_whole(plant, gate, config.vegetation, null)
+    chosen = section if section is not None and whole.change is Change.UNCHANGED else whole
+    return _where_free(chosen, plant, config)
+
+
+def _where_free(decision: Decision, plant: PlantMeasures, config: DecisionConfig) -> Decision:
+    """Leave a plant unchanged whose new or lost surface lies where the other survey did not look."""
+    if decision.change not in (Change.INCREASED, Change.DECREASED):
+        return decision
+    grew = decision.change is Change.INCREASED
+    free = plant.free_gained if grew else plant.free_lost
+    if free >= config.min_free:
+        return decision
+    other, surface = ("earlier", "new") if grew else ("later", "lost")
+    reason = f"{decision.reason} Not claimed: it is {free:.0%} sure that the place of the {surface} surface"
+    reason += f" was free in the {other} survey (limit {config.min_free:.0%})."
+    return Decision(Change.UNCHANGED, reason, 1.0, 0.0)
+
+
+def _decide_section(plant: PlantMeasures, null: VegetationNull) -> Decision:
+    expected = null.expected(plant, "rise")
+    limit = max(plant.section_gate, null.certain * expected.sd)
+    return _decision(plant, _Excess("rise", plant.section, expected, limit, expected.sd))
+
+
+def _decide_whole(plant: PlantMeasures, gate: float, rules: ClassRules, null: VegetationNull) -> Decision:
+    """Decide by the columns of a hedge or the outline where they moved, else by top, volume and surface.
+
+    The tops of its columns say more of a hedge than its highest voxels, of which few beams tell.
+    """
+    found = _excesses(plant, gate, rules, null)
+    columns, outline, top, volume, surface = (
+        found[m] for m in ("rise", "outline", "top", "volume", "surface")
+    )
+    known = math.isfinite(plant.rise)
+    first = [] if plant.thin else [columns, outline]
+    for measure in first:
+        if abs(measure.strength) > 1:
+            return _decision(plant, measure)
+    candidates = [top] if plant.thin else [volume, surface] if known else [top, volume, surface]
+    fired = [e for e in candidates if abs(e.strength) > 1]
+    held = [e for e in fired if math.copysign(1.0, e.strength) * surface.excess >= rules.carried]
+    if held:
+        rising = {e.strength > 0 for e in held}
+        upwards = volume.excess > 0 if len(rising) == 2 else rising == {True}
+        return _decision(plant, max(held, key=lambda e: e.strength if upwards else -e.strength))
+    if fired:
+        return _without_surface(plant, max(fired, key=lambda e: abs(e.strength)), surface, rules)
+    return _decision(plant, max([*first, *candidates], key=lambda e: abs(e.strength)))
+
+
+def _without_surface(plant: PlantMeasures, found: _Excess, surface: _Excess, rules: ClassRules) -> Decision:
+    """Leave a plant unchanged whose top or volume changed while its surface did not."""
+    share = _quantity(surface.excess, "share")
+    reason = (
+        f"{_compared(plant, found)} exceeds the limit of {_quantity(found.limit, found.unit, sign=False)},"
+        f" but the surface that is new or lost, {share}, does not carry the change"
+        f" (limit {100 * rules.carried:.0f} %)."
+    )
+    return Decision(Change.UNCHANGED, reason, 1.0, 0.0)
+
+
+def _excesses(
+    plant: PlantMeasures, gate: float, rules: ClassRules, null: VegetationNull
+) -> dict[str, _Excess]:
+    """Return every measure of a whole plant with its limit: the rule's, or the scatter of the pair."""
+    limits = {
+        "outline": rules.outline * plant.reach if math.isfinite(plant.reach) else math.inf,
+        "top": max(rules.height, gate),
+        "rise": max(rules.height, gate),
+        "volume": rules.volume,
+        "surface": rules.surface,
+    }
+    found = {}
+    for measure, limit in limits.items():
+        expected = null.expected(plant, measure)
+        own = _own_sigma(plant, measure)
+        sd = max(expected.sd, own) if math.isfinite(own) else expected.sd
+        found[measure] = _Excess(measure, plant.value(measure), expected, max(limit, null.certain * sd), sd)
+    return found
+
+
+def _own_sigma(plant: PlantMeasures, measure: str) -> float:
+    """Return the standard error of a measure by the plant itself: of shares, that of a count of voxels.
+
+    Neighbouring voxels of a surface are seen, or not, in pairs.
+    """
+    if measure in ("volume", "surface"):
+        return math.sqrt(min(abs(plant.surface), 1.0) / max(0.5 * plant.voxels, 1.0))
+    return {"outline": plant.outline_sigma, "rise": plant.rise_sigma}.get(measure, 0.0)
+
+
+_CONCLUSIONS = {
+    Change.UNCHANGED: "no change is claimed",
+    Change.INCREASED: "it grew",
+    Change.DECREASED: "it shrank",
+}
+
+
+def _decision(plant: PlantMeasures, found: _Excess) -> Decision:
+    """Say what was compared, the value, what the other plants did, the limit and the conclusion."""
+    if not math.isfinite(found.value):
+        return Decision(
+            Change.UNCHANGED,
+            f"{_name(plant)}: too few points of both surveys to compare, and no change is claimed.",
+            0.0,
+        )
+    change = Change.UNCHANGED
+    if abs(found.strength) > 1:
+        change = Change.INCREASED if found.strength > 0 else Change.DECREASED
+    verb = "does not exceed" if change is Change.UNCHANGED else "exceeds"
+    limit = _quantity(found.limit, found.unit, sign=False)
+    conclusion = {Change.UNCHANGED: "no change is claimed", Change.INCREASED: "it grew"}.get(
+        change, "it shrank"
+    )
+    reason = f"{_compared(plant, found)} {verb} the limit of {limit}: {conclusion}."
+    return Decision(change, reason, abs(found.strength), found.sigmas)
+
+
+def _compared(plant: PlantMeasures, found: _Excess) -> str:
+    """Write the value, what the other plants of the pair did, and the excess."""
+    expected, unit = found.expected, found.unit
+    others = "crowns" if plant.kind == "crown" else "hedges and shrubs"
+    scatter = f"(sd {_quantity(expected.sd, unit, sign=False)})"
+    if expected.count:
+        rest = f"the other {expected.count - 1} {others} of this pair moved"
+        rest += f" {_quantity(expected.shift, unit)} {scatter}"
+    else:
+        rest = f"this pair has too few {others} for a scatter of its own {scatter}"
+    value = _quantity(found.value, unit)
+    return f"{_name(plant)} {_NAMES[found.measure]} {value}; {rest}; excess {_quantity(found.excess, unit)}"
+
+
+def _name(plant: PlantMeasures) -> str:
+    return "Thin object without a crown:" if plant.thin else plant.kind.capitalize()
+
+
+def _quantity(value: float, unit: str, *, sign: bool = True) -> str:
+    plus = "+" if sign else ""
+    return f"{value:{plus}.2f} m" if unit == "m" else f"{100 * value:{plus}.0f} %"

@@ -1,0 +1,164 @@
+"""What two epochs say of one plant, at equal point density (method, Decision 18)."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+from pydantic import Field
+from scipy.spatial import cKDTree
+
+from subiaco_change.decisions.absence import absence, pooled
+from subiaco_change.decisions.crown_outline import OutlineConfig, compare_outlines
+from subiaco_change.decisions.measures import Measures
+from subiaco_change.decisions.vegetation_null import PlantMeasures, VegetationNullConfig
+from subiaco_change.decisions.voxel_objects import Free, Thing
+from subiaco_change.instance_splitting.hedge_sections import NOTHING, Rise, column_rise
+from subiaco_geo.clouds import voxel_indices, voxel_keys
+from subiaco_geo.config import StrictModel
+from subiaco_geo.frames import Floats
+
+_SAMPLE = 500  # points of a plant that are asked for the surface that one epoch alone has
+_NOT_KNOWN = 0.5  # probability of being free of a place of which nothing is known
+
+
+class PlantConfig(StrictModel):
+    """How plants are measured."""
+
+    voxel: float = Field(
+        0.5,
+        gt=0,
+        description="Edge of the voxels in which the point densities of two epochs are compared [m]",
+    )
+    shared: int = Field(
+        8, ge=1, description="Number of voxels occupied in both epochs that a ratio of point densities needs"
+    )
+    low: float = Field(3.0, gt=0, description="Top height below which plants are hedges or shrubs [m]")
+    thin: float = Field(
+        0.7, gt=0, description="Width below which a tall object of class vegetation has no crown [m]"
+    )
+    slender: float = Field(
+        4.0,
+        gt=1,
+        description="Ratio of height to width from which an object of class vegetation has no crown",
+    )
+    shell: float = Field(
+        0.3,
+        gt=0,
+        description="Distance without points of the other epoch from which a point is surface of its own "
+        "epoch alone [m]",
+    )
+    outline: OutlineConfig = OutlineConfig()
+    null_model: VegetationNullConfig = VegetationNullConfig()
+
+
+def measure_plant(
+    before: Sequence[Thing],
+    after: Sequence[Thing],
+    measures: Measures,
+    config: PlantConfig,
+    standing: tuple[Floats, Floats] = (NOTHING, NOTHING),
+    free: tuple[Free | None, Free | None] = (None, None),
+) -> PlantMeasures:
+    """Measure a plant that both epochs hold; the denser epoch is thinned to the density of the other.
+
+    ``standing`` (N, 3) of *before* and of *after*: points above the ground of any class. ``free`` of *before*
+    and of *after*: how probable it is that places (N, 3) are free; None: certain.
+    """
+    first, second = (np.concatenate([t.xyz for t in things]) for things in (before, after))
+    lost = min(free_shell(first, standing[1], free[1], config), absence(before, (), free))
+    gained = min(free_shell(second, standing[0], free[0], config), absence((), after, free))
+    first, second, density = equal_density(first, second, config)
+    outline = compare_outlines(first, second, config.outline)
+    both = np.concatenate([first, second])
+    heights = np.concatenate([t.voxels.height for t in (*before, *after)])
+    low = bool(np.quantile(heights, 0.98) <= config.low)
+    rise = column_rise(before, after, standing) if low else Rise()
+    return PlantMeasures(
+        kind="hedge" if low else "crown",
+        density=density,
+        size=_size(both),
+        voxels=measures.seen_voxels,
+        thin=not low and any(_is_thin(xyz, config) for xyz in (first, second)),
+        reach=outline.reach,
+        outline=outline.shift,
+        outline_sigma=outline.sigma,
+        top=measures.delta_h,
+        volume=measures.delta_v / max(measures.volume, 1e-6),
+        surface=measures.carried,
+        rise=rise.median,
+        rise_sigma=rise.sigma,
+        free_gained=gained,
+        free_lost=lost,
+    )
+
+
+def free_shell(xyz: Floats, standing: Floats, free: Free | None, config: PlantConfig) -> float:
+    """Return how probable it is that the surface that one epoch alone has was free in the other.
+
+    Of points (N, 3) with no standing point (M, 3) of the other epoch within ``config.shell``, taken together
+    as the places of an object are; 0.5 where there are none. Surface that the other epoch did not look at
+    may have stood there as well.
+    """
+    if free is None:
+        return 1.0
+    alone = xyz[:: -(-len(xyz) // _SAMPLE)]
+    low, high = alone.min(axis=0) - config.shell, alone.max(axis=0) + config.shell
+    near = standing[((standing >= low) & (standing <= high)).all(axis=1)]
+    if len(near):
+        alone = alone[np.isinf(cKDTree(near).query(alone, distance_upper_bound=config.shell)[0])]
+    if len(alone) == 0:
+        return _NOT_KNOWN
+    return pooled(float(free(alone).mean()), len(np.unique(voxel_keys(voxel_indices(alone, config.voxel)))))
+
+
+def equal_density(before: Floats, after: Floats, config: PlantConfig) -> tuple[Floats, Floats, float]:
+    """Thin the denser of two point sets (N, 3), (M, 3) [m] of one plant to the density of the other.
+
+    Densities are compared in voxels that both occupy: a plant that grew is not a plant that is denser.
+    Every so many points in the order of their voxels stay, so that no place loses more than its share.
+
+    Returns
+    -------
+    (N', 3), (M', 3), float
+        Points, and the log of the density of *after* over that of *before*.
+    """
+    keys = [voxel_keys(voxel_indices(xyz, config.voxel)) for xyz in (before, after)]
+    found = [np.unique(key, return_counts=True) for key in keys]
+    _, slot_b, slot_a = np.intersect1d(found[0][0], found[1][0], assume_unique=True, return_indices=True)
+    if len(slot_b) < config.shared:
+        return before, after, 0.0
+    counts = float(found[0][1][slot_b].sum()), float(found[1][1][slot_a].sum())
+    density = math.log(counts[1] / counts[0])
+    share = math.exp(-abs(density))
+    if density > 0:
+        after = _thinned(after, keys[1], share)
+    else:
+        before = _thinned(before, keys[0], share)
+    return before, after, density
+
+
+def _thinned(xyz: Floats, keys: np.ndarray, share: float) -> Floats:
+    """Keep a share of points (N, 3), evenly over the voxels of the sorted keys (N,)."""
+    order = np.lexsort((xyz[:, 2], xyz[:, 1], xyz[:, 0], keys))
+    step = np.floor((np.arange(len(order)) + 1) * share) > np.floor(np.arange(len(order)) * share)
+    kept = np.sort(order[step])
+    return np.asarray(xyz[kept])
+
+
+def _size(xyz: Floats) -> float:
+    """Mean distance of points (N, 3) from their middle [m]."""
+    middle = 0.5 * (np.quantile(xyz, 0.05, axis=0) + np.quantile(xyz, 0.95, axis=0))
+    return max(float(np.linalg.norm(xyz - middle, axis=1).mean()), 0.1)
+
+
+def _is_thin(xyz: Floats, config: PlantConfig) -> bool:
+    """Tell whether nine tenths of points (N, 3) lie in a narrow and tall place: a pole or a trunk."""
+    if len(xyz) < 2:
+        return False
+    step = xyz[:, :2] - xyz[:, :2].mean(axis=0)
+    axes = np.linalg.eigh(step.T @ step)[1].T[::-1]  # long side first; always two of them
+    low, high = np.quantile(np.column_stack([step @ axes.T, xyz[:, 2]]), [0.05, 0.95], axis=0)
+    _, narrow, height = (high - low).tolist()
+    return bool(narrow < config.thin and height > config.slender * narrow)

@@ -1,0 +1,168 @@
+"""Every point gets the label of its object, or of its ground."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import shapely.affinity
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from scipy.special import ndtr
+
+from subiaco_change.decisions.ground_change import GroundComparison, GroundPatch, patch_points
+from subiaco_change.decisions.voxel_objects import EpochView, trails
+from subiaco_change.records import ChangeRecord
+from subiaco_change.segmentation.ground_model import Mask
+from subiaco_change.visibility_evidence import EvidenceConfig, ground_observed
+from subiaco_geo.codes import Change, Semantic
+from subiaco_geo.frames import Floats, Ints
+
+_AROUND = 12  # nearest points that tell whether a place lies among them
+
+
+@dataclass(frozen=True)
+class Labels:
+    """Fields of one epoch's points, as :class:`subiaco_change.records.ChangeResult` wants them."""
+
+    change: NDArray[np.uint8]
+    semantic: NDArray[np.uint8]
+    instance: NDArray[np.int32]
+    confidence: NDArray[np.float32]
+    lod95: NDArray[np.float32]
+
+    def fields(self) -> dict[str, NDArray[np.generic]]:
+        """Return the fields by name."""
+        return {name: getattr(self, name) for name in self.__dataclass_fields__}
+
+
+def unlabelled(view: EpochView) -> Labels:
+    """Return labels of points before any decision; ghost trails keep these labels."""
+    count = len(view.xyz)
+    return Labels(
+        np.where(trails(view), Change.NOT_REPORTED, Change.UNCHANGED).astype(np.uint8),
+        view.semantic.copy(),
+        np.full(count, -1, dtype=np.int32),
+        np.full(count, 0.5, dtype=np.float32),
+        view.lod.astype(np.float32),
+    )
+
+
+def label_rest(
+    view: EpochView,
+    labels: Labels,
+    ground: GroundComparison | None,
+    patch_ids: Sequence[int],
+    seen_by_other: Callable[[Floats], Mask],
+    evidence: EvidenceConfig,
+    other_ground: Floats,
+    occupied_by_other: Callable[[Floats], Mask],
+) -> None:
+    """Label, in place, what belongs to no object.
+
+    Points of a ground patch get its label and id; other ground stays Unchanged where the other epoch
+    observed the place, by its beams or by ground points (M, 3) around, and is Unobserved elsewhere. What
+    stands there but was too little to be an object stays Unchanged where the other epoch holds points
+    too: that it is new or gone cannot be told of a few points.
+    """
+    loose = np.flatnonzero(labels.instance < 0)
+    is_ground = view.semantic[loose] == Semantic.GROUND
+    seen = _compared(ground, view, loose)
+    trail = labels.change[loose] == Change.NOT_REPORTED
+    seen[trail] = seen_by_other(view.xyz[loose[trail]])
+    fragment = ~is_ground & ~trail
+    seen[fragment] = occupied_by_other(view.xyz[loose[fragment]])
+    hidden = np.flatnonzero(is_ground & ~seen)
+    seen[hidden] = ground_observed(seen_by_other, view.xyz[loose[hidden]], evidence)
+    hidden = hidden[~seen[hidden]]
+    seen[hidden] = surrounded(view.xyz[loose[hidden], :2], other_ground[:, :2], evidence.ground_between)
+    labels.change[loose[~seen]] = Change.UNOBSERVED
+    if ground is not None:
+        _label_ground(ground, view, patch_ids, labels)
+
+
+def surrounded(xy: Floats, points: Floats, reach: float) -> Mask:
+    """Tell which places (M, 2) have points (N, 2) within reach [m] on at least three of their four sides.
+
+    Between beams that met the ground metres apart, the ground is known; beyond the last one it is not.
+    """
+    if len(points) == 0 or len(xy) == 0:
+        return np.zeros(len(xy), dtype=bool)
+    distance, slot = cKDTree(points).query(xy, k=_AROUND, distance_upper_bound=reach)
+    found = np.isfinite(distance)
+    step = points[np.where(found, slot, 0)] - xy[:, None]
+    quadrant = 2 * (step[..., 0] > 0) + (step[..., 1] > 0)
+    sides = sum(np.any((quadrant == q) & found, axis=1).astype(int) for q in range(4))
+    return np.asarray(sides >= 3)
+
+
+def _compared(ground: GroundComparison | None, view: EpochView, members: Ints) -> Mask:
+    """Tell which points are ground whose cell holds ground in both epochs."""
+    if ground is None:
+        return np.zeros(len(members), dtype=bool)
+    row, column, inside = ground.cell_of(view.xyz[members, :2])
+    both = inside & np.isfinite(ground.dz[row, column])
+    return np.asarray(both & (view.semantic[members] == Semantic.GROUND))
+
+
+def _label_ground(
+    ground: GroundComparison, view: EpochView, patch_ids: Sequence[int], labels: Labels
+) -> None:
+    patch = patch_points(ground, view)
+    row, column, inside = ground.cell_of(view.xyz[:, :2])
+    known = inside & (view.semantic == Semantic.GROUND) & np.isfinite(ground.dz[row, column])
+    sigma = np.maximum(ground.lod[row[known], column[known]] / 1.96, 0.01)
+    distance = np.abs(np.abs(ground.dz[row[known], column[known]]) - 0.15)
+    labels.confidence[known] = ndtr(distance / sigma)
+    for number, item in enumerate(ground.patches):
+        members = patch == number
+        labels.change[members], labels.instance[members] = item.change, patch_ids[number]
+        labels.confidence[members] = item.confidence
+
+
+def patch_record(patch: GroundPatch, origin: Floats, z: float, evidence: str) -> ChangeRecord:
+    """Return the row of a patch of ground, in world coordinates; its id and points are still to be told."""
+    centre = patch.outline.centroid
+    return ChangeRecord(
+        object_id=-1,
+        semantic=Semantic.GROUND,
+        change=patch.change,
+        id_before=(),
+        id_after=(),
+        match_kind="one_to_one",
+        delta_h_m=patch.dz,
+        delta_v_m3=patch.dz * patch.area,
+        delta_v_surface_m3=math.nan,
+        delta_c_m=math.nan,
+        iou_3d=math.nan,
+        d_perp_m=patch.dz,
+        lod95_m=patch.lod,
+        observed_fraction=1.0,
+        evidence=evidence,
+        score_paper=_ground_score(patch.dz, patch.lod),
+        confidence=patch.confidence,
+        n_before=0,
+        n_after=0,
+        x=float(centre.x + origin[0]),
+        y=float(centre.y + origin[1]),
+        z=z + float(origin[2]),
+        footprint=shapely.affinity.translate(patch.outline, float(origin[0]), float(origin[1])),
+        delta_h_low_m=patch.dz - patch.lod,
+        delta_h_high_m=patch.dz + patch.lod,
+        delta_v_low_m3=(patch.dz - patch.lod) * patch.area,
+        delta_v_high_m3=(patch.dz + patch.lod) * patch.area,
+        reason=(
+            f"The ground level changed by {patch.dz:+.2f} m (standard deviation"
+            f" {patch.dz_spread:.2f} m, LoD95"
+            f" {patch.lod:.2f} m) over {patch.area:.0f} m²: beyond the limits of height and area, it was"
+            f" {'raised' if patch.dz > 0 else 'lowered'}."
+        ),
+    )
+
+
+def _ground_score(dz: float, lod: float) -> float:
+    """Return the paper's score for ground: height and separation terms."""
+    total = 0.50 * abs(dz) / math.hypot(lod, 0.10) + 0.25 * abs(dz) / max(lod, 1e-6)
+    return 1.0 / (1.0 + math.exp(-min(total, 50.0)))

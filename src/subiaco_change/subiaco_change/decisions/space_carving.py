@@ -1,0 +1,427 @@
+"""Volumes and heights of buildings by space carving, as intervals (method, Decision 17).
+
+The envelope of an object in both epochs is cut into cells. In each epoch a cell is solid, free or unknown:
+
+* *solid*: below the highest surface that the epoch has in its column, or behind two walls that the other
+  epoch does not have, with nothing but unknown cells between,
+  and not looked through: under a canopy is nothing solid,
+* *free*: the epoch looked through it, or met the ground in its column,
+* *unknown*: everything else.
+
+Gained is what was free in *before* and is solid in *after*, lost the reverse. Cells that one epoch knows
+and the other does not are counted where they adjoin what changed: they widen the interval. What neither
+epoch knows is no evidence.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from subiaco_change.decisions.column_change import ColumnChange
+from subiaco_change.decisions.unseen_columns import body_tops
+from subiaco_change.decisions.voxel_objects import Voxels
+from subiaco_change.segmentation.bounding_rectangles import wall_axes
+from subiaco_change.segmentation.ground_model import Mask
+from subiaco_geo.config import StrictModel
+from subiaco_geo.frames import Floats, Ints
+
+#: Tells which places (N, 3) a survey looked through.
+Empty = Callable[[Floats], Mask]
+#: Tells of columns (N, 2) whether an epoch met the ground there.
+Bare = Callable[[Floats], Mask]
+Cells = NDArray[np.bool_]
+
+_BESIDE, _ABOVE = 0.8, 0.4  # two samplings of one surface lie so far apart [m], voxels being 0.5 m
+_MOST_SIDES = 4  # of the six sides of a cell
+_TOP = 0.05  # a voxel lies so far below the edge that it is of [m]
+_FEW = 4  # columns that make no height
+_TOUCHING = np.ones((3, 3, 3), dtype=bool)
+_BESIDE_WALL, _BESIDE_ROOF = np.ones((3, 3, 5), dtype=bool), _TOUCHING  # a surface lies anywhere in its cell
+_LEVEL = 0.7  # |n.e_z| from which a surface is a roof
+_FACES = ndimage.generate_binary_structure(3, 1)
+
+
+class CarvingConfig(StrictModel):
+    """Cells of the space carving of buildings."""
+
+    cell: float = Field(
+        0.5,
+        gt=0,
+        description="Edge of the cells of space carving [m]; smaller cells cost memory, larger cells blur "
+        "walls",
+    )
+    max_cells: int = Field(
+        400_000,
+        gt=1000,
+        description="Largest number of cells of one object; larger objects are carved with larger cells",
+    )
+    thickness: int = Field(
+        2,
+        ge=1,
+        description="Smallest extent of a change of volume [cells]; thinner changes are noise of surfaces",
+    )
+    support: int = Field(
+        6,
+        ge=1,
+        description="Number of voxels of changed surface that a changed volume must have; fewer make no "
+        "claim",
+    )
+    room: float = Field(
+        2.2, gt=0, description="Smallest height of walls that enclose a volume [m]; lower walls are fences"
+    )
+    wall_gap: float = Field(
+        3.0,
+        ge=0,
+        description="Longest gap between observed pieces of one wall that is closed along the wall [m]",
+    )
+    capped: float = Field(
+        0.3,
+        ge=0,
+        le=1,
+        description="Fraction of columns with free space above their top from which the height rests on "
+        "these columns alone; raise it for wider height bounds",
+    )
+    roof_gap: float = Field(
+        1.25,
+        ge=0,
+        description="Largest distance from an observed top to the free space above at which the observed "
+        "top is the top of the column [m]",
+    )
+
+
+@dataclass(frozen=True)
+class Interval:
+    """A difference, after minus before, between bounds."""
+
+    low: float
+    high: float
+
+    @property
+    def middle(self) -> float:
+        """The point estimate."""
+        return 0.5 * (self.low + self.high)
+
+    def __neg__(self) -> Interval:
+        return Interval(-self.high, -self.low)
+
+
+@dataclass(frozen=True)
+class Carved:
+    """Change of the volume [m3] and of the height [m], and the volume *before* [m3]."""
+
+    volume: Interval
+    height: Interval
+    whole: float
+    columns: ColumnChange | None = None
+
+
+@dataclass(frozen=True)
+class Epoch:
+    """Voxels of an object in one epoch, and what the epoch knows of the space around.
+
+    ``empty`` is None where nothing tells free space from unknown space.
+    """
+
+    voxels: Voxels
+    empty: Empty | None
+    bare: Bare
+
+
+@dataclass(frozen=True)
+class _Frame:
+    """Cells about an object, along its walls: ``corner`` (2,) [m], ``turn`` (2, 2), numbers of cells."""
+
+    corner: Floats
+    turn: Floats
+    shape: tuple[int, int, int]
+    cell: float
+    foot: Floats  # (nx, ny) height of the ground [m]
+
+    def slots(self, xy: Floats) -> Ints:
+        """Columns (N, 2) of places (N, 2)."""
+        return np.floor((xy @ self.turn.T - self.corner) / self.cell).astype(np.int64)
+
+    def middles(self) -> Floats:
+        """Middles (nx * ny, 2) of the columns [m]."""
+        return _middles(self.corner, self.turn, self.shape, self.cell)
+
+    @property
+    def levels(self) -> Floats:
+        """Heights (nz,) of the middles of the cells above the ground [m]."""
+        return np.asarray((np.arange(self.shape[2]) + 0.5) * self.rise, dtype=np.float64)
+
+    @property
+    def rise(self) -> float:
+        """Height of a cell [m]: tops are known better than walls are placed."""
+        return 0.5 * self.cell
+
+    @property
+    def volume(self) -> float:
+        """Volume of a cell [m3]."""
+        return self.cell**2 * self.rise
+
+
+@dataclass(frozen=True)
+class _State:
+    """What an epoch knows of every cell; ``top`` (nx, ny) of its surfaces [m], 0 where it has none.
+
+    ``hollow`` lies below a top and was looked through: under a canopy, or behind a window. It is neither
+    solid nor known to be outside.
+    """
+
+    solid: Cells
+    free: Cells
+    hollow: Cells
+    top: Floats
+
+    @property
+    def unknown(self) -> Cells:
+        return ~(self.solid | self.free | self.hollow)
+
+
+def carve(before: Epoch, after: Epoch, config: CarvingConfig) -> Carved:
+    """Compare the space that an object takes up in two epochs, of which one may lack it.
+
+    Parameters
+    ----------
+    before, after : Epoch
+        In one local frame [m].
+    config : CarvingConfig
+    """
+    both = before.voxels, after.voxels
+    if sum(map(len, both)) == 0:
+        return Carved(Interval(0.0, 0.0), Interval(0.0, 0.0), 0.0)
+    frame = _frame(Voxels.joined(both), config)
+    states = tuple(_state(epoch, other.voxels, frame) for epoch, other in ((before, after), (after, before)))
+    gain, gained = _difference(states[0], states[1], after.voxels, frame, config)
+    loss, lost = _difference(states[1], states[0], before.voxels, frame, config)
+    volume = Interval(gain.low - loss.high, gain.high - loss.low)
+    old = states[0] if len(before.voxels) else states[1]
+    tops = np.stack([state.top for state in states])
+    grid = (frame.corner, frame.turn, frame.cell)
+    columns = ColumnChange.of(gained, lost, tops, frame.rise, grid)
+    return Carved(volume, _height(states, frame, config), _whole(old, both, gained, frame), columns)
+
+
+def _frame(voxels: Voxels, config: CarvingConfig) -> _Frame:
+    """Cells along the walls of both epochs, with a margin."""
+    turn = wall_axes(voxels.xyz[:, :2]).T
+    along = voxels.xyz[:, :2] @ turn.T
+    tall = float(voxels.height.max()) + 1.0
+    extent = np.append(along.max(axis=0) - along.min(axis=0), tall)
+    cell = config.cell
+    while 2 * np.prod(np.ceil(extent / cell) + 4) > config.max_cells:
+        cell *= 1.25
+    margin = 2 * cell
+    corner = along.min(axis=0) - margin
+    nx, ny = (int(np.ceil(v / cell)) + 4 for v in extent[:2])
+    shape = (nx, ny, max(int(np.ceil(2 * tall / cell)) + 1, 4))
+    middles = _middles(corner, turn, shape, cell)
+    near = cKDTree(voxels.xyz[:, :2]).query(middles)[1]
+    foot = (voxels.xyz[:, 2] - voxels.height)[near].reshape(nx, ny)
+    return _Frame(corner, turn, shape, cell, foot)
+
+
+def _middles(corner: Floats, turn: Floats, shape: tuple[int, int, int], cell: float) -> Floats:
+    index = np.stack(np.meshgrid(*(np.arange(n) for n in shape[:2]), indexing="ij"), axis=-1).reshape(-1, 2)
+    return np.asarray((corner + (index + 0.5) * cell) @ turn)
+
+
+def _state(epoch: Epoch, other: Voxels, frame: _Frame) -> _State:
+    """Tell solid, free and unknown cells of an epoch.
+
+    A surface of the other epoch that this one has too, though it sampled it elsewhere, counts as its own.
+    """
+    nx, ny, nz = frame.shape
+    own = epoch.voxels.add(_shared(other, epoch))
+    top = _tops(own, frame)
+    below = frame.levels <= top[:, :, None] + _TOP
+    middles = frame.middles()
+    open_column = epoch.bare(middles).reshape(nx, ny) & (top == 0)
+    free = np.repeat(open_column[:, :, None], nz, axis=2)
+    if epoch.empty is None:  # nothing tells free space: only above what was seen there is room for the sky
+        return _State(below, free | ((top > 0)[:, :, None] & ~below), np.zeros_like(below), top)
+    ask = ~free & ~_beside_surfaces(own, below, frame)
+    ask |= ~(free | below)
+    column, level = np.divmod(np.flatnonzero(ask.ravel()), nz)
+    height = frame.foot.ravel()[column] + frame.levels[level]
+    free[ask] = epoch.empty(np.column_stack([middles[column], height]))
+    hollow = free & below
+    free = _between_beams(free & ~below, below, top)
+    return _State(below & ~hollow, free, hollow, top)
+
+
+def _beside_surfaces(voxels: Voxels, below: Cells, frame: _Frame) -> Cells:
+    """Cells below tops that surfaces of voxels may fill; between the voxels of a wall are gaps."""
+    level = np.abs(voxels.normal[:, 2]) > _LEVEL
+    kinds = ((voxels.select(~level), _BESIDE_WALL), (voxels.select(level), _BESIDE_ROOF))
+    filled = np.zeros_like(below)
+    for own, reach in kinds:
+        filled |= ndimage.binary_dilation(_surface(own, frame) > 0, reach, mask=below)
+    return filled
+
+
+def _between_beams(free: Cells, solid: Cells, top: Floats) -> Cells:
+    """Fill free space where no beam happened to pass: among free cells, and between these and the ground.
+
+    A column that is free half a metre above the ground holds no building, although the beams below met it.
+    """
+    filled = free.copy()
+    filled[:, :, :2] |= (free[:, :, 2] & (top == 0))[:, :, None]
+    around = np.zeros(free.shape, dtype=np.int8)
+    for axis in range(3):
+        for step in (-1, 1):
+            around += _shifted(filled, axis, step)
+    return np.asarray(filled | ((around >= _MOST_SIDES) & ~solid))
+
+
+def _shifted(cells: Cells, axis: int, step: int) -> Cells:
+    """Cells moved by one along an axis; what comes from outside is False."""
+    moved = np.roll(cells, step, axis=axis)
+    edge: list[slice | int] = [slice(None)] * 3
+    edge[axis] = 0 if step > 0 else -1
+    moved[tuple(edge)] = False
+    return moved
+
+
+def _shared(other: Voxels, epoch: Epoch) -> Voxels:
+    """Voxels of the other epoch that this epoch has too, though it sampled them elsewhere."""
+    own = epoch.voxels
+    if len(other) == 0 or len(own) == 0:
+        return other.select(np.zeros(len(other), dtype=bool))
+    scale = 1.0 / np.array([_BESIDE, _BESIDE, _ABOVE])
+    distance = cKDTree(own.xyz * scale).query(other.xyz * scale, distance_upper_bound=1.0)[0]
+    shared = other.still & np.isfinite(distance)
+    if epoch.empty is not None:
+        shared[shared] = ~epoch.empty(other.xyz[shared])
+    return other.select(shared)
+
+
+def _tops(voxels: Voxels, frame: _Frame) -> Floats:
+    tops = np.zeros(frame.shape[:2])
+    slot = frame.slots(voxels.xyz[:, :2])
+    np.maximum.at(tops, (slot[:, 0], slot[:, 1]), voxels.height)
+    return tops
+
+
+def _enclosed(walls: Cells, stops: Cells) -> Cells:
+    """Cells behind two walls: along both directions of the grid a wall comes before anything that stops.
+
+    Two walls that meet are enough, opposite ones are not needed: of most wings a street shows the front
+    and a side. Behind a single wall nothing tells how deep a building is.
+    """
+    ways = []
+    for axis in (0, 1):
+        back = _follows(np.flip(walls, axis), np.flip(stops, axis), axis)
+        ways.append((_follows(walls, stops, axis), np.flip(back, axis)))
+    along, across = ways
+    behind = (along[0] | along[1]) & (across[0] | across[1])
+    return np.asarray((behind | (along[0] & along[1]) | (across[0] & across[1])) & ~walls & ~stops)
+
+
+def _follows(walls: Cells, stops: Cells, axis: int) -> Cells:
+    """Cells whose last known cell on the way along an axis is a wall."""
+    place = np.arange(1, walls.shape[axis] + 1).reshape([-1 if a == axis else 1 for a in range(3)])
+    last_wall = np.maximum.accumulate(np.where(walls, place, 0), axis=axis)
+    last_stop = np.maximum.accumulate(np.where(stops, place, 0), axis=axis)
+    return np.asarray(last_wall > last_stop)
+
+
+def _difference(
+    old: _State, new: _State, voxels: Voxels, frame: _Frame, config: CarvingConfig
+) -> tuple[Interval, Cells]:
+    """Volume [m3] that was free and is solid, and its cells; cells that one epoch does not know widen it."""
+    solid = new.solid | _behind_new_walls(old, new, frame, config)
+    number, count = ndimage.label(old.free & solid, _TOUCHING)
+    surface = _surface(voxels.select(~voxels.still), frame)
+    support = np.bincount(number.ravel(), surface.ravel(), minlength=count + 1)
+    supported = support >= config.support
+    supported[0] = False
+    changed = supported[number]
+    thin = np.ones((config.thickness, config.thickness, config.thickness + 1))
+    sure = ndimage.binary_opening(changed, thin)
+    # Between free space and a wall lies a cell that is neither: the resolution, and no room to hide in.
+    sure |= ndimage.binary_dilation(sure, _FACES) & old.unknown & solid
+    maybe = (old.free & new.unknown) | (old.unknown & solid)
+    reach = ndimage.binary_propagation(changed, _TOUCHING, changed | maybe)
+    return Interval(float(sure.sum()) * frame.volume, float(reach.sum()) * frame.volume), sure
+
+
+def _surface(voxels: Voxels, frame: _Frame) -> Ints:
+    """Numbers (nx, ny, nz) of voxels."""
+    surface = np.zeros(frame.shape, dtype=np.int64)
+    level = np.floor(voxels.height / frame.rise).astype(np.int64)
+    slot = np.column_stack([frame.slots(voxels.xyz[:, :2]), level])
+    np.add.at(surface, tuple(slot[(level >= 0) & (level < frame.shape[2])].T), 1)
+    return surface
+
+
+def _behind_new_walls(old: _State, new: _State, frame: _Frame, config: CarvingConfig) -> Cells:
+    """Cells that the walls of one epoch enclose which the other epoch does not have, as high as a room.
+
+    What the other epoch has stops the way to them: behind a fence beside a house there is no room. A wall
+    seen at a slant has gaps, which are closed along it unless the epoch looked through.
+    """
+    walls = new.solid & ~old.solid & (new.top >= config.room)[:, :, None]
+    # A single free cell beside a wall is the part of the wall's own cell that lies in front of it.
+    stops = ndimage.binary_opening(new.free, np.ones((2, 2, 1)))
+    gap = 2 * int(0.5 * config.wall_gap / frame.cell) + 1
+    whole = walls.copy()
+    for shape in ((gap, 1, 1), (1, gap, 1)):
+        whole |= ndimage.binary_closing(walls, np.ones(shape)) & ~new.free & ~old.solid
+    return whole | (_enclosed(whole, stops | (old.solid & ~whole)) & ~new.free)
+
+
+def _height(states: tuple[_State, ...], frame: _Frame, config: CarvingConfig) -> Interval:
+    """Change of the height that 5 % of the columns reach, of columns that both epochs know.
+
+    The top of a column lies between the highest surface seen in it and the lowest free cell above; where
+    few columns have free space above, those without count too, up to the highest top of all.
+    """
+    ceiling = max(float(state.top.max()) for state in states)
+    bounds = [_tops_between(state, frame, config) for state in states]
+    capped = np.logical_and(*(np.isfinite(high) for _, high in bounds))
+    seen = np.logical_and(*((state.top > 0) | state.free.any(axis=2) for state in states))
+    tops = []
+    for state, (low, high) in zip(states, bounds, strict=True):
+        stands = seen & (state.top > 0)
+        columns = stands & capped
+        if np.count_nonzero(columns) < max(_FEW, config.capped * np.count_nonzero(stands)):
+            columns = stands
+        if not columns.any():
+            return Interval(float("nan"), float("nan"))
+        known = np.minimum(high[columns], np.maximum(ceiling, low[columns]))
+        tops.append([float(np.quantile(v, 0.95)) for v in (low[columns], known)])
+    (low_b, high_b), (low_a, high_a) = tops
+    return Interval(low_a - high_b, high_a - low_b)
+
+
+def _tops_between(state: _State, frame: _Frame, config: CarvingConfig) -> tuple[Floats, Floats]:
+    """Lowest and highest possible top (nx, ny) of every column [m]; inf where no free cell is above."""
+    bottom = np.where(state.free, frame.levels - 0.5 * frame.rise, np.inf)
+    above = np.where(bottom >= state.top[:, :, None] - frame.rise, bottom, np.inf).min(axis=2)
+    high = np.where(above <= state.top + config.roof_gap, state.top, np.maximum(above, state.top))
+    return state.top, high
+
+
+def _whole(state: _State, voxels: tuple[Voxels, Voxels], gained: Cells, frame: _Frame) -> float:
+    """Volume *before* of a body of which a part was seen [m3]: in the rectangle around what stood."""
+    stood = state.top > 0
+    if not stood.any():
+        return 0.0
+    xy = np.concatenate([v.xyz[:, :2] for v in voxels])
+    slot = frame.slots(xy)
+    old = ~np.asarray(gained.any(axis=2))[slot[:, 0], slot[:, 1]]
+    old[: len(voxels[0])] = True
+    slot = slot[old] if old.any() else slot
+    low, high = np.quantile(slot, [0.005, 0.995], axis=0).astype(np.int64)
+    inside = np.zeros(stood.shape, dtype=bool)
+    inside[low[0] : high[0] + 1, low[1] : high[1] + 1] = True
+    return float(body_tops(state.top, inside, state.free, frame.levels).sum()) * frame.cell**2

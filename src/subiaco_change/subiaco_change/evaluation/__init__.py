@@ -1,1 +1,0 @@
-"""Scores against truth, by the published protocol and by object."""

@@ -1,1 +1,0 @@
-"""Known changes put into a real map: what one would find on one's own city."""

@@ -1,0 +1,193 @@
+"""Sections of a hedge that grew or were trimmed, where two hedges or more are one instance."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from scipy import ndimage
+from scipy.spatial import cKDTree
+
+from subiaco_change.decisions.voxel_objects import Thing
+from subiaco_geo.frames import Floats, Ints
+
+_CELL = 0.5  # columns whose tops are compared [m]
+_LOW = 3.0  # tops of higher plants are seen from below: they say little [m]
+_POINTS = 2  # least points of a column in either epoch
+_CELLS = 6  # least columns of a section
+_LENGTH = 1.5  # and least length [m]
+_SEEN = 0.5  # share of its moved surface that the other epoch must have observed
+_SMALL = 0.2  # rise of the whole plant up to which it is taken as it is [m]
+_HELD = 0.5  # share of its columns from which on something else stood where it rose or fell
+
+#: Nothing stands.
+NOTHING: Floats = np.zeros((0, 3))
+
+
+@dataclass(frozen=True)
+class Section:
+    """Columns whose tops moved alike: their middles (C, 2), the median rise and the gate it passed, in m."""
+
+    xy: Floats
+    rise: float
+    gate: float
+
+
+def moved_sections(
+    before: Sequence[Thing],
+    after: Sequence[Thing],
+    threshold: float,
+    standing: tuple[Floats, Floats] = (NOTHING, NOTHING),
+) -> tuple[list[Section], Floats]:
+    """Find where tops of a low plant moved by over a threshold [m], and beyond their spread.
+
+    Where the epoch whose tops are lower has points between the two, in ``standing`` (N, 3) of *before* and
+    *after*, nothing moved: a part of the plant has another class there. Returns the sections, and all
+    columns compared (C, 2).
+    """
+    heights = np.concatenate([t.voxels.height for t in (*before, *after)])
+    if np.quantile(heights, 0.98) > _LOW:
+        return [], np.zeros((0, 2))
+    first, second = (np.concatenate([t.xyz for t in things]) for things in (before, after))
+    corner, tops = _tops(first, second)
+    rise = _smooth(tops[1] - tops[0])
+    threshold = max(threshold, 1.96 * math.hypot(_roughness(tops[0]), _roughness(tops[1])))
+    sections = []
+    for sign in (1.0, -1.0):
+        labels, count = ndimage.label(np.nan_to_num(sign * rise, nan=0.0) > threshold, np.ones((3, 3)))
+        for number in range(1, count + 1):
+            cells = np.argwhere(labels == number)
+            if len(cells) < _CELLS or (np.ptp(cells, axis=0).max() + 1) * _CELL < _LENGTH:
+                continue
+            xy = _middles(cells + corner)
+            low, high = tops[:: int(sign)]
+            if _held(standing[int(sign < 0)], cells + corner, low[labels == number], high[labels == number]):
+                continue
+            if _observed(after if sign > 0 else before, xy, low, cells):
+                sections.append(Section(xy, float(np.median(rise[labels == number])), threshold))
+    known = np.argwhere(np.isfinite(rise))
+    return sections, _middles(known + corner)
+
+
+@dataclass(frozen=True)
+class Rise:
+    """Median rise of the columns of a low plant, with its standard error [m]; NaN where unknown."""
+
+    median: float = math.nan
+    sigma: float = math.nan
+
+
+def column_rise(
+    before: Sequence[Thing], after: Sequence[Thing], standing: tuple[Floats, Floats] = (NOTHING, NOTHING)
+) -> Rise:
+    """Measure how far the tops of a low plant moved, over the columns that both epochs share.
+
+    Unknown where the epoch whose tops are lower has points of another class between the two, as for
+    :func:`moved_sections`, or did not observe what is higher in the other.
+    """
+    first, second = (np.concatenate([t.xyz for t in things]) for things in (before, after))
+    corner, tops = _tops(first, second)
+    rise = tops[1] - tops[0]
+    cells = np.argwhere(np.isfinite(rise))
+    if len(cells) < _CELLS:
+        return Rise()
+    values = rise[tuple(cells.T)]
+    median = float(np.median(values))
+    found = Rise(median, 1.2533 * _spread(values - median) / math.sqrt(len(values)))
+    if abs(median) <= _SMALL:
+        return found
+    low, high = (tops if median > 0 else tops[::-1])[:, cells[:, 0], cells[:, 1]]
+    if _held(standing[int(median < 0)], cells + corner, low, high):
+        return Rise()
+    lower = tops[0] if median > 0 else tops[1]
+    seen = _observed(after if median > 0 else before, _middles(cells + corner), lower, cells)
+    return found if seen else Rise()
+
+
+def _spread(values: Floats) -> float:
+    """Robust standard deviation of values (N,) about zero."""
+    return 1.4826 * float(np.median(np.abs(values)))
+
+
+def _middles(cells: Ints) -> Floats:
+    """Middles [m] of columns, both (C, 2)."""
+    return (cells.astype(np.float64) + 0.5) * _CELL
+
+
+def _tops(before: Floats, after: Floats) -> tuple[Ints, Floats]:
+    """Lowest column, and tops (2, rows, columns) of two clouds (N, 3), NaN where one of them is thin [m].
+
+    The highest of m points stands at m / (m + 1) of the height, so that tops of which few points tell look
+    lower. Both clouds are read at the quantile that the fewer have, and what is missing is added to both.
+    """
+    index = np.floor(np.concatenate([before, after])[:, :2] / _CELL).astype(np.int64)
+    corner = index.min(axis=0) - 1
+    shape = tuple((index.max(axis=0) + 2 - corner).tolist())
+    keys = np.split(np.ravel_multi_index(tuple((index - corner).T), shape), [len(before)])
+    counts = [np.bincount(key, minlength=shape[0] * shape[1]) for key in keys]
+    fewest = np.minimum(counts[0], counts[1])
+    share = fewest / (fewest + 1)
+    heights = before[:, 2], after[:, 2]
+    bottom = np.minimum(*(_quantiles(z, key, 0.0 * share) for z, key in zip(heights, keys, strict=True)))
+    tops = np.array([_quantiles(z, key, share) for z, key in zip(heights, keys, strict=True)])
+    known = fewest >= _POINTS
+    whole = bottom + (tops - bottom) / np.where(known, share, 1.0)
+    return corner, np.where(known, whole, np.nan).reshape(2, *shape)
+
+
+def _quantiles(values: Floats, group: Ints, share: Floats) -> Floats:
+    """Quantile ``share`` (G,) of the values (N,) of every group; of an empty one whatever stands next."""
+    order = np.lexsort((values, group))
+    count = np.bincount(group, minlength=len(share))
+    place = np.cumsum(count) - count + share * np.maximum(count - 1, 0)
+    found: Floats = np.interp(place, np.arange(len(values)), values[order])
+    return found
+
+
+def _roughness(tops: Floats) -> float:
+    """Spread of tops about those around them [m]: of a plant that few beams met, few tops are its own."""
+    step = np.abs(tops - _smooth(tops))
+    return _spread(step[np.isfinite(step)]) if np.isfinite(step).any() else 0.0
+
+
+def _smooth(rise: Floats) -> Floats:
+    """Median over 3 by 3 columns, of at least four that are known."""
+    padded = np.pad(rise, 1, constant_values=np.nan)
+    rows, columns = rise.shape
+    stack = np.stack([padded[i : i + rows, j : j + columns] for i in range(3) for j in range(3)])
+    enough = np.isfinite(rise) & (np.isfinite(stack).sum(axis=0) >= 4)
+    smooth = np.full(rise.shape, np.nan)
+    smooth[enough] = np.nanmedian(stack[:, enough], axis=0)
+    return smooth
+
+
+def _observed(things: Sequence[Thing], xy: Floats, other_tops: Floats, cells: Ints) -> bool:
+    """Tell whether the other epoch looked where the surface of this one stands above its tops."""
+    voxels = np.concatenate([t.voxels.xyz for t in things])
+    seen = np.concatenate([t.voxels.seen for t in things])
+    distance, slot = cKDTree(xy).query(voxels[:, :2], distance_upper_bound=_CELL)
+    inside = np.isfinite(distance)
+    above = voxels[inside, 2] > other_tops[tuple(cells[slot[inside]].T)] + 0.1
+    return bool(above.any() and seen[inside][above].mean() >= _SEEN)
+
+
+def _held(standing: Floats, cells: Ints, low: Floats, high: Floats) -> bool:
+    """Tell whether points (N, 3) stand in the upper half between two tops (C,) of most columns (C, 2)."""
+    near = (
+        (standing[:, :2] >= cells.min(axis=0) * _CELL) & (standing[:, :2] < (cells.max(axis=0) + 1) * _CELL)
+    ).all(axis=1)
+    xyz = standing[near]
+    distance, slot = cKDTree(cells).query(np.floor(xyz[:, :2] / _CELL), distance_upper_bound=0.5)
+    xyz, slot = xyz[np.isfinite(distance)], slot[np.isfinite(distance)]
+    between = (xyz[:, 2] > 0.5 * (low + high)[slot]) & (xyz[:, 2] < high[slot] + 0.1)
+    return len(np.unique(slot[between])) >= _HELD * len(cells)
+
+
+def section_labels(thing: Thing, sections: Sequence[Section], columns: Floats) -> Ints:
+    """Section (M,) of every voxel of a thing, counted from 1; 0 for what did not move."""
+    owner = np.zeros(len(columns), dtype=np.int64)
+    for number, section in enumerate(sections, start=1):
+        owner[np.isfinite(cKDTree(section.xy).query(columns, distance_upper_bound=1e-6)[0])] = number
+    return owner[cKDTree(columns).query(thing.voxels.xyz[:, :2])[1]]

@@ -1,0 +1,163 @@
+"""Parts of an instance that stand in one epoch alone: a new hedge at an old one, a house gone from a row."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from pydantic import Field
+from scipy.spatial import cKDTree
+
+from subiaco_change.decisions.column_volumes import column_keys
+from subiaco_change.decisions.voxel_objects import Thing
+from subiaco_change.segmentation.clustering import group_indices, voxel_clusters
+from subiaco_change.segmentation.ground_model import Mask
+from subiaco_geo.config import StrictModel
+from subiaco_geo.frames import Ints
+
+_CELL = 0.5  # columns of a part [m]
+_WELL_KNOWN = 20  # voxels in sight, from which on a part may be most of an instance
+_ABOVE = 0.25  # what is higher above a part, in its columns, hangs over it [m]
+
+
+class PartConfig(StrictModel):
+    """What makes a part of an instance an object of its own."""
+
+    points: int = Field(
+        20,
+        ge=0,
+        description="Smallest number of points of a part that changed on its own; 0 never splits instances",
+    )
+    gap: float = Field(
+        0.75, gt=0, description="Edge of the voxels in which pieces of one part are connected [m]"
+    )
+    length: float = Field(0.8, gt=0, description="Smallest horizontal extent of a part that is split off [m]")
+    foot: float = Field(
+        0.9, gt=0, description="Height above ground below which a part must begin to be split off [m]"
+    )
+    top: float = Field(
+        0.6,
+        ge=0,
+        description="Height above ground that the upper tenth of a part must exceed [m]; lower parts are "
+        "misclassified ground",
+    )
+    whole: float = Field(
+        0.75,
+        gt=0,
+        le=1,
+        description="Fraction of the observed voxels in the columns of a part that must exist in one "
+        "epoch alone",
+    )
+    remainder: float = Field(
+        0.1, ge=0, lt=1, description="Fraction of the instance that must remain when its parts are split off"
+    )
+    touch: float = Field(1.5, gt=0, description="Distance within which a part adjoins a building [m]")
+    subordinate: float = Field(
+        1.0,
+        gt=0,
+        description="Ratio of part volume to building volume below which an adjoining part is a wing of "
+        "the building",
+    )
+
+
+def part_things(things: Sequence[Thing], config: PartConfig) -> list[Thing]:
+    """Split every instance into what the other epoch holds too and the parts that stand alone.
+
+    What grew or was trimmed stays with its object: it hangs over columns that
+    stood in both epochs. A part of its own stands on the ground, in columns
+    that the other epoch saw free from bottom to top.
+    """
+    if config.points == 0:
+        return list(things)
+    parted: list[Thing] = []
+    following = max((t.instance for t in things), default=-1) + 1
+    for thing in things:
+        labels = _parts_of(thing, config)
+        if not labels.any():
+            parted.append(thing)
+            continue
+        parted.extend(divided(thing, labels, following))
+        following += int(labels.max())
+    return parted
+
+
+def divided(thing: Thing, labels: Ints, following: int) -> list[Thing]:
+    """Divide an instance by a label (M,) of its voxels: the first keeps its number, others get new ones."""
+    owner = labels[cKDTree(thing.voxels.xyz).query(thing.xyz)[1]]
+    names = [thing.instance, *(following + number for number in range(int(labels.max())))]
+    return [
+        replace(
+            thing,
+            instance=name,
+            whole=thing.body,
+            points=thing.points[owner == number],
+            voxels=replace(voxels, owner=np.full(len(voxels), name)),
+            xyz=thing.xyz[owner == number],
+            passed=thing.passed[owner == number] if len(thing.passed) else thing.passed,
+            moved=thing.moved[owner == number] if len(thing.moved) else thing.moved,
+        )
+        for number, name in enumerate(names)
+        for voxels in [thing.voxels.select(labels == number)]
+    ]
+
+
+def _parts_of(thing: Thing, config: PartConfig) -> Ints:
+    """Return the part (M,) of every voxel of an instance, 0 for what is left."""
+    voxels = thing.voxels
+    labels = np.zeros(len(voxels), dtype=np.int64)
+    alone = voxels.seen & ~voxels.still
+    if len(thing.xyz) < config.points or not alone.any() or alone.all():
+        return labels
+    members = np.flatnonzero(alone)
+    column = column_keys(voxels.xyz, _CELL)
+    count = 0
+    for group in group_indices(voxel_clusters(voxels.xyz[members], config.gap)):
+        piece = members[group]
+        if _stands(thing, piece, column, alone, config):
+            count += 1
+            labels[piece] = count
+    if count == 0:
+        return labels
+    return _with_unseen(thing, labels, config)
+
+
+def _stands(thing: Thing, piece: Ints, column: Ints, alone: Mask, config: PartConfig) -> bool:
+    voxels = thing.voxels
+    if voxels.height[piece].min() > config.foot or np.quantile(voxels.height[piece], 0.9) < config.top:
+        return False
+    if np.linalg.norm(np.ptp(voxels.xyz[piece, :2], axis=0)) + _CELL < config.length:
+        return False
+    inside = _below(thing, piece, column) & voxels.seen
+    return bool(np.count_nonzero(alone & inside) >= config.whole * np.count_nonzero(inside))
+
+
+def _below(thing: Thing, piece: Ints, column: Ints) -> Mask:
+    """Tell which voxels (M,) stand in the columns of a piece and no higher: a bin stands under a crown."""
+    keys, slot = np.unique(column[piece], return_inverse=True)
+    top = np.full(len(keys), -np.inf)
+    np.maximum.at(top, slot, thing.voxels.height[piece])
+    place = np.minimum(np.searchsorted(keys, column), len(keys) - 1)
+    return np.asarray((keys[place] == column) & (thing.voxels.height <= top[place] + _ABOVE))
+
+
+def _with_unseen(thing: Thing, labels: Ints, config: PartConfig) -> Ints:
+    """Give what the other epoch did not see to the nearest part or rest; drop parts that are too small.
+
+    Where less still stands than is known of a part, the rest gets nothing: what is out of sight behind a
+    house that is gone was the house, not the gate that is left of the instance.
+    """
+    known = thing.voxels.seen
+    if not known.all():
+        left = np.count_nonzero(thing.voxels.still & (labels == 0))
+        gone = np.bincount(labels[known])[1:].max()
+        source = np.flatnonzero(known & ((labels > 0) | (left >= gone) | (gone < _WELL_KNOWN)))
+        nearest = cKDTree(thing.voxels.xyz[source]).query(thing.voxels.xyz[~known])[1]
+        labels[~known] = labels[source][nearest]
+    points = np.bincount(labels[cKDTree(thing.voxels.xyz).query(thing.xyz)[1]], minlength=labels.max() + 1)
+    if points[0] < config.remainder * len(thing.xyz):
+        return np.zeros_like(labels)
+    large = points >= config.points
+    large[0] = True
+    number = np.where(large, np.cumsum(large) - 1, 0)
+    return np.asarray(number[labels])

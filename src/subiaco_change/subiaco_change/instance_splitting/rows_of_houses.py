@@ -1,0 +1,132 @@
+"""Houses of a row that the two epochs part at other walls, or not at all: told apart by what either shows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from subiaco_change.association.costs import AssociationConfig
+from subiaco_change.decisions.column_change import ColumnChange
+from subiaco_change.decisions.column_volumes import column_keys
+from subiaco_change.decisions.storeys import changed_houses
+from subiaco_change.decisions.voxel_objects import Thing, join_voxels
+from subiaco_change.instance_splitting.merged_instances import Piece, bodies_of
+from subiaco_change.instance_splitting.one_epoch_parts import divided
+from subiaco_change.segmentation.bounding_rectangles import wall_coordinates
+from subiaco_change.segmentation.clustering import connect, group_indices
+from subiaco_change.segmentation.height_profiles import ProfileConfig, level_steps, part_slots
+from subiaco_geo.frames import Floats, Ints
+
+_CELL = 0.5  # columns in which houses stand side by side [m]
+_SHARED = (
+    0.2  # share of its columns from which on a house of one epoch lies in one of the other: no party wall
+)
+_STOREY = ProfileConfig(step=1.5)  # tops that rose by less were roofed anew
+_SHOWN = 3  # columns across a row that must show in both epochs
+
+
+def rows_of(pieces: Sequence[Piece], config: AssociationConfig) -> list[list[int]]:
+    """Group matches (positions) of which a house of one lies in a house of another; each group a row."""
+    first, second = (
+        [(k, _columns(body)) for k, piece in enumerate(pieces) for body in bodies_of(piece[epoch], config)]
+        for epoch in (0, 1)
+    )
+    links = [
+        (k, m)
+        for k, one in first
+        for m, two in second
+        if k != m and len(np.intersect1d(one, two)) > _SHARED * min(len(one), len(two))
+    ]
+    joined = connect(len(pieces), np.array(links, dtype=np.int64).reshape(-1, 2))
+    return [group.tolist() for group in group_indices(joined)]
+
+
+def _columns(things: Sequence[Thing]) -> Ints:
+    return np.unique(column_keys(join_voxels(things).xyz, _CELL))
+
+
+def houses_of(
+    before: Sequence[Thing], after: Sequence[Thing], config: AssociationConfig, following: int
+) -> list[Piece]:
+    """Divide a row at the walls that either epoch shows, and where its tops rose or fell by a storey.
+
+    Parameters
+    ----------
+    before, after : sequence of Thing
+        Everything in the row.
+    config : AssociationConfig
+    following : int
+        First free instance number.
+    """
+    sides = (tuple(before), tuple(after))
+    voxels = [join_voxels(side) for side in sides]
+    xy = np.concatenate([v.xyz[:, :2] for v in voxels])
+    labels = _moved(voxels[0].xyz, voxels[1].xyz, xy)
+    for side in sides:
+        bodies = [body for body in bodies_of(side, config) if body] or [list(side)]
+        owner = np.repeat(np.arange(len(bodies)), [sum(len(t.voxels) for t in body) for body in bodies])
+        places = np.concatenate([t.voxels.xyz[:, :2] for body in bodies for t in body])
+        labels = labels * len(bodies) + owner[cKDTree(places).query(xy)[1]]
+    return _pieces(sides, xy, labels, config, following)
+
+
+def houses_that_changed(
+    before: Sequence[Thing],
+    after: Sequence[Thing],
+    columns: ColumnChange,
+    config: AssociationConfig,
+    following: int,
+) -> list[Piece]:
+    """Divide a row where a storey was built on one of its houses, or taken off; arguments as for houses_of.
+
+    The storey shows in its walls although its roof is out of sight.
+    """
+    sides = (tuple(before), tuple(after))
+    xy = np.concatenate([join_voxels(side).xyz[:, :2] for side in sides])
+    return _pieces(sides, xy, changed_houses(columns, xy), config, following)
+
+
+def _pieces(sides: Piece, xy: Floats, labels: Ints, config: AssociationConfig, following: int) -> list[Piece]:
+    """Divide things of both epochs by labels (N,) of their voxels' places (N, 2); small parts join others."""
+    labels = np.unique(labels, return_inverse=True)[1]
+    large = np.bincount(labels) >= config.apart * len(xy)
+    if np.count_nonzero(large) < 2:
+        return [sides]
+    kept = large[labels]
+    labels = labels[kept][cKDTree(xy[kept]).query(xy)[1]]
+    labels = np.unique(labels, return_inverse=True)[1]
+    found: list[tuple[list[Thing], list[Thing]]] = [([], []) for _ in range(labels.max() + 1)]
+    for epoch, side in enumerate(sides):
+        for thing in side:
+            own, labels = labels[: len(thing.voxels)], labels[len(thing.voxels) :]
+            numbers, part = np.unique(own, return_inverse=True)
+            for number, piece in zip(numbers.tolist(), divided(thing, part, following), strict=True):
+                found[number][epoch].append(piece)
+            following += len(numbers)
+    return [(tuple(b), tuple(a)) for b, a in found]
+
+
+def _moved(before: Floats, after: Floats, xy: Floats) -> Ints:
+    """Part (N,) of places (N, 2) along the walls of a row whose tops (B, 3), (A, 3) moved by a storey."""
+    turned = wall_coordinates(xy)
+    slot = np.floor((turned - turned.min(axis=0)) / _CELL).astype(np.int64)
+    tops = np.full((2, *(slot.max(axis=0) + 1).tolist()), np.nan)
+    for top, xyz, own in zip(tops, (before, after), np.split(slot, [len(before)]), strict=True):
+        np.fmax.at(top, (own[:, 0], own[:, 1]), xyz[:, 2])
+    rise = tops[1] - tops[0]
+    labels = np.zeros(len(xy), dtype=np.int64)
+    for axis in (0, 1):
+        profile = _profile(rise if axis == 0 else rise.T)
+        parts = part_slots(slot[:, axis], level_steps(profile, _STOREY), _STOREY)
+        labels = labels * (int(parts.max()) + 1) + parts
+    return labels
+
+
+def _profile(rise: Floats) -> Floats:
+    """Median rise along a row, across it, above the lowest top of a house; none where too little shows."""
+    shown = np.isfinite(rise).sum(axis=1) >= _SHOWN
+    profile = np.zeros(len(rise))
+    profile[shown] = np.nanmedian(rise[shown], axis=1)
+    return np.asarray(profile - profile.min() + _STOREY.lowest + 1.0)

@@ -1,0 +1,314 @@
+"""Objects told apart, joined and decided anew once all of a place are known."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import shapely
+
+from subiaco_change.association.costs import AssociationConfig
+from subiaco_change.association.matching import match_kind
+from subiaco_change.association.voxel_overlap import overlap_counts
+from subiaco_change.decisions.building_extensions import built, find_wings
+from subiaco_change.decisions.measures import Measures, measure
+from subiaco_change.decisions.object_decision import ObjectChange, ObjectRules, decide_object
+from subiaco_change.decisions.plant_decisions import decide_plant
+from subiaco_change.decisions.vegetation_null import no_null
+from subiaco_change.decisions.voxel_objects import Thing, join_voxels
+from subiaco_change.instance_splitting.hedge_sections import Section, moved_sections, section_labels
+from subiaco_change.instance_splitting.merged_instances import Piece, pieces_apart
+from subiaco_change.instance_splitting.one_epoch_parts import divided
+from subiaco_change.instance_splitting.rows_of_houses import houses_of, houses_that_changed, rows_of
+from subiaco_geo.codes import Change, Semantic
+
+_WHOLE = 0.75  # share of its columns from which on a hedge moved as a whole
+_WALL = 0.5  # so far outside the outline of a building its walls are met [m]
+_WITHIN = 0.5  # share of a side of a building within the outline of the rest
+_HARDLY = 0.5  # observed share below which a side is no row of its own
+_CLAIMS = (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED)
+
+
+def join_wings(changes: list[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
+    """Make wings built onto a building, or taken from it, one object with it, and decide it anew.
+
+    A wing seen from few sides may have passed for a vehicle or a plant: what is built tells.
+    """
+    numbers = [
+        i
+        for i, change in enumerate(changes)
+        if (change.semantic is Semantic.BUILDING and change.decision.change is not Change.UNOBSERVED)
+        or (
+            change.semantic in (Semantic.MOBILE, Semantic.VEGETATION, Semantic.OTHER)
+            and change.decision.change in (Change.ADDED, Change.REMOVED)
+            and built(join_voxels((*change.before, *change.after)))
+        )
+    ]
+    if rules.association.parts.points == 0:
+        return changes
+    pairs = [(join_voxels(changes[i].before), join_voxels(changes[i].after)) for i in numbers]
+    wings = {numbers[w]: numbers[h] for w, h in find_wings(pairs, rules.association.parts).items()}
+    joined = list(changes)
+    for host in sorted(set(wings.values())):
+        parts = [changes[host], *(changes[w] for w, h in wings.items() if h == host)]
+        before, after = ([t for part in parts for t in getattr(part, e)] for e in ("before", "after"))
+        joined[host] = decide_object(before, after, Semantic.BUILDING, rules)
+    return [change for i, change in enumerate(joined) if i not in wings]
+
+
+def join_sides(changes: list[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
+    """Give a side of a changed building that the other epoch hardly saw to the building.
+
+    A wall within the outline of a house is a wall of it: pieces of one body are one row. Where absence is
+    assumed and not observed, what was built may hide any wall.
+    """
+    hosts = {
+        i: shapely.MultiPoint(join_voxels((*c.before, *c.after)).xyz[:, :2]).convex_hull.buffer(_WALL)
+        for i, c in enumerate(changes)
+        if c.semantic is Semantic.BUILDING and c.decision.change in (Change.INCREASED, Change.DECREASED)
+    }
+    joined: dict[int, list[int]] = {}
+    for number, change in enumerate(changes):
+        if (
+            change.semantic is not Semantic.BUILDING
+            or (change.before and change.after)
+            or not _hardly_seen(change, rules)
+        ):
+            continue
+        xyz = join_voxels((*change.before, *change.after)).xyz
+        shares = {i: shapely.contains_xy(o, xyz[:, 0], xyz[:, 1]).mean() for i, o in hosts.items()}
+        best = max(shares, key=lambda i: shares[i], default=number)
+        if shares.get(best, 0.0) >= _WITHIN:
+            joined.setdefault(best, []).append(number)
+    gone = {number for numbers in joined.values() for number in numbers}
+    return [
+        _with_parts(change, [changes[k] for k in joined.get(i, [])])
+        for i, change in enumerate(changes)
+        if i not in gone
+    ]
+
+
+def _hardly_seen(change: ObjectChange, rules: ObjectRules) -> bool:
+    """Tell whether the epoch that lacks an object hardly saw its place, or nothing tells what it saw."""
+    other = 1 if change.before else 0
+    return rules.ground.empty[other] is None or change.measures.observed_fraction < _HARDLY
+
+
+def split_low_overlap_matches(changes: Sequence[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
+    """Take what was matched and hardly overlaps for two things: one is slight, the other came or went.
+
+    A fence that a house was built around lies inside the house, and is no house.
+    """
+    told: list[ObjectChange] = []
+    for change in changes:
+        alone = [change]
+        sizes = [sum(len(t.voxels) for t in things) for things in (change.before, change.after)]
+        slight = 0 < min(sizes) < rules.association.parts.remainder * max(sizes)
+        if slight and change.measures.iou <= _least_overlap(change.semantic, rules):
+            b, a = change.before, change.after
+            alone = [
+                decide_object(b, (), change.semantic, rules),
+                decide_object((), a, change.semantic, rules),
+            ]
+        fared = {part.decision.change for part in alone}
+        told.extend(alone if fared & {Change.ADDED, Change.REMOVED} else [change])
+    return told
+
+
+def _least_overlap(semantic: Semantic, rules: ObjectRules) -> float:
+    """Overlap up to which two matched objects of a class are not compared; -1 where they always are."""
+    if semantic is Semantic.BUILDING:
+        return rules.decisions.building.min_iou
+    return rules.decisions.vegetation.min_iou if semantic is Semantic.VEGETATION else -1.0
+
+
+def split_multi_body_matches(changes: Sequence[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
+    """Decide the bodies of a split or merge one by one where they did not fare alike."""
+    following = _first_free(changes)
+    told: list[ObjectChange] = []
+    for change in changes:
+        pieces = pieces_apart(change.before, change.after, rules.association, following)
+        if len(pieces) == 1:
+            told.append(change)
+            continue
+        parts = [decide_object(b, a, change.semantic, rules) for b, a in pieces]
+        labels = {part.decision.change for part in parts}
+        told.extend(parts if len(labels) > 1 and not labels.isdisjoint(_CLAIMS) else [change])
+        following += sum(len(p.before) + len(p.after) for p in parts)
+    return told
+
+
+def _first_free(changes: Sequence[ObjectChange]) -> int:
+    """Return the first instance number that no part has."""
+    return 1 + max((t.instance for c in changes for t in (*c.before, *c.after)), default=0)
+
+
+def split_row_houses(changes: Sequence[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
+    """Decide the houses of a row one by one where they fared differently, parted as either epoch shows."""
+    if rules.association.parts.points == 0:
+        return list(changes)
+    numbers = [
+        i
+        for i, change in enumerate(changes)
+        if change.semantic is Semantic.BUILDING
+        and change.decision.change not in (Change.ADDED, Change.REMOVED)  # stands, or stood, by itself
+    ]
+    following = _first_free(changes)
+    told: dict[int, list[ObjectChange]] = {i: [change] for i, change in enumerate(changes)}
+    for row in rows_of([(changes[i].before, changes[i].after) for i in numbers], rules.association):
+        members = [numbers[k] for k in row]
+        before, after = ([t for i in members for t in getattr(changes[i], e)] for e in ("before", "after"))
+        if not before or not after:
+            continue
+        columns = _measured([changes[i] for i in members], rules).columns
+        ways = [houses_of(before, after, rules.association, following)]
+        if columns is not None:
+            ways.append(houses_that_changed(before, after, columns, rules.association, following))
+        parts = next((parts for parts in (_fared(way, rules) for way in ways) if parts), [])
+        if parts:
+            following += sum(len(p.before) + len(p.after) for p in parts)
+            told |= {i: [] for i in members} | {members[0]: parts}
+    return [change for some in told.values() for change in some]
+
+
+def _fared(pieces: Sequence[Piece], rules: ObjectRules) -> list[ObjectChange]:
+    """Decide the houses of a row one by one; none where they fared alike, or one has no partner."""
+    if len(pieces) == 1 or not all(b and a for b, a in pieces):
+        return []
+    parts = [decide_object(b, a, Semantic.BUILDING, rules) for b, a in pieces]
+    labels = {part.decision.change for part in parts}
+    return parts if len(labels) > 1 and not labels.isdisjoint(_CLAIMS) else []
+
+
+def _measured(members: Sequence[ObjectChange], rules: ObjectRules) -> Measures:
+    """Measure the members of a row together."""
+    if len(members) == 1:
+        return members[0].measures
+    before, after = (
+        join_voxels([t for m in members for t in getattr(m, epoch)]) for epoch in ("before", "after")
+    )
+    return measure(before, after, rules.measures, rules.ground, building=True)
+
+
+def split_hedge_segments(changes: Sequence[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
+    """Give the sections of hedges whose tops moved rows of their own, or the whole where nearly all did."""
+    if rules.association.parts.points == 0:
+        return list(changes)
+    following = _first_free(changes)
+    parted: list[ObjectChange] = []
+    for change in changes:
+        pieces = _sections(change, following, rules)
+        parted.extend(pieces)
+        following += sum(len(p.before) + len(p.after) for p in pieces)
+    return parted
+
+
+def _sections(change: ObjectChange, following: int, rules: ObjectRules) -> list[ObjectChange]:
+    if change.semantic is not Semantic.VEGETATION or not (change.before and change.after):
+        return [change]
+    limit = max(rules.decisions.vegetation.height, rules.decisions.lod_factor * change.lod)
+    sections, columns = moved_sections(change.before, change.after, limit, rules.standing)
+    if not sections:
+        return [change]
+    alike = len({s.rise > 0 for s in sections}) == 1
+    if alike and sum(len(s.xy) for s in sections) >= _WHOLE * len(columns):
+        largest = max(sections, key=lambda s: len(s.xy))
+        return [_of_section(change, largest, rules, only=False)]
+    sides: list[list[list[Thing]]] = []
+    for things in (change.before, change.after):
+        side: list[list[Thing]] = [[] for _ in range(len(sections) + 1)]
+        for thing in things:
+            numbers, labels = np.unique(section_labels(thing, sections, columns), return_inverse=True)
+            for number, piece in zip(numbers.tolist(), divided(thing, labels, following), strict=True):
+                side[number].append(piece)
+            following += len(numbers)
+        sides.append(side)
+    rest, *moved = zip(*sides, strict=True)
+    if not all(b and a for b, a in moved) or bool(rest[0]) != bool(rest[1]):
+        return [change]
+    left = [decide_object(rest[0], rest[1], change.semantic, rules)] if rest[0] else []
+    pieces = [decide_object(b, a, change.semantic, rules) for b, a in moved]
+    return [*left, *(_of_section(p, s, rules, only=True) for p, s in zip(pieces, sections, strict=True))]
+
+
+def _of_section(change: ObjectChange, section: Section, rules: ObjectRules, *, only: bool) -> ObjectChange:
+    """Decide a hedge, or the piece of one that is a section, by the section whose tops moved."""
+    if change.plant is None:
+        return change
+    plant = replace(change.plant, section=section.rise, section_gate=section.gate, section_only=only)
+    decision = decide_plant(plant, change.lod, rules.decisions, no_null(rules.plants.null_model))
+    return replace(change, plant=plant, decision=decision)
+
+
+def adopt_fragments(
+    changes: list[ObjectChange],
+    things_b: Sequence[Thing],
+    things_a: Sequence[Thing],
+    config: AssociationConfig,
+    tolerance: float,
+) -> list[ObjectChange]:
+    """Let left-over fragments join the changed object that the other epoch holds in their place.
+
+    A part of a wall may look like a hedge in one epoch: its class keeps it
+    from its partner, its place does not, and every point of a changed object
+    carries its label. Statistics stay those of the object without them.
+    """
+    if not things_b or not things_a:
+        return changes
+    overlaps = overlap_counts(things_b, things_a, tolerance)
+    slots = [{t.instance: i for i, t in enumerate(things)} for things in (things_b, things_a)]
+    hosts = {
+        (epoch, part.instance): number
+        for number, change in enumerate(changes)
+        if change.decision.change in (Change.INCREASED, Change.DECREASED)
+        for epoch, parts in enumerate((change.before, change.after))
+        for part in parts
+    }
+    joined: dict[int, list[int]] = {}
+    for number, change in enumerate(changes):
+        if change.match_kind != "none" or change.decision.change is not Change.UNCHANGED:
+            continue
+        epoch = 0 if change.before else 1
+        part = (*change.before, *change.after)[0]
+        row = overlaps[epoch][[slots[epoch][part.instance]], :].tocoo()
+        if row.nnz == 0 or row.data.max() <= config.contained * len(part.voxels):
+            continue
+        other = (things_a, things_b)[epoch][int(row.col[row.data.argmax()])]
+        host = hosts.get((1 - epoch, other.instance))
+        if host is not None:
+            joined.setdefault(host, []).append(number)
+    gone = {number for numbers in joined.values() for number in numbers}
+    return [
+        _with_parts(change, [changes[k] for k in joined.get(number, [])])
+        for number, change in enumerate(changes)
+        if number not in gone
+    ]
+
+
+def _with_parts(change: ObjectChange, fragments: Sequence[ObjectChange]) -> ObjectChange:
+    before = (*change.before, *(t for f in fragments for t in f.before))
+    after = (*change.after, *(t for f in fragments for t in f.after))
+    kind = match_kind(len(before), len(after))
+    return replace(change, before=before, after=after, match_kind=kind)
+
+
+def agree_on_classes(
+    before: list[Thing], after: list[Thing], config: AssociationConfig, tolerance: float
+) -> tuple[list[Thing], list[Thing]]:
+    """Give one thing one class (C6): where two objects mostly coincide, the better score wins."""
+    if not before or not after:
+        return before, after
+    forward, backward = overlap_counts(before, after, tolerance)
+    before, after = list(before), list(after)
+    common = forward.multiply(backward.T).tocoo()
+    for i, j in zip(common.row.tolist(), common.col.tolist(), strict=True):
+        b, a = before[i], after[j]
+        if b.semantic is a.semantic:
+            continue
+        shares = (forward[i, j] / len(b.voxels), backward[j, i] / len(a.voxels))
+        if min(shares) < config.same_place:
+            continue
+        winner = b.semantic if b.score >= a.score else a.semantic
+        before[i], after[j] = replace(b, semantic=winner), replace(a, semantic=winner)
+    return before, after

@@ -1,0 +1,120 @@
+"""Ghost trails of objects that moved during the survey (method, part A, *moving things*).
+
+A fused map shows moving vehicles and people as ghost trails above the road. A static object
+returns about as many beams as pass it; a moving object occupies a voxel for a moment only, so that
+hundreds of beams pass through the voxel for each that returns.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from pydantic import Field
+
+from subiaco_change.segmentation.clustering import voxel_clusters
+from subiaco_change.segmentation.features import Features
+from subiaco_change.segmentation.ground_model import Mask
+from subiaco_geo.config import StrictModel
+from subiaco_geo.frames import Floats, Ints
+
+
+class TrafficConfig(StrictModel):
+    """Evidence of movement: the verdict of mapping; without it, beams that passed for each that returned."""
+
+    probability: float = Field(
+        0.9,
+        gt=0.5,
+        le=1,
+        description="Probability of having moved, from the beam times in the map, from which a point "
+        "belongs to a ghost trail",
+    )
+    ratio: float = Field(
+        20.0,
+        gt=1,
+        description="Mean ratio of passes to returns around a point above which the point certainly moved",
+    )
+    spread_ratio: float = Field(
+        7.0,
+        gt=1,
+        description="Mean ratio of passes to returns above which a point joins a ghost trail that "
+        "contains certain points",
+    )
+    core_share: float = Field(
+        0.3, gt=0, le=1, description="Fraction of the points of a ghost trail that must certainly have moved"
+    )
+    block_share: float = Field(
+        0.5,
+        gt=0,
+        le=1,
+        description="Fraction of moving points from which connected planar patches are a ghost trail, not "
+        "a building",
+    )
+    bottom: float = Field(
+        0.15,
+        ge=0,
+        description="Height above ground of the lowest point of a ghost trail [m]; lower points are ground",
+    )
+    top: float = Field(
+        3.8,
+        gt=0,
+        description="Largest height above ground of a point of a ghost trail [m]; a bus is 3.8 m high",
+    )
+    reach: float = Field(
+        1.0, gt=0, description="Radius in which the ratio of passes to returns is averaged [m]"
+    )
+    touch: float = Field(
+        0.5, gt=0, description="Edge of the voxels in which points of one ghost trail are connected [m]"
+    )
+
+
+def timed_trails(height: Floats, moved: Floats, free: Mask, config: TrafficConfig) -> Mask:
+    """Tell which free points (N,) moved by the verdict of mapping; what lies on the ground is ground."""
+    return np.asarray(free & (height > config.bottom) & (moved >= config.probability))
+
+
+def moving_points(
+    xyz: Floats, height: Floats, features: Features, passed: Floats, free: Mask, config: TrafficConfig
+) -> Mask:
+    """Tell which free points (N,) belong to trails.
+
+    Parameters
+    ----------
+    xyz : (N, 3) float64 [m]
+    height : (N,) float64
+        Above the ground model [m].
+    features : Features
+        Neighbours and their distances are used.
+    passed : (N,) float
+        Beams that passed through the voxel of a point for each that returned from it.
+    free : (N,) bool
+    config : TrafficConfig
+    """
+    low = free & (height > config.bottom) & (height < config.top)
+    members = np.flatnonzero(low)
+    mean = _local_mean(np.log(np.maximum(passed, 0.1)), low, features, members, config.reach)
+    open_ = members[mean > np.log(config.spread_ratio)]
+    moving = np.zeros(len(xyz), dtype=bool)
+    if len(open_) == 0:
+        return moving
+    sure = (mean > np.log(config.ratio))[mean > np.log(config.spread_ratio)]
+    trail = voxel_clusters(xyz[open_], config.touch)
+    share = np.bincount(trail, sure) / np.bincount(trail)
+    moving[open_[share[trail] > config.core_share]] = True
+    return moving
+
+
+def still_blocks(xyz: Floats, core: Mask, moving: Mask, config: TrafficConfig) -> Mask:
+    """Tell which points of walls and roofs (N,) stand still: most of their block was not seen through."""
+    members = np.flatnonzero(core)
+    still = np.zeros(len(xyz), dtype=bool)
+    if len(members):
+        block = voxel_clusters(xyz[members], config.touch)
+        share = np.bincount(block, moving[members]) / np.bincount(block)
+        still[members[share[block] < config.block_share]] = True
+    return still
+
+
+def _local_mean(values: Floats, among: Mask, features: Features, members: Ints, reach: float) -> Floats:
+    """Mean (M,) of the values (N,) of those neighbours of members (M,) that are in a mask and in reach."""
+    neighbours = features.neighbours[members]
+    weight = among[neighbours] & (features.distances[members] < reach)
+    return np.asarray((values[neighbours] * weight).sum(axis=1) / np.maximum(weight.sum(axis=1), 1))

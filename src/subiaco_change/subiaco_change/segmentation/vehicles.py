@@ -1,0 +1,434 @@
+"""Cars among the rest, trucks among the buildings, and the sheds that are neither (method, part C3)."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+from pydantic import Field
+from scipy.spatial import cKDTree
+
+from subiaco_change.segmentation.bounding_rectangles import box_coordinates, box_sides
+from subiaco_change.segmentation.clustering import cell_clusters, group_indices, voxel_clusters
+from subiaco_change.segmentation.ground_model import Mask
+from subiaco_change.segmentation.parked_rows import RowConfig, split_rows
+from subiaco_geo.codes import Semantic
+from subiaco_geo.config import StrictModel
+from subiaco_geo.frames import Floats, Ints
+
+
+class VehicleConfig(StrictModel):
+    """Boxes of vehicles; heights are above the local ground model."""
+
+    truck_length: float = Field(13.0, gt=0, description="Longest length of a truck or bus [m]")
+    truck_width: float = Field(3.3, gt=0, description="Widest width of a truck or bus [m]")
+    truck_min_width: float = Field(
+        0.8, gt=0, description="Smallest observed width of a truck or bus [m]; a free-standing wall has less"
+    )
+    truck_top: float = Field(3.8, gt=0, description="Largest height above ground of a truck or bus [m]")
+    truck_gap: float = Field(
+        0.4,
+        gt=0,
+        description="Edge of the cells, seen from above, in which points of a truck are connected [m]",
+    )
+    truck_planes: float = Field(
+        0.25,
+        ge=0,
+        le=1,
+        description="Smallest fraction of the points of a truck that lie in planar patches as large as a "
+        "facade",
+    )
+    trunk_linearity: float = Field(
+        0.8,
+        gt=0,
+        le=1,
+        description="Linearity above which a point next to a truck belongs to a tree trunk or a pole [1]",
+    )
+    truck_edge: float = Field(
+        0.7, ge=0, description="Distance from a truck within which small parts join the truck [m]"
+    )
+    wheels: float = Field(
+        0.68,
+        gt=0,
+        description="Largest ratio of point density near the ground to that at 1 m height for a truck, "
+        "which is open between its wheels",
+    )
+    mobile_length: float = Field(
+        5.5, gt=0, description="Longest length of a vehicle that is no truck [m] (paper: 5 m)"
+    )
+    mobile_height: float = Field(
+        3.0, gt=0, description="Largest height above ground of a vehicle that is no truck [m] (paper)"
+    )
+    mobile_top: float = Field(
+        2.6,
+        gt=0,
+        description="Height above ground below which vehicles are searched, to keep tree crowns out [m]",
+    )
+    mobile_hard: float = Field(
+        0.4,
+        ge=0,
+        le=1,
+        description="Smallest fraction of the points of a vehicle that are not foliage; half of it "
+        "suffices for a car-sized box",
+    )
+    split_band: float = Field(
+        0.3,
+        ge=0,
+        description="Height above ground of the lowest band, which is left out to separate vehicles from "
+        "hedges [m]",
+    )
+    split_gap: float = Field(
+        0.3,
+        gt=0,
+        description="Edge of the cells, seen from above, in which points of one vehicle are connected [m]",
+    )
+    rows: RowConfig = RowConfig()
+    shed_top: float = Field(
+        2.1, gt=0, description="Height above ground from which a short box with upright walls is a shed [m]"
+    )
+    shed_straight_top: float = Field(
+        1.9,
+        gt=0,
+        description="Height above ground from which a short box that does not narrow towards its top is a "
+        "shed [m]",
+    )
+    shed_straight: float = Field(
+        0.95,
+        gt=0,
+        le=1,
+        description="Ratio of top width to body width from which a box does not narrow towards its top",
+    )
+    shed_fill: float = Field(
+        0.3,
+        gt=0,
+        le=1,
+        description="Smallest fraction of its bounding rectangle that a shed lower than shed_top fills",
+    )
+    shed_length: float = Field(4.4, gt=0, description="Length above which a high box is no shed [m]")
+    mobile_volume: float = Field(
+        60.0,
+        gt=0,
+        description="Largest volume of the bounding box of a vehicle that is no truck [m3] (paper)",
+    )
+    mobile_min_width: float = Field(
+        0.8, gt=0, description="Smallest width of a vehicle [m]; narrower objects are posts and fences"
+    )
+    overhang: float = Field(
+        0.15,
+        ge=0,
+        description="Distance by which the top must project beyond the body for an object to be a shelter "
+        "with eaves [m]",
+    )
+    top_band: float = Field(
+        0.35,
+        gt=0,
+        description="Height of the uppermost band whose width is compared with the width of the body [m]",
+    )
+    leafy: float = Field(
+        0.4,
+        gt=0,
+        le=1,
+        description="Fraction of foliage points from which a vehicle candidate without clearance is a plant",
+    )
+    clear_gap: float = Field(
+        0.4, gt=0, description="Edge of the voxels in which points of one vehicle candidate are connected [m]"
+    )
+    clear_reach: float = Field(
+        0.8,
+        gt=0,
+        description="Distance around a vehicle candidate in which its clearance from other objects is "
+        "measured [m]",
+    )
+    clear_cell: float = Field(
+        0.25,
+        gt=0,
+        description="Edge of the cells in which the clearance around a vehicle candidate is counted [m]",
+    )
+    clear_height: float = Field(
+        0.4,
+        gt=0,
+        description="Height above ground from which a point blocks a cell around a vehicle candidate [m]",
+    )
+    clear_share: float = Field(
+        0.4,
+        gt=0,
+        le=1,
+        description="Fraction of blocked cells around a candidate narrower than clear_width above which "
+        "it is no vehicle",
+    )
+    clear_share_wide: float = Field(
+        0.5,
+        gt=0,
+        le=1,
+        description="Fraction of blocked cells around a candidate at least clear_width wide above which "
+        "it is no vehicle",
+    )
+    clear_width: float = Field(
+        1.4, gt=0, description="Width from which a vehicle candidate is as wide as a car [m]"
+    )
+    slab_top: float = Field(
+        1.25,
+        gt=0,
+        description="Height above ground below which a vehicle candidate may be a raised bed or a terrace "
+        "[m]",
+    )
+    slab_level: float = Field(
+        0.3,
+        gt=0,
+        le=1,
+        description="Fraction of level points above which a low vehicle candidate is a raised bed or a "
+        "terrace",
+    )
+    screen_upright: float = Field(
+        0.7,
+        gt=0,
+        le=1,
+        description="Fraction of wall points in the upper half above which a box may be a set of fences",
+    )
+    screen_fill: float = Field(
+        0.38, gt=0, le=1, description="Largest fraction of its bounding rectangle that a set of fences fills"
+    )
+
+
+def free_boxes(
+    xyz: Floats, height: Floats, core: Mask, part: Mask, hard: Mask, free: Mask, config: VehicleConfig
+) -> tuple[Mask, Mask]:
+    """Tell which points are trucks and buses, and which shelters: boxes on the ground, alone, like facades.
+
+    They exceed the box of the paper's vehicles; two sides must be seen, else a lone wall would pass.
+
+    Parameters
+    ----------
+    xyz, height : (N, 3), (N,) float64 [m]
+    core : (N,) bool
+        Planes that are facades or roofs.
+    part : (N,) bool
+        Smaller planes, of which a shelter may consist.
+    hard : (N,) bool
+        Points that may belong to a truck or shelter: neither ground nor foliage.
+    free : (N,) bool
+        Points that are no ground, which distinguish wheels from walls.
+    config : VehicleConfig
+    """
+    below = _Columns(xyz, height, np.flatnonzero(free & (height < config.truck_top)), config.truck_gap)
+    low = (height > config.split_band) & (height < config.truck_top + config.truck_gap)
+    planar = core | part
+    members = np.flatnonzero((planar | hard) & low)
+    large, shelter = np.zeros((2, len(xyz)), dtype=bool)
+    for group in group_indices(cell_clusters(xyz[members, :2], config.truck_gap)):
+        mine = members[group]
+        if planar[mine].mean() < config.truck_planes or not _is_free_box(xyz[mine], height[mine], config):
+            continue
+        if has_eaves(xyz[mine], height[mine], config):
+            shelter[mine] = True
+        elif core[mine].mean() > config.truck_planes and _foot(below.heights(xyz[mine])) < config.wheels:
+            large[mine] = True
+    low = height < config.truck_top
+    return (
+        _reach_out(xyz, large, low, config.truck_edge),
+        _reach_out(xyz, shelter, low, config.truck_edge),
+    )
+
+
+class _Columns:
+    """Heights of points by the cell [m] that they are in, seen from above."""
+
+    def __init__(self, xyz: Floats, height: Floats, members: NDArray[np.int64], cell: float) -> None:
+        self._cell = cell
+        keys = self._keys(xyz[members])
+        order = np.argsort(keys, kind="stable")
+        self._sorted, self._height = keys[order], height[members[order]]
+
+    def _keys(self, xyz: Floats) -> NDArray[np.int64]:
+        column, row = np.floor(xyz[:, :2] / self._cell).astype(np.int64).T
+        return np.asarray((column << 32) + row)
+
+    def heights(self, xyz: Floats) -> Floats:
+        """All heights in the cells of points (N, 3)."""
+        wanted = np.unique(self._keys(xyz))
+        first, last = (np.searchsorted(self._sorted, wanted, side) for side in ("left", "right"))
+        return np.concatenate([self._height[a:b] for a, b in zip(first, last, strict=True)])
+
+
+def _foot(height: Floats) -> float:
+    """Points a metre of height (N,) just above the ground, for those half a metre to 1.4 m above it."""
+    foot, side = ((low < height) & (height <= high) for low, high in ((0.1, 0.35), (0.6, 1.4)))
+    return float(foot.sum() / 0.25 / max(side.sum() / 0.8, 1.0))
+
+
+def _reach_out(xyz: Floats, found: Mask, open_: Mask, reach: float) -> Mask:
+    """Add the open points within reach [m] of the found ones."""
+    loose = np.flatnonzero(open_ & ~found)
+    grown = found.copy()
+    if found.any() and len(loose):
+        near = cKDTree(xyz[found]).query(xyz[loose], distance_upper_bound=reach)[0]
+        grown[loose[np.isfinite(near)]] = True
+    return grown
+
+
+def _is_free_box(xyz: Floats, height: Floats, config: VehicleConfig) -> bool:
+    if len(xyz) < 40 or np.quantile(height, 0.99) > config.truck_top or np.quantile(height, 0.02) > 0.8:
+        return False
+    length, width = box_sides(xyz[:, :2])
+    return bool(2.8 < length < config.truck_length and config.truck_min_width < width < config.truck_width)
+
+
+def has_eaves(xyz: Floats, height: Floats, config: VehicleConfig) -> bool:
+    """Tell a shelter: its top stands out over its body; vehicles grow narrower upwards."""
+    top = float(np.quantile(height, 0.98)) - config.top_band
+    head, body = height > top, (height < top - 0.15) & (height > config.split_band)
+    if head.sum() < 4 or body.sum() < 4:
+        return False
+    sides = box_coordinates(xyz[:, :2])
+    return bool((np.ptp(sides[head], axis=0) > np.ptp(sides[body], axis=0) + config.overhang).any())
+
+
+def ground_boxes(
+    xyz: Floats,
+    height: Floats,
+    foliage: Mask,
+    upright: Mask,
+    members: NDArray[np.int64],
+    config: VehicleConfig,
+) -> list[tuple[NDArray[np.int64], Semantic]]:
+    """Vehicles, shelters and fences that meet in a low cluster, each with its class.
+
+    It is one such box, or what is left apart once leaves and the lowest band are out.
+    """
+    hard = 1.0 - float(foliage[members].mean())
+    whole = _kind(xyz[members], height[members], upright[members], hard, config)
+    if whole is Semantic.MOBILE:
+        return [(members, whole)]
+    core = members[~foliage[members] & (height[members] > config.split_band)]
+    labels = cell_clusters(xyz[core, :2], config.split_gap)
+    labels = split_rows(xyz[core, :2], height[core], labels, config.rows)
+    groups = [core[g] for g in group_indices(labels)]
+    kinds = [_kind(xyz[g], height[g], upright[g], 1.0, config) for g in groups]
+    parts = [(g, kind) for g, kind in zip(groups, kinds, strict=True) if kind is not None]
+    return parts if parts or whole is None else [(members, whole)]
+
+
+def _kind(xyz: Floats, height: Floats, upright: Mask, hard: float, config: VehicleConfig) -> Semantic | None:
+    """Class of a compact thing that stands on the ground; None for what is no box of a vehicle's size."""
+    if len(xyz) < 15 or not _fits(xyz, height, hard, config):
+        return None
+    upper = upright[height > 0.5 * np.quantile(height, 0.98)].mean()
+    screen = upper > config.screen_upright and _fill(xyz) < config.screen_fill
+    if (screen or has_eaves(xyz, height, config)) and not _is_shed(xyz, height, upright, config):
+        return Semantic.OTHER
+    return Semantic.MOBILE
+
+
+def look_again(
+    xyz: Floats,
+    height: Floats,
+    foliage: Mask,
+    upright: Mask,
+    semantic: NDArray[np.uint8],
+    moving: Mask,
+    large: Mask,
+    level: Mask,
+    config: VehicleConfig,
+) -> NDArray[np.uint8]:
+    """Give vehicles back that are none: sheds, raised beds, and pieces of hedges and walls.
+
+    A vehicle has clearance around it. A candidate without clearance takes the class of its surroundings.
+    An object on wheels (``large``) is no shed; a low object that is mostly ``level`` is no car.
+    """
+    settled = semantic.copy()
+    members = np.flatnonzero((semantic == Semantic.MOBILE) & ~moving)
+    if len(members) == 0:
+        return settled
+    labels = voxel_clusters(xyz[members], config.clear_gap)
+    crowd, beside = _surroundings(xyz, height, semantic, members, labels, config)
+    for number, group in enumerate(group_indices(labels)):
+        mine = members[group]
+        if not large[mine].mean() > 0.5 and _is_shed(xyz[mine], height[mine], upright[mine], config):
+            settled[mine] = Semantic.BUILDING
+        elif _is_slab(height[mine], level[mine], config):
+            settled[mine] = Semantic.OTHER
+        elif crowd[number] > _crowd_limit(xyz[mine], config):
+            leafy = foliage[mine].mean() > config.leafy
+            settled[mine] = Semantic.VEGETATION if leafy else beside[number]
+    return settled
+
+
+def _is_slab(height: Floats, level: Mask, config: VehicleConfig) -> bool:
+    """Tell a raised bed or terrace: low, and mostly level where it stands out."""
+    top = float(np.quantile(height, 0.98))
+    return bool(top < config.slab_top and level[height > 0.5 * top].mean() > config.slab_level)
+
+
+def _crowd_limit(xyz: Floats, config: VehicleConfig) -> float:
+    narrow = box_sides(xyz[:, :2])[1] < config.clear_width
+    return config.clear_share if narrow else config.clear_share_wide
+
+
+def _surroundings(
+    xyz: Floats,
+    height: Floats,
+    semantic: NDArray[np.uint8],
+    members: NDArray[np.int64],
+    labels: Ints,
+    config: VehicleConfig,
+) -> tuple[Floats, Ints]:
+    """Share of the cells seen around each cluster that are not free, and the class of most there."""
+    count = int(labels.max()) + 1
+    tops = np.array([np.quantile(height[members[g]], 0.98) for g in group_indices(labels)])
+    others = np.flatnonzero((semantic != Semantic.MOBILE) & (height < tops.max() + config.split_band))
+    tree = cKDTree(xyz[members, :2])
+    distance, slot = tree.query(xyz[others, :2], distance_upper_bound=config.clear_reach)
+    near = np.isfinite(distance)
+    others, own = others[near], labels[slot[near]]
+    stands = (height[others] > config.clear_height) & (height[others] < tops[own] + config.split_band)
+    column, row = np.floor(xyz[others, :2] / config.clear_cell).astype(np.int64).T
+    column -= column.min(initial=0)
+    row -= row.min(initial=0)
+    key = (own * (int(column.max(initial=0)) + 1) + column) * (int(row.max(initial=0)) + 1) + row
+    _, first, cell = np.unique(key, return_index=True, return_inverse=True)
+    blocked = np.bincount(cell, stands, len(first)) > 0
+    share = np.bincount(own[first], blocked, count) / np.maximum(np.bincount(own[first], minlength=count), 1)
+    votes = np.bincount(
+        own[stands] * len(Semantic) + semantic[others[stands]], minlength=count * len(Semantic)
+    )
+    return share, votes.reshape(count, -1).argmax(axis=1)
+
+
+def _is_shed(xyz: Floats, height: Floats, upright: Mask, config: VehicleConfig) -> bool:
+    """Tell a short, high box with walls to the top, or a lower one that is as wide at its top as below."""
+    top = float(np.quantile(height, 0.95))
+    sides = box_coordinates(xyz[:, :2])
+    if top < config.shed_straight_top or float(np.ptp(sides[:, 0])) > config.shed_length:
+        return False
+    if top < config.shed_top:
+        if _fill(xyz) < config.shed_fill:  # fences that meet
+            return False
+        head, body = sides[height > top - 2 * config.top_band], sides[height < 0.5 * top]
+        if len(body) == 0 or (np.ptp(head, axis=0) < config.shed_straight * np.ptp(body, axis=0)).any():
+            return False
+    return bool(upright[height > 0.5 * config.shed_top].mean() > 0.5)
+
+
+def _fill(xyz: Floats, cell: float = 0.25) -> float:
+    """Share of its rectangle that a thing fills, seen from above."""
+    sides = box_coordinates(xyz[:, :2])
+    column, row = np.floor((sides - sides.min(axis=0)) / cell).astype(np.int64).T
+    cells = np.unique((column << 32) + row)
+    return float(len(cells) * cell**2 / max(float(np.prod(np.ptp(sides, axis=0))), cell**2))
+
+
+def _fits(xyz: Floats, height: Floats, hard: float, config: VehicleConfig) -> bool:
+    """Tell what fits the box of a vehicle or a row of them; cars may look softer."""
+    length, width = box_sides(xyz[:, :2])
+    top = float(np.quantile(height, 0.98))
+    low = float(np.quantile(height, 0.02))
+    row_of_cars = 1.4 < width < 3.2 and top < 2.4
+    car = 3.2 < length < config.mobile_length and 1.4 < width < 2.4 and 1.2 < top < 2.2
+    return bool(
+        hard > (0.5 * config.mobile_hard if car else config.mobile_hard)
+        and width > config.mobile_min_width
+        and length > 1.4
+        and (length < config.mobile_length or row_of_cars)
+        and 0.8 < top < config.mobile_height
+        and low < 0.8
+        and length * width * top < config.mobile_volume
+    )

@@ -1,0 +1,397 @@
+"""Two epochs in tiles: cut, registered, labelled each by itself, and cut anew in the common frame."""
+
+from __future__ import annotations
+
+import logging
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
+from typing import Any
+
+import numpy as np
+
+from subiaco_change.config import ChangeConfig
+from subiaco_change.level_of_detection.common_frame import CommonFrame
+from subiaco_change.records import Registration
+from subiaco_change.registration.pair import (
+    PairInfo,
+    agree,
+    check_extents,
+    check_places,
+    lowest_points,
+    moved_trajectory,
+    refuse_height_offset,
+    shares_origin,
+)
+from subiaco_change.spacing import PointSpacing, spacing_scale
+from subiaco_change.sparse import at_spacing
+from subiaco_change.tiling.epoch_tiles import (
+    EPOCHS,
+    FIELDS,
+    CutCloud,
+    Side,
+    corners,
+    cut_beams,
+    cut_cloud,
+    tiles_between,
+)
+from subiaco_change.tiling.expected_visibility_stage import render_tile
+from subiaco_change.tiling.frame_arrays import in_frame, registration_of
+from subiaco_change.tiling.instance_merging import unite
+from subiaco_change.tiling.levelling import find_upright
+from subiaco_change.tiling.registration_stage import find_registration
+from subiaco_change.tiling.retiling import recut_tile
+from subiaco_change.tiling.tile_segmentation import prepare_tile
+from subiaco_change.tiling.trails import find_trails
+from subiaco_change.visibility_evidence import evidence_kind
+from subiaco_geo.crs import Transform, transformer
+from subiaco_geo.errors import InputError
+from subiaco_geo.frames import Floats
+from subiaco_geo.free_space.expected_visibility import occupied_corner, sample_poses
+from subiaco_geo.free_space.sensor_view import SensorView, described_view
+from subiaco_geo.free_space.view_estimation import ViewHistogram, estimate_view
+from subiaco_geo.simulated import SIMULATIONS
+from subiaco_geo.sources import Epoch
+from subiaco_geo.tiles import neighbours, split_by_tile, tile_named
+from subiaco_geo.trajectories import Trajectory
+from subiaco_geo.work.store import Arrays
+from subiaco_geo.work.task_runner import TaskRunner
+from subiaco_geo.work.tasks import Task
+
+_LOG = logging.getLogger(__name__)
+#: Name of an epoch in the stages that look at one alone.
+ALONE = "epoch"
+#: Beyond the points of a task, beams are looked up so far [m].
+SIGHT = 6.0
+_HEIGHT_TILES = 50  # tiles that tell whether the heights of both epochs are of one kind
+_BEAMS = 0.5  # edge of a tile of counted beams, of a tile of points: tasks read few that are too far
+
+
+@dataclass
+class Epochs:
+    """Two checked epochs, their tiles, and the bench that works on them.
+
+    Parameters
+    ----------
+    bench : TaskRunner
+    config : ChangeConfig
+    given : tuple of str
+        Fields of the points that replace a stage: ``semantic``, ``instance``.
+    info : PairInfo
+        What was done to bring them together, once they are cut.
+    """
+
+    bench: TaskRunner
+    config: ChangeConfig
+    given: tuple[str, ...] = ()
+    info: PairInfo = field(default_factory=lambda: PairInfo(None))
+    sides: tuple[Side, ...] = ()
+    origin: Floats = field(default_factory=lambda: np.zeros(3))
+    clouds: dict[str, dict[str, str]] = field(default_factory=dict)
+    beams: dict[str, dict[str, str]] = field(default_factory=dict)
+    beam_edge: dict[str, float] = field(default_factory=dict)
+    trails: dict[str, dict[str, str]] = field(default_factory=dict)
+    poses: dict[str, str] = field(default_factory=dict)
+    prepared: dict[str, dict[str, str]] = field(default_factory=dict)
+    united: dict[str, str] = field(default_factory=dict)
+    points: dict[str, dict[str, str]] = field(default_factory=dict)
+    lit: dict[str, bool] = field(default_factory=dict)
+    simulated: bool = False
+    kept_points: int = 0  # of both epochs, at the working leaf
+
+    @property
+    def size(self) -> float:
+        """Edge of a tile [m]."""
+        return self.config.tiles.size
+
+    @property
+    def tiles(self) -> list[str]:
+        """Tiles with points of either epoch, in order."""
+        return sorted({*self.points["before"], *self.points["after"]})
+
+    def cut(self, epochs: Sequence[Epoch]) -> None:
+        """Cut both epochs, and what their evidence rests on, into tiles.
+
+        Raises
+        ------
+        InputError
+            An empty cloud, coordinates that are no numbers, CRS that PROJ can only guess between,
+            or georeferenced epochs whose extents are disjoint.
+        """
+        before, after = epochs
+        self.simulated = all(epoch.info.get(SIMULATIONS) for epoch in epochs)
+        self.info, operation = agree(before.crs, after.crs)
+        both = before.crs is not None and after.crs is not None
+        if before.crs is not None and after.crs is not None:
+            check_places(before.origin, after.origin, before.crs, after.crs, operation)
+        self.origin = after.origin
+        shared = shares_origin(before.origin, after.origin, both)
+        origins = (after.origin if shared else before.origin, after.origin)
+        extents, sides = [], []
+        for name, epoch, origin in zip(EPOCHS, epochs, origins, strict=True):
+            own = operation if name == "before" else None
+            found = self._cut_points(name, epoch, origin, own)
+            extents.append((found.low, found.high))
+            crs = epoch.crs if self.info.crs is None else self.info.crs
+            sides.append(self._side(name, epoch, origin, crs, found, own))
+        if both:
+            check_extents(extents[0], extents[1])
+        self.sides = tuple(sides)
+
+    def check_heights(self) -> None:
+        """Refuse georeferenced epochs whose heights are of two kinds, from tiles that both have.
+
+        Raises
+        ------
+        InputError
+            See :func:`~subiaco_change.registration.pair.refuse_height_offset`.
+        """
+        if self.info.crs is None:
+            return
+        shared = sorted(self.clouds["before"].keys() & self.clouds["after"].keys())
+        chosen = shared[:: max(len(shared) // _HEIGHT_TILES, 1)]
+        low: list[dict[tuple[int, int], float]] = [{}, {}]
+        for e, side in enumerate(self.sides):
+            for name in chosen:
+                low[e] |= lowest_points(self.load(self.clouds[side.epoch][name])["xyz"] + side.origin)
+        refuse_height_offset(low[0], low[1])
+
+    def follow_spacing(self) -> None:
+        """Raise the lengths of the configuration to what the sparser epoch can show, once both are cut."""
+        self.config = at_spacing(self.config, round(self.spacing.coarser, 2))
+
+    @property
+    def spacing(self) -> PointSpacing:
+        """Spacing of the points of both epochs, once they are cut."""
+        return PointSpacing(*(side.spacing for side in self.sides))
+
+    def _cut_points(self, name: str, epoch: Epoch, origin: Floats, operation: Transform | None) -> CutCloud:
+        try:
+            parts = epoch.clouds(FIELDS)
+            found = cut_cloud(self.bench, parts, origin, self.size, self.config.leaf, operation)
+        except InputError as error:
+            raise InputError(f"{name}: {error}") from error
+        if found.points == 0:
+            raise InputError(f"{name}: the cloud is empty; check the file")
+        self.clouds[name] = found.keys
+        self.kept_points += found.kept
+        for field_name in self.given:
+            if any(field_name not in self.load(key) for key in found.keys.values()):
+                raise InputError(
+                    f"{name}: no point field {field_name!r} to take as given; name it so in the file"
+                )
+        return found
+
+    def _side(
+        self,
+        name: str,
+        epoch: Epoch,
+        origin: Floats,
+        crs: str | None,
+        cut: CutCloud,
+        operation: Transform | None,
+    ) -> Side:
+        """Cut what the evidence of an epoch rests on, and tell what tasks must know of it."""
+        config = self.config.evidence
+        way = epoch.trajectory
+        if way is not None and operation is not None:
+            way = moved_trajectory(way, operation)
+        kind = evidence_kind(epoch.has_beams, way, config)
+        side = Side(name, origin, crs, kind, None, origin, config.poses.occupied, cut.spacing)
+        self.trails[name] = {} if kind == "observed" else self._trails(side)
+        self.beams[name], self.beam_edge[name] = {}, self.size
+        self._keep_poses(name, epoch, way)
+        if kind == "observed":
+            other = self.info.beams_crs if name == "before" else None
+            first = next(epoch.beams(), None)
+            if first is not None:
+                self.beam_edge[name] = _BEAMS * self.size
+                self.beams[name] = cut_beams(self.bench, epoch.beams(), self.beam_edge[name])
+                side = replace(side, beams_crs=other, corner=first.origin, voxel=first.voxel)
+        elif kind == "trajectory" and way is not None:
+            side = replace(side, corner=occupied_corner(cut.low, config.poses))
+            self.beams[name] = self._render(side, way)
+            side = replace(side, view=self._view(name, epoch))
+        return side
+
+    def _view(self, name: str, epoch: Epoch) -> SensorView:
+        """Take the sensor that a map describes, or estimate it from what its points need."""
+        told = described_view(epoch.info)
+        if told is not None:
+            return told
+        parts = []
+        for key in self.beams[name].values():
+            piece = self.load(key)
+            parts.append(ViewHistogram(*(piece[field] for field in ("above", "ranges"))))
+        return estimate_view(parts, self.config.evidence.poses)
+
+    def _trails(self, side: Side) -> dict[str, str]:
+        """Tell ghost trails by their shape, where nothing counted beams."""
+        own, semantics = self.clouds[side.epoch], self.config.semantics
+        shape = semantics.trail_shape
+        shape = shape.model_copy(update={"cell": shape.cell * spacing_scale(side.spacing)})
+        params = {
+            "size": self.size,
+            "side": replace(side, epoch=ALONE),
+            "semantics": semantics.model_copy(update={"trail_shape": shape}),
+        }
+        upright = self._upright(replace(side, epoch=ALONE), own)
+        tasks = []
+        for name in sorted(own):
+            inputs = {f"cloud/{n}": own[n] for n in (name, *neighbours(name, own))} | upright
+            tasks.append(Task("trails", name, find_trails, inputs, {"tile": name, **params}))
+        return self.bench.run(tasks, (0.02, 0.03))
+
+    def _render(self, side: Side, way: Trajectory) -> dict[str, str]:
+        """Render what the poses of an epoch must have seen, tile by tile of its own frame."""
+        own, config = self.clouds[side.epoch], self.config.evidence.poses
+        poses = way.poses[sample_poses(way.positions, config.pose_spacing)]
+        by_tile = split_by_tile(poses[:, :3, 3], self.size)
+        rings = math.ceil(config.max_range / self.size)
+        moved = self.config.semantics.traffic.probability
+        tasks = []
+        for name in sorted({*own, *by_tile}):
+            looking = poses[by_tile[name]] if name in by_tile else poses[:0]
+            around = [name, *(neighbours(name, own, rings) if len(looking) else ())]
+            inputs = {f"cloud/{n}": own[n] for n in around if n in own}
+            inputs |= {f"trails/{n}": self.trails[side.epoch][n] for n in around if n in own}
+            params = {
+                "tile": name, "size": self.size, "side": side, "config": config, "poses": looking,
+                "moved": moved,
+            }  # fmt: skip
+            tasks.append(Task("expected_visibility", name, render_tile, inputs, params))
+        return self.bench.run(tasks, (0.02, 0.05))
+
+    def _keep_poses(self, name: str, epoch: Epoch, way: Trajectory | None) -> None:
+        """Keep the pose covariances of a map, where it carries them."""
+        found = epoch.uncertainty
+        if found is None or way is None or len(found.times_ns) == 0:
+            return
+        positions = way.at(found.times_ns)[:, :3, 3]
+        arrays = {"positions": positions, "covariances": found.covariances}
+        self.poses[f"poses/{name}"] = self.bench.put("poses", name, arrays)
+
+    def register(self, transform: Floats | None) -> str:
+        """Register the epochs, and beside it label every tile of each in its own frame; return the key."""
+        clouds = {f"cloud/{e}/{n}": k for e in EPOCHS for n, k in self.clouds[e].items()}
+        params = {**self.registering(), "transform": transform}
+        task = Task("registration", "all", find_registration, clouds, params)
+        stages = [[task], *(self._semantics(side) for side in self.sides)]
+        found, *prepared = self.bench.together(stages, (0.05, 0.47))
+        self.prepared = dict(zip(EPOCHS, prepared, strict=True))
+        for warning in self.registration(found["all"]).warnings:
+            _LOG.warning("registration: %s", warning)
+        return found["all"]
+
+    def registering(self) -> dict[str, Any]:
+        """Return the parameters of a registration."""
+        return {"sides": self.sides, "config": self.keep("registration", "registration_points", "leaf")}
+
+    def common(self, key: str) -> CommonFrame:
+        """Return the common frame of the registration under a key, without corrections."""
+        return CommonFrame(self.registration(key), self.origin)
+
+    def registration(self, key: str) -> Registration:
+        """Return the registration under a key."""
+        return registration_of(self.bench.store.load(key))
+
+    def number(self) -> None:
+        """Give the objects of both epochs numbers over their tiles."""
+        params = {"given": "instance" in self.given}
+        inputs = [{f"prepared/{n}": k for n, k in self.prepared[epoch].items()} for epoch in EPOCHS]
+        stages = [[Task("objects", "all", unite, own, params)] for own in inputs]
+        found = self.bench.together(stages, (0.47, 0.48))
+        self.united = {epoch: keys["all"] for epoch, keys in zip(EPOCHS, found, strict=True)}
+
+    def _semantics(self, side: Side) -> list[Task]:
+        """Tasks of one epoch; they do not tell whether it is *before* or *after*, and serve as both."""
+        reads = ("semantics", "instances", "evidence", "leaf", "normal_radius", "without", "measures")
+        tiles, own = self.config.tiles, self.clouds[side.epoch]
+        alone = replace(side, epoch=ALONE)
+        upright = self._upright(alone, own)
+        tasks = []
+        for name in sorted(own):
+            params = {
+                "tile": name, "side": alone, "config": self.keep(*reads), "given": self.given,
+                "size": self.size, "overlap": tiles.overlap, "edge": tiles.edge,
+            }  # fmt: skip
+            inputs = {f"cloud/{n}": own[n] for n in (name, *neighbours(name, own))} | upright
+            box = corners_around(name, self.size, tiles.overlap + SIGHT)
+            beams = self.beams_at(side, box) if side.kind == "observed" else {}
+            inputs |= {alias.replace(side.epoch, ALONE, 1): key for alias, key in beams.items()}
+            trails = self.trails[side.epoch]
+            inputs |= {f"trails/{n}": trails[n] for n in (name, *neighbours(name, own)) if n in trails}
+            tasks.append(Task("semantics", name, prepare_tile, inputs, params))
+        return tasks
+
+    def _upright(self, side: Side, own: Mapping[str, str]) -> dict[str, str]:
+        """Find what makes a local cloud upright."""
+        if side.crs is not None:
+            return {}
+        task = Task(
+            "levelling", "all", find_upright, {f"cloud/{n}": k for n, k in own.items()}, {"side": side}
+        )
+        return {"levelling": self.bench.one(task, (0.05, 0.05))}
+
+    def recut(self, registration: str) -> None:
+        """Cut the labelled points of both epochs by the tiles of the common frame."""
+        frame = self.common(registration)
+        tasks = []
+        for side in self.sides:
+            own, prepared = self.clouds[side.epoch], self.prepared[side.epoch]
+            for tile, names in sorted(self._reached(side, frame).items()):
+                inputs = {f"cloud/{n}": own[n] for n in names} | {f"prepared/{n}": prepared[n] for n in names}
+                inputs |= {"united": self.united[side.epoch], "registration": registration}
+                params = {"tile": tile, "size": self.size, "side": side, "origin": self.origin}
+                tasks.append(Task("retiling", f"{side.epoch}_{tile}", recut_tile, inputs, params))
+        keys = self.bench.run(tasks, (0.48, 0.5))
+        for epoch in EPOCHS:
+            found = {n.removeprefix(f"{epoch}_"): k for n, k in keys.items() if n.startswith(f"{epoch}_")}
+            pieces = {n: self.load(k) for n, k in found.items()}
+            held = [n for n, piece in pieces.items() if len(piece["semantic"])]
+            self.points[epoch] = {n: found[n] for n in held}
+            self.lit[epoch] = all("intensity" in pieces[n] for n in held)
+
+    def _reached(self, side: Side, frame: CommonFrame) -> dict[str, list[str]]:
+        """Tiles of the common frame that an epoch's own tiles reach into, and which of these."""
+        own = self.clouds[side.epoch]
+        if side.epoch == "after":
+            return {name: [name] for name in own}
+        reached: dict[str, list[str]] = {}
+        for name in sorted(own):
+            xyz = self.load(own[name])["xyz"]
+            box = corners(xyz[:, :2].min(axis=0), xyz[:, :2].max(axis=0), xyz[:, 2].min(), xyz[:, 2].max())
+            moved = in_frame(box, side, frame).world()[:, :2]
+            for tile in tiles_between(moved.min(axis=0), moved.max(axis=0), self.size):
+                reached.setdefault(tile, []).append(name)
+        return reached
+
+    def keep(self, *names: str) -> SimpleNamespace:
+        """Keep of the configuration what a stage reads: another setting elsewhere redoes nothing."""
+        return SimpleNamespace(**{name: getattr(self.config, name) for name in names})
+
+    def beams_at(self, side: Side, world: Floats) -> dict[str, str]:
+        """Tiles of beams, or of poses that look there, of an epoch around places (N, 3) of its world."""
+        known = self.beams[side.epoch]
+        if not known:
+            return {}
+        if side.beams_crs is not None:
+            world = transformer(str(side.crs), side.beams_crs).apply(world)
+        edge = self.beam_edge[side.epoch]
+        reach = (
+            0.0 if side.view is None else min(side.view.useful_range, self.config.evidence.poses.max_range)
+        )
+        low, high = world[:, :2].min(axis=0) - reach, world[:, :2].max(axis=0) + reach
+        near = tiles_between(low, high, edge)
+        return {f"beams/{side.epoch}/{n}": known[n] for n in near if n in known}
+
+    def load(self, key: str) -> Arrays:
+        """Return what a task left."""
+        return self.bench.store.load(key)
+
+
+def corners_around(name: str, size: float, rim: float) -> Floats:
+    """Return the corners (8, 3) of a tile and its surroundings in the world [m]."""
+    box = tile_named(name, size, rim).buffered
+    return corners(np.array(box[:2]), np.array(box[2:]))

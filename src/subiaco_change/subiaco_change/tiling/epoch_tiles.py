@@ -1,0 +1,228 @@
+"""Epochs cut into tiles, points and beams alike, and put together again around a place."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from subiaco_change.registration.pair import check_finite
+from subiaco_change.spacing import STREET_SPACING, joint_spacing, neighbour_spacings
+from subiaco_change.visibility_evidence import Kind
+from subiaco_geo.clouds import PointCloud, unpack_voxel_keys, voxel_downsample
+from subiaco_geo.crs import Transform
+from subiaco_geo.frames import Floats
+from subiaco_geo.free_space.sensor_view import SensorView
+from subiaco_geo.tiles import split_by_tile
+from subiaco_geo.visibility import VisibilityGrid
+from subiaco_geo.work.store import Arrays
+from subiaco_geo.work.task_runner import TaskRunner
+from subiaco_geo.work.tasks import Inputs
+
+EPOCHS = ("before", "after")
+#: Fields of points that a run reads, where they are there.
+FIELDS = ("intensity", "semantic", "instance")
+
+
+@dataclass(frozen=True)
+class Side:
+    """What every task must know of one epoch.
+
+    Parameters
+    ----------
+    epoch : str
+        ``before`` or ``after``.
+    origin : (3,) float64
+        Of its points, in world coordinates [m].
+    crs : str or None
+        Of the pair.
+    kind : str
+        Of its evidence (see :class:`~subiaco_change.visibility_evidence.Observer`).
+    beams_crs : str or None
+        CRS in which its beams are counted, where it is not that of the pair.
+    corner : (3,) float64
+        Origin of its voxels of beams [m].
+    voxel : float
+        Their edge [m].
+    spacing : float
+        Median distance between neighbouring points on surfaces of the epoch [m], at the working leaf.
+    view : SensorView, optional
+        Of its sensor, where what its poses saw is expected.
+    """
+
+    epoch: str
+    origin: Floats
+    crs: str | None
+    kind: Kind
+    beams_crs: str | None
+    corner: Floats
+    voxel: float
+    spacing: float = STREET_SPACING
+    view: SensorView | None = None
+
+
+class Spill:
+    """Arrays of tiles as they come, on disk beyond a number of rows, until every tile is asked for once.
+
+    Parameters
+    ----------
+    folder : Path
+        Emptied by whoever made it.
+    rows : int
+        In memory at a time.
+    """
+
+    def __init__(self, folder: Path, rows: int = 1 << 22) -> None:
+        self._folder, self._limit = folder, rows
+        self._held: dict[str, list[Arrays]] = {}
+        self._rows, self._count = 0, 0
+        self._files: dict[str, list[Path]] = {}
+
+    def add(self, tile: str, arrays: Arrays) -> None:
+        """Take rows of a tile."""
+        self._held.setdefault(tile, []).append(arrays)
+        self._rows += len(next(iter(arrays.values())))
+        if self._rows > self._limit:
+            self._flush()
+
+    def _flush(self) -> None:
+        for tile, parts in self._held.items():
+            path = self._folder / f"{tile}-{self._count}.npz"
+            plain: dict[str, Any] = join(parts, parts[0])
+            np.savez(path, **plain)
+            self._files.setdefault(tile, []).append(path)
+            self._count += 1
+        self._held, self._rows = {}, 0
+
+    def tiles(self) -> Iterator[tuple[str, dict[str, NDArray[Any]]]]:
+        """Yield every tile, in order, with all its rows in the order in which they came."""
+        for tile in sorted({*self._held, *self._files}):
+            parts: list[Arrays] = [dict(np.load(path)) for path in self._files.get(tile, [])]
+            parts += self._held.get(tile, [])
+            yield tile, join(parts, parts[0])
+
+
+@dataclass(frozen=True)
+class CutCloud:
+    """Keys of the tiles of a cloud, its least and largest world coordinates (3,) [m], points and spacing."""
+
+    keys: dict[str, str]
+    low: Floats
+    high: Floats
+    points: int
+    kept: int  # of these, at the leaf
+    spacing: float  # of the thinned points [m]
+
+
+def cut_cloud(
+    bench: TaskRunner,
+    parts: Iterable[PointCloud],
+    origin: Floats,
+    tile: float,
+    leaf: float,
+    operation: Transform | None = None,
+) -> CutCloud:
+    """Keep the points of every tile of the world, downsampled to a leaf.
+
+    Parameters
+    ----------
+    bench : TaskRunner
+    parts : iterable of PointCloud
+        One epoch.
+    origin : (3,) float64
+        About which the points are kept.
+    tile, leaf : float
+        Edges of tiles and of voxels [m].
+    operation : Transform, optional
+        Brings the points to the CRS of the pair.
+
+    Raises
+    ------
+    InputError
+        No points, or coordinates that are not finite.
+    """
+    low, high, points, kept = np.full(3, np.inf), np.full(3, -np.inf), 0, 0
+    keys, spacings = {}, []
+    with TemporaryDirectory(prefix="subiaco_") as folder:
+        spill = Spill(Path(folder))
+        for part in parts:
+            check_finite(part)
+            world = part.world() if operation is None else operation.apply(part.world())
+            low, high = np.minimum(low, world.min(axis=0)), np.maximum(high, world.max(axis=0))
+            points += len(part)
+            for name, members in split_by_tile(world, tile).items():
+                fields = {field: part.fields[field][members] for field in FIELDS if field in part.fields}
+                spill.add(name, {"xyz": world[members] - origin, **fields})
+        for name, arrays in spill.tiles():
+            thin = voxel_downsample(PointCloud(arrays.pop("xyz"), origin, None, arrays), leaf)
+            kept += len(thin)
+            keys[name] = bench.put("cut", name, {"xyz": thin.xyz, **thin.fields})
+            spacings.append(neighbour_spacings(thin.xyz))
+    return CutCloud(keys, low, high, points, kept, joint_spacing(spacings))
+
+
+def cut_beams(bench: TaskRunner, parts: Iterable[VisibilityGrid], size: float) -> dict[str, str]:
+    """Keep the voxels of beams of every tile; return keys by tile."""
+    keys = {}
+    with TemporaryDirectory(prefix="subiaco_") as folder:
+        spill = Spill(Path(folder))
+        for part in parts:
+            centres = (unpack_voxel_keys(part.keys)[:, :2] + 0.5) * part.voxel + part.origin[:2]
+            for name, m in split_by_tile(centres, size).items():
+                columns: dict[str, NDArray[Any]] = {
+                    "keys": part.keys[m],
+                    "hits": part.hits[m],
+                    "passes": part.passes[m],
+                }
+                if part.moving is not None:
+                    columns["moving"] = part.moving[m]
+                spill.add(name, columns)
+        for name, arrays in spill.tiles():
+            keys[name] = bench.put("beams", name, arrays)
+    return keys
+
+
+def join(parts: Iterable[Arrays], names: Iterable[str]) -> dict[str, NDArray[Any]]:
+    """Concatenate arrays of pieces, field by field; a field counts where all have it."""
+    opened = list(parts)
+    return {
+        name: np.concatenate([part[name] for part in opened])
+        for name in names
+        if opened and all(name in part for part in opened)
+    }
+
+
+def no_beams(corner: Floats, voxel: float) -> VisibilityGrid:
+    """Return the grid of an epoch that saw nothing."""
+    none = np.zeros(0, dtype=np.uint32)
+    return VisibilityGrid(corner, voxel, np.zeros(0, dtype=np.int64), none, none)
+
+
+def load_beams(inputs: Inputs, alias: str, corner: Floats, voxel: float) -> VisibilityGrid:
+    """Put the tiles of beams under ``alias/`` together."""
+    names = ("keys", "hits", "passes", "moving")
+    found = join((inputs[f"{alias}/{name}"] for name in inputs.under(alias)), names)
+    if not found:
+        return no_beams(corner, voxel)
+    order = np.argsort(found["keys"], kind="stable")
+    moving = found["moving"][order] if "moving" in found else None
+    keys, hits, passes = (found[name][order] for name in names[:3])
+    return VisibilityGrid(corner, voxel, keys, hits, passes, moving)
+
+
+def tiles_between(low: Floats, high: Floats, size: float) -> list[str]:
+    """Return the tiles that a box (2,), (2,) [m, world] touches."""
+    first, last = np.floor(low / size).astype(int), np.floor(high / size).astype(int)
+    return [
+        f"{column}_{row}" for column in range(first[0], last[0] + 1) for row in range(first[1], last[1] + 1)
+    ]
+
+
+def corners(low: Floats, high: Floats, bottom: float = -50.0, top: float = 50.0) -> Floats:
+    """Return the corners (8, 3) of a box from its plan (2,), (2,) and heights [m]."""
+    return np.array([(x, y, z) for x in (low[0], high[0]) for y in (low[1], high[1]) for z in (bottom, top)])

@@ -1,0 +1,120 @@
+"""The registration over all tiles: one rigid transform, from clouds thinned until they fit."""
+
+from __future__ import annotations
+
+import hashlib
+import logging
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from subiaco_change.records import Registration
+from subiaco_change.registration.register import given_registration, register
+from subiaco_change.tiling.epoch_tiles import Side, corners
+from subiaco_change.tiling.frame_arrays import registration_arrays, registration_of
+from subiaco_geo.clouds import PointCloud, voxel_downsample
+from subiaco_geo.errors import RegistrationError
+from subiaco_geo.work.store import Arrays
+from subiaco_geo.work.tasks import Inputs
+
+_LOG = logging.getLogger(__name__)
+
+
+def find_registration(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
+    """Register two epochs, or take a given transform.
+
+    Parameters
+    ----------
+    inputs : Inputs
+        ``cloud/<epoch>/<tile>``.
+    params : mapping
+        ``sides config transform``.
+    """
+    before, after = gather(inputs, params)
+    config, transform = params["config"].registration, params["transform"]
+    if transform is None:
+        return registration_arrays(register(before, after, config))
+    method = "identity" if np.array_equal(transform, np.eye(4)) else "given"
+    return registration_arrays(given_registration(transform, before, after, config, method))
+
+
+def register_again(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
+    """Refine a registration without what its pass calls changed.
+
+    Returns
+    -------
+    arrays
+        Of the new registration, with ``shift``, how far it moves *before* at most [m]; or of
+        the first one, with ``failed``, why it was kept.
+    """
+    first = registration_of(inputs["registration"])
+    before, after = gather(inputs, params)
+    masks = [np.asarray(cloud.fields["changed"], dtype=bool) for cloud in (before, after)]
+    try:
+        again = register(before, after, params["config"].registration, masks[0], masks[1], start=first)
+    except RegistrationError as error:
+        note = f"the second estimate, without changed places, failed and the first is kept: {error}"
+        _LOG.warning(note)
+        return {**registration_arrays(first), "failed": np.array(note), "shift": np.float64(0.0)}
+    return {**registration_arrays(again), "shift": np.float64(shift(first, again, before))}
+
+
+Part = tuple[PointCloud, PointCloud]  # a tile of before and of after
+
+
+def gather(inputs: Inputs, params: Mapping[str, Any]) -> tuple[PointCloud, PointCloud]:
+    """Points of both epochs (*before*, *after*), field ``changed``: 1 where an earlier pass calls them so.
+
+    What a city takes in memory does not grow with it: where an epoch has more than
+    ``registration_points``, voxels of doubled size thin both, and where that is not enough, tiles
+    drawn by lot from all over the city stand for it. Coarser voxels would not do: walls are lost.
+    Epochs without CRS need not have the same tiles at the same places, and are only thinned.
+    """
+    sides, config = params["sides"], params["config"]
+    local = any(side.crs is None for side in sides)
+    names = sorted({name for side in sides for name in inputs.under(f"cloud/{side.epoch}")}, key=_lot)
+    parts: dict[str, Part] = {}
+    held, thin = np.zeros(2, dtype=np.int64), False
+    for name in names:
+        part: Part = tuple(_load(inputs, side, name) for side in sides)  # type: ignore[assignment]
+        parts[name] = _thinned(part, 2.0 * config.leaf) if thin else part
+        held += [len(cloud) for cloud in parts[name]]
+        if held.max() > config.registration_points and not thin:
+            parts = {own: _thinned(part, 2.0 * config.leaf) for own, part in parts.items()}
+            held = np.sum([[len(cloud) for cloud in part] for part in parts.values()], axis=0)
+            thin = True
+        if held.max() > config.registration_points and not local:
+            _LOG.info("registration: %d of %d tiles", len(parts), len(names))
+            break
+    return tuple(_joined([parts[n][e] for n in sorted(parts)], side) for e, side in enumerate(sides))  # type: ignore[return-value]
+
+
+def _lot(name: str) -> bytes:
+    """Return a place in an order that has nothing to do with where a tile lies, the same for every run."""
+    return hashlib.sha256(name.encode()).digest()
+
+
+def _thinned(part: Part, edge: float) -> Part:
+    return voxel_downsample(part[0], edge), voxel_downsample(part[1], edge)
+
+
+def _joined(clouds: Sequence[PointCloud], side: Side) -> PointCloud:
+    changed = np.concatenate([np.asarray(cloud.fields["changed"]) for cloud in clouds]) > 0.0
+    return PointCloud(np.concatenate([c.xyz for c in clouds]), side.origin, side.crs, {"changed": changed})
+
+
+def _load(inputs: Inputs, side: Side, name: str) -> PointCloud:
+    own = f"cloud/{side.epoch}/{name}"
+    xyz = inputs.once(own)["xyz"] if own in inputs else np.zeros((0, 3))
+    alias = f"changed/{side.epoch}/{name}"
+    changed = inputs.once(alias)["changed"] if alias in inputs else np.zeros(len(xyz), dtype=bool)
+    return PointCloud(xyz, side.origin, side.crs, {"changed": changed.astype(np.float32)})
+
+
+def shift(first: Registration, second: Registration, before: PointCloud) -> float:
+    """Largest distance between two registrations at the corners of *before* [m]."""
+    low, high = before.world().min(axis=0), before.world().max(axis=0)
+    box = corners(low, high, low[2], high[2])
+    placed = [(box - r.origin) @ r.T_local[:3, :3].T + r.T_local[:3, 3] + r.origin for r in (first, second)]
+    return float(np.linalg.norm(placed[0] - placed[1], axis=1).max())

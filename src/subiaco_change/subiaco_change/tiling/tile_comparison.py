@@ -1,0 +1,137 @@
+"""Objects of the groups of one tile, matched, measured and decided."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from subiaco_change.decisions.ablation import Part
+from subiaco_change.decisions.column_volumes import NO_COLUMNS, OpenGround
+from subiaco_change.decisions.object_comparison import compare_objects, make_record
+from subiaco_change.decisions.object_decision import ObjectChange, ObjectRules
+from subiaco_change.decisions.voxel_objects import NO_OBJECT, OTHERS, EpochView
+from subiaco_change.records import ChangeRecord
+from subiaco_change.tiling.epoch_tiles import EPOCHS
+from subiaco_change.tiling.plant_stage import plant_words, record_words
+from subiaco_change.tiling.tile_surroundings import Region, load_region
+from subiaco_change.visibility_evidence import Kind, weakest
+from subiaco_geo.frames import Floats, Ints
+from subiaco_geo.work.store import Arrays
+from subiaco_geo.work.tasks import Inputs
+
+_CELL = 4.0  # in which the surroundings of objects are looked up [m]
+
+
+def compare_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
+    """Compare the groups of objects that a tile answers for.
+
+    Parameters
+    ----------
+    inputs : Inputs
+        ``points lods beams`` around, ``groups``, frame.
+    params : mapping
+        ``tile size sides origin config``.
+
+    Returns
+    -------
+    arrays
+        ``records``, JSON of the rows, their numbers of parts below zero; ``plants``, JSON of what was
+        measured of the plants among them; for each epoch
+        ``<epoch>_tiles`` names, and ``<epoch>_points`` (P, 3): position among these, place of the point
+        there, row; ``own`` (R,) bool, whether anything in the row is in both epochs.
+    """
+    config = params["config"]
+    groups = inputs["groups"]
+    mine = groups["anchor"] == int(np.flatnonzero(groups["tiles"] == params["tile"])[0])
+    near = _surroundings(groups["low"][mine], groups["high"][mine])
+    regions = [load_region(inputs, side, params, near) for side in params["sides"]]
+    members = [mine[groups[epoch]] for epoch in EPOCHS]
+    compact = [_compact(r.view, m) for r, m in zip(regions, members, strict=True)]
+    views = [view for view, _ in compact]
+    kinds = [side.kind for side in params["sides"]]
+    empty = [None if kind == "assumed" else r.empty for r, kind in zip(regions, kinds, strict=True)]
+    free = [None if kind == "assumed" else r.free for r, kind in zip(regions, kinds, strict=True)]
+    ground = OpenGround(NO_COLUMNS, NO_COLUMNS, (empty[0], empty[1]))
+    rules = replace(object_rules(config), ground=ground, free=(free[0], free[1]))
+    changes = compare_objects(views[0], views[1], regions[0].seen, regions[1].seen, rules)
+    numbers = [number for _, number in compact]
+    records = [
+        _in_city(
+            make_record(change, 0, params["origin"], _evidence(change, kinds), config.confidence), numbers
+        )
+        for change in changes
+    ]
+    result: dict[str, Any] = {
+        "records": np.array(json.dumps([record_words(r) for r in records])),
+        "plants": np.array(plant_words(changes)),
+    }
+    for region, epoch in zip(regions, EPOCHS, strict=True):
+        result[f"{epoch}_tiles"] = np.array(region.tiles, dtype=np.str_)
+        result[f"{epoch}_points"] = _points(region, changes, epoch)
+    return result
+
+
+def object_rules(config: Any) -> ObjectRules:
+    """Rules of the objects, less what is left out."""
+    decisions = config.decisions
+    if Part.LOD in config.without:
+        decisions = decisions.model_copy(update={"lod_floor": 0.0})
+    by_class = Part.CLASS_ASSOCIATION not in config.without
+    return ObjectRules(config.measures, config.association, decisions, by_class, plants=config.plants)
+
+
+def _surroundings(low: Floats, high: Floats) -> Any:
+    """Tell which places (N, 3) lie in cells of, or next to, the boxes (G, 2) of groups."""
+    first = np.floor(low.min(axis=0) / _CELL).astype(np.int64) - 1
+    shape = np.floor(high.max(axis=0) / _CELL).astype(np.int64) - first + 2
+    inside = np.zeros(tuple(shape.tolist()), dtype=bool)
+    begin = np.floor(low / _CELL).astype(np.int64) - 1 - first
+    end = np.floor(high / _CELL).astype(np.int64) + 2 - first
+    for (x0, y0), (x1, y1) in zip(begin.tolist(), end.tolist(), strict=True):
+        inside[x0:x1, y0:y1] = True
+
+    def near(xyz: Floats) -> NDArray[np.bool_]:
+        cell = np.floor(xyz[:, :2] / _CELL).astype(np.int64) - first
+        known = ((cell >= 0) & (cell < shape)).all(axis=1)
+        cell = np.clip(cell, 0, shape - 1)
+        return np.asarray(known & inside[cell[:, 0], cell[:, 1]])
+
+    return near
+
+
+def _compact(view: EpochView, mine: NDArray[np.bool_]) -> tuple[EpochView, Ints]:
+    """Keep the objects of the groups alone, numbered from 0 in their order; and their numbers in the city."""
+    own = np.append(mine, False)[view.instance]
+    numbers, slot = np.unique(view.instance[own], return_inverse=True)
+    instance = np.where(view.instance < 0, NO_OBJECT, OTHERS).astype(np.int32)
+    instance[own] = slot
+    return replace(view, instance=instance), numbers.astype(np.int64)
+
+
+def _in_city(record: ChangeRecord, numbers: list[Ints]) -> ChangeRecord:
+    """Name the parts of a row by their numbers in the city; pieces cut off here get numbers below zero."""
+    named = [
+        tuple(int(known[k]) if k < len(known) else len(known) - k - 1 for k in ids)
+        for ids, known in zip((record.id_before, record.id_after), numbers, strict=True)
+    ]
+    return replace(record, id_before=named[0], id_after=named[1])
+
+
+def _evidence(change: ObjectChange, kinds: list[Kind]) -> Kind:
+    """Return what tells of the absence: the other epoch's evidence, or the weaker of both."""
+    if change.before and change.after:
+        return weakest(kinds)
+    return kinds[0] if change.after else kinds[1]
+
+
+def _points(region: Region, changes: list[ObjectChange], epoch: str) -> Ints:
+    """Tile, place there and row (P, 3) of every point of the rows."""
+    rows = [change.points(epoch) for change in changes]
+    members = np.concatenate([np.zeros(0, np.int64), *rows]).astype(np.int64)
+    row = np.repeat(np.arange(len(rows)), [len(r) for r in rows])
+    return np.column_stack([region.slot[members], region.index[members], row]).astype(np.int32)

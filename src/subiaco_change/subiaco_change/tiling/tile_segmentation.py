@@ -1,0 +1,171 @@
+"""Semantics and instances of one tile of one epoch, seen with its surroundings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from subiaco_change.decisions.ablation import Part
+from subiaco_change.geometry import estimate_normals
+from subiaco_change.segmentation.classes import label_points
+from subiaco_change.segmentation.clustering import voxel_clusters
+from subiaco_change.segmentation.instances import segment
+from subiaco_change.segmentation.raised_surfaces import find_raised
+from subiaco_change.tiling.epoch_tiles import Side
+from subiaco_change.tiling.expected_visibility_stage import load_observer
+from subiaco_change.tiling.trails import load_moved
+from subiaco_geo.clouds import PointCloud
+from subiaco_geo.codes import Semantic
+from subiaco_geo.errors import InputError
+from subiaco_geo.frames import Floats, Ints
+from subiaco_geo.tiles import Tile, tile_named
+from subiaco_geo.work.store import Arrays
+from subiaco_geo.work.tasks import Inputs
+
+
+def prepare_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
+    """Label the points of a tile and its surroundings, and find their objects.
+
+    Parameters
+    ----------
+    inputs : Inputs
+        ``cloud/<tile>`` of the tile and its neighbours, ``beams/<epoch>/...``; ``levelling`` for local
+        clouds; ``trails/<tile>`` where nothing counted beams.
+    params : mapping
+        ``tile size overlap edge side config given``.
+
+    Returns
+    -------
+    arrays
+        Of the points of the tile (N): ``normals`` float32, ``semantic`` uint8, ``score height
+        passed moved`` float32 (``passed`` empty where nothing counted beams, ``moved`` where nothing kept
+        their times). Of the tile and then of
+        its surroundings (N + M): ``instance`` int32, numbers of this tile. Of the
+        surroundings: ``near_tile`` uint8, position among ``neighbours``; ``near_index`` int32
+        there; ``inner`` bool, away from the outer edge. ``objects`` (K, 5): class, points in
+        the tile, least east and north, and whether any lies in the tile.
+    """
+    side: Side = params["side"]
+    tile = tile_named(params["tile"], params["size"], params["overlap"])
+    names = [name for name in inputs.under("cloud") if name != params["tile"]]
+    own, around, where = _gather(inputs, params["tile"], names, side, tile)
+    cloud = PointCloud(np.concatenate([own, *around]), side.origin, side.crs)
+    world = cloud.world()
+    observer = load_observer(inputs, side, world, params["config"].evidence)
+    passed, moved = observer.passes(world), observer.moved(world)
+    if passed is None:
+        moved = load_moved(inputs, params["tile"], names, where)
+    normals = estimate_normals(cloud.xyz, params["config"].normal_radius)
+    wide = np.concatenate([inputs[f"cloud/{name}"]["xyz"] for name in inputs.under("cloud")])
+    semantic, instance, score, height = _label(cloud, (passed, moved), params, inputs, names, where, wide)
+    count = len(own)
+    inner = tile_named(params["tile"], params["size"], params["overlap"] - params["edge"])
+    return {
+        "normals": normals[:count].astype(np.float32),
+        "semantic": semantic[:count],
+        "score": score[:count],
+        "height": height[:count],
+        "passed": _known(passed, count),
+        "moved": _known(moved, count),
+        "instance": instance,
+        "neighbours": np.array(names, dtype=np.str_),
+        "near_tile": np.repeat(np.arange(len(names), dtype=np.uint8), [len(w) for w in where]),
+        "near_index": np.concatenate([np.zeros(0, np.int64), *where]).astype(np.int32),
+        "inner": inner.in_buffered(world[:, :2]),
+        "objects": _summary(instance, semantic, world, count),
+    }
+
+
+def _known(values: Floats | None, count: int) -> NDArray[np.float32]:
+    """Return the first values, none where they are not known."""
+    return np.zeros(0, np.float32) if values is None else values[:count].astype(np.float32)
+
+
+def _gather(
+    inputs: Inputs, name: str, names: list[str], side: Side, tile: Tile
+) -> tuple[Floats, list[Floats], list[Ints]]:
+    """Points of the tile, of each neighbour those nearby, and where they stand there."""
+    around, where = [], []
+    for other in names:
+        xyz = inputs[f"cloud/{other}"]["xyz"]
+        inside = np.flatnonzero(tile.in_buffered(xyz[:, :2] + side.origin[:2]))
+        around.append(xyz[inside])
+        where.append(inside)
+    return inputs[f"cloud/{name}"]["xyz"], around, where
+
+
+def _label(
+    cloud: PointCloud,
+    beams: tuple[Floats | None, Floats | None],
+    params: Mapping[str, Any],
+    inputs: Inputs,
+    names: list[str],
+    where: list[Ints],
+    wide: Floats,
+) -> tuple[NDArray[np.uint8], NDArray[np.int32], NDArray[np.float32], NDArray[np.float32]]:
+    """Class, instance, score of the class and height above ground of every point.
+
+    ``wide`` (N, 3) are all points of the tile and its neighbours: a hall may fill the tile.
+    """
+    config = params["config"]
+    turn = inputs.get("levelling")
+    upright = PointCloud(cloud.xyz @ turn["turn"].T, cloud.origin) if "turn" in turn else cloud
+    passed, moved = beams
+    raised = find_raised(wide @ turn["turn"].T if "turn" in turn else wide, config.semantics.raised)
+    result = label_points(upright, config.semantics, passed, raised, moved)
+    semantic = result.semantic
+    score = np.take_along_axis(result.scores, semantic[:, None].astype(np.int64), axis=1)[:, 0]
+    if "semantic" in params["given"]:
+        semantic = _given("semantic", inputs, params["tile"], names, where).astype(np.uint8)
+        score = np.ones(len(semantic), dtype=np.float32)
+        result = replace(result, semantic=semantic, moving=np.zeros(len(semantic), dtype=bool))
+    if "instance" in params["given"]:
+        instance = _given("instance", inputs, params["tile"], names, where).astype(np.int32)
+    elif Part.SEMANTICS in config.without:
+        semantic, instance = _classless(cloud.xyz, semantic, config.measures.voxel)
+    else:
+        instance = segment(upright, result, config.instances)
+    if Part.OBJECTS in config.without:
+        instance = np.full_like(instance, -1)
+    return semantic, instance, score.astype(np.float32), result.height_above_ground
+
+
+def _classless(
+    xyz: Floats, semantic: NDArray[np.uint8], edge: float
+) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:
+    """Make all that is off the ground one class, its objects what hangs together (method, B8)."""
+    off = np.flatnonzero(semantic != Semantic.GROUND)
+    instance = np.full(len(xyz), -1, dtype=np.int32)
+    instance[off] = voxel_clusters(xyz[off], edge)
+    one = np.where(semantic == Semantic.GROUND, semantic, np.uint8(Semantic.BUILDING))
+    return one.astype(np.uint8), instance
+
+
+def _given(field: str, inputs: Inputs, tile: str, names: list[str], where: list[Ints]) -> NDArray[np.generic]:
+    pieces: list[tuple[str, Any]] = [(tile, slice(None)), *zip(names, where, strict=True)]
+    parts = []
+    for name, members in pieces:
+        piece = inputs[f"cloud/{name}"]
+        if field not in piece:
+            raise InputError(f"--{'instances' if field == 'instance' else field} given: no field {field!r}")
+        parts.append(piece[field][members])
+    return np.concatenate(parts)
+
+
+def _summary(instance: NDArray[np.int32], semantic: NDArray[np.uint8], world: Floats, count: int) -> Floats:
+    """Class, points in the tile, least east and north [m], of every number of the tile."""
+    size = int(instance.max(initial=-1)) + 1
+    summary = np.zeros((size, 4))
+    members = np.flatnonzero(instance >= 0)
+    votes = np.zeros((size, 5), dtype=np.int64)
+    np.add.at(votes, (instance[members], semantic[members]), 1)
+    summary[:, 0] = votes.argmax(axis=1) if size else 0
+    own = members[members < count]
+    summary[:, 1] = np.bincount(instance[own], minlength=size)
+    summary[:, 2:] = np.inf
+    np.minimum.at(summary[:, 2:], instance[own], world[own, :2])
+    return summary

@@ -1,0 +1,117 @@
+"""Both epochs around the places of one tile, as the comparison wants them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from subiaco_change.decisions.voxel_objects import UNCERTAIN, EpochView
+from subiaco_change.level_of_detection.common_frame import free_through, seen_through
+from subiaco_change.segmentation.ground_model import Mask
+from subiaco_change.tiling.epoch_tiles import Side
+from subiaco_change.tiling.expected_visibility_stage import load_observer
+from subiaco_change.tiling.frame_arrays import load_frame
+from subiaco_change.tiling.retiling import load_points
+from subiaco_change.visibility_evidence import Observer
+from subiaco_geo.codes import Semantic
+from subiaco_geo.frames import Floats, Ints
+from subiaco_geo.work.store import Arrays
+from subiaco_geo.work.tasks import Inputs
+
+Near = Callable[[Floats], Mask]
+
+
+@dataclass(frozen=True)
+class Region:
+    """Points of one epoch around a place.
+
+    ``view`` with the objects of the whole city as instances; ``slot`` (N,) tile among ``tiles``;
+    ``index`` (N,) place of the point there; ``seen`` tells which places of the common frame the
+    epoch observed, ``empty`` where its beams went on and nothing came back, ``free`` how probable it
+    is that nothing stood there, by its beams.
+    """
+
+    view: EpochView
+    tiles: list[str]
+    slot: Ints
+    index: Ints
+    seen: Callable[[Floats], Mask]
+    empty: Callable[[Floats], Mask]
+    free: Callable[[Floats], Floats]
+
+
+def load_region(inputs: Inputs, side: Side, params: Mapping[str, Any], near: Near) -> Region:
+    """Load those points of an epoch for which ``near`` holds, given places (N, 3) of the common frame.
+
+    ``inputs`` hold ``points lods`` of the tiles around, ``beams`` and the frame.
+    """
+    frame = load_frame(inputs, params["origin"])
+    tiles = inputs.under(f"points/{side.epoch}")
+    parts: list[tuple[Any, ...]] = []
+    own_world: list[Floats] = [np.zeros((0, 3))]
+    for position, name in enumerate(tiles):
+        piece = inputs[f"points/{side.epoch}/{name}"]
+        cloud = load_points(inputs, side, name, params)
+        index = np.flatnonzero(near(cloud.xyz))
+        passed, moved = piece["passed"], piece["moved"]
+        own_world.append(piece["xyz"][_standing(piece)] + side.origin)
+        parts.append(
+            (
+                cloud.xyz[index],
+                np.asarray(cloud.fields["normals"])[index],
+                piece["semantic"][index],
+                piece["number"][index],
+                piece["height"][index],
+                inputs[f"lods/{name}"][side.epoch][index],
+                piece["score"][index],
+                passed[index] if len(passed) else passed,
+                moved[index] if len(moved) else moved,
+                np.full(len(index), position, dtype=np.int64),
+                index,
+            )
+        )
+    view, slot, index = _view(parts)
+    world = np.concatenate(own_world) if side.kind == "shadow" else np.zeros((0, 3))
+    observer: Observer = load_observer(inputs, side, world, params["config"].evidence)
+    to_world = frame.before_world if side.epoch == "before" else frame.after_world
+    return Region(
+        view,
+        tiles,
+        slot,
+        index,
+        seen_through(observer.observed, to_world),
+        seen_through(observer.empty, to_world),
+        free_through(observer.free_probability, to_world),
+    )
+
+
+def _standing(piece: Arrays) -> Mask:
+    """Tell which points (N,) of a tile belong to no ghost trail, which proves no sight of places near it."""
+    loose = (piece["semantic"] == Semantic.MOBILE) & (piece["number"] < 0)
+    return np.asarray(~(loose & (piece["moved"] > UNCERTAIN)) if len(piece["moved"]) else loose | True)
+
+
+def _view(parts: list[tuple[Any, ...]]) -> tuple[EpochView, Ints, Ints]:
+    empty = (
+        np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0, np.uint8), np.zeros(0, np.int32),
+        *(np.zeros(0, np.float32) for _ in range(5)), np.zeros(0, np.int64), np.zeros(0, np.int64),
+    )  # fmt: skip
+    joined: list[NDArray[Any]] = [np.concatenate(column) for column in zip(empty, *parts, strict=True)]
+    xyz, normals, semantic, number, height, lod, score, passed, moved, slot, index = joined
+    counted, timed = (len(found) == len(xyz) and len(xyz) > 0 for found in (passed, moved))
+    view = EpochView(
+        xyz,
+        normals,
+        semantic,
+        number.astype(np.int32),
+        height.astype(np.float64),
+        lod.astype(np.float64),
+        score.astype(np.float64),
+        passed.astype(np.float64) if counted else None,
+        moved.astype(np.float64) if timed else None,
+    )
+    return view, slot, index

@@ -1,0 +1,1 @@
+"""Scores against truth, simple methods to compare with, and known changes put into real maps."""

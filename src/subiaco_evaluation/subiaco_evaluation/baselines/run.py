@@ -1,0 +1,127 @@
+"""A simple method from two survey maps to a change result, and from two paths to a change directory."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable
+
+import numpy as np
+
+from subiaco_change.geometry import estimate_normals
+from subiaco_change.job import ChangeJob, run_job
+from subiaco_change.level_of_detection.common_frame import CommonFrame
+from subiaco_change.records import ChangeResult
+from subiaco_change.registration.pair import check_pair
+from subiaco_change.registration.register import given_registration, register
+from subiaco_evaluation.baselines.cells import Pair, Verdict, make_pair
+from subiaco_evaluation.baselines.config import BaselineConfig
+from subiaco_evaluation.baselines.dsm import difference_surfaces
+from subiaco_evaluation.baselines.m3c2 import difference_along_normals
+from subiaco_evaluation.baselines.nearest import difference_by_lod, difference_by_threshold
+from subiaco_evaluation.baselines.patches import connect, label_points, make_records
+from subiaco_geo.errors import InputError
+from subiaco_geo.findings import Finding
+from subiaco_geo.frames import Floats
+from subiaco_geo.survey_map import SurveyMap
+
+Progress = Callable[[str, float], None]
+
+#: The methods by the name of the command.
+METHODS: dict[str, Callable[[Pair, BaselineConfig], Verdict]] = {
+    "dsm": difference_surfaces,
+    "nn": difference_by_lod,
+    "m3c2": difference_along_normals,
+    "c2c": difference_by_threshold,
+}
+_CAUTION = (
+    "The baseline {} knows neither visibility nor objects nor classes. Its confidence is no probability."
+)
+
+
+def prepare_pair(
+    before: SurveyMap, after: SurveyMap, config: BaselineConfig, transform: Floats | None = None
+) -> tuple[Pair, tuple[Finding, ...]]:
+    """Bring two epochs into one frame, as the change stage does, and into cells; also returns findings.
+
+    Parameters
+    ----------
+    before, after : SurveyMap
+    config : BaselineConfig
+    transform : (4, 4) float64, optional
+        Given ``T_after_before`` in world coordinates; without it the epochs
+        are registered by our own registration, once.
+    """
+    before, after, info = check_pair(before, after, config.leaf, aligned=_aligned(transform))
+    clouds = [
+        survey.cloud.with_fields(normals=estimate_normals(survey.cloud.xyz, config.normal_radius))
+        for survey in (before, after)
+    ]
+    if transform is None:
+        registration = register(clouds[0], clouds[1], config.registration)
+    else:
+        method = "identity" if np.array_equal(transform, np.eye(4)) else "given"
+        registration = given_registration(transform, clouds[0], clouds[1], config.registration, method)
+    moved = CommonFrame(registration, clouds[1].origin).bring(clouds[0])
+    return make_pair(moved, clouds[1], registration, config), info.findings
+
+
+def _aligned(transform: Floats | None) -> bool:
+    """Tell whether the coordinates of both epochs are taken as they are."""
+    return transform is None or np.array_equal(transform, np.eye(4))
+
+
+def compare_pair(pair: Pair, method: str, config: BaselineConfig) -> ChangeResult:
+    """Run a method on a prepared pair."""
+    verdict = METHODS[method](pair, config)
+    number, names = connect(verdict.code)
+    clouds = label_points(pair, verdict, number, config)
+    records = make_records(pair, verdict, number, names, clouds, method)
+    caution = Finding("baseline", "note", _CAUTION.format(method))
+    return ChangeResult(records, clouds[0], clouds[1], pair.registration, None, {}, (caution,))
+
+
+def detect_simply(
+    before: SurveyMap,
+    after: SurveyMap,
+    method: str,
+    config: BaselineConfig,
+    progress: Progress | None = None,
+    *,
+    transform: Floats | None = None,
+) -> ChangeResult:
+    """Find what changed between two epochs by a simple method.
+
+    Returns
+    -------
+    ChangeResult
+        Rows are contiguous cells of one label; Unchanged ones make no row.
+
+    Raises
+    ------
+    InputError, RegistrationError
+    """
+    if method not in METHODS:
+        raise InputError(f"baseline {method}: known are {', '.join(METHODS)}")
+    say = progress or (lambda _name, _fraction: None)
+    started = time.perf_counter()
+    say("registration", 0.05)
+    pair, findings = prepare_pair(before, after, config, transform)
+    prepared = time.perf_counter()
+    say(method, 0.6)
+    result = compare_pair(pair, method, config)
+    seconds = {"preparation": prepared - started, method: time.perf_counter() - prepared}
+    return ChangeResult(
+        result.records, result.before, result.after, result.registration, None, seconds,
+        (*findings, *result.findings),
+    )  # fmt: skip
+
+
+def run_baseline(
+    job: ChangeJob, method: str, config: BaselineConfig, progress: Progress | None = None
+) -> ChangeResult:
+    """Run a simple method on two epochs; errors as for :func:`subiaco_change.job.run_job`."""
+
+    def detect(before: SurveyMap, after: SurveyMap) -> ChangeResult:
+        return detect_simply(before, after, method, config, progress, transform=job.transform)
+
+    return run_job(job, config, detect, progress, notes={"baseline": method})

@@ -1,0 +1,1 @@
+"""Finished recordings of a mapping run, kept until the map is written."""

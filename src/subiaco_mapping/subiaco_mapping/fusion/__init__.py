@@ -1,0 +1,1 @@
+"""Scans at their solved poses to one map."""

@@ -1,0 +1,218 @@
+"""Scans at their poses to one finished map, tile by tile."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from subiaco_geo.clouds import PointCloud
+from subiaco_geo.errors import InputError
+from subiaco_geo.frames import Floats, transform_points
+from subiaco_geo.movement import verdicts
+from subiaco_geo.visibility import TimeRecord, VisibilityGrid
+from subiaco_mapping.checkpoint.scan_spool import SpooledScan
+from subiaco_mapping.config import FusionConfig
+from subiaco_mapping.fusion.dynamic_objects import height_above_floor, moved_probability
+from subiaco_mapping.fusion.outliers import beam_spacing, lonely_points
+from subiaco_mapping.fusion.projection import Projection
+from subiaco_mapping.fusion.voxel_fusion import VoxelStatistics, oriented_normals, walked_beams
+from subiaco_mapping.fusion.voxel_tiles import (
+    DiskColumns,
+    Recent,
+    VisibilityTiles,
+    VoxelTiles,
+    tile_corner,
+    tiles_around,
+)
+
+_SHOWN = 100  # one scan in so many shows how far its beams are apart
+_TURN_NS = 100_000_000  # between scans without stamps
+_FAR = 10_000.0  # a map that begins farther from zero gets an origin of its own [m]
+
+
+class _Clock:
+    """Numbers the time windows (length [ns]) of scans from 1; without stamps scans come ten a second."""
+
+    def __init__(self, length_ns: int) -> None:
+        self._length_ns = length_ns
+        self._last_ns: int | None = None
+        self.start_ns = 0
+
+    def window(self, stamp_ns: int | None) -> int:
+        """Return the window of the next scan."""
+        if stamp_ns is None:
+            stamp_ns = 0 if self._last_ns is None else self._last_ns + _TURN_NS
+        if self._last_ns is None:
+            self.start_ns = stamp_ns
+        self._last_ns = stamp_ns
+        return (stamp_ns - self.start_ns) // self._length_ns + 1
+
+
+@dataclass(frozen=True)
+class FinishedMap:
+    """Static points, second returns, what moved, and the visibility layer; arrays mapped from disk."""
+
+    cloud: PointCloud
+    last: PointCloud | None
+    moving: PointCloud | None
+    visibility: VisibilityGrid
+
+
+class MapFusion:
+    """Take scans at their solved poses; memory holds what was touched last.
+
+    Parameters
+    ----------
+    folder : Path
+        For what does not fit; may be removed once the map is written.
+    config : FusionConfig
+    projection : Projection
+    start : (3,) float64
+        Local position of the first scan [m].
+    """
+
+    def __init__(self, folder: Path, config: FusionConfig, projection: Projection, start: Floats) -> None:
+        self._folder, self._config, self._projection = folder, config, projection
+        world = projection.points(start[None])[0]
+        self._origin = np.round(world, -2) if np.abs(world).max() > _FAR else np.zeros(3)
+        edge = max(1, round(config.tile / config.leaf))
+        self._reach = min(config.tile_overlap, edge * config.leaf)
+        self._edge = edge
+        most, voxel = config.active_voxels, config.visibility_voxel
+        coarse = max(1, round(config.tile / voxel))
+        self._first = VoxelTiles(folder / "first", config.leaf, edge, most)
+        self._last = VoxelTiles(folder / "last", config.leaf, edge, most)
+        corner = np.floor(world / 100.0) * 100.0
+        least = config.moving.least_beams
+        self._beams = VisibilityTiles(folder / "visibility", corner, voxel, coarse, 2 * most, least)
+        self._clock = _Clock(round(config.moving.window * 1e9))
+        self._scans = 0
+        self._statistics = Recent(self._usable)
+        self._spacing = 0.0
+
+    def add(
+        self, scan: SpooledScan, pose: Floats, matrix: Floats, offset: Floats, stamp_ns: int | None = None
+    ) -> None:
+        """Add a scan at ``T_local_lidar``; ``world = matrix @ local + offset`` around it.
+
+        Scans come in the order of their stamps; one without a stamp is a tenth of a second later
+        than the last.
+        """
+        if self._scans % _SHOWN == 0:  # of several sensors the coarsest counts
+            self._spacing = max(self._spacing, beam_spacing(scan.xyz, self._config.outlier_neighbours))
+        xyz = transform_points(pose, scan.xyz)
+        self._first.add(xyz, scan.intensity, pose[:3, 3])
+        self._last.add(transform_points(pose, scan.last_xyz), scan.last_intensity, pose[:3, 3])
+        beams, returned = walked_beams(scan, pose, self._config)
+        ends = transform_points(pose, beams) @ matrix.T + offset
+        origin = matrix @ pose[:3, 3] + offset
+        starts, hits = np.broadcast_to(origin, ends.shape), xyz @ matrix.T + offset
+        self._beams.add(starts, ends, returned, hits, self._clock.window(stamp_ns))
+        self._scans += 1
+
+    def finish(self, threads: int, report: Callable[[float], None]) -> FinishedMap:
+        """Take out outliers and what moved, find normals.
+
+        Raises
+        ------
+        InputError
+            Fewer than 10 voxels are left.
+        """
+        for store in (self._first, self._last, self._beams):
+            store.flush()
+            store.free()
+        self._layer = self._judged()
+        tiles = self._first.tiles
+        still, moving = DiskColumns(self._folder / "map"), DiskColumns(self._folder / "moving")
+        for done, tile in enumerate(tiles):
+            self._finish_tile(tile, threads, still, moving)
+            report(done / len(tiles))
+        cloud = self._cloud(still)
+        if cloud is None or len(cloud) < 10:
+            raise InputError(
+                f"fused map: {0 if cloud is None else len(cloud)} points are left; check range limits and "
+                "extrinsics"
+            )
+        return FinishedMap(cloud, self._last_returns(), self._cloud(moving), self._layer)
+
+    def _judged(self) -> VisibilityGrid:
+        """Return the visibility layer with the verdict on every voxel."""
+        (grid, looks), config = self._beams.grid(), self._config.moving
+        moving = verdicts(grid.keys, looks, config)
+        times = TimeRecord(config.window, self._clock.start_ns, looks)
+        return replace(grid, moving=moving, times=times)
+
+    def _usable(self, tile: int) -> VoxelStatistics:
+        found = self._first.statistics(tile)
+        return found.select(found.n >= self._config.min_points)
+
+    def _around(self, tile: int) -> tuple[VoxelStatistics, int]:
+        """Return the voxels of a tile, how many those are, and behind them its neighbours' within reach."""
+        low = tile_corner(tile, self._edge) * self._config.leaf - self._reach
+        high = low + self._edge * self._config.leaf + 2 * self._reach
+        present = set(self._first.tiles)
+        own = self._statistics(tile)
+        parts = [own]
+        for other in tiles_around(tile):
+            if other != tile and other in present:
+                found = self._statistics(other)
+                xy = found.mean[:, :2]
+                near = np.asarray(((xy >= low) & (xy <= high)).all(axis=1))
+                parts.append(found.select(near))
+        return VoxelStatistics.joined(parts), len(own)
+
+    def _moved(self, xyz: Floats) -> NDArray[np.float32]:
+        """Return the probability (N,) that the points moved; NaN where nothing is known."""
+        found = self._layer.moved(self._projection.points(xyz))
+        assert found is not None  # the layer was made with times
+        return found
+
+    def _finish_tile(self, tile: int, threads: int, still: DiskColumns, moving: DiskColumns) -> None:
+        """Write what of a tile moved, and what stays with its normals."""
+        (found, own), config = self._around(tile), self._config
+        xyz = found.mean
+        above = height_above_floor(xyz)
+        probability = moved_probability(xyz, above, self._moved, config.visibility_voxel)
+        probability[above < config.moving.floor] = 0.0
+        moved = config.moving.enabled & (np.nan_to_num(probability) >= config.moving.sure)
+        self._write(moving, found.select(np.flatnonzero(moved[:own])))
+        keep = ~moved & ~lonely_points(xyz, found.reach, self._spacing, config, threads)
+        (found, probability), own = (found.select(keep), probability[keep]), int(keep[:own].sum())
+        if own:
+            count = config.normal_neighbours
+            normals = oriented_normals(found.mean, found.view, count, threads)[:own]
+            self._write(still, found.select(np.arange(own)), normals, moving=probability[:own])
+
+    def _write(
+        self,
+        columns: DiskColumns,
+        found: VoxelStatistics,
+        normals: Floats | None = None,
+        **fields: NDArray[Any],
+    ) -> None:
+        if len(found) == 0:
+            return
+        named: dict[str, NDArray[Any]] = {"intensity": found.intensity, "n": found.n, **fields}
+        if normals is not None:
+            variance = np.einsum("ni,nij,nj->n", normals, found.covariance, normals)
+            named["normals"] = self._projection.directions(found.mean, normals)
+            named["spread"] = np.sqrt(np.maximum(variance, 0.0)).astype(np.float32)
+        columns.append(xyz=self._projection.points(found.mean) - self._origin, **named)
+
+    def _last_returns(self) -> PointCloud | None:
+        columns = DiskColumns(self._folder / "last_returns")
+        for tile in self._last.tiles:
+            self._write(columns, self._last.statistics(tile))
+        return self._cloud(columns)
+
+    def _cloud(self, columns: DiskColumns) -> PointCloud | None:
+        arrays = columns.arrays()
+        if not arrays:
+            return None
+        xyz = arrays.pop("xyz")
+        return PointCloud(xyz, self._origin, self._projection.crs, arrays)

@@ -1,0 +1,293 @@
+"""Registered scans to one fused map: streaming sums per voxel, nothing kept of the points."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields
+from typing import Any
+
+import numba
+import numpy as np
+import small_gicp
+from numpy.typing import NDArray
+
+from subiaco_geo.clouds import PointCloud, from_world, unpack_voxel_keys
+from subiaco_geo.errors import InputError
+from subiaco_geo.frames import Floats, Ints, transform_points
+from subiaco_mapping.checkpoint.scan_spool import SpooledScan
+from subiaco_mapping.config import FusionConfig
+from subiaco_mapping.fusion.outliers import lonely_points
+
+_EMPTY = -1
+_LIMIT = 1 << 20
+_COLUMNS = 14
+_MAX_LOAD = 0.6
+
+
+@numba.njit(cache=True, inline="always")
+def _slot(keys, key):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Return the slot of a key in an open-addressing table, or the empty slot for it."""
+    mask = np.uint64(len(keys) - 1)
+    mixed = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
+    slot = (mixed ^ (mixed >> np.uint64(32))) & mask
+    while keys[slot] != key and keys[slot] != _EMPTY:
+        slot = (slot + np.uint64(1)) & mask
+    return slot
+
+
+@numba.njit(cache=True)
+def _accumulate(xyz, intensity, sensor, leaf, keys, counts, sums):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Add points to their voxels; the table must have room. Returns the number of new voxels.
+
+    Columns of ``sums``: offset from the voxel centre (3), its products xx xy xz yy yz zz (6),
+    intensity, direction to the sensor (3), distance from it.
+    """
+    added = 0
+    for i in range(len(xyz)):
+        key = np.int64(0)
+        for axis in range(3):
+            key = (key << 21) | (np.int64(np.floor(xyz[i, axis] / leaf)) + _LIMIT)
+        slot = _slot(keys, key)
+        if keys[slot] == _EMPTY:
+            keys[slot] = key
+            added += 1
+        dx = xyz[i, 0] - (np.floor(xyz[i, 0] / leaf) + 0.5) * leaf
+        dy = xyz[i, 1] - (np.floor(xyz[i, 1] / leaf) + 0.5) * leaf
+        dz = xyz[i, 2] - (np.floor(xyz[i, 2] / leaf) + 0.5) * leaf
+        vx, vy, vz = sensor[0] - xyz[i, 0], sensor[1] - xyz[i, 1], sensor[2] - xyz[i, 2]
+        reach = max(np.sqrt(vx * vx + vy * vy + vz * vz), 1e-6)
+        row = sums[slot]
+        row[0] += dx
+        row[1] += dy
+        row[2] += dz
+        row[3] += dx * dx
+        row[4] += dx * dy
+        row[5] += dx * dz
+        row[6] += dy * dy
+        row[7] += dy * dz
+        row[8] += dz * dz
+        row[9] += intensity[i]
+        row[10] += vx / reach
+        row[11] += vy / reach
+        row[12] += vz / reach
+        row[13] += reach
+        counts[slot] += 1
+    return added
+
+
+@numba.njit(cache=True)
+def _reinsert(old_keys, old_counts, old_sums, keys, counts, sums):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Copy every entry of one table into a larger, empty one."""
+    for i in range(len(old_keys)):
+        if old_keys[i] != _EMPTY:
+            slot = _slot(keys, old_keys[i])
+            keys[slot] = old_keys[i]
+            counts[slot] = old_counts[i]
+            sums[slot] = old_sums[i]
+
+
+@dataclass(frozen=True)
+class VoxelStatistics:
+    """What was seen in every occupied voxel, in key order.
+
+    Parameters
+    ----------
+    keys : (V,) int64
+    n : (V,) uint32
+        Points.
+    mean : (V, 3) float64
+        [m].
+    covariance : (V, 3, 3) float64
+        Of the points about their mean [m2].
+    intensity : (V,) float32
+    view : (V, 3) float64
+        Mean direction to the sensor, not normalised.
+    reach : (V,) float64
+        Mean distance from the sensor [m].
+    """
+
+    keys: Ints
+    n: NDArray[np.uint32]
+    mean: Floats
+    covariance: Floats
+    intensity: NDArray[np.float32]
+    view: Floats
+    reach: Floats
+
+    def __len__(self) -> int:
+        return len(self.keys)
+
+    def select(self, index: NDArray[Any]) -> VoxelStatistics:
+        """Return the voxels of a mask or an index array."""
+        return VoxelStatistics(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
+
+    @staticmethod
+    def joined(parts: Sequence[VoxelStatistics]) -> VoxelStatistics:
+        """Return the voxels of several."""
+        names = [f.name for f in fields(VoxelStatistics)]
+        return VoxelStatistics(**{n: np.concatenate([getattr(p, n) for p in parts]) for n in names})
+
+
+class VoxelAccumulator:
+    """Streaming sums of points per voxel in one growing hash table."""
+
+    def __init__(self, leaf: float, capacity: int = 1 << 16) -> None:
+        self.leaf = leaf
+        self._used = 0
+        self._allocate(1 << int(np.ceil(np.log2(max(capacity, 1024)))))
+
+    def __len__(self) -> int:
+        return self._used
+
+    def _allocate(self, size: int) -> None:
+        self._keys = np.full(size, _EMPTY, dtype=np.int64)
+        self._counts = np.zeros(size, dtype=np.uint32)
+        self._sums = np.zeros((size, _COLUMNS))
+
+    def add(self, xyz: Floats, intensity: NDArray[np.float32], sensor: Floats) -> None:
+        """Add points (N, 3) [m] seen from a sensor position (3,)."""
+        if len(xyz) == 0:
+            return
+        if not np.isfinite(xyz).all() or np.abs(xyz).max() >= self.leaf * (_LIMIT - 1):
+            raise InputError("fused map: points are not finite or too far from the local origin")
+        for start in range(0, len(xyz), 1 << 14):
+            part = slice(start, start + (1 << 14))
+            while self._used + (1 << 14) > _MAX_LOAD * len(self._keys):
+                old = self._keys, self._counts, self._sums
+                self._allocate(2 * len(self._keys))
+                _reinsert(*old, self._keys, self._counts, self._sums)
+            self._used += _accumulate(
+                xyz[part], intensity[part], sensor, self.leaf, self._keys, self._counts, self._sums
+            )
+
+    def sums(self) -> tuple[Ints, NDArray[np.uint32], Floats]:
+        """Return keys (V,), sorted, counts (V,) and sums (V, 14) gathered so far."""
+        used = np.flatnonzero(self._keys != _EMPTY)
+        order = used[np.argsort(self._keys[used])]
+        return self._keys[order], self._counts[order], self._sums[order]
+
+    def clear(self) -> None:
+        """Forget everything; the table keeps its size."""
+        self._keys.fill(_EMPTY)
+        self._counts.fill(0)
+        self._sums.fill(0.0)
+        self._used = 0
+
+    def statistics(self) -> VoxelStatistics:
+        """Return what was gathered so far."""
+        return statistics_of(*self.sums(), self.leaf)
+
+
+def statistics_of(keys: Ints, counts: NDArray[np.uint32], sums: Floats, leaf: float) -> VoxelStatistics:
+    """Turn keys (V,), counts (V,) and sums (V, 14) of voxels into statistics."""
+    share = sums / counts[:, None]
+    offset = share[:, :3]
+    second = share[:, [3, 4, 5, 4, 6, 7, 5, 7, 8]].reshape(-1, 3, 3)
+    return VoxelStatistics(
+        keys=keys,
+        n=counts,
+        mean=(unpack_voxel_keys(keys) + 0.5) * leaf + offset,
+        covariance=second - offset[:, :, None] * offset[:, None, :],
+        intensity=share[:, 9].astype(np.float32),
+        view=share[:, 10:13],
+        reach=share[:, 13],
+    )
+
+
+def oriented_normals(xyz: Floats, view: Floats, neighbours: int, threads: int) -> Floats:
+    """Return unit normals (N, 3) that look towards the sensor; needs 5 points."""
+    cloud = small_gicp.PointCloud(np.ascontiguousarray(xyz))
+    small_gicp.estimate_normals(cloud, num_neighbors=neighbours, num_threads=threads)
+    normals = np.asarray(cloud.normals())[:, :3].copy()
+    normals[(normals * view).sum(axis=1) < 0] *= -1
+    return normals
+
+
+def fused_cloud(
+    accumulator: VoxelAccumulator,
+    config: FusionConfig,
+    threads: int,
+    project: Callable[[Floats], Floats],
+    rotate: Callable[[Floats, Floats], Floats],
+    crs: str | None,
+    spacing: float = 0.0,
+) -> PointCloud:
+    """Finish the map.
+
+    Parameters
+    ----------
+    accumulator : VoxelAccumulator
+    config : FusionConfig
+    threads : int
+    project : callable
+        Local points (N, 3) to the map's world coordinates.
+    rotate : callable
+        Local points and directions (N, 3) to directions in map axes.
+    crs : str or None
+    spacing : float
+        Of the beams, see :func:`subiaco_mapping.fusion.outliers.beam_spacing` [rad].
+
+    Returns
+    -------
+    PointCloud
+        With intensity, normals, ``n`` and ``spread``: the standard deviation of a voxel's points
+        along its normal [m], 0 where ``n`` is 1.
+
+    Raises
+    ------
+    InputError
+        Fewer than 10 voxels are left.
+    """
+    found = accumulator.statistics()
+    found = found.select(found.n >= config.min_points)
+    found = found.select(~lonely_points(found.mean, found.reach, spacing, config, threads))
+    if len(found) < 10:
+        raise InputError(f"fused map: {len(found)} points are left; check range limits and extrinsics")
+    normals = oriented_normals(found.mean, found.view, config.normal_neighbours, threads)
+    variance = np.einsum("ni,nij,nj->n", normals, found.covariance, normals)
+    return from_world(
+        project(found.mean),
+        crs,
+        intensity=found.intensity,
+        normals=rotate(found.mean, normals),
+        n=found.n,
+        spread=np.sqrt(np.maximum(variance, 0.0)).astype(np.float32),
+    )
+
+
+def within(xyz: Floats, max_range: float) -> NDArray[np.bool_]:
+    """Mark sensor points (N, 3) within a range [m]."""
+    return np.asarray((xyz * xyz).sum(axis=1) <= max_range**2)
+
+
+def add_scan(
+    accumulator: VoxelAccumulator, xyz: Floats, intensity: NDArray[np.float32], T_local_lidar: Floats
+) -> None:
+    """Add one deskewed scan (N, 3) in ``lidar_link`` from its pose."""
+    accumulator.add(transform_points(T_local_lidar, xyz), intensity, T_local_lidar[:3, 3])
+
+
+def walked_beams(
+    scan: SpooledScan, T_local_lidar: Floats, config: FusionConfig
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """Choose the beams of a scan that the visibility layer walks.
+
+    Parameters
+    ----------
+    scan : SpooledScan
+    T_local_lidar : (4, 4) float64
+        The local frame's z is up.
+    config : FusionConfig
+
+    Returns
+    -------
+    ends : (N, 3) float64
+        In ``lidar_link`` [m].
+    returned : (N,) bool
+        False where the beam met nothing up to its end.
+    """
+    hits, sky = scan.xyz[:: config.visibility_stride], scan.sky_xyz
+    rise = sky @ T_local_lidar[2, :3]
+    above = rise > np.sin(np.radians(config.sky_elevation_deg)) * np.linalg.norm(sky, axis=1)
+    ends = np.concatenate([hits, sky[above]])
+    return ends, np.arange(len(ends)) < len(hits)

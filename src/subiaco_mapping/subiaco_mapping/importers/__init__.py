@@ -1,0 +1,1 @@
+"""Recordings and logs of other formats to survey bags."""

@@ -1,0 +1,1 @@
+"""A bag before it is mapped: whether it is usable, and why not."""

@@ -1,0 +1,1 @@
+"""Places that were visited twice: found, registered and checked."""

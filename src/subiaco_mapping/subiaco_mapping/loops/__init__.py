@@ -1,1 +1,0 @@
-"""Places seen twice: submaps, their descriptors, registration, and what the graph thinks of it."""

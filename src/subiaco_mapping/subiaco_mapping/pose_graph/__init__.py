@@ -1,0 +1,1 @@
+"""Odometry, fixes and loops to one solution for all recordings."""

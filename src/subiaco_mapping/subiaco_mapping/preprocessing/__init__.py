@@ -1,0 +1,1 @@
+"""Packets and messages to scans with a time for every point, deskewed."""

@@ -1,0 +1,384 @@
+"""Ouster UDP packets to scans: columns keyed by frame and measurement id, never by arrival."""
+
+from __future__ import annotations
+
+import logging
+from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+from ouster.sdk import core
+
+from subiaco_geo.errors import InputError
+from subiaco_geo.frames import Floats, Ints
+from subiaco_mapping.config import DecodeConfig
+from subiaco_mapping.measurements import Returns, Scan
+from subiaco_mapping.preprocessing.sky import sky_mask, thinned
+
+logger = logging.getLogger(__name__)
+
+GPS_MINUS_TAI_S = -19
+RESTART_FRAMES = 600
+_MAX_PIXELS, _MAX_COLUMNS = 1024, 16384
+
+
+@dataclass
+class DecodeCounts:
+    """What came in and what did not.
+
+    ``lost`` counts packets that a closed frame lacked, whole frames included; ``late`` packets
+    came after their frame was closed, ``duplicate`` ones twice, ``reordered`` ones after a packet of
+    later columns, ``malformed`` ones had the wrong size.
+    """
+
+    packets: int = 0
+    lost: int = 0
+    late: int = 0
+    duplicate: int = 0
+    reordered: int = 0
+    malformed: int = 0
+    scans: int = 0
+    empty_scans: int = 0
+    bad_stamps: int = 0
+    restarts: int = 0
+
+
+@dataclass
+class _Frame:
+    """One open frame: staggered fields (H, W), column times and what was seen."""
+
+    number: int
+    fields: dict[str, NDArray[Any]]
+    times_ns: Ints
+    seen: NDArray[np.bool_]
+    valid: NDArray[np.bool_]
+    newer_packets: int = 0
+
+
+@dataclass(frozen=True)
+class _Layout:
+    """What the metadata says about a packet and a frame."""
+
+    info: Any
+    packets: Any
+    height: int
+    width: int
+    direction: Floats = field(repr=False)
+    offset: Floats = field(repr=False)
+    expected: NDArray[np.bool_] = field(repr=False)
+    azimuth_column: Ints = field(repr=False)
+    column_ns: float = 0.0
+
+
+def parse_metadata(text: str) -> Any:
+    """Return the SDK's ``SensorInfo`` of a metadata text.
+
+    Raises
+    ------
+    InputError
+        The text is not Ouster metadata.
+    """
+    try:
+        return core.SensorInfo(text)
+    except (RuntimeError, ValueError) as error:
+        first = str(error).splitlines()[0]
+        raise InputError(
+            f"/ouster/metadata: not Ouster sensor metadata ({first}); "
+            "record the sensor's JSON with the packets or pass the right one"
+        ) from error
+
+
+def expected_columns(info: Any) -> NDArray[np.bool_]:
+    """Mark (W,) the columns that the sensor sends: packets that touch its azimuth window."""
+    width, per_packet = info.format.columns_per_frame, info.format.columns_per_packet
+    start, end = info.format.column_window
+    column = np.arange(width)
+    inside = (column >= start) & (column <= end) if start <= end else (column >= start) | (column <= end)
+    return np.asarray(np.repeat(inside.reshape(-1, per_packet).any(axis=1), per_packet))
+
+
+def _refuse_impossible(form: Any) -> None:
+    """Refuse sizes of no sensor, before tables of that size are made."""
+    height, width, per_packet = form.pixels_per_column, form.columns_per_frame, form.columns_per_packet
+    sound = (
+        0 < height <= _MAX_PIXELS
+        and 0 < per_packet <= width <= _MAX_COLUMNS
+        and width % per_packet == 0
+        and len(form.pixel_shift_by_row) == height
+        and form.fps > 0
+    )
+    if not sound:
+        raise InputError(
+            f"/ouster/metadata: {height} x {width} pixels in packets of {per_packet} columns "
+            "make no sense; record the sensor's JSON with the packets or pass the right one"
+        )
+
+
+def _layout(text: str) -> _Layout:
+    try:
+        return _layout_of(parse_metadata(text))
+    except (RuntimeError, ValueError, IndexError, TypeError) as error:
+        first = " ".join(str(error).split())
+        raise InputError(
+            f"/ouster/metadata: contradicts itself ({first}); "
+            "record the sensor's JSON with the packets or pass the right one"
+        ) from error
+
+
+def _layout_of(info: Any) -> _Layout:
+    _refuse_impossible(info.format)
+    height, width = info.format.pixels_per_column, info.format.columns_per_frame
+    lut = core.XYZLut(info, use_extrinsics=False)
+    return _Layout(
+        info=info,
+        packets=core.PacketFormat(info),
+        height=height,
+        width=width,
+        direction=np.ascontiguousarray(lut.direction, dtype=np.float64).reshape(-1, 3),
+        offset=np.ascontiguousarray(lut.offset, dtype=np.float64).reshape(-1, 3),
+        expected=expected_columns(info),
+        azimuth_column=(np.arange(width) - np.array(info.format.pixel_shift_by_row)[:, None]) % width,
+        column_ns=1e9 / (info.format.fps * width),
+    )
+
+
+def complete_times(
+    times_ns: Ints, known: NDArray[np.bool_], column_ns: float, tolerance_ns: int
+) -> tuple[Ints, int]:
+    """Fill in the column times of a frame from the measurement ids.
+
+    Parameters
+    ----------
+    times_ns : (W,) int64
+    known : (W,) bool
+        Columns that carry a time; at least one.
+    column_ns : float
+        Nominal time from one column to the next [ns].
+    tolerance_ns : int
+        A known time farther from the frame's line (zeroed, jumped) is treated as missing [ns].
+
+    Returns
+    -------
+    times_ns : (W,) int64
+        Linear between known columns, nominal spacing beyond them.
+    bad : int
+        Known times that were replaced.
+    """
+    column = np.arange(len(times_ns))
+    usable = known & (times_ns > 0)
+    if not usable.any():
+        raise ValueError("no column carries a time")
+    base = int(times_ns[usable][0])
+    relative = (times_ns - base).astype(np.float64)
+    residual = relative - column * column_ns
+    # a median that is one of the values: where the clock steps in the very middle, half of them stay
+    middle = np.quantile(residual[usable], 0.5, method="lower")
+    usable &= np.abs(residual - middle) <= tolerance_ns
+    index = np.flatnonzero(usable)
+    filled = np.interp(column, index, relative[index])
+    before, after = column < index[0], column > index[-1]
+    filled[before] = relative[index[0]] - (index[0] - column[before]) * column_ns
+    filled[after] = relative[index[-1]] + (column[after] - index[-1]) * column_ns
+    exact = np.where(usable, times_ns, base + np.round(filled).astype(np.int64))
+    return exact.astype(np.int64), int(known.sum() - usable.sum())
+
+
+def utc_shift_ns(config: DecodeConfig) -> int:
+    """Return what makes UTC of the sensor's time [ns]."""
+    shift_s = {"utc": 0, "tai": -config.leap_seconds}
+    shift_s["gps"] = shift_s["tai"] - GPS_MINUS_TAI_S
+    return shift_s[config.time_base] * 10**9 + config.time_offset_ns
+
+
+class PacketDecoder:
+    """Collect packets into scans in ``lidar_link``, the frame of the SDK's XYZ tables.
+
+    Parameters
+    ----------
+    metadata_json : str
+        Sensor metadata as the SDK writes it.
+    config : DecodeConfig
+    """
+
+    def __init__(self, metadata_json: str, config: DecodeConfig) -> None:
+        self._config = config
+        self._layout = _layout(metadata_json)
+        self._open: dict[int, _Frame] = {}
+        self._newest: int | None = None
+        self._closed: int | None = None
+        self._init_id: int | None = None
+        self._latest = (-1, -1)  # frame and column
+        self.counts = DecodeCounts()
+
+    @property
+    def packet_size(self) -> int:
+        """Bytes of one packet."""
+        return int(self._layout.packets.lidar_packet_size)
+
+    def push(self, buf: bytes | memoryview) -> list[Scan]:
+        """Take one packet; return the scans that it completes, oldest first."""
+        self.counts.packets += 1
+        data = np.frombuffer(buf, dtype=np.uint8)
+        if len(data) != self.packet_size:
+            self.counts.malformed += 1
+            return []
+        scans = self._restart_if_new_session(data)
+        number = self._unwrap(int(self._layout.packets.frame_id(data)))
+        if self._newest is not None and abs(number - self._newest) > RESTART_FRAMES:
+            scans += self._restart()
+            number = int(self._layout.packets.frame_id(data))
+        if self._closed is not None and number <= self._closed:
+            self.counts.late += 1
+            return scans
+        self._newest = number if self._newest is None else max(self._newest, number)
+        if number not in self._open:
+            self._open[number] = self._new_frame(number)
+        self._store(self._open[number], data)
+        return scans + self._close_ready(number)
+
+    def flush(self) -> list[Scan]:
+        """Close every open frame; return their scans, oldest first."""
+        scans = [self._close(number) for number in sorted(self._open)]
+        return [scan for scan in scans if scan is not None]
+
+    def _restart(self) -> list[Scan]:
+        scans = self.flush()
+        self._closed = self._newest = None
+        self._latest = (-1, -1)
+        self.counts.restarts += 1
+        logger.warning("the sensor restarted its frame count; a new run of frames begins")
+        return scans
+
+    def _restart_if_new_session(self, data: NDArray[np.uint8]) -> list[Scan]:
+        init_id = int(self._layout.packets.init_id(data))
+        changed = self._init_id is not None and init_id != self._init_id
+        self._init_id = init_id
+        return self._restart() if changed else []
+
+    def _unwrap(self, frame_id: int) -> int:
+        if self._newest is None:
+            return frame_id
+        modulus = int(self._layout.packets.max_frame_id) + 1
+        step = (frame_id - self._newest + modulus // 2) % modulus - modulus // 2
+        return self._newest + step
+
+    def _new_frame(self, number: int) -> _Frame:
+        layout = self._layout
+        names = [
+            n for n in ("RANGE", "REFLECTIVITY", "RANGE2", "REFLECTIVITY2") if n in layout.packets.fields
+        ]
+        shape = (layout.height, layout.width)
+        return _Frame(
+            number=number,
+            fields={name: np.zeros(shape, dtype=np.uint32) for name in names},
+            times_ns=np.zeros(layout.width, dtype=np.int64),
+            seen=np.zeros(layout.width, dtype=np.bool_),
+            valid=np.zeros(layout.width, dtype=np.bool_),
+        )
+
+    def _store(self, frame: _Frame, data: NDArray[np.uint8]) -> None:
+        packets = self._layout.packets
+        column = packets.packet_header(core.ColHeader.MEASUREMENT_ID, data).astype(np.int64)
+        if column.max() >= self._layout.width:
+            self.counts.malformed += 1
+            return
+        if frame.seen[column].all():
+            self.counts.duplicate += 1
+            return
+        place = (frame.number, int(column[0]))
+        self.counts.reordered += place < self._latest
+        self._latest = max(place, self._latest)
+        status = packets.packet_header(core.ColHeader.STATUS, data)
+        valid = (status.astype(np.int64) & 1) == 1
+        frame.seen[column] = True
+        frame.valid[column] = valid
+        frame.times_ns[column] = packets.packet_header(core.ColHeader.TIMESTAMP, data).astype(np.int64)
+        whole = bool(valid.all()) and int(column[-1] - column[0]) == len(column) - 1
+        for name, values in frame.fields.items():
+            if whole:  # the rule: one block instead of scattered columns
+                values[:, column[0] : column[-1] + 1] = packets.packet_field(name, data)
+            else:
+                values[:, column[valid]] = packets.packet_field(name, data)[:, valid]
+
+    def _close_ready(self, number: int) -> list[Scan]:
+        """Close frames that are complete, or that newer packets have left behind."""
+        scans = []
+        for older in sorted(n for n in self._open if n < number):
+            self._open[older].newer_packets += 1
+        for candidate in sorted(self._open):
+            frame = self._open[candidate]
+            complete = bool(frame.seen[self._layout.expected].all())
+            if not complete and frame.newer_packets <= self._config.reorder_packets:
+                break
+            scans.append(self._close(candidate))
+        return [scan for scan in scans if scan is not None]
+
+    def _close(self, number: int) -> Scan | None:
+        frame = self._open.pop(number)
+        per_packet = self._layout.info.format.columns_per_packet
+        missing = int((self._layout.expected & ~frame.seen).sum())
+        self.counts.lost += missing // per_packet
+        if self._closed is not None and number > self._closed + 1:
+            whole = int(self._layout.expected.sum()) // per_packet
+            self.counts.lost += (number - self._closed - 1) * whole
+        self._closed = number
+        if not (frame.valid & (frame.times_ns > 0)).any():
+            self.counts.empty_scans += 1
+            logger.warning("frame %d has no valid column; dropped", number)
+            return None
+        self.counts.scans += 1
+        return self._scan(frame, missing)
+
+    def _utc(self, times_ns: Ints) -> Ints:
+        return np.asarray(times_ns + utc_shift_ns(self._config))
+
+    def _scan(self, frame: _Frame, missing: int) -> Scan:
+        times_ns, bad = complete_times(
+            frame.times_ns, frame.valid, self._layout.column_ns, self._config.stamp_tolerance_ns
+        )
+        self.counts.bad_stamps += bad
+        utc_ns = self._utc(times_ns)
+        sent = np.flatnonzero(self._layout.expected)
+        second = self._returns(frame, "RANGE2", "REFLECTIVITY2", utc_ns) if "RANGE2" in frame.fields else None
+        return Scan(
+            start_ns=int(utc_ns[sent[0]]),
+            end_ns=int(utc_ns[sent[-1]]),
+            first=self._returns(frame, "RANGE", "REFLECTIVITY", utc_ns),
+            last=second,
+            sky=self._sky(frame, utc_ns) if self._config.sky_range > 0 else None,
+            columns=len(sent),
+            lost_columns=missing,
+            frame_id=frame.number,
+        )
+
+    def _returns(self, frame: _Frame, range_name: str, intensity_name: str, times_ns: Ints) -> Returns:
+        """Return the points of one return; ranges are in millimetres in the packet."""
+        distance = frame.fields[range_name]
+        near, far = self._config.min_range * 1e3, self._config.max_range * 1e3
+        row, column = np.nonzero((distance > 0) & (distance >= near) & (distance <= far))
+        xyz = self._points(row, column, distance[row, column].astype(np.float64))
+        intensity = frame.fields.get(intensity_name)
+        values = np.zeros(len(row)) if intensity is None else intensity[row, column]
+        ring = row.astype(np.uint16)
+        return Returns(xyz, times_ns[column], values.astype(np.float32), ring, column, times_ns)
+
+    def _points(self, row: Ints, column: Ints, reach_mm: Floats | float) -> Floats:
+        """Return where beams (N,) are at a range [mm], (N, 3) [m]."""
+        pixel = row * self._layout.width + column
+        along = np.broadcast_to(reach_mm, row.shape)[:, None]
+        xyz = self._layout.direction.take(pixel, axis=0)
+        xyz *= along
+        xyz += self._layout.offset.take(pixel, axis=0)
+        return xyz
+
+    def _sky(self, frame: _Frame, times_ns: Ints) -> Returns:
+        """Return where a lattice of the beams that met nothing would be at ``sky_range``."""
+        ring = np.arange(self._layout.height)[:, None]
+        staggered = self._layout.azimuth_column
+        mask = sky_mask(frame.fields["RANGE"][ring, staggered] > 0, frame.valid[staggered])
+        row, azimuth = thinned(mask, frame.number)
+        column = staggered[row, azimuth]
+        xyz = self._points(row, column, self._config.sky_range * 1e3)
+        nothing = np.zeros(len(row), np.float32)
+        return Returns(xyz, times_ns[column], nothing, row.astype(np.uint16), column, times_ns)

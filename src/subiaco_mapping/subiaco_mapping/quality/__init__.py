@@ -1,1 +1,0 @@
-"""How good a map is, told to the surveyor who has to sign it."""
