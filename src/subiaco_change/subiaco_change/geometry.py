@@ -1,4 +1,4 @@
-"""Neighbourhoods of points: a column index, normals, nearest points, outliers, the pyramid."""
+"""Neighbourhoods of points: column index, normals, nearest points, outliers, pyramid."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""More than two epochs: one identity an object, from when to when it was seen."""
+"""History of objects over more than two epochs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The change job from two paths to a change directory: what the command and the node both run."""
+"""The change job from two paths to a change directory, for the command and the node alike."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From two survey maps to everything that changed between them, as one recipe."""
+"""The recipe of the change run: from two survey maps to everything that changed between them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the change stage hands on: codes, one record an object, and the whole result."""
+"""Results of the change run: one record an object, and the whole result."""
 
 from __future__ import annotations
 

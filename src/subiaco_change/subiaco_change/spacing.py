@@ -1,4 +1,4 @@
-"""How far apart the points of a cloud lie on its surfaces: the length that neighbourhoods follow."""
+"""Point spacing of a cloud on its surfaces, which scales all neighbourhoods."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Lengths of the configuration, raised to what a pair of clouds can show (Decision 7).
+"""Lengths of the configuration raised to what the density of a pair can show (Decision 7).
 
 A cell, a voxel or a clustering distance below the spacing of a cloud holds a point or none, so that
 nothing touches anything. Every length serves clouds up to the spacing that the configuration names;

@@ -1,4 +1,4 @@
-"""What an epoch could see: only there does the absence of something mean that it is gone."""
+"""Evidence of free space: which places of a map the other epoch could see, and how surely they were free."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What every part and every Decision is worth: each turned off in turn, scored against truth."""
+"""Ablation study: every component and every Decision switched off in turn and scored against truth."""
 
 from __future__ import annotations
 

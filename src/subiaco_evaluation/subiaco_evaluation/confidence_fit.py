@@ -1,4 +1,4 @@
-"""Fitting the confidence of table rows to what turned out right."""
+"""Fit of the confidence of table rows to the labels that were right."""
 
 from __future__ import annotations
 

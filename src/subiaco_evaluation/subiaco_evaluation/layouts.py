@@ -1,4 +1,4 @@
-"""What can be scored: our change directories, labels by other methods, the published files."""
+"""Layouts that can be scored: our change directories, labels of other methods, the published files."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Is one method better than another on the same places? Paired bootstrap over tiles."""
+"""Paired bootstrap over tiles, which tells whether one method is better than another on the same places."""
 
 from __future__ import annotations
 

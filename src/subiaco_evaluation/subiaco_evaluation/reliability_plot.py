@@ -1,4 +1,4 @@
-"""Picture of how often labels of a confidence were right."""
+"""Reliability plot: share of right labels by stated confidence."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``evaluation.json`` and a page of it that people read."""
+"""``evaluation.json`` and its readable page."""
 
 from __future__ import annotations
 

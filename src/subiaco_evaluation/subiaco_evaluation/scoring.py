@@ -1,4 +1,4 @@
-"""Scores against a truth by the published protocol, and what the protocol leaves out."""
+"""Scores against a truth by the published protocol, and by object."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ground floor: point clouds, frames, coordinate systems, files, configuration, errors.
+"""Base package: point clouds, frames, coordinate systems, files, configuration, errors.
 
 No ROS and no SLAM library is imported here; every other room builds on this one.
 """

@@ -1,4 +1,4 @@
-"""The point cloud that every room hands to the next."""
+"""The point cloud type of all packages."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Who works on an output: a second run waits for nobody, and what a killed run left is swept away.
+"""Locks on outputs, and removal of what killed runs left.
 
 Locks are those of ``flock(2)``: they end with the process that holds them, however it ends.
 """

@@ -1,4 +1,4 @@
-"""When a voxel was looked at: short time windows in which it returned something or was looked through.
+"""Observation times of voxels: time windows in which a voxel returned a beam or was crossed by one.
 
 A window in which any beam returned from a voxel is a *hit window*; one in which nothing returned although
 enough beams went through is a *through window*. Both are *looks*. Consecutive hit windows, with no look

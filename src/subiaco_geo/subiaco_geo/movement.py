@@ -1,4 +1,4 @@
-"""Moving or static, by the times of beams: hits among looks, voxel by voxel and over connected components.
+"""Moving or standing: probability by voxel and connected component, from the times of hits and passes.
 
 A thing that stands is hit whenever it is looked at, or, where it is thin or porous, in a share of the looks,
 again and again. Something that moved is hit in one short run of looks, or in a few runs where a queue crawls,

@@ -1,4 +1,4 @@
-"""Walking beams through a sparse voxel grid: which voxels returned light, which let it pass."""
+"""Ray casting through a sparse voxel grid: voxels that returned a beam, and voxels it crossed."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What one epoch is to those that work with it: cloud, trajectory, visibility, uncertainty."""
+"""The survey map of one epoch: cloud, trajectory, visibility, uncertainty."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How well every tile of a map is placed, from the covariances of the poses near the tile."""
+"""Uncertainty of every tile of a map, from the covariances of the poses near it."""
 
 from __future__ import annotations
 

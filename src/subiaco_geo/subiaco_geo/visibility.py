@@ -1,4 +1,4 @@
-"""What a survey saw: hits and passes per voxel, the evidence for *gone* against *not seen*."""
+"""The visibility layer: hits and passes of beams per voxel."""
 
 from __future__ import annotations
 

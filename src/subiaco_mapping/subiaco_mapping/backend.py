@@ -1,4 +1,4 @@
-"""From registered scans and fixes to one map: collect, solve, fuse."""
+"""The mapping back end: collects scans and fixes, solves the pose graph, fuses the map."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A map against surveyed control points: residuals, and the accuracy figures people sign."""
+"""Control points: residuals of a map, and the accuracy figures that surveyors sign."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Stretches of a survey that should be inspected, by time and distance."""
+"""The manifest: stretches of a survey that need attention, by time and distance."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Bags whose topics carry the names that a vehicle's drivers gave them."""
+"""Bags whose topics have the names of a vehicle's drivers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Bags of one epoch to one survey map, in process: the steps that the nodes run."""
+"""The mapping pipeline: bags of one epoch to one survey map, in one process."""
 
 from __future__ import annotations
 
@@ -208,8 +208,8 @@ def map_survey(
     progress : callable, optional
         Told stage and fraction.
     journal : Path, optional
-        Folder for the work of this run (:mod:`subiaco_mapping.checkpoint.checkpoint`); it stays there, so that a
-        run that is killed can go on. Without one, work goes to a temporary folder.
+        Folder for the checkpoint of this run (:mod:`subiaco_mapping.checkpoint.checkpoint`); it stays
+        there, so that a run that is killed can go on. Without one, work goes to a temporary folder.
     resume : bool
         Go on with what the journal holds; recordings that are done are not read again.
     workers : int

@@ -1,4 +1,4 @@
-"""Recordings of one survey, read beside each other by worker processes."""
+"""Recordings of one survey, read in parallel by worker processes."""
 
 from __future__ import annotations
 

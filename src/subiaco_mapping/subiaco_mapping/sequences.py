@@ -1,4 +1,4 @@
-"""What one recording has brought so far."""
+"""Everything that one recording has contributed so far."""
 
 from __future__ import annotations
 

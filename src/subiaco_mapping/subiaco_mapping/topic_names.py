@@ -1,4 +1,4 @@
-"""Names that drivers give to the topics: a vehicle's differ from ours."""
+"""Topic names of drivers, mapped to ours."""
 
 from __future__ import annotations
 

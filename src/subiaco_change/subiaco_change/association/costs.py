@@ -1,4 +1,4 @@
-"""What it costs to call two objects one (method, part D, Decisions 8 and 11)."""
+"""Cost of matching two objects (method, part D, Decisions 8 and 11)."""
 
 from __future__ import annotations
 

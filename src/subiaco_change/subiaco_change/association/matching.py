@@ -1,4 +1,4 @@
-"""Which object of one epoch is which of the other (method, part D, Decisions 8 to 11)."""
+"""Matching of the objects of two epochs (method, part D, Decisions 8 to 11)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How many voxels of one object lie in another."""
+"""Number of voxels that two objects share."""
 
 from __future__ import annotations
 

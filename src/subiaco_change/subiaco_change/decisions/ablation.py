@@ -1,4 +1,4 @@
-"""Parts of the method left out, one at a time, as the paper's ablation does."""
+"""Ablation: parts of the method switched off one at a time, as in the paper."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How surely the places of an object are free in the other epoch: what beams prove about what they crossed.
+"""Certainty that an object is absent in the other epoch, from the beams that crossed its place.
 
 A beam that crosses the place of a wall proves that the wall is gone; one that crosses the place of a hedge
 may have found a gap. How many of its own survey's beams the object let by tells which of the two it is.

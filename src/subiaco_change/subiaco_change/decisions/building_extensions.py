@@ -1,4 +1,4 @@
-"""Which unmatched buildings are wings of a matched one: built onto it, or taken from it."""
+"""Building extensions: unmatched buildings that were built onto a matched one, or removed from it."""
 
 from __future__ import annotations
 

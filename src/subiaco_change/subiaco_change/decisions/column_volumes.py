@@ -1,4 +1,4 @@
-"""Volumes between the ground and the tops of objects, in columns that both epochs know (Decision 13)."""
+"""Volumes between the ground and the tops of objects, in columns that both epochs observed (Decision 13)."""
 
 from __future__ import annotations
 

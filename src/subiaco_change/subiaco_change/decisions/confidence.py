@@ -1,4 +1,4 @@
-"""How far to trust a row: the paper's score, and a calibrated probability (method, Decision 15)."""
+"""Confidence of a row: the paper's score, and a calibrated probability (method, Decisions 15 and 19)."""
 
 from __future__ import annotations
 

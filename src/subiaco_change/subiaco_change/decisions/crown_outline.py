@@ -1,4 +1,4 @@
-"""How far the outline of a crown moved, told direction by direction.
+"""Shift of the outline of a crown, direction by direction.
 
 Two drives see different leaves of one tree, from different sides and with
 different densities. Voxels that are occupied in one epoch alone then say

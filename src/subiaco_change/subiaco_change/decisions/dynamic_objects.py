@@ -1,4 +1,4 @@
-"""Ghost trails of objects that moved while they were mapped (method, part A, *moving things*).
+"""Ghost trails of moving objects, distinguished from standing objects by the beams that crossed them.
 
 Trails that the semantics did not detect look like plants, walls or fragments of one epoch alone. Their own
 survey saw them pass: beams went through each place before and after. But beams also graze what is thinner

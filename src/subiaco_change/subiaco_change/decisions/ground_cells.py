@@ -1,4 +1,4 @@
-"""Ground of two epochs differenced cell by cell."""
+"""Height differences of the ground, cell by cell."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Changes of the ground: cells of 0.5 m, contiguous patches, a 2 m raster (method, Decisions 3 and 12)."""
+"""Changes of the ground: cells of 0.5 m, connected patches, a raster of 2 m (method, Decisions 3 and 12)."""
 
 from __future__ import annotations
 

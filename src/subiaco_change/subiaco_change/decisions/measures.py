@@ -1,4 +1,4 @@
-"""What two matched objects differ by (method, part E, Decision 13)."""
+"""Measures of two matched objects: height, volume, displacement, overlap (method, part E, Decision 13)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Objects of two epochs in one frame -> matched, measured, decided."""
+"""Objects of two epochs in one frame, matched, measured and decided."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""One object of two epochs, its parts matched: measured, and decided."""
+"""Decision on one object: its matched parts measured and labelled."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Deciding a plant that both epochs hold against the unchanged plants of the pair (method, Decision 18)."""
+"""Decision on a plant that both epochs contain, against the unchanged plants of the pair (Decision 18)."""
 
 from __future__ import annotations
 

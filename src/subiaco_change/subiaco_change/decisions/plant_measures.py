@@ -1,4 +1,4 @@
-"""What two epochs say of one plant, at equal point density (method, Decision 18)."""
+"""Measures of one plant in both epochs at equal point density (method, Decision 18)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Every point gets the label of its object, or of its ground."""
+"""Change label of every point: that of its object, or of its ground cell."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From measures to a label, with the reason in words (method, part E)."""
+"""Decision rules: from measures to a label, with the reason in words (method, part E)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Volumes and heights of buildings by space carving, as intervals (method, Decision 17).
+"""Changes of volume and height of buildings by space carving, as intervals (method, Decision 17).
 
 The envelope of an object in both epochs is cut into cells. In each epoch a cell is solid, free or unknown:
 

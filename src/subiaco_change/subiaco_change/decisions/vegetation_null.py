@@ -1,4 +1,4 @@
-"""What the plants of a pair that did not change differ by: the null distribution of every claim about one.
+"""Null distribution of vegetation: how plants that did not change differ between the epochs (Decision 18).
 
 Another sensor, another lane or another week of leaves moves the outline of every crown of a pair a little.
 Most crowns did not change between two surveys. So the crowns themselves tell how far an unchanged crown of

@@ -1,4 +1,4 @@
-"""The objects of one epoch as 0.5 m voxels, with what the other epoch knows of each voxel."""
+"""Objects as 0.5 m voxels, each with what the other epoch knows of it: occupied, free or unknown."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Sections of a hedge that grew or were trimmed, where two hedges or more are one instance."""
+"""Sections of a hedge that grew or were trimmed, where one instance holds several hedges."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What either epoch tells apart is told apart in both: two houses in one, crowns grown into each other."""
+"""Instances that are separate in one epoch and merged in the other: split in both."""
 
 from __future__ import annotations
 

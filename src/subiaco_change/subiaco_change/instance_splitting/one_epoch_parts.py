@@ -1,4 +1,4 @@
-"""Parts of an instance that stand in one epoch alone: a new hedge at an old one, a house gone from a row."""
+"""Parts of an instance that exist in one epoch only, split off as objects of their own."""
 
 from __future__ import annotations
 

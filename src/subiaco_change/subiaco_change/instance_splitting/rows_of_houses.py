@@ -1,4 +1,4 @@
-"""Houses of a row that the two epochs part at other walls, or not at all: told apart by what either shows."""
+"""Row houses that the two epochs split at different walls, split at the walls that either epoch shows."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Objects told apart, joined and decided anew once all of a place are known."""
+"""Splitting and merging of instances after all objects of a place are known."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Parts of a vehicle that stand in one epoch alone, and are no vehicles (method, part E, *mobile*).
+"""Parts of a vehicle instance that exist in one epoch only and are no vehicles.
 
 Where another vehicle stands in the place of the first, it is longer or higher by something; and of what
 stood still, one epoch may have seen an end that the other only grazed.

@@ -1,4 +1,4 @@
-"""What is removed and stated beyond the rigid transform of two epochs, and how it is reported."""
+"""Corrections beyond the rigid transform of two epochs, and how they are reported."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Both epochs about one origin, in the frame of *after*, and back."""
+"""Common frame of both epochs: one origin, axes of *after*, and the way back."""
 
 from __future__ import annotations
 

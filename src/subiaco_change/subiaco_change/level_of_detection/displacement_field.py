@@ -1,4 +1,4 @@
-"""Displacements that vary slowly over the ground: nodes at the centres of square blocks, linear between."""
+"""Smooth displacement field: nodes at the centres of square blocks, linear in between."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Level of detection: the smallest displacement that is distinguishable from noise."""
+"""Level of detection of displacements, point by point (method, part B7)."""
 
 from __future__ import annotations
 

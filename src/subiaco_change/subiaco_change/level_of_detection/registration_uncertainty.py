@@ -1,4 +1,4 @@
-"""How far the registration can be trusted, place by place: sigma_reg as a field (method, Decision 2)."""
+"""Uncertainty of the registration as a field over the map (method, Decision 2)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The long-wavelength height difference between two epochs, found and removed (method, Decision 3)."""
+"""Long-wavelength height difference between two epochs, estimated and removed (method, Decision 3)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Reading a change directory back."""
+"""Reading of a change directory."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The change directory: everything a change run found, written whole or not at all."""
+"""The change directory: every file of a change run, written whole or not at all."""
 
 from __future__ import annotations
 

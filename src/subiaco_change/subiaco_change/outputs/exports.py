@@ -1,4 +1,4 @@
-"""A change directory in the forms that other programs ask for."""
+"""Exports of a change directory to formats of other programs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Changes by parcel: what owners and councils ask, one row for every lot."""
+"""Changes by parcel: one row for every lot."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How far a fitted pose can be trusted: from its Hessian and from blocks of residuals."""
+"""Trust in a fitted pose: from its Hessian and from blocks of residuals."""
 
 from __future__ import annotations
 

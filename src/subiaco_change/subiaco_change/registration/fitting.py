@@ -1,4 +1,4 @@
-"""One fit: prepare both epochs, refine a start pose, judge what came out."""
+"""One fit: prepare both epochs, refine a start pose, check the result."""
 
 from __future__ import annotations
 

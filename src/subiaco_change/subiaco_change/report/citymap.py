@@ -1,4 +1,4 @@
-"""The map on top of the report: a picture of the city under footprints that can be clicked."""
+"""The map on top of the report: a picture of the city under clickable footprints."""
 
 from __future__ import annotations
 

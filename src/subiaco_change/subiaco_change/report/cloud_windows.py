@@ -1,4 +1,4 @@
-"""What the pages need of both labelled clouds, gathered in one pass; windows of them are read on demand."""
+"""Parts of both labelled clouds that the pages need, gathered in one pass."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Top views as colours: intensity, height, class, object and change."""
+"""Colours of top views: intensity, height, class, object and change."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The evidence of one row as a small picture: before, after and difference, in plan and in section."""
+"""Evidence pictures of one row: before, after and difference, in plan and in section."""
 
 from __future__ import annotations
 

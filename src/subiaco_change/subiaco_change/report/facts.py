@@ -1,4 +1,4 @@
-"""What a change directory says, as numbers and texts that a page can show."""
+"""Figures and texts of a change directory for its pages."""
 
 from __future__ import annotations
 

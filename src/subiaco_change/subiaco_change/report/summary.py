@@ -1,4 +1,4 @@
-"""``summary.html``: two pages for people who read no tables."""
+"""``summary.html``: two pages for readers who need no table."""
 
 from __future__ import annotations
 

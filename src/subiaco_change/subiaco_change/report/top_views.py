@@ -1,4 +1,4 @@
-"""Fast top views of point clouds: which point is seen from above, per pixel."""
+"""Top views of point clouds: the highest point of every pixel."""
 
 from __future__ import annotations
 

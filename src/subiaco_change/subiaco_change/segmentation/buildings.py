@@ -1,4 +1,4 @@
-"""Facades, roofs, and the small parts that hang on them (method, part C3)."""
+"""Building class: facades, roofs, and the small parts attached to them (method, part C3)."""
 
 from __future__ import annotations
 

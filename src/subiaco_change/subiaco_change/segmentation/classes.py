@@ -1,4 +1,4 @@
-"""Ground, building, vegetation, mobile, other, without training data (method, part C3)."""
+"""Class of every superpoint without training data: ground, building, vegetation, mobile, other."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Euclidean clusters as connected voxels or cells: linear, deterministic, fast."""
+"""Euclidean clusters as connected components of voxels or cells, in linear time."""
 
 from __future__ import annotations
 

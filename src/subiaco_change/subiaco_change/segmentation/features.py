@@ -1,4 +1,4 @@
-"""Neighbours, eigen-features and normals of every point (method, part C1)."""
+"""Neighbours, eigenvalue features and normals of every point (method, part C1)."""
 
 from __future__ import annotations
 

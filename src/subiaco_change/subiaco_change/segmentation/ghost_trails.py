@@ -1,4 +1,4 @@
-"""Ghost trails of objects that moved during the survey (method, part A, *moving things*).
+"""Ghost trails of moving vehicles in one map (method, part A).
 
 A fused map shows moving vehicles and people as ghost trails above the road. A static object
 returns about as many beams as pass it; a moving object occupies a voxel for a moment only, so that

@@ -1,4 +1,4 @@
-"""Local ground model: a raster that follows crossfall, kerbs and drives (method, part C3)."""
+"""Local ground model: a raster that follows crossfall, kerbs and driveways (method, part C3)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Steps along a row of things, seen in how high they reach (method, part C4)."""
+"""Steps in height along a row of objects (method, part C4)."""
 
 from __future__ import annotations
 

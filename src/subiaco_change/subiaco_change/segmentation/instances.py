@@ -1,4 +1,4 @@
-"""Objects of every class: buildings, plants, vehicles, other things (method, part C4)."""
+"""Object instances of every class: buildings, plants, vehicles, other objects (method, part C4)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Rows of parked cars: parted at the gaps between bumpers, or between doors (method, part C4)."""
+"""Rows of parked cars, split at the gaps between bumpers or doors (method, part C4)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Wide surfaces that end in a drop all around: roofs and decks that a local ground filter takes for ground.
+"""Roofs and decks that a local ground filter takes for ground: wide surfaces that end in a drop.
 
 An opening tells a roof from the ground as far as its window reaches, and so does a tile as far as it
 sees. A hall wider than both looks like a plain. What tells it is its edge: ground goes on, is cut off by

@@ -1,4 +1,4 @@
-"""Houses wall to wall: parted where their tops step from one level to another (method, part C4)."""
+"""Row houses of one epoch, split where their heights step from one level to another (method, part C4)."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Cars among the rest, trucks among the buildings, and the sheds that are neither (method, part C3)."""
+"""Vehicle class: cars among other objects, trucks among buildings, and sheds that are neither."""
 
 from __future__ import annotations
 

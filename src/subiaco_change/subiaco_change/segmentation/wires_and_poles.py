@@ -1,4 +1,4 @@
-"""Wires and poles: straight, slender things, told at the scale over which they are longer than thick.
+"""Wires and poles: straight and slender objects, found at the scale where they are longer than wide.
 
 At the scale of the eigen-features a bundle of wires is as rough as a crown, and a pole is one point a
 layer. So wires are looked for among means of cells over a few metres, poles among columns of layers;

@@ -1,4 +1,4 @@
-"""What both epochs lie apart beyond the rigid transform, tile by tile, and what can be told apart then.
+"""Stage: corrections beyond the rigid transform, and the level of detection that follows.
 
 Tiles hand up medians and residuals, a few hundred numbers each; smooth fields over the whole city
 come of them; every tile then gets its level of detection.

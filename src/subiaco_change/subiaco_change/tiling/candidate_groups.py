@@ -1,4 +1,4 @@
-"""Which objects can have to do with each other: groups that no rule of the comparison reaches beyond."""
+"""Candidate groups: objects that may interact in the comparison; different groups are independent."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Two epochs in tiles: cut, registered, labelled each by itself, and cut anew in the common frame."""
+"""Stages of both epochs before the comparison: tiling, registration, segmentation, retiling."""
 
 from __future__ import annotations
 

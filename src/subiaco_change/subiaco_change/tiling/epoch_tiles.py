@@ -1,4 +1,4 @@
-"""Epochs cut into tiles, points and beams alike, and put together again around a place."""
+"""Epochs cut into tiles, points and beams alike, and assembled again around a place."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What an epoch saw, tile by tile: rendered where its poses are, put together around a place."""
+"""Stage: expected visibility of an epoch, rendered around its poses tile by tile."""
 
 from __future__ import annotations
 

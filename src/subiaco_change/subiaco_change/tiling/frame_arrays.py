@@ -1,4 +1,4 @@
-"""The common frame between tasks: registration and smooth corrections as arrays, and back."""
+"""The common frame as arrays that tasks hand to each other."""
 
 from __future__ import annotations
 

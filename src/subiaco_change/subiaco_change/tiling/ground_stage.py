@@ -1,4 +1,4 @@
-"""Changes of the ground over tiles: differences of cells, and patches that go on from tile to tile."""
+"""Stage: changes of the ground over tiles, with patches that continue from tile to tile."""
 
 from __future__ import annotations
 

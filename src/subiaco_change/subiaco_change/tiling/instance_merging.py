@@ -1,4 +1,4 @@
-"""Objects that lie in several tiles made one (method, C5), numbered alike whatever was done first."""
+"""Stage: instances that lie in several tiles merged into one (method, part C5)."""
 
 from __future__ import annotations
 

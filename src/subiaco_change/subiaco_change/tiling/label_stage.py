@@ -1,4 +1,4 @@
-"""Every point of a tile gets the label of its row, or of its ground."""
+"""Stage: label of every point of a tile."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The upward direction, estimated from all tiles of an epoch."""
+"""Stage: the vertical direction of an epoch without CRS, from the ground of all its tiles."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Deciding the plants of a city against one another, once all tiles have measured theirs (Decision 18)."""
+"""Stage: the plants of the whole map decided against one another (Decision 18)."""
 
 from __future__ import annotations
 

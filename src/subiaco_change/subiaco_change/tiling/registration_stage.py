@@ -1,4 +1,4 @@
-"""The registration over all tiles: one rigid transform, from clouds thinned until they fit."""
+"""Stage: one rigid registration over all tiles, from clouds thinned until they fit into memory."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Labelled points of an epoch by the tiles of the common frame: what every later stage reads."""
+"""Stage: labelled points of an epoch, cut anew by the tiles of the common frame."""
 
 from __future__ import annotations
 

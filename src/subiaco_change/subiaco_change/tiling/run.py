@@ -37,9 +37,10 @@ from subiaco_geo.work.tasks import Function, Task
 
 #: Stages in their order; *compare* and what it rests on run twice where the registration is refined.
 STAGES = (
-    "cut", "expected_visibility", "registration", "levelling", "semantics", "objects", "retiling", "heights", "bias",
-    "residuals", "warp", "alignment", "displacements", "sigma", "lod", "candidate_pairs", "groups", "compare",
-    "vegetation_null", "decide", "ground", "threshold_components", "patches", "changed", "refine", "labels",
+    "cut", "expected_visibility", "registration", "levelling", "semantics", "objects", "retiling",
+    "heights", "bias", "residuals", "warp", "alignment", "displacements", "sigma", "lod",
+    "candidate_pairs", "groups", "compare", "vegetation_null", "decide", "ground",
+    "threshold_components", "patches", "changed", "refine", "labels",
 )  # fmt: skip
 #: Slices of the configuration that each of the stages after *objects* reads.
 _READS = {

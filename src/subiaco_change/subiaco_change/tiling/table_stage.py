@@ -1,4 +1,4 @@
-"""Rows of all tiles as one table: sorted by class and place, numbered alike whoever found them first."""
+"""Stage: rows of all tiles as one table with stable numbers."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Objects of the groups of one tile, matched, measured and decided."""
+"""Stage: objects of the groups of one tile, matched, measured and decided."""
 
 from __future__ import annotations
 

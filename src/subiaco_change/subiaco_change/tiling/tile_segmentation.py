@@ -1,4 +1,4 @@
-"""Semantics and instances of one tile of one epoch, seen with its surroundings."""
+"""Stage: classes and instances of one tile of one epoch, seen with its surroundings."""
 
 from __future__ import annotations
 

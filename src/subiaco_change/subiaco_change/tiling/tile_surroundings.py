@@ -1,4 +1,4 @@
-"""Both epochs around the places of one tile, as the comparison wants them."""
+"""Both epochs around one tile, as the comparison needs them."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A simple method from two survey maps to a change result, and from two paths to a change directory."""
+"""Run of a baseline: from two survey maps to a change directory."""
 
 from __future__ import annotations
 

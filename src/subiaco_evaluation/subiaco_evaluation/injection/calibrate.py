@@ -1,4 +1,4 @@
-"""How far to trust results on one's own city: change detection on injected copies of its very map."""
+"""Detectability and confidence on one's own city, from known changes injected into its map."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What is put into a map, and how a second drive would have seen it."""
+"""Settings of injected changes, and of the simulated second drive."""
 
 from __future__ import annotations
 

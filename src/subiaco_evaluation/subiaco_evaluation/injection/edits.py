@@ -1,4 +1,4 @@
-"""The edits: put, taken away, moved, grown, cut, and ground raised or lowered, each with its truth."""
+"""The edits: objects added, removed, moved, grown, cut, and ground raised or lowered, with their truth."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A map with known changes in it: the recipe of the edits, and the copy as a second drive would map it."""
+"""A map with known changes: the recipe of the edits, and the map that a second drive would give."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a drive could see past things that are put in its way."""
+"""Occlusion by injected objects: what a drive could see past them."""
 
 from __future__ import annotations
 

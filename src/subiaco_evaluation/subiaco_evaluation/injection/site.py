@@ -1,4 +1,4 @@
-"""Where something can be put: free ground near the drive."""
+"""Free ground near the drive where an object can be injected."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The objects of a map that changes are made of: found once, taken by turns."""
+"""Objects of a map from which injected changes are made."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""An injected map on disk: a map directory that carries its truth in the simulator's format."""
+"""An injected map on disk: a map directory with its truth in the simulator's format."""
 
 from __future__ import annotations
 

@@ -1,1 +1,1 @@
-"""Work in independent pieces: what they leave, what they rest on, and who does them."""
+"""Independent tasks with stored results and interchangeable executors."""

@@ -1,4 +1,4 @@
-"""Who does the tasks: this process, processes beside it, or a dask cluster."""
+"""Executors of tasks: this process, local worker processes, or a dask cluster."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Where finished pieces of work lie: named sets of arrays, on disk or in memory."""
+"""Stores of finished tasks: named sets of arrays, on disk or in memory."""
 
 from __future__ import annotations
 

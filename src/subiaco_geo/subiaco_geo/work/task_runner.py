@@ -1,4 +1,4 @@
-"""A bench of work: stages of tasks over one store by one executor, with what they cost."""
+"""The task runner: stages of tasks over one store and one executor, with their cost."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Pieces of work: named by what they rest on, so that what is finished is never done twice."""
+"""Tasks with a key that covers inputs, parameters and code, so that a finished task is not done twice."""
 
 from __future__ import annotations
 

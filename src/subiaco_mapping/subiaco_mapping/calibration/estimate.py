@@ -1,4 +1,4 @@
-"""Robust least squares with priors that tells which parameters the data do not hold."""
+"""Robust least squares with priors, which reports the parameters that the data do not determine."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""How thick facades come out in the odometry's own map: the proof of a calibration."""
+"""Thickness of facades in the odometry's own map, as proof of a calibration."""
 
 from __future__ import annotations
 

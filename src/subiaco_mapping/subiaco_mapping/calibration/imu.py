@@ -1,4 +1,4 @@
-"""Rotation and clock of the IMU against odometry: its gyro turns, its accelerometer speeds up, as it does.
+"""Rotation and clock offset of the IMU against the odometry.
 
 Odometry gives rotation and mean velocity between scans. The gyro integrates to the same rotation,
 the accelerometer (with gravity, which is estimated too) to the same changes of velocity. What a

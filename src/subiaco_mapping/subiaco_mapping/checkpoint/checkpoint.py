@@ -1,4 +1,4 @@
-"""A mapping run that was killed goes on: what each finished recording brought is kept beside the map."""
+"""Checkpoint of a mapping run: finished recordings are kept and not read again."""
 
 from __future__ import annotations
 

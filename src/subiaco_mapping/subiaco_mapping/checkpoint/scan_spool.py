@@ -1,4 +1,4 @@
-"""Deskewed scans on disk while the graph is not solved yet: memory stays bounded."""
+"""Deskewed scans on disk until the pose graph is solved, so that memory stays bounded."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A finished sequence as one npz file of numbers and JSON; its scans stay where they lie."""
+"""A finished recording as one npz file; its scans stay in their own files."""
 
 from __future__ import annotations
 

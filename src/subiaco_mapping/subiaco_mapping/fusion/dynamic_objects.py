@@ -1,4 +1,4 @@
-"""Points of moving objects leave the map; the road that they drove on stays.
+"""Points of moving objects removed from the map, with the road below them kept.
 
 The verdict on a voxel comes from :mod:`subiaco_geo.movement`. A voxel that holds road and the lower edge of
 a vehicle was hit all the time, so its verdict is that of the road: points above the road there take the

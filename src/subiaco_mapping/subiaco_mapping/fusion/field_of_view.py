@@ -1,4 +1,4 @@
-"""Field of view of the sensors of a survey, estimated from their scans, for ``sensor`` in ``map.yaml``."""
+"""Field of view and range of the sensors of a survey, for the entry ``sensor`` of ``map.yaml``."""
 
 from __future__ import annotations
 

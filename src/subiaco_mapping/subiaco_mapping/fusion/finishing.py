@@ -1,4 +1,4 @@
-"""Scans at their poses to one finished map, tile by tile."""
+"""Finishing of the fused map, tile by tile."""
 
 from __future__ import annotations
 

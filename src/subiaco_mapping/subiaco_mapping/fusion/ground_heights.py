@@ -1,4 +1,4 @@
-"""Ground height per tile: a table beside the map, never baked into its coordinates."""
+"""Ground height of every tile, as a table beside the map."""
 
 from __future__ import annotations
 

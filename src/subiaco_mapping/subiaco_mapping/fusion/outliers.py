@@ -1,4 +1,4 @@
-"""Points that stand alone: rain, stray light, echoes by way of a window or a puddle.
+"""Radius outlier removal with a spacing that follows the range: rain, stray light, multipath echoes.
 
 How far apart points of a real surface lie grows with the range from which it was seen. So neighbours are
 looked for within some beam spacings at that range (dynamic radius outlier removal, Charron, Phillips and

@@ -1,4 +1,4 @@
-"""Path and map as they grow: what a driver sees between two solutions of the pose graph."""
+"""Preview of path and map between two solutions of the pose graph."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""From the frame of the graph to the frame of the map: local ENU to grid, or nothing at all."""
+"""Projection from the local frame of the pose graph to the CRS of the map."""
 
 from __future__ import annotations
 

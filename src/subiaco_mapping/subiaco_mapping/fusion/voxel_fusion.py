@@ -1,4 +1,4 @@
-"""Registered scans to one fused map: streaming sums per voxel, nothing kept of the points."""
+"""Fusion of registered scans: streaming sums per voxel."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Voxel sums that go to disk by tile: memory holds what the vehicle sees at present, not the city."""
+"""Voxel sums that are moved to disk by tile, so that memory does not grow with the city."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The watch over a bag: what it would have said on the drive, by log time."""
+"""The health monitor applied to a bag by log time."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Stamps against arrival: whose clock steps, drifts or never was UTC."""
+"""Clocks: steps, drift and wrong time scales, from stamps and arrival times."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Thresholds of the watch: from when something is said about a survey."""
+"""Thresholds of the health monitor."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Dilution of precision, from the messages that state it: NavSatFix does not."""
+"""Dilution of precision from messages that carry it."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the watch leaves on disk: the manifest it starts and the lights of the streets."""
+"""Files of the health monitor: the manifest of flags and the quality of the streets."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Flags: what is wrong since when, kept as stretches for the manifest."""
+"""Flags: faults with their beginning and end, for the manifest."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The watch over a survey: takes every message, knows what is wrong, since when, and how bad that is."""
+"""The health monitor: takes every message and keeps the list of present faults."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ouster packets by their headers alone: time, turns and loss, without decoding a range."""
+"""Headers of Ouster packets: time, revolutions and loss, without decoding ranges."""
 
 from __future__ import annotations
 

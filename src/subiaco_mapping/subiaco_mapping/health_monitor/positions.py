@@ -1,4 +1,4 @@
-"""Where the vehicle is on the earth: fixes while there are good ones, odometry laid over them where not."""
+"""Position of the vehicle: good fixes, and odometry between them."""
 
 from __future__ import annotations
 

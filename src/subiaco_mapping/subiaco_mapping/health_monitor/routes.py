@@ -1,4 +1,4 @@
-"""Planned routes: read, cut into pieces, brought to local metres."""
+"""Planned routes, cut into segments in local metres."""
 
 from __future__ import annotations
 

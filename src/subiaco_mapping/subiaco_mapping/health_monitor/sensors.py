@@ -1,4 +1,4 @@
-"""The health of IMU, GNSS and disk, each from what it says itself."""
+"""Health of IMU, GNSS receiver and disk, each from its own messages."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the watch shows at one moment: a line for each sensor, for /diagnostics and the terminal."""
+"""Snapshot of the health monitor for /diagnostics and the terminal."""
 
 from __future__ import annotations
 

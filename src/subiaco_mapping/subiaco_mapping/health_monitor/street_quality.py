@@ -1,4 +1,4 @@
-"""The light of every street segment: green, amber or red, and why; and what of a route is undriven."""
+"""Quality of every street segment (green, amber, red) with its reason, and segments not yet driven."""
 
 from __future__ import annotations
 

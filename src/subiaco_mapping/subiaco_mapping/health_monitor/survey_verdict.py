@@ -1,4 +1,4 @@
-"""Whether a survey is usable, and why not: one word, and a reason for each doubt."""
+"""Verdict on a survey: usable or not, with a reason for every doubt."""
 
 from __future__ import annotations
 

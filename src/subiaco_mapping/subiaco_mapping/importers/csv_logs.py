@@ -1,4 +1,4 @@
-"""GNSS and IMU logs as CSV with UTC stamps, as the paper keeps them beside its pcap, to messages.
+"""Import of GNSS and IMU logs as CSV with UTC stamps.
 
 The paper names what is in them (UTC stamps, quality indicators, orientation), not the columns:
 their names are configuration. Heading is clockwise from true north, as receivers give it; the

@@ -1,4 +1,4 @@
-"""Readers of native libraries in a process of their own: a damaged file may end that process, not ours."""
+"""Readers of native libraries in a child process, which a damaged file may end."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Recordings of raw packets to survey bags: pcap with its JSON, OSF, ROS 1 bags; CSV logs beside them.
+"""Import of raw packets: pcap with its JSON, OSF, ROS 1 bags, with CSV logs beside them.
 
 Packets of pcap and ROS 1 are copied bit for bit, those of OSF built again from its scans. A packet
 carries no stamp of its own, so the log time is the capture time; messages of CSV logs are merged by

@@ -1,4 +1,4 @@
-"""What of a bag mapping would refuse, or take without a word: frames, fixes, packets, further LiDARs."""
+"""Faults of a bag that make a map impossible or wrong: frames, fixes, packets, further LiDARs."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""A bag before it is trusted: whether it is usable and why not, topics, rates, losses, RTK states."""
+"""Inspection of a bag: usable or not and why, topics, rates, losses, RTK states."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the graph thinks of a loop: the present estimate with its covariance, or other loops."""
+"""Consistency of a loop with the present estimate and with other loops."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Places seen twice: proposed by the estimate and by descriptors, verified by registration."""
+"""Loop candidates from the estimate and from descriptors, verified by registration."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Laying two levelled submaps over each other without knowing where they are: correlation from above.
+"""Alignment of two levelled submaps of unknown position by correlation from above.
 
 The turn is known to some degrees (descriptor); the shift comes from the correlation of points above
 the ground, by FFT, for a few turns about it.

@@ -1,4 +1,4 @@
-"""Where a submap was recorded, and two such places that may be one."""
+"""Places of submaps, and pairs of them that may be the same."""
 
 from __future__ import annotations
 

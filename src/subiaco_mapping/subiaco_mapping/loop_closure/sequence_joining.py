@@ -1,4 +1,4 @@
-"""Sequences that GNSS does not place find their place by what they share with those that are placed."""
+"""Recordings without GNSS, placed by streets that they share with placed ones."""
 
 from __future__ import annotations
 

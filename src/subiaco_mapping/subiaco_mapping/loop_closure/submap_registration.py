@@ -1,4 +1,4 @@
-"""Two submaps registered, and whether the result may be believed."""
+"""Registration of two submaps, and its checks."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The figures of the quality report."""
+"""Figures of the quality page."""
 
 from __future__ import annotations
 

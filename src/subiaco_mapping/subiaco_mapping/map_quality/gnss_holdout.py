@@ -1,4 +1,4 @@
-"""The withheld check: fixes held out of the graph, which is solved anew and compared with them."""
+"""GNSS holdout: fixes left out of the pose graph and compared with its solution."""
 
 from __future__ import annotations
 

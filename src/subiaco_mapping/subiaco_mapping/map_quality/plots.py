@@ -1,4 +1,4 @@
-"""Pictures of the quality report."""
+"""Plots of the quality page."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What a solved sequence looks like over time: for drawing and for figures."""
+"""Time series of a solved recording."""
 
 from __future__ import annotations
 

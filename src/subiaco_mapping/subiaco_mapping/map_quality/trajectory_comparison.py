@@ -1,4 +1,4 @@
-"""Two trajectories held against each other, as ``evo`` does: absolute and relative errors, plots, a table."""
+"""Comparison of two trajectories: absolute and relative errors, plots, a table."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the figures of a map mean to the surveyor who has to sign it: checks, and one sentence."""
+"""Verdict on a map: checks with limits, and one sentence."""
 
 from __future__ import annotations
 

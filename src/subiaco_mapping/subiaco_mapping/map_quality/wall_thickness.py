@@ -1,4 +1,4 @@
-"""How thick walls are in the map, and how densely it is covered."""
+"""Thickness of walls in the map, and the density of its points."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Counts on topics: how consumers answer a publisher that paces itself by them."""
+"""Counts on topics, by which a publisher paces itself."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What live topics need that a replay does not: patience at the start, a map that grows, one chain."""
+"""Inputs of a live graph: waiting for extrinsics, and odometry segments joined to one."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the pose graph shows: path, map preview, frames."""
+"""Publishers of the pose graph's results: path, map preview, frames."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Street lights as markers for RViz and Foxglove."""
+"""Street quality as markers for RViz and Foxglove."""
 
 from __future__ import annotations
 

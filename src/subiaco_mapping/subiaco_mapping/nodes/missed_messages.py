@@ -1,4 +1,4 @@
-"""What a node of the live graph did not get: counted, so that map and recording can be told apart."""
+"""Messages that a live node missed, counted."""
 
 from __future__ import annotations
 

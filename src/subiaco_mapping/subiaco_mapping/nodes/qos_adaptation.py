@@ -1,4 +1,4 @@
-"""What publishers offer, and the subscription that takes it all."""
+"""Quality of service adapted to what publishers offer."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Raw subscriptions of the recorder: to what is offered, as it is offered, every message counted."""
+"""Raw subscriptions of the recorder, with every message counted."""
 
 from __future__ import annotations
 

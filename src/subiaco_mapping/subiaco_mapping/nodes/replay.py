@@ -1,4 +1,4 @@
-"""Replay of bags, one after the other, never faster than they are consumed. No ROS here."""
+"""Replay of bags one after the other, never faster than their consumers. Without ROS."""
 
 from __future__ import annotations
 

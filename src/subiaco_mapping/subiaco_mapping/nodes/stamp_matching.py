@@ -1,4 +1,4 @@
-"""Messages of one stamp, put together again."""
+"""Messages of one stamp, matched across topics."""
 
 from __future__ import annotations
 

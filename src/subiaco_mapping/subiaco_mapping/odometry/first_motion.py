@@ -1,4 +1,4 @@
-"""The motion with which a drive begins, from its first two scans.
+"""Velocity at the start of a drive, from its first two scans.
 
 No motion is known yet that could straighten the first scan of a vehicle that is already moving. Left as
 it is, it lies half a turn's way off a straightened one (0.6 m at 11 m/s), and the odometry, which straightens

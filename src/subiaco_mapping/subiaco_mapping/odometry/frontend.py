@@ -1,4 +1,4 @@
-"""Decode, deskew and odometry as the one step that nodes and the in-process pipeline share."""
+"""The front end: decoding, deskewing and odometry as one step."""
 
 from __future__ import annotations
 

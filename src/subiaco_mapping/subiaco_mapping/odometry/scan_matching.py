@@ -1,4 +1,4 @@
-"""Scan to local map odometry: kiss-icp's core, and a plane-to-plane refinement.
+"""Odometry: kiss-icp's scan matching, refined plane to plane.
 
 Point to point alone sticks to the rings of a scan: seen from almost the same place they lie where they lay,
 so that a car that pulls away lags by centimetres and the map turns by a tenth of a degree. The refinement

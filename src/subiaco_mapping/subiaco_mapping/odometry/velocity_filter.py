@@ -1,4 +1,4 @@
-"""Velocity at every stamp, and what the accelerometer reads at rest: odometry and IMU in one filter."""
+"""Velocity filter: odometry and IMU in one filter, with the accelerometer's bias."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""The slow part of a receiver's error as states of the graph.
+"""Correlated GNSS errors as states of the pose graph.
 
 Errors of neighbouring RTK fixes are alike (atmosphere, orbit, multipath that lingers, a wrong ambiguity):
 a first-order Gauss-Markov process a receiver state. Were they taken for independent, a hundred fixes of

@@ -1,4 +1,4 @@
-"""Fixes of the antenna: which may be used, where they attach, and how they place the odometry."""
+"""GNSS fixes: which may be used, the scans they attach to, and how they place the odometry."""
 
 from __future__ import annotations
 

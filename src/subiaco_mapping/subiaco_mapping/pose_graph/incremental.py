@@ -1,4 +1,4 @@
-"""The graph while driving: ISAM2 takes what is new and keeps the rest.
+"""The pose graph while driving: ISAM2 adds what is new.
 
 Same factors as the batch, but for the receiver's slow errors: instead of states of their own every fix is
 given the variance that white errors would need to be as slow (their spectral density at rest).

@@ -1,4 +1,4 @@
-"""Covariances of poses, also where parts of a graph hang together so loosely that gtsam gives up."""
+"""Marginal covariances of poses, also of weakly connected parts of the graph."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What goes into the pose graph and what comes out."""
+"""Inputs and outputs of the pose graph as frozen records."""
 
 from __future__ import annotations
 

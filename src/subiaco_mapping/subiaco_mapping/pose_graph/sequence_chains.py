@@ -1,4 +1,4 @@
-"""Sequences placed in one frame and turned into chains of the graph, and solved chains back."""
+"""Recordings placed in one frame as chains of the pose graph, and solved chains back."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What the pose graph answers: every sequence in the local frame."""
+"""The solution of the pose graph: every recording in the local frame."""
 
 from __future__ import annotations
 

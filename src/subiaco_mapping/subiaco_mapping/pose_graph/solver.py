@@ -1,4 +1,4 @@
-"""All sequences at once: Levenberg-Marquardt over every measurement, with marginals."""
+"""Batch solution of the pose graph: Levenberg-Marquardt with marginals."""
 
 from __future__ import annotations
 

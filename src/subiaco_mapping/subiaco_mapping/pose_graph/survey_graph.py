@@ -1,4 +1,4 @@
-"""One joint graph of a survey: sequences placed, joined, their loops closed, solved."""
+"""The pose graph of a survey: recordings placed and joined, loops closed, solved."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Ouster UDP packets to scans: columns keyed by frame and measurement id, never by arrival."""
+"""Ouster UDP packets to scans: columns keyed by frame and measurement id, not by arrival."""
 
 from __future__ import annotations
 

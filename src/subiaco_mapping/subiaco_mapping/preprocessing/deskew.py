@@ -1,8 +1,9 @@
-"""Move every point of a scan to the time of its last column.
+"""Deskewing: every point of a scan moved to the time of the scan's last column.
 
 Rotation comes from the gyro, translation from the accelerometer and the velocity that a filter holds
-(:mod:`subiaco_mapping.odometry.velocity_filter`). Until the filter is sure the odometry's last velocity is held, in body
-axes; without the IMU the whole last twist. Constant velocity after a gap must use the true time step.
+(:mod:`subiaco_mapping.odometry.velocity_filter`). Until the filter is sure the odometry's last velocity is
+held, in body axes; without the IMU the whole last twist. Constant velocity after a
+gap must use the true time step.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""What the status of a NavSatFix means: every driver has habits of its own.
+"""Meaning of the status of a NavSatFix, by driver.
 
 Read in the sources of the drivers: ublox (``ublox_gps``) says 2 for carrier phase fixed and 0 for
 float and single alike; ``nmea_navsat_driver`` says 2 for fixed and float alike and 1 for DGPS;

@@ -1,4 +1,4 @@
-"""How far the IMU's clock is off the LiDAR's, from every mapping run, in constant memory.
+"""Offset of the IMU's clock from the LiDAR's, estimated in constant memory.
 
 Between two scans the odometry turns by what the gyro integrates to, unless the stamps are off: an
 offset shows as the change of rate between start and end. Linearised at the offset in use, so that

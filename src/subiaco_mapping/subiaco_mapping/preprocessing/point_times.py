@@ -1,4 +1,4 @@
-"""Times of the points of a cloud, whatever the driver counts them in.
+"""Times of the points of a cloud, in any unit of its driver.
 
 Velodyne's ``time`` is float32 seconds since (or before) the header, Ouster's ``t`` and Livox's
 ``offset_time`` uint32 nanoseconds, Hesai's and RoboSense's ``timestamp`` float64 seconds since 1970, Livox's

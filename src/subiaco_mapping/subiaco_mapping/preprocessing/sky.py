@@ -1,4 +1,4 @@
-"""Beams that met nothing: which of them prove that the air was empty.
+"""Beams without a return: which of them prove that the air was empty.
 
 A beam comes back with nothing from the open sky, but also from glass, from a wet road that mirrors it
 away, from black paint, from twigs thinner than the beam, and now and then from a plain wall (an isolated

@@ -1,4 +1,4 @@
-"""What passes through the recorder, and how it says that it stands."""
+"""Messages in the recorder, and its state."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Counters that reveal every loss: on the way from the publisher, and from the sensor to its driver."""
+"""Loss counters: between publisher and recorder, and between sensor and driver."""
 
 from __future__ import annotations
 
