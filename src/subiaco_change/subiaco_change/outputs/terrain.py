@@ -34,7 +34,8 @@ def export_terrain(directory: Path, output: Path, cell: float = 0.5, interval: f
 
     The ground model (DTM) is the filtered ground of
     :func:`~subiaco_change.segmentation.ground_model.fit_ground`, known within 4 m of a ground cell. The
-    surface model (DSM) is the highest point of a cell. Contours are cut at the edges of blocks of 1,024 cells.
+    surface model (DSM) is the highest point of a cell. Contours are cut at the edges of blocks of 1,024
+    cells.
 
     Parameters
     ----------
