@@ -91,3 +91,19 @@ def test_outlines_are_no_part_of_the_hash_and_only_buildings_have_them(result):
     assert changed.sum() >= 3
     np.testing.assert_allclose(regular.geometry.area, turned.geometry.area)
     assert table_hash(turned) != table_hash(table)
+
+
+@pytest.mark.parametrize("seed", [6, 35, 38, 48, 63, 70])  # of 300, some of those whose outlines overlap
+def test_parts_whose_outlines_would_overlap_keep_their_cells(seed):
+    rng = np.random.default_rng(seed)
+    degrees = rng.uniform(0, 90)
+    house = box(0, 0, 10, 6)
+    shed = affinity.translate(
+        affinity.rotate(box(0, 0, 4, 4), rng.uniform(0, 90)), rng.uniform(4, 9), rng.uniform(3, 5)
+    )
+    beside = shed.difference(house.buffer(0.4))
+    parts = [cells_of(affinity.rotate(part, degrees, origin=(0, 0))) for part in (house, beside)]
+    footprint = shapely.union_all(parts)
+    outline = regular_outline(footprint)
+    assert outline.is_valid
+    assert outline.equals(footprint)

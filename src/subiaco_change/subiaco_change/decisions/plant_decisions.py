@@ -80,12 +80,17 @@ def _where_free(decision: Decision, plant: PlantMeasures, config: DecisionConfig
     if decision.change not in (Change.INCREASED, Change.DECREASED):
         return decision
     grew = decision.change is Change.INCREASED
+    least = config.vegetation.height
+    if (plant.apparent < -least) if grew else (plant.apparent > least):
+        reason = f"{decision.reason} Not claimed: the height of all its points changed by"
+        reason += f" {plant.apparent:+.2f} m, which contradicts it (limit {least:.2f} m)."
+        return Decision(Change.UNCHANGED, reason, 1.0, 0.0)
     free = plant.free_gained if grew else plant.free_lost
-    if free >= config.min_free:
+    if free >= config.min_free_surface:
         return decision
     other, surface = ("earlier", "new") if grew else ("later", "lost")
     reason = f"{decision.reason} Not claimed: it is {free:.0%} sure that the place of the {surface} surface"
-    reason += f" was free in the {other} survey (limit {config.min_free:.0%})."
+    reason += f" was free in the {other} survey (limit {config.min_free_surface:.0%})."
     return Decision(Change.UNCHANGED, reason, 1.0, 0.0)
 
 

@@ -8,6 +8,7 @@ from collections.abc import Sequence
 import numpy as np
 from pydantic import Field
 from scipy.spatial import cKDTree
+from scipy.special import expit, logit
 
 from subiaco_change.decisions.absence import absence, pooled
 from subiaco_change.decisions.crown_outline import OutlineConfig, compare_outlines
@@ -20,6 +21,7 @@ from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats
 
 _SAMPLE = 500  # points of a plant that are asked for the surface that one epoch alone has
+_MOST = 0.9  # largest probability with which one place counts among the others
 _NOT_KNOWN = 0.5  # probability of being free of a place of which nothing is known
 
 
@@ -91,6 +93,7 @@ def measure_plant(
         rise_sigma=rise.sigma,
         free_gained=gained,
         free_lost=lost,
+        apparent=_top(after) - _top(before),
     )
 
 
@@ -110,7 +113,9 @@ def free_shell(xyz: Floats, standing: Floats, free: Free | None, config: PlantCo
         alone = alone[np.isinf(cKDTree(near).query(alone, distance_upper_bound=config.shell)[0])]
     if len(alone) == 0:
         return _NOT_KNOWN
-    return pooled(float(free(alone).mean()), len(np.unique(voxel_keys(voxel_indices(alone, config.voxel)))))
+    odds = logit(np.clip(free(alone), 1.0 - _MOST, _MOST))
+    chance = float(expit(odds.mean()))
+    return pooled(chance, len(np.unique(voxel_keys(voxel_indices(alone, config.voxel)))))
 
 
 def equal_density(before: Floats, after: Floats, config: PlantConfig) -> tuple[Floats, Floats, float]:
@@ -145,6 +150,11 @@ def _thinned(xyz: Floats, keys: np.ndarray, share: float) -> Floats:
     step = np.floor((np.arange(len(order)) + 1) * share) > np.floor(np.arange(len(order)) * share)
     kept = np.sort(order[step])
     return np.asarray(xyz[kept])
+
+
+def _top(things: Sequence[Thing]) -> float:
+    """Return the 98 % height of the voxels of an object above ground [m]."""
+    return float(np.quantile(np.concatenate([t.voxels.height for t in things]), 0.98))
 
 
 def _size(xyz: Floats) -> float:

@@ -131,8 +131,15 @@ class DecisionConfig(StrictModel):
         0.8,
         ge=0.5,
         lt=1,
-        description="Probability that an object or new plant surface is absent in the other survey, from "
-        "crossing beams, below which nothing is claimed. Raise it to claim less",
+        description="Probability that an object is absent in the other survey, from crossing beams, below "
+        "which nothing is claimed. Raise it to claim less",
+    )
+    min_free_surface: float = Field(
+        0.7,
+        ge=0.5,
+        lt=1,
+        description="Probability that the place of the new or lost surface of a plant was free in the other "
+        "survey, below which nothing is claimed. Raise it to claim less",
     )
     least_volume: float = Field(
         2.0,

@@ -64,7 +64,8 @@ class PlantMeasures:
     columns of a low plant, and its standard error ``rise_sigma``; ``section`` and ``section_gate`` [m], the
     median rise of a section of the hedge and the limit that the section passed. ``section_only``: the row
     is that section alone. ``free_gained`` and ``free_lost``: probability that the surface that *after*, or
-    *before*, alone has was free in the other epoch.
+    *before*, alone has was free in the other epoch. ``apparent``: change of the 98 % height of all its
+    points, observed by the other epoch or not [m].
     """
 
     kind: PlantKind
@@ -85,6 +86,7 @@ class PlantMeasures:
     section_only: bool = False
     free_gained: float = 1.0
     free_lost: float = 1.0
+    apparent: float = math.nan
 
     def value(self, measure: str) -> float:
         """Return one of :data:`PLANT_MEASURES`."""

@@ -32,9 +32,10 @@ def regular_outline(footprint: MultiPolygon) -> MultiPolygon:
     merged at their weighted mean position, and corners are the intersections. The rectangle around the part
     is a candidate too. The candidate with the best overlap (IoU) less a charge for every corner is scaled
     about its centroid to the area of the part. A part that no candidate covers with an IoU of 0.8 keeps its
-    cells.
+    cells, and so does a footprint whose parts would overlap.
     """
-    return MultiPolygon([_regular_part(part) for part in footprint.geoms])
+    regular = MultiPolygon([_regular_part(part) for part in footprint.geoms])
+    return regular if regular.is_valid else footprint
 
 
 def _regular_part(part: Polygon) -> Polygon:

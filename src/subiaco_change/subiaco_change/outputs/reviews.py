@@ -131,10 +131,11 @@ def same_objects(table: gpd.GeoDataFrame, previous: gpd.GeoDataFrame) -> tuple[I
     """
     if len(table) == 0 or len(previous) == 0:
         return np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int64)
-    old, new = table.sindex.query(previous.geometry.values, predicate="intersects")
+    places = previous.geometry.make_valid().values  # tables of earlier versions may hold invalid footprints
+    old, new = table.sindex.query(places, predicate="intersects")
     alike = table["class"].to_numpy()[new] == previous["class"].to_numpy()[old]
     old, new = old[alike], new[alike]
-    first, second = table.geometry.values[new], previous.geometry.values[old]
+    first, second = table.geometry.values[new], places[old]
     shared = first.intersection(second).area
     overlap = shared / np.maximum(first.area + second.area - shared, 1e-12)
     taken_new, taken_old, pairs = set(), set(), []
