@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
+import logging
 import os
 import signal
+from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
@@ -54,3 +56,11 @@ def shared_data() -> Path:
     if not folder.is_dir():
         pytest.skip(f"no real recordings: {folder} is no folder (set SUBIACO_TEST_DATA)")
     return folder
+
+
+@pytest.fixture(autouse=True)
+def _levels_of_our_loggers() -> Iterator[None]:
+    """Undo what a command in this process set: ``--quiet`` would silence the warnings of later tests."""
+    yield
+    for name in ("geo", "sim", "mapping", "change", "evaluation", "bringup"):
+        logging.getLogger(f"subiaco_{name}").setLevel(logging.NOTSET)

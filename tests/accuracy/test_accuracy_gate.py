@@ -37,7 +37,7 @@ class Gate:
 
 GATES = (
     Gate("easy", 201, 8.0, False, 78.0, 85.0, 5, 10, 0),  # measured: 82.7, 88.2, 3, 0, 0
-    Gate("default", 202, 16.0, True, 55.0, 60.0, 12, 40, 20),  # measured: 58.7, 66.7, 10, 20, 18
+    Gate("default", 202, 16.0, True, 63.0, 60.0, 8, 40, 16),  # measured: 67.1, 65.1, 5, 21, 14
     Gate("hard", 203, 16.0, False, 58.0, 55.0, 9, 30, 5),  # measured: 61.6, 59.5, 7, 8, 3
 )
 

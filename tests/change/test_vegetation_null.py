@@ -58,7 +58,7 @@ def test_a_shift_that_all_crowns_of_a_pair_share_is_no_change_and_one_beyond_is(
 
 
 @pytest.mark.parametrize("thin", [False, True])
-@pytest.mark.parametrize(("free", "claimed"), [(0.9, True), (0.7, False)])
+@pytest.mark.parametrize(("free", "claimed"), [(0.9, True), (0.65, False)])
 def test_growth_is_claimed_only_where_the_earlier_survey_saw_the_place_free(free, claimed, thin):
     tree = replace(TREE, thin=thin, top=1.5, surface=0.3, outline=0.0 if thin else 0.6)
     grown = label(replace(tree, free_gained=free, free_lost=0.0), no_null(NULL))
@@ -66,6 +66,17 @@ def test_growth_is_claimed_only_where_the_earlier_survey_saw_the_place_free(free
     assert ("was free in the earlier survey" in grown.reason) != claimed
     less = replace(tree, top=-1.5, surface=-0.3, outline=-tree.outline, free_gained=0.0, free_lost=free)
     assert label(less, no_null(NULL)).change is (Change.DECREASED if claimed else Change.UNCHANGED)
+
+
+@pytest.mark.parametrize("sign", [1, -1])
+def test_growth_is_not_claimed_where_all_points_together_reach_lower_and_the_other_way_round(sign):
+    tree = replace(TREE, surface=sign * 0.3, outline=sign * 0.6)
+    claimed = Change.INCREASED if sign > 0 else Change.DECREASED
+    assert label(replace(tree, apparent=sign * 0.2), no_null(NULL)).change is claimed
+    assert label(replace(tree, apparent=-sign * 0.1), no_null(NULL)).change is claimed
+    against = label(replace(tree, apparent=-sign * 0.8), no_null(NULL))
+    assert against.change is Change.UNCHANGED
+    assert "contradicts" in against.reason
 
 
 def test_surface_of_one_epoch_alone_is_what_has_nothing_of_the_other_near_it():

@@ -6,7 +6,7 @@ and ``ros2 param describe`` tells what a parameter means.
 
 from __future__ import annotations
 
-import sys
+import math
 from collections.abc import Iterator
 from typing import Any
 
@@ -63,8 +63,8 @@ def descriptor(field: FieldInfo, kind: Parameter.Type) -> ParameterDescriptor:
     if (low, high) == (None, None):
         return made
     if kind is Parameter.Type.DOUBLE:
-        least = low if low is not None else -sys.float_info.max
-        most = high if high is not None else sys.float_info.max
+        least = low if low is not None else -math.inf  # some limits are infinite by default
+        most = high if high is not None else math.inf
         made.floating_point_range = [FloatingPointRange(from_value=float(least), to_value=float(most))]
     if kind is Parameter.Type.INTEGER:
         least = int(low) if low is not None else -_LARGEST_INTEGER
