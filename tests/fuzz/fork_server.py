@@ -68,7 +68,8 @@ def forked(read: Callable[[Path], object], path: Path, seconds: int, memory: int
 def server(module: str, function: str) -> subprocess.Popen[str]:
     """Return the server of a reader; it ends with the process that started it."""
     command = [sys.executable, __file__, module, function]
-    return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
+    single = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}  # their pools are threads
+    return subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, env=single)
 
 
 def ask(module: str, function: str, path: Path, seconds: int, memory: int) -> tuple[str, str]:
