@@ -135,7 +135,11 @@ install_requirements() {
     say "installing $(grep -c '==' "$lock") locked packages (1.8 GB)"
     "$VENV/bin/python" -m pip install --quiet --no-deps --require-hashes --disable-pip-version-check -r "$uv"
     # copied, because some files are patched below and uv's cache must stay whole
-    "$VENV/bin/uv" pip install --quiet --python "$VENV/bin/python" --no-deps --require-hashes --link-mode copy -r "$lock"
+    "$VENV/bin/uv" pip install --quiet --python "$VENV/bin/python" --no-deps --require-hashes --link-mode copy -r "$lock" ||
+        {
+            say "uv did not succeed; installing with pip, which knows the indexes and certificates of pip.conf"
+            "$VENV/bin/python" -m pip install --quiet --no-deps --require-hashes --disable-pip-version-check -r "$lock"
+        }
 }
 
 set_up_venv() {
