@@ -6,7 +6,6 @@ by tile.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Protocol
 
@@ -62,17 +61,15 @@ class Extensions:
     decision: DecisionFunction | None = None
 
     def segmented(
-        self, epochs: tuple[Epoch, Epoch], load: tuple[Callable[[], SurveyMap], Callable[[], SurveyMap]]
+        self, epochs: tuple[Epoch, Epoch], surveys: tuple[SurveyMap, SurveyMap]
     ) -> tuple[Epoch, Epoch]:
         """Return both epochs with the fields ``semantic`` and ``instance`` of the segmentation function."""
         if self.segmentation is None:
             return epochs
-        before, after = (_with_objects(read(), self.segmentation) for read in load)
+        before, after = (_with_objects(survey, self.segmentation) for survey in surveys)
         return before, after
 
-    def transform(
-        self, load: tuple[Callable[[], SurveyMap], Callable[[], SurveyMap]], given: Floats | None
-    ) -> Floats | None:
+    def transform(self, surveys: tuple[SurveyMap, SurveyMap], given: Floats | None) -> Floats | None:
         """Return the transform of the registration function, or the given one.
 
         Raises
@@ -84,7 +81,7 @@ class Extensions:
             return given
         if given is not None:
             raise InputError("a transform and a registration function exclude each other; give one of them")
-        before, after = load[0]().cloud, load[1]().cloud
+        before, after = (survey.cloud for survey in surveys)
         if before.crs != after.crs:
             raise InputError(
                 f"registration function: the epochs are in {before.crs} and {after.crs}; reproject one"

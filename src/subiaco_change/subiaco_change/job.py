@@ -294,6 +294,20 @@ def run_change(
     return run_change_and(job, config, lambda result: result.records, progress)
 
 
+def _extended(job: ChangeJob) -> tuple[tuple[Epoch, Epoch], Floats | None]:
+    """Return epochs and transform as functions of the user give them; both surveys are read once for these."""
+    epochs: tuple[Epoch, Epoch] = (
+        open_epoch(job.before, job.trajectory_before),
+        open_epoch(job.after, job.trajectory_after),
+    )
+    own = job.extensions
+    if own.registration is None and own.segmentation is None:
+        return epochs, job.transform
+    surveys = load_epoch(job.before, job.trajectory_before), load_epoch(job.after, job.trajectory_after)
+    transform = own.transform(surveys, job.transform)
+    return own.segmented(epochs, surveys), transform
+
+
 def run_change_and(
     job: ChangeJob,
     config: ChangeConfig,
@@ -302,16 +316,7 @@ def run_change_and(
 ) -> Taken:
     """Run our own method as :func:`run_change`; return what is taken of the result."""
     lots = _start(job)
-    epochs: tuple[Epoch, Epoch] = (
-        open_epoch(job.before, job.trajectory_before),
-        open_epoch(job.after, job.trajectory_after),
-    )
-    load = (
-        partial(load_epoch, job.before, job.trajectory_before),
-        partial(load_epoch, job.after, job.trajectory_after),
-    )
-    transform = job.extensions.transform(load, job.transform)
-    epochs = job.extensions.segmented(epochs, load)
+    epochs, transform = _extended(job)
     given = job.given if job.extensions.segmentation is None else ("semantic", "instance")
     surveys = facts_of(epochs[0]), facts_of(epochs[1])
     poses = config.placing.uncertainty

@@ -69,14 +69,14 @@ def decide_plant(plant: PlantMeasures, lod: float, config: DecisionConfig, null:
         return Decision(Change.UNOBSERVED, NO_LEVEL, 0.0)
     section = _decide_section(plant, null) if math.isfinite(plant.section) else None
     if section is not None and plant.section_only:
-        return _where_free(section, plant, config)
+        return _supported(section, plant, config)
     whole = _decide_whole(plant, gate, config.vegetation, null)
     chosen = section if section is not None and whole.change is Change.UNCHANGED else whole
-    return _where_free(chosen, plant, config)
+    return _supported(chosen, plant, config)
 
 
-def _where_free(decision: Decision, plant: PlantMeasures, config: DecisionConfig) -> Decision:
-    """Leave a plant unchanged whose new or lost surface lies where the other survey did not look."""
+def _supported(decision: Decision, plant: PlantMeasures, config: DecisionConfig) -> Decision:
+    """Leave a plant unchanged whose claim its height contradicts, or whose place was not seen free."""
     if decision.change not in (Change.INCREASED, Change.DECREASED):
         return decision
     grew = decision.change is Change.INCREASED
