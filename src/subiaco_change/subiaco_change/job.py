@@ -295,7 +295,7 @@ def run_change(
 
 
 def _extended(job: ChangeJob) -> tuple[tuple[Epoch, Epoch], Floats | None]:
-    """Return epochs and transform as functions of the user give them; both surveys are read once for these."""
+    """Return epochs and transform as functions of the user give them; both surveys are read once."""
     epochs: tuple[Epoch, Epoch] = (
         open_epoch(job.before, job.trajectory_before),
         open_epoch(job.after, job.trajectory_after),
