@@ -73,9 +73,9 @@ class RasterNetworkConfig(StrictModel):
 class PointTrainingConfig(StrictModel):
     """Stochastic gradient descent on cylinders."""
 
-    epochs: int = Field(24, ge=1, description="Number of epochs (published: 550)")
-    samples: int = Field(160, ge=1, description="Number of cylinders of an epoch (published: 6000)")
-    batch: int = Field(4, ge=1, description="Number of cylinders of a step (published: 10)")
+    epochs: int = Field(16, ge=1, description="Number of epochs (published: 550)")
+    samples: int = Field(100, ge=1, description="Number of cylinders of an epoch (published: 6000)")
+    batch: int = Field(2, ge=1, description="Number of cylinders of a step (published: 10)")
     learning_rate: float = Field(0.01, gt=0, description="Factor of the first steps (published)")
     momentum: float = Field(0.98, ge=0, lt=1, description="Momentum factor of the optimiser (published)")
     weight_decay: float = Field(1e-3, ge=0, description="Coefficient of the weight decay (published)")
@@ -99,8 +99,8 @@ class RasterTrainingConfig(StrictModel):
     """Adam on patches."""
 
     epochs: int = Field(50, ge=1, description="Number of epochs (published)")
-    samples: int = Field(320, ge=1, description="Number of patches of an epoch")
-    batch: int = Field(32, ge=1, description="Number of patches of a step (published)")
+    samples: int = Field(192, ge=1, description="Number of patches of an epoch")
+    batch: int = Field(16, ge=1, description="Number of patches of a step (published: 32)")
     learning_rate: float = Field(1e-3, gt=0, description="Factor of the first steps (common for Adam)")
     weight_decay: float = Field(1e-4, ge=0, description="Coefficient of the weight decay (published)")
     final_rate: float = Field(
@@ -123,7 +123,7 @@ class TrainingConfig(StrictModel):
         description="Number of epochs without a better validation score after which training ends",
     )
     validation_samples: int = Field(
-        24,
+        20,
         ge=1,
         description="Number of cylinders or patches that are scored after every epoch",
     )

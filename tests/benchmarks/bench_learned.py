@@ -1,0 +1,229 @@
+# ruff: noqa: T201
+"""Simple and learned methods beside ours: on reporting seeds, and untouched on other sensors and a real pair.
+
+    make learned
+    python tests/benchmarks/bench_learned.py out/learned --surveys sim/default_1 sim/hard_1 sim/easy_1 \
+        --bare foreign/default_101=sim/default_101 --site ../shared/data
+
+A survey is an output of ``subiaco simulate --maps-only``. A bare pair is a folder with one cloud named before.*
+and one named after.*, and the survey that holds its truth. Every method takes the registration that
+'subiaco change' found. What is there in the work folder is not run again, so a stopped run goes on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime as dt
+import json
+import shutil
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from bench_real import revision
+from bench_real_site import read_site, read_truth, score
+from tabulated import table
+
+from subiaco_change.config import ChangeConfig
+from subiaco_change.job import ChangeJob, read_transform, run_change
+from subiaco_change.pipeline import detect_changes
+from subiaco_evaluation.baselines.config import BaselineConfig
+from subiaco_evaluation.baselines.run import METHODS, PDAL_METHOD, detect_simply, require_method, run_baseline
+from subiaco_evaluation.learned.methods import LEARNED_METHODS
+from subiaco_evaluation.learned.weights_file import SHIPPED, read_record
+from subiaco_evaluation.scoring import compare, evaluate
+from subiaco_geo.errors import InputError
+
+OURS = "subiaco"
+ROOT = Path(__file__).parents[2]
+PAGE = ROOT / "docs" / "results" / "learned.md"
+PICTURES = ROOT / "docs" / "pictures"
+_HEAD = """# Learned methods beside simple ones and ours
+
+Written by `tests/benchmarks/bench_learned.py` on {day}, revision `{revision}`; do not edit. The surveys are
+**simulated**, except the building site at the end. The networks were trained on tuning seeds of the simulator,
+at the sizes in the first table: much smaller and shorter than published. The table compares what two CPU cores
+can train; it does not repeat the publications.
+"""
+_GROUPS = {
+    "surveys": "## Reporting seeds\n\nNo method was tuned, trained or chosen on these surveys. Cells of 0.5 m, the "
+    "published protocol, all surveys pooled: {names}.",
+    "bare": "## Another sensor, bare clouds\n\nThe clouds have no trajectory and come from a program of its own "
+    "with another sensor; no network saw these streets or this sensor: {names}. The networks are untouched.",
+}
+
+
+@dataclass(frozen=True)
+class Case:
+    """Two epochs, their truth, and the table that they belong to."""
+
+    group: str
+    name: str
+    before: Path
+    after: Path
+    truth: Path
+
+
+def survey_case(path: Path) -> Case:
+    """Return the case of a simulated survey."""
+    return Case("surveys", path.name, path / "before", path / "after", path)
+
+
+def bare_case(words: str) -> Case:
+    """Return the case of ``FOLDER=SURVEY``."""
+    folder, _, truth = words.partition("=")
+    clouds = [
+        next(p for p in sorted(Path(folder).glob(f"{epoch}.*")) if p.suffix in {".ply", ".laz", ".las"})
+        for epoch in ("before", "after")
+    ]
+    return Case("bare", Path(folder).name, clouds[0], clouds[1], Path(truth))
+
+
+def run_case(case: Case, method: str, work: Path) -> Path:
+    """Run a method on a case, unless it was run before; return its change directory."""
+    out = work / case.group / case.name / method
+    if (out / "changes.csv").is_file():
+        return out
+    shutil.rmtree(out, ignore_errors=True)
+    started = time.perf_counter()
+    if method == OURS:
+        run_change(ChangeJob(case.before, case.after, out), ChangeConfig())
+    else:
+        transform = read_transform(run_case(case, OURS, work) / "registration.json")
+        run_baseline(ChangeJob(case.before, case.after, out, transform=transform), method, BaselineConfig())
+    print(f"{case.group} {case.name} {method}: {time.perf_counter() - started:.0f} s", flush=True)
+    return out
+
+
+def group_rows(cases: Sequence[Case], methods: Sequence[str], work: Path) -> list[dict[str, Any]]:
+    """Return a row for every method, scored over all cases of a group."""
+    folders = {m: [run_case(case, m, work) for case in cases] for m in (OURS, *methods)}
+    rows = []
+    for method, found in folders.items():
+        pairs = [(folder, case.truth) for folder, case in zip(found, cases, strict=True)]
+        grid = evaluate(pairs)["grid"]
+        row = {"method": method, "accuracy %": grid["accuracy_percent"], "mF1 %": grid["mf1_percent"],
+               "mIoU %": grid["miou_percent"], "mIoU of changes %": grid["miou_change_percent"]}  # fmt: skip
+        row |= {f"{label} IoU %": value for label, value in grid["iou_percent"].items()}
+        row["not decided %"] = grid["abstention_percent"]
+        if method != "dsm":
+            step = compare(pairs, folders["dsm"])["miou"]
+            low, high = step["interval_95_percent"]
+            row["mIoU less that of dsm, 95 %"] = (
+                f"{step['difference_percent']:+.1f} ({low:+.1f} to {high:+.1f})"
+            )
+        rows.append({k: round(v, 1) if isinstance(v, float) else v for k, v in row.items()})
+    return rows
+
+
+def site_rows(data: Path, methods: Sequence[str]) -> list[dict[str, Any]]:
+    """Return a row for every method on the real building site, as the epochs lie."""
+    rows, truth = [], read_truth()
+    for method in (OURS, *methods):
+        epochs = read_site(data, 0), read_site(data, 1)
+        if method == OURS:
+            result = detect_changes(*epochs, ChangeConfig(), transform=np.eye(4))
+        else:
+            result = detect_simply(*epochs, method, BaselineConfig(), transform=np.eye(4))
+        found, wrong = score(result, truth)
+        claims = [r for r in result.records if r.change < 4]
+        rows.append({"method": method, "objects right": f"{sum(s >= 0.5 for *_, s in found)} of {len(found)}",
+                     "claims": len(claims), "claims outside of every change": len(wrong),
+                     "area of those m2": round(sum(r.footprint.area for r in wrong), 1)})  # fmt: skip
+        print(rows[-1], flush=True)
+    return rows
+
+
+def training_rows(methods: Sequence[str]) -> list[dict[str, Any]]:
+    """Return what the records of the shipped weights say."""
+    rows = []
+    for method in methods:
+        record = read_record(SHIPPED / f"{method}.npz")
+        points = method.endswith("kpconv")
+        settings = record["config"]["point_training" if points else "raster_training"]
+        rows.append({
+            "method": method, "parameters": record["parameters"], "learned on": ", ".join(record["surveys"]),
+            "validated on": ", ".join(record["validation_surveys"]), "epochs": record["epochs"],
+            "cylinders or patches": record["epochs"] * settings["samples"], "hours": record["hours"],
+            "best epoch": record["best_epoch"] + 1, "validation mIoU %": record["validation_miou_percent"],
+            "seed": record["config"]["seed"], "revision": record["revision"],
+        })  # fmt: skip
+    return rows
+
+
+def page(found: dict[str, Any]) -> str:
+    """Return the page of what was found."""
+    parts = [
+        _HEAD.format(**found),
+        "Training, by the records in the files of weights:",
+        table(found["training"]),
+    ]
+    parts += [f"![Learning curve of {row['method']}](../pictures/learned-{row['method']}.png)"
+              for row in found["training"] if (PICTURES / f"learned-{row['method']}.png").is_file()]  # fmt: skip
+    for group, text in _GROUPS.items():
+        if group in found:
+            parts += [text.format(names=", ".join(found[f"{group}_names"])), table(found[group])]
+    if "site" in found:
+        parts += ["## A real building site\n\nOne site, seen twice by a handheld scanner (MultiChange3D), scored "
+                  "against what was drawn by eye; half of the points of an object must carry a right label.",
+                  table(found["site"])]  # fmt: skip
+    if found["absent"]:
+        parts.append("\n".join(f"* {name} was not run: {why}." for name, why in found["absent"].items()))
+    if found.get("remarks"):
+        parts.append("## What the figures say\n\n" + "\n".join(f"* {line}" for line in found["remarks"]))
+    return "\n\n".join(part.rstrip() for part in parts) + "\n"
+
+
+def available(methods: Sequence[str]) -> tuple[list[str], dict[str, str]]:
+    """Return the methods that can be run here, and why others cannot."""
+    good, absent = [], {}
+    for method in methods:
+        try:
+            require_method(method, BaselineConfig())
+            good.append(method)
+        except InputError as error:
+            absent[method] = str(error).removeprefix(f"{method}: ")
+    return good, absent
+
+
+def main() -> None:
+    """Run what is missing and write the page."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("work", type=Path)
+    parser.add_argument("--surveys", type=Path, nargs="*", default=[])
+    parser.add_argument("--bare", nargs="*", default=[], metavar="FOLDER=SURVEY")
+    parser.add_argument("--site", type=Path, metavar="DATA", help="folder that holds real_pair_site")
+    parser.add_argument("--remarks", type=Path, help="text file; a line is a remark below the tables")
+    parser.add_argument("--page", type=Path, default=PAGE)
+    given = parser.parse_args()
+    methods, absent = available([*METHODS, PDAL_METHOD, *LEARNED_METHODS])
+    learned = [m for m in methods if m in LEARNED_METHODS]
+    day = dt.datetime.now(dt.UTC).date().isoformat()
+    found: dict[str, Any] = {"day": day, "revision": revision(), "absent": absent}
+    found["training"] = training_rows(learned)
+    cases = [*map(survey_case, given.surveys), *map(bare_case, given.bare)]
+    for group in _GROUPS:
+        chosen = [case for case in cases if case.group == group]
+        if chosen:
+            found |= {
+                group: group_rows(chosen, methods, given.work),
+                f"{group}_names": [c.name for c in chosen],
+            }
+    if given.site is not None:
+        found["site"] = site_rows(given.site, methods)
+    if given.remarks is not None:
+        found["remarks"] = given.remarks.read_text(encoding="utf-8").splitlines()
+    given.work.mkdir(parents=True, exist_ok=True)
+    (given.work / "learned.json").write_text(json.dumps(found, indent=1), encoding="utf-8")
+    given.page.parent.mkdir(parents=True, exist_ok=True)
+    given.page.write_text(page(found), encoding="utf-8")
+    print(f"{given.page}: written")
+
+
+if __name__ == "__main__":
+    main()
