@@ -3,11 +3,11 @@
 
     make learned
     python tests/benchmarks/bench_learned.py out/learned --surveys sim/default_1 sim/hard_1 sim/easy_1 \
-        --bare foreign/default_101=sim/default_101 --site ../shared/data
+        --bare foreign/default_101=sim/default_101 --site $SUBIACO_TEST_DATA
 
-A survey is an output of ``subiaco simulate --maps-only``. A bare pair is a folder with one cloud named before.*
-and one named after.*, and the survey that holds its truth. Every method takes the registration that
-'subiaco change' found. What is there in the work folder is not run again, so a stopped run goes on.
+A survey is an output of ``subiaco simulate --maps-only``. A bare pair is a folder with one cloud named
+before.* and one named after.*, and the survey that holds its truth. Every method takes the registration
+that 'subiaco change' found. What is there in the work folder is not run again, so a stopped run goes on.
 """
 
 from __future__ import annotations
@@ -44,16 +44,27 @@ PICTURES = ROOT / "docs" / "pictures"
 _HEAD = """# Learned methods beside simple ones and ours
 
 Written by `tests/benchmarks/bench_learned.py` on {day}, revision `{revision}`; do not edit. The surveys are
-**simulated**, except the building site at the end. The networks were trained on tuning seeds of the simulator,
-at the sizes in the first table: much smaller and shorter than published. The table compares what two CPU cores
-can train; it does not repeat the publications.
+**simulated**, except the building site at the end. The networks were trained on tuning seeds of the
+simulator, at the sizes in the first table: much smaller and shorter than published. The page compares what
+two CPU cores can train; it does not repeat the publications.
 """
 _GROUPS = {
-    "surveys": "## Reporting seeds\n\nNo method was tuned, trained or chosen on these surveys. Cells of 0.5 m, the "
-    "published protocol, all surveys pooled: {names}.",
-    "bare": "## Another sensor, bare clouds\n\nThe clouds have no trajectory and come from a program of its own "
-    "with another sensor; no network saw these streets or this sensor: {names}. The networks are untouched.",
+    "surveys": """## Reporting seeds
+
+No method was tuned, trained or chosen on these surveys: {names}. Cells of 0.5 m, the published protocol,
+all surveys pooled.
+""",
+    "bare": """## Another sensor, bare clouds
+
+The clouds have no trajectory and another sensor: {names}. No network saw these streets or this sensor; the
+networks are untouched.
+""",
 }
+_SITE = """## A real building site
+
+One site, seen twice by a handheld scanner (MultiChange3D), scored against what was drawn by eye. An object
+is right when half of its points carry a right label.
+"""
 
 
 @dataclass(frozen=True)
@@ -112,9 +123,7 @@ def group_rows(cases: Sequence[Case], methods: Sequence[str], work: Path) -> lis
         if method != "dsm":
             step = compare(pairs, folders["dsm"])["miou"]
             low, high = step["interval_95_percent"]
-            row["mIoU less that of dsm, 95 %"] = (
-                f"{step['difference_percent']:+.1f} ({low:+.1f} to {high:+.1f})"
-            )
+            row["mIoU less dsm, 95 %"] = f"{step['difference_percent']:+.1f} ({low:+.1f} to {high:+.1f})"
         rows.append({k: round(v, 1) if isinstance(v, float) else v for k, v in row.items()})
     return rows
 
@@ -156,20 +165,17 @@ def training_rows(methods: Sequence[str]) -> list[dict[str, Any]]:
 
 def page(found: dict[str, Any]) -> str:
     """Return the page of what was found."""
-    parts = [
-        _HEAD.format(**found),
-        "Training, by the records in the files of weights:",
-        table(found["training"]),
-    ]
-    parts += [f"![Learning curve of {row['method']}](../pictures/learned-{row['method']}.png)"
-              for row in found["training"] if (PICTURES / f"learned-{row['method']}.png").is_file()]  # fmt: skip
+    parts = [_HEAD.format(**found), "Training, by the records in the files of weights:"]
+    parts.append(table(found["training"]))
+    for row in found["training"]:
+        picture = f"learned-{row['method']}.png"
+        if (PICTURES / picture).is_file():
+            parts.append(f"![Learning curve of {row['method']}](../pictures/{picture})")
     for group, text in _GROUPS.items():
         if group in found:
             parts += [text.format(names=", ".join(found[f"{group}_names"])), table(found[group])]
     if "site" in found:
-        parts += ["## A real building site\n\nOne site, seen twice by a handheld scanner (MultiChange3D), scored "
-                  "against what was drawn by eye; half of the points of an object must carry a right label.",
-                  table(found["site"])]  # fmt: skip
+        parts += [_SITE, table(found["site"])]
     if found["absent"]:
         parts.append("\n".join(f"* {name} was not run: {why}." for name, why in found["absent"].items()))
     if found.get("remarks"):

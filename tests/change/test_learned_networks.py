@@ -158,9 +158,12 @@ def test_a_raster_network_learns_one_patch_by_heart(method):
 
 
 def tiny_training(**settings):
-    points = {"epochs": 2, "samples": 2, "batch": 2}
-    return TrainingConfig(point_network=TINY, point_training=points, raster_training={"samples": 2, "batch": 2},
-                          raster_network={"width": 2, "patch": 32}, validation_samples=2, **settings)  # fmt: skip
+    steps = {"epochs": 2, "samples": 2, "batch": 2}
+    raster = RasterNetworkConfig(width=2, patch=32)
+    return TrainingConfig(
+        point_network=TINY, raster_network=raster, point_training=steps, raster_training=steps,
+        validation_samples=2, **settings,
+    )  # fmt: skip
 
 
 def point_task(seed=0):
