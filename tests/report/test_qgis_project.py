@@ -87,7 +87,9 @@ def test_lots_are_a_layer_where_they_were_given(result, tmp_path):
     x, y = result.records[0].x, result.records[0].y
     shapes = [box(x - 9, y - 9, x + 9, y + 9)]
     lots = gpd.GeoDataFrame({"lot": ["7"]}, geometry=shapes, crs=result.after.crs)
-    write_change_directory(tmp_path / "out", result, SceneConfig(), ChangeInputs(lots=lots), write_pages=write_pages)
+    write_change_directory(
+        tmp_path / "out", result, SceneConfig(), ChangeInputs(lots=lots), write_pages=write_pages
+    )
     (layer,) = (
         m for m in parsed(tmp_path / "out").iter("maplayer") if m.findtext("layername") == "Changes by lot"
     )
