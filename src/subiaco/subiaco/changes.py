@@ -25,6 +25,7 @@ from subiaco_change.request import ChangeRequest
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.config import load_config
 from subiaco_geo.frames import Floats
+from subiaco_report.pages import write_pages
 
 #: The change table: one row an object, with its footprint as geometry in the CRS of *after*.
 ChangeTable = gpd.GeoDataFrame
@@ -147,5 +148,5 @@ def run_comparison(
     extensions: Extensions = Extensions(),  # noqa: B008 - frozen
 ) -> Changes:
     """Run a request, as the command and the change node do; errors as for :func:`compare`."""
-    run_change(request, progress, extensions=extensions)
+    run_change(request, progress, extensions=extensions, write_pages=write_pages)
     return open_changes(request.output)

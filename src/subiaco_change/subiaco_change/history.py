@@ -17,6 +17,7 @@ from scipy.sparse.csgraph import connected_components
 from shapely.geometry import MultiPolygon
 
 from subiaco_change.job import run_change
+from subiaco_change.outputs.directory import PageWriter
 from subiaco_change.outputs.geopackage import write_layer
 from subiaco_change.outputs.reviews import read_reviewed, same_objects
 from subiaco_change.outputs.table import write_csv
@@ -58,6 +59,7 @@ def run_epochs(
     epochs: Sequence[Path],
     request: ChangeRequest,
     progress: Callable[[str, float], None] | None = None,
+    write_pages: PageWriter | None = None,
 ) -> gpd.GeoDataFrame:
     """Compare epochs that follow each other, and follow every object through all of them.
 
@@ -69,6 +71,8 @@ def run_epochs(
         Its options hold for every pair; pairs share the stages of the epoch between them. Its output gets a
         change directory ``<before>_to_<after>`` for every pair, ``history.csv`` and ``history.gpkg``.
     progress : callable, optional
+    write_pages : callable, optional
+        Writes the report of every pair.
 
     Returns
     -------
@@ -96,10 +100,8 @@ def run_epochs(
         ):
             pair = target / f"{before}_to_{after}"
             own = {"before": first, "after": second, "output": pair, "overwrite": False, "stages": stages}
-            run_change(
-                request.model_copy(update=own),
-                _share(progress, number, len(names) - 1, f"{before} to {after}"),
-            )
+            shared = _share(progress, number, len(names) - 1, f"{before} to {after}")
+            run_change(request.model_copy(update=own), shared, write_pages=write_pages)
             table = read_reviewed(pair)
             assert table is not None, "written just now"
             steps.append(Step(before, after, table))

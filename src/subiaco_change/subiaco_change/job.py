@@ -25,7 +25,7 @@ from subiaco_change.input_checks import (
     unstated_findings,
 )
 from subiaco_change.level_of_detection.registration_uncertainty import UncertaintyConfig
-from subiaco_change.outputs.directory import MARKER, ChangeInputs, write_change_directory
+from subiaco_change.outputs.directory import MARKER, ChangeInputs, PageWriter, write_change_directory
 from subiaco_change.outputs.parcels import read_lots
 from subiaco_change.outputs.reviews import read_reviewed
 from subiaco_change.pipeline import detect_in_tiles
@@ -136,6 +136,7 @@ def run_job(
     *,
     notes: Mapping[str, str] | None = None,
     calibration: Calibration | None = None,
+    write_pages: PageWriter | None = None,
 ) -> ChangeResult:
     """Load two epochs, find changes by any method, write the change directory.
 
@@ -151,6 +152,8 @@ def run_job(
         Further facts for ``run.json``.
     calibration : Calibration, optional
         What the method's confidences were fitted on.
+    write_pages : callable, optional
+        Writes the report into the change directory.
 
     Raises
     ------
@@ -170,7 +173,7 @@ def run_job(
         progress("writing", 0.97)
     inputs = _inputs(request, before, after, notes or {}, calibration or Calibration(), lots)
     inputs = replace(inputs, findings=found)
-    write_change_directory(request.output, result, config, inputs, overwrite=request.overwrite)
+    write_change_directory(request.output, result, config, inputs, request.overwrite, write_pages)
     return result
 
 
@@ -231,6 +234,7 @@ def run_change(
     progress: Callable[[str, float], None] | None = None,
     *,
     extensions: Extensions = Extensions(),  # noqa: B008 - frozen
+    write_pages: PageWriter | None = None,
 ) -> tuple[ChangeRecord, ...]:
     """Run our own method on two epochs in tiles; return the rows. Errors as for :func:`run_job`.
 
@@ -241,8 +245,12 @@ def run_change(
         Called with the name of the stage, the fraction of the run that is done, and the tile.
     extensions : Extensions
         Functions that replace parts of the method.
+    write_pages : callable, optional
+        Writes the report into the change directory.
     """
-    return run_change_and(request, lambda result: result.records, progress, extensions=extensions)
+    return run_change_and(
+        request, lambda result: result.records, progress, extensions=extensions, write_pages=write_pages
+    )
 
 
 def _extended(request: ChangeRequest, extensions: Extensions) -> tuple[tuple[Epoch, Epoch], Floats | None]:
@@ -267,6 +275,7 @@ def run_change_and(
     progress: Callable[[str, float], None] | None = None,
     *,
     extensions: Extensions = Extensions(),  # noqa: B008 - frozen
+    write_pages: PageWriter | None = None,
 ) -> Taken:
     """Run our own method as :func:`run_change`; return what is taken of the result."""
     config = request.config
@@ -290,5 +299,5 @@ def run_change_and(
         kinds = {row.evidence for row in result.records if row.change in CLAIMED}
         calibration = calibration_of(kinds, simulated, config.confidence)
         inputs = replace(_inputs(request, *epochs, {}, calibration, lots), findings=found)
-        write_change_directory(request.output, result, config, inputs, overwrite=request.overwrite)
+        write_change_directory(request.output, result, config, inputs, request.overwrite, write_pages)
         return take(result)
