@@ -315,6 +315,7 @@ class ExportKind(StrEnum):
     TERRAIN = "terrain"
     TILES = "tiles"
     KITTI = "kitti"
+    FOXGLOVE = "foxglove"
 
 
 def export(
@@ -326,7 +327,8 @@ def export(
             metavar="FORM",
             help="Clouds: laz, copc, ply. Maps also: tiles (LAZ of 80 m and an index), kitti (trajectory),"
             " terrain (ground and surface models, hillshade, contours)."
-            " Tables: gpkg, parquet, geojson, csv, shp, kml, dxf.",
+            " Tables: gpkg, parquet, geojson, csv, shp, kml, dxf."
+            " Clouds, outlines and table of changes in one MCAP file for Foxglove: foxglove.",
         ),
     ],
     cloudcompare: Annotated[
