@@ -159,7 +159,8 @@ def _complaint(model: type[BaseModel], error: ValidationError) -> tuple[tuple[in
     place = first["loc"]
     where = ".".join(str(part) for part in place)
     if first["type"] != "extra_forbidden":
-        return place, f"{where}: {first['msg']}, got {_SHORT.repr(first['input'])}"
+        message = first["msg"].removeprefix("Value error, ")
+        return place, " ".join(f"{where}: {message}, got {_SHORT.repr(first['input'])}".split())
     held, name = _slice_of(model, place[:-1]), str(place[-1])
     if held is not None and issubclass(held, StrictModel) and name in held.FORMER_NAMES:
         return place, f"{where}: no such setting; it is called {held.FORMER_NAMES[name]} now"
