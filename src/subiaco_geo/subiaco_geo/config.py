@@ -71,7 +71,7 @@ def load_yaml(text: str) -> Any:
 class StrictModel(BaseModel):
     """Frozen model that refuses unknown keys.
 
-    ``FORMER_NAMES``: settings that were renamed, by their former names, so that a refusal names the present one.
+    ``FORMER_NAMES``: settings that were renamed, by their former names, so that a refusal names the new one.
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
