@@ -1,18 +1,22 @@
 """Package description for colcon and pip alike."""
 
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
 from setuptools import find_packages, setup
 
 NAME = "subiaco_change"
+MANIFEST = ET.parse(Path(__file__).resolve().with_name("package.xml"))
 
 setup(
     name=NAME,
-    version="0.1.0",
+    version=MANIFEST.findtext("version"),
     description="Two survey maps to objects, and objects to a table of changes, with its ROS 2 node.",
     maintainer="Subiaco maintainers",
     maintainer_email="maintainers@subiaco.example.org",
     license="Apache-2.0",
     packages=find_packages(include=[NAME, NAME + ".*"]),
-    package_data={NAME: ["py.typed", "**/*.html", "**/*.jinja", "**/*.j2", "**/*.schema.json"]},
+    package_data={NAME: ["py.typed", "**/*.schema.json"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + NAME]),
         ("share/" + NAME, ["package.xml"]),
@@ -20,9 +24,4 @@ setup(
     install_requires=["setuptools"],
     extras_require={"test": ["pytest"], "dask": ["distributed"]},
     zip_safe=False,
-    entry_points={
-        "console_scripts": [
-            "change_node = subiaco_change.nodes.executables:change_node",
-        ],
-    },
 )

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ast
+import re
+import runpy
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
@@ -28,8 +30,8 @@ def setup_arguments(package: Path) -> dict[str, ast.expr]:
 
 
 def test_the_packages_of_the_architecture_are_there() -> None:
-    rooms = ("", "_bringup", "_change", "_evaluation", "_geo", "_mapping", "_msgs", "_sim")
-    assert [package.name for package in OURS] == [f"subiaco{room}" for room in rooms]
+    rooms = ("bringup", "change", "evaluation", "geo", "mapping", "msgs", "report", "ros", "sim")
+    assert [package.name for package in OURS] == ["subiaco", *(f"subiaco_{room}" for room in rooms)]
 
 
 @pytest.mark.parametrize("package", ALL, ids=name_of)
@@ -45,14 +47,34 @@ def test_a_manifest_names_its_folder_a_maintainer_a_licence_and_a_build_type(pac
 
 @pytest.mark.parametrize("package", OURS, ids=name_of)
 def test_every_manifest_carries_the_one_version(package: Path) -> None:
+    """Wherever they differ: python scripts/version.py X.Y.Z."""
     assert ET.parse(package / "package.xml").findtext("version") == __version__
+
+
+@pytest.mark.parametrize("package", PYTHON, ids=name_of)
+def test_setup_takes_the_version_from_the_manifest(package: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(package)
+    monkeypatch.setattr("setuptools.setup", lambda **given: found.update(given))
+    found: dict[str, object] = {}
+    runpy.run_path(str(package / "setup.py"))
+    assert found["version"] == __version__
+
+
+def test_the_command_and_the_changelog_name_the_one_version(capsys: pytest.CaptureFixture[str]) -> None:
+    from subiaco_bringup.cli.main import run
+
+    assert run(["--version"]) == 0
+    assert capsys.readouterr().out.strip() == f"subiaco {__version__}"
+    log = (REPOSITORY / "CHANGELOG.md").read_text(encoding="utf-8")
+    released = re.findall(r"^## \[(\d+\.\d+\.\d+)\] - (\d{4}-\d\d-\d\d)$", log, flags=re.MULTILINE)
+    assert released[0][0] == __version__
+    assert [day for _, day in released] == sorted((day for _, day in released), reverse=True)
 
 
 @pytest.mark.parametrize("package", PYTHON, ids=name_of)
 def test_setup_and_manifest_agree(package: Path) -> None:
     arguments = setup_arguments(package)
     manifest = ET.parse(package / "package.xml")
-    assert ast.literal_eval(arguments["version"]) == manifest.findtext("version")
     assert ast.literal_eval(arguments["description"]) == manifest.findtext("description")
     assert ast.literal_eval(arguments["license"]) == manifest.findtext("license")
 
@@ -94,7 +116,16 @@ def test_a_manifest_depends_on_every_room_its_modules_import(package: Path) -> N
     assert imported & ros <= declared
 
 
-ROOMS = ("subiaco_geo", "subiaco_sim", "subiaco_mapping", "subiaco_change", "subiaco_evaluation")
+#: Packages that the modules of a package may import beside itself and, in ``nodes/``, further ones.
+ALLOWED: dict[str, tuple[set[str], set[str]]] = {
+    "subiaco_geo": (set(), set()),
+    "subiaco_ros": ({"subiaco_geo"}, set()),
+    "subiaco_sim": ({"subiaco_geo"}, set()),
+    "subiaco_mapping": ({"subiaco_geo"}, {"subiaco_ros", "subiaco_msgs"}),
+    "subiaco_change": ({"subiaco_geo"}, {"subiaco_ros", "subiaco_msgs"}),
+    "subiaco_evaluation": ({"subiaco_geo", "subiaco_change"}, set()),
+    "subiaco_report": ({"subiaco_geo", "subiaco_change"}, set()),
+}
 
 
 def imported_by(file: Path) -> set[str]:
@@ -107,25 +138,19 @@ def imported_by(file: Path) -> set[str]:
     return tops
 
 
-def test_every_room_knows_only_the_rooms_before_it() -> None:
-    """Modules of a room need the ground floor alone; nodes may share what earlier rooms' nodes offer."""
-    before_nodes = {
-        "subiaco_mapping": {"subiaco_msgs"},
-        "subiaco_change": {"subiaco_msgs", "subiaco_mapping"},
-    }
-    for name in ROOMS:
-        for file in (SOURCES / name / name).rglob("*.py"):
-            allowed = {name, "subiaco_geo"} | ({"subiaco_change"} if name == "subiaco_evaluation" else set())
-            if "nodes" in file.parts:
-                allowed |= before_nodes[name]
-            assert {top for top in imported_by(file) if top.startswith("subiaco_")} <= allowed, file
+@pytest.mark.parametrize("name", ALLOWED)
+def test_a_package_imports_only_the_packages_before_it(name: str) -> None:
+    modules, nodes = ALLOWED[name]
+    for file in (SOURCES / name / name).rglob("*.py"):
+        allowed = {name} | modules | (nodes if "nodes" in file.parts else set())
+        assert {top for top in imported_by(file) if top.startswith("subiaco_")} <= allowed, file
 
 
-def test_only_nodes_import_ros() -> None:
-    for name in ROOMS:
-        for file in (SOURCES / name / name).rglob("*.py"):
-            if "nodes" not in file.parts:
-                assert not imported_by(file) & {"rclpy", "subiaco_msgs"}, file
+@pytest.mark.parametrize("name", [name for name in ALLOWED if name != "subiaco_ros"])
+def test_only_nodes_import_ros(name: str) -> None:
+    for file in (SOURCES / name / name).rglob("*.py"):
+        if "nodes" not in file.parts:
+            assert not imported_by(file) & {"rclpy", "subiaco_msgs", "subiaco_ros"}, file
 
 
 @pytest.mark.parametrize("package", ALL, ids=name_of)
