@@ -28,8 +28,9 @@ from bench_real_site import read_site, read_truth, score
 from tabulated import table
 
 from subiaco_change.config import ChangeConfig
-from subiaco_change.job import ChangeJob, read_transform, run_change
+from subiaco_change.job import read_transform, run_change
 from subiaco_change.pipeline import detect_changes
+from subiaco_change.request import ChangeRequest, ComparisonRequest
 from subiaco_evaluation.baselines.config import BaselineConfig
 from subiaco_evaluation.baselines.run import METHODS, PDAL_METHOD, detect_simply, require_method, run_baseline
 from subiaco_evaluation.learned.methods import LEARNED_METHODS
@@ -101,10 +102,11 @@ def run_case(case: Case, method: str, work: Path) -> Path:
     shutil.rmtree(out, ignore_errors=True)
     started = time.perf_counter()
     if method == OURS:
-        run_change(ChangeJob(case.before, case.after, out), ChangeConfig())
+        run_change(ChangeRequest(before=case.before, after=case.after, output=out))
     else:
-        transform = read_transform(run_case(case, OURS, work) / "registration.json")
-        run_baseline(ChangeJob(case.before, case.after, out, transform=transform), method, BaselineConfig())
+        rows = read_transform(run_case(case, OURS, work) / "registration.json").tolist()
+        request = ComparisonRequest(before=case.before, after=case.after, output=out, transform=rows)
+        run_baseline(request, method, BaselineConfig())
     print(f"{case.group} {case.name} {method}: {time.perf_counter() - started:.0f} s", flush=True)
     return out
 
