@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor, nn
@@ -161,4 +161,8 @@ class EfsKpconv(nn.Module):
 
 
 #: Networks by the name of the method.
-POINT_NETWORKS = {"siamese-kpconv": SiameseKpconv, "triplet-kpconv": TripletKpconv, "efs-kpconv": EfsKpconv}
+POINT_NETWORKS: dict[str, Callable[[PointNetworkConfig], nn.Module]] = {
+    "siamese-kpconv": SiameseKpconv,
+    "triplet-kpconv": TripletKpconv,
+    "efs-kpconv": EfsKpconv,
+}

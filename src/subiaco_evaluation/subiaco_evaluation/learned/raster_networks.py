@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from itertools import pairwise
 
 import torch
@@ -95,4 +95,7 @@ class SiameseDifference(nn.Module):
 
 
 #: Networks by the name of the method.
-RASTER_NETWORKS = {"dsm-fc-ef": EarlyFusion, "dsm-siamese": SiameseDifference}
+RASTER_NETWORKS: dict[str, Callable[[RasterNetworkConfig], nn.Module]] = {
+    "dsm-fc-ef": EarlyFusion,
+    "dsm-siamese": SiameseDifference,
+}
