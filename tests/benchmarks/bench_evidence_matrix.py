@@ -1,8 +1,8 @@
 # ruff: noqa: T201
 """Scores by kind of evidence: maps with their visibility layer, bare clouds with and without trajectory.
 
-    python tests/benchmarks/bench_evidence_matrix.py out/surveys/* -o docs/evidence-matrix.md
-    python tests/benchmarks/bench_evidence_matrix.py --simulate out/matrix -o docs/evidence-matrix.md
+    python tests/benchmarks/bench_evidence_matrix.py out/surveys/* -o docs/results/evidence-matrix.md
+    python tests/benchmarks/bench_evidence_matrix.py --simulate out/matrix -o docs/results/evidence-matrix.md
 
 Surveys come from ``subiaco simulate --maps-only``; ``--simulate`` makes those that are missing: every preset
 with the same sensor in both epochs, and with 64 beams before and 128 after. Bare clouds are what another

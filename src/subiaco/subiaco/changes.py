@@ -24,6 +24,7 @@ from subiaco_change.outputs.change_directory_reading import ChangeDirectory, rea
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.config import load_config
 from subiaco_geo.frames import Floats
+from subiaco_report.pages import write_pages
 
 #: The change table: one row an object, with its footprint as geometry in the CRS of *after*.
 ChangeTable = gpd.GeoDataFrame
@@ -158,5 +159,5 @@ def compare(
         extensions=Extensions(registration, segmentation, decision),
     )
     model = load_config(ChangeConfig, tuple(Path(file) for file in config), as_settings(settings))
-    run_change(job, model, progress)
+    run_change(job, model, progress, write_pages)
     return open_changes(output)

@@ -18,6 +18,7 @@ from shapely.geometry import MultiPolygon
 
 from subiaco_change.config import ChangeConfig
 from subiaco_change.job import ChangeJob, Work, run_change
+from subiaco_change.outputs.directory import PageWriter
 from subiaco_change.outputs.geopackage import write_layer
 from subiaco_change.outputs.reviews import read_reviewed, same_objects
 from subiaco_change.outputs.table import write_csv
@@ -64,6 +65,7 @@ def run_epochs(
     overwrite: bool = False,
     parcels: Path | None = None,
     work: Work = Work(),  # noqa: B008 - frozen
+    write_pages: PageWriter | None = None,
 ) -> gpd.GeoDataFrame:
     """Compare epochs that follow each other, and follow every object through all of them.
 
@@ -82,6 +84,8 @@ def run_epochs(
         Vector file of lots, for every pair.
     work : Work
         Who does it; pairs share the stages of the epoch between them.
+    write_pages : callable, optional
+        Writes the report of every pair.
 
     Returns
     -------
@@ -110,7 +114,8 @@ def run_epochs(
                 parcels=parcels,
                 work=replace(work, stages=stages),
             )
-            run_change(job, config, _share(progress, number, len(names) - 1, f"{before} to {after}"))
+            shared = _share(progress, number, len(names) - 1, f"{before} to {after}")
+            run_change(job, config, shared, write_pages)
             table = read_reviewed(job.output)
             assert table is not None, "written just now"
             steps.append(Step(before, after, table))

@@ -26,7 +26,7 @@ from subiaco_change.input_checks import (
     unstated_findings,
 )
 from subiaco_change.level_of_detection.registration_uncertainty import UncertaintyConfig
-from subiaco_change.outputs.directory import MARKER, ChangeInputs, write_change_directory
+from subiaco_change.outputs.directory import MARKER, ChangeInputs, PageWriter, write_change_directory
 from subiaco_change.outputs.parcels import read_lots
 from subiaco_change.outputs.reviews import read_reviewed
 from subiaco_change.pipeline import detect_in_tiles
@@ -197,6 +197,7 @@ def run_job(
     *,
     notes: Mapping[str, str] | None = None,
     calibration: Calibration | None = None,
+    write_pages: PageWriter | None = None,
 ) -> ChangeResult:
     """Load two epochs, find changes by any method, write the change directory.
 
@@ -212,6 +213,8 @@ def run_job(
         Further facts for ``run.json``.
     calibration : Calibration, optional
         What the method's confidences were fitted on.
+    write_pages : callable, optional
+        Writes the report into the change directory.
 
     Raises
     ------
@@ -231,7 +234,7 @@ def run_job(
         progress("writing", 0.97)
     inputs = _inputs(job, before, after, notes or {}, calibration or Calibration(), lots)
     inputs = replace(inputs, findings=found)
-    write_change_directory(job.output, result, config, inputs, overwrite=job.overwrite)
+    write_change_directory(job.output, result, config, inputs, job.overwrite, write_pages)
     return result
 
 
@@ -288,10 +291,13 @@ def _inputs(
 
 
 def run_change(
-    job: ChangeJob, config: ChangeConfig, progress: Callable[[str, float], None] | None = None
+    job: ChangeJob,
+    config: ChangeConfig,
+    progress: Callable[[str, float], None] | None = None,
+    write_pages: PageWriter | None = None,
 ) -> tuple[ChangeRecord, ...]:
     """Run our own method on two epochs in tiles; return the rows. Errors as for :func:`run_job`."""
-    return run_change_and(job, config, lambda result: result.records, progress)
+    return run_change_and(job, config, lambda result: result.records, progress, write_pages)
 
 
 def _extended(job: ChangeJob) -> tuple[tuple[Epoch, Epoch], Floats | None]:
@@ -313,6 +319,7 @@ def run_change_and(
     config: ChangeConfig,
     take: Callable[[TiledResult], Taken],
     progress: Callable[[str, float], None] | None = None,
+    write_pages: PageWriter | None = None,
 ) -> Taken:
     """Run our own method as :func:`run_change`; return what is taken of the result."""
     lots = _start(job)
@@ -335,5 +342,5 @@ def run_change_and(
         kinds = {row.evidence for row in result.records if row.change in CLAIMED}
         calibration = calibration_of(kinds, simulated, config.confidence)
         inputs = replace(_inputs(job, *epochs, {}, calibration, lots), findings=found)
-        write_change_directory(job.output, result, config, inputs, overwrite=job.overwrite)
+        write_change_directory(job.output, result, config, inputs, job.overwrite, write_pages)
         return take(result)

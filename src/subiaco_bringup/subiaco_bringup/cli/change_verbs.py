@@ -146,6 +146,7 @@ def change(
     from subiaco_change.config import ChangeConfig, left_out
     from subiaco_change.history import run_epochs
     from subiaco_change.job import ChangeJob, Work, run_change
+    from subiaco_report.pages import write_pages
 
     set_up_logging(verbose, quiet)
     work = Work(_cores() if workers is None else workers, scheduler, keep_stages, from_stage)
@@ -171,6 +172,7 @@ def change(
                 overwrite=overwrite,
                 parcels=parcels,
                 work=work,
+                write_pages=write_pages,
             )
         say(f"history: {output / 'history.csv'} ({len(history)} objects)", quiet=quiet)
         for found in sorted(output.glob("*_to_*/run.json")):
@@ -181,7 +183,7 @@ def change(
         before, after, output, trajectory_before, trajectory_after, known, overwrite, parcels, given, work
     )
     with Progress(quiet=quiet) as progress:
-        records = run_change(job, model, progress)
+        records = run_change(job, model, progress, write_pages)
     counts = Counter(record.change.label for record in records)
     listed = ", ".join(f"{count} {label}" for label, count in sorted(counts.items()))
     say(f"changes: {output} ({listed or 'no objects'}); open {output / 'report.html'}", quiet=quiet)
@@ -266,14 +268,14 @@ def report(
     Example: subiaco report out/change --project "Survey 2025" --client "City of Subiaco"
     """
     from subiaco_change.outputs.change_directory_reading import read_change_directory
-    from subiaco_change.outputs.directory import rebuild
-    from subiaco_change.report.project import store_project_facts
+    from subiaco_report.pages import write_pages
+    from subiaco_report.project_facts import store_project_facts
 
     set_up_logging(verbose, quiet)
     if (project, client, logo) != (None, None, None):
         read_change_directory(change_directory)
         store_project_facts(change_directory, project, client, logo)
-    say(f"report: {rebuild(change_directory)}", quiet=quiet)
+    say(f"report: {write_pages(change_directory)}", quiet=quiet)
 
 
 def review(
@@ -295,13 +297,13 @@ def review(
 
     Example: subiaco review out/change reviews.csv
     """
-    from subiaco_change.outputs.directory import rebuild
     from subiaco_change.outputs.review_files import take_up_reviews
     from subiaco_change.outputs.review_state import review_counts
+    from subiaco_report.pages import write_pages
 
     set_up_logging(verbose, quiet)
     table, unknown = take_up_reviews(change_directory, list(files or []))
-    page = rebuild(change_directory)
+    page = write_pages(change_directory)
     counts = review_counts(table) | {"unknown": unknown}
     if as_json:
         print_json(counts)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import logging
-import sys
-from collections.abc import Generator, Sequence
+from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
@@ -18,23 +17,19 @@ from subiaco_change.config import ChangeConfig
 from subiaco_change.job import ChangeJob, run_change_and
 from subiaco_change.nodes.job import Detect, Job, JobCancelledError, Outcome, Report
 from subiaco_change.nodes.messages import change_cloud_message, marker_message, table_message
+from subiaco_change.outputs.directory import PageWriter
 from subiaco_change.records import TiledResult
 from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError, SubiacoError
 from subiaco_geo.trajectories import read_tum
-from subiaco_mapping.nodes.frame import frame_at_origin
-from subiaco_mapping.nodes.messages import origin_message
-from subiaco_mapping.nodes.runtime import (
-    App,
-    Diagnostics,
-    ProgressLog,
-    latched,
-    read_models,
-    run_node,
-    wait_until_received,
-)
 from subiaco_msgs.action import DetectChanges
 from subiaco_msgs.msg import ChangeTable
+from subiaco_ros.diagnostics import Diagnostics, ProgressLog
+from subiaco_ros.local_frame import frame_at_origin
+from subiaco_ros.messages import origin_message
+from subiaco_ros.node_process import App, wait_until_received
+from subiaco_ros.parameters import read_models
+from subiaco_ros.qos import latched
 
 LOGGER = logging.getLogger(__name__)
 
@@ -194,28 +189,20 @@ def survey_end_ns(path: Path) -> int:
     return int(read_tum(trajectory).times_ns[-1]) if trajectory.is_file() else 0
 
 
-def make_detect(config: ChangeConfig) -> Detect:
-    """Bind the library's step to a configuration."""
+def make_detect(config: ChangeConfig, write_pages: PageWriter) -> Detect:
+    """Bind the library's step to a configuration and to what writes the pages."""
 
     def detect(request: ChangeJob, report: Report) -> Outcome:
         report("reading maps", 0.0)
         return Outcome(
-            run_change_and(request, config, TiledResult.whole, report), survey_end_ns(request.after)
+            run_change_and(request, config, TiledResult.whole, report, write_pages),
+            survey_end_ns(request.after),
         )
 
     return detect
 
 
-def build(node: Node) -> App:
+def build(node: Node, write_pages: PageWriter) -> App:
     """Put the node together from its parameters."""
     own, config = read_models(node, ChangeParameters, ChangeConfig)
-    return ChangeApp(node, own, make_detect(config))
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the node."""
-    return run_node("change", build, argv)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    return ChangeApp(node, own, make_detect(config, write_pages))
