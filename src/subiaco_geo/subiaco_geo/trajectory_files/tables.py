@@ -123,7 +123,8 @@ def _open_table(path: Path, group: str) -> _Table:
     delimiter = next((letter for letter in _DELIMITERS if letter in plain[-1][1]), None)
     names = _cells(plain[0][1], delimiter)
     if np.isfinite(_number(names[0])):  # numbers from the first line on: the names are in a comment
-        names = _cells(comments[-1].lstrip(_COMMENTS).strip(), delimiter) if comments else []
+        above = comments[-1].lstrip(_COMMENTS).strip() if comments else ""
+        names = _cells(above, delimiter if delimiter is None or delimiter in above else None) if above else []
     else:
         plain = plain[1:]
     rows = [_cells(line, delimiter) for _, line in plain]
