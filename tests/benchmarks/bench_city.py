@@ -29,8 +29,8 @@ import numpy as np
 import psutil
 import yaml
 
-from subiaco_change.config import ChangeConfig
-from subiaco_change.job import ChangeJob, Work, run_change
+from subiaco_change.job import run_change
+from subiaco_change.request import ChangeRequest
 from subiaco_geo.clouds import PointCloud, unpack_voxel_keys, voxel_keys
 from subiaco_geo.maps import load_epoch
 from subiaco_geo.ply_io import write_ply_parts
@@ -145,9 +145,11 @@ def run_once(survey: Path, workers: int, *, report: bool) -> dict[str, Any]:
     shutil.rmtree(output, ignore_errors=True)
     watch = Watch()
     wall, cpu = time.perf_counter(), total_cpu()
-    job = ChangeJob(survey / "before", survey / "after", output, work=Work(workers))
+    request = ChangeRequest.of(
+        before=survey / "before", after=survey / "after", output=output, workers=workers
+    )
     try:
-        run_change(job, ChangeConfig(), watch.tell, write_pages if report else None)
+        run_change(request, watch.tell, write_pages=write_pages if report else None)
     finally:
         watch.close()
     wall, cpu = time.perf_counter() - wall, total_cpu() - cpu
