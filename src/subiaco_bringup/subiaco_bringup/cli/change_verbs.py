@@ -34,7 +34,8 @@ _EPOCH_HELP = "Map directory, or a bare cloud: .ply, .las, .laz, .copc.laz, .pcd
 Before = Annotated[Path, typer.Argument(metavar="BEFORE", help=_EPOCH_HELP)]
 After = Annotated[Path, typer.Argument(metavar="AFTER", help=_EPOCH_HELP)]
 TrajectoryFile = Annotated[
-    Path | None, typer.Option(metavar="F", help="Trajectory of the scanner (TUM), for a bare cloud.")
+    Path | None,
+    typer.Option(metavar="F", help="Scanner trajectory of a bare cloud: TUM, SBET, RTKLIB .pos or CSV."),
 ]
 
 TransformFile = Annotated[
@@ -69,9 +70,14 @@ def _cores() -> int:
 
 def _given(semantics: str | None, instances: str | None) -> tuple[str, ...]:
     """Return the point fields that replace stages."""
-    for option, value in (("--semantics", semantics), ("--instances", instances)):
-        if value not in (None, "given"):
-            raise InputError(f"{option} {value}: only 'given' is known; leave it out to have them found")
+    if semantics not in (None, "given", "asprs"):
+        raise InputError(f"--semantics {semantics}: give 'given' or 'asprs', or leave it out")
+    if instances not in (None, "given"):
+        raise InputError(f"--instances {instances}: only 'given' is known; leave it out to have them found")
+    if semantics == "asprs" and instances is None:
+        return ("classification",)
+    if semantics == "asprs":
+        raise InputError("--instances given needs --semantics given: ASPRS classes name no objects")
     if instances is not None and semantics is None:
         raise InputError("--instances given needs --semantics given: objects are of a class")
     return (*(("semantic",) if semantics else ()), *(("instance",) if instances else ()))
@@ -103,7 +109,11 @@ def change(
     ] = None,
     semantics: Annotated[
         str | None,
-        typer.Option(metavar="given", help="'given' takes the class of every point from its field semantic."),
+        typer.Option(
+            metavar="given|asprs",
+            help="'given' takes the class of every point from its field semantic, 'asprs' from its ASPRS "
+            "classification.",
+        ),
     ] = None,
     instances: Annotated[
         str | None,
