@@ -93,7 +93,7 @@ class ChangeConfig(StrictModel):
     checks: InputCheckConfig = InputCheckConfig()
 
 
-def left_out(config: ChangeConfig, parts: Sequence[str]) -> ChangeConfig:
+def with_parts_disabled(config: ChangeConfig, parts: Sequence[str]) -> ChangeConfig:
     """Return the configuration with these parts left out too.
 
     Raises
