@@ -139,7 +139,7 @@ class OdometryConfig(StrictModel):
     """Scan to local map (kiss-icp core)."""
 
     FORMER_NAMES: ClassVar[Mapping[str, str]] = {
-        "look_voxel": "gicp_voxel",
+        "gicp_voxel": "gicp_voxel",
         "look_distance": "gicp_distance",
         "look_iterations": "gicp_iterations",
         "look_leaf": "gicp_leaf",
