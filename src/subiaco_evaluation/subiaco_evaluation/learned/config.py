@@ -116,7 +116,7 @@ class RasterTrainingConfig(StrictModel):
 class TrainingConfig(StrictModel):
     """Everything that decides how a network is built and trained."""
 
-    seed: int = Field(0, ge=0, description="Seed of weights, sampling and augmentation; number of no unit")
+    seed: int = Field(0, ge=0, description="Seed of weights, sampling and augmentation")
     patience: int = Field(
         12,
         ge=1,
