@@ -24,19 +24,34 @@ from typing import Any
 
 import numpy as np
 from bench_real import revision
-from bench_real_site import read_site, read_truth, score
+from bench_real_site import read_site, score
+from bench_real_site import read_truth as read_drawn
 from tabulated import table
 
 from subiaco_change.config import ChangeConfig
 from subiaco_change.job import read_transform, run_change
 from subiaco_change.pipeline import detect_changes
-from subiaco_change.request import ChangeRequest, ComparisonRequest
+from subiaco_change.request import ChangeRequest
+from subiaco_evaluation.baselines.cells import Pair
 from subiaco_evaluation.baselines.config import BaselineConfig
-from subiaco_evaluation.baselines.run import METHODS, PDAL_METHOD, detect_simply, require_method, run_baseline
+from subiaco_evaluation.baselines.run import (
+    METHODS,
+    PDAL_METHOD,
+    compare_pair,
+    detect_simply,
+    prepare_pair,
+    require_method,
+)
+from subiaco_evaluation.layouts import Prediction, in_after_frame, read_prediction
 from subiaco_evaluation.learned.methods import LEARNED_METHODS
 from subiaco_evaluation.learned.weights_file import SHIPPED, read_record
-from subiaco_evaluation.scoring import compare, evaluate
+from subiaco_evaluation.paired import paired_difference
+from subiaco_evaluation.scores import describe
+from subiaco_evaluation.scoring import EvaluationConfig, score_cells
+from subiaco_evaluation.truth import read_truth
 from subiaco_geo.errors import InputError
+from subiaco_geo.frames import Ints
+from subiaco_geo.maps import load_epoch
 
 OURS = "subiaco"
 ROOT = Path(__file__).parents[2]
@@ -94,36 +109,55 @@ def bare_case(words: str) -> Case:
     return Case("bare", Path(folder).name, clouds[0], clouds[1], Path(truth))
 
 
-def run_case(case: Case, method: str, work: Path) -> Path:
-    """Run a method on a case, unless it was run before; return its change directory."""
-    out = work / case.group / case.name / method
-    if (out / "changes.csv").is_file():
-        return out
-    shutil.rmtree(out, ignore_errors=True)
-    started = time.perf_counter()
-    if method == OURS:
+def run_ours(case: Case, work: Path) -> Path:
+    """Run 'subiaco change' on a case, unless it was run before; return its change directory."""
+    out = work / case.group / case.name / OURS
+    if not (out / "changes.csv").is_file():
+        shutil.rmtree(out, ignore_errors=True)
         run_change(ChangeRequest(before=case.before, after=case.after, output=out))
-    else:
-        rows = read_transform(run_case(case, OURS, work) / "registration.json").tolist()
-        request = ComparisonRequest(before=case.before, after=case.after, output=out, transform=rows)
-        run_baseline(request, method, BaselineConfig())
-    print(f"{case.group} {case.name} {method}: {time.perf_counter() - started:.0f} s", flush=True)
     return out
+
+
+def matrices(case: Case, methods: Sequence[str], work: Path) -> dict[str, Ints]:
+    """Return the 5x6 matrices of the tiles of a case (T, 5, 6) by method; what is there is not run again."""
+    folder = work / case.group / case.name
+    ours = run_ours(case, work)
+    missing = [m for m in (OURS, *methods) if not (folder / f"{m}.npy").is_file()]
+    if missing:
+        truth = read_truth(case.truth)
+        real, config, pair = in_after_frame(truth), BaselineConfig(), None
+        for method in missing:
+            started = time.perf_counter()
+            if method == OURS:
+                said = read_prediction(ours, truth)
+            else:
+                pair = pair or registered(case, ours, config)
+                found = compare_pair(pair, method, config)
+                said = Prediction(found.before, found.after)
+            np.save(folder / f"{method}.npy", score_cells(said, real, EvaluationConfig())[1])
+            print(f"{case.group} {case.name} {method}: {time.perf_counter() - started:.0f} s", flush=True)
+    return {m: np.load(folder / f"{m}.npy") for m in (OURS, *methods)}
+
+
+def registered(case: Case, ours: Path, config: BaselineConfig) -> Pair:
+    """Return the epochs of a case by the registration that 'subiaco change' found."""
+    transform = read_transform(ours / "registration.json")
+    return prepare_pair(load_epoch(case.before), load_epoch(case.after), config, transform)[0]
 
 
 def group_rows(cases: Sequence[Case], methods: Sequence[str], work: Path) -> list[dict[str, Any]]:
     """Return a row for every method, scored over all cases of a group."""
-    folders = {m: [run_case(case, m, work) for case in cases] for m in (OURS, *methods)}
+    by_case = [matrices(case, methods, work) for case in cases]
+    tiles = {m: np.concatenate([found[m] for found in by_case]) for m in (OURS, *methods)}
     rows = []
-    for method, found in folders.items():
-        pairs = [(folder, case.truth) for folder, case in zip(found, cases, strict=True)]
-        grid = evaluate(pairs)["grid"]
-        row = {"method": method, "accuracy %": grid["accuracy_percent"], "mF1 %": grid["mf1_percent"],
-               "mIoU %": grid["miou_percent"], "mIoU of changes %": grid["miou_change_percent"]}  # fmt: skip
-        row |= {f"{label} IoU %": value for label, value in grid["iou_percent"].items()}
-        row["not decided %"] = grid["abstention_percent"]
+    for method, found in tiles.items():
+        total = describe(found.sum(axis=0))
+        row = {"method": method, "accuracy %": total["accuracy_percent"], "mF1 %": total["mf1_percent"]}
+        row |= {"mIoU %": total["miou_percent"], "mIoU of changes %": total["miou_change_percent"]}
+        row |= {f"{label} IoU %": value for label, value in total["iou_percent"].items()}
+        row["not decided %"] = total["abstention_percent"]
         if method != "dsm":
-            step = compare(pairs, folders["dsm"])["miou"]
+            step = paired_difference(found, tiles["dsm"], 1000, 0)["miou"]
             low, high = step["interval_95_percent"]
             row["mIoU less dsm, 95 %"] = f"{step['difference_percent']:+.1f} ({low:+.1f} to {high:+.1f})"
         rows.append({k: round(v, 1) if isinstance(v, float) else v for k, v in row.items()})
@@ -132,7 +166,7 @@ def group_rows(cases: Sequence[Case], methods: Sequence[str], work: Path) -> lis
 
 def site_rows(data: Path, methods: Sequence[str]) -> list[dict[str, Any]]:
     """Return a row for every method on the real building site, as the epochs lie."""
-    rows, truth = [], read_truth()
+    rows, truth = [], read_drawn()
     for method in (OURS, *methods):
         epochs = read_site(data, 0), read_site(data, 1)
         if method == OURS:

@@ -281,7 +281,7 @@ def test_weights_of_another_method_or_none_at_all_are_refused(tmp_path):
     write_weights(path, {"a": np.zeros(2)}, record())
     with pytest.raises(InputError, match="not of dsm-siamese"):
         read_weights(path, "dsm-siamese")
-    with pytest.raises(InputError, match="subiaco train efs-kpconv"):
+    with pytest.raises(InputError, match="no such file; train them"):
         find_weights("efs-kpconv", str(tmp_path / "absent.npz"))
 
 

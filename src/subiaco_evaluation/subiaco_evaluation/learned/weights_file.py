@@ -85,6 +85,6 @@ def find_weights(method: str, given: str) -> Path:
     """
     path = Path(given) if given else SHIPPED / f"{method}.npz"
     if not path.is_file():
-        remedy = f"train them ('subiaco train {method}') and give --set learned.weights=FILE"
-        raise InputError(f"{path}: no weights of {method}; {remedy}")
+        name = f"{path}: no such file" if given else f"{method}: no trained weights are shipped"
+        raise InputError(f"{name}; train them ('subiaco train {method}') and give --set learned.weights=FILE")
     return path
