@@ -145,9 +145,7 @@ def test_status_and_progress_reach_whoever_shows_them_and_lines_of_the_log_do_no
     program += """print('progress: nothing 50 %\\n[INFO] status: {"light": "green"}')"""
     says = scripts(node("says", principal=True), program)
     graph = GraphSpec("test", (says,))
-    Supervisor(
-        graph, dict(os.environ), lambda *told: stages.append(told), on_status=seen.append
-    ).run()
+    Supervisor(graph, dict(os.environ), lambda *told: stages.append(told), on_status=seen.append).run()
     assert seen == [long]
     assert stages == [("fusing scans", 0.25)]
 

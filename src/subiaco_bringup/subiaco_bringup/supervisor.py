@@ -86,8 +86,8 @@ class NodeProcess:
         os.close(writing)
         reports = Listener(self._on_progress, self._show, self._on_error)
         self._readers = [
-            threading.Thread(target=self._read, name=f"log of {spec.name}", daemon=True),
-            threading.Thread(target=reports.read, args=(reading,), name=f"reports of {spec.name}", daemon=True),
+            threading.Thread(target=take, args=taken, name=f"{what} of {spec.name}", daemon=True)
+            for what, take, taken in (("log", self._read, ()), ("reports", reports.read, (reading,)))
         ]
         for reader in self._readers:
             reader.start()

@@ -71,7 +71,7 @@ class PointCloud:
 
 
 def concatenate(clouds: Sequence[PointCloud]) -> PointCloud:
-    """Return the points of clouds about one origin as one cloud, with the fields of the first that holds any."""
+    """Return clouds about one origin as one cloud, with the fields of the first that holds points."""
     held = [cloud for cloud in clouds if len(cloud)] or list(clouds[:1])
     fields = {name: np.concatenate([cloud.fields[name] for cloud in held]) for name in held[0].fields}
     return PointCloud(np.concatenate([cloud.xyz for cloud in held]), held[0].origin, held[0].crs, fields)

@@ -2,8 +2,7 @@
 
 The supervisor hands every node the writing end of a pipe, whose number the environment variable ``CHANNEL``
 states. Each line is a JSON object with one report: ``progress``, ``status`` or ``error``. The pipe works from
-the start of the process to its end, before and after there is a ROS context; topics carry the same for everybody
-else.
+the start of the process to its end, before and after there is a ROS context; topics tell everybody else.
 """
 
 from __future__ import annotations

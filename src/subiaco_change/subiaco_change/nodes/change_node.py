@@ -44,7 +44,8 @@ class ChangeParameters(StrictModel):
 
     request: str = Field(
         "",
-        description="Comparison to run at start, a ChangeRequest as JSON; empty waits for goals of the action",
+        description="Comparison that the node runs at start, a ChangeRequest as JSON; without it, the node "
+        "waits for goals of the action",
     )
     preview_points: int = Field(
         500_000, ge=1, description="Largest number of points of each published cloud, which is thinned evenly"
@@ -56,7 +57,7 @@ class ChangeParameters(StrictModel):
 
 
 def make_request(given: Mapping[str, Any], config: ChangeConfig, source: str) -> ChangeRequest:
-    """Return the request that a goal or a parameter asks for; settings that it leaves out are those of the node.
+    """Return the request of a goal or a parameter; settings that it leaves out are those of the node.
 
     Raises
     ------
@@ -72,7 +73,8 @@ def make_request(given: Mapping[str, Any], config: ChangeConfig, source: str) ->
 def request_of_goal(goal: Any, config: ChangeConfig) -> ChangeRequest:
     """Return the request of a goal: its JSON, with the fields that are given beside it."""
     given = json_object(goal.request_json, "goal: request_json")
-    given |= {name: getattr(goal, name) for name in ("before", "after", "output", "overwrite") if getattr(goal, name)}
+    beside = {name: getattr(goal, name) for name in ("before", "after", "output", "overwrite")}
+    given |= {name: value for name, value in beside.items() if value}
     return make_request(given, config, "goal")
 
 

@@ -98,8 +98,6 @@ def _extend(boxes: dict[int, tuple[Floats, Floats]], cloud: PointCloud) -> None:
     xyz = cloud.world()[order]
     low, high = np.minimum.reduceat(xyz, starts, axis=0), np.maximum.reduceat(xyz, starts, axis=0)
     for number, least, greatest in zip(numbers.tolist(), low, high, strict=True):
-        known = boxes.get(number)
-        if known is not None:
-            least, greatest = np.minimum(known[0], least), np.maximum(known[1], greatest)
         if number >= 0:
-            boxes[number] = least, greatest
+            known = boxes.get(number, (least, greatest))
+            boxes[number] = np.minimum(known[0], least), np.maximum(known[1], greatest)
