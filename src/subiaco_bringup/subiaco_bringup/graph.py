@@ -18,6 +18,7 @@ from subiaco_change.request import ChangeRequest
 from subiaco_geo.atomic import whole_file
 from subiaco_geo.config import merge, parse_setting, read_parameters
 from subiaco_geo.errors import InputError, SubiacoError
+from subiaco_geo.settings import departures
 from subiaco_mapping.request import MappingRequest
 
 
@@ -146,7 +147,7 @@ def mapping_graph(request: MappingRequest, *, rate: float = 0.0) -> GraphSpec:
         Replay speed; 0 is as fast as the nodes go.
     """
     request = request.resolved()
-    config = request.config.model_dump(mode="json", exclude_defaults=True)
+    config = departures(request.config)
     bags = [str(bag) for bag in request.bags]
     common = {**config, "use_sim_time": True, "exit_at_end": True}
     odometry = {**common, "consumers": ["pose_graph"]}

@@ -13,6 +13,7 @@ import typer
 from subiaco_bringup.cli import (
     baseline_verbs,
     change_verbs,
+    config_verb,
     delivery_verbs,
     graph_verbs,
     record_verbs,
@@ -78,6 +79,7 @@ baseline_verbs.register(app)
 trust_verbs.register(app)
 graph_verbs.register(app)
 record_verbs.register(app)
+config_verb.register(app)
 
 
 def _report(message: str) -> None:

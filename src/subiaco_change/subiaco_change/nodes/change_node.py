@@ -24,6 +24,7 @@ from subiaco_change.request import ChangeRequest
 from subiaco_geo.config import StrictModel, merge, validate
 from subiaco_geo.errors import InputError, SubiacoError
 from subiaco_geo.requests import json_object
+from subiaco_geo.settings import departures
 from subiaco_geo.trajectories import read_tum
 from subiaco_msgs.action import DetectChanges
 from subiaco_msgs.msg import ChangeTable
@@ -64,9 +65,8 @@ def make_request(given: Mapping[str, Any], config: ChangeConfig, source: str) ->
     InputError
         It is no valid request; the message begins with ``source``.
     """
-    known = config.model_dump(mode="json", exclude_defaults=True)
     own = given.get("config", {})
-    settings = merge(known, own) if isinstance(own, Mapping) else own
+    settings = merge(departures(config), own) if isinstance(own, Mapping) else own
     return validate(ChangeRequest, {**given, "config": settings}, source)
 
 
