@@ -34,7 +34,7 @@ OPTIONS = {
     "inspect": ["--json"],
     "import": ["--metadata", "--gnss", "--imu", "--output", "--overwrite"],
     "calibrate-rig": ["--output", "--config", "--set", "--overwrite"],
-    "map": ["--output", "--config", "--set", "--threads", "--overwrite", "--quiet", "--verbose"],
+    "map": ["--output", "--full-density", "--config", "--set", "--threads", "--overwrite", "--quiet", "--verbose"],
     "change": [
         "--output",
         "--trajectory-before",
