@@ -161,7 +161,7 @@ def test_a_mapping_run_leaves_the_tiles_in_the_map_directory(tmp_path):
     write_clouds(tmp_path / "room", [room_scan(pose, 8000, k, 0.01) for k, pose in enumerate(poses)])
     room = MappingConfig(deskewed=True, odometry=OdometryConfig(voxel=0.5))
     dense = room.model_copy(update={"fusion": FusionConfig(full_density=True)})
-    (tmp_path / ".dense.journal" / "full_density").mkdir(parents=True)  # of a run that was stopped
+    (tmp_path / ".dense.checkpoint" / "full_density").mkdir(parents=True)  # of a run that was stopped
     for name, config in (("plain", room), ("dense", dense)):
         run_mapping(
             MappingRequest.of(bags=(tmp_path / "room",), output=tmp_path / name, config=config),
@@ -172,4 +172,4 @@ def test_a_mapping_run_leaves_the_tiles_in_the_map_directory(tmp_path):
     assert sum(len(tile.points) for tile in tiles) > 40_000
     first, second = (read_map(tmp_path / name).cloud.xyz for name in ("plain", "dense"))
     assert np.array_equal(first, second)
-    assert not (tmp_path / ".dense.journal").exists()
+    assert not (tmp_path / ".dense.checkpoint").exists()

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from subiaco_geo.atomic import refuse_existing, refuse_foreign
 from subiaco_geo.maps import write_map
 from subiaco_geo.survey_map import SurveyMap
-from subiaco_mapping.checkpoint.checkpoint import journal_folder, remove
+from subiaco_mapping.checkpoint.checkpoint import checkpoint_folder, remove
 from subiaco_mapping.fusion.full_density import FOLDER, GPS_BEHIND_TAI_S, Classifier, FullDensity
 from subiaco_mapping.pipeline import map_survey, require_room_for
 from subiaco_mapping.request import MappingRequest
@@ -39,18 +39,18 @@ def run_mapping(
     refuse_existing(output, request.overwrite)
     refuse_foreign(output, "map.yaml")
     require_room_for(request.bags, output)
-    decode, returns = request.config.decode, journal_folder(output) / FOLDER
+    decode, returns = request.config.decode, checkpoint_folder(output) / FOLDER
     shutil.rmtree(returns, ignore_errors=True)  # of a run that was stopped
     density = FullDensity(returns, classify, decode.leap_seconds - GPS_BEHIND_TAI_S)
     survey = map_survey(
         request.bags, request.config, progress,
-        journal=journal_folder(output), resume=request.resume, workers=request.workers,
+        checkpoint=checkpoint_folder(output), resume=request.resume, workers=request.workers,
         density=density,
     )  # fmt: skip
     if progress is not None:
         progress("writing map", 0.0)
     folders = {FOLDER: returns} if request.config.fusion.full_density else {}
     write_map(output, survey, overwrite=request.overwrite, folders=folders)
-    if not request.keep_journal:
-        remove(journal_folder(output))
+    if not request.keep_checkpoint:
+        remove(checkpoint_folder(output))
     return survey
