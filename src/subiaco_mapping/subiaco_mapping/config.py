@@ -498,6 +498,7 @@ class MappingConfig(StrictModel):
         "fusion.leaf",
         "fusion.max_range",
         "fusion.reserve_gb",
+        "fusion.full_density",
         "fusion.moving.enabled",
     )
 
