@@ -26,8 +26,9 @@ from subiaco_msgs.action import DetectChanges
 from subiaco_msgs.msg import ChangeTable
 from subiaco_ros.diagnostics import Diagnostics, ProgressLog
 from subiaco_ros.local_frame import frame_at_origin
+from subiaco_ros.managed_node import App
 from subiaco_ros.messages import origin_message
-from subiaco_ros.node_process import App, wait_until_received
+from subiaco_ros.node_process import wait_until_received
 from subiaco_ros.parameters import read_models
 from subiaco_ros.qos import latched
 

@@ -40,7 +40,8 @@ from subiaco_mapping.preprocessing.conversions import fix_from_msg, imu_from_msg
 from subiaco_mapping.recording.losses import header_stamp_ns
 from subiaco_mapping.topic_names import GPS_FIX, NMEA_SENTENCE, TIME_REFERENCE
 from subiaco_msgs.msg import ScanQuality
-from subiaco_ros.node_process import App, run_node
+from subiaco_ros.managed_node import App
+from subiaco_ros.node_process import run_node
 from subiaco_ros.parameters import read_models
 from subiaco_ros.qos import latched
 from subiaco_ros.qos_adaptation import OfferedSubscription, Wanted, follow_offers
