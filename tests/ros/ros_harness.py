@@ -25,13 +25,13 @@ class Harness:
         self._nodes: list[Any] = []
         self.apps: list[Any] = []
 
-    def node(self, name: str, **parameters: Any) -> Any:
+    def node(self, name: str, *, namespace: str = "", **parameters: Any) -> Any:
         """Make a node with parameters as a params file would give them; ``a__b`` means ``a.b``."""
         from rclpy.node import Node
 
-        return self._added(
-            Node(name, automatically_declare_parameters_from_overrides=True, **self._options(parameters))
-        )
+        options = self._options(parameters)
+        declared = {"automatically_declare_parameters_from_overrides": True}
+        return self._added(Node(name, namespace=namespace, **declared, **options))
 
     def managed(self, name: str, build: Callable[[Any], Any], **parameters: Any) -> Any:
         """Make a lifecycle node around an app, as a node process does."""

@@ -17,6 +17,7 @@ from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, Qo
 
 from subiaco_geo.errors import InputError
 from subiaco_ros.qos import overridable
+from subiaco_ros.topic_names import relative
 
 #: How often it is looked who publishes [s].
 LOOK_INTERVAL = 0.2
@@ -244,7 +245,7 @@ def follow_offers(
     group = Apart() if apart else None
     found = {
         topic: OfferedSubscription(
-            node, kind, topic.lstrip("/"), handler, depth, raw, group if topic in apart else None
+            node, kind, relative(topic), handler, depth, raw, group if topic in apart else None
         )
         for kind, topic, handler, depth, raw in wanted
     }

@@ -88,7 +88,7 @@ class ChangeApp:
         self._own_job: Job | None = None
         self._finished = False
         self._progress = ProgressLog(node)
-        self._diagnostics = Diagnostics(node)
+        self._diagnostics = Diagnostics(node, "comparison")
         self._publishers = {
             name: node.create_publisher(kind, name, latched(1))
             for name, kind in {

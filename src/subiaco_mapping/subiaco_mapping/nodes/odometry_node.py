@@ -46,7 +46,7 @@ from subiaco_mapping.nodes.names import (
 from subiaco_mapping.odometry.frontend import FrontendOutput, OdometryFrontend
 from subiaco_mapping.preprocessing.conversions import imu_from_msg, scan_from_points
 from subiaco_msgs.msg import ReplayCounts, ScanQuality
-from subiaco_ros.diagnostics import Diagnostics
+from subiaco_ros.diagnostics import Diagnostics, lidar_identity
 from subiaco_ros.managed_node import App
 from subiaco_ros.messages import transform_message
 from subiaco_ros.node_process import run_node
@@ -140,7 +140,7 @@ class OdometryApp:
         self._arrivals = Arrivals()
         self._facts_at = 0.0
         self.flow = FlowControl(own.consumers, dict.fromkeys(OUTPUTS, SCAN_WINDOW))
-        self._diagnostics = Diagnostics(node)
+        self._diagnostics = Diagnostics(node, "registration")
         self._create_publishers(node)
         self._reporter = ConsumptionReporter(node, ConsumedCounter(INPUTS), self._downstream_has_room)
         listen_to_consumers(node, self.flow, self._reporter.flush)
@@ -215,6 +215,7 @@ class OdometryApp:
 
     def _on_metadata(self, message: String) -> None:
         self._metadata = message.data
+        self._diagnostics.hardware_id = lidar_identity(message.data)
         if self._frontend is not None:
             self._frontend.set_metadata(message.data)
 

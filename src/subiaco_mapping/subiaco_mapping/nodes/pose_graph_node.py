@@ -195,7 +195,7 @@ class PoseGraphApp:
         self._arrivals = Arrivals()
         self._ending = self._finished = False
         self._progress = ProgressLog(node)
-        self._diagnostics = Diagnostics(node)
+        self._diagnostics = Diagnostics(node, "solution")
         self._map = MapPublisher(node, own.map_frame, own.odom_frame, own.earth_frame, own.preview_points)
         self._live = self._make_live(own.live_period) if own.live_period > 0 else None
         self._reporter = ConsumptionReporter(node, ConsumedCounter(INPUTS))
