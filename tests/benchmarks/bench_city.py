@@ -29,8 +29,8 @@ import numpy as np
 import psutil
 import yaml
 
-from subiaco_change.config import ChangeConfig
-from subiaco_change.job import ChangeJob, Work, run_change
+from subiaco_change.job import run_change
+from subiaco_change.request import ChangeRequest
 from subiaco_geo.clouds import PointCloud, unpack_voxel_keys, voxel_keys
 from subiaco_geo.maps import load_epoch
 from subiaco_geo.ply_io import write_ply_parts
@@ -145,9 +145,11 @@ def run_once(survey: Path, workers: int, *, report: bool) -> dict[str, Any]:
     shutil.rmtree(output, ignore_errors=True)
     watch = Watch()
     wall, cpu = time.perf_counter(), total_cpu()
-    job = ChangeJob(survey / "before", survey / "after", output, work=Work(workers))
+    request = ChangeRequest.of(
+        before=survey / "before", after=survey / "after", output=output, workers=workers
+    )
     try:
-        run_change(job, ChangeConfig(), watch.tell, write_pages if report else None)
+        run_change(request, watch.tell, write_pages=write_pages if report else None)
     finally:
         watch.close()
     wall, cpu = time.perf_counter() - wall, total_cpu() - cpu
@@ -195,8 +197,11 @@ def show_runs(rows: Sequence[dict[str, Any]]) -> None:
         print(f"1,400 tiles x {per_tile:.2f} CPU s / {cores} cores = {hours:.2f} h, where cores scale")
 
 
-def time_m3c2(survey: Path) -> tuple[float, float]:
-    """Wall and CPU seconds of py4dgeo's M3C2 with every point of *before* a core point."""
+def time_m3c2(survey: Path, radius: float = 1.0) -> tuple[float, float]:
+    """Wall and CPU seconds of py4dgeo's M3C2 with every point of *before* a core point.
+
+    The cylinders have a radius of so many metres; normals take twice the radius.
+    """
     import py4dgeo
 
     clouds = [load_epoch(survey / epoch).cloud for epoch in EPOCHS]
@@ -206,13 +211,13 @@ def time_m3c2(survey: Path) -> tuple[float, float]:
     method = py4dgeo.M3C2(
         epochs=tuple(epochs),
         corepoints=epochs[0].cloud,
-        cyl_radii=(1.0,),
-        normal_radii=(2.0,),
+        cyl_radii=(radius,),
+        normal_radii=(2.0 * radius,),
         max_distance=2.0,
     )
     distances, _ = method.run()
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
-    print(f"M3C2: {len(distances)} core points, {wall:.1f} s wall, {cpu:.1f} CPU s")
+    print(f"M3C2, cylinders of {radius} m: {len(distances)} core points, {wall:.1f} s wall, {cpu:.1f} CPU s")
     return wall, cpu
 
 

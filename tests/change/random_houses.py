@@ -190,7 +190,7 @@ def compare(before, after, kind, config=None):
 
 def labels(changes):
     """Labels of the rows, that of the largest first."""
-    return [change.decision.change for change in sorted(changes, key=lambda c: -c.measures.seen_voxels)]
+    return [change.decision.change for change in sorted(changes, key=lambda c: -c.measures.observed_voxels)]
 
 
 def label_of(changes):

@@ -1,8 +1,9 @@
 """77 real KITTI scans through the node graph, and the street they make against itself with known changes.
 
-Seen (docs/results/real-recordings.md): the trajectory differs from the kiss-icp reference by at most 0.033 m and 0.034 deg
-on 28.9 m; 14 of 17 objects put in are found; one row reports a change where there is none. Cars that drove by
-are kept in clouds fused without counting beams, and hide what is behind them. The bounds leave room.
+Seen (docs/results/real-recordings.md): the trajectory differs from the kiss-icp reference by at most 0.033 m
+and 0.034 deg on 28.9 m; 14 of 17 objects put in are found; one row reports a change where there is none.
+Moving cars stay in clouds that are fused without counts of beams, and hide what is behind them. The bounds
+leave room.
 """
 
 from __future__ import annotations

@@ -34,7 +34,8 @@ _EPOCH_HELP = "Map directory, or a bare cloud: .ply, .las, .laz, .copc.laz, .pcd
 Before = Annotated[Path, typer.Argument(metavar="BEFORE", help=_EPOCH_HELP)]
 After = Annotated[Path, typer.Argument(metavar="AFTER", help=_EPOCH_HELP)]
 TrajectoryFile = Annotated[
-    Path | None, typer.Option(metavar="F", help="Trajectory of the scanner (TUM), for a bare cloud.")
+    Path | None,
+    typer.Option(metavar="F", help="Scanner trajectory of a bare cloud: TUM, SBET, RTKLIB .pos or CSV."),
 ]
 
 TransformFile = Annotated[
@@ -69,9 +70,14 @@ def _cores() -> int:
 
 def _given(semantics: str | None, instances: str | None) -> tuple[str, ...]:
     """Return the point fields that replace stages."""
-    for option, value in (("--semantics", semantics), ("--instances", instances)):
-        if value not in (None, "given"):
-            raise InputError(f"{option} {value}: only 'given' is known; leave it out to have them found")
+    if semantics not in (None, "given", "asprs"):
+        raise InputError(f"--semantics {semantics}: give 'given' or 'asprs', or leave it out")
+    if instances not in (None, "given"):
+        raise InputError(f"--instances {instances}: only 'given' is known; leave it out to have them found")
+    if semantics == "asprs" and instances is None:
+        return ("classification",)
+    if semantics == "asprs":
+        raise InputError("--instances given needs --semantics given: ASPRS classes name no objects")
     if instances is not None and semantics is None:
         raise InputError("--instances given needs --semantics given: objects are of a class")
     return (*(("semantic",) if semantics else ()), *(("instance",) if instances else ()))
@@ -103,7 +109,11 @@ def change(
     ] = None,
     semantics: Annotated[
         str | None,
-        typer.Option(metavar="given", help="'given' takes the class of every point from its field semantic."),
+        typer.Option(
+            metavar="given|asprs",
+            help="'given' takes the class of every point from its field semantic, 'asprs' from its ASPRS "
+            "classification.",
+        ),
     ] = None,
     instances: Annotated[
         str | None,
@@ -123,7 +133,7 @@ def change(
     ] = None,
     workers: Annotated[
         int | None,
-        typer.Option(metavar="N", help="Number of processes [all cores]. Does not change the result."),
+        typer.Option(metavar="N", min=1, help="Number of processes [all cores]. Does not change the result."),
     ] = None,
     scheduler: Annotated[
         str | None,
@@ -145,45 +155,30 @@ def change(
     """
     from subiaco_change.config import ChangeConfig, left_out
     from subiaco_change.history import run_epochs
-    from subiaco_change.job import ChangeJob, Work, run_change
+    from subiaco_change.job import run_change
+    from subiaco_change.request import ChangeRequest
     from subiaco_report.pages import write_pages
 
     set_up_logging(verbose, quiet)
-    work = Work(_cores() if workers is None else workers, scheduler, keep_stages, from_stage)
-    given = _given(semantics, instances)
     if len(epochs) < 2:
         raise InputError("change: give two epochs or more, BEFORE AFTER")
-    known = known_transform(transform, registration)
     model = load_config(ChangeConfig, config_files("change", tuple(config or ())), settings or [])
-    if without:
-        model = left_out(model, without)
+    request = ChangeRequest.of(
+        before=epochs[0], after=epochs[-1], output=output,
+        trajectory_before=trajectory_before, trajectory_after=trajectory_after,
+        transform=known_transform(transform, registration), parcels=parcels, overwrite=overwrite,
+        given=_given(semantics, instances), workers=_cores() if workers is None else workers,
+        scheduler=scheduler, stages=keep_stages, redo=from_stage, config=left_out(model, without or ()),
+    )  # fmt: skip
     if len(epochs) > 2:
-        if trajectory_before or trajectory_after or transform or given:
-            raise InputError(
-                "change: --trajectory-*, --transform, --semantics and --instances need exactly two epochs"
-            )
         with Progress(quiet=quiet) as progress:
-            history = run_epochs(
-                epochs,
-                output,
-                model,
-                progress,
-                transform=known,
-                overwrite=overwrite,
-                parcels=parcels,
-                work=work,
-                write_pages=write_pages,
-            )
+            history = run_epochs(epochs, request, progress, write_pages)
         say(f"history: {output / 'history.csv'} ({len(history)} objects)", quiet=quiet)
         for found in sorted(output.glob("*_to_*/run.json")):
             say_findings(found.parent)
         return
-    before, after = epochs
-    job = ChangeJob(
-        before, after, output, trajectory_before, trajectory_after, known, overwrite, parcels, given, work
-    )
     with Progress(quiet=quiet) as progress:
-        records = run_change(job, model, progress, write_pages)
+        records = run_change(request, progress, write_pages=write_pages)
     counts = Counter(record.change.label for record in records)
     listed = ", ".join(f"{count} {label}" for label, count in sorted(counts.items()))
     say(f"changes: {output} ({listed or 'no objects'}); open {output / 'report.html'}", quiet=quiet)

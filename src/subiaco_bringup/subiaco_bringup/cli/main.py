@@ -6,6 +6,7 @@ import errno
 import sys
 import traceback
 from collections.abc import Sequence
+from typing import Annotated
 
 import typer
 
@@ -18,6 +19,7 @@ from subiaco_bringup.cli import (
     survey_verbs,
     trust_verbs,
 )
+from subiaco_geo import __version__
 from subiaco_geo.disk import is_disk_full
 from subiaco_geo.errors import SubiacoError
 
@@ -51,6 +53,24 @@ app = typer.Typer(
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
 )
+
+
+def _print_version(asked: bool) -> None:
+    if asked:
+        sys.stdout.write(f"subiaco {__version__}\n")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and end."),
+    ] = False,
+) -> None:
+    """Build georeferenced 3D city maps from LiDAR drives, and find what changed between two of them."""
+
+
 survey_verbs.register(app)
 change_verbs.register(app)
 delivery_verbs.register(app)
