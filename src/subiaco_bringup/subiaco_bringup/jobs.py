@@ -11,7 +11,14 @@ from typing import Any
 
 from subiaco_bringup.domain import require_free_domain
 from subiaco_bringup.environment import node_environment
-from subiaco_bringup.graph import GraphSpec, change_graph, mapping_graph, merged_config
+from subiaco_bringup.graph import (
+    GraphSpec,
+    change_graph,
+    deployed,
+    mapping_graph,
+    merged_config,
+    with_foxglove,
+)
 from subiaco_bringup.supervisor import Death, OnStatus, Report, Supervisor
 from subiaco_geo.atomic import refuse_existing
 from subiaco_geo.config import load_config, validate
@@ -36,6 +43,7 @@ def run_mapping_graph(
     *,
     rate: float = 0.0,
     overwrite: bool = False,
+    foxglove_port: int | None = None,
     progress: Report | None = None,
 ) -> None:
     """Replay bags of one epoch through the ROS 2 nodes into a map directory.
@@ -53,6 +61,8 @@ def run_mapping_graph(
     rate : float
         Replay speed; 0 is as fast as the nodes go.
     overwrite : bool
+    foxglove_port : int, optional
+        Port on which Foxglove can connect from this computer.
     progress : callable, optional
         Told ``(stage, fraction)``.
 
@@ -74,7 +84,8 @@ def run_mapping_graph(
     refuse_existing(Path(output), overwrite)
     for bag in bags:
         find_storage(Path(bag))
-    _run(mapping_graph(bags, output, files, given, rate=rate, overwrite=overwrite), progress, replays=True)
+    graph = mapping_graph(bags, output, files, given, rate=rate, overwrite=overwrite)
+    _run(graph if foxglove_port is None else with_foxglove(graph, foxglove_port), progress, replays=True)
 
 
 def run_change_graph(
@@ -126,6 +137,8 @@ def run_live_graph(
     route: Path | None = None,
     record: bool = True,
     sim_time: bool = False,
+    namespace: str = "",
+    foxglove_port: int | None = None,
     progress: Report | None = None,
     on_status: OnStatus | None = None,
 ) -> None:
@@ -137,6 +150,10 @@ def run_live_graph(
     ----------
     output : Path
         Folder of the drive; see :func:`subiaco_bringup.live_graph.live_graph` for the rest.
+    namespace : str
+        Of all nodes and topics; one for each LiDAR where a vehicle has several.
+    foxglove_port : int, optional
+        Port on which Foxglove can connect from this computer.
     on_status : callable, optional
         Told what the monitor sees, twice a second.
 
@@ -161,6 +178,8 @@ def run_live_graph(
     graph = live_graph(
         output, files, given, remappings=remappings, route=route, record=record, sim_time=sim_time
     )
+    graph = graph if foxglove_port is None else with_foxglove(graph, foxglove_port)
+    graph = deployed(graph, namespace=namespace)
     output.mkdir(parents=True, exist_ok=True)
     with node_environment(shared=True) as environment:
         supervisor = Supervisor(graph, environment, progress, on_status=on_status)

@@ -22,6 +22,17 @@ from subiaco_bringup.cli.options import (
 from subiaco_bringup.cli.progress import Progress
 from subiaco_bringup.defaults import config_files
 
+FoxglovePort = Annotated[
+    int | None,
+    typer.Option(
+        "--foxglove",
+        min=0,
+        max=65535,
+        metavar="PORT",
+        help="Serve the topics to Foxglove on this computer: open ws://127.0.0.1:PORT there, e.g. 8765.",
+    ),
+]
+
 graph = typer.Typer(
     help="Run a job through the ROS 2 nodes, each a process of its own; the result is that of "
     "'subiaco map' or 'subiaco change'.\n\nExample: subiaco graph mapping bags/demo/before -o out/before",
@@ -41,6 +52,7 @@ def mapping(
     settings: Settings = None,
     rate: Annotated[float, typer.Option(help="Replay speed; 0 is as fast as the nodes go.")] = 0.0,
     overwrite: Overwrite = False,
+    foxglove: FoxglovePort = None,
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
@@ -59,6 +71,7 @@ def mapping(
             settings or [],
             rate=rate,
             overwrite=overwrite,
+            foxglove_port=foxglove,
             progress=progress,
         )
     say(f"map: {output}", quiet=quiet)
@@ -123,6 +136,11 @@ def live(
     sim_time: Annotated[
         bool, typer.Option("--sim-time", help="Follow /clock, for 'ros2 bag play --clock'.")
     ] = False,
+    namespace: Annotated[
+        str,
+        typer.Option(help="Namespace of all nodes and topics; one for each LiDAR where there are several."),
+    ] = "",
+    foxglove: FoxglovePort = None,
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
@@ -146,6 +164,8 @@ def live(
             route=route,
             record=not no_record,
             sim_time=sim_time,
+            namespace=namespace,
+            foxglove_port=foxglove,
             progress=progress,
             on_status=view,
         )

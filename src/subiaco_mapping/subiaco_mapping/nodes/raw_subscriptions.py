@@ -26,7 +26,8 @@ _WHOLE_CLOUDS = "sensor_msgs/msg/PointCloud2"
 _BURST = 4096
 
 
-def _message_text(msg_type: str) -> str:
+def message_text(msg_type: str) -> str:
+    """Return the definition of a message type, as its installed package states it."""
     package, _, name = msg_type.split("/")
     share = Path(get_package_share_directory(package))
     return (share / "msg" / f"{name}.msg").read_text("utf-8")
@@ -64,7 +65,7 @@ class Listener:
         self._config = config
         self._take = take
         self._apart = Apart()
-        self._definitions = Definitions(_message_text)
+        self._definitions = Definitions(message_text)
         self._topics: dict[str, _Listening] = {}
         self._refused: dict[str, str] = {}
         self._metadata: str | None = None
