@@ -97,7 +97,7 @@ class ChangeConfig(StrictModel):
     classes: GivenClassesConfig = GivenClassesConfig()
 
 
-def left_out(config: ChangeConfig, parts: Sequence[str]) -> ChangeConfig:
+def with_parts_disabled(config: ChangeConfig, parts: Sequence[str]) -> ChangeConfig:
     """Return the configuration with these parts left out too.
 
     Raises

@@ -64,7 +64,7 @@ _DATED = np.datetime64("2000-01-01")
 
 
 @contextmanager
-def workbench(
+def task_runner(
     request: ChangeRequest, progress: Callable[[str, float], None] | None = None
 ) -> Iterator[TaskRunner]:
     """Set up the task runner for a request; stages beside its output are removed when the run succeeds.
@@ -296,9 +296,9 @@ def run_change_and(
     poses = config.placing.uncertainty
     found = _announced(check_surveys((request.before, request.after), surveys, config.checks))
     found += unstated_findings(surveys, poses.unstated_pose, used=poses.pose_covariance)
-    with workbench(request, progress) as bench:
+    with task_runner(request, progress) as runner:
         result = detect_in_tiles(
-            epochs, config, bench, transform=transform, given=given, room=partial(_require_room, request)
+            epochs, config, runner, transform=transform, given=given, room=partial(_require_room, request)
         )
         if labelled is not None:
             found += _announced(given_class_findings(labelled, (request.before, request.after)))

@@ -23,7 +23,7 @@ from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import invert_pose
 from subiaco_geo.topics import IMU, LIDAR_PACKETS, METADATA, POINTS, TF_STATIC
 from subiaco_mapping.config import MappingConfig
-from subiaco_mapping.fusion.preview import OneChain
+from subiaco_mapping.fusion.preview import OdometrySegments
 from subiaco_mapping.measurements import Extrinsics, ImuSample, OdometryPose, Scan
 from subiaco_mapping.nodes.counts import ConsumptionReporter, counts_message, listen_to_consumers
 from subiaco_mapping.nodes.covariance import PoseCovariance, base_velocity
@@ -270,7 +270,7 @@ class OdometryApp:
                 if known is None:
                     self._arrivals.leave_out(topic)
                     return None
-                extrinsics, self._run = known, OneChain.RUN * int(time.time() % 2_000_000)
+                extrinsics, self._run = known, OdometrySegments.RUN * int(time.time() % 2_000_000)
             self._extrinsics = extrinsics
             self._covariance, self._last_pose = PoseCovariance(self._extrinsics.T_base_lidar), None
             self._frontend = self._make_frontend(self._extrinsics, self._metadata)

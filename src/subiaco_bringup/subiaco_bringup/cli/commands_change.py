@@ -153,7 +153,7 @@ def change(
 
     Example: subiaco change out/before out/after -o out/change
     """
-    from subiaco_change.config import ChangeConfig, left_out
+    from subiaco_change.config import ChangeConfig, with_parts_disabled
     from subiaco_change.history import run_epochs
     from subiaco_change.job import run_change
     from subiaco_change.request import ChangeRequest
@@ -168,7 +168,8 @@ def change(
         trajectory_before=trajectory_before, trajectory_after=trajectory_after,
         transform=known_transform(transform, registration), parcels=parcels, overwrite=overwrite,
         given=_given(semantics, instances), workers=_cores() if workers is None else workers,
-        scheduler=scheduler, stages=keep_stages, redo=from_stage, config=left_out(model, without or ()),
+        scheduler=scheduler, stages=keep_stages, redo=from_stage,
+        config=with_parts_disabled(model, without or ()),
     )  # fmt: skip
     if len(epochs) > 2:
         with Progress(quiet=quiet) as progress:
