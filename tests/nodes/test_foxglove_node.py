@@ -172,6 +172,7 @@ def test_a_viewer_gets_a_message_through_the_sdk_of_foxglove_on_loopback(ros: An
     app = make_build(make)(ros.node("foxglove", port=0))
     ros.apps.append(app)
     odometry = ros.node("driver").create_publisher(Odometry, "odometry", 10)
+    ros.until(lambda: app.offered)  # a viewer that is there before may ask for a topic too early
     viewer = Viewer(servers[0].port, "/odometry")
     thread = threading.Thread(target=lambda: asyncio.run(asyncio.wait_for(viewer.run(), 10)), daemon=True)
     thread.start()

@@ -20,9 +20,11 @@ from subiaco_bringup.graph import (
     with_foxglove,
 )
 from subiaco_bringup.supervisor import Death, OnStatus, Report, Supervisor
+from subiaco_change.request import ChangeRequest
 from subiaco_geo.atomic import refuse_existing
-from subiaco_geo.config import load_config, validate
+from subiaco_geo.config import validate
 from subiaco_geo.errors import InputError
+from subiaco_mapping.request import MappingRequest
 
 LOGGER = logging.getLogger(__name__)
 
@@ -36,13 +38,9 @@ def _run(graph: GraphSpec, progress: Report | None, *, replays: bool = False) ->
 
 
 def run_mapping_graph(
-    bags: Sequence[Path],
-    output: Path,
-    config_files: Iterable[Path] = (),
-    settings: Iterable[str] = (),
+    request: MappingRequest,
     *,
     rate: float = 0.0,
-    overwrite: bool = False,
     foxglove_port: int | None = None,
     progress: Report | None = None,
 ) -> None:
@@ -52,15 +50,10 @@ def run_mapping_graph(
 
     Parameters
     ----------
-    bags : sequence of Path
-        One a sequence, in order.
-    output : Path
-        Map directory to write.
-    config_files, settings
-        As for ``subiaco map``.
+    request : MappingRequest
+        Its bags are one sequence each, in order.
     rate : float
         Replay speed; 0 is as fast as the nodes go.
-    overwrite : bool
     foxglove_port : int, optional
         Port on which Foxglove can connect from this computer.
     progress : callable, optional
@@ -69,46 +62,31 @@ def run_mapping_graph(
     Raises
     ------
     InputError
-        A bag or the configuration is at fault, the output exists, or other nodes use the chosen ROS domain
-        for sensor data.
+        A bag is at fault, the output exists, or other nodes use the chosen ROS domain for sensor data.
     SubiacoError
         A node failed.
     """
     from subiaco_geo.bags import find_storage
-    from subiaco_mapping.config import MappingConfig
 
-    if not bags:
-        raise InputError("no bag given; name at least one rosbag2 folder, .mcap or simulated epoch folder")
-    files, given = list(config_files), list(settings)
-    load_config(MappingConfig, files, given)
-    refuse_existing(Path(output), overwrite)
-    for bag in bags:
-        find_storage(Path(bag))
-    graph = mapping_graph(bags, output, files, given, rate=rate, overwrite=overwrite)
+    refuse_existing(request.output, request.overwrite)
+    for bag in request.bags:
+        find_storage(bag)
+    graph = mapping_graph(request, rate=rate)
     _run(graph if foxglove_port is None else with_foxglove(graph, foxglove_port), progress, replays=True)
 
 
-def run_change_graph(
-    before: Path,
-    after: Path,
-    output: Path,
-    config_files: Iterable[Path] = (),
-    settings: Iterable[str] = (),
-    *,
-    overwrite: bool = False,
-    progress: Report | None = None,
-) -> None:
+def run_change_graph(request: ChangeRequest, progress: Report | None = None) -> None:
     """Compare two maps through the change node into a change directory.
 
-    Parameters and errors as for :func:`run_mapping_graph`; RegistrationError
-    where the maps cannot be brought together.
+    Raises
+    ------
+    InputError, RegistrationError
+        As for :func:`subiaco_change.job.run_change`, which the node runs.
+    SubiacoError
+        The node failed.
     """
-    from subiaco_change.config import ChangeConfig
-
-    files, given = list(config_files), list(settings)
-    load_config(ChangeConfig, files, given)
-    refuse_existing(Path(output), overwrite)
-    _run(change_graph(before, after, output, files, given, overwrite=overwrite), progress)
+    refuse_existing(request.output, request.overwrite)
+    _run(change_graph(request), progress)
 
 
 def require_live_config(config_files: Iterable[Path], settings: Iterable[str]) -> None:

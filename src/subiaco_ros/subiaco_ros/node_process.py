@@ -20,6 +20,7 @@ from rclpy.publisher import Publisher
 
 from subiaco_geo.errors import InputError, SubiacoError
 from subiaco_ros.managed_node import Build, ManagedNode
+from subiaco_ros.supervision import supervisor_channel
 
 INTERRUPTED = 130
 _SUPERVISOR = "SUBIACO_SUPERVISOR"  # the process that started this one
@@ -95,8 +96,7 @@ def run_node(name: str, build: Build, argv: Sequence[str] | None = None) -> int:
     except KeyboardInterrupt:
         return interrupted
     except (RCLError, ParameterException, RuntimeError) as error:
-        sys.stderr.write(f"[FATAL] {name}: {' '.join(str(error).split())}\n")
-        return InputError.exit_code
+        return _refused(f"{name}: {' '.join(str(error).split())}", InputError.exit_code)
     try:
         node = ManagedNode(name, build)
         _attach_logging(node)
@@ -104,8 +104,7 @@ def run_node(name: str, build: Build, argv: Sequence[str] | None = None) -> int:
     except (ExternalShutdownException, KeyboardInterrupt):
         return interrupted
     except SubiacoError as error:  # at the end: interrupted, there is no node any more that could log it
-        sys.stderr.write(f"[FATAL] {error}\n")
-        return error.exit_code
+        return _refused(str(error), error.exit_code)
     except (RuntimeError, ImportError):  # an RCLError, or what a call that the end cut short makes of itself
         if rclpy.ok():
             raise
@@ -116,6 +115,13 @@ def run_node(name: str, build: Build, argv: Sequence[str] | None = None) -> int:
         rclpy.try_shutdown()
 
 
+def _refused(reason: str, code: int) -> int:
+    """Say why the process ends where no node can log it; return its exit code."""
+    sys.stderr.write(f"[FATAL] {reason}\n")
+    supervisor_channel().error(reason)
+    return code
+
+
 def _run(node: ManagedNode) -> int:
     executor = SingleThreadedExecutor()
     executor.add_node(node)
@@ -124,6 +130,7 @@ def _run(node: ManagedNode) -> int:
         _spin(executor, node)
     except SubiacoError as error:
         node.get_logger().fatal(str(error))
+        supervisor_channel().error(str(error))
         return error.exit_code
     finally:
         node.put_away()

@@ -214,6 +214,11 @@ class FoxgloveApp:
         node.create_timer(LOOK_INTERVAL, self._look, clock=Clock(clock_type=ClockType.STEADY_TIME))
         LOGGER.info("Foxglove: open ws://%s:%d", own.host, server.port)
 
+    @property
+    def offered(self) -> list[str]:
+        """The topics that viewers can choose."""
+        return list(self._channels)
+
     def step(self) -> float:
         """Follow what viewers do."""
         for topic, begins in self._server.events():

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import socket
 import sys
@@ -48,6 +47,7 @@ from subiaco_ros.parameters import read_models
 from subiaco_ros.qos import latched
 from subiaco_ros.qos_adaptation import OfferedSubscription, Wanted, follow_offers
 from subiaco_ros.stamp_matching import StampMatcher
+from subiaco_ros.supervision import supervisor_channel
 from subiaco_ros.topic_names import DIAGNOSTICS
 
 TICK_INTERVAL = 0.1
@@ -134,7 +134,7 @@ class MonitorApp:
         self._shown: set[tuple[str, str, int, bool]] = set()
         self._simulated = bool(node.get_parameter("use_sim_time").value)
         self._matcher = StampMatcher((ODOMETRY, QUALITY))
-        self._view = "SUBIACO_SUPERVISOR" in os.environ
+        self._channel = supervisor_channel()
         self._prefix = status_prefix(node)
         self._hardware = dict.fromkeys(("lidar", "disk"), NO_HARDWARE)
         self._hardware["disk"] = socket.gethostname()
@@ -279,8 +279,7 @@ class MonitorApp:
         )
         stamp = self._node.get_clock().now().to_msg()
         self._diagnostics.publish(diagnostic_array(snapshot, stamp, self._prefix, self._hardware))
-        if self._view:
-            self._node.get_logger().info(f"status: {json.dumps(snapshot.as_dict())}")
+        self._channel.status(snapshot.as_dict())
 
     def _publish_streets(self) -> None:
         frame = self._monitor.positions.frame

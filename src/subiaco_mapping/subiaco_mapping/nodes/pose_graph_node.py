@@ -61,7 +61,7 @@ from subiaco_mapping.pose_graph.solution import GraphSolution, LiveEstimate
 from subiaco_mapping.preprocessing.conversions import fix_from_msg, heading_from_msg, stamp_ns
 from subiaco_msgs.msg import ReplayCounts, ScanQuality
 from subiaco_msgs.srv import Optimize, SaveMap
-from subiaco_ros.diagnostics import Diagnostics, ProgressLog
+from subiaco_ros.diagnostics import Diagnostics, ProgressReporter
 from subiaco_ros.managed_node import App
 from subiaco_ros.node_process import run_node
 from subiaco_ros.parameters import DYNAMIC, read_models
@@ -194,7 +194,7 @@ class PoseGraphApp:
         self._scans = 0
         self._arrivals = Arrivals()
         self._ending = self._finished = False
-        self._progress = ProgressLog(node)
+        self._progress = ProgressReporter(node)
         self._diagnostics = Diagnostics(node, "solution")
         self._map = MapPublisher(node, own.map_frame, own.odom_frame, own.earth_frame, own.preview_points)
         self._live = self._make_live(own.live_period) if own.live_period > 0 else None

@@ -26,7 +26,7 @@ from subiaco_mapping.nodes.names import END, SEQUENCE
 from subiaco_mapping.nodes.replay import WINDOWS, Replay
 from subiaco_mapping.topic_names import TopicsConfig
 from subiaco_msgs.msg import ReplayCounts
-from subiaco_ros.diagnostics import ProgressLog
+from subiaco_ros.diagnostics import ProgressReporter
 from subiaco_ros.managed_node import App
 from subiaco_ros.node_process import run_node
 from subiaco_ros.parameters import DYNAMIC, read_models
@@ -138,7 +138,7 @@ def build(node: Node) -> App:
     """Put the node together from its parameters."""
     own, _ = read_models(node, ReplayParameters)
     flow = FlowControl(own.consumers, WINDOWS)
-    progress = ProgressLog(node)
+    progress = ProgressReporter(node)
     port = NodePort(node, own.topics, own.consumers)
     replay = Replay(
         [Path(bag) for bag in own.bags],
