@@ -21,6 +21,7 @@ from subiaco_bringup.graph import (
     process_command,
     ros_parameters,
 )
+from subiaco_bringup.launching import COMMON_ARGUMENTS
 from subiaco_change.request import ChangeRequest
 from subiaco_geo.config import load_config
 from subiaco_geo.errors import InputError, SubiacoError
@@ -279,7 +280,8 @@ def test_launch_file_and_supervisor_start_the_same_change_command_line(tmp_path:
 @pytest.mark.usefixtures("launch_stub")
 def test_a_launch_file_takes_every_option_of_a_request() -> None:
     declared = {a.given[0] for a in description_of(LAUNCH / "change.launch.py") if type(a) is Action}
-    assert declared == {*ChangeRequest.model_fields, "set"}
+    common = {name for name, _, _ in COMMON_ARGUMENTS}
+    assert declared == {*ChangeRequest.model_fields, "set"} | common
 
 
 @pytest.mark.usefixtures("launch_stub")
