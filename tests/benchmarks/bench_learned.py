@@ -49,6 +49,7 @@ from subiaco_evaluation.paired import paired_difference
 from subiaco_evaluation.scores import describe
 from subiaco_evaluation.scoring import EvaluationConfig, score_cells
 from subiaco_evaluation.truth import read_truth
+from subiaco_geo.codes import Change
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Ints
 from subiaco_geo.maps import load_epoch
@@ -164,22 +165,30 @@ def group_rows(cases: Sequence[Case], methods: Sequence[str], work: Path) -> lis
     return rows
 
 
-def site_rows(data: Path, methods: Sequence[str]) -> list[dict[str, Any]]:
-    """Return a row for every method on the real building site, as the epochs lie."""
-    rows, truth = [], read_drawn()
-    for method in (OURS, *methods):
+def site_row(data: Path, method: str, work: Path) -> dict[str, Any]:
+    """Return the row of a method on the real building site, as the epochs lie; kept once it was run."""
+    kept = work / "site" / f"{method}.json"
+    if not kept.is_file():
         epochs = read_site(data, 0), read_site(data, 1)
         if method == OURS:
             result = detect_changes(*epochs, ChangeConfig(), transform=np.eye(4))
         else:
             result = detect_simply(*epochs, method, BaselineConfig(), transform=np.eye(4))
-        found, wrong = score(result, truth)
-        claims = [r for r in result.records if r.change < 4]
-        rows.append({"method": method, "objects right": f"{sum(s >= 0.5 for *_, s in found)} of {len(found)}",
-                     "claims": len(claims), "claims outside of every change": len(wrong),
-                     "area of those m2": round(sum(r.footprint.area for r in wrong), 1)})  # fmt: skip
-        print(rows[-1], flush=True)
-    return rows
+        found, wrong = score(result, read_drawn())
+        row = {"method": method, "objects right": f"{sum(s >= 0.5 for *_, s in found)} of {len(found)}"}
+        row["claims"] = sum(r.change < Change.UNCHANGED for r in result.records)
+        row["claims outside of every change"] = len(wrong)
+        row["area of those m2"] = round(sum(r.footprint.area for r in wrong), 1)
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        kept.write_text(json.dumps(row), encoding="utf-8")
+        print(row, flush=True)
+    return dict(json.loads(kept.read_text(encoding="utf-8")))
+
+
+def finished(cases: Sequence[Case], methods: Sequence[str], work: Path) -> tuple[list[Case], list[str]]:
+    """Return the cases with a result of ours, and the methods with a result on every one of these."""
+    good = [c for c in cases if (work / c.group / c.name / f"{OURS}.npy").is_file()]
+    return good, [m for m in methods if all((work / c.group / c.name / f"{m}.npy").is_file() for c in good)]
 
 
 def training_rows(methods: Sequence[str]) -> list[dict[str, Any]]:
@@ -242,6 +251,7 @@ def main() -> None:
     parser.add_argument("--site", type=Path, metavar="DATA", help="folder that holds real_pair_site")
     parser.add_argument("--remarks", type=Path, help="text file; a line is a remark below the tables")
     parser.add_argument("--page", type=Path, default=PAGE)
+    parser.add_argument("--finished", action="store_true", help="run nothing; write what was run before")
     given = parser.parse_args()
     methods, absent = available([*METHODS, PDAL_METHOD, *LEARNED_METHODS])
     learned = [m for m in methods if m in LEARNED_METHODS]
@@ -250,14 +260,16 @@ def main() -> None:
     found["training"] = training_rows(learned)
     cases = [*map(survey_case, given.surveys), *map(bare_case, given.bare)]
     for group in _GROUPS:
-        chosen = [case for case in cases if case.group == group]
-        if chosen:
-            found |= {
-                group: group_rows(chosen, methods, given.work),
-                f"{group}_names": [c.name for c in chosen],
-            }
+        chosen, able = [case for case in cases if case.group == group], methods
+        if given.finished:
+            chosen, able = finished(chosen, methods, given.work)
+        if chosen and "dsm" in able:
+            names = [c.name for c in chosen]
+            found |= {group: group_rows(chosen, able, given.work), f"{group}_names": names}
     if given.site is not None:
-        found["site"] = site_rows(given.site, methods)
+        kept = [m for m in (OURS, *methods) if (given.work / "site" / f"{m}.json").is_file()]
+        able = kept if given.finished else [OURS, *methods]
+        found["site"] = [site_row(given.site, method, given.work) for method in able]
     if given.remarks is not None:
         found["remarks"] = given.remarks.read_text(encoding="utf-8").splitlines()
     given.work.mkdir(parents=True, exist_ok=True)

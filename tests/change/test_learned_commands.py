@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from test_baselines import AFTER, BEFORE
 
-from subiaco_bringup.cli.baseline_verbs import Learned, Method
+from subiaco_bringup.cli.commands_evaluation import Learned, Method
 from subiaco_bringup.cli.main import run
 from subiaco_change.outputs.directory import read_change_directory
 from subiaco_evaluation.baselines.config import M3c2Config
@@ -144,7 +144,7 @@ def test_the_pipeline_names_every_cloud_once_and_the_settings_of_m3c2(tmp_path):
     assert stages[3]["reg_error"] == 0.02
 
 
-@pytest.mark.usefixtures("cheap_report")
+@pytest.mark.usefixtures("no_pages")
 def test_what_pdal_computes_becomes_a_change_directory(clouds, tmp_path, fake_pdal):
     fake_pdal()
     out = tmp_path / "out"
