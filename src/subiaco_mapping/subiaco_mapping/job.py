@@ -7,6 +7,7 @@ from collections.abc import Callable
 from subiaco_geo.atomic import refuse_existing, refuse_foreign
 from subiaco_geo.maps import write_map
 from subiaco_geo.survey_map import SurveyMap
+from subiaco_mapping.absolute_positions.positioning import require_usable_files
 from subiaco_mapping.checkpoint.checkpoint import journal_folder, remove
 from subiaco_mapping.pipeline import map_survey, require_room_for
 from subiaco_mapping.request import MappingRequest
@@ -24,11 +25,13 @@ def run_mapping(request: MappingRequest, progress: Callable[[str, float], None] 
     Raises
     ------
     InputError
-        A recording cannot be mapped, the output exists, or the disk has no room.
+        A recording cannot be mapped, the output exists, control points or a reference cannot be read, or
+        the disk has no room.
     """
     output = request.output
     refuse_existing(output, request.overwrite)
     refuse_foreign(output, "map.yaml")
+    require_usable_files(request.config)
     require_room_for(request.bags, output)
     survey = map_survey(
         request.bags, request.config, progress,
