@@ -211,7 +211,7 @@ def test_a_roof_over_its_walls_and_a_small_fragment_are_no_bodies_of_their_own()
         (Semantic.MOBILE, 1.0, False),
         (Semantic.BUILDING, 0.5, False),
     ],
-    ids=["a strip of new paving", "a bench", "road that passed for a car", "a car's floor", "a terrace"],
+    ids=["a strip of new paving", "a runner", "road that passed for a car", "a car's floor", "a terrace"],
 )
 def test_what_lies_flat_is_left_to_the_ground(semantic, height, flat):
     slab = obj([(block((0, 0, 0), (8, 2, height)), False)])

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from collections.abc import Mapping
+from typing import Any, ClassVar, Literal
 
 from pydantic import Field, field_validator
 
@@ -138,6 +139,13 @@ class DeskewConfig(StrictModel):
 class OdometryConfig(StrictModel):
     """Scan to local map (kiss-icp core)."""
 
+    FORMER_NAMES: ClassVar[Mapping[str, str]] = {
+        "gicp_voxel": "gicp_voxel",
+        "look_distance": "gicp_distance",
+        "look_iterations": "gicp_iterations",
+        "look_leaf": "gicp_leaf",
+    }
+
     voxel: float = Field(
         1.0,
         gt=0,
@@ -164,19 +172,19 @@ class OdometryConfig(StrictModel):
         description="Fraction of the squared kernel width that is kept from scan to scan; raise it for "
         "slower adaptation",
     )
-    look_voxel: float = Field(
+    gicp_voxel: float = Field(
         1.0, gt=0, description="Edge of the voxels of the Gaussian map for the plane-to-plane refinement [m]"
     )
-    look_distance: float = Field(
+    gicp_distance: float = Field(
         1.0,
         gt=0,
         description="Largest correspondence distance of the plane-to-plane refinement [m]; smaller while "
         "the motion is predictable",
     )
-    look_iterations: int = Field(
+    gicp_iterations: int = Field(
         10, ge=1, description="Largest number of iterations of the plane-to-plane refinement"
     )
-    look_leaf: float = Field(
+    gicp_leaf: float = Field(
         0.75, gt=0, description="Voxel edge to which a scan is thinned for the plane-to-plane refinement [m]"
     )
     refine: bool = Field(
@@ -444,6 +452,50 @@ class ManifestConfig(StrictModel):
 
 class MappingConfig(StrictModel):
     """Everything from bag to map."""
+
+    PUBLIC = (
+        "crs",
+        "threads",
+        "deskewed",
+        "topics.metadata",
+        "topics.lidar_packets",
+        "topics.imu_packets",
+        "topics.points",
+        "topics.imu",
+        "topics.fix",
+        "topics.heading",
+        "topics.time_reference",
+        "topics.gps_fix",
+        "topics.nmea_sentence",
+        "sensors.base_frame",
+        "sensors.lidar_frame",
+        "sensors.imu_frame",
+        "sensors.gnss_frame",
+        "sensors.lidar.translation",
+        "sensors.lidar.rotation_deg",
+        "sensors.imu.translation",
+        "sensors.imu.rotation_deg",
+        "sensors.gnss.translation",
+        "sensors.override",
+        "decode.time_base",
+        "decode.time_offset_ns",
+        "decode.min_range",
+        "decode.max_range",
+        "decode.sky_range",
+        "deskew.imu_time_offset_ns",
+        "gnss.required",
+        "gnss.driver",
+        "gnss.declared_frame",
+        "gnss.epoch",
+        "gnss.heights",
+        "gnss.geoid_grid",
+        "gnss.time_offset_ns",
+        "gnss.heading_offset_deg",
+        "fusion.leaf",
+        "fusion.max_range",
+        "fusion.reserve_gb",
+        "fusion.moving.enabled",
+    )
 
     crs: str = Field(
         "auto",

@@ -11,13 +11,14 @@ from typing import Annotated
 import typer
 
 from subiaco_bringup.cli import (
-    baseline_verbs,
-    change_verbs,
-    delivery_verbs,
-    graph_verbs,
-    record_verbs,
-    survey_verbs,
-    trust_verbs,
+    commands_calibration,
+    commands_change,
+    commands_config,
+    commands_delivery,
+    commands_evaluation,
+    commands_graph,
+    commands_record,
+    commands_survey,
 )
 from subiaco_geo import __version__
 from subiaco_geo.disk import is_disk_full
@@ -71,13 +72,14 @@ def _options(
     """Build georeferenced 3D city maps from LiDAR drives, and find what changed between two of them."""
 
 
-survey_verbs.register(app)
-change_verbs.register(app)
-delivery_verbs.register(app)
-baseline_verbs.register(app)
-trust_verbs.register(app)
-graph_verbs.register(app)
-record_verbs.register(app)
+commands_survey.register(app)
+commands_change.register(app)
+commands_delivery.register(app)
+commands_evaluation.register(app)
+commands_calibration.register(app)
+commands_graph.register(app)
+commands_record.register(app)
+commands_config.register(app)
 
 
 def _report(message: str) -> None:

@@ -214,11 +214,11 @@ def map_(
             "anew. With --resume, a finished map is no error.",
         ),
     ] = None,
-    keep_journal: Annotated[
+    keep_checkpoint: Annotated[
         bool,
         typer.Option(
-            "--keep-journal",
-            help="Leave the journal: with --overwrite and other settings for what follows the odometry, "
+            "--keep-checkpoint",
+            help="Leave the checkpoint: with --overwrite and other settings for what follows the odometry, "
             "recordings are not read again.",
         ),
     ] = False,
@@ -230,8 +230,8 @@ def map_(
 
     A bag without usable GNSS fixes gives a map in a local frame, without CRS.
     A map that most of its own fixes contradict is written, flagged and ends with 3.
-    Residuals at control and check points are in quality.html and map.yaml.
-    Until the map is written, the work lies beside it in .MAP_DIR.journal.
+        resume=resume is not False, keep_checkpoint=keep_checkpoint, overwrite=overwrite,
+        config=load_config(MappingConfig, files, _settings(settings, threads=threads, **absolute)),
 
     Example: subiaco map bags/demo/before -o out/before
     """
@@ -247,7 +247,7 @@ def map_(
     absolute = {"control.file": _whole(control), "reference.cloud": _whole(reference)}
     request = MappingRequest.of(
         bags=tuple(bags), output=output, workers=workers or os.cpu_count() or 1,
-        resume=resume is not False, keep_journal=keep_journal, overwrite=overwrite,
+        resume=resume is not False, keep_checkpoint=keep_checkpoint, overwrite=overwrite,
         config=load_config(MappingConfig, files, _settings(settings, threads=threads, **absolute)),
     )  # fmt: skip
     with Progress(quiet=quiet) as progress:
