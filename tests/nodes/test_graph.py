@@ -8,20 +8,25 @@ import types
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 
 from subiaco_bringup.graph import (
     change_graph,
     command_lines,
+    deployed,
     mapping_graph,
     merged_config,
     process_command,
     ros_parameters,
 )
+from subiaco_bringup.launching import COMMON_ARGUMENTS
+from subiaco_change.request import ChangeRequest
 from subiaco_geo.config import load_config
 from subiaco_geo.errors import InputError, SubiacoError
 from subiaco_mapping.config import MappingConfig
+from subiaco_mapping.request import MappingRequest
 
 LAUNCH = Path(__file__).resolve().parents[2] / "src" / "subiaco_bringup" / "launch"
 
@@ -29,6 +34,16 @@ LAUNCH = Path(__file__).resolve().parents[2] / "src" / "subiaco_bringup" / "laun
 def write_yaml(path: Path, **values: Any) -> Path:
     path.write_text(yaml.safe_dump({"/**": {"ros__parameters": values}}))
     return path
+
+
+def mapping_request(folder: Path, **options: Any) -> MappingRequest:
+    return MappingRequest.of(**{"bags": (folder / "bag",), "output": folder / "out", **options})
+
+
+def change_request(folder: Path, **options: Any) -> ChangeRequest:
+    return ChangeRequest.of(
+        **{"before": folder / "before", "after": folder / "after", "output": folder / "output", **options}
+    )
 
 
 def parameters_of(command: list[str]) -> dict[str, Any]:
@@ -43,8 +58,8 @@ def test_every_node_gets_the_same_configuration_as_the_command_line(tmp_path: Pa
         sensors={"lidar": {"translation": [1, 0.5, 2]}, "imu": None},
     )
     settings = ["odometry.voxel=0.9", "crs=EPSG:7851"]
-    graph = mapping_graph([tmp_path / "bag"], tmp_path / "out", [file], settings)
     expected = load_config(MappingConfig, [file], settings)
+    graph = mapping_graph(mapping_request(tmp_path, config=expected))
     own = {"use_sim_time", "exit_at_end", "consumers", "output_directory", "overwrite", "bags"}
     for command in command_lines(graph)[1:]:
         given = {k: v for k, v in parameters_of(command).items() if k not in own}
@@ -59,15 +74,13 @@ def test_what_ros_parameters_cannot_hold_is_left_out_or_made_uniform() -> None:
 
 
 def test_equal_graphs_have_equal_command_lines_and_others_not(tmp_path: Path) -> None:
-    lines = [
-        command_lines(mapping_graph([tmp_path / "bag"], tmp_path / "out", rate=rate)) for rate in (0, 0, 2)
-    ]
+    lines = [command_lines(mapping_graph(mapping_request(tmp_path), rate=rate)) for rate in (0, 0, 2)]
     assert lines[0] == lines[1]
     assert lines[0] != lines[2]
 
 
 def test_the_replay_waits_for_every_other_node(tmp_path: Path) -> None:
-    replay, *others = mapping_graph([tmp_path / "bag"], tmp_path / "out").nodes
+    replay, *others = mapping_graph(mapping_request(tmp_path)).nodes
     assert replay.parameters["consumers"] == [node.name for node in others]
     assert [node.name for node in others if node.principal] == ["pose_graph"]
 
@@ -79,10 +92,10 @@ def test_settings_win_over_files_and_later_files_over_earlier_ones(tmp_path: Pat
 
 
 def test_processes_are_started_with_this_interpreter(tmp_path: Path) -> None:
-    node = change_graph(tmp_path / "a", tmp_path / "b", tmp_path / "c").nodes[0]
+    node = change_graph(change_request(tmp_path)).nodes[0]
     command = process_command(node)
     assert command[:3] == [sys.executable, "-m", "subiaco_bringup.nodes.change_node"]
-    assert command[3:] == command_lines(change_graph(tmp_path / "a", tmp_path / "b", tmp_path / "c"))[0][2:]
+    assert command[3:] == command_lines(change_graph(change_request(tmp_path)))[0][2:]
 
 
 class Action:
@@ -197,9 +210,9 @@ def test_launch_file_and_supervisor_start_the_same_mapping_command_lines(tmp_pat
         rate="2.0",
         overwrite="true",
     )
-    graph = mapping_graph(
-        bags, tmp_path / "out", config_files("mapping"), ["odometry.voxel=0.8"], rate=2.0, overwrite=True
-    )
+    config = load_config(MappingConfig, config_files("mapping"), ["odometry.voxel=0.8"])
+    request = mapping_request(tmp_path, bags=tuple(bags), overwrite=True, config=config)
+    graph = mapping_graph(request, rate=2.0)
     assert launched == command_lines(graph)
 
 
@@ -247,12 +260,28 @@ def test_a_launch_refuses_a_setting_that_is_none_before_it_starts_a_node(file: P
 
 @pytest.mark.usefixtures("launch_stub")
 def test_launch_file_and_supervisor_start_the_same_change_command_line(tmp_path: Path) -> None:
-    from subiaco_bringup.defaults import config_files
-
+    options = {
+        "trajectory_before": str(tmp_path / "before.tum"), "transform": "identity", "workers": "3",
+        "parcels": str(tmp_path / "lots.gpkg"), "given": "semantic instance", "overwrite": "true",
+    }  # fmt: skip
     names = {name: str(tmp_path / name) for name in ("before", "after", "output")}
-    launched = launched_lines(LAUNCH / "change.launch.py", **names)
-    graph = change_graph(*(Path(path) for path in names.values()), config_files("change"))
+    launched = launched_lines(LAUNCH / "change.launch.py", **names, **options, set="leaf=0.4 seed=2")
+    request = change_request(
+        tmp_path, trajectory_before=tmp_path / "before.tum", transform=np.eye(4), workers=3,
+        parcels=tmp_path / "lots.gpkg", given=("semantic", "instance"), overwrite=True,
+        config={"leaf": 0.4, "seed": 2},
+    )  # fmt: skip
+    graph = change_graph(request)
     assert launched == command_lines(graph)
+    carried = parameters_of(launched[0])
+    assert ChangeRequest.from_json(carried["request"], "node") == request
+
+
+@pytest.mark.usefixtures("launch_stub")
+def test_a_launch_file_takes_every_option_of_a_request() -> None:
+    declared = {a.given[0] for a in description_of(LAUNCH / "change.launch.py") if type(a) is Action}
+    common = {name for name, _, _ in COMMON_ARGUMENTS}
+    assert declared == {*ChangeRequest.model_fields, "set"} | common
 
 
 @pytest.mark.usefixtures("launch_stub")
@@ -358,9 +387,9 @@ def test_launch_file_and_supervisor_treat_the_live_nodes_alike(
     from subiaco_bringup.live_graph import live_graph
 
     file, drive = LAUNCH / "live.launch.py", tmp_path / "drive"
-    given = {"output": str(drive), "record": str(record).lower(), "sim_time": str(sim_time).lower()}
+    given = {"output": str(drive), "record": str(record).lower(), "use_sim_time": str(sim_time).lower()}
     graph = live_graph(drive, config_files("mapping"), record=record, sim_time=sim_time)
-    assert launched_lines(file, **given) == command_lines(graph)
+    assert launched_lines(file, **given) == command_lines(deployed(graph, use_sim_time=sim_time))
     nodes = launched_nodes(file, **given)
     assert [n["respawn"] for n in nodes] == [spec.restart for spec in graph.nodes]
     assert [float(n["sigterm_timeout"]) for n in nodes] == [spec.grace for spec in graph.nodes]
@@ -391,8 +420,8 @@ def test_every_process_of_every_graph_is_an_executable_of_its_package(
 
     graphs = [
         live_graph(tmp_path),
-        mapping_graph([tmp_path], tmp_path),
-        change_graph(tmp_path, tmp_path, tmp_path),
+        mapping_graph(mapping_request(tmp_path)),
+        change_graph(change_request(tmp_path)),
     ]
     for spec in {node.executable: node for graph in graphs for node in graph.nodes}.values():
         said = (LAUNCH.parents[1] / spec.package / "setup.py").read_text()
@@ -403,3 +432,33 @@ def test_every_process_of_every_graph_is_an_executable_of_its_package(
         monkeypatch.setattr(executables, "start", started.append)
         getattr(executables, spec.executable)()
         assert started == [f"{spec.package}.nodes.{spec.executable}"]
+
+
+@pytest.mark.usefixtures("launch_stub")
+def test_every_launch_file_takes_namespace_clock_autostart_and_a_port_for_foxglove(tmp_path: Path) -> None:
+    nodes = launched_lines(
+        LAUNCH / "live.launch.py",
+        output=str(tmp_path / "drive"),
+        namespace="left",
+        use_sim_time="true",
+        autostart="false",
+        foxglove_port="8765",
+    )
+    assert [line[1] for line in nodes] == [
+        "recorder_node", "monitor_node", "odometry_node", "pose_graph_node", "foxglove_node"
+    ]  # fmt: skip
+    for line in nodes:
+        assert line[line.index("__ns:=/left") - 1] == "-r"
+        given = parameters_of(line)
+        assert (given["use_sim_time"], given["autostart"]) == (True, False)
+    assert parameters_of(nodes[-1])["host"] == "127.0.0.1"
+    plain = launched_lines(LAUNCH / "mapping.launch.py", bag=str(tmp_path / "bag"), output="out")
+    for line in plain:
+        assert not any(word.startswith("__ns") for word in line)
+        assert "autostart" not in parameters_of(line)
+
+
+@pytest.mark.usefixtures("launch_stub")
+def test_a_launch_argument_that_is_neither_true_nor_false_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="launch argument maybe: expected true or false"):
+        launched_nodes(LAUNCH / "live.launch.py", output=str(tmp_path / "drive"), autostart="maybe")

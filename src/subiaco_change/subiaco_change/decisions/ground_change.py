@@ -13,22 +13,24 @@ from shapely.geometry.base import BaseGeometry
 
 from subiaco_change.decisions.ground_cells import NO_CLAIM, GroundCells, GroundChangeConfig, block_median
 from subiaco_change.decisions.voxel_objects import EpochView
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.records import GroundChange
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats, Ints
 
-_DENSE = 0.5  # share of the ground around that both epochs measured where one can hide from the other
-_AROUND = 10.0  # what lies this near tells the noise of a thinly seen patch [m]
-_NOISE_BLOCK = 2.0  # within which thinly seen heights err together [m]
-_LOD_CELLS = 25  # known cells that speak for a patch without a level of detection
+_DENSE = NUMBERS.ground_change.dense_share
+_AROUND = NUMBERS.ground_change.noise_reach
+_NOISE_BLOCK = NUMBERS.ground_change.noise_block
+_LOD_CELLS = NUMBERS.ground_change.lod_cells
 
 
 @dataclass(frozen=True)
 class GroundPatch:
     """A contiguous area of changed ground: its cells, its mean difference and spread [m].
 
-    ``confidence``: probability that a place in it moved by more than the threshold.
+    ``confidence``: probability that a place in it moved by more than the threshold; ``reason``: the sentence
+    of its row.
     """
 
     change: Change
@@ -39,6 +41,7 @@ class GroundPatch:
     cells: Ints
     outline: BaseGeometry
     confidence: float
+    reason: str = ""
 
 
 @dataclass(frozen=True)
@@ -188,7 +191,12 @@ def _make_patch(
         level = math.hypot(level, 1.96 * spread, _noise_around(where, dz, cell))
     height, spread = float(np.median(values)), float(values.std())
     confidence = patch_confidence(height, level, spread, config.threshold)
-    return GroundPatch(change, area, height, spread, level, cells, outline, confidence)
+    reason = (
+        f"The ground level changed by {height:+.2f} m (limit {config.threshold:.2f} m, LoD95 {level:.2f} m,"
+        f" standard deviation {spread:.2f} m) over {area:.0f} m² (limit {config.area:.0f} m²): the ground was"
+        f" {'raised' if height > 0 else 'lowered'}."
+    )
+    return GroundPatch(change, area, height, spread, level, cells, outline, confidence, reason)
 
 
 def patch_confidence(dz: float, lod: float, spread: float, threshold: float) -> float:

@@ -21,12 +21,13 @@ from subiaco_change.decisions.vegetation_null import PlantMeasures, no_null
 from subiaco_change.decisions.voxel_objects import Free, ObjectInstance, join_voxels
 from subiaco_change.instance_splitting.hedge_sections import NOTHING
 from subiaco_change.instance_splitting.vehicle_parts import decide_vehicle_part
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats, Ints
 
-_FLAT_TOP = 0.6  # highest top of what has no class and may be ground raised or laid on it [m]
-_LAID_TOP = 0.25  # the same of a supposed vehicle or plant: no more than ground strays from its model
-_LEVEL = 0.75  # mean upward part of its normals
+_FLAT_TOP = NUMBERS.object_decision.flat_top
+_LAID_TOP = NUMBERS.object_decision.laid_top
+_LEVEL = NUMBERS.object_decision.level_normal
 _OF_PLANTS = (Change.UNCHANGED, Change.INCREASED, Change.DECREASED)  # labels on which other plants have a say
 
 
@@ -105,7 +106,7 @@ def decide_object(
 
 
 def is_misclassified_ground(semantic: Semantic, objects: Sequence[ObjectInstance]) -> Decision | None:
-    """Leave a low, level object to the ground's comparison: it is ground told wrong."""
+    """Leave a low, level object to the comparison of the ground: it is ground with a wrong class."""
     voxels = join_voxels(objects)
     limit = _FLAT_TOP if semantic is Semantic.OTHER else _LAID_TOP
     if semantic is Semantic.BUILDING or float(np.quantile(voxels.height, 0.95)) > limit:
@@ -114,8 +115,7 @@ def is_misclassified_ground(semantic: Semantic, objects: Sequence[ObjectInstance
     if level < _LEVEL:
         return None
     reason = (
-        f"Its top lies {float(np.quantile(voxels.height, 0.95)):.2f} m above the ground (limit"
-        f" {limit:.2f} m), and"
-        " it is level: it is part of the ground, which is compared separately."
+        f"The top of the object lies {float(np.quantile(voxels.height, 0.95)):.2f} m above the ground (limit"
+        f" {limit:.2f} m) and is level: the object is part of the ground, which is compared separately."
     )
     return Decision(Change.NOT_REPORTED, reason, 1.0)

@@ -14,13 +14,14 @@ from scipy.special import ndtr
 
 from subiaco_change.decisions.ground_change import GroundComparison, GroundPatch, patch_points
 from subiaco_change.decisions.voxel_objects import EpochView, is_ghost_trail
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.records import ChangeRecord
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.visibility_evidence import EvidenceConfig, ground_observed
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats, Ints
 
-_AROUND = 12  # nearest points that tell whether a place lies among them
+_AROUND = NUMBERS.point_labels.surrounding_points
 
 
 @dataclass(frozen=True)
@@ -123,7 +124,7 @@ def _label_ground(
 
 
 def patch_record(patch: GroundPatch, origin: Floats, z: float, evidence: str) -> ChangeRecord:
-    """Return the row of a patch of ground, in world coordinates; its id and points are still to be told."""
+    """Return the row of a patch of ground, in world coordinates; number and points are added later."""
     centre = patch.outline.centroid
     return ChangeRecord(
         object_id=-1,
@@ -153,12 +154,7 @@ def patch_record(patch: GroundPatch, origin: Floats, z: float, evidence: str) ->
         delta_h_high_m=patch.dz + patch.lod,
         delta_v_low_m3=(patch.dz - patch.lod) * patch.area,
         delta_v_high_m3=(patch.dz + patch.lod) * patch.area,
-        reason=(
-            f"The ground level changed by {patch.dz:+.2f} m (standard deviation"
-            f" {patch.dz_spread:.2f} m, LoD95"
-            f" {patch.lod:.2f} m) over {patch.area:.0f} m²: beyond the limits of height and area, it was"
-            f" {'raised' if patch.dz > 0 else 'lowered'}."
-        ),
+        reason=patch.reason,
     )
 
 

@@ -14,13 +14,14 @@ from scipy.spatial import cKDTree
 from subiaco_change.decisions.measures import Measures, oriented_rectangle
 from subiaco_change.decisions.rules import Decision
 from subiaco_change.decisions.voxel_objects import ObjectInstance, join_voxels
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats
 
-_ACROSS = 1 / 3  # share of a part that the other epoch must have looked across
-_VEHICLE = 1.5  # least width of a vehicle, or of the part of it that was seen [m]
-_NEXT = 0.75  # so far from points of the other epoch, a voxel lies beside them [m]
-_HELD = 0.5  # share of its voxels from which on a part lies beside them
+_ACROSS = NUMBERS.vehicle_parts.crossed_share
+_VEHICLE = NUMBERS.vehicle_parts.vehicle_width
+_NEXT = NUMBERS.vehicle_parts.adjacent
+_HELD = NUMBERS.vehicle_parts.adjacent_share
 
 
 def decide_vehicle_part(
@@ -35,7 +36,7 @@ def decide_vehicle_part(
     across = 0.5 * abs(measures.net_changed_fraction) / max(measures.gone_share, measures.new_share)
     if across < _ACROSS:
         reason = (
-            f"The other survey looked across {across:.0%} of this part of a vehicle, less than the limit of"
+            f"The other survey observed {across:.0%} of this part of a vehicle, less than the limit of"
             f" {_ACROSS:.0%}: nothing is claimed."
         )
         return Decision(Change.UNOBSERVED, reason, 1.0 - across)
@@ -45,8 +46,7 @@ def decide_vehicle_part(
         return None
     reason = (
         f"{held:.0%} of this part of a vehicle lies beside points of the other survey (limit"
-        f" {_HELD:.0%}): it is"
-        " part of an object that both surveys have."
+        f" {_HELD:.0%}): the part belongs to an object that both surveys have."
     )
     return Decision(Change.UNCHANGED, reason, held)
 

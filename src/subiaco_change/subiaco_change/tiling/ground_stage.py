@@ -101,6 +101,7 @@ class PatchRow:
     dz_spread: float
     lod: float
     confidence: float
+    reason: str
     height: float
     outline: BaseGeometry
 
@@ -231,7 +232,8 @@ def tile_patches(inputs: Inputs, params: PatchParams) -> TilePatches:
     cells = [np.zeros((0, 3), dtype=np.int64)]
     for p, height, base in _own_patches(inputs, params):
         cells.append(np.column_stack([p.cells + base, np.full(len(p.cells), len(rows))]))
-        rows.append(PatchRow(p.change, p.area, p.dz, p.dz_spread, p.lod, p.confidence, height, p.outline))
+        found = (p.change, p.area, p.dz, p.dz_spread, p.lod, p.confidence, p.reason)
+        rows.append(PatchRow(*found, height, p.outline))
     return TilePatches(tuple(rows), np.concatenate(cells))
 
 

@@ -122,7 +122,7 @@ def _named(
 def _patch(row: PatchRow, origin: Floats, evidence: str) -> ChangeRecord:
     none = np.zeros((0, 2), dtype=np.int64)
     patch = GroundPatch(
-        row.change, row.area, row.dz, row.dz_spread, row.lod, none, row.outline, row.confidence
+        row.change, row.area, row.dz, row.dz_spread, row.lod, none, row.outline, row.confidence, row.reason
     )
     return patch_record(patch, origin, row.height, evidence)
 
