@@ -60,7 +60,7 @@ OPTIONS = {
     "deliver": ["CHANGE_DIR", "--output", "--review", "--polygons", "--check", "--cell", "--without-clouds"],
     "viewer": ["CHANGE_DIR", "--open"],
     "review": ["CHANGE_DIR", "reviews.csv", "--json"],
-    "check": ["--control", "--crs", "--json"],
+    "check": ["--control", "--crs", "--geoid", "--json"],
     "trajectory": ["--output", "--align", "--json", "--overwrite"],
     "record": ["--output", "--resume", "--duration", "--remap", "--config", "--set", "--quiet", "--verbose"],
     "recover": ["--output", "--in-place", "--thorough", "--json"],
