@@ -38,8 +38,9 @@ same file:
       voxel: 1.0
 ```
 
-Later files win over earlier ones, and `--set` wins over files. `config.yaml` in every map and change
-directory lists all settings of that run."""
+`subiaco config map`, `subiaco config change` and `subiaco config record` print the public settings in this
+form, with `--all` every setting. Later files win over earlier ones, and `--set` wins over files.
+`config.yaml` in every map and change directory lists all settings of that run."""
 
 
 @dataclass(frozen=True)
