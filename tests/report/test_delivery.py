@@ -142,30 +142,37 @@ def test_the_metadata_name_system_extent_day_and_accuracy(delivered):
 #: Children of the types that we write, in the order and number of the schema of ISO 19139 (gmd, 2007):
 #: ``?`` at most one, ``*`` any number, ``+`` one or more, else exactly one.
 SEQUENCES = {
-    "MD_Metadata": "fileIdentifier? language? characterSet? parentIdentifier? hierarchyLevel* "
-    "hierarchyLevelName* contact+ dateStamp metadataStandardName? metadataStandardVersion? "
-    "dataSetURI? locale* spatialRepresentationInfo* referenceSystemInfo* metadataExtensionInfo* "
-    "identificationInfo+ contentInfo* distributionInfo? dataQualityInfo* "
-    "portrayalCatalogueInfo* metadataConstraints* applicationSchemaInfo* metadataMaintenance? "
-    "series* describes* propertyType* featureType* featureAttribute*",
+    "MD_Metadata": "fileIdentifier? language? characterSet? parentIdentifier? "
+    "hierarchyLevel* hierarchyLevelName* contact+ dateStamp "
+    "metadataStandardName? metadataStandardVersion? dataSetURI? "
+    "locale* spatialRepresentationInfo* referenceSystemInfo* "
+    "metadataExtensionInfo* identificationInfo+ contentInfo* "
+    "distributionInfo? dataQualityInfo* portrayalCatalogueInfo* "
+    "metadataConstraints* applicationSchemaInfo* "
+    "metadataMaintenance? series* describes* propertyType* "
+    "featureType* featureAttribute*",
     "CI_ResponsibleParty": "individualName? organisationName? positionName? contactInfo? role",
     "MD_ReferenceSystem": "referenceSystemIdentifier?",
     "RS_Identifier": "authority? code codeSpace? version?",
-    "MD_DataIdentification": "citation abstract purpose? credit* status* pointOfContact* resourceMaintenance* "
-    "graphicOverview* resourceFormat* descriptiveKeywords* resourceSpecificUsage* "
-    "resourceConstraints* aggregationInfo* spatialRepresentationType* spatialResolution* "
-    "language+ characterSet* topicCategory* environmentDescription? extent* "
+    "MD_DataIdentification": "citation abstract purpose? credit* status* pointOfContact* "
+    "resourceMaintenance* graphicOverview* resourceFormat* "
+    "descriptiveKeywords* resourceSpecificUsage* "
+    "resourceConstraints* aggregationInfo* "
+    "spatialRepresentationType* spatialResolution* language+ "
+    "characterSet* topicCategory* environmentDescription? extent* "
     "supplementalInformation?",
-    "CI_Citation": "title alternateTitle* date+ edition? editionDate? identifier* citedResponsibleParty* "
-    "presentationForm* series? otherCitationDetails? collectiveTitle? ISBN? ISSN?",
+    "CI_Citation": "title alternateTitle* date+ edition? editionDate? identifier* "
+    "citedResponsibleParty* presentationForm* series? "
+    "otherCitationDetails? collectiveTitle? ISBN? ISSN?",
     "CI_Date": "date dateType",
     "EX_Extent": "description? geographicElement* temporalElement* verticalElement*",
-    "EX_GeographicBoundingBox": "extentTypeCode? westBoundLongitude eastBoundLongitude southBoundLatitude "
-    "northBoundLatitude",
+    "EX_GeographicBoundingBox": "extentTypeCode? westBoundLongitude eastBoundLongitude "
+    "southBoundLatitude northBoundLatitude",
     "DQ_DataQuality": "scope report* lineage?",
     "DQ_Scope": "level extent* levelDescription*",
-    "DQ_RelativeInternalPositionalAccuracy": "nameOfMeasure* measureIdentification? measureDescription? evaluationMethodType? "
-    "evaluationMethodDescription? evaluationProcedure? dateTime* result+",
+    "DQ_RelativeInternalPositionalAccuracy": "nameOfMeasure* measureIdentification? measureDescription? "
+    "evaluationMethodType? evaluationMethodDescription? "
+    "evaluationProcedure? dateTime* result+",
     "DQ_QuantitativeResult": "valueType? valueUnit errorStatistic? value+",
     "LI_Lineage": "statement? processStep* source*",
 }
