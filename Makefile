@@ -25,7 +25,7 @@ test: setup  ## set-up, lint, every test
 docs: setup  ## the documentation as a site: out/docs/index.html (no network)
 	@$(ENV) && NO_MKDOCS_2_WARNING=1 python -m mkdocs build --strict
 
-bench: setup  ## speed and memory beside peers: benchmarks.json, docs/benchmarks.md (a quiet machine, 15 minutes)
+bench: setup  ## speed and memory beside peers: benchmarks.json, docs/results/benchmarks.md (a quiet machine, 15 minutes)
 	@$(ENV) && python tests/benchmarks/bench.py $(BENCH_ARGS)
 
 colcon-test: setup  ## each package's tests the ROS way

@@ -1,7 +1,8 @@
 """What the documentation site does beside Markdown.
 
 Formulas become MathML, so that a page needs no script. A link to a file of the repository outside of ``docs``
-becomes the path of that file, because the site does not hold it.
+becomes the path of that file, because the site does not hold it. Pages of the reference are generated from
+the code (``scripts/reference_pages``).
 """
 
 from __future__ import annotations
@@ -12,12 +13,21 @@ from pathlib import Path, PurePosixPath
 from typing import Any
 
 from latex2mathml.converter import convert
+from mkdocs.structure.files import File, Files
+from reference_pages import pages
 
 ROOT = Path(__file__).resolve().parents[1]
 _FORMULA = re.compile(
     r'<(?P<tag>span|div) class="arithmatex">\\(?P<open>[(\[])(?P<latex>.*?)\\[)\]]</(?P=tag)>', re.DOTALL
 )
 _LINK = re.compile(r"(?<!!)\[(?P<text>[^\]]*)\]\((?P<target>\.\./[^)#]*)\)")
+
+
+def on_files(files: Files, config: Any, **_: object) -> Files:
+    """Add the generated pages of the reference; a hook of MkDocs."""
+    for name, text in pages().items():
+        files.append(File.generated(config, name, content=text))
+    return files
 
 
 def on_page_markdown(markdown: str, page: Any, **_: object) -> str:

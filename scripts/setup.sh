@@ -13,7 +13,8 @@ VENV="$ROOT/.venv"
 WS="$ROOT/ros2_ws"
 APT_ROS="${SUBIACO_APT_ROS:-/opt/ros/jazzy}"
 INTERFACES=(subiaco_msgs tf2_msgs ouster_sensor_msgs)
-PYTHON_PACKAGES=(subiaco_geo subiaco_sim subiaco_mapping subiaco_change subiaco_evaluation subiaco_bringup subiaco)
+PYTHON_PACKAGES=(subiaco_geo subiaco_ros subiaco_sim subiaco_mapping subiaco_change subiaco_evaluation subiaco_report
+    subiaco subiaco_bringup)
 
 say() { printf '[setup %3ds] %s\n' "$SECONDS" "$*"; }
 fail() {
@@ -215,7 +216,7 @@ set_up_workspace() {
     frozen="$(cd "$ROOT" && find config src/subiaco_bringup/{launch,rviz,foxglove} -type f 2>/dev/null |
         LC_ALL=C sort | sha256sum)" || true
     local sources
-    sources="$(digest src/subiaco{,_geo,_sim,_mapping,_change,_evaluation,_bringup}/{package.xml,setup.py,setup.cfg})"
+    sources="$(digest src/subiaco{,_geo,_ros,_sim,_mapping,_change,_evaluation,_report,_bringup}/{package.xml,setup.py,setup.cfg})"
     (
         enter_build_environment
         build_once .interfaces "$base $(digest src/subiaco_msgs src/vendor_msgs) ${interfaces[*]}" "${interfaces[@]}"

@@ -13,9 +13,12 @@ from hypothesis import HealthCheck, settings
 
 REPOSITORY = Path(__file__).resolve().parents[1]
 
-# A ROS domain for each session, so that tests running side by side do not hear each other. Domains 1 to 101
-# keep clear of the ephemeral ports.
-os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 101))
+# A ROS domain for each session and each of its workers, so that tests running side by side do not hear each
+# other. Domains 1 to 101 keep clear of the ephemeral ports.
+_DOMAIN = os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 101))
+_WORKER = os.environ.get("PYTEST_XDIST_WORKER")
+if _WORKER is not None:
+    os.environ["ROS_DOMAIN_ID"] = str(1 + (int(_DOMAIN) + 50 * int(_WORKER.removeprefix("gw"))) % 101)
 
 # A shell without job control lets what it starts in the background ignore SIGINT, and children inherit
 # that: a graph that a test interrupts would go on.

@@ -32,6 +32,7 @@ setup(
     entry_points={
         "console_scripts": [
             "subiaco = subiaco_bringup.cli.main:main",
+            "change_node = subiaco_bringup.nodes.executables:change_node",
         ],
     },
 )

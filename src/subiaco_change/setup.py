@@ -12,7 +12,7 @@ setup(
     maintainer_email="maintainers@subiaco.example.org",
     license="Apache-2.0",
     packages=find_packages(include=[NAME, NAME + ".*"]),
-    package_data={NAME: ["py.typed", "**/*.html", "**/*.jinja", "**/*.j2", "**/*.schema.json"]},
+    package_data={NAME: ["py.typed", "**/*.schema.json"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + NAME]),
         ("share/" + NAME, ["package.xml"]),
@@ -20,9 +20,4 @@ setup(
     install_requires=["setuptools"],
     extras_require={"test": ["pytest"], "dask": ["distributed"]},
     zip_safe=False,
-    entry_points={
-        "console_scripts": [
-            "change_node = subiaco_change.nodes.executables:change_node",
-        ],
-    },
 )

@@ -1,5 +1,5 @@
 # ruff: noqa: T201
-"""Every benchmark of speed and memory in one run: ``benchmarks.json`` and ``docs/benchmarks.md``.
+"""Every benchmark of speed and memory in one run: ``benchmarks.json`` and ``docs/results/benchmarks.md``.
 
     make bench                                       # everything, on a quiet machine: a quarter of an hour
     make bench BENCH_ARGS="--only mapping node-graph"     # some, into out/bench alone
@@ -210,7 +210,7 @@ def main() -> int:
     whole = given.only is None
     found = {"machine": facts, "seed": SEED, "surveys": surveys(chosen), "benchmarks": results}
     (ROOT if whole else WORK).joinpath("benchmarks.json").write_text(json.dumps(found, indent=1) + "\n")
-    table = ROOT / "docs" / "benchmarks.md" if whole else WORK / "benchmarks.md"
+    table = ROOT / "docs" / "results" / "benchmarks.md" if whole else WORK / "benchmarks.md"
     table.write_text(page(found))
     print(f"[bench] {table.relative_to(ROOT)}")
     return int(any("failed" in result for result in results.values()))

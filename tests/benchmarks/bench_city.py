@@ -29,13 +29,14 @@ import numpy as np
 import psutil
 import yaml
 
-from subiaco_change.config import ChangeConfig
-from subiaco_change.job import ChangeJob, Work, run_change
+from subiaco_change.job import run_change
+from subiaco_change.request import ChangeRequest
 from subiaco_geo.clouds import PointCloud, unpack_voxel_keys, voxel_keys
 from subiaco_geo.maps import load_epoch
 from subiaco_geo.ply_io import write_ply_parts
 from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.visibility import VisibilityGrid
+from subiaco_report.pages import write_pages
 
 PITCH = 400.0  # between streets [m]
 SCATTER = 0.01  # of the copies of a point [m]
@@ -140,21 +141,17 @@ class Watch:
 
 def run_once(survey: Path, workers: int, *, report: bool) -> dict[str, Any]:
     """Run the whole change command in this process; return what it cost."""
-    from subiaco_change.outputs import directory
-
-    built = directory.build_report
-    if not report:
-        directory.build_report = lambda *_: None
     output = survey / f"change_{workers}"
     shutil.rmtree(output, ignore_errors=True)
     watch = Watch()
     wall, cpu = time.perf_counter(), total_cpu()
-    job = ChangeJob(survey / "before", survey / "after", output, work=Work(workers))
+    request = ChangeRequest.of(
+        before=survey / "before", after=survey / "after", output=output, workers=workers
+    )
     try:
-        run_change(job, ChangeConfig(), watch.tell)
+        run_change(request, watch.tell, write_pages=write_pages if report else None)
     finally:
         watch.close()
-        directory.build_report = built
     wall, cpu = time.perf_counter() - wall, total_cpu() - cpu
     notes = json.loads((output / "run.json").read_text())
     if workers > 1:  # the workers are children of the server that they were forked from

@@ -1,8 +1,8 @@
 # ruff: noqa: T201
 """Scores by kind of evidence: maps with their visibility layer, bare clouds with and without trajectory.
 
-    python tests/benchmarks/bench_evidence_matrix.py out/surveys/* -o docs/evidence-matrix.md
-    python tests/benchmarks/bench_evidence_matrix.py --simulate out/matrix -o docs/evidence-matrix.md
+    python tests/benchmarks/bench_evidence_matrix.py out/surveys/* -o docs/results/evidence-matrix.md
+    python tests/benchmarks/bench_evidence_matrix.py --simulate out/matrix -o docs/results/evidence-matrix.md
 
 Surveys come from ``subiaco simulate --maps-only``; ``--simulate`` makes those that are missing: every preset
 with the same sensor in both epochs, and with 64 beams before and 128 after. Bare clouds are what another
@@ -24,8 +24,8 @@ from typing import Any
 import numpy as np
 import yaml
 
-from subiaco_change.config import ChangeConfig
-from subiaco_change.job import ChangeJob, run_change
+from subiaco_change.job import run_change
+from subiaco_change.request import ChangeRequest
 from subiaco_evaluation.scoring import evaluate
 from subiaco_geo.atomic import whole_file
 from subiaco_geo.cloud_io import read_cloud, write_cloud
@@ -82,18 +82,24 @@ def write_foreign(survey: Path, folder: Path, seed: int = 0) -> None:
         write_tum(folder / f"{epoch}.tum", Trajectory(way.times_ns[moved], way.poses[moved]))
 
 
-def job_of(case: Case, evidence: str, work: Path) -> ChangeJob:
+def job_of(case: Case, evidence: str, work: Path) -> ChangeRequest:
     """Return the change job of a case under one kind of evidence."""
     place = work / case.folder.name
     output = place / evidence
     if evidence == "map":
-        return ChangeJob(case.folder / "before", case.folder / "after", output, overwrite=True)
+        folder = case.folder
+        return ChangeRequest.of(
+            before=folder / "before", after=folder / "after", output=output, overwrite=True
+        )
     foreign = place / "foreign"
     if not (foreign / "after.tum").is_file():
         write_foreign(case.folder, foreign)
     clouds = [foreign / f"{epoch}.{ENDINGS[epoch]}" for epoch in EPOCHS]
     ways = [foreign / f"{epoch}.tum" if evidence == "trajectory" else None for epoch in EPOCHS]
-    return ChangeJob(*clouds, output, *ways, overwrite=True)
+    return ChangeRequest.of(
+        before=clouds[0], after=clouds[1], output=output, overwrite=True,
+        trajectory_before=ways[0], trajectory_after=ways[1],
+    )  # fmt: skip
 
 
 def case_of(folder: Path) -> Case:
@@ -125,14 +131,13 @@ def simulate(folder: Path, seeds: Sequence[int]) -> list[Path]:
 def score(cases: Sequence[Case], kinds: Sequence[str], work: Path) -> list[dict[str, Any]]:
     """Run every case under every kind of evidence; one row a preset, sensors and kind."""
     rows = []
-    config = ChangeConfig()
     for name in sorted({case.row for case in cases}):
         group = [case for case in cases if case.row == name]
         for kind in kinds:
             pairs = []
             for case in group:
                 job = job_of(case, kind, work)
-                run_change(job, config)
+                run_change(job)
                 pairs.append((job.output, case.folder))
             found = evaluate(pairs)
             for pair in pairs if len(pairs) > 1 else ():

@@ -21,7 +21,7 @@ from typing import Any
 from bench_city import run_once, time_m3c2
 from results import keep, rounded
 
-from subiaco_change.job import ChangeJob
+from subiaco_change.request import ComparisonRequest
 from subiaco_evaluation.baselines.config import BaselineConfig
 from subiaco_evaluation.baselines.run import run_baseline
 
@@ -31,7 +31,8 @@ def time_surfaces(survey: Path) -> tuple[float, float]:
     output = survey / "surfaces"
     shutil.rmtree(output, ignore_errors=True)
     wall, cpu = time.perf_counter(), time.process_time()
-    run_baseline(ChangeJob(survey / "before", survey / "after", output), "dsm", BaselineConfig())
+    request = ComparisonRequest(before=survey / "before", after=survey / "after", output=output)
+    run_baseline(request, "dsm", BaselineConfig())
     return time.perf_counter() - wall, time.process_time() - cpu
 
 

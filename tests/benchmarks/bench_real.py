@@ -2,7 +2,7 @@
 """Every benchmark on real recordings by one command, and their tables on one page.
 
     source ros2_ws/env.sh
-    python tests/benchmarks/bench_real.py $SUBIACO_TEST_DATA -o out/real --page docs/real-tables.md
+    python tests/benchmarks/bench_real.py $SUBIACO_TEST_DATA -o out/real --page docs/results/real-tables.md
     python tests/benchmarks/bench_real.py $SUBIACO_TEST_DATA -o out/real --only airborne objects
 
 Each part is a program of its own and runs in a process of its own; what it printed stays in the output

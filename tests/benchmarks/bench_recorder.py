@@ -91,7 +91,7 @@ def publish(seconds: float, columns: int) -> None:
 
     from ouster_sensor_msgs.msg import PacketMsg
     from subiaco_mapping.nodes.recorder_node import go_first
-    from subiaco_mapping.nodes.runtime import latched, reliable
+    from subiaco_ros.qos import latched, reliable
 
     load = Load(columns)
     go_first()  # a sensor does not wait for the machine

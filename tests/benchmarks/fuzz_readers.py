@@ -6,7 +6,8 @@
 Each reader runs in a process of its own, so that a crash of native code is seen, under a limit of processor
 time and memory a case (see tests/fuzz/fuzz_cases.py). Prints cases, accepted ones and faults; the exit status
 is 1 where there was a fault. Counts and what failed are kept in the folder given, over several runs;
-``--page docs/damaged-files.md`` writes the table of these, after every file that failed was read once more.
+``--page docs/results/damaged-files.md`` writes the table of these, after every file that failed was read
+once more.
 """
 
 from __future__ import annotations
@@ -142,7 +143,8 @@ processor time, or more than {memory} GiB of memory is a fault.
 
 **{cases:,} cases (seeds {seeds}) found {faults} faults; of these files, {left} still fail.** The table adds
 up the runs of `python tests/benchmarks/fuzz_readers.py --seconds S --seed N --keep DIR`, and
-`--page docs/damaged-files.md --keep DIR` writes this page after it has read every file that failed once more.
+`--page docs/results/damaged-files.md --keep DIR` writes this page after it has read every file that failed
+once more.
 The tests run a short share of such cases, the same ones every time (`tests/fuzz`).
 
 | reader | cases | read | refused | longest case [s CPU] | faults found | left |
@@ -151,7 +153,7 @@ The tests run a short share of such cases, the same ones every time (`tests/fuzz
 
 
 def page(tallies: list[Tally], left: dict[str, int]) -> str:
-    """Return the table of docs/damaged-files.md; ``left`` counts the files of a reader that still fail."""
+    """Return the page of damaged files; ``left`` counts the files of a reader that still fail."""
     head = _PAGE.format(
         seconds=CPU_SECONDS, memory=MEMORY >> 30, cases=sum(t.cases for t in tallies),
         faults=sum(t.faults for t in tallies), left=sum(left.values()),

@@ -9,7 +9,6 @@ sys.path.insert(0, str(Path(__file__).parent))  # the made-up scenes beside the 
 
 from result_scene import SceneConfig, scene_result
 
-from subiaco_change.outputs import directory as outputs
 from subiaco_change.outputs.directory import ChangeInputs, write_change_directory
 
 
@@ -21,13 +20,13 @@ def result():
 
 @pytest.fixture(scope="session")
 def change_directory(tmp_path_factory, result):
-    """The directory written from it, with its report."""
+    """The directory written from it, without pages."""
     target = tmp_path_factory.mktemp("change") / "out"
     write_change_directory(target, result, SceneConfig(), ChangeInputs())
     return target
 
 
 @pytest.fixture
-def cheap_report(monkeypatch):
-    """Leave the pictures out where a test is about something else."""
-    monkeypatch.setattr(outputs, "build_report", lambda directory: directory / "report.html")
+def no_pages(monkeypatch):
+    """Leave the pages of the commands out where a test is about something else."""
+    monkeypatch.setattr("subiaco_report.pages.write_pages", lambda directory: directory / "report.html")

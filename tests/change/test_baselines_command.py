@@ -22,7 +22,7 @@ def clouds(tmp_path_factory):
 
 
 @pytest.mark.parametrize("method", ["dsm", "nn", "m3c2", "c2c"])
-@pytest.mark.usefixtures("cheap_report")
+@pytest.mark.usefixtures("no_pages")
 def test_the_command_writes_a_change_directory_that_reads_back(clouds, tmp_path, method):
     out = tmp_path / "out"
     assert (
@@ -45,7 +45,7 @@ def test_the_report_of_a_baseline_is_built_too(clouds, tmp_path):
     assert "baseline dsm" in (out / "report.html").read_text()
 
 
-@pytest.mark.usefixtures("cheap_report")
+@pytest.mark.usefixtures("no_pages")
 def test_a_registration_found_before_is_taken_from_its_file(clouds, tmp_path):
     first, second = tmp_path / "first", tmp_path / "second"
     words = ["baseline", "dsm", *map(str, clouds), "-q", "-o"]
@@ -55,7 +55,7 @@ def test_a_registration_found_before_is_taken_from_its_file(clouds, tmp_path):
     assert np.array_equal(*labels)
 
 
-@pytest.mark.usefixtures("cheap_report")
+@pytest.mark.usefixtures("no_pages")
 def test_without_a_transform_the_epochs_are_registered(clouds, tmp_path):
     out = tmp_path / "out"
     assert run(["baseline", "c2c", *map(str, clouds), "-o", str(out), "-q"]) == 0
@@ -64,7 +64,7 @@ def test_without_a_transform_the_epochs_are_registered(clouds, tmp_path):
     assert np.allclose(document["T_after_before"], np.eye(4), atol=0.05)
 
 
-@pytest.mark.usefixtures("cheap_report")
+@pytest.mark.usefixtures("no_pages")
 def test_a_run_on_simulated_maps_names_their_simulator_and_one_on_others_none(clouds, tmp_path):
     named = dict.fromkeys(("preset", "simulator_hash", "preset_hash", "scene_hash"), "ab12") | {"seed": 7}
     survey = tmp_path / "survey"

@@ -8,8 +8,8 @@ import geopandas as gpd
 import pytest
 from shapely.geometry import box
 
-from subiaco_change.config import ChangeConfig
 from subiaco_change.history import Step, build_history, run_epochs
+from subiaco_change.request import ChangeRequest
 from subiaco_geo.errors import InputError
 
 Row = tuple[str, str, str, str, str, float]
@@ -143,5 +143,5 @@ def test_two_epochs_of_one_name_are_refused_before_anything_is_run(tmp_path: Pat
         (tmp_path / name / "map").mkdir(parents=True)
     epochs = [tmp_path / "x" / "map", tmp_path / "y" / "map", tmp_path / "x"]
     with pytest.raises(InputError, match="two epochs are called map"):
-        run_epochs(epochs, tmp_path / "out", ChangeConfig())
+        run_epochs(epochs, ChangeRequest(before=epochs[0], after=epochs[-1], output=tmp_path / "out"))
     assert not (tmp_path / "out").exists()

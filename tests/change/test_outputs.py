@@ -211,10 +211,10 @@ def test_nothing_is_left_under_the_final_name_when_writing_fails(tmp_path, resul
 def test_an_existing_directory_is_refused_and_kept(change_directory, result):
     with pytest.raises(InputError, match="--overwrite"):
         outputs.write_change_directory(change_directory, result, SceneConfig(), outputs.ChangeInputs())
-    assert (change_directory / "report.html").is_file()
+    assert (change_directory / "run.json").is_file()
 
 
-def test_reviews_survive_a_rerun_and_changed_evidence_is_flagged(tmp_path, result, cheap_report):
+def test_reviews_survive_a_rerun_and_changed_evidence_is_flagged(tmp_path, result):
     target = tmp_path / "out"
     outputs.write_change_directory(target, result, SceneConfig(), outputs.ChangeInputs())
     frame = pd.read_csv(target / "changes.csv", dtype=str, keep_default_na=False).set_index("object_id")
@@ -245,9 +245,7 @@ def test_a_note_that_looks_like_a_formula_is_no_formula_in_the_csv_and_comes_bac
     assert read_csv(tmp_path / "changes.csv").loc[0, "note"] == note
 
 
-def test_a_review_survives_other_parameters_that_move_the_object_and_its_label(
-    tmp_path, result, cheap_report
-):
+def test_a_review_survives_other_parameters_that_move_the_object_and_its_label(tmp_path, result):
     target = tmp_path / "out"
     outputs.write_change_directory(target, result, SceneConfig(), outputs.ChangeInputs())
     frame = pd.read_csv(target / "changes.csv", dtype=str, keep_default_na=False).set_index("object_id")
@@ -273,7 +271,7 @@ def test_missing_and_foreign_directories_are_refused_with_the_remedy(tmp_path):
         outputs.read_change_directory(tmp_path)
 
 
-def test_a_directory_without_a_cloud_is_refused(tmp_path, result, cheap_report):
+def test_a_directory_without_a_cloud_is_refused(tmp_path, result):
     target = tmp_path / "out"
     outputs.write_change_directory(target, result, SceneConfig(), outputs.ChangeInputs())
     (target / "after_labelled.ply").unlink()
@@ -292,7 +290,7 @@ def test_clouds_without_a_field_or_with_a_strange_code_are_refused(result):
         labelled_cloud(dataclasses.replace(result.after, fields=fields))
 
 
-def test_a_result_without_crs_ground_or_records_is_written(tmp_path, result, cheap_report):
+def test_a_result_without_crs_ground_or_records_is_written(tmp_path, result):
     bare = dataclasses.replace(
         result,
         records=(),

@@ -20,10 +20,10 @@ from subiaco_change.outputs.review_files import take_up_reviews
 from subiaco_change.outputs.review_state import review_counts, review_states, selected_by_review
 from subiaco_change.outputs.reviews import read_review_file
 from subiaco_change.outputs.table import TEXT_COLUMNS, read_csv
-from subiaco_change.report.facts import summary
 from subiaco_geo.cloud_io import read_cloud
 from subiaco_geo.codes import Change
 from subiaco_geo.errors import InputError
+from subiaco_report.facts import summary
 
 
 @pytest.fixture(scope="module")
@@ -139,7 +139,7 @@ def test_an_edit_in_qgis_after_a_review_holds_and_may_take_it_back(directory):
     assert row[["review", "reviewer", "note"]].tolist() == ["accepted", "Jo", ""]
 
 
-def test_the_next_run_reads_the_file_that_the_report_saved(directory, result, cheap_report):
+def test_the_next_run_reads_the_file_that_the_report_saved(directory, result):
     save_reviews(directory / "reviews.csv", [(uid(directory, 5), "accepted", "Jo", "")])
     outputs.write_change_directory(directory, result, SceneConfig(), outputs.ChangeInputs(), overwrite=True)
     table = read_change_directory(directory).table.set_index("object_id")

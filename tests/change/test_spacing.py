@@ -6,8 +6,6 @@ import numpy as np
 import pytest
 
 from subiaco_change.outputs.rasters import LodRaster, lod_statement
-from subiaco_change.report.cloud_windows import LodCounts
-from subiaco_change.report.facts import lod_facts
 from subiaco_change.spacing import (
     STREET_SPACING,
     PointSpacing,
@@ -16,6 +14,8 @@ from subiaco_change.spacing import (
     neighbour_spacings,
     spacing_scale,
 )
+from subiaco_report.cloud_windows import LodCounts
+from subiaco_report.facts import lod_facts
 
 
 @pytest.mark.parametrize("spacing", [0.1, 0.5, 2.0])

@@ -179,14 +179,14 @@ def break_down(*_, **__):
 
 
 def test_an_interruption_leaves_nothing(refused, bag, tmp_path, monkeypatch):
-    monkeypatch.setattr("subiaco_mapping.pipeline.map_survey", interrupt)
+    monkeypatch.setattr("subiaco_mapping.job.map_survey", interrupt)
     refused(["map", bag, "-o", tmp_path / "out"], "interrupted", "no output was written", code=130)
 
 
 def test_an_interrupted_run_leaves_its_stages_and_goes_on_from_there(
     command, good, tmp_path, monkeypatch, caplog
 ):
-    monkeypatch.setattr("subiaco_change.outputs.directory.build_report", interrupt)
+    monkeypatch.setattr("subiaco_report.pages.build_report", interrupt)
     options = ["--registration", "identity", "--set", "leaf=0.5"]
     run = ["change", good, good, "-o", tmp_path / "out", "--workers", "1", *options]
     stopped = command(*run)
@@ -207,13 +207,13 @@ def test_an_interruption_while_simulating_leaves_nothing(refused, tmp_path, monk
 
 
 def test_a_fault_of_ours_is_called_one_and_shows_no_traceback(refused, bag, tmp_path, monkeypatch):
-    monkeypatch.setattr("subiaco_mapping.pipeline.map_survey", break_down)
+    monkeypatch.setattr("subiaco_mapping.job.map_survey", break_down)
     words = ("fault: ZeroDivisionError: division by zero in two lines", "-v")
     refused(["map", bag, "-o", tmp_path / "out"], *words, code=1)
 
 
 def test_a_fault_of_ours_shows_the_traceback_with_v(command, bag, tmp_path, monkeypatch):
-    monkeypatch.setattr("subiaco_mapping.pipeline.map_survey", break_down)
+    monkeypatch.setattr("subiaco_mapping.job.map_survey", break_down)
     ran = command("map", bag, "-o", tmp_path / "out", "-v")
     assert ran.code == 1
     assert "Traceback" in ran.err

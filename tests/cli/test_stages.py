@@ -43,7 +43,7 @@ def test_stages_are_kept_taken_up_and_done_again_with_the_same_table(command, st
 def test_strange_options_are_refused(refused, streets, tmp_path):
     run = ["change", *streets, "-o", tmp_path / "out", *REGISTERED]
     refused([*run, "--from", "association"], "--from association", "compare")
-    refused([*run, "--workers", "0"], "--workers 0")
+    refused([*run, "--workers", "0"], "--workers", "greater than or equal to 1")
     refused([*run, "--semantics", "mine"], "--semantics mine", "given")
     refused([*run, "--instances", "given"], "--semantics given")
     refused([*run, "--semantics", "given"], "before", "'semantic'")

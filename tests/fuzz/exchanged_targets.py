@@ -248,7 +248,7 @@ def _read_change(folder: Path) -> object:
 
 
 def _read_report(folder: Path) -> object:
-    from subiaco_change.report.page import build_report
+    from subiaco_report.page import build_report
 
     return build_report(folder)
 

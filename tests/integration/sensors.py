@@ -29,8 +29,8 @@ from std_msgs.msg import String
 from ouster_sensor_msgs.msg import PacketMsg
 from subiaco_geo.bags import TYPESTORE, packet_to_cdr
 from subiaco_geo.topics import FIX, IMU, LIDAR_PACKETS, METADATA, TF_STATIC
-from subiaco_mapping.nodes.runtime import latched
 from subiaco_mapping.topic_names import TIME_REFERENCE
+from subiaco_ros.qos import latched
 from subiaco_sim.config import LidarMode
 from subiaco_sim.packets import sensor_info
 from subiaco_sim.recording import tf_message

@@ -1,8 +1,9 @@
 """77 real KITTI scans through the node graph, and the street they make against itself with known changes.
 
-Seen (docs/real-data.md): the trajectory differs from the kiss-icp reference by at most 0.033 m and 0.034 deg
-on 28.9 m; 14 of 17 objects put in are found; one row reports a change where there is none. Cars that drove by
-are kept in clouds fused without counting beams, and hide what is behind them. The bounds leave room.
+Seen (docs/results/real-recordings.md): the trajectory differs from the kiss-icp reference by at most 0.033 m
+and 0.034 deg on 28.9 m; 14 of 17 objects put in are found; one row reports a change where there is none.
+Moving cars stay in clouds that are fused without counts of beams, and hide what is behind them. The bounds
+leave room.
 """
 
 from __future__ import annotations
@@ -131,7 +132,7 @@ def street(survey: SurveyMap, shared_data: Path) -> Street:
 
 
 def describe(found: list[Found], alarms: list[str], area: float) -> None:
-    """Log what docs/real-data.md quotes (pytest --log-cli-level=INFO)."""
+    """Log what docs/results/real-recordings.md quotes (pytest --log-cli-level=INFO)."""
     for item in found:
         size = " x ".join(f"{s:.1f}" for s in item.placed.size)
         outcome = "found" if item.hit else "missed"

@@ -26,8 +26,8 @@ from rosgraph_msgs.msg import Clock
 
 from subiaco_geo.bags import BagReader
 from subiaco_geo.topics import FIX, IMU, LATCHED, LIDAR_PACKETS, METADATA, TF_STATIC
-from subiaco_mapping.nodes.runtime import latched
 from subiaco_msgs.srv import SaveMap
+from subiaco_ros.qos import latched
 
 CLOCK_HZ = 40.0
 

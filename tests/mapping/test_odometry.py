@@ -126,7 +126,7 @@ def as_scan(xyz: np.ndarray, stamp_ns: int) -> Scan:
 
 @pytest.mark.parametrize(("refine", "limit"), [(False, 0.06), (True, 0.2)])
 def test_77_real_scans_agree_with_the_reference_poses(shared_data: Path, refine: bool, limit: float) -> None:
-    """The reference is kiss-icp's, of scans that still hold the motion inside them (docs/real-data.md)."""
+    """The reference is kiss-icp's, of scans that still hold the motion inside them (real-recordings.md)."""
     config = OdometryConfig(refine=refine, convergence=1e-2 if refine else 5e-4)
     clouds, _ = kitti_clouds(shared_data / "kitti_scans")
     reference = kitti_reference(shared_data / "kitti_scans")

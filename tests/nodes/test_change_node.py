@@ -86,7 +86,7 @@ def make_result(crs: str | None = "EPSG:7850") -> ChangeResult:
 
 def make_app(ros: Any, detect: Any, **parameters: Any) -> Any:
     from subiaco_change.nodes.change_node import ChangeApp, ChangeParameters
-    from subiaco_mapping.nodes.runtime import read_models
+    from subiaco_ros.parameters import read_models
 
     node = ros.node("change", **parameters)
     own, _ = read_models(node, ChangeParameters)
@@ -162,7 +162,7 @@ def test_the_outcome_is_latched_as_local_clouds_table_and_markers(ros: Any) -> N
     from sensor_msgs.msg import NavSatFix, PointCloud2
     from visualization_msgs.msg import Marker, MarkerArray
 
-    from subiaco_mapping.nodes.messages import cloud_array
+    from subiaco_mapping.preprocessing.conversions import cloud_array
     from subiaco_msgs.msg import ChangeTable
 
     make_app(ros, lambda *_: outcome(make_result()))

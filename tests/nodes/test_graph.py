@@ -81,7 +81,7 @@ def test_settings_win_over_files_and_later_files_over_earlier_ones(tmp_path: Pat
 def test_processes_are_started_with_this_interpreter(tmp_path: Path) -> None:
     node = change_graph(tmp_path / "a", tmp_path / "b", tmp_path / "c").nodes[0]
     command = process_command(node)
-    assert command[:3] == [sys.executable, "-m", "subiaco_change.nodes.change_node"]
+    assert command[:3] == [sys.executable, "-m", "subiaco_bringup.nodes.change_node"]
     assert command[3:] == command_lines(change_graph(tmp_path / "a", tmp_path / "b", tmp_path / "c"))[0][2:]
 
 

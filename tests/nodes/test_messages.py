@@ -96,7 +96,8 @@ def test_a_pose_survives_the_wire_in_doubles() -> None:
 
 
 def test_odometry_is_that_of_the_vehicle_not_of_the_sensor() -> None:
-    from subiaco_mapping.nodes.messages import odometry_message, pose_array
+    from subiaco_mapping.nodes.messages import odometry_message
+    from subiaco_ros.messages import pose_array
 
     pose = make_pose()
     message = odometry_message(pose, T_BASE_LIDAR, np.eye(6), "odom", "base_link")
@@ -106,7 +107,7 @@ def test_odometry_is_that_of_the_vehicle_not_of_the_sensor() -> None:
 
 
 def test_every_field_type_of_a_cloud_survives_the_wire() -> None:
-    from subiaco_mapping.nodes.messages import cloud_message
+    from subiaco_ros.messages import cloud_message
 
     kinds = ("i1", "u1", "i2", "u2", "i4", "u4", "f4", "f8")
     points = np.zeros(7, np.dtype([(kind, f"<{kind}") for kind in kinds]))
@@ -120,7 +121,7 @@ def test_every_field_type_of_a_cloud_survives_the_wire() -> None:
 
 
 def test_map_grid_coordinates_never_become_float32() -> None:
-    from subiaco_mapping.nodes.messages import xyz_cloud
+    from subiaco_ros.messages import xyz_cloud
 
     with pytest.raises(InputError, match="local coordinates"):
         xyz_cloud(np.array([[390_000.0, 6_460_000.0, 20.0]]))
@@ -182,7 +183,7 @@ def test_the_local_frame_lies_on_the_earth_where_its_origin_says() -> None:
     from pyproj import Transformer
 
     from subiaco_geo.crs import EnuFrame
-    from subiaco_mapping.nodes.frame import earth_from_enu
+    from subiaco_ros.local_frame import earth_from_enu
 
     enu = EnuFrame(-31.948, 115.825, 20.0)
     points = np.array([[0.0, 0.0, 0.0], [1000.0, 0.0, 0.0], [0.0, 1000.0, 0.0], [0.0, 0.0, 100.0]])
@@ -194,7 +195,7 @@ def test_the_local_frame_lies_on_the_earth_where_its_origin_says() -> None:
 
 
 def test_messages_of_one_stamp_are_put_together_and_torn_sets_counted() -> None:
-    from subiaco_mapping.nodes.stamp_matching import StampMatcher
+    from subiaco_ros.stamp_matching import StampMatcher
 
     matcher = StampMatcher(("pose", "cloud"))
     assert matcher.add("cloud", 1, "c1") is None

@@ -25,7 +25,7 @@ class Bench:
         from subiaco_mapping.health_monitor.files import SurveyFiles
         from subiaco_mapping.health_monitor.monitor import Monitor
         from subiaco_mapping.nodes.monitor_node import MonitorApp, MonitorParameters
-        from subiaco_mapping.nodes.runtime import read_models
+        from subiaco_ros.parameters import read_models
 
         self.ros = ros
         self.now_ns = T0_NS
@@ -45,7 +45,7 @@ class Bench:
     def publisher(self, kind: Any, topic: str, best_effort: bool = False) -> Any:
         from rclpy.qos import qos_profile_sensor_data
 
-        from subiaco_mapping.nodes.runtime import reliable
+        from subiaco_ros.qos import reliable
 
         made = self.user.create_publisher(
             kind, topic, qos_profile_sensor_data if best_effort else reliable(100)
@@ -142,7 +142,7 @@ def test_street_lights_are_lines_in_the_map_once_its_origin_is_known(ros: Any) -
     from sensor_msgs.msg import NavSatFix
     from visualization_msgs.msg import Marker, MarkerArray
 
-    from subiaco_mapping.nodes.runtime import latched
+    from subiaco_ros.qos import latched
 
     bench = Bench(ros)
     shown = ros.collect(bench.user, MarkerArray, "quality/markers")

@@ -70,8 +70,9 @@ class Bench:
         from ouster_sensor_msgs.msg import PacketMsg
         from subiaco_mapping.config import MappingConfig
         from subiaco_mapping.nodes.odometry_node import OdometryApp, OdometryParameters
-        from subiaco_mapping.nodes.runtime import latched, read_models, reliable
         from subiaco_msgs.msg import ReplayCounts, ScanQuality
+        from subiaco_ros.parameters import read_models
+        from subiaco_ros.qos import latched, reliable
         from tf2_msgs.msg import TFMessage
 
         self.ros = ros
@@ -120,7 +121,7 @@ class Bench:
     def begin(self, name: str = "one", topics: tuple[str, ...] = ("/ouster/lidar_packets",)) -> None:
         from std_msgs.msg import String
 
-        from subiaco_mapping.nodes.messages import transform_message
+        from subiaco_ros.messages import transform_message
         from tf2_msgs.msg import TFMessage
 
         self.mark("sequence", name, list(topics))
@@ -198,8 +199,8 @@ def test_a_node_answers_its_own_consumers_and_no_other_counts(ros: Any) -> None:
     """Else two nodes that report on one topic answer each other, and themselves, with every message."""
     from subiaco_mapping.nodes.counts import CONSUMED, listen_to_consumers
     from subiaco_mapping.nodes.flow import FlowControl
-    from subiaco_mapping.nodes.runtime import latched
     from subiaco_msgs.msg import ReplayCounts
+    from subiaco_ros.qos import latched
 
     node, answers = ros.node("odometry"), []
     listen_to_consumers(node, FlowControl(["pose_graph"]), lambda: answers.append(1))
@@ -213,7 +214,7 @@ def test_a_node_answers_its_own_consumers_and_no_other_counts(ros: Any) -> None:
 def imu_message() -> Any:
     from sensor_msgs.msg import Imu
 
-    from subiaco_mapping.nodes.messages import header
+    from subiaco_ros.messages import header
 
     return Imu(header=header(T0_NS, "imu_link"))
 
@@ -240,7 +241,7 @@ def test_on_live_topics_what_was_left_out_at_the_start_is_counted_and_late_metad
     from sensor_msgs.msg import Imu
     from std_msgs.msg import String
 
-    from subiaco_mapping.nodes.messages import transform_message
+    from subiaco_ros.messages import transform_message
     from tf2_msgs.msg import TFMessage
 
     bench = Bench(ros)

@@ -102,8 +102,9 @@ class Bench:
 
         from subiaco_mapping.config import MappingConfig
         from subiaco_mapping.nodes.pose_graph_node import PoseGraphApp, PoseGraphParameters
-        from subiaco_mapping.nodes.runtime import latched, read_models, reliable
         from subiaco_msgs.msg import ReplayCounts, ScanQuality
+        from subiaco_ros.parameters import read_models
+        from subiaco_ros.qos import latched, reliable
         from tf2_msgs.msg import TFMessage
 
         self.ros, self.backend = ros, backend
@@ -137,8 +138,8 @@ class Bench:
         return dict(zip(reports[-1].topics, reports[-1].counts, strict=True))[topic] if reports else -1
 
     def begin(self, name: str = "one", topics: tuple[str, ...] = ("/gnss/fix",)) -> None:
-        from subiaco_mapping.nodes.messages import transform_message
         from subiaco_msgs.msg import ReplayCounts
+        from subiaco_ros.messages import transform_message
         from tf2_msgs.msg import TFMessage
 
         before = self.taken("/replay/sequence")
@@ -224,8 +225,8 @@ def test_the_end_waits_for_the_last_scan_and_then_writes_the_map(ros: Any, tmp_p
 
 
 def test_path_map_origin_and_frames_are_published_in_the_local_frame(ros: Any, tmp_path: Path) -> None:
-    from subiaco_mapping.nodes.frame import earth_from_enu
     from subiaco_mapping.preprocessing.conversions import cloud_array
+    from subiaco_ros.local_frame import earth_from_enu
 
     bench = Bench(ros, FakeBackend(), output_directory=str(tmp_path / "map"), preview_points=60)
     bench.begin()

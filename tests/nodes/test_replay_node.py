@@ -46,8 +46,8 @@ class SlowConsumer:
         from ouster_sensor_msgs.msg import PacketMsg
         from subiaco_mapping.nodes.counts import ConsumptionReporter
         from subiaco_mapping.nodes.flow import ConsumedCounter
-        from subiaco_mapping.nodes.runtime import latched, reliable
         from subiaco_msgs.msg import ReplayCounts
+        from subiaco_ros.qos import latched, reliable
 
         topics = (METADATA, LIDAR_PACKETS, "/replay/sequence", "/replay/end")
         self.packets: list[bytes] = []

@@ -138,7 +138,7 @@ def test_status_lines_reach_whoever_shows_them(scripts: Any) -> None:
 def test_an_interruption_during_the_imports_of_a_node_waits_for_their_end(scripts: Any) -> None:
     program = """import os, signal, sys
 os.kill(os.getpid(), signal.SIGINT)
-from subiaco_mapping.nodes.runtime import run_node
+from subiaco_ros.node_process import run_node
 sys.exit(run_node('starting', lambda node: None))"""
     starting = scripts(node("starting"), program)
     environment = os.environ | {"SUBIACO_SUPERVISOR": str(os.getpid())}

@@ -28,8 +28,8 @@ def setup_arguments(package: Path) -> dict[str, ast.expr]:
 
 
 def test_the_packages_of_the_architecture_are_there() -> None:
-    rooms = ("", "_bringup", "_change", "_evaluation", "_geo", "_mapping", "_msgs", "_sim")
-    assert [package.name for package in OURS] == [f"subiaco{room}" for room in rooms]
+    rooms = ("bringup", "change", "evaluation", "geo", "mapping", "msgs", "report", "ros", "sim")
+    assert [package.name for package in OURS] == ["subiaco", *(f"subiaco_{room}" for room in rooms)]
 
 
 @pytest.mark.parametrize("package", ALL, ids=name_of)
@@ -94,7 +94,16 @@ def test_a_manifest_depends_on_every_room_its_modules_import(package: Path) -> N
     assert imported & ros <= declared
 
 
-ROOMS = ("subiaco_geo", "subiaco_sim", "subiaco_mapping", "subiaco_change", "subiaco_evaluation")
+#: Packages that the modules of a package may import beside itself and, in ``nodes/``, further ones.
+ALLOWED: dict[str, tuple[set[str], set[str]]] = {
+    "subiaco_geo": (set(), set()),
+    "subiaco_ros": ({"subiaco_geo"}, set()),
+    "subiaco_sim": ({"subiaco_geo"}, set()),
+    "subiaco_mapping": ({"subiaco_geo"}, {"subiaco_ros", "subiaco_msgs"}),
+    "subiaco_change": ({"subiaco_geo"}, {"subiaco_ros", "subiaco_msgs"}),
+    "subiaco_evaluation": ({"subiaco_geo", "subiaco_change"}, set()),
+    "subiaco_report": ({"subiaco_geo", "subiaco_change"}, set()),
+}
 
 
 def imported_by(file: Path) -> set[str]:
@@ -107,25 +116,19 @@ def imported_by(file: Path) -> set[str]:
     return tops
 
 
-def test_every_room_knows_only_the_rooms_before_it() -> None:
-    """Modules of a room need the ground floor alone; nodes may share what earlier rooms' nodes offer."""
-    before_nodes = {
-        "subiaco_mapping": {"subiaco_msgs"},
-        "subiaco_change": {"subiaco_msgs", "subiaco_mapping"},
-    }
-    for name in ROOMS:
-        for file in (SOURCES / name / name).rglob("*.py"):
-            allowed = {name, "subiaco_geo"} | ({"subiaco_change"} if name == "subiaco_evaluation" else set())
-            if "nodes" in file.parts:
-                allowed |= before_nodes[name]
-            assert {top for top in imported_by(file) if top.startswith("subiaco_")} <= allowed, file
+@pytest.mark.parametrize("name", ALLOWED)
+def test_a_package_imports_only_the_packages_before_it(name: str) -> None:
+    modules, nodes = ALLOWED[name]
+    for file in (SOURCES / name / name).rglob("*.py"):
+        allowed = {name} | modules | (nodes if "nodes" in file.parts else set())
+        assert {top for top in imported_by(file) if top.startswith("subiaco_")} <= allowed, file
 
 
-def test_only_nodes_import_ros() -> None:
-    for name in ROOMS:
-        for file in (SOURCES / name / name).rglob("*.py"):
-            if "nodes" not in file.parts:
-                assert not imported_by(file) & {"rclpy", "subiaco_msgs"}, file
+@pytest.mark.parametrize("name", [name for name in ALLOWED if name != "subiaco_ros"])
+def test_only_nodes_import_ros(name: str) -> None:
+    for file in (SOURCES / name / name).rglob("*.py"):
+        if "nodes" not in file.parts:
+            assert not imported_by(file) & {"rclpy", "subiaco_msgs", "subiaco_ros"}, file
 
 
 @pytest.mark.parametrize("package", ALL, ids=name_of)

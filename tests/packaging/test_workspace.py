@@ -90,7 +90,7 @@ def test_node_executables_run_with_the_interpreter_of_the_environment() -> None:
 
     for package, names in {
         "subiaco_mapping": ("replay_node", "odometry_node", "pose_graph_node"),
-        "subiaco_change": ("change_node",),
+        "subiaco_bringup": ("change_node",),
     }.items():
         for name in names:
             first = (Path(get_package_prefix(package)) / "lib" / package / name).read_text(encoding="utf-8")

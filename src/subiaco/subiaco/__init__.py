@@ -9,23 +9,27 @@ What is imported here changes only with a note in the changelog; everything else
 between versions.
 """
 
-from subiaco.changes import Changes, ChangeTable, compare, open_changes
+from subiaco.changes import Changes, ChangeTable, compare, open_changes, run_comparison
 from subiaco.maps import make_map, open_map
 from subiaco_change.extensions import DecisionFunction, RegistrationFunction, SegmentationFunction
 from subiaco_change.records import ChangeRecord
+from subiaco_change.request import ChangeRequest
 from subiaco_geo import __version__
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.errors import InputError, RegistrationError, SubiacoError
 from subiaco_geo.survey_map import SurveyMap
+from subiaco_mapping.request import MappingRequest
 
 __all__ = [
     "Change",
     "ChangeRecord",
+    "ChangeRequest",
     "ChangeTable",
     "Changes",
     "DecisionFunction",
     "InputError",
+    "MappingRequest",
     "PointCloud",
     "RegistrationError",
     "RegistrationFunction",
@@ -38,4 +42,5 @@ __all__ = [
     "make_map",
     "open_changes",
     "open_map",
+    "run_comparison",
 ]

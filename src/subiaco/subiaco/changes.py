@@ -19,11 +19,13 @@ from subiaco_change.extensions import (
     RegistrationFunction,
     SegmentationFunction,
 )
-from subiaco_change.job import ChangeJob, Work, run_change
+from subiaco_change.job import run_change
 from subiaco_change.outputs.change_directory_reading import ChangeDirectory, read_change_directory
+from subiaco_change.request import ChangeRequest
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.config import load_config
 from subiaco_geo.frames import Floats
+from subiaco_report.pages import write_pages
 
 #: The change table: one row an object, with its footprint as geometry in the CRS of *after*.
 ChangeTable = gpd.GeoDataFrame
@@ -95,16 +97,11 @@ def compare(
     *,
     settings: Mapping[str, Any] | None = None,
     config: Sequence[str | Path] = (),
-    trajectory_before: str | Path | None = None,
-    trajectory_after: str | Path | None = None,
-    transform: Floats | None = None,
-    parcels: str | Path | None = None,
     registration: RegistrationFunction | None = None,
     segmentation: SegmentationFunction | None = None,
     decision: DecisionFunction | None = None,
-    workers: int = 1,
-    overwrite: bool = False,
     progress: Callable[[str, float], None] | None = None,
+    **options: Any,
 ) -> Changes:
     """Find what changed between two epochs, and write the change directory.
 
@@ -118,21 +115,14 @@ def compare(
         Settings by their dotted name, such as ``{"decisions.min_observed": 0.5}``.
     config : sequence of path
         YAML files of settings; later ones win.
-    trajectory_before, trajectory_after : path, optional
-        TUM files of the poses of the sensor, for bare clouds.
-    transform : (4, 4) float64, optional
-        Known ``T_after_before`` in world coordinates [m]; the identity where the epochs are aligned already.
-    parcels : path, optional
-        Polygons of lots by which the changes are added up.
     registration, segmentation, decision : callable, optional
         Your own function for this part of the method: see :class:`~subiaco.RegistrationFunction`,
         :class:`~subiaco.SegmentationFunction`, :class:`~subiaco.DecisionFunction`.
-    workers : int
-        Processes; the result does not depend on it.
-    overwrite : bool
-        Replace a change directory that is there.
     progress : callable, optional
         Called with the name of the stage and the fraction done.
+    **options
+        The other fields of :class:`~subiaco.ChangeRequest`, such as ``trajectory_before``, ``transform``
+        (4, 4), ``parcels``, ``given``, ``workers`` and ``overwrite``.
 
     Returns
     -------
@@ -141,22 +131,22 @@ def compare(
     Raises
     ------
     InputError
-        An input cannot be read, a function returned something else, or the output exists.
+        An input cannot be read, an option is not known, a function returned something else, or the output
+        exists.
     RegistrationError
         The epochs could not be registered.
     """
-    job = ChangeJob(
-        Path(before),
-        Path(after),
-        Path(output),
-        None if trajectory_before is None else Path(trajectory_before),
-        None if trajectory_after is None else Path(trajectory_after),
-        None if transform is None else np.asarray(transform, dtype=np.float64),
-        overwrite,
-        None if parcels is None else Path(parcels),
-        work=Work(workers),
-        extensions=Extensions(registration, segmentation, decision),
-    )
     model = load_config(ChangeConfig, tuple(Path(file) for file in config), as_settings(settings))
-    run_change(job, model, progress)
-    return open_changes(output)
+    request = ChangeRequest.of(before=before, after=after, output=output, config=model, **options)
+    return run_comparison(request, progress, extensions=Extensions(registration, segmentation, decision))
+
+
+def run_comparison(
+    request: ChangeRequest,
+    progress: Callable[[str, float], None] | None = None,
+    *,
+    extensions: Extensions = Extensions(),  # noqa: B008 - frozen
+) -> Changes:
+    """Run a request, as the command and the change node do; errors as for :func:`compare`."""
+    run_change(request, progress, extensions=extensions, write_pages=write_pages)
+    return open_changes(request.output)

@@ -8,8 +8,10 @@ from pathlib import Path
 from typing import Any
 
 from subiaco_geo.config import load_config
-from subiaco_geo.maps import load_epoch, write_map
+from subiaco_geo.maps import load_epoch
 from subiaco_geo.survey_map import SurveyMap
+from subiaco_mapping.config import MappingConfig
+from subiaco_mapping.request import MappingRequest
 
 
 def as_settings(settings: Mapping[str, Any] | None) -> list[str]:
@@ -47,9 +49,8 @@ def make_map(
     *,
     settings: Mapping[str, Any] | None = None,
     config: Sequence[str | Path] = (),
-    workers: int = 1,
-    overwrite: bool = False,
     progress: Callable[[str, float], None] | None = None,
+    **options: Any,
 ) -> SurveyMap:
     """Map the bags of one epoch and write the map directory.
 
@@ -63,12 +64,11 @@ def make_map(
         Settings by their dotted name, such as ``{"crs": "EPSG:7850", "fusion.leaf": 0.25}``.
     config : sequence of path
         YAML files of settings; later ones win.
-    workers : int
-        Recordings read in parallel; the map does not depend on it.
-    overwrite : bool
-        Replace a map that is there.
     progress : callable, optional
         Called with the name of the stage and the fraction done.
+    **options
+        The other fields of :class:`~subiaco.MappingRequest`: ``workers``, ``resume``, ``keep_journal`` and
+        ``overwrite``.
 
     Returns
     -------
@@ -77,14 +77,10 @@ def make_map(
     Raises
     ------
     InputError
-        A bag cannot be mapped, or the output exists.
+        A bag cannot be mapped, an option is not known, or the output exists.
     """
-    from subiaco_geo.atomic import refuse_existing
-    from subiaco_mapping.config import MappingConfig
-    from subiaco_mapping.pipeline import map_survey
+    from subiaco_mapping.job import run_mapping
 
-    refuse_existing(Path(output), overwrite)
     model = load_config(MappingConfig, tuple(Path(file) for file in config), as_settings(settings))
-    survey = map_survey([Path(bag) for bag in bags], model, progress, workers=workers)
-    write_map(Path(output), survey, overwrite=overwrite)
-    return survey
+    request = MappingRequest.of(bags=tuple(bags), output=output, config=model, **options)
+    return run_mapping(request, progress)

@@ -200,7 +200,7 @@ def change_graph(
         "overwrite": overwrite,
         "exit_at_end": True,
     }
-    node = NodeSpec("change", "subiaco_change", "change_node", parameters, principal=True)
+    node = NodeSpec("change", "subiaco_bringup", "change_node", parameters, principal=True)
     return GraphSpec("change", (node,))
 
 

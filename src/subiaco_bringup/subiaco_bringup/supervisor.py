@@ -154,7 +154,7 @@ def failure(process: NodeProcess) -> SubiacoError:
 def _interrupt_withheld() -> Iterator[None]:
     """Let a process start with SIGINT blocked: one that comes during its imports would break them.
 
-    :func:`subiaco_mapping.nodes.runtime.run_node` unblocks it, and a pending one arrives.
+    :func:`subiaco_ros.node_process.run_node` unblocks it, and a pending one arrives.
     """
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:

@@ -16,7 +16,7 @@ from subiaco_change.records import ChangeRecord, TiledResult
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.errors import InputError
-from subiaco_geo.frames import Floats
+from subiaco_geo.frames import Floats, is_rigid
 from subiaco_geo.sources import Epoch, LoadedEpoch
 from subiaco_geo.survey_map import SurveyMap
 
@@ -87,8 +87,7 @@ class Extensions:
                 f"registration function: the epochs are in {before.crs} and {after.crs}; reproject one"
             )
         found = np.asarray(self.registration(before, after), dtype=np.float64)
-        rigid = found.shape == (4, 4) and np.allclose(found[:3, :3] @ found[:3, :3].T, np.eye(3), atol=1e-6)
-        if not rigid or not np.isfinite(found).all():
+        if not is_rigid(found, 1e-6):
             raise InputError(
                 f"registration function: returned no rigid transform (shape {found.shape}); return a (4, 4) "
                 "array T_after_before with a rotation"

@@ -16,15 +16,16 @@ from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 from shapely.geometry import MultiPolygon
 
-from subiaco_change.config import ChangeConfig
-from subiaco_change.job import ChangeJob, Work, run_change
+from subiaco_change.job import run_change
+from subiaco_change.outputs.directory import PageWriter
 from subiaco_change.outputs.geopackage import write_layer
 from subiaco_change.outputs.reviews import read_reviewed, same_objects
 from subiaco_change.outputs.table import write_csv
+from subiaco_change.request import ChangeRequest
 from subiaco_geo.atomic import refuse_existing, refuse_foreign, whole_directory
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.errors import InputError
-from subiaco_geo.frames import Floats, Ints
+from subiaco_geo.frames import Ints
 
 #: What tells a directory of several epochs from another folder.
 MARKER = "history.csv"
@@ -56,14 +57,9 @@ class Step:
 
 def run_epochs(
     epochs: Sequence[Path],
-    output: Path,
-    config: ChangeConfig,
+    request: ChangeRequest,
     progress: Callable[[str, float], None] | None = None,
-    *,
-    transform: Floats | None = None,
-    overwrite: bool = False,
-    parcels: Path | None = None,
-    work: Work = Work(),  # noqa: B008 - frozen
+    write_pages: PageWriter | None = None,
 ) -> gpd.GeoDataFrame:
     """Compare epochs that follow each other, and follow every object through all of them.
 
@@ -71,17 +67,12 @@ def run_epochs(
     ----------
     epochs : sequence of Path
         Three or more map directories or clouds, in the order of time.
-    output : Path
-        A change directory ``<before>_to_<after>`` for every pair, ``history.csv`` and ``history.gpkg``.
-    config : ChangeConfig
+    request : ChangeRequest
+        Its options hold for every pair; pairs share the stages of the epoch between them. Its output gets a
+        change directory ``<before>_to_<after>`` for every pair, ``history.csv`` and ``history.gpkg``.
     progress : callable, optional
-    transform : (4, 4) float64, optional
-        Identity where all epochs are registered already.
-    overwrite : bool
-    parcels : Path, optional
-        Vector file of lots, for every pair.
-    work : Work
-        Who does it; pairs share the stages of the epoch between them.
+    write_pages : callable, optional
+        Writes the report of every pair.
 
     Returns
     -------
@@ -91,33 +82,33 @@ def run_epochs(
     Raises
     ------
     InputError, RegistrationError
-        Nothing is left under ``output`` then.
+        Nothing is left under the output then; options that hold for one pair alone are refused.
     """
+    output, overwrite = request.output, request.overwrite
     names = _names(epochs)
+    if request.trajectory_before or request.trajectory_after or request.given:
+        raise InputError("trajectories and given classes need exactly two epochs")
+    if request.transform is not None and not np.array_equal(request.transform, np.eye(4)):
+        raise InputError("a known transform other than the identity needs exactly two epochs")
     refuse_existing(output, overwrite)
     refuse_foreign(output, MARKER)
     steps = []
-    stages = work.stages or output.with_name(f"{output.name}.stages")
+    stages = request.stages or output.with_name(f"{output.name}.stages")
     with whole_directory(output, overwrite=overwrite, marker=MARKER) as target:
         for number, ((first, second), (before, after)) in enumerate(
             zip(pairwise(epochs), pairwise(names), strict=True)
         ):
-            job = ChangeJob(
-                first,
-                second,
-                target / f"{before}_to_{after}",
-                transform=transform,
-                parcels=parcels,
-                work=replace(work, stages=stages),
-            )
-            run_change(job, config, _share(progress, number, len(names) - 1, f"{before} to {after}"))
-            table = read_reviewed(job.output)
+            pair = target / f"{before}_to_{after}"
+            own = {"before": first, "after": second, "output": pair, "overwrite": False, "stages": stages}
+            shared = _share(progress, number, len(names) - 1, f"{before} to {after}")
+            run_change(request.model_copy(update=own), shared, write_pages=write_pages)
+            table = read_reviewed(pair)
             assert table is not None, "written just now"
             steps.append(Step(before, after, table))
         history = build_history(steps)
         write_csv(target / MARKER, history)
         write_layer(target / "history.gpkg", "history", history)
-    if work.stages is None:
+    if request.stages is None:
         shutil.rmtree(stages, ignore_errors=True)
     return history
 

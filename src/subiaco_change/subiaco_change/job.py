@@ -7,7 +7,7 @@ import logging
 import shutil
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, TypeVar
@@ -15,7 +15,6 @@ from typing import Any, TypeVar
 import geopandas as gpd
 import numpy as np
 
-from subiaco_change.config import ChangeConfig
 from subiaco_change.decisions.confidence import Calibration, calibration_of
 from subiaco_change.extensions import Extensions
 from subiaco_change.input_checks import (
@@ -26,11 +25,12 @@ from subiaco_change.input_checks import (
     unstated_findings,
 )
 from subiaco_change.level_of_detection.registration_uncertainty import UncertaintyConfig
-from subiaco_change.outputs.directory import MARKER, ChangeInputs, write_change_directory
+from subiaco_change.outputs.directory import MARKER, ChangeInputs, PageWriter, write_change_directory
 from subiaco_change.outputs.parcels import read_lots
 from subiaco_change.outputs.reviews import read_reviewed
 from subiaco_change.pipeline import detect_in_tiles
 from subiaco_change.records import ChangeRecord, ChangeResult, TiledResult
+from subiaco_change.request import ChangeRequest, ComparisonRequest
 from subiaco_change.tiling.run import STAGES
 from subiaco_geo.atomic import refuse_existing, refuse_foreign
 from subiaco_geo.codes import Change
@@ -56,102 +56,41 @@ _RESULT_BYTES, _STAGE_BYTES = 60, 200  # a point takes on the disk; measured: 58
 _DATED = np.datetime64("2000-01-01")
 
 
-@dataclass(frozen=True)
-class Work:
-    """Who does a run, and what is kept on the way.
-
-    Parameters
-    ----------
-    workers : int
-        Processes on this machine; 1 works in this one.
-    scheduler : str, optional
-        Address of a dask scheduler, instead of local workers.
-    stages : Path, optional
-        Folder in which finished stages are kept for good; else they lie beside the result while
-        the run lasts, and a killed run takes them up again.
-    redo : str, optional
-        Stage from which on finished stages are done again.
-    """
-
-    workers: int = 1
-    scheduler: str | None = None
-    stages: Path | None = None
-    redo: str | None = None
-
-
 @contextmanager
 def workbench(
-    work: Work, output: Path, progress: Callable[[str, float], None] | None = None
+    request: ChangeRequest, progress: Callable[[str, float], None] | None = None
 ) -> Iterator[TaskRunner]:
-    """Set up the bench for a run that writes ``output``; stages beside it go when the run succeeds.
+    """Set up the task runner for a request; stages beside its output are removed when the run succeeds.
 
     Raises
     ------
     InputError
         ``redo`` is no stage, another run works on the same output, or the scheduler does not answer.
     """
-    redo = frozenset() if work.redo is None else stages_from(STAGES, work.redo)
-    kept = _stage_folder(work, output)
+    redo = frozenset() if request.redo is None else stages_from(STAGES, request.redo)
+    kept = _stage_folder(request)
     with locked(kept):
-        if work.stages is None and any(kept.glob("*/*.npz")):
+        if request.stages is None and any(kept.glob("*/*.npz")):
             _LOG.warning("%s: what a run that was stopped finished there is used again", kept)
-        executor = make_executor(work.workers, work.scheduler, ("subiaco_change.tiling.run",))
+        executor = make_executor(request.workers, request.scheduler, ("subiaco_change.tiling.run",))
         try:
             yield TaskRunner(DiskStore(kept.absolute()), executor, progress, redo)
         except (InputError, RegistrationError):
             executor.close()  # what runs beside the task that failed still writes
-            _forget(work, kept)  # the same input would fail again
+            _forget(request, kept)  # the same input would fail again
             raise
         except KeyboardInterrupt:
             _LOG.warning("stopped; what is finished is in %s, and the same command goes on from there", kept)
             raise
         finally:
             executor.close()
-        _forget(work, kept)
+        _forget(request, kept)
 
 
-def _forget(work: Work, kept: Path) -> None:
+def _forget(request: ChangeRequest, kept: Path) -> None:
     """Remove the stages of a run, unless they are kept for good."""
-    if work.stages is None:
+    if request.stages is None:
         shutil.rmtree(kept, ignore_errors=True)
-
-
-@dataclass(frozen=True)
-class ChangeJob:
-    """What to compare, and where the result goes.
-
-    Parameters
-    ----------
-    before, after : Path
-        Map directories or bare clouds.
-    output : Path
-        Change directory to write.
-    trajectory_before, trajectory_after : Path, optional
-        TUM files of the trajectories of bare clouds.
-    transform : (4, 4) float64, optional
-        Given ``T_after_before`` in world coordinates; identity says that the
-        epochs are registered already.
-    overwrite : bool
-    parcels : Path, optional
-        Polygons of lots by which the changes are added up.
-    given : tuple of str
-        Point fields that replace stages: ``semantic``, ``instance``.
-    work : Work
-    extensions : Extensions
-        Functions that replace parts of the method.
-    """
-
-    before: Path
-    after: Path
-    output: Path
-    trajectory_before: Path | None = None
-    trajectory_after: Path | None = None
-    transform: Floats | None = None
-    overwrite: bool = False
-    parcels: Path | None = None
-    given: tuple[str, ...] = ()
-    work: Work = Work()
-    extensions: Extensions = field(default_factory=Extensions)
 
 
 def read_transform(path: Path) -> Floats:
@@ -190,19 +129,20 @@ def drive_facts(survey: SurveyMap | Epoch) -> dict[str, Any]:
 
 
 def run_job(
-    job: ChangeJob,
+    request: ComparisonRequest,
     config: StrictModel,
     detect: Callable[[SurveyMap, SurveyMap], ChangeResult],
     progress: Callable[[str, float], None] | None = None,
     *,
     notes: Mapping[str, str] | None = None,
     calibration: Calibration | None = None,
+    write_pages: PageWriter | None = None,
 ) -> ChangeResult:
     """Load two epochs, find changes by any method, write the change directory.
 
     Parameters
     ----------
-    job : ChangeJob
+    request : ComparisonRequest
     config : StrictModel
         Of the method; written beside the result.
     detect : callable
@@ -212,44 +152,46 @@ def run_job(
         Further facts for ``run.json``.
     calibration : Calibration, optional
         What the method's confidences were fitted on.
+    write_pages : callable, optional
+        Writes the report into the change directory.
 
     Raises
     ------
     InputError, RegistrationError
-        Nothing is left under ``job.output`` then.
+        Nothing is left under ``request.output`` then.
     """
-    lots = _start(job)
-    before = load_epoch(job.before, job.trajectory_before)
-    after = load_epoch(job.after, job.trajectory_after)
+    lots = _start(request)
+    before = load_epoch(request.before, request.trajectory_before)
+    after = load_epoch(request.after, request.trajectory_after)
     checks, poses = InputCheckConfig(), UncertaintyConfig().unstated_pose
     surveys = facts_of(before), facts_of(after)
-    found = _announced(check_surveys((job.before, job.after), surveys, checks))
+    found = _announced(check_surveys((request.before, request.after), surveys, checks))
     result = detect(before, after)
-    if job.transform is None:
+    if request.transform is None:
         found += _announced(check_shift(result.registration, surveys, poses, checks))
     if progress is not None:
         progress("writing", 0.97)
-    inputs = _inputs(job, before, after, notes or {}, calibration or Calibration(), lots)
+    inputs = _inputs(request, before, after, notes or {}, calibration or Calibration(), lots)
     inputs = replace(inputs, findings=found)
-    write_change_directory(job.output, result, config, inputs, overwrite=job.overwrite)
+    write_change_directory(request.output, result, config, inputs, request.overwrite, write_pages)
     return result
 
 
-def _require_room(job: ChangeJob, points: int) -> None:
+def _require_room(request: ChangeRequest, points: int) -> None:
     """Refuse a run whose stages or result would fill a disk, from the points at the working leaf."""
-    stages = _stage_folder(job.work, job.output)
+    stages = _stage_folder(request)
     done = sum(file.stat().st_size for file in stages.rglob("*.npz"))  # of a run that was stopped
     needed = max(points * _STAGE_BYTES - done, 0)
-    if ground_of(stages).stat().st_dev == ground_of(job.output).stat().st_dev:
-        require_room(job.output, points * _RESULT_BYTES + needed, "the run")
+    if ground_of(stages).stat().st_dev == ground_of(request.output).stat().st_dev:
+        require_room(request.output, points * _RESULT_BYTES + needed, "the run")
         return
     require_room(stages, needed, "the run")
-    require_room(job.output, points * _RESULT_BYTES, "the result")
+    require_room(request.output, points * _RESULT_BYTES, "the result")
 
 
-def _stage_folder(work: Work, output: Path) -> Path:
+def _stage_folder(request: ChangeRequest) -> Path:
     """Return where the finished stages of a run lie."""
-    return work.stages or output.with_name(f"{output.name}.stages")
+    return request.stages or request.output.with_name(f"{request.output.name}.stages")
 
 
 def _announced(findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
@@ -258,16 +200,16 @@ def _announced(findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
     return findings
 
 
-def _start(job: ChangeJob) -> gpd.GeoDataFrame | None:
+def _start(request: ComparisonRequest) -> gpd.GeoDataFrame | None:
     """Refuse an output that is there, or whose reviews cannot be read; return the lots, if there are any."""
-    refuse_existing(job.output, job.overwrite)
-    refuse_foreign(job.output, MARKER)
-    read_reviewed(job.output)  # a table that cannot be read back is refused before the work, not after it
-    return None if job.parcels is None else read_lots(job.parcels, open_epoch(job.after).crs)
+    refuse_existing(request.output, request.overwrite)
+    refuse_foreign(request.output, MARKER)
+    read_reviewed(request.output)  # a table that cannot be read back is refused before the work, not after it
+    return None if request.parcels is None else read_lots(request.parcels, open_epoch(request.after).crs)
 
 
 def _inputs(
-    job: ChangeJob,
+    request: ComparisonRequest,
     before: SurveyMap | Epoch,
     after: SurveyMap | Epoch,
     notes: Mapping[str, str],
@@ -278,8 +220,8 @@ def _inputs(
     known = all(epoch.info.get("heights") == "ellipsoidal" for epoch in (before, after))
     facts = {"epochs": {"before": drive_facts(before), "after": drive_facts(after)}}
     return ChangeInputs(
-        job.before,
-        job.after,
+        request.before,
+        request.after,
         {**notes, **named, **facts},
         calibration=calibration,
         ellipsoidal=known,
@@ -288,45 +230,67 @@ def _inputs(
 
 
 def run_change(
-    job: ChangeJob, config: ChangeConfig, progress: Callable[[str, float], None] | None = None
+    request: ChangeRequest,
+    progress: Callable[[str, float], None] | None = None,
+    *,
+    extensions: Extensions = Extensions(),  # noqa: B008 - frozen
+    write_pages: PageWriter | None = None,
 ) -> tuple[ChangeRecord, ...]:
-    """Run our own method on two epochs in tiles; return the rows. Errors as for :func:`run_job`."""
-    return run_change_and(job, config, lambda result: result.records, progress)
+    """Run our own method on two epochs in tiles; return the rows. Errors as for :func:`run_job`.
+
+    Parameters
+    ----------
+    request : ChangeRequest
+    progress : callable, optional
+        Called with the name of the stage, the fraction of the run that is done, and the tile.
+    extensions : Extensions
+        Functions that replace parts of the method.
+    write_pages : callable, optional
+        Writes the report into the change directory.
+    """
+    return run_change_and(
+        request, lambda result: result.records, progress, extensions=extensions, write_pages=write_pages
+    )
 
 
-def _extended(job: ChangeJob) -> tuple[tuple[Epoch, Epoch], Floats | None]:
+def _extended(request: ChangeRequest, extensions: Extensions) -> tuple[tuple[Epoch, Epoch], Floats | None]:
     """Return epochs and transform as functions of the user give them; both surveys are read once."""
     epochs: tuple[Epoch, Epoch] = (
-        open_epoch(job.before, job.trajectory_before),
-        open_epoch(job.after, job.trajectory_after),
+        open_epoch(request.before, request.trajectory_before),
+        open_epoch(request.after, request.trajectory_after),
     )
-    own = job.extensions
-    if own.registration is None and own.segmentation is None:
-        return epochs, job.transform
-    surveys = load_epoch(job.before, job.trajectory_before), load_epoch(job.after, job.trajectory_after)
-    transform = own.transform(surveys, job.transform)
-    return own.segmented(epochs, surveys), transform
+    if extensions.registration is None and extensions.segmentation is None:
+        return epochs, request.T_after_before
+    surveys = (
+        load_epoch(request.before, request.trajectory_before),
+        load_epoch(request.after, request.trajectory_after),
+    )
+    transform = extensions.transform(surveys, request.T_after_before)
+    return extensions.segmented(epochs, surveys), transform
 
 
 def run_change_and(
-    job: ChangeJob,
-    config: ChangeConfig,
+    request: ChangeRequest,
     take: Callable[[TiledResult], Taken],
     progress: Callable[[str, float], None] | None = None,
+    *,
+    extensions: Extensions = Extensions(),  # noqa: B008 - frozen
+    write_pages: PageWriter | None = None,
 ) -> Taken:
     """Run our own method as :func:`run_change`; return what is taken of the result."""
-    lots = _start(job)
-    epochs, transform = _extended(job)
-    given = job.given if job.extensions.segmentation is None else ("semantic", "instance")
+    config = request.config
+    lots = _start(request)
+    epochs, transform = _extended(request, extensions)
+    given = request.given if extensions.segmentation is None else ("semantic", "instance")
     surveys = facts_of(epochs[0]), facts_of(epochs[1])
     poses = config.placing.uncertainty
-    found = _announced(check_surveys((job.before, job.after), surveys, config.checks))
+    found = _announced(check_surveys((request.before, request.after), surveys, config.checks))
     found += unstated_findings(surveys, poses.unstated_pose, used=poses.pose_covariance)
-    with workbench(job.work, job.output, progress) as bench:
+    with workbench(request, progress) as bench:
         result = detect_in_tiles(
-            epochs, config, bench, transform=transform, given=given, room=partial(_require_room, job)
+            epochs, config, bench, transform=transform, given=given, room=partial(_require_room, request)
         )
-        result = job.extensions.decided(result)
+        result = extensions.decided(result)
         if transform is None:
             found += _announced(check_shift(result.registration, surveys, poses.unstated_pose, config.checks))
         if progress is not None:
@@ -334,6 +298,6 @@ def run_change_and(
         simulated = all(epoch.info.get(SIMULATIONS) for epoch in epochs)
         kinds = {row.evidence for row in result.records if row.change in CLAIMED}
         calibration = calibration_of(kinds, simulated, config.confidence)
-        inputs = replace(_inputs(job, *epochs, {}, calibration, lots), findings=found)
-        write_change_directory(job.output, result, config, inputs, overwrite=job.overwrite)
+        inputs = replace(_inputs(request, *epochs, {}, calibration, lots), findings=found)
+        write_change_directory(request.output, result, config, inputs, request.overwrite, write_pages)
         return take(result)

@@ -14,7 +14,8 @@ from pydantic import BaseModel
 
 from subiaco_change.config import ChangeConfig, left_out
 from subiaco_change.decisions.ablation import Part
-from subiaco_change.job import ChangeJob, Work, read_transform, run_change
+from subiaco_change.job import read_transform, run_change
+from subiaco_change.request import ChangeRequest
 from subiaco_evaluation.scoring import evaluate
 from subiaco_geo.atomic import whole_directory
 from subiaco_geo.errors import InputError
@@ -123,8 +124,11 @@ def run_ablations(
                     progress(name, (number + index / len(cases)) / len(chosen))
                 place = target / name.replace(" ", "_") / str(index)
                 given = _known(target, ours, config, index) if transform is None else transform
-                work = Work(stages=target / _STAGES / str(index))
-                run_change(ChangeJob(case.before, case.after, place, transform=given, work=work), config)
+                request = ChangeRequest.of(
+                    before=case.before, after=case.after, output=place, transform=given, config=config,
+                    stages=target / _STAGES / str(index),
+                )  # fmt: skip
+                run_change(request)
                 pairs.append((place, case.truth))
             rows.append(_row(name, evaluate(pairs)))
         shutil.rmtree(target / _STAGES)

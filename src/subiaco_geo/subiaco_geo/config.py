@@ -155,7 +155,8 @@ def _complaint(model: type[BaseModel], error: ValidationError) -> tuple[tuple[in
     place = first["loc"]
     where = ".".join(str(part) for part in place)
     if first["type"] != "extra_forbidden":
-        return place, f"{where}: {first['msg']}, got {_SHORT.repr(first['input'])}"
+        message = first["msg"].removeprefix("Value error, ")
+        return place, " ".join(f"{where}: {message}, got {_SHORT.repr(first['input'])}".split())
     known = _known_names(model, place[:-1])
     close = get_close_matches(str(place[-1]), known, n=1)
     advice = f"did you mean {close[0]}?" if close else f"known are {', '.join(known) or 'none'}"

@@ -107,3 +107,18 @@ def interpolate_poses(times_ns: Ints, poses: Floats, query_ns: Ints) -> Floats:
     rotation = Slerp(times, Rotation.from_matrix(poses[:, :3, :3]))(query).as_matrix()
     translation = np.stack([np.interp(query, times, poses[:, i, 3]) for i in range(3)], axis=1)
     return make_pose(rotation, translation)
+
+
+def is_rigid(T: Floats, tolerance: float) -> bool:
+    """Tell whether an array is a transform (4, 4) of a rotation and a shift.
+
+    Parameters
+    ----------
+    T : array
+    tolerance : float
+        Largest departure of ``R @ R.T`` from the identity.
+    """
+    if T.shape != (4, 4) or not np.isfinite(T).all() or not np.array_equal(T[3], [0.0, 0.0, 0.0, 1.0]):
+        return False
+    R = T[:3, :3]
+    return bool(np.abs(R @ R.T - np.eye(3)).max() <= tolerance and np.linalg.det(R) > 0)

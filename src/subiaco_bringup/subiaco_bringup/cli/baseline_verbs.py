@@ -61,16 +61,19 @@ def baseline(
 
     Example: subiaco baseline dsm out/before out/after -o out/dsm --transform out/change/registration.json
     """
-    from subiaco_change.job import ChangeJob
+    from subiaco_change.request import ComparisonRequest
     from subiaco_evaluation.baselines.config import BaselineConfig
     from subiaco_evaluation.baselines.run import run_baseline
+    from subiaco_report.pages import write_pages
 
     set_up_logging(verbose, quiet)
     given = known_transform(transform, registration)
     model = load_config(BaselineConfig, tuple(config or ()), settings or [])
-    job = ChangeJob(before, after, output, transform=given, overwrite=overwrite)
+    request = ComparisonRequest.of(
+        before=before, after=after, output=output, transform=given, overwrite=overwrite
+    )
     with Progress(quiet=quiet) as progress:
-        result = run_baseline(job, method.value, model, progress)
+        result = run_baseline(request, method.value, model, progress, write_pages)
     counts = Counter(record.change.label for record in result.records)
     listed = ", ".join(f"{count} {label}" for label, count in sorted(counts.items()))
     say(f"{method.value}: {output} ({listed or 'no change'}); open {output / 'report.html'}", quiet=quiet)

@@ -123,7 +123,7 @@ def change(
     ] = None,
     workers: Annotated[
         int | None,
-        typer.Option(metavar="N", help="Number of processes [all cores]. Does not change the result."),
+        typer.Option(metavar="N", min=1, help="Number of processes [all cores]. Does not change the result."),
     ] = None,
     scheduler: Annotated[
         str | None,
@@ -145,43 +145,30 @@ def change(
     """
     from subiaco_change.config import ChangeConfig, left_out
     from subiaco_change.history import run_epochs
-    from subiaco_change.job import ChangeJob, Work, run_change
+    from subiaco_change.job import run_change
+    from subiaco_change.request import ChangeRequest
+    from subiaco_report.pages import write_pages
 
     set_up_logging(verbose, quiet)
-    work = Work(_cores() if workers is None else workers, scheduler, keep_stages, from_stage)
-    given = _given(semantics, instances)
     if len(epochs) < 2:
         raise InputError("change: give two epochs or more, BEFORE AFTER")
-    known = known_transform(transform, registration)
     model = load_config(ChangeConfig, config_files("change", tuple(config or ())), settings or [])
-    if without:
-        model = left_out(model, without)
+    request = ChangeRequest.of(
+        before=epochs[0], after=epochs[-1], output=output,
+        trajectory_before=trajectory_before, trajectory_after=trajectory_after,
+        transform=known_transform(transform, registration), parcels=parcels, overwrite=overwrite,
+        given=_given(semantics, instances), workers=_cores() if workers is None else workers,
+        scheduler=scheduler, stages=keep_stages, redo=from_stage, config=left_out(model, without or ()),
+    )  # fmt: skip
     if len(epochs) > 2:
-        if trajectory_before or trajectory_after or transform or given:
-            raise InputError(
-                "change: --trajectory-*, --transform, --semantics and --instances need exactly two epochs"
-            )
         with Progress(quiet=quiet) as progress:
-            history = run_epochs(
-                epochs,
-                output,
-                model,
-                progress,
-                transform=known,
-                overwrite=overwrite,
-                parcels=parcels,
-                work=work,
-            )
+            history = run_epochs(epochs, request, progress, write_pages)
         say(f"history: {output / 'history.csv'} ({len(history)} objects)", quiet=quiet)
         for found in sorted(output.glob("*_to_*/run.json")):
             say_findings(found.parent)
         return
-    before, after = epochs
-    job = ChangeJob(
-        before, after, output, trajectory_before, trajectory_after, known, overwrite, parcels, given, work
-    )
     with Progress(quiet=quiet) as progress:
-        records = run_change(job, model, progress)
+        records = run_change(request, progress, write_pages=write_pages)
     counts = Counter(record.change.label for record in records)
     listed = ", ".join(f"{count} {label}" for label, count in sorted(counts.items()))
     say(f"changes: {output} ({listed or 'no objects'}); open {output / 'report.html'}", quiet=quiet)
@@ -266,14 +253,14 @@ def report(
     Example: subiaco report out/change --project "Survey 2025" --client "City of Subiaco"
     """
     from subiaco_change.outputs.change_directory_reading import read_change_directory
-    from subiaco_change.outputs.directory import rebuild
-    from subiaco_change.report.project import store_project_facts
+    from subiaco_report.pages import write_pages
+    from subiaco_report.project_facts import store_project_facts
 
     set_up_logging(verbose, quiet)
     if (project, client, logo) != (None, None, None):
         read_change_directory(change_directory)
         store_project_facts(change_directory, project, client, logo)
-    say(f"report: {rebuild(change_directory)}", quiet=quiet)
+    say(f"report: {write_pages(change_directory)}", quiet=quiet)
 
 
 def review(
@@ -295,13 +282,13 @@ def review(
 
     Example: subiaco review out/change reviews.csv
     """
-    from subiaco_change.outputs.directory import rebuild
     from subiaco_change.outputs.review_files import take_up_reviews
     from subiaco_change.outputs.review_state import review_counts
+    from subiaco_report.pages import write_pages
 
     set_up_logging(verbose, quiet)
     table, unknown = take_up_reviews(change_directory, list(files or []))
-    page = rebuild(change_directory)
+    page = write_pages(change_directory)
     counts = review_counts(table) | {"unknown": unknown}
     if as_json:
         print_json(counts)
@@ -328,6 +315,7 @@ class ExportKind(StrEnum):
     TERRAIN = "terrain"
     TILES = "tiles"
     KITTI = "kitti"
+    FOXGLOVE = "foxglove"
 
 
 def export(
@@ -339,7 +327,8 @@ def export(
             metavar="FORM",
             help="Clouds: laz, copc, ply. Maps also: tiles (LAZ of 80 m and an index), kitti (trajectory),"
             " terrain (ground and surface models, hillshade, contours)."
-            " Tables: gpkg, parquet, geojson, csv, shp, kml, dxf.",
+            " Tables: gpkg, parquet, geojson, csv, shp, kml, dxf."
+            " Clouds, outlines and table of changes in one MCAP file for Foxglove: foxglove.",
         ),
     ],
     cloudcompare: Annotated[

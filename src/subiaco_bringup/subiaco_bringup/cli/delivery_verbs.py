@@ -42,7 +42,7 @@ def deliver(
 
     Example: subiaco deliver out/change -o delivery --review accepted --polygons lots.gpkg
     """
-    from subiaco_change.delivery import Delivery, deliver
+    from subiaco_report.delivery import Delivery, deliver
 
     set_up_logging(verbose, quiet)
     files = deliver(

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from subiaco_bringup.cli import graph_inspection_verbs
 from subiaco_bringup.cli.map_verdict import end_with_verdict
 from subiaco_bringup.cli.options import (
     ConfigFiles,
@@ -24,7 +25,7 @@ from subiaco_bringup.defaults import config_files
 graph = typer.Typer(
     help="Run a job through the ROS 2 nodes, each a process of its own; the result is that of "
     "'subiaco map' or 'subiaco change'.\n\nExample: subiaco graph mapping bags/demo/before -o out/before",
-    short_help="Run a job through the ROS 2 nodes: mapping, change or live.",
+    short_help="Run a job through the ROS 2 nodes, or show a running graph.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
@@ -155,4 +156,5 @@ def live(
 
 def register(app: typer.Typer) -> None:
     """Add these verbs to the command."""
+    graph_inspection_verbs.register(graph)
     app.add_typer(graph, name="graph")

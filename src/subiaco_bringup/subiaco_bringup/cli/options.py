@@ -41,7 +41,7 @@ def set_up_logging(verbose: bool, quiet: bool) -> None:
     logging.basicConfig(
         level=logging.WARNING, format="%(levelname)s %(name)s: %(message)s", stream=sys.stderr
     )
-    for name in ("geo", "sim", "mapping", "change", "evaluation", "bringup"):
+    for name in ("geo", "sim", "mapping", "change", "evaluation", "report", "ros", "bringup"):
         logging.getLogger(f"subiaco_{name}").setLevel(level)
 
 

@@ -213,30 +213,22 @@ def map_(
 
     Example: subiaco map bags/demo/before -o out/before
     """
-    from subiaco_geo.atomic import refuse_existing, refuse_foreign
-    from subiaco_geo.maps import write_map
-    from subiaco_mapping.checkpoint.checkpoint import journal_folder, remove
     from subiaco_mapping.config import MappingConfig
-    from subiaco_mapping.pipeline import map_survey, require_room_for
+    from subiaco_mapping.job import run_mapping
+    from subiaco_mapping.request import MappingRequest
 
     set_up_logging(verbose, quiet)
     if resume and not overwrite and (output / "map.yaml").is_file():
         say(f"map: {output} is finished; nothing to resume", quiet=quiet)
         return
-    refuse_existing(output, overwrite)
-    refuse_foreign(output, "map.yaml")
-    require_room_for(bags, output)
     files = config_files("mapping", tuple(config or ()))
-    model = load_config(MappingConfig, files, _settings(settings, threads=threads))
+    request = MappingRequest.of(
+        bags=tuple(bags), output=output, workers=workers or os.cpu_count() or 1,
+        resume=resume is not False, keep_journal=keep_journal, overwrite=overwrite,
+        config=load_config(MappingConfig, files, _settings(settings, threads=threads)),
+    )  # fmt: skip
     with Progress(quiet=quiet) as progress:
-        survey = map_survey(
-            bags, model, progress, journal=journal_folder(output), resume=resume is not False,
-            workers=workers or os.cpu_count() or 1,
-        )  # fmt: skip
-        progress("writing map", 0.0)
-        write_map(output, survey, overwrite=overwrite)
-    if not keep_journal:
-        remove(journal_folder(output))
+        survey = run_mapping(request, progress)
     place = survey.cloud.crs or "a local frame without CRS"
     say(f"map: {output} ({len(survey.cloud):,} points in {place})", quiet=quiet)
     end_with_verdict(output, quiet=quiet)

@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import logging
-import sys
-from collections.abc import Generator, Sequence
+from collections.abc import Generator
 from pathlib import Path
 from typing import Any
 
@@ -15,26 +14,23 @@ from sensor_msgs.msg import NavSatFix, PointCloud2
 from visualization_msgs.msg import MarkerArray
 
 from subiaco_change.config import ChangeConfig
-from subiaco_change.job import ChangeJob, run_change_and
+from subiaco_change.job import run_change_and
 from subiaco_change.nodes.job import Detect, Job, JobCancelledError, Outcome, Report
 from subiaco_change.nodes.messages import change_cloud_message, marker_message, table_message
+from subiaco_change.outputs.directory import PageWriter
 from subiaco_change.records import TiledResult
+from subiaco_change.request import ChangeRequest
 from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError, SubiacoError
 from subiaco_geo.trajectories import read_tum
-from subiaco_mapping.nodes.frame import frame_at_origin
-from subiaco_mapping.nodes.messages import origin_message
-from subiaco_mapping.nodes.runtime import (
-    App,
-    Diagnostics,
-    ProgressLog,
-    latched,
-    read_models,
-    run_node,
-    wait_until_received,
-)
 from subiaco_msgs.action import DetectChanges
 from subiaco_msgs.msg import ChangeTable
+from subiaco_ros.diagnostics import Diagnostics, ProgressLog
+from subiaco_ros.local_frame import frame_at_origin
+from subiaco_ros.messages import origin_message
+from subiaco_ros.node_process import App, wait_until_received
+from subiaco_ros.parameters import read_models
+from subiaco_ros.qos import latched
 
 LOGGER = logging.getLogger(__name__)
 
@@ -56,14 +52,16 @@ class ChangeParameters(StrictModel):
         False, description="End the node after the comparison that its parameters requested"
     )
 
-    def request(self) -> ChangeJob | None:
+    def request(self) -> ChangeRequest | None:
         """Return the comparison that the parameters ask for, if they do."""
         given = (self.before, self.after, self.output)
         if not any(given):
             return None
         if not all(given):
             raise InputError("change node: parameters before, after and output go together; one is missing")
-        return ChangeJob(Path(self.before), Path(self.after), Path(self.output), overwrite=self.overwrite)
+        return ChangeRequest.of(
+            before=self.before, after=self.after, output=self.output, overwrite=self.overwrite
+        )
 
 
 class _NextSpin:
@@ -144,7 +142,9 @@ class ChangeApp:
 
     async def _execute(self, handle: Any) -> DetectChanges.Result:
         goal = handle.request
-        request = ChangeJob(Path(goal.before), Path(goal.after), Path(goal.output), overwrite=goal.overwrite)
+        request = ChangeRequest.of(
+            before=goal.before, after=goal.after, output=goal.output, overwrite=goal.overwrite
+        )
         job = self._job = Job(request, self._detect)
         while not job.finished:
             if handle.is_cancel_requested:
@@ -194,28 +194,25 @@ def survey_end_ns(path: Path) -> int:
     return int(read_tum(trajectory).times_ns[-1]) if trajectory.is_file() else 0
 
 
-def make_detect(config: ChangeConfig) -> Detect:
-    """Bind the library's step to a configuration."""
+def make_detect(config: ChangeConfig, write_pages: PageWriter) -> Detect:
+    """Bind the library's step to a configuration and to what writes the pages."""
 
-    def detect(request: ChangeJob, report: Report) -> Outcome:
+    def detect(request: ChangeRequest, report: Report) -> Outcome:
         report("reading maps", 0.0)
         return Outcome(
-            run_change_and(request, config, TiledResult.whole, report), survey_end_ns(request.after)
+            run_change_and(
+                request.model_copy(update={"config": config}),
+                TiledResult.whole,
+                report,
+                write_pages=write_pages,
+            ),
+            survey_end_ns(request.after),
         )
 
     return detect
 
 
-def build(node: Node) -> App:
+def build(node: Node, write_pages: PageWriter) -> App:
     """Put the node together from its parameters."""
     own, config = read_models(node, ChangeParameters, ChangeConfig)
-    return ChangeApp(node, own, make_detect(config))
-
-
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the node."""
-    return run_node("change", build, argv)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    return ChangeApp(node, own, make_detect(config, write_pages))

@@ -6,8 +6,8 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from subiaco_change.job import ChangeJob
 from subiaco_change.records import ChangeResult
+from subiaco_change.request import ChangeRequest
 from subiaco_geo.errors import InputError, SubiacoError
 
 Report = Callable[[str, float], None]
@@ -22,7 +22,7 @@ class Outcome:
 
 
 #: The step that the node wraps; it raises SubiacoError, and lets what ``report`` raises pass.
-Detect = Callable[[ChangeJob, Report], Outcome]
+Detect = Callable[[ChangeRequest, Report], Outcome]
 
 
 class JobCancelledError(SubiacoError):
@@ -34,11 +34,11 @@ class Job:
 
     Parameters
     ----------
-    request : ChangeJob
+    request : ChangeRequest
     detect : callable
     """
 
-    def __init__(self, request: ChangeJob, detect: Detect) -> None:
+    def __init__(self, request: ChangeRequest, detect: Detect) -> None:
         self.request = request
         self.stage, self.fraction = "waiting", 0.0
         self.outcome: Outcome | None = None

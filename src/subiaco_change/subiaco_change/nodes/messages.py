@@ -17,10 +17,10 @@ from subiaco_change.records import CHANGE_COLOURS, ChangeRecord, ChangeResult
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Change
 from subiaco_geo.frames import Floats
-from subiaco_mapping.nodes.frame import LocalFrame
-from subiaco_mapping.nodes.messages import cloud_message, header, xyz_cloud
 from subiaco_msgs.msg import ChangeRecord as ChangeRecordMessage
 from subiaco_msgs.msg import ChangeTable
+from subiaco_ros.local_frame import LocalFrame
+from subiaco_ros.messages import cloud_message, header, xyz_cloud
 
 #: What happened nowhere is not marked.
 _QUIET = frozenset({Change.UNCHANGED, Change.NOT_REPORTED, Change.UNOBSERVED})

@@ -5,7 +5,7 @@ from __future__ import annotations
 import logging
 import platform
 import shutil
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
@@ -22,7 +22,6 @@ from subiaco_change.outputs.geopackage import write_geopackage, write_layer
 from subiaco_change.outputs.hashing import hash_path
 from subiaco_change.outputs.json_text import write_json
 from subiaco_change.outputs.parcels import build_parcels, coverage_polygons
-from subiaco_change.outputs.qgis_project import PROJECT, write_project
 from subiaco_change.outputs.rasters import (
     Coverage,
     LodRaster,
@@ -31,7 +30,6 @@ from subiaco_change.outputs.rasters import (
     join_coverage,
     join_lod,
     lod_statement,
-    read_coverage,
     write_coverage,
     write_ground_change,
     write_lod,
@@ -39,19 +37,22 @@ from subiaco_change.outputs.rasters import (
 from subiaco_change.outputs.reviews import carry_reviews, read_reviewed
 from subiaco_change.outputs.style import embed_styles
 from subiaco_change.records import ChangeResult, Registration, TiledResult
-from subiaco_change.report.page import build_report
-from subiaco_change.report.project import PROJECT_FACTS
 from subiaco_geo.atomic import refuse_existing, refuse_foreign, whole_directory
 from subiaco_geo.config import StrictModel, config_hash, write_config
 from subiaco_geo.findings import SEVERITIES, Finding
 from subiaco_geo.work.tasks import peak_mib
 
-__all__ = ["ChangeDirectory", "ChangeInputs", "read_change_directory", "rebuild", "write_change_directory"]
+__all__ = ["ChangeDirectory", "ChangeInputs", "PageWriter", "read_change_directory", "write_change_directory"]
 
 _LOG = logging.getLogger(__name__)
 
 #: What tells a change directory from another folder.
 MARKER = "run.json"
+#: Facts that a user gave for the pages; a directory that is replaced hands the file on.
+PROJECT_FACTS = "project.json"
+#: Writes the pages and the QGIS project into a change directory that holds everything else. The caller
+#: gives it, because the report is built on this package and not the other way round.
+PageWriter = Callable[[Path], object]
 _PACKAGES = (
     "subiaco-geo",
     "subiaco-mapping",
@@ -167,8 +168,9 @@ def write_change_directory(
     config: StrictModel,
     inputs: ChangeInputs,
     overwrite: bool = False,
+    write_pages: PageWriter | None = None,
 ) -> None:
-    """Write every product of a change run, with the report.
+    """Write every product of a change run.
 
     Parameters
     ----------
@@ -180,6 +182,8 @@ def write_change_directory(
     inputs : ChangeInputs
     overwrite : bool
         Replace an earlier directory; its reviews are carried over.
+    write_pages : callable, optional
+        Called last, with the directory before it gets its name, so that it appears with its pages.
 
     Raises
     ------
@@ -221,10 +225,10 @@ def write_change_directory(
         write_json(target / "registration.json", registration_document(result.registration, crs))
         write_config(target / "config.yaml", config)
         write_json(target / "run.json", run_document(result, config, inputs, digest, points, coverage, lod))
-        write_project(target, crs, coverage.bounds)
         if (directory / PROJECT_FACTS).is_file():
             shutil.copyfile(directory / PROJECT_FACTS, target / PROJECT_FACTS)
-        build_report(target)
+        if write_pages is not None:
+            write_pages(target)
 
 
 def _survey_days(inputs: ChangeInputs) -> tuple[str, str]:
@@ -232,28 +236,6 @@ def _survey_days(inputs: ChangeInputs) -> tuple[str, str]:
     epochs = inputs.notes.get("epochs", {})
     before, after = (str(epochs.get(name, {}).get("first", ""))[:10] for name in ("before", "after"))
     return before, after
-
-
-def rebuild(directory: Path) -> Path:
-    """Build the pages of a change directory again, and the QGIS project where there is none.
-
-    A project that is there may be somebody's work by now; it stays.
-
-    Returns
-    -------
-    Path
-        ``report.html``.
-
-    Raises
-    ------
-    InputError
-        The directory is not a complete change directory.
-    """
-    page = build_report(directory)
-    if not (directory / PROJECT).exists():
-        change = read_change_directory(directory)
-        write_project(directory, change.run["crs"], read_coverage(directory / "coverage.tif").bounds)
-    return page
 
 
 def _write_table(target: Path, table: gpd.GeoDataFrame) -> None:

@@ -12,6 +12,7 @@ import pyogrio
 
 from subiaco_change.outputs.clouds import change_palette, labelled_path, with_asprs_codes
 from subiaco_change.outputs.drawing_exchange import write_dxf
+from subiaco_change.outputs.foxglove import write_foxglove
 from subiaco_change.outputs.geopackage import write_geopackage, write_layer
 from subiaco_change.outputs.parcels import CHANGED, rebuild_parcels
 from subiaco_change.outputs.rasters import read_coverage
@@ -28,6 +29,7 @@ from subiaco_geo.exports import CLOUD_ENDINGS, copy_cloud
 #: What GeoJSON (RFC 7946) and KML ask for.
 _LONGITUDE_LATITUDE = "EPSG:4326"
 TABLE_KINDS = ("gpkg", "parquet", "geojson", "csv", "shp", "kml", "dxf")
+FOXGLOVE = "foxglove"
 #: Names of at most ten characters for shapefiles; other columns are short enough.
 SHORT_NAMES = {
     "match_kind": "match_kind", "delta_v_m3": "delta_v_m3", "delta_v_surface_m3": "dv_surf_m3",
@@ -51,10 +53,10 @@ def export_changes(
     output : Path
         New directory.
     kind : str
-        ``laz``, ``copc``, ``ply`` (clouds of both epochs; LAZ with ASPRS classes), or one of
-        :data:`TABLE_KINDS` (the table, reviews included). A GeoPackage has every layer of ``changes.gpkg``;
-        GeoJSON and KML are in longitude and latitude; a shapefile has :data:`SHORT_NAMES`, which
-        ``columns.csv`` lists.
+        ``laz``, ``copc``, ``ply`` (clouds of both epochs; LAZ with ASPRS classes), ``foxglove`` (one MCAP
+        file with clouds, outlines and table), or one of :data:`TABLE_KINDS` (the table, reviews included).
+        A GeoPackage has every layer of ``changes.gpkg``; GeoJSON and KML are in longitude and latitude; a
+        shapefile has :data:`SHORT_NAMES`, which ``columns.csv`` lists.
     cloudcompare : bool
         Name PLY fields so that CloudCompare loads them.
     review : str
@@ -71,15 +73,17 @@ def export_changes(
         Not a change directory, a kind that it does not have, a table without
         CRS as GeoJSON or KML, or an output that exists.
     """
-    if kind not in (*CLOUD_ENDINGS, *TABLE_KINDS):
+    if kind not in (*CLOUD_ENDINGS, *TABLE_KINDS, FOXGLOVE):
         raise InputError(f"{directory}: a table of changes has no {kind}; give another --to")
     table = read_reviewed(directory)
     if table is None:
         raise InputError(f"{directory}: not the output of 'subiaco change' (no changes.csv, changes.parquet)")
     chosen = selected_by_review(table, review)
+    left_out = table.loc[~chosen, "object_id"].to_numpy(dtype=np.int64)
     with whole_directory(output) as target:
-        if kind in CLOUD_ENDINGS:
-            left_out = table.loc[~chosen, "object_id"].to_numpy(dtype=np.int64)
+        if kind == FOXGLOVE:
+            write_foxglove(target / "changes.mcap", directory, table[chosen], left_out)
+        elif kind in CLOUD_ENDINGS:
             for epoch in ("before", "after"):
                 copy_cloud(
                     labelled_path(directory, epoch),

@@ -15,7 +15,6 @@ from shapely.geometry import LineString
 
 from subiaco_change.outputs.difference_rasters import RasterGrid, highest_points, raster_profile, write_cog
 from subiaco_change.outputs.drawing_exchange import write_contour_dxf
-from subiaco_change.report.top_views import hillshade
 from subiaco_change.segmentation.ground_model import GroundConfig, fit_ground
 from subiaco_geo.atomic import whole_directory
 from subiaco_geo.cloud_windows import CloudFile
@@ -151,3 +150,16 @@ def _lines(
             line = LineString(np.asarray(points)) if len(points) > 1 else None
             if line is not None and line.length >= _SHORTEST:
                 yield level, line
+
+
+def hillshade(height: Floats, pixel: float) -> Floats:
+    """Return shading 0..1 (rows, columns) of heights [m] lit from the north-west, NaN kept."""
+    if min(height.shape) < 2:
+        return np.where(np.isfinite(height), 0.7, np.nan)
+    level = np.nanmedian(height) if np.isfinite(height).any() else 0.0
+    smooth = np.where(np.isfinite(height), height, level)
+    down, right = np.gradient(smooth, pixel)
+    light = np.array([-1.0, 1.0, 1.6]) / np.linalg.norm([-1.0, 1.0, 1.6])
+    normal_length = np.sqrt(right**2 + down**2 + 1.0)
+    shade = (-right * light[0] + down * light[1] + light[2]) / normal_length
+    return np.where(np.isfinite(height), np.clip(0.25 + 0.75 * shade, 0.0, 1.0), np.nan)

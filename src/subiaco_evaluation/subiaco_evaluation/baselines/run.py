@@ -8,11 +8,13 @@ from collections.abc import Callable
 import numpy as np
 
 from subiaco_change.geometry import estimate_normals
-from subiaco_change.job import ChangeJob, run_job
+from subiaco_change.job import run_job
 from subiaco_change.level_of_detection.common_frame import CommonFrame
+from subiaco_change.outputs.directory import PageWriter
 from subiaco_change.records import ChangeResult
 from subiaco_change.registration.pair import check_pair
 from subiaco_change.registration.register import given_registration, register
+from subiaco_change.request import ComparisonRequest
 from subiaco_evaluation.baselines.cells import Pair, Verdict, make_pair
 from subiaco_evaluation.baselines.config import BaselineConfig
 from subiaco_evaluation.baselines.dsm import difference_surfaces
@@ -117,11 +119,15 @@ def detect_simply(
 
 
 def run_baseline(
-    job: ChangeJob, method: str, config: BaselineConfig, progress: Progress | None = None
+    request: ComparisonRequest,
+    method: str,
+    config: BaselineConfig,
+    progress: Progress | None = None,
+    write_pages: PageWriter | None = None,
 ) -> ChangeResult:
     """Run a simple method on two epochs; errors as for :func:`subiaco_change.job.run_job`."""
 
     def detect(before: SurveyMap, after: SurveyMap) -> ChangeResult:
-        return detect_simply(before, after, method, config, progress, transform=job.transform)
+        return detect_simply(before, after, method, config, progress, transform=request.T_after_before)
 
-    return run_job(job, config, detect, progress, notes={"baseline": method})
+    return run_job(request, config, detect, progress, notes={"baseline": method}, write_pages=write_pages)

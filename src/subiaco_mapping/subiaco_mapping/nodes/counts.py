@@ -9,8 +9,8 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 
 from subiaco_mapping.nodes.flow import ConsumedCounter, FlowControl
-from subiaco_mapping.nodes.runtime import latched
 from subiaco_msgs.msg import ReplayCounts
+from subiaco_ros.qos import latched
 
 CONSUMED = "replay/consumed"
 REPORT_INTERVAL = 0.02

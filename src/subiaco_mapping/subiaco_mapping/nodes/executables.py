@@ -2,14 +2,7 @@
 
 from __future__ import annotations
 
-import importlib
-import signal
-
-
-def start(module: str) -> int:
-    """Import the module of a node with SIGINT blocked, and run it; a pending one arrives then."""
-    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
-    return int(importlib.import_module(module).main())
+from subiaco_ros.node_process import start
 
 
 def replay_node() -> int:

@@ -11,7 +11,7 @@ from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from subiaco_geo.crs import EnuFrame
-from subiaco_mapping.nodes.messages import header
+from subiaco_ros.messages import header
 
 _WIDTH = 2.5
 _ABOVE = 0.3

@@ -36,13 +36,15 @@ from subiaco_mapping.health_monitor.routes import read_route
 from subiaco_mapping.health_monitor.snapshot import Snapshot, take_snapshot
 from subiaco_mapping.nodes.markers import street_markers
 from subiaco_mapping.nodes.names import ODOMETRY, QUALITY
-from subiaco_mapping.nodes.qos_adaptation import OfferedSubscription, Wanted, follow_offers
-from subiaco_mapping.nodes.runtime import App, latched, read_models, run_node
-from subiaco_mapping.nodes.stamp_matching import StampMatcher
 from subiaco_mapping.preprocessing.conversions import fix_from_msg, imu_from_msg, stamp_ns
 from subiaco_mapping.recording.losses import header_stamp_ns
 from subiaco_mapping.topic_names import GPS_FIX, NMEA_SENTENCE, TIME_REFERENCE
 from subiaco_msgs.msg import ScanQuality
+from subiaco_ros.node_process import App, run_node
+from subiaco_ros.parameters import read_models
+from subiaco_ros.qos import latched
+from subiaco_ros.qos_adaptation import OfferedSubscription, Wanted, follow_offers
+from subiaco_ros.stamp_matching import StampMatcher
 
 TICK_INTERVAL = 0.1
 STATUS_INTERVAL = 0.5

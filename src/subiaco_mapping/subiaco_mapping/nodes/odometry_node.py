@@ -31,12 +31,7 @@ from subiaco_mapping.nodes.covariance import PoseCovariance, base_velocity
 from subiaco_mapping.nodes.extrinsics import StaticTransforms, sensors_needed
 from subiaco_mapping.nodes.flow import ConsumedCounter, FlowControl
 from subiaco_mapping.nodes.live_sources import ExtrinsicsWaiter
-from subiaco_mapping.nodes.messages import (
-    odometry_message,
-    quality_message,
-    scan_message,
-    transform_message,
-)
+from subiaco_mapping.nodes.messages import odometry_message, quality_message, scan_message
 from subiaco_mapping.nodes.missed_messages import Arrivals
 from subiaco_mapping.nodes.names import (
     CLOUD,
@@ -48,19 +43,15 @@ from subiaco_mapping.nodes.names import (
     QUALITY,
     SEQUENCE,
 )
-from subiaco_mapping.nodes.qos_adaptation import Apart, Wanted, drain, follow_offers
-from subiaco_mapping.nodes.runtime import (
-    App,
-    Diagnostics,
-    latched,
-    overridable,
-    read_models,
-    reliable,
-    run_node,
-)
 from subiaco_mapping.odometry.frontend import FrontendOutput, OdometryFrontend
 from subiaco_mapping.preprocessing.conversions import imu_from_msg, scan_from_points
 from subiaco_msgs.msg import ReplayCounts, ScanQuality
+from subiaco_ros.diagnostics import Diagnostics
+from subiaco_ros.messages import transform_message
+from subiaco_ros.node_process import App, run_node
+from subiaco_ros.parameters import read_models
+from subiaco_ros.qos import latched, overridable, reliable
+from subiaco_ros.qos_adaptation import Apart, Wanted, drain, follow_offers
 from tf2_msgs.msg import TFMessage
 
 LOGGER = logging.getLogger(__name__)

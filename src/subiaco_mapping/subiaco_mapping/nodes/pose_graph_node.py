@@ -56,22 +56,16 @@ from subiaco_mapping.nodes.names import (
     QUALITY,
     SEQUENCE,
 )
-from subiaco_mapping.nodes.qos_adaptation import follow_offers
-from subiaco_mapping.nodes.runtime import (
-    App,
-    Diagnostics,
-    ProgressLog,
-    latched,
-    overridable,
-    read_models,
-    reliable,
-    run_node,
-)
-from subiaco_mapping.nodes.stamp_matching import StampMatcher
 from subiaco_mapping.pose_graph.solution import GraphSolution, LiveEstimate
 from subiaco_mapping.preprocessing.conversions import fix_from_msg, heading_from_msg, stamp_ns
 from subiaco_msgs.msg import ReplayCounts, ScanQuality
 from subiaco_msgs.srv import Optimize, SaveMap
+from subiaco_ros.diagnostics import Diagnostics, ProgressLog
+from subiaco_ros.node_process import App, run_node
+from subiaco_ros.parameters import read_models
+from subiaco_ros.qos import latched, overridable, reliable
+from subiaco_ros.qos_adaptation import follow_offers
+from subiaco_ros.stamp_matching import StampMatcher
 from tf2_msgs.msg import TFMessage
 
 LOGGER = logging.getLogger(__name__)

@@ -16,17 +16,10 @@ from subiaco_geo.bag_segments import RecordedTopic, qos_text
 from subiaco_geo.bags import TYPESTORE
 from subiaco_geo.errors import InputError
 from subiaco_geo.topics import LIDAR_PACKETS, MESSAGE_TYPES, METADATA, PACKET_TYPE
-from subiaco_mapping.nodes.qos_adaptation import (
-    Apart,
-    Offer,
-    message_class,
-    read_offer,
-    take_from,
-    wanted_qos,
-)
 from subiaco_mapping.recording.config import RecordConfig
 from subiaco_mapping.recording.definitions import Definitions
 from subiaco_mapping.recording.losses import PERIODIC_TYPES, PacketCounter, TopicCounter
+from subiaco_ros.qos_adaptation import Apart, Offer, message_class, read_offer, take_from, wanted_qos
 
 _WHOLE_CLOUDS = "sensor_msgs/msg/PointCloud2"
 _BURST = 4096

@@ -16,12 +16,14 @@ from rclpy.node import Node
 
 from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError
-from subiaco_mapping.nodes.qos_adaptation import LOOK_INTERVAL
 from subiaco_mapping.nodes.raw_subscriptions import Listener
-from subiaco_mapping.nodes.runtime import Diagnostics, read_models, run_node
 from subiaco_mapping.recording.config import RecordConfig, RecordingConfig
 from subiaco_mapping.recording.entries import RecorderStatus
 from subiaco_mapping.recording.recorder import Recorder
+from subiaco_ros.diagnostics import Diagnostics
+from subiaco_ros.node_process import run_node
+from subiaco_ros.parameters import read_models
+from subiaco_ros.qos_adaptation import LOOK_INTERVAL
 
 REPORT_INTERVAL = 1.0
 SAY_INTERVAL = 10.0

@@ -24,9 +24,12 @@ from subiaco_mapping.nodes.counts import counts_message, listen_to_consumers
 from subiaco_mapping.nodes.flow import FlowControl
 from subiaco_mapping.nodes.names import END, SEQUENCE
 from subiaco_mapping.nodes.replay import WINDOWS, Replay
-from subiaco_mapping.nodes.runtime import App, ProgressLog, latched, read_models, reliable, run_node
 from subiaco_mapping.topic_names import TopicsConfig
 from subiaco_msgs.msg import ReplayCounts
+from subiaco_ros.diagnostics import ProgressLog
+from subiaco_ros.node_process import App, run_node
+from subiaco_ros.parameters import read_models
+from subiaco_ros.qos import latched, reliable
 
 #: Messages published between two looks at the callbacks.
 BURST = 16

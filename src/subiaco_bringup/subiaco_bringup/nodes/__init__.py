@@ -1,0 +1,1 @@
+"""Nodes that join packages which do not know each other."""

@@ -1,0 +1,10 @@
+"""What ``ros2 run`` and ``ros2 launch`` start: nodes whose imports an interruption does not break."""
+
+from __future__ import annotations
+
+from subiaco_ros.node_process import start
+
+
+def change_node() -> int:
+    """Compare two maps."""
+    return start("subiaco_bringup.nodes.change_node")

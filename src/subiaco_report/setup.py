@@ -1,0 +1,23 @@
+"""Package description for colcon and pip alike."""
+
+from setuptools import find_packages, setup
+
+NAME = "subiaco_report"
+
+setup(
+    name=NAME,
+    version="0.1.0",
+    description="Pages, pictures, QGIS project and delivery of a change directory.",
+    maintainer="Subiaco maintainers",
+    maintainer_email="maintainers@subiaco.example.org",
+    license="Apache-2.0",
+    packages=find_packages(include=[NAME, NAME + ".*"]),
+    package_data={NAME: ["py.typed", "**/*.j2"]},
+    data_files=[
+        ("share/ament_index/resource_index/packages", ["resource/" + NAME]),
+        ("share/" + NAME, ["package.xml"]),
+    ],
+    install_requires=["setuptools"],
+    extras_require={"test": ["pytest"]},
+    zip_safe=False,
+)

@@ -1,0 +1,1 @@
+"""Pages, pictures, QGIS project and delivery: a change directory as people read it."""

@@ -1,0 +1,134 @@
+"""Figures and texts of a change directory for its pages."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from typing import Any
+
+import geopandas as gpd
+import numpy as np
+import pandas as pd
+
+from subiaco_change.outputs.rasters import Coverage
+from subiaco_change.outputs.review_state import is_rejected
+from subiaco_change.records import CHANGE_COLOURS
+from subiaco_geo.codes import Change, Semantic
+from subiaco_geo.findings import Finding
+from subiaco_geo.frames import rotation_angle
+from subiaco_geo.simulated import SIMULATIONS
+from subiaco_report.cloud_windows import LodCounts
+
+CHANGED_LABELS = tuple(c.label for c in (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED))
+_MEANINGS = {
+    Change.ADDED: "only in the later epoch, at a place that the earlier one looked at",
+    Change.REMOVED: "only in the earlier epoch, at a place that the later one looked at",
+    Change.INCREASED: "in both epochs, larger or higher now",
+    Change.DECREASED: "in both epochs, smaller or lower now",
+    Change.UNCHANGED: "in both epochs, no difference beyond the level of detection",
+    Change.NOT_REPORTED: "movable things such as cars that were matched; left out on purpose",
+    Change.UNOBSERVED: "the other epoch could not see the place: nothing is claimed",
+}
+
+
+#: Colours that people with any kind of colour vision tell apart (Okabe and Ito, 2008).
+SAFE_COLOURS = CHANGE_COLOURS | {
+    Change.ADDED: (0, 158, 115),
+    Change.REMOVED: (204, 121, 167),
+    Change.INCREASED: (0, 114, 178),
+    Change.DECREASED: (230, 159, 0),
+}
+_SIGNS = dict(zip(Change, ("+", "\u2212", "\u25b2", "\u25bc", "=", "\u00b7", "?"), strict=True))
+
+
+def findings(run: Mapping[str, Any], registration: Mapping[str, Any]) -> list[dict[str, str]]:
+    """Return what speaks against a result, what is serious first; of a run without a list, its warnings."""
+    if "findings" in run:
+        return list(run["findings"])
+    texts = [*registration.get("warnings", []), *run.get("warnings", [])]
+    return [Finding("unnamed", "warning", text).document() for text in texts]
+
+
+def is_simulated(run: Mapping[str, Any]) -> bool:
+    """Tell whether an epoch of the run was simulated, as far as is known."""
+    return bool(run.get("notes", {}).get(SIMULATIONS))
+
+
+def changed_rows(table: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
+    """Return the rows called changed, those that a reviewer rejected too, the surest first."""
+    rows = table[table["label"].isin(CHANGED_LABELS)]
+    return rows.sort_values(["confidence", "object_id"], ascending=[False, True])
+
+
+def number(value: Any, decimals: int = 2) -> str:
+    """Format a number with narrow thousands gaps; missing values are a dash."""
+    if value is None or not np.isfinite(float(value)):
+        return "–"
+    return f"{float(value):,.{decimals}f}".replace(",", "\u202f")
+
+
+def legend() -> list[dict[str, str]]:
+    """Return label, colour, colour for the colour-blind, sign and meaning of every outcome."""
+    return [
+        {
+            "label": c.label,
+            "colour": f"rgb{CHANGE_COLOURS[c]}",
+            "safe": f"rgb{SAFE_COLOURS[c]}",
+            "sign": _SIGNS[c],
+            "meaning": _MEANINGS[c],
+        }
+        for c in Change
+    ]
+
+
+def registration_facts(registration: Mapping[str, Any]) -> dict[str, Any]:
+    """Return the registration numbers in the units that people think in."""
+    std = np.array([np.nan if v is None else v for v in registration["pose_std"]], dtype=np.float64)
+    local = np.array(registration["T_local_about_origin"], dtype=np.float64)
+    return {
+        "method": registration["method"],
+        "rmse_cm": _scaled(registration["rmse_m"], 100.0),
+        "inlier_percent": _scaled(registration["inlier_ratio"], 100.0),
+        "sigma_cm": _scaled(registration["sigma_reg_m"], 100.0),
+        "shift_m": float(np.linalg.norm(local[:3, 3])),
+        "turn_deg": float(np.degrees(rotation_angle(local))),
+        "std_turn_mdeg": (np.degrees(std[:3]) * 1000.0).tolist(),
+        "std_shift_mm": (std[3:] * 1000.0).tolist(),
+        "origin": registration["origin"],
+        "degenerate": registration["degenerate"],
+    }
+
+
+def _scaled(value: float | None, factor: float) -> float | None:
+    return None if value is None else float(value) * factor
+
+
+def lod_facts(lod: LodCounts) -> dict[str, Any]:
+    """Return median and 95th percentile LoD95 of all points [cm], None for none, and the share without."""
+    return {
+        "median_cm": _scaled(lod.percentile(50.0), 100.0),
+        "p95_cm": _scaled(lod.percentile(95.0), 100.0),
+        "no_claim_percent": 100.0 * lod.unclaimed,
+    }
+
+
+def unseen_facts(table: pd.DataFrame, coverage: Coverage) -> dict[str, Any]:
+    """Return how much could not be compared: objects, and ground area [m2]."""
+    return {
+        "objects": int((table["label"] == Change.UNOBSERVED.label).sum()),
+        "both_m2": coverage.area(1),
+        "only_before_m2": coverage.area(2),
+        "only_after_m2": coverage.area(3),
+        "undecided_m2": coverage.area(4),
+    }
+
+
+def summary(table: pd.DataFrame) -> list[dict[str, Any]]:
+    """Return counts by class (rows) and label, with totals last; rejected rows are left out."""
+    table = table[~is_rejected(table)]
+    counts = pd.crosstab(table["class"], table["label"]).reindex(
+        index=[s.label for s in Semantic], columns=[c.label for c in Change], fill_value=0
+    )
+    counts.loc["all"] = counts.sum()
+    return [
+        {"class": name, "counts": row.tolist(), "total": int(row.sum())} for name, row in counts.iterrows()
+    ]

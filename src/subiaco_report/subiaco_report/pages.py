@@ -1,0 +1,32 @@
+"""All that people open in a change directory: report, summary and QGIS project."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+from subiaco_change.outputs.change_directory_reading import read_change_directory
+from subiaco_change.outputs.rasters import read_coverage
+from subiaco_report.page import build_report
+from subiaco_report.qgis_project import PROJECT, write_project
+
+
+def write_pages(directory: Path) -> Path:
+    """Build the pages of a change directory, and the QGIS project where there is none.
+
+    A project that is there may be somebody's work by now; it stays.
+
+    Returns
+    -------
+    Path
+        ``report.html``.
+
+    Raises
+    ------
+    InputError
+        The directory is not a complete change directory.
+    """
+    page = build_report(directory)
+    if not (directory / PROJECT).exists():
+        change = read_change_directory(directory)
+        write_project(directory, change.run["crs"], read_coverage(directory / "coverage.tif").bounds)
+    return page

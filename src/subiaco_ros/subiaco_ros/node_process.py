@@ -1,0 +1,156 @@
+"""A node process from start to end: logging, the loop of callbacks and steps, interruption, exit code."""
+
+from __future__ import annotations
+
+import importlib
+import logging
+import os
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterable, Sequence
+from typing import Protocol, runtime_checkable
+
+import rclpy
+from rclpy._rclpy_pybind11 import RCLError
+from rclpy.duration import Duration
+from rclpy.exceptions import ParameterException
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.node import Node
+from rclpy.publisher import Publisher
+
+from subiaco_geo.errors import InputError, SubiacoError
+
+INTERRUPTED = 130
+_SUPERVISOR = "SUBIACO_SUPERVISOR"  # the process that started this one
+
+#: Loggers whose information is shown; of other libraries only warnings.
+_OURS = ("__main__", "subiaco_geo", "subiaco_ros", "subiaco_mapping", "subiaco_change", "subiaco_report")
+
+
+class App(Protocol):
+    """The working part of a node process."""
+
+    @property
+    def done(self) -> bool:
+        """Whether the process may end with success."""
+
+    def step(self) -> float:
+        """Do what is not a callback; return the seconds that may be spent waiting for callbacks."""
+
+
+@runtime_checkable
+class Closing(Protocol):
+    """An app that must put something away, however its process ends."""
+
+    def close(self) -> None:
+        """Put it away; SubiacoError where it cannot be."""
+
+
+class _RosLogHandler(logging.Handler):
+    """Hand the library's log records to the node's logger, so that they reach /rosout too."""
+
+    def __init__(self, node: Node) -> None:
+        super().__init__()
+        self._logger = node.get_logger()
+
+    def emit(self, record: logging.LogRecord) -> None:
+        """Log one record at the matching severity."""
+        text = self.format(record)
+        if record.levelno >= logging.ERROR:
+            self._logger.error(text)
+        elif record.levelno >= logging.WARNING:
+            self._logger.warning(text)
+        elif record.levelno >= logging.INFO:
+            self._logger.info(text)
+        else:
+            self._logger.debug(text)
+
+
+def wait_until_received(publishers: Iterable[Publisher], timeout: float = 5.0) -> None:
+    """Wait until matched subscribers have everything, before a node goes."""
+    deadline = time.monotonic() + timeout
+    for publisher in publishers:
+        left = max(0.0, deadline - time.monotonic())
+        publisher.wait_for_all_acked(Duration(seconds=left))
+
+
+def _orphaned() -> bool:
+    """Whether the supervisor that started this process is gone."""
+    supervisor = os.environ.get(_SUPERVISOR)
+    return supervisor is not None and os.getppid() != int(supervisor)
+
+
+def _spin(executor: SingleThreadedExecutor, app: App) -> None:
+    """Run callbacks and steps in one thread until the app is done."""
+    while not app.done:
+        executor.spin_once(timeout_sec=app.step())
+        if _orphaned():
+            raise ExternalShutdownException
+
+
+def _attach_logging(node: Node) -> None:
+    root = logging.getLogger()
+    root.handlers = [_RosLogHandler(node)]
+    root.setLevel(logging.WARNING)
+    for name in _OURS:
+        logging.getLogger(name).setLevel(logging.INFO)
+
+
+def run_node(name: str, build: Callable[[Node], App], argv: Sequence[str] | None = None) -> int:
+    """Run one node process from start to end and return its exit code.
+
+    Exit codes are those of the command line: 0 done, 2 bad input, 3 a
+    registration that failed, 130 interrupted; an unexpected fault is a
+    traceback and 1. Without our supervisor, under ``ros2 launch`` and ``ros2 run``, an
+    interruption is the usual end and gives 0: any other code is an error there.
+    """
+    interrupted = INTERRUPTED if _SUPERVISOR in os.environ else 0
+    try:
+        signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})  # see the supervisor: imports are done
+        rclpy.init(args=list(sys.argv if argv is None else [name, *argv]))
+    except KeyboardInterrupt:
+        return interrupted
+    except (RCLError, ParameterException, RuntimeError) as error:
+        sys.stderr.write(f"[FATAL] {name}: {' '.join(str(error).split())}\n")
+        return InputError.exit_code
+    try:
+        node = Node(name, automatically_declare_parameters_from_overrides=True)
+        _attach_logging(node)
+        return _run(node, build)
+    except (ExternalShutdownException, KeyboardInterrupt):
+        return interrupted
+    except SubiacoError as error:  # at the end: interrupted, there is no node any more that could log it
+        sys.stderr.write(f"[FATAL] {error}\n")
+        return error.exit_code
+    except (RuntimeError, ImportError):  # an RCLError, or what a call that the end cut short makes of itself
+        if rclpy.ok():
+            raise
+        return interrupted
+    finally:
+        signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # a second one changes nothing
+        logging.getLogger().handlers = []
+        rclpy.try_shutdown()
+
+
+def _run(node: Node, build: Callable[[Node], App]) -> int:
+    executor = SingleThreadedExecutor()
+    executor.add_node(node)
+    app: App | None = None
+    try:
+        app = build(node)
+        _spin(executor, app)
+    except SubiacoError as error:
+        node.get_logger().fatal(str(error))
+        return error.exit_code
+    finally:
+        if isinstance(app, Closing):
+            app.close()
+        executor.shutdown(timeout_sec=1.0)
+    return 0
+
+
+def start(module: str) -> int:
+    """Import the module of a node with SIGINT blocked, and run it; a pending one arrives then."""
+    signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
+    return int(importlib.import_module(module).main())

@@ -1,0 +1,77 @@
+"""A ROS context of its own for every test, spun until something holds, never slept."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import pytest
+
+
+class Harness:
+    """Nodes of one test in one single-threaded executor, in a context and domain of their own."""
+
+    def __init__(self) -> None:
+        import domain_coordinator
+        import rclpy
+        from rclpy.executors import SingleThreadedExecutor
+
+        self._held = domain_coordinator.domain_id()
+        self.context = rclpy.Context()
+        self.context.init(domain_id=self._held.__enter__())
+        self.executor = SingleThreadedExecutor(context=self.context)
+        self._nodes: list[Any] = []
+        self.apps: list[Any] = []
+
+    def node(self, name: str, **parameters: Any) -> Any:
+        """Make a node with parameters as a params file would give them; ``a__b`` means ``a.b``."""
+        from rclpy.node import Node
+        from rclpy.parameter import Parameter
+
+        overrides = [Parameter(key.replace("__", "."), value=value) for key, value in parameters.items()]
+        node = Node(
+            name,
+            context=self.context,
+            parameter_overrides=overrides,
+            automatically_declare_parameters_from_overrides=True,
+        )
+        self.executor.add_node(node)
+        self._nodes.append(node)
+        return node
+
+    def collect(self, node: Any, kind: Any, topic: str, depth: int = 100, latched: bool = True) -> list[Any]:
+        """Subscribe; return the list that fills up."""
+        from subiaco_ros import qos
+
+        received: list[Any] = []
+        profile = qos.latched(depth) if latched else qos.reliable(depth)
+        node.create_subscription(kind, topic, received.append, profile)
+        return received
+
+    def until(self, condition: Callable[[], Any], timeout: float = 20.0) -> None:
+        """Spin, stepping the apps, until a condition holds; fail after a timeout [s]."""
+        deadline = time.monotonic() + timeout
+        while not condition():
+            assert time.monotonic() < deadline, "what was awaited did not come in time"
+            waits = [app.step() for app in self.apps if not app.done]
+            self.executor.spin_once(timeout_sec=min([0.05, *waits]))
+
+    def close(self) -> None:
+        """Leave nothing behind."""
+        self.executor.shutdown()
+        for node in self._nodes:
+            node.destroy_node()
+        self.context.try_shutdown()
+        self._held.__exit__(None, None, None)
+
+
+@pytest.fixture
+def ros() -> Iterator[Harness]:
+    """Give a harness; skip, with the reason, where the workspace is not sourced."""
+    pytest.importorskip("subiaco_msgs.msg", reason="workspace not sourced: source ros2_ws/env.sh")
+    os.environ.setdefault("ROS_LOG_DIR", "/tmp/subiaco-test-logs")
+    harness = Harness()
+    yield harness
+    harness.close()
