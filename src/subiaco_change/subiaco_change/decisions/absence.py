@@ -18,11 +18,21 @@ _PATCH = 4.0  # voxels that are crossed by the same beams, or by none
 _SURE = 1e-6  # less than this is never left of a doubt
 
 
-def absence(before: Sequence[Thing], after: Sequence[Thing], free: tuple[Free | None, Free | None]) -> float:
+#: Nothing bounds how certain free space can be, in *before* and in *after*.
+UNBOUNDED = (1.0, 1.0)
+
+
+def absence(
+    before: Sequence[Thing],
+    after: Sequence[Thing],
+    free: tuple[Free | None, Free | None],
+    certain: tuple[float, float] = UNBOUNDED,
+) -> float:
     """Probability that the object is absent where the other epoch holds nothing.
 
     The mean log odds of the places, times the square root of the number of patches that they form: places
-    beside each other are crossed by the same beams, so their errors are correlated.
+    beside each other are crossed by the same beams, so their errors are correlated. What all patches of an
+    object have in common does not average out: the probability stays below ``certain``.
 
     Parameters
     ----------
@@ -30,15 +40,19 @@ def absence(before: Sequence[Thing], after: Sequence[Thing], free: tuple[Free | 
         Parts of the object in both epochs.
     free : (callable, callable)
         How probable *before* and *after* find it that places (N, 3) are free; None: certain.
+    certain : (float, float)
+        Probability that the evidence of *before* and of *after* is right as a whole: of a bare cloud nobody
+        knows whence it was measured, and one hidden place tells of all the others.
     """
-    chances = [np.zeros(0)]
-    for things, known in ((before, free[1]), (after, free[0])):
+    chances, bound = [np.zeros(0)], 1.0
+    for things, known, whole in ((before, free[1], certain[1]), (after, free[0], certain[0])):
         if things and known is not None:
+            bound = min(bound, whole)
             voxels = join_voxels(things)
             places = voxels.xyz[voxels.seen & ~voxels.still]
             chances.append(porous_chance(known(places), opacity(things)))
     joined = np.concatenate(chances)
-    return 1.0 if len(joined) == 0 else pooled(float(joined.mean()), len(joined))
+    return 1.0 if len(joined) == 0 else bound * pooled(float(joined.mean()), len(joined))
 
 
 def pooled(mean: float, voxels: int) -> float:

@@ -10,7 +10,7 @@ import numpy as np
 
 from subiaco_change.association.costs import AssociationConfig
 from subiaco_change.association.matching import match_kind
-from subiaco_change.decisions.absence import absence
+from subiaco_change.decisions.absence import UNBOUNDED, absence
 from subiaco_change.decisions.column_volumes import BUILT_UP, OpenGround
 from subiaco_change.decisions.dynamic_objects import OwnSurvey, is_moving_object_trail
 from subiaco_change.decisions.measures import MeasureConfig, Measures, measure
@@ -73,6 +73,7 @@ class ObjectRules:
     own: tuple[OwnSurvey | None, OwnSurvey | None] = (None, None)  # of *before* and of *after*
     standing: tuple[Floats, Floats] = (NOTHING, NOTHING)  # all points (N, 3) that stand, of any class
     free: tuple[Free | None, Free | None] = (None, None)  # what *before* and *after* know to be free
+    certain: tuple[float, float] = UNBOUNDED  # how certain these can be at most
     plants: PlantConfig = field(default_factory=PlantConfig)
 
 
@@ -82,11 +83,13 @@ def decide_object(
     """Measure and decide what the parts of one object in both epochs say together."""
     building = semantic is Semantic.BUILDING
     measures = measure(join_voxels(before), join_voxels(after), rules.measures, rules.ground, building)
-    measures = replace(measures, free=absence(before, after, rules.free))
+    measures = replace(measures, free=absence(before, after, rules.free, rules.certain))
     lod = object_lod((*before, *after))
     plant, matched = None, None
     if semantic is Semantic.VEGETATION and before and after:
-        plant = measure_plant(before, after, measures, rules.plants, rules.standing, rules.free)
+        plant = measure_plant(
+            before, after, measures, rules.plants, rules.standing, rules.free, rules.certain
+        )
         matched = partial(decide_plant, plant, lod, rules.decisions, no_null(rules.plants.null_model))
     decision = decide(semantic, bool(before), bool(after), measures, lod, rules.decisions, matched)
     if decision.change not in _OF_PLANTS or measures.iou <= rules.decisions.vegetation.min_iou:

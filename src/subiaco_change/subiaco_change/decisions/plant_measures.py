@@ -10,7 +10,7 @@ from pydantic import Field
 from scipy.spatial import cKDTree
 from scipy.special import expit, logit
 
-from subiaco_change.decisions.absence import absence, pooled
+from subiaco_change.decisions.absence import UNBOUNDED, absence, pooled
 from subiaco_change.decisions.crown_outline import OutlineConfig, compare_outlines
 from subiaco_change.decisions.measures import Measures
 from subiaco_change.decisions.vegetation_null import PlantMeasures, VegetationNullConfig
@@ -62,15 +62,19 @@ def measure_plant(
     config: PlantConfig,
     standing: tuple[Floats, Floats] = (NOTHING, NOTHING),
     free: tuple[Free | None, Free | None] = (None, None),
+    certain: tuple[float, float] = UNBOUNDED,
 ) -> PlantMeasures:
     """Measure a plant that both epochs hold; the denser epoch is thinned to the density of the other.
 
     ``standing`` (N, 3) of *before* and of *after*: points above the ground of any class. ``free`` of *before*
-    and of *after*: how probable it is that places (N, 3) are free; None: certain.
+    and of *after*: how probable it is that places (N, 3) are free; None: certain. ``certain``: how certain
+    these can be at most.
     """
     first, second = (np.concatenate([t.xyz for t in things]) for things in (before, after))
-    lost = min(free_shell(first, standing[1], free[1], config), absence(before, (), free))
-    gained = min(free_shell(second, standing[0], free[0], config), absence((), after, free))
+    lost = certain[1] * free_shell(first, standing[1], free[1], config)
+    lost = min(lost, absence(before, (), free, certain))
+    gained = certain[0] * free_shell(second, standing[0], free[0], config)
+    gained = min(gained, absence((), after, free, certain))
     first, second, density = equal_density(first, second, config)
     outline = compare_outlines(first, second, config.outline)
     both = np.concatenate([first, second])

@@ -164,8 +164,13 @@ def build_voxels(
 
 
 def stands(view: EpochView) -> Mask:
-    """Tell which points (N,) stand on the ground: neither ground nor a trail."""
-    return np.asarray((view.semantic != Semantic.GROUND) & ~trails(view))
+    """Tell which points (N,) occupy their place above the ground: neither ground nor a trail by its beams.
+
+    Where nothing counted beams, a trail was recognised by its shape alone. What lies at the same place in
+    the other epoch contradicts that verdict, so such points occupy their place.
+    """
+    above = np.asarray(view.semantic != Semantic.GROUND)
+    return above if view.passed is None else above & ~trails(view)
 
 
 def trails(view: EpochView) -> Mask:

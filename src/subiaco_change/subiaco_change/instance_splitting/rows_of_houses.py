@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from subiaco_change.association.costs import AssociationConfig
@@ -52,6 +53,8 @@ def houses_of(
 ) -> list[Piece]:
     """Divide a row at the walls that either epoch shows, and where its tops rose or fell by a storey.
 
+    A house that was taken from a row, or built into its gap, is a part of its own, without a partner.
+
     Parameters
     ----------
     before, after : sequence of Thing
@@ -64,11 +67,13 @@ def houses_of(
     voxels = [join_voxels(side) for side in sides]
     xy = np.concatenate([v.xyz[:, :2] for v in voxels])
     labels = _moved(voxels[0].xyz, voxels[1].xyz, xy)
+    alone = _alone(voxels[0].xyz, voxels[1].xyz, xy)
     for side in sides:
         bodies = [body for body in bodies_of(side, config) if body] or [list(side)]
         owner = np.repeat(np.arange(len(bodies)), [sum(len(t.voxels) for t in body) for body in bodies])
         places = np.concatenate([t.voxels.xyz[:, :2] for body in bodies for t in body])
         labels = labels * len(bodies) + owner[cKDTree(places).query(xy)[1]]
+    labels = np.where(alone > 0, labels.max() + alone, labels)
     return _pieces(sides, xy, labels, config, following)
 
 
@@ -110,11 +115,7 @@ def _pieces(sides: Piece, xy: Floats, labels: Ints, config: AssociationConfig, f
 
 def _moved(before: Floats, after: Floats, xy: Floats) -> Ints:
     """Part (N,) of places (N, 2) along the walls of a row whose tops (B, 3), (A, 3) moved by a storey."""
-    turned = wall_coordinates(xy)
-    slot = np.floor((turned - turned.min(axis=0)) / _CELL).astype(np.int64)
-    tops = np.full((2, *(slot.max(axis=0) + 1).tolist()), np.nan)
-    for top, xyz, own in zip(tops, (before, after), np.split(slot, [len(before)]), strict=True):
-        np.fmax.at(top, (own[:, 0], own[:, 1]), xyz[:, 2])
+    slot, tops = _tops(before, after, xy)
     rise = tops[1] - tops[0]
     labels = np.zeros(len(xy), dtype=np.int64)
     for axis in (0, 1):
@@ -122,6 +123,35 @@ def _moved(before: Floats, after: Floats, xy: Floats) -> Ints:
         parts = part_slots(slot[:, axis], level_steps(profile, _STOREY), _STOREY)
         labels = labels * (int(parts.max()) + 1) + parts
     return labels
+
+
+def _alone(before: Floats, after: Floats, xy: Floats) -> Ints:
+    """Return which stretch of a row, from 1, that one epoch alone holds places (N, 2) lie in; 0 for none.
+
+    A stretch is as long as a house; in it the one epoch shows columns across the row and the other none.
+    """
+    slot, tops = _tops(before, after, xy)
+    shown = np.isfinite(tops)
+    found = np.zeros(len(xy), dtype=np.int64)
+    for axis in (0, 1):
+        across = shown.sum(axis=2 - axis)
+        for own, other in (across, across[::-1]):
+            numbers, count = ndimage.label((own >= _SHOWN) & (other == 0))
+            long = np.bincount(numbers, minlength=count + 1) * _CELL >= _STOREY.width
+            long[0] = False
+            stretch = np.where(long[numbers], numbers, 0)[slot[:, axis]]
+            found = np.where((found == 0) & (stretch > 0), found.max() + stretch, found)
+    return found
+
+
+def _tops(before: Floats, after: Floats, xy: Floats) -> tuple[Ints, Floats]:
+    """Columns (N, 2) along the walls of places (N, 2), and tops (2, nx, ny) of both epochs; NaN for none."""
+    turned = wall_coordinates(xy)
+    slot = np.floor((turned - turned.min(axis=0)) / _CELL).astype(np.int64)
+    tops = np.full((2, *(slot.max(axis=0) + 1).tolist()), np.nan)
+    for top, xyz, own in zip(tops, (before, after), np.split(slot, [len(before)]), strict=True):
+        np.fmax.at(top, (own[:, 0], own[:, 1]), xyz[:, 2])
+    return slot, tops
 
 
 def _profile(rise: Floats) -> Floats:
