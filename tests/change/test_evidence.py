@@ -155,6 +155,8 @@ def test_a_bare_cloud_knows_nothing_above_all_that_it_holds_around():
     heights = np.array([1.0, 5.0, 6.2, 6.6, 9.0])
     beside = np.column_stack([np.full(5, 10.0), np.full(5, 5.0), heights]) + ORIGIN
     far = beside - [0.0, 4.0, 0.0]  # the crown is 7 m away
-    assert observer.free_probability(beside) == pytest.approx([0.8, 0.8, 0.8, 0.5, 0.5])
-    assert observer.free_probability(far)[1] == pytest.approx(0.5)
-    assert observer.observed(beside).all()  # for the columns of volumes the sky counts as it did
+    assert observer.below_view(beside).tolist() == [True, True, True, False, False]
+    assert not observer.below_view(far)[1]
+    assert observer.free_probability(beside) == pytest.approx(0.8)  # an object of one epoch shows below too
+    driven = make_observer(SurveyMap(crown_over_seen_ground(), trajectory=drive()), CONFIG)
+    assert driven.below_view(beside).all()

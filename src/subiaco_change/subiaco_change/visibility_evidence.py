@@ -105,8 +105,9 @@ class EvidenceConfig(StrictModel):
     shadow_level: float = Field(
         6.0,
         gt=0,
-        description="Distance within which a cloud without trajectory must hold a point as high as a place "
-        "for the place to count as free [m]: a field of view, or the crown below, may end lower",
+        description="Distance within which a cloud without trajectory must hold a point as high as the "
+        "surface that a plant gained or lost, for its place to count as observed [m]: the field of view may "
+        "end lower",
     )
     hidden_trust: float = Field(
         0.65,
@@ -180,11 +181,11 @@ class _Shadow:
     def free_probability(self, world: Floats) -> Floats:
         local = np.ascontiguousarray(world - self.origin)
         occupied = nearest(self.index, local, self.touch)[0] >= 0
-        known = self._above(local) & self._below_level(local)
-        return np.where(occupied, 1.0 - self.trust, np.where(known, self.trust, 0.5))
+        return np.where(occupied, 1.0 - self.trust, np.where(self._above(local), self.trust, 0.5))
 
-    def _below_level(self, local: Floats) -> Flags:
-        """Tell which points are no higher than something that the epoch saw around them."""
+    def levelled(self, world: Floats) -> Flags:
+        """Tell which world points (N, 3) are no higher than something that the cloud holds around them."""
+        local = np.ascontiguousarray(world - self.origin)
         ij, inside = self._columns(local)
         level = np.full(len(local), -np.inf)
         level[inside] = self.level[ij[inside, 0], ij[inside, 1]]
@@ -298,6 +299,17 @@ class Observer:
         beam each way beforehand.
         """
         return self.test.free_probability(self._own(world))
+
+    def below_view(self, world: Floats) -> Flags:
+        """Tell which points (N, 3) lie no higher than the field of view is known to have reached around.
+
+        A bare cloud does not tell where a crown ends and where the field of view does: above all that it
+        holds around, the top of what it holds is not known.
+        """
+        own = self._own(world)
+        return (
+            self.test.levelled(own) if isinstance(self.test, _Shadow) else np.ones(len(own), dtype=np.bool_)
+        )
 
     def passes(self, world: Floats) -> Floats | None:
         """Beams (N,) that passed for each that returned at points (N, 3); None where nothing counted them."""

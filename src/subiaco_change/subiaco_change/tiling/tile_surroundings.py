@@ -32,7 +32,8 @@ class Region:
     ``view`` with the objects of the whole city as instances; ``slot`` (N,) tile among ``tiles``;
     ``index`` (N,) place of the point there; ``seen`` tells which places of the common frame the
     epoch observed, ``empty`` where its beams went on and nothing came back, ``free`` how probable it
-    is that nothing stood there, by its beams, and ``certain`` how certain that can be at most.
+    is that nothing stood there, by its beams, ``certain`` how certain that can be at most, and ``below_view``
+    which places are no higher than its view is known to have reached.
     """
 
     view: EpochView
@@ -42,6 +43,7 @@ class Region:
     seen: Callable[[Floats], Mask]
     empty: Callable[[Floats], Mask]
     free: Callable[[Floats], Floats]
+    below_view: Callable[[Floats], Mask]
     certain: float
 
 
@@ -87,6 +89,7 @@ def load_region(inputs: Inputs, side: Side, params: Mapping[str, Any], near: Nea
         seen_through(observer.observed, to_world),
         seen_through(observer.empty, to_world),
         free_through(observer.free_probability, to_world),
+        seen_through(observer.below_view, to_world),
         observer.certain,
     )
 
