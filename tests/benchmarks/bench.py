@@ -3,6 +3,7 @@
 
     make bench                                       # everything, on a quiet machine: a quarter of an hour
     make bench BENCH_ARGS="--only mapping node-graph"     # some, into out/bench alone
+    make bench-check                                 # into out/bench; fails where a ratio is a third worse
 
 Inputs are simulated by the project itself and kept in ``out/bench``; peers that our lock lacks are put into
 ``out/bench/peers``. One that cannot be had is named as absent. Each benchmark is a program of its own in this
@@ -25,6 +26,7 @@ from pathlib import Path
 from typing import Any
 
 import psutil
+from ratios import worsened
 from tabulated import page
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -192,6 +194,9 @@ def main() -> int:
     )
     names = [benchmark.name for benchmark in BENCHMARKS]
     parser.add_argument("--only", nargs="+", choices=names, metavar="NAME", help=", ".join(names))
+    parser.add_argument(
+        "--check", action="store_true", help="compare the ratios with benchmarks.json instead of replacing it"
+    )
     given = parser.parse_args()
     chosen = [b for b in BENCHMARKS if given.only is None or b.name in given.only]
     WORK.mkdir(parents=True, exist_ok=True)
@@ -207,13 +212,23 @@ def main() -> int:
         "load_after": round(os.getloadavg()[0], 2),
         "minutes": round((time.monotonic() - began) / 60, 1),
     }
-    whole = given.only is None
+    whole = given.only is None and not given.check
     found = {"machine": facts, "seed": SEED, "surveys": surveys(chosen), "benchmarks": results}
     (ROOT if whole else WORK).joinpath("benchmarks.json").write_text(json.dumps(found, indent=1) + "\n")
     table = ROOT / "docs" / "results" / "benchmarks.md" if whole else WORK / "benchmarks.md"
     table.write_text(page(found))
     print(f"[bench] {table.relative_to(ROOT)}")
-    return int(any("failed" in result for result in results.values()))
+    failed = any("failed" in result for result in results.values())
+    return int((given.check and not holds(found)) or failed)
+
+
+def holds(found: dict[str, Any]) -> bool:
+    """Say which ratios are worse than the recorded ones."""
+    lines, compared = worsened(json.loads((ROOT / "benchmarks.json").read_text()), found)
+    for line in lines:
+        print(f"[bench] worse: {line}")
+    print(f"[bench] {compared} ratios compared with benchmarks.json, {len(lines)} of them worse by a third")
+    return compared > 0 and not lines
 
 
 def surveys(chosen: list[Benchmark]) -> dict[str, str]:

@@ -197,8 +197,11 @@ def show_runs(rows: Sequence[dict[str, Any]]) -> None:
         print(f"1,400 tiles x {per_tile:.2f} CPU s / {cores} cores = {hours:.2f} h, where cores scale")
 
 
-def time_m3c2(survey: Path) -> tuple[float, float]:
-    """Wall and CPU seconds of py4dgeo's M3C2 with every point of *before* a core point."""
+def time_m3c2(survey: Path, radius: float = 1.0) -> tuple[float, float]:
+    """Wall and CPU seconds of py4dgeo's M3C2 with every point of *before* a core point.
+
+    The cylinders have a radius of so many metres; normals take twice the radius.
+    """
     import py4dgeo
 
     clouds = [load_epoch(survey / epoch).cloud for epoch in EPOCHS]
@@ -208,13 +211,13 @@ def time_m3c2(survey: Path) -> tuple[float, float]:
     method = py4dgeo.M3C2(
         epochs=tuple(epochs),
         corepoints=epochs[0].cloud,
-        cyl_radii=(1.0,),
-        normal_radii=(2.0,),
+        cyl_radii=(radius,),
+        normal_radii=(2.0 * radius,),
         max_distance=2.0,
     )
     distances, _ = method.run()
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
-    print(f"M3C2: {len(distances)} core points, {wall:.1f} s wall, {cpu:.1f} CPU s")
+    print(f"M3C2, cylinders of {radius} m: {len(distances)} core points, {wall:.1f} s wall, {cpu:.1f} CPU s")
     return wall, cpu
 
 

@@ -4,9 +4,10 @@
     python tests/benchmarks/bench_methods.py SURVEY --workers 2
 
 A SURVEY is what ``subiaco simulate --maps-only`` writes. M3C2 takes every point of *before* as a core point
-and all cores it finds, and gives distances alone; differencing of surface models (``subiaco baseline dsm``)
-registers first, as we do, and takes one core. The change run is whole but for its pages. py4dgeo is not
-among our dependencies: see ``requirements.txt`` beside this file.
+and all cores it finds, and gives distances alone, with cylinders of 1 m (normals of 2 m) and of 0.5 m (normals
+of 1 m). Differencing of surface models (``subiaco baseline dsm``) registers first, as we do, and takes one
+core. The change run is whole but for its pages. py4dgeo is not among our dependencies: see
+``requirements.txt`` beside this file.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ from results import keep, rounded
 from subiaco_change.request import ComparisonRequest
 from subiaco_evaluation.baselines.config import BaselineConfig
 from subiaco_evaluation.baselines.run import run_baseline
+
+RADII = (1.0, 0.5)  # of the cylinders of M3C2 [m]
 
 
 def time_surfaces(survey: Path) -> tuple[float, float]:
@@ -46,20 +49,23 @@ def main() -> None:
     parser.add_argument("--json", type=Path, help="leave the rows there, for bench.py")
     given = parser.parse_args()
     times: dict[str, tuple[float, float]] = {}
-    absent = {}
+    absent: dict[str, str] = {}
+    bases: dict[str, tuple[float, float]] = {}
     if importlib.util.find_spec("py4dgeo") is None:
         absent["py4dgeo M3C2"] = "py4dgeo cannot be imported"
     else:
-        times["py4dgeo M3C2, distances alone"] = time_m3c2(given.survey)
+        for radius in RADII:
+            bases[f"M3C2 {radius:g} m"] = time_m3c2(given.survey, radius)
+        times |= {f"py4dgeo {name}, distances alone": value for name, value in bases.items()}
     times["DSM differencing, from maps to table"] = time_surfaces(given.survey)
     ours = run_once(given.survey, given.workers, report=False)
     times[f"subiaco change, from maps to table, {given.workers} workers"] = ours["wall_s"], ours["cpu_s"]
-    base = times.get("py4dgeo M3C2, distances alone")
     rows: list[dict[str, Any]] = []
     for name, (wall, cpu) in times.items():
         rows.append({"method": name, "wall s": rounded(wall), "CPU s": rounded(cpu)})
-        if base is not None:
-            rows[-1] |= {"of M3C2, wall": rounded(wall / base[0], 2), "CPU": rounded(cpu / base[1], 2)}
+        for base, (base_wall, base_cpu) in bases.items():
+            rows[-1] |= {f"of {base}, wall": rounded(wall / base_wall, 2)}
+            rows[-1] |= {f"of {base}, CPU": rounded(cpu / base_cpu, 2)}
         print(rows[-1])
     rows[-1]["peak MB, all processes"] = round(ours["peak_mib"])
     keep(given.json, rows, absent, [f"{ours['points']} points of both epochs at the working leaf"])

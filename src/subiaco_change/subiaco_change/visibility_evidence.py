@@ -130,7 +130,7 @@ class EvidenceConfig(StrictModel):
 class _Test(Protocol):
     """Tells which world points (N, 3) were seen, and through which beams went on."""
 
-    def seen(self, world: Floats) -> Flags: ...
+    def observed(self, world: Floats) -> Flags: ...
 
     def passed(self, world: Floats) -> Flags: ...
 
@@ -144,7 +144,7 @@ class _Grid:
     grid: VisibilityGrid
     min_beams: int
 
-    def seen(self, world: Floats) -> Flags:
+    def observed(self, world: Floats) -> Flags:
         return self.grid.observed(world, self.min_beams)
 
     def passed(self, world: Floats) -> Flags:
@@ -168,7 +168,7 @@ class _Shadow:
     touch: float
     level: Floats  # (nx, ny) height of the highest point around a column [m], see _levels
 
-    def seen(self, world: Floats) -> Flags:
+    def observed(self, world: Floats) -> Flags:
         local = np.ascontiguousarray(world - self.origin)
         near = nearest(self.index, local, self.radius)[0] >= 0
         return near | self._above(local)
@@ -220,8 +220,8 @@ class _PosesAndPoints:
     points: _Shadow
     trust: float
 
-    def seen(self, world: Floats) -> Flags:
-        return self._either(self.poses.seen(world), self.points.seen, world)
+    def observed(self, world: Floats) -> Flags:
+        return self._either(self.poses.observed(world), self.points.observed, world)
 
     def passed(self, world: Floats) -> Flags:
         return self._either(self.poses.passed(world), self.points.passed, world)
@@ -248,7 +248,7 @@ class _PosesAndPoints:
 class _Everything:
     """The paper's rule: absence is taken as evidence everywhere."""
 
-    def seen(self, world: Floats) -> Flags:
+    def observed(self, world: Floats) -> Flags:
         return np.ones(len(world), dtype=np.bool_)
 
     def passed(self, world: Floats) -> Flags:
@@ -286,7 +286,7 @@ class Observer:
 
     def observed(self, world: Floats) -> Flags:
         """Tell which points (N, 3), in this epoch's world frame, this epoch could see."""
-        return self.test.seen(self._own(world))
+        return self.test.observed(self._own(world))
 
     def empty(self, world: Floats) -> Flags:
         """Tell which points (N, 3) this epoch saw to be empty: beams went on, nothing came back."""

@@ -12,16 +12,16 @@ from subiaco_change.association.costs import AssociationConfig
 from subiaco_change.association.matching import match_kind
 from subiaco_change.decisions.absence import UNBOUNDED, absence
 from subiaco_change.decisions.column_volumes import BUILT_UP, OpenGround
-from subiaco_change.decisions.dynamic_objects import OwnSurvey, is_moving_object_trail
+from subiaco_change.decisions.dynamic_objects import OwnEpochEvidence, is_moving_object_trail
 from subiaco_change.decisions.measures import MeasureConfig, Measures, measure
 from subiaco_change.decisions.plant_decisions import decide_plant
 from subiaco_change.decisions.plant_measures import PlantConfig, measure_plant
 from subiaco_change.decisions.rules import Decision, DecisionConfig, decide
 from subiaco_change.decisions.space_carving import Empty
 from subiaco_change.decisions.vegetation_null import PlantMeasures, no_null
-from subiaco_change.decisions.voxel_objects import Free, Thing, join_voxels
+from subiaco_change.decisions.voxel_objects import Free, ObjectInstance, join_voxels
 from subiaco_change.instance_splitting.hedge_sections import NOTHING
-from subiaco_change.instance_splitting.vehicle_parts import part_of_vehicle
+from subiaco_change.instance_splitting.vehicle_parts import decide_vehicle_part
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats, Ints
 
@@ -35,8 +35,8 @@ _OF_PLANTS = (Change.UNCHANGED, Change.INCREASED, Change.DECREASED)  # labels on
 class ObjectChange:
     """One object: its parts in both epochs, what was measured, and what was decided."""
 
-    before: tuple[Thing, ...]
-    after: tuple[Thing, ...]
+    before: tuple[ObjectInstance, ...]
+    after: tuple[ObjectInstance, ...]
     semantic: Semantic
     match_kind: str
     measures: Measures
@@ -54,11 +54,11 @@ class ObjectChange:
         return np.concatenate(parts) if parts else np.zeros(0, dtype=np.int64)
 
 
-def object_lod(things: Sequence[Thing]) -> float:
-    """Median of the levels of detection of things by their voxels [m]: a twig without one hides no house."""
-    levels = np.array([t.lod for t in things])
+def object_lod(objects: Sequence[ObjectInstance]) -> float:
+    """Median of the levels of detection of objects by their voxels [m]: a twig without one hides no house."""
+    levels = np.array([t.lod for t in objects])
     order = np.argsort(levels)
-    weight = np.cumsum([max(len(things[i].voxels), 1) for i in order])
+    weight = np.cumsum([max(len(objects[i].voxels), 1) for i in order])
     return float(levels[order[int(np.searchsorted(weight, 0.5 * weight[-1]))]])
 
 
@@ -71,7 +71,7 @@ class ObjectRules:
     decisions: DecisionConfig
     by_class: bool = True  # objects of different classes are never one
     ground: OpenGround = BUILT_UP  # where nothing stands
-    own: tuple[OwnSurvey | None, OwnSurvey | None] = (None, None)  # of *before* and of *after*
+    own: tuple[OwnEpochEvidence | None, OwnEpochEvidence | None] = (None, None)  # of *before* and of *after*
     standing: tuple[Floats, Floats] = (NOTHING, NOTHING)  # all points (N, 3) that stand, of any class
     free: tuple[Free | None, Free | None] = (None, None)  # what *before* and *after* know to be free
     below_view: tuple[Empty | None, Empty | None] = (None, None)  # how high their views are known to reach
@@ -80,19 +80,21 @@ class ObjectRules:
 
 
 def decide_object(
-    before: Sequence[Thing], after: Sequence[Thing], semantic: Semantic, rules: ObjectRules
+    before: Sequence[ObjectInstance], after: Sequence[ObjectInstance], semantic: Semantic, rules: ObjectRules
 ) -> ObjectChange:
     """Measure and decide what the parts of one object in both epochs say together."""
     building = semantic is Semantic.BUILDING
-    things = (before, after)
+    compared = (before, after)
     if semantic is Semantic.VEGETATION and before and after:
-        things = _in_view(before, rules.below_view[1]), _in_view(after, rules.below_view[0])
-    measures = measure(join_voxels(things[0]), join_voxels(things[1]), rules.measures, rules.ground, building)
+        compared = _in_view(before, rules.below_view[1]), _in_view(after, rules.below_view[0])
+    measures = measure(
+        join_voxels(compared[0]), join_voxels(compared[1]), rules.measures, rules.ground, building
+    )
     measures = replace(measures, free=absence(before, after, rules.free, rules.certain))
     lod = object_lod((*before, *after))
     plant, matched = None, None
     if semantic is Semantic.VEGETATION and before and after:
-        plant = measure_plant(*things, measures, rules.plants, rules.standing, rules.free, rules.certain)
+        plant = measure_plant(*compared, measures, rules.plants, rules.standing, rules.free, rules.certain)
         matched = partial(decide_plant, plant, lod, rules.decisions, no_null(rules.plants.null_model))
     decision = decide(semantic, bool(before), bool(after), measures, lod, rules.decisions, matched)
     if decision.change not in _OF_PLANTS or measures.iou <= rules.decisions.vegetation.min_iou:
@@ -103,29 +105,31 @@ def decide_object(
         decision = (
             is_misclassified_ground(semantic, parts)
             or is_moving_object_trail(parts, semantic, own, rules.decisions)
-            or part_of_vehicle(parts, semantic, measures, rules.standing[int(bool(before))])
+            or decide_vehicle_part(parts, semantic, measures, rules.standing[int(bool(before))])
             or decision
         )
     kind = match_kind(len(before), len(after))
     return ObjectChange(tuple(before), tuple(after), semantic, kind, measures, decision, plant)
 
 
-def _in_view(things: Sequence[Thing], below_view: Empty | None) -> list[Thing]:
+def _in_view(objects: Sequence[ObjectInstance], below_view: Empty | None) -> list[ObjectInstance]:
     """Parts of a plant that the other epoch holds too, what is higher than its view reached not observed."""
     if below_view is None:
-        return list(things)
+        return list(objects)
     found = []
-    for thing in things:
-        voxels = thing.voxels
-        known = voxels.still | below_view(voxels.xyz)
-        limited = replace(voxels, seen=voxels.seen & known, crossed=voxels.crossed & known)
-        found.append(replace(thing, voxels=limited))
+    for instance in objects:
+        voxels = instance.voxels
+        known = voxels.occupied_in_other | below_view(voxels.xyz)
+        limited = replace(
+            voxels, observed=voxels.observed & known, free_space_confirmed=voxels.free_space_confirmed & known
+        )
+        found.append(replace(instance, voxels=limited))
     return found
 
 
-def is_misclassified_ground(semantic: Semantic, things: Sequence[Thing]) -> Decision | None:
-    """Leave a low, level thing to the ground's comparison: it is ground told wrong."""
-    voxels = join_voxels(things)
+def is_misclassified_ground(semantic: Semantic, objects: Sequence[ObjectInstance]) -> Decision | None:
+    """Leave a low, level object to the comparison of the ground: it is ground with a wrong class."""
+    voxels = join_voxels(objects)
     limit = _FLAT_TOP if semantic is Semantic.OTHER else _LAID_TOP
     if semantic is Semantic.BUILDING or float(np.quantile(voxels.height, 0.95)) > limit:
         return None
@@ -133,8 +137,7 @@ def is_misclassified_ground(semantic: Semantic, things: Sequence[Thing]) -> Deci
     if level < _LEVEL:
         return None
     reason = (
-        f"Its top lies {float(np.quantile(voxels.height, 0.95)):.2f} m above the ground (limit"
-        f" {limit:.2f} m), and"
-        " it is level: it is part of the ground, which is compared separately."
+        f"The top of the object lies {float(np.quantile(voxels.height, 0.95)):.2f} m above the ground (limit"
+        f" {limit:.2f} m) and is level: the object is part of the ground, which is compared separately."
     )
     return Decision(Change.NOT_REPORTED, reason, 1.0)

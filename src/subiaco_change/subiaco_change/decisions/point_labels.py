@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from scipy.special import ndtr
 
 from subiaco_change.decisions.ground_change import GroundComparison, GroundPatch, patch_points
-from subiaco_change.decisions.voxel_objects import EpochView, trails
+from subiaco_change.decisions.voxel_objects import EpochView, is_ghost_trail
 from subiaco_change.records import ChangeRecord
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.visibility_evidence import EvidenceConfig, ground_observed
@@ -42,7 +42,7 @@ def unlabelled(view: EpochView) -> Labels:
     """Return labels of points before any decision; ghost trails keep these labels."""
     count = len(view.xyz)
     return Labels(
-        np.where(trails(view), Change.NOT_REPORTED, Change.UNCHANGED).astype(np.uint8),
+        np.where(is_ghost_trail(view), Change.NOT_REPORTED, Change.UNCHANGED).astype(np.uint8),
         view.semantic.copy(),
         np.full(count, -1, dtype=np.int32),
         np.full(count, 0.5, dtype=np.float32),
@@ -123,7 +123,7 @@ def _label_ground(
 
 
 def patch_record(patch: GroundPatch, origin: Floats, z: float, evidence: str) -> ChangeRecord:
-    """Return the row of a patch of ground, in world coordinates; its id and points are still to be told."""
+    """Return the row of a patch of ground, in world coordinates; number and points are added later."""
     centre = patch.outline.centroid
     return ChangeRecord(
         object_id=-1,
@@ -153,12 +153,7 @@ def patch_record(patch: GroundPatch, origin: Floats, z: float, evidence: str) ->
         delta_h_high_m=patch.dz + patch.lod,
         delta_v_low_m3=(patch.dz - patch.lod) * patch.area,
         delta_v_high_m3=(patch.dz + patch.lod) * patch.area,
-        reason=(
-            f"The ground level changed by {patch.dz:+.2f} m (standard deviation"
-            f" {patch.dz_spread:.2f} m, LoD95"
-            f" {patch.lod:.2f} m) over {patch.area:.0f} m²: beyond the limits of height and area, it was"
-            f" {'raised' if patch.dz > 0 else 'lowered'}."
-        ),
+        reason=patch.reason,
     )
 
 

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 from pydantic import Field
 
@@ -22,6 +23,8 @@ NO_LEVEL = "Too few points lie at this place for a level of detection: nothing i
 class ClassRules(StrictModel):
     """Thresholds of one class."""
 
+    FORMER_NAMES: ClassVar[Mapping[str, str]] = {"carried": "min_net_change"}
+
     min_iou: float = Field(
         ge=0,
         le=1,
@@ -36,7 +39,7 @@ class ClassRules(StrictModel):
         gt=0, description="Smallest volume change that is reported, as a fraction of the volume"
     )
     shift: float = Field(gt=0, description="Largest centroid distance of an unchanged object [m]")
-    carried: float = Field(
+    min_net_change: float = Field(
         0.0,
         ge=0,
         description="Fraction of new or gone surface, observed by the other epoch, that must support a "
@@ -73,7 +76,7 @@ class DecisionConfig(StrictModel):
 
     building: ClassRules = ClassRules(min_iou=0.10, height=0.50, volume=0.10, shift=1.5)
     vegetation: ClassRules = ClassRules(
-        min_iou=0.08, height=0.30, volume=0.15, shift=2.0, carried=0.10, surface=0.15, outline=0.08
+        min_iou=0.08, height=0.30, volume=0.15, shift=2.0, min_net_change=0.10, surface=0.15, outline=0.08
     )
     mobile: ClassRules = ClassRules(min_iou=0.20, height=math.inf, volume=math.inf, shift=2.0)
     lod_factor: float = Field(
@@ -267,12 +270,12 @@ def _compare(
 
 def _enough_seen(measures: Measures, matched: bool, config: DecisionConfig) -> bool:
     """Tell whether the other epoch observed enough of the place to claim anything."""
-    if measures.seen_voxels < config.min_voxels:
+    if measures.observed_voxels < config.min_voxels:
         return False
     if measures.observed_fraction >= config.min_observed:
         return True
     free = max(measures.gone_share, measures.new_share) >= config.large_free
-    large = measures.seen_voxels >= config.large_voxels
+    large = measures.observed_voxels >= config.large_voxels
     return not matched and large and free and measures.observed_fraction >= config.min_observed_large
 
 
@@ -281,11 +284,11 @@ def _unobserved(measures: Measures, config: DecisionConfig) -> str:
     share = measures.observed_fraction
     if share >= config.min_observed:
         return (
-            f"The other survey observed {measures.seen_voxels} voxels of it, fewer than the limit of"
-            f" {config.min_voxels}: nothing is claimed."
+            f"The other survey observed {measures.observed_voxels} voxels of the object's place, fewer than"
+            f" the limit of {config.min_voxels}: nothing is claimed."
         )
     return (
-        f"The other survey observed {share:.0%} of its place, less than the limit of"
+        f"The other survey observed {share:.0%} of the object's place, less than the limit of"
         f" {config.min_observed:.0%}: nothing is claimed."
     )
 
@@ -293,30 +296,28 @@ def _unobserved(measures: Measures, config: DecisionConfig) -> str:
 def _single(in_after: bool, measures: Measures, config: DecisionConfig) -> Decision:
     empty = measures.new_share if in_after else measures.gone_share
     sigmas = (empty - config.min_empty) / math.sqrt(
-        max(empty * (1 - empty), 0.01) / max(measures.seen_voxels / _PATCH, 1.0)
+        max(empty * (1 - empty), 0.01) / max(measures.observed_voxels / _PATCH, 1.0)
     )
     if empty < config.min_empty:
         reason = (
-            f"It has no partner of its class, but {empty:.0%} of its observed part was free in the"
-            " other survey,"
-            f" less than the limit of {config.min_empty:.0%} ({measures.observed_fraction:.0%} of"
-            " the place were"
-            " observed): its place is occupied in both surveys."
+            f"The object has no partner of its class, but {empty:.0%} of its observed place was free in the"
+            f" other survey, less than the limit of {config.min_empty:.0%}"
+            f" ({measures.observed_fraction:.0%} of the place was observed): the place is occupied in both"
+            " surveys."
         )
         return Decision(Change.UNCHANGED, reason, (1 - empty) / max(1 - config.min_empty, 1e-9), sigmas)
     if measures.free < config.min_free:
         reason = (
-            f"The probability that its place was free in the other survey is {measures.free:.0%},"
-            " less than the"
-            f" limit of {config.min_free:.0%}: nothing is claimed."
+            f"The probability that the object's place was free in the other survey is {measures.free:.0%},"
+            f" less than the limit of {config.min_free:.0%}: nothing is claimed."
         )
         return Decision(Change.UNOBSERVED, reason, 1.0 - measures.free)
     change = Change.ADDED if in_after else Change.REMOVED
     own, other = ("later", "earlier") if in_after else ("earlier", "later")
     reason = (
-        f"Only the {own} survey has it; the {other} survey observed {measures.observed_fraction:.0%}"
-        f" of its place, and {empty:.0%} of that part was free (limit {config.min_empty:.0%}): it"
-        f" {'is new' if in_after else 'is gone'}."
+        f"Only the {own} survey has the object; the {other} survey observed"
+        f" {measures.observed_fraction:.0%} of its place, and {empty:.0%} of the observed place was free"
+        f" (limit {config.min_empty:.0%}): the object {'is new' if in_after else 'was removed'}."
     )
     return Decision(change, reason, empty / max(config.min_empty, 1e-9), sigmas)
 
@@ -329,8 +330,8 @@ def _enclosing(decision: Decision, measures: Measures, config: DecisionConfig) -
         return decision
     which = "later" if decision.change is Change.ADDED else "earlier"
     reason = (
-        f"Only the {which} survey has it, but it encloses {abs(measures.delta_v):.1f} m³ (limit"
-        f" {config.least_volume:g} m³): a piece of a wall, of which nothing is claimed."
+        f"Only the {which} survey has the object, but the object encloses {abs(measures.delta_v):.1f} m³"
+        f" (limit {config.least_volume:g} m³): it is a fragment of a wall, and nothing is claimed."
     )
     return Decision(Change.UNOBSERVED, reason, 0.0)
 
@@ -359,13 +360,15 @@ def _by_measures(measures: Measures, gate: float, rules: ClassRules) -> Decision
     height = measures.delta_h / limit if math.isfinite(measures.delta_h) else 0.0
     up, down = _strengths(height, relative / rules.volume, measures, rules)
     evidence = f"Height change {measures.delta_h:+.2f} m (limit {limit:.2f} m), volume change {relative:+.0%}"
-    evidence += f" (limit {rules.volume:.0%}), new or lost surface {measures.carried:+.0%} (limit"
-    evidence += f" {rules.carried:.0%}): "
+    evidence += (
+        f" (limit {rules.volume:.0%}), new or lost surface {measures.net_changed_fraction:+.0%} (limit"
+    )
+    evidence += f" {rules.min_net_change:.0%}): "
     if up <= 1 and down <= 1:
         return Decision(Change.UNCHANGED, f"{evidence}no change beyond the limits.", max(up, down))
     rising = measures.delta_v > 0 if up > 1 and down > 1 else up > 1
     change = Change.INCREASED if rising else Change.DECREASED
-    return Decision(change, f"{evidence}it {'grew' if rising else 'shrank'}.", up if rising else down)
+    return Decision(change, f"{evidence}the object {'grew' if rising else 'shrank'}.", up if rising else down)
 
 
 def _building(measures: Measures, gate: float, rules: ClassRules) -> Decision:
@@ -413,8 +416,8 @@ def _rise(height: Interval, volume: Interval, rules: ClassRules) -> float:
 
     Where one epoch saw little of a house, the columns that both know may be of its neighbours.
     """
-    carried = math.isnan(volume.high) or volume.high >= rules.height_volume
-    return max(_beyond(height, rules.certain) if carried else 0.0, _beyond(volume, rules.certain))
+    supported = math.isnan(volume.high) or volume.high >= rules.height_volume
+    return max(_beyond(height, rules.certain) if supported else 0.0, _beyond(volume, rules.certain))
 
 
 def _beyond(bound: Interval, certain: float) -> float:
@@ -440,10 +443,10 @@ def _strengths(height: float, volume: float, measures: Measures, rules: ClassRul
     out of sight shows in its sides: there the share of new or gone surface
     speaks.
     """
-    side = measures.carried / rules.surface
+    side = measures.net_changed_fraction / rules.surface
     up, down = max(height, volume, side), max(-height, -volume, -side)
-    if measures.carried < rules.carried:
+    if measures.net_changed_fraction < rules.min_net_change:
         up = min(up, 1.0)
-    if -measures.carried < rules.carried:
+    if -measures.net_changed_fraction < rules.min_net_change:
         down = min(down, 1.0)
     return up, down

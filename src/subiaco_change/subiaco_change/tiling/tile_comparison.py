@@ -65,7 +65,7 @@ def compare_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
         below_view=(regions[0].below_view, regions[1].below_view),
         certain=certain,
     )
-    changes = compare_objects(views[0], views[1], regions[0].seen, regions[1].seen, rules)
+    changes = compare_objects(views[0], views[1], regions[0].observed, regions[1].observed, rules)
     numbers = [number for _, number in compact]
     records = [
         _in_city(
