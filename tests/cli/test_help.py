@@ -36,7 +36,16 @@ OPTIONS = {
     "config": ["--all", "--config", "--set", "--json"],
     "import": ["--metadata", "--gnss", "--imu", "--output", "--overwrite"],
     "calibrate-rig": ["--output", "--config", "--set", "--overwrite"],
-    "map": ["--output", "--config", "--set", "--threads", "--overwrite", "--quiet", "--verbose"],
+    "map": [
+        "--output",
+        "--full-density",
+        "--config",
+        "--set",
+        "--threads",
+        "--overwrite",
+        "--quiet",
+        "--verbose",
+    ],
     "change": [
         "--output",
         "--trajectory-before",

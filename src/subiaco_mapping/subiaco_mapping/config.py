@@ -384,6 +384,11 @@ class FusionConfig(StrictModel):
         description="Free disk space [GB] below which points of further scans are left out, so that the "
         "map so far can still be written",
     )
+    full_density: bool = Field(
+        False,
+        description="Writes every return too, as classified LAZ tiles with GPS times in the folder "
+        "full_density of the map; needs about 40 bytes of disk a return while the map is made",
+    )
     min_points: int = Field(1, ge=1, description="Number of points that a voxel of the map needs")
     outlier_neighbours: int = Field(
         3,
@@ -493,6 +498,7 @@ class MappingConfig(StrictModel):
         "fusion.leaf",
         "fusion.max_range",
         "fusion.reserve_gb",
+        "fusion.full_density",
         "fusion.moving.enabled",
     )
 
