@@ -96,6 +96,12 @@ def test_a_house_in_the_middle_of_a_row_is_removed_or_added_and_its_neighbours_s
     assert labels(tuple(heights), groups, matches) == [SAME, middle, SAME]
 
 
+def test_a_part_built_onto_the_end_of_a_house_is_no_house_of_a_row():
+    told = labels(((5.0, 0.0), (5.0, 5.0)), ([[0]], [[0, 1]]), [((0,), (0,))])
+    assert told[0] == told[1]  # one row of the table
+    assert Change.ADDED not in told[1]
+
+
 def test_a_stretch_of_a_row_that_nobody_saw_is_no_house_that_was_removed():
     """The later epoch saw nothing of the middle house, free or not."""
     sides = [row((5.0, 5.0, 5.0), [[0, 1, 2]]), row((5.0, 5.0, 5.0), [[0], [2]])]

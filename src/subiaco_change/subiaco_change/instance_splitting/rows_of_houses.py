@@ -17,6 +17,7 @@ from subiaco_change.instance_splitting.merged_instances import Piece, separate_b
 from subiaco_change.instance_splitting.one_epoch_parts import split_by_labels
 from subiaco_change.segmentation.bounding_rectangles import wall_coordinates
 from subiaco_change.segmentation.clustering import connect, group_indices
+from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.segmentation.height_profiles import ProfileConfig, level_steps, part_slots
 from subiaco_geo.frames import Floats, Ints
 
@@ -137,7 +138,8 @@ def _moved(before: Floats, after: Floats, xy: Floats) -> Ints:
 def _alone(before: Floats, after: Floats, xy: Floats) -> Ints:
     """Return which stretch of a row, from 1, that one epoch alone holds places (N, 2) lie in; 0 for none.
 
-    A stretch is as long as a house; in it the one epoch shows columns across the row and the other none.
+    A stretch is as long as a house and lies between two; in it the one epoch shows columns across the row and
+    the other none.
     """
     slot, tops = _tops(before, after, xy)
     shown = np.isfinite(tops)
@@ -145,12 +147,25 @@ def _alone(before: Floats, after: Floats, xy: Floats) -> Ints:
     for axis in (0, 1):
         across = shown.sum(axis=2 - axis)
         for own, other in (across, across[::-1]):
-            numbers, count = ndimage.label((own >= _SHOWN) & (other == 0))
-            long = np.bincount(numbers, minlength=count + 1) * _CELL >= _STOREY.width
-            long[0] = False
-            stretch = np.where(long[numbers], numbers, 0)[slot[:, axis]]
+            stretch = _gaps((own >= _SHOWN) & (other == 0), np.minimum(own, other) >= _SHOWN)[slot[:, axis]]
             found = np.where((found == 0) & (stretch > 0), found.max() + stretch, found)
     return found
+
+
+def _gaps(alone: Mask, shared: Mask) -> Ints:
+    """Return numbers (S,), from 1, of stretches of one epoch alone between houses that both epochs share.
+
+    At the end of a row such a stretch may be a wing of the last house.
+    """
+    width = round(_STOREY.width / _CELL)
+    numbers, count = ndimage.label(alone)
+    gaps = np.zeros(len(alone), dtype=np.int64)
+    for number in range(1, count + 1):
+        inside = np.flatnonzero(numbers == number)
+        sides = shared[max(inside[0] - width, 0) : inside[0]], shared[inside[-1] + 1 : inside[-1] + 1 + width]
+        if len(inside) >= width and all(2 * np.count_nonzero(side) >= width for side in sides):
+            gaps[inside] = number
+    return gaps
 
 
 def _tops(before: Floats, after: Floats, xy: Floats) -> tuple[Ints, Floats]:
