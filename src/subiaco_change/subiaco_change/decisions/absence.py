@@ -19,15 +19,11 @@ _PATCH = NUMBERS.absence.voxels_per_patch
 _SURE = NUMBERS.absence.least_doubt
 
 
-#: Nothing bounds how certain free space can be, in *before* and in *after*.
-UNBOUNDED = (1.0, 1.0)
-
-
 def absence(
     before: Sequence[ObjectInstance],
     after: Sequence[ObjectInstance],
     free: tuple[Free | None, Free | None],
-    certain: tuple[float, float] = UNBOUNDED,
+    certain: tuple[float, float] = (1.0, 1.0),
 ) -> float:
     """Probability that the object is absent where the other epoch holds nothing.
 

@@ -10,7 +10,7 @@ import numpy as np
 
 from subiaco_change.association.costs import AssociationConfig
 from subiaco_change.association.matching import match_kind
-from subiaco_change.decisions.absence import UNBOUNDED, absence
+from subiaco_change.decisions.absence import absence
 from subiaco_change.decisions.column_volumes import BUILT_UP, OpenGround
 from subiaco_change.decisions.dynamic_objects import OwnEpochEvidence, is_moving_object_trail
 from subiaco_change.decisions.measures import MeasureConfig, Measures, measure
@@ -76,7 +76,7 @@ class ObjectRules:
     standing: tuple[Floats, Floats] = (NOTHING, NOTHING)  # all points (N, 3) that stand, of any class
     free: tuple[Free | None, Free | None] = (None, None)  # what *before* and *after* know to be free
     below_view: tuple[Empty | None, Empty | None] = (None, None)  # how high their views are known to reach
-    certain: tuple[float, float] = UNBOUNDED  # how certain these can be at most
+    certain: tuple[float, float] = (1.0, 1.0)  # how certain these can be at most
     plants: PlantConfig = field(default_factory=PlantConfig)
 
 

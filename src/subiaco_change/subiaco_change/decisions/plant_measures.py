@@ -10,7 +10,7 @@ from pydantic import Field
 from scipy.spatial import cKDTree
 from scipy.special import expit, logit
 
-from subiaco_change.decisions.absence import UNBOUNDED, absence, pooled
+from subiaco_change.decisions.absence import absence, pooled
 from subiaco_change.decisions.crown_outline import OutlineConfig, compare_outlines
 from subiaco_change.decisions.measures import Measures
 from subiaco_change.decisions.vegetation_null import PlantMeasures, VegetationNullConfig
@@ -63,7 +63,7 @@ def measure_plant(
     config: PlantConfig,
     standing: tuple[Floats, Floats] = (NOTHING, NOTHING),
     free: tuple[Free | None, Free | None] = (None, None),
-    certain: tuple[float, float] = UNBOUNDED,
+    certain: tuple[float, float] = (1.0, 1.0),
 ) -> PlantMeasures:
     """Measure a plant that both epochs hold; the denser epoch is thinned to the density of the other.
 
