@@ -135,7 +135,8 @@ def place(
     placed = {name: run.runner.load(PlacedPoints, key).xyz for name, key in run.placed.items()}
     before = PointCloud(_whole(placed, members[0]), run.origin, clouds[1].crs, clouds[0].fields)
     levels = [
-        {name: run.runner.load(TileLods, key).of(epoch) for name, key in found.items()} for epoch in EPOCHS
+        {name: run.runner.load(TileLods, key).of(epoch).lod for name, key in found.items()}
+        for epoch in EPOCHS
     ]
     return Placed(
         load_frame(inputs, run.origin), before,

@@ -151,7 +151,12 @@ def _with_points(
 def _tile(run: ChangeRun, labelled: Mapping[str, str], epoch: str, tile: str) -> PointCloud:
     """Labelled points of a tile of an epoch."""
     piece = run.runner.load(TileLabels, labelled[tile]).of(epoch)
-    fields: dict[str, NDArray[Any]] = {**piece.labels.fields(), "normals": piece.normals}
+    fields: dict[str, NDArray[Any]] = {
+        **piece.labels.fields(),
+        "m3c2_distance": piece.m3c2_distance,
+        "m3c2_significant": piece.m3c2_significant,
+        "normals": piece.normals,
+    }
     own = run.points[epoch]
     if run.lit[epoch]:
         known = run.runner.load(LabelledPoints, own[tile]).intensity if tile in own else None

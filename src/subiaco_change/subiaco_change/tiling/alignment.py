@@ -83,20 +83,28 @@ class HeightMedians:
 
 
 @dataclass(frozen=True)
-class TileDisplacements:
-    """Displacements of a tile.
+class EpochDisplacements:
+    """Displacements at the points (N,) of one epoch in a tile.
 
-    ``before_floored`` and ``after_floored`` (N,): variance [m2] that the level of detection of an epoch rests
-    on, NaN where nothing is claimed; ``samples`` tell what the epochs lie apart.
+    ``floored``: variance [m2] that the level of detection rests on, NaN where nothing is claimed;
+    ``distance``: displacement from *before* to *after* along the normal [m].
     """
 
-    before_floored: Floats
-    after_floored: Floats
+    floored: Floats
+    distance: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class TileDisplacements:
+    """Displacements of a tile in both epochs; ``samples`` tell what the epochs lie apart."""
+
+    before: EpochDisplacements
+    after: EpochDisplacements
     samples: BiasSamples
 
-    def floored(self, epoch: str) -> Floats:
-        """Return the variance of an epoch."""
-        return self.before_floored if epoch == "before" else self.after_floored
+    def of(self, epoch: str) -> EpochDisplacements:
+        """Return the displacements of an epoch."""
+        return self.before if epoch == "before" else self.after
 
 
 @dataclass(frozen=True)
@@ -126,14 +134,25 @@ class ChangedPoints:
 
 
 @dataclass(frozen=True)
-class TileLods:
-    """Level of detection at the points (N,) of both epochs in a tile [m]; sigma_reg at some of *before*."""
+class EpochLods:
+    """Level of detection at the points (N,) of one epoch in a tile [m], infinite where nothing is claimed.
 
-    before: NDArray[np.float32]
-    after: NDArray[np.float32]
+    ``distance`` (N,): displacement along the normal [m], NaN where nothing is claimed.
+    """
+
+    lod: NDArray[np.float32]
+    distance: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class TileLods:
+    """Levels of detection of a tile in both epochs; sigma_reg at some points of *before*."""
+
+    before: EpochLods
+    after: EpochLods
     sigma: Floats
 
-    def of(self, epoch: str) -> NDArray[np.float32]:
+    def of(self, epoch: str) -> EpochLods:
         """Return the levels of detection of an epoch."""
         return self.before if epoch == "before" else self.after
 
@@ -265,7 +284,12 @@ def tile_displacements(inputs: Inputs, params: TileParams[DisplacementSlice]) ->
         bias_samples(own[e], found[name], config, _unsteady(inputs, params, e))
         for e, name in enumerate(("before", "after"))
     ]
-    return TileDisplacements(found["before"].floored, found["after"].floored, join_samples(samples))
+    before, after = found["before"], found["after"]
+    return TileDisplacements(
+        EpochDisplacements(before.floored, before.distance.astype(np.float32)),
+        EpochDisplacements(after.floored, -after.distance.astype(np.float32)),
+        join_samples(samples),
+    )
 
 
 def find_sigma(inputs: Inputs, params: TileParams[PlacingSlice]) -> SigmaBlocks:
@@ -308,18 +332,20 @@ def tile_lods(inputs: Inputs, params: TileParams[LodSlice]) -> TileLods:
     """Find the level of detection at the points of a tile."""
     config = params.config
     sigma = load_sigma(inputs, params.origin, config.placing.uncertainty)
-    result: dict[str, NDArray[np.float32]] = {}
+    result: dict[str, EpochLods] = {}
     sample = np.zeros(0)
     for side in params.sides:
-        floored = inputs.of(TileDisplacements, "displacements").floored(side.epoch)
-        if len(floored) == 0:
-            result[side.epoch] = np.zeros(0, dtype=np.float32)
+        moved = inputs.of(TileDisplacements, "displacements").of(side.epoch)
+        if len(moved.floored) == 0:
+            result[side.epoch] = EpochLods(np.zeros(0, np.float32), np.zeros(0, np.float32))
             continue
         cloud = load_points(inputs, side, params.tile, params.origin)
         values = sigma.at(cloud.xyz, np.asarray(cloud.fields["normals"]))
         if side.epoch == "before":
             sample = values[::_EVERY]
-        result[side.epoch] = _lod(floored, values, config)
+        claimed = np.isfinite(combine(moved.floored, values, config.lod.combine))
+        distance = np.where(claimed, moved.distance, np.float32(np.nan))
+        result[side.epoch] = EpochLods(_lod(moved.floored, values, config), distance)
     return TileLods(result["before"], result["after"], sample)
 
 

@@ -17,7 +17,7 @@ from subiaco_change.decisions.measures import MeasureConfig, same_place
 from subiaco_change.decisions.point_labels import Labels, label_rest, unlabelled
 from subiaco_change.decisions.voxel_objects import EpochView, occupied
 from subiaco_change.segmentation.ground_model import Mask
-from subiaco_change.tiling.alignment import ChangedPoints
+from subiaco_change.tiling.alignment import ChangedPoints, TileLods
 from subiaco_change.tiling.epoch_tiles import EPOCHS, Side
 from subiaco_change.tiling.ground_stage import PatchSlice, TilePatches
 from subiaco_change.tiling.plant_stage import TileComparison
@@ -53,11 +53,17 @@ class ChangedParams(TileParams[PatchSlice]):
 
 @dataclass(frozen=True)
 class EpochLabels:
-    """Labelled points of one epoch: ``xyz`` (N, 3) in the common frame [m], ``normals`` (N, 3), labels."""
+    """Labelled points of one epoch: ``xyz`` (N, 3) in the common frame [m], ``normals`` (N, 3), labels.
+
+    ``m3c2_distance`` (N,): displacement along the normal [m]; ``m3c2_significant`` (N,): 1 where it exceeds
+    the level of detection.
+    """
 
     xyz: Floats
     normals: NDArray[np.float32]
     labels: Labels
+    m3c2_distance: NDArray[np.float32]
+    m3c2_significant: NDArray[np.uint8]
 
 
 @dataclass(frozen=True)
@@ -159,11 +165,30 @@ def label_tile(inputs: Inputs, params: TileParams[LabelSlice]) -> TileLabels:
         if Part.OBJECTS in config.without:
             labels = _by_point(view, other, regions[1 - e], labels, epoch, config)
         patched[:, e] = [np.count_nonzero(labels.instance == i) for i in ids]
-        labelled.append(EpochLabels(view.xyz, view.normals.astype(np.float32), labels))
+        moved, significant = _displacement(
+            inputs, tile, epoch, regions[e].index[own], labels.lod95, view.normals
+        )
+        normals = view.normals.astype(np.float32)
+        labelled.append(EpochLabels(view.xyz, normals, labels, moved, significant))
     counts = np.column_stack([np.array(ids, dtype=np.int64), patched])
     raster = None if ground is None else ground_raster(ground, origin, config.ground)
     dz, confidence = (None, None) if raster is None else (raster.dz, raster.confidence)
     return TileLabels(labelled[0], labelled[1], dz, confidence, counts)
+
+
+def _displacement(
+    inputs: Inputs, tile: str, epoch: str, index: Ints, lod95: NDArray[np.float32], normals: Floats
+) -> tuple[NDArray[np.float32], NDArray[np.uint8]]:
+    """Return the displacement at points of a tile, and whether it exceeds their level of detection.
+
+    Positive where the surface moved to the side of its normal that is turned upwards.
+    """
+    lods = inputs.find(TileLods, f"lods/{tile}")
+    none = np.full(len(index), np.nan, dtype=np.float32)
+    distance = none if lods is None or len(index) == 0 else lods.of(epoch).distance[index]
+    distance = np.where(normals[:, 2] < 0.0, -distance, distance)
+    significant = np.abs(distance) > lod95  # never where either is not known
+    return distance, significant.astype(np.uint8)
 
 
 def _own(region: Region, tile: str) -> Ints:
