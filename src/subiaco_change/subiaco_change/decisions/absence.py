@@ -24,7 +24,7 @@ def absence(
     """Probability that the object is absent where the other epoch holds nothing.
 
     The mean log odds of the places, times the square root of the number of patches that they form: places
-    beside each other are crossed by the same beams, so their errors are correlated.
+    next to one another are crossed by the same beams, so their errors are correlated.
 
     Parameters
     ----------

@@ -14,7 +14,7 @@ from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.segmentation.height_profiles import ProfileConfig
 from subiaco_geo.frames import Floats, Ints
 
-_STOREY = ProfileConfig(step=1.5)  # a change of less is a roof made anew
+_STOREY = ProfileConfig(step=1.5)  # a smaller change is a new roof
 _ROOM = 2.0  # what begins lower is a wing, which stands on the ground [m]
 _ACROSS = 3  # columns across a row that must have changed
 _GAP = 1.0  # stretch of a changed house in which no change was seen [m]

@@ -23,7 +23,7 @@ _CELL = 0.5  # columns in which houses stand side by side [m]
 _SHARED = (
     0.2  # share of its columns from which on a house of one epoch lies in one of the other: no party wall
 )
-_STOREY = ProfileConfig(step=1.5)  # tops that rose by less were roofed anew
+_STOREY = ProfileConfig(step=1.5)  # tops that rose by less got a new roof
 _SHOWN = 3  # columns across a row that must show in both epochs
 
 
@@ -88,7 +88,7 @@ def split_at_changed_storeys(
 ) -> list[Piece]:
     """Divide a row where a storey was built on one of its houses, or taken off; arguments as for houses_of.
 
-    The storey shows in its walls although its roof is out of sight.
+    The storey shows in its walls although no survey sees its roof.
     """
     sides = (tuple(before), tuple(after))
     xy = np.concatenate([join_voxels(side).xyz[:, :2] for side in sides])

@@ -55,7 +55,7 @@ class _Clock:
 
 @dataclass(frozen=True)
 class FinishedMap:
-    """Static points, second returns, what moved, and the visibility layer; arrays mapped from disk."""
+    """Static points, second returns, moving objects, visibility layer; arrays mapped from disk."""
 
     cloud: PointCloud
     last: PointCloud | None
@@ -116,7 +116,7 @@ class MapFusion:
         self._scans += 1
 
     def finish(self, threads: int, report: Callable[[float], None]) -> FinishedMap:
-        """Take out outliers and what moved, find normals.
+        """Remove outliers and moving objects, and compute normals.
 
         Raises
         ------
