@@ -27,14 +27,25 @@ VERBS = [
     "calibrate",
     "record",
     "recover",
+    "config",
     "graph",
 ]
 OPTIONS = {
     "simulate": ["--seed", "--preset", "--epoch", "--maps-only", "--duration", "--mode", "--overwrite"],
     "inspect": ["--json"],
+    "config": ["--all", "--config", "--set", "--json"],
     "import": ["--metadata", "--gnss", "--imu", "--output", "--overwrite"],
     "calibrate-rig": ["--output", "--config", "--set", "--overwrite"],
-    "map": ["--output", "--config", "--set", "--threads", "--overwrite", "--quiet", "--verbose"],
+    "map": [
+        "--output",
+        "--full-density",
+        "--config",
+        "--set",
+        "--threads",
+        "--overwrite",
+        "--quiet",
+        "--verbose",
+    ],
     "change": [
         "--output",
         "--trajectory-before",

@@ -10,6 +10,7 @@ from subiaco_geo.crs_area import require_usable
 from subiaco_geo.errors import InputError
 from subiaco_geo.survey_map import SurveyMap
 from subiaco_mapping.config import MappingConfig
+from subiaco_mapping.fusion.full_density import FullDensity
 from subiaco_mapping.fusion.map_builder import ProgressCallback, build_map, silent
 from subiaco_mapping.measurements import DeskewedScan, Extrinsics, GnssFix, HeadingSample, OdometryPose
 from subiaco_mapping.pose_graph.solution import GraphSolution, LiveEstimate
@@ -113,7 +114,10 @@ class MappingBackend:
         return filled
 
     def build_map(
-        self, progress: ProgressCallback | None = None, inputs: Mapping[str, str] | None = None
+        self,
+        progress: ProgressCallback | None = None,
+        inputs: Mapping[str, str] | None = None,
+        density: FullDensity | None = None,
     ) -> SurveyMap:
         """Solve, and fuse every scan at its pose.
 
@@ -123,6 +127,8 @@ class MappingBackend:
             Told stage and fraction.
         inputs : mapping of str to str, optional
             Names and hashes of the recordings, for ``map.yaml``.
+        density : FullDensity, optional
+            Where every return is written too; taken up if the settings ask for it.
 
         Returns
         -------
@@ -130,7 +136,7 @@ class MappingBackend:
         """
         report = progress or silent
         report("solving the pose graph", 0.0)
-        return build_map(self._filled(), self.optimize(), self._config, report, inputs)
+        return build_map(self._filled(), self.optimize(), self._config, report, inputs, density)
 
     def with_quality(self, survey: SurveyMap, progress: ProgressCallback | None = None) -> SurveyMap:
         """Return a map that this back end has built with its quality report beside it."""

@@ -384,6 +384,11 @@ class FusionConfig(StrictModel):
         description="Free disk space [GB] below which points of further scans are left out, so that the "
         "map so far can still be written",
     )
+    full_density: bool = Field(
+        False,
+        description="Writes every return too, as classified LAZ tiles with GPS times in the folder "
+        "full_density of the map; needs about 40 bytes of disk a return while the map is made",
+    )
     min_points: int = Field(1, ge=1, description="Number of points that a voxel of the map needs")
     outlier_neighbours: int = Field(
         3,
@@ -451,6 +456,51 @@ class ManifestConfig(StrictModel):
 
 class MappingConfig(StrictModel):
     """Everything from bag to map."""
+
+    PUBLIC = (
+        "crs",
+        "threads",
+        "deskewed",
+        "topics.metadata",
+        "topics.lidar_packets",
+        "topics.imu_packets",
+        "topics.points",
+        "topics.imu",
+        "topics.fix",
+        "topics.heading",
+        "topics.time_reference",
+        "topics.gps_fix",
+        "topics.nmea_sentence",
+        "sensors.base_frame",
+        "sensors.lidar_frame",
+        "sensors.imu_frame",
+        "sensors.gnss_frame",
+        "sensors.lidar.translation",
+        "sensors.lidar.rotation_deg",
+        "sensors.imu.translation",
+        "sensors.imu.rotation_deg",
+        "sensors.gnss.translation",
+        "sensors.override",
+        "decode.time_base",
+        "decode.time_offset_ns",
+        "decode.min_range",
+        "decode.max_range",
+        "decode.sky_range",
+        "deskew.imu_time_offset_ns",
+        "gnss.required",
+        "gnss.driver",
+        "gnss.declared_frame",
+        "gnss.epoch",
+        "gnss.heights",
+        "gnss.geoid_grid",
+        "gnss.time_offset_ns",
+        "gnss.heading_offset_deg",
+        "fusion.leaf",
+        "fusion.max_range",
+        "fusion.reserve_gb",
+        "fusion.full_density",
+        "fusion.moving.enabled",
+    )
 
     crs: str = Field(
         "auto",

@@ -201,6 +201,14 @@ def map_(
             "recordings are not read again.",
         ),
     ] = False,
+    full_density: Annotated[
+        bool,
+        typer.Option(
+            "--full-density",
+            help="Write every return too: classified LAZ tiles with GPS times in MAP_DIR/full_density. "
+            "map.laz has one point for each voxel of 0.25 m.",
+        ),
+    ] = False,
     overwrite: Overwrite = False,
     verbose: Verbose = False,
     quiet: Quiet = False,
@@ -213,6 +221,7 @@ def map_(
 
     Example: subiaco map bags/demo/before -o out/before
     """
+    from subiaco_change.segmentation.map_classes import map_classes
     from subiaco_mapping.config import MappingConfig
     from subiaco_mapping.job import run_mapping
     from subiaco_mapping.request import MappingRequest
@@ -222,13 +231,14 @@ def map_(
         say(f"map: {output} is finished; nothing to resume", quiet=quiet)
         return
     files = config_files("mapping", tuple(config or ()))
+    dense = {"fusion.full_density": "true"} if full_density else {}
     request = MappingRequest.of(
         bags=tuple(bags), output=output, workers=workers or os.cpu_count() or 1,
         resume=resume is not False, keep_checkpoint=keep_checkpoint, overwrite=overwrite,
-        config=load_config(MappingConfig, files, _settings(settings, threads=threads)),
+        config=load_config(MappingConfig, files, _settings(settings, threads=threads, **dense)),
     )  # fmt: skip
     with Progress(quiet=quiet) as progress:
-        survey = run_mapping(request, progress)
+        survey = run_mapping(request, progress, map_classes)
     place = survey.cloud.crs or "a local frame without CRS"
     say(f"map: {output} ({len(survey.cloud):,} points in {place})", quiet=quiet)
     end_with_verdict(output, quiet=quiet)
