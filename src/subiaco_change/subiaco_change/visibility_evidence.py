@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from subiaco_change.geometry import ColumnIndex, build_index, nearest
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
@@ -32,7 +33,7 @@ from subiaco_geo.visibility import VisibilityGrid
 _LOG = logging.getLogger(__name__)
 
 Flags = NDArray[np.bool_]
-_PRIOR = 0.5  # beams that passed, and that ended, before any is counted (Jeffreys)
+_PRIOR = NUMBERS.visibility_evidence.prior_beams
 Kind = Literal["observed", "trajectory", "estimated", "shadow", "assumed"]
 #: Kinds of evidence, the best first.
 KINDS: tuple[Kind, ...] = ("observed", "trajectory", "estimated", "shadow", "assumed")
