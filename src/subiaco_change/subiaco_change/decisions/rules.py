@@ -59,6 +59,13 @@ class ClassRules(StrictModel):
         description="Fraction of the volume limit that the upper bound of a building's volume change must "
         "reach to support its height change",
     )
+    followed: float = Field(
+        0.5,
+        ge=0,
+        le=1,
+        description="Fraction of the height limit by which the top of all points of a low plant must have "
+        "moved with the median of its columns",
+    )
     surface: float = Field(
         math.inf,
         gt=0,

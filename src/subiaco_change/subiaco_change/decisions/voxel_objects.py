@@ -165,8 +165,13 @@ def build_voxels(
 
 
 def is_standing(view: EpochView) -> Mask:
-    """Tell which points (N,) stand on the ground: neither ground nor a trail."""
-    return np.asarray((view.semantic != Semantic.GROUND) & ~is_ghost_trail(view))
+    """Tell which points (N,) occupy their place above the ground: neither ground nor a trail by its beams.
+
+    Where nothing counted beams, a trail was recognised by its shape alone. What lies at the same place in
+    the other epoch contradicts that verdict, so such points occupy their place.
+    """
+    above = np.asarray(view.semantic != Semantic.GROUND)
+    return above if view.passed is None else above & ~is_ghost_trail(view)
 
 
 def is_ghost_trail(view: EpochView) -> Mask:
