@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -143,4 +144,8 @@ class MappingBackend:
         from subiaco_mapping.map_quality.page import with_quality  # matplotlib, for this alone
 
         (progress or silent)("checking the map", 0.0)
-        return with_quality(survey, self.optimize(), self._config)
+        solution = self.optimize()
+        if solution.absolute is not None:
+            known = {**survey.info, "control": solution.absolute.described(survey.cloud)}
+            survey = replace(survey, info=known)
+        return with_quality(survey, solution, self._config)

@@ -9,6 +9,7 @@ from pydantic import Field, field_validator
 
 from subiaco_geo.config import StrictModel
 from subiaco_geo.movement import MovementConfig
+from subiaco_mapping.absolute_positions.config import ControlConfig, ReferenceConfig
 from subiaco_mapping.calibration.config import CalibrationConfig
 from subiaco_mapping.health_monitor.config import WatchConfig
 from subiaco_mapping.importers.csv_logs import LogsConfig
@@ -517,6 +518,8 @@ class MappingConfig(StrictModel):
     gnss: GnssConfig = GnssConfig()
     graph: GraphConfig = GraphConfig()
     loops: LoopConfig = LoopConfig()
+    control: ControlConfig = ControlConfig()
+    reference: ReferenceConfig = ReferenceConfig()
     fusion: FusionConfig = FusionConfig()
     manifest: ManifestConfig = ManifestConfig()
     quality: QualityConfig = QualityConfig()

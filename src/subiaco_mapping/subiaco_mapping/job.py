@@ -8,6 +8,7 @@ from collections.abc import Callable
 from subiaco_geo.atomic import refuse_existing, refuse_foreign
 from subiaco_geo.maps import write_map
 from subiaco_geo.survey_map import SurveyMap
+from subiaco_mapping.absolute_positions.positioning import require_usable_files
 from subiaco_mapping.checkpoint.checkpoint import checkpoint_folder, remove
 from subiaco_mapping.fusion.full_density import FOLDER, GPS_BEHIND_TAI_S, Classifier, FullDensity
 from subiaco_mapping.pipeline import map_survey, require_room_for
@@ -33,11 +34,13 @@ def run_mapping(
     Raises
     ------
     InputError
-        A recording cannot be mapped, the output exists, or the disk has no room.
+        A recording cannot be mapped, the output exists, control points or a reference cannot be read, or
+        the disk has no room.
     """
     output = request.output
     refuse_existing(output, request.overwrite)
     refuse_foreign(output, "map.yaml")
+    require_usable_files(request.config)
     require_room_for(request.bags, output)
     decode, returns = request.config.decode, checkpoint_folder(output) / FOLDER
     shutil.rmtree(returns, ignore_errors=True)  # of a run that was stopped

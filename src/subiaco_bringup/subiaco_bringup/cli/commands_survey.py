@@ -32,6 +32,11 @@ def _settings(given: list[str] | None, **named: object) -> list[str]:
     return [f"{key}={value}" for key, value in named.items() if value is not None] + (given or [])
 
 
+def _whole(path: Path | None) -> Path | None:
+    """Return an absolute path, for a setting that another process may read."""
+    return None if path is None else path.resolve()
+
+
 def simulate(
     out: Annotated[Path, typer.Argument(metavar="OUT", help="Survey directory to write.")],
     seed: Annotated[
@@ -173,6 +178,22 @@ def map_(
         ),
     ],
     output: Output,
+    control: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="CSV",
+            help="Surveyed control points that constrain the map; one in three is held out as a check. "
+            "Columns and settings: control.*.",
+        ),
+    ] = None,
+    reference: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="CLOUD",
+            help="Map or cloud of known position (airborne, terrestrial, an earlier epoch) that holds "
+            "the map where GNSS is poor; settings: reference.*.",
+        ),
+    ] = None,
     config: ConfigFiles = None,
     settings: Settings = None,
     threads: Annotated[
@@ -217,6 +238,7 @@ def map_(
 
     A bag without usable GNSS fixes gives a map in a local frame, without CRS.
     A map that most of its own fixes contradict is written, flagged and ends with 3.
+    Residuals at control and check points are in quality.html and map.yaml.
     Until the map is written, the work lies beside it in .MAP_DIR.checkpoint.
 
     Example: subiaco map bags/demo/before -o out/before
@@ -231,11 +253,16 @@ def map_(
         say(f"map: {output} is finished; nothing to resume", quiet=quiet)
         return
     files = config_files("mapping", tuple(config or ()))
-    dense = {"fusion.full_density": "true"} if full_density else {}
+    named: dict[str, object] = {
+        "control.file": _whole(control),
+        "reference.cloud": _whole(reference),
+        "threads": threads,
+    }
+    named |= {"fusion.full_density": "true"} if full_density else {}
     request = MappingRequest.of(
         bags=tuple(bags), output=output, workers=workers or os.cpu_count() or 1,
         resume=resume is not False, keep_checkpoint=keep_checkpoint, overwrite=overwrite,
-        config=load_config(MappingConfig, files, _settings(settings, threads=threads, **dense)),
+        config=load_config(MappingConfig, files, _settings(settings, **named)),
     )  # fmt: skip
     with Progress(quiet=quiet) as progress:
         survey = run_mapping(request, progress, map_classes)
@@ -250,13 +277,20 @@ def check(
         Path,
         typer.Option(
             metavar="CSV",
-            help="name,east,north,height (ellipsoidal) and, where somebody picked the points in the map, "
-            "map_east,map_north,map_height.",
+            help="name,east,north,height (ellipsoidal, or see --geoid) and, where somebody picked the points "
+            "in the map, map_east,map_north,map_height.",
         ),
     ],
     crs: Annotated[
         str | None,
         typer.Option(metavar="EPSG:N", help="CRS of the control points [that of the map]."),
+    ] = None,
+    geoid: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="GRID",
+            help="Geoid model (.gtx, .tif) of the heights of the control points (AUSGeoid2020 for AHD).",
+        ),
     ] = None,
     as_json: AsJson = False,
     verbose: Verbose = False,
@@ -267,13 +301,14 @@ def check(
     Example: subiaco check out/before --control points.csv
     """
     from subiaco_geo.maps import load_epoch
-    from subiaco_mapping.control import check_control, describe_control, read_control
+    from subiaco_mapping.control import check_control, describe_control
+    from subiaco_mapping.control_points import read_control
 
     set_up_logging(verbose, quiet)
     cloud = load_epoch(survey).cloud
     if cloud.crs is None:
         raise InputError(f"{survey}: the map has no CRS, so control points cannot be placed in it")
-    residuals = check_control(cloud, read_control(control, cloud.crs, crs))
+    residuals = check_control(cloud, read_control(control, cloud.crs, crs, geoid))
     if as_json:
         print_json(residuals.summary())
     else:

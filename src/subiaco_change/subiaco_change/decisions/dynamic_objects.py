@@ -21,14 +21,15 @@ from subiaco_change.decisions.voxel_objects import (
     join_voxels,
     observed_on_both_sides,
 )
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats
 
 Observed = Callable[[Floats], Mask]
-_BESIDE = 0.5  # so far beside a surface lies the next voxel of the visibility layer [m]
-_LANE = 1.0  # what lies this near a known trail lies in its lane [m]
-_WITHIN = 0.9  # share of its points that must
+_BESIDE = NUMBERS.dynamic_objects.visibility_step
+_LANE = NUMBERS.dynamic_objects.lane_reach
+_WITHIN = NUMBERS.dynamic_objects.lane_share
 
 
 @dataclass(frozen=True)

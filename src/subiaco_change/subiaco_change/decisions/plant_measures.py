@@ -16,13 +16,14 @@ from subiaco_change.decisions.measures import Measures
 from subiaco_change.decisions.vegetation_null import PlantMeasures, VegetationNullConfig
 from subiaco_change.decisions.voxel_objects import Free, ObjectInstance
 from subiaco_change.instance_splitting.hedge_sections import NOTHING, Rise, column_rise
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats
 
-_SAMPLE = 500  # points of a plant that are asked for the surface that one epoch alone has
-_MOST = 0.9  # largest probability with which one place counts among the others
-_NOT_KNOWN = 0.5  # probability of being free of a place of which nothing is known
+_SAMPLE = NUMBERS.plant_measures.surface_sample
+_MOST = NUMBERS.plant_measures.place_cap
+_NOT_KNOWN = NUMBERS.plant_measures.unknown_free
 
 
 class PlantConfig(StrictModel):
@@ -62,15 +63,19 @@ def measure_plant(
     config: PlantConfig,
     standing: tuple[Floats, Floats] = (NOTHING, NOTHING),
     free: tuple[Free | None, Free | None] = (None, None),
+    certain: tuple[float, float] = (1.0, 1.0),
 ) -> PlantMeasures:
     """Measure a plant that both epochs hold; the denser epoch is thinned to the density of the other.
 
     ``standing`` (N, 3) of *before* and of *after*: points above the ground of any class. ``free`` of *before*
-    and of *after*: how probable it is that places (N, 3) are free; None: certain.
+    and of *after*: how probable it is that places (N, 3) are free; None: certain. ``certain``: how certain
+    these can be at most.
     """
     first, second = (np.concatenate([t.xyz for t in objects]) for objects in (before, after))
-    lost = min(free_shell(first, standing[1], free[1], config), absence(before, (), free))
-    gained = min(free_shell(second, standing[0], free[0], config), absence((), after, free))
+    lost = certain[1] * free_shell(first, standing[1], free[1], config)
+    lost = min(lost, absence(before, (), free, certain))
+    gained = certain[0] * free_shell(second, standing[0], free[0], config)
+    gained = min(gained, absence((), after, free, certain))
     first, second, density = equal_density(first, second, config)
     outline = compare_outlines(first, second, config.outline)
     both = np.concatenate([first, second])

@@ -11,11 +11,12 @@ from pydantic import Field
 
 from subiaco_change.decisions.measures import Measures
 from subiaco_change.decisions.space_carving import Interval
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.config import StrictModel
 
-_EXACT = 0.05  # least half width of bounds in units of their limit: cells are no finer
-_PATCH = 4.0  # voxels of a surface that are seen, or not, together
+_EXACT = NUMBERS.rules.least_half_width
+_PATCH = NUMBERS.rules.voxels_per_patch
 #: Why nothing is said of an object that both epochs saw.
 NO_LEVEL = "Too few points lie at this place for a level of detection: nothing is claimed."
 
@@ -57,6 +58,13 @@ class ClassRules(StrictModel):
         ge=0,
         description="Fraction of the volume limit that the upper bound of a building's volume change must "
         "reach to support its height change",
+    )
+    followed: float = Field(
+        0.5,
+        ge=0,
+        le=1,
+        description="Fraction of the height limit by which the top of all points of a low plant must have "
+        "moved with the median of its columns",
     )
     surface: float = Field(
         math.inf,

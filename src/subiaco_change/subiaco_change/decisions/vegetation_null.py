@@ -16,13 +16,14 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats
 
-_GAUSS = 1.4826  # standard deviations in a median absolute deviation of a normal distribution
-_BIWEIGHT = 4.685  # Tukey's constant for 95 % efficiency
-_CLIPPED = 3.0  # residuals beyond so many standard deviations do not enter the scatter
-_ROUNDS = 25
+_GAUSS = NUMBERS.vegetation_null.mad_factor
+_BIWEIGHT = NUMBERS.vegetation_null.biweight_width
+_CLIPPED = NUMBERS.vegetation_null.clipped
+_ROUNDS = NUMBERS.vegetation_null.rounds
 
 
 #: Trees are compared with trees, hedges and shrubs with hedges and shrubs.

@@ -25,12 +25,14 @@ from subiaco_change.instance_splitting.rows_of_houses import (
     split_at_changed_storeys,
     split_at_walls,
 )
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_geo.codes import Change, Semantic
 
-_WHOLE = 0.75  # share of its columns from which on a hedge moved as a whole
-_WALL = 0.5  # so far outside the outline of a building its walls are met [m]
-_WITHIN = 0.5  # share of a side of a building within the outline of the rest
-_HARDLY = 0.5  # observed share below which a side is no row of its own
+_WHOLE = NUMBERS.split_merge.whole_share
+_WALL = NUMBERS.split_merge.wall_reach
+_WITHIN = NUMBERS.split_merge.inside_share
+_HARDLY = NUMBERS.split_merge.least_observed
+_SINGLE = (Change.ADDED, Change.REMOVED)
 _CLAIMS = (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED)
 
 
@@ -179,10 +181,15 @@ def split_row_houses(changes: Sequence[ObjectChange], rules: ObjectRules) -> lis
 
 
 def _fared(pieces: Sequence[Piece], rules: ObjectRules) -> list[ObjectChange]:
-    """Decide the houses of a row one by one; none where they fared alike, or one has no partner."""
-    if len(pieces) == 1 or not all(b and a for b, a in pieces):
+    """Decide the houses of a row one by one; none where they fared alike.
+
+    None either where one has no partner, and is not seen to be new or gone.
+    """
+    if len(pieces) == 1 or not any(b and a for b, a in pieces):
         return []
     parts = [decide_object(b, a, Semantic.BUILDING, rules) for b, a in pieces]
+    if any(not (p.before and p.after) and p.decision.change not in _SINGLE for p in parts):
+        return []
     labels = {part.decision.change for part in parts}
     return parts if len(labels) > 1 and not labels.isdisjoint(_CLAIMS) else []
 
