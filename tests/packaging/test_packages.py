@@ -174,8 +174,9 @@ def test_the_change_record_has_every_column_of_the_table() -> None:
     text = (SOURCES / "subiaco_msgs/msg/ChangeRecord.msg").read_text(encoding="utf-8")
     fields = {line.split()[1] for line in text.splitlines() if line and not line.startswith("#")}
     columns = (
-        "object_id object_class label id_before id_after match_kind delta_h_m delta_v_m3 delta_v_surface_m3 "
+        "object_id object_class change id_before id_after match_kind delta_h_m delta_v_m3 delta_v_surface_m3 "
         "delta_c_m iou_3d d_perp_m lod95_m observed_fraction evidence score_paper confidence "
-        "n_before n_after x y z"
+        "n_before n_after x y z delta_h_low_m delta_h_high_m delta_v_low_m3 delta_v_high_m3 height_before_m "
+        "height_after_m area_m2 footprint reason object_uid"
     )
     assert set(columns.split()) <= fields
