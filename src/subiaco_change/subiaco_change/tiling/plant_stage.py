@@ -110,7 +110,7 @@ def find_vegetation_null(inputs: Inputs, params: TileParams[PlantSlice]) -> Fitt
 
 
 def decide_tile(inputs: Inputs, params: TileParams[PlantDecisionSlice]) -> TileRows:
-    """Decide the plants of a tile anew, with the null of the pair; all other rows stay as they are.
+    """Decide the plants of a tile again, with the null of the pair; all other rows stay as they are.
 
     ``inputs`` hold ``compared`` of the tile and ``null``.
     """
