@@ -68,6 +68,7 @@ def test_the_command_and_the_changelog_name_the_one_version(capsys: pytest.Captu
     log = (REPOSITORY / "CHANGELOG.md").read_text(encoding="utf-8")
     released = re.findall(r"^## \[(\d+\.\d+\.\d+)\] - (\d{4}-\d\d-\d\d)$", log, flags=re.MULTILINE)
     assert released[0][0] == __version__
+    assert f"Version {__version__} " in (REPOSITORY / "README.md").read_text(encoding="utf-8")
     assert [day for _, day in released] == sorted((day for _, day in released), reverse=True)
 
 

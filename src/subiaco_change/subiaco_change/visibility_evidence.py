@@ -296,7 +296,7 @@ class Observer:
     def free_probability(self, world: Floats) -> Floats:
         """Return the probability (N,) that places (N, 3) were free; 0.5 where the epoch knows nothing.
 
-        Counted beams and poses that looked through or met something, as a beta distribution with half a
+        Counted beams and poses that passed through or met a surface, as a beta distribution with half a
         beam each way beforehand.
         """
         return self.test.free_probability(self._own(world))

@@ -28,7 +28,7 @@ def absence(
     """Probability that the object is absent where the other epoch holds nothing.
 
     The mean log odds of the places, times the square root of the number of patches that they form: places
-    beside each other are crossed by the same beams, so their errors are correlated. What all patches of an
+    next to one another are crossed by the same beams, so their errors are correlated. What all patches of an
     object have in common does not average out: the probability stays below ``certain``.
 
     Parameters

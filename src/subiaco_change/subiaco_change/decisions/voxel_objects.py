@@ -201,8 +201,9 @@ class Reach:
 
     ``factor`` times the spacing of the other sampling there, within ``low`` and ``high``: where an epoch is
     sparse, the nearest of its points is far although nothing changed. Ground extends sideways alone: above
-    and below it occupies ``foot``, the height up to which standing and lying cannot be told apart. A place
-    that nothing occupies is free from a probability of ``free`` on; below, it was not seen.
+    and below it occupies ``foot``, the height up to which standing and lying surfaces cannot be
+    distinguished. A place that nothing occupies is free from a probability of ``free`` on; below, it was
+    not seen.
     """
 
     low: float

@@ -24,7 +24,7 @@ from subiaco_geo.frames import Floats, Ints
 
 _CELL = NUMBERS.rows_of_houses.cell
 _SHARED = NUMBERS.rows_of_houses.shared_columns
-_STOREY = ProfileConfig(step=NUMBERS.rows_of_houses.new_storey)  # tops that rose by less were roofed anew
+_STOREY = ProfileConfig(step=NUMBERS.rows_of_houses.new_storey)  # tops that rose by less got a new roof
 _SHOWN = NUMBERS.rows_of_houses.columns_across
 
 
@@ -93,7 +93,7 @@ def split_at_changed_storeys(
 ) -> list[Piece]:
     """Divide a row where a storey was built on one of its houses, or taken off; arguments as for houses_of.
 
-    The storey shows in its walls although its roof is out of sight.
+    The storey shows in its walls although no survey sees its roof.
     """
     sides = (tuple(before), tuple(after))
     xy = np.concatenate([join_voxels(side).xyz[:, :2] for side in sides])

@@ -37,7 +37,7 @@ _CLAIMS = (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED)
 
 
 def join_building_extensions(changes: list[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
-    """Make extensions built onto a building, or taken from it, one object with it, and decide it anew.
+    """Make extensions built onto a building, or taken from it, one object with it, and decide it again.
 
     An extension seen from few sides may have passed for a vehicle or a plant: what is built tells.
     """
