@@ -79,8 +79,8 @@ networks are untouched.
 }
 _SITE = """## A real building site
 
-One real site, seen twice by a handheld scanner (MultiChange3D), scored against what was drawn by eye. An object
-is right when half of its points carry a right label.
+One real site, seen twice by a handheld scanner (MultiChange3D), scored against what was drawn by eye. An
+object is right when half of its points carry a right label.
 """
 
 
