@@ -16,11 +16,19 @@ from latex2mathml.converter import convert
 from mkdocs.structure.files import File, Files
 from reference_pages import pages
 
+from subiaco_geo import __version__
+
 ROOT = Path(__file__).resolve().parents[1]
 _FORMULA = re.compile(
     r'<(?P<tag>span|div) class="arithmatex">\\(?P<open>[(\[])(?P<latex>.*?)\\[)\]]</(?P=tag)>', re.DOTALL
 )
 _LINK = re.compile(r"(?<!!)\[(?P<text>[^\]]*)\]\((?P<target>\.\./[^)#]*)\)")
+
+
+def on_config(config: Any) -> Any:
+    """Name the version in the title of the site; a hook of MkDocs."""
+    config["site_name"] = f"Subiaco {__version__}"
+    return config
 
 
 def on_files(files: Files, config: Any, **_: object) -> Files:

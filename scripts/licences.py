@@ -26,6 +26,11 @@ KNOWN = {
     "setuptools": "MIT",
 }
 
+#: Files of other projects that lie in the repository: version, licence, and where they are.
+VENDORED = {
+    "three": ("0.187.0", "MIT", "src/subiaco_report/subiaco_report/viewer/static/three.min.js"),
+}
+
 
 def canonical(name: str) -> str:
     """Return the name by which package indexes know a project."""
@@ -93,6 +98,11 @@ def table(rows: dict[str, tuple[str, str]], elsewhere: list[str]) -> str:
         "|---|---|---|",
         *(f"| {name} | {version} | {text or 'not named'} |" for name, (version, text) in rows.items()),
     ]
+    lines += ["", "Files of other projects that lie in the repository, each with its licence beside it:", ""]
+    lines += ["| project | version | licence | file |", "|---|---|---|---|"]
+    lines += [
+        f"| {name} | {version} | {text} | `{path}` |" for name, (version, text, path) in VENDORED.items()
+    ]
     if elsewhere:
         lines += ["", f"Locked for other interpreters or machines: {', '.join(elsewhere)}."]
     return "\n".join(lines) + "\n"
@@ -109,6 +119,16 @@ def bill(rows: dict[str, tuple[str, str]]) -> dict[str, object]:
             "licenses": [{"license": {"name": text}}],
         }
         for name, (version, text) in rows.items()
+    ]
+    components += [
+        {
+            "type": "library",
+            "name": name,
+            "version": version,
+            "purl": f"pkg:npm/{name}@{version}",
+            "licenses": [{"license": {"name": text}}],
+        }
+        for name, (version, text, _) in VENDORED.items()
     ]
     subject = {"component": {"type": "application", "name": "subiaco"}}
     return {

@@ -41,6 +41,7 @@ def page() -> str:
         "# Commands",
         GENERATED,
         "Every command is a verb of `subiaco`. `subiaco VERB --help` shows the same text on a terminal.",
+        "`subiaco --version` prints the version.",
         "## Exit codes",
         table(("code", "meaning"), ((code(number), text) for number, text in EXIT_CODES.items())),
         *(_verb(name, command) for name, command in verbs() if not command.hidden),

@@ -1,14 +1,17 @@
 """Package description for colcon and pip alike."""
 
 from glob import glob
+from pathlib import Path
+from xml.etree import ElementTree as ET
 
 from setuptools import find_packages, setup
 
 NAME = "subiaco_bringup"
+MANIFEST = ET.parse(Path(__file__).resolve().with_name("package.xml"))
 
 setup(
     name=NAME,
-    version="0.1.0",
+    version=MANIFEST.findtext("version"),
     description="The one place that composes: the subiaco command, node graph, launch files, configuration.",
     maintainer="Subiaco maintainers",
     maintainer_email="maintainers@subiaco.example.org",

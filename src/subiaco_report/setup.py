@@ -1,18 +1,22 @@
 """Package description for colcon and pip alike."""
 
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
 from setuptools import find_packages, setup
 
 NAME = "subiaco_report"
+MANIFEST = ET.parse(Path(__file__).resolve().with_name("package.xml"))
 
 setup(
     name=NAME,
-    version="0.1.0",
+    version=MANIFEST.findtext("version"),
     description="Pages, pictures, QGIS project and delivery of a change directory.",
     maintainer="Subiaco maintainers",
     maintainer_email="maintainers@subiaco.example.org",
     license="Apache-2.0",
     packages=find_packages(include=[NAME, NAME + ".*"]),
-    package_data={NAME: ["py.typed", "**/*.j2"]},
+    package_data={NAME: ["py.typed", "**/*.j2", "viewer/static/*"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + NAME]),
         ("share/" + NAME, ["package.xml"]),

@@ -1,12 +1,16 @@
 """Package description for colcon and pip alike."""
 
+from pathlib import Path
+from xml.etree import ElementTree as ET
+
 from setuptools import find_packages, setup
 
 NAME = "subiaco_sim"
+MANIFEST = ET.parse(Path(__file__).resolve().with_name("package.xml"))
 
 setup(
     name=NAME,
-    version="0.1.0",
+    version=MANIFEST.findtext("version"),
     description="Simulated surveys with truth: scene, changes, sensors, packets, bag.",
     maintainer="Subiaco maintainers",
     maintainer_email="maintainers@subiaco.example.org",

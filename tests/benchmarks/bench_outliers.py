@@ -1,7 +1,7 @@
 # ruff: noqa: T201
 """What the outlier test takes out of a map: noise put into a drive's scans, and what was there.
 
-    subiaco map BAG -o MAP --keep-journal
+    subiaco map BAG -o MAP --keep-checkpoint
     python tests/benchmarks/bench_outliers.py MAP --set outlier_spacings=3
 
 One recording. The simulator has neither rain nor reflections, so returns are put in here: half a percent
@@ -22,7 +22,7 @@ import numpy as np
 from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.trajectories import read_tum
-from subiaco_mapping.checkpoint.checkpoint import journal_folder
+from subiaco_mapping.checkpoint.checkpoint import checkpoint_folder
 from subiaco_mapping.checkpoint.scan_spool import Spool, SpooledScan
 from subiaco_mapping.config import FusionConfig, MovingConfig
 from subiaco_mapping.fusion.finishing import MapFusion
@@ -94,7 +94,7 @@ def main() -> None:
     given = parser.parse_args()
     config = FusionConfig.model_validate(dict(text.split("=", 1) for text in given.set))
     off = config.model_copy(update={"outlier_neighbours": 0})
-    spool = Spool(journal_folder(given.map) / "000", config.max_range, SKY_RANGE)
+    spool = Spool(checkpoint_folder(given.map) / "000", config.max_range, SKY_RANGE)
     poses = read_tum(given.map / "trajectory.tum").poses
     poses[:, :3, 3] -= np.round(poses[0, :3, 3], -1)
     all_stay = off.model_copy(update={"moving": MovingConfig(enabled=False)})

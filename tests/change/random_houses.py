@@ -19,9 +19,9 @@ from subiaco_change.tiling.tile_comparison import object_rules
 from subiaco_change.visibility_evidence import EvidenceConfig, make_observer
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Change, Semantic
-from subiaco_geo.raywalk import VisibilityAccumulator
 from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.trajectories import Trajectory
+from subiaco_geo.voxel_traversal import VisibilityAccumulator
 
 KINDS = ("observed", "trajectory", "shadow", "assumed")
 ORIGIN = np.array([-40.0, -20.0, -5.0])
@@ -190,7 +190,7 @@ def compare(before, after, kind, config=None):
 
 def labels(changes):
     """Labels of the rows, that of the largest first."""
-    return [change.decision.change for change in sorted(changes, key=lambda c: -c.measures.seen_voxels)]
+    return [change.decision.change for change in sorted(changes, key=lambda c: -c.measures.observed_voxels)]
 
 
 def label_of(changes):

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from subiaco_change.association.costs import AssociationConfig
-from subiaco_change.config import ChangeConfig, left_out
+from subiaco_change.config import ChangeConfig, with_parts_disabled
 from subiaco_change.decisions.ablation import Part, pointwise, view_without
 from subiaco_change.decisions.measures import MeasureConfig
 from subiaco_change.decisions.object_comparison import compare_objects
@@ -82,7 +82,7 @@ def test_without_objects_every_point_answers_for_itself():
 
 
 def test_parts_are_named_once_in_order_and_unknown_ones_refused():
-    config = left_out(ChangeConfig(without=("semantics",)), ["lod", "semantics"])
+    config = with_parts_disabled(ChangeConfig(without=("semantics",)), ["lod", "semantics"])
     assert config.without == (Part.LOD, Part.SEMANTICS)
     with pytest.raises(InputError, match="colour: not known"):
-        left_out(ChangeConfig(), ["colour"])
+        with_parts_disabled(ChangeConfig(), ["colour"])

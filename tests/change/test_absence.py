@@ -12,10 +12,10 @@ from test_decisions import CONFIG, SAME
 from subiaco_change.decisions.absence import absence, opacity, porous_chance
 from subiaco_change.decisions.confidence import ConfidenceConfig, confidence
 from subiaco_change.decisions.rules import decide
-from subiaco_change.decisions.voxel_objects import Thing, Voxels
+from subiaco_change.decisions.voxel_objects import ObjectInstance, Voxels
 from subiaco_geo.codes import Change, Semantic
 
-ALONE = replace(SAME, iou=0.0, gone_share=1.0, delta_c=np.nan, delta_h=np.nan, seen_voxels=60)
+ALONE = replace(SAME, iou=0.0, gone_share=1.0, delta_c=np.nan, delta_h=np.nan, observed_voxels=60)
 
 
 def after_beams(count):
@@ -42,15 +42,17 @@ def test_without_counts_of_its_own_survey_the_chance_is_that_of_the_beams():
     assert porous_chance(chances, None) == pytest.approx(chances)
 
 
-def thing(passed, still=0):
-    """Ten voxels, the first ``still`` occupied in the other epoch; ``passed`` own beams for each return."""
+def obj(passed, occupied_in_other=0):
+    """Ten voxels, the first ``occupied_in_other`` also in the other epoch; ``passed`` beams a return."""
     count = 10
     xyz = np.column_stack([np.arange(count), np.zeros(count), np.ones(count)])
-    held = np.arange(count) < still
+    held = np.arange(count) < occupied_in_other
     voxels = Voxels(
         np.zeros(count, int), xyz, xyz * 0, np.ones(count), np.ones(count, dtype=bool), held, ~held
     )
-    return Thing(0, Semantic.VEGETATION, 0.9, np.arange(count), voxels, 0.03, xyz, np.full(count, passed))
+    return ObjectInstance(
+        0, Semantic.VEGETATION, 0.9, np.arange(count), voxels, 0.03, xyz, np.full(count, passed)
+    )
 
 
 def test_the_absence_of_an_object_is_asked_of_the_other_epoch_and_of_free_places_alone():
@@ -58,10 +60,10 @@ def test_the_absence_of_an_object_is_asked_of_the_other_epoch_and_of_free_places
         assert (xyz[:, 0] >= 4).all()
         return np.full(len(xyz), 0.9)
 
-    found = absence([thing(1.0, still=4)], [], (None, known))
-    assert opacity([thing(1.0)]) == pytest.approx(0.5)
+    found = absence([obj(1.0, occupied_in_other=4)], [], (None, known))
+    assert opacity([obj(1.0)]) == pytest.approx(0.5)
     assert found == pytest.approx(expit(logit(1 / (1 + 0.5**4)) * (6 / 4) ** 0.5))
-    assert absence([thing(1.0)], [], (known, None)) == 1.0
+    assert absence([obj(1.0)], [], (known, None)) == 1.0
 
 
 @pytest.mark.parametrize(("count", "least", "most"), [(4, 0.6, 0.7), (20, 0.7, 0.85), (400, 0.95, 1.0)])
@@ -69,7 +71,7 @@ def test_thin_evidence_in_many_places_is_evidence(count, least, most):
     xyz = np.column_stack([np.arange(count), np.zeros(count), np.ones(count)])
     yes = np.ones(count, dtype=bool)
     voxels = Voxels(np.zeros(count, int), xyz, xyz * 0, np.ones(count), yes, ~yes, yes)
-    part = Thing(0, Semantic.VEGETATION, 0.9, np.arange(count), voxels, 0.03, xyz, np.zeros(0))
+    part = ObjectInstance(0, Semantic.VEGETATION, 0.9, np.arange(count), voxels, 0.03, xyz, np.zeros(0))
     assert least <= absence([part], [], (None, lambda places: np.full(len(places), 0.64))) <= most
 
 
@@ -84,7 +86,7 @@ def test_what_too_few_beams_crossed_is_unobserved():
 
 def test_one_beam_through_each_place_never_gives_nine_tenths():
     """However large the object is and however well its class is known."""
-    measures = replace(ALONE, free=0.75, seen_voxels=5000)
+    measures = replace(ALONE, free=0.75, observed_voxels=5000)
     decision = replace(removed(), margin=20.0)
     assert confidence(decision, measures, Semantic.VEGETATION, 1.0, ConfidenceConfig()) <= 0.75
     sure = replace(measures, free=0.99)

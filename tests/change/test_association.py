@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from subiaco_change.association.costs import AssociationConfig, candidate_costs
 from subiaco_change.association.matching import assign, associate
 from subiaco_change.decisions.object_decision import object_lod
-from subiaco_change.decisions.voxel_objects import Thing, Voxels
+from subiaco_change.decisions.voxel_objects import ObjectInstance, Voxels
 from subiaco_geo.codes import Semantic
 
 
@@ -47,7 +47,7 @@ def test_the_assignment_is_optimal(count_b, count_a, values, gates, unmatched):
 
 
 def block(instance, west, south, east, north, top):
-    """A thing that fills a box with 0.5 m voxels."""
+    """An object that fills a box with 0.5 m voxels."""
     axes = [np.arange(a, b, 0.5) + 0.25 for a, b in ((west, east), (south, north), (0, top))]
     xyz = np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
     count = len(xyz)
@@ -55,7 +55,7 @@ def block(instance, west, south, east, north, top):
     voxels = Voxels(
         np.full(count, instance), xyz, np.tile([0.0, 0.0, 1.0], (count, 1)), xyz[:, 2], yes, yes, ~yes
     )
-    return Thing(instance, Semantic.BUILDING, 0.9, np.arange(count), voxels, 0.03)
+    return ObjectInstance(instance, Semantic.BUILDING, 0.9, np.arange(count), voxels, 0.03)
 
 
 def matches(before, after):
@@ -114,7 +114,7 @@ def test_parts_of_one_instance_that_were_paired_crosswise_are_one_match():
     before = [block(0, 0, 0, 10, 2, 4), replace(block(5, 0, 2, 10, 10, 6), whole=0)]
     after = [block(0, 2, 3, 8, 9, 3), replace(block(7, 0, 0, 10, 2, 4), whole=0)]
     assert matches(before, after) == [((0, 1), (1, 0), "split")]
-    apart = [replace(thing, whole=thing.instance) for thing in (*before, *after)]
+    apart = [replace(obj, whole=obj.instance) for obj in (*before, *after)]
     assert len(matches(apart[:2], apart[2:])) == 2
 
 

@@ -17,10 +17,10 @@ def sheet(low, high):
     return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
-def voxels(*sheets, still=True):
+def voxels(*sheets, occupied_in_other=True):
     xyz = np.concatenate([np.zeros((0, 3)), *sheets])
     count = len(xyz)
-    flags = [np.full(count, value) for value in (True, still, False)]
+    flags = [np.full(count, value) for value in (True, occupied_in_other, False)]
     return Voxels(np.zeros(count, np.int64), xyz, np.tile([0.0, 0.0, 1.0], (count, 1)), xyz[:, 2], *flags)
 
 
@@ -73,13 +73,13 @@ def seen(*names):
 PLAIN = seen("street", "west", "above", "east")
 
 
-def epoch(sheets, empty, still=True):
-    return Epoch(voxels(*sheets, still=still), empty, nothing_met)
+def epoch(sheets, empty, occupied_in_other=True):
+    return Epoch(voxels(*sheets, occupied_in_other=occupied_in_other), empty, nothing_met)
 
 
 def extended(side=True, gone=()):
     """The house with a new wing, which hides the wall of the house behind it."""
-    old, new = voxels(*house(east=False)), voxels(*wing(side=side), still=False)
+    old, new = voxels(*house(east=False)), voxels(*wing(side=side), occupied_in_other=False)
     known = [n for n in ("street", "west", "above", "east of the wing", "before the wing") if n not in gone]
     return Epoch(old.add(new), seen(*known), nothing_met)
 
@@ -107,7 +107,7 @@ def test_a_new_fence_beside_a_house_encloses_nothing():
     """The wall of the house stood before, so it is no wall of what is new; the fence is lower than a room."""
     before = epoch(house(), PLAIN)
     for tall in (1.8, TALL):
-        fence = voxels(sheet((LENGTH, 1, 0), (LENGTH + 4, 1 + CELL, tall)), still=False)
+        fence = voxels(sheet((LENGTH, 1, 0), (LENGTH + 4, 1 + CELL, tall)), occupied_in_other=False)
         seen_now = seen("street", "west", "above", "before the wing", "east of the wing")
         found = carve(before, Epoch(voxels(*house()).add(fence), seen_now, nothing_met), CONFIG)
         assert found.volume.low < 0.1 * found.whole
@@ -119,7 +119,7 @@ CANOPY = ((0, -2.5, TALL - 0.6), (LENGTH, 0, TALL - 0.2))  # before the front wa
 def test_a_canopy_that_one_survey_missed_takes_no_volume_with_it():
     """The survey that has the canopy looked through below it; the other, of fewer beams, above it too."""
     under = inside(((-9, -9, 0), (30, 0, TALL - 0.6)), *(OUT[n] for n in ("west", "above", "east")))
-    has = Epoch(voxels(*house()).add(voxels(sheet(*CANOPY), still=False)), under, nothing_met)
+    has = Epoch(voxels(*house()).add(voxels(sheet(*CANOPY), occupied_in_other=False)), under, nothing_met)
     found = carve(has, epoch(house(), PLAIN), CONFIG)
     assert found.volume.high == 0.0
     assert found.volume.low > -0.15 * found.whole
@@ -164,7 +164,7 @@ def test_a_wing_whose_place_nobody_saw_before_is_no_evidence():
 def test_a_storey_needs_free_space_above_the_old_roof():
     before, after = house(), house(tall=TALL + 2.5)
     high = inside(((-9, -9, TALL + 2.5), (30, 30, HIGH)))
-    grown = voxels(*before).add(voxels(*(wall[wall[:, 2] > TALL] for wall in after), still=False))
+    grown = voxels(*before).add(voxels(*(wall[wall[:, 2] > TALL] for wall in after), occupied_in_other=False))
     taller = Epoch(grown, high, nothing_met)
     known = carve(epoch(before, PLAIN), taller, CONFIG)
     assert known.height.low == pytest.approx(2.5, abs=0.1)
@@ -177,7 +177,7 @@ def test_a_storey_needs_free_space_above_the_old_roof():
 def test_a_new_house_has_the_volume_between_its_walls():
     found = carve(
         Epoch(voxels(), inside(((-9, -9, 0), (30, 30, HIGH))), nothing_met),
-        epoch(house(), PLAIN, still=False),
+        epoch(house(), PLAIN, occupied_in_other=False),
         CONFIG,
     )
     assert found.volume.low == pytest.approx(LENGTH * DEPTH * TALL, rel=0.2)

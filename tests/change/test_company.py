@@ -1,4 +1,4 @@
-"""Two things that were matched by place, and are not one thing that changed."""
+"""Two objects that were matched by place, and are not one object that changed."""
 
 import numpy as np
 import pytest
@@ -7,7 +7,7 @@ from subiaco_change.association.costs import AssociationConfig
 from subiaco_change.decisions.measures import MeasureConfig
 from subiaco_change.decisions.object_decision import ObjectRules, decide_object
 from subiaco_change.decisions.rules import DecisionConfig
-from subiaco_change.decisions.voxel_objects import Thing, Voxels
+from subiaco_change.decisions.voxel_objects import ObjectInstance, Voxels
 from subiaco_change.instance_splitting.split_merge import split_low_overlap_matches
 from subiaco_geo.codes import Change, Semantic
 
@@ -26,18 +26,20 @@ def box(width, depth, height):
     return xyz[shell]
 
 
-def thing(xyz, still):
-    """A building; ``still`` (N,) tells where the other epoch has something, elsewhere it saw free space."""
+def obj(xyz, occupied_in_other):
+    """A building; ``occupied_in_other`` (N,): the other epoch has points there; elsewhere it saw none."""
     yes = np.ones(len(xyz), dtype=bool)
     normal = np.tile([1.0, 0.0, 0.0], (len(xyz), 1))
-    voxels = Voxels(np.zeros(len(xyz), int), xyz, normal, xyz[:, 2], yes, still, ~still)
-    return Thing(0, Semantic.BUILDING, 0.9, np.arange(len(xyz)), voxels, 0.05, xyz)
+    voxels = Voxels(
+        np.zeros(len(xyz), int), xyz, normal, xyz[:, 2], yes, occupied_in_other, ~occupied_in_other
+    )
+    return ObjectInstance(0, Semantic.BUILDING, 0.9, np.arange(len(xyz)), voxels, 0.05, xyz)
 
 
 def matched(before, after):
     """The row of two box-like buildings, matched."""
     near = [(a[:, None] == b[None]).all(axis=2).any(axis=1) for a, b in ((before, after), (after, before))]
-    return decide_object([thing(before, near[0])], [thing(after, near[1])], Semantic.BUILDING, RULES)
+    return decide_object([obj(before, near[0])], [obj(after, near[1])], Semantic.BUILDING, RULES)
 
 
 @pytest.mark.parametrize(("first", "label"), [(True, Change.ADDED), (False, Change.REMOVED)])
@@ -52,7 +54,7 @@ def test_a_house_that_stands_around_a_short_wall_came_or_went_by_itself(first, l
 
 @pytest.mark.parametrize("added", [True, False])
 def test_a_house_whose_absence_is_assumed_came_or_went_with_its_whole_volume(added):
-    house = [thing(box(10.0, 8.0, 5.0), np.zeros(len(box(10.0, 8.0, 5.0)), dtype=bool))]
+    house = [obj(box(10.0, 8.0, 5.0), np.zeros(len(box(10.0, 8.0, 5.0)), dtype=bool))]
     sides = ([], house) if added else (house, [])
     measures = decide_object(*sides, Semantic.BUILDING, RULES).measures
     sign = 1.0 if added else -1.0

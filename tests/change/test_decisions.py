@@ -14,7 +14,7 @@ from subiaco_geo.codes import Change, Semantic
 
 SAME = Measures(
     iou=0.9, d_perp=0.0, delta_c=0.1, delta_h=0.0, delta_v=0.0, delta_v_surface=0.0, volume=100.0, chi2=0.0,
-    gone_share=0.0, new_share=0.0, observed_fraction=1.0, seen_voxels=500, carried=0.0,
+    gone_share=0.0, new_share=0.0, observed_fraction=1.0, observed_voxels=500, net_changed_fraction=0.0,
 )  # fmt: skip
 CONFIG = DecisionConfig()
 
@@ -23,7 +23,7 @@ def label(semantic=Semantic.BUILDING, lod=0.03, before=True, after=True, **chang
     """Decide with just enough surface, new or gone as volume or height say, to carry a change."""
     rules = CONFIG.vegetation if semantic is Semantic.VEGETATION else CONFIG.building
     way = changes.get("delta_v", 0.0) or changes.get("delta_h", 0.0)
-    changes.setdefault("carried", math.copysign(rules.carried, way) if way else 0.0)
+    changes.setdefault("net_changed_fraction", math.copysign(rules.min_net_change, way) if way else 0.0)
     if not (before and after):
         changes.setdefault("delta_v", 50.0 if after else -50.0)  # what a building encloses
     changes.setdefault(
@@ -70,9 +70,9 @@ def test_a_height_change_below_the_gate_is_not_claimed():
 @pytest.mark.parametrize(("dh", "dv"), [(3.0, 50.0), (-3.0, -50.0), (0.0, -17.0)])
 def test_a_change_of_a_plant_that_no_new_or_gone_surface_carries_is_coverage(dh, dv):
     semantic = Semantic.VEGETATION
-    assert label(semantic, delta_h=dh, delta_v=dv, carried=0.0) is Change.UNCHANGED
-    assert label(semantic, delta_h=dh, delta_v=dv, carried=-math.copysign(0.5, dv)) is not label(
-        semantic, delta_h=dh, delta_v=dv, carried=math.copysign(0.5, dv)
+    assert label(semantic, delta_h=dh, delta_v=dv, net_changed_fraction=0.0) is Change.UNCHANGED
+    assert label(semantic, delta_h=dh, delta_v=dv, net_changed_fraction=-math.copysign(0.5, dv)) is not label(
+        semantic, delta_h=dh, delta_v=dv, net_changed_fraction=math.copysign(0.5, dv)
     )
 
 
@@ -81,7 +81,7 @@ def test_a_change_of_a_plant_that_no_new_or_gone_surface_carries_is_coverage(dh,
     [(0.151, Change.INCREASED), (-0.151, Change.DECREASED), (0.13, Change.UNCHANGED)],
 )
 def test_a_crown_whose_top_is_out_of_sight_shows_in_its_sides(share, expected):
-    assert label(Semantic.VEGETATION, carried=share) is expected
+    assert label(Semantic.VEGETATION, net_changed_fraction=share) is expected
 
 
 @pytest.mark.parametrize(
@@ -130,7 +130,7 @@ def test_a_change_of_height_that_no_volume_carries_is_none():
 
 
 def test_new_walls_without_volume_are_no_change_of_a_house():
-    assert label(Semantic.BUILDING, carried=0.3) is Change.UNCHANGED
+    assert label(Semantic.BUILDING, net_changed_fraction=0.3) is Change.UNCHANGED
 
 
 def test_no_level_of_detection_means_no_claim():
@@ -147,7 +147,7 @@ def test_one_sided_objects_need_a_place_that_was_seen_empty():
     assert label(after=False, gone_share=0.9) is Change.REMOVED
     assert label(after=False, gone_share=0.2) is Change.UNCHANGED
     assert label(after=False, gone_share=0.9, observed_fraction=0.05) is Change.UNOBSERVED
-    assert label(before=False, new_share=1.0, seen_voxels=2) is Change.UNOBSERVED
+    assert label(before=False, new_share=1.0, observed_voxels=2) is Change.UNOBSERVED
 
 
 @pytest.mark.parametrize(
@@ -160,7 +160,7 @@ def test_one_sided_objects_need_a_place_that_was_seen_empty():
     ],
 )
 def test_a_large_part_that_was_seen_free_is_enough_of_a_large_object(voxels, observed, free, expected):
-    seen = {"seen_voxels": voxels, "observed_fraction": observed, "gone_share": free}
+    seen = {"observed_voxels": voxels, "observed_fraction": observed, "gone_share": free}
     assert label(after=False, **seen) is expected
 
 
@@ -188,10 +188,10 @@ def test_confidence_never_falls_with_the_margin_or_with_the_size_of_what_was_see
 
     for config in (shipped, shipped.model_copy(update={"reshaped": steep})):
         assert trust(config, delta_h=0.55) <= trust(config, delta_h=1.0) <= trust(config, delta_h=3.0) <= 1.0
-        assert trust(config, delta_h=1.0, seen_voxels=20) <= trust(config, delta_h=1.0)
+        assert trust(config, delta_h=1.0, observed_voxels=20) <= trust(config, delta_h=1.0)
         assert trust(config, delta_h=0.45) < trust(config, delta_h=0.0)
     assert trust(config, delta_h=0.55) < trust(config, delta_h=1.0)
-    assert trust(config, delta_h=1.0, seen_voxels=20) < trust(config, delta_h=1.0)
+    assert trust(config, delta_h=1.0, observed_voxels=20) < trust(config, delta_h=1.0)
 
 
 def test_the_papers_score_is_never_below_one_half_and_empty_where_it_has_no_weights():

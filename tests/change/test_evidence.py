@@ -9,9 +9,9 @@ from subiaco_change.visibility_evidence import EvidenceConfig, ground_observed, 
 from subiaco_geo.clouds import PointCloud, voxel_downsample
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import make_pose
-from subiaco_geo.raywalk import accumulate_visibility
 from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.trajectories import Trajectory
+from subiaco_geo.voxel_traversal import accumulate_visibility
 
 ORIGIN = np.array([391_000.0, 6_464_000.0, 10.0])
 # where a box stood in the other epoch: on the open street, and in the yard behind the wall

@@ -34,9 +34,9 @@ from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.errors import InputError
 from subiaco_geo.maps import load_epoch
-from subiaco_geo.raywalk import accumulate_visibility
 from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.trajectories import Trajectory
+from subiaco_geo.voxel_traversal import accumulate_visibility
 
 ORIGIN = np.array([391_000.0, 6_464_000.0, 20.0])
 LEAF = 0.25

@@ -10,16 +10,16 @@ from subiaco_change.decisions.column_volumes import NO_COLUMNS, OpenGround, comp
 from subiaco_change.decisions.measures import MeasureConfig, measure
 from subiaco_change.decisions.object_decision import ObjectChange
 from subiaco_change.decisions.rules import Decision
-from subiaco_change.decisions.voxel_objects import Thing, Voxels, looked_across
-from subiaco_change.instance_splitting.split_merge import adopt_fragments
+from subiaco_change.decisions.voxel_objects import ObjectInstance, Voxels, observed_on_both_sides
+from subiaco_change.instance_splitting.split_merge import assign_fragments
 from subiaco_geo.codes import Change, Semantic
 
 
-def voxels(xyz, instance=0, still=True, crossed=False):
+def voxels(xyz, instance=0, occupied_in_other=True, free_space_confirmed=False):
     xyz = np.asarray(xyz, dtype=float).reshape(-1, 3)
     count = len(xyz)
     up = np.tile([0.0, 0.0, 1.0], (count, 1))
-    flags = [np.full(count, value) for value in (True, still, crossed)]
+    flags = [np.full(count, value) for value in (True, occupied_in_other, free_space_confirmed)]
     return Voxels(np.full(count, instance), xyz, up, xyz[:, 2], *flags)
 
 
@@ -38,7 +38,7 @@ def walls(length, width, height):
 
 def volume(standing, closing=0.0, bare=NO_COLUMNS):
     """Volume of what stands in *after* alone, in columns of half a metre."""
-    alone = replace(standing, still=np.zeros(len(standing), dtype=bool))
+    alone = replace(standing, occupied_in_other=np.zeros(len(standing), dtype=bool))
     return compare_volumes(voxels([]), alone, 0.5, closing, OpenGround(NO_COLUMNS, bare)).change
 
 
@@ -79,31 +79,31 @@ def test_a_beam_that_grazes_a_wall_has_not_looked_across_it():
     def everywhere(xyz):
         return np.ones(len(xyz), dtype=bool)
 
-    assert not looked_across(wall, normal, in_front, 1.0).any()
-    assert looked_across(wall, normal, everywhere, 1.0).all()
+    assert not observed_on_both_sides(wall, normal, in_front, 1.0).any()
+    assert observed_on_both_sides(wall, normal, everywhere, 1.0).all()
 
 
 def test_what_is_new_and_gone_balances_over_the_mean_surface():
     config = MeasureConfig()
     before = voxels(block((0, 0, 0), (5, 5, 2)))
-    wing = voxels(block((5, 0, 0), (6, 5, 2)), still=False, crossed=True)
+    wing = voxels(block((5, 0, 0), (6, 5, 2)), occupied_in_other=False, free_space_confirmed=True)
     after = Voxels(
         *(np.concatenate([getattr(before, n), getattr(wing, n)]) for n in Voxels.__dataclass_fields__)
     )
     share = len(wing) / (0.5 * (len(before) + len(after)))
-    assert measure(before, after, config).carried == pytest.approx(share)
-    assert measure(after, before, config).carried == pytest.approx(-share)
+    assert measure(before, after, config).net_changed_fraction == pytest.approx(share)
+    assert measure(after, before, config).net_changed_fraction == pytest.approx(-share)
 
 
 def test_voxels_that_were_not_looked_across_carry_nothing():
-    before = voxels(block((0, 0, 0), (5, 5, 2)), still=False, crossed=False)
+    before = voxels(block((0, 0, 0), (5, 5, 2)), occupied_in_other=False, free_space_confirmed=False)
     after = voxels(block((0, 0, 0), (5, 2, 2)))
-    assert measure(before, after, MeasureConfig()).carried == 0.0
+    assert measure(before, after, MeasureConfig()).net_changed_fraction == 0.0
 
 
-def thing(xyz, instance, semantic):
+def obj(xyz, instance, semantic):
     cells = voxels(xyz, instance)
-    return Thing(instance, semantic, 0.9, np.arange(len(cells)), cells, 0.03)
+    return ObjectInstance(instance, semantic, 0.9, np.arange(len(cells)), cells, 0.03)
 
 
 def change_of(before, after, semantic, change):
@@ -117,16 +117,16 @@ def change_of(before, after, semantic, change):
     ("label", "joins"), [(Change.INCREASED, True), (Change.DECREASED, True), (Change.UNCHANGED, False)]
 )
 def test_a_fragment_of_another_class_joins_the_changed_house_in_its_place(label, joins):
-    house_b = thing(block((0, 0, 0), (4, 4, 3)), 0, Semantic.BUILDING)
-    house_a = thing(block((0, 0, 0), (6, 4, 3)), 0, Semantic.BUILDING)
-    hedge = thing(block((4, 0, 0), (6, 4, 3)), 1, Semantic.VEGETATION)
-    far = thing(block((20, 0, 0), (21, 1, 3)), 2, Semantic.VEGETATION)
+    house_b = obj(block((0, 0, 0), (4, 4, 3)), 0, Semantic.BUILDING)
+    house_a = obj(block((0, 0, 0), (6, 4, 3)), 0, Semantic.BUILDING)
+    hedge = obj(block((4, 0, 0), (6, 4, 3)), 1, Semantic.VEGETATION)
+    far = obj(block((20, 0, 0), (21, 1, 3)), 2, Semantic.VEGETATION)
     changes = [
         change_of((house_b,), (house_a,), Semantic.BUILDING, label),
         change_of((hedge,), (), Semantic.VEGETATION, Change.UNCHANGED),
         change_of((far,), (), Semantic.VEGETATION, Change.UNCHANGED),
     ]
-    found = adopt_fragments(changes, [house_b, hedge, far], [house_a], AssociationConfig(), 0.5)
+    found = assign_fragments(changes, [house_b, hedge, far], [house_a], AssociationConfig(), 0.5)
     assert len(found) == (2 if joins else 3)
     assert found[0].before == ((house_b, hedge) if joins else (house_b,))
     assert found[0].match_kind == ("merge" if joins else "one_to_one")

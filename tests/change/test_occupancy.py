@@ -53,7 +53,7 @@ def test_a_bank_that_the_other_epoch_calls_ground_is_occupied_in_both():
     ground = epoch(bank(np.random.default_rng(2)), Semantic.GROUND)
     voxels = build_voxels(plant, ground, everywhere, 0.5, REACH)
     high = voxels.height > REACH.standing
-    assert voxels.still[high].mean() > 0.98
+    assert voxels.occupied_in_other[high].mean() > 0.98
     measures = measure(voxels, voxels.select(nowhere(voxels.xyz)), MeasureConfig())
     assert measures.gone_share < 0.02
 
@@ -65,8 +65,8 @@ def test_the_ground_under_a_car_does_not_occupy_its_place_however_sparse_it_is(s
         epoch(car(rng), Semantic.MOBILE), epoch(field(rng, spacing), Semantic.GROUND), everywhere, 0.5, REACH
     )
     high = voxels.height > REACH.standing
-    assert not voxels.still.any()
-    assert voxels.seen[high].all()
+    assert not voxels.occupied_in_other.any()
+    assert voxels.observed[high].all()
 
 
 def test_of_a_thing_on_the_ground_its_foot_is_no_evidence():
@@ -76,7 +76,7 @@ def test_of_a_thing_on_the_ground_its_foot_is_no_evidence():
     )
     low = voxels.height <= REACH.foot
     assert low.any()
-    assert not voxels.seen[low].any()
+    assert not voxels.observed[low].any()
     measures = measure(voxels, voxels.select(nowhere(voxels.xyz)), MeasureConfig())
     assert measures.observed_fraction == 1.0
     assert measures.gone_share == 1.0
@@ -86,4 +86,4 @@ def test_what_hangs_in_the_air_above_ground_is_not_held_by_it():
     rng = np.random.default_rng(5)
     crown = epoch(bank(rng) + np.array([0, 0, 3.0]), Semantic.VEGETATION)
     voxels = build_voxels(crown, epoch(field(rng, 0.25), Semantic.GROUND), everywhere, 0.5, REACH)
-    assert not voxels.still.any()
+    assert not voxels.occupied_in_other.any()

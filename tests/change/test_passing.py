@@ -6,11 +6,16 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 from test_measures import block
-from test_parts import thing
+from test_parts import obj
 
-from subiaco_change.decisions.dynamic_objects import OwnSurvey, is_moving_object_trail, own_survey, trusted
+from subiaco_change.decisions.dynamic_objects import (
+    OwnEpochEvidence,
+    is_moving_object_trail,
+    limit_confidence,
+    own_epoch_evidence,
+)
 from subiaco_change.decisions.rules import Decision, DecisionConfig
-from subiaco_change.decisions.voxel_objects import OTHERS, EpochView, Thing
+from subiaco_change.decisions.voxel_objects import OTHERS, EpochView, ObjectInstance
 from subiaco_geo.codes import Change, Semantic
 
 RULES = DecisionConfig()
@@ -26,9 +31,9 @@ def nowhere(xyz):
 
 
 def passing(top, passed):
-    """A thing of 4 x 2 m that ``passed`` beams passed for each that returned."""
+    """An object of 4 x 2 m that ``passed`` beams passed for each that returned."""
     cells = block((0, 0, 0), (4, 2, top))
-    seen = thing([(cells, False)])
+    seen = obj([(cells, False)])
     return replace(seen, passed=np.full(len(seen.points), passed))
 
 
@@ -58,7 +63,9 @@ def passing(top, passed):
     ],
 )
 def test_what_passed_is_told_from_what_beams_graze(passed, top, semantic, observed, trail):
-    decision = is_moving_object_trail([passing(top, passed)], semantic, OwnSurvey(observed, NOWHERE), RULES)
+    decision = is_moving_object_trail(
+        [passing(top, passed)], semantic, OwnEpochEvidence(observed, NOWHERE), RULES
+    )
     assert (decision is not None) == trail
     if decision is not None:
         assert decision.change is Change.NOT_REPORTED
@@ -67,8 +74,10 @@ def test_what_passed_is_told_from_what_beams_graze(passed, top, semantic, observ
 
 def test_what_lies_in_the_lane_of_known_traffic_needs_fewer_beams():
     places = passing(1.5, 2.0)
-    along = OwnSurvey(nowhere, cKDTree(np.add(places.xyz, (0.0, 0.5, 0.0))))
-    beside = OwnSurvey(nowhere, cKDTree(np.add(places.xyz, (0.0, 2.0, 0.0))))  # half of it is within a metre
+    along = OwnEpochEvidence(nowhere, cKDTree(np.add(places.xyz, (0.0, 0.5, 0.0))))
+    beside = OwnEpochEvidence(
+        nowhere, cKDTree(np.add(places.xyz, (0.0, 2.0, 0.0)))
+    )  # half of it is within a metre
     assert is_moving_object_trail([places], Semantic.VEGETATION, along, RULES) is not None
     assert is_moving_object_trail([places], Semantic.VEGETATION, beside, RULES) is None
     assert is_moving_object_trail([passing(1.5, 1.0)], Semantic.VEGETATION, along, RULES) is None
@@ -76,7 +85,9 @@ def test_what_lies_in_the_lane_of_known_traffic_needs_fewer_beams():
 
 def test_an_object_is_a_trail_only_if_all_its_parts_were_looked_through():
     parts = [passing(1.5, 9.0), passing(1.5, 0.5)]
-    assert is_moving_object_trail(parts, Semantic.MOBILE, OwnSurvey(everywhere, NOWHERE), RULES) is None
+    assert (
+        is_moving_object_trail(parts, Semantic.MOBILE, OwnEpochEvidence(everywhere, NOWHERE), RULES) is None
+    )
 
 
 def test_a_car_that_is_compared_elsewhere_is_no_traffic():
@@ -86,14 +97,14 @@ def test_a_car_that_is_compared_elsewhere_is_no_traffic():
     instance = np.where(xyz[:, 0] < 2, OTHERS, -1).astype(np.int32)
     flat = np.ones(count)
     view = EpochView(xyz, np.zeros((count, 3)), semantic, instance, xyz[:, 2], flat, flat, 9.0 * flat)
-    assert own_survey(view, everywhere).traffic.data == pytest.approx(xyz[xyz[:, 0] > 2])
+    assert own_epoch_evidence(view, everywhere).traffic.data == pytest.approx(xyz[xyz[:, 0] > 2])
 
 
-def timed(moved: float, count: int = 60) -> Thing:
-    """A thing whose points all moved with one probability."""
-    thing = passing(1.5, 1.0)
+def timed(moved: float, count: int = 60) -> ObjectInstance:
+    """An object whose points all moved with one probability."""
+    obj = passing(1.5, 1.0)
     points = np.arange(count)
-    return replace(thing, points=points, xyz=np.zeros((count, 3)), moved=np.full(count, moved))
+    return replace(obj, points=points, xyz=np.zeros((count, 3)), moved=np.full(count, moved))
 
 
 def test_a_verdict_by_times_takes_the_place_of_counts() -> None:
@@ -124,8 +135,8 @@ def test_what_is_as_likely_a_trail_as_an_object_is_not_claimed(moved: float, cla
 @pytest.mark.parametrize(("moved", "expected"), [(0.0, 0.9), (0.3, 0.7), (0.5, 0.5)])
 def test_a_claim_on_what_was_seen_for_a_moment_only_is_not_trusted(moved: float, expected: float) -> None:
     claim = Decision(Change.ADDED, "in the later survey alone", 1.5)
-    certain, reason = trusted(claim, [timed(moved)], 0.9)
+    certain, reason = limit_confidence(claim, [timed(moved)], 0.9)
     assert certain == pytest.approx(expected)
     assert ("may have moved" in reason) == (moved > 0)
     same = Decision(Change.UNCHANGED, "as it was", 0.1)
-    assert trusted(same, [timed(moved)], 0.9) == (0.9, "as it was")
+    assert limit_confidence(same, [timed(moved)], 0.9) == (0.9, "as it was")

@@ -16,12 +16,12 @@ from subiaco_geo.codes import Semantic
 
 SAME = Measures(
     iou=0.9, d_perp=0.0, delta_c=0.1, delta_h=0.0, delta_v=0.0, delta_v_surface=0.0, volume=100.0, chi2=0.0,
-    gone_share=0.0, new_share=0.0, observed_fraction=1.0, seen_voxels=500, carried=0.0,
+    gone_share=0.0, new_share=0.0, observed_fraction=1.0, observed_voxels=500, net_changed_fraction=0.0,
 )  # fmt: skip
 CONFIG = DecisionConfig()
 CASES = {
-    "hardly observed": (Semantic.BUILDING, True, False, {"observed_fraction": 0.18, "seen_voxels": 50}),
-    "too few voxels": (Semantic.BUILDING, True, False, {"observed_fraction": 0.9, "seen_voxels": 2}),
+    "hardly observed": (Semantic.BUILDING, True, False, {"observed_fraction": 0.18, "observed_voxels": 50}),
+    "too few voxels": (Semantic.BUILDING, True, False, {"observed_fraction": 0.9, "observed_voxels": 2}),
     "removed": (Semantic.BUILDING, True, False, {"gone_share": 1.0, "delta_v": -50.0}),
     "added": (Semantic.OTHER, False, True, {"new_share": 0.8}),
     "occupied": (Semantic.VEGETATION, True, False, {"gone_share": 0.3}),
@@ -40,7 +40,9 @@ CASES = {
         Semantic.BUILDING, True, True,
         {"height_bounds": Interval(math.nan, math.nan), "volume_bounds": Interval(0.0, 1.0)},
     ),
-    "a crown": (Semantic.VEGETATION, True, True, {"delta_h": 2.0, "delta_v": 30.0, "carried": 0.4}),
+    "a crown": (
+        Semantic.VEGETATION, True, True, {"delta_h": 2.0, "delta_v": 30.0, "net_changed_fraction": 0.4}
+    ),
 }  # fmt: skip
 
 

@@ -7,7 +7,7 @@ from subiaco_change.association.costs import AssociationConfig
 from subiaco_change.decisions.measures import MeasureConfig
 from subiaco_change.decisions.object_decision import ObjectRules, decide_object
 from subiaco_change.decisions.rules import DecisionConfig
-from subiaco_change.decisions.voxel_objects import Thing, Voxels
+from subiaco_change.decisions.voxel_objects import ObjectInstance, Voxels
 from subiaco_change.instance_splitting.split_merge import split_row_houses
 from subiaco_geo.codes import Change, Semantic
 
@@ -30,23 +30,25 @@ def row(heights, groups):
     return [np.concatenate([house(place, heights[place]) for place in group]) for group in groups]
 
 
-def things(own, other):
+def objects(own, other):
     there = np.concatenate(other)
     found = []
     for number, xyz in enumerate(own):
-        still = np.array([np.abs(there - p).max(axis=1).min() < 0.1 for p in xyz])
+        occupied_in_other = np.array([np.abs(there - p).max(axis=1).min() < 0.1 for p in xyz])
         yes = np.ones(len(xyz), dtype=bool)
         normal = np.tile([1.0, 0.0, 0.0], (len(xyz), 1))
-        voxels = Voxels(np.full(len(xyz), number), xyz, normal, xyz[:, 2], yes, still, ~still)
+        voxels = Voxels(
+            np.full(len(xyz), number), xyz, normal, xyz[:, 2], yes, occupied_in_other, ~occupied_in_other
+        )
         points = np.arange(len(xyz))
-        found.append(Thing(number, Semantic.BUILDING, 0.9, points, voxels, 0.05, xyz))
+        found.append(ObjectInstance(number, Semantic.BUILDING, 0.9, points, voxels, 0.05, xyz))
     return found
 
 
 def labels(heights, groups, matches):
     """Label of every place of a row, from the middles of the rows of the table."""
     sides = [row(h, g) for h, g in zip(heights, groups, strict=True)]
-    before, after = things(*sides), things(*sides[::-1])
+    before, after = objects(*sides), objects(*sides[::-1])
     changes = [
         decide_object([before[i] for i in b], [after[j] for j in a], Semantic.BUILDING, RULES)
         for b, a in matches

@@ -11,8 +11,8 @@ from subiaco_change.decisions.measures import MeasureConfig, measure
 from subiaco_change.decisions.object_decision import ObjectChange, ObjectRules
 from subiaco_change.decisions.plant_measures import measure_plant
 from subiaco_change.decisions.rules import Decision, DecisionConfig
-from subiaco_change.decisions.voxel_objects import Thing
-from subiaco_change.instance_splitting.hedge_sections import moved_sections
+from subiaco_change.decisions.voxel_objects import ObjectInstance
+from subiaco_change.instance_splitting.hedge_sections import changed_sections
 from subiaco_change.instance_splitting.split_merge import split_hedge_segments
 from subiaco_geo.codes import Change, Semantic
 
@@ -25,8 +25,8 @@ def hedge(pieces, seed, seen=True):
     solid = [block((a, 0, 0), (b, 1, h), 0.1) for a, b, h in pieces]
     xyz = np.concatenate(solid) + rng.normal(0, 0.02, (sum(map(len, solid)), 3))
     cells = voxels(np.concatenate([block((a, 0, 0), (b, 1, h)) for a, b, h in pieces]))
-    held = replace(cells, seen=np.full(len(cells), seen))
-    return Thing(0, Semantic.VEGETATION, 0.8, np.arange(len(xyz)), held, 0.05, xyz)
+    held = replace(cells, observed=np.full(len(cells), seen))
+    return ObjectInstance(0, Semantic.VEGETATION, 0.8, np.arange(len(xyz)), held, 0.05, xyz)
 
 
 def decided(before, after):
@@ -72,12 +72,12 @@ def test_noise_and_little_growth_part_nothing(height):
 
 def test_a_top_that_the_other_epoch_never_looked_at_is_no_section():
     before, after = hedge([(0, 12, 1.5)], 1, seen=False), hedge([(0, 6, 1.5), (6, 12, 1.0)], 2)
-    assert moved_sections([before], [after], 0.3)[0] == []
+    assert changed_sections([before], [after], 0.3)[0] == []
 
 
 def test_tops_of_trees_are_not_compared():
     before, after = hedge([(0, 6, 5.0)], 1), hedge([(0, 3, 5.0), (3, 6, 4.4)], 2)
-    assert moved_sections([before], [after], 0.3)[0] == []
+    assert changed_sections([before], [after], 0.3)[0] == []
 
 
 @pytest.mark.parametrize("share", [0.01, 0.04, 0.15])
@@ -88,7 +88,7 @@ def test_the_end_of_a_hedge_that_few_beams_met_in_one_epoch_keeps_its_top(sparse
     few = other.xyz[(other.xyz[:, 0] < 7) | (rng.random(len(other.xyz)) < share)]
     thin = replace(other, xyz=few, points=np.arange(len(few)))
     pair = (thin, full) if sparser == "before" else (full, thin)
-    assert moved_sections([pair[0]], [pair[1]], 0.3)[0] == []
+    assert changed_sections([pair[0]], [pair[1]], 0.3)[0] == []
 
 
 def test_a_thinly_sampled_trim_is_found_where_its_tops_moved_beyond_their_spread():
@@ -96,7 +96,7 @@ def test_a_thinly_sampled_trim_is_found_where_its_tops_moved_beyond_their_spread
     full, other = hedge([(0, 12, 1.8)], 1), hedge([(0, 6, 1.8), (6, 12, 0.9)], 2)
     few = other.xyz[rng.random(len(other.xyz)) < 0.15]
     thin = replace(other, xyz=few, points=np.arange(len(few)))
-    (section,), _ = moved_sections([full], [thin], 0.3)
+    (section,), _ = changed_sections([full], [thin], 0.3)
     assert section.rise == pytest.approx(-0.85, abs=0.2)
     assert section.xy[:, 0].min() > 5
 
@@ -105,9 +105,9 @@ def test_where_points_of_another_class_stood_nothing_grew():
     before, after = hedge([(0, 12, 1.2)], 1), hedge([(0, 6, 1.2), (6, 12, 2.0)], 2)
     wall = block((6, 0, 1.2), (12, 1, 2.0), 0.2)
     nothing = np.zeros((0, 3))
-    assert [s.rise > 0.6 for s in moved_sections([before], [after], 0.3)[0]] == [True]
-    assert moved_sections([before], [after], 0.3, (wall, nothing))[0] == []
-    assert len(moved_sections([before], [after], 0.3, (np.add(wall, (0, 0, 3)), nothing))[0]) == 1
+    assert [s.rise > 0.6 for s in changed_sections([before], [after], 0.3)[0]] == [True]
+    assert changed_sections([before], [after], 0.3, (wall, nothing))[0] == []
+    assert len(changed_sections([before], [after], 0.3, (np.add(wall, (0, 0, 3)), nothing))[0]) == 1
 
 
 def test_tops_that_few_beams_met_are_not_trimmed():

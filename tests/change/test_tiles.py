@@ -43,8 +43,8 @@ def pair():
     return SurveyMap(BEFORE.survey(1).cloud), SurveyMap(AFTER.survey(2).cloud)
 
 
-def run(bench=None, **options):
-    return detect_changes(*pair(), CONFIG, transform=IDENTITY, bench=bench, **options)
+def run(runner=None, **options):
+    return detect_changes(*pair(), CONFIG, transform=IDENTITY, runner=runner, **options)
 
 
 def hash_of(result):
@@ -97,29 +97,29 @@ def test_a_run_that_was_stopped_goes_on_where_it_was(kept, tmp_path):
         shutil.rmtree(folder / stage)
     for path in sorted((folder / "semantics").iterdir())[::2]:
         path.unlink()
-    bench = TaskRunner(DiskStore(folder))
-    assert hash_of(run(bench)) == hash_of(kept[1])
-    done = {(spent.stage, spent.name) for spent in bench.spent}
+    runner = TaskRunner(DiskStore(folder))
+    assert hash_of(run(runner)) == hash_of(kept[1])
+    done = {(spent.stage, spent.name) for spent in runner.spent}
     assert {stage for stage, _ in done} == {"semantics", "compare", "labels", "patches"}
-    assert bench.kept > len(done)
+    assert runner.kept > len(done)
 
 
 def test_another_setting_redoes_only_what_rests_on_it(kept, tmp_path):
     folder = tmp_path / "stages"
     shutil.copytree(kept[0], folder)
-    bench = TaskRunner(DiskStore(folder))
+    runner = TaskRunner(DiskStore(folder))
     other = CONFIG.model_copy(update={"ground": CONFIG.ground.model_copy(update={"area": 60.0})})
-    result = detect_changes(*pair(), other, transform=IDENTITY, bench=bench)
-    assert {spent.stage for spent in bench.spent} == {"ground", "threshold_components", "patches", "labels"}
+    result = detect_changes(*pair(), other, transform=IDENTITY, runner=runner)
+    assert {spent.stage for spent in runner.spent} == {"ground", "threshold_components", "patches", "labels"}
     assert not [r for r in result.records if r.semantic is Semantic.GROUND]
 
 
 def test_stages_from_one_on_are_done_again(kept, tmp_path):
     folder = tmp_path / "stages"
     shutil.copytree(kept[0], folder)
-    bench = TaskRunner(DiskStore(folder), redo=stages_from(("semantics", "compare", "labels"), "compare"))
-    assert hash_of(run(bench)) == hash_of(kept[1])
-    assert {spent.stage for spent in bench.spent} == {"compare", "labels"}
+    runner = TaskRunner(DiskStore(folder), redo=stages_from(("semantics", "compare", "labels"), "compare"))
+    assert hash_of(run(runner)) == hash_of(kept[1])
+    assert {spent.stage for spent in runner.spent} == {"compare", "labels"}
 
 
 def test_given_classes_and_objects_are_taken_as_they_are(kept):

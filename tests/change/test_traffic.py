@@ -90,8 +90,10 @@ def test_a_trail_occupies_no_place_and_nothing_is_said_of_it():
     trail = replace(few, passed=np.full(count, 9.0))
     everywhere = lambda xyz: np.ones(len(xyz), dtype=bool)  # noqa: E731
     reach = Reach(0.35, 1.0, 1.25)
-    assert build_voxels(parked, parked, everywhere, 0.5, reach).still.all()
-    assert build_voxels(parked, few, everywhere, 0.5, reach).still.all()  # too few points for an object
-    assert not build_voxels(parked, trail, everywhere, 0.5, reach).still.any()
+    assert build_voxels(parked, parked, everywhere, 0.5, reach).occupied_in_other.all()
+    assert build_voxels(
+        parked, few, everywhere, 0.5, reach
+    ).occupied_in_other.all()  # too few points for an object
+    assert not build_voxels(parked, trail, everywhere, 0.5, reach).occupied_in_other.any()
     assert set(unlabelled(trail).change.tolist()) == {Change.NOT_REPORTED}
     assert set(unlabelled(parked).change.tolist()) == {Change.UNCHANGED}

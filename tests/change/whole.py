@@ -128,9 +128,9 @@ def place(
         members.append(_cut(run, epoch, clouds[e], CommonFrame(registration, run.origin), semantic))
         if surveys is not None:
             run._keep_poses(epoch, LoadedEpoch(surveys[e]), surveys[e].trajectory)
-    key = run.bench.put("registration", "all", registration_arrays(registration))
+    key = run.runner.put("registration", "all", registration_arrays(registration))
     frame, sigma, found = run.place(key, None, (0.0, 1.0))
-    inputs = Inputs(run.bench.store, {**frame, **run.poses, "sigma": sigma})
+    inputs = Inputs(run.runner.store, {**frame, **run.poses, "sigma": sigma})
     placed = {name: run.load(key)["xyz"] for name, key in run.placed.items()}
     before = PointCloud(_whole(placed, members[0]), run.origin, clouds[1].crs, clouds[0].fields)
     levels = [{name: run.load(key)[epoch] for name, key in found.items()} for epoch in EPOCHS]
@@ -149,7 +149,7 @@ def _cut(
     members = split_by_tile(moved.world(), run.size)
     normals = np.asarray(cloud.fields["normals"], dtype=np.float32)
     run.points[epoch] = {
-        name: run.bench.put(
+        name: run.runner.put(
             "retiling", f"{epoch}_{name}",
             {"xyz": cloud.xyz[own], "normals": normals[own], "semantic": semantic[own]},
         )

@@ -122,7 +122,7 @@ def damaged_parquet(data: bytes, edits: Sequence[Edit]) -> bytes:
 
 def _small_grid() -> Any:
     from subiaco_geo.clouds import voxel_keys
-    from subiaco_geo.look_times import Looks
+    from subiaco_geo.observation_times import Looks
     from subiaco_geo.visibility import TimeRecord, VisibilityGrid
 
     count = 30

@@ -208,6 +208,30 @@ def _read_tum(path: Path) -> object:
     return read_tum(path)
 
 
+def _read_path(path: Path) -> object:
+    """Read a trajectory of another system, and bring it to a cloud along it."""
+    from subiaco_geo.cloud_io import write_cloud
+    from subiaco_geo.clouds import PointCloud
+    from subiaco_geo.trajectory_files.reading import read_trajectory
+
+    cloud = path.with_name("along.ply")
+    if not cloud.is_file():
+        xyz = np.column_stack([np.arange(50.0), np.zeros(50), np.full(50, -2.0)])
+        write_cloud(cloud, PointCloud(xyz, np.array([391_200.0, 6_464_300.0, 12.0]), "EPSG:7850"))
+    found = read_trajectory(path, cloud, "EPSG:7850").trajectory
+    assert np.isfinite(found.poses).all()
+    return found
+
+
+def _sbet_seeds(_folder: Path) -> list[bytes]:
+    rows = np.zeros((20, 17))
+    rows[:, 0] = 345_600.0 + 0.05 * np.arange(20)
+    rows[:, 1] = np.radians(-31.95) + 1e-8 * np.arange(20)
+    rows[:, 2], rows[:, 3] = np.radians(115.85), 14.0
+    rows[:, 10] = 0.3
+    return [rows.astype("<f8").tobytes()]
+
+
 def _read_kitti(path: Path) -> object:
     from subiaco_geo.trajectories import read_kitti
 
@@ -253,6 +277,11 @@ def _text(*texts: str) -> Callable[[Path], list[bytes]]:
 
 _TUM = "# a comment\n" + "".join(f"{k}.123456789 {k} 0.5 -1 0 0 0 1\n" for k in range(5))
 _KITTI = "1 0 0 5 0 1 0 6 0 0 1 7\n" * 5
+_POSES = (
+    "time;latitude;longitude;height;roll;pitch;heading\n"
+    + "".join(f"{k}.5;-31.95;115.85;14;0.1;0;{k}\n" for k in range(5)),
+    "# t x y z qx qy qz qw\n" + "".join(f"{k},391200,6464300,14,0,0,0,1\n" for k in range(5)),
+)
 _CONTROL = (
     "name,east,north,height,map_east,map_north,map_height\np,391200,6464300,12.5,391200.1,6464300,\n" * 1
 )
@@ -279,6 +308,8 @@ TARGETS = (
     Target("configuration", ".yaml", _read_config, _config_seeds),
     Target("setting", ".txt", _setting, _text("odometry.voxel=0.8", "crs=EPSG:7850"), named=""),
     Target("tum", ".tum", _read_tum, _text(_TUM)),
+    Target("sbet", ".sbet", _read_path, _sbet_seeds),
+    Target("table of poses", ".csv", _read_path, _text(*_POSES)),
     Target("kitti", ".txt", _read_kitti, _text(_KITTI)),
     Target("control", ".csv", _read_control, _text(_CONTROL)),
     Target("route", ".geojson", _read_route, _text(_ROUTE)),

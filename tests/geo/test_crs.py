@@ -14,7 +14,6 @@ from pyproj import CRS, Proj, Transformer
 from subiaco_geo.crs import (
     EnuFrame,
     crs_text,
-    ellipsoidal_heights,
     fixes_to_datum,
     las_wkt,
     require_crs,
@@ -24,6 +23,7 @@ from subiaco_geo.crs import (
 )
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import exp_se3, make_pose
+from subiaco_geo.geoid import ellipsoidal_heights
 
 MGA = "EPSG:7850"
 SUBIACO = EnuFrame(-31.948, 115.825, 20.0)

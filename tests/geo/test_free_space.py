@@ -78,7 +78,7 @@ def at(*places: tuple[float, float, float]) -> Floats:
 def test_space_over_the_street_and_before_the_wall_is_free(street: ExpectedVisibility) -> None:
     places = at((0, 5, 1.0), (0, 8.5, 3.0), (10, -4, 1.5), (40, 15, 1.0))
     assert street.passed(places).all()
-    assert street.seen(places).all()
+    assert street.observed(places).all()
     assert (street.free_probability(places) > 0.8).all()
 
 
@@ -91,14 +91,14 @@ def test_nothing_behind_a_closed_wall_is_seen(street: ExpectedVisibility) -> Non
     yard = np.stack(np.meshgrid([-10.0, 0.0, 5.0], [11.0, 13.0, 16.0], [0.3, 1.0, 2.0]), axis=-1).reshape(
         -1, 3
     )
-    assert not street.seen(yard + ORIGIN).any()
+    assert not street.observed(yard + ORIGIN).any()
     assert not street.passed(yard + ORIGIN).any()
     assert np.allclose(street.free_probability(yard + ORIGIN), 0.5)
 
 
 def test_what_holds_points_is_seen_and_is_not_free(street: ExpectedVisibility) -> None:
     places = at((0, 10, 2.0), (3, 10, 1.0), (3, 2, 0.05))
-    assert street.seen(places).all()
+    assert street.observed(places).all()
     assert not street.passed(places).any()
     assert (street.free_probability(places) < 0.5).all()
 
@@ -116,8 +116,8 @@ def test_a_place_without_points_just_behind_the_front_of_a_wall_is_unknown(
 def test_beyond_the_useful_range_and_above_the_field_of_view_nothing_is_known() -> None:
     one = expected(scene(), lane()[:3])  # from x = -25 to -21 m
     far, high = at((40, 0, 1.5)), at((-24, 6, 9.0))
-    assert not one.seen(far).any()
-    assert not one.seen(high).any()
+    assert not one.observed(far).any()
+    assert not one.observed(high).any()
     tall = SensorView(VIEW.elevation_min, np.radians(60.0), VIEW.useful_range)
     assert expected(scene(), lane()[:3], tall).passed(high).all()
 
@@ -127,7 +127,7 @@ def test_a_road_that_swallows_beams_does_not_make_the_space_below_the_horizon_fr
     far_off = np.array([[0.0, 100.0, 0.0]])
     nothing = expected(far_off, lane())
     assert nothing.passed(at((0, 20, 6.0))).all()
-    assert not nothing.seen(at((0, 20, 1.0), (0, 10, 0.5))).any()
+    assert not nothing.observed(at((0, 20, 1.0), (0, 10, 0.5))).any()
 
 
 def test_space_behind_a_thin_crown_is_free_where_several_poses_look_through() -> None:
@@ -147,7 +147,7 @@ def test_more_poses_never_make_free_space_unknown() -> None:
     few, many = (expected(points, lane()[::step]) for step in (3, 1))
     assert few.passed(places).sum() > 500
     assert not (few.passed(places) & ~many.passed(places)).any()
-    assert not (few.seen(places) & ~many.seen(places)).any()
+    assert not (few.observed(places) & ~many.observed(places)).any()
 
 
 @settings(max_examples=8, deadline=None)
@@ -176,7 +176,7 @@ def test_a_yawed_and_a_tilted_sensor_see_by_their_own_axes() -> None:
     left_high = at((0, 8.0, 5.5))
     narrow = SensorView(VIEW.elevation_min, np.radians(12.0), 9.0)
     points = scene()
-    assert not expected(points, eyes, narrow).seen(left_high).any()
+    assert not expected(points, eyes, narrow).observed(left_high).any()
     assert expected(points, eyes, narrow, axes).passed(left_high).all()
 
 

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 import pytest
@@ -227,6 +229,7 @@ def test_a_damaged_visibility_layer_is_refused(tmp_path: Path, keep: int) -> Non
 
 
 class Slice(StrictModel):
+    FORMER_NAMES: ClassVar[Mapping[str, str]] = {"edge": "voxel"}
     voxel: float = Field(1.0, gt=0)
     name: str = "a"
 
@@ -262,6 +265,7 @@ def test_a_written_configuration_loads_to_the_same_object_and_hash(tmp_path: Pat
         ("seed=[1", "not valid YAML"),
         ("odometry.voxel=-1", "odometry.voxel: Input should be greater than 0"),
         ("odometry.vocsel=1", "odometry.vocsel: no such setting; did you mean voxel"),
+        ("odometry.edge=1", "odometry.edge: no such setting; it is called voxel now"),
     ],
 )
 def test_bad_settings_are_refused_in_one_line(setting: str, match: str) -> None:

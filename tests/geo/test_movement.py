@@ -11,9 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from subiaco_geo.clouds import voxel_keys
-from subiaco_geo.look_times import Looks, joined_looks
 from subiaco_geo.movement import MovementConfig, connected, verdicts
-from subiaco_geo.raywalk import VisibilityAccumulator
+from subiaco_geo.observation_times import Looks, joined_looks
 from subiaco_geo.visibility import (
     NO_VERDICT,
     SURELY_MOVED,
@@ -23,6 +22,7 @@ from subiaco_geo.visibility import (
     save_visibility,
     visibility_parts,
 )
+from subiaco_geo.voxel_traversal import VisibilityAccumulator
 
 CONFIG = MovementConfig()
 LENGTH = 12.0  # of the street that is looked at [m]

@@ -53,8 +53,8 @@ def fail(inputs, params):
     raise InputError(f"tile {params['tile']}: no points")
 
 
-def tasks_of(bench, factor=2.0):
-    sources = {f"{k}_0": bench.put("cut", f"{k}_0", {"values": np.arange(k + 3.0)}) for k in range(6)}
+def tasks_of(runner, factor=2.0):
+    sources = {f"{k}_0": runner.put("cut", f"{k}_0", {"values": np.arange(k + 3.0)}) for k in range(6)}
     return [Task("sum", name, add_up, {"own": key}, {"factor": factor}) for name, key in sources.items()]
 
 
@@ -97,9 +97,9 @@ def test_what_cannot_be_told_apart_has_no_fingerprint():
 
 
 def test_finished_tasks_are_not_done_again_and_a_new_parameter_does_them_anew(tmp_path):
-    bench = TaskRunner(DiskStore(tmp_path))
-    first = bench.run(tasks_of(bench))
-    assert len(bench.spent) == 6
+    runner = TaskRunner(DiskStore(tmp_path))
+    first = runner.run(tasks_of(runner))
+    assert len(runner.spent) == 6
     resumed = TaskRunner(DiskStore(tmp_path))
     assert resumed.run(tasks_of(resumed)) == first
     assert resumed.spent == []
@@ -110,8 +110,8 @@ def test_finished_tasks_are_not_done_again_and_a_new_parameter_does_them_anew(tm
 
 
 def test_stages_are_done_again_from_the_one_asked_for_and_once_only(tmp_path):
-    bench = TaskRunner(DiskStore(tmp_path))
-    bench.run(tasks_of(bench))
+    runner = TaskRunner(DiskStore(tmp_path))
+    runner.run(tasks_of(runner))
     again = TaskRunner(DiskStore(tmp_path), redo=stages_from(("cut", "sum", "table"), "sum"))
     again.run(tasks_of(again))
     again.run(tasks_of(again))
@@ -121,20 +121,20 @@ def test_stages_are_done_again_from_the_one_asked_for_and_once_only(tmp_path):
 
 
 def test_what_stages_cost_is_added_up(tmp_path):
-    bench = TaskRunner(DiskStore(tmp_path))
-    bench.run(tasks_of(bench))
-    costs = bench.costs()
+    runner = TaskRunner(DiskStore(tmp_path))
+    runner.run(tasks_of(runner))
+    costs = runner.costs()
     assert set(costs) == {"sum"}
     assert costs["sum"]["tasks"] == 6
     assert costs["sum"]["wall_s"] >= 0.0
     assert costs["sum"]["peak_mib"] > 10.0
-    assert bench.seconds() == {"sum": costs["sum"]["cpu_s"]}
+    assert runner.seconds() == {"sum": costs["sum"]["cpu_s"]}
 
 
 def test_progress_goes_from_the_beginning_of_a_stage_to_its_end():
     told = []
-    bench = TaskRunner(progress=lambda stage, fraction: told.append((stage, fraction)))
-    bench.run(tasks_of(bench), (0.2, 0.5))
+    runner = TaskRunner(progress=lambda stage, fraction: told.append((stage, fraction)))
+    runner.run(tasks_of(runner), (0.2, 0.5))
     assert told[0] == ("sum", 0.2)
     assert told[-1] == ("sum", pytest.approx(0.5))
     assert [f for _, f in told] == sorted(f for _, f in told)
@@ -150,23 +150,23 @@ class LastFirst(InProcess):
 
 def test_stages_beside_each_other_are_each_keyed_and_told_of_once_and_in_order():
     told = []
-    bench = TaskRunner(executor=LastFirst(), progress=lambda stage, fraction: told.append((stage, fraction)))
-    first = tasks_of(bench)
+    runner = TaskRunner(executor=LastFirst(), progress=lambda stage, fraction: told.append((stage, fraction)))
+    first = tasks_of(runner)
     second = [replace(task, stage="other") for task in first]
-    keys = bench.together([first, second], (0.2, 0.4))
+    keys = runner.together([first, second], (0.2, 0.4))
     assert keys == [{task.name: task.key for task in stage} for stage in (first, second)]
     assert [stage for stage, _ in told] == ["sum"] * len(told)
     assert told[-1] == ("sum", pytest.approx(0.4))
-    assert bench.together([first, second]) == keys
-    assert len(bench.spent) == 2 * len(first)
+    assert runner.together([first, second]) == keys
+    assert len(runner.spent) == 2 * len(first)
 
 
 def test_worker_processes_leave_what_one_process_leaves(tmp_path):
     results = []
     for name, executor in (("one", InProcess()), ("two", LocalPool(2))):
         store = DiskStore(tmp_path / name)
-        bench = TaskRunner(store, executor)
-        keys = bench.run(tasks_of(bench))
+        runner = TaskRunner(store, executor)
+        keys = runner.run(tasks_of(runner))
         results.append({tile: (key, float(store.load(key)["values"][0])) for tile, key in keys.items()})
         executor.close()
     assert results[0] == results[1]
@@ -174,26 +174,26 @@ def test_worker_processes_leave_what_one_process_leaves(tmp_path):
 
 def test_a_killed_worker_is_replaced_and_its_task_done(tmp_path, caplog):
     executor = LocalPool(2)
-    bench = TaskRunner(DiskStore(tmp_path / "stages"), executor)
+    runner = TaskRunner(DiskStore(tmp_path / "stages"), executor)
     mark = str(tmp_path / "mark")
-    key = bench.one(Task("sum", "0_0", die_once, {}, {"mark": mark}))
+    key = runner.one(Task("sum", "0_0", die_once, {}, {"mark": mark}))
     executor.close()
-    assert bench.store.load(key)["values"] == [1.0]
+    assert runner.store.load(key)["values"] == [1.0]
 
 
 def test_workers_that_always_die_end_the_run_with_a_reason(tmp_path):
     executor = LocalPool(1)
-    bench = TaskRunner(DiskStore(tmp_path), executor)
+    runner = TaskRunner(DiskStore(tmp_path), executor)
     with pytest.raises(SubiacoError, match=r"died 3 times.*0_0.*fewer workers"):
-        bench.one(Task("sum", "0_0", die))
+        runner.one(Task("sum", "0_0", die))
     executor.close()
 
 
 def test_the_error_of_a_task_ends_the_run_as_it_is(tmp_path):
     executor = LocalPool(1)
-    bench = TaskRunner(DiskStore(tmp_path), executor)
+    runner = TaskRunner(DiskStore(tmp_path), executor)
     with pytest.raises(InputError, match="tile 3_4: no points"):
-        bench.one(Task("sum", "3_4", fail, {}, {"tile": "3_4"}))
+        runner.one(Task("sum", "3_4", fail, {}, {"tile": "3_4"}))
     executor.close()
 
 
@@ -258,14 +258,16 @@ def test_a_cluster_that_loses_a_worker_in_the_middle_leaves_the_same(tmp_path, c
     alone = TaskRunner(DiskStore(tmp_path / "alone"))
     expected = {n: float(alone.store.load(k)["values"][0]) for n, k in alone.run(tasks_of(alone)).items()}
     executor = make_executor(scheduler=address)
-    bench = TaskRunner(DiskStore(tmp_path / "cluster"), executor)
+    runner = TaskRunner(DiskStore(tmp_path / "cluster"), executor)
     executor._client.wait_for_workers(2, timeout=WAIT)
-    tasks = [Task(t.stage, t.name, slow_sum, t.inputs, {**t.params, "seconds": 0.3}) for t in tasks_of(bench)]
-    bench.progress = lambda stage, fraction: workers[0].kill() if fraction > 0.1 else None
-    keys = bench.run(tasks)
+    tasks = [
+        Task(t.stage, t.name, slow_sum, t.inputs, {**t.params, "seconds": 0.3}) for t in tasks_of(runner)
+    ]
+    runner.progress = lambda stage, fraction: workers[0].kill() if fraction > 0.1 else None
+    keys = runner.run(tasks)
     executor.close()
     assert workers[0].wait(WAIT) != 0
-    assert {n: float(bench.store.load(k)["values"][0]) for n, k in keys.items()} == expected
+    assert {n: float(runner.store.load(k)["values"][0]) for n, k in keys.items()} == expected
 
 
 @pytest.mark.parametrize(
@@ -275,8 +277,10 @@ def test_a_cluster_without_workers_or_scheduler_ends_the_run_and_says_so(tmp_pat
     address, workers = cluster
     executor = Dask(address, patience=1.0)
     executor._client.wait_for_workers(2, timeout=WAIT)
-    bench = TaskRunner(DiskStore(tmp_path / "cluster"), executor)
-    tasks = [Task(t.stage, t.name, slow_sum, t.inputs, {**t.params, "seconds": 0.3}) for t in tasks_of(bench)]
+    runner = TaskRunner(DiskStore(tmp_path / "cluster"), executor)
+    tasks = [
+        Task(t.stage, t.name, slow_sum, t.inputs, {**t.params, "seconds": 0.3}) for t in tasks_of(runner)
+    ]
     ended = []
 
     def end(stage, fraction):
@@ -285,9 +289,9 @@ def test_a_cluster_without_workers_or_scheduler_ends_the_run_and_says_so(tmp_pat
             for process in ended:
                 process.kill()
 
-    bench.progress = end
+    runner.progress = end
     with pytest.raises(SubiacoError, match=rf"--scheduler tcp.*: {said}; what is finished stays"):
-        bench.run(tasks)
+        runner.run(tasks)
     executor.close()
 
 

@@ -6,7 +6,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from subiaco_mapping.config import FusionConfig
-from subiaco_mapping.fusion.outliers import beam_spacing, lonely_points
+from subiaco_mapping.fusion.outliers import beam_spacing, isolated_points
 
 CONFIG = FusionConfig()
 STEP = np.radians(0.7)  # between two beams
@@ -27,8 +27,8 @@ def ring(reach: float) -> np.ndarray:
     return np.column_stack([reach * np.cos(azimuth), reach * np.sin(azimuth), np.full(len(azimuth), -HEIGHT)])
 
 
-def lonely(xyz: np.ndarray, spacing: float = STEP) -> np.ndarray:
-    return lonely_points(xyz, np.linalg.norm(xyz, axis=1), spacing, CONFIG)
+def isolated(xyz: np.ndarray, spacing: float = STEP) -> np.ndarray:
+    return isolated_points(xyz, np.linalg.norm(xyz, axis=1), spacing, CONFIG)
 
 
 @pytest.mark.parametrize("rise_deg", [0.7, 1.1, 5.0])
@@ -45,25 +45,25 @@ def test_a_handful_of_returns_tells_no_spacing() -> None:
 
 @given(st.floats(3.0, 69.0))
 def test_a_lone_ring_on_the_road_stays_at_any_range(reach: float) -> None:
-    assert not lonely(ring(reach)).any()
+    assert not isolated(ring(reach)).any()
 
 
 @pytest.mark.parametrize("reach", [3.0, 20.0, 69.0])
 def test_drops_and_echoes_go_at_any_range(reach: float) -> None:
     aside = 1.1 * max(3 * STEP * reach, 2 * CONFIG.leaf)
     drops = np.array([[reach, 0.0, k * aside] for k in range(1, 5)])
-    found = lonely(np.vstack([ring(reach), drops]))
+    found = isolated(np.vstack([ring(reach), drops]))
     np.testing.assert_array_equal(found, np.arange(len(found)) >= len(ring(reach)))
 
 
 def test_three_points_together_have_too_few_others_and_four_have_enough() -> None:
     pole = np.array([[10.0, 0.0, 0.25 * k] for k in range(4)]) * [1, 1, 0.6]
-    assert lonely(pole[:3], 0.0).all()
-    assert not lonely(pole, 0.0).any()
+    assert isolated(pole[:3], 0.0).all()
+    assert not isolated(pole, 0.0).any()
 
 
 def test_without_neighbours_asked_for_all_stay() -> None:
     drops = np.array([[5.0, 0.0, 0.0], [50.0, 0.0, 0.0]])
     config = CONFIG.model_copy(update={"outlier_neighbours": 0})
-    assert not lonely_points(drops, drops[:, 0], STEP, config).any()
-    assert lonely_points(drops, drops[:, 0], STEP, CONFIG).all()
+    assert not isolated_points(drops, drops[:, 0], STEP, config).any()
+    assert isolated_points(drops, drops[:, 0], STEP, CONFIG).all()

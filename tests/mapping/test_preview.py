@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from subiaco_geo.frames import exp_se3, make_pose
-from subiaco_mapping.fusion.preview import LivePreview, OneChain
+from subiaco_mapping.fusion.preview import LivePreview, OdometrySegments
 
 
 def at(x: float, yaw: float = 0.0) -> np.ndarray:
@@ -47,7 +47,7 @@ def test_the_oldest_points_go_when_there_are_too_many() -> None:
 
 
 def test_a_restarted_odometry_goes_on_where_it_ended() -> None:
-    chain = OneChain()
+    chain = OdometrySegments()
     taken = [
         chain.take(5000 + s, exp_se3(np.array([0, 0, 0.1 * k, k, 0, 0]))) for k, s in enumerate([0, 0, 1, 1])
     ]

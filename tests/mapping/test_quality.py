@@ -22,7 +22,7 @@ from subiaco_mapping.config import GnssConfig, GraphConfig, MappingConfig
 from subiaco_mapping.map_quality import wall_thickness as walls
 from subiaco_mapping.map_quality.config import QualityConfig
 from subiaco_mapping.map_quality.figures import assess
-from subiaco_mapping.map_quality.gnss_holdout import FixErrors, withheld_check, withheld_rows
+from subiaco_mapping.map_quality.gnss_holdout import FixErrors, holdout_check, holdout_rows
 from subiaco_mapping.map_quality.page import with_quality
 from subiaco_mapping.map_quality.verdict import amount
 from subiaco_mapping.map_quality.wall_thickness import coverage, wall_thickness
@@ -103,12 +103,12 @@ def test_every_point_is_counted_in_its_square_metre(count, seed, chunk):
 
 def test_one_block_of_ten_is_withheld_and_nothing_of_a_short_drive():
     times = np.arange(0, 100 * SECOND, SECOND // 5)
-    held = withheld_rows(times, QualityConfig())
+    held = holdout_rows(times, QualityConfig())
     assert sorted(set((times[held] // (5 * SECOND)).tolist())) == [5, 15]
     assert held.sum() == 2 * 25
-    assert not withheld_rows(times[: 9 * 5], QualityConfig()).any()
-    assert withheld_rows(times[: 20 * 5], QualityConfig()).sum() == 25
-    assert len(withheld_rows(times[:0], QualityConfig())) == 0
+    assert not holdout_rows(times[: 9 * 5], QualityConfig()).any()
+    assert holdout_rows(times[: 20 * 5], QualityConfig()).sum() == 25
+    assert len(holdout_rows(times[:0], QualityConfig())) == 0
 
 
 def driven(folder: Path, count: int = 600, fixes: bool = True, seed: int = 3) -> MappingBackend:
@@ -136,7 +136,7 @@ def solution(tmp_path_factory: pytest.TempPathFactory) -> GraphSolution:
 
 
 def test_withheld_errors_are_of_the_size_that_is_stated(solution):
-    found = withheld_check(solution, CONFIG)
+    found = holdout_check(solution, CONFIG)
     assert isinstance(found, FixErrors)
     assert len(found) == 25
     told = found.described()
@@ -148,18 +148,18 @@ def test_withheld_errors_are_of_the_size_that_is_stated(solution):
 
 def test_withheld_fixes_have_no_say_in_the_solution_that_they_are_compared_with(solution):
     chain = solution.graph.chains[0]
-    held = withheld_rows(chain.gnss.times_ns, CONFIG.quality)
+    held = holdout_rows(chain.gnss.times_ns, CONFIG.quality)
     shift = np.array([3.0, -4.0, 5.0])
     moved = replace(chain, gnss=replace(chain.gnss, enu=chain.gnss.enu + held[:, None] * shift))
     wrong = replace(solution, graph=replace(solution.graph, chains={0: moved}))
-    before, after = withheld_check(solution, CONFIG), withheld_check(wrong, CONFIG)
+    before, after = holdout_check(solution, CONFIG), holdout_check(wrong, CONFIG)
     np.testing.assert_allclose(before.offset - after.offset, np.tile(shift, (25, 1)), atol=1e-9)
     assert after.described()["error_over_sigma"] > 50
     assert after.described()["contradicting"] == 25
 
 
 def test_a_fix_of_multipath_is_counted_and_does_not_hide_the_others(solution):
-    found = withheld_check(solution, CONFIG)
+    found = holdout_check(solution, CONFIG)
     offset = found.offset.copy()
     offset[3] += [1.5, 0.0, 0.0]
     before, after = found.described(), replace(found, offset=offset).described()
@@ -170,10 +170,10 @@ def test_a_fix_of_multipath_is_counted_and_does_not_hide_the_others(solution):
 
 @pytest.mark.parametrize(
     ("quality", "reason"),
-    [(QualityConfig(withheld=False), "quality.withheld"), (QualityConfig(withheld_block_ns=10**12), "short")],
+    [(QualityConfig(holdout=False), "quality.holdout"), (QualityConfig(holdout_block_ns=10**12), "short")],
 )
 def test_where_nothing_is_withheld_the_reason_is_told(solution, quality, reason):
-    assert reason in withheld_check(solution, CONFIG.model_copy(update={"quality": quality}))
+    assert reason in holdout_check(solution, CONFIG.model_copy(update={"quality": quality}))
 
 
 def surveyed(flagged: float = 0.0) -> SurveyMap:

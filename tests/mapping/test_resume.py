@@ -15,7 +15,7 @@ from subiaco_geo.maps import write_map
 from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.topics import FIX, MESSAGE_TYPES, POINTS
 from subiaco_mapping import pipeline
-from subiaco_mapping.checkpoint.checkpoint import journal_folder
+from subiaco_mapping.checkpoint.checkpoint import checkpoint_folder
 from subiaco_mapping.config import (
     FramePose,
     FusionConfig,
@@ -137,35 +137,35 @@ def test_a_killed_run_goes_on_and_its_map_is_the_same(
     least: float,
     read_again: list[str],
 ) -> None:
-    journal = journal_folder(tmp_path / "map")
+    checkpoint = checkpoint_folder(tmp_path / "map")
     with pytest.raises(Killed):
-        pipeline.map_survey(bags, CONFIG, killer(stage, least), journal=journal)
+        pipeline.map_survey(bags, CONFIG, killer(stage, least), checkpoint=checkpoint)
     reads.clear()
-    survey = pipeline.map_survey(bags, CONFIG, journal=journal, resume=True)
+    survey = pipeline.map_survey(bags, CONFIG, checkpoint=checkpoint, resume=True)
     assert reads == read_again
     assert content(survey, tmp_path / "map") == expected
 
 
-def interrupted(bag: Path, journal: Path) -> None:
+def interrupted(bag: Path, checkpoint: Path) -> None:
     with pytest.raises(Killed):
-        pipeline.map_survey([bag], CONFIG, killer("fusing scans", 0.0), journal=journal)
+        pipeline.map_survey([bag], CONFIG, killer("fusing scans", 0.0), checkpoint=checkpoint)
 
 
 def test_another_configuration_or_recording_begins_anew(
     bag: Path, tmp_path: Path, reads: list[str], caplog: pytest.LogCaptureFixture
 ) -> None:
-    journal = tmp_path / ".map.journal"
-    interrupted(bag, journal)
+    checkpoint = tmp_path / ".map.checkpoint"
+    interrupted(bag, checkpoint)
     reads.clear()
     caplog.set_level(logging.WARNING, logger="subiaco_mapping")
     other = CONFIG.model_copy(update={"odometry": OdometryConfig(voxel=0.6)})
-    pipeline.map_survey([bag], other, journal=journal, resume=True)
+    pipeline.map_survey([bag], other, checkpoint=checkpoint, resume=True)
     assert reads == ["room"]
     assert "another configuration" in caplog.text
-    interrupted(bag, journal)
+    interrupted(bag, checkpoint)
     other_bag = record(tmp_path / "room", 2)
     reads.clear()
-    survey = pipeline.map_survey([other_bag], CONFIG, journal=journal, resume=True)
+    survey = pipeline.map_survey([other_bag], CONFIG, checkpoint=checkpoint, resume=True)
     assert reads == ["room"]
     assert survey.trajectory.times_ns[0] == START_NS + 20 * SECOND
 
@@ -173,7 +173,7 @@ def test_another_configuration_or_recording_begins_anew(
 def test_recordings_read_by_two_workers_make_the_same_map(
     bags: list[Path], expected: dict[str, str], tmp_path: Path, reads: list[str]
 ) -> None:
-    survey = pipeline.map_survey(bags, CONFIG, journal=tmp_path / ".map.journal", workers=2)
+    survey = pipeline.map_survey(bags, CONFIG, checkpoint=tmp_path / ".map.checkpoint", workers=2)
     assert reads == []  # not in this process
     assert content(survey, tmp_path / "map") == expected
 
@@ -181,11 +181,11 @@ def test_recordings_read_by_two_workers_make_the_same_map(
 def test_a_setting_of_later_stages_alone_reads_no_recording_again(
     bag: Path, tmp_path: Path, reads: list[str]
 ) -> None:
-    interrupted(bag, tmp_path / ".map.journal")
+    interrupted(bag, tmp_path / ".map.checkpoint")
     other = CONFIG.model_copy(update={"fusion": FusionConfig(leaf=0.5), "crs": "EPSG:28350"})
     fresh = content(pipeline.map_survey([bag], other), tmp_path / "fresh")
     reads.clear()
-    survey = pipeline.map_survey([bag], other, journal=tmp_path / ".map.journal", resume=True)
+    survey = pipeline.map_survey([bag], other, checkpoint=tmp_path / ".map.checkpoint", resume=True)
     assert reads == []
     assert content(survey, tmp_path / "map") == fresh
 
@@ -194,55 +194,55 @@ def test_two_recordings_of_one_name_are_refused_before_any_is_read(
     bag: Path, tmp_path: Path, reads: list[str]
 ) -> None:
     with pytest.raises(InputError, match="two bags have this name"):
-        pipeline.map_survey([bag, bag], CONFIG, journal=tmp_path / ".map.journal", workers=2)
+        pipeline.map_survey([bag, bag], CONFIG, checkpoint=tmp_path / ".map.checkpoint", workers=2)
     assert reads == []
 
 
-def test_a_damaged_journal_is_not_believed(bag: Path, tmp_path: Path, reads: list[str]) -> None:
-    journal = tmp_path / ".map.journal"
-    interrupted(bag, journal)
-    record = journal / "000" / "sequence.npz"
+def test_a_damaged_checkpoint_is_not_believed(bag: Path, tmp_path: Path, reads: list[str]) -> None:
+    checkpoint = tmp_path / ".map.checkpoint"
+    interrupted(bag, checkpoint)
+    record = checkpoint / "000" / "sequence.npz"
     record.write_bytes(record.read_bytes()[:-7] + b"garbage")
     reads.clear()
-    pipeline.map_survey([bag], CONFIG, journal=journal, resume=True)
+    pipeline.map_survey([bag], CONFIG, checkpoint=checkpoint, resume=True)
     assert reads == ["room"]
-    (journal / "journal.json").write_text("{")
-    pipeline.map_survey([bag], CONFIG, journal=journal, resume=True)
+    (checkpoint / "checkpoint.json").write_text("{")
+    pipeline.map_survey([bag], CONFIG, checkpoint=checkpoint, resume=True)
     assert reads == ["room", "room"]
 
 
 def test_a_recording_whose_scans_a_power_cut_took_is_read_again(
     bag: Path, tmp_path: Path, reads: list[str]
 ) -> None:
-    journal = tmp_path / ".map.journal"
-    interrupted(bag, journal)
-    (journal / "000" / "fusion-left").mkdir()
-    (journal / "000" / "fusion-left" / "sums.npy").write_bytes(bytes(100))
+    checkpoint = tmp_path / ".map.checkpoint"
+    interrupted(bag, checkpoint)
+    (checkpoint / "000" / "fusion-left").mkdir()
+    (checkpoint / "000" / "fusion-left" / "sums.npy").write_bytes(bytes(100))
     reads.clear()
-    pipeline.map_survey([bag], CONFIG, journal=journal, resume=True)
+    pipeline.map_survey([bag], CONFIG, checkpoint=checkpoint, resume=True)
     assert reads == []  # what a killed run left while fusing is none of its scans
-    interrupted(bag, journal)
+    interrupted(bag, checkpoint)
     reads.clear()
-    scan = next(path for path in sorted((journal / "000").glob("*.npy")) if path.stat().st_size)
+    scan = next(path for path in sorted((checkpoint / "000").glob("*.npy")) if path.stat().st_size)
     scan.write_bytes(b"")
-    pipeline.map_survey([bag], CONFIG, journal=journal, resume=True)
+    pipeline.map_survey([bag], CONFIG, checkpoint=checkpoint, resume=True)
     assert reads == ["room"]
 
 
 def test_without_resume_a_run_begins_anew_and_notes_each_recording(
     bag: Path, tmp_path: Path, reads: list[str]
 ) -> None:
-    journal = tmp_path / ".map.journal"
-    interrupted(bag, journal)
+    checkpoint = tmp_path / ".map.checkpoint"
+    interrupted(bag, checkpoint)
     reads.clear()
-    pipeline.map_survey([bag], CONFIG, journal=journal)
+    pipeline.map_survey([bag], CONFIG, checkpoint=checkpoint)
     assert reads == ["room"]
-    noted = json.loads((journal / "journal.json").read_text())["sequences"]["0"]
+    noted = json.loads((checkpoint / "checkpoint.json").read_text())["sequences"]["0"]
     assert noted["bag"][0] == "room"
 
 
-def test_a_run_that_spares_no_work_leaves_no_journal(bag: Path, tmp_path: Path) -> None:
-    journal = tmp_path / ".map.journal"
+def test_a_run_that_spares_no_work_leaves_no_checkpoint(bag: Path, tmp_path: Path) -> None:
+    checkpoint = tmp_path / ".map.checkpoint"
     with pytest.raises(Killed):
-        pipeline.map_survey([bag], CONFIG, killer("odometry room", 0.0), journal=journal)
-    assert not journal.exists()
+        pipeline.map_survey([bag], CONFIG, killer("odometry room", 0.0), checkpoint=checkpoint)
+    assert not checkpoint.exists()

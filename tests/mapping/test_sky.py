@@ -10,10 +10,10 @@ from ouster.sdk import core
 from scipy.ndimage import binary_erosion
 
 from subiaco_geo.frames import make_pose
-from subiaco_geo.raywalk import VisibilityAccumulator
+from subiaco_geo.voxel_traversal import VisibilityAccumulator
 from subiaco_mapping.checkpoint.scan_spool import SpooledScan
 from subiaco_mapping.config import DecodeConfig, FusionConfig
-from subiaco_mapping.fusion.voxel_fusion import walked_beams
+from subiaco_mapping.fusion.voxel_fusion import visibility_beams
 from subiaco_mapping.preprocessing.decode import PacketDecoder
 from subiaco_mapping.preprocessing.sky import COLUMNS_PER_TURN, MAX_CLUTTER, RING_STEP, sky_mask, thinned
 
@@ -111,7 +111,7 @@ def test_sky_beams_pass_every_voxel_and_hit_none_and_stay_above_the_horizon() ->
     none = np.zeros(0, np.float32)
     scan = SpooledScan(np.array([[10.0, 0.0, 0.0]]), np.ones(1, np.float32), np.zeros((0, 3)), none, sky)
     level = make_pose(np.eye(3), np.zeros(3))
-    ends, returned = walked_beams(scan, level, FusionConfig(visibility_stride=1))
+    ends, returned = visibility_beams(scan, level, FusionConfig(visibility_stride=1))
     np.testing.assert_array_equal(ends, [[10.0, 0.0, 0.0], [30.0, 0.0, 15.0]])
     np.testing.assert_array_equal(returned, [True, False])
     walk = VisibilityAccumulator(np.zeros(3), 0.5)
@@ -129,5 +129,5 @@ def test_a_tilted_sensor_takes_the_horizon_of_the_world_not_its_own() -> None:
     rotation = np.array(
         [[np.cos(tilt), 0, np.sin(tilt)], [0, 1, 0], [-np.sin(tilt), 0, np.cos(tilt)]]
     )  # nose down: ahead sinks
-    ends, _ = walked_beams(scan, make_pose(rotation, np.zeros(3)), FusionConfig())
+    ends, _ = visibility_beams(scan, make_pose(rotation, np.zeros(3)), FusionConfig())
     np.testing.assert_array_equal(ends, sky[1:])

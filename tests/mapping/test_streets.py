@@ -20,14 +20,16 @@ from subiaco_mapping.health_monitor.street_quality import (
     GREEN,
     RED,
     UNDRIVEN,
-    StreetBook,
+    StreetQuality,
     write_geojson,
 )
 
 SECOND = 10**9
 
 
-def drive(book: StreetBook, way: np.ndarray, start: float, raised: dict[int, set[str]] | None = None) -> None:
+def drive(
+    book: StreetQuality, way: np.ndarray, start: float, raised: dict[int, set[str]] | None = None
+) -> None:
     """Drive a line (N, 2), a point a second; ``raised`` holds the flags of some seconds."""
     for k, (east, north) in enumerate(way.tolist()):
         time_ns = START_NS + int((start + k) * SECOND)
@@ -39,7 +41,7 @@ def street(east: float = 0.0, length: int = 100) -> np.ndarray:
 
 
 def test_segments_are_cut_by_way_and_coloured_by_the_worst_that_lasted() -> None:
-    book = StreetBook(QualityConfig())
+    book = StreetQuality(QualityConfig())
     drive(
         book,
         street(),
@@ -54,7 +56,7 @@ def test_segments_are_cut_by_way_and_coloured_by_the_worst_that_lasted() -> None
 
 
 def test_a_fault_of_a_moment_stains_its_segment_and_a_short_one_does_not() -> None:
-    book = StreetBook(QualityConfig(min_share=0.5))
+    book = StreetQuality(QualityConfig(min_share=0.5))
     drive(book, street(length=20), 0.0, {1: {"packet_loss"}})
     assert book.driven()[0].light(QualityConfig(min_share=0.5)) == GREEN
     book.take(Place(START_NS + 5 * SECOND, 0.0, 22.0), set(), {"clock_step"})
@@ -62,7 +64,7 @@ def test_a_fault_of_a_moment_stains_its_segment_and_a_short_one_does_not() -> No
 
 
 def test_a_red_street_is_to_be_driven_again_until_it_was() -> None:
-    book = StreetBook(QualityConfig())
+    book = StreetQuality(QualityConfig())
     drive(book, street(), 0.0, {k: {"lidar_silent"} for k in range(6, 10)})
     assert len(book.again()) == 1
     drive(book, np.column_stack([np.linspace(0, 60, 13), np.full(13, 100.0)]), 30.0)
@@ -73,7 +75,7 @@ def test_a_red_street_is_to_be_driven_again_until_it_was() -> None:
 
 
 def test_what_of_a_route_is_undriven_and_what_was_driven_badly() -> None:
-    book = StreetBook(QualityConfig())
+    book = StreetQuality(QualityConfig())
     drive(book, street(), 0.0, {k: {"without_rtk_fixed"} for k in range(11, 22)})
     route = np.array([[2.0, 0.0], [2.0, 100.0], [200.0, 100.0]])
     pieces = book.route_pieces(route)

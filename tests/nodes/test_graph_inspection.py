@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from pydantic import Field
 
-from subiaco_bringup.cli import graph_inspection_verbs as verbs
+from subiaco_bringup.cli import commands_graph_inspection as verbs
 from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError
 

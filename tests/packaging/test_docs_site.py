@@ -48,11 +48,13 @@ def test_links_out_of_the_documentation_became_paths(site: Path) -> None:
     assert 'href="../' not in re.sub(r'href="\.\./(?:assets|index)', "", page)
 
 
-def test_thirty_questions_lead_to_pages_of_the_site() -> None:
+def test_three_readers_find_the_answers_to_twelve_questions_each() -> None:
     text = (ROOT / "docs/questions.md").read_text(encoding="utf-8")
     questions = re.findall(r"^\d+\. \[([^\]]+)\]\(([^)]+)\)$", text, flags=re.MULTILINE)
-    assert len(questions) == 30
-    assert len({question for question, _ in questions}) == 30
+    assert [len(re.findall(r"^\d+\.", part, flags=re.MULTILINE)) for part in text.split("\n## ")[1:]] == [
+        12
+    ] * 3
+    assert len({question for question, _ in questions}) == len(questions) == 36
     assert all(question.endswith("?") for question, _ in questions)
 
 

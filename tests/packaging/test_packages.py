@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import ast
+import re
+import runpy
 import xml.etree.ElementTree as ET
 from pathlib import Path
 
@@ -45,14 +47,34 @@ def test_a_manifest_names_its_folder_a_maintainer_a_licence_and_a_build_type(pac
 
 @pytest.mark.parametrize("package", OURS, ids=name_of)
 def test_every_manifest_carries_the_one_version(package: Path) -> None:
+    """Wherever they differ: python scripts/version.py X.Y.Z."""
     assert ET.parse(package / "package.xml").findtext("version") == __version__
+
+
+@pytest.mark.parametrize("package", PYTHON, ids=name_of)
+def test_setup_takes_the_version_from_the_manifest(package: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.chdir(package)
+    monkeypatch.setattr("setuptools.setup", lambda **given: found.update(given))
+    found: dict[str, object] = {}
+    runpy.run_path(str(package / "setup.py"))
+    assert found["version"] == __version__
+
+
+def test_the_command_and_the_changelog_name_the_one_version(capsys: pytest.CaptureFixture[str]) -> None:
+    from subiaco_bringup.cli.main import run
+
+    assert run(["--version"]) == 0
+    assert capsys.readouterr().out.strip() == f"subiaco {__version__}"
+    log = (REPOSITORY / "CHANGELOG.md").read_text(encoding="utf-8")
+    released = re.findall(r"^## \[(\d+\.\d+\.\d+)\] - (\d{4}-\d\d-\d\d)$", log, flags=re.MULTILINE)
+    assert released[0][0] == __version__
+    assert [day for _, day in released] == sorted((day for _, day in released), reverse=True)
 
 
 @pytest.mark.parametrize("package", PYTHON, ids=name_of)
 def test_setup_and_manifest_agree(package: Path) -> None:
     arguments = setup_arguments(package)
     manifest = ET.parse(package / "package.xml")
-    assert ast.literal_eval(arguments["version"]) == manifest.findtext("version")
     assert ast.literal_eval(arguments["description"]) == manifest.findtext("description")
     assert ast.literal_eval(arguments["license"]) == manifest.findtext("license")
 

@@ -88,11 +88,15 @@ def test_licences_and_bill_of_materials_are_those_of_the_lock_and_without_gpl() 
     entries = entries_of((REPOSITORY / "requirements.lock").read_text(encoding="utf-8"))
     locked = {(canonical(n), v) for n, _, v in (entry.partition("==") for entry in entries)}
     bill = json.loads((REPOSITORY / "docs/sbom.cdx.json").read_text(encoding="utf-8"))
-    listed = {(part["name"], part["version"]) for part in bill["components"]}
+    listed = {(p["name"], p["version"]) for p in bill["components"] if p["purl"].startswith("pkg:pypi/")}
     assert listed <= locked, "renew it: python scripts/licences.py"
     page = (REPOSITORY / "docs/licences.md").read_text(encoding="utf-8")
     elsewhere = set(page.rpartition("machines: ")[2].strip(" .\n").split(", "))
     assert {name for name, _ in locked} == {name for name, _ in listed} | elsewhere
+    vendored = re.findall(r"^\| three \| ([\d.]+) \| MIT \| `(.*)` \|$", page, re.MULTILINE)
+    assert [f"three.js {v}," in (REPOSITORY / file).read_text("utf-8")[:100] for v, file in vendored] == [
+        True
+    ]
     licences = {part["name"]: part["licenses"][0]["license"]["name"] for part in bill["components"]}
     assert all(licences.values())
     assert not [n for n, text in licences.items() if re.search(r"\bA?GPL|GNU (Affero )?General Public", text)]

@@ -67,7 +67,7 @@ def make_map(
     progress : callable, optional
         Called with the name of the stage and the fraction done.
     **options
-        The other fields of :class:`~subiaco.MappingRequest`: ``workers``, ``resume``, ``keep_journal`` and
+        The other fields of :class:`~subiaco.MappingRequest`: ``workers``, ``resume``, ``keep_checkpoint`` and
         ``overwrite``.
 
     Returns

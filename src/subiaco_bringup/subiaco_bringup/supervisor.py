@@ -70,7 +70,7 @@ class NodeProcess:
         self.fatal = ""
         self._tail: list[str] = []
         self._progress = progress
-        with _interrupt_withheld():
+        with _interrupt_blocked():
             self._process = subprocess.Popen(
                 process_command(spec),
                 env=dict(environment),
@@ -151,7 +151,7 @@ def failure(process: NodeProcess) -> SubiacoError:
 
 
 @contextmanager
-def _interrupt_withheld() -> Iterator[None]:
+def _interrupt_blocked() -> Iterator[None]:
     """Let a process start with SIGINT blocked: one that comes during its imports would break them.
 
     :func:`subiaco_ros.node_process.run_node` unblocks it, and a pending one arrives.

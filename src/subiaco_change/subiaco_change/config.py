@@ -13,6 +13,7 @@ from subiaco_change.decisions.ground_cells import GroundChangeConfig
 from subiaco_change.decisions.measures import MeasureConfig
 from subiaco_change.decisions.plant_measures import PlantConfig
 from subiaco_change.decisions.rules import DecisionConfig
+from subiaco_change.given_classes import GivenClassesConfig
 from subiaco_change.input_checks import InputCheckConfig
 from subiaco_change.level_of_detection.alignment_corrections import PlacingConfig
 from subiaco_change.level_of_detection.displacement_lod import LodConfig
@@ -23,6 +24,7 @@ from subiaco_change.sparse import SpacingConfig
 from subiaco_change.visibility_evidence import EvidenceConfig
 from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError
+from subiaco_geo.trajectory_files.formats import EpochTrajectories
 
 
 class TileConfig(StrictModel):
@@ -91,9 +93,11 @@ class ChangeConfig(StrictModel):
     ground: GroundChangeConfig = GroundChangeConfig()
     confidence: ConfidenceConfig = ConfidenceConfig()
     checks: InputCheckConfig = InputCheckConfig()
+    trajectories: EpochTrajectories = EpochTrajectories()
+    classes: GivenClassesConfig = GivenClassesConfig()
 
 
-def left_out(config: ChangeConfig, parts: Sequence[str]) -> ChangeConfig:
+def with_parts_disabled(config: ChangeConfig, parts: Sequence[str]) -> ChangeConfig:
     """Return the configuration with these parts left out too.
 
     Raises

@@ -17,6 +17,13 @@ import numpy as np
 
 from subiaco_change.decisions.confidence import Calibration, calibration_of
 from subiaco_change.extensions import Extensions
+from subiaco_change.given_classes import (
+    CLASSIFICATION,
+    SEMANTIC,
+    ClassifiedEpoch,
+    classified,
+    given_class_findings,
+)
 from subiaco_change.input_checks import (
     InputCheckConfig,
     check_shift,
@@ -57,7 +64,7 @@ _DATED = np.datetime64("2000-01-01")
 
 
 @contextmanager
-def workbench(
+def task_runner(
     request: ChangeRequest, progress: Callable[[str, float], None] | None = None
 ) -> Iterator[TaskRunner]:
     """Set up the task runner for a request; stages beside its output are removed when the run succeeds.
@@ -255,16 +262,15 @@ def run_change(
 
 def _extended(request: ChangeRequest, extensions: Extensions) -> tuple[tuple[Epoch, Epoch], Floats | None]:
     """Return epochs and transform as functions of the user give them; both surveys are read once."""
-    epochs: tuple[Epoch, Epoch] = (
-        open_epoch(request.before, request.trajectory_before),
-        open_epoch(request.after, request.trajectory_after),
+    forms = request.config.trajectories
+    places = (
+        (request.before, request.trajectory_before, forms.before, "trajectories.before"),
+        (request.after, request.trajectory_after, forms.after, "trajectories.after"),
     )
+    epochs: tuple[Epoch, Epoch] = (open_epoch(*places[0]), open_epoch(*places[1]))
     if extensions.registration is None and extensions.segmentation is None:
         return epochs, request.T_after_before
-    surveys = (
-        load_epoch(request.before, request.trajectory_before),
-        load_epoch(request.after, request.trajectory_after),
-    )
+    surveys = load_epoch(*places[0]), load_epoch(*places[1])
     transform = extensions.transform(surveys, request.T_after_before)
     return extensions.segmented(epochs, surveys), transform
 
@@ -281,15 +287,21 @@ def run_change_and(
     config = request.config
     lots = _start(request)
     epochs, transform = _extended(request, extensions)
-    given = request.given if extensions.segmentation is None else ("semantic", "instance")
+    given: tuple[str, ...] = request.given if extensions.segmentation is None else ("semantic", "instance")
+    labelled: tuple[ClassifiedEpoch, ClassifiedEpoch] | None = None
+    if CLASSIFICATION in given:
+        epochs = labelled = classified(epochs, config.classes)
+        given = (SEMANTIC,)
     surveys = facts_of(epochs[0]), facts_of(epochs[1])
     poses = config.placing.uncertainty
     found = _announced(check_surveys((request.before, request.after), surveys, config.checks))
     found += unstated_findings(surveys, poses.unstated_pose, used=poses.pose_covariance)
-    with workbench(request, progress) as bench:
+    with task_runner(request, progress) as runner:
         result = detect_in_tiles(
-            epochs, config, bench, transform=transform, given=given, room=partial(_require_room, request)
+            epochs, config, runner, transform=transform, given=given, room=partial(_require_room, request)
         )
+        if labelled is not None:
+            found += _announced(given_class_findings(labelled, (request.before, request.after)))
         result = extensions.decided(result)
         if transform is None:
             found += _announced(check_shift(result.registration, surveys, poses.unstated_pose, config.checks))

@@ -38,7 +38,7 @@ def detect_changes(
     *,
     transform: Floats | None = None,
     given: Sequence[str] = (),
-    bench: TaskRunner | None = None,
+    runner: TaskRunner | None = None,
 ) -> ChangeResult:
     """Find what changed between two epochs.
 
@@ -54,7 +54,7 @@ def detect_changes(
         the epochs are registered already. Without it they are registered.
     given : sequence of str
         Point fields that replace stages: ``semantic``, ``instance``.
-    bench : TaskRunner, optional
+    runner : TaskRunner, optional
         Where stages are kept and who does them; in memory and in this process by default.
 
     Returns
@@ -66,15 +66,15 @@ def detect_changes(
     ------
     InputError, RegistrationError
     """
-    bench = TaskRunner(progress=progress) if bench is None else bench
+    runner = TaskRunner(progress=progress) if runner is None else runner
     pair = LoadedEpoch(before), LoadedEpoch(after)
-    return detect_in_tiles(pair, config, bench, transform=transform, given=given).whole()
+    return detect_in_tiles(pair, config, runner, transform=transform, given=given).whole()
 
 
 def detect_in_tiles(
     epochs: tuple[Epoch, Epoch],
     config: ChangeConfig,
-    bench: TaskRunner,
+    runner: TaskRunner,
     *,
     transform: Floats | None = None,
     given: Sequence[str] = (),
@@ -82,10 +82,10 @@ def detect_in_tiles(
 ) -> TiledResult:
     """Find what changed between two epochs without ever holding one of them; see :func:`detect_changes`.
 
-    The result reads its clouds from the store of the bench: use it while that is there. ``room`` is told how
+    The result reads its clouds from the store of the runner: use it while that is there. ``room`` is told how
     many points both thinned clouds have, once they are cut, and may refuse them.
     """
-    run = ChangeRun(bench, config, tuple(given))
+    run = ChangeRun(runner, config, tuple(given))
     run.cut(epochs)
     if room is not None:
         room(run.kept_points)
@@ -107,13 +107,13 @@ def detect_in_tiles(
         if moved > config.second_shift:
             found = run.compare(again, changed, (0.76, 0.92))
     labelled = run.label(found)
-    bench.store.note("stages.json", run.manifest(found, labelled))
+    runner.store.note("stages.json", run.manifest(found, labelled))
     return _assemble(run, found, labelled, info)
 
 
 def _assemble(run: ChangeRun, found: Pass, labelled: Mapping[str, str], info: PairInfo) -> TiledResult:
     tiles = sorted(labelled)
-    inputs = Inputs(run.bench.store, {**found.frame, **run.poses, "sigma": found.sigma})
+    inputs = Inputs(run.runner.store, {**found.frame, **run.poses, "sigma": found.sigma})
     frame = load_frame(inputs, run.origin)
     sigma = load_sigma(inputs, {"origin": run.origin, "config": run.config})
     samples = np.concatenate([run.load(found.lods[t])["sigma"] for t in tiles])
@@ -126,7 +126,7 @@ def _assemble(run: ChangeRun, found: Pass, labelled: Mapping[str, str], info: Pa
         _raster(run, labelled),
         info.findings,
         block_table(sigma, frame),
-        run.bench.costs(),
+        run.runner.costs(),
         tiles,
         partial(_tile, run, labelled),
     )

@@ -37,6 +37,8 @@ def _rigid(rows: _Rows | None) -> _Rows | None:
 def _with_class(given: tuple[str, ...]) -> tuple[str, ...]:
     if "instance" in given and "semantic" not in given:
         raise ValueError("instance needs semantic too, because an object has a class")
+    if "classification" in given and len(given) > 1:
+        raise ValueError("classification and semantic both give the classes; name one of them")
     return given
 
 
@@ -47,10 +49,11 @@ class ComparisonRequest(Request):
     after: Path = Field(description="Map directory or bare cloud of the later epoch")
     output: Path = Field(description="Change directory to write")
     trajectory_before: Path | None = Field(
-        None, description="TUM file with the poses of the sensor, for a bare cloud of the earlier epoch"
+        None,
+        description="Poses of the sensor (TUM, SBET, RTKLIB, CSV) for a bare cloud of the earlier epoch",
     )
     trajectory_after: Path | None = Field(
-        None, description="TUM file with the poses of the sensor, for a bare cloud of the later epoch"
+        None, description="Poses of the sensor (TUM, SBET, RTKLIB, CSV) for a bare cloud of the later epoch"
     )
     transform: Annotated[_Rows | None, BeforeValidator(_rows_of), AfterValidator(_rigid)] = Field(
         None,
@@ -71,8 +74,12 @@ class ComparisonRequest(Request):
 class ChangeRequest(ComparisonRequest):
     """A comparison by our own method: everything that decides its result, and who computes it."""
 
-    given: Annotated[tuple[Literal["semantic", "instance"], ...], AfterValidator(_with_class)] = Field(
-        (), description="Point fields that replace the segmentation: semantic, or semantic and instance"
+    given: Annotated[
+        tuple[Literal["semantic", "instance", "classification"], ...], AfterValidator(_with_class)
+    ] = Field(
+        (),
+        description="Point fields that replace the segmentation: semantic, semantic and instance, or "
+        "classification (ASPRS classes)",
     )
     workers: int = Field(
         1, ge=1, description="Number of processes on this machine; does not change the result"

@@ -105,7 +105,7 @@ class EvidenceConfig(StrictModel):
 class _Test(Protocol):
     """Tells which world points (N, 3) were seen, and through which beams went on."""
 
-    def seen(self, world: Floats) -> Flags: ...
+    def observed(self, world: Floats) -> Flags: ...
 
     def passed(self, world: Floats) -> Flags: ...
 
@@ -119,7 +119,7 @@ class _Grid:
     grid: VisibilityGrid
     min_beams: int
 
-    def seen(self, world: Floats) -> Flags:
+    def observed(self, world: Floats) -> Flags:
         return self.grid.observed(world, self.min_beams)
 
     def passed(self, world: Floats) -> Flags:
@@ -142,7 +142,7 @@ class _Shadow:
     trust: float
     touch: float
 
-    def seen(self, world: Floats) -> Flags:
+    def observed(self, world: Floats) -> Flags:
         local = np.ascontiguousarray(world - self.origin)
         near = nearest(self.index, local, self.radius)[0] >= 0
         return near | self._above(local)
@@ -175,7 +175,7 @@ class _Shadow:
 class _Everything:
     """The paper's rule: absence is taken as evidence everywhere."""
 
-    def seen(self, world: Floats) -> Flags:
+    def observed(self, world: Floats) -> Flags:
         return np.ones(len(world), dtype=np.bool_)
 
     def passed(self, world: Floats) -> Flags:
@@ -210,7 +210,7 @@ class Observer:
 
     def observed(self, world: Floats) -> Flags:
         """Tell which points (N, 3), in this epoch's world frame, this epoch could see."""
-        return self.test.seen(self._own(world))
+        return self.test.observed(self._own(world))
 
     def empty(self, world: Floats) -> Flags:
         """Tell which points (N, 3) this epoch saw to be empty: beams went on, nothing came back."""

@@ -12,7 +12,7 @@ from typing import Any
 import pandas as pd
 from pydantic import BaseModel
 
-from subiaco_change.config import ChangeConfig, left_out
+from subiaco_change.config import ChangeConfig, with_parts_disabled
 from subiaco_change.decisions.ablation import Part
 from subiaco_change.job import read_transform, run_change
 from subiaco_change.request import ChangeRequest
@@ -52,7 +52,7 @@ class Case:
 def variants(ours: ChangeConfig, paper: ChangeConfig) -> dict[str, ChangeConfig]:
     """Return the configuration as it is, and with one part left out or one Decision reverted, by name."""
     found = {FULL: ours}
-    found |= {f"without {part.value}": left_out(ours, [part.value]) for part in Part}
+    found |= {f"without {part.value}": with_parts_disabled(ours, [part.value]) for part in Part}
     found |= {
         f"Decision {number} reverted": reduce(lambda c, field: _taken(c, paper, field), fields, ours)
         for number, fields in DECISIONS.items()

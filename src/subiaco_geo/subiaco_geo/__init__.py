@@ -3,4 +3,4 @@
 No ROS and no SLAM library is imported here; every other room builds on this one.
 """
 
-__version__ = "0.1.0"
+__version__ = "0.2.0"

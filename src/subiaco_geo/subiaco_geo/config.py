@@ -19,7 +19,7 @@ import reprlib
 from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, ClassVar, TypeVar
 
 import yaml
 from pydantic import BaseModel, ConfigDict, ValidationError
@@ -69,9 +69,13 @@ def load_yaml(text: str) -> Any:
 
 
 class StrictModel(BaseModel):
-    """Frozen model that refuses unknown keys."""
+    """Frozen model that refuses unknown keys.
+
+    ``FORMER_NAMES``: settings that were renamed, by their former names, so that a refusal names the new one.
+    """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
+    FORMER_NAMES: ClassVar[Mapping[str, str]] = {}
 
 
 Model = TypeVar("Model", bound=StrictModel)
@@ -138,15 +142,15 @@ def parse_setting(setting: str) -> dict[str, Any]:
     return dict(value)
 
 
-def _known_names(model: type[BaseModel], path: Sequence[int | str]) -> list[str]:
-    """Return the names that a model, or a slice of it, knows."""
+def _slice_of(model: type[BaseModel], path: Sequence[int | str]) -> type[BaseModel] | None:
+    """Return the model of a slice of a configuration, None where the path leads to none."""
     for part in path:
         field = model.model_fields.get(str(part))
         inner = None if field is None else field.annotation
         if not (isinstance(inner, type) and issubclass(inner, BaseModel)):
-            return []
+            return None
         model = inner
-    return sorted(model.model_fields)
+    return model
 
 
 def _complaint(model: type[BaseModel], error: ValidationError) -> tuple[tuple[int | str, ...], str]:
@@ -157,8 +161,11 @@ def _complaint(model: type[BaseModel], error: ValidationError) -> tuple[tuple[in
     if first["type"] != "extra_forbidden":
         message = first["msg"].removeprefix("Value error, ")
         return place, " ".join(f"{where}: {message}, got {_SHORT.repr(first['input'])}".split())
-    known = _known_names(model, place[:-1])
-    close = get_close_matches(str(place[-1]), known, n=1)
+    held, name = _slice_of(model, place[:-1]), str(place[-1])
+    if held is not None and issubclass(held, StrictModel) and name in held.FORMER_NAMES:
+        return place, f"{where}: no such setting; it is called {held.FORMER_NAMES[name]} now"
+    known = [] if held is None else sorted(held.model_fields)
+    close = get_close_matches(name, known, n=1)
     advice = f"did you mean {close[0]}?" if close else f"known are {', '.join(known) or 'none'}"
     return place, f"{where}: no such setting; {advice}"
 

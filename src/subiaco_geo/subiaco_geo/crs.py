@@ -10,7 +10,6 @@ import warnings
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import lru_cache
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -194,7 +193,9 @@ def _run(operation: Transformer, xyz: Floats, what: str) -> Floats:
     return moved
 
 
-def fixes_to_datum(lat_lon_h: ArrayLike, frame: str, crs: str, epoch: float | None = None) -> Floats:
+def fixes_to_datum(
+    lat_lon_h: ArrayLike, frame: str, crs: str, epoch: float | None = None, setting: str = "gnss"
+) -> Floats:
     """Bring GNSS fixes to the geodetic datum of a map's CRS.
 
     Parameters
@@ -208,6 +209,8 @@ def fixes_to_datum(lat_lon_h: ArrayLike, frame: str, crs: str, epoch: float | No
         Projected CRS of the map.
     epoch : float, optional
         Decimal year of the observation; needed where the system of the fixes is dynamic (plate motion).
+    setting : str
+        Group of settings that errors name.
 
     Returns
     -------
@@ -221,13 +224,13 @@ def fixes_to_datum(lat_lon_h: ArrayLike, frame: str, crs: str, epoch: float | No
     fixes = np.array(lat_lon_h, dtype=np.float64)
     if frame == MAP_FRAME:
         return fixes
-    source, target = _geodetic(frame), _geodetic_base(crs)
+    source, target = _geodetic(frame, setting), _geodetic_base(crs)
     if source.datum == target.datum:
         return fixes
     if epoch is None and "Dynamic" in (source.datum.type_name if source.datum is not None else ""):
         raise InputError(
-            f"gnss.declared_frame {frame}: set gnss.epoch to the decimal year of the survey, e.g. 2026.8; "
-            "coordinates in this system move with the plates"
+            f"{setting}.declared_frame {frame}: set {setting}.epoch to the decimal year of the survey, "
+            "e.g. 2026.8; coordinates in this system move with the plates"
         )
     with warnings.catch_warnings():
         warnings.simplefilter("ignore", UserWarning)  # a better operation needs a grid that is not here
@@ -235,26 +238,27 @@ def fixes_to_datum(lat_lon_h: ArrayLike, frame: str, crs: str, epoch: float | No
     if not operations or not 0.0 <= operations[0].accuracy <= _FIX_ACCURACY:
         stated = f"is good to {operations[0].accuracy:g} m only" if operations else "is not known"
         raise InputError(
-            f"gnss.declared_frame {frame}: its relation to {target.name} {stated}; declare the system of the "
-            f"RTK base, or {MAP_FRAME} where the base has the datum of the map"
+            f"{setting}.declared_frame {frame}: its relation to {target.name} {stated}; declare the "
+            f"system of the RTK base, or {MAP_FRAME} where the base has the datum of the map"
         )
     times = np.full(len(fixes), 0.0 if epoch is None else epoch)
     moved = operations[0].transform(fixes[:, 1], fixes[:, 0], fixes[:, 2], times, errcheck=True)
     return np.stack([moved[1], moved[0], moved[2]], axis=1)
 
 
-def _geodetic(frame: str) -> CRS:
+def _geodetic(frame: str, setting: str) -> CRS:
     """Return the three-dimensional geographic CRS that a frame of fixes names."""
     try:
         found = CRS.from_user_input(frame)
     except CRSError as error:
         raise InputError(
-            f"gnss.declared_frame {frame!r}: not known; one such as GDA2020, ETRS89, ITRF2014, EPSG:7843, "
-            f"or {MAP_FRAME}"
+            f"{setting}.declared_frame {frame!r}: not known; one such as GDA2020, ETRS89, ITRF2014, "
+            f"EPSG:7843, or {MAP_FRAME}"
         ) from error
     if not found.is_geographic:
         raise InputError(
-            f"gnss.declared_frame {frame}: {found.name} is no system of latitude and longitude; give its base"
+            f"{setting}.declared_frame {frame}: {found.name} is no system of latitude and longitude; "
+            "give its base"
         )
     return found.to_3d()
 
@@ -264,40 +268,6 @@ def _geodetic_base(crs: str) -> CRS:
     if base is None:
         raise InputError(f"crs {crs}: has no geodetic base; choose a projected one such as EPSG:7850")
     return base.to_3d()
-
-
-def ellipsoidal_heights(lat_lon_h: ArrayLike, grid: Path) -> Floats:
-    """Bring heights above a geoid (AHD) to heights above the ellipsoid.
-
-    Parameters
-    ----------
-    lat_lon_h : (N, 3) float
-        Degrees, degrees, height above the geoid [m].
-    grid : Path
-        Geoid undulations [m] in a format of PROJ (``.gtx``, ``.tif``), AUSGeoid2020 for AHD.
-
-    Returns
-    -------
-    (N, 3) float64
-
-    Raises
-    ------
-    InputError
-        No such grid, not a grid, or positions outside it.
-    """
-    rows = np.array(lat_lon_h, dtype=np.float64)
-    if not grid.is_file() or any(letter in str(grid) for letter in " ,"):
-        raise InputError(f"{grid}: no such geoid grid, or blanks or commas in its path; give a .gtx or .tif")
-    steps = f"+step +proj=vgridshift +grids={grid} +multiplier=1 +step +proj=unitconvert"
-    pipeline = f"+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad {steps} +xy_in=rad +xy_out=deg"
-    try:
-        operation = Transformer.from_pipeline(pipeline)
-        moved = operation.transform(rows[:, 1], rows[:, 0], rows[:, 2], errcheck=True)
-    except ProjError as error:
-        said = " ".join(str(error).split())[:120]
-        raise InputError(f"{grid}: not a geoid grid, or it does not cover the fixes ({said})") from error
-    rows[:, 2] = moved[2]
-    return rows
 
 
 @dataclass(frozen=True)
@@ -355,12 +325,12 @@ class EnuFrame:
     def points_to_map(self, xyz_enu: ArrayLike, crs: str) -> Floats:
         """Project ENU points (N, 3) [m] to east, north, ellipsoidal height (N, 3) [m]."""
         geodetic = self.to_geodetic(xyz_enu)
-        return _run(_projection(crs), geodetic[:, [1, 0, 2]], f"local ENU to {crs}")
+        return _run(projection_of(crs), geodetic[:, [1, 0, 2]], f"local ENU to {crs}")
 
     def points_from_map(self, xyz_map: ArrayLike, crs: str) -> Floats:
         """Return ENU coordinates (N, 3) [m] of map points (N, 3) [m]."""
         points = _check_points(xyz_map)
-        lon, lat, height = _projection(crs).transform(
+        lon, lat, height = projection_of(crs).transform(
             points[:, 0], points[:, 1], points[:, 2], direction="INVERSE", errcheck=True
         )
         return self.from_geodetic(lat, lon, height)
@@ -403,7 +373,7 @@ def _check_points(xyz: ArrayLike) -> Floats:
 
 
 @lru_cache(maxsize=16)
-def _projection(crs: str) -> Transformer:
-    """Operation from longitude, latitude [deg], height of a CRS's own datum to its grid."""
+def projection_of(crs: str) -> Transformer:
+    """Return the operation from longitude, latitude [deg], height of a CRS's own datum to its grid."""
     flat = horizontal(require_map_crs(crs))
     return Transformer.from_crs(_geodetic_base(crs), flat.to_3d(), always_xy=True)

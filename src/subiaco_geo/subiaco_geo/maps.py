@@ -16,6 +16,7 @@ from subiaco_geo.cloud_io import read_cloud, write_cloud
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.config import load_yaml, read_parameters
 from subiaco_geo.errors import InputError
+from subiaco_geo.free_space.sensor_view import SENSOR
 from subiaco_geo.map_tables import (
     read_heights,
     read_uncertainty,
@@ -32,6 +33,8 @@ from subiaco_geo.trajectories import (
     write_kitti,
     write_tum,
 )
+from subiaco_geo.trajectory_files.formats import TrajectoryFormat
+from subiaco_geo.trajectory_files.reading import read_trajectory
 from subiaco_geo.visibility import VisibilityGrid, load_visibility, save_visibility
 
 #: Coordinates beyond are none of the Earth [m].
@@ -105,7 +108,12 @@ def read_map(directory: Path, *, with_last: bool = True) -> SurveyMap:
     )
 
 
-def load_epoch(path: Path, trajectory: Path | None = None) -> SurveyMap:
+def load_epoch(
+    path: Path,
+    trajectory: Path | None = None,
+    form: TrajectoryFormat | None = None,
+    group: str = "trajectories",
+) -> SurveyMap:
     """Load one epoch: a map directory, or a bare cloud file.
 
     Parameters
@@ -115,11 +123,19 @@ def load_epoch(path: Path, trajectory: Path | None = None) -> SurveyMap:
         ``map.laz``) is the cloud, as a simulation without bags leaves it;
         ``visibility.npz`` and ``trajectory.tum`` beside it are taken up.
     trajectory : Path, optional
-        TUM file that says where the sensor went; replaces the map's own.
+        File that says where the sensor went (TUM, SBET, RTKLIB, named columns); replaces the map's own.
+    form : TrajectoryFormat, optional
+        What the trajectory file does not say itself.
+    group : str
+        Settings that errors about it name.
     """
     path = existing_epoch(path)
     survey = read_map(path, with_last=False) if (path / "map.yaml").is_file() else _read_bare(path)
-    return survey if trajectory is None else replace(survey, trajectory=read_tum(Path(trajectory)))
+    if trajectory is None:
+        return survey
+    found = read_trajectory(Path(trajectory), cloud_of(path), survey.cloud.crs, form, group)
+    view = {} if found.view is None else {SENSOR: found.view.description()}
+    return replace(survey, trajectory=found.trajectory, info={**view, **survey.info})
 
 
 def existing_epoch(path: Path) -> Path:

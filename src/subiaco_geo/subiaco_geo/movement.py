@@ -29,7 +29,7 @@ from scipy.special import betaln, gammaln
 
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
-from subiaco_geo.look_times import Looks
+from subiaco_geo.observation_times import Looks
 from subiaco_geo.visibility import NO_VERDICT, SURELY_MOVED
 
 _LIMIT = 1 << 20

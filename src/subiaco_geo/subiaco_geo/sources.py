@@ -13,10 +13,13 @@ from subiaco_geo.cloud_parts import cloud_parts, with_only
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
+from subiaco_geo.free_space.sensor_view import SENSOR
 from subiaco_geo.maps import check_map_crs, cloud_of, existing_epoch, read_map_head
 from subiaco_geo.simulated import distinct, simulation_of
 from subiaco_geo.survey_map import PoseUncertainty, SurveyMap
-from subiaco_geo.trajectories import Trajectory, read_tum
+from subiaco_geo.trajectories import Trajectory
+from subiaco_geo.trajectory_files.formats import TrajectoryFormat
+from subiaco_geo.trajectory_files.reading import read_trajectory
 from subiaco_geo.visibility import VisibilityGrid, visibility_parts
 
 
@@ -134,8 +137,15 @@ class EpochFiles:
         return iter(()) if self.visibility is None else visibility_parts(self.visibility)
 
 
-def open_epoch(path: Path, trajectory: Path | None = None) -> EpochFiles:
+def open_epoch(
+    path: Path,
+    trajectory: Path | None = None,
+    form: TrajectoryFormat | None = None,
+    group: str = "trajectories",
+) -> EpochFiles:
     """Open one epoch: a map directory, or a bare cloud file; as :func:`subiaco_geo.maps.load_epoch`.
+
+    ``form`` says how the trajectory file is read, ``group`` which settings errors name.
 
     Raises
     ------
@@ -154,11 +164,17 @@ def open_epoch(path: Path, trajectory: Path | None = None) -> EpochFiles:
     origin = np.asarray(first.origin if known is None else known, dtype=np.float64)
     beams = path / "visibility.npz"
     info = head.info if "crs" in head.info else {**head.info, **distinct([simulation_of(cloud)])}
+    way = head.trajectory
+    if trajectory is not None:
+        found = read_trajectory(Path(trajectory), cloud, first.crs, form, group)
+        way = found.trajectory
+        if found.view is not None:
+            info = {SENSOR: found.view.description(), **info}
     return EpochFiles(
         cloud,
         first.crs,
         origin,
-        head.trajectory if trajectory is None else read_tum(Path(trajectory)),
+        way,
         head.uncertainty,
         beams if path.is_dir() and beams.is_file() else None,
         info,

@@ -17,7 +17,7 @@ from subiaco_geo.atomic import whole_file
 from subiaco_geo.clouds import packable, voxel_indices, voxel_keys
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
-from subiaco_geo.look_times import Looks
+from subiaco_geo.observation_times import Looks
 
 #: Probability that what returned from a voxel moved, where nothing is known of it.
 NO_VERDICT = 255

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any, Literal
+from collections.abc import Mapping
+from typing import Any, ClassVar, Literal
 
 from pydantic import Field, field_validator
 
@@ -137,6 +138,13 @@ class DeskewConfig(StrictModel):
 class OdometryConfig(StrictModel):
     """Scan to local map (kiss-icp core)."""
 
+    FORMER_NAMES: ClassVar[Mapping[str, str]] = {
+        "gicp_voxel": "gicp_voxel",
+        "look_distance": "gicp_distance",
+        "look_iterations": "gicp_iterations",
+        "look_leaf": "gicp_leaf",
+    }
+
     voxel: float = Field(
         1.0,
         gt=0,
@@ -163,19 +171,19 @@ class OdometryConfig(StrictModel):
         description="Fraction of the squared kernel width that is kept from scan to scan; raise it for "
         "slower adaptation",
     )
-    look_voxel: float = Field(
+    gicp_voxel: float = Field(
         1.0, gt=0, description="Edge of the voxels of the Gaussian map for the plane-to-plane refinement [m]"
     )
-    look_distance: float = Field(
+    gicp_distance: float = Field(
         1.0,
         gt=0,
         description="Largest correspondence distance of the plane-to-plane refinement [m]; smaller while "
         "the motion is predictable",
     )
-    look_iterations: int = Field(
+    gicp_iterations: int = Field(
         10, ge=1, description="Largest number of iterations of the plane-to-plane refinement"
     )
-    look_leaf: float = Field(
+    gicp_leaf: float = Field(
         0.75, gt=0, description="Voxel edge to which a scan is thinned for the plane-to-plane refinement [m]"
     )
     refine: bool = Field(

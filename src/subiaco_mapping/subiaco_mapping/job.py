@@ -7,7 +7,7 @@ from collections.abc import Callable
 from subiaco_geo.atomic import refuse_existing, refuse_foreign
 from subiaco_geo.maps import write_map
 from subiaco_geo.survey_map import SurveyMap
-from subiaco_mapping.checkpoint.checkpoint import journal_folder, remove
+from subiaco_mapping.checkpoint.checkpoint import checkpoint_folder, remove
 from subiaco_mapping.pipeline import map_survey, require_room_for
 from subiaco_mapping.request import MappingRequest
 
@@ -32,11 +32,11 @@ def run_mapping(request: MappingRequest, progress: Callable[[str, float], None] 
     require_room_for(request.bags, output)
     survey = map_survey(
         request.bags, request.config, progress,
-        journal=journal_folder(output), resume=request.resume, workers=request.workers,
+        checkpoint=checkpoint_folder(output), resume=request.resume, workers=request.workers,
     )  # fmt: skip
     if progress is not None:
         progress("writing map", 0.0)
     write_map(output, survey, overwrite=request.overwrite)
-    if not request.keep_journal:
-        remove(journal_folder(output))
+    if not request.keep_checkpoint:
+        remove(checkpoint_folder(output))
     return survey

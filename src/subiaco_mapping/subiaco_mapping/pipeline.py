@@ -19,7 +19,7 @@ from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.topics import FIX, HEADING, IMU, LIDAR_PACKETS, MESSAGE_TYPES, METADATA, POINTS, TF_STATIC
 from subiaco_geo.work.store import Arrays
 from subiaco_geo.work.tasks import Inputs
-from subiaco_mapping.checkpoint.checkpoint import JournalledBackend, opened
+from subiaco_mapping.checkpoint.checkpoint import CheckpointedBackend, opened
 from subiaco_mapping.checkpoint.sequence_files import pack
 from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.fusion.map_builder import ProgressCallback, silent
@@ -194,7 +194,7 @@ def map_survey(
     config: MappingConfig,
     progress: ProgressCallback | None = None,
     *,
-    journal: Path | None = None,
+    checkpoint: Path | None = None,
     resume: bool = False,
     workers: int = 1,
 ) -> SurveyMap:
@@ -207,11 +207,11 @@ def map_survey(
     config : MappingConfig
     progress : callable, optional
         Told stage and fraction.
-    journal : Path, optional
+    checkpoint : Path, optional
         Folder for the checkpoint of this run (:mod:`subiaco_mapping.checkpoint.checkpoint`); it stays
         there, so that a run that is killed can go on. Without one, work goes to a temporary folder.
     resume : bool
-        Go on with what the journal holds; recordings that are done are not read again.
+        Go on with what the checkpoint holds; recordings that are done are not read again.
     workers : int
         Processes that read recordings beside each other; the map is the same.
 
@@ -228,8 +228,8 @@ def map_survey(
         raise InputError("no bag given; name at least one rosbag2 folder, .mcap or simulated epoch folder")
     require_usable(config.crs)
     report = progress or silent
-    with opened(journal, config, resume=resume) as work:
-        backend = JournalledBackend(config, work)
+    with opened(checkpoint, config, resume=resume) as work:
+        backend = CheckpointedBackend(config, work)
         recordings = [Recording(k, bag, hash_bag(bag)) for k, bag in enumerate(map(Path, bags))]
         inputs = name_all(recordings)
         if workers > 1:

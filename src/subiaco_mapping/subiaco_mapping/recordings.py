@@ -15,7 +15,7 @@ from subiaco_geo.work.executors import make_executor
 from subiaco_geo.work.store import DiskStore
 from subiaco_geo.work.tasks import Function, Task
 from subiaco_mapping.backend import sequence_folder
-from subiaco_mapping.checkpoint.checkpoint import Journal
+from subiaco_mapping.checkpoint.checkpoint import Checkpoint
 from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.fusion.map_builder import ProgressCallback
 from subiaco_mapping.measurements import DeskewedScan, Extrinsics, GnssFix, HeadingSample, OdometryPose
@@ -54,18 +54,18 @@ def name_all(recordings: Sequence[Recording]) -> dict[str, str]:
 
 def read_beside(
     recordings: Sequence[Recording],
-    journal: Journal,
+    checkpoint: Checkpoint,
     config: MappingConfig,
     read: Function,
     workers: int,
     report: ProgressCallback,
 ) -> None:
-    """Read the recordings that the journal lacks, each by one worker; each is noted as it ends.
+    """Read the recordings that the checkpoint lacks, each by one worker; each is noted as it ends.
 
     Parameters
     ----------
     recordings : sequence of Recording
-    journal : Journal
+    checkpoint : Checkpoint
     config : MappingConfig
     read : callable
         The task; its parameters are ``bag``, ``content``, ``folder`` and ``config``.
@@ -73,23 +73,23 @@ def read_beside(
     report : callable
         Told stage and fraction.
     """
-    left = [r for r in recordings if journal.record_of(r.number, r.name, r.content) is None]
+    left = [r for r in recordings if checkpoint.record_of(r.number, r.name, r.content) is None]
     if len(left) < 2:
         return
-    tasks = [_task(recording, journal, config, read) for recording in left]
+    tasks = [_task(recording, checkpoint, config, read) for recording in left]
     by_name = {task.name: (task, recording) for task, recording in zip(tasks, left, strict=True)}
-    store = DiskStore(journal.folder / "read")
+    store = DiskStore(checkpoint.folder / "read")
     report("odometry", 0.0)
     with closing(make_executor(min(workers, len(left)), preload=[read.__module__])) as executor:
         for done, spent in enumerate(executor.run(store, tasks), 1):
             task, recording = by_name[spent.name]
             packed = store.load(task.key)["record"].tobytes()
-            journal.keep(recording.number, recording.name, recording.content, packed)
+            checkpoint.keep(recording.number, recording.name, recording.content, packed)
             report("odometry", done / len(left))
 
 
-def _task(recording: Recording, journal: Journal, config: MappingConfig, read: Function) -> Task:
-    folder = sequence_folder(journal.folder, recording.number)
+def _task(recording: Recording, checkpoint: Checkpoint, config: MappingConfig, read: Function) -> Task:
+    folder = sequence_folder(checkpoint.folder, recording.number)
     given = {"bag": str(recording.bag), "content": recording.content, "folder": str(folder)}
     return Task("odometry", folder.name, read, params={**given, "config": config})
 

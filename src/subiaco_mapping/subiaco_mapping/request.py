@@ -24,7 +24,7 @@ class MappingRequest(Request):
     resume: bool = Field(
         True, description="Use the recordings that a stopped run with the same output had finished"
     )
-    keep_journal: bool = Field(
+    keep_checkpoint: bool = Field(
         False, description="Leave the finished recordings beside the map for a run with other later settings"
     )
     overwrite: bool = Field(False, description="Replace a map directory that exists")

@@ -30,6 +30,7 @@ from subiaco_report.page import environment
 from subiaco_report.project_facts import project_facts
 from subiaco_report.row_data import FOLDER as REPORT_FILES
 from subiaco_report.summary import epoch_facts
+from subiaco_report.viewer.build import FOLDER as VIEWER
 
 MANIFEST, CHECKSUMS = "manifest.csv", "SHA256SUMS"
 _TABLES = ("gpkg", "csv", "shp", "dxf", "geojson", "kml")
@@ -37,7 +38,7 @@ _GEOGRAPHIC = ("geojson", "kml")  # which need a CRS
 _COPIED = ("coverage.tif", "lod95.tif", "ground_change.tif", "registration.json", "run.json", "config.yaml")
 _PAGES = ("report.html", "summary.html", "overview.png")
 _ABOUT = {
-    "report": "pages for people: report.html (every change), summary.html (two pages)",
+    "report": "pages for people: report.html (every change), summary.html (two pages), viewer (3D)",
     "changes": "the change table in the forms of GIS and CAD programs",
     "rasters": "heights of both surveys and their difference, coverage, level of detection (GeoTIFF)",
     "clouds": "labelled points of both surveys (COPC, LAS 1.4)",
@@ -120,8 +121,9 @@ def _copy(directory: Path, target: Path) -> None:
         if (directory / name).is_file():
             folder = "report" if name in _PAGES else "rasters" if name.endswith(".tif") else "processing"
             shutil.copyfile(directory / name, target / folder / name)
-    if (directory / REPORT_FILES).is_dir():
-        shutil.copytree(directory / REPORT_FILES, target / "report" / REPORT_FILES)
+    for name in (REPORT_FILES, VIEWER):
+        if (directory / name).is_dir():
+            shutil.copytree(directory / name, target / "report" / name)
 
 
 def _export(directory: Path, target: Path, kind: str, review: str) -> None:

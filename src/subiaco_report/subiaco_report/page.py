@@ -26,7 +26,6 @@ from subiaco_report.city_map import city_map
 from subiaco_report.cloud_windows import Gathered, gather
 from subiaco_report.colours import height_range
 from subiaco_report.facts import (
-    CHANGED_LABELS,
     changed_rows,
     findings,
     is_simulated,
@@ -38,16 +37,24 @@ from subiaco_report.facts import (
     unseen_facts,
 )
 from subiaco_report.project_facts import project_facts
-from subiaco_report.row_data import CHUNK, FOLDER, pack, picture_chunks, places_of, row_data, write_chunks
+from subiaco_report.row_data import (
+    CHUNK,
+    FOLDER,
+    pack,
+    page_rows,
+    picture_chunks,
+    places_of,
+    row_data,
+    write_chunks,
+)
 from subiaco_report.summary import build_summary, epoch_facts, largest_rows
+from subiaco_report.viewer.build import viewer_link
 
 _SHOWN = ("change", "projection", "height", "semantics", "instances")
 #: Blocks beyond these, those with fewest changes, are left out: what bounds the report.
 _MOST_BLOCKS = 40
 #: Changed rows beyond these have no picture: what bounds the time.
 _MOST_PICTURES = 20_000
-#: A table with more rows than this gives the page its changed rows only.
-_MOST_ROWS = 5000
 #: Beyond so many changes, pictures lie in a folder beside the page.
 _MOST_INSIDE = 500
 #: Numbers drawn over the picture of a block, those of the surest changes.
@@ -133,9 +140,11 @@ def build_report(directory: Path) -> Path:
     inside = len(changed) <= _MOST_INSIDE
     files = {} if inside else _block_files(drawn_blocks)
     places = places_of(rows, blocks, directory / "changes.gpkg")
+    viewer = viewer_link(directory)
     context = report_context(change, found) | {
         "map": city_map(found.city, changed.iloc[:0]),
-        "data": pack(_page_document(change, found, rows, places, changed, drawn)),
+        "data": pack(_page_document(change, found, rows, places, changed, drawn) | {"viewer": viewer}),
+        "viewer": viewer,
         "chunks": [json.dumps(chunk, separators=(",", ":")) for chunk in chunks] if inside else [],
         "places": sorted(set(places) - {""}, key=_by_number),
         "project": project_facts(directory),
@@ -159,16 +168,6 @@ def build_report(directory: Path) -> Path:
         text = environment().get_template("summary.html.j2").render(build_summary(change, found, drawn))
         path.write_text(text, encoding="utf-8")
     return directory / "report.html"
-
-
-def page_rows(table: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
-    """Return the rows of the page: changed ones first, the surest on top; of large tables no others."""
-    kept = table if len(table) <= _MOST_ROWS else table[table["label"].isin(CHANGED_LABELS)]
-    changed = kept["label"].isin(CHANGED_LABELS)
-    ordered = kept.assign(_changed=changed).sort_values(
-        ["_changed", "confidence", "object_id"], ascending=[False, False, True]
-    )
-    return ordered.drop(columns="_changed")
 
 
 def _page_document(

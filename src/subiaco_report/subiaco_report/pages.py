@@ -1,4 +1,4 @@
-"""All that people open in a change directory: report, summary and QGIS project."""
+"""All that people open in a change directory: report, summary, 3D viewer and QGIS project."""
 
 from __future__ import annotations
 
@@ -8,12 +8,14 @@ from subiaco_change.outputs.change_directory_reading import read_change_director
 from subiaco_change.outputs.rasters import read_coverage
 from subiaco_report.page import build_report
 from subiaco_report.qgis_project import PROJECT, write_project
+from subiaco_report.viewer.build import update_viewer
 
 
 def write_pages(directory: Path) -> Path:
     """Build the pages of a change directory, and the QGIS project where there is none.
 
-    A project that is there may be somebody's work by now; it stays.
+    A project that is there may be somebody's work by now; it stays. The 3D viewer is written where the
+    clouds have at most 20 million points, or where there is one already.
 
     Returns
     -------
@@ -25,6 +27,7 @@ def write_pages(directory: Path) -> Path:
     InputError
         The directory is not a complete change directory.
     """
+    update_viewer(directory)
     page = build_report(directory)
     if not (directory / PROJECT).exists():
         change = read_change_directory(directory)

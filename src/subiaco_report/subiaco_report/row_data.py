@@ -17,6 +17,7 @@ from subiaco_change.outputs.parcels import OUTSIDE
 from subiaco_change.outputs.review_state import review_states
 from subiaco_geo.atomic import whole_directory
 from subiaco_report.evidence_pictures import Evidence, svg_path
+from subiaco_report.facts import CHANGED_LABELS
 from subiaco_report.pictures import Block
 from subiaco_report.top_views import Frame
 
@@ -28,6 +29,9 @@ _ABOUT = "Pictures of report.html, which loads them when they are seen. Keep thi
 _TEXTS = ("object_uid", "reason", "review", "reviewer", "note")
 _POSITIONS = ("x", "y", "z")  # given to the millimetre, so that they can be copied
 
+#: A table with more rows than this gives the page its changed rows only.
+_MOST_ROWS = 5000
+
 Columns = Sequence[tuple[str, str, int | None, str]]
 
 
@@ -35,6 +39,16 @@ def pack(document: Any) -> str:
     """Return JSON as gzip in base64: what the page unpacks with ``DecompressionStream``."""
     text = json.dumps(document, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
     return base64.b64encode(gzip.compress(text.encode("utf-8"), 6, mtime=0)).decode("ascii")
+
+
+def page_rows(table: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
+    """Return the rows of the page: changed ones first, the surest on top; of large tables no others."""
+    kept = table if len(table) <= _MOST_ROWS else table[table["label"].isin(CHANGED_LABELS)]
+    changed = kept["label"].isin(CHANGED_LABELS)
+    ordered = kept.assign(_changed=changed).sort_values(
+        ["_changed", "confidence", "object_id"], ascending=[False, False, True]
+    )
+    return ordered.drop(columns="_changed")
 
 
 def row_data(rows: gpd.GeoDataFrame, columns: Columns, frame: Frame, places: Sequence[str]) -> dict[str, Any]:

@@ -120,7 +120,7 @@ def message_class(msg_type: str) -> Any:
         raise InputError(f"{msg_type}: message package not found; install or source it") from error
 
 
-class Apart(CallbackGroup):
+class PolledCallbackGroup(CallbackGroup):
     """Keeps subscriptions out of the executor, which would build its wait set anew for every message.
 
     Measured at 1,280 packets a second: a third of a core through the executor, of which a tenth is reading.
@@ -162,7 +162,7 @@ class OfferedSubscription:
     depth : int
     raw : bool
         Give serialised bytes.
-    apart : CallbackGroup, optional
+    polled : CallbackGroup, optional
         Leave the messages to :meth:`drain`; the handler then takes the info too.
     """
 
@@ -174,7 +174,7 @@ class OfferedSubscription:
         handler: Callable[..., None],
         depth: int,
         raw: bool = False,
-        apart: Apart | None = None,
+        polled: PolledCallbackGroup | None = None,
     ) -> None:
         self._node = node
         self._kind = kind
@@ -182,7 +182,7 @@ class OfferedSubscription:
         self._handler = handler
         self._depth = depth
         self._raw = raw
-        self._apart = apart
+        self._polled = polled
         self._key: tuple[str, bool, bool] | None = None
         self._subscription: Subscription | None = None
         self.reliable = True
@@ -208,14 +208,14 @@ class OfferedSubscription:
                 self._topic,
                 self._handler,
                 wanted_qos(offer, self._depth),
-                callback_group=self._apart,
+                callback_group=self._polled,
                 raw=self._raw,
             )
         return True
 
     def drain(self, most: int | None = None) -> int:
-        """Hand on what has arrived, where the subscription is apart; at most what it holds."""
-        if self._apart is None or self._subscription is None:
+        """Hand on what has arrived, where the subscription is polled; at most what it holds."""
+        if self._polled is None or self._subscription is None:
             return 0
         return drain(self._subscription, self._handler, self._depth if most is None else most)
 
@@ -225,16 +225,16 @@ Wanted = tuple[Any, str, Callable[..., None], int, bool]
 
 
 def follow_offers(
-    node: Node, wanted: Iterable[Wanted], apart: Collection[str] = ()
+    node: Node, wanted: Iterable[Wanted], polled: Collection[str] = ()
 ) -> dict[str, OfferedSubscription]:
     """Subscribe to topics as they are offered, looking again and again; return them by topic.
 
-    Those of ``apart`` are left to their ``drain``.
+    Those of ``polled`` are left to their ``drain``.
     """
-    group = Apart() if apart else None
+    group = PolledCallbackGroup() if polled else None
     found = {
         topic: OfferedSubscription(
-            node, kind, topic.lstrip("/"), handler, depth, raw, group if topic in apart else None
+            node, kind, topic.lstrip("/"), handler, depth, raw, group if topic in polled else None
         )
         for kind, topic, handler, depth, raw in wanted
     }

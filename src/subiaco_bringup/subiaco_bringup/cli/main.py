@@ -6,18 +6,20 @@ import errno
 import sys
 import traceback
 from collections.abc import Sequence
+from typing import Annotated
 
 import typer
 
 from subiaco_bringup.cli import (
-    baseline_verbs,
-    change_verbs,
-    delivery_verbs,
-    graph_verbs,
-    record_verbs,
-    survey_verbs,
-    trust_verbs,
+    commands_calibration,
+    commands_change,
+    commands_delivery,
+    commands_evaluation,
+    commands_graph,
+    commands_record,
+    commands_survey,
 )
+from subiaco_geo import __version__
 from subiaco_geo.disk import is_disk_full
 from subiaco_geo.errors import SubiacoError
 
@@ -51,13 +53,31 @@ app = typer.Typer(
     rich_markup_mode=None,
     context_settings={"help_option_names": ["-h", "--help"], "max_content_width": 110},
 )
-survey_verbs.register(app)
-change_verbs.register(app)
-delivery_verbs.register(app)
-baseline_verbs.register(app)
-trust_verbs.register(app)
-graph_verbs.register(app)
-record_verbs.register(app)
+
+
+def _print_version(asked: bool) -> None:
+    if asked:
+        sys.stdout.write(f"subiaco {__version__}\n")
+        raise typer.Exit
+
+
+@app.callback()
+def _options(
+    version: Annotated[
+        bool,
+        typer.Option("--version", callback=_print_version, is_eager=True, help="Print the version and end."),
+    ] = False,
+) -> None:
+    """Build georeferenced 3D city maps from LiDAR drives, and find what changed between two of them."""
+
+
+commands_survey.register(app)
+commands_change.register(app)
+commands_delivery.register(app)
+commands_evaluation.register(app)
+commands_calibration.register(app)
+commands_graph.register(app)
+commands_record.register(app)
 
 
 def _report(message: str) -> None:

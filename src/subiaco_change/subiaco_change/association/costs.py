@@ -11,7 +11,7 @@ from pydantic import Field
 from scipy.spatial import cKDTree
 
 from subiaco_change.decisions.measures import histogram_distance, oriented_rectangle, rectangle_iou
-from subiaco_change.decisions.voxel_objects import Thing
+from subiaco_change.decisions.voxel_objects import ObjectInstance
 from subiaco_change.instance_splitting.one_epoch_parts import PartConfig
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
@@ -97,8 +97,8 @@ class AssociationConfig(StrictModel):
 
 
 def candidate_costs(
-    before: Sequence[Thing],
-    after: Sequence[Thing],
+    before: Sequence[ObjectInstance],
+    after: Sequence[ObjectInstance],
     groups_b: Sequence[tuple[int, ...]],
     groups_a: Sequence[tuple[int, ...]],
     config: AssociationConfig,
@@ -158,12 +158,12 @@ class _Shape:
     reach: float
 
 
-def _shape(things: Sequence[Thing]) -> _Shape:
-    xyz = np.concatenate([t.voxels.xyz for t in things])
-    heights = np.concatenate([t.voxels.height for t in things])
+def _shape(objects: Sequence[ObjectInstance]) -> _Shape:
+    xyz = np.concatenate([t.voxels.xyz for t in objects])
+    heights = np.concatenate([t.voxels.height for t in objects])
     size = float(np.linalg.norm(np.ptp(xyz, axis=0)))
-    normal = np.concatenate([t.voxels.normal for t in things])
-    lod = max(t.lod for t in things)
+    normal = np.concatenate([t.voxels.normal for t in objects])
+    lod = max(t.lod for t in objects)
     return _Shape(xyz, normal, lod, xyz.mean(axis=0), heights, oriented_rectangle(xyz[:, :2]), size, size / 2)
 
 

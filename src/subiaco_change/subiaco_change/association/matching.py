@@ -12,7 +12,7 @@ from scipy.sparse.csgraph import connected_components, min_weight_full_bipartite
 
 from subiaco_change.association.costs import AssociationConfig, candidate_costs
 from subiaco_change.association.voxel_overlap import Sparse, overlap_counts
-from subiaco_change.decisions.voxel_objects import Thing
+from subiaco_change.decisions.voxel_objects import ObjectInstance
 from subiaco_geo.frames import Floats, Ints
 
 
@@ -39,7 +39,10 @@ def match_kind(parts_before: int, parts_after: int) -> str:
 
 
 def associate(
-    before: Sequence[Thing], after: Sequence[Thing], config: AssociationConfig, tolerance: float
+    before: Sequence[ObjectInstance],
+    after: Sequence[ObjectInstance],
+    config: AssociationConfig,
+    tolerance: float,
 ) -> list[Match]:
     """Match the objects of one class, each object in exactly one match.
 
@@ -63,7 +66,9 @@ def associate(
     return _uncrossed(found, before, after)
 
 
-def _uncrossed(matches: Sequence[Match], before: Sequence[Thing], after: Sequence[Thing]) -> list[Match]:
+def _uncrossed(
+    matches: Sequence[Match], before: Sequence[ObjectInstance], after: Sequence[ObjectInstance]
+) -> list[Match]:
     """Make one match of those between parts of the same two instances.
 
     Of a house that lost most of itself, what is left may be parted, and paired with what is gone.
@@ -89,8 +94,8 @@ def _uncrossed(matches: Sequence[Match], before: Sequence[Thing], after: Sequenc
 def _match_contained(
     rest_b: Sequence[int],
     rest_a: Sequence[int],
-    before: Sequence[Thing],
-    after: Sequence[Thing],
+    before: Sequence[ObjectInstance],
+    after: Sequence[ObjectInstance],
     counts: tuple[Sparse, Sparse],
     config: AssociationConfig,
 ) -> list[Match]:
@@ -100,7 +105,7 @@ def _match_contained(
     and heights are others, its place is not.
     """
     sides = ((before, rest_b, rest_a, counts[0]), (after, rest_a, rest_b, counts[1]))
-    links = [_contained(things, own, other, count, config) for things, own, other, count in sides]
+    links = [_contained(objects, own, other, count, config) for objects, own, other, count in sides]
     graph = links[0] + links[1].T
     nodes = len(rest_b) + len(rest_a)
     rows, columns = graph.nonzero()
@@ -118,45 +123,45 @@ def _match_contained(
     return found
 
 
-def _unmatched(before: Sequence[Thing], after: Sequence[Thing]) -> list[Match]:
+def _unmatched(before: Sequence[ObjectInstance], after: Sequence[ObjectInstance]) -> list[Match]:
     return [*(Match((i,), ()) for i in range(len(before))), *(Match((), (j,)) for j in range(len(after)))]
 
 
 def _contained(
-    things: Sequence[Thing],
+    objects: Sequence[ObjectInstance],
     own: Sequence[int],
     other: Sequence[int],
     counts: Sparse,
     config: AssociationConfig,
 ) -> Sparse:
-    """Mark which of a few things lie mostly inside which of a few of the other epoch."""
+    """Mark which of a few objects lie mostly inside which of a few of the other epoch."""
     inside = counts[list(own), :][:, list(other)].tocoo()
-    sizes = np.array([len(things[i].voxels) for i in own], dtype=np.float64)
+    sizes = np.array([len(objects[i].voxels) for i in own], dtype=np.float64)
     mostly = inside.data > config.contained * sizes[inside.row]
     where = (inside.row[mostly], inside.col[mostly])
     return coo_array((np.ones(int(mostly.sum())), where), shape=inside.shape).tocsr()
 
 
 def _group_fragments(
-    things: Sequence[Thing], counts: Sparse, config: AssociationConfig
+    objects: Sequence[ObjectInstance], counts: Sparse, config: AssociationConfig
 ) -> list[tuple[int, ...]]:
     """Group the fragments that lie in the same object of the other epoch; the others stand alone."""
-    sizes = np.maximum([len(t.voxels) for t in things], 1)
+    sizes = np.maximum([len(t.voxels) for t in objects], 1)
     groups: dict[int, list[int]] = {}
     dense = counts.tocoo()
     share = dense.data / sizes[dense.row]
     host = {
         int(r): int(c) for r, c, s in zip(dense.row, dense.col, share, strict=True) if s > config.contained
     }
-    for i in range(len(things)):
+    for i in range(len(objects)):
         groups.setdefault(host.get(i, -1 - i), []).append(i)
     return [tuple(group) for group in groups.values()]
 
 
 def _adopt(
     matches: list[Match],
-    before: Sequence[Thing],
-    after: Sequence[Thing],
+    before: Sequence[ObjectInstance],
+    after: Sequence[ObjectInstance],
     counts: tuple[Sparse, Sparse],
     used: tuple[set[int], set[int]],
     config: AssociationConfig,
@@ -173,11 +178,15 @@ def _adopt(
 
 
 def _inside(
-    things: Sequence[Thing], counts: Sparse, hosts: tuple[int, ...], used: set[int], config: AssociationConfig
+    objects: Sequence[ObjectInstance],
+    counts: Sparse,
+    hosts: tuple[int, ...],
+    used: set[int],
+    config: AssociationConfig,
 ) -> list[int]:
     column = np.asarray(counts[:, list(hosts)].sum(axis=1)).ravel()
     found = np.flatnonzero(column).tolist()
-    return [i for i in found if i not in used and column[i] > config.contained * len(things[i].voxels)]
+    return [i for i in found if i not in used and column[i] > config.contained * len(objects[i].voxels)]
 
 
 def assign(

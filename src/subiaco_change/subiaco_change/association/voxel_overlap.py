@@ -9,7 +9,7 @@ import numpy as np
 from scipy.sparse import coo_array
 from scipy.spatial import cKDTree
 
-from subiaco_change.decisions.voxel_objects import Thing
+from subiaco_change.decisions.voxel_objects import ObjectInstance
 from subiaco_geo.frames import Floats, Ints
 
 #: A scipy sparse array; scipy has no types.
@@ -17,13 +17,13 @@ Sparse = Any
 
 
 def overlap_counts(
-    before: Sequence[Thing], after: Sequence[Thing], tolerance: float
+    before: Sequence[ObjectInstance], after: Sequence[ObjectInstance], tolerance: float
 ) -> tuple[Sparse, Sparse]:
     """Count voxels of every object whose nearest voxel of the other epoch is in each object there.
 
     Parameters
     ----------
-    before, after : sequence of Thing
+    before, after : sequence of ObjectInstance
     tolerance : float
         Voxels farther apart do not overlap [m].
 
@@ -40,11 +40,11 @@ def overlap_counts(
     )
 
 
-def _stack(things: Sequence[Thing]) -> tuple[Floats, Ints]:
-    if not things:
+def _stack(objects: Sequence[ObjectInstance]) -> tuple[Floats, Ints]:
+    if not objects:
         return np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
-    owner = np.repeat(np.arange(len(things)), [len(t.voxels) for t in things])
-    return np.concatenate([t.voxels.xyz for t in things]), owner
+    owner = np.repeat(np.arange(len(objects)), [len(t.voxels) for t in objects])
+    return np.concatenate([t.voxels.xyz for t in objects]), owner
 
 
 def _nearest_counts(

@@ -11,14 +11,16 @@ from collections.abc import Sequence
 import numpy as np
 from scipy.special import expit, logit
 
-from subiaco_change.decisions.voxel_objects import Free, Thing, join_voxels
+from subiaco_change.decisions.voxel_objects import Free, ObjectInstance, join_voxels
 from subiaco_geo.frames import Floats
 
 _PATCH = 4.0  # voxels that are crossed by the same beams, or by none
 _SURE = 1e-6  # less than this is never left of a doubt
 
 
-def absence(before: Sequence[Thing], after: Sequence[Thing], free: tuple[Free | None, Free | None]) -> float:
+def absence(
+    before: Sequence[ObjectInstance], after: Sequence[ObjectInstance], free: tuple[Free | None, Free | None]
+) -> float:
     """Probability that the object is absent where the other epoch holds nothing.
 
     The mean log odds of the places, times the square root of the number of patches that they form: places
@@ -26,17 +28,17 @@ def absence(before: Sequence[Thing], after: Sequence[Thing], free: tuple[Free | 
 
     Parameters
     ----------
-    before, after : sequence of Thing
+    before, after : sequence of ObjectInstance
         Parts of the object in both epochs.
     free : (callable, callable)
         How probable *before* and *after* find it that places (N, 3) are free; None: certain.
     """
     chances = [np.zeros(0)]
-    for things, known in ((before, free[1]), (after, free[0])):
-        if things and known is not None:
-            voxels = join_voxels(things)
-            places = voxels.xyz[voxels.seen & ~voxels.still]
-            chances.append(porous_chance(known(places), opacity(things)))
+    for objects, known in ((before, free[1]), (after, free[0])):
+        if objects and known is not None:
+            voxels = join_voxels(objects)
+            places = voxels.xyz[voxels.observed & ~voxels.occupied_in_other]
+            chances.append(porous_chance(known(places), opacity(objects)))
     joined = np.concatenate(chances)
     return 1.0 if len(joined) == 0 else pooled(float(joined.mean()), len(joined))
 
@@ -47,9 +49,9 @@ def pooled(mean: float, voxels: int) -> float:
     return float(expit(logit(within) * max(voxels / _PATCH, 1.0) ** 0.5))
 
 
-def opacity(things: Sequence[Thing]) -> float | None:
+def opacity(objects: Sequence[ObjectInstance]) -> float | None:
     """Share of the beams of its own survey that an object returned; None where nothing counted them."""
-    passed = np.concatenate([t.passed for t in things])
+    passed = np.concatenate([t.passed for t in objects])
     return None if len(passed) == 0 else float(1.0 / (1.0 + passed.mean()))
 
 

@@ -79,9 +79,9 @@ def compare_volumes(
     """
     if len(before) + len(after) == 0:
         return Volumes(0.0, 0.0)
-    alone = [stands_alone(v) for v in (before, after)]
-    sides = [v.select(v.seen | new) for v, new in zip((before, after), alone, strict=True)]
-    sides = [own.add(other.select(other.still)) for own, other in (sides, sides[::-1])]
+    alone = [exists_in_one_epoch(v) for v in (before, after)]
+    sides = [v.select(v.observed | new) for v, new in zip((before, after), alone, strict=True)]
+    sides = [own.add(other.select(other.occupied_in_other)) for own, other in (sides, sides[::-1])]
     frame = _Frame.around(np.concatenate([v.xyz for v in (before, after)]), cell, round(closing / cell))
     stand, bare = [], []
     for side, keys, empty in zip(sides, (ground.before, ground.after), ground.empty, strict=True):
@@ -101,14 +101,14 @@ def compare_volumes(
     return Volumes(change, _whole(stand[first], np.concatenate(outline), cell))
 
 
-def stands_alone(voxels: Voxels) -> Mask:
+def exists_in_one_epoch(voxels: Voxels) -> Mask:
     """Tell which voxels (M,) are of parts that stand in one epoch alone, and were looked across."""
     if len(voxels) == 0:
         return np.zeros(0, dtype=bool)
     part = np.unique(voxels.owner, return_inverse=True)[1]
-    seen = np.bincount(part, voxels.seen)
-    free = np.bincount(part, voxels.seen & ~voxels.still)
-    crossed = np.bincount(part, voxels.crossed)
+    seen = np.bincount(part, voxels.observed)
+    free = np.bincount(part, voxels.observed & ~voxels.occupied_in_other)
+    crossed = np.bincount(part, voxels.free_space_confirmed)
     return np.asarray(((free >= _ALONE * seen) & (crossed > _CROSSED * free))[part])
 
 
@@ -136,8 +136,8 @@ def _standing(voxels: Voxels, frame: _Frame, ground: Ints, empty: Empty | None) 
     """Tops of columns, gaps between them filled, and where nothing stands instead, both (rows, columns).
 
     Columns that nobody looked into, but that stand between others no more than twice the margin apart,
-    are filled to the lower of these: a wing whose walls were seen has a volume although its roof was not.
-    Where the epoch met the ground (sorted keys) or looked through there is nothing to fill.
+    are filled to the lower of these: an extension whose walls were seen has a volume although its roof was
+    not. Where the epoch met the ground (sorted keys) or looked through there is nothing to fill.
     """
     tops = _tops(voxels, frame)
     bare = tops == 0.0

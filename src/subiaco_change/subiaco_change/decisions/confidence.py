@@ -239,7 +239,7 @@ def features(
         [
             *decision_features(decision),
             measures.observed_fraction - _TYPICAL_SHARE,
-            math.log10(max(measures.seen_voxels, 1)) - 1.7,
+            math.log10(max(measures.observed_voxels, 1)) - 1.7,
             class_score - 0.7,
             float(semantic in (Semantic.BUILDING, Semantic.VEGETATION)),
             min(abs(density), 2.0),

@@ -9,7 +9,7 @@ from pydantic import Field
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from subiaco_change.decisions.voxel_objects import UNCERTAIN, EpochView, trails
+from subiaco_change.decisions.voxel_objects import UNCERTAIN, EpochView, is_ghost_trail
 from subiaco_change.segmentation.ground_model import Mask, fill_gaps
 from subiaco_geo.codes import Semantic
 from subiaco_geo.config import StrictModel
@@ -131,7 +131,7 @@ def _other_surface(
     limit = np.minimum(config.same_surface, 0.5 * apart[row, column])
     held = np.zeros(len(row), dtype=bool)
     for e, view in enumerate(views):
-        off = view.xyz[(view.semantic != Semantic.GROUND) & ~trails(view)]
+        off = view.xyz[(view.semantic != Semantic.GROUND) & ~is_ghost_trail(view)]
         surface = np.column_stack([middle, heights[1 - e][row, column]])
         held |= _holds(off, surface, limit, config.same_beside)
     other[row, column] = held

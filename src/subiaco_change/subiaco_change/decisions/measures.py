@@ -12,7 +12,7 @@ from scipy.spatial import cKDTree
 from shapely.geometry.base import BaseGeometry
 
 from subiaco_change.decisions.column_change import ColumnChange
-from subiaco_change.decisions.column_volumes import BUILT_UP, OpenGround, compare_volumes, stands_alone
+from subiaco_change.decisions.column_volumes import BUILT_UP, OpenGround, compare_volumes, exists_in_one_epoch
 from subiaco_change.decisions.space_carving import CarvingConfig, Epoch, Interval, carve
 from subiaco_change.decisions.voxel_objects import Reach, Voxels
 from subiaco_geo.config import StrictModel
@@ -92,8 +92,8 @@ class Measures:
     """Differences, after minus before, in space that both epochs observed.
 
     Lengths [m], volumes [m3]; NaN where a side is empty. ``volume`` is that of
-    the columns that stood before; ``seen_voxels`` the number that entered.
-    ``carried`` is the share of the surface that is new (positive) or gone
+    the columns that stood before; ``observed_voxels`` the number that entered.
+    ``net_changed_fraction`` is the share of the surface that is new (positive) or gone
     (negative) on balance, counting only places that the other epoch looked across. ``free`` is the mean
     probability of being free, in the other epoch, of the places where it holds nothing.
     Of buildings, ``height_bounds`` and ``volume_bounds`` are what space carving leaves
@@ -111,8 +111,8 @@ class Measures:
     gone_share: float
     new_share: float
     observed_fraction: float
-    seen_voxels: int
-    carried: float = 0.0
+    observed_voxels: int
+    net_changed_fraction: float = 0.0
     height_bounds: Interval | None = None
     volume_bounds: Interval | None = None
     free: float = 1.0
@@ -127,10 +127,13 @@ def measure(
     building: bool = False,
 ) -> Measures:
     """Compare the voxels of one object in two epochs; either may be empty. Buildings are carved."""
-    seen_b, seen_a = before.select(before.seen), after.select(after.seen)
-    alone_b, alone_a = int(np.count_nonzero(~seen_b.still)), int(np.count_nonzero(~seen_a.still))
+    seen_b, seen_a = before.select(before.observed), after.select(after.observed)
+    alone_b, alone_a = (
+        int(np.count_nonzero(~seen_b.occupied_in_other)),
+        int(np.count_nonzero(~seen_a.occupied_in_other)),
+    )
     whole_b, whole_a = (
-        own.add(other.select(other.still)) for own, other in ((seen_b, seen_a), (seen_a, seen_b))
+        own.add(other.select(other.occupied_in_other)) for own, other in ((seen_b, seen_a), (seen_a, seen_b))
     )
     common = 0.5 * (len(seen_b) - alone_b + len(seen_a) - alone_a)
     both = len(before) > 0 and len(after) > 0
@@ -146,8 +149,8 @@ def measure(
         gone_share=alone_b / max(len(seen_b), 1),
         new_share=alone_a / max(len(seen_a), 1),
         observed_fraction=(len(seen_b) + len(seen_a)) / max(_above_foot(before, after, config), 1),
-        seen_voxels=len(seen_b) + len(seen_a),
-        carried=_carried(before, after),
+        observed_voxels=len(seen_b) + len(seen_a),
+        net_changed_fraction=_net_changed_fraction(before, after),
     )
     if building:
         return _carved(measures, before, after, config.carving, ground)
@@ -181,15 +184,17 @@ def _carved(
 def _above_foot(before: Voxels, after: Voxels, config: MeasureConfig) -> int:
     """Count the voxels that are high enough to be distinguished from ground."""
     standing = same_place(config).standing
-    return sum(int(np.count_nonzero(v.seen | (v.height > standing))) for v in (before, after))
+    return sum(int(np.count_nonzero(v.observed | (v.height > standing))) for v in (before, after))
 
 
-def _carried(before: Voxels, after: Voxels) -> float:
+def _net_changed_fraction(before: Voxels, after: Voxels) -> float:
     """Surface that is new less surface that is gone, relative to the mean surface of the two.
 
     Of a part that stands in one epoch alone all is new, or gone, also what the other never looked at.
     """
-    after_new, before_gone = (int(np.count_nonzero(v.crossed | stands_alone(v))) for v in (after, before))
+    after_new, before_gone = (
+        int(np.count_nonzero(v.free_space_confirmed | exists_in_one_epoch(v))) for v in (after, before)
+    )
     net = after_new - before_gone
     return net / max(0.5 * (len(before) + len(after)), 1.0)
 

@@ -11,27 +11,27 @@ import numpy as np
 from subiaco_change.association.matching import Match, associate
 from subiaco_change.decisions.column_volumes import OpenGround, ground_columns
 from subiaco_change.decisions.confidence import ConfidenceConfig, bounded, features, paper_score, probability
-from subiaco_change.decisions.dynamic_objects import Observed, own_survey, trusted
+from subiaco_change.decisions.dynamic_objects import Observed, limit_confidence, own_epoch_evidence
 from subiaco_change.decisions.measures import footprint, same_place
 from subiaco_change.decisions.object_decision import ObjectChange, ObjectRules, decide_object
 from subiaco_change.decisions.voxel_objects import (
     EpochView,
-    Thing,
+    ObjectInstance,
     build_instances,
     build_voxels,
+    is_standing,
     join_voxels,
-    stands,
 )
-from subiaco_change.instance_splitting.one_epoch_parts import part_things
+from subiaco_change.instance_splitting.one_epoch_parts import split_one_epoch_parts
 from subiaco_change.instance_splitting.split_merge import (
-    adopt_fragments,
-    agree_on_classes,
-    join_sides,
-    join_wings,
+    assign_fragments,
+    join_building_extensions,
+    join_hidden_walls,
     split_hedge_segments,
     split_low_overlap_matches,
     split_multi_body_matches,
     split_row_houses,
+    unify_classes,
 )
 from subiaco_change.records import ChangeRecord
 from subiaco_geo.codes import Semantic
@@ -49,55 +49,62 @@ def compare_objects(
     rules = replace(
         rules,
         ground=OpenGround(bare[0], bare[1], rules.ground.empty, edge),
-        own=(own_survey(before, seen_by_before), own_survey(after, seen_by_after)),
-        standing=(before.xyz[stands(before)], after.xyz[stands(after)]),
+        own=(own_epoch_evidence(before, seen_by_before), own_epoch_evidence(after, seen_by_after)),
+        standing=(before.xyz[is_standing(before)], after.xyz[is_standing(after)]),
     )
     voxels_b = build_voxels(before, after, seen_by_after, edge, reach, step, rules.free[1])
     voxels_a = build_voxels(after, before, seen_by_before, edge, reach, step, rules.free[0])
-    things_b, things_a = build_instances(before, voxels_b), build_instances(after, voxels_a)
-    things_b, things_a = (part_things(things, rules.association.parts) for things in (things_b, things_a))
+    objects_before, objects_after = build_instances(before, voxels_b), build_instances(after, voxels_a)
+    objects_before, objects_after = (
+        split_one_epoch_parts(objects, rules.association.parts) for objects in (objects_before, objects_after)
+    )
     if rules.by_class:
-        things_b, things_a = agree_on_classes(things_b, things_a, rules.association, tolerance)
+        objects_before, objects_after = unify_classes(
+            objects_before, objects_after, rules.association, tolerance
+        )
     changes: list[ObjectChange] = []
     if not rules.by_class:
-        matches = associate(things_b, things_a, rules.association, tolerance)
-        return [decide_object(b, a, _better((*b, *a)), rules) for b, a in _parts(matches, things_b, things_a)]
+        matches = associate(objects_before, objects_after, rules.association, tolerance)
+        return [
+            decide_object(b, a, _better((*b, *a)), rules)
+            for b, a in _parts(matches, objects_before, objects_after)
+        ]
     for semantic in (Semantic.BUILDING, Semantic.VEGETATION, Semantic.MOBILE, Semantic.OTHER):
-        of_b = [t for t in things_b if t.semantic is semantic]
-        of_a = [t for t in things_a if t.semantic is semantic]
+        of_b = [t for t in objects_before if t.semantic is semantic]
+        of_a = [t for t in objects_after if t.semantic is semantic]
         matches = associate(of_b, of_a, rules.association, tolerance)
         changes.extend(decide_object(b, a, semantic, rules) for b, a in _parts(matches, of_b, of_a))
     changes = split_low_overlap_matches(changes, rules)
     changes = split_multi_body_matches(changes, rules)
     changes = split_row_houses(changes, rules)
     changes = split_hedge_segments(changes, rules)
-    changes = join_sides(join_wings(changes, rules), rules)
-    return adopt_fragments(changes, things_b, things_a, rules.association, tolerance)
+    changes = join_hidden_walls(join_building_extensions(changes, rules), rules)
+    return assign_fragments(changes, objects_before, objects_after, rules.association, tolerance)
 
 
 def _parts(
-    matches: Sequence[Match], before: Sequence[Thing], after: Sequence[Thing]
-) -> list[tuple[list[Thing], list[Thing]]]:
+    matches: Sequence[Match], before: Sequence[ObjectInstance], after: Sequence[ObjectInstance]
+) -> list[tuple[list[ObjectInstance], list[ObjectInstance]]]:
     """Parts in both epochs of every match."""
     return [([before[i] for i in match.before], [after[j] for j in match.after]) for match in matches]
 
 
-def _better(parts: Sequence[Thing]) -> Semantic:
+def _better(parts: Sequence[ObjectInstance]) -> Semantic:
     """Class of the better-scored part of a match."""
     return max(parts, key=lambda t: t.score).semantic
 
 
-def height_of(things: Sequence[Thing], quantile: float = 0.95) -> float:
+def height_of(objects: Sequence[ObjectInstance], quantile: float = 0.95) -> float:
     """Height above ground that a share of the voxels of an object stays under [m]; NaN without voxels."""
-    voxels = join_voxels(things)
+    voxels = join_voxels(objects)
     return float(np.quantile(voxels.height, quantile)) if len(voxels) else math.nan
 
 
-def density_ratio(before: Sequence[Thing], after: Sequence[Thing]) -> float:
+def density_ratio(before: Sequence[ObjectInstance], after: Sequence[ObjectInstance]) -> float:
     """Return the log of the points per voxel in *after* over those in *before*; 0 where one is empty."""
     counts = [
-        sum(len(t.points) for t in things) / max(sum(len(t.voxels) for t in things), 1)
-        for things in (before, after)
+        sum(len(t.points) for t in objects) / max(sum(len(t.voxels) for t in objects), 1)
+        for objects in (before, after)
     ]
     return math.log(counts[1] / counts[0]) if min(counts) > 0 else 0.0
 
@@ -108,16 +115,16 @@ def make_record(
     """Turn an object into a row of the table, in world coordinates."""
     import shapely.affinity
 
-    things = (*change.before, *change.after)
-    xyz = np.concatenate([t.voxels.xyz for t in things])
-    outline = footprint([t.voxels.xyz[:, :2] for t in things])
+    objects = (*change.before, *change.after)
+    xyz = np.concatenate([t.voxels.xyz for t in objects])
+    outline = footprint([t.voxels.xyz[:, :2] for t in objects])
     m = change.measures
-    heights = [height_of(things) for things in (change.before, change.after)]
-    score = float(np.mean([t.score for t in things]))
+    heights = [height_of(objects) for objects in (change.before, change.after)]
+    score = float(np.mean([t.score for t in objects]))
     density = change.plant.density if change.plant else density_ratio(change.before, change.after)
     found = features(change.decision, m, change.semantic, score, density, evidence)
     certain = bounded(probability(change.decision, found, trust), change.decision, m)
-    certain, reason = trusted(change.decision, things, certain)
+    certain, reason = limit_confidence(change.decision, objects, certain)
     return ChangeRecord(
         object_id=object_id,
         semantic=change.semantic,

@@ -12,15 +12,15 @@ from subiaco_change.association.costs import AssociationConfig
 from subiaco_change.association.matching import match_kind
 from subiaco_change.decisions.absence import absence
 from subiaco_change.decisions.column_volumes import BUILT_UP, OpenGround
-from subiaco_change.decisions.dynamic_objects import OwnSurvey, is_moving_object_trail
+from subiaco_change.decisions.dynamic_objects import OwnEpochEvidence, is_moving_object_trail
 from subiaco_change.decisions.measures import MeasureConfig, Measures, measure
 from subiaco_change.decisions.plant_decisions import decide_plant
 from subiaco_change.decisions.plant_measures import PlantConfig, measure_plant
 from subiaco_change.decisions.rules import Decision, DecisionConfig, decide
 from subiaco_change.decisions.vegetation_null import PlantMeasures, no_null
-from subiaco_change.decisions.voxel_objects import Free, Thing, join_voxels
+from subiaco_change.decisions.voxel_objects import Free, ObjectInstance, join_voxels
 from subiaco_change.instance_splitting.hedge_sections import NOTHING
-from subiaco_change.instance_splitting.vehicle_parts import part_of_vehicle
+from subiaco_change.instance_splitting.vehicle_parts import decide_vehicle_part
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats, Ints
 
@@ -34,8 +34,8 @@ _OF_PLANTS = (Change.UNCHANGED, Change.INCREASED, Change.DECREASED)  # labels on
 class ObjectChange:
     """One object: its parts in both epochs, what was measured, and what was decided."""
 
-    before: tuple[Thing, ...]
-    after: tuple[Thing, ...]
+    before: tuple[ObjectInstance, ...]
+    after: tuple[ObjectInstance, ...]
     semantic: Semantic
     match_kind: str
     measures: Measures
@@ -53,11 +53,11 @@ class ObjectChange:
         return np.concatenate(parts) if parts else np.zeros(0, dtype=np.int64)
 
 
-def object_lod(things: Sequence[Thing]) -> float:
-    """Median of the levels of detection of things by their voxels [m]: a twig without one hides no house."""
-    levels = np.array([t.lod for t in things])
+def object_lod(objects: Sequence[ObjectInstance]) -> float:
+    """Median of the levels of detection of objects by their voxels [m]: a twig without one hides no house."""
+    levels = np.array([t.lod for t in objects])
     order = np.argsort(levels)
-    weight = np.cumsum([max(len(things[i].voxels), 1) for i in order])
+    weight = np.cumsum([max(len(objects[i].voxels), 1) for i in order])
     return float(levels[order[int(np.searchsorted(weight, 0.5 * weight[-1]))]])
 
 
@@ -70,14 +70,14 @@ class ObjectRules:
     decisions: DecisionConfig
     by_class: bool = True  # objects of different classes are never one
     ground: OpenGround = BUILT_UP  # where nothing stands
-    own: tuple[OwnSurvey | None, OwnSurvey | None] = (None, None)  # of *before* and of *after*
+    own: tuple[OwnEpochEvidence | None, OwnEpochEvidence | None] = (None, None)  # of *before* and of *after*
     standing: tuple[Floats, Floats] = (NOTHING, NOTHING)  # all points (N, 3) that stand, of any class
     free: tuple[Free | None, Free | None] = (None, None)  # what *before* and *after* know to be free
     plants: PlantConfig = field(default_factory=PlantConfig)
 
 
 def decide_object(
-    before: Sequence[Thing], after: Sequence[Thing], semantic: Semantic, rules: ObjectRules
+    before: Sequence[ObjectInstance], after: Sequence[ObjectInstance], semantic: Semantic, rules: ObjectRules
 ) -> ObjectChange:
     """Measure and decide what the parts of one object in both epochs say together."""
     building = semantic is Semantic.BUILDING
@@ -92,21 +92,21 @@ def decide_object(
     if decision.change not in _OF_PLANTS or measures.iou <= rules.decisions.vegetation.min_iou:
         plant = None
     if decision.change in (Change.ADDED, Change.REMOVED):
-        things = (*before, *after)
+        objects = (*before, *after)
         own = rules.own[0] if before else rules.own[1]
         decision = (
-            is_misclassified_ground(semantic, things)
-            or is_moving_object_trail(things, semantic, own, rules.decisions)
-            or part_of_vehicle(things, semantic, measures, rules.standing[int(bool(before))])
+            is_misclassified_ground(semantic, objects)
+            or is_moving_object_trail(objects, semantic, own, rules.decisions)
+            or decide_vehicle_part(objects, semantic, measures, rules.standing[int(bool(before))])
             or decision
         )
     kind = match_kind(len(before), len(after))
     return ObjectChange(tuple(before), tuple(after), semantic, kind, measures, decision, plant)
 
 
-def is_misclassified_ground(semantic: Semantic, things: Sequence[Thing]) -> Decision | None:
-    """Leave a low, level thing to the ground's comparison: it is ground told wrong."""
-    voxels = join_voxels(things)
+def is_misclassified_ground(semantic: Semantic, objects: Sequence[ObjectInstance]) -> Decision | None:
+    """Leave a low, level object to the ground's comparison: it is ground told wrong."""
+    voxels = join_voxels(objects)
     limit = _FLAT_TOP if semantic is Semantic.OTHER else _LAID_TOP
     if semantic is Semantic.BUILDING or float(np.quantile(voxels.height, 0.95)) > limit:
         return None

@@ -116,7 +116,7 @@ def _decide_whole(plant: PlantMeasures, gate: float, rules: ClassRules, null: Ve
             return _decision(plant, measure)
     candidates = [top] if plant.thin else [volume, surface] if known else [top, volume, surface]
     fired = [e for e in candidates if abs(e.strength) > 1]
-    held = [e for e in fired if math.copysign(1.0, e.strength) * surface.excess >= rules.carried]
+    held = [e for e in fired if math.copysign(1.0, e.strength) * surface.excess >= rules.min_net_change]
     if held:
         rising = {e.strength > 0 for e in held}
         upwards = volume.excess > 0 if len(rising) == 2 else rising == {True}
@@ -132,7 +132,7 @@ def _without_surface(plant: PlantMeasures, found: _Excess, surface: _Excess, rul
     reason = (
         f"{_compared(plant, found)} exceeds the limit of {_quantity(found.limit, found.unit, sign=False)},"
         f" but the surface that is new or lost, {share}, does not carry the change"
-        f" (limit {100 * rules.carried:.0f} %)."
+        f" (limit {100 * rules.min_net_change:.0f} %)."
     )
     return Decision(Change.UNCHANGED, reason, 1.0, 0.0)
 

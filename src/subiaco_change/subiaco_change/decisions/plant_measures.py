@@ -14,7 +14,7 @@ from subiaco_change.decisions.absence import absence, pooled
 from subiaco_change.decisions.crown_outline import OutlineConfig, compare_outlines
 from subiaco_change.decisions.measures import Measures
 from subiaco_change.decisions.vegetation_null import PlantMeasures, VegetationNullConfig
-from subiaco_change.decisions.voxel_objects import Free, Thing
+from subiaco_change.decisions.voxel_objects import Free, ObjectInstance
 from subiaco_change.instance_splitting.hedge_sections import NOTHING, Rise, column_rise
 from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.config import StrictModel
@@ -56,8 +56,8 @@ class PlantConfig(StrictModel):
 
 
 def measure_plant(
-    before: Sequence[Thing],
-    after: Sequence[Thing],
+    before: Sequence[ObjectInstance],
+    after: Sequence[ObjectInstance],
     measures: Measures,
     config: PlantConfig,
     standing: tuple[Floats, Floats] = (NOTHING, NOTHING),
@@ -68,7 +68,7 @@ def measure_plant(
     ``standing`` (N, 3) of *before* and of *after*: points above the ground of any class. ``free`` of *before*
     and of *after*: how probable it is that places (N, 3) are free; None: certain.
     """
-    first, second = (np.concatenate([t.xyz for t in things]) for things in (before, after))
+    first, second = (np.concatenate([t.xyz for t in objects]) for objects in (before, after))
     lost = min(free_shell(first, standing[1], free[1], config), absence(before, (), free))
     gained = min(free_shell(second, standing[0], free[0], config), absence((), after, free))
     first, second, density = equal_density(first, second, config)
@@ -81,14 +81,14 @@ def measure_plant(
         kind="hedge" if low else "crown",
         density=density,
         size=_size(both),
-        voxels=measures.seen_voxels,
+        voxels=measures.observed_voxels,
         thin=not low and any(_is_thin(xyz, config) for xyz in (first, second)),
         reach=outline.reach,
         outline=outline.shift,
         outline_sigma=outline.sigma,
         top=measures.delta_h,
         volume=measures.delta_v / max(measures.volume, 1e-6),
-        surface=measures.carried,
+        surface=measures.net_changed_fraction,
         rise=rise.median,
         rise_sigma=rise.sigma,
         free_gained=gained,
@@ -152,9 +152,9 @@ def _thinned(xyz: Floats, keys: np.ndarray, share: float) -> Floats:
     return np.asarray(xyz[kept])
 
 
-def _top(things: Sequence[Thing]) -> float:
+def _top(objects: Sequence[ObjectInstance]) -> float:
     """Return the 98 % height of the voxels of an object above ground [m]."""
-    return float(np.quantile(np.concatenate([t.voxels.height for t in things]), 0.98))
+    return float(np.quantile(np.concatenate([t.voxels.height for t in objects]), 0.98))
 
 
 def _size(xyz: Floats) -> float:

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 from scipy.special import ndtr
 
 from subiaco_change.decisions.ground_change import GroundComparison, GroundPatch, patch_points
-from subiaco_change.decisions.voxel_objects import EpochView, trails
+from subiaco_change.decisions.voxel_objects import EpochView, is_ghost_trail
 from subiaco_change.records import ChangeRecord
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.visibility_evidence import EvidenceConfig, ground_observed
@@ -42,7 +42,7 @@ def unlabelled(view: EpochView) -> Labels:
     """Return labels of points before any decision; ghost trails keep these labels."""
     count = len(view.xyz)
     return Labels(
-        np.where(trails(view), Change.NOT_REPORTED, Change.UNCHANGED).astype(np.uint8),
+        np.where(is_ghost_trail(view), Change.NOT_REPORTED, Change.UNCHANGED).astype(np.uint8),
         view.semantic.copy(),
         np.full(count, -1, dtype=np.int32),
         np.full(count, 0.5, dtype=np.float32),

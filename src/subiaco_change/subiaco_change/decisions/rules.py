@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
+from typing import ClassVar
 
 from pydantic import Field
 
@@ -22,6 +23,8 @@ NO_LEVEL = "Too few points lie at this place for a level of detection: nothing i
 class ClassRules(StrictModel):
     """Thresholds of one class."""
 
+    FORMER_NAMES: ClassVar[Mapping[str, str]] = {"carried": "min_net_change"}
+
     min_iou: float = Field(
         ge=0,
         le=1,
@@ -36,7 +39,7 @@ class ClassRules(StrictModel):
         gt=0, description="Smallest volume change that is reported, as a fraction of the volume"
     )
     shift: float = Field(gt=0, description="Largest centroid distance of an unchanged object [m]")
-    carried: float = Field(
+    min_net_change: float = Field(
         0.0,
         ge=0,
         description="Fraction of new or gone surface, observed by the other epoch, that must support a "
@@ -73,7 +76,7 @@ class DecisionConfig(StrictModel):
 
     building: ClassRules = ClassRules(min_iou=0.10, height=0.50, volume=0.10, shift=1.5)
     vegetation: ClassRules = ClassRules(
-        min_iou=0.08, height=0.30, volume=0.15, shift=2.0, carried=0.10, surface=0.15, outline=0.08
+        min_iou=0.08, height=0.30, volume=0.15, shift=2.0, min_net_change=0.10, surface=0.15, outline=0.08
     )
     mobile: ClassRules = ClassRules(min_iou=0.20, height=math.inf, volume=math.inf, shift=2.0)
     lod_factor: float = Field(
@@ -267,12 +270,12 @@ def _compare(
 
 def _enough_seen(measures: Measures, matched: bool, config: DecisionConfig) -> bool:
     """Tell whether the other epoch observed enough of the place to claim anything."""
-    if measures.seen_voxels < config.min_voxels:
+    if measures.observed_voxels < config.min_voxels:
         return False
     if measures.observed_fraction >= config.min_observed:
         return True
     free = max(measures.gone_share, measures.new_share) >= config.large_free
-    large = measures.seen_voxels >= config.large_voxels
+    large = measures.observed_voxels >= config.large_voxels
     return not matched and large and free and measures.observed_fraction >= config.min_observed_large
 
 
@@ -281,7 +284,7 @@ def _unobserved(measures: Measures, config: DecisionConfig) -> str:
     share = measures.observed_fraction
     if share >= config.min_observed:
         return (
-            f"The other survey observed {measures.seen_voxels} voxels of it, fewer than the limit of"
+            f"The other survey observed {measures.observed_voxels} voxels of it, fewer than the limit of"
             f" {config.min_voxels}: nothing is claimed."
         )
     return (
@@ -293,7 +296,7 @@ def _unobserved(measures: Measures, config: DecisionConfig) -> str:
 def _single(in_after: bool, measures: Measures, config: DecisionConfig) -> Decision:
     empty = measures.new_share if in_after else measures.gone_share
     sigmas = (empty - config.min_empty) / math.sqrt(
-        max(empty * (1 - empty), 0.01) / max(measures.seen_voxels / _PATCH, 1.0)
+        max(empty * (1 - empty), 0.01) / max(measures.observed_voxels / _PATCH, 1.0)
     )
     if empty < config.min_empty:
         reason = (
@@ -359,8 +362,10 @@ def _by_measures(measures: Measures, gate: float, rules: ClassRules) -> Decision
     height = measures.delta_h / limit if math.isfinite(measures.delta_h) else 0.0
     up, down = _strengths(height, relative / rules.volume, measures, rules)
     evidence = f"Height change {measures.delta_h:+.2f} m (limit {limit:.2f} m), volume change {relative:+.0%}"
-    evidence += f" (limit {rules.volume:.0%}), new or lost surface {measures.carried:+.0%} (limit"
-    evidence += f" {rules.carried:.0%}): "
+    evidence += (
+        f" (limit {rules.volume:.0%}), new or lost surface {measures.net_changed_fraction:+.0%} (limit"
+    )
+    evidence += f" {rules.min_net_change:.0%}): "
     if up <= 1 and down <= 1:
         return Decision(Change.UNCHANGED, f"{evidence}no change beyond the limits.", max(up, down))
     rising = measures.delta_v > 0 if up > 1 and down > 1 else up > 1
@@ -413,8 +418,8 @@ def _rise(height: Interval, volume: Interval, rules: ClassRules) -> float:
 
     Where one epoch saw little of a house, the columns that both know may be of its neighbours.
     """
-    carried = math.isnan(volume.high) or volume.high >= rules.height_volume
-    return max(_beyond(height, rules.certain) if carried else 0.0, _beyond(volume, rules.certain))
+    supported = math.isnan(volume.high) or volume.high >= rules.height_volume
+    return max(_beyond(height, rules.certain) if supported else 0.0, _beyond(volume, rules.certain))
 
 
 def _beyond(bound: Interval, certain: float) -> float:
@@ -440,10 +445,10 @@ def _strengths(height: float, volume: float, measures: Measures, rules: ClassRul
     out of sight shows in its sides: there the share of new or gone surface
     speaks.
     """
-    side = measures.carried / rules.surface
+    side = measures.net_changed_fraction / rules.surface
     up, down = max(height, volume, side), max(-height, -volume, -side)
-    if measures.carried < rules.carried:
+    if measures.net_changed_fraction < rules.min_net_change:
         up = min(up, 1.0)
-    if -measures.carried < rules.carried:
+    if -measures.net_changed_fraction < rules.min_net_change:
         down = min(down, 1.0)
     return up, down

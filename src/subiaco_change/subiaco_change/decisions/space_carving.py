@@ -298,7 +298,7 @@ def _shared(other: Voxels, epoch: Epoch) -> Voxels:
         return other.select(np.zeros(len(other), dtype=bool))
     scale = 1.0 / np.array([_BESIDE, _BESIDE, _ABOVE])
     distance = cKDTree(own.xyz * scale).query(other.xyz * scale, distance_upper_bound=1.0)[0]
-    shared = other.still & np.isfinite(distance)
+    shared = other.occupied_in_other & np.isfinite(distance)
     if epoch.empty is not None:
         shared[shared] = ~epoch.empty(other.xyz[shared])
     return other.select(shared)
@@ -340,7 +340,7 @@ def _difference(
     """Volume [m3] that was free and is solid, and its cells; cells that one epoch does not know widen it."""
     solid = new.solid | _behind_new_walls(old, new, frame, config)
     number, count = ndimage.label(old.free & solid, _TOUCHING)
-    surface = _surface(voxels.select(~voxels.still), frame)
+    surface = _surface(voxels.select(~voxels.occupied_in_other), frame)
     support = np.bincount(number.ravel(), surface.ravel(), minlength=count + 1)
     supported = support >= config.support
     supported[0] = False

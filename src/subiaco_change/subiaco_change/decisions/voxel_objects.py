@@ -20,7 +20,7 @@ NO_OBJECT = -1  # instance of a point of no object
 OTHERS = -2  # instance of a point of an object that is compared elsewhere
 _GROUND_NEAR = 8  # ground points around a place that are asked for their height
 _STRAYED = 1.5  # foot of an object in heights of it: either ground may be a little off
-_LOOKED_THROUGH = 2.0  # passing beams per returned beam at a point; static objects have fewer
+_PASSED_THROUGH = 2.0  # passing beams per returned beam at a point; static objects have fewer
 
 
 #: How probable it is, (N,), that nothing stood at places (N, 3).
@@ -54,20 +54,20 @@ class Voxels:
     """Occupied voxels of objects; a voxel is represented by the mean of its points.
 
     ``owner`` (M,) instance; ``xyz`` (M, 3) and ``normal`` (M, 3); ``height`` (M,)
-    above ground [m]; ``seen`` (M,): the other epoch observed the place;
-    ``still`` (M,): the other epoch has something there, of whatever class; its ground counts too,
-    but for the foot of an object, which is neither still nor seen;
-    ``crossed`` (M,): it is not, and the other epoch looked on both sides of the
-    surface, so that it would have met it.
+    above ground [m]; ``observed`` (M,): the other epoch observed the place;
+    ``occupied_in_other`` (M,): the other epoch has points there, of any class. Its ground counts too,
+    except at the foot of an object, which is neither observed nor occupied;
+    ``free_space_confirmed`` (M,): the place is not occupied, and the other epoch observed free space on both
+    sides of the surface, so that its beams would have met the surface.
     """
 
     owner: Ints
     xyz: Floats
     normal: Floats
     height: Floats
-    seen: Mask
-    still: Mask
-    crossed: Mask
+    observed: Mask
+    occupied_in_other: Mask
+    free_space_confirmed: Mask
 
     def __len__(self) -> int:
         return len(self.owner)
@@ -92,7 +92,7 @@ class Voxels:
 
 
 @dataclass(frozen=True)
-class Thing:
+class ObjectInstance:
     """One instance of one epoch: its class, points (indices and places) and voxels.
 
     ``passed`` (N,): beams of its own epoch that passed each of its points for each that returned there;
@@ -120,7 +120,7 @@ class Thing:
 def build_voxels(
     view: EpochView,
     other: EpochView,
-    observed: Callable[[Floats], Mask],
+    is_observed: Callable[[Floats], Mask],
     edge: float,
     reach: Reach,
     step: float = 1.0,
@@ -132,7 +132,7 @@ def build_voxels(
     ----------
     view, other : EpochView
         In one common frame.
-    observed : callable
+    is_observed : callable
         (M, 3) points of that frame -> (M,) bool, seen by the other epoch.
     edge : float
         Voxel edge [m].
@@ -150,41 +150,43 @@ def build_voxels(
     if len(owner) == 0:
         none = np.zeros(0, dtype=bool)
         return Voxels(owner, xyz, normal, height, none, none, none)
-    still = occupied(xyz, other.xyz[stands(other)], reach)
+    in_other = occupied(xyz, other.xyz[is_standing(other)], reach)
     ground = occupied_by_ground(xyz, other.xyz[other.semantic == Semantic.GROUND], reach)
-    foot = ground & (height <= reach.standing) & ~still
-    still |= ground & ~foot
-    seen = observed(xyz)
+    foot = ground & (height <= reach.standing) & ~in_other
+    in_other |= ground & ~foot
+    observed = is_observed(xyz)
     if free is not None:
-        seen[seen] = free(xyz[seen]) >= reach.free
-    seen = (seen | still) & ~foot
-    crossed = seen & ~still
-    crossed[crossed] = looked_across(xyz[crossed], normal[crossed], observed, step)
-    return Voxels(owner, xyz, normal, height, seen, still, crossed)
+        observed[observed] = free(xyz[observed]) >= reach.free
+    observed = (observed | in_other) & ~foot
+    confirmed = observed & ~in_other
+    confirmed[confirmed] = observed_on_both_sides(xyz[confirmed], normal[confirmed], is_observed, step)
+    return Voxels(owner, xyz, normal, height, observed, in_other, confirmed)
 
 
-def stands(view: EpochView) -> Mask:
+def is_standing(view: EpochView) -> Mask:
     """Tell which points (N,) stand on the ground: neither ground nor a trail."""
-    return np.asarray((view.semantic != Semantic.GROUND) & ~trails(view))
+    return np.asarray((view.semantic != Semantic.GROUND) & ~is_ghost_trail(view))
 
 
-def trails(view: EpochView) -> Mask:
+def is_ghost_trail(view: EpochView) -> Mask:
     """Tell which points (N,) are ghost trails: mobile, no object, and passed by beams."""
     loose = np.asarray((view.semantic == Semantic.MOBILE) & (view.instance == NO_OBJECT))
     if view.moved is not None:
         return np.asarray(loose & (view.moved > UNCERTAIN))
     if view.passed is None:
         return np.zeros(len(view.xyz), dtype=bool)
-    return np.asarray(loose & (view.passed >= _LOOKED_THROUGH))
+    return np.asarray(loose & (view.passed >= _PASSED_THROUGH))
 
 
-def looked_across(xyz: Floats, normal: Floats, observed: Callable[[Floats], Mask], step: float) -> Mask:
-    """Tell at which surface places (M, 3) an epoch observed what lies before and behind.
+def observed_on_both_sides(
+    xyz: Floats, normal: Floats, is_observed: Callable[[Floats], Mask], step: float
+) -> Mask:
+    """Tell at which surface places (M, 3) an epoch observed the space before and behind.
 
     A beam that grazes a standing wall passes through the wall's own voxel,
     never through the one behind it: coverage cannot pass for absence.
     """
-    return observed(xyz + step * normal) & observed(xyz - step * normal)
+    return is_observed(xyz + step * normal) & is_observed(xyz - step * normal)
 
 
 @dataclass(frozen=True)
@@ -265,9 +267,9 @@ def _voxel_means(view: EpochView, members: Ints, edge: float) -> tuple[Ints, Flo
     return owner[order][change], normal, mean(view.height[:, None])[:, 0], mean(view.xyz)
 
 
-def build_instances(view: EpochView, voxels: Voxels) -> list[Thing]:
+def build_instances(view: EpochView, voxels: Voxels) -> list[ObjectInstance]:
     """Collect the instances of an epoch in the order of their ids."""
-    things = []
+    objects = []
     by_voxel = group_indices(voxels.owner)
     for instance, members in enumerate(group_indices(view.instance.astype(np.int64))):
         if len(members) == 0:
@@ -280,15 +282,17 @@ def build_instances(view: EpochView, voxels: Voxels) -> list[Thing]:
         own = voxels.select(by_voxel[instance])
         passed = np.zeros(0) if view.passed is None else view.passed[members]
         moved = np.zeros(0) if view.moved is None else view.moved[members]
-        things.append(Thing(instance, semantic, score, members, own, lod, view.xyz[members], passed, moved))
-    return things
+        objects.append(
+            ObjectInstance(instance, semantic, score, members, own, lod, view.xyz[members], passed, moved)
+        )
+    return objects
 
 
-def join_voxels(things: Sequence[Thing]) -> Voxels:
+def join_voxels(objects: Sequence[ObjectInstance]) -> Voxels:
     """Concatenate the voxels of the parts of an object."""
-    if not things:
+    if not objects:
         flags = np.zeros(0, dtype=bool)
         return Voxels(
             np.zeros(0, np.int64), np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0), flags, flags, flags
         )
-    return Voxels.joined([t.voxels for t in things])
+    return Voxels.joined([t.voxels for t in objects])

@@ -10,7 +10,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from subiaco_change.decisions.voxel_objects import Thing
+from subiaco_change.decisions.voxel_objects import ObjectInstance
 from subiaco_geo.frames import Floats, Ints
 
 _CELL = 0.5  # columns whose tops are compared [m]
@@ -35,9 +35,9 @@ class Section:
     gate: float
 
 
-def moved_sections(
-    before: Sequence[Thing],
-    after: Sequence[Thing],
+def changed_sections(
+    before: Sequence[ObjectInstance],
+    after: Sequence[ObjectInstance],
     threshold: float,
     standing: tuple[Floats, Floats] = (NOTHING, NOTHING),
 ) -> tuple[list[Section], Floats]:
@@ -50,7 +50,7 @@ def moved_sections(
     heights = np.concatenate([t.voxels.height for t in (*before, *after)])
     if np.quantile(heights, 0.98) > _LOW:
         return [], np.zeros((0, 2))
-    first, second = (np.concatenate([t.xyz for t in things]) for things in (before, after))
+    first, second = (np.concatenate([t.xyz for t in objects]) for objects in (before, after))
     corner, tops = _tops(first, second)
     rise = _smooth(tops[1] - tops[0])
     threshold = max(threshold, 1.96 * math.hypot(_roughness(tops[0]), _roughness(tops[1])))
@@ -80,14 +80,16 @@ class Rise:
 
 
 def column_rise(
-    before: Sequence[Thing], after: Sequence[Thing], standing: tuple[Floats, Floats] = (NOTHING, NOTHING)
+    before: Sequence[ObjectInstance],
+    after: Sequence[ObjectInstance],
+    standing: tuple[Floats, Floats] = (NOTHING, NOTHING),
 ) -> Rise:
     """Measure how far the tops of a low plant moved, over the columns that both epochs share.
 
     Unknown where the epoch whose tops are lower has points of another class between the two, as for
-    :func:`moved_sections`, or did not observe what is higher in the other.
+    :func:`changed_sections`, or did not observe what is higher in the other.
     """
-    first, second = (np.concatenate([t.xyz for t in things]) for things in (before, after))
+    first, second = (np.concatenate([t.xyz for t in objects]) for objects in (before, after))
     corner, tops = _tops(first, second)
     rise = tops[1] - tops[0]
     cells = np.argwhere(np.isfinite(rise))
@@ -163,10 +165,10 @@ def _smooth(rise: Floats) -> Floats:
     return smooth
 
 
-def _observed(things: Sequence[Thing], xy: Floats, other_tops: Floats, cells: Ints) -> bool:
+def _observed(objects: Sequence[ObjectInstance], xy: Floats, other_tops: Floats, cells: Ints) -> bool:
     """Tell whether the other epoch looked where the surface of this one stands above its tops."""
-    voxels = np.concatenate([t.voxels.xyz for t in things])
-    seen = np.concatenate([t.voxels.seen for t in things])
+    voxels = np.concatenate([t.voxels.xyz for t in objects])
+    seen = np.concatenate([t.voxels.observed for t in objects])
     distance, slot = cKDTree(xy).query(voxels[:, :2], distance_upper_bound=_CELL)
     inside = np.isfinite(distance)
     above = voxels[inside, 2] > other_tops[tuple(cells[slot[inside]].T)] + 0.1
@@ -185,9 +187,9 @@ def _held(standing: Floats, cells: Ints, low: Floats, high: Floats) -> bool:
     return len(np.unique(slot[between])) >= _HELD * len(cells)
 
 
-def section_labels(thing: Thing, sections: Sequence[Section], columns: Floats) -> Ints:
-    """Section (M,) of every voxel of a thing, counted from 1; 0 for what did not move."""
+def section_labels(obj: ObjectInstance, sections: Sequence[Section], columns: Floats) -> Ints:
+    """Section (M,) of every voxel of an object, counted from 1; 0 for what did not move."""
     owner = np.zeros(len(columns), dtype=np.int64)
     for number, section in enumerate(sections, start=1):
         owner[np.isfinite(cKDTree(section.xy).query(columns, distance_upper_bound=1e-6)[0])] = number
-    return owner[cKDTree(columns).query(thing.voxels.xyz[:, :2])[1]]
+    return owner[cKDTree(columns).query(obj.voxels.xyz[:, :2])[1]]

@@ -9,25 +9,28 @@ from scipy.spatial import cKDTree
 
 from subiaco_change.association.costs import AssociationConfig
 from subiaco_change.decisions.column_volumes import column_keys
-from subiaco_change.decisions.voxel_objects import Thing
-from subiaco_change.instance_splitting.one_epoch_parts import divided
+from subiaco_change.decisions.voxel_objects import ObjectInstance
+from subiaco_change.instance_splitting.one_epoch_parts import split_by_labels
 from subiaco_change.segmentation.clustering import connect, group_indices
 from subiaco_geo.frames import Ints
 
 _CELL = 0.5  # columns in which bodies stand side by side [m]
 
-#: The things of *before* and of *after* that are one piece.
-Piece = tuple[tuple[Thing, ...], tuple[Thing, ...]]
+#: The objects of *before* and of *after* that are one piece.
+Piece = tuple[tuple[ObjectInstance, ...], tuple[ObjectInstance, ...]]
 
 
-def pieces_apart(
-    before: Sequence[Thing], after: Sequence[Thing], config: AssociationConfig, following: int
+def split_by_bodies(
+    before: Sequence[ObjectInstance],
+    after: Sequence[ObjectInstance],
+    config: AssociationConfig,
+    following: int,
 ) -> list[Piece]:
     """Divide a match into the bodies that one of the epochs holds apart; one piece where there are none.
 
     Parameters
     ----------
-    before, after : sequence of Thing
+    before, after : sequence of ObjectInstance
         The parts of one match.
     config : AssociationConfig
     following : int
@@ -40,35 +43,37 @@ def pieces_apart(
         another) join the nearest body.
     """
     sides = (tuple(before), tuple(after))
-    bodies = [bodies_of(side, config) for side in sides]
+    bodies = [separate_bodies(side, config) for side in sides]
     leader = int(len(bodies[1]) > len(bodies[0]))
     if len(bodies[leader]) < 2:
         return [sides]
     groups = bodies[leader]
     owner = np.repeat(np.arange(len(groups)), [sum(len(t.voxels) for t in group) for group in groups])
     tree = cKDTree(np.concatenate([t.voxels.xyz for group in groups for t in group]))
-    found: list[tuple[list[Thing], list[Thing]]] = [([], []) for _ in groups]
+    found: list[tuple[list[ObjectInstance], list[ObjectInstance]]] = [([], []) for _ in groups]
     for epoch, side in enumerate(sides):
-        for thing in side:
-            nearest = owner[tree.query(thing.voxels.xyz)[1]]
+        for obj in side:
+            nearest = owner[tree.query(obj.voxels.xyz)[1]]
             if epoch == leader:
                 nearest[:] = np.bincount(nearest).argmax()
-            for number, piece in _along(thing, nearest, following):
+            for number, piece in _along(obj, nearest, following):
                 found[number][epoch].append(piece)
             following += len(groups)
     return [(tuple(b), tuple(a)) for b, a in found]
 
 
-def _along(thing: Thing, owner: Ints, following: int) -> list[tuple[int, Thing]]:
+def _along(obj: ObjectInstance, owner: Ints, following: int) -> list[tuple[int, ObjectInstance]]:
     """Divide an instance by the body (M,) that its voxels belong to."""
     numbers, labels = np.unique(owner, return_inverse=True)
-    return list(zip(numbers.tolist(), divided(thing, labels, following), strict=True))
+    return list(zip(numbers.tolist(), split_by_labels(obj, labels, following), strict=True))
 
 
-def bodies_of(things: Sequence[Thing], config: AssociationConfig) -> list[list[Thing]]:
-    """Group the things of one epoch that are large enough into bodies that stand side by side."""
-    total = sum(len(t.voxels) for t in things)
-    large = [t for t in things if len(t.voxels) >= config.apart * total]
+def separate_bodies(
+    objects: Sequence[ObjectInstance], config: AssociationConfig
+) -> list[list[ObjectInstance]]:
+    """Group the objects of one epoch that are large enough into bodies that stand side by side."""
+    total = sum(len(t.voxels) for t in objects)
+    large = [t for t in objects if len(t.voxels) >= config.apart * total]
     if len(large) < 2:
         return [list(large)]
     columns = [np.unique(column_keys(t.voxels.xyz, _CELL)) for t in large]

@@ -10,7 +10,7 @@ from pydantic import Field
 from scipy.spatial import cKDTree
 
 from subiaco_change.decisions.column_volumes import column_keys
-from subiaco_change.decisions.voxel_objects import Thing
+from subiaco_change.decisions.voxel_objects import ObjectInstance
 from subiaco_change.segmentation.clustering import group_indices, voxel_clusters
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.config import StrictModel
@@ -56,12 +56,12 @@ class PartConfig(StrictModel):
     subordinate: float = Field(
         1.0,
         gt=0,
-        description="Ratio of part volume to building volume below which an adjoining part is a wing of "
-        "the building",
+        description="Ratio of part volume to building volume below which an adjoining part is an extension "
+        "of the building",
     )
 
 
-def part_things(things: Sequence[Thing], config: PartConfig) -> list[Thing]:
+def split_one_epoch_parts(objects: Sequence[ObjectInstance], config: PartConfig) -> list[ObjectInstance]:
     """Split every instance into what the other epoch holds too and the parts that stand alone.
 
     What grew or was trimmed stays with its object: it hangs over columns that
@@ -69,93 +69,93 @@ def part_things(things: Sequence[Thing], config: PartConfig) -> list[Thing]:
     that the other epoch saw free from bottom to top.
     """
     if config.points == 0:
-        return list(things)
-    parted: list[Thing] = []
-    following = max((t.instance for t in things), default=-1) + 1
-    for thing in things:
-        labels = _parts_of(thing, config)
+        return list(objects)
+    parted: list[ObjectInstance] = []
+    following = max((t.instance for t in objects), default=-1) + 1
+    for obj in objects:
+        labels = _parts_of(obj, config)
         if not labels.any():
-            parted.append(thing)
+            parted.append(obj)
             continue
-        parted.extend(divided(thing, labels, following))
+        parted.extend(split_by_labels(obj, labels, following))
         following += int(labels.max())
     return parted
 
 
-def divided(thing: Thing, labels: Ints, following: int) -> list[Thing]:
+def split_by_labels(obj: ObjectInstance, labels: Ints, following: int) -> list[ObjectInstance]:
     """Divide an instance by a label (M,) of its voxels: the first keeps its number, others get new ones."""
-    owner = labels[cKDTree(thing.voxels.xyz).query(thing.xyz)[1]]
-    names = [thing.instance, *(following + number for number in range(int(labels.max())))]
+    owner = labels[cKDTree(obj.voxels.xyz).query(obj.xyz)[1]]
+    names = [obj.instance, *(following + number for number in range(int(labels.max())))]
     return [
         replace(
-            thing,
+            obj,
             instance=name,
-            whole=thing.body,
-            points=thing.points[owner == number],
+            whole=obj.body,
+            points=obj.points[owner == number],
             voxels=replace(voxels, owner=np.full(len(voxels), name)),
-            xyz=thing.xyz[owner == number],
-            passed=thing.passed[owner == number] if len(thing.passed) else thing.passed,
-            moved=thing.moved[owner == number] if len(thing.moved) else thing.moved,
+            xyz=obj.xyz[owner == number],
+            passed=obj.passed[owner == number] if len(obj.passed) else obj.passed,
+            moved=obj.moved[owner == number] if len(obj.moved) else obj.moved,
         )
         for number, name in enumerate(names)
-        for voxels in [thing.voxels.select(labels == number)]
+        for voxels in [obj.voxels.select(labels == number)]
     ]
 
 
-def _parts_of(thing: Thing, config: PartConfig) -> Ints:
+def _parts_of(obj: ObjectInstance, config: PartConfig) -> Ints:
     """Return the part (M,) of every voxel of an instance, 0 for what is left."""
-    voxels = thing.voxels
+    voxels = obj.voxels
     labels = np.zeros(len(voxels), dtype=np.int64)
-    alone = voxels.seen & ~voxels.still
-    if len(thing.xyz) < config.points or not alone.any() or alone.all():
+    alone = voxels.observed & ~voxels.occupied_in_other
+    if len(obj.xyz) < config.points or not alone.any() or alone.all():
         return labels
     members = np.flatnonzero(alone)
     column = column_keys(voxels.xyz, _CELL)
     count = 0
     for group in group_indices(voxel_clusters(voxels.xyz[members], config.gap)):
         piece = members[group]
-        if _stands(thing, piece, column, alone, config):
+        if _stands(obj, piece, column, alone, config):
             count += 1
             labels[piece] = count
     if count == 0:
         return labels
-    return _with_unseen(thing, labels, config)
+    return _with_unseen(obj, labels, config)
 
 
-def _stands(thing: Thing, piece: Ints, column: Ints, alone: Mask, config: PartConfig) -> bool:
-    voxels = thing.voxels
+def _stands(obj: ObjectInstance, piece: Ints, column: Ints, alone: Mask, config: PartConfig) -> bool:
+    voxels = obj.voxels
     if voxels.height[piece].min() > config.foot or np.quantile(voxels.height[piece], 0.9) < config.top:
         return False
     if np.linalg.norm(np.ptp(voxels.xyz[piece, :2], axis=0)) + _CELL < config.length:
         return False
-    inside = _below(thing, piece, column) & voxels.seen
+    inside = _below(obj, piece, column) & voxels.observed
     return bool(np.count_nonzero(alone & inside) >= config.whole * np.count_nonzero(inside))
 
 
-def _below(thing: Thing, piece: Ints, column: Ints) -> Mask:
+def _below(obj: ObjectInstance, piece: Ints, column: Ints) -> Mask:
     """Tell which voxels (M,) stand in the columns of a piece and no higher: a bin stands under a crown."""
     keys, slot = np.unique(column[piece], return_inverse=True)
     top = np.full(len(keys), -np.inf)
-    np.maximum.at(top, slot, thing.voxels.height[piece])
+    np.maximum.at(top, slot, obj.voxels.height[piece])
     place = np.minimum(np.searchsorted(keys, column), len(keys) - 1)
-    return np.asarray((keys[place] == column) & (thing.voxels.height <= top[place] + _ABOVE))
+    return np.asarray((keys[place] == column) & (obj.voxels.height <= top[place] + _ABOVE))
 
 
-def _with_unseen(thing: Thing, labels: Ints, config: PartConfig) -> Ints:
+def _with_unseen(obj: ObjectInstance, labels: Ints, config: PartConfig) -> Ints:
     """Give what the other epoch did not see to the nearest part or rest; drop parts that are too small.
 
     Where less still stands than is known of a part, the rest gets nothing: what is out of sight behind a
     house that is gone was the house, not the gate that is left of the instance.
     """
-    known = thing.voxels.seen
+    known = obj.voxels.observed
     if not known.all():
-        left = np.count_nonzero(thing.voxels.still & (labels == 0))
+        left = np.count_nonzero(obj.voxels.occupied_in_other & (labels == 0))
         gone = np.bincount(labels[known])[1:].max()
         source = np.flatnonzero(known & ((labels > 0) | (left >= gone) | (gone < _WELL_KNOWN)))
-        nearest = cKDTree(thing.voxels.xyz[source]).query(thing.voxels.xyz[~known])[1]
+        nearest = cKDTree(obj.voxels.xyz[source]).query(obj.voxels.xyz[~known])[1]
         labels[~known] = labels[source][nearest]
-    points = np.bincount(labels[cKDTree(thing.voxels.xyz).query(thing.xyz)[1]], minlength=labels.max() + 1)
-    if points[0] < config.remainder * len(thing.xyz):
+    points = np.bincount(labels[cKDTree(obj.voxels.xyz).query(obj.xyz)[1]], minlength=labels.max() + 1)
+    if points[0] < config.remainder * len(obj.xyz):
         return np.zeros_like(labels)
     large = points >= config.points
     large[0] = True

@@ -11,9 +11,9 @@ from subiaco_change.association.costs import AssociationConfig
 from subiaco_change.decisions.column_change import ColumnChange
 from subiaco_change.decisions.column_volumes import column_keys
 from subiaco_change.decisions.storeys import changed_houses
-from subiaco_change.decisions.voxel_objects import Thing, join_voxels
-from subiaco_change.instance_splitting.merged_instances import Piece, bodies_of
-from subiaco_change.instance_splitting.one_epoch_parts import divided
+from subiaco_change.decisions.voxel_objects import ObjectInstance, join_voxels
+from subiaco_change.instance_splitting.merged_instances import Piece, separate_bodies
+from subiaco_change.instance_splitting.one_epoch_parts import split_by_labels
 from subiaco_change.segmentation.bounding_rectangles import wall_coordinates
 from subiaco_change.segmentation.clustering import connect, group_indices
 from subiaco_change.segmentation.height_profiles import ProfileConfig, level_steps, part_slots
@@ -27,10 +27,14 @@ _STOREY = ProfileConfig(step=1.5)  # tops that rose by less were roofed anew
 _SHOWN = 3  # columns across a row that must show in both epochs
 
 
-def rows_of(pieces: Sequence[Piece], config: AssociationConfig) -> list[list[int]]:
+def group_row_houses(pieces: Sequence[Piece], config: AssociationConfig) -> list[list[int]]:
     """Group matches (positions) of which a house of one lies in a house of another; each group a row."""
     first, second = (
-        [(k, _columns(body)) for k, piece in enumerate(pieces) for body in bodies_of(piece[epoch], config)]
+        [
+            (k, _columns(body))
+            for k, piece in enumerate(pieces)
+            for body in separate_bodies(piece[epoch], config)
+        ]
         for epoch in (0, 1)
     )
     links = [
@@ -43,18 +47,21 @@ def rows_of(pieces: Sequence[Piece], config: AssociationConfig) -> list[list[int
     return [group.tolist() for group in group_indices(joined)]
 
 
-def _columns(things: Sequence[Thing]) -> Ints:
-    return np.unique(column_keys(join_voxels(things).xyz, _CELL))
+def _columns(objects: Sequence[ObjectInstance]) -> Ints:
+    return np.unique(column_keys(join_voxels(objects).xyz, _CELL))
 
 
-def houses_of(
-    before: Sequence[Thing], after: Sequence[Thing], config: AssociationConfig, following: int
+def split_at_walls(
+    before: Sequence[ObjectInstance],
+    after: Sequence[ObjectInstance],
+    config: AssociationConfig,
+    following: int,
 ) -> list[Piece]:
     """Divide a row at the walls that either epoch shows, and where its tops rose or fell by a storey.
 
     Parameters
     ----------
-    before, after : sequence of Thing
+    before, after : sequence of ObjectInstance
         Everything in the row.
     config : AssociationConfig
     following : int
@@ -65,16 +72,16 @@ def houses_of(
     xy = np.concatenate([v.xyz[:, :2] for v in voxels])
     labels = _moved(voxels[0].xyz, voxels[1].xyz, xy)
     for side in sides:
-        bodies = [body for body in bodies_of(side, config) if body] or [list(side)]
+        bodies = [body for body in separate_bodies(side, config) if body] or [list(side)]
         owner = np.repeat(np.arange(len(bodies)), [sum(len(t.voxels) for t in body) for body in bodies])
         places = np.concatenate([t.voxels.xyz[:, :2] for body in bodies for t in body])
         labels = labels * len(bodies) + owner[cKDTree(places).query(xy)[1]]
     return _pieces(sides, xy, labels, config, following)
 
 
-def houses_that_changed(
-    before: Sequence[Thing],
-    after: Sequence[Thing],
+def split_at_changed_storeys(
+    before: Sequence[ObjectInstance],
+    after: Sequence[ObjectInstance],
     columns: ColumnChange,
     config: AssociationConfig,
     following: int,
@@ -89,7 +96,7 @@ def houses_that_changed(
 
 
 def _pieces(sides: Piece, xy: Floats, labels: Ints, config: AssociationConfig, following: int) -> list[Piece]:
-    """Divide things of both epochs by labels (N,) of their voxels' places (N, 2); small parts join others."""
+    """Divide objects of both epochs by labels (N,) of their voxels (N, 2); small parts join others."""
     labels = np.unique(labels, return_inverse=True)[1]
     large = np.bincount(labels) >= config.apart * len(xy)
     if np.count_nonzero(large) < 2:
@@ -97,12 +104,14 @@ def _pieces(sides: Piece, xy: Floats, labels: Ints, config: AssociationConfig, f
     kept = large[labels]
     labels = labels[kept][cKDTree(xy[kept]).query(xy)[1]]
     labels = np.unique(labels, return_inverse=True)[1]
-    found: list[tuple[list[Thing], list[Thing]]] = [([], []) for _ in range(labels.max() + 1)]
+    found: list[tuple[list[ObjectInstance], list[ObjectInstance]]] = [
+        ([], []) for _ in range(labels.max() + 1)
+    ]
     for epoch, side in enumerate(sides):
-        for thing in side:
-            own, labels = labels[: len(thing.voxels)], labels[len(thing.voxels) :]
+        for obj in side:
+            own, labels = labels[: len(obj.voxels)], labels[len(obj.voxels) :]
             numbers, part = np.unique(own, return_inverse=True)
-            for number, piece in zip(numbers.tolist(), divided(thing, part, following), strict=True):
+            for number, piece in zip(numbers.tolist(), split_by_labels(obj, part, following), strict=True):
                 found[number][epoch].append(piece)
             following += len(numbers)
     return [(tuple(b), tuple(a)) for b, a in found]

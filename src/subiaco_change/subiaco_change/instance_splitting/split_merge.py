@@ -11,16 +11,20 @@ import shapely
 from subiaco_change.association.costs import AssociationConfig
 from subiaco_change.association.matching import match_kind
 from subiaco_change.association.voxel_overlap import overlap_counts
-from subiaco_change.decisions.building_extensions import built, find_wings
+from subiaco_change.decisions.building_extensions import find_building_extensions, is_smooth_surface
 from subiaco_change.decisions.measures import Measures, measure
 from subiaco_change.decisions.object_decision import ObjectChange, ObjectRules, decide_object
 from subiaco_change.decisions.plant_decisions import decide_plant
 from subiaco_change.decisions.vegetation_null import no_null
-from subiaco_change.decisions.voxel_objects import Thing, join_voxels
-from subiaco_change.instance_splitting.hedge_sections import Section, moved_sections, section_labels
-from subiaco_change.instance_splitting.merged_instances import Piece, pieces_apart
-from subiaco_change.instance_splitting.one_epoch_parts import divided
-from subiaco_change.instance_splitting.rows_of_houses import houses_of, houses_that_changed, rows_of
+from subiaco_change.decisions.voxel_objects import ObjectInstance, join_voxels
+from subiaco_change.instance_splitting.hedge_sections import Section, changed_sections, section_labels
+from subiaco_change.instance_splitting.merged_instances import Piece, split_by_bodies
+from subiaco_change.instance_splitting.one_epoch_parts import split_by_labels
+from subiaco_change.instance_splitting.rows_of_houses import (
+    group_row_houses,
+    split_at_changed_storeys,
+    split_at_walls,
+)
 from subiaco_geo.codes import Change, Semantic
 
 _WHOLE = 0.75  # share of its columns from which on a hedge moved as a whole
@@ -30,10 +34,10 @@ _HARDLY = 0.5  # observed share below which a side is no row of its own
 _CLAIMS = (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED)
 
 
-def join_wings(changes: list[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
-    """Make wings built onto a building, or taken from it, one object with it, and decide it anew.
+def join_building_extensions(changes: list[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
+    """Make extensions built onto a building, or taken from it, one object with it, and decide it anew.
 
-    A wing seen from few sides may have passed for a vehicle or a plant: what is built tells.
+    An extension seen from few sides may have passed for a vehicle or a plant: what is built tells.
     """
     numbers = [
         i
@@ -42,23 +46,25 @@ def join_wings(changes: list[ObjectChange], rules: ObjectRules) -> list[ObjectCh
         or (
             change.semantic in (Semantic.MOBILE, Semantic.VEGETATION, Semantic.OTHER)
             and change.decision.change in (Change.ADDED, Change.REMOVED)
-            and built(join_voxels((*change.before, *change.after)))
+            and is_smooth_surface(join_voxels((*change.before, *change.after)))
         )
     ]
     if rules.association.parts.points == 0:
         return changes
     pairs = [(join_voxels(changes[i].before), join_voxels(changes[i].after)) for i in numbers]
-    wings = {numbers[w]: numbers[h] for w, h in find_wings(pairs, rules.association.parts).items()}
+    extensions = {
+        numbers[w]: numbers[h] for w, h in find_building_extensions(pairs, rules.association.parts).items()
+    }
     joined = list(changes)
-    for host in sorted(set(wings.values())):
-        parts = [changes[host], *(changes[w] for w, h in wings.items() if h == host)]
+    for host in sorted(set(extensions.values())):
+        parts = [changes[host], *(changes[w] for w, h in extensions.items() if h == host)]
         before, after = ([t for part in parts for t in getattr(part, e)] for e in ("before", "after"))
         joined[host] = decide_object(before, after, Semantic.BUILDING, rules)
-    return [change for i, change in enumerate(joined) if i not in wings]
+    return [change for i, change in enumerate(joined) if i not in extensions]
 
 
-def join_sides(changes: list[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
-    """Give a side of a changed building that the other epoch hardly saw to the building.
+def join_hidden_walls(changes: list[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
+    """Join a wall that the other epoch hardly observed to the changed building it belongs to.
 
     A wall within the outline of a house is a wall of it: pieces of one body are one row. Where absence is
     assumed and not observed, what was built may hide any wall.
@@ -73,7 +79,7 @@ def join_sides(changes: list[ObjectChange], rules: ObjectRules) -> list[ObjectCh
         if (
             change.semantic is not Semantic.BUILDING
             or (change.before and change.after)
-            or not _hardly_seen(change, rules)
+            or not _is_hardly_observed(change, rules)
         ):
             continue
         xyz = join_voxels((*change.before, *change.after)).xyz
@@ -89,21 +95,21 @@ def join_sides(changes: list[ObjectChange], rules: ObjectRules) -> list[ObjectCh
     ]
 
 
-def _hardly_seen(change: ObjectChange, rules: ObjectRules) -> bool:
+def _is_hardly_observed(change: ObjectChange, rules: ObjectRules) -> bool:
     """Tell whether the epoch that lacks an object hardly saw its place, or nothing tells what it saw."""
     other = 1 if change.before else 0
     return rules.ground.empty[other] is None or change.measures.observed_fraction < _HARDLY
 
 
 def split_low_overlap_matches(changes: Sequence[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
-    """Take what was matched and hardly overlaps for two things: one is slight, the other came or went.
+    """Take what was matched and hardly overlaps for two objects: one is slight, the other came or went.
 
     A fence that a house was built around lies inside the house, and is no house.
     """
     told: list[ObjectChange] = []
     for change in changes:
         alone = [change]
-        sizes = [sum(len(t.voxels) for t in things) for things in (change.before, change.after)]
+        sizes = [sum(len(t.voxels) for t in objects) for objects in (change.before, change.after)]
         slight = 0 < min(sizes) < rules.association.parts.remainder * max(sizes)
         if slight and change.measures.iou <= _least_overlap(change.semantic, rules):
             b, a = change.before, change.after
@@ -128,7 +134,7 @@ def split_multi_body_matches(changes: Sequence[ObjectChange], rules: ObjectRules
     following = _first_free(changes)
     told: list[ObjectChange] = []
     for change in changes:
-        pieces = pieces_apart(change.before, change.after, rules.association, following)
+        pieces = split_by_bodies(change.before, change.after, rules.association, following)
         if len(pieces) == 1:
             told.append(change)
             continue
@@ -156,15 +162,15 @@ def split_row_houses(changes: Sequence[ObjectChange], rules: ObjectRules) -> lis
     ]
     following = _first_free(changes)
     told: dict[int, list[ObjectChange]] = {i: [change] for i, change in enumerate(changes)}
-    for row in rows_of([(changes[i].before, changes[i].after) for i in numbers], rules.association):
+    for row in group_row_houses([(changes[i].before, changes[i].after) for i in numbers], rules.association):
         members = [numbers[k] for k in row]
         before, after = ([t for i in members for t in getattr(changes[i], e)] for e in ("before", "after"))
         if not before or not after:
             continue
         columns = _measured([changes[i] for i in members], rules).columns
-        ways = [houses_of(before, after, rules.association, following)]
+        ways = [split_at_walls(before, after, rules.association, following)]
         if columns is not None:
-            ways.append(houses_that_changed(before, after, columns, rules.association, following))
+            ways.append(split_at_changed_storeys(before, after, columns, rules.association, following))
         parts = next((parts for parts in (_fared(way, rules) for way in ways) if parts), [])
         if parts:
             following += sum(len(p.before) + len(p.after) for p in parts)
@@ -208,19 +214,19 @@ def _sections(change: ObjectChange, following: int, rules: ObjectRules) -> list[
     if change.semantic is not Semantic.VEGETATION or not (change.before and change.after):
         return [change]
     limit = max(rules.decisions.vegetation.height, rules.decisions.lod_factor * change.lod)
-    sections, columns = moved_sections(change.before, change.after, limit, rules.standing)
+    sections, columns = changed_sections(change.before, change.after, limit, rules.standing)
     if not sections:
         return [change]
     alike = len({s.rise > 0 for s in sections}) == 1
     if alike and sum(len(s.xy) for s in sections) >= _WHOLE * len(columns):
         largest = max(sections, key=lambda s: len(s.xy))
         return [_of_section(change, largest, rules, only=False)]
-    sides: list[list[list[Thing]]] = []
-    for things in (change.before, change.after):
-        side: list[list[Thing]] = [[] for _ in range(len(sections) + 1)]
-        for thing in things:
-            numbers, labels = np.unique(section_labels(thing, sections, columns), return_inverse=True)
-            for number, piece in zip(numbers.tolist(), divided(thing, labels, following), strict=True):
+    sides: list[list[list[ObjectInstance]]] = []
+    for objects in (change.before, change.after):
+        side: list[list[ObjectInstance]] = [[] for _ in range(len(sections) + 1)]
+        for obj in objects:
+            numbers, labels = np.unique(section_labels(obj, sections, columns), return_inverse=True)
+            for number, piece in zip(numbers.tolist(), split_by_labels(obj, labels, following), strict=True):
                 side[number].append(piece)
             following += len(numbers)
         sides.append(side)
@@ -241,10 +247,10 @@ def _of_section(change: ObjectChange, section: Section, rules: ObjectRules, *, o
     return replace(change, plant=plant, decision=decision)
 
 
-def adopt_fragments(
+def assign_fragments(
     changes: list[ObjectChange],
-    things_b: Sequence[Thing],
-    things_a: Sequence[Thing],
+    objects_before: Sequence[ObjectInstance],
+    objects_after: Sequence[ObjectInstance],
     config: AssociationConfig,
     tolerance: float,
 ) -> list[ObjectChange]:
@@ -254,10 +260,10 @@ def adopt_fragments(
     from its partner, its place does not, and every point of a changed object
     carries its label. Statistics stay those of the object without them.
     """
-    if not things_b or not things_a:
+    if not objects_before or not objects_after:
         return changes
-    overlaps = overlap_counts(things_b, things_a, tolerance)
-    slots = [{t.instance: i for i, t in enumerate(things)} for things in (things_b, things_a)]
+    overlaps = overlap_counts(objects_before, objects_after, tolerance)
+    slots = [{t.instance: i for i, t in enumerate(objects)} for objects in (objects_before, objects_after)]
     hosts = {
         (epoch, part.instance): number
         for number, change in enumerate(changes)
@@ -274,7 +280,7 @@ def adopt_fragments(
         row = overlaps[epoch][[slots[epoch][part.instance]], :].tocoo()
         if row.nnz == 0 or row.data.max() <= config.contained * len(part.voxels):
             continue
-        other = (things_a, things_b)[epoch][int(row.col[row.data.argmax()])]
+        other = (objects_after, objects_before)[epoch][int(row.col[row.data.argmax()])]
         host = hosts.get((1 - epoch, other.instance))
         if host is not None:
             joined.setdefault(host, []).append(number)
@@ -293,10 +299,10 @@ def _with_parts(change: ObjectChange, fragments: Sequence[ObjectChange]) -> Obje
     return replace(change, before=before, after=after, match_kind=kind)
 
 
-def agree_on_classes(
-    before: list[Thing], after: list[Thing], config: AssociationConfig, tolerance: float
-) -> tuple[list[Thing], list[Thing]]:
-    """Give one thing one class (C6): where two objects mostly coincide, the better score wins."""
+def unify_classes(
+    before: list[ObjectInstance], after: list[ObjectInstance], config: AssociationConfig, tolerance: float
+) -> tuple[list[ObjectInstance], list[ObjectInstance]]:
+    """Give one object one class (C6): where two objects mostly coincide, the better score wins."""
     if not before or not after:
         return before, after
     forward, backward = overlap_counts(before, after, tolerance)

@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from subiaco_change.decisions.measures import Measures, oriented_rectangle
 from subiaco_change.decisions.rules import Decision
-from subiaco_change.decisions.voxel_objects import Thing, join_voxels
+from subiaco_change.decisions.voxel_objects import ObjectInstance, join_voxels
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats
 
@@ -23,23 +23,23 @@ _NEXT = 0.75  # so far from points of the other epoch, a voxel lies beside them 
 _HELD = 0.5  # share of its voxels from which on a part lies beside them
 
 
-def part_of_vehicle(
-    things: Sequence[Thing], semantic: Semantic, measures: Measures, standing: Floats
+def decide_vehicle_part(
+    objects: Sequence[ObjectInstance], semantic: Semantic, measures: Measures, standing: Floats
 ) -> Decision | None:
     """Decide what was parted from a vehicle and stands in one epoch alone; None where it may be one.
 
     ``standing`` (N, 3) are the points of the other epoch that stand, of any class.
     """
-    if semantic is not Semantic.MOBILE or any(t.whole < 0 for t in things):
+    if semantic is not Semantic.MOBILE or any(t.whole < 0 for t in objects):
         return None
-    across = 0.5 * abs(measures.carried) / max(measures.gone_share, measures.new_share)
+    across = 0.5 * abs(measures.net_changed_fraction) / max(measures.gone_share, measures.new_share)
     if across < _ACROSS:
         reason = (
             f"The other survey looked across {across:.0%} of this part of a vehicle, less than the limit of"
             f" {_ACROSS:.0%}: nothing is claimed."
         )
         return Decision(Change.UNOBSERVED, reason, 1.0 - across)
-    xyz = join_voxels(things).xyz
+    xyz = join_voxels(objects).xyz
     held = _held(xyz, standing)
     if held < _HELD or _width(xyz) >= _VEHICLE:
         return None

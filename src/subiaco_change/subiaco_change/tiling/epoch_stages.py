@@ -70,11 +70,11 @@ _BEAMS = 0.5  # edge of a tile of counted beams, of a tile of points: tasks read
 
 @dataclass
 class Epochs:
-    """Two checked epochs, their tiles, and the bench that works on them.
+    """Two checked epochs, their tiles, and the runner that works on them.
 
     Parameters
     ----------
-    bench : TaskRunner
+    runner : TaskRunner
     config : ChangeConfig
     given : tuple of str
         Fields of the points that replace a stage: ``semantic``, ``instance``.
@@ -82,7 +82,7 @@ class Epochs:
         What was done to bring them together, once they are cut.
     """
 
-    bench: TaskRunner
+    runner: TaskRunner
     config: ChangeConfig
     given: tuple[str, ...] = ()
     info: PairInfo = field(default_factory=lambda: PairInfo(None))
@@ -169,7 +169,7 @@ class Epochs:
     def _cut_points(self, name: str, epoch: Epoch, origin: Floats, operation: Transform | None) -> CutCloud:
         try:
             parts = epoch.clouds(FIELDS)
-            found = cut_cloud(self.bench, parts, origin, self.size, self.config.leaf, operation)
+            found = cut_cloud(self.runner, parts, origin, self.size, self.config.leaf, operation)
         except InputError as error:
             raise InputError(f"{name}: {error}") from error
         if found.points == 0:
@@ -207,7 +207,7 @@ class Epochs:
             first = next(epoch.beams(), None)
             if first is not None:
                 self.beam_edge[name] = _BEAMS * self.size
-                self.beams[name] = cut_beams(self.bench, epoch.beams(), self.beam_edge[name])
+                self.beams[name] = cut_beams(self.runner, epoch.beams(), self.beam_edge[name])
                 side = replace(side, beams_crs=other, corner=first.origin, voxel=first.voxel)
         elif kind == "trajectory" and way is not None:
             side = replace(side, corner=occupied_corner(cut.low, config.poses))
@@ -241,7 +241,7 @@ class Epochs:
         for name in sorted(own):
             inputs = {f"cloud/{n}": own[n] for n in (name, *neighbours(name, own))} | upright
             tasks.append(Task("trails", name, find_trails, inputs, {"tile": name, **params}))
-        return self.bench.run(tasks, (0.02, 0.03))
+        return self.runner.run(tasks, (0.02, 0.03))
 
     def _render(self, side: Side, way: Trajectory) -> dict[str, str]:
         """Render what the poses of an epoch must have seen, tile by tile of its own frame."""
@@ -261,7 +261,7 @@ class Epochs:
                 "moved": moved,
             }  # fmt: skip
             tasks.append(Task("expected_visibility", name, render_tile, inputs, params))
-        return self.bench.run(tasks, (0.02, 0.05))
+        return self.runner.run(tasks, (0.02, 0.05))
 
     def _keep_poses(self, name: str, epoch: Epoch, way: Trajectory | None) -> None:
         """Keep the pose covariances of a map, where it carries them."""
@@ -270,7 +270,7 @@ class Epochs:
             return
         positions = way.at(found.times_ns)[:, :3, 3]
         arrays = {"positions": positions, "covariances": found.covariances}
-        self.poses[f"poses/{name}"] = self.bench.put("poses", name, arrays)
+        self.poses[f"poses/{name}"] = self.runner.put("poses", name, arrays)
 
     def register(self, transform: Floats | None) -> str:
         """Register the epochs, and beside it label every tile of each in its own frame; return the key."""
@@ -278,7 +278,7 @@ class Epochs:
         params = {**self.registering(), "transform": transform}
         task = Task("registration", "all", find_registration, clouds, params)
         stages = [[task], *(self._semantics(side) for side in self.sides)]
-        found, *prepared = self.bench.together(stages, (0.05, 0.47))
+        found, *prepared = self.runner.together(stages, (0.05, 0.47))
         self.prepared = dict(zip(EPOCHS, prepared, strict=True))
         for warning in self.registration(found["all"]).warnings:
             _LOG.warning("registration: %s", warning)
@@ -294,14 +294,14 @@ class Epochs:
 
     def registration(self, key: str) -> Registration:
         """Return the registration under a key."""
-        return registration_of(self.bench.store.load(key))
+        return registration_of(self.runner.store.load(key))
 
     def number(self) -> None:
         """Give the objects of both epochs numbers over their tiles."""
         params = {"given": "instance" in self.given}
         inputs = [{f"prepared/{n}": k for n, k in self.prepared[epoch].items()} for epoch in EPOCHS]
         stages = [[Task("objects", "all", unite, own, params)] for own in inputs]
-        found = self.bench.together(stages, (0.47, 0.48))
+        found = self.runner.together(stages, (0.47, 0.48))
         self.united = {epoch: keys["all"] for epoch, keys in zip(EPOCHS, found, strict=True)}
 
     def _semantics(self, side: Side) -> list[Task]:
@@ -332,7 +332,7 @@ class Epochs:
         task = Task(
             "levelling", "all", find_upright, {f"cloud/{n}": k for n, k in own.items()}, {"side": side}
         )
-        return {"levelling": self.bench.one(task, (0.05, 0.05))}
+        return {"levelling": self.runner.one(task, (0.05, 0.05))}
 
     def recut(self, registration: str) -> None:
         """Cut the labelled points of both epochs by the tiles of the common frame."""
@@ -345,7 +345,7 @@ class Epochs:
                 inputs |= {"united": self.united[side.epoch], "registration": registration}
                 params = {"tile": tile, "size": self.size, "side": side, "origin": self.origin}
                 tasks.append(Task("retiling", f"{side.epoch}_{tile}", recut_tile, inputs, params))
-        keys = self.bench.run(tasks, (0.48, 0.5))
+        keys = self.runner.run(tasks, (0.48, 0.5))
         for epoch in EPOCHS:
             found = {n.removeprefix(f"{epoch}_"): k for n, k in keys.items() if n.startswith(f"{epoch}_")}
             pieces = {n: self.load(k) for n, k in found.items()}
@@ -388,7 +388,7 @@ class Epochs:
 
     def load(self, key: str) -> Arrays:
         """Return what a task left."""
-        return self.bench.store.load(key)
+        return self.runner.store.load(key)
 
 
 def corners_around(name: str, size: float, rim: float) -> Floats:

@@ -120,7 +120,7 @@ class CutCloud:
 
 
 def cut_cloud(
-    bench: TaskRunner,
+    runner: TaskRunner,
     parts: Iterable[PointCloud],
     origin: Floats,
     tile: float,
@@ -131,7 +131,7 @@ def cut_cloud(
 
     Parameters
     ----------
-    bench : TaskRunner
+    runner : TaskRunner
     parts : iterable of PointCloud
         One epoch.
     origin : (3,) float64
@@ -161,12 +161,12 @@ def cut_cloud(
         for name, arrays in spill.tiles():
             thin = voxel_downsample(PointCloud(arrays.pop("xyz"), origin, None, arrays), leaf)
             kept += len(thin)
-            keys[name] = bench.put("cut", name, {"xyz": thin.xyz, **thin.fields})
+            keys[name] = runner.put("cut", name, {"xyz": thin.xyz, **thin.fields})
             spacings.append(neighbour_spacings(thin.xyz))
     return CutCloud(keys, low, high, points, kept, joint_spacing(spacings))
 
 
-def cut_beams(bench: TaskRunner, parts: Iterable[VisibilityGrid], size: float) -> dict[str, str]:
+def cut_beams(runner: TaskRunner, parts: Iterable[VisibilityGrid], size: float) -> dict[str, str]:
     """Keep the voxels of beams of every tile; return keys by tile."""
     keys = {}
     with TemporaryDirectory(prefix="subiaco_") as folder:
@@ -183,7 +183,7 @@ def cut_beams(bench: TaskRunner, parts: Iterable[VisibilityGrid], size: float) -
                     columns["moving"] = part.moving[m]
                 spill.add(name, columns)
         for name, arrays in spill.tiles():
-            keys[name] = bench.put("beams", name, arrays)
+            keys[name] = runner.put("beams", name, arrays)
     return keys
 
 

@@ -127,7 +127,7 @@ def label_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
         other = regions[1 - e].view
         known = other.xyz[other.semantic == Semantic.GROUND]
         there = partial(occupied, points=other.xyz, reach=same_place(config.measures))
-        label_rest(view, labels, ground, ids, regions[1 - e].seen, config.evidence, known, there)
+        label_rest(view, labels, ground, ids, regions[1 - e].observed, config.evidence, known, there)
         if Part.OBJECTS in config.without:
             labels = _by_point(view, other, regions[1 - e], labels, epoch, config)
         patched[:, e] = [np.count_nonzero(labels.instance == i) for i in ids]
@@ -198,5 +198,5 @@ def _comparison(
 
 def _by_point(view: Any, other: Any, seen: Region, labels: Labels, epoch: str, config: Any) -> Labels:
     """Label what is not ground point by point."""
-    alone = pointwise(view, other, seen.seen, epoch, same_place(config.measures))
+    alone = pointwise(view, other, seen.observed, epoch, same_place(config.measures))
     return replace(labels, change=np.where(view.semantic == Semantic.GROUND, labels.change, alone))

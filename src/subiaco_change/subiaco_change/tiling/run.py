@@ -100,18 +100,18 @@ class ChangeRun(Epochs):
         spans = list(pairwise(steps.tolist()))
         frame, sigma, lods = self.place(registration, changed, (spans[0][0], spans[3][1]))
         links = self._per_tile("candidate_pairs", tile_links, self._linked(frame), spans[4])
-        counts = [len(self.bench.store.load(self.united[e])["points"]) for e in EPOCHS]
+        counts = [len(self.runner.store.load(self.united[e])["points"]) for e in EPOCHS]
         groups = self._reduce(
             "groups", find_groups, "candidate_pairs", links, frame, spans[5], counts=tuple(counts)
         )
         comparing, reach = self._groups(groups, frame, lods)
         grounds = self._tasks("ground", tile_ground, self._seen(frame, lods, sight=False))
-        compared, ground = self.bench.together([comparing, grounds], (spans[6][0], spans[7][1]))
+        compared, ground = self.runner.together([comparing, grounds], (spans[6][0], spans[7][1]))
         patched, patch_reach = self._patches(ground, spans[8])
         decided = self._decide(compared, spans[8])
         trust = partial(discounted, simulated=self.simulated, config=self.config.confidence)
-        table = build_table(self.bench.store, decided, patched, counts, self.origin, self._weaker(), trust)
-        key = self.bench.put("table", "all", table.arrays)
+        table = build_table(self.runner.store, decided, patched, counts, self.origin, self._weaker(), trust)
+        key = self.runner.put("table", "all", table.arrays)
         return Pass(
             registration,
             frame,
@@ -162,7 +162,7 @@ class ChangeRun(Epochs):
         for tile, key in self.points["before"].items():
             params = {"tile": tile, "side": side, "origin": self.origin}
             tasks.append(Task("alignment", tile, place_tile, {**frame, f"points/before/{tile}": key}, params))
-        return self.bench.run(tasks, span)
+        return self.runner.run(tasks, span)
 
     def _weaker(self) -> str:
         return weakest(side.kind for side in self.sides)
@@ -238,7 +238,7 @@ class ChangeRun(Epochs):
         inputs: Mapping[str, Mapping[str, str]],
         span: tuple[float, float],
     ) -> dict[str, str]:
-        return self.bench.run(self._tasks(stage, function, inputs), span)
+        return self.runner.run(self._tasks(stage, function, inputs), span)
 
     def _tasks(self, stage: str, function: Function, inputs: Mapping[str, Mapping[str, str]]) -> list[Task]:
         return [Task(stage, tile, function, own, self._params(stage, tile)) for tile, own in inputs.items()]
@@ -254,7 +254,7 @@ class ChangeRun(Epochs):
         **more: Any,
     ) -> str:
         inputs = {**frame, **{f"{alias}/{tile}": key for tile, key in keys.items()}}
-        return self.bench.one(Task(stage, "all", function, inputs, self._params(stage, "all", **more)), span)
+        return self.runner.one(Task(stage, "all", function, inputs, self._params(stage, "all", **more)), span)
 
     def _smooth(
         self,
@@ -275,7 +275,7 @@ class ChangeRun(Epochs):
         self, groups: str, frame: Mapping[str, str], lods: Mapping[str, str]
     ) -> tuple[list[Task], dict[str, list[str]]]:
         """Tasks that compare the groups of every tile that answers for some; and the tiles that each sees."""
-        found = self.bench.store.load(groups)
+        found = self.runner.store.load(groups)
         inputs, reach = {}, {}
         common = self.common(frame["registration"])
         low = found["low"] + self.origin[:2] - _RIM
@@ -302,7 +302,7 @@ class ChangeRun(Epochs):
         }
         over = self._per_tile("threshold_components", tile_over, around, span)
         joined = self._reduce("threshold_components", join_over, "threshold_components", over, {}, span)
-        begun = patch_tiles(self.bench.store.load(joined))
+        begun = patch_tiles(self.runner.store.load(joined))
         tasks, reach = [], {}
         for tile, patches in sorted(begun.items()):
             names = sorted({n for _, _, own in patches for n in own})
@@ -313,7 +313,7 @@ class ChangeRun(Epochs):
                 Task("patches", tile, tile_patches, inputs, self._params("patches", tile, patches=patches))
             )
             reach[tile] = names
-        return self.bench.run(tasks, span), reach
+        return self.runner.run(tasks, span), reach
 
     def changed(self, found: Pass, span: tuple[float, float]) -> dict[str, str]:
         """Masks of what a pass calls changed: keys by ``changed/<epoch>/<tile>``."""
@@ -323,7 +323,7 @@ class ChangeRun(Epochs):
                 inputs = {**self._around(tile, found.frame, 0), **self._said(found, tile)}
                 params = self._params("changed", tile, side=side)
                 tasks.append(Task("changed", f"{side.epoch}/{tile}", tile_changed, inputs, params))
-        keys = self.bench.run(tasks, span)
+        keys = self.runner.run(tasks, span)
         return {f"changed/{name}": key for name, key in keys.items()}
 
     def _said(self, found: Pass, tile: str) -> dict[str, str]:
@@ -342,14 +342,14 @@ class ChangeRun(Epochs):
         clouds = {f"cloud/{e}/{n}": k for e in EPOCHS for n, k in self.points[e].items()}
         inputs = {**clouds, **changed, "registration": first.registration}
         task = Task("refine", "all", register_again, inputs, self.registering())
-        beside = self._labels(first) if self.bench.executor.spare else []
-        key = self.bench.together([[task], beside], (0.73, 0.76))[0]["all"]
-        found = self.bench.store.load(key)
+        beside = self._labels(first) if self.runner.executor.spare else []
+        key = self.runner.together([[task], beside], (0.73, 0.76))[0]["all"]
+        found = self.runner.store.load(key)
         return key, float(found["shift"]), (str(found["failed"]),) if "failed" in found else ()
 
     def label(self, found: Pass) -> dict[str, str]:
         """Label the points of every tile."""
-        return self.bench.run(self._labels(found), (0.92, 0.97))
+        return self.runner.run(self._labels(found), (0.92, 0.97))
 
     def _labels(self, found: Pass) -> list[Task]:
         inputs = {

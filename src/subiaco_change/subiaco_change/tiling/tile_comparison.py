@@ -58,7 +58,7 @@ def compare_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
     free = [None if kind == "assumed" else r.free for r, kind in zip(regions, kinds, strict=True)]
     ground = OpenGround(NO_COLUMNS, NO_COLUMNS, (empty[0], empty[1]))
     rules = replace(object_rules(config), ground=ground, free=(free[0], free[1]))
-    changes = compare_objects(views[0], views[1], regions[0].seen, regions[1].seen, rules)
+    changes = compare_objects(views[0], views[1], regions[0].observed, regions[1].observed, rules)
     numbers = [number for _, number in compact]
     records = [
         _in_city(

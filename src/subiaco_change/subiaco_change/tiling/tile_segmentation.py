@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from subiaco_change.decisions.ablation import Part
 from subiaco_change.geometry import estimate_normals
+from subiaco_change.given_classes import UNGIVEN
 from subiaco_change.segmentation.classes import label_points
 from subiaco_change.segmentation.clustering import voxel_clusters
 from subiaco_change.segmentation.instances import segment
@@ -120,9 +121,11 @@ def _label(
     semantic = result.semantic
     score = np.take_along_axis(result.scores, semantic[:, None].astype(np.int64), axis=1)[:, 0]
     if "semantic" in params["given"]:
-        semantic = _given("semantic", inputs, params["tile"], names, where).astype(np.uint8)
-        score = np.ones(len(semantic), dtype=np.float32)
-        result = replace(result, semantic=semantic, moving=np.zeros(len(semantic), dtype=bool))
+        given = _given("semantic", inputs, params["tile"], names, where).astype(np.uint8)
+        own = given == UNGIVEN
+        semantic = np.where(own, semantic, given)
+        score = np.where(own, score, np.float32(1.0))
+        result = replace(result, semantic=semantic, moving=result.moving & own)
     if "instance" in params["given"]:
         instance = _given("instance", inputs, params["tile"], names, where).astype(np.int32)
     elif Part.SEMANTICS in config.without:

@@ -39,7 +39,7 @@ class Region:
     tiles: list[str]
     slot: Ints
     index: Ints
-    seen: Callable[[Floats], Mask]
+    observed: Callable[[Floats], Mask]
     empty: Callable[[Floats], Mask]
     free: Callable[[Floats], Floats]
 

@@ -197,7 +197,7 @@ class ExpectedVisibility:
     view: SensorView
     config: ExpectedVisibilityConfig
 
-    def seen(self, world: Floats) -> Flags:
+    def observed(self, world: Floats) -> Flags:
         """Tell which places (N, 3) [m, world] the epoch saw, free or not."""
         seen = self.occupied.holds(world)
         ask = np.flatnonzero(~seen)

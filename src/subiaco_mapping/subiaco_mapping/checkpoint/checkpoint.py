@@ -27,44 +27,44 @@ from subiaco_mapping.sequences import SequenceRecord
 
 logger = logging.getLogger(__name__)
 
-_INDEX = "journal.json"
+_INDEX = "checkpoint.json"
 _RECORD = "sequence.npz"
 _LATER = {"crs", "graph", "fusion", "manifest", "quality", "calibration"}  # what only later stages ask
 
 
-def journal_folder(output: Path) -> Path:
+def checkpoint_folder(output: Path) -> Path:
     """Return where the run that makes ``output`` keeps its work."""
     output = output.absolute()
-    return output.with_name(f".{output.name}.journal")
+    return output.with_name(f".{output.name}.checkpoint")
 
 
 @contextmanager
-def opened(folder: Path | None, config: MappingConfig, *, resume: bool) -> Iterator[Journal]:
-    """Give the journal of a run; one without a folder lasts as long as the run.
+def opened(folder: Path | None, config: MappingConfig, *, resume: bool) -> Iterator[Checkpoint]:
+    """Give the checkpoint of a run; one without a folder lasts as long as the run.
 
     One with a folder is this run's alone: InputError where another run works on it. That of a run that failed
     stays where it spares work; :func:`remove` it once the map is written.
     """
     if folder is None:
         with tempfile.TemporaryDirectory(prefix="subiaco-spool-") as work:
-            yield Journal(Path(work), config, resume=False)
+            yield Checkpoint(Path(work), config, resume=False)
         return
     with locked(folder):
-        journal = Journal(folder, config, resume=resume)
+        checkpoint = Checkpoint(folder, config, resume=resume)
         try:
-            yield journal
+            yield checkpoint
         except BaseException as error:
-            if journal.finished == 0 or isinstance(error, InputError):  # the same would fail again
+            if checkpoint.finished == 0 or isinstance(error, InputError):  # the same would fail again
                 remove(folder)
             else:
                 logger.warning(
-                    "%d recordings are finished; the same command goes on from there", journal.finished
+                    "%d recordings are finished; the same command goes on from there", checkpoint.finished
                 )
             raise
 
 
 def remove(folder: Path) -> None:
-    """Remove a journal, if it is there."""
+    """Remove a checkpoint, if it is there."""
     shutil.rmtree(folder, ignore_errors=True)
 
 
@@ -80,7 +80,7 @@ def reading_hash(config: MappingConfig) -> str:
     return fingerprint(settings)
 
 
-class Journal:
+class Checkpoint:
     """What is done of one run.
 
     Parameters
@@ -162,25 +162,25 @@ class Journal:
         return sequence_folder(self.folder, number)
 
 
-class JournalledBackend(MappingBackend):
-    """A back end that keeps its finished sequences in a journal."""
+class CheckpointedBackend(MappingBackend):
+    """A back end that keeps its finished sequences in a checkpoint."""
 
-    def __init__(self, config: MappingConfig, journal: Journal) -> None:
-        super().__init__(config, Extrinsics(), journal.folder)
-        self._journal = journal
+    def __init__(self, config: MappingConfig, checkpoint: Checkpoint) -> None:
+        super().__init__(config, Extrinsics(), checkpoint.folder)
+        self._checkpoint = checkpoint
 
     def restore(self, name: str, bag_hash: str) -> bool:
-        """Take the next sequence from the journal; False where it must be read from its bag."""
+        """Take the next sequence from the checkpoint; False where it must be read from its bag."""
         number = len(self._sequences)
-        record = self._journal.record_of(number, name, bag_hash)
+        record = self._checkpoint.record_of(number, name, bag_hash)
         if record is None:
-            self._journal.forget(number)
+            self._checkpoint.forget(number)
             return False
-        logger.info("%s: odometry taken from the journal (%d scans)", record.name, len(record.poses))
+        logger.info("%s: odometry taken from the checkpoint (%d scans)", record.name, len(record.poses))
         self._sequences.append(record)
         return True
 
     def keep(self, bag_hash: str) -> None:
         """Note the newest sequence as finished."""
         record = self._sequences[-1]
-        self._journal.keep(len(self._sequences) - 1, record.name, bag_hash, pack(record))
+        self._checkpoint.keep(len(self._sequences) - 1, record.name, bag_hash, pack(record))

@@ -18,9 +18,9 @@ from subiaco_geo.visibility import TimeRecord, VisibilityGrid
 from subiaco_mapping.checkpoint.scan_spool import SpooledScan
 from subiaco_mapping.config import FusionConfig
 from subiaco_mapping.fusion.dynamic_objects import height_above_floor, moved_probability
-from subiaco_mapping.fusion.outliers import beam_spacing, lonely_points
+from subiaco_mapping.fusion.outliers import beam_spacing, isolated_points
 from subiaco_mapping.fusion.projection import Projection
-from subiaco_mapping.fusion.voxel_fusion import VoxelStatistics, oriented_normals, walked_beams
+from subiaco_mapping.fusion.voxel_fusion import VoxelStatistics, oriented_normals, visibility_beams
 from subiaco_mapping.fusion.voxel_tiles import (
     DiskColumns,
     Recent,
@@ -108,7 +108,7 @@ class MapFusion:
         xyz = transform_points(pose, scan.xyz)
         self._first.add(xyz, scan.intensity, pose[:3, 3])
         self._last.add(transform_points(pose, scan.last_xyz), scan.last_intensity, pose[:3, 3])
-        beams, returned = walked_beams(scan, pose, self._config)
+        beams, returned = visibility_beams(scan, pose, self._config)
         ends = transform_points(pose, beams) @ matrix.T + offset
         origin = matrix @ pose[:3, 3] + offset
         starts, hits = np.broadcast_to(origin, ends.shape), xyz @ matrix.T + offset
@@ -181,7 +181,7 @@ class MapFusion:
         probability[above < config.moving.floor] = 0.0
         moved = config.moving.enabled & (np.nan_to_num(probability) >= config.moving.sure)
         self._write(moving, found.select(np.flatnonzero(moved[:own])))
-        keep = ~moved & ~lonely_points(xyz, found.reach, self._spacing, config, threads)
+        keep = ~moved & ~isolated_points(xyz, found.reach, self._spacing, config, threads)
         (found, probability), own = (found.select(keep), probability[keep]), int(keep[:own].sum())
         if own:
             count = config.normal_neighbours

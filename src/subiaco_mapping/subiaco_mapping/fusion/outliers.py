@@ -31,7 +31,7 @@ def beam_spacing(xyz: Floats, neighbours: int) -> float:
     return float(np.median(chord))
 
 
-def lonely_points(
+def isolated_points(
     xyz: Floats, reach: Floats, spacing: float, config: FusionConfig, threads: int = 1
 ) -> NDArray[np.bool_]:
     """Mark points with too few others near them.

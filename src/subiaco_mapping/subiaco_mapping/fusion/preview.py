@@ -79,7 +79,7 @@ class LivePreview:
         return np.concatenate([*moved, np.zeros((0, 3))])
 
 
-class OneChain:
+class OdometrySegments:
     """Tie the runs of an odometry that was restarted into one: a new run begins where the last ended.
 
     A run numbers its segments from a base of its own, far above those of the run before; here they

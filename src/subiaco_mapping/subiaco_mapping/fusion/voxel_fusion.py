@@ -16,7 +16,7 @@ from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints, transform_points
 from subiaco_mapping.checkpoint.scan_spool import SpooledScan
 from subiaco_mapping.config import FusionConfig
-from subiaco_mapping.fusion.outliers import lonely_points
+from subiaco_mapping.fusion.outliers import isolated_points
 
 _EMPTY = -1
 _LIMIT = 1 << 20
@@ -240,7 +240,7 @@ def fused_cloud(
     """
     found = accumulator.statistics()
     found = found.select(found.n >= config.min_points)
-    found = found.select(~lonely_points(found.mean, found.reach, spacing, config, threads))
+    found = found.select(~isolated_points(found.mean, found.reach, spacing, config, threads))
     if len(found) < 10:
         raise InputError(f"fused map: {len(found)} points are left; check range limits and extrinsics")
     normals = oriented_normals(found.mean, found.view, config.normal_neighbours, threads)
@@ -267,7 +267,7 @@ def add_scan(
     accumulator.add(transform_points(T_local_lidar, xyz), intensity, T_local_lidar[:3, 3])
 
 
-def walked_beams(
+def visibility_beams(
     scan: SpooledScan, T_local_lidar: Floats, config: FusionConfig
 ) -> tuple[Floats, NDArray[np.bool_]]:
     """Choose the beams of a scan that the visibility layer walks.

@@ -13,9 +13,9 @@ from numpy.typing import NDArray
 
 from subiaco_geo.clouds import unpack_voxel_keys
 from subiaco_geo.frames import Floats, Ints
-from subiaco_geo.look_times import COLUMNS, WINDOWS, Looks, joined_looks, looks_of
-from subiaco_geo.raywalk import VisibilityAccumulator
+from subiaco_geo.observation_times import COLUMNS, WINDOWS, Looks, joined_looks, looks_of
 from subiaco_geo.visibility import VisibilityGrid
+from subiaco_geo.voxel_traversal import VisibilityAccumulator
 from subiaco_mapping.fusion.voxel_fusion import VoxelAccumulator, VoxelStatistics, statistics_of
 
 _SHIFT = 21

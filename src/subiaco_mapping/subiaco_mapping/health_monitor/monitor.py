@@ -14,7 +14,7 @@ from subiaco_mapping.health_monitor.packets import LossWindow, PacketWatch
 from subiaco_mapping.health_monitor.positions import Positions
 from subiaco_mapping.health_monitor.sensors import DiskWatch, GnssWatch, ImuWatch
 from subiaco_mapping.health_monitor.streams import StreamWatch
-from subiaco_mapping.health_monitor.street_quality import StreetBook
+from subiaco_mapping.health_monitor.street_quality import StreetQuality
 from subiaco_mapping.manifest import LEGEND
 from subiaco_mapping.measurements import GnssFix, ImuSample
 
@@ -79,7 +79,7 @@ class Monitor:
         self.gnss = GnssWatch(config.watch.gnss)
         self.disk = DiskWatch(config.watch.disk)
         self.positions = Positions()
-        self.streets = StreetBook(config.watch.quality)
+        self.streets = StreetQuality(config.watch.quality)
         self.odometry = _Odometry()
         self.start_ns: int | None = None
         self.now_ns = 0

@@ -46,7 +46,7 @@ class Segment:
         return AMBER if any(name in config.amber for name in reasons) else GREEN
 
 
-class StreetBook:
+class StreetQuality:
     """Cut the way driven into segments and colour them.
 
     Parameters
@@ -94,7 +94,7 @@ class StreetBook:
         counts = [len(p) for p in points]
         return np.concatenate([*points, np.zeros((0, 2))]), np.repeat(np.array(rank, float), counts)
 
-    def best_lights(self, places: Floats) -> list[str]:
+    def best_statuses(self, places: Floats) -> list[str]:
         """Return the best light with which any drive passed places (M, 2), undriven where none did."""
         points, rank = self._samples(self.driven())
         names = {value: name for name, value in _ORDER.items()}
@@ -108,7 +108,7 @@ class StreetBook:
         """Return red segments that no later or earlier drive of the same street made good."""
         red = [s for s in self.driven() if s.light(self._config) == RED]
         middles = np.array([s.way[len(s.way) // 2] for s in red]).reshape(-1, 2)
-        return [s for s, best in zip(red, self.best_lights(middles), strict=True) if best == RED]
+        return [s for s, best in zip(red, self.best_statuses(middles), strict=True) if best == RED]
 
     def counts(self) -> dict[str, int]:
         """Return how many segments have which light."""
@@ -148,7 +148,7 @@ class StreetBook:
         """Return the pieces of a planned line with the best light that each was driven with."""
         pieces = cut_line(route, self._config.route_step)
         middles = np.array([middle(piece) for piece in pieces]).reshape(-1, 2)
-        return list(zip(pieces, self.best_lights(middles), strict=True))
+        return list(zip(pieces, self.best_statuses(middles), strict=True))
 
     def _route_features(self, route: Floats, frame: EnuFrame) -> list[dict[str, Any]]:
         features = []

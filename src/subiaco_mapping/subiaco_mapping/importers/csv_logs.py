@@ -20,8 +20,9 @@ from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
 from subiaco_geo.topics import HEADING, IMU
-from subiaco_mapping.importers import rtklib
+from subiaco_geo.trajectory_files.rtklib import SUFFIX
 from subiaco_mapping.importers.bag_messages import LogMessage, fix_message, header, message, stamp_ns
+from subiaco_mapping.importers.rtklib import read_pos
 
 _T = TYPESTORE.types
 _EPOCH = datetime(1970, 1, 1, tzinfo=UTC)
@@ -181,8 +182,8 @@ def read_gnss_log(path: Path, config: LogsConfig) -> list[LogMessage]:
     InputError
         Names file, line or column at fault.
     """
-    if path.suffix.lower() == rtklib.SUFFIX:
-        return rtklib.read_pos(path, config.leap_seconds)
+    if path.suffix.lower() == SUFFIX:
+        return read_pos(path, config.leap_seconds)
     columns, found = config.gnss, []
     needed = (columns.time, columns.latitude, columns.longitude, columns.height, columns.quality)
     for line, row in _rows(path, needed, "logs.gnss"):

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
+from typing import ClassVar
+
 from pydantic import Field
 
 from subiaco_geo.config import StrictModel
@@ -10,14 +13,18 @@ from subiaco_geo.config import StrictModel
 class QualityConfig(StrictModel):
     """Quality report of a map; limits are those of its verdict, nothing is refused."""
 
+    FORMER_NAMES: ClassVar[Mapping[str, str]] = {
+        "withheld": "holdout",
+        "withheld_block_ns": "holdout_block_ns",
+        "withheld_every": "holdout_every",
+    }
+
     enabled: bool = Field(True, description="Write quality.html and quality.json into the map directory")
-    withheld: bool = Field(
+    holdout: bool = Field(
         True, description="Compare the map with withheld GNSS fixes; takes a second optimisation"
     )
-    withheld_block_ns: int = Field(
-        5_000_000_000, gt=0, description="Length of a block of withheld fixes [ns]"
-    )
-    withheld_every: int = Field(10, ge=2, description="Number of blocks of fixes of which one is withheld")
+    holdout_block_ns: int = Field(5_000_000_000, gt=0, description="Length of a block of withheld fixes [ns]")
+    holdout_every: int = Field(10, ge=2, description="Number of blocks of fixes of which one is withheld")
     max_horizontal: float = Field(
         0.05,
         gt=0,

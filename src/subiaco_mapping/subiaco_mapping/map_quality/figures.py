@@ -13,7 +13,7 @@ from subiaco_geo.simulated import SIMULATIONS
 from subiaco_geo.survey_map import SurveyMap
 from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.manifest import CONTRADICTED, LEGEND
-from subiaco_mapping.map_quality.gnss_holdout import FixErrors, fix_errors, withheld_check
+from subiaco_mapping.map_quality.gnss_holdout import FixErrors, fix_errors, holdout_check
 from subiaco_mapping.map_quality.time_series import STATES, Series, series_of
 from subiaco_mapping.map_quality.verdict import checks, verdict
 from subiaco_mapping.map_quality.wall_thickness import Coverage, Walls, coverage, wall_thickness
@@ -60,7 +60,7 @@ def assess(survey: SurveyMap, solution: GraphSolution, config: MappingConfig) ->
     """
     assert solution.graph is not None
     series = series_of(solution, config)
-    used, withheld = _used(solution), withheld_check(solution, config)
+    used, withheld = _used(solution), holdout_check(solution, config)
     walls, cells = wall_thickness(survey.cloud), coverage(survey.cloud)
     facts: dict[str, Any] = {
         "verdict": {},  # filled below, first in the file

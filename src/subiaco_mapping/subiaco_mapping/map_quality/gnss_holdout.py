@@ -152,15 +152,15 @@ def _errors_of(
     )
 
 
-def withheld_rows(times_ns: Ints, config: QualityConfig) -> NDArray[np.bool_]:
+def holdout_rows(times_ns: Ints, config: QualityConfig) -> NDArray[np.bool_]:
     """Mark the fixes (N,) in time order that are held out; nothing of a drive shorter than three blocks."""
     if len(times_ns) == 0:
         return np.zeros(0, dtype=np.bool_)
-    block = (times_ns - times_ns[0]) // config.withheld_block_ns
+    block = (times_ns - times_ns[0]) // config.holdout_block_ns
     count = int(block[-1]) + 1
     if count < 3:
         return np.zeros(len(times_ns), dtype=np.bool_)
-    return np.asarray(block % config.withheld_every == min(config.withheld_every // 2, count // 2))
+    return np.asarray(block % config.holdout_every == min(config.holdout_every // 2, count // 2))
 
 
 def _keep(fixes: GnssPriors, rows: NDArray[np.bool_]) -> GnssPriors:
@@ -174,7 +174,7 @@ def _keep(fixes: GnssPriors, rows: NDArray[np.bool_]) -> GnssPriors:
     )
 
 
-def withheld_check(solution: GraphSolution, config: MappingConfig) -> FixErrors | str:
+def holdout_check(solution: GraphSolution, config: MappingConfig) -> FixErrors | str:
     """Solve once more without a share of the fixes, and compare those of RTK fixed with the solution.
 
     Everything else stays: odometry, gravity, loops, headings, the placement that the solver starts from.
@@ -185,15 +185,15 @@ def withheld_check(solution: GraphSolution, config: MappingConfig) -> FixErrors 
         The reason, where nothing can be withheld.
     """
     graph = solution.graph
-    if not config.quality.withheld:
-        return "switched off (quality.withheld)"
+    if not config.quality.holdout:
+        return "switched off (quality.holdout)"
     if graph is None or solution.frame is None:
         return "no GNSS places this map"
     chains: dict[int, Chain] = dict(graph.chains)
     chosen: dict[int, Ints] = {}
     fixes = {number: chain.gnss for number, chain in chains.items() if chain.gnss is not None}
     for number, own in fixes.items():
-        out = withheld_rows(own.times_ns, config.quality)
+        out = holdout_rows(own.times_ns, config.quality)
         compared = np.flatnonzero(out & (own.status >= 2))
         left = _keep(own, ~out)
         if len(compared) and enough_to_place(left.enu, config.gnss) is None:

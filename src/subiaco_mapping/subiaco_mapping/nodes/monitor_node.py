@@ -176,7 +176,7 @@ class MonitorApp:
         timed = [
             (kind, topic, self._timed(handler), depth, raw) for kind, topic, handler, depth, raw in wanted
         ]
-        return follow_offers(self._node, timed, apart=(LIDAR_PACKETS,))
+        return follow_offers(self._node, timed, polled=(LIDAR_PACKETS,))
 
     def _timed(self, handler: Callable[[Any], None]) -> Callable[[Any, Any], None]:
         """Let a handler know when its message reached this host, however long it waited for us."""

@@ -24,7 +24,7 @@ from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import invert_pose
 from subiaco_geo.topics import IMU, LIDAR_PACKETS, METADATA, POINTS, TF_STATIC
 from subiaco_mapping.config import MappingConfig
-from subiaco_mapping.fusion.preview import OneChain
+from subiaco_mapping.fusion.preview import OdometrySegments
 from subiaco_mapping.measurements import Extrinsics, ImuSample, OdometryPose, Scan
 from subiaco_mapping.nodes.counts import ConsumptionReporter, counts_message, listen_to_consumers
 from subiaco_mapping.nodes.covariance import PoseCovariance, base_velocity
@@ -51,7 +51,7 @@ from subiaco_ros.messages import transform_message
 from subiaco_ros.node_process import App, run_node
 from subiaco_ros.parameters import read_models
 from subiaco_ros.qos import latched, overridable, reliable
-from subiaco_ros.qos_adaptation import Apart, Wanted, drain, follow_offers
+from subiaco_ros.qos_adaptation import PolledCallbackGroup, Wanted, drain, follow_offers
 from tf2_msgs.msg import TFMessage
 
 LOGGER = logging.getLogger(__name__)
@@ -169,7 +169,7 @@ class OdometryApp:
             (kind, topic, self._arrivals.counted(topic, self._counting(topic, handler)), depth, raw)
             for kind, topic, handler, depth, raw in sensors
         ]
-        self._drains = self._apart(node, wanted)
+        self._drains = self._polled(node, wanted)
         handlers: tuple[tuple[Any, str, Callable[[Any], object], Any], ...] = (
             (String, METADATA, self._on_metadata, latched(1)),
             (TFMessage, TF_STATIC, self._on_tf_static, latched(100)),
@@ -179,12 +179,12 @@ class OdometryApp:
         for kind, topic, on_message, profile in handlers:
             self._subscribe(node, kind, topic, self._counting(topic, on_message), profile)
 
-    def _apart(self, node: Node, wanted: Sequence[Wanted]) -> list[Callable[[], int]]:
+    def _polled(self, node: Node, wanted: Sequence[Wanted]) -> list[Callable[[], int]]:
         """Subscribe to the sensors; return what takes the messages of each, past the executor."""
         if self._own.follow_offers:
             offered = follow_offers(node, wanted, {topic for _, topic, *_ in wanted})
             return [partial(subscription.drain, _TURN) for subscription in offered.values()]
-        group = Apart()
+        group = PolledCallbackGroup()
         return [
             partial(
                 drain,
@@ -203,7 +203,7 @@ class OdometryApp:
         handler: Callable[..., None],
         profile: Any,
         raw: bool = False,
-        group: Apart | None = None,
+        group: PolledCallbackGroup | None = None,
     ) -> Subscription:
         return node.create_subscription(
             kind,
@@ -295,7 +295,7 @@ class OdometryApp:
                 if known is None:
                     self._arrivals.leave_out(topic)
                     return None
-                extrinsics, self._run = known, OneChain.RUN * int(time.time() % 2_000_000)
+                extrinsics, self._run = known, OdometrySegments.RUN * int(time.time() % 2_000_000)
             self._extrinsics = extrinsics
             self._covariance, self._last_pose = PoseCovariance(self._extrinsics.T_base_lidar), None
             self._frontend = self._make_frontend(self._extrinsics, self._metadata)

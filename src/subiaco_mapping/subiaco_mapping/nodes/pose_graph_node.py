@@ -31,7 +31,7 @@ from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.topics import FIX, HEADING, TF_STATIC
 from subiaco_mapping.backend import MappingBackend
 from subiaco_mapping.config import MappingConfig
-from subiaco_mapping.fusion.preview import OneChain
+from subiaco_mapping.fusion.preview import OdometrySegments
 from subiaco_mapping.health_monitor.files import extended, read_manifest, with_watched
 from subiaco_mapping.measurements import (
     DeskewedScan,
@@ -190,7 +190,7 @@ class PoseGraphApp:
         self._marker: tuple[str, ReplayCounts] | None = None
         self._sequence = "live"
         self._start = ExtrinsicsWaiter(("gnss",))
-        self._chain = OneChain()
+        self._chain = OdometrySegments()
         self._scans = 0
         self._arrivals = Arrivals()
         self._ending = self._finished = False

@@ -19,7 +19,14 @@ from subiaco_geo.topics import LIDAR_PACKETS, MESSAGE_TYPES, METADATA, PACKET_TY
 from subiaco_mapping.recording.config import RecordConfig
 from subiaco_mapping.recording.definitions import Definitions
 from subiaco_mapping.recording.losses import PERIODIC_TYPES, PacketCounter, TopicCounter
-from subiaco_ros.qos_adaptation import Apart, Offer, message_class, read_offer, take_from, wanted_qos
+from subiaco_ros.qos_adaptation import (
+    Offer,
+    PolledCallbackGroup,
+    message_class,
+    read_offer,
+    take_from,
+    wanted_qos,
+)
 
 _WHOLE_CLOUDS = "sensor_msgs/msg/PointCloud2"
 _BURST = 4096
@@ -62,7 +69,7 @@ class Listener:
         self._node = node
         self._config = config
         self._take = take
-        self._apart = Apart()
+        self._polled = PolledCallbackGroup()
         self._definitions = Definitions(_message_text)
         self._topics: dict[str, _Listening] = {}
         self._refused: dict[str, str] = {}
@@ -133,7 +140,7 @@ class Listener:
             name.lstrip("/"),
             _never_called,
             wanted_qos(offer, self._depth(offer.msg_type)),
-            callback_group=self._apart,
+            callback_group=self._polled,
             raw=True,
         )
         publishers = self._publishers(name) if known is None else known.publishers

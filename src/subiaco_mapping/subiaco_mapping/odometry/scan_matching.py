@@ -26,7 +26,7 @@ logger = logging.getLogger(__name__)
 
 PLANE_VARIANCE = 2e-3  # variance along the normal in small_gicp's plane-to-plane metric [m2]
 TYPICAL_RANGE = 20.0
-_LOOK_REACH = 5.0 / 3.0  # correspondence distance of the refinement, in widths of the ICP kernel
+_GICP_REACH = 5.0 / 3.0  # correspondence distance of the refinement, in widths of the ICP kernel
 
 
 class OdometryBackend(Protocol):
@@ -49,7 +49,7 @@ class GicpRefinement:
 
     def __init__(self, config: OdometryConfig, threads: int) -> None:
         self._config, self._threads = config, threads
-        self._map = small_gicp.GaussianVoxelMap(config.look_voxel)
+        self._map = small_gicp.GaussianVoxelMap(config.gicp_voxel)
         self._filled = False
 
     def cloud(self, points: Floats) -> Any:
@@ -68,7 +68,7 @@ class GicpRefinement:
             pose,
             max_correspondence_distance=distance,
             num_threads=self._threads,
-            max_iterations=self._config.look_iterations,
+            max_iterations=self._config.gicp_iterations,
         )
 
     def insert(self, cloud: Any, pose: Floats) -> None:
@@ -162,9 +162,9 @@ class KissOdometry:
 
     def _solve(self, dense: Floats, guess: Floats, gap_s: float, stamp_ns: int) -> OdometryPose:
         pose, predicted, first = self._matched(dense, guess), False, self._map.empty()
-        looked_at = voxel_down_sample(dense, self._config.look_leaf)
+        looked_at = voxel_down_sample(dense, self._config.gicp_leaf)
         cloud = self._look.cloud(looked_at) if len(looked_at) > 10 else None
-        distance = min(self._config.look_distance, _LOOK_REACH * self._threshold)
+        distance = min(self._config.gicp_distance, _GICP_REACH * self._threshold)
         look = self._look.align(cloud, pose, distance) if cloud is not None else None
         if look is not None and look.num_inliers < self._config.min_inlier_ratio * len(looked_at):
             pose, predicted = guess, True

@@ -10,10 +10,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from subiaco_geo.crs import EnuFrame, ellipsoidal_heights, fixes_to_datum
+from subiaco_geo.crs import EnuFrame, fixes_to_datum
 from subiaco_geo.crs_area import AUTO, crs_at, require_inside
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints, interpolate_poses, invert_pose, make_pose
+from subiaco_geo.geoid import ellipsoidal_heights
 from subiaco_mapping.config import GnssConfig
 from subiaco_mapping.measurements import GnssFix
 

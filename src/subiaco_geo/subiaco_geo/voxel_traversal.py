@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
-from subiaco_geo.look_times import COLUMNS, Looks, Rows, look_hit, look_through, looks_of
+from subiaco_geo.observation_times import COLUMNS, Looks, Rows, count_passing, count_return, looks_of
 from subiaco_geo.visibility import VisibilityGrid
 
 _EMPTY = -1
@@ -73,7 +73,7 @@ def _touch(
         if keys[slot] == _EMPTY:
             keys[slot] = key
             added += 1
-        look_hit(looks, slot, window, least)
+        count_return(looks, slot, window, least)
     return len(points), added
 
 
@@ -84,7 +84,7 @@ def _walk(  # noqa: C901, PLR0912, PLR0915
 ) -> tuple[int, int]:  # fmt: skip
     """Walk beams (voxel units) from index ``first`` until done or the table is full.
 
-    Looks are counted where ``window`` is not 0 (:mod:`subiaco_geo.look_times`).
+    Looks are counted where ``window`` is not 0 (:mod:`subiaco_geo.observation_times`).
 
     Amanatides and Woo (1987), with the number of steps fixed beforehand on
     every axis, so that rounding can never walk past the end voxel. Returns
@@ -121,11 +121,11 @@ def _walk(  # noqa: C901, PLR0912, PLR0915
             if i == steps and returned[ray]:
                 hits[slot] += 1
                 if window:
-                    look_hit(looks, slot, window, least)
+                    count_return(looks, slot, window, least)
             else:
                 passes[slot] += 1
                 if window:
-                    look_through(looks, slot, window, least)
+                    count_passing(looks, slot, window, least)
             if tx <= ty and tx <= tz:
                 key += dx
                 nx -= 1

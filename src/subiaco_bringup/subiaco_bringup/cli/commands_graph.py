@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from subiaco_bringup.cli import graph_inspection_verbs
+from subiaco_bringup.cli import commands_graph_inspection
 from subiaco_bringup.cli.map_verdict import end_with_verdict
 from subiaco_bringup.cli.options import (
     ConfigFiles,
@@ -156,5 +156,5 @@ def live(
 
 def register(app: typer.Typer) -> None:
     """Add these verbs to the command."""
-    graph_inspection_verbs.register(graph)
+    commands_graph_inspection.register(graph)
     app.add_typer(graph, name="graph")

@@ -1,4 +1,4 @@
-"""The verb that makes a delivery of a change directory."""
+"""Verbs that make what a client looks at: the 3D viewer, and the delivery of a change directory."""
 
 from __future__ import annotations
 
@@ -51,6 +51,35 @@ def deliver(
     say(f"delivery: {output} ({len(files)} files); open {output / 'README.txt'}", quiet=quiet)
 
 
+def viewer(
+    change_directory: Annotated[
+        Path, typer.Argument(metavar="CHANGE_DIR", help="What 'subiaco change' wrote.")
+    ],
+    show: Annotated[bool, typer.Option("--open", help="Open the page in the web browser.")] = False,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Write the 3D viewer of both surveys into CHANGE_DIR/viewer, and link the report to it.
+
+    The viewer shows before, after, both, or a swipe between them, in any browser with WebGL 2. It needs no
+    network and no web server. 'subiaco change' writes it too, up to 20 million points in both surveys.
+
+    Example: subiaco viewer out/change --open
+    """
+    import webbrowser
+
+    from subiaco_report.page import build_report
+    from subiaco_report.viewer.build import build_viewer
+
+    set_up_logging(verbose, quiet)
+    page = build_viewer(change_directory)
+    build_report(change_directory)
+    say(f"viewer: {page}", quiet=quiet)
+    if show:
+        webbrowser.open(page.absolute().as_uri())
+
+
 def register(app: typer.Typer) -> None:
-    """Add this verb to the command."""
+    """Add these verbs to the command."""
+    app.command("viewer", short_help="Write the 3D viewer of both surveys.")(viewer)
     app.command("deliver", short_help="Make the folder that a client is handed.")(deliver)

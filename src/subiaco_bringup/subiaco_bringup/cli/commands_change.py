@@ -34,7 +34,8 @@ _EPOCH_HELP = "Map directory, or a bare cloud: .ply, .las, .laz, .copc.laz, .pcd
 Before = Annotated[Path, typer.Argument(metavar="BEFORE", help=_EPOCH_HELP)]
 After = Annotated[Path, typer.Argument(metavar="AFTER", help=_EPOCH_HELP)]
 TrajectoryFile = Annotated[
-    Path | None, typer.Option(metavar="F", help="Trajectory of the scanner (TUM), for a bare cloud.")
+    Path | None,
+    typer.Option(metavar="F", help="Scanner trajectory of a bare cloud: TUM, SBET, RTKLIB .pos or CSV."),
 ]
 
 TransformFile = Annotated[
@@ -69,9 +70,14 @@ def _cores() -> int:
 
 def _given(semantics: str | None, instances: str | None) -> tuple[str, ...]:
     """Return the point fields that replace stages."""
-    for option, value in (("--semantics", semantics), ("--instances", instances)):
-        if value not in (None, "given"):
-            raise InputError(f"{option} {value}: only 'given' is known; leave it out to have them found")
+    if semantics not in (None, "given", "asprs"):
+        raise InputError(f"--semantics {semantics}: give 'given' or 'asprs', or leave it out")
+    if instances not in (None, "given"):
+        raise InputError(f"--instances {instances}: only 'given' is known; leave it out to have them found")
+    if semantics == "asprs" and instances is None:
+        return ("classification",)
+    if semantics == "asprs":
+        raise InputError("--instances given needs --semantics given: ASPRS classes name no objects")
     if instances is not None and semantics is None:
         raise InputError("--instances given needs --semantics given: objects are of a class")
     return (*(("semantic",) if semantics else ()), *(("instance",) if instances else ()))
@@ -103,7 +109,11 @@ def change(
     ] = None,
     semantics: Annotated[
         str | None,
-        typer.Option(metavar="given", help="'given' takes the class of every point from its field semantic."),
+        typer.Option(
+            metavar="given|asprs",
+            help="'given' takes the class of every point from its field semantic, 'asprs' from its ASPRS "
+            "classification.",
+        ),
     ] = None,
     instances: Annotated[
         str | None,
@@ -143,7 +153,7 @@ def change(
 
     Example: subiaco change out/before out/after -o out/change
     """
-    from subiaco_change.config import ChangeConfig, left_out
+    from subiaco_change.config import ChangeConfig, with_parts_disabled
     from subiaco_change.history import run_epochs
     from subiaco_change.job import run_change
     from subiaco_change.request import ChangeRequest
@@ -158,7 +168,8 @@ def change(
         trajectory_before=trajectory_before, trajectory_after=trajectory_after,
         transform=known_transform(transform, registration), parcels=parcels, overwrite=overwrite,
         given=_given(semantics, instances), workers=_cores() if workers is None else workers,
-        scheduler=scheduler, stages=keep_stages, redo=from_stage, config=left_out(model, without or ()),
+        scheduler=scheduler, stages=keep_stages, redo=from_stage,
+        config=with_parts_disabled(model, without or ()),
     )  # fmt: skip
     if len(epochs) > 2:
         with Progress(quiet=quiet) as progress:

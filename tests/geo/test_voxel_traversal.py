@@ -7,7 +7,7 @@ import pytest
 
 from subiaco_geo.clouds import unpack_voxel_keys, voxel_indices, voxel_keys
 from subiaco_geo.errors import InputError
-from subiaco_geo.raywalk import (
+from subiaco_geo.voxel_traversal import (
     VisibilityAccumulator,
     accumulate_visibility,
     merge_grids,

@@ -193,11 +193,11 @@ def map_(
             "anew. With --resume, a finished map is no error.",
         ),
     ] = None,
-    keep_journal: Annotated[
+    keep_checkpoint: Annotated[
         bool,
         typer.Option(
-            "--keep-journal",
-            help="Leave the journal: with --overwrite and other settings for what follows the odometry, "
+            "--keep-checkpoint",
+            help="Leave the checkpoint: with --overwrite and other settings for what follows the odometry, "
             "recordings are not read again.",
         ),
     ] = False,
@@ -209,7 +209,7 @@ def map_(
 
     A bag without usable GNSS fixes gives a map in a local frame, without CRS.
     A map that most of its own fixes contradict is written, flagged and ends with 3.
-    Until the map is written, the work lies beside it in .MAP_DIR.journal.
+    Until the map is written, the work lies beside it in .MAP_DIR.checkpoint.
 
     Example: subiaco map bags/demo/before -o out/before
     """
@@ -224,7 +224,7 @@ def map_(
     files = config_files("mapping", tuple(config or ()))
     request = MappingRequest.of(
         bags=tuple(bags), output=output, workers=workers or os.cpu_count() or 1,
-        resume=resume is not False, keep_journal=keep_journal, overwrite=overwrite,
+        resume=resume is not False, keep_checkpoint=keep_checkpoint, overwrite=overwrite,
         config=load_config(MappingConfig, files, _settings(settings, threads=threads)),
     )  # fmt: skip
     with Progress(quiet=quiet) as progress:

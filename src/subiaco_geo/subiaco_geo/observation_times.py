@@ -39,7 +39,7 @@ def _closed(state, least):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN2
 
 
 @numba.njit(cache=True, inline="always")
-def look_through(rows, slot, window, least):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+def count_passing(rows, slot, window, least):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Count a beam that went through a voxel; ``rows`` (M, COLUMNS) hold the running states."""
     state = np.int64(rows[slot, _STATE])
     if rows[slot, _WINDOW] == window:
@@ -55,7 +55,7 @@ def look_through(rows, slot, window, least):  # type: ignore[no-untyped-def]  # 
 
 
 @numba.njit(cache=True, inline="always")
-def look_hit(rows, slot, window, least):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+def count_return(rows, slot, window, least):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
     """Count a return from a voxel; ``rows`` (M, COLUMNS) hold the running states."""
     state = np.int64(rows[slot, _STATE])
     if rows[slot, _WINDOW] == window:

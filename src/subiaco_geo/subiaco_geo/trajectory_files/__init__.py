@@ -1,0 +1,1 @@
+"""Trajectories that other systems computed: SBET, RTKLIB, named columns, TUM."""
