@@ -67,7 +67,7 @@ def is_moving_object_trail(
     """
     moved = mean_moving_probability(objects)
     if moved is not None:
-        return _by_probability(moved, objects, rules)
+        return _by_probability(moved, objects, rules) if fits_a_vehicle(objects, rules) else None
     top = max(float(t.voxels.height.max()) for t in objects)
     passed = min(float(np.quantile(t.passed, 0.25)) if len(t.passed) else 0.0 for t in objects)
     least = min(rules.trail_passes_high, rules.trail_passes_lane)
@@ -99,6 +99,15 @@ def _by_probability(
     return Decision(Change.UNOBSERVED, reason, 1.0 - uncertain)
 
 
+def fits_a_vehicle(objects: Sequence[ObjectInstance], rules: DecisionConfig) -> bool:
+    """Tell whether objects may be what a road vehicle left: no part of them is higher than vehicles are.
+
+    A wall of a house that a survey met for a second only is as brief as a vehicle that passed, but higher.
+    """
+    heights = np.concatenate([t.voxels.height for t in objects])
+    return float(np.mean(heights > rules.vehicle_top)) < rules.vehicle_above
+
+
 def upper_moving_probability(objects: Sequence[ObjectInstance]) -> float:
     """Probability that objects moved: the mean of their points or the median, whichever is larger."""
     points = np.concatenate([t.moved for t in objects])
@@ -113,7 +122,7 @@ def mean_moving_probability(objects: Sequence[ObjectInstance]) -> float | None:
 
 
 def limit_confidence(
-    decision: Decision, objects: Sequence[ObjectInstance], confidence: float
+    decision: Decision, objects: Sequence[ObjectInstance], confidence: float, rules: DecisionConfig
 ) -> tuple[float, str]:
     """Return the confidence in what one epoch alone holds, and the reason, where it may have moved.
 
@@ -121,7 +130,7 @@ def limit_confidence(
     """
     if decision.change not in (Change.ADDED, Change.REMOVED) or mean_moving_probability(objects) is None:
         return confidence, decision.reason
-    moved = upper_moving_probability(objects)
+    moved = upper_moving_probability(objects) if fits_a_vehicle(objects, rules) else 0.0
     if 1.0 - moved >= confidence:
         return confidence, decision.reason
     told = f"{decision.reason}; it may have moved while it was mapped (probability {moved:.0%})"

@@ -55,6 +55,12 @@ class GroundChangeConfig(StrictModel):
         description="Largest horizontal distance of a point from a cell centre at which the point shows "
         "the other epoch's ground surface [m]",
     )
+    same_above: float = Field(
+        1.5,
+        gt=0,
+        description="Height above the other epoch's ground up to which points show that a wall or a plant "
+        "rises there, and no surface ends [m]",
+    )
     same_share: float = Field(
         0.5,
         gt=0,
@@ -133,26 +139,30 @@ def _other_surface(
     for e, view in enumerate(views):
         off = view.xyz[(view.semantic != Semantic.GROUND) & ~is_ghost_trail(view)]
         surface = np.column_stack([middle, heights[1 - e][row, column]])
-        held |= _holds(off, surface, limit, config.same_beside)
+        held |= _holds(off, surface, limit, config)
     other[row, column] = held
     return other
 
 
-def _holds(points: Floats, places: Floats, limit: Floats, beside: float) -> Mask:
-    """Tell at which places (M, 3) points (N, 3) lie within ``beside`` and, in height, ``limit`` (M,)."""
-    if len(points) == 0:
-        return np.zeros(len(places), dtype=bool)
+def _holds(points: Floats, places: Floats, limit: Floats, config: GroundChangeConfig) -> Mask:
+    """Tell at which places (M, 3) points (N, 3) lie beside and, in height, within ``limit`` (M,).
+
+    A wall or a hedge that rises beside the place is no surface at its height: more of its points lie above.
+    """
+    held = np.zeros(len(places), dtype=bool)
+    beside, above = config.same_beside, config.same_above
     low, high = places.min(axis=0) - beside, places.max(axis=0) + beside
+    high[2] += above
     points = points[((points >= low) & (points <= high)).all(axis=1)]
-    found = np.zeros(len(places), dtype=bool)
     if len(points) == 0:
-        return found
-    near = cKDTree(points).query_ball_point(places, np.hypot(beside, limit))
+        return held
+    near = cKDTree(points[:, :2]).query_ball_point(places[:, :2], beside)
     slot = np.repeat(np.arange(len(places)), [len(n) for n in near])
     step = points[np.concatenate([np.asarray(n, dtype=np.int64) for n in near])] - places[slot]
-    flat = np.hypot(step[:, 0], step[:, 1]) <= beside
-    found[slot[flat & (np.abs(step[:, 2]) <= limit[slot])]] = True
-    return found
+    level = np.abs(step[:, 2]) <= limit[slot]
+    higher = (step[:, 2] > limit[slot]) & (step[:, 2] <= above)
+    at, over = (np.bincount(slot[mask], minlength=len(places)) for mask in (level, higher))
+    return np.asarray((at > 0) & (over <= at))
 
 
 def shown_lod(lod: Floats) -> Floats:

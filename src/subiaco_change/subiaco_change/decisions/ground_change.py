@@ -21,6 +21,7 @@ from subiaco_geo.frames import Floats, Ints
 _DENSE = 0.5  # share of the ground around that both epochs measured where one can hide from the other
 _AROUND = 10.0  # what lies this near tells the noise of a thinly seen patch [m]
 _NOISE_BLOCK = 2.0  # within which thinly seen heights err together [m]
+_INNER = 0.15  # share of the cells of a patch inside its rim from which these alone are counted
 _LOD_CELLS = 25  # known cells that speak for a patch without a level of detection
 
 
@@ -91,13 +92,23 @@ def find_patches(
         large = _possible_sizes(labels, count, unknown, config) * config.cell**2 > config.area
         for number in np.flatnonzero(large & (shown >= least)).tolist():
             found = _make_patch(change, labels == number, dz, lod, corner, config)
-            measured = (labels == number) & np.isfinite(dz)
-            if cells.other[measured].mean() >= config.same_share:
+            if _share_of_other_surfaces(labels == number, cells) >= config.same_share:
                 continue
             if abs(found.dz) > max(config.threshold, config.lod_factor * found.lod):
                 patch[labels == number] = len(patches)
                 patches.append(found)
     return patch, tuple(patches)
+
+
+def _share_of_other_surfaces(where: Mask, cells: GroundCells) -> float:
+    """Return the fraction of the cells of a patch whose surfaces both epochs hold.
+
+    The cells on the rim do not count where others are left: beside them lies what surrounds the patch.
+    """
+    measured = where & np.isfinite(cells.dz)
+    inner = measured & ndimage.binary_erosion(where, np.ones((3, 3)))
+    counted = inner if np.count_nonzero(inner) >= _INNER * np.count_nonzero(measured) else measured
+    return float(cells.other[counted].mean())
 
 
 def _gate(lod: Floats, config: GroundChangeConfig) -> Floats:

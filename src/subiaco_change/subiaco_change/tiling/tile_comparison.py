@@ -62,7 +62,10 @@ def compare_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
     numbers = [number for _, number in compact]
     records = [
         _in_city(
-            make_record(change, 0, params["origin"], _evidence(change, kinds), config.confidence), numbers
+            make_record(
+                change, 0, params["origin"], _evidence(change, kinds), config.confidence, config.decisions
+            ),
+            numbers,
         )
         for change in changes
     ]
