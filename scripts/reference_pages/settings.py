@@ -15,6 +15,7 @@ from pydantic_core import PydanticUndefined
 
 from reference_pages.markdown import GENERATED, cell, code, table
 from subiaco_geo.config import StrictModel
+from subiaco_geo.settings import is_public, setting_fields
 
 _UNIT = re.compile(r"\s*\[([^\]]+)\]")
 _NAMES: dict[Any, str] = {
@@ -75,31 +76,18 @@ def models() -> dict[str, tuple[str, type[StrictModel], str]]:
     }  # fmt: skip
 
 
-def settings(model: type[StrictModel], prefix: str = "") -> Iterator[Setting]:
+def settings(model: type[StrictModel]) -> Iterator[Setting]:
     """Yield the settings of a model, those of models within it by their dotted names."""
-    for name, field in model.model_fields.items():
-        inner = _model_of(field.annotation)
-        if inner is not None:
-            yield from settings(inner, f"{prefix}{name}.")
-        else:
-            yield _setting(f"{prefix}{name}", field)
+    for name, field in setting_fields(model):
+        yield _setting(name, field, public=model.PUBLIC is not None and is_public(model, name))
 
 
-def _model_of(annotation: Any) -> type[StrictModel] | None:
-    kinds = (
-        [annotation, *get_args(annotation)] if get_origin(annotation) in (Union, UnionType) else [annotation]
-    )
-    found = [kind for kind in kinds if isinstance(kind, type) and issubclass(kind, StrictModel)]
-    return found[0] if found else None
-
-
-def _setting(name: str, field: FieldInfo) -> Setting:
+def _setting(name: str, field: FieldInfo, *, public: bool) -> Setting:
     text = field.description or ""
     units = _UNIT.findall(text)
-    extra = field.json_schema_extra if isinstance(field.json_schema_extra, dict) else {}
     return Setting(
         name,
-        bool(extra.get("public")),
+        public,
         type_text(field.annotation),
         units[0] if units else "",
         _default(field),

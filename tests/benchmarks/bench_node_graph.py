@@ -24,6 +24,7 @@ from results import keep, rounded
 
 from subiaco_bringup.jobs import run_mapping_graph
 from subiaco_geo.bags import BagReader
+from subiaco_mapping.request import MappingRequest
 
 _START = 0.33
 
@@ -59,7 +60,9 @@ def main() -> None:
 
     begin = time.monotonic()
     with tempfile.TemporaryDirectory() as folder:
-        run_mapping_graph([given.bag], Path(folder) / "map", settings=["gnss.min_length=2"], progress=note)
+        settings = {"gnss": {"min_length": 2.0}}
+        request = MappingRequest.of(bags=(given.bag,), output=Path(folder) / "map", config=settings)
+        run_mapping_graph(request, progress=note)
     print(f"{recorded:.1f} s of recording, {time.monotonic() - begin:.1f} s from start to written map")
     first = next(row for row in seen if row[0] >= _START)
     last = next(row for row in seen if row[0] >= 0.99)

@@ -6,13 +6,45 @@ import math
 import re
 from dataclasses import replace
 
+import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from test_passing import RULES, passing, timed
+from test_vegetation_null import HEDGE, NULL, TREE
+from whole import compare_ground
 
+from subiaco_change.decisions.dynamic_objects import is_moving_object_trail, limit_confidence
+from subiaco_change.decisions.ground_cells import GroundChangeConfig
 from subiaco_change.decisions.measures import Measures
+from subiaco_change.decisions.plant_decisions import decide_plant
 from subiaco_change.decisions.rules import NO_LEVEL, DecisionConfig, decide
 from subiaco_change.decisions.space_carving import Interval
+from subiaco_change.decisions.vegetation_null import no_null
 from subiaco_change.outputs.table import build_table, table_hash
 from subiaco_geo.codes import Semantic
+
+HOUSEHOLD = r"\b(?:gate|epoch|dh|stands|drove|told|looked at|looked across|it grew|it is new)\b|^It "
+
+
+def faults(reason: str) -> list[str]:
+    """Return what a reason lacks: value, limit and conclusion, in whole sentences of the field's words."""
+    found = {
+        "value": len(re.findall(r"\d", reason)) >= 2,
+        "limit": re.search(r"limit[^.]*?\d|than the limit", reason) is not None,
+        "conclusion": re.search(
+            r"(?:: |, and )[^:]*(?:claimed|grew|shrank|is new|removed|moving object|not reported|stayed"
+            r"|raised|lowered|both surveys|separately|beyond the limits|middle estimate)[^:]*\.",
+            reason,
+        )
+        is not None,
+        "finite": "nan" not in reason and "inf" not in reason.replace("information", ""),
+        "sentence": reason[:1].isupper() or reason[:1].isdigit(),
+        "end": reason.endswith("."),
+        "field's words": not re.search(HOUSEHOLD, reason),
+    }
+    return [name for name, right in found.items() if not right]
+
 
 SAME = Measures(
     iou=0.9, d_perp=0.0, delta_c=0.1, delta_h=0.0, delta_v=0.0, delta_v_surface=0.0, volume=100.0, chi2=0.0,
@@ -50,13 +82,82 @@ CASES = {
 def test_a_reason_has_value_limit_and_conclusion(name: str) -> None:
     semantic, before, after, changes = CASES[name]
     reason = decide(semantic, before, after, replace(SAME, **changes), 0.03, CONFIG).reason
-    assert len(re.findall(r"\d", reason)) >= 2, reason
-    assert "limit" in reason
-    assert "nan" not in reason
-    assert reason[0].isupper()
-    assert reason.endswith(".")
-    assert ": " in reason or ", and " in reason, "what was compared, then the conclusion"
-    assert not re.search(r"gate|epoch|\bdh\b|stands|drove|told|looked at", reason)
+    assert faults(reason) == [], reason
+
+
+SHARES = st.floats(0.0, 1.0)
+CHANGES = st.floats(-5.0, 5.0)
+
+
+@given(
+    semantic=st.sampled_from([Semantic.BUILDING, Semantic.VEGETATION, Semantic.MOBILE, Semantic.OTHER]),
+    where=st.sampled_from([(True, True), (True, False), (False, True)]),
+    shares=st.tuples(SHARES, SHARES, SHARES, SHARES, SHARES),
+    changes=st.tuples(CHANGES, CHANGES, CHANGES, CHANGES),
+    voxels=st.integers(0, 5000),
+    wide=st.floats(0.0, 3.0),
+)
+def test_the_reason_of_any_measures_has_value_limit_and_conclusion(
+    semantic: Semantic,
+    where: tuple[bool, bool],
+    shares: tuple[float, ...],
+    changes: tuple[float, ...],
+    voxels: int,
+    wide: float,
+) -> None:
+    height, volume, surface, centre = changes
+    measures = replace(
+        SAME, iou=shares[0], gone_share=shares[1], new_share=shares[2], observed_fraction=shares[3],
+        free=shares[4], observed_voxels=voxels, delta_h=height, delta_v=20 * volume,
+        net_changed_fraction=surface / 5, delta_c=abs(centre),
+        height_bounds=Interval(height - wide, height + wide),
+        volume_bounds=Interval(20 * (volume - wide), 20 * (volume + wide)),
+    )  # fmt: skip
+    reason = decide(semantic, *where, measures, 0.03, CONFIG).reason
+    assert faults(reason) == [], reason
+
+
+@given(
+    plant=st.sampled_from([TREE, HEDGE]),
+    thin=st.booleans(),
+    values=st.tuples(CHANGES, CHANGES, CHANGES, CHANGES, CHANGES, SHARES, SHARES),
+)
+def test_the_reason_of_any_plant_has_value_limit_and_conclusion(
+    plant: object, thin: bool, values: tuple[float, ...]
+) -> None:
+    outline, top, volume, surface, apparent, gained, lost = values
+    measured = replace(
+        plant, thin=thin, outline=outline / 5, top=top, volume=volume / 5, surface=surface / 5,
+        rise=top if plant is HEDGE else math.nan, apparent=apparent, free_gained=gained, free_lost=lost,
+    )  # fmt: skip
+    reason = decide_plant(measured, 0.03, CONFIG, no_null(NULL)).reason
+    assert faults(reason) == [], reason
+
+
+@given(moved=st.floats(0.5, 1.0), passed=st.floats(6.0, 200.0))
+def test_the_reason_of_a_trail_has_value_limit_and_conclusion(moved: float, passed: float) -> None:
+    for objects in ([timed(moved)], [passing(1.5, passed)]):
+        found = is_moving_object_trail(objects, Semantic.MOBILE, None, RULES)
+        if found is not None:
+            assert faults(found.reason) == [], found.reason
+    claim = decide(*CASES["added"][:3], replace(SAME, new_share=0.8), 0.03, CONFIG)
+    certain, reason = limit_confidence(claim, [timed(moved)], 0.99)
+    assert certain == pytest.approx(1.0 - moved)
+    assert faults(reason) == [], reason
+
+
+def test_the_reason_of_changed_ground_has_value_limit_and_conclusion() -> None:
+    from test_ground_change import view
+
+    def lift(x: np.ndarray, y: np.ndarray) -> np.ndarray:
+        return 0.4 * ((x > 40) & (x < 50) & (y > 40) & (y < 50))
+
+    patches = compare_ground(view(seed=1), view(lift, seed=2), GroundChangeConfig()).patches
+    assert patches
+    for patch in patches:
+        assert faults(patch.reason) == [], patch.reason
+        assert "limit 0.15 m" in patch.reason
+        assert "limit 25 m²" in patch.reason
 
 
 def test_what_has_no_level_of_detection_says_so_in_a_sentence() -> None:

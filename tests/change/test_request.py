@@ -57,6 +57,22 @@ def test_values_in_json_win_over_those_beside_it() -> None:
     assert (request.before, request.output) == (Path("a"), Path("d"))
 
 
+def test_one_limit_of_a_class_can_be_set_alone_and_is_all_that_is_written() -> None:
+    config = ChangeConfig.model_validate({"decisions": {"vegetation": {"height": 0.7}}})
+    usual = ChangeConfig().decisions.vegetation
+    assert config.decisions.vegetation == usual.model_copy(update={"height": 0.7})
+    request = ChangeRequest.of(**PATHS, config=config)
+    assert json.loads(request.to_json())["config"] == {"decisions": {"vegetation": {"height": 0.7}}}
+    assert ChangeRequest.from_json(request.to_json(), "goal").config == config
+
+
+def test_a_limit_at_the_default_of_its_class_but_not_of_its_group_is_written() -> None:
+    limits = {"height": 0.7, "surface": float("inf")}
+    config = ChangeConfig.model_validate({"decisions": {"building": limits}})
+    request = ChangeRequest.of(**PATHS, config=config)
+    assert ChangeRequest.from_json(request.to_json(), "goal").config == config
+
+
 WRONG = {
     "reflected": ({"transform": np.diag([1.0, 1.0, -1.0, 1.0])}, "transform: not rigid"),
     "scaled": ({"transform": np.diag([2.0, 2.0, 2.0, 1.0])}, "transform: not rigid"),

@@ -27,11 +27,13 @@ VERBS = [
     "calibrate",
     "record",
     "recover",
+    "config",
     "graph",
 ]
 OPTIONS = {
     "simulate": ["--seed", "--preset", "--epoch", "--maps-only", "--duration", "--mode", "--overwrite"],
     "inspect": ["--json"],
+    "config": ["--all", "--config", "--set", "--json"],
     "import": ["--metadata", "--gnss", "--imu", "--output", "--overwrite"],
     "calibrate-rig": ["--output", "--config", "--set", "--overwrite"],
     "map": ["--output", "--config", "--set", "--threads", "--overwrite", "--quiet", "--verbose"],

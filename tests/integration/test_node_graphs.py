@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 from collections import Counter
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -19,6 +20,7 @@ from subiaco_bringup.environment import node_environment
 from subiaco_bringup.graph import GraphSpec, NodeSpec, mapping_graph
 from subiaco_bringup.jobs import run_change_graph, run_mapping_graph
 from subiaco_bringup.supervisor import Supervisor
+from subiaco_change.request import ChangeRequest
 from subiaco_geo.bags import BagReader, BagWriter
 from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.config import load_config
@@ -28,6 +30,7 @@ from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.topics import LATCHED, LIDAR_PACKETS
 from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.pipeline import map_survey
+from subiaco_mapping.request import MappingRequest
 
 pytestmark = [pytest.mark.ros, pytest.mark.slow]
 
@@ -49,6 +52,11 @@ def in_process(survey: Path, tmp_path_factory: pytest.TempPathFactory) -> dict[s
     return {epoch: folder / epoch for epoch in ("before", "after")}
 
 
+def mapping_request(bags: list[Path], output: Path, settings: Sequence[str] = ()) -> MappingRequest:
+    config = load_config(MappingConfig, [], settings)
+    return MappingRequest.of(bags=tuple(bags), output=output, config=config)
+
+
 def voxels(survey: SurveyMap, origin: np.ndarray, leaf: float) -> set[int]:
     cloud = survey.cloud.rebased(origin)
     return set(voxel_keys(voxel_indices(cloud.xyz, leaf)).tolist())
@@ -60,9 +68,7 @@ def test_the_mapping_graph_loses_no_packet_and_gives_the_map_of_the_process(
     caplog.set_level(logging.INFO, logger="subiaco_bringup")
     stages: list[str] = []
     run_mapping_graph(
-        [survey / "before"],
-        tmp_path / "map",
-        settings=SETTINGS,
+        mapping_request([survey / "before"], tmp_path / "map", SETTINGS),
         progress=lambda stage, fraction: stages.append(f"{stage} {fraction:.2f}"),
     )
     with BagReader(survey / "before") as reader:
@@ -111,7 +117,7 @@ def last_seconds(source: Path, target: Path, seconds: float) -> int:
 def test_two_bags_are_two_sequences_of_one_map(survey: Path, tmp_path: Path) -> None:
     counts = {name: last_seconds(survey / name, tmp_path / name, 2.0) for name in ("before", "after")}
     near = ["gnss.min_length=2.0", "gnss.min_fixes=5"]
-    run_mapping_graph([tmp_path / name for name in counts], tmp_path / "map", settings=near, rate=0.0)
+    run_mapping_graph(mapping_request([tmp_path / name for name in counts], tmp_path / "map", near))
     both = read_map(tmp_path / "map")
     assert sorted(both.odometry) == ["after", "before"]
     driven = both.manifest["sequences"]
@@ -126,7 +132,8 @@ def test_the_change_graph_gives_the_table_of_the_process(
 
     caplog.set_level(logging.INFO, logger="subiaco_bringup")
     before, after = in_process["before"], in_process["after"]
-    run_change_graph(before, after, tmp_path / "change")
+    request = ChangeRequest.of(before=before, after=after, output=tmp_path / "change")
+    run_change_graph(request)
     expected = detect_changes(read_map(before), read_map(after), ChangeConfig())
     table = pd.read_csv(tmp_path / "change" / "changes.csv")
     labels = Counter(record.change.label for record in expected.records)
@@ -175,13 +182,14 @@ def test_a_bag_that_only_the_replay_finds_bad_stops_the_whole_graph_with_its_lin
     cut = tmp_path / "cut.mcap"
     cut.write_bytes(bag.read_bytes()[: bag.stat().st_size // 2])
     with pytest.raises(InputError, match=r"cut\.mcap.*cut"):
-        run(mapping_graph([cut], tmp_path / "map"))
+        run(mapping_graph(mapping_request([cut], tmp_path / "map")))
     assert not (tmp_path / "map").exists()
 
 
 def test_an_unknown_crs_is_bad_input_through_the_graph_too(survey: Path, tmp_path: Path) -> None:
+    request = mapping_request([survey / "before"], tmp_path / "map", ["crs=EPSG:99999"])
     with pytest.raises(InputError, match="EPSG:99999"):
-        run_mapping_graph([survey / "before"], tmp_path / "map", settings=["crs=EPSG:99999"])
+        run_mapping_graph(request)
     assert not (tmp_path / "map").exists()
 
 
@@ -194,12 +202,14 @@ def test_maps_that_cannot_be_registered_are_exit_code_3(tmp_path: Path) -> None:
         noise = rng.uniform(-20, 20, (4_000, 3))
         write_cloud(tmp_path / f"{name}.ply", PointCloud(noise))
     with pytest.raises(RegistrationError):
-        run_change_graph(tmp_path / "a.ply", tmp_path / "b.ply", tmp_path / "change")
+        run_change_graph(
+            ChangeRequest(before=tmp_path / "a.ply", after=tmp_path / "b.ply", output=tmp_path / "change")
+        )
     assert not (tmp_path / "change").exists()
 
 
 def test_a_crash_is_noticed_and_named_and_nothing_is_left_running(survey: Path, tmp_path: Path) -> None:
-    graph = mapping_graph([survey / "before"], tmp_path / "map", settings=SETTINGS, rate=0.5)
+    graph = mapping_graph(mapping_request([survey / "before"], tmp_path / "map", SETTINGS), rate=0.5)
     with node_environment() as environment:
         supervisor: Supervisor
 

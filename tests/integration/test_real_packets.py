@@ -24,6 +24,7 @@ from subiaco_mapping.config import DecodeConfig
 from subiaco_mapping.measurements import Returns, Scan
 from subiaco_mapping.pipeline import read_metadata
 from subiaco_mapping.preprocessing.decode import DecodeCounts, PacketDecoder
+from subiaco_mapping.request import MappingRequest
 
 OS1 = "OS-1-128_v2.3.0_1024x10_lb_n3.pcap"
 OS1_DUAL = "OS-1-128_767798045_1024x10_20230712_120049.pcap"
@@ -125,7 +126,7 @@ def test_replay_brings_every_real_packet_through_the_nodes(
     with BagReader(bag) as reader:
         imu_packets = reader.topics[IMU_PACKETS].count
     with caplog.at_level(logging.INFO, logger="subiaco_bringup.supervisor"):
-        run_mapping_graph([bag], tmp_path / "map")
+        run_mapping_graph(MappingRequest(bags=(bag,), output=tmp_path / "map"))
     played = next(m for m in caplog.messages if "played and consumed" in m)
     counts = {topic: int(n) for topic, n in re.findall(r"(/\S+) (\d+)", played)}
     assert counts[LIDAR_PACKETS] == packets

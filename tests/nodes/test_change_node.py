@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import threading
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,10 @@ import numpy as np
 import pytest
 from shapely.geometry import box
 
+from subiaco_change.config import ChangeConfig
+from subiaco_change.outputs.preview import build_preview
 from subiaco_change.records import ChangeRecord, ChangeResult, Registration
+from subiaco_change.request import ChangeRequest
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.errors import InputError, RegistrationError
@@ -89,8 +93,8 @@ def make_app(ros: Any, detect: Any, **parameters: Any) -> Any:
     from subiaco_ros.parameters import read_models
 
     node = ros.node("change", **parameters)
-    own, _ = read_models(node, ChangeParameters)
-    app = ChangeApp(node, own, detect)
+    own, config = read_models(node, ChangeParameters, ChangeConfig)
+    app = ChangeApp(node, own, config, detect)
     ros.apps.append(app)
     return app
 
@@ -98,7 +102,7 @@ def make_app(ros: Any, detect: Any, **parameters: Any) -> Any:
 def outcome(result: ChangeResult) -> Any:
     from subiaco_change.nodes.job import Outcome
 
-    return Outcome(result, 1_700_000_000_000_000_000)
+    return Outcome(build_preview(result, 1_000), 1_700_000_000_000_000_000)
 
 
 class ActionUser:
@@ -131,7 +135,7 @@ def test_a_goal_gives_feedback_by_stage_and_the_table_as_result(ros: Any) -> Non
     asked: list[Any] = []
     seen_first = threading.Event()
 
-    def detect(request: Any, report: Any) -> Any:
+    def detect(request: Any, report: Any, _on_tile: Any) -> Any:
         asked.append(request)
         report("registration", 0.25)
         assert seen_first.wait(20)
@@ -203,7 +207,7 @@ def test_the_outcome_is_latched_as_local_clouds_table_and_markers(ros: Any) -> N
 def test_a_goal_can_be_cancelled_between_two_stages(ros: Any) -> None:
     from action_msgs.msg import GoalStatus
 
-    def detect(_request: Any, report: Any) -> Any:
+    def detect(_request: Any, report: Any, _on_tile: Any) -> Any:
         for _ in range(2000):
             report("registration", 0.1)
             threading.Event().wait(0.01)
@@ -254,7 +258,10 @@ def test_one_comparison_at_a_time(ros: Any) -> None:
 
 def test_a_comparison_given_by_parameters_runs_at_once_and_ends_the_node(ros: Any) -> None:
     app = make_app(
-        ros, lambda *_: outcome(make_result(None)), before="a", after="b", output="c", exit_at_end=True
+        ros,
+        lambda *_: outcome(make_result(None)),
+        request='{"before": "a", "after": "b", "output": "c"}',
+        exit_at_end=True,
     )
     ros.until(lambda: app.done)
 
@@ -263,11 +270,58 @@ def test_the_error_of_a_comparison_given_by_parameters_ends_the_node(ros: Any) -
     def detect(*_: Any) -> Any:
         raise RegistrationError("cannot be trusted")
 
-    app = make_app(ros, detect, before="a", after="b", output="c", exit_at_end=True)
+    app = make_app(ros, detect, request='{"before": "a", "after": "b", "output": "c"}', exit_at_end=True)
     with pytest.raises(RegistrationError, match="cannot be trusted"):
         ros.until(lambda: app.done)
 
 
-def test_half_a_comparison_is_refused(ros: Any) -> None:
-    with pytest.raises(InputError, match="go together"):
-        make_app(ros, lambda *_: None, before="a")
+WRONG = {
+    "half a comparison": ('{"before": "a"}', "after: Field required"),
+    "not JSON": ("before: a", "not valid JSON"),
+    "an unknown option": (
+        '{"before": "a", "after": "b", "output": "c", "parcel": "d"}',
+        "did you mean parcels",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", list(WRONG))
+def test_a_parameter_that_is_no_request_is_refused_and_named(ros: Any, name: str) -> None:
+    text, said = WRONG[name]
+    with pytest.raises(InputError, match=f"parameter request: .*{said}"):
+        make_app(ros, lambda *_: None, request=text)
+
+
+def test_a_goal_says_every_option_in_json_and_the_node_fills_in_its_own_settings(ros: Any) -> None:
+    asked: list[Any] = []
+    asked_twice = {
+        "before": "x",
+        "output": "c",
+        "workers": 2,
+        "config": {"leaf": 0.5},
+        "transform": "identity",
+    }
+
+    def detect(request: Any, _report: Any, on_tile: Any) -> Any:
+        asked.append(request)
+        on_tile("waiting", "4_7")
+        threading.Event().wait(0.5)
+        return outcome(make_result())
+
+    make_app(ros, detect, **{"decisions.min_observed": 0.5, "leaf": 0.3})
+    user = ActionUser(ros, before="a", after="b", request_json=json.dumps(asked_twice))
+    assert user.result().result.success
+    (request,) = asked
+    assert request == ChangeRequest.of(
+        before="a", after="b", output="c", workers=2, transform=np.eye(4),
+        config={"leaf": 0.5, "decisions": {"min_observed": 0.5}},
+    )  # fmt: skip
+    assert "4_7" in {told.tile for told in user.feedback}
+
+
+def test_a_goal_that_is_no_request_is_aborted_with_the_reason(ros: Any) -> None:
+    make_app(ros, lambda *_: outcome(make_result()))
+    answer = ActionUser(ros, before="a", after="b", output="c", request_json='{"workers": 0}').result().result
+    assert not answer.success
+    assert "workers" in answer.message
+    assert ActionUser(ros, before="a", after="b", output="c").result().result.success

@@ -8,6 +8,7 @@ import types
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 import yaml
 
@@ -19,9 +20,11 @@ from subiaco_bringup.graph import (
     process_command,
     ros_parameters,
 )
+from subiaco_change.request import ChangeRequest
 from subiaco_geo.config import load_config
 from subiaco_geo.errors import InputError, SubiacoError
 from subiaco_mapping.config import MappingConfig
+from subiaco_mapping.request import MappingRequest
 
 LAUNCH = Path(__file__).resolve().parents[2] / "src" / "subiaco_bringup" / "launch"
 
@@ -29,6 +32,16 @@ LAUNCH = Path(__file__).resolve().parents[2] / "src" / "subiaco_bringup" / "laun
 def write_yaml(path: Path, **values: Any) -> Path:
     path.write_text(yaml.safe_dump({"/**": {"ros__parameters": values}}))
     return path
+
+
+def mapping_request(folder: Path, **options: Any) -> MappingRequest:
+    return MappingRequest.of(**{"bags": (folder / "bag",), "output": folder / "out", **options})
+
+
+def change_request(folder: Path, **options: Any) -> ChangeRequest:
+    return ChangeRequest.of(
+        **{"before": folder / "before", "after": folder / "after", "output": folder / "output", **options}
+    )
 
 
 def parameters_of(command: list[str]) -> dict[str, Any]:
@@ -43,8 +56,8 @@ def test_every_node_gets_the_same_configuration_as_the_command_line(tmp_path: Pa
         sensors={"lidar": {"translation": [1, 0.5, 2]}, "imu": None},
     )
     settings = ["odometry.voxel=0.9", "crs=EPSG:7851"]
-    graph = mapping_graph([tmp_path / "bag"], tmp_path / "out", [file], settings)
     expected = load_config(MappingConfig, [file], settings)
+    graph = mapping_graph(mapping_request(tmp_path, config=expected))
     own = {"use_sim_time", "exit_at_end", "consumers", "output_directory", "overwrite", "bags"}
     for command in command_lines(graph)[1:]:
         given = {k: v for k, v in parameters_of(command).items() if k not in own}
@@ -59,15 +72,13 @@ def test_what_ros_parameters_cannot_hold_is_left_out_or_made_uniform() -> None:
 
 
 def test_equal_graphs_have_equal_command_lines_and_others_not(tmp_path: Path) -> None:
-    lines = [
-        command_lines(mapping_graph([tmp_path / "bag"], tmp_path / "out", rate=rate)) for rate in (0, 0, 2)
-    ]
+    lines = [command_lines(mapping_graph(mapping_request(tmp_path), rate=rate)) for rate in (0, 0, 2)]
     assert lines[0] == lines[1]
     assert lines[0] != lines[2]
 
 
 def test_the_replay_waits_for_every_other_node(tmp_path: Path) -> None:
-    replay, *others = mapping_graph([tmp_path / "bag"], tmp_path / "out").nodes
+    replay, *others = mapping_graph(mapping_request(tmp_path)).nodes
     assert replay.parameters["consumers"] == [node.name for node in others]
     assert [node.name for node in others if node.principal] == ["pose_graph"]
 
@@ -79,10 +90,10 @@ def test_settings_win_over_files_and_later_files_over_earlier_ones(tmp_path: Pat
 
 
 def test_processes_are_started_with_this_interpreter(tmp_path: Path) -> None:
-    node = change_graph(tmp_path / "a", tmp_path / "b", tmp_path / "c").nodes[0]
+    node = change_graph(change_request(tmp_path)).nodes[0]
     command = process_command(node)
     assert command[:3] == [sys.executable, "-m", "subiaco_bringup.nodes.change_node"]
-    assert command[3:] == command_lines(change_graph(tmp_path / "a", tmp_path / "b", tmp_path / "c"))[0][2:]
+    assert command[3:] == command_lines(change_graph(change_request(tmp_path)))[0][2:]
 
 
 class Action:
@@ -197,9 +208,9 @@ def test_launch_file_and_supervisor_start_the_same_mapping_command_lines(tmp_pat
         rate="2.0",
         overwrite="true",
     )
-    graph = mapping_graph(
-        bags, tmp_path / "out", config_files("mapping"), ["odometry.voxel=0.8"], rate=2.0, overwrite=True
-    )
+    config = load_config(MappingConfig, config_files("mapping"), ["odometry.voxel=0.8"])
+    request = mapping_request(tmp_path, bags=tuple(bags), overwrite=True, config=config)
+    graph = mapping_graph(request, rate=2.0)
     assert launched == command_lines(graph)
 
 
@@ -247,12 +258,27 @@ def test_a_launch_refuses_a_setting_that_is_none_before_it_starts_a_node(file: P
 
 @pytest.mark.usefixtures("launch_stub")
 def test_launch_file_and_supervisor_start_the_same_change_command_line(tmp_path: Path) -> None:
-    from subiaco_bringup.defaults import config_files
-
+    options = {
+        "trajectory_before": str(tmp_path / "before.tum"), "transform": "identity", "workers": "3",
+        "parcels": str(tmp_path / "lots.gpkg"), "given": "semantic instance", "overwrite": "true",
+    }  # fmt: skip
     names = {name: str(tmp_path / name) for name in ("before", "after", "output")}
-    launched = launched_lines(LAUNCH / "change.launch.py", **names)
-    graph = change_graph(*(Path(path) for path in names.values()), config_files("change"))
+    launched = launched_lines(LAUNCH / "change.launch.py", **names, **options, set="leaf=0.4 seed=2")
+    request = change_request(
+        tmp_path, trajectory_before=tmp_path / "before.tum", transform=np.eye(4), workers=3,
+        parcels=tmp_path / "lots.gpkg", given=("semantic", "instance"), overwrite=True,
+        config={"leaf": 0.4, "seed": 2},
+    )  # fmt: skip
+    graph = change_graph(request)
     assert launched == command_lines(graph)
+    carried = parameters_of(launched[0])
+    assert ChangeRequest.from_json(carried["request"], "node") == request
+
+
+@pytest.mark.usefixtures("launch_stub")
+def test_a_launch_file_takes_every_option_of_a_request() -> None:
+    declared = {a.given[0] for a in description_of(LAUNCH / "change.launch.py") if type(a) is Action}
+    assert declared == {*ChangeRequest.model_fields, "set"}
 
 
 @pytest.mark.usefixtures("launch_stub")
@@ -391,8 +417,8 @@ def test_every_process_of_every_graph_is_an_executable_of_its_package(
 
     graphs = [
         live_graph(tmp_path),
-        mapping_graph([tmp_path], tmp_path),
-        change_graph(tmp_path, tmp_path, tmp_path),
+        mapping_graph(mapping_request(tmp_path)),
+        change_graph(change_request(tmp_path)),
     ]
     for spec in {node.executable: node for graph in graphs for node in graph.nodes}.values():
         said = (LAUNCH.parents[1] / spec.package / "setup.py").read_text()

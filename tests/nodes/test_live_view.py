@@ -22,7 +22,7 @@ def status(light: str = "green", level: int = 0, message: str = "ok", undriven: 
         "counts": {"green": 5, "amber": 1, "red": 2},
         "undriven": undriven,
     }
-    return json.loads(json.dumps(made))  # as it comes through a log line
+    return json.loads(json.dumps(made))  # as it comes through the channel
 
 
 def screen(shown: Any) -> str:

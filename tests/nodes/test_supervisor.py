@@ -45,6 +45,15 @@ def tally(folder: Path, name: str) -> int:
     return len(path.read_text()) if path.exists() else 0
 
 
+def tells(*reports: str) -> str:
+    """Return a program that sends reports, each written as ``kind=value``."""
+    lines = ["from subiaco_ros.supervision import Progress, supervisor_channel"]
+    for report in reports:
+        kind, _, value = report.partition("=")
+        lines.append(f"supervisor_channel().{kind}({value})")
+    return "\n".join([*lines, ""])
+
+
 WAITS = "import time\ntime.sleep(60)"
 
 
@@ -85,16 +94,16 @@ def test_the_others_go_on_meanwhile_and_without_a_node_that_nobody_needs(
 
 
 def test_bad_input_at_the_start_ends_the_job_at_once(scripts: Any, tmp_path: Path) -> None:
-    refused = scripts(node("refused", restart=True), "print('[FATAL] no such thing')\nraise SystemExit(2)")
+    refused = scripts(node("refused", restart=True), tells('error="no such thing"') + "raise SystemExit(2)")
     with pytest.raises(InputError, match="no such thing"):
         Supervisor(GraphSpec("test", (refused,)), dict(os.environ)).run()
     assert tally(tmp_path, "refused") == 1
 
 
 def test_after_an_interruption_a_node_that_could_not_put_everything_away_is_named(scripts: Any) -> None:
-    ends = """import signal, sys, time
+    ends = """import json, os, signal, sys, time
 def end(*_):
-    print('[FATAL] no space left for the map')
+    os.write(int(os.environ['SUBIACO_REPORT_CHANNEL']), b'{"error": "no space left for the map"}\\n')
     sys.exit(1)
 signal.signal(signal.SIGINT, end)
 signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})
@@ -128,11 +137,30 @@ def test_a_node_that_was_gone_at_the_end_leaves_a_survey_that_is_not_whole(
         supervisor.require_whole()
 
 
-def test_status_lines_reach_whoever_shows_them(scripts: Any) -> None:
+def test_status_and_progress_reach_whoever_shows_them_and_lines_of_the_log_do_not(scripts: Any) -> None:
     seen: list[dict[str, Any]] = []
-    says = scripts(node("says", principal=True), """print('[INFO] status: {"light": "red", "lines": []}')""")
-    Supervisor(GraphSpec("test", (says,)), dict(os.environ), on_status=seen.append).run()
-    assert seen == [{"light": "red", "lines": []}]
+    stages: list[tuple[str, float]] = []
+    long = {"light": "red", "lines": ["x" * 70_000]}  # more than a pipe holds at once
+    program = tells("progress=Progress('fusing scans', 0.25)", f"status={long!r}")
+    program += """print('progress: nothing 50 %\\n[INFO] status: {"light": "green"}')"""
+    says = scripts(node("says", principal=True), program)
+    graph = GraphSpec("test", (says,))
+    Supervisor(graph, dict(os.environ), lambda *told: stages.append(told), on_status=seen.append).run()
+    assert seen == [long]
+    assert stages == [("fusing scans", 0.25)]
+
+
+def test_a_node_whose_supervisor_has_gone_works_on(monkeypatch: pytest.MonkeyPatch) -> None:
+    from subiaco_ros.supervision import Progress, SupervisorChannel
+
+    reading, writing = os.pipe()
+    channel = SupervisorChannel(writing)
+    assert channel.supervised
+    os.close(reading)
+    channel.progress(Progress("fusing scans", 0.5))
+    assert not channel.supervised
+    channel.error("said to nobody")
+    os.close(writing)
 
 
 def test_an_interruption_during_the_imports_of_a_node_waits_for_their_end(scripts: Any) -> None:

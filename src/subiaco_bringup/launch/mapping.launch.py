@@ -3,40 +3,34 @@
 ros2 launch subiaco_bringup mapping.launch.py bag:="bags/demo/before" output:=out/before
 """
 
-from pathlib import Path
-
 from launch import LaunchDescription
 from subiaco_bringup.defaults import config_files
 from subiaco_bringup.graph import GraphSpec, mapping_graph
-from subiaco_bringup.launching import launch_description, split_paths, split_words
+from subiaco_bringup.launching import (
+    launch_description,
+    request_arguments,
+    request_options,
+    split_paths,
+    split_words,
+)
 from subiaco_geo.config import load_config
 from subiaco_mapping.config import MappingConfig
+from subiaco_mapping.request import MappingRequest
 
 ARGUMENTS = (
     ("bag", None, "bags of one epoch, separated by blanks; one a sequence"),
-    ("output", None, "map directory to write"),
-    ("config", "", "configuration files after the shipped ones, separated by blanks"),
-    ("set", "", "key=value settings, separated by blanks"),
+    *request_arguments(MappingRequest, ("output", "overwrite")),
     ("rate", "0.0", "replay speed; 0 is as fast as the nodes go"),
-    ("overwrite", "false", "replace an existing map directory"),
 )
 
 
 def describe(values: dict[str, str]) -> GraphSpec:
-    """Describe the graph that the arguments ask for; a setting that is none is refused before it starts."""
-    files, settings = (
-        config_files("mapping", tuple(split_paths(values["config"]))),
-        split_words(values["set"]),
-    )
-    load_config(MappingConfig, files, settings)
-    return mapping_graph(
-        split_paths(values["bag"]),
-        Path(values["output"]),
-        files,
-        settings,
-        rate=float(values["rate"]),
-        overwrite=values["overwrite"].lower() == "true",
-    )
+    """Describe the graph that the arguments ask for; what is no request is refused before it starts."""
+    files = config_files("mapping", tuple(split_paths(values["config"])))
+    config = load_config(MappingConfig, files, split_words(values["set"]))
+    options = request_options(MappingRequest, values)
+    request = MappingRequest.of(bags=split_paths(values["bag"]), config=config, **options)
+    return mapping_graph(request, rate=float(values["rate"]))
 
 
 def generate_launch_description() -> LaunchDescription:

@@ -7,16 +7,19 @@ import os
 import stat
 import sys
 import tempfile
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import yaml
 
+from subiaco_change.request import ChangeRequest
 from subiaco_geo.atomic import whole_file
 from subiaco_geo.config import merge, parse_setting, read_parameters
 from subiaco_geo.errors import InputError, SubiacoError
+from subiaco_geo.settings import departures
+from subiaco_mapping.request import MappingRequest
 
 
 @dataclass(frozen=True)
@@ -132,74 +135,41 @@ def merged_config(files: Iterable[Path], settings: Iterable[str]) -> dict[str, A
     return values
 
 
-def mapping_nodes(
-    config: Mapping[str, Any], output: Path | None, bags: Sequence[str], *, overwrite: bool
-) -> tuple[NodeSpec, ...]:
-    """Return odometry and pose graph; with bags they use the replay's clock and end with it."""
-    replayed = bool(bags)
-    common = {**config, "use_sim_time": replayed, "exit_at_end": replayed}
-    odometry = NodeSpec(
-        "odometry",
-        "subiaco_mapping",
-        "odometry_node",
-        {**common, "consumers": ["pose_graph"] if replayed else []},
+def mapping_graph(request: MappingRequest, *, rate: float = 0.0) -> GraphSpec:
+    """Describe the replay of bags through odometry and pose graph into a map directory.
+
+    The nodes use the replay's clock and end with it.
+
+    Parameters
+    ----------
+    request : MappingRequest
+    rate : float
+        Replay speed; 0 is as fast as the nodes go.
+    """
+    request = request.resolved()
+    config = departures(request.config)
+    bags = [str(bag) for bag in request.bags]
+    common = {**config, "use_sim_time": True, "exit_at_end": True}
+    odometry = {**common, "consumers": ["pose_graph"]}
+    pose_graph = {
+        **common, "output_directory": str(request.output), "bags": bags, "overwrite": request.overwrite,
+    }  # fmt: skip
+    consumers = (
+        NodeSpec("odometry", "subiaco_mapping", "odometry_node", odometry),
+        NodeSpec("pose_graph", "subiaco_mapping", "pose_graph_node", pose_graph, principal=True),
     )
-    directory = {} if output is None else {"output_directory": str(Path(output).resolve())}
-    pose_graph = NodeSpec(
-        "pose_graph",
-        "subiaco_mapping",
-        "pose_graph_node",
-        {**common, **directory, "bags": list(bags), "overwrite": overwrite},
-        principal=True,
-    )
-    return odometry, pose_graph
-
-
-def mapping_graph(
-    bags: Sequence[Path],
-    output: Path | None,
-    config_files: Iterable[Path] = (),
-    settings: Iterable[str] = (),
-    *,
-    rate: float = 0.0,
-    overwrite: bool = False,
-) -> GraphSpec:
-    """Describe the replay of bags through odometry and pose graph into a map directory."""
-    config = merged_config(config_files, settings)
-    paths = [str(Path(bag).resolve()) for bag in bags]
-    consumers = mapping_nodes(config, output, paths, overwrite=overwrite)
-    replay = NodeSpec(
-        "replay",
-        "subiaco_mapping",
-        "replay_node",
-        {
-            "bags": paths,
-            "consumers": [node.name for node in consumers],
-            "rate": float(rate),
-            "names": config.get("topics", {}),
-        },
-    )
-    return GraphSpec("mapping", (replay, *consumers))
-
-
-def change_graph(
-    before: Path,
-    after: Path,
-    output: Path,
-    config_files: Iterable[Path] = (),
-    settings: Iterable[str] = (),
-    *,
-    overwrite: bool = False,
-) -> GraphSpec:
-    """Describe the comparison of two maps into a change directory."""
-    parameters = {
-        **merged_config(config_files, settings),
-        "before": str(Path(before).resolve()),
-        "after": str(Path(after).resolve()),
-        "output": str(Path(output).resolve()),
-        "overwrite": overwrite,
-        "exit_at_end": True,
+    replay = {
+        "bags": bags,
+        "consumers": [node.name for node in consumers],
+        "rate": float(rate),
+        "names": config.get("topics", {}),
     }
+    return GraphSpec("mapping", (NodeSpec("replay", "subiaco_mapping", "replay_node", replay), *consumers))
+
+
+def change_graph(request: ChangeRequest) -> GraphSpec:
+    """Describe the comparison of two maps into a change directory."""
+    parameters = {"request": request.resolved().to_json(), "exit_at_end": True}
     node = NodeSpec("change", "subiaco_bringup", "change_node", parameters, principal=True)
     return GraphSpec("change", (node,))
 

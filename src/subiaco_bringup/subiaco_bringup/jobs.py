@@ -13,9 +13,11 @@ from subiaco_bringup.domain import require_free_domain
 from subiaco_bringup.environment import node_environment
 from subiaco_bringup.graph import GraphSpec, change_graph, mapping_graph, merged_config
 from subiaco_bringup.supervisor import Death, OnStatus, Report, Supervisor
+from subiaco_change.request import ChangeRequest
 from subiaco_geo.atomic import refuse_existing
-from subiaco_geo.config import load_config, validate
+from subiaco_geo.config import validate
 from subiaco_geo.errors import InputError
+from subiaco_mapping.request import MappingRequest
 
 LOGGER = logging.getLogger(__name__)
 
@@ -28,76 +30,47 @@ def _run(graph: GraphSpec, progress: Report | None, *, replays: bool = False) ->
         Supervisor(graph, environment, progress).run()
 
 
-def run_mapping_graph(
-    bags: Sequence[Path],
-    output: Path,
-    config_files: Iterable[Path] = (),
-    settings: Iterable[str] = (),
-    *,
-    rate: float = 0.0,
-    overwrite: bool = False,
-    progress: Report | None = None,
-) -> None:
+def run_mapping_graph(request: MappingRequest, *, rate: float = 0.0, progress: Report | None = None) -> None:
     """Replay bags of one epoch through the ROS 2 nodes into a map directory.
 
     The nodes run in a ROS domain of their own; set ``ROS_DOMAIN_ID`` to choose it, e.g. for a viewer.
 
     Parameters
     ----------
-    bags : sequence of Path
-        One a sequence, in order.
-    output : Path
-        Map directory to write.
-    config_files, settings
-        As for ``subiaco map``.
+    request : MappingRequest
+        Its bags are one sequence each, in order.
     rate : float
         Replay speed; 0 is as fast as the nodes go.
-    overwrite : bool
     progress : callable, optional
         Told ``(stage, fraction)``.
 
     Raises
     ------
     InputError
-        A bag or the configuration is at fault, the output exists, or other nodes use the chosen ROS domain
-        for sensor data.
+        A bag is at fault, the output exists, or other nodes use the chosen ROS domain for sensor data.
     SubiacoError
         A node failed.
     """
     from subiaco_geo.bags import find_storage
-    from subiaco_mapping.config import MappingConfig
 
-    if not bags:
-        raise InputError("no bag given; name at least one rosbag2 folder, .mcap or simulated epoch folder")
-    files, given = list(config_files), list(settings)
-    load_config(MappingConfig, files, given)
-    refuse_existing(Path(output), overwrite)
-    for bag in bags:
-        find_storage(Path(bag))
-    _run(mapping_graph(bags, output, files, given, rate=rate, overwrite=overwrite), progress, replays=True)
+    refuse_existing(request.output, request.overwrite)
+    for bag in request.bags:
+        find_storage(bag)
+    _run(mapping_graph(request, rate=rate), progress, replays=True)
 
 
-def run_change_graph(
-    before: Path,
-    after: Path,
-    output: Path,
-    config_files: Iterable[Path] = (),
-    settings: Iterable[str] = (),
-    *,
-    overwrite: bool = False,
-    progress: Report | None = None,
-) -> None:
+def run_change_graph(request: ChangeRequest, progress: Report | None = None) -> None:
     """Compare two maps through the change node into a change directory.
 
-    Parameters and errors as for :func:`run_mapping_graph`; RegistrationError
-    where the maps cannot be brought together.
+    Raises
+    ------
+    InputError, RegistrationError
+        As for :func:`subiaco_change.job.run_change`, which the node runs.
+    SubiacoError
+        The node failed.
     """
-    from subiaco_change.config import ChangeConfig
-
-    files, given = list(config_files), list(settings)
-    load_config(ChangeConfig, files, given)
-    refuse_existing(Path(output), overwrite)
-    _run(change_graph(before, after, output, files, given, overwrite=overwrite), progress)
+    refuse_existing(request.output, request.overwrite)
+    _run(change_graph(request), progress)
 
 
 def require_live_config(config_files: Iterable[Path], settings: Iterable[str]) -> None:

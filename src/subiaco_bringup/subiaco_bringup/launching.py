@@ -5,14 +5,15 @@ from __future__ import annotations
 import os
 import shlex
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
-from typing import Any
+from typing import Any, get_origin
 
 from subiaco_bringup.environment import dds_defaults
 from subiaco_bringup.graph import GraphSpec, NodeSpec
 from subiaco_bringup.supervisor import MOST_RESTARTS, RESTART_DELAY, SETTLING
 from subiaco_geo.errors import InputError, RegistrationError, SubiacoError
+from subiaco_geo.requests import Request
 
 Arguments = dict[str, str]
 
@@ -25,6 +26,38 @@ def split_words(text: str) -> list[str]:
 def split_paths(text: str) -> list[Path]:
     """Split the value of a launch argument into paths."""
     return [Path(word) for word in split_words(text)]
+
+
+def request_arguments(
+    model: type[Request], names: Iterable[str] | None = None
+) -> tuple[tuple[str, str | None, str], ...]:
+    """Return the launch arguments of a request: its options by their names, then ``config`` and ``set``.
+
+    Parameters
+    ----------
+    model : type of Request
+    names : iterable of str, optional
+        The options that the graph takes; all where absent.
+    """
+    chosen = [name for name in names or model.model_fields if name != "config"]
+    options = tuple(
+        (name, None if field.is_required() else "", field.description or "")
+        for name, field in ((name, model.model_fields[name]) for name in chosen)
+    )
+    return (
+        *options,
+        ("config", "", "configuration files after the shipped ones, separated by blanks"),
+        ("set", "", "key=value settings, separated by blanks"),
+    )
+
+
+def request_options(model: type[Request], values: Mapping[str, str]) -> dict[str, Any]:
+    """Return the options of a request from the launch arguments that are given; lists are split at blanks."""
+    return {
+        name: split_words(values[name]) if get_origin(field.annotation) is tuple else values[name]
+        for name, field in model.model_fields.items()
+        if name != "config" and values.get(name)
+    }
 
 
 class NodeEnd:

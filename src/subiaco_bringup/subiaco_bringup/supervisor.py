@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-import json
 import logging
+import os
 import re
 import signal
 import subprocess
@@ -17,6 +17,7 @@ from typing import Any
 
 from subiaco_bringup.graph import GraphSpec, NodeSpec, process_command
 from subiaco_geo.errors import InputError, RegistrationError, SubiacoError
+from subiaco_ros.supervision import CHANNEL, Listener, Progress
 
 LOGGER = logging.getLogger(__name__)
 
@@ -24,8 +25,7 @@ Report = Callable[[str, float], None]
 
 OnStatus = Callable[[dict[str, Any]], None]
 
-_STATUS = re.compile(r"status: (\{.*\})$")
-_PROGRESS = re.compile(r"progress: (.+) (\d+) %$")
+#: How :func:`subiaco_bringup.environment.node_environment` has nodes begin the lines of their logs.
 _LEVEL = re.compile(r"^\[(DEBUG|INFO|WARN|ERROR|FATAL)\] ?(.*)$")
 _LEVELS = {
     "DEBUG": logging.DEBUG,
@@ -52,9 +52,9 @@ class NodeProcess:
     spec : NodeSpec
     environment : mapping
     progress : callable, optional
-        Told ``(stage, fraction)`` from the node's progress lines.
+        Told ``(stage, fraction)``.
     on_status : callable, optional
-        Told the values of the node's status lines.
+        Told what the node sees.
     """
 
     def __init__(
@@ -70,10 +70,12 @@ class NodeProcess:
         self.fatal = ""
         self._tail: list[str] = []
         self._progress = progress
+        reading, writing = os.pipe()
         with _interrupt_blocked():
             self._process = subprocess.Popen(
                 process_command(spec),
-                env=dict(environment),
+                env={**environment, CHANNEL: str(writing)},
+                pass_fds=(writing,),
                 stdin=subprocess.DEVNULL,
                 stdout=subprocess.PIPE,
                 stderr=subprocess.STDOUT,
@@ -81,8 +83,14 @@ class NodeProcess:
                 errors="replace",
                 start_new_session=True,
             )
-        self._reader = threading.Thread(target=self._read, name=f"log of {spec.name}", daemon=True)
-        self._reader.start()
+        os.close(writing)
+        reports = Listener(self._on_progress, self._show, self._on_error)
+        self._readers = [
+            threading.Thread(target=take, args=taken, name=f"{what} of {spec.name}", daemon=True)
+            for what, take, taken in (("log", self._read, ()), ("reports", reports.read, (reading,)))
+        ]
+        for reader in self._readers:
+            reader.start()
 
     @property
     def code(self) -> int | None:
@@ -101,7 +109,19 @@ class NodeProcess:
 
     def finish_reading(self) -> None:
         """Wait until everything said has been taken in."""
-        self._reader.join(timeout=2.0)
+        for reader in self._readers:
+            reader.join(timeout=2.0)
+
+    def _on_progress(self, progress: Progress) -> None:
+        if self._progress is not None:
+            self._progress(progress.stage, progress.fraction)
+
+    def _show(self, status: dict[str, Any]) -> None:
+        if self._on_status is not None:
+            self._on_status(status)
+
+    def _on_error(self, text: str) -> None:
+        self.fatal = text
 
     def _read(self) -> None:
         assert self._process.stdout is not None
@@ -111,23 +131,11 @@ class NodeProcess:
     def _take(self, line: str) -> None:
         if not line.strip():
             return
-        progress = _PROGRESS.search(line)
-        if progress is not None:
-            if self._progress is not None:
-                self._progress(progress[1], int(progress[2]) / 100.0)
-            return
-        status = _STATUS.search(line)
-        if status is not None:
-            if self._on_status is not None:
-                self._on_status(json.loads(status[1]))
-            return
         self._tail = [*self._tail[-19:], line]
         match = _LEVEL.match(line)
         level, text = (match[1], match[2]) if match else ("INFO", line)
         if not text.strip():
             return
-        if level == "FATAL":
-            self.fatal = text
         LOGGER.log(_LEVELS[level], "[%s] %s", self.spec.name, text)
 
 
@@ -204,7 +212,7 @@ class Supervisor:
     grace : float
         Least seconds that a node gets to end after SIGINT, and again after SIGTERM.
     on_status : callable, optional
-        Told the values of the nodes' status lines.
+        Told what nodes see.
     linger : float
         Seconds that the others get to end after the principal node.
     """

@@ -46,6 +46,28 @@ class TileConfig(StrictModel):
 class ChangeConfig(StrictModel):
     """Everything that decides what a change run says."""
 
+    PUBLIC = (
+        "leaf",
+        "seed",
+        "without",
+        "registration.coarse",
+        "placing.uncertainty.unstated_pose",
+        "placing.warp.enabled",
+        "lod.combine",
+        "evidence.source",
+        "evidence.min_beams",
+        "decisions.min_observed",
+        "decisions.least_volume",
+        "decisions.building.height",
+        "decisions.building.volume",
+        "decisions.vegetation.height",
+        "decisions.vegetation.volume",
+        "ground.threshold",
+        "ground.area",
+        "ground.report_cell",
+        "checks.pause_days",
+    )
+
     leaf: float = Field(
         0.25,
         gt=0,

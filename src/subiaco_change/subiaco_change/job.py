@@ -65,7 +65,9 @@ _DATED = np.datetime64("2000-01-01")
 
 @contextmanager
 def task_runner(
-    request: ChangeRequest, progress: Callable[[str, float], None] | None = None
+    request: ChangeRequest,
+    progress: Callable[[str, float], None] | None = None,
+    on_tile: Callable[[str, str], None] | None = None,
 ) -> Iterator[TaskRunner]:
     """Set up the task runner for a request; stages beside its output are removed when the run succeeds.
 
@@ -81,7 +83,7 @@ def task_runner(
             _LOG.warning("%s: what a run that was stopped finished there is used again", kept)
         executor = make_executor(request.workers, request.scheduler, ("subiaco_change.tiling.run",))
         try:
-            yield TaskRunner(DiskStore(kept.absolute()), executor, progress, redo)
+            yield TaskRunner(DiskStore(kept.absolute()), executor, progress, redo, on_tile)
         except (InputError, RegistrationError):
             executor.close()  # what runs beside the task that failed still writes
             _forget(request, kept)  # the same input would fail again
@@ -249,7 +251,7 @@ def run_change(
     ----------
     request : ChangeRequest
     progress : callable, optional
-        Called with the name of the stage, the fraction of the run that is done, and the tile.
+        Called with the name of the stage, the fraction of the run that is done.
     extensions : Extensions
         Functions that replace parts of the method.
     write_pages : callable, optional
@@ -280,10 +282,14 @@ def run_change_and(
     take: Callable[[TiledResult], Taken],
     progress: Callable[[str, float], None] | None = None,
     *,
+    on_tile: Callable[[str, str], None] | None = None,
     extensions: Extensions = Extensions(),  # noqa: B008 - frozen
     write_pages: PageWriter | None = None,
 ) -> Taken:
-    """Run our own method as :func:`run_change`; return what is taken of the result."""
+    """Run our own method as :func:`run_change`; return what is taken of the result.
+
+    ``on_tile`` is told the stage and the name of every tile that is done.
+    """
     config = request.config
     lots = _start(request)
     epochs, transform = _extended(request, extensions)
@@ -296,7 +302,7 @@ def run_change_and(
     poses = config.placing.uncertainty
     found = _announced(check_surveys((request.before, request.after), surveys, config.checks))
     found += unstated_findings(surveys, poses.unstated_pose, used=poses.pose_covariance)
-    with task_runner(request, progress) as runner:
+    with task_runner(request, progress, on_tile) as runner:
         result = detect_in_tiles(
             epochs, config, runner, transform=transform, given=given, room=partial(_require_room, request)
         )

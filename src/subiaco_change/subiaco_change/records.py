@@ -10,7 +10,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from shapely.geometry.base import BaseGeometry
 
-from subiaco_geo.clouds import PointCloud
+from subiaco_geo.clouds import PointCloud, concatenate
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.findings import Finding
 from subiaco_geo.frames import Floats
@@ -197,7 +197,7 @@ class TiledResult:
     def whole(self) -> ChangeResult:
         """Put the tiles together in memory."""
         pairs = list(self.parts())
-        before, after = (_together([pair[e] for pair in pairs]) for e in (0, 1))
+        before, after = (concatenate([pair[e] for pair in pairs]) for e in (0, 1))
         return ChangeResult(
             self.records,
             before,
@@ -208,11 +208,3 @@ class TiledResult:
             self.findings,
             self.blocks,
         )
-
-
-def _together(clouds: Sequence[PointCloud]) -> PointCloud:
-    """Concatenate clouds about one origin."""
-    held = [cloud for cloud in clouds if len(cloud)] or list(clouds[:1])
-    fields = {name: np.concatenate([cloud.fields[name] for cloud in held]) for name in held[0].fields}
-    xyz = np.concatenate([cloud.xyz for cloud in held])
-    return PointCloud(xyz, held[0].origin, held[0].crs, fields)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
 import numpy as np
@@ -68,6 +68,13 @@ class PointCloud:
         """Return the same world points about another origin (3,) [m]."""
         target = np.asarray(origin, dtype=np.float64)
         return replace(self, xyz=self.xyz + (self.origin - target), origin=target)
+
+
+def concatenate(clouds: Sequence[PointCloud]) -> PointCloud:
+    """Return clouds about one origin as one cloud, with the fields of the first that holds points."""
+    held = [cloud for cloud in clouds if len(cloud)] or list(clouds[:1])
+    fields = {name: np.concatenate([cloud.fields[name] for cloud in held]) for name in held[0].fields}
+    return PointCloud(np.concatenate([cloud.xyz for cloud in held]), held[0].origin, held[0].crs, fields)
 
 
 def from_world(xyz: ArrayLike, crs: str | None = None, **fields: NDArray[np.generic]) -> PointCloud:

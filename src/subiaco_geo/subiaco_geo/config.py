@@ -22,7 +22,7 @@ from pathlib import Path
 from typing import Any, ClassVar, TypeVar
 
 import yaml
-from pydantic import BaseModel, ConfigDict, ValidationError
+from pydantic import BaseModel, ConfigDict, ValidationError, model_validator
 
 from subiaco_geo.atomic import whole_file
 from subiaco_geo.errors import InputError
@@ -72,10 +72,26 @@ class StrictModel(BaseModel):
     """Frozen model that refuses unknown keys.
 
     ``FORMER_NAMES``: settings that were renamed, by their former names, so that a refusal names the new one.
+    ``PUBLIC``: dotted names of the settings that a user has a reason to change, the others being numbers of
+    the method; None where a model makes no difference (:mod:`subiaco_geo.settings`).
     """
 
     model_config = ConfigDict(frozen=True, extra="forbid")
     FORMER_NAMES: ClassVar[Mapping[str, str]] = {}
+    PUBLIC: ClassVar[tuple[str, ...] | None] = None
+
+    @model_validator(mode="before")
+    @classmethod
+    def _complete_groups(cls, values: Any) -> Any:
+        """Let a part of a group of settings change that part alone: the rest is as in the group's default."""
+        if not isinstance(values, Mapping):
+            return values
+        given = dict(values)
+        for name, value in values.items():
+            usual = cls.model_fields[name].default if name in cls.model_fields else None
+            if isinstance(value, Mapping) and isinstance(usual, BaseModel):
+                given[name] = merge(usual.model_dump(), value)
+        return given
 
 
 Model = TypeVar("Model", bound=StrictModel)

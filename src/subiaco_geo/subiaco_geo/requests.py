@@ -13,6 +13,7 @@ from typing import Any, Self
 
 from subiaco_geo.config import StrictModel, validate
 from subiaco_geo.errors import InputError
+from subiaco_geo.settings import departures
 
 
 class Request(StrictModel):
@@ -42,7 +43,7 @@ class Request(StrictModel):
 
     def to_json(self) -> str:
         """Return the request as JSON, without what is at its default."""
-        return json.dumps(self.model_dump(mode="json", exclude_defaults=True))
+        return json.dumps(departures(self))
 
     def resolved(self) -> Self:
         """Return the request with absolute paths, for a process that works in another folder."""

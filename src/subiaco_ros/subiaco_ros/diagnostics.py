@@ -1,4 +1,4 @@
-"""Progress in the log and the status of a node on ``diagnostics``."""
+"""Progress and status of a node: on topics for everybody, through the channel for its supervisor."""
 
 from __future__ import annotations
 
@@ -7,12 +7,26 @@ from collections.abc import Mapping
 from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
 from rclpy.node import Node
 
+from subiaco_ros.qos import latched
+from subiaco_ros.supervision import Progress, supervisor_channel
 
-class ProgressLog:
-    """Log ``progress: STAGE NN %`` in steps, the form that the supervisor reads."""
+
+class ProgressReporter:
+    """Report progress in steps: on the latched topic ``progress``, and to the supervisor of the process.
+
+    A process without a supervisor says it in its log, for whoever started it.
+
+    Parameters
+    ----------
+    node : Node
+    step : float
+        Fraction by which progress has grown before it is reported again.
+    """
 
     def __init__(self, node: Node, step: float = 0.02) -> None:
-        self._logger = node.get_logger()
+        self._node = node
+        self._publisher = node.create_publisher(DiagnosticStatus, "progress", latched(1))
+        self._channel = supervisor_channel()
         self._step = step
         self._last = ("", -1.0)
 
@@ -21,8 +35,18 @@ class ProgressLog:
         last_stage, last = self._last
         if stage != last_stage or fraction - last >= self._step or (fraction >= 1.0 > last):
             self._last = (stage, fraction)
-            text = f"progress: {stage} {100 * fraction:.0f} %"
-            self._logger.info(text)
+            self._report(stage, fraction)
+
+    def _report(self, stage: str, fraction: float) -> None:
+        self._channel.progress(Progress(stage, fraction))
+        if not self._channel.supervised:
+            text = f"{stage}: {100 * fraction:.0f} %"
+            self._node.get_logger().info(text)
+        if self._node.context.ok():  # it ends before the last files are written
+            values = [KeyValue(key="fraction", value=f"{fraction:.4f}")]
+            self._publisher.publish(
+                DiagnosticStatus(name=self._node.get_name(), message=stage, values=values)
+            )
 
 
 class Diagnostics:

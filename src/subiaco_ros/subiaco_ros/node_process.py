@@ -20,6 +20,7 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 
 from subiaco_geo.errors import InputError, SubiacoError
+from subiaco_ros.supervision import supervisor_channel
 
 INTERRUPTED = 130
 _SUPERVISOR = "SUBIACO_SUPERVISOR"  # the process that started this one
@@ -112,8 +113,7 @@ def run_node(name: str, build: Callable[[Node], App], argv: Sequence[str] | None
     except KeyboardInterrupt:
         return interrupted
     except (RCLError, ParameterException, RuntimeError) as error:
-        sys.stderr.write(f"[FATAL] {name}: {' '.join(str(error).split())}\n")
-        return InputError.exit_code
+        return _refused(f"{name}: {' '.join(str(error).split())}", InputError.exit_code)
     try:
         node = Node(name, automatically_declare_parameters_from_overrides=True)
         _attach_logging(node)
@@ -121,8 +121,7 @@ def run_node(name: str, build: Callable[[Node], App], argv: Sequence[str] | None
     except (ExternalShutdownException, KeyboardInterrupt):
         return interrupted
     except SubiacoError as error:  # at the end: interrupted, there is no node any more that could log it
-        sys.stderr.write(f"[FATAL] {error}\n")
-        return error.exit_code
+        return _refused(str(error), error.exit_code)
     except (RuntimeError, ImportError):  # an RCLError, or what a call that the end cut short makes of itself
         if rclpy.ok():
             raise
@@ -131,6 +130,13 @@ def run_node(name: str, build: Callable[[Node], App], argv: Sequence[str] | None
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # a second one changes nothing
         logging.getLogger().handlers = []
         rclpy.try_shutdown()
+
+
+def _refused(reason: str, code: int) -> int:
+    """Say why the process ends where no node can log it; return its exit code."""
+    sys.stderr.write(f"[FATAL] {reason}\n")
+    supervisor_channel().error(reason)
+    return code
 
 
 def _run(node: Node, build: Callable[[Node], App]) -> int:
@@ -142,6 +148,7 @@ def _run(node: Node, build: Callable[[Node], App]) -> int:
         _spin(executor, app)
     except SubiacoError as error:
         node.get_logger().fatal(str(error))
+        supervisor_channel().error(str(error))
         return error.exit_code
     finally:
         if isinstance(app, Closing):

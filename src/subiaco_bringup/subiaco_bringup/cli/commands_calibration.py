@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from subiaco_bringup.cli.commands_change import RegistrationName, TrajectoryFile, known_transform
+from subiaco_bringup.cli.change_options import RegistrationName, TrajectoryFile, known_transform
 from subiaco_bringup.cli.options import (
     ConfigFiles,
     Output,

@@ -2,16 +2,28 @@
 
 from __future__ import annotations
 
-import os
 from collections import Counter
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
-from numpy.typing import NDArray
 
+from subiaco_bringup.cli.change_options import (
+    EPOCH_HELP,
+    FromStage,
+    GivenInstances,
+    GivenSemantics,
+    ParcelsFile,
+    RegistrationName,
+    Scheduler,
+    StageFolder,
+    TrajectoryFile,
+    TransformFile,
+    WithoutParts,
+    Workers,
+    change_request,
+)
 from subiaco_bringup.cli.finding_box import say_findings
 from subiaco_bringup.cli.options import (
     AsJson,
@@ -26,119 +38,27 @@ from subiaco_bringup.cli.options import (
     set_up_logging,
 )
 from subiaco_bringup.cli.progress import Progress
-from subiaco_bringup.defaults import config_files
-from subiaco_geo.config import load_config
 from subiaco_geo.errors import InputError
-
-_EPOCH_HELP = "Map directory, or a bare cloud: .ply, .las, .laz, .copc.laz, .pcd."
-Before = Annotated[Path, typer.Argument(metavar="BEFORE", help=_EPOCH_HELP)]
-After = Annotated[Path, typer.Argument(metavar="AFTER", help=_EPOCH_HELP)]
-TrajectoryFile = Annotated[
-    Path | None,
-    typer.Option(metavar="F", help="Scanner trajectory of a bare cloud: TUM, SBET, RTKLIB .pos or CSV."),
-]
-
-TransformFile = Annotated[
-    Path | None,
-    typer.Option(
-        metavar="F",
-        help="Known transform from BEFORE to AFTER: 4 rows of 4 numbers, or registration.json.",
-    ),
-]
-RegistrationName = Annotated[
-    str | None, typer.Option(help="'identity' compares the epochs as they are, without registration.")
-]
-
-
-def known_transform(transform: Path | None, registration: str | None) -> NDArray[np.float64] | None:
-    """Return the T_after_before (4, 4) that the options give, None to register."""
-    from subiaco_change.job import read_transform
-
-    if registration not in (None, "identity"):
-        raise InputError(f"--registration {registration}: only 'identity' is known; leave it out to register")
-    if registration is not None and transform is not None:
-        raise InputError("--transform and --registration identity exclude each other; give one of them")
-    if registration is not None:
-        return np.eye(4)
-    return None if transform is None else read_transform(transform)
-
-
-def _cores() -> int:
-    """Count the cores that this process may use."""
-    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
-
-
-def _given(semantics: str | None, instances: str | None) -> tuple[str, ...]:
-    """Return the point fields that replace stages."""
-    if semantics not in (None, "given", "asprs"):
-        raise InputError(f"--semantics {semantics}: give 'given' or 'asprs', or leave it out")
-    if instances not in (None, "given"):
-        raise InputError(f"--instances {instances}: only 'given' is known; leave it out to have them found")
-    if semantics == "asprs" and instances is None:
-        return ("classification",)
-    if semantics == "asprs":
-        raise InputError("--instances given needs --semantics given: ASPRS classes name no objects")
-    if instances is not None and semantics is None:
-        raise InputError("--instances given needs --semantics given: objects are of a class")
-    return (*(("semantic",) if semantics else ()), *(("instance",) if instances else ()))
 
 
 def change(
     epochs: Annotated[
         list[Path],
-        typer.Argument(metavar="BEFORE AFTER", help=f"{_EPOCH_HELP} More than two: in the order of time."),
+        typer.Argument(metavar="BEFORE AFTER", help=f"{EPOCH_HELP} More than two: in the order of time."),
     ],
     output: Output,
     trajectory_before: TrajectoryFile = None,
     trajectory_after: TrajectoryFile = None,
     transform: TransformFile = None,
     registration: RegistrationName = None,
-    without: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="PART",
-            help="Disable a component: lod, class_association, semantics or objects; may be repeated.",
-        ),
-    ] = None,
-    parcels: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="LOTS",
-            help="Polygons (.gpkg, .geojson, .shp), such as lots, for which the changes are summed up.",
-        ),
-    ] = None,
-    semantics: Annotated[
-        str | None,
-        typer.Option(
-            metavar="given|asprs",
-            help="'given' takes the class of every point from its field semantic, 'asprs' from its ASPRS "
-            "classification.",
-        ),
-    ] = None,
-    instances: Annotated[
-        str | None,
-        typer.Option(
-            metavar="given", help="'given' takes the object of every point from its field instance."
-        ),
-    ] = None,
-    keep_stages: Annotated[
-        Path | None,
-        typer.Option(
-            metavar="DIR", help="Keep the results of every stage in this folder; a later run uses them again."
-        ),
-    ] = None,
-    from_stage: Annotated[
-        str | None,
-        typer.Option("--from", metavar="STAGE", help="Repeat this stage and all later stages."),
-    ] = None,
-    workers: Annotated[
-        int | None,
-        typer.Option(metavar="N", min=1, help="Number of processes [all cores]. Does not change the result."),
-    ] = None,
-    scheduler: Annotated[
-        str | None,
-        typer.Option(metavar="ADDRESS", help="Address of a dask cluster to work on, e.g. tcp://host:8786."),
-    ] = None,
+    without: WithoutParts = None,
+    parcels: ParcelsFile = None,
+    semantics: GivenSemantics = None,
+    instances: GivenInstances = None,
+    keep_stages: StageFolder = None,
+    from_stage: FromStage = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
     config: ConfigFiles = None,
     settings: Settings = None,
     overwrite: Overwrite = False,
@@ -153,23 +73,19 @@ def change(
 
     Example: subiaco change out/before out/after -o out/change
     """
-    from subiaco_change.config import ChangeConfig, with_parts_disabled
     from subiaco_change.history import run_epochs
     from subiaco_change.job import run_change
-    from subiaco_change.request import ChangeRequest
     from subiaco_report.pages import write_pages
 
     set_up_logging(verbose, quiet)
     if len(epochs) < 2:
         raise InputError("change: give two epochs or more, BEFORE AFTER")
-    model = load_config(ChangeConfig, config_files("change", tuple(config or ())), settings or [])
-    request = ChangeRequest.of(
+    request = change_request(
         before=epochs[0], after=epochs[-1], output=output,
         trajectory_before=trajectory_before, trajectory_after=trajectory_after,
-        transform=known_transform(transform, registration), parcels=parcels, overwrite=overwrite,
-        given=_given(semantics, instances), workers=_cores() if workers is None else workers,
-        scheduler=scheduler, stages=keep_stages, redo=from_stage,
-        config=with_parts_disabled(model, without or ()),
+        transform=transform, registration=registration, without=without, parcels=parcels,
+        semantics=semantics, instances=instances, keep_stages=keep_stages, from_stage=from_stage,
+        workers=workers, scheduler=scheduler, config=config, settings=settings, overwrite=overwrite,
     )  # fmt: skip
     if len(epochs) > 2:
         with Progress(quiet=quiet) as progress:

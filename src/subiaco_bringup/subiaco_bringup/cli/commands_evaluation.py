@@ -9,13 +9,7 @@ from typing import Annotated
 
 import typer
 
-from subiaco_bringup.cli.commands_change import (
-    After,
-    Before,
-    RegistrationName,
-    TransformFile,
-    known_transform,
-)
+from subiaco_bringup.cli.change_options import After, Before, RegistrationName, TransformFile, known_transform
 from subiaco_bringup.cli.finding_box import say_findings
 from subiaco_bringup.cli.options import (
     ConfigFiles,

@@ -8,6 +8,22 @@ from typing import Annotated
 import typer
 
 from subiaco_bringup.cli import commands_graph_inspection
+from subiaco_bringup.cli.change_options import (
+    After,
+    Before,
+    FromStage,
+    GivenInstances,
+    GivenSemantics,
+    ParcelsFile,
+    RegistrationName,
+    Scheduler,
+    StageFolder,
+    TrajectoryFile,
+    TransformFile,
+    WithoutParts,
+    Workers,
+    change_request,
+)
 from subiaco_bringup.cli.map_verdict import end_with_verdict
 from subiaco_bringup.cli.options import (
     ConfigFiles,
@@ -21,6 +37,7 @@ from subiaco_bringup.cli.options import (
 )
 from subiaco_bringup.cli.progress import Progress
 from subiaco_bringup.defaults import config_files
+from subiaco_geo.config import load_config
 
 graph = typer.Typer(
     help="Run a job through the ROS 2 nodes, each a process of its own; the result is that of "
@@ -49,50 +66,57 @@ def mapping(
     Example: subiaco graph mapping bags/demo/before -o out/before
     """
     from subiaco_bringup.jobs import run_mapping_graph
+    from subiaco_mapping.config import MappingConfig
+    from subiaco_mapping.request import MappingRequest
 
     set_up_logging(verbose, quiet)
+    model = load_config(MappingConfig, config_files("mapping", tuple(config or ())), settings or [])
+    request = MappingRequest.of(bags=tuple(bags), output=output, overwrite=overwrite, config=model)
     with Progress(quiet=quiet) as progress:
-        run_mapping_graph(
-            bags,
-            output,
-            config_files("mapping", tuple(config or ())),
-            settings or [],
-            rate=rate,
-            overwrite=overwrite,
-            progress=progress,
-        )
+        run_mapping_graph(request, rate=rate, progress=progress)
     say(f"map: {output}", quiet=quiet)
     end_with_verdict(output, quiet=quiet)
 
 
 @graph.command("change")
 def change(
-    before: Annotated[Path, typer.Argument(metavar="BEFORE", help="Map directory or bare cloud.")],
-    after: Annotated[Path, typer.Argument(metavar="AFTER", help="Map directory or bare cloud.")],
+    before: Before,
+    after: After,
     output: Output,
+    trajectory_before: TrajectoryFile = None,
+    trajectory_after: TrajectoryFile = None,
+    transform: TransformFile = None,
+    registration: RegistrationName = None,
+    without: WithoutParts = None,
+    parcels: ParcelsFile = None,
+    semantics: GivenSemantics = None,
+    instances: GivenInstances = None,
+    keep_stages: StageFolder = None,
+    from_stage: FromStage = None,
+    workers: Workers = None,
+    scheduler: Scheduler = None,
     config: ConfigFiles = None,
     settings: Settings = None,
     overwrite: Overwrite = False,
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
-    """Compare two maps through the change node.
+    """Compare two maps through the change node; options and result are those of 'subiaco change'.
 
     Example: subiaco graph change out/before out/after -o out/change
     """
     from subiaco_bringup.jobs import run_change_graph
 
     set_up_logging(verbose, quiet)
+    request = change_request(
+        before=before, after=after, output=output,
+        trajectory_before=trajectory_before, trajectory_after=trajectory_after,
+        transform=transform, registration=registration, without=without, parcels=parcels,
+        semantics=semantics, instances=instances, keep_stages=keep_stages, from_stage=from_stage,
+        workers=workers, scheduler=scheduler, config=config, settings=settings, overwrite=overwrite,
+    )  # fmt: skip
     with Progress(quiet=quiet) as progress:
-        run_change_graph(
-            before,
-            after,
-            output,
-            config_files("change", tuple(config or ())),
-            settings or [],
-            overwrite=overwrite,
-            progress=progress,
-        )
+        run_change_graph(request, progress)
     say(f"changes: {output}; open {output / 'report.html'}", quiet=quiet)
 
 

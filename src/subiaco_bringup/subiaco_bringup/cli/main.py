@@ -13,6 +13,7 @@ import typer
 from subiaco_bringup.cli import (
     commands_calibration,
     commands_change,
+    commands_config,
     commands_delivery,
     commands_evaluation,
     commands_graph,
@@ -78,6 +79,7 @@ commands_evaluation.register(app)
 commands_calibration.register(app)
 commands_graph.register(app)
 commands_record.register(app)
+commands_config.register(app)
 
 
 def _report(message: str) -> None:

@@ -63,7 +63,7 @@ def is_moving_object_trail(
 ) -> Decision | None:
     """Tell a trail from an object: by the probability that its points moved, else by counts of beams.
 
-    What is as likely to have moved as not is claimed to be neither (Decision 21).
+    Nothing is claimed of an object that is as likely to have moved as not (Decision 21).
     """
     moved = mean_moving_probability(objects)
     if moved is not None:
@@ -77,9 +77,9 @@ def is_moving_object_trail(
     if passed < enough:
         return None
     reason = (
-        f"Moved while it was mapped: {passed:.1f} beams passed for each that returned, above the limit of"
+        f"{passed:.1f} beams passed through the object for each beam that was returned, more than the limit"
+        f" of {enough:.1f} (counts alone, the map keeps no times): the ghost trail of a moving object."
     )
-    reason += f" {enough:.1f} (counts alone, the map keeps no times): the trail of a moving object."
     return Decision(Change.NOT_REPORTED, reason, passed / enough)
 
 
@@ -88,13 +88,15 @@ def _by_probability(
 ) -> Decision | None:
     """Decide by the mean probability of having moved: moved, too uncertain to say, or None where it stood."""
     if moved >= rules.trail_moved:
-        reason = f"Probability of {moved:.0%} of having moved while it was mapped"
-        reason += f" exceeds the limit of {rules.trail_moved:.0%}: the trail of a moving object."
+        reason = (
+            f"The object's probability of {moved:.0%} of having moved during mapping exceeds the limit of"
+        )
+        reason += f" {rules.trail_moved:.0%}: the ghost trail of a moving object."
         return Decision(Change.NOT_REPORTED, reason, moved / rules.trail_moved)
     uncertain = upper_moving_probability(objects)
     if uncertain < rules.trail_uncertain:
         return None
-    reason = f"It may have moved while it was mapped (probability {uncertain:.0%},"
+    reason = f"The object may have moved during mapping (probability {uncertain:.0%},"
     reason += f" limit {rules.trail_uncertain:.0%}): nothing is claimed."
     return Decision(Change.UNOBSERVED, reason, 1.0 - uncertain)
 
@@ -126,15 +128,15 @@ def limit_confidence(
 ) -> tuple[float, str]:
     """Return the confidence in what one epoch alone holds, and the reason, where it may have moved.
 
-    What was seen for a moment only, and never again, is as likely a trail as an object.
+    An object that was seen for a moment only is as likely a ghost trail as an object.
     """
     if decision.change not in (Change.ADDED, Change.REMOVED) or mean_moving_probability(objects) is None:
         return confidence, decision.reason
     moved = upper_moving_probability(objects) if fits_a_vehicle(objects, rules) else 0.0
     if 1.0 - moved >= confidence:
         return confidence, decision.reason
-    told = f"{decision.reason}; it may have moved while it was mapped (probability {moved:.0%})"
-    return 1.0 - moved, told
+    doubt = f"The object may have moved during mapping (probability {moved:.0%}): the confidence is lowered."
+    return 1.0 - moved, f"{decision.reason} {doubt}"
 
 
 def _passes_limit(

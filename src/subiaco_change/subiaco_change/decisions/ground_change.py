@@ -29,7 +29,8 @@ _LOD_CELLS = 25  # known cells that speak for a patch without a level of detecti
 class GroundPatch:
     """A contiguous area of changed ground: its cells, its mean difference and spread [m].
 
-    ``confidence``: probability that a place in it moved by more than the threshold.
+    ``confidence``: probability that a place in it moved by more than the threshold; ``reason``: the sentence
+    of its row.
     """
 
     change: Change
@@ -40,6 +41,7 @@ class GroundPatch:
     cells: Ints
     outline: BaseGeometry
     confidence: float
+    reason: str = ""
 
 
 @dataclass(frozen=True)
@@ -199,7 +201,12 @@ def _make_patch(
         level = math.hypot(level, 1.96 * spread, _noise_around(where, dz, cell))
     height, spread = float(np.median(values)), float(values.std())
     confidence = patch_confidence(height, level, spread, config.threshold)
-    return GroundPatch(change, area, height, spread, level, cells, outline, confidence)
+    reason = (
+        f"The ground level changed by {height:+.2f} m (limit {config.threshold:.2f} m, LoD95 {level:.2f} m,"
+        f" standard deviation {spread:.2f} m) over {area:.0f} m² (limit {config.area:.0f} m²): the ground was"
+        f" {'raised' if height > 0 else 'lowered'}."
+    )
+    return GroundPatch(change, area, height, spread, level, cells, outline, confidence, reason)
 
 
 def patch_confidence(dz: float, lod: float, spread: float, threshold: float) -> float:

@@ -105,7 +105,7 @@ def decide_object(
 
 
 def is_misclassified_ground(semantic: Semantic, objects: Sequence[ObjectInstance]) -> Decision | None:
-    """Leave a low, level object to the ground's comparison: it is ground told wrong."""
+    """Leave a low, level object to the comparison of the ground: it is ground with a wrong class."""
     voxels = join_voxels(objects)
     limit = _FLAT_TOP if semantic is Semantic.OTHER else _LAID_TOP
     if semantic is Semantic.BUILDING or float(np.quantile(voxels.height, 0.95)) > limit:
@@ -114,8 +114,7 @@ def is_misclassified_ground(semantic: Semantic, objects: Sequence[ObjectInstance
     if level < _LEVEL:
         return None
     reason = (
-        f"Its top lies {float(np.quantile(voxels.height, 0.95)):.2f} m above the ground (limit"
-        f" {limit:.2f} m), and"
-        " it is level: it is part of the ground, which is compared separately."
+        f"The top of the object lies {float(np.quantile(voxels.height, 0.95)):.2f} m above the ground (limit"
+        f" {limit:.2f} m) and is level: the object is part of the ground, which is compared separately."
     )
     return Decision(Change.NOT_REPORTED, reason, 1.0)

@@ -82,15 +82,18 @@ def _supported(decision: Decision, plant: PlantMeasures, config: DecisionConfig)
     grew = decision.change is Change.INCREASED
     least = config.vegetation.height
     if (plant.apparent < -least) if grew else (plant.apparent > least):
-        reason = f"{decision.reason} Not claimed: the height of all its points changed by"
-        reason += f" {plant.apparent:+.2f} m, which contradicts it (limit {least:.2f} m)."
+        reason = f"{decision.reason} No change is claimed: the height of all points changed by"
+        reason += f" {plant.apparent:+.2f} m, which contradicts the change (limit {least:.2f} m)."
         return Decision(Change.UNCHANGED, reason, 1.0, 0.0)
     free = plant.free_gained if grew else plant.free_lost
     if free >= config.min_free_surface:
         return decision
     other, surface = ("earlier", "new") if grew else ("later", "lost")
-    reason = f"{decision.reason} Not claimed: it is {free:.0%} sure that the place of the {surface} surface"
-    reason += f" was free in the {other} survey (limit {config.min_free_surface:.0%})."
+    reason = (
+        f"{decision.reason} No change is claimed: the probability that the place of the {surface} surface"
+    )
+    reason += f" was free in the {other} survey is {free:.0%}, less than the limit of"
+    reason += f" {config.min_free_surface:.0%}."
     return Decision(Change.UNCHANGED, reason, 1.0, 0.0)
 
 
@@ -123,7 +126,8 @@ def _decide_whole(plant: PlantMeasures, gate: float, rules: ClassRules, null: Ve
         return _decision(plant, max(held, key=lambda e: e.strength if upwards else -e.strength))
     if fired:
         return _without_surface(plant, max(fired, key=lambda e: abs(e.strength)), surface, rules)
-    return _decision(plant, max([*first, *candidates], key=lambda e: abs(e.strength)))
+    measured = [e for e in (*first, *candidates) if math.isfinite(e.value)] or candidates
+    return _decision(plant, max(measured, key=lambda e: abs(e.strength)))
 
 
 def _without_surface(plant: PlantMeasures, found: _Excess, surface: _Excess, rules: ClassRules) -> Decision:
@@ -131,8 +135,8 @@ def _without_surface(plant: PlantMeasures, found: _Excess, surface: _Excess, rul
     share = _quantity(surface.excess, "share")
     reason = (
         f"{_compared(plant, found)} exceeds the limit of {_quantity(found.limit, found.unit, sign=False)},"
-        f" but the surface that is new or lost, {share}, does not carry the change"
-        f" (limit {100 * rules.min_net_change:.0f} %)."
+        f" but the new or lost surface, {share}, does not carry the change (limit"
+        f" {100 * rules.min_net_change:.0f} %): no change is claimed."
     )
     return Decision(Change.UNCHANGED, reason, 1.0, 0.0)
 
@@ -169,8 +173,8 @@ def _own_sigma(plant: PlantMeasures, measure: str) -> float:
 
 _CONCLUSIONS = {
     Change.UNCHANGED: "no change is claimed",
-    Change.INCREASED: "it grew",
-    Change.DECREASED: "it shrank",
+    Change.INCREASED: "the plant grew",
+    Change.DECREASED: "the plant shrank",
 }
 
 
@@ -187,10 +191,7 @@ def _decision(plant: PlantMeasures, found: _Excess) -> Decision:
         change = Change.INCREASED if found.strength > 0 else Change.DECREASED
     verb = "does not exceed" if change is Change.UNCHANGED else "exceeds"
     limit = _quantity(found.limit, found.unit, sign=False)
-    conclusion = {Change.UNCHANGED: "no change is claimed", Change.INCREASED: "it grew"}.get(
-        change, "it shrank"
-    )
-    reason = f"{_compared(plant, found)} {verb} the limit of {limit}: {conclusion}."
+    reason = f"{_compared(plant, found)} {verb} the limit of {limit}: {_CONCLUSIONS[change]}."
     return Decision(change, reason, abs(found.strength), found.sigmas)
 
 

@@ -123,7 +123,7 @@ def _label_ground(
 
 
 def patch_record(patch: GroundPatch, origin: Floats, z: float, evidence: str) -> ChangeRecord:
-    """Return the row of a patch of ground, in world coordinates; its id and points are still to be told."""
+    """Return the row of a patch of ground, in world coordinates; number and points are added later."""
     centre = patch.outline.centroid
     return ChangeRecord(
         object_id=-1,
@@ -153,12 +153,7 @@ def patch_record(patch: GroundPatch, origin: Floats, z: float, evidence: str) ->
         delta_h_high_m=patch.dz + patch.lod,
         delta_v_low_m3=(patch.dz - patch.lod) * patch.area,
         delta_v_high_m3=(patch.dz + patch.lod) * patch.area,
-        reason=(
-            f"The ground level changed by {patch.dz:+.2f} m (standard deviation"
-            f" {patch.dz_spread:.2f} m, LoD95"
-            f" {patch.lod:.2f} m) over {patch.area:.0f} m²: beyond the limits of height and area, it was"
-            f" {'raised' if patch.dz > 0 else 'lowered'}."
-        ),
+        reason=patch.reason,
     )
 
 

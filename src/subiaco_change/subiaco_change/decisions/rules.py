@@ -297,11 +297,11 @@ def _unobserved(measures: Measures, config: DecisionConfig) -> str:
     share = measures.observed_fraction
     if share >= config.min_observed:
         return (
-            f"The other survey observed {measures.observed_voxels} voxels of it, fewer than the limit of"
-            f" {config.min_voxels}: nothing is claimed."
+            f"The other survey observed {measures.observed_voxels} voxels of the object's place, fewer than"
+            f" the limit of {config.min_voxels}: nothing is claimed."
         )
     return (
-        f"The other survey observed {share:.0%} of its place, less than the limit of"
+        f"The other survey observed {share:.0%} of the object's place, less than the limit of"
         f" {config.min_observed:.0%}: nothing is claimed."
     )
 
@@ -313,26 +313,24 @@ def _single(in_after: bool, measures: Measures, config: DecisionConfig) -> Decis
     )
     if empty < config.min_empty:
         reason = (
-            f"It has no partner of its class, but {empty:.0%} of its observed part was free in the"
-            " other survey,"
-            f" less than the limit of {config.min_empty:.0%} ({measures.observed_fraction:.0%} of"
-            " the place were"
-            " observed): its place is occupied in both surveys."
+            f"The object has no partner of its class, but {empty:.0%} of its observed place was free in the"
+            f" other survey, less than the limit of {config.min_empty:.0%}"
+            f" ({measures.observed_fraction:.0%} of the place was observed): the place is occupied in both"
+            " surveys."
         )
         return Decision(Change.UNCHANGED, reason, (1 - empty) / max(1 - config.min_empty, 1e-9), sigmas)
     if measures.free < config.min_free:
         reason = (
-            f"The probability that its place was free in the other survey is {measures.free:.0%},"
-            " less than the"
-            f" limit of {config.min_free:.0%}: nothing is claimed."
+            f"The probability that the object's place was free in the other survey is {measures.free:.0%},"
+            f" less than the limit of {config.min_free:.0%}: nothing is claimed."
         )
         return Decision(Change.UNOBSERVED, reason, 1.0 - measures.free)
     change = Change.ADDED if in_after else Change.REMOVED
     own, other = ("later", "earlier") if in_after else ("earlier", "later")
     reason = (
-        f"Only the {own} survey has it; the {other} survey observed {measures.observed_fraction:.0%}"
-        f" of its place, and {empty:.0%} of that part was free (limit {config.min_empty:.0%}): it"
-        f" {'is new' if in_after else 'is gone'}."
+        f"Only the {own} survey has the object; the {other} survey observed"
+        f" {measures.observed_fraction:.0%} of its place, and {empty:.0%} of the observed place was free"
+        f" (limit {config.min_empty:.0%}): the object {'is new' if in_after else 'was removed'}."
     )
     return Decision(change, reason, empty / max(config.min_empty, 1e-9), sigmas)
 
@@ -345,8 +343,8 @@ def _enclosing(decision: Decision, measures: Measures, config: DecisionConfig) -
         return decision
     which = "later" if decision.change is Change.ADDED else "earlier"
     reason = (
-        f"Only the {which} survey has it, but it encloses {abs(measures.delta_v):.1f} m³ (limit"
-        f" {config.least_volume:g} m³): a piece of a wall, of which nothing is claimed."
+        f"Only the {which} survey has the object, but the object encloses {abs(measures.delta_v):.1f} m³"
+        f" (limit {config.least_volume:g} m³): it is a fragment of a wall, and nothing is claimed."
     )
     return Decision(Change.UNOBSERVED, reason, 0.0)
 
@@ -383,7 +381,7 @@ def _by_measures(measures: Measures, gate: float, rules: ClassRules) -> Decision
         return Decision(Change.UNCHANGED, f"{evidence}no change beyond the limits.", max(up, down))
     rising = measures.delta_v > 0 if up > 1 and down > 1 else up > 1
     change = Change.INCREASED if rising else Change.DECREASED
-    return Decision(change, f"{evidence}it {'grew' if rising else 'shrank'}.", up if rising else down)
+    return Decision(change, f"{evidence}the object {'grew' if rising else 'shrank'}.", up if rising else down)
 
 
 def _building(measures: Measures, gate: float, rules: ClassRules) -> Decision:

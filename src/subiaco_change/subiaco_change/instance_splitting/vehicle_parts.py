@@ -35,7 +35,7 @@ def decide_vehicle_part(
     across = 0.5 * abs(measures.net_changed_fraction) / max(measures.gone_share, measures.new_share)
     if across < _ACROSS:
         reason = (
-            f"The other survey looked across {across:.0%} of this part of a vehicle, less than the limit of"
+            f"The other survey observed {across:.0%} of this part of a vehicle, less than the limit of"
             f" {_ACROSS:.0%}: nothing is claimed."
         )
         return Decision(Change.UNOBSERVED, reason, 1.0 - across)
@@ -45,8 +45,7 @@ def decide_vehicle_part(
         return None
     reason = (
         f"{held:.0%} of this part of a vehicle lies beside points of the other survey (limit"
-        f" {_HELD:.0%}): it is"
-        " part of an object that both surveys have."
+        f" {_HELD:.0%}): the part belongs to an object that both surveys have."
     )
     return Decision(Change.UNCHANGED, reason, held)
 

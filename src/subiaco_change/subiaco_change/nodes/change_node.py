@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Generator
+from collections.abc import Generator, Mapping
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -15,17 +16,19 @@ from visualization_msgs.msg import MarkerArray
 
 from subiaco_change.config import ChangeConfig
 from subiaco_change.job import run_change_and
-from subiaco_change.nodes.job import Detect, Job, JobCancelledError, Outcome, Report
+from subiaco_change.nodes.job import Detect, Job, JobCancelledError, OnTile, Outcome, Report
 from subiaco_change.nodes.messages import change_cloud_message, marker_message, table_message
 from subiaco_change.outputs.directory import PageWriter
-from subiaco_change.records import TiledResult
+from subiaco_change.outputs.preview import build_preview
 from subiaco_change.request import ChangeRequest
-from subiaco_geo.config import StrictModel
+from subiaco_geo.config import StrictModel, merge, validate
 from subiaco_geo.errors import InputError, SubiacoError
+from subiaco_geo.requests import json_object
+from subiaco_geo.settings import departures
 from subiaco_geo.trajectories import read_tum
 from subiaco_msgs.action import DetectChanges
 from subiaco_msgs.msg import ChangeTable
-from subiaco_ros.diagnostics import Diagnostics, ProgressLog
+from subiaco_ros.diagnostics import Diagnostics, ProgressReporter
 from subiaco_ros.local_frame import frame_at_origin
 from subiaco_ros.messages import origin_message
 from subiaco_ros.node_process import App, wait_until_received
@@ -40,28 +43,39 @@ POLL = 0.1
 class ChangeParameters(StrictModel):
     """Parameters of the change node; everything else is the change configuration."""
 
-    before: str = Field(
+    request: str = Field(
         "",
-        description="Map directory of the earlier survey to compare at start; empty waits for action goals",
+        description="Comparison that the node runs at start, a ChangeRequest as JSON; without it, the node "
+        "waits for goals of the action",
     )
-    after: str = Field("", description="Map directory of the later survey to compare at start")
-    output: str = Field("", description="Directory to which the change result is written")
-    overwrite: bool = Field(False, description="Replace an existing change directory")
+    preview_points: int = Field(
+        500_000, ge=1, description="Largest number of points of each published cloud, which is thinned evenly"
+    )
     map_frame: str = Field("map", description="Frame of the published point clouds")
     exit_at_end: bool = Field(
         False, description="End the node after the comparison that its parameters requested"
     )
 
-    def request(self) -> ChangeRequest | None:
-        """Return the comparison that the parameters ask for, if they do."""
-        given = (self.before, self.after, self.output)
-        if not any(given):
-            return None
-        if not all(given):
-            raise InputError("change node: parameters before, after and output go together; one is missing")
-        return ChangeRequest.of(
-            before=self.before, after=self.after, output=self.output, overwrite=self.overwrite
-        )
+
+def make_request(given: Mapping[str, Any], config: ChangeConfig, source: str) -> ChangeRequest:
+    """Return the request of a goal or a parameter; settings that it leaves out are those of the node.
+
+    Raises
+    ------
+    InputError
+        It is no valid request; the message begins with ``source``.
+    """
+    own = given.get("config", {})
+    settings = merge(departures(config), own) if isinstance(own, Mapping) else own
+    return validate(ChangeRequest, {**given, "config": settings}, source)
+
+
+def request_of_goal(goal: Any, config: ChangeConfig) -> ChangeRequest:
+    """Return the request of a goal: its JSON, with the fields that are given beside it."""
+    given = json_object(goal.request_json, "goal: request_json")
+    beside = {name: getattr(goal, name) for name in ("before", "after", "output", "overwrite")}
+    given |= {name: value for name, value in beside.items() if value}
+    return make_request(given, config, "goal")
 
 
 class _NextSpin:
@@ -78,18 +92,23 @@ class ChangeApp:
     ----------
     node : Node
     own : ChangeParameters
+    config : ChangeConfig
+        Settings of requests that do not say otherwise.
     detect : callable
         The library step: request and report to outcome.
     """
 
-    def __init__(self, node: Node, own: ChangeParameters, detect: Detect) -> None:
-        self._own = own
+    def __init__(self, node: Node, own: ChangeParameters, config: ChangeConfig, detect: Detect) -> None:
+        self._own, self._config = own, config
         self._detect = detect
-        self._request = own.request()
+        self._request: ChangeRequest | None = None
+        if own.request:
+            source = "change node: parameter request"
+            self._request = make_request(json_object(own.request, source), config, source)
         self._job: Job | None = None
         self._own_job: Job | None = None
         self._finished = False
-        self._progress = ProgressLog(node)
+        self._progress = ProgressReporter(node)
         self._diagnostics = Diagnostics(node)
         self._publishers = {
             name: node.create_publisher(kind, name, latched(1))
@@ -141,15 +160,16 @@ class ChangeApp:
         return GoalResponse.REJECT
 
     async def _execute(self, handle: Any) -> DetectChanges.Result:
-        goal = handle.request
-        request = ChangeRequest.of(
-            before=goal.before, after=goal.after, output=goal.output, overwrite=goal.overwrite
-        )
+        try:
+            request = request_of_goal(handle.request, self._config)
+        except InputError as error:
+            return _refused(handle, error)
         job = self._job = Job(request, self._detect)
         while not job.finished:
             if handle.is_cancel_requested:
                 job.cancel()
-            handle.publish_feedback(DetectChanges.Feedback(stage=job.stage, fraction=float(job.fraction)))
+            told = DetectChanges.Feedback(stage=job.stage, fraction=float(job.fraction), tile=job.tile)
+            handle.publish_feedback(told)
             self._progress(job.stage, job.fraction)
             await _NextSpin()
         self._job = None
@@ -162,23 +182,21 @@ class ChangeApp:
             handle.canceled()
             return DetectChanges.Result(success=False, message="cancelled; nothing was written")
         except SubiacoError as error:
-            LOGGER.error("%s", error)
-            handle.abort()
-            return DetectChanges.Result(success=False, message=str(error))
+            return _refused(handle, error)
         handle.succeed()
         return DetectChanges.Result(success=True, message=str(job.request.output), table=table)
 
     def _publish(self, outcome: Outcome, directory: Path) -> ChangeTable:
-        result, end_ns, frame_id = outcome.result, outcome.end_ns, self._own.map_frame
-        frame = frame_at_origin(result.after)
+        preview, end_ns, frame_id = outcome.preview, outcome.end_ns, self._own.map_frame
+        frame = frame_at_origin(preview.after)
         send = {name: publisher.publish for name, publisher in self._publishers.items()}
         if frame.enu is not None:
             enu = frame.enu
             send["map/origin"](origin_message(enu.latitude_deg, enu.longitude_deg, enu.height, frame_id))
-        send["change/before"](change_cloud_message(result.before, frame, frame_id, end_ns))
-        send["change/after"](change_cloud_message(result.after, frame, frame_id, end_ns))
-        send["change/markers"](marker_message(result, frame, frame_id, end_ns))
-        table = table_message(result, directory, end_ns, frame_id)
+        send["change/before"](change_cloud_message(preview.before, frame, frame_id, end_ns))
+        send["change/after"](change_cloud_message(preview.after, frame, frame_id, end_ns))
+        send["change/markers"](marker_message(preview, frame, frame_id, end_ns))
+        table = table_message(preview, directory, end_ns, frame_id)
         send["change/table"](table)
         counts = dict(zip(table.labels, table.counts, strict=True))
         self._diagnostics.report("compared", counts)
@@ -188,26 +206,29 @@ class ChangeApp:
         return table
 
 
+def _refused(handle: Any, error: SubiacoError) -> DetectChanges.Result:
+    """End a goal with the reason why it failed."""
+    LOGGER.error("%s", error)
+    handle.abort()
+    return DetectChanges.Result(success=False, message=str(error))
+
+
 def survey_end_ns(path: Path) -> int:
     """Return when the survey of a map directory ended, 0 where the map does not say."""
     trajectory = path / "trajectory.tum"
     return int(read_tum(trajectory).times_ns[-1]) if trajectory.is_file() else 0
 
 
-def make_detect(config: ChangeConfig, write_pages: PageWriter) -> Detect:
-    """Bind the library's step to a configuration and to what writes the pages."""
+def make_detect(write_pages: PageWriter, preview_points: int) -> Detect:
+    """Bind the library's step to what writes the pages, and to the size of the preview."""
 
-    def detect(request: ChangeRequest, report: Report) -> Outcome:
+    def detect(request: ChangeRequest, report: Report, on_tile: OnTile) -> Outcome:
         report("reading maps", 0.0)
-        return Outcome(
-            run_change_and(
-                request.model_copy(update={"config": config}),
-                TiledResult.whole,
-                report,
-                write_pages=write_pages,
-            ),
-            survey_end_ns(request.after),
-        )
+        preview = run_change_and(
+            request, partial(build_preview, most=preview_points), report,
+            on_tile=on_tile, write_pages=write_pages,
+        )  # fmt: skip
+        return Outcome(preview, survey_end_ns(request.after))
 
     return detect
 
@@ -215,4 +236,4 @@ def make_detect(config: ChangeConfig, write_pages: PageWriter) -> Detect:
 def build(node: Node, write_pages: PageWriter) -> App:
     """Put the node together from its parameters."""
     own, config = read_models(node, ChangeParameters, ChangeConfig)
-    return ChangeApp(node, own, make_detect(config, write_pages))
+    return ChangeApp(node, own, config, make_detect(write_pages, own.preview_points))

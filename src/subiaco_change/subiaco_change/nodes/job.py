@@ -6,23 +6,25 @@ import threading
 from collections.abc import Callable
 from dataclasses import dataclass
 
-from subiaco_change.records import ChangeResult
+from subiaco_change.outputs.preview import ChangePreview
 from subiaco_change.request import ChangeRequest
 from subiaco_geo.errors import InputError, SubiacoError
 
 Report = Callable[[str, float], None]
+#: Told the stage and the name of a tile that is done.
+OnTile = Callable[[str, str], None]
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What a change job leaves: the result, and when the later survey ended (0 where unknown)."""
+    """What a change job leaves: what viewers are shown, and when the later survey ended (0 where unknown)."""
 
-    result: ChangeResult
+    preview: ChangePreview
     end_ns: int
 
 
 #: The step that the node wraps; it raises SubiacoError, and lets what ``report`` raises pass.
-Detect = Callable[[ChangeRequest, Report], Outcome]
+Detect = Callable[[ChangeRequest, Report, OnTile], Outcome]
 
 
 class JobCancelledError(SubiacoError):
@@ -40,7 +42,7 @@ class Job:
 
     def __init__(self, request: ChangeRequest, detect: Detect) -> None:
         self.request = request
-        self.stage, self.fraction = "waiting", 0.0
+        self.stage, self.fraction, self.tile = "waiting", 0.0, ""
         self.outcome: Outcome | None = None
         self.error: BaseException | None = None
         self._cancelled = threading.Event()
@@ -67,10 +69,16 @@ class Job:
     def _report(self, stage: str, fraction: float) -> None:
         if self._cancelled.is_set():
             raise JobCancelledError("cancelled")
+        if stage != self.stage:
+            self.tile = ""
         self.stage, self.fraction = stage, fraction
+
+    def _on_tile(self, stage: str, tile: str) -> None:
+        if stage == self.stage:
+            self.tile = tile
 
     def _run(self, detect: Detect) -> None:
         try:
-            self.outcome = detect(self.request, self._report)
+            self.outcome = detect(self.request, self._report, self._on_tile)
         except BaseException as error:  # noqa: BLE001 - handed to the node's thread, which raises it
             self.error = error

@@ -13,7 +13,8 @@ from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
-from subiaco_change.records import CHANGE_COLOURS, ChangeRecord, ChangeResult
+from subiaco_change.outputs.preview import ChangePreview
+from subiaco_change.records import CHANGE_COLOURS, ChangeRecord
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Change
 from subiaco_geo.frames import Floats
@@ -72,30 +73,25 @@ def record_message(record: ChangeRecord) -> ChangeRecordMessage:
     return message
 
 
-def table_message(result: ChangeResult, directory: Path, time_ns: int, frame_id: str) -> ChangeTable:
+def table_message(preview: ChangePreview, directory: Path, time_ns: int, frame_id: str) -> ChangeTable:
     """Build the whole table."""
-    counts = Counter(record.change.label for record in result.records)
+    counts = Counter(record.change.label for record in preview.records)
     return ChangeTable(
         header=header(time_ns, frame_id),
-        crs=result.after.crs or "",
+        crs=preview.after.crs or "",
         directory=str(directory),
-        records=[record_message(record) for record in result.records],
+        records=[record_message(record) for record in preview.records],
         labels=list(counts),
         counts=list(counts.values()),
     )
 
 
-def object_boxes(result: ChangeResult, frame: LocalFrame) -> dict[int, tuple[Floats, Floats]]:
-    """Return the lowest and highest local corner (3,) of every object, over both epochs."""
-    xyz = np.concatenate([frame.from_world(cloud.world()) for cloud in (result.before, result.after)])
-    instance = np.concatenate([cloud.fields["instance"] for cloud in (result.before, result.after)])
-    order = np.argsort(instance, kind="stable")
-    ids, starts = np.unique(instance[order], return_index=True)
-    if len(ids) == 0:
-        return {}
-    low = np.minimum.reduceat(xyz[order], starts, axis=0)
-    high = np.maximum.reduceat(xyz[order], starts, axis=0)
-    return {int(i): (a, b) for i, a, b in zip(ids, low, high, strict=True) if i >= 0}
+def local_box(low: Floats, high: Floats, frame: LocalFrame) -> tuple[Floats, Floats]:
+    """Return the lowest and highest local corner (3,) of a box given by its world corners."""
+    pair = np.stack([low, high])
+    corners = np.stack(np.meshgrid(*pair.T, indexing="ij"), axis=-1).reshape(-1, 3)
+    local = frame.from_world(corners)
+    return local.min(axis=0), local.max(axis=0)
 
 
 def _colour(change: Change, alpha: float) -> ColorRGBA:
@@ -120,12 +116,12 @@ def _markers(record: ChangeRecord, low: Floats, high: Floats, frame_id: str, tim
     return [box, text]
 
 
-def marker_message(result: ChangeResult, frame: LocalFrame, frame_id: str, time_ns: int) -> MarkerArray:
+def marker_message(preview: ChangePreview, frame: LocalFrame, frame_id: str, time_ns: int) -> MarkerArray:
     """Build a box and a label for every changed object, after deleting what stood there."""
-    boxes = object_boxes(result, frame)
     array = MarkerArray(markers=[Marker(header=header(time_ns, frame_id), action=Marker.DELETEALL)])
-    for record in result.records:
-        if record.change in _QUIET or record.object_id not in boxes:
+    for record in preview.records:
+        if record.change in _QUIET or record.object_id not in preview.boxes:
             continue
-        array.markers.extend(_markers(record, *boxes[record.object_id], frame_id, time_ns))
+        box = local_box(*preview.boxes[record.object_id], frame)
+        array.markers.extend(_markers(record, *box, frame_id, time_ns))
     return array

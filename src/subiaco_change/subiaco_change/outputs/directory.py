@@ -40,6 +40,7 @@ from subiaco_change.records import ChangeResult, Registration, TiledResult
 from subiaco_geo.atomic import refuse_existing, refuse_foreign, whole_directory
 from subiaco_geo.config import StrictModel, config_hash, write_config
 from subiaco_geo.findings import SEVERITIES, Finding
+from subiaco_geo.settings import method_statement
 from subiaco_geo.work.tasks import peak_mib
 
 __all__ = ["ChangeDirectory", "ChangeInputs", "PageWriter", "read_change_directory", "write_change_directory"]
@@ -139,6 +140,7 @@ def run_document(
     return {
         "table_hash": table_hash,
         "config_hash": config_hash(config),
+        "method": method_statement(config),
         "versions": _versions(),
         "inputs": {
             name: {"path": str(path), "sha256": hash_path(path)} if path else None

@@ -180,6 +180,7 @@ def tile_patches(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
                 "dz_spread": patch.dz_spread,
                 "lod": patch.lod,
                 "confidence": patch.confidence,
+                "reason": patch.reason,
                 "height": height,
                 "outline": shapely.to_wkb(patch.outline, hex=True),
             }

@@ -115,6 +115,7 @@ def patch_of(words: Mapping[str, object]) -> GroundPatch:
         np.zeros((0, 2), dtype=np.int64),
         shapely.from_wkb(str(words["outline"])),
         float(str(words["confidence"])),
+        str(words["reason"]),
     )
 
 

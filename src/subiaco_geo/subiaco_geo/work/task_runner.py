@@ -27,12 +27,15 @@ class TaskRunner:
         Called with the name of the stage and the fraction of the run done.
     redo : set of str
         Stages whose tasks are done again even where they are finished.
+    on_task : callable, optional
+        Called with stage and name of every task that is done.
     """
 
     store: Store = field(default_factory=MemoryStore)
     executor: Executor = field(default_factory=InProcess)
     progress: Progress | None = None
     redo: frozenset[str] = frozenset()
+    on_task: Callable[[str, str], None] | None = None
     spent: list[TaskCost] = field(default_factory=list)
     kept: int = 0
     _done: set[str] = field(default_factory=set)
@@ -74,6 +77,8 @@ class TaskRunner:
             for number, spent in enumerate(self.executor.run(self.store, todo), 1):
                 self.spent.append(spent)
                 left.remove(spent.stage)
+                if self.on_task is not None:
+                    self.on_task(spent.stage, spent.name)
                 self._tell(
                     left[0] if left else spent.stage, span[0] + (span[1] - span[0]) * number / len(todo)
                 )

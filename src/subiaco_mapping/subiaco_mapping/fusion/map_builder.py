@@ -14,6 +14,7 @@ from subiaco_geo.config import config_hash
 from subiaco_geo.crs_area import AUTO
 from subiaco_geo.frames import invert_pose
 from subiaco_geo.free_space.sensor_view import SENSOR, SensorView
+from subiaco_geo.settings import method_statement
 from subiaco_geo.survey_map import PoseUncertainty, SurveyMap
 from subiaco_geo.trajectories import Trajectory
 from subiaco_mapping.config import GnssConfig, ManifestConfig, MappingConfig
@@ -136,6 +137,7 @@ def _info(
         "sequences": [sequence.name for sequence in solution.sequences],
         "inputs": dict(inputs),
         "config_hash": config_hash(config),
+        "method": method_statement(config),
         "georeferenced": frame is not None,
         "crs_source": None if frame is None else "auto" if config.crs == AUTO else "given",
         "local_because": solution.reason,

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import os
 import shutil
 import sys
 import time
@@ -45,6 +44,7 @@ from subiaco_ros.parameters import read_models
 from subiaco_ros.qos import latched
 from subiaco_ros.qos_adaptation import OfferedSubscription, Wanted, follow_offers
 from subiaco_ros.stamp_matching import StampMatcher
+from subiaco_ros.supervision import supervisor_channel
 
 TICK_INTERVAL = 0.1
 STATUS_INTERVAL = 0.5
@@ -130,7 +130,7 @@ class MonitorApp:
         self._shown: set[tuple[str, str, int, bool]] = set()
         self._simulated = bool(node.get_parameter("use_sim_time").value)
         self._matcher = StampMatcher((ODOMETRY, QUALITY))
-        self._view = "SUBIACO_SUPERVISOR" in os.environ
+        self._channel = supervisor_channel()
         self._diagnostics = node.create_publisher(DiagnosticArray, "diagnostics", 10)
         self._markers = node.create_publisher(MarkerArray, "quality/markers", latched(1))
         self._geojson = node.create_publisher(String, "quality/geojson", latched(1))
@@ -265,8 +265,7 @@ class MonitorApp:
             self._monitor, float("nan") if self._files is None else self._files.remaining
         )
         self._diagnostics.publish(diagnostic_array(snapshot, self._node.get_clock().now().to_msg()))
-        if self._view:
-            self._node.get_logger().info(f"status: {json.dumps(snapshot.as_dict())}")
+        self._channel.status(snapshot.as_dict())
 
     def _publish_streets(self) -> None:
         frame = self._monitor.positions.frame

@@ -60,7 +60,7 @@ from subiaco_mapping.pose_graph.solution import GraphSolution, LiveEstimate
 from subiaco_mapping.preprocessing.conversions import fix_from_msg, heading_from_msg, stamp_ns
 from subiaco_msgs.msg import ReplayCounts, ScanQuality
 from subiaco_msgs.srv import Optimize, SaveMap
-from subiaco_ros.diagnostics import Diagnostics, ProgressLog
+from subiaco_ros.diagnostics import Diagnostics, ProgressReporter
 from subiaco_ros.node_process import App, run_node
 from subiaco_ros.parameters import read_models
 from subiaco_ros.qos import latched, overridable, reliable
@@ -194,7 +194,7 @@ class PoseGraphApp:
         self._scans = 0
         self._arrivals = Arrivals()
         self._ending = self._finished = False
-        self._progress = ProgressLog(node)
+        self._progress = ProgressReporter(node)
         self._diagnostics = Diagnostics(node)
         self._map = MapPublisher(node, own.map_frame, own.odom_frame, own.earth_frame, own.preview_points)
         self._live = self._make_live() if own.live_period > 0 else None

@@ -26,7 +26,7 @@ from subiaco_mapping.nodes.names import END, SEQUENCE
 from subiaco_mapping.nodes.replay import WINDOWS, Replay
 from subiaco_mapping.topic_names import TopicsConfig
 from subiaco_msgs.msg import ReplayCounts
-from subiaco_ros.diagnostics import ProgressLog
+from subiaco_ros.diagnostics import ProgressReporter
 from subiaco_ros.node_process import App, run_node
 from subiaco_ros.parameters import read_models
 from subiaco_ros.qos import latched, reliable
@@ -126,7 +126,7 @@ def build(node: Node) -> App:
     """Put the node together from its parameters."""
     own, _ = read_models(node, ReplayParameters)
     flow = FlowControl(own.consumers, WINDOWS)
-    progress = ProgressLog(node)
+    progress = ProgressReporter(node)
     port = NodePort(node, own.topics)
     replay = Replay(
         [Path(bag) for bag in own.bags],

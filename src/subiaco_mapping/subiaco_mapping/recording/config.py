@@ -90,4 +90,14 @@ class RecordConfig(StrictModel):
 class RecordingConfig(StrictModel):
     """The configuration file of ``subiaco record``."""
 
+    PUBLIC = (
+        "record.topics",
+        "record.all_topics",
+        "record.exclude",
+        "record.split_duration",
+        "record.queue_mb",
+        "record.warn_free_gb",
+        "record.stop_free_gb",
+    )
+
     record: RecordConfig = RecordConfig()
