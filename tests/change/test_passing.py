@@ -151,3 +151,16 @@ def test_a_wall_higher_than_any_vehicle_did_not_pass_however_briefly_it_was_seen
     assert limit_confidence(claim, [wall], 0.9, RULES) == (0.9, claim.reason)
     bus = replace(brief, voxels=replace(brief.voxels, height=0.7 * heights))
     assert is_moving_object_trail([bus], Semantic.BUILDING, None, RULES) is not None
+
+
+def test_a_part_of_a_building_that_was_seen_briefly_is_no_vehicle() -> None:
+    brief = timed(0.5)
+    heights = np.linspace(0.3, 2.8, len(brief.xyz))
+    part = replace(brief, xyz=np.column_stack([np.zeros(len(heights)), np.zeros(len(heights)), heights]))
+    house = np.column_stack([np.full(30, 0.4), np.zeros(30), np.linspace(0, 3, 30)])
+    for distance, moved in ((0.0, None), (3.0, Change.UNOBSERVED)):
+        own = OwnEpochEvidence(everywhere, NOWHERE, cKDTree(np.add(house, (distance, 0, 0))), np.full(30, 77))
+        decision = is_moving_object_trail([part], Semantic.BUILDING, own, RULES)
+        assert (None if decision is None else decision.change) is moved
+    own = OwnEpochEvidence(everywhere, NOWHERE, cKDTree(house), np.full(30, part.instance))
+    assert is_moving_object_trail([part], Semantic.BUILDING, own, RULES) is not None

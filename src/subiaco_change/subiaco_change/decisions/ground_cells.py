@@ -50,10 +50,10 @@ class GroundChangeConfig(StrictModel):
         "epochs contain that surface, so that no ground moved [m]",
     )
     same_beside: float = Field(
-        0.7,
+        0.4,
         gt=0,
         description="Largest horizontal distance of a point from a cell centre at which the point shows "
-        "the other epoch's ground surface [m]",
+        "the other epoch's ground surface [m]; grows with the spacing of sparser clouds",
     )
     same_above: float = Field(
         1.5,

@@ -15,6 +15,7 @@ from scipy.sparse.csgraph import connected_components
 
 from subiaco_change.decisions.ground_cells import GroundCells, GroundChangeConfig, difference_cells
 from subiaco_change.decisions.ground_change import GroundPatch, beyond_gate, find_patches
+from subiaco_change.spacing import spacing_scale
 from subiaco_change.tiling.retiling import near_tile
 from subiaco_change.tiling.tile_surroundings import load_region
 from subiaco_geo.codes import Change, Semantic
@@ -44,6 +45,8 @@ def tile_ground(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
         Of :class:`~subiaco_change.decisions.ground_change.GroundCells`, row 0 in the south.
     """
     config = params["config"].ground
+    scale = spacing_scale(*(side.spacing for side in params["sides"]))
+    config = config.model_copy(update={"same_beside": scale * config.same_beside})
     tile = tile_named(params["tile"], params["size"], _RIM)
     origin = np.asarray(params["origin"])
 
