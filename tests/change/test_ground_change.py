@@ -165,7 +165,7 @@ def test_cells_whose_neighbours_moved_the_other_way_are_no_part_of_a_patch():
     dz[:, 19:21] = np.nan
     blind = np.isnan(dz)
     hidden = GroundCells(
-        dz, np.full(shape, 0.03), blind, ~blind, np.zeros(shape), np.zeros(shape, dtype=bool)
+        dz, np.full(shape, 0.03), blind, ~blind, np.zeros(shape), blind & False, blind & False
     )
     assert beyond_gate(hidden, 1.0, GroundChangeConfig()).all()
     sunk = replace(hidden, dz=np.where(blind, -0.05, dz))
@@ -182,7 +182,13 @@ def test_ground_of_one_epoch_alone_joins_the_patch_beside_it_unless_rings_are_fa
     dz[:, 24:26] = np.nan
     unseen = np.isnan(dz)
     cells = GroundCells(
-        dz, np.full(shape, 0.03), unseen, np.ones(shape, dtype=bool), np.zeros(shape), unseen & False
+        dz,
+        np.full(shape, 0.03),
+        unseen,
+        np.ones(shape, dtype=bool),
+        np.zeros(shape),
+        unseen & False,
+        unseen & False,
     )
     patch, found = find_patches(cells, np.zeros(2), GroundChangeConfig())
     assert len(found) == 1

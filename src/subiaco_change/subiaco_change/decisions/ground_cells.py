@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,10 +51,10 @@ class GroundChangeConfig(StrictModel):
         "epochs contain that surface, so that no ground moved [m]",
     )
     same_beside: float = Field(
-        0.4,
+        0.7,
         gt=0,
         description="Largest horizontal distance of a point from a cell centre at which the point shows "
-        "the other epoch's ground surface [m]; grows with the spacing of sparser clouds",
+        "the other epoch's ground surface [m]",
     )
     same_above: float = Field(
         1.5,
@@ -67,6 +68,13 @@ class GroundChangeConfig(StrictModel):
         le=1,
         description="Fraction of a patch whose surfaces exist in both epochs from which the patch is no "
         "ground change",
+    )
+    same_inside: float = Field(
+        0.2,
+        ge=0,
+        le=1,
+        description="Fraction of a patch in whose own cells the other surface must have points; the rim of "
+        "a pit has points beside the patch alone",
     )
     shown: float = Field(
         0.5,
@@ -88,7 +96,8 @@ class GroundCells:
 
     ``dz`` after minus before, NaN where either epoch has no ground; ``lod`` [m], NaN where either has
     none; ``bridged``: took a neighbour's height in an epoch; ``known``: holds ground in either;
-    ``height`` in *after* [m]; ``other``: one epoch holds the ground of the other under another class.
+    ``height`` in *after* [m]; ``other``: one epoch holds the ground of the other under another class, in
+    the cell or beside it; ``inside``: in the cell itself.
     """
 
     dz: Floats
@@ -97,6 +106,7 @@ class GroundCells:
     known: Mask
     height: Floats
     other: Mask
+    inside: Mask
 
 
 def difference_cells(
@@ -107,8 +117,11 @@ def difference_cells(
     heights, bridged = _bridge(cells[0][0], cells[1][0], config)
     known = np.isfinite(cells[0][0]) | np.isfinite(cells[1][0])
     lod = np.maximum(cells[0][1], cells[1][1])
-    other = _other_surface((before, after), heights, corner, config)
-    return GroundCells(heights[1] - heights[0], lod, bridged, known, heights[1], other)
+    other, inside = (
+        _other_surface((before, after), heights, corner, beside, config)
+        for beside in (config.same_beside, math.sqrt(0.5) * config.cell)
+    )
+    return GroundCells(heights[1] - heights[0], lod, bridged, known, heights[1], other, inside)
 
 
 def _still_ground(view: EpochView) -> Mask:
@@ -121,6 +134,7 @@ def _other_surface(
     views: tuple[EpochView, EpochView],
     heights: tuple[Floats, Floats],
     corner: Floats,
+    beside: float,
     config: GroundChangeConfig,
 ) -> Mask:
     """Tell in which cells the ground of two epochs is not one surface that moved.
@@ -139,18 +153,17 @@ def _other_surface(
     for e, view in enumerate(views):
         off = view.xyz[(view.semantic != Semantic.GROUND) & ~is_ghost_trail(view)]
         surface = np.column_stack([middle, heights[1 - e][row, column]])
-        held |= _holds(off, surface, limit, config)
+        held |= _holds(off, surface, limit, beside, config.same_above)
     other[row, column] = held
     return other
 
 
-def _holds(points: Floats, places: Floats, limit: Floats, config: GroundChangeConfig) -> Mask:
-    """Tell at which places (M, 3) points (N, 3) lie beside and, in height, within ``limit`` (M,).
+def _holds(points: Floats, places: Floats, limit: Floats, beside: float, above: float) -> Mask:
+    """Tell at which places (M, 3) points (N, 3) lie within ``beside`` and, in height, ``limit`` (M,).
 
     A wall or a hedge that rises beside the place is no surface at its height: more of its points lie above.
     """
     held = np.zeros(len(places), dtype=bool)
-    beside, above = config.same_beside, config.same_above
     low, high = places.min(axis=0) - beside, places.max(axis=0) + beside
     high[2] += above
     points = points[((points >= low) & (points <= high)).all(axis=1)]

@@ -94,7 +94,7 @@ def find_patches(
         large = _possible_sizes(labels, count, unknown, config) * config.cell**2 > config.area
         for number in np.flatnonzero(large & (shown >= least)).tolist():
             found = _make_patch(change, labels == number, dz, lod, corner, config)
-            if _share_of_other_surfaces(labels == number, cells) >= config.same_share:
+            if _is_other_surface(labels == number, cells, config):
                 continue
             if abs(found.dz) > max(config.threshold, config.lod_factor * found.lod):
                 patch[labels == number] = len(patches)
@@ -102,15 +102,16 @@ def find_patches(
     return patch, tuple(patches)
 
 
-def _share_of_other_surfaces(where: Mask, cells: GroundCells) -> float:
-    """Return the fraction of the cells of a patch whose surfaces both epochs hold.
+def _is_other_surface(where: Mask, cells: GroundCells, config: GroundChangeConfig) -> bool:
+    """Tell whether both epochs hold the surfaces of a patch, so that no ground moved.
 
     The cells on the rim do not count where others are left: beside them lies what surrounds the patch.
     """
     measured = where & np.isfinite(cells.dz)
     inner = measured & ndimage.binary_erosion(where, np.ones((3, 3)))
     counted = inner if np.count_nonzero(inner) >= _INNER * np.count_nonzero(measured) else measured
-    return float(cells.other[counted].mean())
+    shares = float(cells.other[counted].mean()), float(cells.inside[counted].mean())
+    return shares[0] >= config.same_share and shares[1] >= config.same_inside
 
 
 def _gate(lod: Floats, config: GroundChangeConfig) -> Floats:

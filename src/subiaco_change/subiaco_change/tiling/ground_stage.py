@@ -15,7 +15,6 @@ from scipy.sparse.csgraph import connected_components
 
 from subiaco_change.decisions.ground_cells import GroundCells, GroundChangeConfig, difference_cells
 from subiaco_change.decisions.ground_change import GroundPatch, beyond_gate, find_patches
-from subiaco_change.spacing import spacing_scale
 from subiaco_change.tiling.retiling import near_tile
 from subiaco_change.tiling.tile_surroundings import load_region
 from subiaco_geo.codes import Change, Semantic
@@ -25,7 +24,7 @@ from subiaco_geo.work.store import Arrays
 from subiaco_geo.work.tasks import Inputs
 
 _SIGNS = (1.0, -1.0)
-_CELLS = ("dz", "lod", "bridged", "known", "height", "other")
+_CELLS = ("dz", "lod", "bridged", "known", "height", "other", "inside")
 _RIM = 10.0  # around a tile, so that its own cells know their surroundings [m]
 
 
@@ -45,8 +44,6 @@ def tile_ground(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
         Of :class:`~subiaco_change.decisions.ground_change.GroundCells`, row 0 in the south.
     """
     config = params["config"].ground
-    scale = spacing_scale(*(side.spacing for side in params["sides"]))
-    config = config.model_copy(update={"same_beside": scale * config.same_beside})
     tile = tile_named(params["tile"], params["size"], _RIM)
     origin = np.asarray(params["origin"])
 
@@ -55,7 +52,7 @@ def tile_ground(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
     corner, shape, rim = _window(tile, origin, config)
     if any(not (view.semantic == Semantic.GROUND).any() for view in views):
         nothing, none = np.full(shape, np.nan), np.zeros(shape, dtype=bool)
-        cells = GroundCells(nothing, nothing, none, none, nothing, none)
+        cells = GroundCells(nothing, nothing, none, none, nothing, none, none)
     else:
         cells = difference_cells(views[0], views[1], corner, shape, config)
     return {name: getattr(cells, name)[rim:-rim, rim:-rim] for name in _CELLS}
