@@ -6,7 +6,7 @@ MkDocs, and ``python scripts/reference.py FOLDER`` writes them as Markdown.
 
 from __future__ import annotations
 
-from reference_pages import commands, files, messages, settings
+from reference_pages import commands, files, messages, settings, topics
 
 
 def pages() -> dict[str, str]:
@@ -14,6 +14,7 @@ def pages() -> dict[str, str]:
     return {
         "reference/commands.md": commands.page(),
         "reference/messages.md": messages.page(),
+        "reference/topics.md": topics.page(),
         "reference/files.md": files.page(),
         **{f"reference/{name}.md": text for name, text in settings.pages().items()},
     }

@@ -11,6 +11,9 @@ from reference_pages.markdown import GENERATED, cell, code, table
 
 FOLDER = Path(__file__).resolve().parents[2] / "src/subiaco_msgs"
 _FIELD = re.compile(r"^(?P<type>[\w/]+(?:\[[^\]]*\])?)\s+(?P<name>\w+)\s*(?:#\s*(?P<text>.*))?$")
+_CONSTANT = re.compile(
+    r"^(?P<type>\w+)\s+(?P<name>[A-Z]\w*)\s*=\s*(?P<value>[^#]*?)\s*(?:#\s*(?P<text>.*))?$"
+)
 _PARTS = {"msg": ("Fields",), "srv": ("Request", "Response"), "action": ("Goal", "Result", "Feedback")}
 _TITLES = {"msg": "Messages", "srv": "Services", "action": "Actions"}
 
@@ -32,6 +35,7 @@ class Interface:
     kind: str
     text: str
     parts: tuple[tuple[Field, ...], ...]
+    constants: tuple[tuple[Field, str], ...] = ()
 
 
 def interfaces() -> Iterator[Interface]:
@@ -45,10 +49,15 @@ def read(path: Path, kind: str) -> Interface:
     """Return what a definition file says; comments behind and below a field are its meaning."""
     top: list[str] = []
     parts: list[list[Field]] = [[]]
+    constants: list[tuple[Field, str]] = []
     for line in path.read_text(encoding="utf-8").splitlines():
         stripped = line.strip()
-        found = _FIELD.match(stripped)
-        if stripped == "---":
+        found, constant = _FIELD.match(stripped), _CONSTANT.match(stripped)
+        if constant:
+            constants.append(
+                (Field(constant["type"], constant["name"], constant["text"] or ""), constant["value"])
+            )
+        elif stripped == "---":
             parts.append([])
         elif found:
             parts[-1].append(Field(found["type"], found["name"], found["text"] or ""))
@@ -57,7 +66,7 @@ def read(path: Path, kind: str) -> Interface:
             parts[-1].append(Field(last.type, last.name, f"{last.text} {stripped[1:].strip()}"))
         elif stripped.startswith("#"):
             top.append(stripped[1:].strip())
-    return Interface(path.stem, kind, " ".join(top), tuple(tuple(part) for part in parts))
+    return Interface(path.stem, kind, " ".join(top), tuple(tuple(part) for part in parts), tuple(constants))
 
 
 def page() -> str:
@@ -79,4 +88,7 @@ def page() -> str:
                 parts.append(f"**{title}**" + ("" if rows else ": no fields."))
             if rows:
                 parts.append(table(("field", "type", "meaning"), rows))
+        if interface.constants:
+            values = [(code(f.name), code(v), cell(f.text)) for f, v in interface.constants]
+            parts += ["**Constants**", table(("name", "value", "meaning"), values)]
     return "\n\n".join(parts) + "\n"

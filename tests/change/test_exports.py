@@ -11,13 +11,13 @@ import pytest
 from geopandas.testing import assert_geodataframe_equal
 from scipy.spatial import cKDTree
 
-from subiaco_change.outputs.clouds import ASPRS_CODES, POINT_FIELDS
+from subiaco_change.outputs.clouds import POINT_FIELDS
 from subiaco_change.outputs.exports import export_changes
 from subiaco_change.outputs.reviews import read_reviewed
 from subiaco_change.outputs.table import ALL_COLUMNS, TEXT_COLUMNS
 from subiaco_geo.cloud_io import read_cloud
 from subiaco_geo.clouds import from_world
-from subiaco_geo.codes import Semantic
+from subiaco_geo.codes import ASPRS_CODES, Semantic
 from subiaco_geo.errors import InputError
 from subiaco_geo.exports import export_map
 from subiaco_geo.maps import write_map

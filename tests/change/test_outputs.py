@@ -18,7 +18,7 @@ from result_scene import OBJECTS, ORIGIN, SceneConfig, ground_raster
 
 from subiaco_change.outputs import directory as outputs
 from subiaco_change.outputs import table as outputs_table
-from subiaco_change.outputs.clouds import ASPRS_CODES, POINT_FIELDS, labelled_cloud
+from subiaco_change.outputs.clouds import POINT_FIELDS, labelled_cloud
 from subiaco_change.outputs.rasters import build_coverage, build_lod_raster, write_lod
 from subiaco_change.outputs.style import layer_qml
 from subiaco_change.outputs.table import (
@@ -33,7 +33,7 @@ from subiaco_change.outputs.table import (
 from subiaco_change.records import CHANGE_COLOURS
 from subiaco_geo.cloud_io import read_cloud
 from subiaco_geo.clouds import PointCloud
-from subiaco_geo.codes import Change, Semantic
+from subiaco_geo.codes import ASPRS_CODES, Change, Semantic
 from subiaco_geo.errors import InputError
 
 CONTRACT = """

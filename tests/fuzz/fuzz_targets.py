@@ -240,7 +240,7 @@ def _read_kitti(path: Path) -> object:
 
 
 def _read_control(path: Path) -> object:
-    from subiaco_mapping.control import read_control
+    from subiaco_mapping.control_points import read_control
 
     return read_control(path, "EPSG:7850", "EPSG:7850")
 

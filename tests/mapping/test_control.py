@@ -9,7 +9,8 @@ import pytest
 
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.errors import InputError
-from subiaco_mapping.control import check_control, describe_control, read_control
+from subiaco_mapping.control import check_control, describe_control
+from subiaco_mapping.control_points import read_control
 
 CRS = "EPSG:7850"
 ORIGIN = np.array([388_000.0, 6_464_000.0, 10.0])

@@ -15,11 +15,13 @@ import yaml
 from subiaco_bringup.graph import (
     change_graph,
     command_lines,
+    deployed,
     mapping_graph,
     merged_config,
     process_command,
     ros_parameters,
 )
+from subiaco_bringup.launching import COMMON_ARGUMENTS
 from subiaco_change.request import ChangeRequest
 from subiaco_geo.config import load_config
 from subiaco_geo.errors import InputError, SubiacoError
@@ -278,7 +280,8 @@ def test_launch_file_and_supervisor_start_the_same_change_command_line(tmp_path:
 @pytest.mark.usefixtures("launch_stub")
 def test_a_launch_file_takes_every_option_of_a_request() -> None:
     declared = {a.given[0] for a in description_of(LAUNCH / "change.launch.py") if type(a) is Action}
-    assert declared == {*ChangeRequest.model_fields, "set"}
+    common = {name for name, _, _ in COMMON_ARGUMENTS}
+    assert declared == {*ChangeRequest.model_fields, "set"} | common
 
 
 @pytest.mark.usefixtures("launch_stub")
@@ -384,9 +387,9 @@ def test_launch_file_and_supervisor_treat_the_live_nodes_alike(
     from subiaco_bringup.live_graph import live_graph
 
     file, drive = LAUNCH / "live.launch.py", tmp_path / "drive"
-    given = {"output": str(drive), "record": str(record).lower(), "sim_time": str(sim_time).lower()}
+    given = {"output": str(drive), "record": str(record).lower(), "use_sim_time": str(sim_time).lower()}
     graph = live_graph(drive, config_files("mapping"), record=record, sim_time=sim_time)
-    assert launched_lines(file, **given) == command_lines(graph)
+    assert launched_lines(file, **given) == command_lines(deployed(graph, use_sim_time=sim_time))
     nodes = launched_nodes(file, **given)
     assert [n["respawn"] for n in nodes] == [spec.restart for spec in graph.nodes]
     assert [float(n["sigterm_timeout"]) for n in nodes] == [spec.grace for spec in graph.nodes]
@@ -429,3 +432,33 @@ def test_every_process_of_every_graph_is_an_executable_of_its_package(
         monkeypatch.setattr(executables, "start", started.append)
         getattr(executables, spec.executable)()
         assert started == [f"{spec.package}.nodes.{spec.executable}"]
+
+
+@pytest.mark.usefixtures("launch_stub")
+def test_every_launch_file_takes_namespace_clock_autostart_and_a_port_for_foxglove(tmp_path: Path) -> None:
+    nodes = launched_lines(
+        LAUNCH / "live.launch.py",
+        output=str(tmp_path / "drive"),
+        namespace="left",
+        use_sim_time="true",
+        autostart="false",
+        foxglove_port="8765",
+    )
+    assert [line[1] for line in nodes] == [
+        "recorder_node", "monitor_node", "odometry_node", "pose_graph_node", "foxglove_node"
+    ]  # fmt: skip
+    for line in nodes:
+        assert line[line.index("__ns:=/left") - 1] == "-r"
+        given = parameters_of(line)
+        assert (given["use_sim_time"], given["autostart"]) == (True, False)
+    assert parameters_of(nodes[-1])["host"] == "127.0.0.1"
+    plain = launched_lines(LAUNCH / "mapping.launch.py", bag=str(tmp_path / "bag"), output="out")
+    for line in plain:
+        assert not any(word.startswith("__ns") for word in line)
+        assert "autostart" not in parameters_of(line)
+
+
+@pytest.mark.usefixtures("launch_stub")
+def test_a_launch_argument_that_is_neither_true_nor_false_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(InputError, match="launch argument maybe: expected true or false"):
+        launched_nodes(LAUNCH / "live.launch.py", output=str(tmp_path / "drive"), autostart="maybe")

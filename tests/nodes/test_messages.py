@@ -64,12 +64,20 @@ def make_pose(stamp_ns_: int = STAMP_NS, twist: float = 0.3) -> OdometryPose:
 
 @pytest.mark.parametrize("accel", [None, np.array([0.1, -0.2, 9.81])])
 def test_a_scan_survives_the_wire_to_a_hundredth_of_a_millimetre(accel: np.ndarray | None) -> None:
-    from subiaco_mapping.nodes.messages import quality_message, scan_from_messages, scan_message
+    from subiaco_mapping.nodes.messages import (
+        quality_message,
+        scan_from_messages,
+        scan_message,
+        sky_message,
+    )
 
     scan, pose = make_scan(accel=accel), make_pose()
     cloud = through_wire(scan_message(scan, "lidar_link"))
     quality = through_wire(quality_message(pose, scan, "lidar_link"))
-    back = scan_from_messages(cloud, quality)
+    sky = through_wire(sky_message(scan, "lidar_link"))
+    assert cloud.width == len(scan.xyz) + len(scan.last_xyz)  # no beam that met nothing
+    assert sky.width == len(scan.sky_xyz)
+    back = scan_from_messages(cloud, sky, quality)
     assert back.stamp_ns == STAMP_NS
     np.testing.assert_allclose(back.xyz, scan.xyz, atol=1e-5)  # float32 at 100 m
     np.testing.assert_allclose(back.last_xyz, scan.last_xyz, atol=1e-5)
@@ -91,6 +99,9 @@ def test_a_pose_survives_the_wire_in_doubles() -> None:
     back = pose_from_messages(odometry, quality, T_BASE_LIDAR)
     np.testing.assert_allclose(back.T_odom_lidar, pose.T_odom_lidar, atol=1e-12)
     np.testing.assert_array_equal(back.covariance, pose.covariance)
+    sent = np.reshape(quality.covariance, (6, 6))  # translation first, as in every message of REP 103
+    np.testing.assert_array_equal(sent[:3, :3], pose.covariance[3:, 3:])
+    np.testing.assert_array_equal(sent[3:, :3], pose.covariance[:3, 3:])
     assert (back.stamp_ns, back.inliers, back.segment) == (STAMP_NS, 812, 2)
     assert (back.residual_rmse, back.degenerate, back.predicted) == (0.034, True, True)
 

@@ -84,6 +84,7 @@ class Bench:
         user = self.user = ros.node("tester")
         self.odometry = ros.collect(user, Odometry, "odometry", latched=False)
         self.clouds = ros.collect(user, PointCloud2, "points_deskewed", latched=False)
+        self.skies = ros.collect(user, PointCloud2, "points_sky", latched=False)
         self.qualities = ros.collect(user, ScanQuality, "odometry/quality", latched=False)
         self.facts = ros.collect(user, String, "odometry/facts", latched=False)
         self.tf = ros.collect(user, TFMessage, "tf", latched=False)
@@ -148,7 +149,10 @@ def test_packets_reach_the_front_end_bit_by_bit_and_its_scans_come_out(ros: Any)
     assert bench.made[0].metadata == "{}"
     assert bench.taken("/ouster/lidar_packets") == 10
     counts = dict(zip(bench.ends[0].topics, bench.ends[0].counts, strict=True))
-    assert counts == {"/odometry": 3, "/points_deskewed": 3, "/odometry/quality": 3, "/odometry/facts": 1}
+    scans = ("/odometry", "/points_deskewed", "/points_sky", "/odometry/quality")
+    assert counts == dict.fromkeys(scans, 3) | {"/odometry/facts": 1}
+    ros.until(lambda: len(bench.skies) == 3)
+    assert [m.header for m in bench.skies] == [m.header for m in bench.clouds]
     assert json.loads(bench.facts[0].data) == {"packets": 10}
     assert [m.header.stamp.nanosec for m in bench.odometry] == [100_000_000, 200_000_000, 300_000_000]
     assert bench.tf[0].transforms[0].child_frame_id == "base_link"
@@ -173,12 +177,15 @@ def test_every_sequence_has_a_front_end_of_its_own(ros: Any) -> None:
 def test_consumption_is_not_reported_while_the_next_node_is_behind(ros: Any) -> None:
     from subiaco_msgs.msg import ReplayCounts
 
-    topics = ["/odometry", "/points_deskewed", "/odometry/quality", "/odometry/sequence", "/odometry/facts"]
+    topics = [
+        "/odometry", "/points_deskewed", "/points_sky", "/odometry/quality", "/odometry/sequence",
+        "/odometry/facts",
+    ]  # fmt: skip
     bench = Bench(ros, consumers=["pose_graph"])
     assert bench.taken("/ouster/lidar_packets") == -1  # no word before the consumer is there
 
     def consume(scans: int) -> None:
-        counts = [scans, scans, scans, 1, 0]
+        counts = [scans, scans, scans, scans, 1, 0]
         bench.counts.publish(ReplayCounts(source="pose_graph", topics=topics, counts=counts))
 
     consume(0)

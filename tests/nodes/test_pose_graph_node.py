@@ -36,6 +36,7 @@ class FakeBackend:
         self.fixes: list[Any] = []
         self.facts: dict[str, Any] = {}
         self.inputs: dict[str, str] = {}
+        self.T_local_odom = np.eye(4)
 
     def start_sequence(self, name: str, extrinsics: Any = None) -> None:
         self.sequences.append((name, extrinsics))
@@ -58,7 +59,9 @@ class FakeBackend:
         poses = np.array([pose.T_odom_lidar for pose, _ in self.taken])
         covariance = np.zeros((len(stamps), 6, 6))
         used = len(self.fixes)
-        sequence = SequenceSolution(self.sequences[0][0], stamps, poses, covariance, np.eye(4), used, 0, 0, 0)
+        sequence = SequenceSolution(
+            self.sequences[0][0], stamps, poses, covariance, self.T_local_odom, used, 0, 0, 0
+        )
         return GraphSolution((sequence,), ENU if self.crs else None, None if self.crs else "no fix")
 
     def preview(self) -> Any:
@@ -125,6 +128,7 @@ class Bench:
             "odometry": user.create_publisher(Odometry, "odometry", reliable(100)),
             "quality": user.create_publisher(ScanQuality, "odometry/quality", reliable(100)),
             "cloud": user.create_publisher(PointCloud2, "points_deskewed", reliable(100)),
+            "sky": user.create_publisher(PointCloud2, "points_sky", reliable(100)),
             "facts": user.create_publisher(String, "odometry/facts", reliable(100)),
             "announce": user.create_publisher(ReplayCounts, "replay/sequence", latched(1)),
             "sequence": user.create_publisher(ReplayCounts, "odometry/sequence", latched(1)),
@@ -154,8 +158,13 @@ class Bench:
         self.out["tf_static"].publish(TFMessage(transforms=transforms))
         self.ros.until(lambda: self.taken("/tf_static") == before + 1)
 
-    def scan(self, order: tuple[str, ...] = ("odometry", "quality", "cloud")) -> None:
-        from subiaco_mapping.nodes.messages import odometry_message, quality_message, scan_message
+    def scan(self, order: tuple[str, ...] = ("odometry", "quality", "sky", "cloud")) -> None:
+        from subiaco_mapping.nodes.messages import (
+            odometry_message,
+            quality_message,
+            scan_message,
+            sky_message,
+        )
 
         self.sent += 1
         stamp = T0_NS + self.sent * 100_000_000
@@ -169,6 +178,7 @@ class Bench:
             "odometry": odometry_message(pose, T_BASE_LIDAR, np.eye(6), "odom", "base_link"),
             "quality": quality_message(pose, scan, "lidar_link"),
             "cloud": scan_message(scan, "lidar_link"),
+            "sky": sky_message(scan, "lidar_link"),
         }
         for name in order:
             self.out[name].publish(messages[name])
@@ -177,15 +187,15 @@ class Bench:
         from subiaco_msgs.msg import ReplayCounts
 
         count = self.sent if scans is None else scans
-        topics = ["/odometry", "/points_deskewed", "/odometry/quality"]
-        self.out["end"].publish(ReplayCounts(source="odometry", topics=topics, counts=[count] * 3))
+        topics = ["/odometry", "/points_deskewed", "/points_sky", "/odometry/quality"]
+        self.out["end"].publish(ReplayCounts(source="odometry", topics=topics, counts=[count] * 4))
 
 
 def test_pose_and_scan_of_one_stamp_reach_the_back_end_in_order(ros: Any) -> None:
     bench = Bench(ros, FakeBackend())
     bench.begin()
     bench.scan()
-    bench.scan(("cloud", "quality", "odometry"))
+    bench.scan(("cloud", "quality", "odometry", "sky"))
     ros.until(lambda: len(bench.backend.taken) == 2)
     assert [name for name, _ in bench.backend.sequences] == ["one"]
     np.testing.assert_allclose(bench.backend.sequences[0][1].T_base_lidar, T_BASE_LIDAR, atol=1e-12)
@@ -248,6 +258,24 @@ def test_path_map_origin_and_frames_are_published_in_the_local_frame(ros: Any, t
     assert ("map", "odom") in joined
     earth = joined["earth", "map"].transform.translation
     np.testing.assert_allclose([earth.x, earth.y, earth.z], earth_from_enu(ENU)[:3, 3])
+
+
+def test_map_to_odom_comes_with_every_scan_of_a_replay_and_changes_with_the_solution(ros: Any) -> None:
+    bench = Bench(ros, FakeBackend())
+    bench.begin()
+    for _ in range(3):
+        bench.scan()
+    ros.until(lambda: len(bench.tf) == 3)
+    moving = [t for m in bench.tf for t in m.transforms]
+    assert {(t.header.frame_id, t.child_frame_id) for t in moving} == {("map", "odom")}
+    stamps = [pose.stamp_ns for pose, _ in bench.backend.taken]
+    assert [t.header.stamp.sec * 10**9 + t.header.stamp.nanosec for t in moving] == stamps
+    assert all(t.transform.rotation.w == 1.0 and t.transform.translation.x == 0.0 for t in moving)
+    bench.backend.T_local_odom[:3, 3] = [4.0, 0.0, 0.0]
+    bench.app._publish_solution(bench.backend.optimize())
+    bench.scan()
+    ros.until(lambda: len(bench.tf) == 5)
+    assert [m.transforms[0].transform.translation.x for m in bench.tf[3:]] == [4.0, 4.0]
 
 
 def test_facts_of_the_front_end_reach_the_manifest(ros: Any) -> None:

@@ -194,7 +194,7 @@ def test_losses_appear_on_diagnostics_by_topic(ros: Any, start: Any) -> None:
     ros.until(lambda: received(app, IMU) == 58)
 
     def told() -> list[Any]:
-        ours = [s for r in reports for s in r.status if s.name == "recorder0"]
+        ours = [s for r in reports for s in r.status if s.name == "recorder0: recording"]
         return [s for s in ours if s.level == DiagnosticStatus.WARN and "2 messages lost" in s.message]
 
     ros.until(told)
@@ -231,7 +231,7 @@ def test_a_full_disk_ends_the_process_with_its_reason_or_stays_and_says_so(ros: 
     ros.apps.remove(ending)
 
     def told() -> bool:
-        found = [s for r in reports for s in r.status if s.name == "recorder1"]
+        found = [s for r in reports for s in r.status if s.name == "recorder1: recording"]
         return any(s.level == DiagnosticStatus.ERROR and "only 0.1 GB" in s.message for s in found)
 
     ros.until(told)

@@ -25,18 +25,27 @@ class Harness:
         self._nodes: list[Any] = []
         self.apps: list[Any] = []
 
-    def node(self, name: str, **parameters: Any) -> Any:
+    def node(self, name: str, *, namespace: str = "", **parameters: Any) -> Any:
         """Make a node with parameters as a params file would give them; ``a__b`` means ``a.b``."""
         from rclpy.node import Node
+
+        options = self._options(parameters)
+        declared = {"automatically_declare_parameters_from_overrides": True}
+        return self._added(Node(name, namespace=namespace, **declared, **options))
+
+    def managed(self, name: str, build: Callable[[Any], Any], **parameters: Any) -> Any:
+        """Make a lifecycle node around an app, as a node process does."""
+        from subiaco_ros.managed_node import ManagedNode
+
+        return self._added(ManagedNode(name, build, **self._options(parameters)))
+
+    def _options(self, parameters: dict[str, Any]) -> dict[str, Any]:
         from rclpy.parameter import Parameter
 
         overrides = [Parameter(key.replace("__", "."), value=value) for key, value in parameters.items()]
-        node = Node(
-            name,
-            context=self.context,
-            parameter_overrides=overrides,
-            automatically_declare_parameters_from_overrides=True,
-        )
+        return {"context": self.context, "parameter_overrides": overrides}
+
+    def _added(self, node: Any) -> Any:
         self.executor.add_node(node)
         self._nodes.append(node)
         return node

@@ -79,8 +79,9 @@ def make_map(
     InputError
         A bag cannot be mapped, an option is not known, or the output exists.
     """
+    from subiaco_change.segmentation.map_classes import map_classes
     from subiaco_mapping.job import run_mapping
 
     model = load_config(MappingConfig, tuple(Path(file) for file in config), as_settings(settings))
     request = MappingRequest.of(bags=tuple(bags), output=output, config=model, **options)
-    return run_mapping(request, progress)
+    return run_mapping(request, progress, map_classes)

@@ -20,7 +20,6 @@ ARGUMENTS = (
     ("remap", "", "OURS:=DRIVERS pairs, separated by blanks"),
     ("route", "", "planned route: GeoJSON, or CSV with lat and lon"),
     ("record", "true", "false where somebody else records"),
-    ("sim_time", "false", "true under 'ros2 bag play --clock'"),
 )
 
 
@@ -38,7 +37,7 @@ def describe(values: dict[str, str]) -> GraphSpec:
         remappings=[parse_remapping(word) for word in split_words(values["remap"])],
         route=Path(values["route"]) if values["route"] else None,
         record=values["record"].lower() == "true",
-        sim_time=values["sim_time"].lower() == "true",
+        sim_time=values["use_sim_time"] == "true",
     )
 
 

@@ -8,7 +8,7 @@ import stat
 import sys
 import tempfile
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -43,6 +43,10 @@ class NodeSpec:
         The job has failed where this node has; the others go on without any other.
     grace : float
         Seconds that it needs to put everything away when interrupted.
+    companion : bool
+        The job does not wait for its end.
+    namespace : str
+        Of the node and of all its relative topics.
     """
 
     name: str
@@ -54,10 +58,14 @@ class NodeSpec:
     restart: bool = False
     essential: bool = True
     grace: float = 10.0
+    companion: bool = False
+    namespace: str = ""
 
     def arguments(self) -> list[str]:
         """Return the arguments after the executable; the parameters go into a file."""
         words = ["--ros-args", "-r", f"__node:={self.name}"]
+        if self.namespace:
+            words += ["-r", f"__ns:=/{self.namespace.strip('/')}"]
         for source, target in self.remappings:
             words += ["-r", f"{source}:={target}"]
         return [*words, "--params-file", str(parameter_file(self.parameters))]
@@ -69,6 +77,39 @@ class GraphSpec:
 
     name: str
     nodes: tuple[NodeSpec, ...]
+
+
+def deployed(
+    graph: GraphSpec, *, namespace: str = "", autostart: bool = True, use_sim_time: bool | None = None
+) -> GraphSpec:
+    """Return a graph under a namespace, started or not, on another clock.
+
+    Parameters
+    ----------
+    namespace : str
+        Of every node, so that graphs of several LiDARs run side by side.
+    autostart : bool
+        Whether nodes configure and activate themselves; else ``ros2 lifecycle set`` does.
+    use_sim_time : bool, optional
+        Follow ``/clock``; as the graph says where left out.
+    """
+    given: dict[str, Any] = {} if autostart else {"autostart": False}
+    if use_sim_time is not None:
+        given["use_sim_time"] = use_sim_time
+    nodes = (
+        replace(node, namespace=namespace, parameters={**node.parameters, **given}) for node in graph.nodes
+    )
+    return replace(graph, nodes=tuple(nodes))
+
+
+def with_foxglove(graph: GraphSpec, port: int, host: str = "127.0.0.1") -> GraphSpec:
+    """Return a graph with a node that serves its topics to Foxglove; the job goes on without that node."""
+    clock = any(node.parameters.get("use_sim_time") for node in graph.nodes)
+    parameters = {"host": host, "port": port, "use_sim_time": clock}
+    node = NodeSpec(
+        "foxglove", "subiaco_bringup", "foxglove_node", parameters, essential=False, companion=True
+    )
+    return replace(graph, nodes=(*graph.nodes, node))
 
 
 def ros_value(name: str, value: Any) -> Any:

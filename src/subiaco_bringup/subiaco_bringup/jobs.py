@@ -11,7 +11,14 @@ from typing import Any
 
 from subiaco_bringup.domain import require_free_domain
 from subiaco_bringup.environment import node_environment
-from subiaco_bringup.graph import GraphSpec, change_graph, mapping_graph, merged_config
+from subiaco_bringup.graph import (
+    GraphSpec,
+    change_graph,
+    deployed,
+    mapping_graph,
+    merged_config,
+    with_foxglove,
+)
 from subiaco_bringup.supervisor import Death, OnStatus, Report, Supervisor
 from subiaco_change.request import ChangeRequest
 from subiaco_geo.atomic import refuse_existing
@@ -30,7 +37,13 @@ def _run(graph: GraphSpec, progress: Report | None, *, replays: bool = False) ->
         Supervisor(graph, environment, progress).run()
 
 
-def run_mapping_graph(request: MappingRequest, *, rate: float = 0.0, progress: Report | None = None) -> None:
+def run_mapping_graph(
+    request: MappingRequest,
+    *,
+    rate: float = 0.0,
+    foxglove_port: int | None = None,
+    progress: Report | None = None,
+) -> None:
     """Replay bags of one epoch through the ROS 2 nodes into a map directory.
 
     The nodes run in a ROS domain of their own; set ``ROS_DOMAIN_ID`` to choose it, e.g. for a viewer.
@@ -41,6 +54,8 @@ def run_mapping_graph(request: MappingRequest, *, rate: float = 0.0, progress: R
         Its bags are one sequence each, in order.
     rate : float
         Replay speed; 0 is as fast as the nodes go.
+    foxglove_port : int, optional
+        Port on which Foxglove can connect from this computer.
     progress : callable, optional
         Told ``(stage, fraction)``.
 
@@ -56,7 +71,8 @@ def run_mapping_graph(request: MappingRequest, *, rate: float = 0.0, progress: R
     refuse_existing(request.output, request.overwrite)
     for bag in request.bags:
         find_storage(bag)
-    _run(mapping_graph(request, rate=rate), progress, replays=True)
+    graph = mapping_graph(request, rate=rate)
+    _run(graph if foxglove_port is None else with_foxglove(graph, foxglove_port), progress, replays=True)
 
 
 def run_change_graph(request: ChangeRequest, progress: Report | None = None) -> None:
@@ -99,6 +115,8 @@ def run_live_graph(
     route: Path | None = None,
     record: bool = True,
     sim_time: bool = False,
+    namespace: str = "",
+    foxglove_port: int | None = None,
     progress: Report | None = None,
     on_status: OnStatus | None = None,
 ) -> None:
@@ -110,6 +128,10 @@ def run_live_graph(
     ----------
     output : Path
         Folder of the drive; see :func:`subiaco_bringup.live_graph.live_graph` for the rest.
+    namespace : str
+        Of all nodes and topics; one for each LiDAR where a vehicle has several.
+    foxglove_port : int, optional
+        Port on which Foxglove can connect from this computer.
     on_status : callable, optional
         Told what the monitor sees, twice a second.
 
@@ -134,6 +156,8 @@ def run_live_graph(
     graph = live_graph(
         output, files, given, remappings=remappings, route=route, record=record, sim_time=sim_time
     )
+    graph = graph if foxglove_port is None else with_foxglove(graph, foxglove_port)
+    graph = deployed(graph, namespace=namespace)
     output.mkdir(parents=True, exist_ok=True)
     with node_environment(shared=True) as environment:
         supervisor = Supervisor(graph, environment, progress, on_status=on_status)

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Any, get_origin
 
 from subiaco_bringup.environment import dds_defaults
-from subiaco_bringup.graph import GraphSpec, NodeSpec
+from subiaco_bringup.graph import GraphSpec, NodeSpec, deployed, with_foxglove
 from subiaco_bringup.supervisor import MOST_RESTARTS, RESTART_DELAY, SETTLING
 from subiaco_geo.errors import InputError, RegistrationError, SubiacoError
 from subiaco_geo.requests import Request
@@ -26,6 +26,40 @@ def split_words(text: str) -> list[str]:
 def split_paths(text: str) -> list[Path]:
     """Split the value of a launch argument into paths."""
     return [Path(word) for word in split_words(text)]
+
+
+#: Arguments of every launch file.
+COMMON_ARGUMENTS = (
+    ("namespace", "", "namespace of all nodes and topics, e.g. one for each LiDAR"),
+    ("use_sim_time", "", "true follows /clock; empty does what the graph needs"),
+    ("autostart", "true", "false leaves configure and activate to 'ros2 lifecycle set'"),
+    ("foxglove_port", "", "port on which Foxglove can connect from this computer; empty serves nothing"),
+)
+
+
+def is_true(text: str) -> bool:
+    """Read a launch argument that is true or false.
+
+    Raises
+    ------
+    InputError
+        It is neither.
+    """
+    if text.lower() not in ("true", "false"):
+        raise InputError(f"launch argument {text}: expected true or false")
+    return text.lower() == "true"
+
+
+def as_deployed(graph: GraphSpec, values: Arguments) -> GraphSpec:
+    """Apply the arguments that every launch file has."""
+    if values["foxglove_port"]:
+        graph = with_foxglove(graph, int(values["foxglove_port"]))
+    return deployed(
+        graph,
+        namespace=values["namespace"],
+        autostart=is_true(values["autostart"]),
+        use_sim_time=is_true(values["use_sim_time"]) if values["use_sim_time"] else None,
+    )
 
 
 def request_arguments(
@@ -139,13 +173,14 @@ def launch_description(
 
     from launch import LaunchDescription  # type: ignore[attr-defined,unused-ignore]
 
+    every = (*arguments, *COMMON_ARGUMENTS)
+
     def expand(context: Any) -> list[Any]:
-        values = {name: LaunchConfiguration(name).perform(context) for name, _, _ in arguments}
-        return launch_actions(describe(values))
+        values = {name: LaunchConfiguration(name).perform(context) for name, _, _ in every}
+        return launch_actions(as_deployed(describe(values), values))
 
     declared = [
-        DeclareLaunchArgument(name, default_value=default, description=text)
-        for name, default, text in arguments
+        DeclareLaunchArgument(name, default_value=default, description=text) for name, default, text in every
     ]
     local = [SetEnvironmentVariable(name, value) for name, value in dds_defaults(os.environ).items()]
     return LaunchDescription([*declared, *local, OpaqueFunction(function=expand)])

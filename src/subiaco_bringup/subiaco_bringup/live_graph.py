@@ -67,15 +67,13 @@ def _monitor(config: dict[str, Any], folder: Path, route: Path | None) -> NodeSp
 
 
 def _odometry(config: dict[str, Any]) -> NodeSpec:
-    parameters = {**config, "follow_offers": True}
-    return NodeSpec("odometry", "subiaco_mapping", "odometry_node", parameters, restart=True)
+    return NodeSpec("odometry", "subiaco_mapping", "odometry_node", config, restart=True)
 
 
 def _pose_graph(config: dict[str, Any], folder: Path) -> NodeSpec:
     own = {
         "output_directory": str(folder / MAP),
         "watch_manifest": str(folder / "manifest.yaml"),
-        "follow_offers": True,
         "live_period": _LIVE_PERIOD,
         "save_on_exit": True,
     }

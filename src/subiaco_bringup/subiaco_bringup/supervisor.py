@@ -278,7 +278,8 @@ class Supervisor:
         while True:
             self._check()
             self._start_due()
-            if not self._due and all(process.code is not None for process in self.processes):
+            awaited = (process for process in self.processes if not process.spec.companion)
+            if not self._due and all(process.code is not None for process in awaited):
                 break
             if deadline is None and self._principal_done():
                 deadline = time.monotonic() + self._linger

@@ -35,3 +35,13 @@ class Semantic(IntEnum):
     def label(self) -> str:
         """Name in the table, e.g. ``building``."""
         return self.name.lower()
+
+
+#: ASPRS classification of LAS 1.4 for each of our classes; 64 is the first user code.
+ASPRS_CODES: dict[Semantic, int] = {
+    Semantic.GROUND: 2,
+    Semantic.BUILDING: 6,
+    Semantic.VEGETATION: 5,
+    Semantic.MOBILE: 64,
+    Semantic.OTHER: 1,
+}

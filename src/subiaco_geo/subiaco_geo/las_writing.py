@@ -74,11 +74,16 @@ def write_las(path: Path, cloud: PointCloud, *, ellipsoidal: bool = True) -> Non
 
 @contextmanager
 def las_stream(
-    path: Path, *, ellipsoidal: bool = True, unit_intensity: bool | None = None
+    path: Path,
+    *,
+    ellipsoidal: bool = True,
+    unit_intensity: bool | None = None,
+    standard_gps_time: bool = False,
 ) -> Iterator[LasStream]:
     """Write clouds one after another to one file, which appears whole at the end; see :func:`write_las`.
 
     ``unit_intensity`` tells whether intensity runs from 0 to 1; None lets the first cloud tell.
+    ``standard_gps_time`` tells that ``gps_time`` is adjusted standard GPS time, not seconds of the week.
 
     Raises
     ------
@@ -86,7 +91,7 @@ def las_stream(
         Nothing was appended.
     """
     with whole_file(path) as temporary:
-        stream = LasStream(path, temporary, ellipsoidal, unit_intensity)
+        stream = LasStream(path, temporary, ellipsoidal, unit_intensity, standard_gps_time=standard_gps_time)
         try:
             yield stream
         finally:
@@ -112,12 +117,20 @@ class LasRecords:
     ----------
     path : Path
         For errors.
-    ellipsoidal, unit_intensity
+    ellipsoidal, unit_intensity, standard_gps_time
         As for :func:`las_stream`.
     """
 
-    def __init__(self, path: Path, ellipsoidal: bool, unit_intensity: bool | None = None) -> None:
+    def __init__(
+        self,
+        path: Path,
+        ellipsoidal: bool,
+        unit_intensity: bool | None = None,
+        *,
+        standard_gps_time: bool = False,
+    ) -> None:
         self._path, self._ellipsoidal, self._unit = path, ellipsoidal, unit_intensity
+        self._standard_gps_time = standard_gps_time
         self._form: _Form | None = None
 
     @property
@@ -146,6 +159,8 @@ class LasRecords:
         columns = scalar_columns(self._path, cloud)
         if self._form is None:
             form = _form(self._path, cloud, columns, self._ellipsoidal)
+            if self._standard_gps_time:
+                form.header.global_encoding.gps_time_type = laspy.header.GpsTimeType.STANDARD
             self._form = form if self._unit is None else replace(form, unit_intensity=self._unit)
         form = self._form
         if cloud.crs != form.crs or _types(columns) != form.types:
@@ -160,8 +175,16 @@ class LasRecords:
 class LasStream:
     """Takes the clouds of :func:`las_stream`."""
 
-    def __init__(self, path: Path, temporary: Path, ellipsoidal: bool, unit: bool | None = None) -> None:
-        self._records = LasRecords(path, ellipsoidal, unit)
+    def __init__(
+        self,
+        path: Path,
+        temporary: Path,
+        ellipsoidal: bool,
+        unit: bool | None = None,
+        *,
+        standard_gps_time: bool = False,
+    ) -> None:
+        self._records = LasRecords(path, ellipsoidal, unit, standard_gps_time=standard_gps_time)
         self._temporary, self._compressed = temporary, path.suffix.lower() == ".laz"
         self._writer: laspy.LasWriter | None = None
 

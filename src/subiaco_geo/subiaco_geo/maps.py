@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -41,12 +42,15 @@ from subiaco_geo.visibility import VisibilityGrid, load_visibility, save_visibil
 _FARTHEST = 1e9
 
 
-def write_map(directory: Path, survey: SurveyMap, overwrite: bool = False) -> None:
+def write_map(
+    directory: Path, survey: SurveyMap, overwrite: bool = False, folders: Mapping[str, Path] | None = None
+) -> None:
     """Write a map directory; it appears whole or not at all.
 
     ``map.laz map.ply map.yaml manifest.yaml config.yaml`` always;
     ``trajectory.tum visibility.npz uncertainty.csv heights.csv last.laz moving.laz
     tile_uncertainty.csv odometry/<sequence>.txt (.times.txt)`` and reports where the survey has them.
+    ``folders`` are moved into it under their names.
 
     Raises
     ------
@@ -70,6 +74,8 @@ def write_map(directory: Path, survey: SurveyMap, overwrite: bool = False) -> No
         _write_yaml(out / "config.yaml", {"/**": {"ros__parameters": survey.config}})
         for name, text in survey.pages.items():
             (out / name).write_text(text, encoding="utf-8")
+        for name, folder in (folders or {}).items():
+            shutil.move(folder, out / name)
 
 
 def read_map(directory: Path, *, with_last: bool = True) -> SurveyMap:

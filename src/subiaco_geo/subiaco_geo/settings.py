@@ -101,7 +101,8 @@ def method_statement(config: StrictModel, constants: Mapping[str, Any] | None = 
     Returns
     -------
     dict
-        ``version``; ``hash`` of all numbers; ``departures``, the numbers that are not at their defaults.
+        ``version``; ``hash`` of all numbers; ``departures``, the numbers that are not at their defaults;
+        ``constants`` as given. The other numbers stand in the ``config.yaml`` of the result.
     """
     numbers = method_numbers(config)
     usual = method_numbers(type(config)())
@@ -109,4 +110,5 @@ def method_statement(config: StrictModel, constants: Mapping[str, Any] | None = 
         "version": METHOD_VERSION,
         "hash": fingerprint({**numbers, **(constants or {})})[:16],
         "departures": {name: value for name, value in numbers.items() if value != usual.get(name)},
+        **({} if constants is None else {"constants": dict(constants)}),
     }

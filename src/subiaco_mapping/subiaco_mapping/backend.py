@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +11,7 @@ from subiaco_geo.crs_area import require_usable
 from subiaco_geo.errors import InputError
 from subiaco_geo.survey_map import SurveyMap
 from subiaco_mapping.config import MappingConfig
+from subiaco_mapping.fusion.full_density import FullDensity
 from subiaco_mapping.fusion.map_builder import ProgressCallback, build_map, silent
 from subiaco_mapping.measurements import DeskewedScan, Extrinsics, GnssFix, HeadingSample, OdometryPose
 from subiaco_mapping.pose_graph.solution import GraphSolution, LiveEstimate
@@ -113,7 +115,10 @@ class MappingBackend:
         return filled
 
     def build_map(
-        self, progress: ProgressCallback | None = None, inputs: Mapping[str, str] | None = None
+        self,
+        progress: ProgressCallback | None = None,
+        inputs: Mapping[str, str] | None = None,
+        density: FullDensity | None = None,
     ) -> SurveyMap:
         """Solve, and fuse every scan at its pose.
 
@@ -123,6 +128,8 @@ class MappingBackend:
             Told stage and fraction.
         inputs : mapping of str to str, optional
             Names and hashes of the recordings, for ``map.yaml``.
+        density : FullDensity, optional
+            Where every return is written too; taken up if the settings ask for it.
 
         Returns
         -------
@@ -130,11 +137,15 @@ class MappingBackend:
         """
         report = progress or silent
         report("solving the pose graph", 0.0)
-        return build_map(self._filled(), self.optimize(), self._config, report, inputs)
+        return build_map(self._filled(), self.optimize(), self._config, report, inputs, density)
 
     def with_quality(self, survey: SurveyMap, progress: ProgressCallback | None = None) -> SurveyMap:
         """Return a map that this back end has built with its quality report beside it."""
         from subiaco_mapping.map_quality.page import with_quality  # matplotlib, for this alone
 
         (progress or silent)("checking the map", 0.0)
-        return with_quality(survey, self.optimize(), self._config)
+        solution = self.optimize()
+        if solution.absolute is not None:
+            known = {**survey.info, "control": solution.absolute.described(survey.cloud)}
+            survey = replace(survey, info=known)
+        return with_quality(survey, solution, self._config)

@@ -9,6 +9,7 @@ from pydantic import Field, field_validator
 
 from subiaco_geo.config import StrictModel
 from subiaco_geo.movement import MovementConfig
+from subiaco_mapping.absolute_positions.config import ControlConfig, ReferenceConfig
 from subiaco_mapping.calibration.config import CalibrationConfig
 from subiaco_mapping.health_monitor.config import WatchConfig
 from subiaco_mapping.importers.csv_logs import LogsConfig
@@ -384,6 +385,11 @@ class FusionConfig(StrictModel):
         description="Free disk space [GB] below which points of further scans are left out, so that the "
         "map so far can still be written",
     )
+    full_density: bool = Field(
+        False,
+        description="Writes every return too, as classified LAZ tiles with GPS times in the folder "
+        "full_density of the map; needs about 40 bytes of disk a return while the map is made",
+    )
     min_points: int = Field(1, ge=1, description="Number of points that a voxel of the map needs")
     outlier_neighbours: int = Field(
         3,
@@ -493,6 +499,7 @@ class MappingConfig(StrictModel):
         "fusion.leaf",
         "fusion.max_range",
         "fusion.reserve_gb",
+        "fusion.full_density",
         "fusion.moving.enabled",
     )
 
@@ -511,6 +518,8 @@ class MappingConfig(StrictModel):
     gnss: GnssConfig = GnssConfig()
     graph: GraphConfig = GraphConfig()
     loops: LoopConfig = LoopConfig()
+    control: ControlConfig = ControlConfig()
+    reference: ReferenceConfig = ReferenceConfig()
     fusion: FusionConfig = FusionConfig()
     manifest: ManifestConfig = ManifestConfig()
     quality: QualityConfig = QualityConfig()

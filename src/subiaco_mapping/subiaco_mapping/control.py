@@ -2,48 +2,27 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Mapping
 from dataclasses import dataclass
-from pathlib import Path
 from typing import Any
 
 import numpy as np
 from scipy.spatial import cKDTree
 
 from subiaco_geo.clouds import PointCloud
-from subiaco_geo.crs import transformer
 from subiaco_geo.datum_shifts import likely_shift
-from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
+from subiaco_mapping.control_points import PICKED, ControlPoints
 
 #: Fewer points than this make no accuracy statement (ASPRS Positional Accuracy Standards, edition 2, 2023).
 ENOUGH = 30
-_SURVEYED = ("east", "north", "height")
-_PICKED = ("map_east", "map_north", "map_height")
+#: Factors to 95 % of the RMSE of horizontal distances, and of heights (NSSDA, ICSM SP1).
+HORIZONTAL_95, VERTICAL_95 = 1.7308, 1.96
 _RADIUS = 0.75  # map points around a control point that carry its surface [m]
 _REACH = 1.0  # above or below the control point, map points are another surface [m]
 _TRIM = 3.0  # points so many robust deviations off the fitted plane are left out
 _ALIKE = 3  # control points that must err alike before a cause is named
 _FEW = 8  # fewer map points carry no plane
-
-
-@dataclass(frozen=True)
-class ControlPoints:
-    """Surveyed points, in the CRS of the map.
-
-    Parameters
-    ----------
-    names : tuple of str
-    surveyed : (N, 3) float64
-        East, north, ellipsoidal height [m].
-    picked : (N, 3) float64
-        Where a person found the points in the map [m]; NaN where nobody did.
-    """
-
-    names: tuple[str, ...]
-    surveyed: Floats
-    picked: Floats
 
 
 @dataclass(frozen=True)
@@ -80,10 +59,12 @@ class ControlResiduals:
         return {
             "points": len(self.points.names),
             "horizontal_points": len(east_north),
-            "rmse_horizontal_m": _rms(np.linalg.norm(east_north, axis=1)),
+            "rmse_horizontal_m": (horizontal := _rms(np.linalg.norm(east_north, axis=1))),
+            "horizontal_95_m": None if horizontal is None else HORIZONTAL_95 * horizontal,
             "bias_east_north_m": None if len(east_north) == 0 else east_north.mean(axis=0).tolist(),
             "vertical_points": len(heights),
-            "rmse_vertical_m": _rms(heights),
+            "rmse_vertical_m": (vertical := _rms(heights)),
+            "vertical_95_m": None if vertical is None else VERTICAL_95 * vertical,
             "bias_vertical_m": None if len(heights) == 0 else float(heights.mean()),
             "warnings": self._warnings(len(east_north), len(heights)),
         }
@@ -92,7 +73,7 @@ class ControlResiduals:
         found = []
         if horizontal == 0:
             found.append(
-                f"no horizontal residual: columns {', '.join(_PICKED[:2])} say where a point lies in the map"
+                f"no horizontal residual: columns {', '.join(PICKED[:2])} say where a point lies in the map"
             )
         for name, count in (("horizontal", horizontal), ("vertical", vertical)):
             if 0 < count < ENOUGH:
@@ -138,56 +119,6 @@ class ControlResiduals:
             f"between {found.before} and {found.after} ({found.size:.2f} m): the control points are probably "
             f"in {found.before}; give their CRS with --crs"
         )
-
-
-def read_control(path: Path, map_crs: str, crs: str | None = None) -> ControlPoints:
-    """Read ``name,east,north,height`` and, where picked in the map, ``map_east,map_north,map_height``.
-
-    Parameters
-    ----------
-    path : Path
-        CSV with a header line. Heights are ellipsoidal [m].
-    map_crs : str
-        CRS of the map.
-    crs : str, optional
-        CRS of the surveyed coordinates, that of the map where absent.
-
-    Raises
-    ------
-    InputError
-        A column or a number is missing, or PROJ cannot bring the points to the map.
-    """
-    try:
-        with path.open(newline="", encoding="utf-8-sig") as stream:
-            rows = list(csv.DictReader(stream))
-    except (OSError, UnicodeDecodeError) as error:
-        raise InputError(f"{path}: cannot be read ({error}); give a CSV of control points") from error
-    if not rows:
-        raise InputError(f"{path}: holds no control points; give a CSV with {','.join(('name', *_SURVEYED))}")
-    for column in ("name", *_SURVEYED):
-        if column not in rows[0]:
-            raise InputError(f"{path}: column {column} is missing; expected name,{','.join(_SURVEYED)}")
-    surveyed = _numbers(path, rows, _SURVEYED)
-    if not np.isfinite(surveyed).all():
-        line = 2 + int(np.flatnonzero(~np.isfinite(surveyed).all(axis=1))[0])
-        raise InputError(
-            f"{path}: line {line}: a surveyed coordinate is missing; fill it in or drop the line"
-        )
-    if crs is not None:
-        surveyed = transformer(crs, map_crs).apply(surveyed)
-    return ControlPoints(tuple(row["name"] for row in rows), surveyed, _numbers(path, rows, _PICKED))
-
-
-def _numbers(path: Path, rows: list[dict[str, str]], columns: tuple[str, ...]) -> Floats:
-    values = np.full((len(rows), len(columns)), np.nan)
-    for line, row in enumerate(rows):
-        for place, column in enumerate(columns):
-            text = (row.get(column) or "").strip()
-            try:
-                values[line, place] = float(text) if text else np.nan
-            except ValueError as error:
-                raise InputError(f"{path}: line {line + 2}: {column} is {text!r}, not a number") from error
-    return values
 
 
 def check_control(cloud: PointCloud, points: ControlPoints) -> ControlResiduals:
@@ -258,5 +189,8 @@ def describe_control(residuals: ControlResiduals) -> str:
 
 def _line(summary: Mapping[str, Any], kind: str) -> str:
     rmse = summary[f"rmse_{kind}_m"]
-    figure = "none" if rmse is None else f"{rmse:.3f} m"
-    return f"RMSE {kind}: {figure} over {summary[f'{kind}_points']} points (map minus survey)"
+    if rmse is None:
+        return f"RMSE {kind}: none over 0 points"
+    within = summary[f"{kind}_95_m"]
+    count = summary[f"{kind}_points"]
+    return f"RMSE {kind}: {rmse:.3f} m over {count} points (map minus survey), {within:.3f} m at 95 %"

@@ -153,6 +153,9 @@ class DeskewedScan:
         Mean specific force over the scan in ``lidar_link`` [m/s2].
     columns, lost_columns, dropped_points : int
         Columns that the sensor sends a turn (0 where it sends none), and those that never arrived.
+    raw : tuple of Returns, optional
+        Returns of ``xyz`` and, where the sensor gives one, ``last_xyz`` before deskewing, in their order:
+        times and rings. None where the scan came without them, as over a topic.
     """
 
     stamp_ns: int
@@ -167,6 +170,7 @@ class DeskewedScan:
     columns: int = 0
     lost_columns: int = 0
     dropped_points: int = 0
+    raw: tuple[Returns, Returns | None] | None = None
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from subiaco_geo.work.tasks import Inputs
 from subiaco_mapping.checkpoint.checkpoint import CheckpointedBackend, opened
 from subiaco_mapping.checkpoint.sequence_files import pack
 from subiaco_mapping.config import MappingConfig
+from subiaco_mapping.fusion.full_density import FullDensity
 from subiaco_mapping.fusion.map_builder import ProgressCallback, silent
 from subiaco_mapping.health_monitor.files import with_watched
 from subiaco_mapping.measurements import DeskewedScan, Extrinsics, GnssFix, HeadingSample, OdometryPose
@@ -197,6 +198,7 @@ def map_survey(
     checkpoint: Path | None = None,
     resume: bool = False,
     workers: int = 1,
+    density: FullDensity | None = None,
 ) -> SurveyMap:
     """Map the bags of one epoch, each a sequence.
 
@@ -214,6 +216,8 @@ def map_survey(
         Go on with what the checkpoint holds; recordings that are done are not read again.
     workers : int
         Processes that read recordings beside each other; the map is the same.
+    density : FullDensity, optional
+        Where every return is written too, with ``fusion.full_density``.
 
     Returns
     -------
@@ -239,5 +243,5 @@ def map_survey(
                 with open_bag(bag, config.topics) as reader:
                     run_sequence(reader, backend, config, report, PlaceCheck(config.crs))
                 backend.keep(content)
-        survey = mark_simulated(backend.build_map(report, inputs), [Path(bag) for bag in bags])
+        survey = mark_simulated(backend.build_map(report, inputs, density), [Path(bag) for bag in bags])
         return backend.with_quality(with_watched(survey, bags), report)

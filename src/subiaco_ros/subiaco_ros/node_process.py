@@ -8,8 +8,7 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterable, Sequence
-from typing import Protocol, runtime_checkable
+from collections.abc import Iterable, Sequence
 
 import rclpy
 from rclpy._rclpy_pybind11 import RCLError
@@ -20,6 +19,7 @@ from rclpy.node import Node
 from rclpy.publisher import Publisher
 
 from subiaco_geo.errors import InputError, SubiacoError
+from subiaco_ros.managed_node import Build, ManagedNode
 from subiaco_ros.supervision import supervisor_channel
 
 INTERRUPTED = 130
@@ -27,25 +27,6 @@ _SUPERVISOR = "SUBIACO_SUPERVISOR"  # the process that started this one
 
 #: Loggers whose information is shown; of other libraries only warnings.
 _OURS = ("__main__", "subiaco_geo", "subiaco_ros", "subiaco_mapping", "subiaco_change", "subiaco_report")
-
-
-class App(Protocol):
-    """The working part of a node process."""
-
-    @property
-    def done(self) -> bool:
-        """Whether the process may end with success."""
-
-    def step(self) -> float:
-        """Do what is not a callback; return the seconds that may be spent waiting for callbacks."""
-
-
-@runtime_checkable
-class Closing(Protocol):
-    """An app that must put something away, however its process ends."""
-
-    def close(self) -> None:
-        """Put it away; SubiacoError where it cannot be."""
 
 
 class _RosLogHandler(logging.Handler):
@@ -82,10 +63,10 @@ def _orphaned() -> bool:
     return supervisor is not None and os.getppid() != int(supervisor)
 
 
-def _spin(executor: SingleThreadedExecutor, app: App) -> None:
-    """Run callbacks and steps in one thread until the app is done."""
-    while not app.done:
-        executor.spin_once(timeout_sec=app.step())
+def _spin(executor: SingleThreadedExecutor, node: ManagedNode) -> None:
+    """Run callbacks and steps in one thread until the node may end."""
+    while not node.finished:
+        executor.spin_once(timeout_sec=node.step())
         if _orphaned():
             raise ExternalShutdownException
 
@@ -98,8 +79,10 @@ def _attach_logging(node: Node) -> None:
         logging.getLogger(name).setLevel(logging.INFO)
 
 
-def run_node(name: str, build: Callable[[Node], App], argv: Sequence[str] | None = None) -> int:
-    """Run one node process from start to end and return its exit code.
+def run_node(name: str, build: Build, argv: Sequence[str] | None = None) -> int:
+    """Run one lifecycle node as a process from start to end and return its exit code.
+
+    The node configures and activates itself unless its parameter ``autostart`` is false.
 
     Exit codes are those of the command line: 0 done, 2 bad input, 3 a
     registration that failed, 130 interrupted; an unexpected fault is a
@@ -115,9 +98,9 @@ def run_node(name: str, build: Callable[[Node], App], argv: Sequence[str] | None
     except (RCLError, ParameterException, RuntimeError) as error:
         return _refused(f"{name}: {' '.join(str(error).split())}", InputError.exit_code)
     try:
-        node = Node(name, automatically_declare_parameters_from_overrides=True)
+        node = ManagedNode(name, build)
         _attach_logging(node)
-        return _run(node, build)
+        return _run(node)
     except (ExternalShutdownException, KeyboardInterrupt):
         return interrupted
     except SubiacoError as error:  # at the end: interrupted, there is no node any more that could log it
@@ -139,20 +122,18 @@ def _refused(reason: str, code: int) -> int:
     return code
 
 
-def _run(node: Node, build: Callable[[Node], App]) -> int:
+def _run(node: ManagedNode) -> int:
     executor = SingleThreadedExecutor()
     executor.add_node(node)
-    app: App | None = None
     try:
-        app = build(node)
-        _spin(executor, app)
+        node.start()
+        _spin(executor, node)
     except SubiacoError as error:
         node.get_logger().fatal(str(error))
         supervisor_channel().error(str(error))
         return error.exit_code
     finally:
-        if isinstance(app, Closing):
-            app.close()
+        node.put_away()
         executor.shutdown(timeout_sec=1.0)
     return 0
 

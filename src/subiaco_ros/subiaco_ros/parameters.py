@@ -1,7 +1,8 @@
 """Parameters of nodes, read into models: meaning, unit and bounds come from the models.
 
-Nodes read their parameters once, at the start. All are therefore read-only: ``ros2 param set`` is refused,
-and ``ros2 param describe`` tells what a parameter means.
+Nodes read their parameters when they are configured. From then on parameters are read-only, so that
+``ros2 param set`` is refused; only those whose field says ``json_schema_extra=DYNAMIC`` are taken up at once.
+Cleaning up lets all of them be set again. ``ros2 param describe`` tells what a parameter means.
 """
 
 from __future__ import annotations
@@ -19,9 +20,15 @@ from rclpy.parameter import Parameter
 
 from subiaco_geo.config import StrictModel, merge, validate
 
+#: Says of a field of a model that the node takes a new value up while it works.
+DYNAMIC: dict[str, Any] = {"dynamic": True}
+
+#: Parameter of every node: whether it configures and activates itself.
+AUTOSTART = "autostart"
+
 _LARGEST_INTEGER = 2**63 - 1
-#: Parameters that ROS itself declares.
-_ROS_OWN = ("use_sim_time", "qos_overrides", "start_type_description_service")
+#: Parameters that do not belong to a model: those that ROS itself declares, and :data:`AUTOSTART`.
+_NO_SETTINGS = ("use_sim_time", "qos_overrides", "start_type_description_service", AUTOSTART)
 
 Model = TypeVar("Model", bound=StrictModel)
 
@@ -56,6 +63,12 @@ def _bounds(field: FieldInfo) -> tuple[Any, Any, list[str]]:
     return low, high, words
 
 
+def is_dynamic(field: FieldInfo) -> bool:
+    """Whether a node takes a new value of a field up while it works."""
+    extra = field.json_schema_extra
+    return isinstance(extra, dict) and bool(extra.get("dynamic"))
+
+
 def descriptor(field: FieldInfo, kind: Parameter.Type) -> ParameterDescriptor:
     """Return the descriptor of a field for a value of some type."""
     low, high, words = _bounds(field)
@@ -63,7 +76,7 @@ def descriptor(field: FieldInfo, kind: Parameter.Type) -> ParameterDescriptor:
         type=kind.value,
         description=field.description or "",
         additional_constraints=", ".join(words),
-        read_only=True,
+        read_only=not is_dynamic(field),
         dynamic_typing=kind is Parameter.Type.NOT_SET,
     )
     if (low, high) == (None, None):
@@ -110,6 +123,13 @@ def describe_parameters(node: Node, model: BaseModel) -> None:
         node.declare_parameter(name, given, descriptor(field, kind))
 
 
+def unlock_parameters(node: Node) -> None:
+    """Let the parameters of a node that is no longer configured be set again."""
+    for name in node.get_parameters_by_prefix(""):
+        if name.split(".")[0] not in _NO_SETTINGS:
+            node.describe_parameter(name).read_only = False
+
+
 def nested(flat: Mapping[str, Any]) -> dict[str, Any]:
     """Turn ``{"a.b": 1}`` into ``{"a": {"b": 1}}``; lists become tuples' equals, plain lists."""
     values: dict[str, Any] = {}
@@ -122,10 +142,10 @@ def nested(flat: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def node_values(node: Node) -> dict[str, Any]:
-    """Return the parameters given to a node, nested, without those that ROS declares itself."""
+    """Return the parameters given to a node, nested, without those that belong to no model."""
     found = node.get_parameters_by_prefix("").items()
     given = {name: parameter.value for name, parameter in found if parameter.value is not None}
-    return {name: value for name, value in nested(given).items() if name not in _ROS_OWN}
+    return {name: value for name, value in nested(given).items() if name not in _NO_SETTINGS}
 
 
 def read_models(node: Node, own: type[Model], config: type[StrictModel] | None = None) -> tuple[Model, Any]:

@@ -16,6 +16,8 @@ from rclpy.subscription import Subscription
 from rosbags.interfaces import Qos, QosDurability, QosHistory, QosLiveliness, QosReliability, QosTime
 
 from subiaco_geo.errors import InputError
+from subiaco_ros.qos import overridable
+from subiaco_ros.topic_names import relative
 
 #: How often it is looked who publishes [s].
 LOOK_INTERVAL = 0.2
@@ -150,6 +152,9 @@ def drain(subscription: Subscription, handler: Callable[..., object], most: int)
 class OfferedSubscription:
     """Subscribe as soon as somebody publishes, and anew where the offer changes.
 
+    The profile is that of sensor data (best effort, volatile), and better where every publisher offers
+    better: a driver is heard whatever it offers, and a replay that is reliable loses nothing.
+
     Parameters
     ----------
     node : Node
@@ -210,8 +215,14 @@ class OfferedSubscription:
                 wanted_qos(offer, self._depth),
                 callback_group=self._polled,
                 raw=self._raw,
+                qos_overriding_options=overridable() if self._is_overridden() else None,
             )
         return True
+
+    def _is_overridden(self) -> bool:
+        """Whether parameters ``qos_overrides.TOPIC.subscription`` ask for a quality, whatever is offered."""
+        topic = self._node.resolve_topic_name(self._topic)
+        return bool(self._node.get_parameters_by_prefix(f"qos_overrides.{topic}.subscription"))
 
     def drain(self, most: int | None = None) -> int:
         """Hand on what has arrived, where the subscription is polled; at most what it holds."""
@@ -234,7 +245,7 @@ def follow_offers(
     group = PolledCallbackGroup() if polled else None
     found = {
         topic: OfferedSubscription(
-            node, kind, topic.lstrip("/"), handler, depth, raw, group if topic in polled else None
+            node, kind, relative(topic), handler, depth, raw, group if topic in polled else None
         )
         for kind, topic, handler, depth, raw in wanted
     }

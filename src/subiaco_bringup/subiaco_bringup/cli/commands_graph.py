@@ -39,6 +39,17 @@ from subiaco_bringup.cli.progress import Progress
 from subiaco_bringup.defaults import config_files
 from subiaco_geo.config import load_config
 
+FoxglovePort = Annotated[
+    int | None,
+    typer.Option(
+        "--foxglove",
+        min=0,
+        max=65535,
+        metavar="PORT",
+        help="Serve the topics to Foxglove on this computer: open ws://127.0.0.1:PORT there, e.g. 8765.",
+    ),
+]
+
 graph = typer.Typer(
     help="Run a job through the ROS 2 nodes, each a process of its own; the result is that of "
     "'subiaco map' or 'subiaco change'.\n\nExample: subiaco graph mapping bags/demo/before -o out/before",
@@ -58,6 +69,7 @@ def mapping(
     settings: Settings = None,
     rate: Annotated[float, typer.Option(help="Replay speed; 0 is as fast as the nodes go.")] = 0.0,
     overwrite: Overwrite = False,
+    foxglove: FoxglovePort = None,
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
@@ -73,7 +85,7 @@ def mapping(
     model = load_config(MappingConfig, config_files("mapping", tuple(config or ())), settings or [])
     request = MappingRequest.of(bags=tuple(bags), output=output, overwrite=overwrite, config=model)
     with Progress(quiet=quiet) as progress:
-        run_mapping_graph(request, rate=rate, progress=progress)
+        run_mapping_graph(request, rate=rate, foxglove_port=foxglove, progress=progress)
     say(f"map: {output}", quiet=quiet)
     end_with_verdict(output, quiet=quiet)
 
@@ -147,6 +159,11 @@ def live(
     sim_time: Annotated[
         bool, typer.Option("--sim-time", help="Follow /clock, for 'ros2 bag play --clock'.")
     ] = False,
+    namespace: Annotated[
+        str,
+        typer.Option(help="Namespace of all nodes and topics; one for each LiDAR where there are several."),
+    ] = "",
+    foxglove: FoxglovePort = None,
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
@@ -170,6 +187,8 @@ def live(
             route=route,
             record=not no_record,
             sim_time=sim_time,
+            namespace=namespace,
+            foxglove_port=foxglove,
             progress=progress,
             on_status=view,
         )

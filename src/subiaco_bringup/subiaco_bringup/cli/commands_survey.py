@@ -32,6 +32,11 @@ def _settings(given: list[str] | None, **named: object) -> list[str]:
     return [f"{key}={value}" for key, value in named.items() if value is not None] + (given or [])
 
 
+def _whole(path: Path | None) -> Path | None:
+    """Return an absolute path, for a setting that another process may read."""
+    return None if path is None else path.resolve()
+
+
 def simulate(
     out: Annotated[Path, typer.Argument(metavar="OUT", help="Survey directory to write.")],
     seed: Annotated[
@@ -173,6 +178,22 @@ def map_(
         ),
     ],
     output: Output,
+    control: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="CSV",
+            help="Surveyed control points that constrain the map; one in three is held out as a check. "
+            "Columns and settings: control.*.",
+        ),
+    ] = None,
+    reference: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="CLOUD",
+            help="Map or cloud of known position (airborne, terrestrial, an earlier epoch) that holds "
+            "the map where GNSS is poor; settings: reference.*.",
+        ),
+    ] = None,
     config: ConfigFiles = None,
     settings: Settings = None,
     threads: Annotated[
@@ -201,6 +222,14 @@ def map_(
             "recordings are not read again.",
         ),
     ] = False,
+    full_density: Annotated[
+        bool,
+        typer.Option(
+            "--full-density",
+            help="Write every return too: classified LAZ tiles with GPS times in MAP_DIR/full_density. "
+            "map.laz has one point for each voxel of 0.25 m.",
+        ),
+    ] = False,
     overwrite: Overwrite = False,
     verbose: Verbose = False,
     quiet: Quiet = False,
@@ -209,10 +238,12 @@ def map_(
 
     A bag without usable GNSS fixes gives a map in a local frame, without CRS.
     A map that most of its own fixes contradict is written, flagged and ends with 3.
+    Residuals at control and check points are in quality.html and map.yaml.
     Until the map is written, the work lies beside it in .MAP_DIR.checkpoint.
 
     Example: subiaco map bags/demo/before -o out/before
     """
+    from subiaco_change.segmentation.map_classes import map_classes
     from subiaco_mapping.config import MappingConfig
     from subiaco_mapping.job import run_mapping
     from subiaco_mapping.request import MappingRequest
@@ -222,13 +253,19 @@ def map_(
         say(f"map: {output} is finished; nothing to resume", quiet=quiet)
         return
     files = config_files("mapping", tuple(config or ()))
+    named: dict[str, object] = {
+        "control.file": _whole(control),
+        "reference.cloud": _whole(reference),
+        "threads": threads,
+    }
+    named |= {"fusion.full_density": "true"} if full_density else {}
     request = MappingRequest.of(
         bags=tuple(bags), output=output, workers=workers or os.cpu_count() or 1,
         resume=resume is not False, keep_checkpoint=keep_checkpoint, overwrite=overwrite,
-        config=load_config(MappingConfig, files, _settings(settings, threads=threads)),
+        config=load_config(MappingConfig, files, _settings(settings, **named)),
     )  # fmt: skip
     with Progress(quiet=quiet) as progress:
-        survey = run_mapping(request, progress)
+        survey = run_mapping(request, progress, map_classes)
     place = survey.cloud.crs or "a local frame without CRS"
     say(f"map: {output} ({len(survey.cloud):,} points in {place})", quiet=quiet)
     end_with_verdict(output, quiet=quiet)
@@ -240,13 +277,20 @@ def check(
         Path,
         typer.Option(
             metavar="CSV",
-            help="name,east,north,height (ellipsoidal) and, where somebody picked the points in the map, "
-            "map_east,map_north,map_height.",
+            help="name,east,north,height (ellipsoidal, or see --geoid) and, where somebody picked the points "
+            "in the map, map_east,map_north,map_height.",
         ),
     ],
     crs: Annotated[
         str | None,
         typer.Option(metavar="EPSG:N", help="CRS of the control points [that of the map]."),
+    ] = None,
+    geoid: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="GRID",
+            help="Geoid model (.gtx, .tif) of the heights of the control points (AUSGeoid2020 for AHD).",
+        ),
     ] = None,
     as_json: AsJson = False,
     verbose: Verbose = False,
@@ -257,13 +301,14 @@ def check(
     Example: subiaco check out/before --control points.csv
     """
     from subiaco_geo.maps import load_epoch
-    from subiaco_mapping.control import check_control, describe_control, read_control
+    from subiaco_mapping.control import check_control, describe_control
+    from subiaco_mapping.control_points import read_control
 
     set_up_logging(verbose, quiet)
     cloud = load_epoch(survey).cloud
     if cloud.crs is None:
         raise InputError(f"{survey}: the map has no CRS, so control points cannot be placed in it")
-    residuals = check_control(cloud, read_control(control, cloud.crs, crs))
+    residuals = check_control(cloud, read_control(control, cloud.crs, crs, geoid))
     if as_json:
         print_json(residuals.summary())
     else:

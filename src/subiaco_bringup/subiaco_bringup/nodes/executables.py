@@ -8,3 +8,8 @@ from subiaco_ros.node_process import start
 def change_node() -> int:
     """Compare two maps."""
     return start("subiaco_bringup.nodes.change_node")
+
+
+def foxglove_node() -> int:
+    """Serve topics to Foxglove."""
+    return start("subiaco_bringup.nodes.foxglove_node")

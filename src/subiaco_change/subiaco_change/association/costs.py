@@ -13,12 +13,13 @@ from scipy.spatial import cKDTree
 from subiaco_change.decisions.measures import histogram_distance, oriented_rectangle, rectangle_iou
 from subiaco_change.decisions.voxel_objects import ObjectInstance
 from subiaco_change.instance_splitting.one_epoch_parts import PartConfig
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
 
 #: Weights of centroid distance [1/m], 1 - IoU and histogram distance, paper.
-_PAPER_COST = (1.0, 2.0, 0.5)
-_PHI_REACH = 0.5  # voxels farther apart are not the intersection of two objects [m]
+_PAPER_COST = NUMBERS.costs.paper_weights
+_PHI_REACH = NUMBERS.costs.intersection_reach
 
 
 class AssociationConfig(StrictModel):

@@ -12,10 +12,11 @@ import numpy as np
 from scipy.special import expit, logit
 
 from subiaco_change.decisions.voxel_objects import Free, ObjectInstance, join_voxels
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_geo.frames import Floats
 
-_PATCH = 4.0  # voxels that are crossed by the same beams, or by none
-_SURE = 1e-6  # less than this is never left of a doubt
+_PATCH = NUMBERS.absence.voxels_per_patch
+_SURE = NUMBERS.absence.least_doubt
 
 
 def absence(

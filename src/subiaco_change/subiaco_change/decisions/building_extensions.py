@@ -10,22 +10,23 @@ from scipy.spatial import cKDTree
 
 from subiaco_change.decisions.voxel_objects import Voxels
 from subiaco_change.instance_splitting.one_epoch_parts import PartConfig
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.segmentation.clustering import cell_clusters
 from subiaco_geo.frames import Floats
 
-_ROUND = 0.75  # a part that touches its host with so much of itself stands round it, however large it is
-_SMALL = 0.1  # less than this share of its host is no house, whatever stands on both sides
-_CAR = 2.3  # no car is taller [m]
-_ROOM = 2.4  # no room is lower: a shed beside a house is no extension [m]
-_LEANS = 0.25  # what touches a second building with more of itself stands between the two
-_WITHIN = 0.3  # share of a host inside a part in one epoch alone, from which the part was the house itself
-_PARTY = 0.5  # walls so near the edge of an outline are shared with a neighbour [m]
-_BESIDE = 0.5  # less of a neighbour lies within the outline of a house in the epoch without it
-_HALF_STOREY = 1.5  # an adjoining part that is taller by more is another house [m]
-_UNDERSIDE = 0.6  # what begins higher, in shares of its top, stands on nothing
-_NEIGHBOURS = 6  # voxels, itself among them, whose normals are compared
-_HIDDEN = 0.5  # less than this share of a wall is seen to be gone where something hides it
-_SMOOTH = 0.78  # mean cosine between the normals of neighbours: leaves stay below 0.75
+_ROUND = NUMBERS.building_extensions.enclosing_share
+_SMALL = NUMBERS.building_extensions.least_house_share
+_CAR = NUMBERS.building_extensions.car_height
+_ROOM = NUMBERS.building_extensions.room_height
+_LEANS = NUMBERS.building_extensions.second_contact
+_WITHIN = NUMBERS.building_extensions.host_inside
+_PARTY = NUMBERS.building_extensions.party_wall
+_BESIDE = NUMBERS.building_extensions.neighbour_inside
+_HALF_STOREY = NUMBERS.building_extensions.half_storey
+_UNDERSIDE = NUMBERS.building_extensions.underside
+_NEIGHBOURS = NUMBERS.building_extensions.normal_neighbours
+_HIDDEN = NUMBERS.building_extensions.wall_seen
+_SMOOTH = NUMBERS.building_extensions.smoothness
 
 
 def find_building_extensions(pairs: Sequence[tuple[Voxels, Voxels]], config: PartConfig) -> dict[int, int]:

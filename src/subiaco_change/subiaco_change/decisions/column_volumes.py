@@ -11,16 +11,17 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from subiaco_change.decisions.voxel_objects import Voxels
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.segmentation.bounding_rectangles import box_coordinates
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.frames import Floats, Ints
 
 NO_COLUMNS: Ints = np.zeros(0, dtype=np.int64)
-_ALONE = 0.75  # share of its observed surface from which on a part stands in one epoch alone
-_CROSSED = 0.2  # share of its new surface that the other epoch must have looked across
-_STRAY = 0.005  # share of places beyond the walls at either end
-_PROBES = (0.3, 0.6, 0.9)  # heights in shares of a top at which a survey is asked whether a column is open
+_ALONE = NUMBERS.column_volumes.one_epoch_share
+_CROSSED = NUMBERS.column_volumes.crossed_share
+_STRAY = NUMBERS.column_volumes.stray_share
+_PROBES = NUMBERS.column_volumes.probe_heights
 
 #: Tells which places (N, 3) a survey looked through.
 Empty = Callable[[Floats], Mask]

@@ -15,6 +15,7 @@ from scipy.special import expit
 
 from subiaco_change.decisions.measures import Measures
 from subiaco_change.decisions.rules import Decision
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.records import ChangeRecord
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.config import StrictModel
@@ -26,14 +27,14 @@ PAPER_WEIGHTS = {
     Semantic.VEGETATION: (0.30, 0.35, 0.15, 0.10, 0.10),
     Semantic.GROUND: (0.50, 0.0, 0.25, 0.0, 0.25),
 }
-_SIGMA_HEIGHT = 0.10
-_SIGMA_VOLUME = 0.05
+_SIGMA_HEIGHT = NUMBERS.confidence.score_height_sigma
+_SIGMA_VOLUME = NUMBERS.confidence.score_volume_sigma
 _EPSILON = 1e-6
 #: Largest calibration error on surveys left out of the fit at which confidences count as probabilities.
-CALIBRATED = 0.05
+CALIBRATED = NUMBERS.confidence.largest_calibration_error
 
 #: Confidences from which on the bands of the summary begin.
-BANDS = (0.9, 0.7, 0.0)
+BANDS = NUMBERS.confidence.band_limits
 
 #: What a row's confidence is a function of, in the order of the coefficients.
 FEATURES = (
@@ -43,8 +44,8 @@ FEATURES = (
 #: The first of these follow from the decision alone.
 _DECIDED = 2
 _CLAIMS = ("single", "reshaped")
-_TYPICAL_SHARE = 0.8  # observed share of a typical row
-_SIGMAS = 6.0  # standard deviations from a limit beyond which more say nothing new
+_TYPICAL_SHARE = NUMBERS.confidence.typical_observed
+_SIGMAS = NUMBERS.confidence.gate_sigmas
 
 Kind = Literal["single", "reshaped", "unchanged"]
 

@@ -22,15 +22,16 @@ from subiaco_change.decisions.voxel_objects import (
     join_voxels,
     observed_on_both_sides,
 )
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats, Ints
 
 Observed = Callable[[Floats], Mask]
-_BESIDE = 0.5  # so far beside a surface lies the next voxel of the visibility layer [m]
-_WALL = 1.5  # height over which a part of a building touches the rest of it [m]
-_LANE = 1.0  # what lies this near a known trail lies in its lane [m]
-_WITHIN = 0.9  # share of its points that must
+_BESIDE = NUMBERS.dynamic_objects.visibility_step
+_LANE = NUMBERS.dynamic_objects.lane_reach
+_WITHIN = NUMBERS.dynamic_objects.lane_share
+_WALL = NUMBERS.dynamic_objects.wall_contact
 
 
 @dataclass(frozen=True)

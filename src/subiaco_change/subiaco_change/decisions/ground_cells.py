@@ -11,12 +11,13 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from subiaco_change.decisions.voxel_objects import UNCERTAIN, EpochView, is_ghost_trail
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.segmentation.ground_model import Mask, fill_gaps
 from subiaco_geo.codes import Semantic
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats
 
-NO_CLAIM = 10.0  # level of detection shown where there is none [m]
+NO_CLAIM = NUMBERS.ground_cells.no_claim_lod
 
 
 class GroundChangeConfig(StrictModel):

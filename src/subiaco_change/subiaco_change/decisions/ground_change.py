@@ -13,16 +13,17 @@ from shapely.geometry.base import BaseGeometry
 
 from subiaco_change.decisions.ground_cells import NO_CLAIM, GroundCells, GroundChangeConfig, block_median
 from subiaco_change.decisions.voxel_objects import EpochView
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.records import GroundChange
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats, Ints
 
-_DENSE = 0.5  # share of the ground around that both epochs measured where one can hide from the other
-_AROUND = 10.0  # what lies this near tells the noise of a thinly seen patch [m]
-_NOISE_BLOCK = 2.0  # within which thinly seen heights err together [m]
-_INNER = 0.15  # share of the cells of a patch inside its rim from which these alone are counted
-_LOD_CELLS = 25  # known cells that speak for a patch without a level of detection
+_DENSE = NUMBERS.ground_change.dense_share
+_AROUND = NUMBERS.ground_change.noise_reach
+_NOISE_BLOCK = NUMBERS.ground_change.noise_block
+_INNER = NUMBERS.ground_change.inner_share
+_LOD_CELLS = NUMBERS.ground_change.lod_cells
 
 
 @dataclass(frozen=True)

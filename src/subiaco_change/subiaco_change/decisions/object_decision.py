@@ -21,12 +21,13 @@ from subiaco_change.decisions.vegetation_null import PlantMeasures, no_null
 from subiaco_change.decisions.voxel_objects import Free, ObjectInstance, join_voxels
 from subiaco_change.instance_splitting.hedge_sections import NOTHING
 from subiaco_change.instance_splitting.vehicle_parts import decide_vehicle_part
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats, Ints
 
-_FLAT_TOP = 0.6  # highest top of what has no class and may be ground raised or laid on it [m]
-_LAID_TOP = 0.25  # the same of a supposed vehicle or plant: no more than ground strays from its model
-_LEVEL = 0.75  # mean upward part of its normals
+_FLAT_TOP = NUMBERS.object_decision.flat_top
+_LAID_TOP = NUMBERS.object_decision.laid_top
+_LEVEL = NUMBERS.object_decision.level_normal
 _OF_PLANTS = (Change.UNCHANGED, Change.INCREASED, Change.DECREASED)  # labels on which other plants have a say
 
 

@@ -16,13 +16,14 @@ from subiaco_change.decisions.measures import Measures
 from subiaco_change.decisions.vegetation_null import PlantMeasures, VegetationNullConfig
 from subiaco_change.decisions.voxel_objects import Free, ObjectInstance
 from subiaco_change.instance_splitting.hedge_sections import NOTHING, Rise, column_rise
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats
 
-_SAMPLE = 500  # points of a plant that are asked for the surface that one epoch alone has
-_MOST = 0.9  # largest probability with which one place counts among the others
-_NOT_KNOWN = 0.5  # probability of being free of a place of which nothing is known
+_SAMPLE = NUMBERS.plant_measures.surface_sample
+_MOST = NUMBERS.plant_measures.place_cap
+_NOT_KNOWN = NUMBERS.plant_measures.unknown_free
 
 
 class PlantConfig(StrictModel):

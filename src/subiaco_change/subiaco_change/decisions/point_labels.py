@@ -14,13 +14,14 @@ from scipy.special import ndtr
 
 from subiaco_change.decisions.ground_change import GroundComparison, GroundPatch, patch_points
 from subiaco_change.decisions.voxel_objects import EpochView, is_ghost_trail
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.records import ChangeRecord
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.visibility_evidence import EvidenceConfig, ground_observed
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats, Ints
 
-_AROUND = 12  # nearest points that tell whether a place lies among them
+_AROUND = NUMBERS.point_labels.surrounding_points
 
 
 @dataclass(frozen=True)

@@ -11,11 +11,12 @@ from pydantic import Field
 
 from subiaco_change.decisions.measures import Measures
 from subiaco_change.decisions.space_carving import Interval
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.config import StrictModel
 
-_EXACT = 0.05  # least half width of bounds in units of their limit: cells are no finer
-_PATCH = 4.0  # voxels of a surface that are seen, or not, together
+_EXACT = NUMBERS.rules.least_half_width
+_PATCH = NUMBERS.rules.voxels_per_patch
 #: Why nothing is said of an object that both epochs saw.
 NO_LEVEL = "Too few points lie at this place for a level of detection: nothing is claimed."
 

@@ -27,6 +27,7 @@ from scipy.spatial import cKDTree
 from subiaco_change.decisions.column_change import ColumnChange
 from subiaco_change.decisions.unseen_columns import body_tops
 from subiaco_change.decisions.voxel_objects import Voxels
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.segmentation.bounding_rectangles import wall_axes
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.config import StrictModel
@@ -38,13 +39,14 @@ Empty = Callable[[Floats], Mask]
 Bare = Callable[[Floats], Mask]
 Cells = NDArray[np.bool_]
 
-_BESIDE, _ABOVE = 0.8, 0.4  # two samplings of one surface lie so far apart [m], voxels being 0.5 m
-_MOST_SIDES = 4  # of the six sides of a cell
-_TOP = 0.05  # a voxel lies so far below the edge that it is of [m]
-_FEW = 4  # columns that make no height
+_BESIDE = NUMBERS.space_carving.horizontal_gap
+_ABOVE = NUMBERS.space_carving.vertical_gap
+_MOST_SIDES = NUMBERS.space_carving.closed_sides
+_TOP = NUMBERS.space_carving.top_tolerance
+_FEW = NUMBERS.space_carving.fewest_columns
 _TOUCHING = np.ones((3, 3, 3), dtype=bool)
 _BESIDE_WALL, _BESIDE_ROOF = np.ones((3, 3, 5), dtype=bool), _TOUCHING  # a surface lies anywhere in its cell
-_LEVEL = 0.7  # |n.e_z| from which a surface is a roof
+_LEVEL = NUMBERS.space_carving.roof_normal
 _FACES = ndimage.generate_binary_structure(3, 1)
 
 

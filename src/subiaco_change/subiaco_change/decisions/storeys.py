@@ -10,19 +10,20 @@ import numpy as np
 from scipy import ndimage
 
 from subiaco_change.decisions.column_change import ColumnChange
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.segmentation.height_profiles import ProfileConfig
 from subiaco_geo.frames import Floats, Ints
 
-_STOREY = ProfileConfig(step=1.5)  # a change of less is a roof made anew
-_ROOM = 2.0  # what begins lower is a wing, which stands on the ground [m]
-_ACROSS = 3  # columns across a row that must have changed
-_GAP = 1.0  # stretch of a changed house in which no change was seen [m]
-_THROUGH = 1 / 3  # share of the depth of a row that a change of a house reaches through, as far as it is seen
-_SAME = 0.75  # tops of what did not change differ by less [m]
-_ALIKE = 0.8  # share of the neighbour's length along which its tops are the same
-_NEAR = 2  # slots between the end of a change as carved and the wall that it ends at
-_WALL = 1.0  # a house that is taller than its neighbour by so much shows a wall above its roof [m]
+_STOREY = ProfileConfig(step=NUMBERS.storeys.new_storey)  # a change of less is a roof made anew
+_ROOM = NUMBERS.storeys.room_height
+_ACROSS = NUMBERS.storeys.columns_across
+_GAP = NUMBERS.storeys.unseen_gap
+_THROUGH = NUMBERS.storeys.depth_share
+_SAME = NUMBERS.storeys.same_top
+_ALIKE = NUMBERS.storeys.neighbour_share
+_NEAR = NUMBERS.storeys.wall_slots
+_WALL = NUMBERS.storeys.step_height
 
 
 def changed_houses(found: ColumnChange, xy: Floats) -> Ints:

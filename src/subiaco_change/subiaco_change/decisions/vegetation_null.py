@@ -16,13 +16,14 @@ from typing import Literal
 import numpy as np
 from pydantic import Field
 
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats
 
-_SCATTERS = 24  # standard deviations that are tried
-_ROUNDS = 50  # of expectation and maximisation
-_SETTLED = 1e-6  # gain of the log likelihood that ends the rounds
-_PRIOR_PLANTS = 4  # that the expected share of changed plants counts as
+_SCATTERS = NUMBERS.vegetation_null.scatters
+_ROUNDS = NUMBERS.vegetation_null.rounds
+_SETTLED = NUMBERS.vegetation_null.settled
+_PRIOR_PLANTS = NUMBERS.vegetation_null.prior_plants
 
 
 #: Trees are compared with trees, hedges and shrubs with hedges and shrubs.

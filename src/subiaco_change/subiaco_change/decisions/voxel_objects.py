@@ -9,18 +9,19 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.segmentation.clustering import group_indices
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats, Ints
 
-UNCERTAIN = 0.5  # probability of having moved of what was seen for a moment only
+UNCERTAIN = NUMBERS.voxel_objects.brief_probability
 NO_OBJECT = -1  # instance of a point of no object
 OTHERS = -2  # instance of a point of an object that is compared elsewhere
-_GROUND_NEAR = 8  # ground points around a place that are asked for their height
-_STRAYED = 1.5  # foot of an object in heights of it: either ground may be a little off
-_PASSED_THROUGH = 2.0  # passing beams per returned beam at a point; static objects have fewer
+_GROUND_NEAR = NUMBERS.voxel_objects.ground_neighbours
+_STRAYED = NUMBERS.voxel_objects.foot_factor
+_PASSED_THROUGH = NUMBERS.voxel_objects.passes_per_return
 
 
 #: How probable it is, (N,), that nothing stood at places (N, 3).

@@ -11,16 +11,17 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from subiaco_change.decisions.voxel_objects import ObjectInstance
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_geo.frames import Floats, Ints
 
-_CELL = 0.5  # columns whose tops are compared [m]
-_LOW = 3.0  # tops of higher plants are seen from below: they say little [m]
-_POINTS = 2  # least points of a column in either epoch
-_CELLS = 6  # least columns of a section
-_LENGTH = 1.5  # and least length [m]
-_SEEN = 0.5  # share of its moved surface that the other epoch must have observed
-_SMALL = 0.2  # rise of the whole plant up to which it is taken as it is [m]
-_HELD = 0.5  # share of its columns from which on something else stood where it rose or fell
+_CELL = NUMBERS.hedge_sections.cell
+_LOW = NUMBERS.hedge_sections.largest_height
+_POINTS = NUMBERS.hedge_sections.column_points
+_CELLS = NUMBERS.hedge_sections.section_columns
+_LENGTH = NUMBERS.hedge_sections.section_length
+_SEEN = NUMBERS.hedge_sections.observed_share
+_SMALL = NUMBERS.hedge_sections.whole_rise
+_HELD = NUMBERS.hedge_sections.occupied_share
 
 #: Nothing stands.
 NOTHING: Floats = np.zeros((0, 3))

@@ -11,10 +11,11 @@ from subiaco_change.association.costs import AssociationConfig
 from subiaco_change.decisions.column_volumes import column_keys
 from subiaco_change.decisions.voxel_objects import ObjectInstance
 from subiaco_change.instance_splitting.one_epoch_parts import split_by_labels
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.segmentation.clustering import connect, group_indices
 from subiaco_geo.frames import Ints
 
-_CELL = 0.5  # columns in which bodies stand side by side [m]
+_CELL = NUMBERS.merged_instances.cell
 
 #: The objects of *before* and of *after* that are one piece.
 Piece = tuple[tuple[ObjectInstance, ...], tuple[ObjectInstance, ...]]

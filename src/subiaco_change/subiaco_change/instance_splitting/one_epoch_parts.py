@@ -11,14 +11,15 @@ from scipy.spatial import cKDTree
 
 from subiaco_change.decisions.column_volumes import column_keys
 from subiaco_change.decisions.voxel_objects import ObjectInstance
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.segmentation.clustering import group_indices, voxel_clusters
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Ints
 
-_CELL = 0.5  # columns of a part [m]
-_WELL_KNOWN = 20  # voxels in sight, from which on a part may be most of an instance
-_ABOVE = 0.25  # what is higher above a part, in its columns, hangs over it [m]
+_CELL = NUMBERS.one_epoch_parts.cell
+_WELL_KNOWN = NUMBERS.one_epoch_parts.observed_voxels
+_ABOVE = NUMBERS.one_epoch_parts.overhang
 
 
 class PartConfig(StrictModel):

@@ -14,17 +14,16 @@ from subiaco_change.decisions.storeys import changed_houses
 from subiaco_change.decisions.voxel_objects import ObjectInstance, join_voxels
 from subiaco_change.instance_splitting.merged_instances import Piece, separate_bodies
 from subiaco_change.instance_splitting.one_epoch_parts import split_by_labels
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.segmentation.bounding_rectangles import wall_coordinates
 from subiaco_change.segmentation.clustering import connect, group_indices
 from subiaco_change.segmentation.height_profiles import ProfileConfig, level_steps, part_slots
 from subiaco_geo.frames import Floats, Ints
 
-_CELL = 0.5  # columns in which houses stand side by side [m]
-_SHARED = (
-    0.2  # share of its columns from which on a house of one epoch lies in one of the other: no party wall
-)
-_STOREY = ProfileConfig(step=1.5)  # tops that rose by less were roofed anew
-_SHOWN = 3  # columns across a row that must show in both epochs
+_CELL = NUMBERS.rows_of_houses.cell
+_SHARED = NUMBERS.rows_of_houses.shared_columns
+_STOREY = ProfileConfig(step=NUMBERS.rows_of_houses.new_storey)  # tops that rose by less were roofed anew
+_SHOWN = NUMBERS.rows_of_houses.columns_across
 
 
 def group_row_houses(pieces: Sequence[Piece], config: AssociationConfig) -> list[list[int]]:

@@ -25,12 +25,13 @@ from subiaco_change.instance_splitting.rows_of_houses import (
     split_at_changed_storeys,
     split_at_walls,
 )
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_geo.codes import Change, Semantic
 
-_WHOLE = 0.75  # share of its columns from which on a hedge moved as a whole
-_WALL = 0.5  # so far outside the outline of a building its walls are met [m]
-_WITHIN = 0.5  # share of a side of a building within the outline of the rest
-_HARDLY = 0.5  # observed share below which a side is no row of its own
+_WHOLE = NUMBERS.split_merge.whole_share
+_WALL = NUMBERS.split_merge.wall_reach
+_WITHIN = NUMBERS.split_merge.inside_share
+_HARDLY = NUMBERS.split_merge.least_observed
 _CLAIMS = (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED)
 
 

@@ -14,13 +14,14 @@ from scipy.spatial import cKDTree
 from subiaco_change.decisions.measures import Measures, oriented_rectangle
 from subiaco_change.decisions.rules import Decision
 from subiaco_change.decisions.voxel_objects import ObjectInstance, join_voxels
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats
 
-_ACROSS = 1 / 3  # share of a part that the other epoch must have looked across
-_VEHICLE = 1.5  # least width of a vehicle, or of the part of it that was seen [m]
-_NEXT = 0.75  # so far from points of the other epoch, a voxel lies beside them [m]
-_HELD = 0.5  # share of its voxels from which on a part lies beside them
+_ACROSS = NUMBERS.vehicle_parts.crossed_share
+_VEHICLE = NUMBERS.vehicle_parts.vehicle_width
+_NEXT = NUMBERS.vehicle_parts.adjacent
+_HELD = NUMBERS.vehicle_parts.adjacent_share
 
 
 def decide_vehicle_part(

@@ -9,13 +9,14 @@ import numpy as np
 
 from subiaco_change.geometry import Level, fit_planes
 from subiaco_change.level_of_detection.displacement_field import SmoothField
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.records import Registration
 from subiaco_change.registration.coarse import levelling
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.clouds import PointCloud, voxel_downsample
 from subiaco_geo.frames import Floats, invert_pose, transform_points
 
-_UPRIGHT_DEG = 2.0  # streets of an upright map slope as much on the whole
+_UPRIGHT_DEG = NUMBERS.common_frame.upright_deg
 
 
 @dataclass(frozen=True)

@@ -11,12 +11,13 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from subiaco_change.geometry import ColumnIndex, build_index, column_range, estimate_normals, first_above
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
 
-_Z95 = 1.96
+_Z95 = NUMBERS.displacement_lod.z95
 
 
 class LodConfig(StrictModel):

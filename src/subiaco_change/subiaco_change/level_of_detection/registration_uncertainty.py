@@ -12,13 +12,14 @@ from scipy.special import ndtri
 
 from subiaco_change.level_of_detection.displacement_field import BlockGrid
 from subiaco_change.level_of_detection.displacement_lod import Displacements
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.records import Registration
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
 
-_STEEP = 0.7  # |vertical component| of a normal from which a surface lies rather than stands
+_STEEP = NUMBERS.registration_uncertainty.level_normal
 
 
 class UncertaintyConfig(StrictModel):

@@ -10,12 +10,13 @@ from pydantic import Field
 from scipy import ndimage
 
 from subiaco_change.level_of_detection.displacement_field import BlockGrid, SmoothField
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.segmentation.ground_model import Mask, fill_gaps
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
 
 _LOG = logging.getLogger(__name__)
-_CELL = 0.5  # of the compared heights [m]
+_CELL = NUMBERS.vertical_bias.cell
 
 
 class VerticalBiasConfig(StrictModel):

@@ -30,8 +30,9 @@ from subiaco_msgs.action import DetectChanges
 from subiaco_msgs.msg import ChangeTable
 from subiaco_ros.diagnostics import Diagnostics, ProgressReporter
 from subiaco_ros.local_frame import frame_at_origin
+from subiaco_ros.managed_node import App
 from subiaco_ros.messages import origin_message
-from subiaco_ros.node_process import App, wait_until_received
+from subiaco_ros.node_process import wait_until_received
 from subiaco_ros.parameters import read_models
 from subiaco_ros.qos import latched
 
@@ -109,7 +110,7 @@ class ChangeApp:
         self._own_job: Job | None = None
         self._finished = False
         self._progress = ProgressReporter(node)
-        self._diagnostics = Diagnostics(node)
+        self._diagnostics = Diagnostics(node, "comparison")
         self._publishers = {
             name: node.create_publisher(kind, name, latched(1))
             for name, kind in {

@@ -14,19 +14,11 @@ from subiaco_geo.cloud_io import read_cloud
 from subiaco_geo.cloud_parts import cloud_parts
 from subiaco_geo.cloud_windows import CloudFile
 from subiaco_geo.clouds import PointCloud
-from subiaco_geo.codes import Change, Semantic
+from subiaco_geo.codes import ASPRS_CODES, Change, Semantic
 from subiaco_geo.errors import InputError
 from subiaco_geo.las_writing import las_stream
 from subiaco_geo.ply_io import write_ply_parts
 
-#: ASPRS classification of LAS 1.4 for each of our classes; 64 is the first user code.
-ASPRS_CODES: dict[Semantic, int] = {
-    Semantic.GROUND: 2,
-    Semantic.BUILDING: 6,
-    Semantic.VEGETATION: 5,
-    Semantic.MOBILE: 64,
-    Semantic.OTHER: 1,
-}
 #: Fields of every labelled point, and their types on disk.
 POINT_FIELDS: dict[str, type[np.generic]] = {
     "change": np.uint8,

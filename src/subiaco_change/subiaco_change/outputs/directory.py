@@ -15,6 +15,7 @@ from typing import Any
 import geopandas as gpd
 
 from subiaco_change.decisions.confidence import Calibration
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.outputs import table as outputs_table
 from subiaco_change.outputs.change_directory_reading import ChangeDirectory, read_change_directory
 from subiaco_change.outputs.clouds import write_labelled
@@ -40,7 +41,7 @@ from subiaco_change.records import ChangeResult, Registration, TiledResult
 from subiaco_geo.atomic import refuse_existing, refuse_foreign, whole_directory
 from subiaco_geo.config import StrictModel, config_hash, write_config
 from subiaco_geo.findings import SEVERITIES, Finding
-from subiaco_geo.settings import method_statement
+from subiaco_geo.settings import method_statement, setting_values
 from subiaco_geo.work.tasks import peak_mib
 
 __all__ = ["ChangeDirectory", "ChangeInputs", "PageWriter", "read_change_directory", "write_change_directory"]
@@ -140,7 +141,7 @@ def run_document(
     return {
         "table_hash": table_hash,
         "config_hash": config_hash(config),
-        "method": method_statement(config),
+        "method": method_statement(config, setting_values(NUMBERS)),
         "versions": _versions(),
         "inputs": {
             name: {"path": str(path), "sha256": hash_path(path)} if path else None

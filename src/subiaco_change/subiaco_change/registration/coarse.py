@@ -15,9 +15,10 @@ from scipy import fft
 from scipy.spatial.transform import Rotation
 
 from subiaco_change.geometry import Level, LocalPlanes
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_geo.frames import Floats, make_pose, transform_points
 
-_STANDING = 0.5  # |n_z| below which a point belongs to something that stands
+_STANDING = NUMBERS.coarse.wall_normal
 
 
 def up_direction(planes: LocalPlanes, widest_deg: float = 30.0) -> Floats:

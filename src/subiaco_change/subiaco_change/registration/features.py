@@ -11,11 +11,12 @@ import numpy as np
 from scipy.spatial import KDTree
 
 from subiaco_change.geometry import Level
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.registration.coarse import Candidate, levelling
 from subiaco_change.registration.config import FeatureConfig
 from subiaco_geo.frames import Floats, Ints, make_pose, transform_points
 
-_EDGE = 0.9  # least ratio of corresponding edges of a sample
+_EDGE = NUMBERS.features.edge_ratio
 
 
 def describe_keypoints(level: Level, config: FeatureConfig) -> tuple[Floats, Floats]:

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from subiaco_change.geometry import Level, build_pyramid, remove_outliers
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.registration.config import RegistrationConfig
 from subiaco_change.registration.icp import (
     Noise,
@@ -35,18 +36,19 @@ from subiaco_geo.errors import InputError, RegistrationError
 from subiaco_geo.frames import Floats, Ints, invert_pose, rotation_angle, transform_points
 
 Mask = NDArray[np.bool_]
-_POLISHES = 2  # the second takes its width from the residuals of the first
-_NARROWEST = 0.02  # biweight of a fit [m]
-_GROUPS, _GROUP_ITERATIONS = 8, 6  # of blocks that are fitted on their own
-_SMALLEST = 2.5  # edge of a block that is fitted on its own, at the spacing of a street [m]
-_GAUSSIANS = 50  # below which NDT says nothing
-_COLUMN = 2.0  # edge of the columns of the overlap, at the spacing of a street [m]
-_LYING = 0.8  # |n_z| of what says nothing of a level shift
-_AS_WELL = 0.9  # of the weight of the ICP pose, from which the NDT pose fits as well
-_WORSE = 3.0  # times the limit by which NDT may disagree where its pose matches worse
-_SURE = 2.0  # standard errors by which a share must be too small
-_FEW = 10  # squares of structure below which a trusted start needs no support by it
-_SUPPORTED = 3.0  # standard errors by which structure must match better than by chance
+_POLISHES = NUMBERS.fitting.polishes
+_NARROWEST = NUMBERS.fitting.narrowest
+_GROUPS = NUMBERS.fitting.block_groups
+_GROUP_ITERATIONS = NUMBERS.fitting.group_iterations
+_SMALLEST = NUMBERS.fitting.smallest_block
+_GAUSSIANS = NUMBERS.fitting.fewest_gaussians
+_COLUMN = NUMBERS.fitting.column
+_LYING = NUMBERS.fitting.level_normal
+_AS_WELL = NUMBERS.fitting.equal_fit
+_WORSE = NUMBERS.fitting.worse_factor
+_SURE = NUMBERS.fitting.too_small_errors
+_FEW = NUMBERS.fitting.fewest_squares
+_SUPPORTED = NUMBERS.fitting.support_errors
 
 
 @dataclass(frozen=True)

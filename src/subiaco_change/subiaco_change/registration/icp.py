@@ -7,12 +7,13 @@ from dataclasses import dataclass
 import numpy as np
 
 from subiaco_change.geometry import ColumnIndex, Level, LocalPlanes, build_index, nearest
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.registration.ndt import about
 from subiaco_change.registration.planes import PlanePairs, normal_equations
 from subiaco_geo.frames import Floats, Ints, transform_points
 
-_CURVATURES = np.array([0.003, 0.01, 0.03, 0.06, 0.1, 0.17])  # between kinds of neighbourhoods
-_LEAST = 100  # pairs that show the spread of their kind
+_CURVATURES = np.array(NUMBERS.icp.curvature_kinds)  # between kinds of neighbourhoods
+_LEAST = NUMBERS.icp.fewest_pairs
 _AXES = ("roll", "pitch", "yaw", "x", "y", "z")
 
 

@@ -11,12 +11,13 @@ from dataclasses import dataclass
 import numba
 import numpy as np
 
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.frames import Floats, Ints, exp_se3
 
-_D2 = 0.3  # width of the mixture component (Stoyanov et al. 2012 take 0.05; this measured better)
-_FILLED = 0.4  # of the variance of a uniform distribution over the voxel
-_LOOSE = 100.0
+_D2 = NUMBERS.ndt.mixture_width
+_FILLED = NUMBERS.ndt.filled
+_LOOSE = NUMBERS.ndt.loose
 
 
 @dataclass(frozen=True)

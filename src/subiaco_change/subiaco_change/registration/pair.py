@@ -6,6 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_geo.clouds import PointCloud, voxel_downsample
 from subiaco_geo.crs import Transform, transformer
 from subiaco_geo.errors import InputError
@@ -14,12 +15,12 @@ from subiaco_geo.frames import Floats
 from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.trajectories import Trajectory
 
-_COARSE = 0.5  # a coordinate operation of which no more is known explains shifts of decimetres [m]
-_FAR = 100_000.0  # surveys of one city lie nearer to each other [m]
-_NEAR = 20_000.0  # so near to each other they may be of one city [m]
-_CELL = 4.0  # edge of cells whose lowest points are compared [m]
-_HEIGHT_OFFSET = 5.0  # heights that differ by more are of two kinds [m]
-_HEIGHT_CELLS = 20  # cells that a statement on heights needs
+_COARSE = NUMBERS.pair.unknown_accuracy
+_FAR = NUMBERS.pair.far
+_NEAR = NUMBERS.pair.near
+_CELL = NUMBERS.pair.cell
+_HEIGHT_OFFSET = NUMBERS.pair.height_offset
+_HEIGHT_CELLS = NUMBERS.pair.height_cells
 
 
 @dataclass(frozen=True)

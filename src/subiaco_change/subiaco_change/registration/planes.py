@@ -10,14 +10,15 @@ from numpy.typing import NDArray
 from scipy.spatial import KDTree
 
 from subiaco_change.geometry import Level
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_geo.frames import Floats, Ints, transform_points
 
-_BLOCK = 20.0  # planes are sought in squares of this edge [m]
-_THICK = 0.08  # a point in a plane lies this near to it [m]
-_ALIKE = 0.95  # and its normal is parallel, as |cosine|
-_LEAST = 100  # points of a plane
-_PLANES = 8  # sought in a block
-_SAMPLES = 30  # drawn for each of them
+_BLOCK = NUMBERS.planes.block
+_THICK = NUMBERS.planes.thickness
+_ALIKE = NUMBERS.planes.parallel
+_LEAST = NUMBERS.planes.fewest_points
+_PLANES = NUMBERS.planes.planes
+_SAMPLES = NUMBERS.planes.samples
 
 
 @dataclass(frozen=True)

@@ -8,17 +8,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from subiaco_change.geometry import Level, LocalPlanes, nearest
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.registration.icp import Target
 from subiaco_geo.frames import Floats, Ints, transform_points
 
 #: Points that a neighbourhood needs before its flatness tells a surface from leaves.
-PLANE_POINTS = 12
-_FLAT = 0.03  # curvature of a plane
-_LEAST = 4  # points around a point that belongs to anything
-_STEEP, _LEVEL = 0.5, 0.8  # |n_z| of a wall at most, of ground at least
-_ALIKE = 0.9  # |cosine| of normals of the same surface
-_NEAR = 0.5  # reach of a match without a plane, in leaves
-_ASIDE = (6.0, 10.0)  # shifts at which a match is chance, along the axes and across them [m]
+PLANE_POINTS = NUMBERS.plausibility.plane_points
+_FLAT = NUMBERS.plausibility.flatness
+_LEAST = NUMBERS.plausibility.fewest_neighbours
+_STEEP = NUMBERS.plausibility.wall_normal
+_LEVEL = NUMBERS.plausibility.ground_normal
+_ALIKE = NUMBERS.plausibility.parallel
+_NEAR = NUMBERS.plausibility.match_reach
+_ASIDE = NUMBERS.plausibility.chance_shifts
 
 
 @dataclass(frozen=True)

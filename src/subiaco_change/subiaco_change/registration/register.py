@@ -8,6 +8,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.records import Registration
 from subiaco_change.registration.checks import Uncertainty, estimate_uncertainty, variance_along
 from subiaco_change.registration.coarse import propose, propose_shifts
@@ -40,7 +41,7 @@ from subiaco_geo.errors import InputError, RegistrationError
 from subiaco_geo.frames import Floats, invert_pose, transform_points
 
 _LOG = logging.getLogger(__name__)
-_NOTED = 0.02  # what a registration would move a given transform by, before it is said [m]
+_NOTED = NUMBERS.registration_findings.noted_shift
 
 
 def _apart(before: Side, after: Side) -> bool:

@@ -14,10 +14,11 @@ from scipy import sparse
 from scipy.sparse.linalg import spsolve
 
 from subiaco_change.level_of_detection.displacement_field import BlockGrid, SmoothField
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats
 
-_ROUNDS = 10
+_ROUNDS = NUMBERS.warp.rounds
 
 
 class WarpConfig(StrictModel):

@@ -8,6 +8,7 @@ from pydantic import Field
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.segmentation.bounding_rectangles import box_coordinates
 from subiaco_change.segmentation.classes import SemanticResult
 from subiaco_change.segmentation.clustering import cell_clusters, group_indices, voxel_clusters
@@ -19,7 +20,7 @@ from subiaco_geo.codes import Semantic
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
 
-_FEWEST = 8  # points of an object at any density: of fewer, another sampling may well hold none
+_FEWEST = NUMBERS.instances.fewest_points
 
 
 class InstanceConfig(StrictModel):

@@ -11,16 +11,17 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 from scipy.special import expit
 
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.segmentation.clustering import group_indices
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.segmentation.trail_raster import AROUND, Raster, TrailShapeConfig, limited
 from subiaco_geo.frames import Floats, Ints
 
-_REACH = 1.2  # radius in which the thickness of a swath is measured [m]
-_LEAST = 40  # fewest points of a trail
-_SAMPLE = 30  # places of a swath at which its thickness is measured
-_WINDOW = 3.0  # edge of the window of open ground [m]
-_OPEN = 0.8  # quantile of the seen share over all windows that counts as open ground
+_REACH = NUMBERS.thin_trails.thickness_radius
+_LEAST = NUMBERS.thin_trails.fewest_points
+_SAMPLE = NUMBERS.thin_trails.thickness_places
+_WINDOW = NUMBERS.thin_trails.open_window
+_OPEN = NUMBERS.thin_trails.open_quantile
 
 
 def thin_trails(xyz: Floats, index: Ints, raster: Raster, config: TrailShapeConfig) -> Floats:

@@ -10,15 +10,16 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.segmentation.clustering import group_indices
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.segmentation.trail_raster import AROUND, Raster, TrailShapeConfig
 from subiaco_geo.frames import Floats, Ints
 
-_DIRECTION = 6.0  # reach in which the direction of a trail is told [m]
-_STRAIGHT = 2.0  # least ratio of length to width there
-_BLOCK = 2.0  # edge of the blocks into which long pieces are cut [m]
-_ROUNDS = 60  # pieces that may follow one another
+_DIRECTION = NUMBERS.trail_ends.direction_reach
+_STRAIGHT = NUMBERS.trail_ends.straightness
+_BLOCK = NUMBERS.trail_ends.block
+_ROUNDS = NUMBERS.trail_ends.most_pieces
 
 
 def with_pieces(cells: Floats, raster: Raster, sure: float, config: TrailShapeConfig) -> Floats:

@@ -12,14 +12,15 @@ from __future__ import annotations
 import numpy as np
 from scipy import ndimage
 
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.segmentation.thin_trails import thin_trails
 from subiaco_change.segmentation.trail_ends import with_pieces
 from subiaco_change.segmentation.trail_raster import AROUND, TrailShapeConfig, rasterise
 from subiaco_change.segmentation.trail_swaths import SURE, find_swaths, with_edges
 from subiaco_geo.frames import Floats, Ints
 
-_LAYER = 0.5  # height of a layer in which a trail is followed upward [m]
-_DOUBTFUL = 0.5  # probability below which a thin trail may still explain a point
+_LAYER = NUMBERS.trail_shape.layer
+_DOUBTFUL = NUMBERS.trail_shape.doubtful
 
 
 def trail_probability(xyz: Floats, height: Floats, config: TrailShapeConfig) -> Floats:

@@ -8,15 +8,16 @@ import numpy as np
 from scipy import ndimage
 from scipy.special import expit
 
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.segmentation.trail_raster import AROUND, Raster, TrailShapeConfig, limited
 from subiaco_geo.frames import Floats
 
-_DIRECTIONS = 24  # of straight lines in half a turn
-SURE = 0.95  # probability of the edges and pieces that belong to a trail
-_VEHICLE = 3.0  # footprint from which a part beside the axis of a trail may be a vehicle [m2]
-_PART = 1.0  # footprint of the least such part [m2]
-_TALLER = 0.5  # what rises so far above a trail does not belong to it [m]
+_DIRECTIONS = NUMBERS.trail_swaths.directions
+SURE = NUMBERS.trail_swaths.certain
+_VEHICLE = NUMBERS.trail_swaths.vehicle_area
+_PART = NUMBERS.trail_swaths.part_area
+_TALLER = NUMBERS.trail_swaths.taller
 
 
 @dataclass(frozen=True)

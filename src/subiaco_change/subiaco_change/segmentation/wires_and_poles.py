@@ -13,14 +13,15 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial import cKDTree
 
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.segmentation.clustering import cell_clusters, connect, group_indices
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
 
-_MAYBE = 0.75  # share of points near a cell that are in it or beside it, from which the discs are counted
-_AROUND = 2  # cells of a pole's width that are looked at on every side of it
+_MAYBE = NUMBERS.wires_and_poles.near_share
+_AROUND = NUMBERS.wires_and_poles.cells_around
 
 
 class LineConfig(StrictModel):

@@ -12,25 +12,58 @@ import numpy as np
 from numpy.typing import NDArray
 
 from subiaco_geo.frames import Floats
-from subiaco_mapping.measurements import DeskewedScan
+from subiaco_mapping.measurements import DeskewedScan, Returns
 
 logger = logging.getLogger(__name__)
 
 _CHECK_EVERY = 20  # scans between two looks at the free space: two seconds, at most 40 MB
 _POINT = np.dtype([("xyz", "<i2", 3), ("intensity", "<u2")])
+#: Time of a point before the stamp [ns], and its number among the returns of its beam and their number.
+PULSE = np.dtype([("before_ns", "<u4"), ("number", "u1"), ("of", "u1")])
 _FULL_SCALE = 32767
 _BEAM_OFFSET = 5.0  # of a beam's start from the sensor at the stamp, the motion in a scan included [m]
 
 
 @dataclass(frozen=True)
 class SpooledScan:
-    """Both returns of a scan, xyz (N, 3) [m] in ``lidar_link`` and intensity (N,), and its sky."""
+    """Both returns of a scan, xyz (N, 3) [m] in ``lidar_link`` and intensity (N,), and its sky.
+
+    ``pulses`` and ``last_pulses`` (:data:`PULSE`) hold times and return numbers where the spool keeps them.
+    """
 
     xyz: Floats
     intensity: NDArray[np.float32]
     last_xyz: Floats
     last_intensity: NDArray[np.float32]
     sky_xyz: Floats
+    pulses: NDArray[np.void] | None = None
+    last_pulses: NDArray[np.void] | None = None
+
+
+def pulses_of(
+    stamp_ns: int, first: Returns, last: Returns | None
+) -> tuple[NDArray[np.void], NDArray[np.void]]:
+    """Return times before the stamp and return numbers of both returns (:data:`PULSE`).
+
+    Returns of one beam have the same time and ring; the nearer one is number 1.
+    """
+    found = []
+    for returns in (first, last):
+        count = 0 if returns is None else len(returns)
+        pulses = np.zeros(count, dtype=PULSE)
+        pulses["number"] = pulses["of"] = 1
+        if returns is not None:
+            pulses["before_ns"] = np.clip(stamp_ns - returns.times_ns, 0, 2**32 - 1)
+        found.append(pulses)
+    if last is None or len(last) == 0 or len(first) == 0:
+        return found[0], found[1]
+    beams = [np.asarray(r.times_ns - first.times_ns.min()) << 16 | r.ring for r in (first, last)]
+    _, one, two = np.intersect1d(beams[0], beams[1], return_indices=True)
+    farther = np.linalg.norm(first.xyz[one], axis=1) > np.linalg.norm(last.xyz[two], axis=1)
+    found[0]["of"][one] = found[1]["of"][two] = 2
+    found[0]["number"][one] = 1 + farther
+    found[1]["number"][two] = 2 - farther
+    return found[0], found[1]
 
 
 class Spool:
@@ -47,11 +80,20 @@ class Spool:
     reserve_bytes : int
         Free space of the disk, a twentieth of it at most, below which scans are kept without their points, so
         that what was mapped until then can still be fused and written.
+    keep_pulses : bool
+        Keep times and return numbers of the points too, 6 bytes a point.
     """
 
     def __init__(
-        self, folder: Path, max_range: float, sky_range: float = 0.0, reserve_bytes: int = 0
+        self,
+        folder: Path,
+        max_range: float,
+        sky_range: float = 0.0,
+        reserve_bytes: int = 0,
+        *,
+        keep_pulses: bool = False,
     ) -> None:
+        self._keep_pulses = keep_pulses
         self._folder = folder
         self._longest = max(max_range, sky_range + _BEAM_OFFSET)
         self._step = self._longest / _FULL_SCALE
@@ -83,6 +125,7 @@ class Spool:
             self._pack(scan.xyz, scan.intensity, self._max_range),
             self._pack(scan.last_xyz, scan.last_intensity, self._max_range),
             self._pack(scan.sky_xyz, np.zeros(len(scan.sky_xyz), np.float32), self._longest),
+            *(self._pulses(scan) if self._keep_pulses else ()),
         )
         if not self._full:
             try:
@@ -95,6 +138,20 @@ class Spool:
             self._write(tuple(part[:0] for part in parts))
             self.left_out += 1
         self._count += 1
+
+    def _pulses(self, scan: DeskewedScan) -> tuple[NDArray[np.void], NDArray[np.void]]:
+        """Return the pulses of the points that are kept; of a scan without times, its stamp is theirs."""
+        if scan.raw is None:
+            found = np.zeros(len(scan.xyz), PULSE), np.zeros(len(scan.last_xyz), PULSE)
+            for pulses in found:
+                pulses["number"] = pulses["of"] = 1
+        else:
+            found = pulses_of(scan.stamp_ns, *scan.raw)
+        first, last = (
+            pulses[_within(xyz, self._max_range)]
+            for pulses, xyz in zip(found, (scan.xyz, scan.last_xyz), strict=True)
+        )
+        return first, last
 
     def _write(self, parts: tuple[NDArray[np.void], ...]) -> None:
         with self._path(self._count).open("wb") as stream:
@@ -112,13 +169,14 @@ class Spool:
         """Read a scan back."""
         with self._path(index).open("rb") as stream:
             first, last, sky = (np.load(stream) for _ in range(3))
-        return SpooledScan(*self._unpack(first), *self._unpack(last), self._unpack(sky)[0])
+            pulses = [np.load(stream) for _ in range(2)] if self._keep_pulses else [None, None]
+        return SpooledScan(*self._unpack(first), *self._unpack(last), self._unpack(sky)[0], *pulses)
 
     def _path(self, index: int) -> Path:
         return self._folder / f"{index:06d}.npy"
 
     def _pack(self, xyz: Floats, intensity: NDArray[np.float32], limit: float) -> NDArray[np.void]:
-        keep = np.einsum("ij,ij->i", xyz, xyz) <= limit**2
+        keep = _within(xyz, limit)
         points = np.empty(int(keep.sum()), dtype=_POINT)
         points["xyz"] = np.round(xyz[keep] / self._step)
         points["intensity"] = np.clip(intensity[keep], 0, 65535)
@@ -126,3 +184,7 @@ class Spool:
 
     def _unpack(self, points: NDArray[np.void]) -> tuple[Floats, NDArray[np.float32]]:
         return points["xyz"].astype(np.float64) * self._step, points["intensity"].astype(np.float32)
+
+
+def _within(xyz: Floats, limit: float) -> NDArray[np.bool_]:
+    return np.asarray(np.einsum("ij,ij->i", xyz, xyz) <= limit**2)

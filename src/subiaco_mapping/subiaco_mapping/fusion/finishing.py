@@ -18,6 +18,7 @@ from subiaco_geo.visibility import TimeRecord, VisibilityGrid
 from subiaco_mapping.checkpoint.scan_spool import SpooledScan
 from subiaco_mapping.config import FusionConfig
 from subiaco_mapping.fusion.dynamic_objects import height_above_floor, moved_probability
+from subiaco_mapping.fusion.full_density import DensityTiles, FullDensity
 from subiaco_mapping.fusion.outliers import beam_spacing, isolated_points
 from subiaco_mapping.fusion.projection import Projection
 from subiaco_mapping.fusion.voxel_fusion import VoxelStatistics, oriented_normals, visibility_beams
@@ -74,9 +75,18 @@ class MapFusion:
     projection : Projection
     start : (3,) float64
         Local position of the first scan [m].
+    density : FullDensity, optional
+        Where every return is written too.
     """
 
-    def __init__(self, folder: Path, config: FusionConfig, projection: Projection, start: Floats) -> None:
+    def __init__(
+        self,
+        folder: Path,
+        config: FusionConfig,
+        projection: Projection,
+        start: Floats,
+        density: FullDensity | None = None,
+    ) -> None:
         self._folder, self._config, self._projection = folder, config, projection
         world = projection.points(start[None])[0]
         self._origin = np.round(world, -2) if np.abs(world).max() > _FAR else np.zeros(3)
@@ -92,17 +102,31 @@ class MapFusion:
         self._beams = VisibilityTiles(folder / "visibility", corner, voxel, coarse, 2 * most, least)
         self._clock = _Clock(round(config.moving.window * 1e9))
         self._scans = 0
+        self._classify = None if density is None else density.classify
+        self._density = (
+            None
+            if density is None
+            else DensityTiles(density, folder / "density", config.leaf, edge, projection, self._origin)
+        )
         self._statistics = Recent(self._usable)
         self._spacing = 0.0
 
     def add(
-        self, scan: SpooledScan, pose: Floats, matrix: Floats, offset: Floats, stamp_ns: int | None = None
+        self,
+        scan: SpooledScan,
+        pose: Floats,
+        matrix: Floats,
+        offset: Floats,
+        stamp_ns: int | None = None,
+        source: int = 1,
     ) -> None:
         """Add a scan at ``T_local_lidar``; ``world = matrix @ local + offset`` around it.
 
         Scans come in the order of their stamps; one without a stamp is a tenth of a second later
-        than the last.
+        than the last. ``source`` numbers its recording from 1.
         """
+        if self._density is not None:
+            self._density.add(scan, pose, stamp_ns or 0, source)
         if self._scans % _SHOWN == 0:  # of several sensors the coarsest counts
             self._spacing = max(self._spacing, beam_spacing(scan.xyz, self._config.outlier_neighbours))
         xyz = transform_points(pose, scan.xyz)
@@ -115,8 +139,10 @@ class MapFusion:
         self._beams.add(starts, ends, returned, hits, self._clock.window(stamp_ns))
         self._scans += 1
 
-    def finish(self, threads: int, report: Callable[[float], None]) -> FinishedMap:
-        """Take out outliers and what moved, find normals.
+    def finish(
+        self, threads: int, report: Callable[[float], None], recordings: dict[int, str] | None = None
+    ) -> FinishedMap:
+        """Take out outliers and what moved, find normals; ``recordings`` by their numbers, for their returns.
 
         Raises
         ------
@@ -133,6 +159,8 @@ class MapFusion:
             self._finish_tile(tile, threads, still, moving)
             report(done / len(tiles))
         cloud = self._cloud(still)
+        if self._density is not None:
+            self._density.finish(recordings or {})
         if cloud is None or len(cloud) < 10:
             raise InputError(
                 f"fused map: {0 if cloud is None else len(cloud)} points are left; check range limits and "
@@ -181,12 +209,35 @@ class MapFusion:
         probability[above < config.moving.floor] = 0.0
         moved = config.moving.enabled & (np.nan_to_num(probability) >= config.moving.sure)
         self._write(moving, found.select(np.flatnonzero(moved[:own])))
-        keep = ~moved & ~isolated_points(xyz, found.reach, self._spacing, config, threads)
+        isolated = isolated_points(xyz, found.reach, self._spacing, config, threads)
+        keep = ~moved & ~isolated
+        if self._density is not None:
+            self._finish_density(tile, found, own, isolated & ~moved, moved, probability)
         (found, probability), own = (found.select(keep), probability[keep]), int(keep[:own].sum())
         if own:
             count = config.normal_neighbours
             normals = oriented_normals(found.mean, found.view, count, threads)[:own]
             self._write(still, found.select(np.arange(own)), normals, moving=probability[:own])
+
+    def _finish_density(
+        self,
+        tile: int,
+        found: VoxelStatistics,
+        own: int,
+        removed: NDArray[np.bool_],
+        moved: NDArray[np.bool_],
+        probability: NDArray[np.float32],
+    ) -> None:
+        """Write the returns of a tile with the classes of its voxels, the first ``own`` of those around."""
+        assert self._density is not None
+        kept, semantic = np.flatnonzero(~(removed | moved)), None
+        inside = int((kept < own).sum())
+        if self._classify is not None and inside:
+            world = self._projection.points(found.mean[kept]) - self._origin
+            cloud = PointCloud(world, self._origin, self._projection.crs)
+            semantic = self._classify(cloud, np.nan_to_num(probability[kept]).astype(np.float64))[:inside]
+        classes = self._density.classes(found.keys[:own], removed[:own], moved[:own], semantic)
+        self._density.finish_tile(tile, classes)
 
     def _write(
         self,

@@ -20,6 +20,7 @@ from subiaco_geo.trajectories import Trajectory
 from subiaco_mapping.config import GnssConfig, ManifestConfig, MappingConfig
 from subiaco_mapping.fusion.field_of_view import FieldOfView
 from subiaco_mapping.fusion.finishing import FinishedMap, MapFusion
+from subiaco_mapping.fusion.full_density import FullDensity
 from subiaco_mapping.fusion.ground_heights import height_table
 from subiaco_mapping.fusion.projection import Projection
 from subiaco_mapping.manifest import CONTRADICTED, LEGEND, describe_sequence, stretches
@@ -44,6 +45,7 @@ def build_map(
     config: MappingConfig,
     report: ProgressCallback = silent,
     inputs: Mapping[str, str] | None = None,
+    density: FullDensity | None = None,
 ) -> SurveyMap:
     """Fuse every scan at its solved pose.
 
@@ -57,6 +59,8 @@ def build_map(
         Told stage and fraction.
     inputs : mapping of str to str, optional
         Names and hashes of the recordings, for ``map.yaml``.
+    density : FullDensity, optional
+        Where every return is written too; taken up if the settings ask for it.
 
     Returns
     -------
@@ -66,7 +70,8 @@ def build_map(
     # what is mapped from the folder outlives it: the disk gives it back when the map is let go
     view = FieldOfView(config.decode.sky_range, config.decode.max_range)
     with tempfile.TemporaryDirectory(prefix=FUSION_FOLDER, dir=sequences[0].spool.folder) as folder:
-        fused = _fuse(Path(folder), sequences, solution, config, projection, report, view)
+        wanted = density if config.fusion.full_density else None
+        fused = _fuse(Path(folder), sequences, solution, config, projection, report, view, wanted)
     trajectory, uncertainty = _trajectory(solution, projection)
     return SurveyMap(
         cloud=fused.cloud,
@@ -91,8 +96,11 @@ def _fuse(
     projection: Projection,
     report: ProgressCallback,
     view: FieldOfView,
+    density: FullDensity | None,
 ) -> FinishedMap:
-    fusion = MapFusion(folder, config.fusion, projection, solution.sequences[0].T_local_lidar[0, :3, 3])
+    start = solution.sequences[0].T_local_lidar[0, :3, 3]
+    fusion = MapFusion(folder, config.fusion, projection, start, density)
+    sources = {id(s.spool): k for k, s in enumerate(sequences, 1)}
     total = sum(len(sequence.stamps_ns) for sequence in solution.sequences)
     done = 0
     pairs = zip((s.spool for s in sequences), solution.sequences, strict=True)
@@ -100,14 +108,18 @@ def _fuse(
         matrices, offsets = projection.affine(sequence.T_local_lidar[:, :3, 3])
         for k, pose in enumerate(sequence.T_local_lidar):
             scan = spool.read(k)
-            fusion.add(scan, pose, matrices[k], offsets[k], int(sequence.stamps_ns[k]))
+            fusion.add(scan, pose, matrices[k], offsets[k], int(sequence.stamps_ns[k]), sources[id(spool)])
             if done % _VIEWED == 0:
                 view.add(scan.xyz, scan.sky_xyz)
             done += 1
             if done % 10 == 0 or done == total:
                 report("fusing scans", done / total)
     report("finishing the map", 0.0)
-    fused = fusion.finish(config.threads, lambda fraction: report("finishing the map", fraction))
+    fused = fusion.finish(
+        config.threads,
+        lambda fraction: report("finishing the map", fraction),
+        {k: sequence.name for k, sequence in enumerate(sequences, 1)},
+    )
     report("finishing the map", 1.0)
     return fused
 

@@ -73,6 +73,7 @@ def assess(survey: SurveyMap, solution: GraphSolution, config: MappingConfig) ->
         "fixes_used": _by_state(used),
         "contradicted": _contradicted(survey),
         "withheld": withheld if isinstance(withheld, str) else withheld.described(),
+        "control": survey.info.get("control"),
         "loops": solution.loops.described(),
         "walls": walls.described(),
         "coverage": cells.described(),

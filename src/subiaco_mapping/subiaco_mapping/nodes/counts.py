@@ -52,7 +52,6 @@ class ConsumptionReporter:
         self._allowed = allowed
         self._publisher: Publisher = node.create_publisher(ReplayCounts, CONSUMED, latched(1))
         node.create_timer(REPORT_INTERVAL, self.flush, clock=Clock(clock_type=ClockType.STEADY_TIME))
-        self.flush()
 
     @property
     def counts(self) -> dict[str, int]:

@@ -6,8 +6,6 @@ import logging
 import time
 from collections.abc import Callable, Sequence
 
-import numpy as np
-
 from subiaco_geo.errors import InputError, SubiacoError
 from subiaco_geo.frames import Floats
 from subiaco_mapping.fusion.preview import LivePreview
@@ -80,7 +78,7 @@ class LiveMap:
         Solves the graph of everything so far.
     on_solution : callable
     period : float
-        Between two publications [s].
+        Between two publications [s]; 0 publishes nothing.
     voxel : float
         Of the preview [m].
     points : int
@@ -106,20 +104,23 @@ class LiveMap:
         self._period = period
         self._clock = clock
         self._preview = LivePreview(voxel, points)
-        self._T_chain_odom = np.eye(4)
         self._published = 0
         self._publish_at = 0.0
         self._solve_at = clock() + _FIRST_SOLVE
 
-    def add(self, stamp_ns: int, T_chain_lidar: Floats, scan: DeskewedScan, T_chain_odom: Floats) -> None:
-        """Take a registered scan, its pose in the chain of all runs, and where its run lies there."""
+    def set_period(self, period: float) -> None:
+        """Publish at another interval [s]; 0 publishes nothing more until it is set again."""
+        self._period = period
+        self._publish_at = 0.0
+
+    def add(self, stamp_ns: int, T_chain_lidar: Floats, scan: DeskewedScan) -> None:
+        """Take a registered scan and its pose in the chain of all runs."""
         self._preview.add(stamp_ns, T_chain_lidar, scan.xyz)
-        self._T_chain_odom = T_chain_odom
 
     def step(self) -> None:
         """Publish and solve what is due."""
         now = self._clock()
-        if len(self._preview) == 0 or now < self._publish_at:
+        if len(self._preview) == 0 or self._period <= 0 or now < self._publish_at:
             return
         if now >= self._solve_at:
             self._solve(now)
@@ -142,10 +143,5 @@ class LiveMap:
     def _publish(self) -> None:
         times_ns, poses = self._preview.path()
         chosen = thinned(len(times_ns), _MAX_PATH)
-        self._publisher.publish_growing(
-            times_ns[chosen],
-            poses[chosen],
-            self._preview.points(),
-            self._preview.T_local_odom @ self._T_chain_odom,
-        )
+        self._publisher.publish_growing(times_ns[chosen], poses[chosen], self._preview.points())
         self._published = len(self._preview)

@@ -41,23 +41,42 @@ class MapPublisher:
     ) -> None:
         self._frames = (earth_frame, map_frame, odom_frame)
         self._preview_points = preview_points
+        self._T_map_chain = np.eye(4)
+        self._T_chain_odom = np.eye(4)
         self._path = node.create_publisher(PathMessage, "path", latched(1))
         self._points = node.create_publisher(PointCloud2, "map/points", latched(1))
         self._origin = node.create_publisher(NavSatFix, "map/origin", latched(1))
         self._tf = node.create_publisher(TFMessage, "tf", reliable(100))
         self._tf_static = node.create_publisher(TFMessage, "tf_static", latched(1))
 
+    def begin_sequence(self) -> None:
+        """Let ``odom`` coincide with ``map`` until a sequence is solved."""
+        self._T_map_chain = self._T_chain_odom = np.eye(4)
+
+    def publish_odom_frame(self, stamp_ns: int, T_chain_odom: Floats) -> None:
+        """Publish ``map -> odom`` of a scan, as the last solution says.
+
+        Parameters
+        ----------
+        T_chain_odom : (4, 4) float64
+            From the frame of the odometry's present run to that of its first.
+        """
+        _, map_frame, odom = self._frames
+        self._T_chain_odom = T_chain_odom
+        moving = transform_message(self._T_map_chain @ T_chain_odom, map_frame, odom, stamp_ns)
+        self._tf.publish(TFMessage(transforms=[moving]))
+
     def publish_solution(self, solution: GraphSolution | LiveEstimate) -> None:
         """Publish path, origin, ``earth -> map`` and ``map -> odom``."""
-        earth, map_frame, odom = self._frames
+        earth, map_frame, _ = self._frames
         times_ns = np.concatenate([s.stamps_ns for s in solution.sequences])
         poses = np.concatenate([s.T_local_lidar for s in solution.sequences])
         chosen = thinned(len(times_ns), MAX_PATH)
         self._path.publish(path_message(times_ns[chosen], poses[chosen], map_frame))
         newest = solution.sequences[-1]
         stamp_ns = int(newest.stamps_ns[-1])
-        moving = transform_message(newest.T_local_odom, map_frame, odom, stamp_ns)
-        self._tf.publish(TFMessage(transforms=[moving]))
+        self._T_map_chain = newest.T_local_odom
+        self.publish_odom_frame(stamp_ns, self._T_chain_odom)
         frame = solution.frame
         if frame is not None:
             origin = origin_message(frame.latitude_deg, frame.longitude_deg, frame.height, map_frame)
@@ -74,14 +93,12 @@ class MapPublisher:
         stamp_ns = int(solution.sequences[-1].stamps_ns[-1])
         self._points.publish(cloud_message(xyz_cloud(local, **fields), self._frames[1], stamp_ns))
 
-    def publish_growing(self, times_ns: Ints, poses: Floats, xyz: Floats, T_map_odom: Floats) -> None:
+    def publish_growing(self, times_ns: Ints, poses: Floats, xyz: Floats) -> None:
         """Publish what there is of a live map: path (S, 4, 4) and points (N, 3) in ``map``."""
-        _, map_frame, odom = self._frames
+        map_frame = self._frames[1]
         stamp_ns = int(times_ns[-1])
         self._path.publish(path_message(times_ns, poses, map_frame))
         self._points.publish(cloud_message(xyz_cloud(xyz), map_frame, stamp_ns))
-        moving = transform_message(T_map_odom, map_frame, odom, stamp_ns)
-        self._tf.publish(TFMessage(transforms=[moving]))
 
     def wait_until_received(self) -> None:
         """Wait until matched subscribers have everything."""

@@ -14,30 +14,36 @@ from subiaco_mapping.measurements import DeskewedScan, OdometryPose
 from subiaco_mapping.nodes.covariance import UNKNOWN_VELOCITY, BaseVelocity
 from subiaco_mapping.preprocessing.conversions import cloud_array, stamp_ns
 from subiaco_msgs.msg import ScanQuality
-from subiaco_ros.messages import cloud_message, header, pose_array, pose_message
+from subiaco_ros.messages import cloud_message, header, pose_array, pose_message, xyz_cloud
 
-#: One point of ``points_deskewed``: 17 bytes; ``kind`` is one of the three below.
+#: One point of ``points_deskewed``: 17 bytes; ``kind`` is one of the two below.
 SCAN_POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("kind", "u1")])
-#: Strongest return, second return, and no return: how far a beam proves the air empty.
-STRONGEST, SECOND, SKY = 0, 1, 2
+#: Strongest return, second return.
+STRONGEST, SECOND = 0, 1
+#: Covariances of the library have rotation first, those of ROS messages translation (REP 103).
+_ROS_ORDER = np.array([3, 4, 5, 0, 1, 2])
 
 
 def scan_points(scan: DeskewedScan) -> NDArray[np.void]:
-    """Stack both returns and the sky of a scan as :data:`SCAN_POINT` rows."""
-    parts = (scan.xyz, scan.last_xyz, scan.sky_xyz)
+    """Stack both returns of a scan as :data:`SCAN_POINT` rows."""
+    parts = (scan.xyz, scan.last_xyz)
     xyz = np.concatenate(parts)
     points = np.zeros(len(xyz), SCAN_POINT)
     for axis, name in enumerate("xyz"):
         points[name] = xyz[:, axis]
-    returns = len(scan.xyz) + len(scan.last_xyz)
-    points["intensity"][:returns] = np.concatenate([scan.intensity, scan.last_intensity])
-    points["kind"] = np.repeat([STRONGEST, SECOND, SKY], [len(part) for part in parts])
+    points["intensity"] = np.concatenate([scan.intensity, scan.last_intensity])
+    points["kind"] = np.repeat([STRONGEST, SECOND], [len(part) for part in parts])
     return points
 
 
 def scan_message(scan: DeskewedScan, frame_id: str) -> PointCloud2:
-    """Build the message of a deskewed scan: returns and sky, float32, in ``lidar_link``."""
+    """Build the message of a deskewed scan: both returns, float32, in ``lidar_link``."""
     return cloud_message(scan_points(scan), frame_id, scan.stamp_ns)
+
+
+def sky_message(scan: DeskewedScan, frame_id: str) -> PointCloud2:
+    """Build the message of the beams of a scan that met nothing: how far each proves the air empty."""
+    return cloud_message(xyz_cloud(scan.sky_xyz), frame_id, scan.stamp_ns)
 
 
 def quality_message(pose: OdometryPose, scan: DeskewedScan, frame_id: str) -> ScanQuality:
@@ -54,7 +60,7 @@ def quality_message(pose: OdometryPose, scan: DeskewedScan, frame_id: str) -> Sc
         lost_columns=scan.lost_columns,
         dropped_points=scan.dropped_points,
         accel=np.full(3, np.nan) if scan.accel is None else np.asarray(scan.accel, np.float64),
-        covariance=np.asarray(pose.covariance, np.float64).ravel(),
+        covariance=np.asarray(pose.covariance, np.float64)[np.ix_(_ROS_ORDER, _ROS_ORDER)].ravel(),
     )
 
 
@@ -62,10 +68,10 @@ def _stack_xyz(points: NDArray[np.void]) -> Floats:
     return np.stack([points[name] for name in "xyz"], axis=1).astype(np.float64)
 
 
-def scan_from_messages(cloud: Any, quality: Any) -> DeskewedScan:
-    """Rebuild a deskewed scan from cloud and quality of one stamp."""
+def scan_from_messages(cloud: Any, sky: Any, quality: Any) -> DeskewedScan:
+    """Rebuild a deskewed scan from cloud, sky and quality of one stamp."""
     points = cloud_array(cloud)
-    first, last, sky = (points[points["kind"] == kind] for kind in (STRONGEST, SECOND, SKY))
+    first, last = (points[points["kind"] == kind] for kind in (STRONGEST, SECOND))
     accel = np.array(quality.accel, dtype=np.float64)
     return DeskewedScan(
         stamp_ns=stamp_ns(cloud.header.stamp),
@@ -74,7 +80,7 @@ def scan_from_messages(cloud: Any, quality: Any) -> DeskewedScan:
         mode=quality.mode,
         last_xyz=_stack_xyz(last),
         last_intensity=last["intensity"].astype(np.float32),
-        sky_xyz=_stack_xyz(sky),
+        sky_xyz=_stack_xyz(cloud_array(sky)),
         accel=None if np.isnan(accel).any() else accel,
         columns=quality.columns,
         lost_columns=quality.lost_columns,
@@ -113,7 +119,7 @@ def pose_from_messages(odometry: Any, quality: Any, T_base_lidar: Floats) -> Odo
     return OdometryPose(
         stamp_ns=stamp_ns(odometry.header.stamp),
         T_odom_lidar=pose_array(odometry.pose.pose) @ T_base_lidar,
-        covariance=np.array(quality.covariance, dtype=np.float64).reshape(6, 6),
+        covariance=np.reshape(quality.covariance, (6, 6))[np.ix_(_ROS_ORDER, _ROS_ORDER)],
         inliers=quality.inliers,
         residual_rmse=quality.residual_rmse,
         degenerate=quality.degenerate,

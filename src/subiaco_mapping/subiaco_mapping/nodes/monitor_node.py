@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import json
 import shutil
+import socket
 import sys
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from importlib import import_module
 from pathlib import Path
 from typing import Any
@@ -39,19 +40,22 @@ from subiaco_mapping.preprocessing.conversions import fix_from_msg, imu_from_msg
 from subiaco_mapping.recording.losses import header_stamp_ns
 from subiaco_mapping.topic_names import GPS_FIX, NMEA_SENTENCE, TIME_REFERENCE
 from subiaco_msgs.msg import ScanQuality
-from subiaco_ros.node_process import App, run_node
+from subiaco_ros.diagnostics import NO_HARDWARE, lidar_identity, status_prefix
+from subiaco_ros.managed_node import App
+from subiaco_ros.node_process import run_node
 from subiaco_ros.parameters import read_models
 from subiaco_ros.qos import latched
 from subiaco_ros.qos_adaptation import OfferedSubscription, Wanted, follow_offers
 from subiaco_ros.stamp_matching import StampMatcher
 from subiaco_ros.supervision import supervisor_channel
+from subiaco_ros.topic_names import DIAGNOSTICS
 
 TICK_INTERVAL = 0.1
 STATUS_INTERVAL = 0.5
 MARKER_INTERVAL = 2.0
 FILE_INTERVAL = 5.0
-OWN = "monitor: "
-RECORDER = "recorder"
+#: Status of the recorder, in whatever namespace it runs.
+RECORDER = "recorder: recording"
 PATIENCE = 0.05
 _MOST_WAIT_NS = 10_000_000_000
 
@@ -131,7 +135,10 @@ class MonitorApp:
         self._simulated = bool(node.get_parameter("use_sim_time").value)
         self._matcher = StampMatcher((ODOMETRY, QUALITY))
         self._channel = supervisor_channel()
-        self._diagnostics = node.create_publisher(DiagnosticArray, "diagnostics", 10)
+        self._prefix = status_prefix(node)
+        self._hardware = dict.fromkeys(("lidar", "disk"), NO_HARDWARE)
+        self._hardware["disk"] = socket.gethostname()
+        self._diagnostics = node.create_publisher(DiagnosticArray, DIAGNOSTICS, 10)
         self._markers = node.create_publisher(MarkerArray, "quality/markers", latched(1))
         self._geojson = node.create_publisher(String, "quality/geojson", latched(1))
         self._subscriptions = self._make_subscriptions()
@@ -156,7 +163,7 @@ class MonitorApp:
     def _make_subscriptions(self) -> dict[str, OfferedSubscription]:
         wanted: list[Wanted] = [
             (PacketMsg, LIDAR_PACKETS, self._on_packet, 2048, True),
-            (String, METADATA, lambda m: self._monitor.on_metadata(m.data), 1, False),
+            (String, METADATA, self._on_metadata, 1, False),
             (PointCloud2, POINTS, self._on_points, 8, True),
             (Imu, IMU, self._on_imu, 512, False),
             (NavSatFix, FIX, self._on_fix, 64, False),
@@ -164,7 +171,7 @@ class MonitorApp:
             (Odometry, ODOMETRY, lambda m: self._on_part(ODOMETRY, m), 32, False),
             (ScanQuality, QUALITY, lambda m: self._on_part(QUALITY, m), 32, False),
             (NavSatFix, "/map/origin", self._on_origin, 1, False),
-            (DiagnosticArray, "/diagnostics", self._on_diagnostics, 64, False),
+            (DiagnosticArray, DIAGNOSTICS, self._on_diagnostics, 64, False),
         ]
         for kind, topic, handler in (
             ("gps_msgs.msg:GPSFix", GPS_FIX, self._on_gps_fix),
@@ -206,6 +213,10 @@ class MonitorApp:
             self._shown = stretches
             self._publish()
 
+    def _on_metadata(self, message: String) -> None:
+        self._monitor.on_metadata(message.data)
+        self._hardware["lidar"] = lidar_identity(message.data)
+
     def _on_packet(self, raw: bytes) -> None:
         self._monitor.on_packet(raw, *self._when())
 
@@ -237,10 +248,12 @@ class MonitorApp:
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
         for status in message.status:
             name = status.name.lower()
-            if name == RECORDER:
+            if name.rsplit("/", 1)[-1] == RECORDER:
                 stopped = status.level == DiagnosticStatus.ERROR
                 self._monitor.on_recorder(stopped, status.message, self._when()[0])
-            if not name.startswith(OWN) and any(word in name for word in self._own.pps_words):
+            if not name.startswith(self._prefix.lower()) and any(
+                word in name for word in self._own.pps_words
+            ):
                 locked = status.level == DiagnosticStatus.OK
                 self._monitor.on_pps_lock(locked, f"{status.name}: {status.message}", self._when()[0])
 
@@ -264,7 +277,8 @@ class MonitorApp:
         snapshot = take_snapshot(
             self._monitor, float("nan") if self._files is None else self._files.remaining
         )
-        self._diagnostics.publish(diagnostic_array(snapshot, self._node.get_clock().now().to_msg()))
+        stamp = self._node.get_clock().now().to_msg()
+        self._diagnostics.publish(diagnostic_array(snapshot, stamp, self._prefix, self._hardware))
         self._channel.status(snapshot.as_dict())
 
     def _publish_streets(self) -> None:
@@ -290,8 +304,18 @@ def _optional(name: str) -> Any:
         return None
 
 
-def diagnostic_array(snapshot: Snapshot, stamp: Any) -> DiagnosticArray:
-    """Build the message of a snapshot: one status a line, and one for the street."""
+def diagnostic_array(
+    snapshot: Snapshot, stamp: Any, prefix: str, hardware: Mapping[str, str]
+) -> DiagnosticArray:
+    """Build the message of a snapshot: one status a line, and one for the street.
+
+    Parameters
+    ----------
+    prefix : str
+        How the names begin.
+    hardware : mapping
+        Identity of the hardware by line.
+    """
     levels = (DiagnosticStatus.OK, DiagnosticStatus.WARN, DiagnosticStatus.ERROR, DiagnosticStatus.STALE)
     array = DiagnosticArray()
     array.header.stamp = stamp
@@ -299,13 +323,19 @@ def diagnostic_array(snapshot: Snapshot, stamp: Any) -> DiagnosticArray:
         values = [KeyValue(key=key, value=value) for key, value in line.values.items()]
         array.status.append(
             DiagnosticStatus(
-                level=levels[line.level], name=OWN + line.name, message=line.message, values=values
+                level=levels[line.level],
+                name=prefix + line.name,
+                message=line.message,
+                hardware_id=hardware.get(line.name, NO_HARDWARE),
+                values=values,
             )
         )
     level = {"red": 2, "amber": 1}.get(snapshot.light, 0)
     counts = [KeyValue(key=key, value=str(value)) for key, value in snapshot.counts.items()]
     words = snapshot.light + (": " + ", ".join(snapshot.reasons) if snapshot.reasons else "")
-    street = DiagnosticStatus(level=levels[level], name=OWN + "street", message=words, values=counts)
+    street = DiagnosticStatus(
+        level=levels[level], name=prefix + "street", message=words, hardware_id=NO_HARDWARE, values=counts
+    )
     array.status.append(street)
     return array
 

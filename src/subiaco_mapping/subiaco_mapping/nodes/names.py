@@ -7,6 +7,7 @@ END = "/replay/end"
 
 ODOMETRY = "/odometry"
 CLOUD = "/points_deskewed"
+SKY = "/points_sky"
 QUALITY = "/odometry/quality"
 FACTS = "/odometry/facts"
 ODOMETRY_SEQUENCE = "/odometry/sequence"

@@ -14,7 +14,6 @@ from typing import Any, Protocol
 from nav_msgs.msg import Odometry
 from pydantic import Field
 from rclpy.node import Node
-from rclpy.subscription import Subscription
 from sensor_msgs.msg import Imu, PointCloud2
 from std_msgs.msg import String
 
@@ -31,7 +30,7 @@ from subiaco_mapping.nodes.covariance import PoseCovariance, base_velocity
 from subiaco_mapping.nodes.extrinsics import StaticTransforms, sensors_needed
 from subiaco_mapping.nodes.flow import ConsumedCounter, FlowControl
 from subiaco_mapping.nodes.live_sources import ExtrinsicsWaiter
-from subiaco_mapping.nodes.messages import odometry_message, quality_message, scan_message
+from subiaco_mapping.nodes.messages import odometry_message, quality_message, scan_message, sky_message
 from subiaco_mapping.nodes.missed_messages import Arrivals
 from subiaco_mapping.nodes.names import (
     CLOUD,
@@ -42,21 +41,23 @@ from subiaco_mapping.nodes.names import (
     ODOMETRY_SEQUENCE,
     QUALITY,
     SEQUENCE,
+    SKY,
 )
 from subiaco_mapping.odometry.frontend import FrontendOutput, OdometryFrontend
 from subiaco_mapping.preprocessing.conversions import imu_from_msg, scan_from_points
 from subiaco_msgs.msg import ReplayCounts, ScanQuality
-from subiaco_ros.diagnostics import Diagnostics
+from subiaco_ros.diagnostics import Diagnostics, lidar_identity
+from subiaco_ros.managed_node import App
 from subiaco_ros.messages import transform_message
-from subiaco_ros.node_process import App, run_node
+from subiaco_ros.node_process import run_node
 from subiaco_ros.parameters import read_models
 from subiaco_ros.qos import latched, overridable, reliable
-from subiaco_ros.qos_adaptation import PolledCallbackGroup, Wanted, drain, follow_offers
+from subiaco_ros.qos_adaptation import Wanted, follow_offers
 from tf2_msgs.msg import TFMessage
 
 LOGGER = logging.getLogger(__name__)
 
-OUTPUTS = (ODOMETRY, CLOUD, QUALITY, FACTS, ODOMETRY_SEQUENCE, ODOMETRY_END)
+OUTPUTS = (ODOMETRY, CLOUD, SKY, QUALITY, FACTS, ODOMETRY_SEQUENCE, ODOMETRY_END)
 INPUTS = (METADATA, TF_STATIC, LIDAR_PACKETS, POINTS, IMU, SEQUENCE, END)
 
 #: Most deskewed scans that a consumer may be behind before the replay is slowed down.
@@ -80,9 +81,6 @@ class OdometryParameters(StrictModel):
     odom_frame: str = Field("odom", description="Frame of the odometry poses")
     consumers: tuple[str, ...] = Field((), description="Nodes whose message counts the odometry waits for")
     exit_at_end: bool = Field(False, description="End the node when the replay ends")
-    follow_offers: bool = Field(
-        False, description="Subscribe to sensor topics as reliable or best effort, as the drivers offer them"
-    )
 
 
 class Frontend(Protocol):
@@ -142,14 +140,14 @@ class OdometryApp:
         self._arrivals = Arrivals()
         self._facts_at = 0.0
         self.flow = FlowControl(own.consumers, dict.fromkeys(OUTPUTS, SCAN_WINDOW))
-        self._diagnostics = Diagnostics(node)
+        self._diagnostics = Diagnostics(node, "registration")
         self._create_publishers(node)
         self._reporter = ConsumptionReporter(node, ConsumedCounter(INPUTS), self._downstream_has_room)
         listen_to_consumers(node, self.flow, self._reporter.flush)
         self._create_subscriptions(node)
 
     def _create_publishers(self, node: Node) -> None:
-        frame_types = {ODOMETRY: Odometry, CLOUD: PointCloud2, QUALITY: ScanQuality}
+        frame_types = {ODOMETRY: Odometry, CLOUD: PointCloud2, SKY: PointCloud2, QUALITY: ScanQuality}
         self._publishers = {
             topic: node.create_publisher(kind, topic.lstrip("/"), reliable(32))
             for topic, kind in frame_types.items()
@@ -177,43 +175,19 @@ class OdometryApp:
             (ReplayCounts, END, self._on_end, latched(1)),
         )
         for kind, topic, on_message, profile in handlers:
-            self._subscribe(node, kind, topic, self._counting(topic, on_message), profile)
-
-    def _polled(self, node: Node, wanted: Sequence[Wanted]) -> list[Callable[[], int]]:
-        """Subscribe to the sensors; return what takes the messages of each, past the executor."""
-        if self._own.follow_offers:
-            offered = follow_offers(node, wanted, {topic for _, topic, *_ in wanted})
-            return [partial(subscription.drain, _TURN) for subscription in offered.values()]
-        group = PolledCallbackGroup()
-        return [
-            partial(
-                drain,
-                self._subscribe(node, kind, topic, handler, reliable(depth), raw, group),
-                handler,
-                _TURN,
+            node.create_subscription(
+                kind,
+                topic.lstrip("/"),
+                self._counting(topic, on_message),
+                profile,
+                qos_overriding_options=overridable(),
             )
-            for kind, topic, handler, depth, raw in wanted
-        ]
 
     @staticmethod
-    def _subscribe(
-        node: Node,
-        kind: Any,
-        topic: str,
-        handler: Callable[..., None],
-        profile: Any,
-        raw: bool = False,
-        group: PolledCallbackGroup | None = None,
-    ) -> Subscription:
-        return node.create_subscription(
-            kind,
-            topic.lstrip("/"),
-            handler,
-            profile,
-            callback_group=group,
-            raw=raw,
-            qos_overriding_options=overridable(),
-        )
+    def _polled(node: Node, wanted: Sequence[Wanted]) -> list[Callable[[], int]]:
+        """Subscribe to the sensors as they are offered; return what takes the messages of each."""
+        offered = follow_offers(node, wanted, {topic for _, topic, *_ in wanted})
+        return [partial(subscription.drain, _TURN) for subscription in offered.values()]
 
     def _counting(self, topic: str, handler: Callable[[Any], object]) -> Callable[[Any], None]:
         def counted(message: Any) -> None:
@@ -241,6 +215,7 @@ class OdometryApp:
 
     def _on_metadata(self, message: String) -> None:
         self._metadata = message.data
+        self._diagnostics.hardware_id = lidar_identity(message.data)
         if self._frontend is not None:
             self._frontend.set_metadata(message.data)
 
@@ -283,7 +258,7 @@ class OdometryApp:
         LOGGER.info("odometry of %d scans done", counts[ODOMETRY])
 
     def _output_counts(self) -> dict[str, int]:
-        return {topic: self.flow.totals[topic] for topic in (ODOMETRY, CLOUD, QUALITY, FACTS)}
+        return {topic: self.flow.totals[topic] for topic in (ODOMETRY, CLOUD, SKY, QUALITY, FACTS)}
 
     def _sequence_frontend(self, topic: str) -> Frontend | None:
         """Return the front end of the sequence; on live topics None until the sensors' places are known."""
@@ -332,6 +307,7 @@ class OdometryApp:
         self._send(QUALITY, quality_message(output.pose, output.scan, sensors.lidar_frame))
         self._send(ODOMETRY, message)
         self._send(CLOUD, scan_message(output.scan, sensors.lidar_frame))
+        self._send(SKY, sky_message(output.scan, sensors.lidar_frame))
         T_odom_base = output.pose.T_odom_lidar @ invert_pose(self._extrinsics.T_base_lidar)
         moving = transform_message(T_odom_base, odom, sensors.base_frame, output.pose.stamp_ns)
         self._tf.publish(TFMessage(transforms=[moving]))

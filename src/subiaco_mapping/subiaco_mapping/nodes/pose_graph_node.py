@@ -55,14 +55,16 @@ from subiaco_mapping.nodes.names import (
     ODOMETRY_SEQUENCE,
     QUALITY,
     SEQUENCE,
+    SKY,
 )
 from subiaco_mapping.pose_graph.solution import GraphSolution, LiveEstimate
 from subiaco_mapping.preprocessing.conversions import fix_from_msg, heading_from_msg, stamp_ns
 from subiaco_msgs.msg import ReplayCounts, ScanQuality
 from subiaco_msgs.srv import Optimize, SaveMap
 from subiaco_ros.diagnostics import Diagnostics, ProgressReporter
-from subiaco_ros.node_process import App, run_node
-from subiaco_ros.parameters import read_models
+from subiaco_ros.managed_node import App
+from subiaco_ros.node_process import run_node
+from subiaco_ros.parameters import DYNAMIC, read_models
 from subiaco_ros.qos import latched, overridable, reliable
 from subiaco_ros.qos_adaptation import follow_offers
 from subiaco_ros.stamp_matching import StampMatcher
@@ -76,6 +78,7 @@ INPUTS = (
     HEADING,
     ODOMETRY,
     CLOUD,
+    SKY,
     QUALITY,
     FACTS,
     ODOMETRY_SEQUENCE,
@@ -107,15 +110,12 @@ class PoseGraphParameters(StrictModel):
         description="Largest number of points published on map/points at the end",
     )
     exit_at_end: bool = Field(False, description="End the node when the odometry ends")
-    follow_offers: bool = Field(
-        False,
-        description="Subscribe to fixes and headings as reliable or best effort, as the drivers offer them",
-    )
     live_period: float = Field(
         0.0,
         ge=0,
         description="Time between two updates of path and map during the drive [s]; 0 updates at the end "
         "only",
+        json_schema_extra=DYNAMIC,
     )
     live_voxel: float = Field(
         0.4,
@@ -185,7 +185,7 @@ class PoseGraphApp:
         self._backend = backend
         self._transforms = StaticTransforms(config.sensors, (own.map_frame,))
         self._extrinsics: Extrinsics | None = None
-        self._matcher = StampMatcher((ODOMETRY, QUALITY, CLOUD))
+        self._matcher = StampMatcher((ODOMETRY, QUALITY, CLOUD, SKY))
         self._announced: ReplayCounts | None = None
         self._marker: tuple[str, ReplayCounts] | None = None
         self._sequence = "live"
@@ -195,21 +195,29 @@ class PoseGraphApp:
         self._arrivals = Arrivals()
         self._ending = self._finished = False
         self._progress = ProgressReporter(node)
-        self._diagnostics = Diagnostics(node)
+        self._diagnostics = Diagnostics(node, "solution")
         self._map = MapPublisher(node, own.map_frame, own.odom_frame, own.earth_frame, own.preview_points)
-        self._live = self._make_live() if own.live_period > 0 else None
+        self._live = self._make_live(own.live_period) if own.live_period > 0 else None
         self._reporter = ConsumptionReporter(node, ConsumedCounter(INPUTS))
         self._create_subscriptions(node)
         node.create_service(Optimize, "pose_graph/optimize", self._on_optimize)
         node.create_service(SaveMap, "pose_graph/save_map", self._on_save_map)
 
-    def _make_live(self) -> LiveMap:
+    def reconfigure(self, values: Mapping[str, Any]) -> None:
+        """Update path and map at another interval."""
+        period = float(values.get("live_period", self._own.live_period))
+        if self._live is not None:
+            self._live.set_period(period)
+        elif period > 0:
+            self._live = self._make_live(period)
+
+    def _make_live(self, period: float) -> LiveMap:
         own = self._own
         return LiveMap(
             self._map,
             self._backend.optimize,
             self._publish_solution,
-            period=own.live_period,
+            period=period,
             voxel=own.live_voxel,
             points=own.live_points,
         )
@@ -220,16 +228,14 @@ class PoseGraphApp:
             (Odometry, ODOMETRY, lambda m: self._on_part(ODOMETRY, m), reliable(SCAN_DEPTH)),
             (ScanQuality, QUALITY, lambda m: self._on_part(QUALITY, m), reliable(SCAN_DEPTH)),
             (PointCloud2, CLOUD, lambda m: self._on_part(CLOUD, m), reliable(SCAN_DEPTH)),
+            (PointCloud2, SKY, lambda m: self._on_part(SKY, m), reliable(SCAN_DEPTH)),
             (String, FACTS, self._on_facts, reliable(32)),
         )
         sensors: tuple[tuple[Any, str, Callable[[Any], object]], ...] = (
             (NavSatFix, FIX, self._on_fix),
             (Imu, HEADING, self._on_heading),
         )
-        if self._own.follow_offers:
-            follow_offers(node, [(k, t, self._counting(t, h), 1000, False) for k, t, h in sensors])
-        else:
-            handlers += tuple((kind, topic, handler, reliable(1000)) for kind, topic, handler in sensors)
+        follow_offers(node, [(k, t, self._counting(t, h), 1000, False) for k, t, h in sensors])
         for kind, topic, handler, profile in handlers:
             node.create_subscription(
                 kind,
@@ -308,6 +314,7 @@ class PoseGraphApp:
     def _begin(self, name: str) -> None:
         self._sequence = name
         self._extrinsics = None
+        self._map.begin_sequence()
         self._transforms = StaticTransforms(self._config.sensors, (self._own.map_frame,))
 
     def _started(self) -> Extrinsics | None:
@@ -349,16 +356,17 @@ class PoseGraphApp:
         if extrinsics is None:
             self._arrivals.leave_out(ODOMETRY)
             return
-        odometry, quality, cloud = found
+        odometry, quality, cloud, sky = found
         pose = pose_from_messages(odometry, quality, extrinsics.T_base_lidar)
-        scan = scan_from_messages(cloud, quality)
+        scan = scan_from_messages(cloud, sky, quality)
         if self._announced is None:
             segment, T_odom_lidar = self._chain.take(pose.segment, pose.T_odom_lidar)
             pose = replace(pose, segment=segment, T_odom_lidar=T_odom_lidar)
         self._backend.on_odometry(pose, scan)
+        self._map.publish_odom_frame(pose.stamp_ns, self._chain.T_chain_odom)
         self._scans += 1
         if self._live is not None:
-            self._live.add(pose.stamp_ns, pose.T_odom_lidar, scan, self._chain.T_chain_odom)
+            self._live.add(pose.stamp_ns, pose.T_odom_lidar, scan)
 
     def _publish_solution(self, solution: GraphSolution | LiveEstimate) -> None:
         self._map.publish_solution(solution)

@@ -27,12 +27,14 @@ from subiaco_ros.qos_adaptation import (
     take_from,
     wanted_qos,
 )
+from subiaco_ros.topic_names import relative
 
 _WHOLE_CLOUDS = "sensor_msgs/msg/PointCloud2"
 _BURST = 4096
 
 
-def _message_text(msg_type: str) -> str:
+def message_text(msg_type: str) -> str:
+    """Return the definition of a message type, as its installed package states it."""
     package, _, name = msg_type.split("/")
     share = Path(get_package_share_directory(package))
     return (share / "msg" / f"{name}.msg").read_text("utf-8")
@@ -70,7 +72,7 @@ class Listener:
         self._config = config
         self._take = take
         self._polled = PolledCallbackGroup()
-        self._definitions = Definitions(_message_text)
+        self._definitions = Definitions(message_text)
         self._topics: dict[str, _Listening] = {}
         self._refused: dict[str, str] = {}
         self._metadata: str | None = None
@@ -101,7 +103,7 @@ class Listener:
     def look(self) -> None:
         """Subscribe to what has come up, and anew where the offer has changed."""
         for name in self._wanted():
-            offer = read_offer(self._node, self._node.resolve_topic_name(name.lstrip("/")))
+            offer = read_offer(self._node, self._node.resolve_topic_name(relative(name)))
             known = self._topics.get(name)
             if offer is None or (known is not None and known.offer.key == offer.key):
                 continue
@@ -115,7 +117,7 @@ class Listener:
         names = list(self._config.topics)
         if self._config.all_topics:
             left_out = {*names, *self._config.exclude}
-            sources = {self._node.resolve_topic_name(name.lstrip("/")) for name in names}
+            sources = {self._node.resolve_topic_name(relative(name)) for name in names}
             found = (name for name, _ in self._node.get_topic_names_and_types())
             names += sorted(name for name in found if name not in left_out | sources)
         return names
@@ -137,7 +139,7 @@ class Listener:
         counter = TopicCounter(stamped=offer.msg_type in PERIODIC_TYPES) if known is None else known.counter
         subscription = self._node.create_subscription(
             kind,
-            name.lstrip("/"),
+            relative(name),
             _never_called,
             wanted_qos(offer, self._depth(offer.msg_type)),
             callback_group=self._polled,
@@ -149,7 +151,7 @@ class Listener:
 
     def _publishers(self, name: str) -> frozenset[bytes]:
         """Return the identities of those who publish a topic now."""
-        found = self._node.get_publishers_info_by_topic(self._node.resolve_topic_name(name.lstrip("/")))
+        found = self._node.get_publishers_info_by_topic(self._node.resolve_topic_name(relative(name)))
         return frozenset(bytes(endpoint.endpoint_gid) for endpoint in found)
 
     def _greet(self, listening: _Listening) -> None:

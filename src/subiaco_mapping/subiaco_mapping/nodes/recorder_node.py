@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import socket
 import sys
 import time
 from collections.abc import Sequence
@@ -58,7 +59,7 @@ class RecorderApp:
         self._config = config
         self.recorder = Recorder(Path(own.output), config, resume=own.resume, facts=self._facts)
         self.listener = Listener(node, config, self.recorder.add)
-        self._diagnostics = Diagnostics(node)
+        self._diagnostics = Diagnostics(node, "recording", socket.gethostname())
         self._began = self._said = self._drained = time.monotonic()
         self._until = self._said + own.duration if own.duration else None
         steady = Clock(clock_type=ClockType.STEADY_TIME)

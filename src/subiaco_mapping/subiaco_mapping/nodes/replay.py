@@ -82,12 +82,18 @@ class Replay:
         self._port = port
         self._topics = frozenset(topics)
         self._rate = rate
+        self._anchor: tuple[float, int] | None = None
         self._on_progress = on_progress or (lambda _fraction: None)
         self._open = open_bag
         self._steps = self._run()
         self._played = 0
         self._total = 0
         self.done = False
+
+    def set_rate(self, rate: float) -> None:
+        """Go on at another speed: log seconds a second, 0 as fast as the consumers."""
+        self._rate = rate
+        self._anchor = None
 
     def step(self) -> bool:
         """Do a little; return False where consumers or the clock must be waited for."""
@@ -145,12 +151,22 @@ class Replay:
             yield from self._publish_all(reader, chosen - LATCHED, paced=True)
             yield from self._until_settled()
 
+    def _is_early(self, log_time_ns: int) -> bool:
+        """Whether a message is not due yet; time counts from the first one after a change of the speed."""
+        if not self._rate:
+            return False
+        if self._anchor is None:
+            self._anchor = (time.monotonic(), log_time_ns)
+        began, first_ns = self._anchor
+        return time.monotonic() < began + (log_time_ns - first_ns) * 1e-9 / self._rate
+
     def _publish_all(self, reader: BagReader, topics: Collection[str], *, paced: bool) -> Iterator[bool]:
-        begun = time.monotonic()
+        self._anchor = (time.monotonic(), reader.start_ns)
         clock_ns = reader.start_ns
         for message in reader.messages(topics) if topics else ():
-            due = begun + (message.log_time_ns - reader.start_ns) * 1e-9 / self._rate if self._rate else 0.0
-            while (paced and time.monotonic() < due) or not self._flow.may_publish(message.topic):
+            while (paced and self._is_early(message.log_time_ns)) or not self._flow.may_publish(
+                message.topic
+            ):
                 yield False
             if paced and message.log_time_ns - clock_ns >= CLOCK_STEP_NS:
                 clock_ns = message.log_time_ns

@@ -27,8 +27,9 @@ from subiaco_mapping.nodes.replay import WINDOWS, Replay
 from subiaco_mapping.topic_names import TopicsConfig
 from subiaco_msgs.msg import ReplayCounts
 from subiaco_ros.diagnostics import ProgressReporter
-from subiaco_ros.node_process import App, run_node
-from subiaco_ros.parameters import read_models
+from subiaco_ros.managed_node import App
+from subiaco_ros.node_process import run_node
+from subiaco_ros.parameters import DYNAMIC, read_models
 from subiaco_ros.qos import latched, reliable
 
 #: Messages published between two looks at the callbacks.
@@ -45,6 +46,7 @@ class ReplayParameters(StrictModel):
         0.0,
         ge=0,
         description="Replay speed as a multiple of real time; 0 replays as fast as the consumers can process",
+        json_schema_extra=DYNAMIC,
     )
     topics: tuple[str, ...] = Field(tuple(MESSAGE_TYPES), description="Topics that are replayed")
     names: TopicsConfig = Field(TopicsConfig(), description="Names of the topics in the bags")
@@ -62,7 +64,9 @@ def _message_class(topic: str) -> Any:
 class NodePort:
     """Publishers of everything that a replay sends; names become relative, so that they can be remapped."""
 
-    def __init__(self, node: Node, topics: Sequence[str]) -> None:
+    def __init__(self, node: Node, topics: Sequence[str], consumers: Sequence[str] = ()) -> None:
+        self._node = node
+        self._consumers = frozenset(consumers)
         self._publishers: dict[str, Publisher] = {}
         for topic in topics:
             profile = latched(100) if topic in LATCHED else reliable(1000)
@@ -85,8 +89,11 @@ class NodePort:
         self._clock.publish(Clock(clock=stamp))
 
     def connected(self, topic: str) -> int:
-        """Return how many subscribers are matched."""
-        return int(self._publishers[topic].get_subscription_count())
+        """Return how many consumers are matched; a viewer that subscribes too does not count."""
+        publisher = self._publishers[topic]
+        found = self._node.get_subscriptions_info_by_topic(publisher.topic_name)
+        named = {end.node_name for end in found} & self._consumers
+        return min(len(named), int(publisher.get_subscription_count()))
 
 
 class ReplayApp:
@@ -99,6 +106,11 @@ class ReplayApp:
         self._deadline = time.monotonic() + consumer_timeout
         self._timeout = consumer_timeout
         listen_to_consumers(node, flow)
+
+    def reconfigure(self, values: Mapping[str, Any]) -> None:
+        """Go on at another speed."""
+        if "rate" in values:
+            self._replay.set_rate(float(values["rate"]))
 
     @property
     def done(self) -> bool:
@@ -127,7 +139,7 @@ def build(node: Node) -> App:
     own, _ = read_models(node, ReplayParameters)
     flow = FlowControl(own.consumers, WINDOWS)
     progress = ProgressReporter(node)
-    port = NodePort(node, own.topics)
+    port = NodePort(node, own.topics, own.consumers)
     replay = Replay(
         [Path(bag) for bag in own.bags],
         flow,

@@ -17,6 +17,8 @@ from subiaco_mapping.pose_graph.records import Chain, GnssPriors, LoopEdge
 MakeKernel: TypeAlias = Callable[[float], Any]
 
 _CHAIN = 1 << 40
+#: Common offset of all fixes, sign turned, and frame of a reference cloud: one of each in a graph.
+OFFSET_KEY, REFERENCE_KEY = 4 << 36, 5 << 36
 _LEVER_SIGMA = 1e-4  # keeps a lever arm where it is [m]
 _FREE = 1.0  # tilt that a heading leaves open [rad]
 
@@ -118,9 +120,19 @@ def add_heading(graph: Any, number: int, chain: Chain, poses: Floats, start: int
 
 
 def add_fixes(
-    graph: Any, values: Any, number: int, chain: Chain, poses: Floats, config: GnssConfig, make: MakeKernel
+    graph: Any,
+    values: Any,
+    number: int,
+    chain: Chain,
+    poses: Floats,
+    config: GnssConfig,
+    make: MakeKernel,
+    *,
+    offset: bool = False,
 ) -> None:
     """Add the fixes, with the slow part of their errors as states of their own.
+
+    With ``offset`` the slow errors scatter about the common offset instead of zero.
 
     With slow errors a fix is ``antenna - fix = slow + white``. gtsam has no such factor of three
     variables, so the antenna is one (tied to pose and lever arm), and so is the lever arm.
@@ -132,7 +144,7 @@ def add_fixes(
     if slow is None:
         _add_plain_fixes(graph, number, gnss, kernel, 1.0)
         return
-    _add_slow_errors(graph, values, number, slow)
+    _add_slow_errors(graph, values, number, slow, offset=offset)
     tight = _diagonal(np.full(3, _LEVER_SIGMA))
     at = poses[gnss.index]
     antennas = np.einsum("nij,nj->ni", at[:, :3, :3], gnss.levers) + at[:, :3, 3]
@@ -170,14 +182,17 @@ def add_white_fixes(graph: Any, number: int, chain: Chain, config: GnssConfig, s
     _add_plain_fixes(graph, number, gnss, kernel, inflation, start)
 
 
-def _add_slow_errors(graph: Any, values: Any, number: int, slow: Any) -> None:
+def _add_slow_errors(graph: Any, values: Any, number: int, slow: Any, *, offset: bool) -> None:
     zero = np.zeros(3)
     following = np.append(slow.step[1:], 0.0)
     for k in range(len(slow)):
         key = slow_key(number, k)
         values.insert(key, zero)
         own = slow.sigma[k] / np.sqrt(own_precision(slow.step[k], following[k]))
-        graph.add(gtsam.PriorFactorPoint3(key, zero, _diagonal(own)))
+        if offset:
+            graph.add(gtsam.BetweenFactorPoint3(OFFSET_KEY, key, zero, _diagonal(own)))
+        else:
+            graph.add(gtsam.PriorFactorPoint3(key, zero, _diagonal(own)))
         if slow.step[k] > 0:
             link = slow.sigma[k] / np.sqrt(link_precision(slow.step[k]))
             graph.add(gtsam.BetweenFactorPoint3(key - 1, key, zero, _diagonal(link)))

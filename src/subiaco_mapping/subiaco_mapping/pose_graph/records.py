@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -99,6 +99,12 @@ class Chain:
     def __len__(self) -> int:
         return len(self.stamps_ns)
 
+    def shifted(self, offset: Floats) -> Chain:
+        """Return the chain with an offset (3,) [m] added to its fixes."""
+        if self.gnss is None:
+            return self
+        return replace(self, gnss=replace(self.gnss, enu=self.gnss.enu + offset))
+
 
 @dataclass(frozen=True)
 class LoopEdge:
@@ -137,8 +143,12 @@ class ChainSolution:
 
 @dataclass(frozen=True)
 class Solved:
-    """All chains by number; of every loop (L,) what the robust kernel left, and how far it is off [m]."""
+    """All chains by number; of every loop (L,) what the robust kernel left, and how far it is off [m].
+
+    ``gnss_offset`` (3,) is what was added to every fix, where control points tell it [m].
+    """
 
     chains: dict[int, ChainSolution]
     loop_weights: Floats
     seams: Floats
+    gnss_offset: Floats = field(default_factory=lambda: np.zeros(3))

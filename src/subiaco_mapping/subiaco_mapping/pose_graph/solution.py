@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from subiaco_geo.crs import EnuFrame
 from subiaco_geo.frames import Floats, Ints
+from subiaco_mapping.absolute_positions.positioning import AbsoluteFacts
 from subiaco_mapping.pose_graph.records import Chain, LoopEdge, Solved
 
 
@@ -103,6 +104,7 @@ class GraphSolution:
     reason: str | None
     loops: LoopFacts = field(default_factory=LoopFacts)
     graph: SolvedGraph | None = None
+    absolute: AbsoluteFacts | None = None
 
 
 @dataclass(frozen=True)

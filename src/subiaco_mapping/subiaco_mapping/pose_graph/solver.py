@@ -11,6 +11,7 @@ import numpy as np
 from subiaco_geo.errors import SubiacoError
 from subiaco_geo.frames import Floats
 from subiaco_mapping.config import GnssConfig, GraphConfig
+from subiaco_mapping.pose_graph.absolute_factors import NO_TIES, AbsoluteTies, add_ties, offset_of
 from subiaco_mapping.pose_graph.correlated_gnss_errors import slow_errors
 from subiaco_mapping.pose_graph.factors import (
     MakeKernel,
@@ -35,6 +36,7 @@ def _build(
     loops: Sequence[LoopEdge],
     configs: tuple[GraphConfig, GnssConfig],
     make: MakeKernel,
+    ties: AbsoluteTies,
 ) -> tuple[Any, Any]:
     graph, values = gtsam.NonlinearFactorGraph(), gtsam.Values()
     config, gnss = configs
@@ -45,10 +47,11 @@ def _build(
         add_odometry(graph, number, chain, config)
         add_gravity(graph, number, chain, config)
         add_heading(graph, number, chain, own)
-        add_fixes(graph, values, number, chain, own, gnss, make)
+        add_fixes(graph, values, number, chain, own, gnss, make, offset=ties.offset_sigma is not None)
         if chain.anchored:
             add_anchor(graph, number, chain)
     add_loops(graph, loops, make(config.loop_kernel))
+    add_ties(graph, values, ties, make)
     return graph, values
 
 
@@ -91,9 +94,9 @@ def _world_covariances(marginals: Any, number: int, poses: Floats, stride: int) 
 
 
 def _gnss_residuals(
-    values: Any, number: int, chain: Chain, poses: Floats, config: GnssConfig
+    values: Any, number: int, chain: Chain, poses: Floats, config: GnssConfig, offset: Floats
 ) -> tuple[Floats, Floats, Floats]:
-    """Return residuals, slow errors (N, 3) and weights (N,)."""
+    """Return residuals, slow errors (N, 3) about the common offset (3,), and weights (N,)."""
     if chain.gnss is None:
         return np.zeros((0, 3)), np.zeros((0, 3)), np.zeros(0)
     gnss, slow = chain.gnss, slow_errors(chain.gnss, config)
@@ -104,7 +107,7 @@ def _gnss_residuals(
         states = np.array([values.atPoint3(slow_key(number, k)) for k in range(len(slow))])[slow.knot]
     white = residuals - states
     whitened = np.einsum("ni,nij,nj->n", white, np.linalg.inv(share * gnss.covariance), white)
-    return residuals, states, 1.0 / (1.0 + whitened / config.kernel**2)
+    return residuals - offset, states - offset * (slow is not None), 1.0 / (1.0 + whitened / config.kernel**2)
 
 
 def _loops_in(poses: Mapping[int, Floats], loops: Sequence[LoopEdge], kernel: float) -> tuple[Floats, Floats]:
@@ -120,9 +123,13 @@ def _loops_in(poses: Mapping[int, Floats], loops: Sequence[LoopEdge], kernel: fl
 
 
 def solve(
-    chains: Mapping[int, Chain], config: GraphConfig, gnss: GnssConfig, loops: Sequence[LoopEdge] = ()
+    chains: Mapping[int, Chain],
+    config: GraphConfig,
+    gnss: GnssConfig,
+    loops: Sequence[LoopEdge] = (),
+    ties: AbsoluteTies = NO_TIES,
 ) -> Solved:
-    """Solve all sequences together: first with Huber, from there with Cauchy on fixes and loops.
+    """Solve all sequences together: first with Huber, from there with Cauchy on fixes, loops and ties.
 
     Cauchy alone would ignore every fix while odometry drift keeps the first guess far away.
 
@@ -132,17 +139,18 @@ def solve(
         The solution is not finite or a pose is not determined.
     """
     poses = {number: chain.T_world_odom @ chain.T_odom_lidar for number, chain in chains.items()}
+    gnss = ties.gnss_config(gnss)
     estimator = gtsam.noiseModel.mEstimator
     for make in (estimator.Huber.Create, estimator.Cauchy.Create):
-        graph, values = _build(chains, poses, loops, (config, gnss), make)
+        graph, values = _build(chains, poses, loops, (config, gnss), make, ties)
         values = _optimize(graph, values, config)
         poses = {number: chain_poses(values, number, chain) for number, chain in chains.items()}
     marginals = marginals_of(graph, values)
-    solutions = {}
+    solutions, offset = {}, offset_of(values, ties)
     for number, chain in chains.items():
         own = poses[number]
         covariance = _world_covariances(marginals, number, own, config.covariance_stride)
         covariance += _in_world(own, _jitter(chain, config))
-        residuals = _gnss_residuals(values, number, chain, own, gnss)
+        residuals = _gnss_residuals(values, number, chain, own, gnss, offset)
         solutions[number] = ChainSolution(own, covariance, *residuals)
-    return Solved(solutions, *_loops_in(poses, loops, config.loop_kernel))
+    return Solved(solutions, *_loops_in(poses, loops, config.loop_kernel), offset)

@@ -12,6 +12,7 @@ from subiaco_geo.crs import EnuFrame
 from subiaco_geo.crs_area import crs_at, require_inside
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, invert_pose
+from subiaco_mapping.absolute_positions.positioning import AbsoluteFacts, position
 from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.loop_closure.finder import LoopFinder, level_axes
 from subiaco_mapping.loop_closure.places import Place
@@ -81,15 +82,45 @@ class SurveyGraph:
         if self._config.loops.enabled:
             edges = self._finder.close(self._solved_places(sequences, state.chains, solved))
             solved = self._solved(state.chains, edges) if edges else solved
+        solved, absolute = self._positioned(sequences, state, placement, solved, edges or state.joints)
         order = range(len(sequences))
         found = tuple(summary(sequences[k], state.chains[k], solved.chains[k]) for k in order)
         reason = None if placement.frame is not None else placement.reasons[0]
         between = np.array([e.first[0] != e.second[0] for e in edges], dtype=np.bool_)
         facts = LoopFacts(dict(self._finder.counts), between, solved.loop_weights, solved.seams)
         graph = SolvedGraph(state.chains, tuple(edges or state.joints), solved)
-        return GraphSolution(
-            found, placement.frame, reason, facts if edges else LoopFacts(facts.counts), graph
-        )
+        loops = facts if edges else LoopFacts(facts.counts)
+        return GraphSolution(found, placement.frame, reason, loops, graph, absolute)
+
+    def _positioned(
+        self,
+        sequences: list[SequenceRecord],
+        state: _State,
+        placement: Placement,
+        solved: Solved,
+        edges: list[LoopEdge],
+    ) -> tuple[Solved, AbsoluteFacts | None]:
+        """Solve again with control points and a reference; fixes then stand where these put them."""
+        built = {number: sequences[number].submaps for number in state.chains}
+        submaps = {
+            (number, submap.anchor): submap
+            for number, own in built.items()
+            if own is not None
+            for submap in own.done
+        }
+        frame, crs = placement.frame, None
+        if frame is not None:
+            crs = crs_at(frame.latitude_deg, frame.longitude_deg, self._config.crs)
+        configs = self._config.graph, self._config.gnss
+        solved, facts = position(
+            self._config, (frame, crs), submaps, solved,
+            lambda ties: solve(state.chains, *configs, edges, ties),
+        )  # fmt: skip
+        if np.any(solved.gnss_offset):
+            state.chains.update(
+                {number: chain.shifted(solved.gnss_offset) for number, chain in state.chains.items()}
+            )
+        return solved, facts
 
     def preview(self, sequences: list[SequenceRecord]) -> LiveEstimate:
         """Take what is new since the last time, by ISAM2; loops by the present estimate alone.

@@ -230,6 +230,7 @@ class Deskewer:
             columns=scan.columns,
             lost_columns=scan.lost_columns,
             dropped_points=scan.dropped_points,
+            raw=(scan.first, scan.last),
         )
 
     def _between(self, start_ns: int, end_ns: int) -> list[ImuSample]:

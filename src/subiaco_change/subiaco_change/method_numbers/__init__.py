@@ -1,0 +1,109 @@
+"""The numbers of the method that no setting reaches, in one place, each with unit and meaning.
+
+The modules name them at their beginning. They are frozen: who changes one, changes it here, raises
+``METHOD_VERSION`` in :mod:`subiaco_geo.settings`, and every result says so (``method`` in ``run.json``).
+"""
+
+from __future__ import annotations
+
+from subiaco_change.method_numbers.association_numbers import (
+    CostsNumbers,
+    HedgeSectionsNumbers,
+    MergedInstancesNumbers,
+    OneEpochPartsNumbers,
+    RowsOfHousesNumbers,
+    SplitMergeNumbers,
+    VehiclePartsNumbers,
+)
+from subiaco_change.method_numbers.decision_numbers import (
+    AbsenceNumbers,
+    BuildingExtensionsNumbers,
+    ColumnVolumesNumbers,
+    ConfidenceNumbers,
+    DynamicObjectsNumbers,
+    GroundCellsNumbers,
+    GroundChangeNumbers,
+    ObjectDecisionNumbers,
+    PlantMeasuresNumbers,
+    PointLabelsNumbers,
+    RulesNumbers,
+    SpaceCarvingNumbers,
+    StoreysNumbers,
+    VegetationNullNumbers,
+    VoxelObjectsNumbers,
+)
+from subiaco_change.method_numbers.registration_numbers import (
+    CoarseNumbers,
+    CommonFrameNumbers,
+    DisplacementLodNumbers,
+    FeaturesNumbers,
+    FittingNumbers,
+    IcpNumbers,
+    NdtNumbers,
+    PairNumbers,
+    PlanesNumbers,
+    PlausibilityNumbers,
+    RegisterNumbers,
+    RegistrationUncertaintyNumbers,
+    VerticalBiasNumbers,
+    WarpNumbers,
+)
+from subiaco_change.method_numbers.segmentation_numbers import (
+    InstancesNumbers,
+    ThinTrailsNumbers,
+    TrailEndsNumbers,
+    TrailShapeNumbers,
+    TrailSwathsNumbers,
+    WiresAndPolesNumbers,
+)
+from subiaco_geo.config import StrictModel
+
+
+class MethodNumbers(StrictModel):
+    """All numbers of the method beside its settings, by the module that uses them."""
+
+    absence: AbsenceNumbers = AbsenceNumbers()
+    building_extensions: BuildingExtensionsNumbers = BuildingExtensionsNumbers()
+    column_volumes: ColumnVolumesNumbers = ColumnVolumesNumbers()
+    confidence: ConfidenceNumbers = ConfidenceNumbers()
+    dynamic_objects: DynamicObjectsNumbers = DynamicObjectsNumbers()
+    ground_cells: GroundCellsNumbers = GroundCellsNumbers()
+    ground_change: GroundChangeNumbers = GroundChangeNumbers()
+    object_decision: ObjectDecisionNumbers = ObjectDecisionNumbers()
+    plant_measures: PlantMeasuresNumbers = PlantMeasuresNumbers()
+    point_labels: PointLabelsNumbers = PointLabelsNumbers()
+    rules: RulesNumbers = RulesNumbers()
+    space_carving: SpaceCarvingNumbers = SpaceCarvingNumbers()
+    storeys: StoreysNumbers = StoreysNumbers()
+    vegetation_null: VegetationNullNumbers = VegetationNullNumbers()
+    voxel_objects: VoxelObjectsNumbers = VoxelObjectsNumbers()
+    costs: CostsNumbers = CostsNumbers()
+    hedge_sections: HedgeSectionsNumbers = HedgeSectionsNumbers()
+    merged_instances: MergedInstancesNumbers = MergedInstancesNumbers()
+    one_epoch_parts: OneEpochPartsNumbers = OneEpochPartsNumbers()
+    rows_of_houses: RowsOfHousesNumbers = RowsOfHousesNumbers()
+    split_merge: SplitMergeNumbers = SplitMergeNumbers()
+    vehicle_parts: VehiclePartsNumbers = VehiclePartsNumbers()
+    instances: InstancesNumbers = InstancesNumbers()
+    thin_trails: ThinTrailsNumbers = ThinTrailsNumbers()
+    trail_ends: TrailEndsNumbers = TrailEndsNumbers()
+    trail_shape: TrailShapeNumbers = TrailShapeNumbers()
+    trail_swaths: TrailSwathsNumbers = TrailSwathsNumbers()
+    wires_and_poles: WiresAndPolesNumbers = WiresAndPolesNumbers()
+    coarse: CoarseNumbers = CoarseNumbers()
+    features: FeaturesNumbers = FeaturesNumbers()
+    fitting: FittingNumbers = FittingNumbers()
+    icp: IcpNumbers = IcpNumbers()
+    ndt: NdtNumbers = NdtNumbers()
+    pair: PairNumbers = PairNumbers()
+    planes: PlanesNumbers = PlanesNumbers()
+    plausibility: PlausibilityNumbers = PlausibilityNumbers()
+    warp: WarpNumbers = WarpNumbers()
+    registration_findings: RegisterNumbers = RegisterNumbers()
+    common_frame: CommonFrameNumbers = CommonFrameNumbers()
+    displacement_lod: DisplacementLodNumbers = DisplacementLodNumbers()
+    registration_uncertainty: RegistrationUncertaintyNumbers = RegistrationUncertaintyNumbers()
+    vertical_bias: VerticalBiasNumbers = VerticalBiasNumbers()
+
+
+NUMBERS = MethodNumbers()

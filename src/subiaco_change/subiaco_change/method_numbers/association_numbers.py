@@ -1,0 +1,124 @@
+"""Numbers of matching objects and of splitting instances."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from subiaco_geo.config import StrictModel
+
+
+class CostsNumbers(StrictModel):
+    """Numbers of ``association/costs.py``."""
+
+    paper_weights: tuple[float, float, float] = Field(
+        (1.0, 2.0, 0.5),
+        description="Weights of distance, height and size in the paper's cost",
+    )
+    intersection_reach: float = Field(
+        0.5,
+        description="Distance within which voxels of two objects intersect [m]",
+    )
+
+
+class HedgeSectionsNumbers(StrictModel):
+    """Numbers of ``instance_splitting/hedge_sections.py``."""
+
+    cell: float = Field(0.5, description="Edge of the columns whose tops are compared [m]")
+    largest_height: float = Field(
+        3.0,
+        description="Height of a plant above which its tops are observed from below and not compared [m]",
+    )
+    column_points: int = Field(2, description="Number of points that a column needs in each epoch")
+    section_columns: int = Field(6, description="Number of columns that a section of a hedge needs")
+    section_length: float = Field(1.5, description="Shortest section of a hedge [m]")
+    observed_share: float = Field(
+        0.5,
+        description="Fraction of the changed surface of a section that the other epoch must observe",
+    )
+    whole_rise: float = Field(
+        0.2,
+        description="Change of the whole plant up to which the plant is not divided [m]",
+    )
+    occupied_share: float = Field(
+        0.5,
+        description="Fraction of the columns of a section occupied by another object from which the "
+        "section is not one of the plant",
+    )
+
+
+class MergedInstancesNumbers(StrictModel):
+    """Numbers of ``instance_splitting/merged_instances.py``."""
+
+    cell: float = Field(0.5, description="Edge of the columns that separate bodies side by side [m]")
+
+
+class OneEpochPartsNumbers(StrictModel):
+    """Numbers of ``instance_splitting/one_epoch_parts.py``."""
+
+    cell: float = Field(0.5, description="Edge of the columns of a part [m]")
+    observed_voxels: int = Field(
+        20,
+        description="Number of observed voxels from which a part may be most of an instance",
+    )
+    overhang: float = Field(
+        0.25,
+        description="Height above a part from which a point hangs over the part [m]",
+    )
+
+
+class RowsOfHousesNumbers(StrictModel):
+    """Numbers of ``instance_splitting/rows_of_houses.py``."""
+
+    new_storey: float = Field(
+        1.5, description="Rise of a top from which a storey was added [m]; a smaller rise is a new roof"
+    )
+    cell: float = Field(0.5, description="Edge of the columns in which houses of a row are compared [m]")
+    shared_columns: float = Field(
+        0.2,
+        description="Fraction of the columns of a house that lie in a house of the other epoch from which "
+        "both overlap",
+    )
+    columns_across: int = Field(
+        3,
+        description="Number of columns across a row of houses that both epochs must observe",
+    )
+
+
+class SplitMergeNumbers(StrictModel):
+    """Numbers of ``instance_splitting/split_merge.py``."""
+
+    whole_share: float = Field(
+        0.75,
+        description="Fraction of the columns of a hedge from which the hedge changed as a whole",
+    )
+    wall_reach: float = Field(
+        0.5,
+        description="Distance outside the outline of a building within which its walls lie [m]",
+    )
+    inside_share: float = Field(
+        0.5,
+        description="Fraction of one side of a building within the outline of the rest from which both "
+        "are one building",
+    )
+    least_observed: float = Field(
+        0.5,
+        description="Observed fraction below which a part of a building gets no row of its own",
+    )
+
+
+class VehiclePartsNumbers(StrictModel):
+    """Numbers of ``instance_splitting/vehicle_parts.py``."""
+
+    crossed_share: float = Field(
+        1 / 3,
+        description="Fraction of a part that beams of the other epoch must cross",
+    )
+    vehicle_width: float = Field(1.5, description="Smallest observed width of a vehicle [m]")
+    adjacent: float = Field(
+        0.75,
+        description="Distance from points of the other epoch within which a voxel is adjacent to them [m]",
+    )
+    adjacent_share: float = Field(
+        0.5,
+        description="Fraction of the voxels of a part that must be adjacent to points of the other epoch",
+    )

@@ -1,0 +1,332 @@
+"""Numbers of the decisions on objects, ground and plants."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from subiaco_geo.config import StrictModel
+
+
+class AbsenceNumbers(StrictModel):
+    """Numbers of ``decisions/absence.py``."""
+
+    voxels_per_patch: float = Field(
+        4.0,
+        description="Number of voxels of an object that one beam crosses or misses together",
+    )
+    least_doubt: float = Field(
+        1e-6,
+        description="Smallest probability of an error that is used for one voxel",
+    )
+
+
+class BuildingExtensionsNumbers(StrictModel):
+    """Numbers of ``decisions/building_extensions.py``."""
+
+    enclosing_share: float = Field(
+        0.75,
+        description="Fraction of its outline that touches a building from which a part of any size "
+        "encloses the building",
+    )
+    least_house_share: float = Field(
+        0.1,
+        description="Fraction of the footprint of its building below which a part is no house of its own",
+    )
+    car_height: float = Field(2.3, description="Largest height of a car [m]")
+    room_height: float = Field(
+        2.4,
+        description="Smallest height of an extension [m]; a lower part beside a building is a shed",
+    )
+    second_contact: float = Field(
+        0.25,
+        description="Fraction of the outline of a part that touches a second building from which the part "
+        "belongs to neither",
+    )
+    host_inside: float = Field(
+        0.3,
+        description="Fraction of a building inside a part of one epoch from which the part is the "
+        "building itself",
+    )
+    party_wall: float = Field(
+        0.5,
+        description="Distance from the edge of an outline within which a wall is shared with the "
+        "neighbour [m]",
+    )
+    neighbour_inside: float = Field(
+        0.5,
+        description="Fraction of a neighbour that may lie within the outline of a building in the epoch "
+        "without it",
+    )
+    half_storey: float = Field(
+        1.5,
+        description="Height difference from which an adjoining part is another house [m]",
+    )
+    underside: float = Field(
+        0.6,
+        description="Height of the underside of a part, as a fraction of the height of its top, above "
+        "which nothing carries the part",
+    )
+    normal_neighbours: int = Field(
+        6,
+        description="Number of voxels whose normals are compared, the voxel itself included",
+    )
+    wall_seen: float = Field(
+        0.5,
+        description="Fraction of a wall that must be observed to be absent where something occludes the wall",
+    )
+    smoothness: float = Field(
+        0.78,
+        description="Smallest mean cosine between the normals of neighbours on a wall or roof, as a "
+        "ratio; foliage stays below 0.75",
+    )
+
+
+class ColumnVolumesNumbers(StrictModel):
+    """Numbers of ``decisions/column_volumes.py``."""
+
+    one_epoch_share: float = Field(
+        0.75,
+        description="Fraction of its observed surface from which a part exists in one epoch alone",
+    )
+    crossed_share: float = Field(
+        0.2,
+        description="Fraction of its new surface that beams of the other epoch must cross",
+    )
+    stray_share: float = Field(
+        0.005,
+        description="Fraction of places at either end of an extent that are left out as stray",
+    )
+    probe_heights: tuple[float, float, float] = Field(
+        (0.3, 0.6, 0.9),
+        description="Heights at which a survey is asked whether a column is free, as fractions of the "
+        "height of its top",
+    )
+
+
+class ConfidenceNumbers(StrictModel):
+    """Numbers of ``decisions/confidence.py``."""
+
+    score_height_sigma: float = Field(0.10, description="Scale of the height term in the paper's score [m]")
+    score_volume_sigma: float = Field(
+        0.05,
+        description="Scale of the volume term in the paper's score, as a fraction of the volume",
+    )
+    largest_calibration_error: float = Field(
+        0.05,
+        description="Largest expected calibration error, as a probability, at which confidences count as "
+        "calibrated",
+    )
+    band_limits: tuple[float, float, float] = Field(
+        (0.9, 0.7, 0.0),
+        description="Confidences, as probabilities, from which the bands of the summary begin",
+    )
+    typical_observed: float = Field(0.8, description="Observed fraction of a typical row")
+    gate_sigmas: float = Field(
+        6.0,
+        description="Largest distance between measure and limit that the confidence distinguishes, in "
+        "standard deviations",
+    )
+
+
+class DynamicObjectsNumbers(StrictModel):
+    """Numbers of ``decisions/dynamic_objects.py``."""
+
+    visibility_step: float = Field(
+        0.5,
+        description="Distance beside a surface at which the next voxel of the visibility layer lies [m]",
+    )
+    lane_reach: float = Field(
+        1.0,
+        description="Distance from a known ghost trail within which a point lies in the lane [m]",
+    )
+    lane_share: float = Field(
+        0.9,
+        description="Fraction of the points of an object that must lie in the lane of a ghost trail",
+    )
+    wall_contact: float = Field(
+        1.5,
+        description="Height over which an object touches a building from which the object is a part of the "
+        "building, and no vehicle [m]",
+    )
+
+
+class GroundCellsNumbers(StrictModel):
+    """Numbers of ``decisions/ground_cells.py``."""
+
+    no_claim_lod: float = Field(
+        10.0,
+        description="Level of detection that is shown where none could be determined [m]",
+    )
+
+
+class GroundChangeNumbers(StrictModel):
+    """Numbers of ``decisions/ground_change.py``."""
+
+    dense_share: float = Field(
+        0.5,
+        description="Fraction of the surrounding ground measured in both epochs from which missing ground "
+        "is occluded, not unmeasured",
+    )
+    noise_reach: float = Field(
+        10.0,
+        description="Distance within which the ground shows the noise of a patch with few points [m]",
+    )
+    noise_block: float = Field(
+        2.0,
+        description="Edge of the blocks within which height errors of sparse ground are common [m]",
+    )
+    lod_cells: int = Field(
+        25,
+        description="Number of cells with a level of detection that stand for a patch without one",
+    )
+    inner_share: float = Field(
+        0.15,
+        description="Fraction of the cells of a patch that must lie inside its rim for the rim not to count",
+    )
+
+
+class ObjectDecisionNumbers(StrictModel):
+    """Numbers of ``decisions/object_decision.py``."""
+
+    flat_top: float = Field(
+        0.6,
+        description="Largest height of an object without class that may be raised ground [m]",
+    )
+    laid_top: float = Field(
+        0.25,
+        description="Largest height of a supposed vehicle or plant that may be ground [m]",
+    )
+    level_normal: float = Field(
+        0.75,
+        description="Smallest mean vertical component of normals of misclassified ground, as a ratio",
+    )
+
+
+class PlantMeasuresNumbers(StrictModel):
+    """Numbers of ``decisions/plant_measures.py``."""
+
+    surface_sample: int = Field(
+        500,
+        description="Number of points of a plant whose surface is compared with the other epoch",
+    )
+    place_cap: float = Field(0.9, description="Largest probability of being free that one place contributes")
+    unknown_free: float = Field(0.5, description="Probability of being free of an unobserved place")
+
+
+class PointLabelsNumbers(StrictModel):
+    """Numbers of ``decisions/point_labels.py``."""
+
+    surrounding_points: int = Field(
+        12,
+        description="Number of nearest points that decide whether a place lies among the points of an object",
+    )
+
+
+class RulesNumbers(StrictModel):
+    """Numbers of ``decisions/rules.py``."""
+
+    least_half_width: float = Field(
+        0.05,
+        description="Smallest half width of the bounds of a measure, as a fraction of its limit",
+    )
+    voxels_per_patch: float = Field(
+        4.0,
+        description="Number of voxels of a surface that are observed or occluded together",
+    )
+
+
+class SpaceCarvingNumbers(StrictModel):
+    """Numbers of ``decisions/space_carving.py``."""
+
+    horizontal_gap: float = Field(
+        0.8,
+        description="Horizontal distance within which two samplings show one surface [m]",
+    )
+    vertical_gap: float = Field(
+        0.4,
+        description="Vertical distance within which two samplings show one surface [m]",
+    )
+    closed_sides: int = Field(
+        4,
+        description="Number of neighbours on the six sides of a cell from which the cell is enclosed",
+    )
+    top_tolerance: float = Field(
+        0.05,
+        description="Depth of a voxel below the top edge to which the voxel belongs [m]",
+    )
+    fewest_columns: int = Field(4, description="Number of columns below which no height is measured")
+    roof_normal: float = Field(
+        0.7,
+        description="Smallest vertical component of the normal of a roof, as a ratio",
+    )
+
+
+class StoreysNumbers(StrictModel):
+    """Numbers of ``decisions/storeys.py``."""
+
+    new_storey: float = Field(
+        1.5, description="Rise of a top from which a storey was added [m]; a smaller rise is a new roof"
+    )
+    room_height: float = Field(
+        2.0,
+        description="Height of the underside above which a new part is a storey, not an extension [m]",
+    )
+    columns_across: int = Field(
+        3,
+        description="Number of columns across a row of houses that must have changed",
+    )
+    unseen_gap: float = Field(
+        1.0,
+        description="Longest stretch without observation within the change of one house [m]",
+    )
+    depth_share: float = Field(
+        1 / 3,
+        description="Fraction of the depth of a row of houses through which the change of a house must reach",
+    )
+    same_top: float = Field(0.75, description="Largest height difference of tops that did not change [m]")
+    neighbour_share: float = Field(
+        0.8,
+        description="Fraction of the length of the neighbour along which its tops must be the same",
+    )
+    wall_slots: int = Field(
+        2,
+        description="Number of slots between the carved end of a change and the wall at which the change "
+        "ends",
+    )
+    step_height: float = Field(
+        1.0,
+        description="Height difference between neighbours from which a wall shows above the lower roof [m]",
+    )
+
+
+class VegetationNullNumbers(StrictModel):
+    """Numbers of ``decisions/vegetation_null.py``."""
+
+    scatters: int = Field(24, description="Number of standard deviations that are tried for a pair")
+    rounds: int = Field(50, description="Number of rounds of expectation and maximisation")
+    settled: float = Field(1e-6, description="Gain of the log likelihood that ends the rounds")
+    prior_plants: float = Field(
+        4.0, description="Number of plants that the expected fraction of changed plants counts as"
+    )
+
+
+class VoxelObjectsNumbers(StrictModel):
+    """Numbers of ``decisions/voxel_objects.py``."""
+
+    brief_probability: float = Field(
+        0.5,
+        description="Probability of having moved of what was observed for a moment only",
+    )
+    ground_neighbours: int = Field(
+        8,
+        description="Number of ground points around a place that give its ground height",
+    )
+    foot_factor: float = Field(
+        1.5,
+        description="Height of the foot of an object that may be ground, as a multiple of the configured "
+        "foot",
+    )
+    passes_per_return: float = Field(
+        2.0,
+        description="Ratio of passes to returns at a point that static objects stay below",
+    )

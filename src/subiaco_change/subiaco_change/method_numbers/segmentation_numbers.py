@@ -1,0 +1,93 @@
+"""Numbers of the segmentation: ghost trails, instances, wires."""
+
+from __future__ import annotations
+
+from pydantic import Field
+
+from subiaco_geo.config import StrictModel
+
+
+class InstancesNumbers(StrictModel):
+    """Numbers of ``segmentation/instances.py``."""
+
+    fewest_points: int = Field(8, description="Number of points that an object needs at any density")
+
+
+class ThinTrailsNumbers(StrictModel):
+    """Numbers of ``segmentation/thin_trails.py``."""
+
+    thickness_radius: float = Field(
+        1.2,
+        description="Radius in which the thickness of a swath is measured [m]",
+    )
+    fewest_points: int = Field(40, description="Number of points that a thin ghost trail needs")
+    thickness_places: int = Field(
+        30,
+        description="Number of places of a swath at which the thickness is measured",
+    )
+    open_window: float = Field(3.0, description="Edge of the window in which open ground is measured [m]")
+    open_quantile: float = Field(
+        0.8,
+        description="Quantile of the observed fraction over all windows that stands for open ground",
+    )
+
+
+class TrailEndsNumbers(StrictModel):
+    """Numbers of ``segmentation/trail_ends.py``."""
+
+    direction_reach: float = Field(
+        6.0,
+        description="Distance over which the direction of a ghost trail is measured [m]",
+    )
+    straightness: float = Field(
+        2.0,
+        description="Smallest ratio of length to width of the end of a ghost trail",
+    )
+    block: float = Field(2.0, description="Edge of the blocks into which long pieces are divided [m]")
+    most_pieces: int = Field(60, description="Number of pieces that may continue one ghost trail")
+
+
+class TrailShapeNumbers(StrictModel):
+    """Numbers of ``segmentation/trail_shape.py``."""
+
+    layer: float = Field(
+        0.5,
+        description="Height of the layers in which a ghost trail is followed upward [m]",
+    )
+    doubtful: float = Field(
+        0.5,
+        description="Probability below which a thin ghost trail may still explain a point",
+    )
+
+
+class TrailSwathsNumbers(StrictModel):
+    """Numbers of ``segmentation/trail_swaths.py``."""
+
+    directions: int = Field(24, description="Number of directions of straight lines in half a turn")
+    certain: float = Field(
+        0.95,
+        description="Probability of the edges and pieces that belong to a ghost trail",
+    )
+    vehicle_area: float = Field(
+        3.0,
+        description="Footprint from which a part beside the axis of a ghost trail may be a vehicle [m2]",
+    )
+    part_area: float = Field(
+        1.0,
+        description="Smallest footprint of a part beside the axis of a ghost trail [m2]",
+    )
+    taller: float = Field(
+        0.5,
+        description="Height above a ghost trail from which a point does not belong to the trail [m]",
+    )
+
+
+class WiresAndPolesNumbers(StrictModel):
+    """Numbers of ``segmentation/wires_and_poles.py``."""
+
+    near_share: float = Field(
+        0.75,
+        description="Fraction of the points near a cell inside or beside the cell from which discs are "
+        "counted",
+    )
+    cells_around: int = Field(2, description="Number of cells on every side of a pole that are evaluated")

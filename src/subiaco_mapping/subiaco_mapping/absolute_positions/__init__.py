@@ -1,0 +1,1 @@
+"""Absolute positions beside GNSS: surveyed control points, and a reference cloud."""
