@@ -60,7 +60,7 @@ class GroundChangeConfig(StrictModel):
     same_above: float = Field(
         1.5,
         gt=0,
-        description="Height above the other epoch's ground up to which points show that a wall or a plant "
+        description="Height above the other epoch's ground up to which points of a building show that a wall "
         "rises there, and no surface ends [m]",
     )
     same_share: float = Field(
@@ -152,9 +152,11 @@ def _other_surface(
     limit = np.minimum(config.same_surface, 0.5 * apart[row, column])
     held = np.zeros(len(row), dtype=bool)
     for e, view in enumerate(views):
-        off = view.xyz[(view.semantic != Semantic.GROUND) & ~is_ghost_trail(view)]
+        off = (view.semantic != Semantic.GROUND) & ~is_ghost_trail(view)
+        wall = view.semantic == Semantic.BUILDING
         surface = np.column_stack([middle, heights[1 - e][row, column]])
-        held |= _holds(off, surface, limit, beside, config.same_above)
+        held |= _holds(view.xyz[off & ~wall], surface, limit, beside, 0.0)
+        held |= _holds(view.xyz[off & wall], surface, limit, beside, config.same_above)
     other[row, column] = held
     return other
 
@@ -162,7 +164,8 @@ def _other_surface(
 def _holds(points: Floats, places: Floats, limit: Floats, beside: float, above: float) -> Mask:
     """Tell at which places (M, 3) points (N, 3) lie within ``beside`` and, in height, ``limit`` (M,).
 
-    A wall or a hedge that rises beside the place is no surface at its height: more of its points lie above.
+    A wall that rises beside the place is no surface at its height: more of its points lie ``above``, up to so
+    much [m].
     """
     held = np.zeros(len(places), dtype=bool)
     low, high = places.min(axis=0) - beside, places.max(axis=0) + beside

@@ -304,7 +304,7 @@ class VegetationNullNumbers(StrictModel):
 
     scatters: int = Field(24, description="Number of standard deviations that are tried for a pair")
     rounds: int = Field(50, description="Number of rounds of expectation and maximisation")
-    settled: float = Field(1e-6, description="Gain of the log likelihood that ends the rounds")
+    settled: float = Field(1e-6, description="Gain of the log likelihood that ends the rounds [1]")
     prior_plants: float = Field(
         4.0, description="Number of plants that the expected fraction of changed plants counts as"
     )
