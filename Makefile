@@ -1,7 +1,7 @@
 # The two commands: make demo, make test. Everything else is a part of them.
 SHELL := /bin/bash
 .DEFAULT_GOAL := help
-.PHONY: help setup demo test docs bench bench-check lint format colcon-test clean distclean
+.PHONY: help setup demo test docs bench bench-check learned lint format colcon-test clean distclean
 
 # Sourced for anything that runs our code: virtual environment, workspace, DDS settings.
 ENV := source ros2_ws/env.sh
@@ -27,6 +27,9 @@ docs: setup  ## the documentation as a site: out/docs/index.html (no network)
 
 bench: setup  ## speed and memory beside peers: benchmarks.json, docs/results/benchmarks.md (a quiet machine, 15 minutes)
 	@$(ENV) && python tests/benchmarks/bench.py $(BENCH_ARGS)
+
+learned: setup  ## CPU PyTorch for the learned baselines (subiaco train; 0.2 GB)
+	@$(ENV) && scripts/learned.sh
 
 bench-check: setup  ## the same into out/bench; fails where a ratio of benchmarks.json worsened by a third
 	@$(ENV) && python tests/benchmarks/bench.py --check $(BENCH_ARGS)

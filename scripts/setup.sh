@@ -183,7 +183,9 @@ enter_build_environment() {
 }
 
 colcon_build() {
-    (cd "$WS" && python -m colcon --log-base log build --symlink-install --base-paths src \
+    # the messages of others are outside src: a plain `colcon build` must not lay them over an underlay's own
+    (cd "$WS" && python -m colcon --log-base log build --symlink-install \
+        --base-paths src "$ROOT"/src/vendor_msgs/*/ \
         --cmake-args -G Ninja -DBUILD_TESTING=OFF -DCMAKE_BUILD_TYPE=Release \
         "-DPython3_EXECUTABLE=$VENV/bin/python" --no-warn-unused-cli --packages-select "$@")
 }

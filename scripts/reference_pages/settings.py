@@ -38,8 +38,9 @@ same file:
       voxel: 1.0
 ```
 
-Later files win over earlier ones, and `--set` wins over files. `config.yaml` in every map and change
-directory lists all settings of that run."""
+`subiaco config map`, `subiaco config change` and `subiaco config record` print the public settings in this
+form, with `--all` every setting. Later files win over earlier ones, and `--set` wins over files.
+`config.yaml` in every map and change directory lists all settings of that run."""
 
 
 @dataclass(frozen=True)
@@ -60,6 +61,7 @@ def models() -> dict[str, tuple[str, type[StrictModel], str]]:
     from subiaco_change.config import ChangeConfig
     from subiaco_evaluation.baselines.config import BaselineConfig
     from subiaco_evaluation.injection.calibrate import CalibrationConfig
+    from subiaco_evaluation.learned.config import TrainingConfig
     from subiaco_evaluation.scoring import EvaluationConfig
     from subiaco_mapping.config import MappingConfig
     from subiaco_mapping.recording.config import RecordingConfig
@@ -72,6 +74,7 @@ def models() -> dict[str, tuple[str, type[StrictModel], str]]:
         "settings-calibration": ("injection", CalibrationConfig, "`subiaco calibrate`, `inject`"),
         "settings-evaluation": ("evaluation", EvaluationConfig, "`subiaco evaluate` in Python"),
         "settings-baselines": ("the simple methods", BaselineConfig, "`subiaco baseline`"),
+        "settings-training": ("the training of learned methods", TrainingConfig, "`subiaco train`"),
         "settings-simulation": ("the simulator", SimulationConfig, "`subiaco simulate`"),
     }  # fmt: skip
 

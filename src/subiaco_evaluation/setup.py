@@ -16,7 +16,7 @@ setup(
     maintainer_email="maintainers@subiaco.example.org",
     license="Apache-2.0",
     packages=find_packages(include=[NAME, NAME + ".*"]),
-    package_data={NAME: ["py.typed", "**/*.html", "**/*.jinja", "**/*.j2", "**/*.schema.json"]},
+    package_data={NAME: ["py.typed", "**/*.html", "**/*.jinja", "**/*.j2", "**/*.schema.json", "**/*.npz"]},
     data_files=[
         ("share/ament_index/resource_index/packages", ["resource/" + NAME]),
         ("share/" + NAME, ["package.xml"]),

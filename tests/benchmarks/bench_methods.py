@@ -4,8 +4,8 @@
     python tests/benchmarks/bench_methods.py SURVEY --workers 2
 
 A SURVEY is what ``subiaco simulate --maps-only`` writes. M3C2 takes every point of *before* as a core point
-and all cores it finds, and gives distances alone, with cylinders of 1 m (normals 2 m) and of 0.5 m (normals
-1 m). Differencing of surface models (``subiaco baseline dsm``) registers first, as we do, and takes one
+and all cores it finds, gives distances alone, with cylinders of 1 m (normals of 2 m) and of 0.5 m (normals
+of 1 m). Differencing of surface models (``subiaco baseline dsm``) registers first, as we do, and takes one
 core. The change run is whole but for its pages. py4dgeo is not among our dependencies: see
 ``requirements.txt`` beside this file.
 """

@@ -125,6 +125,27 @@ def test_a_resurfaced_strip_is_found_and_a_camber_is_not(result):
     assert ground[0].y == pytest.approx(-4.75, abs=0.3)
 
 
+@pytest.mark.parametrize("epoch", ["before", "after"])
+def test_points_carry_the_displacement_of_their_surface_and_its_significance(result, epoch):
+    cloud = getattr(result, epoch)
+    fields = {name: np.asarray(values) for name, values in cloud.fields.items()}
+    distance, significant = fields["m3c2_distance"], fields["m3c2_significant"] == 1
+    assert np.array_equal(np.isnan(distance), np.isinf(fields["lod95"]))
+    known = np.isfinite(distance)
+    assert np.array_equal(significant[known], (np.abs(distance) > fields["lod95"])[known])
+    assert not significant[~known].any()
+    patch = next(r for r in result.records if r.semantic == Semantic.GROUND)
+    strip = known & (fields["instance"] == patch.object_id)
+    middle = strip & (np.abs(cloud.world()[:, 1] - patch.y) < 0.4)
+    covered = 0.857  # share of the cylinder of 1 m on the strip of 1.5 m
+    assert np.median(distance[middle]) == pytest.approx(0.25 * covered, abs=0.02)
+    assert significant[strip].mean() > 0.9
+    still = known & (fields["semantic"] == Semantic.GROUND) & (cloud.world()[:, 1] < -7.0)
+    assert still.sum() > 1000
+    assert significant[still].mean() < 0.05
+    assert abs(np.median(distance[still])) < 0.005
+
+
 def test_every_point_of_a_changed_object_carries_its_label(result):
     for cloud, count in ((result.before, "n_before"), (result.after, "n_after")):
         for record in result.records:

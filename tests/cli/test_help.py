@@ -22,6 +22,7 @@ VERBS = [
     "viewer",
     "deliver",
     "baseline",
+    "train",
     "ablate",
     "inject",
     "calibrate",
@@ -65,6 +66,7 @@ OPTIONS = {
     "record": ["--output", "--resume", "--duration", "--remap", "--config", "--set", "--quiet", "--verbose"],
     "recover": ["--output", "--in-place", "--thorough", "--json"],
     "baseline": ["dsm|nn|m3c2|c2c", "--output", "--transform", "--registration", "identity", "--overwrite"],
+    "train": ["siamese-kpconv", "SURVEYS", "--output", "--validate", "--prepared", "--config", "--set"],
     "evaluate": ["--output", "--json"],
     "report": ["CHANGE_DIR", "--project", "--client", "--logo"],
 }

@@ -150,6 +150,17 @@ def test_status_and_progress_reach_whoever_shows_them_and_lines_of_the_log_do_no
     assert stages == [("fusing scans", 0.25)]
 
 
+def test_a_report_that_a_killed_node_left_half_is_passed_over() -> None:
+    from subiaco_ros.supervision import Listener, Progress
+
+    told: list[Any] = []
+    reading, writing = os.pipe()
+    os.write(writing, b'{"progress": {"stage": "fusing scans", "fraction": 0.5}}\n{"error": "no sp')
+    os.close(writing)
+    Listener(told.append, told.append, told.append).read(reading)
+    assert told == [Progress("fusing scans", 0.5)]
+
+
 def test_a_node_whose_supervisor_has_gone_works_on(monkeypatch: pytest.MonkeyPatch) -> None:
     from subiaco_ros.supervision import Progress, SupervisorChannel
 

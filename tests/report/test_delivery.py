@@ -1,6 +1,7 @@
 """A delivery is read with other programs: rasters, volumes, metadata, checksums, accuracy statement."""
 
 import json
+import re
 import shutil
 import subprocess
 import xml.etree.ElementTree as ET
@@ -136,6 +137,67 @@ def test_the_metadata_name_system_extent_day_and_accuracy(delivered):
     assert 115.0 < west < east < 116.0
     assert -32.5 < south < north < -31.5
     assert float(next(root.iter(f"{GCO}Record")).text) == pytest.approx(0.035, abs=0.01)
+
+
+#: Children of the types that we write, in the order and number of the schema of ISO 19139 (gmd, 2007):
+#: ``?`` at most one, ``*`` any number, ``+`` one or more, else exactly one.
+SEQUENCES = {
+    "MD_Metadata": "fileIdentifier? language? characterSet? parentIdentifier? "
+    "hierarchyLevel* hierarchyLevelName* contact+ dateStamp "
+    "metadataStandardName? metadataStandardVersion? dataSetURI? "
+    "locale* spatialRepresentationInfo* referenceSystemInfo* "
+    "metadataExtensionInfo* identificationInfo+ contentInfo* "
+    "distributionInfo? dataQualityInfo* portrayalCatalogueInfo* "
+    "metadataConstraints* applicationSchemaInfo* "
+    "metadataMaintenance? series* describes* propertyType* "
+    "featureType* featureAttribute*",
+    "CI_ResponsibleParty": "individualName? organisationName? positionName? contactInfo? role",
+    "MD_ReferenceSystem": "referenceSystemIdentifier?",
+    "RS_Identifier": "authority? code codeSpace? version?",
+    "MD_DataIdentification": "citation abstract purpose? credit* status* pointOfContact* "
+    "resourceMaintenance* graphicOverview* resourceFormat* "
+    "descriptiveKeywords* resourceSpecificUsage* "
+    "resourceConstraints* aggregationInfo* "
+    "spatialRepresentationType* spatialResolution* language+ "
+    "characterSet* topicCategory* environmentDescription? extent* "
+    "supplementalInformation?",
+    "CI_Citation": "title alternateTitle* date+ edition? editionDate? identifier* "
+    "citedResponsibleParty* presentationForm* series? "
+    "otherCitationDetails? collectiveTitle? ISBN? ISSN?",
+    "CI_Date": "date dateType",
+    "EX_Extent": "description? geographicElement* temporalElement* verticalElement*",
+    "EX_GeographicBoundingBox": "extentTypeCode? westBoundLongitude eastBoundLongitude "
+    "southBoundLatitude northBoundLatitude",
+    "DQ_DataQuality": "scope report* lineage?",
+    "DQ_Scope": "level extent* levelDescription*",
+    "DQ_RelativeInternalPositionalAccuracy": "nameOfMeasure* measureIdentification? measureDescription? "
+    "evaluationMethodType? evaluationMethodDescription? "
+    "evaluationProcedure? dateTime* result+",
+    "DQ_QuantitativeResult": "valueType? valueUnit errorStatistic? value+",
+    "LI_Lineage": "statement? processStep* source*",
+}
+CODES = {"MD_ScopeCode", "CI_RoleCode", "CI_DateTypeCode"}
+
+
+def test_the_metadata_have_the_elements_of_iso_19139_in_their_order_and_number(delivered):
+    root = ET.parse(delivered[0] / "metadata.xml").getroot()
+    types = [e for e in root.iter() if e.tag.removeprefix(GMD)[:3].rstrip("_").isupper()]
+    for element in types:
+        name = element.tag.removeprefix(GMD)
+        if name in CODES:
+            assert element.get("codeList", "").endswith(f"#{name}")
+            assert element.get("codeListValue") == element.text
+        elif name == "MD_TopicCategoryCode":
+            assert element.attrib == {}
+            assert element.text == "imageryBaseMapsEarthCover"
+        else:
+            children = "".join(child.tag.removeprefix(GMD) + " " for child in element)
+            parts = re.findall(r"(\w+)([?*+]?)", SEQUENCES[name])
+            pattern = "".join(f"(?:{part} ){often}" for part, often in parts)
+            assert re.fullmatch(pattern, children), f"{name}: {children}"
+            properties = [child for child in element if not child.text or not child.text.strip()]
+            assert all(len(child) == 1 for child in properties if child.tag != f"{GMD}valueUnit"), name
+    assert {e.tag.removeprefix(GMD) for e in types} >= set(SEQUENCES)
 
 
 def test_the_accuracy_statement_gives_95_percent_values_by_the_published_factors(delivered):

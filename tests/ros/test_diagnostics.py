@@ -48,3 +48,26 @@ def test_the_identity_of_a_lidar_comes_from_its_metadata(metadata: str, identity
     from subiaco_ros.diagnostics import lidar_identity
 
     assert lidar_identity(metadata) == identity
+
+
+def test_progress_is_latched_in_steps_for_whoever_comes_late(
+    ros: Any, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    from diagnostic_msgs.msg import DiagnosticStatus
+
+    from subiaco_ros.diagnostics import ProgressReporter
+    from subiaco_ros.supervision import CHANNEL
+
+    monkeypatch.delenv(CHANNEL, raising=False)
+    node = ros.node("pose_graph")
+    seen = ros.collect(ros.node("reader"), DiagnosticStatus, "progress")
+    report = ProgressReporter(node, step=0.1)
+    ros.until(lambda: node.count_subscribers("progress"))
+    for fraction in (0.0, 0.05, 0.12, 0.15, 1.0, 1.0):
+        report("fusing scans", fraction)
+    ros.until(lambda: len(seen) == 3)
+    late = ros.collect(ros.node("late"), DiagnosticStatus, "progress")
+    ros.until(lambda: late)
+    for status, fraction in zip([*seen, late[0]], ["0.0000", "0.1200", "1.0000", "1.0000"], strict=True):
+        assert (status.name, status.message) == ("pose_graph", "fusing scans")
+        assert [(v.key, v.value) for v in status.values] == [("fraction", fraction)]

@@ -27,7 +27,9 @@ from subiaco_geo.tiles import tile_named
 from subiaco_geo.work.task_runner import Progress, TaskRunner
 from subiaco_geo.work.tasks import Inputs
 
-_LABELS = ("change", "semantic", "instance", "confidence", "lod95", "normals")
+_LABELS = (
+    "change", "semantic", "instance", "confidence", "lod95", "m3c2_distance", "m3c2_significant", "normals",
+)  # fmt: skip
 
 
 def detect_changes(

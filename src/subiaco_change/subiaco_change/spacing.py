@@ -8,12 +8,13 @@ from dataclasses import dataclass
 import numpy as np
 import small_gicp
 
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_geo.frames import Floats
 
 #: Spacing of a street mapped at the working leaf, for which the radii in the configuration hold [m].
-STREET_SPACING = 0.36
-_NEIGHBOURS = 16  # more than lie on one scan line, so that the gap between lines counts too
-_SAMPLE = 2000  # points asked of a piece
+STREET_SPACING = NUMBERS.spacing.street_spacing
+_NEIGHBOURS = NUMBERS.spacing.neighbours
+_SAMPLE = NUMBERS.spacing.sample
 
 
 def neighbour_spacings(xyz: Floats) -> Floats:

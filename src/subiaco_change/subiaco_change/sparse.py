@@ -13,6 +13,7 @@ from typing import TYPE_CHECKING
 
 from pydantic import Field
 
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.spacing import STREET_SPACING
 from subiaco_geo.config import StrictModel
 
@@ -47,7 +48,7 @@ class SpacingConfig(StrictModel):
     )
 
 
-_NOMINAL = 0.25  # leaf at which the fewest points of objects are stated [m]
+_NOMINAL = NUMBERS.sparse.nominal_leaf
 _SEMANTICS = ("cluster_voxel",)
 _BUILDINGS = ("plane_cell", "roof_cell", "touch", "wire_touch", "attach", "edge", "contact")
 _VEHICLES = ("truck_gap", "split_gap", "clear_gap")

@@ -37,6 +37,8 @@ DESCRIPTIONS = {
     "instance": "object_id of the table, -1 none",
     "confidence": "of the label, 0 to 1",
     "lod95": "level of detection m, NaN none",
+    "m3c2_distance": "after - before on up normal, m",
+    "m3c2_significant": "1: distance exceeds lod95",
     "nx": "surface normal, east",
     "ny": "surface normal, north",
     "nz": "surface normal, up",

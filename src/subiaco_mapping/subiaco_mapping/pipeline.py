@@ -215,7 +215,7 @@ def map_survey(
     resume : bool
         Go on with what the checkpoint holds; recordings that are done are not read again.
     workers : int
-        Processes that read recordings beside each other; the map is the same.
+        Number of processes that read recordings in parallel; does not change the map.
     density : FullDensity, optional
         Where every return is written too, with ``fusion.full_density``.
 

@@ -63,7 +63,8 @@ def _identification(root: ET.Element, facts: DeliveryFacts, system: CRS | None) 
     _code(date, "dateType", "CI_DateTypeCode", "creation")
     _text(held, "abstract", facts.abstract)
     _text(held, "language", "eng")
-    _code(held, "topicCategory", "MD_TopicCategoryCode", "imageryBaseMapsEarthCover")
+    topic = _add(held, "topicCategory", "MD_TopicCategoryCode")  # an enumeration, which has no code list
+    topic.text = "imageryBaseMapsEarthCover"
     if system is not None:
         to_degrees = Transformer.from_crs(system, "EPSG:4326", always_xy=True)
         west, south, east, north = to_degrees.transform_bounds(*facts.bounds)

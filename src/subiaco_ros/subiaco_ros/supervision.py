@@ -96,7 +96,8 @@ class Listener:
         """Take reports until the node has closed its end of the channel; close ours."""
         with os.fdopen(descriptor, encoding="utf-8", errors="replace") as lines:
             for line in lines:
-                self._take(json.loads(line))
+                if line.endswith("\n"):  # else the node was killed while it wrote
+                    self._take(json.loads(line))
 
     def _take(self, report: Mapping[str, Any]) -> None:
         if "progress" in report:

@@ -1,4 +1,4 @@
-"""Verbs that put the method beside others and beside itself: baseline, ablate."""
+"""Verbs that put the method beside others and beside itself: baseline, train, ablate."""
 
 from __future__ import annotations
 
@@ -28,17 +28,35 @@ from subiaco_geo.errors import InputError
 
 
 class Method(StrEnum):
-    """A simple method."""
+    """A method to compare with."""
 
     DSM = "dsm"
     NN = "nn"
     M3C2 = "m3c2"
     C2C = "c2c"
+    PDAL_M3C2 = "pdal-m3c2"
+    DSM_SIAMESE = "dsm-siamese"
+    DSM_FC_EF = "dsm-fc-ef"
+    SIAMESE_KPCONV = "siamese-kpconv"
+    TRIPLET_KPCONV = "triplet-kpconv"
+    EFS_KPCONV = "efs-kpconv"
+
+
+class Learned(StrEnum):
+    """A learned method."""
+
+    DSM_SIAMESE = "dsm-siamese"
+    DSM_FC_EF = "dsm-fc-ef"
+    SIAMESE_KPCONV = "siamese-kpconv"
+    TRIPLET_KPCONV = "triplet-kpconv"
+    EFS_KPCONV = "efs-kpconv"
 
 
 _METHOD_HELP = (
     "dsm: difference of the highest point per cell. nn: nearest neighbour against a level of detection. "
-    "m3c2: distance along the normal against its level of detection. c2c: nearest neighbour, one threshold."
+    "m3c2: distance along the normal against its level of detection. c2c: nearest neighbour, one threshold. "
+    "pdal-m3c2: M3C2 as PDAL computes it. The others are trained networks and need PyTorch ('make learned'): "
+    "dsm-siamese and dsm-fc-ef on surface models, the kpconv methods on points."
 )
 
 
@@ -55,7 +73,7 @@ def baseline(
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
-    """Find changes by a simple method, for comparison.
+    """Find changes by a simple or learned method, for comparison.
 
     It writes the same outputs as 'subiaco change'.
 
@@ -78,6 +96,54 @@ def baseline(
     listed = ", ".join(f"{count} {label}" for label, count in sorted(counts.items()))
     say(f"{method.value}: {output} ({listed or 'no change'}); open {output / 'report.html'}", quiet=quiet)
     say_findings(output)
+
+
+def train(
+    method: Annotated[Learned, typer.Argument(help="Network to train; needs PyTorch ('make learned').")],
+    surveys: Annotated[
+        list[Path], typer.Argument(metavar="SURVEYS", help="Outputs of 'subiaco simulate' to learn from.")
+    ],
+    output: Annotated[
+        Path, typer.Option("-o", "--output", metavar="WEIGHTS", help="File of weights to write (.npz).")
+    ],
+    validate: Annotated[
+        list[Path] | None,
+        typer.Option(
+            metavar="SURVEY",
+            help="Survey that is scored after every epoch and not learned; repeatable. "
+            "Without it the last of SURVEYS.",
+        ),
+    ] = None,
+    prepared: Annotated[
+        Path | None,
+        typer.Option(metavar="DIR", help="Folder of prepared surveys that several trainings share."),
+    ] = None,
+    config: ConfigFiles = None,
+    settings: Settings = None,
+    overwrite: Overwrite = False,
+    verbose: Verbose = False,
+    quiet: Quiet = False,
+) -> None:
+    """Train a learned method on simulated surveys.
+
+    A training that was stopped goes on where it stopped when the same command is given again. The learning
+    curve lies beside the weights.
+
+    Example: subiaco train siamese-kpconv sim/101 sim/102 sim/103 -o out/siamese.npz
+    """
+    from subiaco_evaluation.learned.config import TrainingConfig
+    from subiaco_evaluation.learned.jobs import run_training, training_job
+
+    set_up_logging(verbose, quiet)
+    model = load_config(TrainingConfig, tuple(config or ()), settings or [])
+    job = training_job(method.value, surveys, validate or (), output, prepared, overwrite=overwrite)
+    with Progress(quiet=quiet) as progress:
+        record = run_training(job, model, progress)
+    say(
+        f"{method.value}: {output} ({record['epochs']} epochs, {record['hours']:.2f} hours, mIoU "
+        f"{record['validation_miou_percent']:.1f} % on the validation survey)",
+        quiet=quiet,
+    )
 
 
 def ablate(
@@ -125,4 +191,5 @@ def ablate(
 def register(app: typer.Typer) -> None:
     """Add these verbs to the command."""
     app.command("baseline")(baseline)
+    app.command("train")(train)
     app.command("ablate", short_help="Score the method with each of its parts left out.")(ablate)

@@ -23,7 +23,7 @@ Settings = Annotated[
         "--set",
         metavar="KEY=VALUE",
         help="One setting by its dotted name; repeatable, wins over files. "
-        "config.yaml in every map and change directory lists the names.",
+        "'subiaco config map' and 'subiaco config change' list the names.",
     ),
 ]
 Output = Annotated[

@@ -48,6 +48,11 @@ from subiaco_change.method_numbers.registration_numbers import (
     VerticalBiasNumbers,
     WarpNumbers,
 )
+from subiaco_change.method_numbers.sampling_numbers import (
+    SpacingNumbers,
+    SparseNumbers,
+    VisibilityEvidenceNumbers,
+)
 from subiaco_change.method_numbers.segmentation_numbers import (
     InstancesNumbers,
     ThinTrailsNumbers,
@@ -104,6 +109,9 @@ class MethodNumbers(StrictModel):
     displacement_lod: DisplacementLodNumbers = DisplacementLodNumbers()
     registration_uncertainty: RegistrationUncertaintyNumbers = RegistrationUncertaintyNumbers()
     vertical_bias: VerticalBiasNumbers = VerticalBiasNumbers()
+    spacing: SpacingNumbers = SpacingNumbers()
+    sparse: SparseNumbers = SparseNumbers()
+    visibility_evidence: VisibilityEvidenceNumbers = VisibilityEvidenceNumbers()
 
 
 NUMBERS = MethodNumbers()

@@ -29,6 +29,10 @@ POINT_FIELDS: dict[str, type[np.generic]] = {
 }
 
 
+#: Further fields of points that a run gives, and their types on disk.
+MEASURED_FIELDS: dict[str, type[np.generic]] = {"m3c2_distance": np.float32, "m3c2_significant": np.uint8}
+
+
 def change_palette() -> NDArray[np.uint8]:
     """Return the colour (256, 3) of every change code; codes without a meaning are black."""
     palette = np.zeros((256, 3), dtype=np.uint8)
@@ -46,7 +50,7 @@ def asprs_lookup() -> NDArray[np.uint8]:
 
 
 def labelled_cloud(cloud: PointCloud) -> PointCloud:
-    """Return the points with exactly the fields of the contract, coloured by change.
+    """Return the points with the fields of the contract and measured ones that they have, in colours.
 
     Raises
     ------
@@ -62,6 +66,11 @@ def labelled_cloud(cloud: PointCloud) -> PointCloud:
     colours = change_palette()[fields["change"].astype(np.int64)]
     for column, name in enumerate(("red", "green", "blue")):
         fields[name] = np.ascontiguousarray(colours[:, column])
+    fields |= {
+        name: np.asarray(cloud.fields[name]).astype(kind)
+        for name, kind in MEASURED_FIELDS.items()
+        if name in cloud.fields
+    }
     if "intensity" in cloud.fields:
         fields["intensity"] = np.asarray(cloud.fields["intensity"], dtype=np.float32)
     return PointCloud(cloud.xyz, cloud.origin, cloud.crs, fields)

@@ -173,7 +173,8 @@ def tile_displacements(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
     -------
     arrays
         For each epoch ``<epoch>_floored`` (N,), the variance [m2] that its level of detection
-        rests on, NaN where nothing is claimed; and samples of the bias, ``xyz lies distance variance``.
+        rests on, NaN where nothing is claimed, ``<epoch>_distance`` (N,) float32, the displacement from
+        *before* to *after* along the normal [m]; and samples of the bias, ``xyz lies distance variance``.
     """
     config = params["config"].placing.uncertainty
     own, found = _compare(inputs, params, ("before", "after"))
@@ -185,6 +186,8 @@ def tile_displacements(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
     return {
         "before_floored": found["before"].floored,
         "after_floored": found["after"].floored,
+        "before_distance": found["before"].distance.astype(np.float32),
+        "after_distance": -found["after"].distance.astype(np.float32),
         **{name: getattr(joined, name) for name in BiasSamples.__dataclass_fields__},
     }
 
@@ -237,7 +240,14 @@ def _poses(inputs: Inputs, params: Mapping[str, Any]) -> tuple[Poses, ...]:
 
 
 def tile_lods(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
-    """Find the level of detection at the points of a tile: ``before after`` (N,) [m]; ``sigma`` of some."""
+    """Find the level of detection at the points of a tile.
+
+    Returns
+    -------
+    arrays
+        ``before after`` (N,) float32 [m], infinite where nothing is claimed; ``before_distance
+        after_distance`` (N,) float32, the displacement along the normal [m], NaN there; ``sigma`` of some.
+    """
     config = params["config"]
     sigma = load_sigma(inputs, params)
     result: dict[str, NDArray[Any]] = {}
@@ -245,13 +255,16 @@ def tile_lods(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
     for side in params["sides"]:
         floored = inputs["displacements"][f"{side.epoch}_floored"]
         if len(floored) == 0:
-            result[side.epoch] = np.zeros(0, dtype=np.float32)
+            result[side.epoch] = result[f"{side.epoch}_distance"] = np.zeros(0, dtype=np.float32)
             continue
         cloud = load_points(inputs, side, params["tile"], params)
         values = sigma.at(cloud.xyz, np.asarray(cloud.fields["normals"]))
         if side.epoch == "before":
             sample = values[::_EVERY]
         result[side.epoch] = _lod(floored, values, config)
+        distance = inputs["displacements"][f"{side.epoch}_distance"]
+        claimed = np.isfinite(combine(floored, values, config.lod.combine))
+        result[f"{side.epoch}_distance"] = np.where(claimed, distance, np.float32(np.nan))
     return {**result, "sigma": sample}
 
 

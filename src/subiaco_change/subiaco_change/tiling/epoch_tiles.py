@@ -72,7 +72,7 @@ class Spill:
     Parameters
     ----------
     folder : Path
-        Emptied by whoever made it.
+        Removed by the caller that created it.
     rows : int
         In memory at a time.
     """

@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from subiaco_change.tiling.epoch_tiles import Side, join, load_beams
-from subiaco_change.visibility_evidence import EvidenceConfig, Kind, Observer, make_observer
+from subiaco_change.visibility_evidence import EvidenceConfig, Kind, Observer, make_observer, poses_observer
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.crs import transformer
 from subiaco_geo.frames import Floats
@@ -105,12 +105,13 @@ def load_observer(inputs: Inputs, side: Side, points: Floats, config: EvidenceCo
     config : EvidenceConfig
     """
     alias = f"beams/{side.epoch}"
-    if side.kind in ("trajectory", "estimated"):
-        return Observer(side.kind, load_expected(inputs, alias, side, config.poses))
     cloud = PointCloud(points - side.origin, side.origin, side.crs)
+    if side.kind in ("trajectory", "estimated"):
+        expected = load_expected(inputs, alias, side, config.poses)
+        return Observer(side.kind, expected) if len(cloud) == 0 else poses_observer(expected, cloud, config)
     kind: Kind = "observed" if side.kind == "shadow" and len(cloud) == 0 else side.kind  # nothing was seen
     grid = load_beams(inputs, alias, side.corner, side.voxel) if kind == "observed" else None
     asked = config.model_copy(update={"source": kind})
     back = None if side.beams_crs is None else transformer(str(side.crs), side.beams_crs).apply
     found = make_observer(SurveyMap(cloud, visibility=grid), asked, back)
-    return Observer(side.kind, found.test, found.to_own)
+    return Observer(side.kind, found.test, found.to_own, found.certain)

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 import shapely
+from numpy.typing import NDArray
 
 from subiaco_change.decisions.ablation import Part, pointwise
 from subiaco_change.decisions.ground_cells import shown_lod
@@ -21,7 +22,7 @@ from subiaco_change.tiling.epoch_tiles import EPOCHS
 from subiaco_change.tiling.retiling import load_points, near_tile
 from subiaco_change.tiling.tile_surroundings import Region, load_region
 from subiaco_geo.codes import Change, Semantic
-from subiaco_geo.frames import Ints
+from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.tiles import tile_named
 from subiaco_geo.work.store import Arrays
 from subiaco_geo.work.tasks import Inputs
@@ -109,7 +110,8 @@ def label_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
     -------
     arrays
         For each epoch ``<epoch>_xyz`` (N, 3) float64 in the common frame, ``_normals`` float32,
-        ``_change _semantic`` uint8, ``_instance`` int32, ``_confidence _lod95`` float32; ``raster_dz
+        ``_change _semantic`` uint8, ``_instance`` int32, ``_confidence _lod95 _m3c2_distance``
+        float32, ``_m3c2_significant`` uint8; ``raster_dz
         raster_confidence`` of the reporting cells, row 0 in the north; ``patch_points`` (P, 3):
         row, points in *before*, in *after*.
     """
@@ -132,6 +134,7 @@ def label_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
             labels = _by_point(view, other, regions[1 - e], labels, epoch, config)
         patched[:, e] = [np.count_nonzero(labels.instance == i) for i in ids]
         result |= {f"{epoch}_{name}": values for name, values in labels.fields().items()}
+        result |= _displacement(inputs, tile, epoch, regions[e].index[own], labels.lod95, view.normals)
         result[f"{epoch}_xyz"] = view.xyz
         result[f"{epoch}_normals"] = view.normals.astype(np.float32)
     result["patch_points"] = np.column_stack([np.array(ids, dtype=np.int64), patched])
@@ -139,6 +142,24 @@ def label_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
         raster = ground_raster(ground, np.asarray(params["origin"]), config.ground)
         result |= {"raster_dz": raster.dz, "raster_confidence": raster.confidence}
     return result
+
+
+def _displacement(
+    inputs: Inputs, tile: str, epoch: str, index: Ints, lod95: NDArray[np.float32], normals: Floats
+) -> dict[str, NDArray[Any]]:
+    """Return the displacement at points of a tile, and whether it exceeds their level of detection.
+
+    Positive where the surface moved to the side of its normal that is turned upwards.
+    """
+    alias = f"lods/{tile}"
+    none = np.full(len(index), np.nan, dtype=np.float32)
+    distance = inputs[alias][f"{epoch}_distance"][index] if alias in inputs and len(index) else none
+    distance = np.where(normals[:, 2] < 0.0, -distance, distance)
+    significant = np.abs(distance) > lod95  # never where either is not known
+    return {
+        f"{epoch}_m3c2_distance": distance,
+        f"{epoch}_m3c2_significant": significant.astype(np.uint8),
+    }
 
 
 def _own(region: Region, tile: str) -> Ints:

@@ -65,7 +65,7 @@ def find_vegetation_null(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
 
 
 def decide_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
-    """Decide the plants of a tile anew, with the null of the pair; all other rows stay as they are.
+    """Decide the plants of a tile again, with the null of the pair; all other rows stay as they are.
 
     Parameters
     ----------

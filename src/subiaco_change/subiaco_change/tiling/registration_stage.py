@@ -68,7 +68,7 @@ def gather(inputs: Inputs, params: Mapping[str, Any]) -> tuple[PointCloud, Point
 
     What a city takes in memory does not grow with it: where an epoch has more than
     ``registration_points``, voxels of doubled size thin both, and where that is not enough, tiles
-    drawn by lot from all over the city stand for it. Coarser voxels would not do: walls are lost.
+    of a random sample all over the city represent it. Coarser voxels would lose the walls.
     Epochs without CRS need not have the same tiles at the same places, and are only thinned.
     """
     sides, config = params["sides"], params["config"]

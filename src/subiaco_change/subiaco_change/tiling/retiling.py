@@ -1,4 +1,4 @@
-"""Stage: labelled points of an epoch, cut anew by the tiles of the common frame."""
+"""Stage: labelled points of an epoch, cut by the tiles of the common frame."""
 
 from __future__ import annotations
 

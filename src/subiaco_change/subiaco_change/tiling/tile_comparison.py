@@ -57,7 +57,14 @@ def compare_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
     empty = [None if kind == "assumed" else r.empty for r, kind in zip(regions, kinds, strict=True)]
     free = [None if kind == "assumed" else r.free for r, kind in zip(regions, kinds, strict=True)]
     ground = OpenGround(NO_COLUMNS, NO_COLUMNS, (empty[0], empty[1]))
-    rules = replace(object_rules(config), ground=ground, free=(free[0], free[1]))
+    certain = (regions[0].certain, regions[1].certain)
+    rules = replace(
+        object_rules(config),
+        ground=ground,
+        free=(free[0], free[1]),
+        below_view=(regions[0].below_view, regions[1].below_view),
+        certain=certain,
+    )
     changes = compare_objects(views[0], views[1], regions[0].observed, regions[1].observed, rules)
     numbers = [number for _, number in compact]
     records = [

@@ -32,7 +32,8 @@ class Region:
     ``view`` with the objects of the whole city as instances; ``slot`` (N,) tile among ``tiles``;
     ``index`` (N,) place of the point there; ``seen`` tells which places of the common frame the
     epoch observed, ``empty`` where its beams went on and nothing came back, ``free`` how probable it
-    is that nothing stood there, by its beams.
+    is that nothing stood there, by its beams, ``certain`` how certain that can be at most, and ``below_view``
+    which places are no higher than its view is known to have reached.
     """
 
     view: EpochView
@@ -42,6 +43,8 @@ class Region:
     observed: Callable[[Floats], Mask]
     empty: Callable[[Floats], Mask]
     free: Callable[[Floats], Floats]
+    below_view: Callable[[Floats], Mask]
+    certain: float
 
 
 def load_region(inputs: Inputs, side: Side, params: Mapping[str, Any], near: Near) -> Region:
@@ -75,7 +78,7 @@ def load_region(inputs: Inputs, side: Side, params: Mapping[str, Any], near: Nea
             )
         )
     view, slot, index = _view(parts)
-    world = np.concatenate(own_world) if side.kind == "shadow" else np.zeros((0, 3))
+    world = np.concatenate(own_world) if side.kind in ("shadow", "trajectory") else np.zeros((0, 3))
     observer: Observer = load_observer(inputs, side, world, params["config"].evidence)
     to_world = frame.before_world if side.epoch == "before" else frame.after_world
     return Region(
@@ -86,6 +89,8 @@ def load_region(inputs: Inputs, side: Side, params: Mapping[str, Any], near: Nea
         seen_through(observer.observed, to_world),
         seen_through(observer.empty, to_world),
         free_through(observer.free_probability, to_world),
+        seen_through(observer.below_view, to_world),
+        observer.certain,
     )
 
 

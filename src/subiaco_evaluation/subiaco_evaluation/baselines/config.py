@@ -15,6 +15,7 @@ from pydantic import Field
 
 from subiaco_change.registration.config import RegistrationConfig
 from subiaco_change.segmentation.ground_model import GroundConfig
+from subiaco_evaluation.learned.config import LearnedConfig
 from subiaco_geo.config import StrictModel
 
 #: What a cell is that has no points in one epoch: not comparable (255), bare ground there, or Unchanged.
@@ -168,3 +169,4 @@ class BaselineConfig(StrictModel):
     nn: NearestConfig = NearestConfig()
     c2c: CloudToCloudConfig = CloudToCloudConfig()
     m3c2: M3c2Config = M3c2Config()
+    learned: LearnedConfig = LearnedConfig()

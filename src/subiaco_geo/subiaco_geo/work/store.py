@@ -45,7 +45,7 @@ class Store(Protocol):
 class _Piece(Mapping[str, Array]):
     """Arrays of an ``.npz``, each read when it is asked for; between, the file is closed: there are many.
 
-    Arrays are read where they lie: numpy's own reader opens the archive anew and sums every byte.
+    Arrays are read where they lie: numpy's own reader opens the archive again and sums every byte.
     """
 
     def __init__(self, path: Path) -> None:

@@ -62,7 +62,7 @@ class TaskRunner:
     def together(
         self, stages: Sequence[Sequence[Task]], span: tuple[float, float] = (0.0, 1.0)
     ) -> list[dict[str, str]]:
-        """Do the tasks of stages that do not rest on each other beside each other; see :meth:`run`.
+        """Do the tasks of independent stages in parallel; see :meth:`run`.
 
         Progress is told of the first stage that is not finished.
         """

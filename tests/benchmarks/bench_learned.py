@@ -1,0 +1,283 @@
+# ruff: noqa: T201
+"""Simple and learned methods beside ours: on reporting seeds, and untouched on other sensors and a real pair.
+
+    make learned
+    python tests/benchmarks/bench_learned.py out/learned --surveys sim/default_1 sim/hard_1 sim/easy_1 \
+        --bare foreign/default_101=sim/default_101 --site $SUBIACO_TEST_DATA
+
+A survey is an output of ``subiaco simulate --maps-only``. A bare pair is a folder with one cloud named
+before.* and one named after.*, and the survey that holds its truth. Every method takes the registration
+that 'subiaco change' found. What is there in the work folder is not run again, so a stopped run goes on.
+"""
+
+from __future__ import annotations
+
+import argparse
+import datetime as dt
+import json
+import shutil
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from bench_real import revision
+from bench_real_site import read_site, score
+from bench_real_site import read_truth as read_drawn
+from tabulated import table
+
+from subiaco_change.config import ChangeConfig
+from subiaco_change.job import read_transform, run_change
+from subiaco_change.pipeline import detect_changes
+from subiaco_change.request import ChangeRequest
+from subiaco_evaluation.baselines.cells import Pair
+from subiaco_evaluation.baselines.config import BaselineConfig
+from subiaco_evaluation.baselines.run import (
+    METHODS,
+    PDAL_METHOD,
+    compare_pair,
+    detect_simply,
+    prepare_pair,
+    require_method,
+)
+from subiaco_evaluation.layouts import Prediction, in_after_frame, read_prediction
+from subiaco_evaluation.learned.methods import LEARNED_METHODS
+from subiaco_evaluation.learned.weights_file import SHIPPED, read_record
+from subiaco_evaluation.paired import paired_difference
+from subiaco_evaluation.scores import describe
+from subiaco_evaluation.scoring import EvaluationConfig, score_cells
+from subiaco_evaluation.truth import read_truth
+from subiaco_geo.codes import Change
+from subiaco_geo.errors import InputError
+from subiaco_geo.frames import Ints
+from subiaco_geo.maps import load_epoch
+
+OURS = "subiaco"
+ROOT = Path(__file__).parents[2]
+PAGE = ROOT / "docs" / "results" / "learned.md"
+PICTURES = ROOT / "docs" / "pictures"
+_HEAD = """# Learned methods beside simple ones and ours
+
+Written by `tests/benchmarks/bench_learned.py` on {day}, revision `{revision}`; do not edit. The surveys are
+**simulated**, except the building site at the end. The networks were trained on tuning seeds of the
+simulator, at the sizes in the first table: much smaller and shorter than published. The page compares what
+two CPU cores can train; it does not repeat the publications.
+"""
+_GROUPS = {
+    "surveys": """## Reporting seeds
+
+No method was tuned, trained or chosen on these surveys: {names}. Cells of 0.5 m, the published protocol,
+all surveys pooled.
+""",
+    "bare": """## Another sensor, bare clouds
+
+The clouds have no trajectory and another sensor: {names}. No network saw these streets or this sensor; the
+networks are untouched.
+""",
+}
+_SITE = """## A real building site
+
+One site, seen twice by a handheld scanner (MultiChange3D), scored against what was drawn by eye. An object
+is right when half of its points carry a right label.
+"""
+
+
+@dataclass(frozen=True)
+class Case:
+    """Two epochs, their truth, and the table that they belong to."""
+
+    group: str
+    name: str
+    before: Path
+    after: Path
+    truth: Path
+
+
+def survey_case(path: Path) -> Case:
+    """Return the case of a simulated survey."""
+    return Case("surveys", path.name, path / "before", path / "after", path)
+
+
+def bare_case(words: str) -> Case:
+    """Return the case of ``FOLDER=SURVEY``."""
+    folder, _, truth = words.partition("=")
+    clouds = [
+        next(p for p in sorted(Path(folder).glob(f"{epoch}.*")) if p.suffix in {".ply", ".laz", ".las"})
+        for epoch in ("before", "after")
+    ]
+    return Case("bare", Path(folder).name, clouds[0], clouds[1], Path(truth))
+
+
+def run_ours(case: Case, work: Path) -> Path:
+    """Run 'subiaco change' on a case, unless it was run before; return its change directory."""
+    out = work / case.group / case.name / OURS
+    if not (out / "changes.csv").is_file():
+        shutil.rmtree(out, ignore_errors=True)
+        run_change(ChangeRequest(before=case.before, after=case.after, output=out))
+    return out
+
+
+def matrices(case: Case, methods: Sequence[str], work: Path) -> dict[str, Ints]:
+    """Return the 5x6 matrices of the tiles of a case (T, 5, 6) by method; what is there is not run again."""
+    folder = work / case.group / case.name
+    ours = run_ours(case, work)
+    missing = [m for m in (OURS, *methods) if not (folder / f"{m}.npy").is_file()]
+    if missing:
+        truth = read_truth(case.truth)
+        real, config, pair = in_after_frame(truth), BaselineConfig(), None
+        for method in missing:
+            started = time.perf_counter()
+            if method == OURS:
+                said = read_prediction(ours, truth)
+            else:
+                pair = pair or registered(case, ours, config)
+                found = compare_pair(pair, method, config)
+                said = Prediction(found.before, found.after)
+            np.save(folder / f"{method}.npy", score_cells(said, real, EvaluationConfig())[1])
+            print(f"{case.group} {case.name} {method}: {time.perf_counter() - started:.0f} s", flush=True)
+    return {m: np.load(folder / f"{m}.npy") for m in (OURS, *methods)}
+
+
+def registered(case: Case, ours: Path, config: BaselineConfig) -> Pair:
+    """Return the epochs of a case by the registration that 'subiaco change' found."""
+    transform = read_transform(ours / "registration.json")
+    return prepare_pair(load_epoch(case.before), load_epoch(case.after), config, transform)[0]
+
+
+def group_rows(cases: Sequence[Case], methods: Sequence[str], work: Path) -> list[dict[str, Any]]:
+    """Return a row for every method, scored over all cases of a group."""
+    by_case = [matrices(case, methods, work) for case in cases]
+    tiles = {m: np.concatenate([found[m] for found in by_case]) for m in (OURS, *methods)}
+    rows = []
+    for method, found in tiles.items():
+        total = describe(found.sum(axis=0))
+        row = {"method": method, "accuracy %": total["accuracy_percent"], "mF1 %": total["mf1_percent"]}
+        row |= {"mIoU %": total["miou_percent"], "mIoU of changes %": total["miou_change_percent"]}
+        row |= {f"{label} IoU %": value for label, value in total["iou_percent"].items()}
+        row["not decided %"] = total["abstention_percent"]
+        if method != "dsm":
+            step = paired_difference(found, tiles["dsm"], 1000, 0)["miou"]
+            low, high = step["interval_95_percent"]
+            row["mIoU less dsm, 95 %"] = f"{step['difference_percent']:+.1f} ({low:+.1f} to {high:+.1f})"
+        rows.append({k: round(v, 1) if isinstance(v, float) else v for k, v in row.items()})
+    return rows
+
+
+def site_row(data: Path, method: str, work: Path) -> dict[str, Any]:
+    """Return the row of a method on the real building site, as the epochs lie; kept once it was run."""
+    kept = work / "site" / f"{method}.json"
+    if not kept.is_file():
+        epochs = read_site(data, 0), read_site(data, 1)
+        if method == OURS:
+            result = detect_changes(*epochs, ChangeConfig(), transform=np.eye(4))
+        else:
+            result = detect_simply(*epochs, method, BaselineConfig(), transform=np.eye(4))
+        found, wrong = score(result, read_drawn())
+        row = {"method": method, "objects right": f"{sum(s >= 0.5 for *_, s in found)} of {len(found)}"}
+        row["claims"] = sum(r.change < Change.UNCHANGED for r in result.records)
+        row["claims outside of every change"] = len(wrong)
+        row["area of those m2"] = round(sum(r.footprint.area for r in wrong), 1)
+        kept.parent.mkdir(parents=True, exist_ok=True)
+        kept.write_text(json.dumps(row), encoding="utf-8")
+        print(row, flush=True)
+    return dict(json.loads(kept.read_text(encoding="utf-8")))
+
+
+def finished(cases: Sequence[Case], methods: Sequence[str], work: Path) -> tuple[list[Case], list[str]]:
+    """Return the cases with a result of ours, and the methods with a result on every one of these."""
+    good = [c for c in cases if (work / c.group / c.name / f"{OURS}.npy").is_file()]
+    return good, [m for m in methods if all((work / c.group / c.name / f"{m}.npy").is_file() for c in good)]
+
+
+def training_rows(methods: Sequence[str]) -> list[dict[str, Any]]:
+    """Return what the records of the shipped weights say."""
+    rows = []
+    for method in methods:
+        record = read_record(SHIPPED / f"{method}.npz")
+        points = method.endswith("kpconv")
+        settings = record["config"]["point_training" if points else "raster_training"]
+        rows.append({
+            "method": method, "parameters": record["parameters"], "learned on": ", ".join(record["surveys"]),
+            "validated on": ", ".join(record["validation_surveys"]), "epochs": record["epochs"],
+            "cylinders or patches": record["epochs"] * settings["samples"], "hours": record["hours"],
+            "best epoch": record["best_epoch"] + 1, "validation mIoU %": record["validation_miou_percent"],
+            "seed": record["config"]["seed"], "revision": record["revision"],
+        })  # fmt: skip
+    return rows
+
+
+def page(found: dict[str, Any]) -> str:
+    """Return the page of what was found."""
+    parts = [_HEAD.format(**found), "Training, by the records in the files of weights:"]
+    parts.append(table(found["training"]))
+    for row in found["training"]:
+        picture = f"learned-{row['method']}.png"
+        if (PICTURES / picture).is_file():
+            parts.append(f"![Learning curve of {row['method']}](../pictures/{picture})")
+    for group, text in _GROUPS.items():
+        if group in found:
+            parts += [text.format(names=", ".join(found[f"{group}_names"])), table(found[group])]
+    if "site" in found:
+        parts += [_SITE, table(found["site"])]
+    if found["absent"]:
+        parts.append("\n".join(f"* {name} was not run: {why}." for name, why in found["absent"].items()))
+    if found.get("remarks"):
+        parts.append("## What the figures say\n\n" + "\n".join(f"* {line}" for line in found["remarks"]))
+    return "\n\n".join(part.rstrip() for part in parts) + "\n"
+
+
+def available(methods: Sequence[str]) -> tuple[list[str], dict[str, str]]:
+    """Return the methods that can be run here, and why others cannot."""
+    good, absent = [], {}
+    for method in methods:
+        try:
+            require_method(method, BaselineConfig())
+            good.append(method)
+        except InputError as error:
+            absent[method] = str(error).removeprefix(f"{method}: ")
+    return good, absent
+
+
+def main() -> None:
+    """Run what is missing and write the page."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("work", type=Path)
+    parser.add_argument("--surveys", type=Path, nargs="*", default=[])
+    parser.add_argument("--bare", nargs="*", default=[], metavar="FOLDER=SURVEY")
+    parser.add_argument("--site", type=Path, metavar="DATA", help="folder that holds real_pair_site")
+    parser.add_argument("--remarks", type=Path, help="text file; a line is a remark below the tables")
+    parser.add_argument("--page", type=Path, default=PAGE)
+    parser.add_argument("--finished", action="store_true", help="run nothing; write what was run before")
+    given = parser.parse_args()
+    methods, absent = available([*METHODS, PDAL_METHOD, *LEARNED_METHODS])
+    learned = [m for m in methods if m in LEARNED_METHODS]
+    day = dt.datetime.now(dt.UTC).date().isoformat()
+    found: dict[str, Any] = {"day": day, "revision": revision(), "absent": absent}
+    found["training"] = training_rows(learned)
+    cases = [*map(survey_case, given.surveys), *map(bare_case, given.bare)]
+    for group in _GROUPS:
+        chosen, able = [case for case in cases if case.group == group], methods
+        if given.finished:
+            chosen, able = finished(chosen, methods, given.work)
+        if chosen and "dsm" in able:
+            names = [c.name for c in chosen]
+            found |= {group: group_rows(chosen, able, given.work), f"{group}_names": names}
+    if given.site is not None:
+        kept = [m for m in (OURS, *methods) if (given.work / "site" / f"{m}.json").is_file()]
+        able = kept if given.finished else [OURS, *methods]
+        found["site"] = [site_row(given.site, method, given.work) for method in able]
+    if given.remarks is not None:
+        found["remarks"] = given.remarks.read_text(encoding="utf-8").splitlines()
+    given.work.mkdir(parents=True, exist_ok=True)
+    (given.work / "learned.json").write_text(json.dumps(found, indent=1), encoding="utf-8")
+    given.page.parent.mkdir(parents=True, exist_ok=True)
+    given.page.write_text(page(found), encoding="utf-8")
+    print(f"{given.page}: written")
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,226 @@
+"""The networks of the learned methods; skipped where PyTorch is not installed."""
+
+import numpy as np
+import pytest
+
+from subiaco_evaluation.learned.config import PointNetworkConfig, RasterNetworkConfig, TrainingConfig
+from subiaco_evaluation.learned.jobs import TrainingJob
+from subiaco_evaluation.learned.kernel_points import kernel_points
+from subiaco_evaluation.learned.labels import to_classes
+from subiaco_evaluation.learned.pyramids import build_pyramid
+from subiaco_evaluation.learned.sampling import cut_pair
+from subiaco_evaluation.learned.surveys import PointPair, RasterPair
+from subiaco_geo.codes import Change
+from subiaco_geo.errors import InputError
+
+torch = pytest.importorskip("torch", reason="PyTorch is not installed: make learned")
+
+from subiaco_evaluation.learned.batches import Neighbourhood, collate, neighbourhood  # noqa: E402
+from subiaco_evaluation.learned.kpconv import Bottleneck, KernelPointConvolution, gather  # noqa: E402
+from subiaco_evaluation.learned.point_networks import POINT_NETWORKS, difference  # noqa: E402
+from subiaco_evaluation.learned.raster_networks import RASTER_NETWORKS  # noqa: E402
+from subiaco_evaluation.learned.tasks import PointTask, RasterTask, task_loss  # noqa: E402
+from subiaco_evaluation.learned.training import (  # noqa: E402
+    State,
+    model_arrays,
+    read_checkpoint,
+    run_epoch,
+    write_checkpoint,
+)
+
+TINY = PointNetworkConfig(width=8, levels=3, neighbours=10, radius=6.0, kernel_points=9, dropout=0.0)
+
+
+def twin_of_a_convolution(queries, support, features, index, kernel, extent, weight):
+    """The same in plain loops."""
+    outputs = np.zeros((len(queries), weight.shape[2]))
+    for i, row in enumerate(index):
+        for j in row[row < len(support)]:
+            for k, point in enumerate(kernel):
+                away = np.linalg.norm(support[j] - queries[i] - point)
+                outputs[i] += max(0.0, 1.0 - away / extent) * features[j] @ weight[k]
+    return outputs
+
+
+def test_the_convolution_equals_its_twin_in_numpy():
+    rng = np.random.default_rng(0)
+    support, queries = rng.uniform(-1, 1, (20, 3)), rng.uniform(-1, 1, (7, 3))
+    features, weight = rng.normal(size=(20, 3)), rng.normal(size=(9, 3, 4))
+    index = rng.integers(0, 21, (7, 6))  # 20 is a missing neighbour
+    kernel = kernel_points(9, 0.6)
+    layer = KernelPointConvolution(9, 3, 4)
+    layer.weight.data = torch.from_numpy(weight.reshape(27, 4)).float()
+    tensors = [torch.from_numpy(a).float() for a in (queries, support)]
+    near = neighbourhood(*tensors, torch.from_numpy(index), torch.from_numpy(kernel).float(), 0.8)
+    found = layer(torch.from_numpy(features).float(), near).detach().numpy()
+    expected = twin_of_a_convolution(queries, support, features, index, kernel, 0.8, weight)
+    assert np.abs(expected).max() > 0.1
+    assert np.allclose(found, expected, atol=1e-4)
+
+
+def test_a_missing_neighbour_has_no_features_and_no_influence():
+    features = torch.ones((3, 2))
+    index = torch.tensor([[0, 3], [3, 3]])
+    assert gather(features, index).sum(dim=(1, 2)).tolist() == [2.0, 0.0]
+    near = neighbourhood(torch.zeros((2, 3)), torch.zeros((3, 3)), index, torch.zeros((1, 3)), 1.0)
+    assert near.influence[:, 0].tolist() == [[1.0, 0.0], [0.0, 0.0]]
+
+
+def test_the_difference_is_to_the_features_of_the_nearest_reference_point():
+    reference, compared = torch.tensor([[1.0, 0.0], [5.0, 2.0]]), torch.tensor([[6.0, 3.0], [1.0, 1.0]])
+    found = difference(reference, compared, torch.tensor([1, 0]))
+    assert found.tolist() == [[1.0, 1.0], [0.0, 1.0]]
+
+
+def test_a_block_whose_inputs_equal_its_outputs_adds_to_them():
+    block = Bottleneck(9, 8, 8, 0.1).eval()
+    near = Neighbourhood(torch.zeros((4, 1), dtype=torch.int64), torch.zeros((4, 9, 1)))
+    features = torch.randn((4, 8))
+    block.leave.norm.weight.data.zero_()
+    assert torch.allclose(block(features, near), features)
+
+
+def house_pair():
+    """Flat ground, and a box that stands on it in the second epoch alone."""
+    rng = np.random.default_rng(5)
+    ground = [np.column_stack([rng.uniform(-8, 8, (3000, 2)), np.zeros(3000)]) for _ in range(2)]
+    faces = np.column_stack([rng.uniform(-2, 2, (600, 2)), np.full(600, 3.0)])
+    clouds = [ground[0], np.concatenate([ground[1], faces])]
+    pyramids = tuple(build_pyramid(cloud, TINY) for cloud in clouds)
+    classes = tuple((p.levels[0].xyz[:, 2] > 1.0).astype(np.int64) for p in pyramids)
+    return PointPair(pyramids, classes)
+
+
+@pytest.fixture(scope="module")
+def batch():
+    pair = house_pair()
+    cylinder = cut_pair(*pair.pyramids, np.zeros(3), 6.0, pair.classes[1])
+    return collate([cylinder, cylinder], TINY, [0.0, 1.0])
+
+
+@pytest.mark.parametrize("method", list(POINT_NETWORKS))
+def test_every_parameter_of_a_point_network_gets_a_gradient(method, batch):
+    torch.manual_seed(0)
+    model = POINT_NETWORKS[method](TINY)
+    said = model(batch)
+    assert said.shape == (batch.compared[0].count, 4)
+    assert torch.allclose(said.exp().sum(dim=1), torch.ones(len(said)), atol=1e-5)
+    said[torch.arange(len(said)), batch.classes].sum().backward()
+    silent = [name for name, p in model.named_parameters() if p.grad is None or not p.grad.abs().sum() > 0]
+    assert silent == []
+
+
+@pytest.mark.parametrize("method", list(POINT_NETWORKS))
+def test_a_point_network_learns_one_cylinder_by_heart(method, batch):
+    torch.manual_seed(1)
+    model = POINT_NETWORKS[method](TINY)
+    optimiser = torch.optim.SGD(model.parameters(), lr=0.01, momentum=0.9)
+    weights = torch.tensor([0.2, 0.8, 1.0, 1.0])
+    for _ in range(40):
+        optimiser.zero_grad()
+        task_loss((model(batch), batch.classes), weights).backward()
+        optimiser.step()
+    right = (model(batch).argmax(dim=1) == batch.classes).float().mean()
+    assert float(right) > 0.98
+    assert 0.02 < float((batch.classes == 1).float().mean()) < 0.5
+
+
+@pytest.mark.parametrize(
+    ("method", "millions"), [("siamese-kpconv", 18.4), ("triplet-kpconv", None), ("efs-kpconv", None)]
+)
+def test_the_published_sizes_give_the_published_number_of_parameters(method, millions):
+    config = PointNetworkConfig(width=64, levels=5)
+    model = POINT_NETWORKS[method](config)
+    first = model.decoder.layers[0].linear
+    expected = {"siamese-kpconv": 2048 + 1024, "triplet-kpconv": 4096 + 1024, "efs-kpconv": 4096 + 2048}
+    assert (first.in_features, first.out_features) == (expected[method], 512)
+    if millions is not None:
+        assert sum(p.numel() for p in model.parameters()) / 1e6 == pytest.approx(millions, abs=0.6)
+
+
+@pytest.mark.parametrize("method", list(RASTER_NETWORKS))
+def test_a_raster_network_learns_one_patch_by_heart(method):
+    torch.manual_seed(2)
+    model = RASTER_NETWORKS[method](RasterNetworkConfig(width=8, patch=32, dropout=0.0))
+    heights = torch.zeros((2, 2, 32, 32))
+    heights[0, 1, 8:16, 8:16] = 1.0
+    heights[1, 0, 4:12, 16:24] = 1.0
+    codes = torch.full((2, 32, 32), int(Change.UNCHANGED))
+    codes[0, 8:16, 8:16] = int(Change.ADDED)
+    codes[1, 4:12, 16:24] = int(Change.REMOVED)
+    optimiser = torch.optim.Adam(model.parameters(), lr=0.01)
+    for _ in range(100):
+        optimiser.zero_grad()
+        torch.nn.functional.nll_loss(model(heights), codes).backward()
+        optimiser.step()
+    assert float((model(heights).argmax(dim=1) == codes).float().mean()) > 0.98
+    assert all(p.grad is not None for p in model.parameters())
+
+
+def tiny_training(**settings):
+    steps = {"epochs": 2, "samples": 2, "batch": 2}
+    raster = RasterNetworkConfig(width=2, patch=32)
+    return TrainingConfig(
+        point_network=TINY, raster_network=raster, point_training=steps, raster_training=steps,
+        validation_samples=2, **settings,
+    )  # fmt: skip
+
+
+def point_task(seed=0):
+    torch.manual_seed(seed)
+    pair = house_pair()
+    return PointTask("siamese-kpconv", tiny_training(), [pair], [pair])
+
+
+def raster_task(seed=0):
+    torch.manual_seed(seed)
+    codes = np.full((40, 40), int(Change.UNCHANGED))
+    codes[5:15, 5:15] = int(Change.ADDED)
+    pair = RasterPair(np.stack([np.zeros((40, 40)), 3.0 * (codes == Change.ADDED)]), codes)
+    return RasterTask("dsm-siamese", tiny_training(), [pair], [pair])
+
+
+@pytest.mark.parametrize("make", [point_task, raster_task])
+def test_a_training_that_was_stopped_goes_on_as_if_it_had_not_been(make, tmp_path):
+    whole = make()
+    optimiser = whole.optimiser()
+    for epoch in range(2):
+        run_epoch(whole, optimiser, 0.01, 100.0, (0, epoch))
+
+    first = make()
+    begun = first.optimiser()
+    run_epoch(first, begun, 0.01, 100.0, (0, 0))
+    state = State(epoch=1, best=model_arrays(first), best_score=3.0)
+    write_checkpoint(tmp_path / "c.npz", "key", first, begun, state)
+
+    second = make(seed=9)  # other weights, until the checkpoint is read
+    resumed = second.optimiser()
+    back = read_checkpoint(tmp_path / "c.npz", "key", second, resumed)
+    assert (back.epoch, back.best_score) == (1, 3.0)
+    run_epoch(second, resumed, 0.01, 100.0, (0, 1))
+    for name, value in model_arrays(whole).items():
+        assert np.array_equal(value, model_arrays(second)[name]), name
+
+
+def test_a_checkpoint_of_another_training_is_refused(tmp_path):
+    task = raster_task()
+    write_checkpoint(tmp_path / "c.npz", "key", task, task.optimiser(), State())
+    with pytest.raises(InputError, match="begun with other settings"):
+        read_checkpoint(tmp_path / "c.npz", "other", task, task.optimiser())
+
+
+def test_the_key_of_a_training_names_method_settings_and_surveys(tmp_path):
+    job = TrainingJob("dsm-fc-ef", (tmp_path / "a",), (tmp_path / "b",), tmp_path / "w.npz")
+    other = TrainingJob("dsm-fc-ef", (tmp_path / "c",), (tmp_path / "b",), tmp_path / "w.npz")
+    config = TrainingConfig()
+    assert job.key(config) == job.key(TrainingConfig())
+    assert len({job.key(config), other.key(config), job.key(TrainingConfig(seed=1))}) == 3
+
+
+def test_labels_that_are_ignored_do_not_change_the_loss():
+    said = torch.log_softmax(torch.randn((6, 4)), dim=1)
+    classes = torch.tensor([0, 1, -1, 2, -1, 0])
+    kept = classes >= 0
+    weights = torch.tensor([0.1, 0.9, 1.0, 1.0])
+    assert torch.isclose(task_loss((said, classes), weights), task_loss((said[kept], classes[kept]), weights))
+    assert (to_classes(np.array([Change.UNOBSERVED]), 1) == -1).all()

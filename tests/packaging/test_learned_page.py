@@ -1,0 +1,57 @@
+"""The page of learned methods: its tables, and which cases it reads."""
+
+import sys
+from pathlib import Path
+
+import pytest
+
+FOLDER = Path(__file__).parents[1] / "benchmarks"
+
+
+@pytest.fixture
+def bench(monkeypatch):
+    monkeypatch.syspath_prepend(str(FOLDER))
+    for name in ("bench_learned", "bench_real", "bench_real_site", "tabulated"):
+        monkeypatch.delitem(sys.modules, name, raising=False)
+    import bench_learned
+
+    return bench_learned
+
+
+def test_the_page_shows_every_table_and_names_methods_that_were_not_run(bench):
+    found = {
+        "day": "2026-11-22",
+        "revision": "abc",
+        "training": [{"method": "efs-kpconv", "hours": 0.25}],
+        "surveys": [{"method": "dsm", "mIoU %": 40.5}],
+        "surveys_names": ["one", "two"],
+        "site": [{"method": "dsm", "claims": 7}],
+        "absent": {"pdal-m3c2": "the command 'pdal' was not found"},
+        "remarks": ["A sentence."],
+    }
+    text = bench.page(found)
+    for piece in (
+        "| efs-kpconv | 0.25 |",
+        "| dsm | 40.5 |",
+        "one, two",
+        "| dsm | 7 |",
+        "pdal-m3c2 was not run",
+    ):
+        assert piece in text
+    assert text.count("|---|") == 3
+    assert "Another sensor" not in text
+    assert text.endswith("* A sentence.\n")
+
+
+def test_a_bare_case_is_one_cloud_for_each_epoch_and_the_survey_of_its_truth(bench, tmp_path):
+    for name in ("before.ply", "before.tum", "after.laz", "after.tum"):
+        (tmp_path / name).touch()
+    case = bench.bare_case(f"{tmp_path}=sim/a")
+    assert (case.before.name, case.after.name, case.truth) == ("before.ply", "after.laz", Path("sim/a"))
+
+
+def test_a_method_whose_program_is_missing_is_named_and_left_out(bench, monkeypatch, tmp_path):
+    monkeypatch.setenv("PATH", str(tmp_path))
+    good, absent = bench.available(["dsm", "pdal-m3c2"])
+    assert good == ["dsm"]
+    assert list(absent) == ["pdal-m3c2"]
