@@ -79,17 +79,18 @@ PARTS = {
     "rings": Part(range(1, 77, 2), second_rings),
     "coarse": Part(range(1, 77, 2), None, COARSE),
 }
-#: Parts of *before* and of *after*, and whether their clouds are compared bare.
+#: Parts of *before* and of *after*, and what of their maps is compared.
+_PARTS = {
+    "even_odd": ("even", "odd"),
+    "halves": ("first", "second"),
+    "ahead_behind": ("ahead", "behind"),
+    "rings": ("even", "rings"),
+}
 PAIRS = {
-    "even_odd": ("even", "odd", False),
-    "halves": ("first", "second", False),
-    "ahead_behind": ("ahead", "behind", False),
-    "rings": ("even", "rings", False),
-    "leaf": ("even", "coarse", False),
-    "bare_even_odd": ("even", "odd", True),
-    "bare_halves": ("first", "second", True),
-    "bare_ahead_behind": ("ahead", "behind", True),
-    "bare_rings": ("even", "rings", True),
+    **{name: (*parts, "map") for name, parts in _PARTS.items()},
+    "leaf": ("even", "coarse", "map"),
+    **{f"bare_{name}": (*parts, "bare") for name, parts in _PARTS.items()},
+    **{f"trajectory_{name}": (*parts, "trajectory") for name, parts in _PARTS.items()},
 }
 
 
@@ -154,10 +155,13 @@ class Score:
         return f"| {name} | {self.area:.0f} | {self.registered} | {' | '.join(rates)} |"
 
 
-def compare(before: SurveyMap, after: SurveyMap, T_after_before: Floats, bare: bool) -> Score:
-    """Compare two maps of the same drive at the default settings."""
-    if bare:
-        before, after = (SurveyMap(survey.cloud) for survey in (before, after))
+def compare(before: SurveyMap, after: SurveyMap, T_after_before: Floats, kept: str) -> Score:
+    """Compare two maps of the same drive at the default settings: whole, bare, or bare with a trajectory."""
+    if kept != "map":
+        before, after = (
+            SurveyMap(survey.cloud, survey.trajectory if kept == "trajectory" else None)
+            for survey in (before, after)
+        )
     try:
         result, registered = detect_changes(before, after, ChangeConfig()), "yes"
     except SubiacoError as error:
@@ -185,10 +189,10 @@ def main() -> None:
     ]
     for name in words.pairs:
         started = time.process_time()
-        first, second, bare = PAIRS[name]
+        first, second, kept = PAIRS[name]
         surveys = [map_part(scans, part, words.output) for part in (first, second)]
         starts = [poses[PARTS[part].scans[0]] for part in (first, second)]
-        score = compare(surveys[0], surveys[1], invert_pose(starts[1]) @ starts[0], bare)
+        score = compare(surveys[0], surveys[1], invert_pose(starts[1]) @ starts[0], kept)
         table.append(score.line(name))
         print(table[-1], f"{time.process_time() - started:.0f} CPU s", flush=True)
         for r in score.result.records if words.rows else ():

@@ -138,7 +138,7 @@ _PAGE = """# Damaged files
 
 Every reader of files that people exchange is given damaged ones: flipped bits, pieces that are cut or
 doubled, numbers that no file holds, types that were swapped, columns that are missing. A reader may read
-such a file, or refuse it in one line that names it. Any other exception, more than {seconds:g} s of
+the file, or refuse it in one line that names it. Any other exception, more than {seconds:g} s of
 processor time, or more than {memory} GiB of memory is a fault.
 
 **{cases:,} cases (seeds {seeds}) found {faults} faults; of these files, {left} still fail.** The table adds

@@ -9,10 +9,11 @@ from hypothesis import strategies as st
 from scipy.special import expit, logit
 from test_decisions import CONFIG, SAME
 
-from subiaco_change.decisions.absence import absence, opacity, porous_chance
+from subiaco_change.decisions.absence import absence, opacity, pooled, porous_chance
 from subiaco_change.decisions.confidence import ConfidenceConfig, confidence
 from subiaco_change.decisions.rules import decide
 from subiaco_change.decisions.voxel_objects import ObjectInstance, Voxels
+from subiaco_change.visibility_evidence import EvidenceConfig
 from subiaco_geo.codes import Change, Semantic
 
 ALONE = replace(SAME, iou=0.0, gone_share=1.0, delta_c=np.nan, delta_h=np.nan, observed_voxels=60)
@@ -73,6 +74,27 @@ def test_thin_evidence_in_many_places_is_evidence(count, least, most):
     voxels = Voxels(np.zeros(count, int), xyz, xyz * 0, np.ones(count), yes, ~yes, yes)
     part = ObjectInstance(0, Semantic.VEGETATION, 0.9, np.arange(count), voxels, 0.03, xyz, np.zeros(0))
     assert least <= absence([part], [], (None, lambda places: np.full(len(places), 0.64))) <= most
+
+
+@given(count=st.integers(1, 400), chance=st.floats(0.5, 0.99), certain=st.floats(0.6, 1.0))
+def test_what_all_places_of_an_object_share_bounds_what_they_prove_together(count, chance, certain):
+    xyz = np.column_stack([np.arange(count), np.zeros(count), np.ones(count)])
+    yes = np.ones(count, dtype=bool)
+    voxels = Voxels(np.zeros(count, int), xyz, xyz * 0, np.ones(count), yes, ~yes, yes)
+    part = ObjectInstance(0, Semantic.VEGETATION, 0.9, np.arange(count), voxels, 0.03, xyz, np.zeros(0))
+    free = (None, lambda places: np.full(len(places), chance))
+    bounded = absence([part], [], free, (1.0, certain))
+    assert bounded <= certain
+    assert bounded == pytest.approx(certain * absence([part], [], free))
+
+
+@pytest.mark.parametrize(("voxels", "claimed"), [(8, False), (40, True), (400, True)])
+def test_in_a_bare_cloud_few_free_places_claim_nothing_and_many_are_not_certain(voxels, claimed):
+    config = EvidenceConfig()
+    free = config.shadow_certain * pooled(config.shadow_trust, voxels)
+    decision = decide(Semantic.OTHER, False, True, replace(ALONE, new_share=1.0, free=free), 0.03, CONFIG)
+    assert (decision.change is Change.ADDED) is claimed
+    assert free < 0.86
 
 
 def removed(**changes):

@@ -121,6 +121,13 @@ def test_evidence_or_clouds_that_were_never_calibrated_lower_a_confidence_and_ke
     assert lower <= discounted(row, False, config).confidence
 
 
+def test_a_bare_cloud_never_makes_a_claim_nearly_certain():
+    row = _record(confidence=0.9999, evidence="shadow")
+    config = ConfidenceConfig()
+    for change in (Change.ADDED, Change.INCREASED):
+        assert discounted(replace(row, change=change), False, config).confidence == config.cap_shadow < 0.9
+
+
 def test_copies_of_the_survey_itself_calibrate_its_confidences_and_unobserved_rows_are_left_alone():
     own = ConfidenceConfig(fitted_on="injected", held_out_ece=0.02, clouds="own")
     assert discounted(_record(confidence=0.97, evidence="observed"), False, own).confidence == 0.97

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from subiaco_change.decisions.measures import MeasureConfig
 from subiaco_change.visibility_evidence import EvidenceConfig, ground_observed, make_observer
 from subiaco_geo.clouds import PointCloud, voxel_downsample
 from subiaco_geo.errors import InputError
@@ -121,3 +122,41 @@ def test_ground_under_a_grazing_beam_is_seen():
     ground = np.zeros((3, 3))
     assert ground_observed(observed, ground, EvidenceConfig()).all()
     assert not ground_observed(observed, ground, EvidenceConfig(ground_lift=0.2)).any()
+
+
+def behind_the_crown(high: float) -> np.ndarray:
+    """Return places (N, 3) 1.8 m behind the front of the crown, at a height [m]."""
+    return np.column_stack([np.linspace(8, 12, 9), np.full(9, 9.8), np.full(9, high)]) + ORIGIN
+
+
+def crown_over_seen_ground() -> PointCloud:
+    """Ground in full view, and the side towards the road of a crown 4 m above it, 8 m from the road."""
+    rng = np.random.default_rng(8)
+    ground = np.column_stack([rng.uniform(0, 20, 30000), rng.uniform(-2, 14, 30000), np.zeros(30000)])
+    front = np.column_stack([rng.uniform(6, 14, 6000), np.full(6000, 8.0), rng.uniform(3, 6, 6000)])
+    return PointCloud(np.concatenate([ground, front]), ORIGIN)
+
+
+def test_behind_foliage_a_trajectory_falls_back_on_the_points_with_less_trust():
+    survey = SurveyMap(crown_over_seen_ground(), trajectory=drive())
+    hidden = behind_the_crown(4.5)
+    chance = make_observer(survey, CONFIG).free_probability(hidden)
+    assert chance == pytest.approx(CONFIG.hidden_trust)
+    assert chance.max() < MeasureConfig().free  # too little for an object of one epoch alone
+    bare = make_observer(SurveyMap(survey.cloud), CONFIG).free_probability(hidden)
+    assert (chance < bare).all()
+    silent = CONFIG.model_copy(update={"hidden_trust": 0.5})
+    assert make_observer(survey, silent).free_probability(hidden) == pytest.approx(0.5)
+
+
+def test_a_bare_cloud_knows_nothing_above_all_that_it_holds_around():
+    """The crown ends at 6 m: whether the sensor saw any higher, its points do not tell."""
+    observer = make_observer(SurveyMap(crown_over_seen_ground()), CONFIG)
+    heights = np.array([1.0, 5.0, 6.2, 6.6, 9.0])
+    beside = np.column_stack([np.full(5, 10.0), np.full(5, 5.0), heights]) + ORIGIN
+    far = beside - [0.0, 4.0, 0.0]  # the crown is 7 m away
+    assert observer.below_view(beside).tolist() == [True, True, True, False, False]
+    assert not observer.below_view(far)[1]
+    assert observer.free_probability(beside) == pytest.approx(0.8)  # an object of one epoch shows below too
+    driven = make_observer(SurveyMap(crown_over_seen_ground(), trajectory=drive()), CONFIG)
+    assert driven.below_view(beside).all()

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import json
+import struct
+
 import geopandas as gpd
 import laspy
 import numpy as np
@@ -199,3 +202,20 @@ def test_other_folders_and_kinds_are_refused_and_leave_nothing(change_directory,
     with pytest.raises(InputError, match="has no kitti"):
         export_changes(change_directory, tmp_path / "out", "kitti")
     assert not (tmp_path / "out").exists()
+
+
+def test_heights_above_a_geoid_leave_differences_alone_and_are_named(change_directory, tmp_path):
+    grid = tmp_path / "geoid.gtx"
+    grid.write_bytes(struct.pack(">4d2i", -33.0, 115.0, 1.0, 1.0, 3, 3) + struct.pack(">9f", *[-30.0] * 9))
+    export_changes(change_directory, tmp_path / "plain", "csv")
+    export_changes(change_directory, tmp_path / "ahd", "csv", geoid=grid)
+    plain, ahd = (pd.read_csv(tmp_path / name / "changes.csv") for name in ("plain", "ahd"))
+    np.testing.assert_allclose(ahd["z"] - plain["z"], 30.0, atol=2e-3)
+    np.testing.assert_array_equal(ahd["delta_h_m"], plain["delta_h_m"])
+    assert json.loads((tmp_path / "ahd/heights.json").read_text())["geoid_grid"] == "geoid.gtx"
+    export_changes(change_directory, tmp_path / "laz", "laz", geoid=grid)
+    own = read_cloud(change_directory / "after_labelled.ply").world()
+    found = read_cloud(tmp_path / "laz/after_labelled.laz").world()
+    np.testing.assert_allclose(found - own, np.broadcast_to([0.0, 0.0, 30.0], own.shape), atol=2e-3)
+    with pytest.raises(InputError, match="foxglove shows a local frame"):
+        export_changes(change_directory, tmp_path / "fox", "foxglove", geoid=grid)

@@ -1,10 +1,12 @@
 """A place is free only where the other epoch has nothing, of whatever class."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from subiaco_change.decisions.measures import MeasureConfig, measure, same_place
-from subiaco_change.decisions.voxel_objects import EpochView, build_voxels
+from subiaco_change.decisions.voxel_objects import NO_OBJECT, EpochView, build_voxels
 from subiaco_geo.codes import Semantic
 
 REACH = same_place(MeasureConfig())
@@ -87,3 +89,21 @@ def test_what_hangs_in_the_air_above_ground_is_not_held_by_it():
     crown = epoch(bank(rng) + np.array([0, 0, 3.0]), Semantic.VEGETATION)
     voxels = build_voxels(crown, epoch(field(rng, 0.25), Semantic.GROUND), everywhere, 0.5, REACH)
     assert not voxels.occupied_in_other.any()
+
+
+@pytest.mark.parametrize(("passed", "still"), [(None, True), (5.0, False)])
+def test_a_trail_by_shape_alone_occupies_its_place_and_one_that_beams_crossed_does_not(passed, still):
+    """Both epochs have points at one place; one calls them a plant, the other a trail."""
+    rng = np.random.default_rng(3)
+    xyz = rng.uniform([0, 0, 0.5], [4, 2, 1.6], (2000, 3))
+    plant = epoch(xyz, Semantic.VEGETATION)
+    n = len(xyz)
+    trail = replace(
+        epoch(xyz + rng.normal(0, 0.02, xyz.shape), Semantic.MOBILE),
+        instance=np.full(n, NO_OBJECT, dtype=np.int32),
+        moved=np.full(n, 0.9),
+        passed=None if passed is None else np.full(n, passed),
+    )
+    voxels = build_voxels(plant, trail, everywhere, 0.5, REACH)
+    assert voxels.occupied_in_other.all() == still
+    assert voxels.occupied_in_other.any() == still

@@ -1,5 +1,7 @@
 """Houses wall to wall that the two epochs part at other walls."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -27,6 +29,7 @@ def house(place, height):
 
 def row(heights, groups):
     """Things of one epoch: ``groups`` of places that its semantics holds for one house."""
+    assert all(heights[place] > 0 for group in groups for place in group)
     return [np.concatenate([house(place, heights[place]) for place in group]) for group in groups]
 
 
@@ -79,3 +82,37 @@ def test_a_storey_on_one_of_two_houses_that_neither_epoch_parts_is_of_that_house
 def test_a_row_that_fared_alike_stays_as_it_was(after):
     told = labels(((4.0, 4.0), after), ([[0, 1]], [[0, 1]]), [((0,), (0,))])
     assert told == [GREW if after[0] > 4.0 else SAME] * 2
+
+
+GONE, NEW = {Change.REMOVED}, {Change.ADDED}
+
+
+@pytest.mark.parametrize(("before", "after", "middle"), [(5.0, 0.0, GONE), (0.0, 5.0, NEW)])
+def test_a_house_in_the_middle_of_a_row_is_removed_or_added_and_its_neighbours_stay(before, after, middle):
+    whole, parted = [[0, 1, 2]], [[0], [2]]
+    heights = [(5.0, height, 5.0) for height in (before, after)]
+    groups = [whole if height else parted for height in (before, after)]
+    matches = [((0,), (0, 1))] if before else [((0, 1), (0,))]
+    assert labels(tuple(heights), groups, matches) == [SAME, middle, SAME]
+
+
+def test_a_part_built_onto_the_end_of_a_house_is_no_house_of_a_row():
+    told = labels(((5.0, 0.0), (5.0, 5.0)), ([[0]], [[0, 1]]), [((0,), (0,))])
+    assert told[0] == told[1]  # one row of the table
+    assert Change.ADDED not in told[1]
+
+
+def test_a_stretch_of_a_row_that_nobody_saw_is_no_house_that_was_removed():
+    """The later epoch saw nothing of the middle house, free or not."""
+    sides = [row((5.0, 5.0, 5.0), [[0, 1, 2]]), row((5.0, 5.0, 5.0), [[0], [2]])]
+    before, after = objects(*sides), objects(*sides[::-1])
+    hidden = before[0].voxels.occupied_in_other
+    before = [
+        replace(
+            before[0],
+            voxels=replace(before[0].voxels, observed=hidden, free_space_confirmed=hidden & ~hidden),
+        )
+    ]
+    whole = decide_object(before, after, Semantic.BUILDING, RULES)
+    found = split_row_houses([whole], RULES)
+    assert Change.REMOVED not in {change.decision.change for change in found}

@@ -79,6 +79,15 @@ def test_growth_is_not_claimed_where_all_points_together_reach_lower_and_the_oth
     assert "contradicts" in against.reason
 
 
+@pytest.mark.parametrize("sign", [1, -1])
+@pytest.mark.parametrize(("followed", "claimed"), [(0.45, True), (0.2, True), (0.0, False), (-0.1, False)])
+def test_the_columns_of_a_hedge_change_nothing_where_the_top_of_all_its_points_stays(sign, followed, claimed):
+    moved = replace(HEDGE, rise=sign * 0.5, apparent=sign * followed)
+    found = label(moved, no_null(NULL)).change
+    changed = Change.INCREASED if sign > 0 else Change.DECREASED
+    assert found is (changed if claimed else Change.UNCHANGED)
+
+
 def test_surface_of_one_epoch_alone_is_what_has_nothing_of_the_other_near_it():
     """A crown of 2 m that grew to 2.4 m: places of the new shell are asked, places of the old are not."""
     small, large = crown(4000, 2.0, 1), crown(4000, 2.4, 2)

@@ -68,7 +68,7 @@ def record(object_id: int, change: Change, **values: Any) -> ChangeRecord:
         x=390_000.25,
         y=6_460_000.5,
         z=20.0,
-        footprint=box(0, 0, 1, 1),
+        footprint=box(390_000, 6_460_000, 390_002, 6_460_004),
         reason="seen only later",
         **numbers,
         **values,
@@ -152,14 +152,22 @@ def test_a_goal_gives_feedback_by_stage_and_the_table_as_result(ros: Any) -> Non
     assert asked[0].before == Path("a")
     assert asked[0].overwrite
     row = answer.result.table.records[0]
-    assert (row.object_id, row.object_class, row.label) == (7, "building", "Added")
+    assert (row.object_id, row.object_class, row.change) == (7, row.CLASS_BUILDING, row.CHANGE_ADDED)
+    assert (row.match_kind, row.evidence) == (row.MATCH_NONE, row.EVIDENCE_OBSERVED)
+    assert row.object_uid
+    (ring,) = row.footprint
+    corners = np.array([[p.x, p.y, p.z] for p in ring.points])
+    assert corners.shape == (4, 3)
+    assert np.ptp(corners, axis=0) == pytest.approx(
+        [2, 4, 0], abs=0.06
+    )  # float32 about the origin of the map
+    assert np.abs(corners).max() < 20
     assert list(row.id_after) == [3, 4]
     assert (row.x, row.y) == (390_000.25, 6_460_000.5)
     assert np.isnan(row.iou_3d)
-    assert dict(zip(answer.result.table.labels, answer.result.table.counts, strict=True)) == {
-        "Added": 1,
-        "Unchanged": 1,
-    }
+    table = answer.result.table
+    counts = dict(zip(table.changes, table.counts, strict=True))
+    assert counts == {row.CHANGE_ADDED: 1, row.CHANGE_UNCHANGED: 1}
 
 
 def test_the_outcome_is_latched_as_local_clouds_table_and_markers(ros: Any) -> None:

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
+import json
+import os
 import re
+import subprocess
+import sys
 from pathlib import Path
 
 import pytest
@@ -23,9 +27,22 @@ def instructions(name: str) -> list[tuple[str, str]]:
 @pytest.mark.parametrize("name", FILES)
 def test_an_image_is_made_by_the_one_set_up_script(name: str) -> None:
     said = instructions(name)
-    assert [word for word, _ in said] == ["FROM", "ENV", "RUN", "WORKDIR", "COPY", "RUN", "ENTRYPOINT", "CMD"]
+    words = [
+        "FROM",
+        "ENV",
+        "RUN",
+        "WORKDIR",
+        "COPY",
+        "RUN",
+        "RUN",
+        "USER",
+        "HEALTHCHECK",
+        "ENTRYPOINT",
+        "CMD",
+    ]
+    assert [word for word, _ in said] == words
     assert said[5] == ("RUN", "scripts/setup.sh")
-    assert "source ros2_ws/env.sh" in said[6][1]
+    assert "source ros2_ws/env.sh" in said[9][1]
     assert "shm-size=1g" in (DOCKER / name).read_text()
 
 
@@ -37,6 +54,72 @@ def test_an_image_holds_every_system_package_that_the_set_up_looks_for(name: str
     assert len(wanted) == 11
     installed = set(instructions(name)[2][1].split())
     assert wanted | {"python3-dev", "python3-venv"} <= installed
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_what_runs_in_an_image_is_not_root_and_says_whether_it_is_well(name: str) -> None:
+    said = dict(instructions(name)[6:])
+    user = said["USER"]
+    assert f"--uid 10001 {user}" in said["RUN"]
+    assert user != "root"
+    assert "subiaco --version" in said["HEALTHCHECK"]
+    for word in ("HEALTHCHECK", "ENTRYPOINT", "CMD"):
+        assert isinstance(json.loads(said[word][said[word].index("[") :]), list)  # no shell in between
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_what_an_image_copies_and_runs_exists(name: str) -> None:
+    said = instructions(name)
+    for word, text in said:
+        if word == "COPY":
+            sources = text.split()[:-1]
+            assert all((REPOSITORY / source).exists() for source in sources)
+            assert not any(source.startswith("--") for source in sources)
+    script = REPOSITORY / said[5][1]
+    assert os.access(script, os.X_OK)
+    assert (REPOSITORY / "ros2_ws/env.sh").is_file()
+    assert {"ADD", "MAINTAINER"}.isdisjoint(word for word, _ in said)
+    install = said[2][1]
+    assert install.startswith("apt-get update && apt-get install -y --no-install-recommends ")
+    assert install.endswith("&& rm -rf /var/lib/apt/lists/*")
+    assert not re.search(r"\bsudo\b|:latest", (DOCKER / name).read_text())
+
+
+def test_packages_of_ros_in_the_image_are_released_for_jazzy() -> None:
+    known = json.loads((REPOSITORY / "tests/data/rosdep_jazzy_noble.json").read_text())
+    names = [*known["keys"], *known["released"]]
+    released = {f"ros-jazzy-{name.replace('_', '-')}" for name in names}
+    wanted = {word for word in instructions("Dockerfile.jazzy")[2][1].split() if word.startswith("ros-")}
+    assert len(wanted) == 7
+    assert wanted <= released
+
+
+def test_the_live_compose_file_hears_the_host_and_leaves_time_for_the_map() -> None:
+    document = yaml.safe_load((DOCKER / "compose.live.yaml").read_text())
+    assert set(document["services"]) == {"live", "live-jazzy"}
+    for service in document["services"].values():
+        assert service["network_mode"] == service["ipc"] == "host"
+        assert (service["stop_signal"], service["stop_grace_period"]) == ("SIGINT", "35m")
+        assert service["read_only"] is True
+        assert "10001" in service["user"]
+        assert service["healthcheck"]["test"][0] == "CMD"
+        assert service["command"][:3] == ["subiaco", "graph", "live"]
+        profile = service["environment"]["FASTRTPS_DEFAULT_PROFILES_FILE"]
+        inside = profile.split(":-")[1].rstrip("}").removeprefix("/opt/subiaco/")
+        assert (REPOSITORY / inside).is_file()
+        settings = service["command"][-1].split(":-")[1].rstrip("}")
+        assert (REPOSITORY / "config" / settings).is_file()
+
+
+def test_the_commands_of_the_compose_files_are_verbs_of_the_command() -> None:
+    for name in ("compose.yaml", "compose.live.yaml"):
+        for service in yaml.safe_load((DOCKER / name).read_text())["services"].values():
+            options = [word for word in service["command"] if word.startswith("-")]
+            result = subprocess.run(
+                [sys.executable, "-m", "subiaco_bringup.cli.main", *service["command"][1:3], "--help"],
+                capture_output=True, text=True, check=True, timeout=60,
+            )  # fmt: skip
+            assert all(option in result.stdout for option in options)
 
 
 def test_the_compose_file_replays_without_a_network_and_with_shared_memory() -> None:

@@ -68,6 +68,7 @@ def test_the_command_and_the_changelog_name_the_one_version(capsys: pytest.Captu
     log = (REPOSITORY / "CHANGELOG.md").read_text(encoding="utf-8")
     released = re.findall(r"^## \[(\d+\.\d+\.\d+)\] - (\d{4}-\d\d-\d\d)$", log, flags=re.MULTILINE)
     assert released[0][0] == __version__
+    assert f"Version {__version__} " in (REPOSITORY / "README.md").read_text(encoding="utf-8")
     assert [day for _, day in released] == sorted((day for _, day in released), reverse=True)
 
 
@@ -173,8 +174,9 @@ def test_the_change_record_has_every_column_of_the_table() -> None:
     text = (SOURCES / "subiaco_msgs/msg/ChangeRecord.msg").read_text(encoding="utf-8")
     fields = {line.split()[1] for line in text.splitlines() if line and not line.startswith("#")}
     columns = (
-        "object_id object_class label id_before id_after match_kind delta_h_m delta_v_m3 delta_v_surface_m3 "
+        "object_id object_class change id_before id_after match_kind delta_h_m delta_v_m3 delta_v_surface_m3 "
         "delta_c_m iou_3d d_perp_m lod95_m observed_fraction evidence score_paper confidence "
-        "n_before n_after x y z"
+        "n_before n_after x y z delta_h_low_m delta_h_high_m delta_v_low_m3 delta_v_high_m3 height_before_m "
+        "height_after_m area_m2 footprint reason object_uid"
     )
     assert set(columns.split()) <= fields

@@ -179,7 +179,7 @@ def test_it_says_in_words_what_the_registration_and_the_detection_limit_mean(pag
     text = " ".join(" ".join(page.text).split())
     assert "2.1 cm apart" in text
     assert "93 % of the surface pairs" in text
-    assert "cannot be told from noise" in text
+    assert "cannot be distinguished from noise" in text
     assert "1 object stands where the other epoch could not look" in text
     assert "EPSG:7850" in text
 

@@ -157,6 +157,13 @@ def launch_actions(graph: GraphSpec) -> list[Any]:
     return actions
 
 
+def local_environment() -> list[Any]:
+    """Return the actions that keep nodes to this host where nothing else is set."""
+    from launch.actions import SetEnvironmentVariable
+
+    return [SetEnvironmentVariable(name, value) for name, value in dds_defaults(os.environ).items()]
+
+
 def launch_description(
     arguments: Sequence[tuple[str, str | None, str]], describe: Callable[[Arguments], GraphSpec]
 ) -> Any:
@@ -168,7 +175,7 @@ def launch_description(
     describe : callable
         Launch arguments to graph.
     """
-    from launch.actions import DeclareLaunchArgument, OpaqueFunction, SetEnvironmentVariable
+    from launch.actions import DeclareLaunchArgument, OpaqueFunction
     from launch.substitutions import LaunchConfiguration
 
     from launch import LaunchDescription  # type: ignore[attr-defined,unused-ignore]
@@ -182,5 +189,4 @@ def launch_description(
     declared = [
         DeclareLaunchArgument(name, default_value=default, description=text) for name, default, text in every
     ]
-    local = [SetEnvironmentVariable(name, value) for name, value in dds_defaults(os.environ).items()]
-    return LaunchDescription([*declared, *local, OpaqueFunction(function=expand)])
+    return LaunchDescription([*declared, *local_environment(), OpaqueFunction(function=expand)])

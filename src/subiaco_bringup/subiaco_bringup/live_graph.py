@@ -77,7 +77,7 @@ def _pose_graph(config: dict[str, Any], folder: Path) -> NodeSpec:
         "live_period": _LIVE_PERIOD,
         "save_on_exit": True,
     }
-    # Started anew it would have lost the drive so far, and half a map would look like a whole one.
+    # A restarted process would have lost the drive so far, and half a map would look like a whole one.
     return NodeSpec(
         "pose_graph",
         "subiaco_mapping",

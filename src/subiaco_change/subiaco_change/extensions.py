@@ -38,7 +38,7 @@ class SegmentationFunction(Protocol):
 
 
 class DecisionFunction(Protocol):
-    """Decides one row of the change table anew."""
+    """Replaces the decision of one row of the change table."""
 
     def __call__(self, row: ChangeRecord) -> ChangeRecord:
         """Return the row with its own ``change``, ``confidence`` and ``reason``; its number must stay."""

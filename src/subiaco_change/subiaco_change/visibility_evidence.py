@@ -10,9 +10,11 @@ from typing import Literal, Protocol
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
+from scipy import ndimage
 
 from subiaco_change.geometry import ColumnIndex, build_index, nearest
 from subiaco_change.method_numbers import NUMBERS
+from subiaco_geo.clouds import PointCloud
 from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
@@ -101,6 +103,29 @@ class EvidenceConfig(StrictModel):
         description="Probability that a place without points above an observed point was free in a cloud "
         "without trajectory",
     )
+    shadow_level: float = Field(
+        6.0,
+        gt=0,
+        description="Distance within which a cloud without trajectory must hold a point as high as the "
+        "surface that a plant gained or lost, for its place to count as observed [m]: the field of view may "
+        "end lower",
+    )
+    hidden_trust: float = Field(
+        0.65,
+        ge=0.5,
+        lt=1,
+        description="Probability that a place was free that all poses of a trajectory have in view behind a "
+        "surface, and that lies without points above an observed point: foliage lets beams by. 0.5 says "
+        "nothing of such places",
+    )
+    shadow_certain: float = Field(
+        0.85,
+        gt=0.5,
+        le=1,
+        description="Largest probability that an object is absent in a cloud without trajectory, however "
+        "many of its places were free: one unknown line of sight may explain them all. Lower it to claim "
+        "less",
+    )
 
 
 class _Test(Protocol):
@@ -142,6 +167,7 @@ class _Shadow:
     height: float
     trust: float
     touch: float
+    level: Floats  # (nx, ny) height of the highest point around a column [m], see _levels
 
     def observed(self, world: Floats) -> Flags:
         local = np.ascontiguousarray(world - self.origin)
@@ -158,18 +184,65 @@ class _Shadow:
         occupied = nearest(self.index, local, self.touch)[0] >= 0
         return np.where(occupied, 1.0 - self.trust, np.where(self._above(local), self.trust, 0.5))
 
+    def levelled(self, world: Floats) -> Flags:
+        """Tell which world points (N, 3) are no higher than something that the cloud holds around them."""
+        local = np.ascontiguousarray(world - self.origin)
+        ij, inside = self._columns(local)
+        level = np.full(len(local), -np.inf)
+        level[inside] = self.level[ij[inside, 0], ij[inside, 1]]
+        return np.asarray(local[:, 2] <= level + self.touch)
+
+    def _columns(self, local: Floats) -> tuple[NDArray[np.int64], Flags]:
+        ij = np.floor((local[:, :2] - self.index.corner) / self.index.cell).astype(np.int64)
+        return ij, np.asarray(np.all((ij >= 0) & (ij < self.index.shape), axis=1))
+
     def _above(self, local: Floats) -> Flags:
         """Tell which points stand above a seen one, in its column or next to it."""
         index, shape = self.index, self.index.shape
         lowest = np.full(shape[0] * shape[1], np.inf)
         filled = np.flatnonzero(np.diff(index.starts) > 0)
         lowest[filled] = index.xyz[index.starts[filled], 2]
-        ij = np.floor((local[:, :2] - index.corner) / index.cell).astype(np.int64)
-        inside = np.all((ij >= 0) & (ij < shape), axis=1)
+        ij, inside = self._columns(local)
         found = np.full(len(local), np.inf)
         found[inside] = lowest[ij[inside, 0] * shape[1] + ij[inside, 1]]
         gap = local[:, 2] - found
         return np.asarray((gap >= 0) & (gap <= self.height))
+
+
+@dataclass(frozen=True)
+class _PosesAndPoints:
+    """Expected visibility; where every pose that has a place in view meets a surface before it, the points.
+
+    Beams reach the ground beneath a crown that a depth image shows closed. Out of view of all poses nothing
+    is known, whatever the points say.
+    """
+
+    poses: ExpectedVisibility
+    points: _Shadow
+    trust: float
+
+    def observed(self, world: Floats) -> Flags:
+        return self._either(self.poses.observed(world), self.points.observed, world)
+
+    def passed(self, world: Floats) -> Flags:
+        return self._either(self.poses.passed(world), self.points.passed, world)
+
+    def free_probability(self, world: Floats) -> Floats:
+        chance = self.poses.free_probability(world)
+        ask = self._hidden(world, chance == _PRIOR)
+        above = self.points.passed(world[ask])
+        chance[ask] = np.where(above, self.trust, _PRIOR)
+        return chance
+
+    def _either(self, known: Flags, points: Callable[[Floats], Flags], world: Floats) -> Flags:
+        ask = self._hidden(world, ~known)
+        known[ask] = points(world[ask])
+        return known
+
+    def _hidden(self, world: Floats, unknown: Flags) -> NDArray[np.int64]:
+        """Which of the places of which the poses know nothing are hidden from them."""
+        ask = np.flatnonzero(unknown)
+        return ask[self.poses.hidden(world[ask])]
 
 
 @dataclass(frozen=True)
@@ -199,11 +272,14 @@ class Observer:
     to_own : callable, optional
         Brings world points (N, 3) of the pair's common CRS to the CRS in
         which this epoch's evidence lives; identity if None.
+    certain : float
+        Probability that the evidence is right as a whole, which bounds what many places prove together.
     """
 
     kind: Kind
     test: _Test
     to_own: Callable[[Floats], Floats] | None = None
+    certain: float = 1.0
 
     def _own(self, world: Floats) -> Floats:
         points = np.asarray(world, dtype=np.float64).reshape(-1, 3)
@@ -220,10 +296,21 @@ class Observer:
     def free_probability(self, world: Floats) -> Floats:
         """Return the probability (N,) that places (N, 3) were free; 0.5 where the epoch knows nothing.
 
-        Counted beams and poses that looked through or met something, as a beta distribution with half a
+        Counted beams and poses that passed through or met a surface, as a beta distribution with half a
         beam each way beforehand.
         """
         return self.test.free_probability(self._own(world))
+
+    def below_view(self, world: Floats) -> Flags:
+        """Tell which points (N, 3) lie no higher than the field of view is known to have reached around.
+
+        A bare cloud does not tell where a crown ends and where the field of view does: above all that it
+        holds around, the top of what it holds is not known.
+        """
+        own = self._own(world)
+        return (
+            self.test.levelled(own) if isinstance(self.test, _Shadow) else np.ones(len(own), dtype=np.bool_)
+        )
 
     def passes(self, world: Floats) -> Floats | None:
         """Beams (N,) that passed for each that returned at points (N, 3); None where nothing counted them."""
@@ -321,17 +408,50 @@ def make_observer(
     if kind == "observed" and survey.visibility is not None:
         return Observer("observed", _Grid(survey.visibility, config.min_beams), to_own)
     if kind == "trajectory" and survey.trajectory is not None:
-        return Observer("trajectory", expected_visibility(survey, survey.trajectory, config.poses))
-    index = build_index(survey.cloud.xyz, config.shadow_radius)
-    shadow = _Shadow(
+        return poses_observer(
+            expected_visibility(survey, survey.trajectory, config.poses), survey.cloud, config
+        )
+    return Observer("shadow", _shadow(survey.cloud, config), certain=config.shadow_certain)
+
+
+def poses_observer(poses: ExpectedVisibility, cloud: PointCloud, config: EvidenceConfig) -> Observer:
+    """Build the observer of an epoch with a trajectory, from its expected visibility and its points around.
+
+    Parameters
+    ----------
+    poses : ExpectedVisibility
+    cloud : PointCloud
+        Of the same world as the poses.
+    config : EvidenceConfig
+    """
+    return Observer("trajectory", _PosesAndPoints(poses, _shadow(cloud, config), config.hidden_trust))
+
+
+def _shadow(cloud: PointCloud, config: EvidenceConfig) -> _Shadow:
+    """Build the test by the points of a cloud alone."""
+    index = build_index(cloud.xyz, config.shadow_radius)
+    return _Shadow(
         index,
-        survey.cloud.origin,
+        cloud.origin,
         config.shadow_radius,
         config.shadow_height,
         config.shadow_trust,
         config.shadow_touch,
+        _levels(index, config.shadow_level),
     )
-    return Observer("shadow", shadow)
+
+
+def _levels(index: ColumnIndex, reach: float) -> Floats:
+    """Height (nx, ny) of the highest point within a distance of every column [m]; -inf where none is."""
+    top = np.full(tuple(index.shape.tolist()), -np.inf)
+    filled = np.flatnonzero(np.diff(index.starts) > 0)
+    top.ravel()[filled] = index.xyz[index.starts[filled + 1] - 1, 2]
+    cells = max(round(reach / index.cell), 1)
+    x, y = np.mgrid[-cells : cells + 1, -cells : cells + 1]
+    around: Floats = ndimage.maximum_filter(
+        top, footprint=x**2 + y**2 <= cells**2, mode="constant", cval=-np.inf
+    )
+    return around
 
 
 def expected_visibility(

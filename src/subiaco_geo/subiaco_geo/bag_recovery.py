@@ -1,4 +1,4 @@
-"""Make a cut recording whole, and say what is gone. The original is not touched unless asked for."""
+"""Repair a cut recording, and say what is lost. The original is not touched unless asked for."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ _RECOVERING = ".recovering"
 
 @dataclass(frozen=True)
 class FileRecovery:
-    """What was kept of one file, and what is gone.
+    """What was kept of one file, and what is lost.
 
     Parameters
     ----------

@@ -143,7 +143,7 @@ class SegmentWriter:
     """Write one file of a recording.
 
     Nothing reaches the disk before :meth:`flush`, and everything given before it does:
-    whoever calls it in time decides how much a kill can cost.
+    the caller decides how much a kill can cost.
 
     Parameters
     ----------

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -16,6 +17,7 @@ from subiaco_geo.copc_io import write_copc_parts
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import invert_pose
 from subiaco_geo.las_writing import las_stream
+from subiaco_geo.output_heights import above_geoid, write_heights_note
 from subiaco_geo.ply_io import write_ply_parts
 from subiaco_geo.sources import open_epoch
 from subiaco_geo.tiles import tile_grid
@@ -95,7 +97,9 @@ def tile_cloud(source: Path, folder: Path) -> None:
     index.to_file(folder / "tiles.gpkg", layer="tiles", engine="pyogrio")
 
 
-def export_map(directory: Path, output: Path, kind: str, *, cloudcompare: bool = False) -> list[Path]:
+def export_map(
+    directory: Path, output: Path, kind: str, *, cloudcompare: bool = False, geoid: Path | None = None
+) -> list[Path]:
     """Write a map as a cloud, or its trajectory as KITTI poses.
 
     Parameters
@@ -109,6 +113,8 @@ def export_map(directory: Path, output: Path, kind: str, *, cloudcompare: bool =
         optimised ``lidar_link`` in the first one, and its times).
     cloudcompare : bool
         See :func:`for_cloudcompare`.
+    geoid : Path, optional
+        Geoid model: ``laz``, ``copc`` and ``ply`` get heights above it.
 
     Returns
     -------
@@ -122,6 +128,8 @@ def export_map(directory: Path, output: Path, kind: str, *, cloudcompare: bool =
     """
     if kind not in (*CLOUD_ENDINGS, "tiles", "kitti"):
         raise InputError(f"{directory}: a map has no {kind}; give --to laz, copc, ply, tiles or kitti")
+    if geoid is not None and kind not in CLOUD_ENDINGS:
+        raise InputError(f"--geoid: heights of {kind} stay above the ellipsoid; give --to laz, copc or ply")
     survey = open_epoch(directory)
     way = survey.trajectory
     if kind == "kitti" and way is None:
@@ -133,5 +141,13 @@ def export_map(directory: Path, output: Path, kind: str, *, cloudcompare: bool =
         elif kind == "tiles":
             tile_cloud(survey.cloud, target)
         else:
-            copy_cloud(survey.cloud, target / f"map{CLOUD_ENDINGS[kind]}", cloudcompare=cloudcompare)
+            copy_cloud(
+                survey.cloud,
+                target / f"map{CLOUD_ENDINGS[kind]}",
+                ellipsoidal=geoid is None,
+                cloudcompare=cloudcompare,
+                convert=(lambda cloud: cloud) if geoid is None else partial(above_geoid, grid=geoid),
+            )
+            if geoid is not None:
+                write_heights_note(target, geoid)
     return sorted(output.iterdir())

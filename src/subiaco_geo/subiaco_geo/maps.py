@@ -85,7 +85,7 @@ def read_map(directory: Path, *, with_last: bool = True) -> SurveyMap:
     ----------
     directory : Path
     with_last : bool
-        Read the side clouds too: last returns, and what moved.
+        Read the side clouds too: last returns, and points of moving objects.
 
     Raises
     ------

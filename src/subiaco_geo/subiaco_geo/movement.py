@@ -2,7 +2,7 @@
 
 A thing that stands is hit whenever it is looked at, or, where it is thin or porous, in a share of the looks,
 again and again. Something that moved is hit in one short run of looks, or in a few runs where a queue crawls,
-and looked through before and after. For the sequence of hits and looks through a voxel two models compete:
+and passed through before and after. For the sequence of hits and looks through a voxel two models compete:
 
 * standing: every look is a hit with one unknown probability, which follows a beta distribution; hits may fall
   anywhere among the looks (beta-binomial model);

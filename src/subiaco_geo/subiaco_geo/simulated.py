@@ -45,7 +45,7 @@ def simulation_of(path: Path) -> dict[str, Any] | None:
             try:
                 return name_simulation(load_yaml(said.read_text(encoding="utf-8")))
             except (OSError, yaml.YAMLError, AttributeError, UnicodeDecodeError) as error:
-                raise InputError(f"{said}: cannot be read ({error}); simulate the survey anew") from error
+                raise InputError(f"{said}: cannot be read ({error}); simulate the survey again") from error
     return None
 
 

@@ -38,7 +38,7 @@ TIME_COLUMNS = (*_LOOKS, "moving")
 
 @dataclass(frozen=True)
 class TimeRecord:
-    """When every voxel of a grid was hit and looked through.
+    """When every voxel of a grid was hit and passed through.
 
     Parameters
     ----------

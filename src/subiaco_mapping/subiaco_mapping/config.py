@@ -295,7 +295,7 @@ class GnssConfig(StrictModel):
     epoch_gap_ns: int = Field(
         2_000_000_000,
         gt=0,
-        description="Gap between fixes above which the slow GNSS error starts anew [ns]; a change of "
+        description="Gap between fixes above which the slow GNSS error restarts [ns]; a change of "
         "status has the same effect",
     )
     kernel: float = Field(
@@ -359,7 +359,7 @@ class GraphConfig(StrictModel):
 
 
 class MovingConfig(MovementConfig):
-    """What moved leaves the map, for a side cloud; see :mod:`subiaco_geo.movement`."""
+    """Removal of moving objects from the map into a side cloud; see :mod:`subiaco_geo.movement`."""
 
     enabled: bool = Field(
         True, description="Remove points of moving objects from the map; the points are flagged in any case"

@@ -20,8 +20,8 @@ from subiaco_report.cloud_windows import LodCounts
 
 CHANGED_LABELS = tuple(c.label for c in (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED))
 _MEANINGS = {
-    Change.ADDED: "only in the later epoch, at a place that the earlier one looked at",
-    Change.REMOVED: "only in the earlier epoch, at a place that the later one looked at",
+    Change.ADDED: "only in the later epoch, at a place that the earlier one observed",
+    Change.REMOVED: "only in the earlier epoch, at a place that the later one observed",
     Change.INCREASED: "in both epochs, larger or higher now",
     Change.DECREASED: "in both epochs, smaller or lower now",
     Change.UNCHANGED: "in both epochs, no difference beyond the level of detection",

@@ -102,7 +102,7 @@ class ManagedNode(LifecycleNode):
         self._gate = ActiveGroup()
 
     def _refuse_unknown_transitions(self) -> None:
-        """Answer no where a state lacks a transition: in rclpy such a request ends the process."""
+        """Answer no where a state lacks a transition: in rclpy the request ends the process."""
         service = self._service_change_state
         change_state = service.callback
 

@@ -277,6 +277,13 @@ def export(
             help="With --to terrain: lines (.gpkg, .geojson, .shp) along which ground and surface are cut.",
         ),
     ] = None,
+    geoid: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="GRID",
+            help="Geoid model (.gtx, .tif): heights are written above it, such as AHD with AUSGeoid2020.",
+        ),
+    ] = None,
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
@@ -298,12 +305,16 @@ def export(
     is_map = (directory / "map.yaml").is_file() or to is ExportKind.TERRAIN
     if is_map and review != "all":
         raise InputError(f"--review {review}: {directory} is a map, which has no reviews; leave it out")
+    if to is ExportKind.TERRAIN and geoid is not None:
+        raise InputError("--geoid: heights of terrain stay above the ellipsoid; give --to laz, copc or ply")
     if to is ExportKind.TERRAIN:
         files = export_terrain(directory, output, sections=sections)
     elif is_map:
-        files = export_map(directory, output, to.value, cloudcompare=cloudcompare)
+        files = export_map(directory, output, to.value, cloudcompare=cloudcompare, geoid=geoid)
     else:
-        files = export_changes(directory, output, to.value, cloudcompare=cloudcompare, review=review)
+        files = export_changes(
+            directory, output, to.value, cloudcompare=cloudcompare, review=review, geoid=geoid
+        )
     names = ", ".join(str(file) for file in files) if len(files) < 5 else f"{len(files)} files in {output}"
     say(f"{to}: {names}", quiet=quiet)
 

@@ -210,8 +210,8 @@ def map_(
         typer.Option(
             "--resume/--no-resume",
             show_default=False,
-            help="Use the recordings that a stopped run on the same MAP_DIR had finished (default), or begin "
-            "anew. With --resume, a finished map is no error.",
+            help="Use the recordings that a stopped run on the same MAP_DIR had finished (default), or start "
+            "over. With --resume, a finished map is no error.",
         ),
     ] = None,
     keep_checkpoint: Annotated[

@@ -71,7 +71,7 @@ def _uncrossed(
 ) -> list[Match]:
     """Make one match of those between parts of the same two instances.
 
-    Of a house that lost most of itself, what is left may be parted, and paired with what is gone.
+    The remaining part of a house that lost most of itself may be split, and matched with the removed part.
     """
     wholes = [
         {(before[i].body, after[j].body) for i in match.before for j in match.after} for match in matches

@@ -20,12 +20,16 @@ _SURE = NUMBERS.absence.least_doubt
 
 
 def absence(
-    before: Sequence[ObjectInstance], after: Sequence[ObjectInstance], free: tuple[Free | None, Free | None]
+    before: Sequence[ObjectInstance],
+    after: Sequence[ObjectInstance],
+    free: tuple[Free | None, Free | None],
+    certain: tuple[float, float] = (1.0, 1.0),
 ) -> float:
     """Probability that the object is absent where the other epoch holds nothing.
 
     The mean log odds of the places, times the square root of the number of patches that they form: places
-    beside each other are crossed by the same beams, so their errors are correlated.
+    next to one another are crossed by the same beams, so their errors are correlated. What all patches of an
+    object have in common does not average out: the probability stays below ``certain``.
 
     Parameters
     ----------
@@ -33,15 +37,19 @@ def absence(
         Parts of the object in both epochs.
     free : (callable, callable)
         How probable *before* and *after* find it that places (N, 3) are free; None: certain.
+    certain : (float, float)
+        Probability that the evidence of *before* and of *after* is right as a whole: of a bare cloud nobody
+        knows whence it was measured, and one hidden place tells of all the others.
     """
-    chances = [np.zeros(0)]
-    for objects, known in ((before, free[1]), (after, free[0])):
+    chances, bound = [np.zeros(0)], 1.0
+    for objects, known, whole in ((before, free[1], certain[1]), (after, free[0], certain[0])):
         if objects and known is not None:
+            bound = min(bound, whole)
             voxels = join_voxels(objects)
             places = voxels.xyz[voxels.observed & ~voxels.occupied_in_other]
             chances.append(porous_chance(known(places), opacity(objects)))
     joined = np.concatenate(chances)
-    return 1.0 if len(joined) == 0 else pooled(float(joined.mean()), len(joined))
+    return 1.0 if len(joined) == 0 else bound * pooled(float(joined.mean()), len(joined))
 
 
 def pooled(mean: float, voxels: int) -> float:

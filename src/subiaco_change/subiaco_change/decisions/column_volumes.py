@@ -23,7 +23,7 @@ _CROSSED = NUMBERS.column_volumes.crossed_share
 _STRAY = NUMBERS.column_volumes.stray_share
 _PROBES = NUMBERS.column_volumes.probe_heights
 
-#: Tells which places (N, 3) a survey looked through.
+#: Tells which places (N, 3) a survey saw free.
 Empty = Callable[[Floats], Mask]
 
 
@@ -138,7 +138,7 @@ def _standing(voxels: Voxels, frame: _Frame, ground: Ints, empty: Empty | None) 
 
     Columns that nobody looked into, but that stand between others no more than twice the margin apart,
     are filled to the lower of these: an extension whose walls were seen has a volume although its roof was
-    not. Where the epoch met the ground (sorted keys) or looked through there is nothing to fill.
+    not. Where the epoch met the ground (sorted keys) or saw free space there is nothing to fill.
     """
     tops = _tops(voxels, frame)
     bare = tops == 0.0
@@ -168,9 +168,9 @@ def _tops(voxels: Voxels, frame: _Frame) -> Floats:
 
 
 def _open(frame: _Frame, where: Mask, tops: Floats, standing: Voxels, empty: Empty | None) -> Mask:
-    """Tell in which columns of a mask (C,) a survey looked through what would stand there to its top.
+    """Tell in which columns of a mask (C,) a survey saw the space free up to the top of the object.
 
-    Without a record of beams everything counts as looked through.
+    Without a record of beams everything counts as seen free.
     """
     middle = frame.middles(where)
     if empty is None or len(middle) == 0:

@@ -149,6 +149,13 @@ class ConfidenceConfig(StrictModel):
         le=1,
         description="Highest confidence of rows whose kind of evidence or cloud was never calibrated [1]",
     )
+    cap_shadow: float = Field(
+        0.85,
+        gt=0.5,
+        le=1,
+        description="Highest confidence of a change in a cloud of which nobody knows whence it was measured "
+        "[1]: what its shadows hide is alike for all parts of an object",
+    )
     unseen: float = Field(
         0.25,
         ge=0,
@@ -317,7 +324,8 @@ def discounted(record: ChangeRecord, simulated: bool, config: ConfidenceConfig) 
     if kind_of(record.change) not in _CLAIMS or config.calibrated_for(record.evidence, simulated):
         return record
     p = min(max(record.confidence, 1e-6), 1.0 - 1e-6)
-    lowered = min(float(expit(config.discount * math.log(p / (1.0 - p)))), config.cap)
+    cap = min(config.cap, config.cap_shadow) if record.evidence == "shadow" else config.cap
+    lowered = min(float(expit(config.discount * math.log(p / (1.0 - p)))), cap)
     return replace(record, confidence=min(lowered, record.confidence))
 
 

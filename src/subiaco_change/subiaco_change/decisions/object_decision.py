@@ -17,6 +17,7 @@ from subiaco_change.decisions.measures import MeasureConfig, Measures, measure
 from subiaco_change.decisions.plant_decisions import decide_plant
 from subiaco_change.decisions.plant_measures import PlantConfig, measure_plant
 from subiaco_change.decisions.rules import Decision, DecisionConfig, decide
+from subiaco_change.decisions.space_carving import Empty
 from subiaco_change.decisions.vegetation_null import PlantMeasures, no_null
 from subiaco_change.decisions.voxel_objects import Free, ObjectInstance, join_voxels
 from subiaco_change.instance_splitting.hedge_sections import NOTHING
@@ -74,6 +75,8 @@ class ObjectRules:
     own: tuple[OwnEpochEvidence | None, OwnEpochEvidence | None] = (None, None)  # of *before* and of *after*
     standing: tuple[Floats, Floats] = (NOTHING, NOTHING)  # all points (N, 3) that stand, of any class
     free: tuple[Free | None, Free | None] = (None, None)  # what *before* and *after* know to be free
+    below_view: tuple[Empty | None, Empty | None] = (None, None)  # how high their views are known to reach
+    certain: tuple[float, float] = (1.0, 1.0)  # how certain these can be at most
     plants: PlantConfig = field(default_factory=PlantConfig)
 
 
@@ -82,27 +85,47 @@ def decide_object(
 ) -> ObjectChange:
     """Measure and decide what the parts of one object in both epochs say together."""
     building = semantic is Semantic.BUILDING
-    measures = measure(join_voxels(before), join_voxels(after), rules.measures, rules.ground, building)
-    measures = replace(measures, free=absence(before, after, rules.free))
+    compared = (before, after)
+    if semantic is Semantic.VEGETATION and before and after:
+        compared = _in_view(before, rules.below_view[1]), _in_view(after, rules.below_view[0])
+    measures = measure(
+        join_voxels(compared[0]), join_voxels(compared[1]), rules.measures, rules.ground, building
+    )
+    measures = replace(measures, free=absence(before, after, rules.free, rules.certain))
     lod = object_lod((*before, *after))
     plant, matched = None, None
     if semantic is Semantic.VEGETATION and before and after:
-        plant = measure_plant(before, after, measures, rules.plants, rules.standing, rules.free)
+        plant = measure_plant(*compared, measures, rules.plants, rules.standing, rules.free, rules.certain)
         matched = partial(decide_plant, plant, lod, rules.decisions, no_null(rules.plants.null_model))
     decision = decide(semantic, bool(before), bool(after), measures, lod, rules.decisions, matched)
     if decision.change not in _OF_PLANTS or measures.iou <= rules.decisions.vegetation.min_iou:
         plant = None
     if decision.change in (Change.ADDED, Change.REMOVED):
-        objects = (*before, *after)
+        parts = (*before, *after)
         own = rules.own[0] if before else rules.own[1]
         decision = (
-            is_misclassified_ground(semantic, objects)
-            or is_moving_object_trail(objects, semantic, own, rules.decisions)
-            or decide_vehicle_part(objects, semantic, measures, rules.standing[int(bool(before))])
+            is_misclassified_ground(semantic, parts)
+            or is_moving_object_trail(parts, semantic, own, rules.decisions)
+            or decide_vehicle_part(parts, semantic, measures, rules.standing[int(bool(before))])
             or decision
         )
     kind = match_kind(len(before), len(after))
     return ObjectChange(tuple(before), tuple(after), semantic, kind, measures, decision, plant)
+
+
+def _in_view(objects: Sequence[ObjectInstance], below_view: Empty | None) -> list[ObjectInstance]:
+    """Parts of a plant that the other epoch holds too, what is higher than its view reached not observed."""
+    if below_view is None:
+        return list(objects)
+    found = []
+    for instance in objects:
+        voxels = instance.voxels
+        known = voxels.occupied_in_other | below_view(voxels.xyz)
+        limited = replace(
+            voxels, observed=voxels.observed & known, free_space_confirmed=voxels.free_space_confirmed & known
+        )
+        found.append(replace(instance, voxels=limited))
+    return found
 
 
 def is_misclassified_ground(semantic: Semantic, objects: Sequence[ObjectInstance]) -> Decision | None:

@@ -114,6 +114,8 @@ def _decide_whole(plant: PlantMeasures, gate: float, rules: ClassRules, null: Ve
     )
     known = math.isfinite(plant.rise)
     first = [] if plant.thin else [columns, outline]
+    if abs(columns.strength) > 1 and not _is_followed(plant, columns, rules):
+        first = [m for m in first if m is not columns]
     for measure in first:
         if abs(measure.strength) > 1:
             return _decision(plant, measure)
@@ -128,6 +130,16 @@ def _decide_whole(plant: PlantMeasures, gate: float, rules: ClassRules, null: Ve
         return _without_surface(plant, max(fired, key=lambda e: abs(e.strength)), surface, rules)
     measured = [e for e in (*first, *candidates) if math.isfinite(e.value)] or candidates
     return _decision(plant, max(measured, key=lambda e: abs(e.strength)))
+
+
+def _is_followed(plant: PlantMeasures, columns: _Excess, rules: ClassRules) -> bool:
+    """Tell whether the top of all points of a low plant moved with the median of its columns.
+
+    Where few points tell of a column, the medians of two samplings differ although the plant is as high.
+    """
+    if math.isnan(plant.apparent):
+        return True
+    return math.copysign(1.0, columns.strength) * plant.apparent >= rules.followed * rules.height
 
 
 def _without_surface(plant: PlantMeasures, found: _Excess, surface: _Excess, rules: ClassRules) -> Decision:

@@ -63,15 +63,19 @@ def measure_plant(
     config: PlantConfig,
     standing: tuple[Floats, Floats] = (NOTHING, NOTHING),
     free: tuple[Free | None, Free | None] = (None, None),
+    certain: tuple[float, float] = (1.0, 1.0),
 ) -> PlantMeasures:
     """Measure a plant that both epochs hold; the denser epoch is thinned to the density of the other.
 
     ``standing`` (N, 3) of *before* and of *after*: points above the ground of any class. ``free`` of *before*
-    and of *after*: how probable it is that places (N, 3) are free; None: certain.
+    and of *after*: how probable it is that places (N, 3) are free; None: certain. ``certain``: how certain
+    these can be at most.
     """
     first, second = (np.concatenate([t.xyz for t in objects]) for objects in (before, after))
-    lost = min(free_shell(first, standing[1], free[1], config), absence(before, (), free))
-    gained = min(free_shell(second, standing[0], free[0], config), absence((), after, free))
+    lost = certain[1] * free_shell(first, standing[1], free[1], config)
+    lost = min(lost, absence(before, (), free, certain))
+    gained = certain[0] * free_shell(second, standing[0], free[0], config)
+    gained = min(gained, absence((), after, free, certain))
     first, second, density = equal_density(first, second, config)
     outline = compare_outlines(first, second, config.outline)
     both = np.concatenate([first, second])

@@ -64,9 +64,9 @@ def label_rest(
     """Label, in place, what belongs to no object.
 
     Points of a ground patch get its label and id; other ground stays Unchanged where the other epoch
-    observed the place, by its beams or by ground points (M, 3) around, and is Unobserved elsewhere. What
-    stands there but was too little to be an object stays Unchanged where the other epoch holds points
-    too: that it is new or gone cannot be told of a few points.
+    observed the place, by its beams or by ground points (M, 3) around, and is Unobserved elsewhere. Points
+    that are too few for an object stay Unchanged where the other epoch holds points too: few points do
+    not show whether they are new or gone.
     """
     loose = np.flatnonzero(labels.instance < 0)
     is_ground = view.semantic[loose] == Semantic.GROUND

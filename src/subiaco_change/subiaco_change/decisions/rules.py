@@ -59,6 +59,13 @@ class ClassRules(StrictModel):
         description="Fraction of the volume limit that the upper bound of a building's volume change must "
         "reach to support its height change",
     )
+    followed: float = Field(
+        0.5,
+        ge=0,
+        le=1,
+        description="Fraction of the height limit by which the top of all points of a low plant must have "
+        "moved with the median of its columns",
+    )
     surface: float = Field(
         math.inf,
         gt=0,
@@ -440,9 +447,9 @@ def _share(value: float, limit: float) -> float:
 def _strengths(height: float, volume: float, measures: Measures, rules: ClassRules) -> tuple[float, float]:
     """How far the rules for more and for less are met; at most 1 where no surface carries the change.
 
-    Columns tell the volume where their tops were seen. A crown whose top lies
-    out of sight shows in its sides: there the share of new or gone surface
-    speaks.
+    Columns tell the volume where their tops were seen. A crown whose top was
+    not seen shows in its sides: there the share of new or lost surface
+    decides.
     """
     side = measures.net_changed_fraction / rules.surface
     up, down = max(height, volume, side), max(-height, -volume, -side)

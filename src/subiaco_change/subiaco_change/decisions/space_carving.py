@@ -4,8 +4,8 @@ The envelope of an object in both epochs is cut into cells. In each epoch a cell
 
 * *solid*: below the highest surface that the epoch has in its column, or behind two walls that the other
   epoch does not have, with nothing but unknown cells between,
-  and not looked through: under a canopy is nothing solid,
-* *free*: the epoch looked through it, or met the ground in its column,
+  and not seen free: below a canopy is nothing solid,
+* *free*: beams of the epoch passed through it, or met the ground in its column,
 * *unknown*: everything else.
 
 Gained is what was free in *before* and is solid in *after*, lost the reverse. Cells that one epoch knows
@@ -33,7 +33,7 @@ from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
 
-#: Tells which places (N, 3) a survey looked through.
+#: Tells which places (N, 3) a survey saw free.
 Empty = Callable[[Floats], Mask]
 #: Tells of columns (N, 2) whether an epoch met the ground there.
 Bare = Callable[[Floats], Mask]
@@ -174,7 +174,7 @@ class _Frame:
 class _State:
     """What an epoch knows of every cell; ``top`` (nx, ny) of its surfaces [m], 0 where it has none.
 
-    ``hollow`` lies below a top and was looked through: under a canopy, or behind a window. It is neither
+    ``hollow`` lies below a top and was seen free: below a canopy, or behind a window. It is neither
     solid nor known to be outside.
     """
 
@@ -369,7 +369,7 @@ def _behind_new_walls(old: _State, new: _State, frame: _Frame, config: CarvingCo
     """Cells that the walls of one epoch enclose which the other epoch does not have, as high as a room.
 
     What the other epoch has stops the way to them: behind a fence beside a house there is no room. A wall
-    seen at a slant has gaps, which are closed along it unless the epoch looked through.
+    seen at a slant has gaps, which are closed along it unless the epoch saw them free.
     """
     walls = new.solid & ~old.solid & (new.top >= config.room)[:, :, None]
     # A single free cell beside a wall is the part of the wall's own cell that lies in front of it.

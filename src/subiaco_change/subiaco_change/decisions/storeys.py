@@ -15,7 +15,7 @@ from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.segmentation.height_profiles import ProfileConfig
 from subiaco_geo.frames import Floats, Ints
 
-_STOREY = ProfileConfig(step=NUMBERS.storeys.new_storey)  # a change of less is a roof made anew
+_STOREY = ProfileConfig(step=NUMBERS.storeys.new_storey)  # a smaller change is a new roof
 _ROOM = NUMBERS.storeys.room_height
 _ACROSS = NUMBERS.storeys.columns_across
 _GAP = NUMBERS.storeys.unseen_gap

@@ -22,7 +22,7 @@ def body_tops(tops: Floats, inside: Cells, free: Cells, levels: Floats) -> Float
     inside : (nx, ny) bool
         Rectangle around the body.
     free : (nx, ny, nz) bool
-        Cells that were looked through; a column that mostly was is no part of the body.
+        Cells that were seen free; a column of mostly free cells is no part of the body.
     levels : (nz,) float64
         Heights of the middles of the cells [m].
     """

@@ -165,8 +165,13 @@ def build_voxels(
 
 
 def is_standing(view: EpochView) -> Mask:
-    """Tell which points (N,) stand on the ground: neither ground nor a trail."""
-    return np.asarray((view.semantic != Semantic.GROUND) & ~is_ghost_trail(view))
+    """Tell which points (N,) occupy their place above the ground: neither ground nor a trail by its beams.
+
+    Where nothing counted beams, a trail was recognised by its shape alone. What lies at the same place in
+    the other epoch contradicts that verdict, so such points occupy their place.
+    """
+    above = np.asarray(view.semantic != Semantic.GROUND)
+    return above if view.passed is None else above & ~is_ghost_trail(view)
 
 
 def is_ghost_trail(view: EpochView) -> Mask:
@@ -196,8 +201,9 @@ class Reach:
 
     ``factor`` times the spacing of the other sampling there, within ``low`` and ``high``: where an epoch is
     sparse, the nearest of its points is far although nothing changed. Ground extends sideways alone: above
-    and below it occupies ``foot``, the height up to which standing and lying cannot be told apart. A place
-    that nothing occupies is free from a probability of ``free`` on; below, it was not seen.
+    and below it occupies ``foot``, the height up to which standing and lying surfaces cannot be
+    distinguished. A place that nothing occupies is free from a probability of ``free`` on; below, it was
+    not seen.
     """
 
     low: float

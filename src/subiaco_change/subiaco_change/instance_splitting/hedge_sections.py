@@ -21,6 +21,7 @@ _CELLS = NUMBERS.hedge_sections.section_columns
 _LENGTH = NUMBERS.hedge_sections.section_length
 _SEEN = NUMBERS.hedge_sections.observed_share
 _SMALL = NUMBERS.hedge_sections.whole_rise
+_PATCH = NUMBERS.hedge_sections.columns_per_patch
 _HELD = NUMBERS.hedge_sections.occupied_share
 
 #: Nothing stands.
@@ -52,7 +53,7 @@ def changed_sections(
     if np.quantile(heights, 0.98) > _LOW:
         return [], np.zeros((0, 2))
     first, second = (np.concatenate([t.xyz for t in objects]) for objects in (before, after))
-    corner, tops = _tops(first, second)
+    corner, tops, _ = _tops(first, second)
     rise = _smooth(tops[1] - tops[0])
     threshold = max(threshold, 1.96 * math.hypot(_roughness(tops[0]), _roughness(tops[1])))
     sections = []
@@ -91,14 +92,16 @@ def column_rise(
     :func:`changed_sections`, or did not observe what is higher in the other.
     """
     first, second = (np.concatenate([t.xyz for t in objects]) for objects in (before, after))
-    corner, tops = _tops(first, second)
+    corner, tops, errors = _tops(first, second)
     rise = tops[1] - tops[0]
     cells = np.argwhere(np.isfinite(rise))
     if len(cells) < _CELLS:
         return Rise()
     values = rise[tuple(cells.T)]
     median = float(np.median(values))
-    found = Rise(median, 1.2533 * _spread(values - median) / math.sqrt(len(values)))
+    scatter = 1.2533 * _spread(values - median) / math.sqrt(len(values))
+    sampling = float(np.sqrt(np.median(errors[tuple(cells.T)] ** 2) / max(len(values) / _PATCH, 1.0)))
+    found = Rise(median, max(scatter, sampling))
     if abs(median) <= _SMALL:
         return found
     low, high = (tops if median > 0 else tops[::-1])[:, cells[:, 0], cells[:, 1]]
@@ -119,8 +122,11 @@ def _middles(cells: Ints) -> Floats:
     return (cells.astype(np.float64) + 0.5) * _CELL
 
 
-def _tops(before: Floats, after: Floats) -> tuple[Ints, Floats]:
-    """Lowest column, and tops (2, rows, columns) of two clouds (N, 3), NaN where one of them is thin [m].
+def _tops(before: Floats, after: Floats) -> tuple[Ints, Floats, Floats]:
+    """Lowest column, tops (2, rows, columns) of two clouds (N, 3), and the error of their difference [m].
+
+    NaN where one of the clouds is thin. The error (rows, columns) is the standard deviation of the difference
+    of the highest of so many points of a uniform column.
 
     The highest of m points stands at m / (m + 1) of the height, so that tops of which few points tell look
     lower. Both clouds are read at the quantile that the fewer have, and what is missing is added to both.
@@ -137,7 +143,9 @@ def _tops(before: Floats, after: Floats) -> tuple[Ints, Floats]:
     tops = np.array([_quantiles(z, key, share) for z, key in zip(heights, keys, strict=True)])
     known = fewest >= _POINTS
     whole = bottom + (tops - bottom) / np.where(known, share, 1.0)
-    return corner, np.where(known, whole, np.nan).reshape(2, *shape)
+    spread = np.sqrt(2.0 / np.where(known, fewest * (fewest + 2.0), 1.0))
+    errors = np.where(known, (whole.max(axis=0) - bottom) * spread, np.nan).reshape(shape)
+    return corner, np.where(known, whole, np.nan).reshape(2, *shape), errors
 
 
 def _quantiles(values: Floats, group: Ints, share: Floats) -> Floats:

@@ -145,7 +145,7 @@ def _below(obj: ObjectInstance, piece: Ints, column: Ints) -> Mask:
 def _with_unseen(obj: ObjectInstance, labels: Ints, config: PartConfig) -> Ints:
     """Give what the other epoch did not see to the nearest part or rest; drop parts that are too small.
 
-    Where less still stands than is known of a part, the rest gets nothing: what is out of sight behind a
+    Where less still stands than is known of a part, the rest gets nothing: the unseen space behind a
     house that is gone was the house, not the gate that is left of the instance.
     """
     known = obj.voxels.observed

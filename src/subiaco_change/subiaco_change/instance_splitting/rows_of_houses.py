@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from subiaco_change.association.costs import AssociationConfig
@@ -17,12 +18,13 @@ from subiaco_change.instance_splitting.one_epoch_parts import split_by_labels
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.segmentation.bounding_rectangles import wall_coordinates
 from subiaco_change.segmentation.clustering import connect, group_indices
+from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.segmentation.height_profiles import ProfileConfig, level_steps, part_slots
 from subiaco_geo.frames import Floats, Ints
 
 _CELL = NUMBERS.rows_of_houses.cell
 _SHARED = NUMBERS.rows_of_houses.shared_columns
-_STOREY = ProfileConfig(step=NUMBERS.rows_of_houses.new_storey)  # tops that rose by less were roofed anew
+_STOREY = ProfileConfig(step=NUMBERS.rows_of_houses.new_storey)  # tops that rose by less got a new roof
 _SHOWN = NUMBERS.rows_of_houses.columns_across
 
 
@@ -58,6 +60,8 @@ def split_at_walls(
 ) -> list[Piece]:
     """Divide a row at the walls that either epoch shows, and where its tops rose or fell by a storey.
 
+    A house that was taken from a row, or built into its gap, is a part of its own, without a partner.
+
     Parameters
     ----------
     before, after : sequence of ObjectInstance
@@ -70,11 +74,13 @@ def split_at_walls(
     voxels = [join_voxels(side) for side in sides]
     xy = np.concatenate([v.xyz[:, :2] for v in voxels])
     labels = _moved(voxels[0].xyz, voxels[1].xyz, xy)
+    alone = _alone(voxels[0].xyz, voxels[1].xyz, xy)
     for side in sides:
         bodies = [body for body in separate_bodies(side, config) if body] or [list(side)]
         owner = np.repeat(np.arange(len(bodies)), [sum(len(t.voxels) for t in body) for body in bodies])
         places = np.concatenate([t.voxels.xyz[:, :2] for body in bodies for t in body])
         labels = labels * len(bodies) + owner[cKDTree(places).query(xy)[1]]
+    labels = np.where(alone > 0, labels.max() + alone, labels)
     return _pieces(sides, xy, labels, config, following)
 
 
@@ -87,7 +93,7 @@ def split_at_changed_storeys(
 ) -> list[Piece]:
     """Divide a row where a storey was built on one of its houses, or taken off; arguments as for houses_of.
 
-    The storey shows in its walls although its roof is out of sight.
+    The storey shows in its walls although no survey sees its roof.
     """
     sides = (tuple(before), tuple(after))
     xy = np.concatenate([join_voxels(side).xyz[:, :2] for side in sides])
@@ -118,11 +124,7 @@ def _pieces(sides: Piece, xy: Floats, labels: Ints, config: AssociationConfig, f
 
 def _moved(before: Floats, after: Floats, xy: Floats) -> Ints:
     """Part (N,) of places (N, 2) along the walls of a row whose tops (B, 3), (A, 3) moved by a storey."""
-    turned = wall_coordinates(xy)
-    slot = np.floor((turned - turned.min(axis=0)) / _CELL).astype(np.int64)
-    tops = np.full((2, *(slot.max(axis=0) + 1).tolist()), np.nan)
-    for top, xyz, own in zip(tops, (before, after), np.split(slot, [len(before)]), strict=True):
-        np.fmax.at(top, (own[:, 0], own[:, 1]), xyz[:, 2])
+    slot, tops = _tops(before, after, xy)
     rise = tops[1] - tops[0]
     labels = np.zeros(len(xy), dtype=np.int64)
     for axis in (0, 1):
@@ -130,6 +132,49 @@ def _moved(before: Floats, after: Floats, xy: Floats) -> Ints:
         parts = part_slots(slot[:, axis], level_steps(profile, _STOREY), _STOREY)
         labels = labels * (int(parts.max()) + 1) + parts
     return labels
+
+
+def _alone(before: Floats, after: Floats, xy: Floats) -> Ints:
+    """Return which stretch of a row, from 1, that one epoch alone holds places (N, 2) lie in; 0 for none.
+
+    A stretch is as long as a house and lies between two; in it the one epoch shows columns across the row and
+    the other none.
+    """
+    slot, tops = _tops(before, after, xy)
+    shown = np.isfinite(tops)
+    found = np.zeros(len(xy), dtype=np.int64)
+    for axis in (0, 1):
+        across = shown.sum(axis=2 - axis)
+        for own, other in (across, across[::-1]):
+            stretch = _gaps((own >= _SHOWN) & (other == 0), np.minimum(own, other) >= _SHOWN)[slot[:, axis]]
+            found = np.where((found == 0) & (stretch > 0), found.max() + stretch, found)
+    return found
+
+
+def _gaps(alone: Mask, shared: Mask) -> Ints:
+    """Return numbers (S,), from 1, of stretches of one epoch alone between houses that both epochs share.
+
+    At the end of a row this kind of stretch may be a wing of the last house.
+    """
+    width = round(_STOREY.width / _CELL)
+    numbers, count = ndimage.label(alone)
+    gaps = np.zeros(len(alone), dtype=np.int64)
+    for number in range(1, count + 1):
+        inside = np.flatnonzero(numbers == number)
+        sides = shared[max(inside[0] - width, 0) : inside[0]], shared[inside[-1] + 1 : inside[-1] + 1 + width]
+        if len(inside) >= width and all(2 * np.count_nonzero(side) >= width for side in sides):
+            gaps[inside] = number
+    return gaps
+
+
+def _tops(before: Floats, after: Floats, xy: Floats) -> tuple[Ints, Floats]:
+    """Columns (N, 2) along the walls of places (N, 2), and tops (2, nx, ny) of both epochs; NaN for none."""
+    turned = wall_coordinates(xy)
+    slot = np.floor((turned - turned.min(axis=0)) / _CELL).astype(np.int64)
+    tops = np.full((2, *(slot.max(axis=0) + 1).tolist()), np.nan)
+    for top, xyz, own in zip(tops, (before, after), np.split(slot, [len(before)]), strict=True):
+        np.fmax.at(top, (own[:, 0], own[:, 1]), xyz[:, 2])
+    return slot, tops
 
 
 def _profile(rise: Floats) -> Floats:

@@ -32,11 +32,12 @@ _WHOLE = NUMBERS.split_merge.whole_share
 _WALL = NUMBERS.split_merge.wall_reach
 _WITHIN = NUMBERS.split_merge.inside_share
 _HARDLY = NUMBERS.split_merge.least_observed
+_SINGLE = (Change.ADDED, Change.REMOVED)
 _CLAIMS = (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED)
 
 
 def join_building_extensions(changes: list[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
-    """Make extensions built onto a building, or taken from it, one object with it, and decide it anew.
+    """Make extensions built onto a building, or taken from it, one object with it, and decide it again.
 
     An extension seen from few sides may have passed for a vehicle or a plant: what is built tells.
     """
@@ -180,10 +181,15 @@ def split_row_houses(changes: Sequence[ObjectChange], rules: ObjectRules) -> lis
 
 
 def _fared(pieces: Sequence[Piece], rules: ObjectRules) -> list[ObjectChange]:
-    """Decide the houses of a row one by one; none where they fared alike, or one has no partner."""
-    if len(pieces) == 1 or not all(b and a for b, a in pieces):
+    """Decide the houses of a row one by one; none where they fared alike.
+
+    None either where one has no partner, and is not seen to be new or gone.
+    """
+    if len(pieces) == 1 or not any(b and a for b, a in pieces):
         return []
     parts = [decide_object(b, a, Semantic.BUILDING, rules) for b, a in pieces]
+    if any(not (p.before and p.after) and p.decision.change not in _SINGLE for p in parts):
+        return []
     labels = {part.decision.change for part in parts}
     return parts if len(labels) > 1 and not labels.isdisjoint(_CLAIMS) else []
 

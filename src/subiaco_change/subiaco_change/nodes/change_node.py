@@ -21,6 +21,7 @@ from subiaco_change.nodes.messages import change_cloud_message, marker_message, 
 from subiaco_change.outputs.directory import PageWriter
 from subiaco_change.outputs.preview import build_preview
 from subiaco_change.request import ChangeRequest
+from subiaco_geo.codes import Change
 from subiaco_geo.config import StrictModel, merge, validate
 from subiaco_geo.errors import InputError, SubiacoError
 from subiaco_geo.requests import json_object
@@ -197,9 +198,9 @@ class ChangeApp:
         send["change/before"](change_cloud_message(preview.before, frame, frame_id, end_ns))
         send["change/after"](change_cloud_message(preview.after, frame, frame_id, end_ns))
         send["change/markers"](marker_message(preview, frame, frame_id, end_ns))
-        table = table_message(preview, directory, end_ns, frame_id)
+        table = table_message(preview, directory, frame, frame_id, end_ns)
         send["change/table"](table)
-        counts = dict(zip(table.labels, table.counts, strict=True))
+        counts = {Change(code).label: n for code, n in zip(table.changes, table.counts, strict=True)}
         self._diagnostics.report("compared", counts)
         LOGGER.info(
             "%d objects: %s", len(table.records), ", ".join(f"{n} {label}" for label, n in counts.items())

@@ -7,13 +7,14 @@ from dataclasses import fields
 from pathlib import Path
 
 import numpy as np
-from geometry_msgs.msg import Point, Vector3
+from geometry_msgs.msg import Point, Point32, Polygon, Vector3
 from numpy.typing import NDArray
 from sensor_msgs.msg import PointCloud2
 from std_msgs.msg import ColorRGBA
 from visualization_msgs.msg import Marker, MarkerArray
 
 from subiaco_change.outputs.preview import ChangePreview
+from subiaco_change.outputs.table import footprint_polygon, object_uids
 from subiaco_change.records import CHANGE_COLOURS, ChangeRecord
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Change
@@ -30,8 +31,17 @@ _SAME_NAME = tuple(
     field.name
     for field in fields(ChangeRecord)
     if field.name in ChangeRecordMessage.get_fields_and_field_types()
-    and field.name not in {"object_id", "id_before", "id_after"}
+    and field.name not in {"object_id", "id_before", "id_after", "match_kind", "evidence", "footprint"}
 )
+#: Codes of the words in the table, by the constants of the message.
+MATCH_KINDS = {
+    word: getattr(ChangeRecordMessage, f"MATCH_{word.upper()}")
+    for word in ("none", "one_to_one", "split", "merge")
+}
+EVIDENCE = {
+    word: getattr(ChangeRecordMessage, f"EVIDENCE_{word.upper()}")
+    for word in ("observed", "trajectory", "estimated", "shadow", "assumed")
+}
 
 
 def packed_colours(change: NDArray[np.uint8]) -> NDArray[np.float32]:
@@ -57,14 +67,29 @@ def change_cloud_message(cloud: PointCloud, frame: LocalFrame, frame_id: str, ti
     return cloud_message(points, frame_id, time_ns)
 
 
-def record_message(record: ChangeRecord) -> ChangeRecordMessage:
+def footprint_message(record: ChangeRecord, frame: LocalFrame) -> list[Polygon]:
+    """Return the outer rings of a footprint in the local frame, at the height of the centroid."""
+    rings = []
+    for part in footprint_polygon(record).geoms:
+        ring = np.asarray(part.exterior.coords)[:-1, :2]
+        local = frame.from_world(np.column_stack([ring, np.full(len(ring), record.z)]))
+        rings.append(Polygon(points=[Point32(x=x, y=y, z=z) for x, y, z in local.tolist()]))
+    return rings
+
+
+def record_message(record: ChangeRecord, uid: str, frame: LocalFrame) -> ChangeRecordMessage:
     """Build one row of the table."""
     message = ChangeRecordMessage(
         object_id=record.object_id,
-        object_class=record.semantic.label,
-        label=record.change.label,
+        object_uid=uid,
+        object_class=int(record.semantic),
+        change=int(record.change),
         id_before=list(record.id_before),
         id_after=list(record.id_after),
+        match_kind=MATCH_KINDS[record.match_kind],
+        evidence=EVIDENCE[record.evidence],
+        area_m2=record.area_m2,
+        footprint=footprint_message(record, frame),
     )
     for name in _SAME_NAME:
         value = getattr(record, name)
@@ -73,15 +98,18 @@ def record_message(record: ChangeRecord) -> ChangeRecordMessage:
     return message
 
 
-def table_message(preview: ChangePreview, directory: Path, time_ns: int, frame_id: str) -> ChangeTable:
+def table_message(
+    preview: ChangePreview, directory: Path, frame: LocalFrame, frame_id: str, time_ns: int
+) -> ChangeTable:
     """Build the whole table."""
-    counts = Counter(record.change.label for record in preview.records)
+    counts = Counter(record.change for record in preview.records)
+    uids = object_uids(preview.records)
     return ChangeTable(
         header=header(time_ns, frame_id),
         crs=preview.after.crs or "",
         directory=str(directory),
-        records=[record_message(record) for record in preview.records],
-        labels=list(counts),
+        records=[record_message(*row, frame) for row in zip(preview.records, uids, strict=True)],
+        changes=[int(change) for change in counts],
         counts=list(counts.values()),
     )
 

@@ -23,8 +23,10 @@ from subiaco_change.outputs.table import write_csv, write_parquet
 from subiaco_geo.atomic import whole_directory
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Change
+from subiaco_geo.crs import crs_text
 from subiaco_geo.errors import InputError
 from subiaco_geo.exports import CLOUD_ENDINGS, copy_cloud
+from subiaco_geo.output_heights import above_geoid, geoid_shift, write_heights_note
 
 #: What GeoJSON (RFC 7946) and KML ask for.
 _LONGITUDE_LATITUDE = "EPSG:4326"
@@ -42,7 +44,13 @@ SHORT_NAMES = {
 
 
 def export_changes(
-    directory: Path, output: Path, kind: str, *, cloudcompare: bool = False, review: str = "all"
+    directory: Path,
+    output: Path,
+    kind: str,
+    *,
+    cloudcompare: bool = False,
+    review: str = "all",
+    geoid: Path | None = None,
 ) -> list[Path]:
     """Write the labelled clouds or the table of a change directory in another form.
 
@@ -62,6 +70,8 @@ def export_changes(
     review : str
         Rows to write by their review: ``all``, ``accepted`` or ``not-rejected``. In clouds, points of a
         change that is left out get code 254, NotReported.
+    geoid : Path, optional
+        Geoid model: heights of points and column ``z`` are above it; differences of heights are the same.
 
     Returns
     -------
@@ -80,7 +90,13 @@ def export_changes(
         raise InputError(f"{directory}: not the output of 'subiaco change' (no changes.csv, changes.parquet)")
     chosen = selected_by_review(table, review)
     left_out = table.loc[~chosen, "object_id"].to_numpy(dtype=np.int64)
+    if geoid is not None:
+        if kind == FOXGLOVE:
+            raise InputError("--geoid: foxglove shows a local frame; give another --to")
+        table = _above_geoid(table, geoid)
     with whole_directory(output) as target:
+        if geoid is not None:
+            write_heights_note(target, geoid)
         if kind == FOXGLOVE:
             write_foxglove(target / "changes.mcap", directory, table[chosen], left_out)
         elif kind in CLOUD_ENDINGS:
@@ -90,7 +106,7 @@ def export_changes(
                     target / f"{epoch}_labelled{CLOUD_ENDINGS[kind]}",
                     ellipsoidal=False,
                     cloudcompare=cloudcompare,
-                    convert=_conversion(left_out, classify=kind != "ply"),
+                    convert=_conversion(left_out, geoid, classify=kind != "ply"),
                 )
         else:
             _write_table(target, table[chosen], kind)
@@ -99,8 +115,17 @@ def export_changes(
     return sorted(output.iterdir())
 
 
-def _conversion(left_out: np.ndarray, *, classify: bool) -> Callable[[PointCloud], PointCloud]:
-    """Return what is done to every part of a cloud: labels of rows left out, ASPRS classes."""
+def _above_geoid(table: gpd.GeoDataFrame, geoid: Path) -> gpd.GeoDataFrame:
+    """Return the table with heights above a geoid; ``z`` alone is a height, all else are differences."""
+    crs = None if table.crs is None else crs_text(table.crs)
+    shift = geoid_shift(table[["x", "y"]].to_numpy(dtype=np.float64), crs, geoid)
+    return table.assign(z=(table["z"] + shift).round(3))
+
+
+def _conversion(
+    left_out: np.ndarray, geoid: Path | None, *, classify: bool
+) -> Callable[[PointCloud], PointCloud]:
+    """Return what is done to every part of a cloud: labels of rows left out, heights, ASPRS classes."""
 
     def convert(cloud: PointCloud) -> PointCloud:
         if len(left_out):
@@ -109,6 +134,8 @@ def _conversion(left_out: np.ndarray, *, classify: bool) -> Callable[[PointCloud
             change[hidden] = Change.NOT_REPORTED
             red, green, blue = change_palette()[change.astype(np.int64)].T
             cloud = cloud.with_fields(change=change, red=red, green=green, blue=blue)
+        if geoid is not None:
+            cloud = above_geoid(cloud, geoid)
         return with_asprs_codes(cloud) if classify else cloud
 
     return convert

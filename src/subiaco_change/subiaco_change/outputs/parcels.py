@@ -137,7 +137,7 @@ def build_parcels(table: gpd.GeoDataFrame, lots: gpd.GeoDataFrame, coverage: Cov
 
 
 def rebuild_parcels(package: Path, table: gpd.GeoDataFrame, coverage: Coverage) -> gpd.GeoDataFrame:
-    """Count the layer ``parcels`` of a GeoPackage anew, with the lots and attributes that it holds.
+    """Recompute the layer ``parcels`` of a GeoPackage, with the lots and attributes that it holds.
 
     The layer is replaced; its style stays.
     """

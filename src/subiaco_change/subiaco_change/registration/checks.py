@@ -55,7 +55,7 @@ def estimate_uncertainty(
 
     Residuals nearby are correlated, so the Hessian of a million of them
     promises far too much. Blocks of an edge ``block`` [m] are resampled with
-    replacement ``draws`` times and the pose is solved anew from their summed
+    replacement ``draws`` times and the pose is solved again from their summed
     normal equations (block bootstrap, Decision 2).
     """
     keep = weights > 0

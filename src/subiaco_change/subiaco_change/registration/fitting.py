@@ -245,7 +245,7 @@ def fit_groups(
 ) -> Floats:
     """Fit groups of blocks on their own; return the covariance (6, 6) of the pose about a centre (3,).
 
-    Points are paired anew as each group moves. On rough surfaces pairs follow a motion, so that the
+    Points are matched again as each group moves. On rough surfaces pairs follow a motion, so that the
     normal equations of fixed pairs promise too much.
     """
     source = _thinned(before.levels[-1], config.icp_points)

@@ -194,7 +194,7 @@ def register(
     exclude_before, exclude_after : (N,) bool, optional
         Points that must not take part, e.g. what a first pass calls changed.
     start : Registration, optional
-        An earlier fit of the same clouds, refined instead of searching anew.
+        An earlier fit of the same clouds, refined instead of searched again.
 
     Returns
     -------

@@ -101,7 +101,7 @@ class InstanceConfig(StrictModel):
 
 
 def segment(cloud: PointCloud, result: SemanticResult, config: InstanceConfig) -> NDArray[np.int32]:
-    """Return the instance (N,) of every point, -1 for ground, trails of what moved, and fragments.
+    """Return the instance (N,) of every point, -1 for ground, trails of moving objects, and fragments.
 
     Ids count from 0 by class and then from the south-west, so that they do not
     depend on the order of the points.

@@ -67,7 +67,7 @@ def training_job(
         A survey is missing or given twice, or the output exists or is no ``.npz``.
     """
     if output.suffix != ".npz":
-        raise InputError(f"{output}: weights are written as .npz; choose such a name")
+        raise InputError(f"{output}: weights are written as .npz; choose a name that ends in .npz")
     refuse_existing(output, overwrite)
     learned = list(surveys)
     if not held_out:

@@ -186,7 +186,7 @@ def render(xyz: Floats, eyes: Floats, grid: ImageGrid, surfaces: Surfaces) -> De
 
 @dataclass(frozen=True)
 class Looks:
-    """From how many poses a place (N,) was looked through, met as a surface, or hidden, int32 each."""
+    """From how many poses a place (N,) was seen free, met as a surface, or hidden, int32 each."""
 
     free: NDArray[np.int32]
     surface: NDArray[np.int32]
@@ -231,7 +231,7 @@ def _look(  # noqa: C901, PLR0912
 ) -> None:  # fmt: skip
     """Count the verdicts of poses on places; with ``enough`` above 0 stop where the answer is decided.
 
-    Decided: so many poses looked through, or, with ``surface_too``, one met a surface.
+    Decided: enough poses saw it free, or, with ``surface_too``, one met a surface.
     """
     _, rows, columns = images.shape
     sine_min, sine_max, nearest, farthest, sky = limits[:5]

@@ -228,6 +228,15 @@ class ExpectedVisibility:
         free[looks.free < self.config.min_poses] = 0.0
         return np.asarray((free + 0.5) / (free + met + 1.0))
 
+    def hidden(self, world: Floats) -> Flags:
+        """Tell which places (N, 3) [m, world] lie in view of enough poses, but behind a surface for each.
+
+        Of these the poses say nothing. Foliage lets beams by that a closed depth image does not.
+        """
+        looks = self.images.looks(world, self._limits())
+        nothing = (looks.free < self.config.min_poses) & (looks.surface == 0)
+        return np.asarray(nothing & (looks.hidden >= self.config.min_poses) & ~self.occupied.holds(world))
+
     def _limits(self) -> Limits:
         config, view = self.config, self.view
         reach = min(view.useful_range, config.max_range)

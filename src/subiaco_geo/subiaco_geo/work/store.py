@@ -45,7 +45,7 @@ class Store(Protocol):
 class _Piece(Mapping[str, Array]):
     """Arrays of an ``.npz``, each read when it is asked for; between, the file is closed: there are many.
 
-    Arrays are read where they lie: numpy's own reader opens the archive anew and sums every byte.
+    Arrays are read where they lie: numpy's own reader opens the archive again and sums every byte.
     """
 
     def __init__(self, path: Path) -> None:
@@ -72,6 +72,9 @@ class _Piece(Mapping[str, Array]):
             name_length, extra_length = (int.from_bytes(stream.read(2), "little") for _ in range(2))
             stream.seek(name_length + extra_length, SEEK_CUR)
             return np.asarray(np.lib.format.read_array(stream, allow_pickle=False))
+
+    def __contains__(self, name: object) -> bool:
+        return name in self._headers  # without reading the array
 
     def __iter__(self) -> Iterator[str]:
         return iter(self._headers)

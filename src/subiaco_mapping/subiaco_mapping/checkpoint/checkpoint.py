@@ -89,7 +89,7 @@ class Checkpoint:
         Of this run alone.
     config : MappingConfig
     resume : bool
-        Go on with what is there, if the program and the settings for reading are the same; else begin anew.
+        Continue with finished work if program and settings for reading are unchanged; else start over.
     """
 
     def __init__(self, folder: Path, config: MappingConfig, *, resume: bool) -> None:

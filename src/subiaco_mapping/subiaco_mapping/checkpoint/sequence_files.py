@@ -93,7 +93,7 @@ def unpack(packed: bytes, folder: Path, config: MappingConfig) -> SequenceRecord
     Raises
     ------
     InputError
-        The bytes are not such a file.
+        The bytes are no file of this kind.
     """
     try:
         with np.load(io.BytesIO(packed), allow_pickle=False) as file:

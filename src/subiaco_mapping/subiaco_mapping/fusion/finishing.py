@@ -56,7 +56,7 @@ class _Clock:
 
 @dataclass(frozen=True)
 class FinishedMap:
-    """Static points, second returns, what moved, and the visibility layer; arrays mapped from disk."""
+    """Static points, second returns, moving objects, visibility layer; arrays mapped from disk."""
 
     cloud: PointCloud
     last: PointCloud | None
@@ -142,7 +142,7 @@ class MapFusion:
     def finish(
         self, threads: int, report: Callable[[float], None], recordings: dict[int, str] | None = None
     ) -> FinishedMap:
-        """Take out outliers and what moved, find normals; ``recordings`` by their numbers, for their returns.
+        """Remove outliers and moving objects, compute normals; ``recordings`` by number, for their returns.
 
         Raises
         ------

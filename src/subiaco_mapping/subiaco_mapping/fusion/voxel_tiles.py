@@ -111,7 +111,7 @@ class Recent(Generic[Value]):
         self._kept: OrderedDict[int, Value] = OrderedDict()
 
     def __call__(self, tile: int) -> Value:
-        """Return it, made anew where it is not kept."""
+        """Return it, read again where it is not kept."""
         if tile not in self._kept:
             self._kept[tile] = self._make(tile)
             if len(self._kept) > _NEAR_TILES:

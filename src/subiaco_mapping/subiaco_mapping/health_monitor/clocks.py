@@ -108,7 +108,7 @@ class ClockWatch:
         if watch.steps:
             self._pending[sensor] = watch.steps[-1]
             watch.steps.clear()
-            self._since_ns = None  # what drift is measured against begins anew
+            self._since_ns = None  # the reference of the drift restarts
 
     def steps(self, now_ns: int) -> list[ClockStep]:
         """Return the steps whose sensor is identified at this time; each step is returned once."""

@@ -32,7 +32,7 @@ MEANINGS = {
     "disk_low": "flag: the disk for the recording is nearly full",
     "disk_full": "flag: no room left for the recording",
     "not_recorded": "flag: the recorder has stopped, and says why",
-    "best_effort": "flag: packets are offered without retransmission (best effort): losses are not mended",
+    "best_effort": "flag: packets are offered without retransmission (best effort)",
     "node_died": "flag: a process of ours ended unasked; source says which",
 }
 

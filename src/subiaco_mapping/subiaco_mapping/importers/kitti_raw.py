@@ -7,7 +7,7 @@ frame is ``base_link``. Its rates and accelerations are taken where they come at
 unsynchronised drives. Stamps are taken as UTC.
 
 The elevation angles of this scanner are 0.205 deg too low, as those who map with it have found (J.-E.
-Deschaud, IMLS-SLAM, 2018). Left so, odometry pitches by 1.5 deg on 200 m of drive 0027; put right, by less
+Deschaud, IMLS-SLAM, 2018). Left so, odometry pitches by 1.5 deg on 200 m of drive 0027; corrected, by less
 than 0.1 deg.
 """
 
@@ -131,7 +131,7 @@ def _clouds(sweeps: list[Path], start_ns: Ints, end_ns: Ints) -> Iterator[LogMes
 
 
 def raised(xyz: Floats) -> Floats:
-    """Return points (N, 3) of the scanner with its elevation angles put right [m]."""
+    """Return points (N, 3) of the scanner with corrected elevation angles [m]."""
     level = np.hypot(xyz[:, 0], xyz[:, 1])
     sine, cosine = np.sin(np.radians(ELEVATION_DEG)), np.cos(np.radians(ELEVATION_DEG))
     nearer = cosine - sine * xyz[:, 2] / np.maximum(level, 1e-9)

@@ -1,9 +1,9 @@
 """A descriptor of the surroundings that turns with the vehicle: highest points over a polar grid.
 
-After the idea of Scan Context (Kim and Kim, IROS 2018), written anew: levelled submaps instead of single
-scans; all turns at once by FFT, so that a street driven the other way (180 degrees) is found; and a look
-from either side lane, without which the other lane's drive is not (of 129 submaps of a simulated block
-driven twice each way the best match was right for 68 without, 120 with it).
+After the idea of Scan Context (Kim and Kim, IROS 2018), in our own implementation: levelled submaps
+instead of single scans; all turns at once by FFT, so that a street driven the other way (180 degrees) is
+found; and a view from either side lane, without which the other lane's drive is not (of 129 submaps of a
+simulated block driven twice each way the best match was right for 68 without, 120 with it).
 """
 
 from __future__ import annotations

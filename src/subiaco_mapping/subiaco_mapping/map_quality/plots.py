@@ -18,7 +18,7 @@ from subiaco_mapping.map_quality.gnss_holdout import FixErrors
 from subiaco_mapping.map_quality.time_series import STATES, Series
 from subiaco_mapping.pose_graph.solution import GraphSolution
 
-#: Colours that are told apart without red and green.
+#: Colours that can be distinguished without red and green.
 STATE_COLOURS = {2: "#0072b2", 1: "#e69f00", 0: "#d55e00", -1: "#8a8a8a"}
 AXIS_COLOURS = ("#0072b2", "#e69f00", "#009e73")
 _AXES = ("east", "north", "up")

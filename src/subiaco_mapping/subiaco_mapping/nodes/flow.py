@@ -1,4 +1,4 @@
-"""Flow control by counting: whoever publishes knows what has been consumed, and waits.
+"""Flow control by counting: the publisher knows what has been consumed, and waits.
 
 No ROS here, so that the rules are tested without it.
 """

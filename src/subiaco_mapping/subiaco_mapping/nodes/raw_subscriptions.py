@@ -101,7 +101,7 @@ class Listener:
         return [name for name in self._config.topics if name not in self._topics]
 
     def look(self) -> None:
-        """Subscribe to what has come up, and anew where the offer has changed."""
+        """Subscribe to new publishers, and again where the offered quality of service has changed."""
         for name in self._wanted():
             offer = read_offer(self._node, self._node.resolve_topic_name(relative(name)))
             known = self._topics.get(name)

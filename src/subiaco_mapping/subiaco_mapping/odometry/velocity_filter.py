@@ -101,7 +101,7 @@ class VelocityFilter:
         return self._state[1], self._state[2]
 
     def forget(self) -> None:
-        """Begin anew with the next stretch."""
+        """Restart with the next segment."""
         self._state, self._pending = None, None
 
     def hold(self, stretch: ImuStretch) -> None:

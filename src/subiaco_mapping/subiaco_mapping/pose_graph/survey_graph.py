@@ -44,7 +44,7 @@ class _State:
 
 @dataclass
 class _Live:
-    """The graph while driving; it starts anew where another frame is found."""
+    """The graph while driving; it restarts where another frame is found."""
 
     frame: EnuFrame | None
     graph: LiveGraph

@@ -48,7 +48,7 @@ class DiskRoom:
             )
 
     def due(self, now: float) -> bool:
-        """Whether the free space should be read anew."""
+        """Whether the free space should be read again."""
         return now - self._looked >= _LOOK_INTERVAL
 
     def look(self, now: float, written: int) -> None:

@@ -31,7 +31,7 @@ PERIODIC_TYPES = frozenset(MESSAGE_TYPES[topic] for topic in (IMU, FIX, POINTS))
 class SequenceCounter:
     """Losses between publishers and us, from the numbers that the middleware gives to messages.
 
-    Every publisher counts from 1; several on one topic are told apart by continuity, and by
+    Every publisher counts from 1; several on one topic are distinguished by continuity, and by
     ``newcomers``: publishers known to have come up of which nothing was heard yet.
     """
 
