@@ -61,9 +61,9 @@ PICTURES = ROOT / "docs" / "pictures"
 _HEAD = """# Learned methods beside simple ones and ours
 
 Written by `tests/benchmarks/bench_learned.py` on {day}, revision `{revision}`; do not edit. The surveys are
-**simulated**, except the building site at the end. The networks were trained on tuning seeds of the
-simulator, at the sizes in the first table: much smaller and shorter than published. The page compares what
-two CPU cores can train; it does not repeat the publications.
+**simulated**. The networks were trained on tuning seeds of the simulator, at the sizes in the first table:
+much smaller and shorter than published. The page compares what a CPU can train in minutes; it does not
+repeat the publications.
 """
 _GROUPS = {
     "surveys": """## Reporting seeds
@@ -79,8 +79,8 @@ networks are untouched.
 }
 _SITE = """## A real building site
 
-One site, seen twice by a handheld scanner (MultiChange3D), scored against what was drawn by eye. An object
-is right when half of its points carry a right label.
+One real site, seen twice by a handheld scanner (MultiChange3D), scored against what was drawn by eye. An
+object is right when half of its points carry a right label.
 """
 
 

@@ -1,8 +1,6 @@
 """Plants of one tile are decided against the plants of all tiles of the pair."""
 
-import json
-from dataclasses import asdict, replace
-from types import SimpleNamespace
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -14,19 +12,26 @@ from subiaco_change.config import ChangeConfig
 from subiaco_change.decisions.confidence import features
 from subiaco_change.decisions.rules import Decision
 from subiaco_change.tiling.plant_stage import (
+    PlantDecisionSlice,
     PlantRow,
+    PlantSlice,
+    RowPoints,
+    TileComparison,
     decide_tile,
     find_vegetation_null,
-    record_of,
-    record_words,
 )
+from subiaco_change.tiling.stage_params import TileParams, slice_of
 from subiaco_geo.codes import Change, Semantic
+from subiaco_geo.work.results import pack
 from subiaco_geo.work.store import MemoryStore
 from subiaco_geo.work.tasks import Inputs
 
 CONFIG = ChangeConfig()
-PARAMS = {"config": SimpleNamespace(**{n: getattr(CONFIG, n) for n in ("decisions", "plants", "confidence")})}
 GROWN = Decision(Change.INCREASED, "before the pair was known", 2.0, 3.0)
+
+
+def params(kind):
+    return TileParams("all", 80.0, (), np.zeros(3), slice_of(kind, CONFIG))
 
 
 def row(number):
@@ -41,16 +46,19 @@ def row(number):
 def tile(plants):
     """What one tile leaves of its plants, all called grown by fixed limits; one more row is no plant."""
     records = [row(k) for k in range(len(plants) + 1)]
-    words = [asdict(PlantRow(k + 1, plant, 0.03)) for k, plant in enumerate(plants)]
-    return {
-        "records": np.array(json.dumps([record_words(r) for r in records])),
-        "plants": np.array(json.dumps(words)),
-    }
+    rows = tuple(PlantRow(k + 1, plant, 0.03) for k, plant in enumerate(plants))
+    none = RowPoints((), np.zeros((0, 3), dtype=np.int32))
+    return pack(TileComparison(tuple(records), rows, none, none))
+
+
+def null_of_tiles(store, **keys):
+    inputs = Inputs(store, {f"compared/{name}": key for name, key in keys.items()})
+    return find_vegetation_null(inputs, params(PlantSlice))
 
 
 def decided(store, key, null):
-    found = decide_tile(Inputs(store, {"compared": key, "null": null}), PARAMS)
-    return [record_of(words) for words in json.loads(str(found["records"]))]
+    inputs = Inputs(store, {"compared": key, "null": null})
+    return decide_tile(inputs, params(PlantDecisionSlice)).records
 
 
 @pytest.fixture
@@ -63,8 +71,7 @@ def test_a_tile_is_decided_by_what_the_crowns_of_all_tiles_did(store):
     few = [replace(TREE, outline=0.28), replace(TREE, outline=0.8)]
     for name, plants in (("a", rest[:15]), ("b", [*rest[15:], *few])):
         store.save(name, tile(plants))
-    keys = {"compared/a": "a", "compared/b": "b"}
-    store.save("null", find_vegetation_null(Inputs(store, keys), PARAMS))
+    store.save("null", pack(null_of_tiles(store, a="a", b="b")))
     rows = decided(store, "b", "null")
     assert [r.change for r in rows[-2:]] == [Change.UNCHANGED, Change.INCREASED]
     assert "the other 31 crowns of this pair moved +0.2" in rows[-1].reason
@@ -77,6 +84,5 @@ def test_the_null_is_the_same_however_the_crowns_lie_in_tiles(store):
     store.save("all", tile(plants))
     store.save("a", tile(plants[20:]))
     store.save("b", tile(plants[:20]))
-    whole = find_vegetation_null(Inputs(store, {"compared/x": "all"}), PARAMS)
-    parts = find_vegetation_null(Inputs(store, {"compared/x": "a", "compared/y": "b"}), PARAMS)
-    assert str(whole["null"]) == str(parts["null"])
+    whole, parts = null_of_tiles(store, x="all"), null_of_tiles(store, x="a", y="b")
+    assert whole.words == parts.words

@@ -54,8 +54,7 @@ def test_ground_on_the_rim_of_a_tile_is_compared_wherever_the_origin_lies(drawn,
     name = f"{int(east // 80)}_{int(north // 80)}"
     tile = tile_named(name, 80.0, _RIM)
     origin = np.array([tile.core[0] + local, tile.core[1] - local, 0.0])
-    params = {"size": 80.0, "origin": origin}
-    near = near_tile(name, _RIM, params)
+    near = near_tile(name, _RIM, 80.0, origin)
     views = []
     for rise in (0.0, 0.3):
         world = on_the_rim(tile, step, rise)

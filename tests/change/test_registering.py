@@ -1,12 +1,13 @@
 """What a registration takes of a city: all of a small one, of a large one a part, alike of both epochs."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
-from subiaco_change.tiling.epoch_tiles import Side
-from subiaco_change.tiling.registration_stage import gather
+from subiaco_change.registration.config import RegistrationConfig
+from subiaco_change.tiling.alignment import ChangedPoints
+from subiaco_change.tiling.epoch_tiles import Coordinates, Side
+from subiaco_change.tiling.registration_stage import RegistrationParams, RegistrationSlice, gather
+from subiaco_geo.work.results import pack
 from subiaco_geo.work.store import MemoryStore
 from subiaco_geo.work.tasks import Inputs
 
@@ -22,12 +23,12 @@ def city(crs, limit, leaf=0.25):
         xyz = np.stack([x + 80 * column, y + 80 * row, np.zeros(400)], axis=1)
         for epoch in ("before", "after"):
             keys[f"cloud/{epoch}/{name}"] = f"{epoch}/{name}"
-            store.save(f"{epoch}/{name}", {"xyz": xyz})
+            store.save(f"{epoch}/{name}", pack(Coordinates(xyz)))
     keys["changed/after/2_1"] = "mask"
-    store.save("mask", {"changed": np.arange(400) == 7})
-    sides = [Side(e, np.zeros(3), crs, "assumed", None, np.zeros(3), 0.5) for e in ("before", "after")]
-    config = SimpleNamespace(leaf=leaf, registration_points=limit)
-    return Inputs(store, keys), {"sides": sides, "config": config}
+    store.save("mask", pack(ChangedPoints(np.arange(400) == 7)))
+    sides = tuple(Side(e, np.zeros(3), crs, "assumed", None, np.zeros(3), 0.5) for e in ("before", "after"))
+    config = RegistrationSlice(RegistrationConfig(), registration_points=limit, leaf=leaf)
+    return Inputs(store, keys), RegistrationParams(sides, config, None)
 
 
 def tiles_of(cloud):

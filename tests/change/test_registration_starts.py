@@ -17,14 +17,17 @@ from subiaco_change.registration.features import propose_by_features, ransac
 from subiaco_change.registration.icp import Pairs, solve
 from subiaco_change.registration.planes import PlanePairs, extract_planes, match_planes, normal_equations
 from subiaco_change.registration.register import given_registration, register
-from subiaco_change.tiling.epoch_tiles import Side
-from subiaco_change.tiling.frame_arrays import registration_arrays
-from subiaco_change.tiling.registration_stage import register_again
+from subiaco_change.tiling.alignment import ChangedPoints
+from subiaco_change.tiling.epoch_tiles import Coordinates, Side
+from subiaco_change.tiling.registration_stage import RegistrationParams, RegistrationSlice, register_again
+from subiaco_change.tiling.stage_params import slice_of
+from subiaco_change.tiling.stored_frame import PairRegistration
 from subiaco_geo.cloud_io import write_cloud
 from subiaco_geo.clouds import PointCloud, voxel_downsample
 from subiaco_geo.errors import RegistrationError
 from subiaco_geo.frames import exp_se3, transform_points
 from subiaco_geo.maps import load_epoch
+from subiaco_geo.work.results import pack
 from subiaco_geo.work.store import MemoryStore
 from subiaco_geo.work.tasks import Inputs
 
@@ -165,19 +168,22 @@ def test_an_earlier_fit_is_refined_without_the_points_left_out(bare_street):
 def test_a_second_estimate_that_fails_keeps_the_first_and_warns(bare_street):
     clouds = [cloud(points) for points in bare_street]
     first = given_registration(FAR, *clouds, CONFIG)
-    pieces = {"registration": registration_arrays(first)}
+    pieces = {"registration": PairRegistration(first, 0.0, None)}
     for epoch, points in zip(("before", "after"), clouds, strict=True):
-        pieces[f"cloud/{epoch}/0_0"] = {"xyz": points.xyz}
-        pieces[f"changed/{epoch}/0_0"] = {"changed": np.ones(len(points), dtype=bool)}
+        pieces[f"cloud/{epoch}/0_0"] = Coordinates(points.xyz)
+        pieces[f"changed/{epoch}/0_0"] = ChangedPoints(np.ones(len(points), dtype=bool))
     sides = tuple(
         Side(epoch, points.origin, None, "shadow", None, points.origin, 0.5)
         for epoch, points in zip(("before", "after"), clouds, strict=True)
     )
-    inputs = Inputs(MemoryStore(pieces), {name: name for name in pieces})
-    found = register_again(inputs, {"sides": sides, "config": ChangeConfig()})
-    assert np.array_equal(found["T_local"], first.T_local)
-    assert "the first is kept" in str(found["failed"])
-    assert found["shift"] == 0.0
+    inputs = Inputs(
+        MemoryStore({name: pack(piece) for name, piece in pieces.items()}), {name: name for name in pieces}
+    )
+    params = RegistrationParams(sides, slice_of(RegistrationSlice, ChangeConfig()), None)
+    found = register_again(inputs, params)
+    assert np.array_equal(found.registration.T_local, first.T_local)
+    assert "the first is kept" in found.failed
+    assert found.shift == 0.0
 
 
 def box_level():

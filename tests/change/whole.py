@@ -25,10 +25,11 @@ from subiaco_change.level_of_detection.registration_uncertainty import (
 )
 from subiaco_change.level_of_detection.vertical_bias import VerticalBiasConfig, bias_field, tile_medians
 from subiaco_change.records import Registration
-from subiaco_change.tiling.alignment import city_grid, load_sigma
+from subiaco_change.tiling.alignment import TileLods, city_grid, load_sigma
 from subiaco_change.tiling.epoch_tiles import EPOCHS, Side
-from subiaco_change.tiling.frame_arrays import load_frame, registration_arrays
+from subiaco_change.tiling.retiling import LabelledPoints, PlacedPoints
 from subiaco_change.tiling.run import ChangeRun
+from subiaco_change.tiling.stored_frame import PairRegistration, load_frame
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats
@@ -128,15 +129,18 @@ def place(
         members.append(_cut(run, epoch, clouds[e], CommonFrame(registration, run.origin), semantic))
         if surveys is not None:
             run._keep_poses(epoch, LoadedEpoch(surveys[e]), surveys[e].trajectory)
-    key = run.runner.put("registration", "all", registration_arrays(registration))
+    key = run.runner.put("registration", "all", PairRegistration(registration, 0.0, None))
     frame, sigma, found = run.place(key, None, (0.0, 1.0))
     inputs = Inputs(run.runner.store, {**frame, **run.poses, "sigma": sigma})
-    placed = {name: run.load(key)["xyz"] for name, key in run.placed.items()}
+    placed = {name: run.runner.load(PlacedPoints, key).xyz for name, key in run.placed.items()}
     before = PointCloud(_whole(placed, members[0]), run.origin, clouds[1].crs, clouds[0].fields)
-    levels = [{name: run.load(key)[epoch] for name, key in found.items()} for epoch in EPOCHS]
+    levels = [
+        {name: run.runner.load(TileLods, key).of(epoch).lod for name, key in found.items()}
+        for epoch in EPOCHS
+    ]
     return Placed(
         load_frame(inputs, run.origin), before,
-        load_sigma(inputs, {"origin": run.origin, "config": config}),
+        load_sigma(inputs, run.origin, config.placing.uncertainty),
         (_whole(levels[0], members[0]), _whole(levels[1], members[1])),
     )  # fmt: skip
 
@@ -148,13 +152,13 @@ def _cut(
     moved = frame.bring(cloud) if epoch == "before" else cloud
     members = split_by_tile(moved.world(), run.size)
     normals = np.asarray(cloud.fields["normals"], dtype=np.float32)
-    run.points[epoch] = {
-        name: run.runner.put(
-            "retiling", f"{epoch}_{name}",
-            {"xyz": cloud.xyz[own], "normals": normals[own], "semantic": semantic[own]},
-        )
-        for name, own in members.items()
-    }  # fmt: skip
+    for name, own in members.items():
+        none = np.zeros(0, dtype=np.float32)
+        points = LabelledPoints(
+            xyz=cloud.xyz[own], normals=normals[own], semantic=semantic[own], score=none, height=none,
+            passed=none, moved=none, number=np.full(len(own), -1, dtype=np.int32), intensity=None,
+        )  # fmt: skip
+        run.points.setdefault(epoch, {})[name] = run.runner.put("retiling", f"{epoch}_{name}", points)
     return members
 
 

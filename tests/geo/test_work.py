@@ -7,13 +7,14 @@ import signal
 import subprocess
 import sys
 import time
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 
 from subiaco_geo.errors import InputError, SubiacoError
 from subiaco_geo.work.executors import Dask, InProcess, LocalPool, make_executor
@@ -25,10 +26,17 @@ from subiaco_geo.work.tasks import Task, fingerprint
 WAIT = 60.0
 
 
+@dataclass(frozen=True)
+class Values:
+    """What the tasks of these tests leave."""
+
+    values: NDArray[np.float64]
+
+
 def add_up(inputs, params):
     """Sum of everything a task rests on, times a factor."""
-    total = sum(float(inputs[alias]["values"].sum()) for alias in inputs.keys)
-    return {"values": np.array([params["factor"] * total])}
+    total = sum(float(inputs.of(Values, alias).values.sum()) for alias in inputs.keys)
+    return Values(np.array([params["factor"] * total]))
 
 
 def die_once(inputs, params):
@@ -38,7 +46,7 @@ def die_once(inputs, params):
     if not mark.exists():
         mark.touch()
         os.kill(os.getpid(), signal.SIGKILL)
-    return {"values": np.array([1.0])}
+    return Values(np.array([1.0]))
 
 
 def die(inputs, params):
@@ -54,7 +62,7 @@ def fail(inputs, params):
 
 
 def tasks_of(runner, factor=2.0):
-    sources = {f"{k}_0": runner.put("cut", f"{k}_0", {"values": np.arange(k + 3.0)}) for k in range(6)}
+    sources = {f"{k}_0": runner.put("cut", f"{k}_0", Values(np.arange(k + 3.0))) for k in range(6)}
     return [Task("sum", name, add_up, {"own": key}, {"factor": factor}) for name, key in sources.items()]
 
 
@@ -185,7 +193,7 @@ def test_workers_that_always_die_end_the_run_with_a_reason(tmp_path):
     executor = LocalPool(1)
     runner = TaskRunner(DiskStore(tmp_path), executor)
     with pytest.raises(SubiacoError, match=r"died 3 times.*0_0.*fewer workers"):
-        runner.one(Task("sum", "0_0", die))
+        runner.one(Task("sum", "0_0", die, {}, None))
     executor.close()
 
 
@@ -312,13 +320,13 @@ def test_changed_source_code_changes_the_key_of_a_stage_and_of_no_other(tmp_path
 
     def key():
         source_fingerprint.cache_clear()
-        return Task("stage", "tile", importlib.import_module(dotted).stage).key
+        return Task("stage", "tile", importlib.import_module(dotted).stage, {}, None).key
 
-    own = Task("stage", "tile", fingerprint).key
+    own = Task("stage", "tile", fingerprint, {}, None).key
     first = key()
     assert key() == first
     file.write_text("def stage(inputs, params):\n    return {'more': 1}\n")
     assert key() != first
     source_fingerprint.cache_clear()
-    assert Task("stage", "tile", fingerprint).key == own
+    assert Task("stage", "tile", fingerprint, {}, None).key == own
     source_fingerprint.cache_clear()

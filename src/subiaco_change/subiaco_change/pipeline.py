@@ -14,10 +14,12 @@ from subiaco_change.config import ChangeConfig
 from subiaco_change.level_of_detection.alignment_corrections import block_table, stated_registration
 from subiaco_change.records import ChangeRecord, ChangeResult, GroundChange, Registration, TiledResult
 from subiaco_change.registration.pair import PairInfo
-from subiaco_change.tiling.alignment import load_sigma
+from subiaco_change.tiling.alignment import TileLods, load_sigma
 from subiaco_change.tiling.epoch_tiles import EPOCHS
-from subiaco_change.tiling.frame_arrays import field_of, load_frame
-from subiaco_change.tiling.run import ChangeRun, Pass
+from subiaco_change.tiling.label_stage import TileLabels
+from subiaco_change.tiling.retiling import LabelledPoints
+from subiaco_change.tiling.run import ChangeRun, ComparisonResult
+from subiaco_change.tiling.stored_frame import Correction, load_frame
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.findings import Finding
 from subiaco_geo.frames import Floats
@@ -26,10 +28,6 @@ from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.tiles import tile_named
 from subiaco_geo.work.task_runner import Progress, TaskRunner
 from subiaco_geo.work.tasks import Inputs
-
-_LABELS = (
-    "change", "semantic", "instance", "confidence", "lod95", "m3c2_distance", "m3c2_significant", "normals",
-)  # fmt: skip
 
 
 def detect_changes(
@@ -113,13 +111,15 @@ def detect_in_tiles(
     return _assemble(run, found, labelled, info)
 
 
-def _assemble(run: ChangeRun, found: Pass, labelled: Mapping[str, str], info: PairInfo) -> TiledResult:
+def _assemble(
+    run: ChangeRun, found: ComparisonResult, labelled: Mapping[str, str], info: PairInfo
+) -> TiledResult:
     tiles = sorted(labelled)
     inputs = Inputs(run.runner.store, {**found.frame, **run.poses, "sigma": found.sigma})
     frame = load_frame(inputs, run.origin)
-    sigma = load_sigma(inputs, {"origin": run.origin, "config": run.config})
-    samples = np.concatenate([run.load(found.lods[t])["sigma"] for t in tiles])
-    bias = field_of(inputs["bias"])
+    sigma = load_sigma(inputs, run.origin, run.config.placing.uncertainty)
+    samples = np.concatenate([run.runner.load(TileLods, found.lods[t]).sigma for t in tiles])
+    bias = inputs.of(Correction, "bias").field
     registration = stated_registration(run.registration(found.registration), samples, bias)
     return TiledResult(
         _with_points(run, found, labelled),
@@ -134,12 +134,14 @@ def _assemble(run: ChangeRun, found: Pass, labelled: Mapping[str, str], info: Pa
     )
 
 
-def _with_points(run: ChangeRun, found: Pass, labelled: Mapping[str, str]) -> tuple[ChangeRecord, ...]:
+def _with_points(
+    run: ChangeRun, found: ComparisonResult, labelled: Mapping[str, str]
+) -> tuple[ChangeRecord, ...]:
     """Fill in how many points the patches of ground have."""
     records = list(found.table.records)
     counts: dict[int, NDArray[np.int64]] = {}
     for key in labelled.values():
-        for number, *points in run.load(key)["patch_points"].tolist():
+        for number, *points in run.runner.load(TileLabels, key).patch_points.tolist():
             counts[number] = counts.get(number, np.zeros(2, dtype=np.int64)) + np.array(points)
     for number, points in counts.items():
         records[number] = replace(records[number], n_before=int(points[0]), n_after=int(points[1]))
@@ -148,21 +150,27 @@ def _with_points(run: ChangeRun, found: Pass, labelled: Mapping[str, str]) -> tu
 
 def _tile(run: ChangeRun, labelled: Mapping[str, str], epoch: str, tile: str) -> PointCloud:
     """Labelled points of a tile of an epoch."""
-    piece = run.load(labelled[tile])
-    fields: dict[str, NDArray[Any]] = {name: piece[f"{epoch}_{name}"] for name in _LABELS}
+    piece = run.runner.load(TileLabels, labelled[tile]).of(epoch)
+    fields: dict[str, NDArray[Any]] = {
+        **piece.labels.fields(),
+        "m3c2_distance": piece.m3c2_distance,
+        "m3c2_significant": piece.m3c2_significant,
+        "normals": piece.normals,
+    }
     own = run.points[epoch]
     if run.lit[epoch]:
-        fields["intensity"] = run.load(own[tile])["intensity"] if tile in own else np.zeros(0, np.float32)
+        known = run.runner.load(LabelledPoints, own[tile]).intensity if tile in own else None
+        fields["intensity"] = np.zeros(0, np.float32) if known is None else known
     side = run.sides[EPOCHS.index(epoch)]
-    return PointCloud(piece[f"{epoch}_xyz"], run.origin, side.crs, fields)
+    return PointCloud(piece.xyz, run.origin, side.crs, fields)
 
 
 def _raster(run: ChangeRun, labelled: Mapping[str, str]) -> GroundChange | None:
     """Lay the rasters of the tiles side by side, row 0 in the north."""
     cell = run.config.ground.report_cell
     edge = round(run.size / cell)
-    opened = {name: run.load(key) for name, key in labelled.items()}
-    known = {name: piece for name, piece in opened.items() if "raster_dz" in piece}
+    opened = {name: run.runner.load(TileLabels, key) for name, key in labelled.items()}
+    known = {name: piece for name, piece in opened.items() if piece.raster_dz is not None}
     if not known:
         return None
     places = {name: np.array([int(v) for v in name.split("_")]) for name in known}
@@ -172,7 +180,7 @@ def _raster(run: ChangeRun, labelled: Mapping[str, str]) -> GroundChange | None:
     for name, piece in known.items():
         column, row = ((places[name] - low) * edge).tolist()
         for field, grid in grids.items():
-            grid[rows - row - edge : rows - row, column : column + edge] = piece[f"raster_{field}"]
+            grid[rows - row - edge : rows - row, column : column + edge] = getattr(piece, f"raster_{field}")
     west, north = tile_named(f"{low[0]}_{high[1]}", run.size).core[0::3]
     return GroundChange(grids["dz"], grids["confidence"], west, north, cell)
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import logging
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, Protocol
 
@@ -17,7 +17,6 @@ from subiaco_geo.errors import InputError, errors_name
 from subiaco_geo.simulated import mark_simulated
 from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.topics import FIX, HEADING, IMU, LIDAR_PACKETS, MESSAGE_TYPES, METADATA, POINTS, TF_STATIC
-from subiaco_geo.work.store import Arrays
 from subiaco_geo.work.tasks import Inputs
 from subiaco_mapping.checkpoint.checkpoint import CheckpointedBackend, opened
 from subiaco_mapping.checkpoint.sequence_files import pack
@@ -36,7 +35,14 @@ from subiaco_mapping.preprocessing.conversions import (
     imu_from_msg,
     scan_from_points,
 )
-from subiaco_mapping.recordings import OneSequence, Recording, name_all, read_beside
+from subiaco_mapping.recordings import (
+    OneSequence,
+    PackedRecord,
+    ReadParams,
+    Recording,
+    name_all,
+    read_beside,
+)
 
 logger = logging.getLogger(__name__)
 _LEAST_ROOM = 100_000_000  # without which no map is begun [byte]
@@ -153,13 +159,13 @@ def run_sequence(
     backend.add_facts(**frontend.facts())
 
 
-def read_recording(_: Inputs, params: Mapping[str, Any]) -> Arrays:
-    """Read one recording as a piece of work: its scans go to the folder, all else is ``record``."""
-    config = params["config"]
-    sink = OneSequence(Path(params["folder"]), config)
-    with open_bag(Path(params["bag"]), config.topics) as reader:
+def read_recording(_: Inputs, params: ReadParams) -> PackedRecord:
+    """Read one recording as a task: its scans go to the folder, all else is returned."""
+    config = params.config
+    sink = OneSequence(Path(params.folder), config)
+    with open_bag(Path(params.bag), config.topics) as reader:
         run_sequence(reader, sink, config, silent, PlaceCheck(config.crs))
-    return {"record": np.frombuffer(pack(sink.record), dtype=np.uint8)}
+    return PackedRecord(np.frombuffer(pack(sink.record), dtype=np.uint8))
 
 
 def require_room_for(bags: Sequence[Path], output: Path) -> None:

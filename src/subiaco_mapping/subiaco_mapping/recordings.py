@@ -3,17 +3,21 @@
 from __future__ import annotations
 
 import shutil
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from contextlib import closing
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+from numpy.typing import NDArray
+
 from subiaco_geo.bag_files import sequence_name
 from subiaco_geo.errors import InputError
 from subiaco_geo.work.executors import make_executor
+from subiaco_geo.work.results import unpack
 from subiaco_geo.work.store import DiskStore
-from subiaco_geo.work.tasks import Function, Task
+from subiaco_geo.work.tasks import Inputs, Task
 from subiaco_mapping.backend import sequence_folder
 from subiaco_mapping.checkpoint.checkpoint import Checkpoint
 from subiaco_mapping.config import MappingConfig
@@ -36,6 +40,26 @@ class Recording:
         return sequence_name(self.bag)
 
 
+@dataclass(frozen=True)
+class ReadParams:
+    """What the reading of one recording depends on; its scans go to ``folder``."""
+
+    bag: str
+    content: str
+    folder: str
+    config: MappingConfig
+
+
+@dataclass(frozen=True)
+class PackedRecord:
+    """The record of a sequence, packed into bytes."""
+
+    record: NDArray[np.uint8]
+
+
+ReadFunction = Callable[[Inputs, ReadParams], PackedRecord]
+
+
 def name_all(recordings: Sequence[Recording]) -> dict[str, str]:
     """Return the content hash of every recording by its name.
 
@@ -56,7 +80,7 @@ def read_beside(
     recordings: Sequence[Recording],
     checkpoint: Checkpoint,
     config: MappingConfig,
-    read: Function,
+    read: ReadFunction,
     workers: int,
     report: ProgressCallback,
 ) -> None:
@@ -68,7 +92,7 @@ def read_beside(
     checkpoint : Checkpoint
     config : MappingConfig
     read : callable
-        The task; its parameters are ``bag``, ``content``, ``folder`` and ``config``.
+        The task.
     workers : int
     report : callable
         Told stage and fraction.
@@ -83,15 +107,17 @@ def read_beside(
     with closing(make_executor(min(workers, len(left)), preload=[read.__module__])) as executor:
         for done, spent in enumerate(executor.run(store, tasks), 1):
             task, recording = by_name[spent.name]
-            packed = store.load(task.key)["record"].tobytes()
+            packed = unpack(PackedRecord, store.load(task.key)).record.tobytes()
             checkpoint.keep(recording.number, recording.name, recording.content, packed)
             report("odometry", done / len(left))
 
 
-def _task(recording: Recording, checkpoint: Checkpoint, config: MappingConfig, read: Function) -> Task:
+def _task(
+    recording: Recording, checkpoint: Checkpoint, config: MappingConfig, read: ReadFunction
+) -> Task[ReadParams]:
     folder = sequence_folder(checkpoint.folder, recording.number)
-    given = {"bag": str(recording.bag), "content": recording.content, "folder": str(folder)}
-    return Task("odometry", folder.name, read, params={**given, "config": config})
+    params = ReadParams(str(recording.bag), recording.content, str(folder), config)
+    return Task("odometry", folder.name, read, {}, params)
 
 
 class OneSequence:

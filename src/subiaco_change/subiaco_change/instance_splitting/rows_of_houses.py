@@ -154,7 +154,7 @@ def _alone(before: Floats, after: Floats, xy: Floats) -> Ints:
 def _gaps(alone: Mask, shared: Mask) -> Ints:
     """Return numbers (S,), from 1, of stretches of one epoch alone between houses that both epochs share.
 
-    At the end of a row such a stretch may be a wing of the last house.
+    At the end of a row this kind of stretch may be a wing of the last house.
     """
     width = round(_STOREY.width / _CELL)
     numbers, count = ndimage.label(alone)

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 import shapely
@@ -11,47 +11,97 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
-from subiaco_change.tiling.epoch_tiles import EPOCHS, Side
-from subiaco_change.tiling.retiling import load_points, near_tile
+from subiaco_change.association.costs import AssociationConfig
+from subiaco_change.decisions.measures import MeasureConfig
+from subiaco_change.segmentation.ground_model import Mask
+from subiaco_change.tiling.epoch_tiles import Side
+from subiaco_change.tiling.instance_merging import EpochObjects
+from subiaco_change.tiling.retiling import LabelledPoints, load_points, near_tile
+from subiaco_change.tiling.stage_params import TileParams
 from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats, Ints
-from subiaco_geo.work.store import Arrays
 from subiaco_geo.work.tasks import Inputs
 
 _BOXES = 0.2  # overlap of bounding boxes, seen from above, of two objects that may be one
 _PLAY = 0.25  # added to every reach [m]
 
 
-def tile_links(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
+@dataclass(frozen=True)
+class CandidateSlice:
+    """What the search for candidate pairs reads of the configuration."""
+
+    measures: MeasureConfig
+    association: AssociationConfig
+
+
+@dataclass(frozen=True)
+class GroupSlice:
+    """What the grouping reads of the configuration."""
+
+    association: AssociationConfig
+
+
+@dataclass(frozen=True)
+class GroupParams(TileParams[GroupSlice]):
+    """``counts``: numbers of objects of *before* and of *after*."""
+
+    counts: tuple[int, int]
+
+
+@dataclass(frozen=True)
+class EpochPairs:
+    """Objects of one epoch in a tile.
+
+    ``pairs`` (F, 2): a building and another object that may be its extension; ``objects`` (K,): those with
+    points in the tile; ``sums`` (K, 8): points, sums of x, y, z, least and largest x and y, common frame.
+    """
+
+    pairs: Ints
+    objects: Ints
+    sums: Floats
+
+
+@dataclass(frozen=True)
+class CandidatePairs:
+    """Objects that come near each other in a tile; ``across`` (E, 2): of *before* and of *after*."""
+
+    across: Ints
+    before: EpochPairs
+    after: EpochPairs
+
+
+@dataclass(frozen=True)
+class CandidateGroups:
+    """Groups of objects that may interact.
+
+    ``tiles``: those that answer for groups; ``anchor`` (G,): position in ``tiles``; ``low`` and ``high``
+    (G, 2): box of the group in the common frame [m]; ``before`` and ``after`` (K,): group of every object.
+    """
+
+    tiles: tuple[str, ...]
+    anchor: Ints
+    low: Floats
+    high: Floats
+    before: Ints
+    after: Ints
+
+
+def tile_links(inputs: Inputs, params: TileParams[CandidateSlice]) -> CandidatePairs:
     """Find pairs of objects that come near each other in a tile.
 
-    Parameters
-    ----------
-    inputs : Inputs
-        ``points/<epoch>/<tile>`` of the tile and its neighbours, ``united/<epoch>``, frame.
-    params : mapping
-        ``tile size sides origin config``.
-
-    Returns
-    -------
-    arrays
-        ``across`` (E, 2), objects of *before* and *after* within reach; ``before after`` (F, 2), a
-        building and another object of one epoch that may be its wing. For each epoch ``<epoch>_objects``
-        (K,), those with points in the tile, and ``<epoch>_sums`` (K, 8): points, sums of x, y,
-        z, least and largest x and y, in the common frame.
+    ``inputs`` hold ``points/<epoch>/<tile>`` of the tile and its neighbours, ``united/<epoch>``, the frame.
     """
-    config = params["config"]
+    config = params.config
     reach = config.measures.tolerance + _PLAY
     touch = config.association.parts.touch + _PLAY
-    loaded = [_voxels(inputs, side, params, max(reach, touch)) for side in params["sides"]]
-    result: dict[str, Any] = {}
+    loaded = [_voxels(inputs, side, params, max(reach, touch)) for side in params.sides]
     (places_b, numbers_b, own_b), (places_a, numbers_a, own_a) = loaded
     forward = _near(places_b[own_b], numbers_b[own_b], places_a, numbers_a, reach)
     backward = _near(places_a[own_a], numbers_a[own_a], places_b, numbers_b, reach)
-    result["across"] = _unique(np.concatenate([forward, backward[:, ::-1]]))
-    for side, (places, numbers, own) in zip(params["sides"], loaded, strict=True):
-        united = inputs[f"united/{side.epoch}"]["semantic"]
+    found = []
+    for side, (places, numbers, own) in zip(params.sides, loaded, strict=True):
+        united = inputs.of(EpochObjects, f"united/{side.epoch}").semantic
         flat, of, inside = _columns(places, numbers, own, config.measures.voxel)
         house = united[of] == Semantic.BUILDING if len(of) else inside
         pairs = np.concatenate(
@@ -60,27 +110,29 @@ def tile_links(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
                 _near(flat[inside], of[inside], flat[house], of[house], touch),
             ]
         )
-        result[side.epoch] = _unique(pairs[pairs[:, 0] != pairs[:, 1]])
-        result |= _sums(inputs, side, params)
-    return result
+        links = _unique(pairs[pairs[:, 0] != pairs[:, 1]])
+        found.append(EpochPairs(links, *_sums(inputs, side, params)))
+    return CandidatePairs(_unique(np.concatenate([forward, backward[:, ::-1]])), found[0], found[1])
 
 
-def _numbered(inputs: Inputs, side: Side, name: str, params: Mapping[str, Any]) -> tuple[Floats, Ints]:
+def _numbered(inputs: Inputs, side: Side, name: str, origin: Floats) -> tuple[Floats, Ints]:
     """Points (N, 3) of objects in a tile, in the common frame, and their objects (N,)."""
-    alias = f"points/{side.epoch}/{name}"
-    if alias not in inputs:
+    piece = inputs.find(LabelledPoints, f"points/{side.epoch}/{name}")
+    if piece is None:
         return np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
-    number = inputs[alias]["number"].astype(np.int64)
-    return load_points(inputs, side, name, params).xyz[number >= 0], number[number >= 0]
+    number = piece.number.astype(np.int64)
+    return load_points(inputs, side, name, origin).xyz[number >= 0], number[number >= 0]
 
 
-def _voxels(inputs: Inputs, side: Side, params: Mapping[str, Any], rim: float) -> tuple[Floats, Ints, Any]:
+def _voxels(
+    inputs: Inputs, side: Side, params: TileParams[CandidateSlice], rim: float
+) -> tuple[Floats, Ints, Mask]:
     """Mean places (M, 3) of the voxels of objects around a tile, their objects, and which lie in it."""
-    edge = params["config"].measures.voxel
-    parts = [_numbered(inputs, side, name, params) for name in inputs.under(f"points/{side.epoch}")]
+    edge, origin = params.config.measures.voxel, params.origin
+    parts = [_numbered(inputs, side, name, origin) for name in inputs.under(f"points/{side.epoch}")]
     xyz = np.concatenate([np.zeros((0, 3)), *(p[0] for p in parts)])
     number = np.concatenate([np.zeros(0, np.int64), *(p[1] for p in parts)])
-    near = near_tile(params["tile"], rim + edge, params)(xyz)
+    near = near_tile(params.tile, rim + edge, params.size, origin)(xyz)
     xyz, number = xyz[near], number[near]
     keys = voxel_keys(voxel_indices(xyz, edge))
     order = np.lexsort((keys, number))
@@ -89,10 +141,10 @@ def _voxels(inputs: Inputs, side: Side, params: Mapping[str, Any], rim: float) -
     count = np.maximum(np.bincount(slot), 1) if len(slot) else np.ones(0)
     means = [np.bincount(slot, xyz[order, k], len(count)) / count for k in range(3)]
     places = np.stack(means, axis=1) if len(slot) else np.zeros((0, 3))
-    return places, number[order][fresh], near_tile(params["tile"], 0.0, params)(places)
+    return places, number[order][fresh], near_tile(params.tile, 0.0, params.size, origin)(places)
 
 
-def _columns(places: Floats, numbers: Ints, own: Any, edge: float) -> tuple[Floats, Ints, Any]:
+def _columns(places: Floats, numbers: Ints, own: Mask, edge: float) -> tuple[Floats, Ints, Mask]:
     """One place of every column of voxels of an object, seen from above."""
     cell = np.column_stack([numbers, np.floor(places[:, :2] / edge).astype(np.int64)])
     _, first = np.unique(cell, axis=0, return_index=True)
@@ -115,8 +167,9 @@ def _unique(pairs: Ints) -> Ints:
     return np.stack(np.divmod(np.unique(pairs[:, 0] * base + pairs[:, 1]), base), axis=1)
 
 
-def _sums(inputs: Inputs, side: Side, params: Mapping[str, Any]) -> dict[str, Any]:
-    xyz, number = _numbered(inputs, side, params["tile"], params)
+def _sums(inputs: Inputs, side: Side, params: TileParams[CandidateSlice]) -> tuple[Ints, Floats]:
+    """Objects (K,) of an epoch in a tile, and their sums (K, 8)."""
+    xyz, number = _numbered(inputs, side, params.tile, params.origin)
     objects, slot = np.unique(number, return_inverse=True)
     count = len(objects)
     sums = np.zeros((count, 8))
@@ -126,26 +179,20 @@ def _sums(inputs: Inputs, side: Side, params: Mapping[str, Any]) -> dict[str, An
     sums[:, 4:6], sums[:, 6:8] = np.inf, -np.inf
     np.minimum.at(sums[:, 4:6], slot, xyz[:, :2])
     np.maximum.at(sums[:, 6:8], slot, xyz[:, :2])
-    return {f"{side.epoch}_objects": objects.astype(np.int64), f"{side.epoch}_sums": sums}
+    return objects.astype(np.int64), sums
 
 
-def find_groups(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
-    """Join what is linked into groups, and give each to the tile that holds its middle.
-
-    Returns
-    -------
-    arrays
-        ``tiles`` names; ``anchor`` (G,) position in it; ``low high`` (G, 2) box of the group in
-        the common frame [m]; ``before after`` (K,), group of every object.
-    """
+def find_groups(inputs: Inputs, params: GroupParams) -> CandidateGroups:
+    """Join what is linked into groups, and give each to the tile that holds its middle."""
     tiles = inputs.under("candidate_pairs")
-    pieces = [inputs[f"candidate_pairs/{name}"] for name in tiles]
-    sums = [_total(pieces, epoch, int(params["counts"][e])) for e, epoch in enumerate(EPOCHS)]
+    pieces = [inputs.of(CandidatePairs, f"candidate_pairs/{name}") for name in tiles]
+    by_epoch = ([piece.before for piece in pieces], [piece.after for piece in pieces])
+    sums = [_total(own, count) for own, count in zip(by_epoch, params.counts, strict=True)]
     size_b, size_a = (len(s) for s in sums)
     edges = [np.zeros((0, 2), dtype=np.int64)]
     for piece in pieces:
-        edges += [piece["across"] + np.array([0, size_b]), piece["before"], piece["after"] + size_b]
-    edges.append(_alike(sums, params["config"].association.gate_distance) + np.array([0, size_b]))
+        edges += [piece.across + np.array([0, size_b]), piece.before.pairs, piece.after.pairs + size_b]
+    edges.append(_alike(sums, params.config.association.gate_distance) + np.array([0, size_b]))
     pairs = np.concatenate(edges)
     nodes = size_b + size_a
     graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(nodes, nodes))
@@ -153,28 +200,23 @@ def find_groups(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
     every = np.concatenate(sums)
     count = int(group.max(initial=-1)) + 1
     total = np.stack([np.bincount(group, every[:, k], count) for k in range(3)], axis=1)
-    middle = total[:, 1:3] / np.maximum(total[:, :1], 1.0) + params["origin"][:2]
-    names = [f"{c}_{r}" for c, r in np.floor(middle / params["size"]).astype(int).tolist()]
+    middle = total[:, 1:3] / np.maximum(total[:, :1], 1.0) + params.origin[:2]
+    names = [f"{c}_{r}" for c, r in np.floor(middle / params.size).astype(int).tolist()]
     anchors, anchor = np.unique(np.array(names, dtype=np.str_), return_inverse=True)
     low, high = np.full((count, 2), np.inf), np.full((count, 2), -np.inf)
     np.minimum.at(low, group, every[:, 4:6])
     np.maximum.at(high, group, every[:, 6:8])
-    return {
-        "tiles": anchors,
-        "anchor": anchor.astype(np.int64),
-        "low": low,
-        "high": high,
-        "before": group[:size_b],
-        "after": group[size_b:],
-    }
+    return CandidateGroups(
+        tuple(anchors.tolist()), anchor.astype(np.int64), low, high, group[:size_b], group[size_b:]
+    )
 
 
-def _total(pieces: list[Arrays], epoch: str, count: int) -> Floats:
+def _total(pieces: Sequence[EpochPairs], count: int) -> Floats:
     """Add up the sums (K, 8) of every object over the tiles."""
     total = np.zeros((count, 8))
     total[:, 4:6], total[:, 6:8] = np.inf, -np.inf
     for piece in pieces:
-        objects, sums = piece[f"{epoch}_objects"], piece[f"{epoch}_sums"]
+        objects, sums = piece.objects, piece.sums
         total[objects, :4] += sums[:, :4]
         total[objects, 4:6] = np.minimum(total[objects, 4:6], sums[:, 4:6])
         total[objects, 6:8] = np.maximum(total[objects, 6:8], sums[:, 6:8])

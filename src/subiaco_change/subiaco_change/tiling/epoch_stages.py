@@ -6,7 +6,6 @@ import logging
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -26,24 +25,27 @@ from subiaco_change.registration.pair import (
 )
 from subiaco_change.spacing import PointSpacing, spacing_scale
 from subiaco_change.sparse import at_spacing
+from subiaco_change.tiling.alignment import StatedPoses
 from subiaco_change.tiling.epoch_tiles import (
     EPOCHS,
     FIELDS,
     CutCloud,
     Side,
+    TilePoints,
     corners,
     cut_beams,
     cut_cloud,
     tiles_between,
 )
-from subiaco_change.tiling.expected_visibility_stage import render_tile
-from subiaco_change.tiling.frame_arrays import in_frame, registration_of
-from subiaco_change.tiling.instance_merging import unite
-from subiaco_change.tiling.levelling import find_upright
-from subiaco_change.tiling.registration_stage import find_registration
-from subiaco_change.tiling.retiling import recut_tile
-from subiaco_change.tiling.tile_segmentation import prepare_tile
-from subiaco_change.tiling.trails import find_trails
+from subiaco_change.tiling.expected_visibility_stage import RenderParams, TileViews, render_tile
+from subiaco_change.tiling.instance_merging import MergingParams, unite
+from subiaco_change.tiling.levelling import LevellingParams, find_upright
+from subiaco_change.tiling.registration_stage import RegistrationParams, RegistrationSlice, find_registration
+from subiaco_change.tiling.retiling import EpochTileParams, LabelledPoints, recut_tile
+from subiaco_change.tiling.stage_params import slice_of
+from subiaco_change.tiling.stored_frame import PairRegistration, in_frame
+from subiaco_change.tiling.tile_segmentation import SegmentationParams, SegmentationSlice, prepare_tile
+from subiaco_change.tiling.trails import TrailParams, find_trails
 from subiaco_change.visibility_evidence import evidence_kind
 from subiaco_geo.crs import Transform, transformer
 from subiaco_geo.errors import InputError
@@ -55,7 +57,6 @@ from subiaco_geo.simulated import SIMULATIONS
 from subiaco_geo.sources import Epoch
 from subiaco_geo.tiles import neighbours, split_by_tile, tile_named
 from subiaco_geo.trajectories import Trajectory
-from subiaco_geo.work.store import Arrays
 from subiaco_geo.work.task_runner import TaskRunner
 from subiaco_geo.work.tasks import Task
 
@@ -154,7 +155,7 @@ class Epochs:
         low: list[dict[tuple[int, int], float]] = [{}, {}]
         for e, side in enumerate(self.sides):
             for name in chosen:
-                low[e] |= lowest_points(self.load(self.clouds[side.epoch][name])["xyz"] + side.origin)
+                low[e] |= lowest_points(self._cloud(side.epoch, name).xyz + side.origin)
         refuse_height_offset(low[0], low[1])
 
     def follow_spacing(self) -> None:
@@ -177,7 +178,7 @@ class Epochs:
         self.clouds[name] = found.keys
         self.kept_points += found.kept
         for field_name in self.given:
-            if any(field_name not in self.load(key) for key in found.keys.values()):
+            if any(getattr(self._cloud(name, tile), field_name) is None for tile in found.keys):
                 raise InputError(
                     f"{name}: no point field {field_name!r} to take as given; name it so in the file"
                 )
@@ -222,8 +223,8 @@ class Epochs:
             return told
         parts = []
         for key in self.beams[name].values():
-            piece = self.load(key)
-            parts.append(ViewHistogram(*(piece[field] for field in ("above", "ranges"))))
+            piece = self.runner.load(TileViews, key)
+            parts.append(ViewHistogram(piece.above, piece.ranges))
         return estimate_view(parts, self.config.evidence.poses)
 
     def _trails(self, side: Side) -> dict[str, str]:
@@ -231,16 +232,14 @@ class Epochs:
         own, semantics = self.clouds[side.epoch], self.config.semantics
         shape = semantics.trail_shape
         shape = shape.model_copy(update={"cell": shape.cell * spacing_scale(side.spacing)})
-        params = {
-            "size": self.size,
-            "side": replace(side, epoch=ALONE),
-            "semantics": semantics.model_copy(update={"trail_shape": shape}),
-        }
-        upright = self._upright(replace(side, epoch=ALONE), own)
+        semantics = semantics.model_copy(update={"trail_shape": shape})
+        alone = replace(side, epoch=ALONE)
+        upright = self._upright(alone, own)
         tasks = []
         for name in sorted(own):
             inputs = {f"cloud/{n}": own[n] for n in (name, *neighbours(name, own))} | upright
-            tasks.append(Task("trails", name, find_trails, inputs, {"tile": name, **params}))
+            params = TrailParams(name, self.size, alone, semantics)
+            tasks.append(Task("trails", name, find_trails, inputs, params))
         return self.runner.run(tasks, (0.02, 0.03))
 
     def _render(self, side: Side, way: Trajectory) -> dict[str, str]:
@@ -256,10 +255,7 @@ class Epochs:
             around = [name, *(neighbours(name, own, rings) if len(looking) else ())]
             inputs = {f"cloud/{n}": own[n] for n in around if n in own}
             inputs |= {f"trails/{n}": self.trails[side.epoch][n] for n in around if n in own}
-            params = {
-                "tile": name, "size": self.size, "side": side, "config": config, "poses": looking,
-                "moved": moved,
-            }  # fmt: skip
+            params = RenderParams(name, self.size, side, config, looking, moved)
             tasks.append(Task("expected_visibility", name, render_tile, inputs, params))
         return self.runner.run(tasks, (0.02, 0.05))
 
@@ -269,24 +265,23 @@ class Epochs:
         if found is None or way is None or len(found.times_ns) == 0:
             return
         positions = way.at(found.times_ns)[:, :3, 3]
-        arrays = {"positions": positions, "covariances": found.covariances}
-        self.poses[f"poses/{name}"] = self.runner.put("poses", name, arrays)
+        stated = StatedPoses(positions, found.covariances)
+        self.poses[f"poses/{name}"] = self.runner.put("poses", name, stated)
 
     def register(self, transform: Floats | None) -> str:
         """Register the epochs, and beside it label every tile of each in its own frame; return the key."""
         clouds = {f"cloud/{e}/{n}": k for e in EPOCHS for n, k in self.clouds[e].items()}
-        params = {**self.registering(), "transform": transform}
-        task = Task("registration", "all", find_registration, clouds, params)
-        stages = [[task], *(self._semantics(side) for side in self.sides)]
+        task = Task("registration", "all", find_registration, clouds, self.registering(transform))
+        stages: list[Sequence[Task[Any]]] = [[task], *(self._semantics(side) for side in self.sides)]
         found, *prepared = self.runner.together(stages, (0.05, 0.47))
         self.prepared = dict(zip(EPOCHS, prepared, strict=True))
         for warning in self.registration(found["all"]).warnings:
             _LOG.warning("registration: %s", warning)
         return found["all"]
 
-    def registering(self) -> dict[str, Any]:
-        """Return the parameters of a registration."""
-        return {"sides": self.sides, "config": self.keep("registration", "registration_points", "leaf")}
+    def registering(self, transform: Floats | None) -> RegistrationParams:
+        """Return the parameters of a registration, or of a given transform."""
+        return RegistrationParams(self.sides, slice_of(RegistrationSlice, self.config), transform)
 
     def common(self, key: str) -> CommonFrame:
         """Return the common frame of the registration under a key, without corrections."""
@@ -294,28 +289,25 @@ class Epochs:
 
     def registration(self, key: str) -> Registration:
         """Return the registration under a key."""
-        return registration_of(self.runner.store.load(key))
+        return self.runner.load(PairRegistration, key).registration
 
     def number(self) -> None:
         """Give the objects of both epochs numbers over their tiles."""
-        params = {"given": "instance" in self.given}
+        params = MergingParams("instance" in self.given)
         inputs = [{f"prepared/{n}": k for n, k in self.prepared[epoch].items()} for epoch in EPOCHS]
         stages = [[Task("objects", "all", unite, own, params)] for own in inputs]
         found = self.runner.together(stages, (0.47, 0.48))
         self.united = {epoch: keys["all"] for epoch, keys in zip(EPOCHS, found, strict=True)}
 
-    def _semantics(self, side: Side) -> list[Task]:
+    def _semantics(self, side: Side) -> list[Task[SegmentationParams]]:
         """Tasks of one epoch; they do not tell whether it is *before* or *after*, and serve as both."""
-        reads = ("semantics", "instances", "evidence", "leaf", "normal_radius", "without", "measures")
+        config = slice_of(SegmentationSlice, self.config)
         tiles, own = self.config.tiles, self.clouds[side.epoch]
         alone = replace(side, epoch=ALONE)
         upright = self._upright(alone, own)
         tasks = []
         for name in sorted(own):
-            params = {
-                "tile": name, "side": alone, "config": self.keep(*reads), "given": self.given,
-                "size": self.size, "overlap": tiles.overlap, "edge": tiles.edge,
-            }  # fmt: skip
+            params = SegmentationParams(name, self.size, tiles.overlap, tiles.edge, alone, config, self.given)
             inputs = {f"cloud/{n}": own[n] for n in (name, *neighbours(name, own))} | upright
             box = corners_around(name, self.size, tiles.overlap + SIGHT)
             beams = self.beams_at(side, box) if side.kind == "observed" else {}
@@ -329,9 +321,8 @@ class Epochs:
         """Find what makes a local cloud upright."""
         if side.crs is not None:
             return {}
-        task = Task(
-            "levelling", "all", find_upright, {f"cloud/{n}": k for n, k in own.items()}, {"side": side}
-        )
+        clouds = {f"cloud/{n}": k for n, k in own.items()}
+        task = Task("levelling", "all", find_upright, clouds, LevellingParams(side))
         return {"levelling": self.runner.one(task, (0.05, 0.05))}
 
     def recut(self, registration: str) -> None:
@@ -343,15 +334,15 @@ class Epochs:
             for tile, names in sorted(self._reached(side, frame).items()):
                 inputs = {f"cloud/{n}": own[n] for n in names} | {f"prepared/{n}": prepared[n] for n in names}
                 inputs |= {"united": self.united[side.epoch], "registration": registration}
-                params = {"tile": tile, "size": self.size, "side": side, "origin": self.origin}
+                params = EpochTileParams(tile, self.size, side, self.origin)
                 tasks.append(Task("retiling", f"{side.epoch}_{tile}", recut_tile, inputs, params))
         keys = self.runner.run(tasks, (0.48, 0.5))
         for epoch in EPOCHS:
             found = {n.removeprefix(f"{epoch}_"): k for n, k in keys.items() if n.startswith(f"{epoch}_")}
-            pieces = {n: self.load(k) for n, k in found.items()}
-            held = [n for n, piece in pieces.items() if len(piece["semantic"])]
+            pieces = {n: self.runner.load(LabelledPoints, k) for n, k in found.items()}
+            held = [n for n, piece in pieces.items() if len(piece.semantic)]
             self.points[epoch] = {n: found[n] for n in held}
-            self.lit[epoch] = all("intensity" in pieces[n] for n in held)
+            self.lit[epoch] = all(pieces[n].intensity is not None for n in held)
 
     def _reached(self, side: Side, frame: CommonFrame) -> dict[str, list[str]]:
         """Tiles of the common frame that an epoch's own tiles reach into, and which of these."""
@@ -360,16 +351,12 @@ class Epochs:
             return {name: [name] for name in own}
         reached: dict[str, list[str]] = {}
         for name in sorted(own):
-            xyz = self.load(own[name])["xyz"]
+            xyz = self._cloud(side.epoch, name).xyz
             box = corners(xyz[:, :2].min(axis=0), xyz[:, :2].max(axis=0), xyz[:, 2].min(), xyz[:, 2].max())
             moved = in_frame(box, side, frame).world()[:, :2]
             for tile in tiles_between(moved.min(axis=0), moved.max(axis=0), self.size):
                 reached.setdefault(tile, []).append(name)
         return reached
-
-    def keep(self, *names: str) -> SimpleNamespace:
-        """Keep of the configuration what a stage reads: another setting elsewhere redoes nothing."""
-        return SimpleNamespace(**{name: getattr(self.config, name) for name in names})
 
     def beams_at(self, side: Side, world: Floats) -> dict[str, str]:
         """Tiles of beams, or of poses that look there, of an epoch around places (N, 3) of its world."""
@@ -386,9 +373,9 @@ class Epochs:
         near = tiles_between(low, high, edge)
         return {f"beams/{side.epoch}/{n}": known[n] for n in near if n in known}
 
-    def load(self, key: str) -> Arrays:
-        """Return what a task left."""
-        return self.runner.store.load(key)
+    def _cloud(self, epoch: str, tile: str) -> TilePoints:
+        """Return the points of an epoch in one of its own tiles."""
+        return self.runner.load(TilePoints, self.clouds[epoch][tile])
 
 
 def corners_around(name: str, size: float, rim: float) -> Floats:

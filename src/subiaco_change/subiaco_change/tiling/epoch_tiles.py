@@ -16,7 +16,7 @@ from subiaco_change.spacing import STREET_SPACING, joint_spacing, neighbour_spac
 from subiaco_change.visibility_evidence import Kind
 from subiaco_geo.clouds import PointCloud, unpack_voxel_keys, voxel_downsample
 from subiaco_geo.crs import Transform
-from subiaco_geo.frames import Floats
+from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.free_space.sensor_view import SensorView
 from subiaco_geo.tiles import split_by_tile
 from subiaco_geo.visibility import VisibilityGrid
@@ -64,6 +64,36 @@ class Side:
     voxel: float
     spacing: float = STREET_SPACING
     view: SensorView | None = None
+
+
+@dataclass(frozen=True)
+class TilePoints:
+    """Points of a tile of one epoch, thinned to the leaf: ``xyz`` (N, 3) about the origin of the epoch [m].
+
+    ``intensity``, ``semantic`` and ``instance`` (N,) where the cloud has them.
+    """
+
+    xyz: Floats
+    intensity: NDArray[Any] | None
+    semantic: NDArray[Any] | None
+    instance: NDArray[Any] | None
+
+
+@dataclass(frozen=True)
+class Coordinates:
+    """What all stored points have: ``xyz`` (N, 3) [m]."""
+
+    xyz: Floats
+
+
+@dataclass(frozen=True)
+class TileBeams:
+    """Voxels of beams in a tile: ``keys``, ``hits`` and ``passes`` (M,), ``moving`` (M,) where known."""
+
+    keys: Ints
+    hits: NDArray[np.uint32]
+    passes: NDArray[np.uint32]
+    moving: NDArray[Any] | None
 
 
 class Spill:
@@ -161,7 +191,7 @@ def cut_cloud(
         for name, arrays in spill.tiles():
             thin = voxel_downsample(PointCloud(arrays.pop("xyz"), origin, None, arrays), leaf)
             kept += len(thin)
-            keys[name] = runner.put("cut", name, {"xyz": thin.xyz, **thin.fields})
+            keys[name] = runner.put("cut", name, TilePoints(thin.xyz, *(thin.fields.get(f) for f in FIELDS)))
             spacings.append(neighbour_spacings(thin.xyz))
     return CutCloud(keys, low, high, points, kept, joint_spacing(spacings))
 
@@ -183,7 +213,8 @@ def cut_beams(runner: TaskRunner, parts: Iterable[VisibilityGrid], size: float) 
                     columns["moving"] = part.moving[m]
                 spill.add(name, columns)
         for name, arrays in spill.tiles():
-            keys[name] = runner.put("beams", name, arrays)
+            own = TileBeams(arrays["keys"], arrays["hits"], arrays["passes"], arrays.get("moving"))
+            keys[name] = runner.put("beams", name, own)
     return keys
 
 
@@ -205,14 +236,15 @@ def no_beams(corner: Floats, voxel: float) -> VisibilityGrid:
 
 def load_beams(inputs: Inputs, alias: str, corner: Floats, voxel: float) -> VisibilityGrid:
     """Put the tiles of beams under ``alias/`` together."""
-    names = ("keys", "hits", "passes", "moving")
-    found = join((inputs[f"{alias}/{name}"] for name in inputs.under(alias)), names)
-    if not found:
+    parts = [inputs.of(TileBeams, f"{alias}/{name}") for name in inputs.under(alias)]
+    if not parts:
         return no_beams(corner, voxel)
-    order = np.argsort(found["keys"], kind="stable")
-    moving = found["moving"][order] if "moving" in found else None
-    keys, hits, passes = (found[name][order] for name in names[:3])
-    return VisibilityGrid(corner, voxel, keys, hits, passes, moving)
+    keys = np.concatenate([part.keys for part in parts])
+    order = np.argsort(keys, kind="stable")
+    hits, passes = np.concatenate([p.hits for p in parts]), np.concatenate([p.passes for p in parts])
+    known = [part.moving for part in parts if part.moving is not None]
+    moving = np.concatenate(known)[order] if len(known) == len(parts) else None
+    return VisibilityGrid(corner, voxel, keys[order], hits[order], passes[order], moving)
 
 
 def tiles_between(low: Floats, high: Floats, size: float) -> list[str]:

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
-from subiaco_change.tiling.epoch_tiles import Side, join, load_beams
+from subiaco_change.tiling.epoch_tiles import Side, TilePoints, load_beams
+from subiaco_change.tiling.trails import TileTrails
 from subiaco_change.visibility_evidence import EvidenceConfig, Kind, Observer, make_observer, poses_observer
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.crs import transformer
-from subiaco_geo.frames import Floats
+from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.free_space.depth_images import DepthImages
 from subiaco_geo.free_space.expected_visibility import (
     ExpectedVisibility,
@@ -24,70 +25,80 @@ from subiaco_geo.free_space.sensor_view import spin_axes
 from subiaco_geo.free_space.view_estimation import estimate_view, view_histogram
 from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.tiles import tile_named
-from subiaco_geo.work.store import Arrays
 from subiaco_geo.work.tasks import Inputs
 
 
-def render_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
+@dataclass(frozen=True)
+class RenderParams:
+    """Parameters of the rendering; ``poses`` (K, 4, 4) are those in the tile.
+
+    Points hide nothing from a probability of ``moved`` on of having been left by a moving object.
+    """
+
+    tile: str
+    size: float
+    side: Side
+    config: ExpectedVisibilityConfig
+    poses: Floats
+    moved: float
+
+
+@dataclass(frozen=True)
+class TileViews:
+    """Depth images of the poses in a tile, and what the tile holds.
+
+    ``eyes`` (K, 3), ``axes`` (K, 3) and ``images`` (K, rows, columns) of
+    :class:`~subiaco_geo.free_space.depth_images.DepthImages`; ``occupied`` (M,), keys of the voxels with
+    points; ``above`` and ``ranges``, what the points need of a sensor.
+    """
+
+    eyes: Floats
+    axes: Floats
+    images: NDArray[np.uint16]
+    occupied: Ints
+    above: Ints
+    ranges: Ints
+
+
+def render_tile(inputs: Inputs, params: RenderParams) -> TileViews:
     """Render what the poses in a tile of an epoch must have seen, and what the tile holds.
 
-    Parameters
-    ----------
-    inputs : Inputs
-        ``cloud/<tile>`` as far around as a pose looks, of the tile alone where it has no poses;
-        ``trails/<tile>`` beside them.
-    params : mapping
-        ``tile size side config poses moved``: the configuration of expected visibility, the poses
-        (K, 4, 4) in the tile, and the probability of having moved from which points hide nothing.
-
-    Returns
-    -------
-    arrays
-        ``eyes axes images`` of the poses, ``occupied`` keys of the tile's voxels with points, and
-        ``above ranges``, what its points need of a sensor.
+    ``inputs`` hold ``cloud/<tile>`` as far around as a pose looks, of the tile alone where it has no poses,
+    and ``trails/<tile>`` beside them.
     """
-    side: Side = params["side"]
-    config = params["config"]
-    poses = params["poses"]
-    tile = tile_named(params["tile"], params["size"], config.max_range)
-    parts = [_standing(inputs, name, params["moved"]) for name in inputs.under("cloud")]
+    side, config, poses = params.side, params.config, params.poses
+    tile = tile_named(params.tile, params.size, config.max_range)
+    parts = [_standing(inputs, name, params.moved) for name in inputs.under("cloud")]
     world = np.concatenate([np.zeros((0, 3)), *parts]) + side.origin
     world = world[tile.in_buffered(world[:, :2])]
     own = world[tile.in_core(world[:, :2])]
     images = render_views(world, poses[:, :3, 3].copy(), spin_axes(poses[:, :3, :3]), config)
     needs = view_histogram(own, images, config)
-    return {
-        "eyes": images.eyes,
-        "axes": images.axes,
-        "images": images.images,
-        "occupied": OccupiedVoxels.of(own, side.corner, config.occupied).keys,
-        "above": needs.above,
-        "ranges": needs.ranges,
-    }
+    occupied = OccupiedVoxels.of(own, side.corner, config.occupied).keys
+    return TileViews(images.eyes, images.axes, images.images, occupied, needs.above, needs.ranges)
 
 
 def _standing(inputs: Inputs, name: str, limit: float) -> Floats:
     """Return the points (N, 3) of a tile that no moving object left: a ghost trail hides nothing."""
-    xyz = np.asarray(inputs[f"cloud/{name}"]["xyz"])
-    trails = inputs.get(f"trails/{name}")
-    return xyz[trails["moved"] < limit] if "moved" in trails else xyz
+    xyz = inputs.of(TilePoints, f"cloud/{name}").xyz
+    trails = inputs.find(TileTrails, f"trails/{name}")
+    return xyz if trails is None else xyz[trails.moved < limit]
 
 
 def load_expected(
     inputs: Inputs, alias: str, side: Side, config: ExpectedVisibilityConfig
 ) -> ExpectedVisibility:
     """Put the pieces of :func:`render_tile` under ``alias/`` together."""
-    found = join(
-        (inputs[f"{alias}/{name}"] for name in inputs.under(alias)), ("eyes", "axes", "images", "occupied")
-    )
+    parts = [inputs.of(TileViews, f"{alias}/{name}") for name in inputs.under(alias)]
     grid = image_grid(config)
-    if not found:
+    if not parts:
         none = np.zeros((0, 3))
         images = DepthImages(none, none, np.zeros((0, grid.rows, grid.columns), dtype=np.uint16), grid)
         keys = np.zeros(0, dtype=np.int64)
     else:
-        images = DepthImages(found["eyes"], found["axes"], found["images"], grid)
-        keys = np.unique(found["occupied"])  # a voxel on the border of two tiles is in both
+        eyes, axes = np.concatenate([p.eyes for p in parts]), np.concatenate([p.axes for p in parts])
+        images = DepthImages(eyes, axes, np.concatenate([p.images for p in parts]), grid)
+        keys = np.unique(np.concatenate([p.occupied for p in parts]))  # on a border, two tiles hold a voxel
     view = estimate_view([], config) if side.view is None else side.view
     return ExpectedVisibility(images, OccupiedVoxels(keys, side.corner, side.voxel), view, config)
 

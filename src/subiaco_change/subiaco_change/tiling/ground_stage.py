@@ -2,30 +2,116 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-import shapely
 from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
+from shapely.geometry.base import BaseGeometry
 
 from subiaco_change.decisions.ground_cells import GroundCells, GroundChangeConfig, difference_cells
 from subiaco_change.decisions.ground_change import GroundPatch, beyond_gate, find_patches
 from subiaco_change.tiling.retiling import near_tile
+from subiaco_change.tiling.stage_params import TileParams
 from subiaco_change.tiling.tile_surroundings import load_region
+from subiaco_change.visibility_evidence import EvidenceConfig
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats, Ints
-from subiaco_geo.tiles import Tile, tile_named
-from subiaco_geo.work.store import Arrays
+from subiaco_geo.tiles import Tile
 from subiaco_geo.work.tasks import Inputs
 
 _SIGNS = (1.0, -1.0)
 _CELLS = ("dz", "lod", "bridged", "known", "height", "other")
 _RIM = 10.0  # around a tile, so that its own cells know their surroundings [m]
+
+
+@dataclass(frozen=True)
+class GroundSlice:
+    """What the difference of the ground reads of the configuration."""
+
+    evidence: EvidenceConfig
+    ground: GroundChangeConfig
+
+
+@dataclass(frozen=True)
+class PatchSlice:
+    """What patches of the ground read of the configuration."""
+
+    ground: GroundChangeConfig
+
+
+@dataclass(frozen=True)
+class PatchStart:
+    """A patch that begins in a tile: its direction (0 raised, 1 lowered), number, and all tiles of it."""
+
+    direction: int
+    number: int
+    tiles: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class PatchParams(TileParams[PatchSlice]):
+    """``patches``: those that begin in the tile."""
+
+    patches: tuple[PatchStart, ...]
+
+
+@dataclass(frozen=True)
+class ThresholdLabels:
+    """Components (2, rows, columns) of the cells of a tile beyond the gate, raised and lowered; 0: none."""
+
+    labels: Ints
+
+
+@dataclass(frozen=True)
+class Components:
+    """Components of one direction over all tiles: label k of tile t is ``patch[offset[t] + k - 1]``."""
+
+    offset: Ints
+    patch: Ints
+
+
+@dataclass(frozen=True)
+class JoinedComponents:
+    """Components over all ``tiles``, of raised and of lowered ground, each numbered from 0."""
+
+    tiles: tuple[str, ...]
+    raised: Components
+    lowered: Components
+
+    def of(self, direction: int) -> Components:
+        """Return the components of a direction, 0 or 1."""
+        return self.lowered if direction else self.raised
+
+
+@dataclass(frozen=True)
+class PatchRow:
+    """A patch of changed ground: area [m2], mean difference, its spread, level of detection, height [m].
+
+    ``outline`` in the common frame.
+    """
+
+    change: Change
+    area: float
+    dz: float
+    dz_spread: float
+    lod: float
+    confidence: float
+    reason: str
+    height: float
+    outline: BaseGeometry
+
+
+@dataclass(frozen=True)
+class TilePatches:
+    """Patches that begin in a tile; ``cells`` (C, 3): row and column over the city, position in ``rows``."""
+
+    rows: tuple[PatchRow, ...]
+    cells: Ints
 
 
 def _window(tile: Tile, origin: Floats, config: GroundChangeConfig) -> tuple[Floats, tuple[int, int], int]:
@@ -35,27 +121,18 @@ def _window(tile: Tile, origin: Floats, config: GroundChangeConfig) -> tuple[Flo
     return low - origin[:2], (count, count), round((tile.core[0] - tile.buffered[0]) / config.cell)
 
 
-def tile_ground(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
-    """Difference the ground in the cells of a tile.
-
-    Returns
-    -------
-    arrays
-        Of :class:`~subiaco_change.decisions.ground_change.GroundCells`, row 0 in the south.
-    """
-    config = params["config"].ground
-    tile = tile_named(params["tile"], params["size"], _RIM)
-    origin = np.asarray(params["origin"])
-
-    near = near_tile(params["tile"], _RIM, params)
-    views = [load_region(inputs, side, params, near).view for side in params["sides"]]
+def tile_ground(inputs: Inputs, params: TileParams[GroundSlice]) -> GroundCells:
+    """Difference the ground in the cells of a tile."""
+    config, origin, tile = params.config.ground, params.origin, params.square(_RIM)
+    near = near_tile(params.tile, _RIM, params.size, origin)
+    views = [load_region(inputs, side, origin, params.config.evidence, near).view for side in params.sides]
     corner, shape, rim = _window(tile, origin, config)
     if any(not (view.semantic == Semantic.GROUND).any() for view in views):
         nothing, none = np.full(shape, np.nan), np.zeros(shape, dtype=bool)
         cells = GroundCells(nothing, nothing, none, none, nothing, none)
     else:
         cells = difference_cells(views[0], views[1], corner, shape, config)
-    return {name: getattr(cells, name)[rim:-rim, rim:-rim] for name in _CELLS}
+    return GroundCells(*(getattr(cells, name)[rim:-rim, rim:-rim] for name in _CELLS))
 
 
 def _mosaic(
@@ -68,42 +145,36 @@ def _mosaic(
     shape = tuple(((high - low + 1)[::-1] * edge).tolist())
     whole: dict[str, NDArray[Any]] = {}
     for (column, row), name in zip((places - low).tolist(), names, strict=True):
-        piece = inputs[f"ground/{name}"]
+        piece = inputs.of(GroundCells, f"ground/{name}")
         for field in _CELLS:
-            part = piece[field]
+            part = getattr(piece, field)
             empty = False if part.dtype == bool else np.nan
             array = whole.setdefault(field, np.full(shape, empty, dtype=part.dtype))
             array[row * edge : (row + 1) * edge, column * edge : (column + 1) * edge] = part
     return GroundCells(**whole), low * size
 
 
-def tile_over(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
-    """Label the cells of a tile beyond the gate, for either direction: ``labels`` (2, rows, columns)."""
-    config = params["config"].ground
-    cells, south_west = _mosaic(inputs, inputs.under("ground"), params["size"], config)
-    tile = tile_named(params["tile"], params["size"], 0.0)
-    edge = round(params["size"] / config.cell)
-    column, row = np.round((np.array(tile.core[:2]) - south_west) / config.cell).astype(int).tolist()
+def tile_over(inputs: Inputs, params: TileParams[PatchSlice]) -> ThresholdLabels:
+    """Label the cells of a tile beyond the gate, for either direction."""
+    config = params.config.ground
+    cells, south_west = _mosaic(inputs, inputs.under("ground"), params.size, config)
+    edge = round(params.size / config.cell)
+    column, row = (
+        np.round((np.array(params.square().core[:2]) - south_west) / config.cell).astype(int).tolist()
+    )
     inner = np.s_[row : row + edge, column : column + edge]
     labels = [
         ndimage.label(beyond_gate(cells, sign, config)[inner], structure=np.ones((3, 3)))[0]
         for sign in _SIGNS
     ]
-    return {"labels": np.stack(labels).astype(np.int32)}
+    return ThresholdLabels(np.stack(labels))
 
 
-def join_over(inputs: Inputs, _: Mapping[str, Any]) -> Arrays:
-    """Join what goes on across the edges of tiles.
-
-    Returns
-    -------
-    arrays
-        ``tiles`` (T,); ``offset`` (2, T + 1); ``patch`` (2, L), number of label k of tile t at
-        ``offset[d, t] + k - 1``; for each direction d numbers count on.
-    """
+def join_over(inputs: Inputs, _: TileParams[PatchSlice]) -> JoinedComponents:
+    """Join components that continue across the edges of tiles."""
     tiles = inputs.under("threshold_components")
-    labels = {name: inputs[f"threshold_components/{name}"]["labels"] for name in tiles}
-    result: dict[str, Any] = {"tiles": np.array(tiles, dtype=np.str_)}
+    labels = {name: inputs.of(ThresholdLabels, f"threshold_components/{name}").labels for name in tiles}
+    found = []
     for d in range(2):
         counts = [int(labels[name][d].max(initial=0)) for name in tiles]
         offset = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
@@ -114,18 +185,14 @@ def join_over(inputs: Inputs, _: Mapping[str, Any]) -> Arrays:
             for dc, dr in ((1, 0), (0, 1), (1, 1), (1, -1)):
                 other = f"{column + dc}_{row + dr}"
                 if other in labels:
-                    found = _across(labels[name][d], labels[other][d], dc, dr)
-                    pairs.append(found + np.array([start[name] - 1, start[other] - 1]))
+                    touching = _across(labels[name][d], labels[other][d], dc, dr)
+                    pairs.append(touching + np.array([start[name] - 1, start[other] - 1]))
         links = np.concatenate(pairs)
         size = int(offset[-1])
         graph = coo_array((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(size, size))
-        result[f"offset_{d}"] = offset
-        result[f"patch_{d}"] = (
-            connected_components(graph.tocsr(), directed=False)[1].astype(np.int64)
-            if size
-            else np.zeros(0, np.int64)
-        )
-    return result
+        patch = connected_components(graph.tocsr(), directed=False)[1] if size else np.zeros(0, np.int64)
+        found.append(Components(offset, patch.astype(np.int64)))
+    return JoinedComponents(tuple(tiles), found[0], found[1])
 
 
 def _across(first: Ints, second: Ints, dc: int, dr: int) -> Ints:
@@ -145,58 +212,39 @@ def _across(first: Ints, second: Ints, dc: int, dr: int) -> Ints:
     return np.unique(np.concatenate(found), axis=0).astype(np.int64)
 
 
-def patch_tiles(over: Arrays) -> dict[str, list[tuple[int, int, list[str]]]]:
-    """Return, for the first tile of every patch, direction, number and all tiles of it."""
-    tiles = over["tiles"].tolist()
-    result: dict[str, list[tuple[int, int, list[str]]]] = {}
+def patch_tiles(over: JoinedComponents) -> dict[str, list[PatchStart]]:
+    """Return the patches by the first of their tiles."""
+    tiles = over.tiles
+    result: dict[str, list[PatchStart]] = {}
     for d in range(2):
-        offset, patch = over[f"offset_{d}"], over[f"patch_{d}"]
+        offset, patch = over.of(d).offset, over.of(d).patch
         owner = np.repeat(np.arange(len(tiles)), np.diff(offset))
         pairs = np.unique(np.column_stack([patch, owner]), axis=0) if len(patch) else np.zeros((0, 2), int)
         for number in np.unique(patch).tolist():
-            names = [tiles[t] for t in pairs[pairs[:, 0] == number, 1].tolist()]
-            result.setdefault(names[0], []).append((d, number, names))
+            names = tuple(tiles[t] for t in pairs[pairs[:, 0] == number, 1].tolist())
+            result.setdefault(names[0], []).append(PatchStart(d, number, names))
     return result
 
 
-def tile_patches(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
-    """Measure the patches that begin in a tile, and keep those large and clear enough.
-
-    Returns
-    -------
-    arrays
-        ``records``, JSON: what changed, area, mean difference, spread, level of detection,
-        height and outline in the common frame; ``cells`` (C, 3): row and column of the city's cells, patch.
-    """
-    words: list[dict[str, Any]] = []
+def tile_patches(inputs: Inputs, params: PatchParams) -> TilePatches:
+    """Measure the patches that begin in a tile, and keep those large and clear enough."""
+    rows: list[PatchRow] = []
     cells = [np.zeros((0, 3), dtype=np.int64)]
-    for patch, height, base in _own_patches(inputs, params):
-        cells.append(np.column_stack([patch.cells + base, np.full(len(patch.cells), len(words))]))
-        words.append(
-            {
-                "change": int(patch.change),
-                "area": patch.area,
-                "dz": patch.dz,
-                "dz_spread": patch.dz_spread,
-                "lod": patch.lod,
-                "confidence": patch.confidence,
-                "reason": patch.reason,
-                "height": height,
-                "outline": shapely.to_wkb(patch.outline, hex=True),
-            }
-        )
-    return {"records": np.array(json.dumps(words)), "cells": np.concatenate(cells)}
+    for p, height, base in _own_patches(inputs, params):
+        cells.append(np.column_stack([p.cells + base, np.full(len(p.cells), len(rows))]))
+        found = (p.change, p.area, p.dz, p.dz_spread, p.lod, p.confidence, p.reason)
+        rows.append(PatchRow(*found, height, p.outline))
+    return TilePatches(tuple(rows), np.concatenate(cells))
 
 
-def _own_patches(inputs: Inputs, params: Mapping[str, Any]) -> Iterator[tuple[GroundPatch, float, Ints]]:
+def _own_patches(inputs: Inputs, params: PatchParams) -> Iterator[tuple[GroundPatch, float, Ints]]:
     """Yield patches that begin in a tile, their height in *after* [m], and where their cells count from."""
-    config, size = params["config"].ground, params["size"]
-    own = params["patches"]
+    config, size, own = params.config.ground, params.size, params.patches
     around = inputs.under("ground")
     cells, south_west = _mosaic(inputs, around, size, config)
     numbers = [_numbers(inputs, d, around, size, config) for d in range(2)]
-    wanted = [np.array([k for d, k, _ in own if d == e], dtype=np.int64) for e in range(2)]
-    corner = south_west - np.asarray(params["origin"])[:2]
+    wanted = [np.array([p.number for p in own if p.direction == e], dtype=np.int64) for e in range(2)]
+    corner = south_west - params.origin[:2]
     base = np.round(south_west / config.cell).astype(np.int64)[::-1]
     for patch in find_patches(cells, corner, config)[1]:
         direction = 0 if patch.change is Change.INCREASED else 1
@@ -205,17 +253,16 @@ def _own_patches(inputs: Inputs, params: Mapping[str, Any]) -> Iterator[tuple[Gr
             yield patch, float(np.nanmedian(cells.height[where])), base
 
 
-def _numbers(inputs: Inputs, d: int, names: list[str], size: float, config: GroundChangeConfig) -> Ints:
+def _numbers(inputs: Inputs, d: int, names: Sequence[str], size: float, config: GroundChangeConfig) -> Ints:
     """Return the number over the city of what each cell hangs together with, -1 for none."""
-    over = inputs["threshold_components"]
-    tiles = over["tiles"].tolist()
-    offset, patch = over[f"offset_{d}"], over[f"patch_{d}"]
+    over = inputs.of(JoinedComponents, "threshold_components")
+    tiles, offset, patch = over.tiles, over.of(d).offset, over.of(d).patch
     places = np.array([[int(v) for v in name.split("_")] for name in names])
     low = places.min(axis=0)
     edge = round(size / config.cell)
     numbers = np.full(tuple(((places.max(axis=0) - low + 1)[::-1] * edge).tolist()), -1, dtype=np.int64)
     for name, (column, row) in zip(names, (places - low).tolist(), strict=True):
-        labels = inputs[f"over_labels/{name}"]["labels"][d]
+        labels = inputs.of(ThresholdLabels, f"over_labels/{name}").labels[d]
         first = int(offset[tiles.index(name)])
         known = np.concatenate([[-1], patch[first : first + int(labels.max(initial=0))]])
         numbers[row * edge : (row + 1) * edge, column * edge : (column + 1) * edge] = known[labels]

@@ -2,56 +2,56 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from subiaco_change.tiling.tile_segmentation import TileSegmentation
 from subiaco_geo.frames import Floats, Ints
-from subiaco_geo.work.store import Arrays
 from subiaco_geo.work.tasks import Inputs
 
 _SHARED = 0.5  # share of the smaller fragment, of the points that both tiles see, that makes two one
 _LEAST = 3  # points
 
 
-def unite(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
-    """Give the objects of one epoch numbers over all tiles.
+@dataclass(frozen=True)
+class MergingParams:
+    """``given``: whether instances were given, and carry one number everywhere."""
 
-    Parameters
-    ----------
-    inputs : Inputs
-        ``prepared/<tile>`` of every tile.
-    params : mapping
-        ``given``: whether instances were given, and carry one number everywhere.
+    given: bool
 
-    Returns
-    -------
-    arrays
-        ``tiles`` (T,) names; ``offset`` (T + 1,); ``number`` (L,) int32, object of number k of
-        tile t at ``offset[t] + k``, -1 where none of it lies in any tile; ``semantic`` (K,) uint8
-        and ``points`` (K,) of the objects.
+
+@dataclass(frozen=True)
+class EpochObjects:
+    """The objects of one epoch over all tiles.
+
+    ``number`` (L,): object of number k of tile t at ``offset[t] + k``, -1 where none of its points lies in
+    a tile; ``semantic`` (K,) and ``points`` (K,): class and number of points of the objects.
     """
+
+    tiles: tuple[str, ...]
+    offset: Ints
+    number: NDArray[np.int32]
+    semantic: NDArray[np.uint8]
+    points: Ints
+
+
+def unite(inputs: Inputs, params: MergingParams) -> EpochObjects:
+    """Give the objects of one epoch numbers over all tiles, from ``prepared/<tile>`` of every tile."""
     tiles = inputs.under("prepared")
-    summaries = [np.asarray(inputs[f"prepared/{name}"]["objects"]) for name in tiles]
+    summaries = [inputs.of(TileSegmentation, f"prepared/{name}").objects for name in tiles]
     offset = np.concatenate([[0], np.cumsum([len(s) for s in summaries])]).astype(np.int64)
     every = np.concatenate([np.zeros((0, 4)), *summaries])
-    if params["given"]:
+    if params.given:
         number = np.concatenate([np.zeros(0, np.int64), *(np.arange(len(s)) for s in summaries)])
         group = np.unique(number, return_inverse=True)[1]
     else:
         group = _groups(_links(inputs, tiles, offset, every), len(every))
     number, semantic, points = _renumber(group.astype(np.int64), every)
-    return {
-        "tiles": np.array(tiles, dtype=np.str_),
-        "offset": offset,
-        "number": number.astype(np.int32),
-        "semantic": semantic.astype(np.uint8),
-        "points": points,
-    }
+    return EpochObjects(tuple(tiles), offset, number.astype(np.int32), semantic.astype(np.uint8), points)
 
 
 def _links(inputs: Inputs, tiles: list[str], offset: Ints, every: Floats) -> Ints:
@@ -59,13 +59,13 @@ def _links(inputs: Inputs, tiles: list[str], offset: Ints, every: Floats) -> Int
     slot = {name: t for t, name in enumerate(tiles)}
     shared: dict[tuple[int, int], list[Ints]] = {}
     for name in tiles:
-        piece = inputs[f"prepared/{name}"]
-        count = len(piece["semantic"])
-        seen, inner = piece["instance"][count:], piece["inner"][count:]
-        near, index = piece["near_tile"], piece["near_index"]
-        for position, other in enumerate(piece["neighbours"].tolist()):
+        piece = inputs.of(TileSegmentation, f"prepared/{name}")
+        count = len(piece.semantic)
+        seen, inner = piece.instance[count:], piece.inner[count:]
+        near, index = piece.near_tile, piece.near_index
+        for position, other in enumerate(piece.neighbours):
             members = (near == position) & inner
-            there = inputs[f"prepared/{other}"]["instance"][index[members]]
+            there = inputs.of(TileSegmentation, f"prepared/{other}").instance[index[members]]
             pair = np.column_stack([seen[members], there]).astype(np.int64)
             a, b = slot[name], slot[other]
             rows = pair if a < b else pair[:, ::-1]
@@ -111,10 +111,10 @@ def _renumber(group: Ints, every: Floats) -> tuple[Ints, Ints, Ints]:
 
 def object_numbers(inputs: Inputs, tile: str, count: int) -> NDArray[np.int32]:
     """Object (N,) int32 of the points of a tile, -1 for none, from ``united`` and ``prepared/<tile>``."""
-    united = inputs["united"]
-    position = int(np.flatnonzero(united["tiles"] == tile)[0])
-    own = np.asarray(inputs[f"prepared/{tile}"]["instance"][:count], dtype=np.int64)
+    united = inputs.of(EpochObjects, "united")
+    position = united.tiles.index(tile)
+    own = inputs.of(TileSegmentation, f"prepared/{tile}").instance[:count].astype(np.int64)
     found = own >= 0
     result = np.full(count, -1, dtype=np.int32)
-    result[found] = united["number"][int(united["offset"][position]) + own[found]]
+    result[found] = united.number[int(united.offset[position]) + own[found]]
     return result

@@ -2,22 +2,31 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
-from dataclasses import asdict, dataclass, fields
+from collections.abc import Sequence
+from dataclasses import dataclass
 from typing import Any
 
-import numpy as np
 import shapely
+from shapely.geometry.base import BaseGeometry
 
-from subiaco_change.decisions.confidence import decided_anew
+from subiaco_change.decisions.confidence import ConfidenceConfig, decided_anew
 from subiaco_change.decisions.object_decision import ObjectChange
 from subiaco_change.decisions.plant_decisions import decide_plant
+from subiaco_change.decisions.plant_measures import PlantConfig
+from subiaco_change.decisions.rules import DecisionConfig
 from subiaco_change.decisions.vegetation_null import PlantMeasures, fit_null, null_of, null_words
 from subiaco_change.records import ChangeRecord
-from subiaco_geo.codes import Change, Semantic
-from subiaco_geo.work.store import Arrays
+from subiaco_change.tiling.stage_params import TileParams
+from subiaco_geo.frames import Ints
+from subiaco_geo.work.results import register_codec
 from subiaco_geo.work.tasks import Inputs
+
+
+def _well_known_text(shape: Any) -> str:
+    return str(shapely.to_wkb(shape, hex=True))
+
+
+register_codec(BaseGeometry, _well_known_text, shapely.from_wkb)
 
 
 @dataclass(frozen=True)
@@ -29,81 +38,87 @@ class PlantRow:
     lod: float
 
 
-def plant_words(changes: list[ObjectChange]) -> str:
-    """Write the plants among the rows of a tile as JSON."""
-    rows = [PlantRow(k, c.plant, c.lod) for k, c in enumerate(changes) if c.plant is not None]
-    return json.dumps([asdict(row) for row in rows])
+@dataclass(frozen=True)
+class RowPoints:
+    """Points of the rows in one epoch; ``points`` (P, 3): position among ``tiles``, place there, row."""
+
+    tiles: tuple[str, ...]
+    points: Ints
 
 
-def plant_rows(compared: Arrays) -> list[PlantRow]:
-    """Read the plants of a tile."""
-    return [
-        PlantRow(words["row"], PlantMeasures(**words["plant"]), words["lod"])
-        for words in json.loads(str(compared["plants"]))
-    ]
+@dataclass(frozen=True)
+class TileComparison:
+    """Rows of the groups of a tile.
 
-
-def find_vegetation_null(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
-    """Fit what the unchanged plants of the whole pair differ by.
-
-    Parameters
-    ----------
-    inputs : Inputs
-        ``compared/<tile>`` of every tile.
-    params : mapping
-        ``config``.
-
-    Returns
-    -------
-    arrays
-        ``null``, JSON.
+    Parts of objects have numbers below zero in ``records``; ``plants``: what was measured of the plants among
+    the rows.
     """
+
+    records: tuple[ChangeRecord, ...]
+    plants: tuple[PlantRow, ...]
+    before: RowPoints
+    after: RowPoints
+
+    def of(self, epoch: str) -> RowPoints:
+        """Return the points of an epoch."""
+        return self.before if epoch == "before" else self.after
+
+
+@dataclass(frozen=True)
+class TileRows:
+    """Rows of the groups of a tile in their order, decided."""
+
+    records: tuple[ChangeRecord, ...]
+
+
+@dataclass(frozen=True)
+class FittedNull:
+    """Null distribution of the plants of the pair, as JSON."""
+
+    words: str
+
+
+@dataclass(frozen=True)
+class PlantSlice:
+    """What the null distribution reads of the configuration."""
+
+    plants: PlantConfig
+
+
+@dataclass(frozen=True)
+class PlantDecisionSlice:
+    """What the decision of plants reads of the configuration."""
+
+    decisions: DecisionConfig
+    plants: PlantConfig
+    confidence: ConfidenceConfig
+
+
+def plants_of(changes: Sequence[ObjectChange]) -> tuple[PlantRow, ...]:
+    """Return the plants among the rows of a tile."""
+    return tuple(PlantRow(k, c.plant, c.lod) for k, c in enumerate(changes) if c.plant is not None)
+
+
+def find_vegetation_null(inputs: Inputs, params: TileParams[PlantSlice]) -> FittedNull:
+    """Fit what the unchanged plants of the pair differ by, from ``compared/<tile>`` of all tiles."""
     plants = [
-        row.plant for tile in inputs.under("compared") for row in plant_rows(inputs[f"compared/{tile}"])
+        row.plant
+        for tile in inputs.under("compared")
+        for row in inputs.of(TileComparison, f"compared/{tile}").plants
     ]
-    return {"null": np.array(null_words(fit_null(plants, params["config"].plants.null_model)))}
+    return FittedNull(null_words(fit_null(plants, params.config.plants.null_model)))
 
 
-def decide_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
+def decide_tile(inputs: Inputs, params: TileParams[PlantDecisionSlice]) -> TileRows:
     """Decide the plants of a tile again, with the null of the pair; all other rows stay as they are.
 
-    Parameters
-    ----------
-    inputs : Inputs
-        ``compared``, ``null``.
-    params : mapping
-        ``config``.
-
-    Returns
-    -------
-    arrays
-        ``records``, JSON of the rows in their order.
+    ``inputs`` hold ``compared`` of the tile and ``null``.
     """
-    config = params["config"]
-    null = null_of(str(inputs["null"]["null"]), config.plants.null_model)
-    rows = [record_of(words) for words in json.loads(str(inputs["compared"]["records"]))]
-    for found in plant_rows(inputs["compared"]):
+    config = params.config
+    null = null_of(inputs.of(FittedNull, "null").words, config.plants.null_model)
+    compared = inputs.of(TileComparison, "compared")
+    rows = list(compared.records)
+    for found in compared.plants:
         decision = decide_plant(found.plant, found.lod, config.decisions, null)
         rows[found.row] = decided_anew(rows[found.row], decision, config.confidence)
-    return {"records": np.array(json.dumps([record_words(row) for row in rows]))}
-
-
-def record_words(record: ChangeRecord) -> dict[str, Any]:
-    """Return a row as what JSON holds, footprints as WKB."""
-    words = {f.name: getattr(record, f.name) for f in fields(record)}
-    return {**words, "footprint": shapely.to_wkb(record.footprint, hex=True)}
-
-
-def record_of(words: Mapping[str, Any]) -> ChangeRecord:
-    """Return the row that :func:`record_words` took apart."""
-    return ChangeRecord(
-        **{
-            **words,
-            "semantic": Semantic(words["semantic"]),
-            "change": Change(words["change"]),
-            "id_before": tuple(words["id_before"]),
-            "id_after": tuple(words["id_after"]),
-            "features": tuple(words["features"]),
-            "footprint": shapely.from_wkb(words["footprint"]),
-        }
-    )
+    return TileRows(tuple(rows))

@@ -4,66 +4,71 @@ from __future__ import annotations
 
 import hashlib
 import logging
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 
 from subiaco_change.records import Registration
+from subiaco_change.registration.config import RegistrationConfig
 from subiaco_change.registration.register import given_registration, register
-from subiaco_change.tiling.epoch_tiles import Side, corners
-from subiaco_change.tiling.frame_arrays import registration_arrays, registration_of
+from subiaco_change.tiling.alignment import ChangedPoints
+from subiaco_change.tiling.epoch_tiles import Coordinates, Side, corners
+from subiaco_change.tiling.stored_frame import REGISTRATION, PairRegistration
 from subiaco_geo.clouds import PointCloud, voxel_downsample
 from subiaco_geo.errors import RegistrationError
-from subiaco_geo.work.store import Arrays
+from subiaco_geo.frames import Floats
 from subiaco_geo.work.tasks import Inputs
 
 _LOG = logging.getLogger(__name__)
 
 
-def find_registration(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
-    """Register two epochs, or take a given transform.
+@dataclass(frozen=True)
+class RegistrationSlice:
+    """What the registration reads of the configuration."""
 
-    Parameters
-    ----------
-    inputs : Inputs
-        ``cloud/<epoch>/<tile>``.
-    params : mapping
-        ``sides config transform``.
-    """
+    registration: RegistrationConfig
+    registration_points: int
+    leaf: float
+
+
+@dataclass(frozen=True)
+class RegistrationParams:
+    """Parameters of a registration; ``transform`` (4, 4) in the world [m] where it is given."""
+
+    sides: tuple[Side, ...]
+    config: RegistrationSlice
+    transform: Floats | None
+
+
+def find_registration(inputs: Inputs, params: RegistrationParams) -> PairRegistration:
+    """Register two epochs, or take a given transform; ``inputs`` hold ``cloud/<epoch>/<tile>``."""
     before, after = gather(inputs, params)
-    config, transform = params["config"].registration, params["transform"]
+    config, transform = params.config.registration, params.transform
     if transform is None:
-        return registration_arrays(register(before, after, config))
+        return PairRegistration(register(before, after, config), 0.0, None)
     method = "identity" if np.array_equal(transform, np.eye(4)) else "given"
-    return registration_arrays(given_registration(transform, before, after, config, method))
+    return PairRegistration(given_registration(transform, before, after, config, method), 0.0, None)
 
 
-def register_again(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
-    """Refine a registration without what its pass calls changed.
-
-    Returns
-    -------
-    arrays
-        Of the new registration, with ``shift``, how far it moves *before* at most [m]; or of
-        the first one, with ``failed``, why it was kept.
-    """
-    first = registration_of(inputs["registration"])
+def register_again(inputs: Inputs, params: RegistrationParams) -> PairRegistration:
+    """Refine a registration without what its comparison calls changed."""
+    first = inputs.of(PairRegistration, REGISTRATION).registration
     before, after = gather(inputs, params)
     masks = [np.asarray(cloud.fields["changed"], dtype=bool) for cloud in (before, after)]
     try:
-        again = register(before, after, params["config"].registration, masks[0], masks[1], start=first)
+        again = register(before, after, params.config.registration, masks[0], masks[1], start=first)
     except RegistrationError as error:
         note = f"the second estimate, without changed places, failed and the first is kept: {error}"
         _LOG.warning(note)
-        return {**registration_arrays(first), "failed": np.array(note), "shift": np.float64(0.0)}
-    return {**registration_arrays(again), "shift": np.float64(shift(first, again, before))}
+        return PairRegistration(first, 0.0, note)
+    return PairRegistration(again, shift(first, again, before), None)
 
 
 Part = tuple[PointCloud, PointCloud]  # a tile of before and of after
 
 
-def gather(inputs: Inputs, params: Mapping[str, Any]) -> tuple[PointCloud, PointCloud]:
+def gather(inputs: Inputs, params: RegistrationParams) -> tuple[PointCloud, PointCloud]:
     """Points of both epochs (*before*, *after*), field ``changed``: 1 where an earlier pass calls them so.
 
     What a city takes in memory does not grow with it: where an epoch has more than
@@ -71,7 +76,7 @@ def gather(inputs: Inputs, params: Mapping[str, Any]) -> tuple[PointCloud, Point
     of a random sample all over the city represent it. Coarser voxels would lose the walls.
     Epochs without CRS need not have the same tiles at the same places, and are only thinned.
     """
-    sides, config = params["sides"], params["config"]
+    sides, config = params.sides, params.config
     local = any(side.crs is None for side in sides)
     names = sorted({name for side in sides for name in inputs.under(f"cloud/{side.epoch}")}, key=_lot)
     parts: dict[str, Part] = {}
@@ -106,9 +111,10 @@ def _joined(clouds: Sequence[PointCloud], side: Side) -> PointCloud:
 
 def _load(inputs: Inputs, side: Side, name: str) -> PointCloud:
     own = f"cloud/{side.epoch}/{name}"
-    xyz = inputs.once(own)["xyz"] if own in inputs else np.zeros((0, 3))
+    xyz = inputs.once(Coordinates, own).xyz if own in inputs else np.zeros((0, 3))
     alias = f"changed/{side.epoch}/{name}"
-    changed = inputs.once(alias)["changed"] if alias in inputs else np.zeros(len(xyz), dtype=bool)
+    known = alias in inputs
+    changed = inputs.once(ChangedPoints, alias).changed if known else np.zeros(len(xyz), dtype=bool)
     return PointCloud(xyz, side.origin, side.crs, {"changed": changed.astype(np.float32)})
 
 

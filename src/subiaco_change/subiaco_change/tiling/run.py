@@ -2,17 +2,20 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
 from itertools import pairwise
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 
 from subiaco_change.decisions.confidence import discounted
 from subiaco_change.level_of_detection.common_frame import CommonFrame
 from subiaco_change.tiling.alignment import (
+    DisplacementSlice,
+    LodSlice,
+    PlacingSlice,
     find_bias,
     find_sigma,
     find_warp,
@@ -21,19 +24,44 @@ from subiaco_change.tiling.alignment import (
     tile_lods,
     tile_residuals,
 )
-from subiaco_change.tiling.candidate_groups import find_groups, tile_links
+from subiaco_change.tiling.candidate_groups import (
+    CandidateGroups,
+    CandidateSlice,
+    GroupParams,
+    GroupSlice,
+    find_groups,
+    tile_links,
+)
 from subiaco_change.tiling.epoch_stages import SIGHT, Epochs, corners_around
 from subiaco_change.tiling.epoch_tiles import EPOCHS, tiles_between
-from subiaco_change.tiling.ground_stage import join_over, patch_tiles, tile_ground, tile_over, tile_patches
-from subiaco_change.tiling.label_stage import label_tile, tile_changed
-from subiaco_change.tiling.plant_stage import decide_tile, find_vegetation_null
+from subiaco_change.tiling.ground_stage import (
+    GroundSlice,
+    JoinedComponents,
+    PatchParams,
+    PatchSlice,
+    join_over,
+    patch_tiles,
+    tile_ground,
+    tile_over,
+    tile_patches,
+)
+from subiaco_change.tiling.instance_merging import EpochObjects
+from subiaco_change.tiling.label_stage import ChangedParams, LabelSlice, label_tile, tile_changed
+from subiaco_change.tiling.plant_stage import (
+    PlantDecisionSlice,
+    PlantSlice,
+    decide_tile,
+    find_vegetation_null,
+)
 from subiaco_change.tiling.registration_stage import register_again
-from subiaco_change.tiling.retiling import place_tile
+from subiaco_change.tiling.retiling import EpochTileParams, place_tile
+from subiaco_change.tiling.stage_params import TileParams, slice_of
+from subiaco_change.tiling.stored_frame import PairRegistration
 from subiaco_change.tiling.table_stage import Table, build_table
-from subiaco_change.tiling.tile_comparison import compare_tile
+from subiaco_change.tiling.tile_comparison import ComparisonSlice, compare_tile
 from subiaco_change.visibility_evidence import weakest
 from subiaco_geo.tiles import neighbours
-from subiaco_geo.work.tasks import Function, Task
+from subiaco_geo.work.tasks import Inputs, Task
 
 #: Stages in their order; *compare* and what it rests on run twice where the registration is refined.
 STAGES = (
@@ -42,31 +70,12 @@ STAGES = (
     "candidate_pairs", "groups", "compare", "vegetation_null", "decide", "ground",
     "threshold_components", "patches", "changed", "refine", "labels",
 )  # fmt: skip
-#: Slices of the configuration that each of the stages after *objects* reads.
-_READS = {
-    "heights": ("placing",),
-    "bias": ("placing",),
-    "residuals": ("placing", "lod"),
-    "warp": ("placing",),
-    "displacements": ("placing", "lod"),
-    "sigma": ("placing",),
-    "lod": ("placing", "lod", "without"),
-    "candidate_pairs": ("measures", "association"),
-    "groups": ("association",),
-    "compare": ("evidence", "measures", "association", "decisions", "plants", "confidence", "without"),
-    "vegetation_null": ("plants",),
-    "decide": ("decisions", "plants", "confidence"),
-    "ground": ("evidence", "ground"),
-    "threshold_components": ("ground",),
-    "patches": ("ground",),
-    "changed": ("ground",),
-    "labels": ("evidence", "ground", "measures", "without"),
-}
+Slice = TypeVar("Slice")
 _RIM = 10.0  # around a tile, or a group of objects, tasks take points [m]
 
 
 @dataclass(frozen=True)
-class Pass:
+class ComparisonResult:
     """One comparison with one registration: keys of what it left, by stage and tile."""
 
     registration: str
@@ -94,25 +103,26 @@ class ChangeRun(Epochs):
 
     def compare(
         self, registration: str, changed: Mapping[str, str] | None, span: tuple[float, float]
-    ) -> Pass:
+    ) -> ComparisonResult:
         """Compare the epochs at a registration; ``changed``: masks of an earlier pass by epoch and tile."""
         steps = np.linspace(*span, 11)
         spans = list(pairwise(steps.tolist()))
         frame, sigma, lods = self.place(registration, changed, (spans[0][0], spans[3][1]))
-        links = self._per_tile("candidate_pairs", tile_links, self._linked(frame), spans[4])
-        counts = [len(self.runner.store.load(self.united[e])["points"]) for e in EPOCHS]
-        groups = self._reduce(
-            "groups", find_groups, "candidate_pairs", links, frame, spans[5], counts=tuple(counts)
-        )
+        links = self._per_tile("candidate_pairs", tile_links, CandidateSlice, self._linked(frame), spans[4])
+        counts = self._counts()
+        inputs = {**frame, **{f"candidate_pairs/{tile}": key for tile, key in links.items()}}
+        config = slice_of(GroupSlice, self.config)
+        params = GroupParams("all", self.size, self.sides, self.origin, config, counts)
+        groups = self.runner.one(Task("groups", "all", find_groups, inputs, params), spans[5])
         comparing, reach = self._groups(groups, frame, lods)
-        grounds = self._tasks("ground", tile_ground, self._seen(frame, lods, sight=False))
+        grounds = self._tasks("ground", tile_ground, GroundSlice, self._seen(frame, lods, sight=False))
         compared, ground = self.runner.together([comparing, grounds], (spans[6][0], spans[7][1]))
         patched, patch_reach = self._patches(ground, spans[8])
         decided = self._decide(compared, spans[8])
         trust = partial(discounted, simulated=self.simulated, config=self.config.confidence)
-        table = build_table(self.runner.store, decided, patched, counts, self.origin, self._weaker(), trust)
-        key = self.runner.put("table", "all", table.arrays)
-        return Pass(
+        table = build_table(self.runner, decided, patched, counts, self.origin, self._weaker(), trust)
+        key = self.runner.put("table", "all", table.columns)
+        return ComparisonResult(
             registration,
             frame,
             sigma,
@@ -140,29 +150,37 @@ class ChangeRun(Epochs):
         spans = list(pairwise(np.linspace(*span, 5).tolist()))
         frame = {"registration": registration}
         self.placed = {}
-        frame["bias"] = self._smooth("heights", tile_heights, "bias", find_bias, frame, spans[0])
+        heights = self._per_tile("heights", tile_heights, PlacingSlice, self._pair(frame, 0, None), spans[0])
+        frame["bias"] = self._reduce("bias", find_bias, PlacingSlice, "heights", heights, frame, spans[0])
         if self.config.placing.warp.enabled:
-            more = changed or {}
-            frame["warp"] = self._smooth(
-                "residuals", tile_residuals, "warp", find_warp, frame, spans[1], more
+            around = self._pair(frame, 1, changed or {})
+            residuals = self._per_tile("residuals", tile_residuals, DisplacementSlice, around, spans[1])
+            frame["warp"] = self._reduce(
+                "warp", find_warp, PlacingSlice, "residuals", residuals, frame, spans[1]
             )
         self.placed = self._place(frame, spans[1])
-        found = self._per_tile("displacements", tile_displacements, self._pair(frame, 1, changed), spans[2])
-        sigma = self._reduce("sigma", find_sigma, "displacements", found, frame, spans[3])
+        around = self._pair(frame, 1, changed)
+        found = self._per_tile("displacements", tile_displacements, DisplacementSlice, around, spans[2])
+        sigma = self._reduce("sigma", find_sigma, PlacingSlice, "displacements", found, frame, spans[3])
         lod_inputs = {
             t: {**self._around(t, frame, 0), "sigma": sigma, "displacements": found[t], **self.poses}
             for t in self.tiles
         }
-        return frame, sigma, self._per_tile("lod", tile_lods, lod_inputs, spans[3])
+        return frame, sigma, self._per_tile("lod", tile_lods, LodSlice, lod_inputs, spans[3])
 
     def _place(self, frame: Mapping[str, str], span: tuple[float, float]) -> dict[str, str]:
         """Bring *before* into the frame; keys by tile."""
         side = self.sides[0]
         tasks = []
         for tile, key in self.points["before"].items():
-            params = {"tile": tile, "side": side, "origin": self.origin}
+            params = EpochTileParams(tile, self.size, side, self.origin)
             tasks.append(Task("alignment", tile, place_tile, {**frame, f"points/before/{tile}": key}, params))
         return self.runner.run(tasks, span)
+
+    def _counts(self) -> tuple[int, int]:
+        """Numbers of objects of *before* and of *after*."""
+        before, after = (len(self.runner.load(EpochObjects, self.united[e]).points) for e in EPOCHS)
+        return before, after
 
     def _weaker(self) -> str:
         return weakest(side.kind for side in self.sides)
@@ -224,75 +242,66 @@ class ChangeRun(Epochs):
             inputs |= self.beams_at(self.sides[0], common.before_world(corners - self.origin))
         return inputs
 
-    def _params(self, stage: str, tile: str, **more: Any) -> dict[str, Any]:
-        config = self.keep(*_READS[stage])
-        return {
-            "tile": tile, "size": self.size, "sides": self.sides, "origin": self.origin,
-            "config": config, **more,
-        }  # fmt: skip
+    def _params(self, tile: str, config: type[Slice]) -> TileParams[Slice]:
+        return TileParams(tile, self.size, self.sides, self.origin, slice_of(config, self.config))
 
     def _per_tile(
         self,
         stage: str,
-        function: Function,
+        function: Callable[[Inputs, TileParams[Slice]], Any],
+        config: type[Slice],
         inputs: Mapping[str, Mapping[str, str]],
         span: tuple[float, float],
     ) -> dict[str, str]:
-        return self.runner.run(self._tasks(stage, function, inputs), span)
+        return self.runner.run(self._tasks(stage, function, config, inputs), span)
 
-    def _tasks(self, stage: str, function: Function, inputs: Mapping[str, Mapping[str, str]]) -> list[Task]:
-        return [Task(stage, tile, function, own, self._params(stage, tile)) for tile, own in inputs.items()]
+    def _tasks(
+        self,
+        stage: str,
+        function: Callable[[Inputs, TileParams[Slice]], Any],
+        config: type[Slice],
+        inputs: Mapping[str, Mapping[str, str]],
+    ) -> list[Task[TileParams[Slice]]]:
+        return [Task(stage, tile, function, own, self._params(tile, config)) for tile, own in inputs.items()]
 
     def _reduce(
         self,
         stage: str,
-        function: Function,
+        function: Callable[[Inputs, TileParams[Slice]], Any],
+        config: type[Slice],
         alias: str,
         keys: Mapping[str, str],
         frame: Mapping[str, str],
         span: tuple[float, float],
-        **more: Any,
     ) -> str:
+        """Make one result of the results of all tiles."""
         inputs = {**frame, **{f"{alias}/{tile}": key for tile, key in keys.items()}}
-        return self.runner.one(Task(stage, "all", function, inputs, self._params(stage, "all", **more)), span)
-
-    def _smooth(
-        self,
-        alias: str,
-        function: Function,
-        stage: str,
-        reduce: Function,
-        frame: Mapping[str, str],
-        span: tuple[float, float],
-        changed: Mapping[str, str] | None = None,
-    ) -> str:
-        """Hand numbers of all tiles up, and make a smooth field of them."""
-        rings = 0 if changed is None else 1
-        keys = self._per_tile(alias, function, self._pair(frame, rings, changed), span)
-        return self._reduce(stage, reduce, alias, keys, frame, span)
+        return self.runner.one(Task(stage, "all", function, inputs, self._params("all", config)), span)
 
     def _groups(
         self, groups: str, frame: Mapping[str, str], lods: Mapping[str, str]
-    ) -> tuple[list[Task], dict[str, list[str]]]:
+    ) -> tuple[list[Task[TileParams[ComparisonSlice]]], dict[str, list[str]]]:
         """Tasks that compare the groups of every tile that answers for some; and the tiles that each sees."""
-        found = self.runner.store.load(groups)
+        found = self.runner.load(CandidateGroups, groups)
         inputs, reach = {}, {}
         common = self.common(frame["registration"])
-        low = found["low"] + self.origin[:2] - _RIM
-        high = found["high"] + self.origin[:2] + _RIM
-        for position, tile in enumerate(found["tiles"].tolist()):
-            mine = np.flatnonzero(found["anchor"] == position).tolist()
+        low = found.low + self.origin[:2] - _RIM
+        high = found.high + self.origin[:2] + _RIM
+        for position, tile in enumerate(found.tiles):
+            mine = np.flatnonzero(found.anchor == position).tolist()
             near = {n for g in mine for n in tiles_between(low[g], high[g], self.size)}
             names = sorted(near & set(self.tiles))
             inputs[tile] = {**self._region(names, frame, lods, common, names), "groups": groups}
             reach[tile] = names
-        return self._tasks("compare", compare_tile, inputs), reach
+        return self._tasks("compare", compare_tile, ComparisonSlice, inputs), reach
 
     def _decide(self, compared: Mapping[str, str], span: tuple[float, float]) -> dict[str, str]:
         """Decide plants against the plants of all tiles; keys of the rows by tile."""
-        null = self._reduce("vegetation_null", find_vegetation_null, "compared", compared, {}, span)
+        null = self._reduce(
+            "vegetation_null", find_vegetation_null, PlantSlice, "compared", compared, {}, span
+        )
         inputs = {tile: {"compared": key, "null": null} for tile, key in compared.items()}
-        return self._per_tile("decide", decide_tile, inputs, span)
+        return self._per_tile("decide", decide_tile, PlantDecisionSlice, inputs, span)
 
     def _patches(
         self, ground: Mapping[str, str], span: tuple[float, float]
@@ -300,33 +309,35 @@ class ChangeRun(Epochs):
         around = {
             tile: {f"ground/{n}": ground[n] for n in (tile, *neighbours(tile, ground))} for tile in ground
         }
-        over = self._per_tile("threshold_components", tile_over, around, span)
-        joined = self._reduce("threshold_components", join_over, "threshold_components", over, {}, span)
-        begun = patch_tiles(self.runner.store.load(joined))
+        stage = "threshold_components"
+        over = self._per_tile(stage, tile_over, PatchSlice, around, span)
+        joined = self._reduce(stage, join_over, PatchSlice, stage, over, {}, span)
+        begun = patch_tiles(self.runner.load(JoinedComponents, joined))
+        config = slice_of(PatchSlice, self.config)
         tasks, reach = [], {}
         for tile, patches in sorted(begun.items()):
-            names = sorted({n for _, _, own in patches for n in own})
+            names = sorted({n for patch in patches for n in patch.tiles})
             near = sorted({n for name in names for n in (name, *neighbours(name, ground))})
             inputs = {f"ground/{n}": ground[n] for n in near}
             inputs |= {f"over_labels/{n}": over[n] for n in near} | {"threshold_components": joined}
-            tasks.append(
-                Task("patches", tile, tile_patches, inputs, self._params("patches", tile, patches=patches))
-            )
+            params = PatchParams(tile, self.size, self.sides, self.origin, config, tuple(patches))
+            tasks.append(Task("patches", tile, tile_patches, inputs, params))
             reach[tile] = names
         return self.runner.run(tasks, span), reach
 
-    def changed(self, found: Pass, span: tuple[float, float]) -> dict[str, str]:
+    def changed(self, found: ComparisonResult, span: tuple[float, float]) -> dict[str, str]:
         """Masks of what a pass calls changed: keys by ``changed/<epoch>/<tile>``."""
         tasks = []
+        config = slice_of(PatchSlice, self.config)
         for side in self.sides:
             for tile in sorted(self.points[side.epoch]):
                 inputs = {**self._around(tile, found.frame, 0), **self._said(found, tile)}
-                params = self._params("changed", tile, side=side)
+                params = ChangedParams(tile, self.size, self.sides, self.origin, config, side)
                 tasks.append(Task("changed", f"{side.epoch}/{tile}", tile_changed, inputs, params))
         keys = self.runner.run(tasks, span)
         return {f"changed/{name}": key for name, key in keys.items()}
 
-    def _said(self, found: Pass, tile: str) -> dict[str, str]:
+    def _said(self, found: ComparisonResult, tile: str) -> dict[str, str]:
         """Name what a pass says of the points of a tile."""
         inputs = {"table": found.table_key}
         inputs |= {f"compared/{a}": found.compared[a] for a, names in found.reach.items() if tile in names}
@@ -334,31 +345,33 @@ class ChangeRun(Epochs):
             f"patched/{a}": found.patched[a] for a, names in found.patch_reach.items() if tile in names
         }
 
-    def refine(self, first: Pass, changed: Mapping[str, str]) -> tuple[str, float, tuple[str, ...]]:
+    def refine(
+        self, first: ComparisonResult, changed: Mapping[str, str]
+    ) -> tuple[str, float, tuple[str, ...]]:
         """Register again without what changed; key, largest shift [m], and a warning where that failed.
 
         That is one task: workers that would wait label points meanwhile, for it mostly moves nothing.
         """
         clouds = {f"cloud/{e}/{n}": k for e in EPOCHS for n, k in self.points[e].items()}
         inputs = {**clouds, **changed, "registration": first.registration}
-        task = Task("refine", "all", register_again, inputs, self.registering())
+        task = Task("refine", "all", register_again, inputs, self.registering(None))
         beside = self._labels(first) if self.runner.executor.spare else []
         key = self.runner.together([[task], beside], (0.73, 0.76))[0]["all"]
-        found = self.runner.store.load(key)
-        return key, float(found["shift"]), (str(found["failed"]),) if "failed" in found else ()
+        found = self.runner.load(PairRegistration, key)
+        return key, found.shift, () if found.failed is None else (found.failed,)
 
-    def label(self, found: Pass) -> dict[str, str]:
+    def label(self, found: ComparisonResult) -> dict[str, str]:
         """Label the points of every tile."""
         return self.runner.run(self._labels(found), (0.92, 0.97))
 
-    def _labels(self, found: Pass) -> list[Task]:
+    def _labels(self, found: ComparisonResult) -> list[Task[TileParams[LabelSlice]]]:
         inputs = {
             tile: {**own, **self._said(found, tile), f"ground/{tile}": found.ground[tile]}
             for tile, own in self._seen(found.frame, found.lods).items()
         }
-        return self._tasks("labels", label_tile, inputs)
+        return self._tasks("labels", label_tile, LabelSlice, inputs)
 
-    def manifest(self, found: Pass, labelled: Mapping[str, str]) -> dict[str, Any]:
+    def manifest(self, found: ComparisonResult, labelled: Mapping[str, str]) -> dict[str, Any]:
         """Return which piece is what: keys by stage, by epoch where stages look at one alone, and by tile."""
         return {
             "tile_m": self.size,

@@ -2,36 +2,57 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-import shapely
+from numpy.typing import NDArray
 
 from subiaco_change.decisions.ground_change import GroundPatch
 from subiaco_change.decisions.point_labels import patch_record
 from subiaco_change.records import ChangeRecord
-from subiaco_change.tiling.plant_stage import record_of
-from subiaco_geo.codes import Change
-from subiaco_geo.frames import Floats
-from subiaco_geo.work.store import Arrays, Store
+from subiaco_change.tiling.ground_stage import PatchRow, TilePatches
+from subiaco_change.tiling.plant_stage import TileRows
+from subiaco_geo.frames import Floats, Ints
+from subiaco_geo.work.task_runner import TaskRunner
+
+
+@dataclass(frozen=True)
+class RowColumns:
+    """Columns (R,) of the rows of all tiles; those of ``anchors[k]`` begin at ``offset[k]``."""
+
+    anchors: tuple[str, ...]
+    offset: Ints
+    id: Ints
+    change: NDArray[np.uint8]
+    semantic: NDArray[np.uint8]
+    confidence: NDArray[np.float32]
+    dz: Floats
+    lod: Floats
+
+    def first(self, anchor: str) -> int:
+        """Return the position of the first row of a tile."""
+        return int(self.offset[self.anchors.index(anchor)])
+
+
+@dataclass(frozen=True)
+class TableColumns:
+    """What tasks must know of the table: rows of objects and of patches of ground."""
+
+    objects: RowColumns
+    patches: RowColumns
 
 
 @dataclass(frozen=True)
 class Table:
-    """Rows by id, and what tasks must know of them.
-
-    ``arrays``: for objects and, with ``patch_`` before the name, for patches of ground: ``anchors``
-    (A,) tiles, ``offset`` (A + 1,), and in the order of these ``id change semantic confidence`` (R,).
-    """
+    """Rows by id, and what tasks must know of them."""
 
     records: tuple[ChangeRecord, ...]
-    arrays: Arrays
+    columns: TableColumns
 
 
 def build_table(
-    store: Store,
+    runner: TaskRunner,
     compared: Mapping[str, str],
     patched: Mapping[str, str],
     counts: Sequence[int],
@@ -43,7 +64,7 @@ def build_table(
 
     Parameters
     ----------
-    store : Store
+    runner : TaskRunner
     compared, patched : mapping of str to str
         Keys of decided objects and of patches, by tile.
     counts : (int, int)
@@ -54,14 +75,9 @@ def build_table(
     trust : callable, optional
         Lowers confidences that were never calibrated.
     """
-    objects = {
-        tile: [record_of(words) for words in json.loads(str(store.load(compared[tile])["records"]))]
-        for tile in sorted(compared)
-    }
+    objects = {tile: list(runner.load(TileRows, compared[tile]).records) for tile in sorted(compared)}
     patches = {
-        tile: [
-            _patch(words, origin, evidence) for words in json.loads(str(store.load(patched[tile])["records"]))
-        ]
+        tile: [_patch(row, origin, evidence) for row in runner.load(TilePatches, patched[tile]).rows]
         for tile in sorted(patched)
     }
     ranked = sorted(
@@ -87,11 +103,10 @@ def build_table(
         )
         for i, (_, _, tile, _, row) in enumerate(ranked)
     ]
-    arrays = {
-        **_columns("", "object", objects, numbers, records),
-        **_columns("patch_", "patch", patches, numbers, records),
-    }
-    return Table(tuple(records), arrays)
+    columns = TableColumns(
+        _columns("object", objects, numbers, records), _columns("patch", patches, numbers, records)
+    )
+    return Table(tuple(records), columns)
 
 
 def _rank(row: ChangeRecord) -> tuple[float, ...]:
@@ -104,43 +119,29 @@ def _named(
     return tuple(k if k >= 0 else count + pieces.setdefault((tile, k), len(pieces)) for k in ids)
 
 
-def patch_of(words: Mapping[str, object]) -> GroundPatch:
-    """Return the patch that a tile took apart; without its cells."""
-    return GroundPatch(
-        Change(int(str(words["change"]))),
-        float(str(words["area"])),
-        float(str(words["dz"])),
-        float(str(words["dz_spread"])),
-        float(str(words["lod"])),
-        np.zeros((0, 2), dtype=np.int64),
-        shapely.from_wkb(str(words["outline"])),
-        float(str(words["confidence"])),
-        str(words["reason"]),
+def _patch(row: PatchRow, origin: Floats, evidence: str) -> ChangeRecord:
+    none = np.zeros((0, 2), dtype=np.int64)
+    patch = GroundPatch(
+        row.change, row.area, row.dz, row.dz_spread, row.lod, none, row.outline, row.confidence, row.reason
     )
-
-
-def _patch(words: Mapping[str, object], origin: Floats, evidence: str) -> ChangeRecord:
-    return patch_record(patch_of(words), origin, float(str(words["height"])), evidence)
+    return patch_record(patch, origin, row.height, evidence)
 
 
 def _columns(
-    prefix: str,
     kind: str,
     rows: Mapping[str, list[ChangeRecord]],
     numbers: Mapping[tuple[str, str, int], int],
     records: Sequence[ChangeRecord],
-) -> dict[str, np.ndarray]:
+) -> RowColumns:
     ids = [numbers[kind, tile, k] for tile, own in rows.items() for k in range(len(own))]
     found = [records[i] for i in ids]
-    return {
-        f"{prefix}anchors": np.array(list(rows), dtype=np.str_),
-        f"{prefix}offset": np.concatenate([[0], np.cumsum([len(own) for own in rows.values()])]).astype(
-            np.int64
-        ),
-        f"{prefix}id": np.array(ids, dtype=np.int64),
-        f"{prefix}change": np.array([r.change for r in found], dtype=np.uint8),
-        f"{prefix}semantic": np.array([r.semantic for r in found], dtype=np.uint8),
-        f"{prefix}confidence": np.array([r.confidence for r in found], dtype=np.float32),
-        f"{prefix}dz": np.array([r.delta_h_m for r in found], dtype=np.float64),
-        f"{prefix}lod": np.array([r.lod95_m for r in found], dtype=np.float64),
-    }
+    return RowColumns(
+        anchors=tuple(rows),
+        offset=np.concatenate([[0], np.cumsum([len(own) for own in rows.values()])]).astype(np.int64),
+        id=np.array(ids, dtype=np.int64),
+        change=np.array([r.change for r in found], dtype=np.uint8),
+        semantic=np.array([r.semantic for r in found], dtype=np.uint8),
+        confidence=np.array([r.confidence for r in found], dtype=np.float32),
+        dz=np.array([r.delta_h_m for r in found], dtype=np.float64),
+        lod=np.array([r.lod95_m for r in found], dtype=np.float64),
+    )

@@ -2,58 +2,63 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Mapping
-from dataclasses import replace
-from typing import Any
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
+from subiaco_change.association.costs import AssociationConfig
+from subiaco_change.config import ChangeConfig
 from subiaco_change.decisions.ablation import Part
 from subiaco_change.decisions.column_volumes import NO_COLUMNS, OpenGround
+from subiaco_change.decisions.confidence import ConfidenceConfig
+from subiaco_change.decisions.measures import MeasureConfig
 from subiaco_change.decisions.object_comparison import compare_objects, make_record
 from subiaco_change.decisions.object_decision import ObjectChange, ObjectRules
+from subiaco_change.decisions.plant_measures import PlantConfig
+from subiaco_change.decisions.rules import DecisionConfig
 from subiaco_change.decisions.voxel_objects import NO_OBJECT, OTHERS, EpochView
 from subiaco_change.records import ChangeRecord
-from subiaco_change.tiling.epoch_tiles import EPOCHS
-from subiaco_change.tiling.plant_stage import plant_words, record_words
+from subiaco_change.segmentation.ground_model import Mask
+from subiaco_change.tiling.candidate_groups import CandidateGroups
+from subiaco_change.tiling.plant_stage import RowPoints, TileComparison, plants_of
+from subiaco_change.tiling.stage_params import TileParams
 from subiaco_change.tiling.tile_surroundings import Region, load_region
-from subiaco_change.visibility_evidence import Kind, weakest
+from subiaco_change.visibility_evidence import EvidenceConfig, Kind, weakest
 from subiaco_geo.frames import Floats, Ints
-from subiaco_geo.work.store import Arrays
 from subiaco_geo.work.tasks import Inputs
 
 _CELL = 4.0  # in which the surroundings of objects are looked up [m]
 
 
-def compare_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
+@dataclass(frozen=True)
+class ComparisonSlice:
+    """What the comparison of objects reads of the configuration."""
+
+    evidence: EvidenceConfig
+    measures: MeasureConfig
+    association: AssociationConfig
+    decisions: DecisionConfig
+    plants: PlantConfig
+    confidence: ConfidenceConfig
+    without: tuple[Part, ...]
+
+
+def compare_tile(inputs: Inputs, params: TileParams[ComparisonSlice]) -> TileComparison:
     """Compare the groups of objects that a tile answers for.
 
-    Parameters
-    ----------
-    inputs : Inputs
-        ``points lods beams`` around, ``groups``, frame.
-    params : mapping
-        ``tile size sides origin config``.
-
-    Returns
-    -------
-    arrays
-        ``records``, JSON of the rows, their numbers of parts below zero; ``plants``, JSON of what was
-        measured of the plants among them; for each epoch
-        ``<epoch>_tiles`` names, and ``<epoch>_points`` (P, 3): position among these, place of the point
-        there, row; ``own`` (R,) bool, whether anything in the row is in both epochs.
+    ``inputs`` hold ``points lods beams`` around, ``groups`` and the frame.
     """
-    config = params["config"]
-    groups = inputs["groups"]
-    mine = groups["anchor"] == int(np.flatnonzero(groups["tiles"] == params["tile"])[0])
-    near = _surroundings(groups["low"][mine], groups["high"][mine])
-    regions = [load_region(inputs, side, params, near) for side in params["sides"]]
-    members = [mine[groups[epoch]] for epoch in EPOCHS]
+    config = params.config
+    groups = inputs.of(CandidateGroups, "groups")
+    mine = groups.anchor == groups.tiles.index(params.tile)
+    near = _surroundings(groups.low[mine], groups.high[mine])
+    regions = [load_region(inputs, side, params.origin, config.evidence, near) for side in params.sides]
+    members = [mine[groups.before], mine[groups.after]]
     compact = [_compact(r.view, m) for r, m in zip(regions, members, strict=True)]
     views = [view for view, _ in compact]
-    kinds = [side.kind for side in params["sides"]]
+    kinds = [side.kind for side in params.sides]
     empty = [None if kind == "assumed" else r.empty for r, kind in zip(regions, kinds, strict=True)]
     free = [None if kind == "assumed" else r.free for r, kind in zip(regions, kinds, strict=True)]
     ground = OpenGround(NO_COLUMNS, NO_COLUMNS, (empty[0], empty[1]))
@@ -68,22 +73,15 @@ def compare_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
     changes = compare_objects(views[0], views[1], regions[0].observed, regions[1].observed, rules)
     numbers = [number for _, number in compact]
     records = [
-        _in_city(
-            make_record(change, 0, params["origin"], _evidence(change, kinds), config.confidence), numbers
-        )
+        _in_city(make_record(change, 0, params.origin, _evidence(change, kinds), config.confidence), numbers)
         for change in changes
     ]
-    result: dict[str, Any] = {
-        "records": np.array(json.dumps([record_words(r) for r in records])),
-        "plants": np.array(plant_words(changes)),
-    }
-    for region, epoch in zip(regions, EPOCHS, strict=True):
-        result[f"{epoch}_tiles"] = np.array(region.tiles, dtype=np.str_)
-        result[f"{epoch}_points"] = _points(region, changes, epoch)
-    return result
+    before = RowPoints(tuple(regions[0].tiles), _points(regions[0], changes, "before"))
+    after = RowPoints(tuple(regions[1].tiles), _points(regions[1], changes, "after"))
+    return TileComparison(tuple(records), plants_of(changes), before, after)
 
 
-def object_rules(config: Any) -> ObjectRules:
+def object_rules(config: ComparisonSlice | ChangeConfig) -> ObjectRules:
     """Rules of the objects, less what is left out."""
     decisions = config.decisions
     if Part.LOD in config.without:
@@ -92,7 +90,7 @@ def object_rules(config: Any) -> ObjectRules:
     return ObjectRules(config.measures, config.association, decisions, by_class, plants=config.plants)
 
 
-def _surroundings(low: Floats, high: Floats) -> Any:
+def _surroundings(low: Floats, high: Floats) -> Callable[[Floats], Mask]:
     """Tell which places (N, 3) lie in cells of, or next to, the boxes (G, 2) of groups."""
     first = np.floor(low.min(axis=0) / _CELL).astype(np.int64) - 1
     shape = np.floor(high.max(axis=0) / _CELL).astype(np.int64) - first + 2

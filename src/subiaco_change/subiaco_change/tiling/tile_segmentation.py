@@ -2,83 +2,125 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from subiaco_change.decisions.ablation import Part
+from subiaco_change.decisions.measures import MeasureConfig
 from subiaco_change.geometry import estimate_normals
 from subiaco_change.given_classes import UNGIVEN
-from subiaco_change.segmentation.classes import label_points
+from subiaco_change.segmentation.classes import SemanticsConfig, label_points
 from subiaco_change.segmentation.clustering import voxel_clusters
-from subiaco_change.segmentation.instances import segment
+from subiaco_change.segmentation.ground_model import Mask
+from subiaco_change.segmentation.instances import InstanceConfig, segment
 from subiaco_change.segmentation.raised_surfaces import find_raised
-from subiaco_change.tiling.epoch_tiles import Side
+from subiaco_change.tiling.epoch_tiles import Side, TilePoints
 from subiaco_change.tiling.expected_visibility_stage import load_observer
+from subiaco_change.tiling.levelling import load_turn
 from subiaco_change.tiling.trails import load_moved
+from subiaco_change.visibility_evidence import EvidenceConfig
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Semantic
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.tiles import Tile, tile_named
-from subiaco_geo.work.store import Arrays
 from subiaco_geo.work.tasks import Inputs
 
 
-def prepare_tile(inputs: Inputs, params: Mapping[str, Any]) -> Arrays:
+@dataclass(frozen=True)
+class SegmentationSlice:
+    """What the segmentation reads of the configuration."""
+
+    semantics: SemanticsConfig
+    instances: InstanceConfig
+    evidence: EvidenceConfig
+    leaf: float
+    normal_radius: float
+    without: tuple[Part, ...]
+    measures: MeasureConfig
+
+
+@dataclass(frozen=True)
+class SegmentationParams:
+    """Parameters of the segmentation of a tile.
+
+    ``overlap``: width of the surroundings [m]; ``edge``: their outermost part, in which nothing is classified
+    [m]; ``given``: fields of the points that replace a stage.
+    """
+
+    tile: str
+    size: float
+    overlap: float
+    edge: float
+    side: Side
+    config: SegmentationSlice
+    given: tuple[str, ...]
+
+
+@dataclass(frozen=True)
+class TileSegmentation:
+    """Classes and objects of a tile and its surroundings.
+
+    Of the points of the tile: ``normals`` (N, 3); ``semantic`` (N,); ``score`` (N,) of the class; ``height``
+    (N,) above ground [m]; ``passed`` (N,), empty where nothing counted beams; ``moved`` (N,), empty where
+    nothing kept their times. Of the tile and then of its surroundings: ``instance`` (N + M,), numbers of this
+    tile, and ``inner`` (N + M,), away from the outer edge. Of the surroundings: ``near_tile`` (M,), position
+    among ``neighbours``; ``near_index`` (M,) there. ``objects`` (K, 4): class, points in the tile, least east
+    and north.
+    """
+
+    normals: NDArray[np.float32]
+    semantic: NDArray[np.uint8]
+    score: NDArray[np.float32]
+    height: NDArray[np.float32]
+    passed: NDArray[np.float32]
+    moved: NDArray[np.float32]
+    instance: NDArray[np.int32]
+    neighbours: tuple[str, ...]
+    near_tile: NDArray[np.uint8]
+    near_index: NDArray[np.int32]
+    inner: Mask
+    objects: Floats
+
+
+def prepare_tile(inputs: Inputs, params: SegmentationParams) -> TileSegmentation:
     """Label the points of a tile and its surroundings, and find their objects.
 
-    Parameters
-    ----------
-    inputs : Inputs
-        ``cloud/<tile>`` of the tile and its neighbours, ``beams/<epoch>/...``; ``levelling`` for local
-        clouds; ``trails/<tile>`` where nothing counted beams.
-    params : mapping
-        ``tile size overlap edge side config given``.
-
-    Returns
-    -------
-    arrays
-        Of the points of the tile (N): ``normals`` float32, ``semantic`` uint8, ``score height
-        passed moved`` float32 (``passed`` empty where nothing counted beams, ``moved`` where nothing kept
-        their times). Of the tile and then of
-        its surroundings (N + M): ``instance`` int32, numbers of this tile. Of the
-        surroundings: ``near_tile`` uint8, position among ``neighbours``; ``near_index`` int32
-        there; ``inner`` bool, away from the outer edge. ``objects`` (K, 5): class, points in
-        the tile, least east and north, and whether any lies in the tile.
+    ``inputs`` hold ``cloud/<tile>`` of the tile and its neighbours, ``beams/<epoch>/...``, ``levelling`` for
+    local clouds, and ``trails/<tile>`` where nothing counted beams.
     """
-    side: Side = params["side"]
-    tile = tile_named(params["tile"], params["size"], params["overlap"])
-    names = [name for name in inputs.under("cloud") if name != params["tile"]]
-    own, around, where = _gather(inputs, params["tile"], names, side, tile)
+    side = params.side
+    tile = tile_named(params.tile, params.size, params.overlap)
+    names = [name for name in inputs.under("cloud") if name != params.tile]
+    own, around, where = _gather(inputs, params.tile, names, side, tile)
     cloud = PointCloud(np.concatenate([own, *around]), side.origin, side.crs)
     world = cloud.world()
-    observer = load_observer(inputs, side, world, params["config"].evidence)
+    observer = load_observer(inputs, side, world, params.config.evidence)
     passed, moved = observer.passes(world), observer.moved(world)
     if passed is None:
-        moved = load_moved(inputs, params["tile"], names, where)
-    normals = estimate_normals(cloud.xyz, params["config"].normal_radius)
-    wide = np.concatenate([inputs[f"cloud/{name}"]["xyz"] for name in inputs.under("cloud")])
+        moved = load_moved(inputs, params.tile, names, where)
+    normals = estimate_normals(cloud.xyz, params.config.normal_radius)
+    wide = np.concatenate([inputs.of(TilePoints, f"cloud/{name}").xyz for name in inputs.under("cloud")])
     semantic, instance, score, height = _label(cloud, (passed, moved), params, inputs, names, where, wide)
     count = len(own)
-    inner = tile_named(params["tile"], params["size"], params["overlap"] - params["edge"])
-    return {
-        "normals": normals[:count].astype(np.float32),
-        "semantic": semantic[:count],
-        "score": score[:count],
-        "height": height[:count],
-        "passed": _known(passed, count),
-        "moved": _known(moved, count),
-        "instance": instance,
-        "neighbours": np.array(names, dtype=np.str_),
-        "near_tile": np.repeat(np.arange(len(names), dtype=np.uint8), [len(w) for w in where]),
-        "near_index": np.concatenate([np.zeros(0, np.int64), *where]).astype(np.int32),
-        "inner": inner.in_buffered(world[:, :2]),
-        "objects": _summary(instance, semantic, world, count),
-    }
+    inner = tile_named(params.tile, params.size, params.overlap - params.edge)
+    return TileSegmentation(
+        normals=normals[:count].astype(np.float32),
+        semantic=semantic[:count],
+        score=score[:count],
+        height=height[:count],
+        passed=_known(passed, count),
+        moved=_known(moved, count),
+        instance=instance,
+        neighbours=tuple(names),
+        near_tile=np.repeat(np.arange(len(names), dtype=np.uint8), [len(w) for w in where]),
+        near_index=np.concatenate([np.zeros(0, np.int64), *where]).astype(np.int32),
+        inner=inner.in_buffered(world[:, :2]),
+        objects=_summary(instance, semantic, world, count),
+    )
 
 
 def _known(values: Floats | None, count: int) -> NDArray[np.float32]:
@@ -92,17 +134,17 @@ def _gather(
     """Points of the tile, of each neighbour those nearby, and where they stand there."""
     around, where = [], []
     for other in names:
-        xyz = inputs[f"cloud/{other}"]["xyz"]
+        xyz = inputs.of(TilePoints, f"cloud/{other}").xyz
         inside = np.flatnonzero(tile.in_buffered(xyz[:, :2] + side.origin[:2]))
         around.append(xyz[inside])
         where.append(inside)
-    return inputs[f"cloud/{name}"]["xyz"], around, where
+    return inputs.of(TilePoints, f"cloud/{name}").xyz, around, where
 
 
 def _label(
     cloud: PointCloud,
     beams: tuple[Floats | None, Floats | None],
-    params: Mapping[str, Any],
+    params: SegmentationParams,
     inputs: Inputs,
     names: list[str],
     where: list[Ints],
@@ -112,22 +154,22 @@ def _label(
 
     ``wide`` (N, 3) are all points of the tile and its neighbours: a hall may fill the tile.
     """
-    config = params["config"]
-    turn = inputs.get("levelling")
-    upright = PointCloud(cloud.xyz @ turn["turn"].T, cloud.origin) if "turn" in turn else cloud
+    config = params.config
+    turn = load_turn(inputs)
+    upright = cloud if turn is None else PointCloud(cloud.xyz @ turn.T, cloud.origin)
     passed, moved = beams
-    raised = find_raised(wide @ turn["turn"].T if "turn" in turn else wide, config.semantics.raised)
+    raised = find_raised(wide if turn is None else wide @ turn.T, config.semantics.raised)
     result = label_points(upright, config.semantics, passed, raised, moved)
     semantic = result.semantic
     score = np.take_along_axis(result.scores, semantic[:, None].astype(np.int64), axis=1)[:, 0]
-    if "semantic" in params["given"]:
-        given = _given("semantic", inputs, params["tile"], names, where).astype(np.uint8)
+    if "semantic" in params.given:
+        given = _given("semantic", inputs, params.tile, names, where).astype(np.uint8)
         own = given == UNGIVEN
         semantic = np.where(own, semantic, given)
         score = np.where(own, score, np.float32(1.0))
         result = replace(result, semantic=semantic, moving=result.moving & own)
-    if "instance" in params["given"]:
-        instance = _given("instance", inputs, params["tile"], names, where).astype(np.int32)
+    if "instance" in params.given:
+        instance = _given("instance", inputs, params.tile, names, where).astype(np.int32)
     elif Part.SEMANTICS in config.without:
         semantic, instance = _classless(cloud.xyz, semantic, config.measures.voxel)
     else:
@@ -152,10 +194,11 @@ def _given(field: str, inputs: Inputs, tile: str, names: list[str], where: list[
     pieces: list[tuple[str, Any]] = [(tile, slice(None)), *zip(names, where, strict=True)]
     parts = []
     for name, members in pieces:
-        piece = inputs[f"cloud/{name}"]
-        if field not in piece:
+        piece = inputs.of(TilePoints, f"cloud/{name}")
+        values = piece.semantic if field == "semantic" else piece.instance
+        if values is None:
             raise InputError(f"--{'instances' if field == 'instance' else field} given: no field {field!r}")
-        parts.append(piece[field][members])
+        parts.append(values[members])
     return np.concatenate(parts)
 
 

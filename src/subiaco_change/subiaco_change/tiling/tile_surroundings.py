@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
@@ -12,14 +12,14 @@ from numpy.typing import NDArray
 from subiaco_change.decisions.voxel_objects import UNCERTAIN, EpochView
 from subiaco_change.level_of_detection.common_frame import free_through, seen_through
 from subiaco_change.segmentation.ground_model import Mask
+from subiaco_change.tiling.alignment import TileLods
 from subiaco_change.tiling.epoch_tiles import Side
 from subiaco_change.tiling.expected_visibility_stage import load_observer
-from subiaco_change.tiling.frame_arrays import load_frame
-from subiaco_change.tiling.retiling import load_points
-from subiaco_change.visibility_evidence import Observer
+from subiaco_change.tiling.retiling import LabelledPoints, load_points
+from subiaco_change.tiling.stored_frame import load_frame
+from subiaco_change.visibility_evidence import EvidenceConfig, Observer
 from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats, Ints
-from subiaco_geo.work.store import Arrays
 from subiaco_geo.work.tasks import Inputs
 
 Near = Callable[[Floats], Mask]
@@ -47,30 +47,30 @@ class Region:
     certain: float
 
 
-def load_region(inputs: Inputs, side: Side, params: Mapping[str, Any], near: Near) -> Region:
+def load_region(inputs: Inputs, side: Side, origin: Floats, config: EvidenceConfig, near: Near) -> Region:
     """Load those points of an epoch for which ``near`` holds, given places (N, 3) of the common frame.
 
-    ``inputs`` hold ``points lods`` of the tiles around, ``beams`` and the frame.
+    ``inputs`` hold ``points lods`` of the tiles around, ``beams`` and the frame; ``origin`` (3,) is its own.
     """
-    frame = load_frame(inputs, params["origin"])
+    frame = load_frame(inputs, origin)
     tiles = inputs.under(f"points/{side.epoch}")
     parts: list[tuple[Any, ...]] = []
     own_world: list[Floats] = [np.zeros((0, 3))]
     for position, name in enumerate(tiles):
-        piece = inputs[f"points/{side.epoch}/{name}"]
-        cloud = load_points(inputs, side, name, params)
+        piece = inputs.of(LabelledPoints, f"points/{side.epoch}/{name}")
+        cloud = load_points(inputs, side, name, origin)
         index = np.flatnonzero(near(cloud.xyz))
-        passed, moved = piece["passed"], piece["moved"]
-        own_world.append(piece["xyz"][_standing(piece)] + side.origin)
+        passed, moved = piece.passed, piece.moved
+        own_world.append(piece.xyz[_standing(piece)] + side.origin)
         parts.append(
             (
                 cloud.xyz[index],
                 np.asarray(cloud.fields["normals"])[index],
-                piece["semantic"][index],
-                piece["number"][index],
-                piece["height"][index],
-                inputs[f"lods/{name}"][side.epoch][index],
-                piece["score"][index],
+                piece.semantic[index],
+                piece.number[index],
+                piece.height[index],
+                inputs.of(TileLods, f"lods/{name}").of(side.epoch).lod[index],
+                piece.score[index],
                 passed[index] if len(passed) else passed,
                 moved[index] if len(moved) else moved,
                 np.full(len(index), position, dtype=np.int64),
@@ -79,7 +79,7 @@ def load_region(inputs: Inputs, side: Side, params: Mapping[str, Any], near: Nea
         )
     view, slot, index = _view(parts)
     world = np.concatenate(own_world) if side.kind in ("shadow", "trajectory") else np.zeros((0, 3))
-    observer: Observer = load_observer(inputs, side, world, params["config"].evidence)
+    observer: Observer = load_observer(inputs, side, world, config)
     to_world = frame.before_world if side.epoch == "before" else frame.after_world
     return Region(
         view,
@@ -94,10 +94,10 @@ def load_region(inputs: Inputs, side: Side, params: Mapping[str, Any], near: Nea
     )
 
 
-def _standing(piece: Arrays) -> Mask:
+def _standing(piece: LabelledPoints) -> Mask:
     """Tell which points (N,) of a tile belong to no ghost trail, which proves no sight of places near it."""
-    loose = (piece["semantic"] == Semantic.MOBILE) & (piece["number"] < 0)
-    return np.asarray(~(loose & (piece["moved"] > UNCERTAIN)) if len(piece["moved"]) else loose | True)
+    loose = (piece.semantic == Semantic.MOBILE) & (piece.number < 0)
+    return np.asarray(~(loose & (piece.moved > UNCERTAIN)) if len(piece.moved) else loose | True)
 
 
 def _view(parts: list[tuple[Any, ...]]) -> tuple[EpochView, Ints, Ints]:

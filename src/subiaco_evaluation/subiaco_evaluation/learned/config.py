@@ -98,9 +98,9 @@ class PointTrainingConfig(StrictModel):
 class RasterTrainingConfig(StrictModel):
     """Adam on patches."""
 
-    epochs: int = Field(50, ge=1, description="Number of epochs (published)")
-    samples: int = Field(192, ge=1, description="Number of patches of an epoch")
-    batch: int = Field(16, ge=1, description="Number of patches of a step (published: 32)")
+    epochs: int = Field(25, ge=1, description="Number of epochs (published: 50)")
+    samples: int = Field(128, ge=1, description="Number of patches of an epoch")
+    batch: int = Field(8, ge=1, description="Number of patches of a step (published: 32)")
     learning_rate: float = Field(1e-3, gt=0, description="Factor of the first steps (common for Adam)")
     weight_decay: float = Field(1e-4, ge=0, description="Coefficient of the weight decay (published)")
     final_rate: float = Field(

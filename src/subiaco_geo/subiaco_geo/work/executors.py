@@ -32,7 +32,7 @@ class Executor(Protocol):
 
     spare: bool
 
-    def run(self, store: Store, tasks: Sequence[Task]) -> Iterator[TaskCost]:
+    def run(self, store: Store, tasks: Sequence[Task[Any]]) -> Iterator[TaskCost]:
         """Do the tasks; the first that fails ends the run with its error."""
         ...
 
@@ -46,7 +46,7 @@ class InProcess:
 
     spare = False
 
-    def run(self, store: Store, tasks: Sequence[Task]) -> Iterator[TaskCost]:
+    def run(self, store: Store, tasks: Sequence[Task[Any]]) -> Iterator[TaskCost]:
         """Do the tasks in the order given."""
         for task in tasks:
             yield execute(store, task)
@@ -75,7 +75,7 @@ class LocalPool:
         with _one_thread():
             forkserver.ensure_running()
 
-    def run(self, store: Store, tasks: Sequence[Task]) -> Iterator[TaskCost]:
+    def run(self, store: Store, tasks: Sequence[Task[Any]]) -> Iterator[TaskCost]:
         """Do the tasks; what a killed worker left undone is done by a fresh one."""
         if not isinstance(store, DiskStore):
             raise InputError("worker processes need stages on disk; use a DiskStore")
@@ -93,7 +93,7 @@ class LocalPool:
             f"{next(iter(left.values())).name} among them; if memory is short, use fewer workers"
         )
 
-    def _drain(self, store: Store, left: dict[str, Task]) -> Iterator[TaskCost]:
+    def _drain(self, store: Store, left: dict[str, Task[Any]]) -> Iterator[TaskCost]:
         with _one_thread():  # workers start with the tasks
             pool = self._started()
             futures = {pool.submit(execute, store, task): key for key, task in left.items()}
@@ -118,7 +118,7 @@ class LocalPool:
             self._pool = None
 
 
-def _weight(store: DiskStore, task: Task) -> int:
+def _weight(store: DiskStore, task: Task[Any]) -> int:
     """Bytes that a task reads: what is large comes first, so that no worker ends long after the others."""
     return sum(store.size(key) for key in task.inputs.values())
 
@@ -173,7 +173,7 @@ class Dask:
         self._checked = False
         _LOG.info("cluster %s, dashboard %s", address, self._client.dashboard_link)
 
-    def run(self, store: Store, tasks: Sequence[Task]) -> Iterator[TaskCost]:
+    def run(self, store: Store, tasks: Sequence[Task[Any]]) -> Iterator[TaskCost]:
         """Do the tasks; the scheduler gives those of a lost worker to another."""
         if not isinstance(store, DiskStore):
             raise InputError("a cluster needs stages on disk; use a DiskStore")

@@ -73,6 +73,9 @@ class _Piece(Mapping[str, Array]):
             stream.seek(name_length + extra_length, SEEK_CUR)
             return np.asarray(np.lib.format.read_array(stream, allow_pickle=False))
 
+    def __contains__(self, name: object) -> bool:
+        return name in self._headers  # without reading the array
+
     def __iter__(self) -> Iterator[str]:
         return iter(self._headers)
 

@@ -5,10 +5,12 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
+from typing import Any
 
 from subiaco_geo.errors import InputError
 from subiaco_geo.work.executors import Executor, InProcess
-from subiaco_geo.work.store import Arrays, MemoryStore, Store
+from subiaco_geo.work.results import Result, pack, unpack
+from subiaco_geo.work.store import MemoryStore, Store
 from subiaco_geo.work.tasks import Task, TaskCost, fingerprint
 
 _LOG = logging.getLogger(__name__)
@@ -40,14 +42,19 @@ class TaskRunner:
     kept: int = 0
     _done: set[str] = field(default_factory=set)
 
-    def put(self, stage: str, name: str, arrays: Arrays) -> str:
-        """Keep arrays made here under a key of their content; return the key."""
-        key = f"{stage}/{name}-{fingerprint(dict(arrays))}"
+    def put(self, stage: str, name: str, result: Any) -> str:
+        """Keep a result made here, a dataclass, under a key of its content; return the key."""
+        arrays = pack(result)
+        key = f"{stage}/{name}-{fingerprint(arrays)}"
         if not self.store.has(key):
             self.store.save(key, arrays)
         return key
 
-    def run(self, tasks: Sequence[Task], span: tuple[float, float] = (0.0, 1.0)) -> dict[str, str]:
+    def load(self, kind: type[Result], key: str) -> Result:
+        """Return a finished result."""
+        return unpack(kind, self.store.load(key))
+
+    def run(self, tasks: Sequence[Task[Any]], span: tuple[float, float] = (0.0, 1.0)) -> dict[str, str]:
         """Do the tasks of one stage that are not finished; return their keys by name.
 
         Parameters
@@ -60,7 +67,7 @@ class TaskRunner:
         return self.together([tasks], span)[0]
 
     def together(
-        self, stages: Sequence[Sequence[Task]], span: tuple[float, float] = (0.0, 1.0)
+        self, stages: Sequence[Sequence[Task[Any]]], span: tuple[float, float] = (0.0, 1.0)
     ) -> list[dict[str, str]]:
         """Do the tasks of independent stages in parallel; see :meth:`run`.
 
@@ -85,11 +92,11 @@ class TaskRunner:
             self._done.update(task.key for task in tasks)
         return [{task.name: task.key for task in stage} for stage in stages]
 
-    def one(self, task: Task, span: tuple[float, float] = (0.0, 1.0)) -> str:
+    def one(self, task: Task[Any], span: tuple[float, float] = (0.0, 1.0)) -> str:
         """Do a single task; return its key."""
         return self.run([task], span)[task.name]
 
-    def _open(self, task: Task) -> bool:
+    def _open(self, task: Task[Any]) -> bool:
         again = task.stage in self.redo and task.key not in self._done
         return again or not self.store.has(task.key)
 

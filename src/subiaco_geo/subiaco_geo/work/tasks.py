@@ -8,20 +8,19 @@ import json
 import resource
 import sys
 import time
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from types import SimpleNamespace
-from typing import Any
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 from pydantic import BaseModel
 
+from subiaco_geo.work.results import Result, pack, unpack
 from subiaco_geo.work.source_code import source_fingerprint
-from subiaco_geo.work.store import Array, Arrays, Store
+from subiaco_geo.work.store import Store
 
-#: A piece of work: the arrays it rests on, by alias, and its parameters -> the arrays it leaves.
-Function = Callable[["Inputs", Mapping[str, Any]], Arrays]
+Params = TypeVar("Params")
 
 
 def fingerprint(value: Any) -> str:
@@ -39,8 +38,6 @@ def _feed(digest: Any, value: Any) -> None:
         digest.update(json.dumps(value.model_dump(mode="json"), sort_keys=True).encode())
     elif dataclasses.is_dataclass(value) and not isinstance(value, type):
         _feed(digest, {f.name: getattr(value, f.name) for f in dataclasses.fields(value)})
-    elif isinstance(value, SimpleNamespace):
-        _feed(digest, vars(value))
     elif isinstance(value, Mapping):
         for name in sorted(value):
             digest.update(f"{name}=".encode())
@@ -58,45 +55,28 @@ def _feed(digest: Any, value: Any) -> None:
         raise TypeError(f"{type(value).__name__} has no fingerprint")
 
 
-class _Once(Mapping[str, Array]):
-    """Arrays that are read from their file when first asked for, and kept."""
-
-    def __init__(self, arrays: Arrays) -> None:
-        self._arrays = arrays
-        self._read: dict[str, Array] = {}
-
-    def __getitem__(self, name: str) -> Array:
-        if name not in self._read:
-            self._read[name] = self._arrays[name]
-        return self._read[name]
-
-    def __iter__(self) -> Iterator[str]:
-        return iter(self._arrays)
-
-    def __len__(self) -> int:
-        return len(self._arrays)
-
-
 @dataclass(frozen=True)
 class Inputs:
-    """What a task rests on; ``inputs[alias]`` opens the arrays of a finished piece, each read once."""
+    """What a task rests on: keys of finished pieces by alias."""
 
     store: Store
     keys: Mapping[str, str]
-    _opened: dict[str, _Once] = field(default_factory=dict, repr=False, compare=False)
+    _opened: dict[str, Any] = field(default_factory=dict, repr=False, compare=False)
 
-    def __getitem__(self, alias: str) -> Arrays:
+    def of(self, kind: type[Result], alias: str) -> Result:
+        """Open the result of an earlier stage; each of its fields is read once."""
         if alias not in self._opened:
-            self._opened[alias] = _Once(self.store.load(self.keys[alias]))
-        return self._opened[alias]
+            self._opened[alias] = self.once(kind, alias)
+        found: Result = self._opened[alias]
+        return found
 
-    def once(self, alias: str) -> Arrays:
-        """Open a piece that is looked at once: nothing of it is kept here."""
-        return self.store.load(self.keys[alias])
+    def once(self, kind: type[Result], alias: str) -> Result:
+        """Open a result that is looked at once: nothing of it is kept here."""
+        return unpack(kind, self.store.load(self.keys[alias]))
 
-    def get(self, alias: str) -> Arrays:
-        """Return the arrays of a piece, or none at all where the task does not rest on it."""
-        return self[alias] if alias in self.keys else {}
+    def find(self, kind: type[Result], alias: str) -> Result | None:
+        """Open a result, None where the task does not rest on it."""
+        return self.of(kind, alias) if alias in self.keys else None
 
     def __contains__(self, alias: object) -> bool:
         return alias in self.keys
@@ -108,7 +88,7 @@ class Inputs:
 
 
 @dataclass(frozen=True)
-class Task:
+class Task(Generic[Params]):
     """One piece of work.
 
     Parameters
@@ -116,18 +96,19 @@ class Task:
     stage, name : str
         ``name`` is a tile, or *all*.
     function : callable
-        At the top of a module, so that other processes find it.
+        At the top of a module, so that other processes find it: inputs and parameters to a dataclass that
+        :func:`~subiaco_geo.work.results.pack` can store.
     inputs : mapping of str to str
         Keys of finished pieces by alias.
-    params : mapping
+    params : dataclass
         All else that the result depends on (see :func:`fingerprint`).
     """
 
     stage: str
     name: str
-    function: Function
-    inputs: Mapping[str, str] = field(default_factory=dict)
-    params: Mapping[str, Any] = field(default_factory=dict)
+    function: Callable[[Inputs, Params], Any]
+    inputs: Mapping[str, str]
+    params: Params
 
     @cached_property
     def key(self) -> str:
@@ -148,10 +129,10 @@ class TaskCost:
     peak_mib: float
 
 
-def execute(store: Store, task: Task) -> TaskCost:
+def execute(store: Store, task: Task[Any]) -> TaskCost:
     """Do a task and keep what it leaves."""
     wall, cpu = time.perf_counter(), time.process_time()
-    store.save(task.key, task.function(Inputs(store, task.inputs), task.params))
+    store.save(task.key, pack(task.function(Inputs(store, task.inputs), task.params)))
     wall, cpu = time.perf_counter() - wall, time.process_time() - cpu
     return TaskCost(task.stage, task.name, wall, cpu, peak_mib())
 

@@ -1,0 +1,55 @@
+"""The common frame as stages hand it to each other: a registration and the corrections beyond it."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from subiaco_change.level_of_detection.common_frame import CommonFrame
+from subiaco_change.level_of_detection.displacement_field import SmoothField
+from subiaco_change.records import Registration
+from subiaco_change.tiling.epoch_tiles import Side
+from subiaco_geo.clouds import PointCloud
+from subiaco_geo.frames import Floats
+from subiaco_geo.work.tasks import Inputs
+
+#: Aliases under which a task finds what makes up its frame.
+REGISTRATION, CORRECTIONS = "registration", ("bias", "warp")
+
+
+@dataclass(frozen=True)
+class PairRegistration:
+    """The registration of a pair.
+
+    ``shift``: of a second estimate, how far it moves *before* at most against the first one [m];
+    ``failed``: why the first estimate was kept, None where it was not.
+    """
+
+    registration: Registration
+    shift: float
+    failed: str | None
+
+
+@dataclass(frozen=True)
+class Correction:
+    """A smooth correction beyond the rigid transform, None where there is none."""
+
+    field: SmoothField | None
+
+
+def load_frame(inputs: Inputs, origin: Floats) -> CommonFrame:
+    """Return the frame about an origin (3,) with as many corrections as the task rests on."""
+    frame = CommonFrame(inputs.of(PairRegistration, REGISTRATION).registration, origin)
+    for name in CORRECTIONS:
+        correction = inputs.find(Correction, name)
+        if correction is not None:
+            frame = frame.corrected(correction.field)
+    return frame
+
+
+def in_frame(xyz: Floats, side: Side, frame: CommonFrame, normals: Floats | None = None) -> PointCloud:
+    """Bring points (N, 3) of an epoch, about its own origin, into the common frame."""
+    fields = {} if normals is None else {"normals": np.asarray(normals, dtype=np.float64)}
+    cloud = PointCloud(np.asarray(xyz, dtype=np.float64), side.origin, side.crs, fields)
+    return frame.bring(cloud) if side.epoch == "before" else cloud
