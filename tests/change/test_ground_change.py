@@ -165,7 +165,7 @@ def test_cells_whose_neighbours_moved_the_other_way_are_no_part_of_a_patch():
     dz[:, 19:21] = np.nan
     blind = np.isnan(dz)
     hidden = GroundCells(
-        dz, np.full(shape, 0.03), blind, ~blind, np.zeros(shape), np.zeros(shape, dtype=bool)
+        dz, np.full(shape, 0.03), blind, ~blind, np.zeros(shape), blind & False, blind & False
     )
     assert beyond_gate(hidden, 1.0, GroundChangeConfig()).all()
     sunk = replace(hidden, dz=np.where(blind, -0.05, dz))
@@ -182,7 +182,13 @@ def test_ground_of_one_epoch_alone_joins_the_patch_beside_it_unless_rings_are_fa
     dz[:, 24:26] = np.nan
     unseen = np.isnan(dz)
     cells = GroundCells(
-        dz, np.full(shape, 0.03), unseen, np.ones(shape, dtype=bool), np.zeros(shape), unseen & False
+        dz,
+        np.full(shape, 0.03),
+        unseen,
+        np.ones(shape, dtype=bool),
+        np.zeros(shape),
+        unseen & False,
+        unseen & False,
     )
     patch, found = find_patches(cells, np.zeros(2), GroundChangeConfig())
     assert len(found) == 1
@@ -226,3 +232,27 @@ def test_a_surface_that_the_other_epoch_holds_under_another_class_did_not_move(s
     assert len(compare_ground(before, after, GroundChangeConfig()).patches) == 1
     assert compare_ground(with_points(before, tops, semantic), after, GroundChangeConfig()).patches == ()
     assert compare_ground(after, with_points(before, tops, semantic), GroundChangeConfig()).patches == ()
+
+
+def test_walls_beside_a_narrow_trench_are_no_second_surface_of_the_ground():
+    """A trench of 30 m x 1 m between two walls that *after* holds from the floor of the trench up to 3 m."""
+    trench = box(30, 30, 30, 1)
+    x, y, z = (v.ravel() for v in np.meshgrid(np.arange(30, 60, 0.2), (29.9, 31.1), np.arange(-0.3, 3, 0.2)))
+    walls = np.column_stack([x, y, 0.03 * x + z])
+    before, after = view(seed=1), with_points(
+        view(lambda x, y: -0.35 * trench(x, y), seed=2), walls, Semantic.BUILDING
+    )  # fmt: skip
+    (patch,) = compare_ground(before, after, GroundChangeConfig()).patches
+    assert patch.change is Change.DECREASED
+    assert patch.area == pytest.approx(30, abs=4)
+
+
+def test_the_rim_of_a_milled_strip_is_no_second_surface_of_the_ground():
+    """A strip 2 m wide and 0.4 m deep whose rim, at the old level, passes for something else."""
+    strip = box(30, 30, 20, 2)
+    rim = np.array([(x, y, 0.03 * x) for x in np.arange(30, 50, 0.25) for y in (29.9, 32.1)])
+    before, after = view(seed=1), with_points(
+        view(lambda x, y: -0.4 * strip(x, y), seed=2), rim, Semantic.OTHER
+    )  # fmt: skip
+    (patch,) = compare_ground(before, after, GroundChangeConfig()).patches
+    assert patch.change is Change.DECREASED

@@ -135,8 +135,32 @@ def test_what_is_as_likely_a_trail_as_an_object_is_not_claimed(moved: float, cla
 @pytest.mark.parametrize(("moved", "expected"), [(0.0, 0.9), (0.3, 0.7), (0.5, 0.5)])
 def test_a_claim_on_what_was_seen_for_a_moment_only_is_not_trusted(moved: float, expected: float) -> None:
     claim = Decision(Change.ADDED, "in the later survey alone", 1.5)
-    certain, reason = limit_confidence(claim, [timed(moved)], 0.9)
+    certain, reason = limit_confidence(claim, [timed(moved)], 0.9, RULES)
     assert certain == pytest.approx(expected)
     assert ("may have moved" in reason) == (moved > 0)
     same = Decision(Change.UNCHANGED, "as it was", 0.1)
-    assert limit_confidence(same, [timed(moved)], 0.9) == (0.9, "as it was")
+    assert limit_confidence(same, [timed(moved)], 0.9, RULES) == (0.9, "as it was")
+
+
+def test_a_wall_higher_than_any_vehicle_did_not_pass_however_briefly_it_was_seen() -> None:
+    brief = timed(0.5)
+    heights = np.linspace(0.3, 5.3, len(brief.voxels.height))
+    wall = replace(brief, voxels=replace(brief.voxels, height=heights))
+    assert is_moving_object_trail([wall], Semantic.BUILDING, None, RULES) is None
+    claim = Decision(Change.ADDED, "in the later survey alone", 1.5)
+    assert limit_confidence(claim, [wall], 0.9, RULES) == (0.9, claim.reason)
+    bus = replace(brief, voxels=replace(brief.voxels, height=0.7 * heights))
+    assert is_moving_object_trail([bus], Semantic.BUILDING, None, RULES) is not None
+
+
+def test_a_part_of_a_building_that_was_seen_briefly_is_no_vehicle() -> None:
+    brief = timed(0.5)
+    heights = np.linspace(0.3, 2.8, len(brief.xyz))
+    part = replace(brief, xyz=np.column_stack([np.zeros(len(heights)), np.zeros(len(heights)), heights]))
+    house = np.column_stack([np.full(30, 0.4), np.zeros(30), np.linspace(0, 3, 30)])
+    for distance, moved in ((0.0, None), (3.0, Change.UNOBSERVED)):
+        own = OwnEpochEvidence(everywhere, NOWHERE, cKDTree(np.add(house, (distance, 0, 0))), np.full(30, 77))
+        decision = is_moving_object_trail([part], Semantic.BUILDING, own, RULES)
+        assert (None if decision is None else decision.change) is moved
+    own = OwnEpochEvidence(everywhere, NOWHERE, cKDTree(house), np.full(30, part.instance))
+    assert is_moving_object_trail([part], Semantic.BUILDING, own, RULES) is not None

@@ -141,7 +141,7 @@ def test_the_reason_of_a_trail_has_value_limit_and_conclusion(moved: float, pass
         if found is not None:
             assert faults(found.reason) == [], found.reason
     claim = decide(*CASES["added"][:3], replace(SAME, new_share=0.8), 0.03, CONFIG)
-    certain, reason = limit_confidence(claim, [timed(moved)], 0.99)
+    certain, reason = limit_confidence(claim, [timed(moved)], 0.99, RULES)
     assert certain == pytest.approx(1.0 - moved)
     assert faults(reason) == [], reason
 

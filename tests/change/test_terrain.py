@@ -2,9 +2,11 @@
 
 import geopandas as gpd
 import numpy as np
+import pandas as pd
 import pyogrio
 import pytest
 import rasterio
+from shapely.geometry import LineString
 
 from subiaco_bringup.cli.main import run
 from subiaco_change.outputs.terrain import export_terrain
@@ -33,7 +35,12 @@ def terrain(tmp_path_factory):
     times = np.arange(2, dtype=np.int64)
     survey = SurveyMap(from_world(world, "EPSG:7850"), Trajectory(times, np.tile(np.eye(4), (2, 1, 1))))
     write_map(folder / "map", survey)
-    assert run(["export", str(folder / "map"), "--to", "terrain", "-o", str(folder / "out"), "-q"]) == 0
+    line = LineString([(EAST + 5, NORTH + 20), (EAST + 55, NORTH + 20)])
+    across = LineString([(EAST + 30, NORTH - 10), (EAST + 30, NORTH + 30)])
+    lines = gpd.GeoDataFrame(geometry=[line, across], crs="EPSG:7850").to_crs("EPSG:4326")
+    lines.to_file(folder / "lines.geojson")
+    command = ["export", str(folder / "map"), "--to", "terrain", "-o", str(folder / "out"), "-q"]
+    assert run([*command, "--sections", str(folder / "lines.geojson")]) == 0
     return folder / "out"
 
 
@@ -51,6 +58,36 @@ def test_the_ground_runs_under_the_house_and_the_surface_over_it(terrain):
     assert sampled(terrain / "dsm.tif", 30.25, 20.25) == pytest.approx(height(EAST + 30.25) + 4.0, abs=0.03)
     under = sampled(terrain / "dtm.tif", 26.25, 20.25)
     assert np.isnan(under) or under == pytest.approx(height(EAST + 26.25), abs=0.1)
+
+
+def test_sections_follow_ground_and_surface_along_their_lines(terrain):
+    table = pd.read_csv(terrain / "sections.csv")
+    first = table[table["section"] == 1]
+    assert first["chainage_m"].iloc[[0, -1]].tolist() == pytest.approx([0.0, 50.0], abs=0.01)
+    assert np.allclose(first["east"], EAST + 5 + first["chainage_m"], atol=0.01)
+    roof = first["chainage_m"].between(21, 29)
+    assert np.allclose(first["surface_m"][roof], height(first["east"][roof]) + 4.0, atol=0.05)
+    start = first[first["chainage_m"] < 15]
+    assert np.allclose(start["surface_m"], height(start["east"]), atol=0.05)
+    second = table[table["section"] == 2]
+    assert second["surface_m"][second["north"] < NORTH - 1].isna().all()
+    shapes = gpd.read_file(terrain / "sections.gpkg")
+    assert shapes.crs.to_epsg() == 7850
+    assert set(shapes["model"]) == {"ground", "surface"}
+    assert shapes.geometry.has_z.all()
+    drawing = pyogrio.read_dataframe(terrain / "sections.dxf")
+    assert set(drawing["Layer"]) == {"GROUND", "SURFACE"}
+    west, _, east, top = drawing[drawing["Layer"] == "SURFACE"].total_bounds
+    assert top == pytest.approx(table["surface_m"].max(), abs=0.01)
+    assert west == pytest.approx(0.0, abs=0.01)
+    assert east == pytest.approx(50.0 + 10.0 + 40.0, abs=0.6)  # the second section is beside the first
+
+
+def test_a_file_without_lines_is_refused(terrain, tmp_path):
+    (tmp_path / "none.geojson").write_text('{"type": "FeatureCollection", "features": []}')
+    with pytest.raises(InputError, match="holds no line"):
+        export_terrain(terrain.parent / "map", tmp_path / "out", sections=tmp_path / "none.geojson")
+    assert not (tmp_path / "out").exists()
 
 
 def test_the_shade_is_known_where_the_surface_is_and_flat_ground_has_one_tone(terrain):

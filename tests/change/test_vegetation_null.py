@@ -57,6 +57,26 @@ def test_a_shift_that_all_crowns_of_a_pair_share_is_no_change_and_one_beyond_is(
     assert grown.sigmas > 0 > rest.sigmas
 
 
+@pytest.mark.parametrize("seed", range(5))
+def test_hedges_that_changed_do_not_widen_the_scatter_of_the_others_even_where_nearly_half_did(seed):
+    rng = np.random.default_rng(seed)
+    same = rng.normal(0.02, 0.03, 10)
+    cut_or_grown = np.array([-0.56, -0.45, 0.52, 0.43, -0.38, 0.36, -0.47, 0.55])
+    hedges = [replace(HEDGE, top=float(top)) for top in [*same, *cut_or_grown]]
+    expected = fit_null(hedges, NULL).expected(HEDGE, "top")
+    assert expected.sd <= 0.1
+    assert abs(expected.shift) <= 0.05
+    assert (np.abs(cut_or_grown - expected.shift) > NULL.certain * expected.sd).all()
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("sd", [0.05, 0.15, 0.3])
+def test_a_wide_scatter_of_many_plants_without_a_change_is_measured_as_wide(sd, seed):
+    rng = np.random.default_rng(seed)
+    plants = [replace(TREE, outline=float(shift)) for shift in rng.normal(0.0, sd, 80)]
+    assert fit_null(plants, NULL).expected(TREE, "outline").sd == pytest.approx(sd, rel=0.3)
+
+
 @pytest.mark.parametrize("thin", [False, True])
 @pytest.mark.parametrize(("free", "claimed"), [(0.9, True), (0.65, False)])
 def test_growth_is_claimed_only_where_the_earlier_survey_saw_the_place_free(free, claimed, thin):

@@ -57,7 +57,7 @@ OPTIONS = {
         "--parcels",
         "--overwrite",
     ],
-    "export": ["--to", "copc", "dxf", "--output", "--cloudcompare", "--review", "accepted"],
+    "export": ["--to", "copc", "dxf", "--output", "--cloudcompare", "--review", "accepted", "--sections"],
     "deliver": ["CHANGE_DIR", "--output", "--review", "--polygons", "--check", "--cell", "--without-clouds"],
     "viewer": ["CHANGE_DIR", "--open"],
     "review": ["CHANGE_DIR", "reviews.csv", "--json"],

@@ -27,7 +27,7 @@ def open_map(path: str | Path, trajectory: str | Path | None = None) -> SurveyMa
     path : path
         A map directory, or a bare cloud: ``.ply .las .laz .pcd``.
     trajectory : path, optional
-        TUM file of the poses of the sensor, for a bare cloud.
+        Poses of the sensor (TUM, SBET, RTKLIB, CSV), for a bare cloud.
 
     Returns
     -------

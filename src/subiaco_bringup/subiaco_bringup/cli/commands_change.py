@@ -270,6 +270,13 @@ def export(
             " changes get code 254.",
         ),
     ] = "all",
+    sections: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="FILE",
+            help="With --to terrain: lines (.gpkg, .geojson, .shp) along which ground and surface are cut.",
+        ),
+    ] = None,
     geoid: Annotated[
         Path | None,
         typer.Option(
@@ -293,13 +300,15 @@ def export(
         raise InputError(
             f"--cloudcompare names the fields of a PLY; with --to {to} it has no meaning; leave it out"
         )
+    if sections is not None and to is not ExportKind.TERRAIN:
+        raise InputError(f"--sections cuts terrain; with --to {to} it has no meaning; leave it out")
     is_map = (directory / "map.yaml").is_file() or to is ExportKind.TERRAIN
     if is_map and review != "all":
         raise InputError(f"--review {review}: {directory} is a map, which has no reviews; leave it out")
     if to is ExportKind.TERRAIN and geoid is not None:
         raise InputError("--geoid: heights of terrain stay above the ellipsoid; give --to laz, copc or ply")
     if to is ExportKind.TERRAIN:
-        files = export_terrain(directory, output)
+        files = export_terrain(directory, output, sections=sections)
     elif is_map:
         files = export_map(directory, output, to.value, cloudcompare=cloudcompare, geoid=geoid)
     else:

@@ -15,6 +15,7 @@ from scipy.spatial import cKDTree
 
 from subiaco_change.decisions.rules import Decision, DecisionConfig
 from subiaco_change.decisions.voxel_objects import (
+    NO_OBJECT,
     EpochView,
     ObjectInstance,
     is_ghost_trail,
@@ -24,23 +25,27 @@ from subiaco_change.decisions.voxel_objects import (
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.codes import Change, Semantic
-from subiaco_geo.frames import Floats
+from subiaco_geo.frames import Floats, Ints
 
 Observed = Callable[[Floats], Mask]
 _BESIDE = NUMBERS.dynamic_objects.visibility_step
 _LANE = NUMBERS.dynamic_objects.lane_reach
 _WITHIN = NUMBERS.dynamic_objects.lane_share
+_WALL = NUMBERS.dynamic_objects.wall_contact
 
 
 @dataclass(frozen=True)
 class OwnEpochEvidence:
     """What the survey of an epoch itself knows of the places where its objects stand.
 
-    ``observed`` tells which places (N, 3) it saw; ``traffic`` holds the trails it is sure of.
+    ``observed`` tells which places (N, 3) it saw; ``traffic`` holds the trails it is sure of, ``buildings``
+    the points of buildings, whose instances (B,) are ``building_of``.
     """
 
     observed: Observed
     traffic: cKDTree
+    buildings: cKDTree | None = None
+    building_of: Ints | None = None
 
     def through(self, objects: Sequence[ObjectInstance]) -> float:
         """Share of the surface of objects on both sides of which the survey looked."""
@@ -53,10 +58,28 @@ class OwnEpochEvidence:
         distance = self.traffic.query(places, distance_upper_bound=_LANE)[0]
         return bool(np.isfinite(distance).mean() >= _WITHIN)
 
+    def adjoins_building(self, objects: Sequence[ObjectInstance]) -> bool:
+        """Tell whether objects touch another building over the height of a wall: vehicles keep clear."""
+        if self.buildings is None or self.building_of is None or self.buildings.n == 0:
+            return False
+        places = np.concatenate([t.xyz for t in objects])
+        near = self.buildings.query_ball_point(places, _BESIDE)
+        slot = np.repeat(np.arange(len(places)), [len(n) for n in near])
+        found = np.concatenate([np.asarray(n, dtype=np.int64) for n in near])
+        other = ~np.isin(self.building_of[found], [t.instance for t in objects])
+        heights = places[np.unique(slot[other]), 2]
+        return len(heights) > 0 and float(np.ptp(heights)) >= _WALL
+
 
 def own_epoch_evidence(view: EpochView, observed: Observed) -> OwnEpochEvidence:
     """Gather what the survey of an epoch knows of itself."""
-    return OwnEpochEvidence(observed, cKDTree(view.xyz[is_ghost_trail(view)]))
+    building = (view.semantic == Semantic.BUILDING) & (view.instance != NO_OBJECT)
+    return OwnEpochEvidence(
+        observed,
+        cKDTree(view.xyz[is_ghost_trail(view)]),
+        cKDTree(view.xyz[building]),
+        view.instance[building].astype(np.int64),
+    )
 
 
 def is_moving_object_trail(
@@ -68,7 +91,9 @@ def is_moving_object_trail(
     """
     moved = mean_moving_probability(objects)
     if moved is not None:
-        return _by_probability(moved, objects, rules)
+        return (
+            _by_probability(moved, objects, rules) if may_have_moved(objects, semantic, own, rules) else None
+        )
     top = max(float(t.voxels.height.max()) for t in objects)
     passed = min(float(np.quantile(t.passed, 0.25)) if len(t.passed) else 0.0 for t in objects)
     least = min(rules.trail_passes_high, rules.trail_passes_lane)
@@ -102,6 +127,24 @@ def _by_probability(
     return Decision(Change.UNOBSERVED, reason, 1.0 - uncertain)
 
 
+def may_have_moved(
+    objects: Sequence[ObjectInstance], semantic: Semantic, own: OwnEpochEvidence | None, rules: DecisionConfig
+) -> bool:
+    """Tell whether objects may be what a road vehicle left: as low as one, and no part of a building."""
+    if not fits_a_vehicle(objects, rules):
+        return False
+    return own is None or semantic is not Semantic.BUILDING or not own.adjoins_building(objects)
+
+
+def fits_a_vehicle(objects: Sequence[ObjectInstance], rules: DecisionConfig) -> bool:
+    """Tell whether objects may be what a road vehicle left: no part of them is higher than vehicles are.
+
+    A wall of a house that a survey met for a second only is as brief as a vehicle that passed, but higher.
+    """
+    heights = np.concatenate([t.voxels.height for t in objects])
+    return float(np.mean(heights > rules.vehicle_top)) < rules.vehicle_above
+
+
 def upper_moving_probability(objects: Sequence[ObjectInstance]) -> float:
     """Probability that objects moved: the mean of their points or the median, whichever is larger."""
     points = np.concatenate([t.moved for t in objects])
@@ -116,7 +159,7 @@ def mean_moving_probability(objects: Sequence[ObjectInstance]) -> float | None:
 
 
 def limit_confidence(
-    decision: Decision, objects: Sequence[ObjectInstance], confidence: float
+    decision: Decision, objects: Sequence[ObjectInstance], confidence: float, rules: DecisionConfig
 ) -> tuple[float, str]:
     """Return the confidence in what one epoch alone holds, and the reason, where it may have moved.
 
@@ -124,7 +167,7 @@ def limit_confidence(
     """
     if decision.change not in (Change.ADDED, Change.REMOVED) or mean_moving_probability(objects) is None:
         return confidence, decision.reason
-    moved = upper_moving_probability(objects)
+    moved = upper_moving_probability(objects) if fits_a_vehicle(objects, rules) else 0.0
     if 1.0 - moved >= confidence:
         return confidence, decision.reason
     doubt = f"The object may have moved during mapping (probability {moved:.0%}): the confidence is lowered."

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -56,12 +57,25 @@ class GroundChangeConfig(StrictModel):
         description="Largest horizontal distance of a point from a cell centre at which the point shows "
         "the other epoch's ground surface [m]",
     )
+    same_above: float = Field(
+        1.5,
+        gt=0,
+        description="Height above the other epoch's ground up to which points of a building show that a wall "
+        "rises there, and no surface ends [m]",
+    )
     same_share: float = Field(
         0.5,
         gt=0,
         le=1,
         description="Fraction of a patch whose surfaces exist in both epochs from which the patch is no "
         "ground change",
+    )
+    same_inside: float = Field(
+        0.2,
+        ge=0,
+        le=1,
+        description="Fraction of a patch in whose own cells the other surface must have points; the rim of "
+        "a pit has points beside the patch alone",
     )
     shown: float = Field(
         0.5,
@@ -83,7 +97,8 @@ class GroundCells:
 
     ``dz`` after minus before, NaN where either epoch has no ground; ``lod`` [m], NaN where either has
     none; ``bridged``: took a neighbour's height in an epoch; ``known``: holds ground in either;
-    ``height`` in *after* [m]; ``other``: one epoch holds the ground of the other under another class.
+    ``height`` in *after* [m]; ``other``: one epoch holds the ground of the other under another class, in
+    the cell or beside it; ``inside``: in the cell itself.
     """
 
     dz: Floats
@@ -92,6 +107,7 @@ class GroundCells:
     known: Mask
     height: Floats
     other: Mask
+    inside: Mask
 
 
 def difference_cells(
@@ -102,8 +118,11 @@ def difference_cells(
     heights, bridged = _bridge(cells[0][0], cells[1][0], config)
     known = np.isfinite(cells[0][0]) | np.isfinite(cells[1][0])
     lod = np.maximum(cells[0][1], cells[1][1])
-    other = _other_surface((before, after), heights, corner, config)
-    return GroundCells(heights[1] - heights[0], lod, bridged, known, heights[1], other)
+    other, inside = (
+        _other_surface((before, after), heights, corner, beside, config)
+        for beside in (config.same_beside, math.sqrt(0.5) * config.cell)
+    )
+    return GroundCells(heights[1] - heights[0], lod, bridged, known, heights[1], other, inside)
 
 
 def _still_ground(view: EpochView) -> Mask:
@@ -116,6 +135,7 @@ def _other_surface(
     views: tuple[EpochView, EpochView],
     heights: tuple[Floats, Floats],
     corner: Floats,
+    beside: float,
     config: GroundChangeConfig,
 ) -> Mask:
     """Tell in which cells the ground of two epochs is not one surface that moved.
@@ -132,28 +152,34 @@ def _other_surface(
     limit = np.minimum(config.same_surface, 0.5 * apart[row, column])
     held = np.zeros(len(row), dtype=bool)
     for e, view in enumerate(views):
-        off = view.xyz[(view.semantic != Semantic.GROUND) & ~is_ghost_trail(view)]
+        off = (view.semantic != Semantic.GROUND) & ~is_ghost_trail(view)
+        wall = view.semantic == Semantic.BUILDING
         surface = np.column_stack([middle, heights[1 - e][row, column]])
-        held |= _holds(off, surface, limit, config.same_beside)
+        held |= _holds(view.xyz[off & ~wall], surface, limit, beside, 0.0)
+        held |= _holds(view.xyz[off & wall], surface, limit, beside, config.same_above)
     other[row, column] = held
     return other
 
 
-def _holds(points: Floats, places: Floats, limit: Floats, beside: float) -> Mask:
-    """Tell at which places (M, 3) points (N, 3) lie within ``beside`` and, in height, ``limit`` (M,)."""
-    if len(points) == 0:
-        return np.zeros(len(places), dtype=bool)
+def _holds(points: Floats, places: Floats, limit: Floats, beside: float, above: float) -> Mask:
+    """Tell at which places (M, 3) points (N, 3) lie within ``beside`` and, in height, ``limit`` (M,).
+
+    A wall that rises beside the place is no surface at its height: more of its points lie ``above``, up to so
+    much [m].
+    """
+    held = np.zeros(len(places), dtype=bool)
     low, high = places.min(axis=0) - beside, places.max(axis=0) + beside
+    high[2] += above
     points = points[((points >= low) & (points <= high)).all(axis=1)]
-    found = np.zeros(len(places), dtype=bool)
     if len(points) == 0:
-        return found
-    near = cKDTree(points).query_ball_point(places, np.hypot(beside, limit))
+        return held
+    near = cKDTree(points[:, :2]).query_ball_point(places[:, :2], beside)
     slot = np.repeat(np.arange(len(places)), [len(n) for n in near])
     step = points[np.concatenate([np.asarray(n, dtype=np.int64) for n in near])] - places[slot]
-    flat = np.hypot(step[:, 0], step[:, 1]) <= beside
-    found[slot[flat & (np.abs(step[:, 2]) <= limit[slot])]] = True
-    return found
+    level = np.abs(step[:, 2]) <= limit[slot]
+    higher = (step[:, 2] > limit[slot]) & (step[:, 2] <= above)
+    at, over = (np.bincount(slot[mask], minlength=len(places)) for mask in (level, higher))
+    return np.asarray((at > 0) & (over <= at))
 
 
 def shown_lod(lod: Floats) -> Floats:

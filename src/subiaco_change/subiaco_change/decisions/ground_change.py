@@ -22,6 +22,7 @@ from subiaco_geo.frames import Floats, Ints
 _DENSE = NUMBERS.ground_change.dense_share
 _AROUND = NUMBERS.ground_change.noise_reach
 _NOISE_BLOCK = NUMBERS.ground_change.noise_block
+_INNER = NUMBERS.ground_change.inner_share
 _LOD_CELLS = NUMBERS.ground_change.lod_cells
 
 
@@ -94,13 +95,24 @@ def find_patches(
         large = _possible_sizes(labels, count, unknown, config) * config.cell**2 > config.area
         for number in np.flatnonzero(large & (shown >= least)).tolist():
             found = _make_patch(change, labels == number, dz, lod, corner, config)
-            measured = (labels == number) & np.isfinite(dz)
-            if cells.other[measured].mean() >= config.same_share:
+            if _is_other_surface(labels == number, cells, config):
                 continue
             if abs(found.dz) > max(config.threshold, config.lod_factor * found.lod):
                 patch[labels == number] = len(patches)
                 patches.append(found)
     return patch, tuple(patches)
+
+
+def _is_other_surface(where: Mask, cells: GroundCells, config: GroundChangeConfig) -> bool:
+    """Tell whether both epochs hold the surfaces of a patch, so that no ground moved.
+
+    The cells on the rim do not count where others are left: beside them lies what surrounds the patch.
+    """
+    measured = where & np.isfinite(cells.dz)
+    inner = measured & ndimage.binary_erosion(where, np.ones((3, 3)))
+    counted = inner if np.count_nonzero(inner) >= _INNER * np.count_nonzero(measured) else measured
+    shares = float(cells.other[counted].mean()), float(cells.inside[counted].mean())
+    return shares[0] >= config.same_share and shares[1] >= config.same_inside
 
 
 def _gate(lod: Floats, config: GroundChangeConfig) -> Floats:

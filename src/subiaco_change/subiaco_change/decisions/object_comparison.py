@@ -14,6 +14,7 @@ from subiaco_change.decisions.confidence import ConfidenceConfig, bounded, featu
 from subiaco_change.decisions.dynamic_objects import Observed, limit_confidence, own_epoch_evidence
 from subiaco_change.decisions.measures import footprint, same_place
 from subiaco_change.decisions.object_decision import ObjectChange, ObjectRules, decide_object
+from subiaco_change.decisions.rules import DecisionConfig
 from subiaco_change.decisions.voxel_objects import (
     EpochView,
     ObjectInstance,
@@ -110,7 +111,12 @@ def density_ratio(before: Sequence[ObjectInstance], after: Sequence[ObjectInstan
 
 
 def make_record(
-    change: ObjectChange, object_id: int, origin: Floats, evidence: str, trust: ConfidenceConfig
+    change: ObjectChange,
+    object_id: int,
+    origin: Floats,
+    evidence: str,
+    trust: ConfidenceConfig,
+    rules: DecisionConfig,
 ) -> ChangeRecord:
     """Turn an object into a row of the table, in world coordinates."""
     import shapely.affinity
@@ -124,7 +130,7 @@ def make_record(
     density = change.plant.density if change.plant else density_ratio(change.before, change.after)
     found = features(change.decision, m, change.semantic, score, density, evidence)
     certain = bounded(probability(change.decision, found, trust), change.decision, m)
-    certain, reason = limit_confidence(change.decision, objects, certain)
+    certain, reason = limit_confidence(change.decision, objects, certain, rules)
     return ChangeRecord(
         object_id=object_id,
         semantic=change.semantic,

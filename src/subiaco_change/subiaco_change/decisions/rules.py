@@ -182,6 +182,19 @@ class DecisionConfig(StrictModel):
         description="Passes per return from which a high object that its own survey observed from both "
         "sides is a ghost trail [1]",
     )
+    vehicle_top: float = Field(
+        4.4,
+        gt=0,
+        description="Height above ground that no road vehicle exceeds [m]; what is higher did not move "
+        "while it was mapped",
+    )
+    vehicle_above: float = Field(
+        0.05,
+        gt=0,
+        lt=1,
+        description="Fraction of the voxels of an object above `vehicle_top` from which the object is no "
+        "vehicle",
+    )
     trail_high: float = Field(
         2.6,
         gt=0,

@@ -20,10 +20,10 @@ from subiaco_change.method_numbers import NUMBERS
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats
 
-_GAUSS = NUMBERS.vegetation_null.mad_factor
-_BIWEIGHT = NUMBERS.vegetation_null.biweight_width
-_CLIPPED = NUMBERS.vegetation_null.clipped
+_SCATTERS = NUMBERS.vegetation_null.scatters
 _ROUNDS = NUMBERS.vegetation_null.rounds
+_SETTLED = NUMBERS.vegetation_null.settled
+_PRIOR_PLANTS = NUMBERS.vegetation_null.prior_plants
 
 
 #: Trees are compared with trees, hedges and shrubs with hedges and shrubs.
@@ -118,6 +118,25 @@ class VegetationNullConfig(StrictModel):
         gt=0,
         description="Expected dependence of a plant measure on density and size, for a factor of e [m or 1]",
     )
+    changed: float = Field(
+        4.0,
+        gt=1,
+        description="Scale of the differences of plants that changed, in stated standard deviations [1]. "
+        "Raise it where plants are cut or grow by much",
+    )
+    changed_share: float = Field(
+        0.25,
+        gt=0,
+        lt=1,
+        description="Fraction of the plants of a pair that is expected to have changed; counts as much as "
+        "four plants",
+    )
+    spread: float = Field(
+        0.7,
+        gt=0,
+        description="Natural logarithm of the factor by which the scatter of a pair may differ from the "
+        "stated scatter, as a standard deviation [1]",
+    )
     stated: PlantScatter = Field(
         PlantScatter(outline=0.10, top=0.10, volume=0.05, surface=0.05, rise=0.08),
         description="Scatter of unchanged plants where a pair has too few plants: the largest on "
@@ -191,8 +210,7 @@ def fit_null(plants: Sequence[PlantMeasures], config: VegetationNullConfig) -> V
                 continue
             places = np.array([_place(p) for p in own])[known]
             order = np.lexsort((*places.T, values[known]))
-            least = float(getattr(config.least, measure))
-            fits[f"{kind}/{measure}"] = _fit(places[order], values[known][order], least, config.slope)
+            fits[f"{kind}/{measure}"] = _fit(places[order], values[known][order], measure, config)
     return replace(no_null(config), fits=fits)
 
 
@@ -201,46 +219,59 @@ def _place(plant: PlantMeasures) -> Floats:
     return np.array([plant.density, math.log(plant.size)])
 
 
-def _fit(places: Floats, values: Floats, least: float, slope: float) -> NullFit:
-    """Fit one measure (N,) against covariates (N, 2), started from the half of the values closest together.
+def _fit(places: Floats, values: Floats, measure: str, config: VegetationNullConfig) -> NullFit:
+    """Fit one measure (N,) against covariates (N, 2), with plants that changed as a second component.
 
-    Plants that changed are outliers on either side. Slopes are held near zero as far as ``slope`` says:
-    few plants would else explain changes by their size.
+    A plant either did not change, and scatters normally about the model, or did, and follows a wide Cauchy
+    distribution. Among standard deviations from the least one upward, the one of the greatest posterior is
+    taken. Slopes are held near zero as far as ``slope`` says: few plants would else explain changes by their
+    size.
     """
+    least = float(getattr(config.least, measure))
     low, high = (np.quantile(places, q, axis=0) for q in (0.05, 0.95))
     centre = np.median(places, axis=0)
     design = np.column_stack([np.ones(len(values)), np.clip(places, low, high) - centre])
-    middle, sd = _shortest_half(values)
-    sd = max(sd, least)
-    found = np.array([middle, 0.0, 0.0])
+    tried = np.geomspace(least, max(float(np.ptp(values)), 2.0 * least), _SCATTERS)
+    stated = float(getattr(config.stated, measure))
+    fits = [_with_scatter(design, values, float(sd), stated, config) for sd in tried]
+    best = int(np.argmax([posterior for posterior, _ in fits]))
+    a, b, c = (float(v) for v in fits[best][1])
+    return NullFit((a, b, c), _pair(centre), _pair(low), _pair(high), float(tried[best]), len(values))
+
+
+def _with_scatter(
+    design: Floats, values: Floats, sd: float, stated: float, config: VegetationNullConfig
+) -> tuple[float, Floats]:
+    """Return the log posterior of a standard deviation and the coefficients (3,) of its model, by EM."""
+    found = np.array([_shortest_half_middle(values), 0.0, 0.0])
+    pull = np.diag([1e-9, (sd / config.slope) ** 2, (sd / config.slope) ** 2])
+    changed, wide = config.changed_share, config.changed * stated
+    posterior = -math.inf
     for _ in range(_ROUNDS):
         rest = values - design @ found
-        weight = np.maximum(1.0 - (rest / (_BIWEIGHT * sd)) ** 2, 0.0) ** 2
-        pull = np.diag([1e-9, (sd / slope) ** 2, (sd / slope) ** 2])
+        same = (1.0 - changed) * np.exp(-0.5 * (rest / sd) ** 2) / (sd * math.sqrt(2.0 * math.pi))
+        other = changed / (math.pi * wide * (1.0 + (rest / wide) ** 2))
+        last, posterior = posterior, float(np.log(same + other).sum())
+        if posterior - last < _SETTLED:
+            break
+        weight = same / (same + other)
         found = np.linalg.solve(design.T @ (design * weight[:, None]) + pull, design.T @ (weight * values))
-        sd = max(_clipped_sd(values - design @ found, sd), least)
-    a, b, c = (float(v) for v in found)
-    return NullFit((a, b, c), _pair(centre), _pair(low), _pair(high), sd, len(values))
+        changed = (len(values) - float(weight.sum()) + _PRIOR_PLANTS * config.changed_share) / (
+            len(values) + _PRIOR_PLANTS
+        )
+    return posterior - 0.5 * (math.log(sd / stated) / config.spread) ** 2, found
 
 
 def _pair(values: Floats) -> tuple[float, float]:
     return float(values[0]), float(values[1])
 
 
-def _shortest_half(values: Floats) -> tuple[float, float]:
-    """Median of the shortest interval with half of the values (N,), and the standard deviation it implies."""
+def _shortest_half_middle(values: Floats) -> float:
+    """Median of the shortest interval with half of the values (N,)."""
     ordered = np.sort(values)
     half = len(ordered) // 2 + 1
-    widths = ordered[half - 1 :] - ordered[: len(ordered) - half + 1]
-    start = int(np.argmin(widths))
-    return float(np.median(ordered[start : start + half])), 0.5 * float(widths[start]) * _GAUSS
-
-
-def _clipped_sd(rest: Floats, sd: float) -> float:
-    """Scatter of residuals (N,) about zero, without those beyond a few standard deviations."""
-    size = np.abs(rest)
-    inside = size[size <= _CLIPPED * sd]
-    return _GAUSS * float(np.median(inside)) if len(inside) else sd
+    start = int(np.argmin(ordered[half - 1 :] - ordered[: len(ordered) - half + 1]))
+    return float(np.median(ordered[start : start + half]))
 
 
 def null_words(null: VegetationNull) -> str:

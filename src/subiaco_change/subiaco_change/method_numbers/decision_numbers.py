@@ -143,6 +143,11 @@ class DynamicObjectsNumbers(StrictModel):
         0.9,
         description="Fraction of the points of an object that must lie in the lane of a ghost trail",
     )
+    wall_contact: float = Field(
+        1.5,
+        description="Height over which an object touches a building from which the object is a part of the "
+        "building, and no vehicle [m]",
+    )
 
 
 class GroundCellsNumbers(StrictModel):
@@ -173,6 +178,10 @@ class GroundChangeNumbers(StrictModel):
     lod_cells: int = Field(
         25,
         description="Number of cells with a level of detection that stand for a patch without one",
+    )
+    inner_share: float = Field(
+        0.15,
+        description="Fraction of the cells of a patch that must lie inside its rim for the rim not to count",
     )
 
 
@@ -293,13 +302,12 @@ class StoreysNumbers(StrictModel):
 class VegetationNullNumbers(StrictModel):
     """Numbers of ``decisions/vegetation_null.py``."""
 
-    mad_factor: float = Field(
-        1.4826,
-        description="Factor from a median absolute deviation to a standard deviation",
+    scatters: int = Field(24, description="Number of standard deviations that are tried for a pair")
+    rounds: int = Field(50, description="Number of rounds of expectation and maximisation")
+    settled: float = Field(1e-6, description="Gain of the log likelihood that ends the rounds [1]")
+    prior_plants: float = Field(
+        4.0, description="Number of plants that the expected fraction of changed plants counts as"
     )
-    biweight_width: float = Field(4.685, description="Width of the Tukey biweight in standard deviations")
-    clipped: float = Field(3.0, description="Residuals that do not enter the scatter, in standard deviations")
-    rounds: int = Field(25, description="Number of iterations of the robust fit")
 
 
 class VoxelObjectsNumbers(StrictModel):

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -10,6 +10,7 @@ import geopandas as gpd
 import pandas as pd
 
 from subiaco_geo.codes import Change
+from subiaco_geo.frames import Floats
 
 #: Colour of the AutoCAD index for each label: green, red, blue, orange, greys.
 _COLOURS = {
@@ -56,6 +57,14 @@ def write_contour_dxf(path: Path, lines: gpd.GeoDataFrame) -> None:
     groups: list[Group] = [*_head({"CONTOUR": 8}), *_ENTITIES]
     for height, line in zip(lines["height_m"], lines.geometry, strict=True):
         groups += _polyline("CONTOUR", line.coords, float(height), [], closed=False)
+    _write(path, groups)
+
+
+def write_section_dxf(path: Path, drawn: Iterable[tuple[str, int, Floats]]) -> None:
+    """Write profiles (layer, section, corners (N, 2)) as polylines that carry ``section=number``."""
+    groups: list[Group] = [*_head({"GROUND": 30, "SURFACE": 5}), *_ENTITIES]
+    for layer, number, corners in drawn:
+        groups += _polyline(layer, corners, 0.0, [f"section={number}"], closed=False)
     _write(path, groups)
 
 

@@ -15,6 +15,7 @@ from shapely.geometry import LineString
 
 from subiaco_change.outputs.difference_rasters import RasterGrid, highest_points, raster_profile, write_cog
 from subiaco_change.outputs.drawing_exchange import write_contour_dxf
+from subiaco_change.outputs.sections import read_section_lines, write_sections
 from subiaco_change.segmentation.ground_model import GroundConfig, fit_ground
 from subiaco_geo.atomic import whole_directory
 from subiaco_geo.cloud_windows import CloudFile
@@ -28,7 +29,13 @@ _SHORTEST = 2.0  # of a contour [m]: shorter ones are noise of single cells
 _RASTERS = ("dtm", "dsm", "hillshade")
 
 
-def export_terrain(directory: Path, output: Path, cell: float = 0.5, interval: float = 0.5) -> list[Path]:
+def export_terrain(
+    directory: Path,
+    output: Path,
+    cell: float = 0.5,
+    interval: float = 0.5,
+    sections: Path | None = None,
+) -> list[Path]:
     """Write ``dtm.tif``, ``dsm.tif``, ``hillshade.tif``, ``contours.gpkg`` and ``contours.dxf`` of a map.
 
     The ground model (DTM) is the filtered ground of
@@ -46,6 +53,9 @@ def export_terrain(directory: Path, output: Path, cell: float = 0.5, interval: f
         Edge of a cell [m].
     interval : float
         Height between contours [m].
+    sections : Path, optional
+        File of lines along which both models are cut; see
+        :func:`~subiaco_change.outputs.sections.write_sections`.
 
     Returns
     -------
@@ -58,6 +68,7 @@ def export_terrain(directory: Path, output: Path, cell: float = 0.5, interval: f
     """
     cloud = CloudFile(open_epoch(directory).cloud, ())
     crs = next(cloud.parts()).crs
+    cut = [] if sections is None else read_section_lines(sections, crs)
     grid = RasterGrid.around(cloud.low, cloud.high, cell)
     with whole_directory(output) as target:
         plain = {name: target / f"{name}.plain.tif" for name in _RASTERS}
@@ -79,6 +90,8 @@ def export_terrain(directory: Path, output: Path, cell: float = 0.5, interval: f
         for name, source in plain.items():
             write_cog(source, target / f"{name}.tif")
             source.unlink()
+        if cut:
+            write_sections(cut, target, crs)
         if len(lines):
             lines.to_file(target / "contours.gpkg", layer="contours", driver="GPKG", engine="pyogrio")
             write_contour_dxf(target / "contours.dxf", lines)

@@ -73,7 +73,12 @@ def compare_tile(inputs: Inputs, params: TileParams[ComparisonSlice]) -> TileCom
     changes = compare_objects(views[0], views[1], regions[0].observed, regions[1].observed, rules)
     numbers = [number for _, number in compact]
     records = [
-        _in_city(make_record(change, 0, params.origin, _evidence(change, kinds), config.confidence), numbers)
+        _in_city(
+            make_record(
+                change, 0, params.origin, _evidence(change, kinds), config.confidence, config.decisions
+            ),
+            numbers,
+        )
         for change in changes
     ]
     before = RowPoints(tuple(regions[0].tiles), _points(regions[0], changes, "before"))

@@ -74,7 +74,7 @@ class AbsoluteFacts:
             }
         if self.points is None:
             return found
-        found["gnss_offset_m"] = np.round(self.gnss_offset, 4).tolist()
+        found["gnss_offset_m"] = (np.round(self.gnss_offset, 4) + 0.0).tolist()  # no minus zero
         found["refused"], found["doubtful"] = dict(self.refused), dict(self.doubtful)
         for role in ("control", "check"):
             rows = [

@@ -139,6 +139,7 @@ class OdometryApp:
         self._run = 0
         self._arrivals = Arrivals()
         self._facts_at = 0.0
+        self._facts = ""
         self.flow = FlowControl(own.consumers, dict.fromkeys(OUTPUTS, SCAN_WINDOW))
         self._diagnostics = Diagnostics(node, "registration")
         self._create_publishers(node)
@@ -279,12 +280,18 @@ class OdometryApp:
     def _finish_sequence(self) -> None:
         if self._frontend is not None:
             self._publish(self._frontend.finish())
+            self._facts = ""  # the end of a sequence says them, whatever was said before
             self._send_facts({})
             self._frontend = None
 
     def _send_facts(self, more: Mapping[str, Any]) -> None:
-        if self._frontend is not None:
-            self._send(FACTS, String(data=json.dumps({**self._frontend.facts(), **more})))
+        """Send what has changed since it was sent last."""
+        if self._frontend is None:
+            return
+        text = json.dumps({**self._frontend.facts(), **more})
+        if text != self._facts:
+            self._facts = text
+            self._send(FACTS, String(data=text))
 
     def _publish(self, outputs: list[FrontendOutput]) -> None:
         for output in outputs:
