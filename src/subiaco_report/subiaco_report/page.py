@@ -45,6 +45,7 @@ from subiaco_report.row_data import (
     picture_chunks,
     places_of,
     row_data,
+    streets_of,
     write_chunks,
 )
 from subiaco_report.summary import build_summary, epoch_facts, largest_rows
@@ -140,13 +141,17 @@ def build_report(directory: Path) -> Path:
     inside = len(changed) <= _MOST_INSIDE
     files = {} if inside else _block_files(drawn_blocks)
     places = places_of(rows, blocks, directory / "changes.gpkg")
+    streets = streets_of(rows, directory / "changes.gpkg")
     viewer = viewer_link(directory)
     context = report_context(change, found) | {
         "map": city_map(found.city, changed.iloc[:0]),
-        "data": pack(_page_document(change, found, rows, places, changed, drawn) | {"viewer": viewer}),
+        "data": pack(
+            _page_document(change, found, rows, (places, streets), changed, drawn) | {"viewer": viewer}
+        ),
         "viewer": viewer,
         "chunks": [json.dumps(chunk, separators=(",", ":")) for chunk in chunks] if inside else [],
         "places": sorted(set(places) - {""}, key=_by_number),
+        "streets": sorted(set(streets) - {""}),
         "project": project_facts(directory),
         "epochs": epoch_facts(change.run),
         "reviews": review_counts(change.table),
@@ -174,7 +179,7 @@ def _page_document(
     change: ChangeDirectory,
     found: Gathered,
     rows: gpd.GeoDataFrame,
-    places: list[str],
+    places: tuple[list[str], list[str]],
     changed: gpd.GeoDataFrame,
     drawn: Mapping[int, evidence.Evidence],
 ) -> dict[str, Any]:
@@ -184,7 +189,7 @@ def _page_document(
         "hash": str(change.run.get("table_hash", "")),
         "crs": change.run.get("crs"),
         "columns": [[*column, column[0] in MORE] for column in TABLE_COLUMNS],
-        "rows": row_data(rows, TABLE_COLUMNS, frame, places),
+        "rows": row_data(rows, TABLE_COLUMNS, frame, *places),
         "left_out": len(change.table) - len(rows),
         "chunk": CHUNK,
         "folder": FOLDER,

@@ -27,6 +27,8 @@ CHUNK = 100
 FOLDER, MARKER = "report_files", "README.txt"
 _ABOUT = "Pictures of report.html, which loads them when they are seen. Keep this folder beside it.\n"
 _TEXTS = ("object_uid", "reason", "review", "reviewer", "note")
+#: Attributes of lots that name their street.
+_STREETS = ("street", "street_name", "streetname", "road", "road_name")
 _POSITIONS = ("x", "y", "z")  # given to the millimetre, so that they can be copied
 
 #: A table with more rows than this gives the page its changed rows only.
@@ -51,7 +53,9 @@ def page_rows(table: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
     return ordered.drop(columns="_changed")
 
 
-def row_data(rows: gpd.GeoDataFrame, columns: Columns, frame: Frame, places: Sequence[str]) -> dict[str, Any]:
+def row_data(
+    rows: gpd.GeoDataFrame, columns: Columns, frame: Frame, places: Sequence[str], streets: Sequence[str] = ()
+) -> dict[str, Any]:
     """Return the rows column by column, with outlines for the map.
 
     Parameters
@@ -64,6 +68,8 @@ def row_data(rows: gpd.GeoDataFrame, columns: Columns, frame: Frame, places: Seq
         Of the map.
     places : sequence of str
         Lot or block of every row.
+    streets : sequence of str
+        Street of every row; empty where lots name none.
 
     Returns
     -------
@@ -85,6 +91,7 @@ def row_data(rows: gpd.GeoDataFrame, columns: Columns, frame: Frame, places: Seq
         data[name] = rows[name].fillna("").astype(str).tolist()
     data["state"] = review_states(rows).tolist()
     data["place"] = list(places)
+    data["street"] = list(streets) or [""] * len(rows)
     data["shape"] = [svg_path(shape, frame.west, frame.north) for shape in rows.geometry]
     bounds = rows.geometry.bounds.to_numpy().reshape(-1, 4)
     corner = np.array([frame.west, frame.north])
@@ -94,21 +101,42 @@ def row_data(rows: gpd.GeoDataFrame, columns: Columns, frame: Frame, places: Seq
     return data
 
 
+def streets_of(rows: gpd.GeoDataFrame, package: Path) -> list[str]:
+    """Return the street of the lot that holds each row; none where lots name no streets."""
+    lots = _lots(package)
+    names = {} if lots is None else {str(column).lower(): column for column in lots.columns}
+    column = next((names[name] for name in _STREETS if name in names), None)
+    if lots is None or column is None:
+        return []
+    return _on_lots(rows, lots, column, "")
+
+
 def places_of(rows: gpd.GeoDataFrame, blocks: Sequence[Block], package: Path) -> list[str]:
     """Return the lot that holds each row where the GeoPackage has lots, else the block of 80 m."""
-    if "parcels" in pyogrio.list_layers(package)[:, 0]:
-        lots = gpd.read_file(package, layer="parcels", engine="pyogrio")
-        lots = lots[lots["lot"] != OUTSIDE]
-        names = np.full(len(rows), OUTSIDE, dtype=object)
-        points = rows.geometry.representative_point().values
-        row, lot = lots.sindex.query(points, predicate="intersects")
-        names[row] = lots["lot"].astype(str).to_numpy()[lot]
-        return [str(name) for name in names]
+    lots = _lots(package)
+    if lots is not None:
+        return _on_lots(rows, lots, "lot", OUTSIDE)
     names = np.full(len(rows), "", dtype=object)
     x, y = rows["x"].to_numpy(), rows["y"].to_numpy()
     for block in blocks:
         west, south, east, north = block.core
         names[(x >= west) & (x < east) & (y >= south) & (y < north)] = block.name
+    return [str(name) for name in names]
+
+
+def _lots(package: Path) -> gpd.GeoDataFrame | None:
+    """Return the lots of a change directory, with their attributes; None without lots."""
+    if "parcels" not in pyogrio.list_layers(package)[:, 0]:
+        return None
+    lots = gpd.read_file(package, layer="parcels", engine="pyogrio")
+    return lots[lots["lot"] != OUTSIDE]
+
+
+def _on_lots(rows: gpd.GeoDataFrame, lots: gpd.GeoDataFrame, column: str, outside: str) -> list[str]:
+    """Return an attribute of the lot that holds each row."""
+    names = np.full(len(rows), outside, dtype=object)
+    row, lot = lots.sindex.query(rows.geometry.representative_point().values, predicate="intersects")
+    names[row] = lots[column].fillna(outside).astype(str).to_numpy()[lot]
     return [str(name) for name in names]
 
 
