@@ -121,7 +121,7 @@ def check_flags(flagged: dict[str, list[dict[str, Any]]], out: float) -> None:
     assert {entry["detail"] for entry in flagged["pps_lost"]} == {"the time reference has ended"}
     jumps = [(entry["source"], float(entry["detail"].split()[2])) for entry in flagged["clock_step"]]
     for source, jump in (("lidar", 0.2), ("host", -1.0)):
-        assert any(name == source and abs(size - jump) < 0.02 for name, size in jumps), jumps
+        assert any(name == source and abs(size - jump) < 0.05 for name, size in jumps), jumps
     assert [entry["source"] for entry in flagged["node_died"]] == ["odometry"]
     assert flagged["disk_full"]
     assert any("only 0.0" in entry["detail"] for entry in flagged["not_recorded"])

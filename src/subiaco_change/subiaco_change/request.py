@@ -30,7 +30,7 @@ def _rows_of(value: Any) -> Any:
 def _rigid(rows: _Rows | None) -> _Rows | None:
     """Refuse a transform that is not a rotation and a shift."""
     if rows is not None and not is_rigid(np.array(rows), _ROTATION_ROUNDING):
-        raise ValueError("not rigid; give a rotation and a shift, with the last row 0 0 0 1")
+        raise ValueError("not rigid; give a rotation and a shift without scale, with the last row 0 0 0 1")
     return rows
 
 

@@ -116,6 +116,11 @@ class ManagedNode(LifecycleNode):
 
         service.callback = answer
 
+    def destroy_node(self) -> None:
+        """Destroy the node and its state machine, through which the node would stay visible in the graph."""
+        super().destroy_node()
+        self._state_machine = None
+
     @property
     def default_callback_group(self) -> CallbackGroup:
         """The group of entities that are made without one: those of the app run only while it is active."""

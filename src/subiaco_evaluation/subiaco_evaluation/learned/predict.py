@@ -47,7 +47,7 @@ def load_network(path: Path, method: str) -> tuple[torch.nn.Module, TrainingConf
     except (ValueError, RuntimeError, KeyError) as error:
         reason = " ".join(str(error).split())[:120]
         raise InputError(f"{path}: these weights do not fit {method} ({reason}); train again") from error
-    return model.eval(), config
+    return model.train(False), config
 
 
 def predict(pair: Pair, config: BaselineConfig, method: str, weights: Path) -> Verdict:

@@ -156,7 +156,7 @@ class RasterTask:
 
 def score_validation(task: Task) -> tuple[float, Ints]:
     """Return the mean loss and the confusion matrix (classes, classes + 1) of the validation surveys."""
-    task.model.eval()
+    task.model.train(False)
     losses, matrix = [], np.zeros((task.classes, task.classes + 1), dtype=np.int64)
     with torch.no_grad():
         for output in task.validation():
