@@ -5,8 +5,8 @@
 
 Both epochs are random halves of one cloud, so that they share no point. *Before* lies 0.7 m off and is turned
 by half a degree. From *after* a share of the objects is removed and ground put in their place, as high as the
-ground around and as dense as the cloud. Objects are what stands higher than 2 m over more than 20 m2, told
-roofs from trees by the share of their points on local planes. Told by other code than that under test.
+ground around and as dense as the cloud. Objects are higher than 2 m over more than 20 m2; roofs
+are distinguished from trees by the share of their points on local planes. This is not the code under test.
 Printed are the error of the registration at its defaults, how many removed objects are found (half of their
 points labelled Removed), and every claim that touches none of them.
 """

@@ -90,7 +90,7 @@ class Sensor:
 
 @dataclass(frozen=True)
 class Street:
-    """What stands in an epoch: the house (or another object), and neighbours and parked vans around it."""
+    """The objects of an epoch: the house (or another object), and neighbours and parked vans around it."""
 
     house: tuple[Box, ...]
     around: tuple[Box, ...] = ()
@@ -221,7 +221,7 @@ def draw_street(rng):
         w, h = rng.uniform(8, 14), rng.uniform(2.8, 6.0)
         x = -width / 2 - gap - w if side < 0 else width / 2 + gap
         around.append(Box(x, setback + rng.uniform(-2, 2), w, rng.uniform(8, 12), h, rng.choice([0.0, 1.8])))
-    around.append(Box(-30.0, setback + 26, 60.0, 1.0, 2.0))  # what stands behind
+    around.append(Box(-30.0, setback + 26, 60.0, 1.0, 2.0))  # a wall behind
     return Street((house,), tuple(around))
 
 

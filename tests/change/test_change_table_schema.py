@@ -13,6 +13,7 @@ import pandas as pd
 import pytest
 
 from subiaco_change.outputs.table import ALL_COLUMNS, TEXT_COLUMNS, build_table, read_csv, write_csv
+from subiaco_change.outputs.table_schema import schema_faults
 from subiaco_change.records import ChangeResult
 from subiaco_geo.codes import Change, Semantic
 
@@ -116,3 +117,26 @@ def test_a_wrong_value_is_found(result: ChangeResult, column: str, value: object
     rows[0][column] = value
     (fault,) = _faults(rows)
     assert fault.startswith(column)
+
+
+def test_the_writer_finds_no_fault_in_the_table_of_a_result(result: ChangeResult) -> None:
+    assert schema_faults(build_table(result.records, "EPSG:7850", ("2023-02-01", "2025-02-01"))) == []
+    assert schema_faults(build_table([], "EPSG:7850")) == []
+
+
+@pytest.mark.parametrize(
+    ("column", "value"),
+    [("label", "Grown"), ("confidence", 1.2), ("n_before", 2.5), ("date_after", "1.2.2025"), ("x", math.nan)],
+)
+def test_the_writer_names_the_column_of_a_wrong_value(
+    result: ChangeResult, column: str, value: object
+) -> None:
+    table = build_table(result.records, "EPSG:7850").astype({"n_before": float})
+    table.loc[table.index[0], column] = value
+    (fault,) = schema_faults(table)
+    assert fault == f"column {column}: 1 values such as {table[column].iloc[0]!r}"
+
+
+def test_the_writer_names_columns_that_are_missing_or_unknown(result: ChangeResult) -> None:
+    table = build_table(result.records, "EPSG:7850").rename(columns={"label": "verdict"})
+    assert schema_faults(table) == ["column label is missing", "column verdict is not in the schema"]

@@ -1,4 +1,4 @@
-"""Volumes of what stands in two epochs, of which either saw a part."""
+"""Volumes of objects in two epochs, of which either saw a part."""
 
 from dataclasses import replace
 

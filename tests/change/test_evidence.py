@@ -1,4 +1,4 @@
-"""Gone, or not seen? A box on a street, a wall, and a car that drove by."""
+"""Gone, or not seen? A box on a street, a wall, and a car that passed."""
 
 from __future__ import annotations
 

@@ -37,7 +37,7 @@ def walls(length, width, height):
 
 
 def volume(standing, closing=0.0, bare=NO_COLUMNS):
-    """Volume of what stands in *after* alone, in columns of half a metre."""
+    """Volume of an object of *after* alone, in columns of half a metre."""
     alone = replace(standing, occupied_in_other=np.zeros(len(standing), dtype=bool))
     return compare_volumes(voxels([]), alone, 0.5, closing, OpenGround(NO_COLUMNS, bare)).change
 

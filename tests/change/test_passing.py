@@ -1,4 +1,4 @@
-"""What only drove by, told from hedges that beams graze."""
+"""Ghost trails, distinguished from hedges that beams graze."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Trails of traffic are told by beams that went through them; what stands still is left alone."""
+"""Ghost trails are recognised by beams that passed through them; static objects are left alone."""
 
 from dataclasses import replace
 

@@ -1,4 +1,4 @@
-"""Ghost trails in clouds without counts and times of beams, told by their shape."""
+"""Ghost trails in clouds without counts and times of beams, recognised by their shape."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Room and rights on a disk are tested before work begins, and a full disk is told from other errors."""
+"""Room and rights on a disk are tested before work begins; a full disk has an error of its own."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Moving or standing, told by time: known sequences of hits and looks through voxels."""
+"""Moving or static, from times: known sequences of hits and looks through voxels."""
 
 from __future__ import annotations
 

@@ -139,7 +139,7 @@ def below_top_beam(xyz: Floats, sensors: Floats) -> NDArray[np.bool_]:
 
 @dataclass
 class _Site:
-    """Where objects may still stand: distance of every cell from what stands there already [m]."""
+    """Where objects may still stand: distance of every cell from objects that are there already [m]."""
 
     ground: Ground
     blocked: NDArray[np.bool_]

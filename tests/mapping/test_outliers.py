@@ -1,4 +1,4 @@
-"""What stands alone goes; a surface stays, however few beams reach it."""
+"""Isolated points are removed; a surface stays, however few beams reach it."""
 
 import numpy as np
 import pytest

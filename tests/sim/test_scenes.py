@@ -1,4 +1,4 @@
-"""What stands where on crowded streets: bays, lanes, gates, twin crowns; and a city's shared streets."""
+"""Where objects are on crowded streets: bays, lanes, gates, twin crowns; and a city's shared streets."""
 
 from __future__ import annotations
 

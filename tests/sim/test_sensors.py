@@ -1,4 +1,4 @@
-"""Motion, IMU and GNSS agree with one another, and the LiDAR measures what stands there."""
+"""Motion, IMU and GNSS agree with one another, and the LiDAR measures the objects of the scene."""
 
 from __future__ import annotations
 

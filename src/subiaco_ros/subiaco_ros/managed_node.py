@@ -119,7 +119,7 @@ class ManagedNode(LifecycleNode):
     def destroy_node(self) -> None:
         """Destroy the node and its state machine, through which the node would stay visible in the graph."""
         super().destroy_node()
-        self._state_machine = None
+        self._state_machine: Any = None
 
     @property
     def default_callback_group(self) -> CallbackGroup:

@@ -37,6 +37,7 @@ from subiaco_change.outputs.rasters import (
 )
 from subiaco_change.outputs.reviews import carry_reviews, read_reviewed
 from subiaco_change.outputs.style import embed_styles
+from subiaco_change.outputs.table_schema import schema_faults
 from subiaco_change.records import ChangeResult, Registration, TiledResult
 from subiaco_geo.atomic import refuse_existing, refuse_foreign, whole_directory
 from subiaco_geo.config import StrictModel, config_hash, write_config
@@ -242,6 +243,8 @@ def _survey_days(inputs: ChangeInputs) -> tuple[str, str]:
 
 
 def _write_table(target: Path, table: gpd.GeoDataFrame) -> None:
+    for fault in schema_faults(table):
+        _LOG.warning("changes.csv: %s, against the data dictionary; please report it with run.json", fault)
     outputs_table.write_csv(target / "changes.csv", table)
     write_geopackage(target / "changes.gpkg", table)
     outputs_table.write_parquet(target / "changes.parquet", table)

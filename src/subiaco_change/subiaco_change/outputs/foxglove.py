@@ -8,7 +8,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterator
-from importlib.resources import files
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -21,6 +20,7 @@ from numpy.typing import NDArray
 from pyproj import Proj
 
 from subiaco_change.outputs.clouds import change_palette, labelled_path
+from subiaco_change.outputs.table_schema import table_schema
 from subiaco_change.records import CHANGE_COLOURS
 from subiaco_geo import __version__
 from subiaco_geo.bags import TYPESTORE
@@ -329,8 +329,7 @@ def _geojson(table: gpd.GeoDataFrame) -> dict[str, Any]:
 
 
 def _table_schema() -> dict[str, Any]:
-    text = files("subiaco_change.outputs").joinpath("change_table.schema.json").read_text(encoding="utf-8")
-    rows = json.loads(text)
+    rows = table_schema()
     return {
         "type": "object",
         "title": "subiaco.ChangeTable",
