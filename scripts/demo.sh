@@ -28,6 +28,7 @@ fi
 for epoch in before after; do
     step "Mapping epoch '$epoch' through the ROS 2 graph: replay, odometry, pose graph"
     subiaco graph mapping "$survey/$epoch" -o "$out/$epoch" --overwrite
+    echo "  pictures of the map: $out/$epoch/quality.html"
 done
 
 step "Comparing the two maps through the change node"
