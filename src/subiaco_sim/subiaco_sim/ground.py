@@ -193,8 +193,12 @@ class Terrain:
         index = np.arange(x.size).reshape(x.shape)
         a, b, c, d = (i.ravel() for i in (index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]))
         triangles = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
-        land = Mesh(vertices, triangles, road_material(distance.ravel()[triangles].mean(axis=1)))
+        land = Mesh(vertices, triangles, self.material(distance.ravel()[triangles].mean(axis=1)))
         return join([land, self._paint()]) if self.lines else land
+
+    def material(self, distance: Floats) -> NDArray[np.uint8]:
+        """Return the material of the ground by distance from the crown [m]."""
+        return road_material(distance)
 
     def _paint(self) -> Mesh:
         """Return the painted lines, just above the ground."""
