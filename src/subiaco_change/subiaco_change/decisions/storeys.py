@@ -12,7 +12,7 @@ from scipy import ndimage
 from subiaco_change.decisions.column_change import ColumnChange
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.segmentation.ground_model import Mask
-from subiaco_change.segmentation.height_profiles import ProfileConfig
+from subiaco_change.segmentation.object_rows import ProfileConfig
 from subiaco_geo.frames import Floats, Ints
 
 _STOREY = ProfileConfig(step=NUMBERS.storeys.new_storey)  # a smaller change is a new roof

@@ -19,7 +19,7 @@ from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.segmentation.bounding_rectangles import wall_coordinates
 from subiaco_change.segmentation.clustering import connect, group_indices
 from subiaco_change.segmentation.ground_model import Mask
-from subiaco_change.segmentation.height_profiles import ProfileConfig, level_steps, part_slots
+from subiaco_change.segmentation.object_rows import ProfileConfig, level_steps, part_slots
 from subiaco_geo.frames import Floats, Ints
 
 _CELL = NUMBERS.rows_of_houses.cell
