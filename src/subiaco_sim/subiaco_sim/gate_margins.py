@@ -1,9 +1,9 @@
 """Which true changes lie within the uncertainty of their own measurement of a gate.
 
-The truth of an object is measured too: on columns of 0.5 m, from the surface of its form. Its uncertainty is what
-other columns, other places on the surface and other leaves of the same form would have made of it, at least what
-the best survey could know of such a surface. An object is *near a gate* when, anywhere within twice that
-uncertainty of its measured values, the published thresholds would give it another label.
+The truth of an object is measured too: on columns of 0.5 m, from the surface of its form. Its uncertainty is
+what other columns, other places on the surface and other leaves of the same form would have made of it, and
+at least what the best survey could know of such a surface. An object is *near a gate* when, anywhere within
+twice that uncertainty of its measured values, the published thresholds would give it another label.
 """
 
 from __future__ import annotations

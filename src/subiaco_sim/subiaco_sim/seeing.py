@@ -19,7 +19,7 @@ _CELL = 0.25  # one test a cell and object [m]
 
 @dataclass(frozen=True)
 class OtherDrive:
-    """The other epoch: its scene, its LiDAR poses (N, 4, 4) in ENU, how far it sees [m] and its field of view.
+    """The other epoch: its scene, its LiDAR poses (N, 4, 4) in ENU and how far it sees [m].
 
     ``view_deg`` is the elevation of the lowest and of the highest beam [deg].
     """

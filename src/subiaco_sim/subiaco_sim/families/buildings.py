@@ -82,7 +82,9 @@ class Building:
         if self.veranda > 0:
             parts += self._veranda(width)
         if self.chimney:
-            parts.append(box(0.7, 0.6, self.rise + 1.3, Material.BRICK).placed(width / 4, 0.8, self.eaves - 0.5))
+            parts.append(
+                box(0.7, 0.6, self.rise + 1.3, Material.BRICK).placed(width / 4, 0.8, self.eaves - 0.5)
+            )
         if self.panels:
             parts.append(self._panels(width))
         whole = join(parts).placed(-self.cut / 2, 0, 0)
@@ -127,10 +129,13 @@ class Building:
         front = -self.depth / 2 - self.veranda
         lid = box(width, self.veranda, 0.1, Material.SHEET_METAL).placed(0, front + self.veranda / 2, 2.5)
         post = box(0.12, 0.12, 2.5 + SUNK, Material.TIMBER)
-        return [lid, *(post.placed(s * (width / 2 - 0.1), front + 0.1, -SUNK) for s in (-1.0, -0.33, 0.33, 1.0))]
+        return [
+            lid,
+            *(post.placed(s * (width / 2 - 0.1), front + 0.1, -SUNK) for s in (-1.0, -0.33, 0.33, 1.0)),
+        ]
 
     def _panels(self, width: float) -> Mesh:
-        """A tilted array, 12 cm above a third of the front slope."""
+        """Return a tilted array, 12 cm above a third of the front slope."""
         slope = self.rise / (self.depth / 2) if self.roof in (Roof.GABLE, Roof.HIP) else 0.0
         y, size = -self.depth / 4, (0.4 * width, 0.28 * self.depth)
         flat = box(size[0], size[1], 0.06, Material.GLASS)

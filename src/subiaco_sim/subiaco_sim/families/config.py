@@ -32,9 +32,15 @@ class StreetConfig(StrictModel):
         None,
         ge=1.0,
         le=4.0,
-        description="Leaf density of the fuller epoch over the barer one; drawn from the seed when null [ratio]",
+        description="Leaf density of the fuller epoch over the barer one; drawn from the seed when null "
+        "[ratio]",
     )
     sway: float = Field(
-        0.3, ge=0.0, le=1.0, description="Lean of a crown in the wind at most, drawn per epoch and per plant [m]"
+        0.3,
+        ge=0.0,
+        le=1.0,
+        description="Lean of a crown in the wind at most, drawn per epoch and per plant [m]",
     )
-    traffic: float = Field(1.0, ge=0.0, le=4.0, description="Factor on the number of moving vehicles and people")
+    traffic: float = Field(
+        1.0, ge=0.0, le=4.0, description="Factor on the number of moving vehicles and people"
+    )

@@ -1,4 +1,4 @@
-"""Lays out a dense European street: facades wall to wall, arcades, courts, a square with a market, no gardens."""
+"""Lays out a dense European street: facades wall to wall, arcades, courts, a square with a market."""
 
 from __future__ import annotations
 
@@ -9,7 +9,7 @@ from subiaco_geo.frames import Floats
 from subiaco_sim.families.buildings import Building, CourtBlock
 from subiaco_sim.families.foliage import Crown, Profile, random_plant
 from subiaco_sim.families.kerbside import fill_kerbs
-from subiaco_sim.families.placing import Frontage, beside, frontages, put, put_free
+from subiaco_sim.families.placing import Frontage, beside, frontages, lot_at, put, put_free
 from subiaco_sim.families.plan import StreetPlan
 from subiaco_sim.families.roofs import Roof
 from subiaco_sim.families.street_objects import (
@@ -27,7 +27,7 @@ from subiaco_sim.furniture import Bin, BusShelter, Sign
 from subiaco_sim.ground import ROAD_HALF
 from subiaco_sim.plants import Hedge, Tree
 from subiaco_sim.primitives import Material
-from subiaco_sim.scene import BUILDING, OTHER, VEGETATION
+from subiaco_sim.scene import BUILDING, OTHER, VEGETATION, Shape
 from subiaco_sim.suburb import Layout, Lot
 
 #: Shares of what a place at the kerb holds.
@@ -57,18 +57,12 @@ def lay_out_dense(route: Floats, plan: StreetPlan, rng: np.random.Generator) -> 
         if lot.side == square[0] and square[1] < lot.s < square[2]:
             continue
         _build(layout, frontage)
-    _fill_square(layout, Lot(middle, square[0], *_place(layout, middle, square[0])))
+    _fill_square(layout, lot_at(layout, middle, square[0], layout.setback))
     fill_kerbs(layout, kerb, _AT_THE_KERB)
     _plant(layout, kerb, plan.footway)
     _equip(layout, kerb, plan.footway)
     add_scaffolding(layout, ("town house",), 0.09)
     return layout
-
-
-def _place(layout: Layout, station: float, side: int) -> tuple[float, float, float]:
-    """Return x, y and yaw of the building line beside a station."""
-    lot = next(l for l in beside(layout, 1.0, layout.setback) if l.side == side and l.s >= station)
-    return lot.x, lot.y, lot.yaw
 
 
 def random_town_house(rng: np.random.Generator, width: float) -> Building:
@@ -103,7 +97,9 @@ def _build(layout: Layout, frontage: Frontage) -> None:
     if drawn < 0.08 and width > 13.0:
         roof = Roof.FLAT if rng.random() < 0.4 else Roof.GABLE
         rise = 0.7 if roof is Roof.FLAT else 3.2
-        block = CourtBlock(width, float(rng.uniform(26.0, 34.0)), 1.0 + 3.1 * int(rng.integers(3, 6)), roof, rise)
+        block = CourtBlock(
+            width, float(rng.uniform(26.0, 34.0)), 1.0 + 3.1 * int(rng.integers(3, 6)), roof, rise
+        )
         put(layout, frontage.lot, "court block", BUILDING, block, (0.0, block.depth / 2, 0.0))
         return
     if drawn < 0.13:  # set back behind a paved forecourt
@@ -118,12 +114,18 @@ def _build(layout: Layout, frontage: Frontage) -> None:
 def _fill_square(layout: Layout, corner: Lot) -> None:
     """Stalls in rows, a kiosk, trees and a container on the square; a church-high block at its back."""
     rng = layout.rng
-    hall = Building(_SQUARE - 6.0, 12.0, float(rng.uniform(9.0, 14.0)), Roof.HIP, 4.5, Material.CONCRETE, pane=4.0)
+    hall = Building(
+        _SQUARE - 6.0, 12.0, float(rng.uniform(9.0, 14.0)), Roof.HIP, 4.5, Material.CONCRETE, pane=4.0
+    )
     put(layout, corner, "town house", BUILDING, hall, (0.0, _SQUARE + 6.0, 0.0))
     for row in range(3):
         for place in range(5):
             if rng.random() < 0.7:
-                size = (float(rng.uniform(2.2, 3.8)), float(rng.uniform(1.8, 2.4)), float(rng.uniform(2.2, 2.9)))
+                size = (
+                    float(rng.uniform(2.2, 3.8)),
+                    float(rng.uniform(1.8, 2.4)),
+                    float(rng.uniform(2.2, 2.9)),
+                )
                 where = (5.2 * (place - 2), 4.5 + 6.5 * row, float(rng.normal(0.0, 0.06)))
                 put(layout, corner, "stall", OTHER, MarketStall(*size), where)
     for along in (-11.0, 0.0, 11.0):
@@ -143,10 +145,14 @@ def _plant(layout: Layout, kerb: float, footway: float) -> None:
     for lot in beside(layout, spacing, kerb + 0.7):
         if lot.side not in sides or rng.random() < 0.2:
             continue
-        put_free(layout, lot, "street tree", VEGETATION, _avenue_tree(rng, pruned), (0.0, 0.0, 0.0), (0.8, 0.8))
+        put_free(
+            layout, lot, "street tree", VEGETATION, _avenue_tree(rng, pruned), (0.0, 0.0, 0.0), (0.8, 0.8)
+        )
     for lot in beside(layout, 13.0, kerb + footway - 0.5):
         if rng.random() < 0.2:
-            tub = Hedge(float(rng.uniform(0.9, 2.6)), 0.6, float(rng.uniform(0.9, 1.7)), int(rng.integers(2**31)))
+            tub = Hedge(
+                float(rng.uniform(0.9, 2.6)), 0.6, float(rng.uniform(0.9, 1.7)), int(rng.integers(2**31))
+            )
             put_free(layout, lot, "hedge", VEGETATION, tub, (0.0, 0.0, 0.0), (2.6, 0.7))
 
 
@@ -161,10 +167,11 @@ def _avenue_tree(rng: np.random.Generator, pruned: bool) -> Tree | Crown:
 
 
 def _equip(layout: Layout, kerb: float, footway: float) -> None:
-    """Lamps, bollards, signs, bins at the kerb; tables, racks, kiosks and odd things on the footway."""
+    """Lamps, bollards, signs, bins at the kerb; tables, racks, kiosks and odd things before the facades."""
     rng = layout.rng
     for lot in beside(layout, 22.0, kerb + 0.5):
-        put_free(layout, lot, "lamp", OTHER, StreetLamp(float(rng.uniform(4.5, 7.5))), (0.0, 0.0, 0.0), (0.3, 0.3))
+        lamp = StreetLamp(float(rng.uniform(4.5, 7.5)))
+        put_free(layout, lot, "lamp", OTHER, lamp, (0.0, 0.0, 0.0), (0.3, 0.3))
     for lot in beside(layout, 4.2, kerb + 0.45):
         drawn = rng.random()
         if drawn < 0.25:
@@ -172,23 +179,31 @@ def _equip(layout: Layout, kerb: float, footway: float) -> None:
         elif drawn < 0.33:
             put_free(layout, lot, "sign", OTHER, Sign(), (0.0, 0.0, np.pi / 2), (0.3, 0.3))
         elif drawn < 0.40:
-            put_free(layout, lot, "bin", OTHER, Bin(float(rng.uniform(0.8, 1.2))), (0.0, 0.0, 0.0), (0.7, 0.7))
+            bin_ = Bin(float(rng.uniform(0.8, 1.2)))
+            put_free(layout, lot, "bin", OTHER, bin_, (0.0, 0.0, 0.0), (0.7, 0.7))
     for lot in beside(layout, 7.5, kerb + footway - 1.0):
-        drawn = rng.random()
-        along = float(rng.uniform(-1.0, 1.0))
-        if drawn < 0.18:
-            terrace = Terrace(int(rng.integers(2, 4)), bool(rng.random() < 0.6))
-            put_free(layout, lot, "terrace", OTHER, terrace, (along, 0.0, 0.0), (2.2 * terrace.tables, 2.0))
-        elif drawn < 0.28:
-            odd = Oddment(int(rng.integers(2**31)), float(rng.uniform(0.8, 2.0)))
-            put_free(layout, lot, "oddment", OTHER, odd, (along, 0.2, float(rng.uniform(0, 3))), (1.8, 1.6))
-        elif drawn < 0.34:
-            put_free(layout, lot, "kiosk", OTHER, Kiosk(1.1, 1.1, 2.4), (along, 0.2, 0.0), (1.4, 1.4))
-        elif drawn < 0.38 and footway > 2.8:
-            put_free(layout, lot, "pillar", OTHER, Column(0.65, 3.0), (along, -0.2, 0.0), (1.5, 1.5))
-        elif drawn < 0.45:
-            put_free(layout, lot, "bicycles", OTHER, BikeRack(4), (along, 0.0, 0.0), (2.6, 1.8))
-        elif drawn < 0.52:
-            put_free(layout, lot, "planter", OTHER, Column(0.45, float(rng.uniform(0.5, 1.0))), (along, 0, 0), (1, 1))
-        elif drawn < 0.55 and footway > 3.4:
-            put_free(layout, lot, "bus shelter", OTHER, BusShelter(), (along, -0.4, np.pi), (4.4, 2.0))
+        kind, shape, size = _before_a_facade(rng)
+        if shape is not None and size[1] < footway - 0.8:
+            place = (float(rng.uniform(-1.0, 1.0)), 0.0, np.pi if kind == "bus shelter" else 0.0)
+            put_free(layout, lot, kind, OTHER, shape, place, size)
+
+
+def _before_a_facade(rng: np.random.Generator) -> tuple[str, Shape | None, tuple[float, float]]:
+    """Draw what stands before a facade: its kind, shape and size along and across the street [m]."""
+    tables = int(rng.integers(2, 4))
+    odd = float(rng.uniform(0.8, 2.0))
+    stock: tuple[tuple[float, str, Shape, tuple[float, float]], ...] = (
+        (0.18, "terrace", Terrace(tables, bool(rng.random() < 0.6)), (2.2 * tables, 1.3)),
+        (0.10, "oddment", Oddment(int(rng.integers(2**31)), odd), (odd, odd)),
+        (0.06, "kiosk", Kiosk(1.1, 1.1, 2.4), (1.4, 1.4)),
+        (0.05, "pillar", Column(0.65, 3.0), (1.5, 1.5)),
+        (0.07, "bicycles", BikeRack(4), (2.6, 1.8)),
+        (0.07, "planter", Column(0.45, float(rng.uniform(0.5, 1.0))), (1.0, 1.0)),
+        (0.03, "bus shelter", BusShelter(), (4.4, 2.0)),
+    )
+    drawn = float(rng.random())
+    for share, kind, shape, size in stock:
+        if drawn < share:
+            return kind, shape, size
+        drawn -= share
+    return "", None, (0.0, 0.0)

@@ -1,7 +1,7 @@
 """What happens to a street of either family between the epochs, with magnitudes that no gate divides.
 
-Every magnitude is drawn evenly from a range that passes through the gates of the published evaluation: rises of
-0.05 to 0.50 m of ground and hedges, 0.05 to 0.90 m of eaves and crowns, 2 to 40 % of a volume.
+Every magnitude is drawn evenly from a range that passes through the gates of the published evaluation: rises
+of 0.05 to 0.50 m of ground and hedges, 0.05 to 0.90 m of eaves and crowns, 2 to 40 % of a volume.
 """
 
 from __future__ import annotations
@@ -51,7 +51,9 @@ def lifted(item: Item, rng: np.random.Generator) -> Item:
     assert item.after is not None
     shape, rise = item.after.shape, signed(TALL_RISE, rng)
     assert isinstance(shape, Building | CourtBlock)
-    return _changed(item, replace(shape, eaves=shape.eaves + rise), "roof raised" if rise > 0 else "roof lowered")
+    return _changed(
+        item, replace(shape, eaves=shape.eaves + rise), "roof raised" if rise > 0 else "roof lowered"
+    )
 
 
 def storey_added(item: Item, rng: np.random.Generator) -> Item:
@@ -115,7 +117,7 @@ def rebuilt(item: Item, rng: np.random.Generator) -> Item:
 
 
 def reclad(item: Item, rng: np.random.Generator) -> Item:
-    """Give the roof another cover, the walls another face, and take the chimney down: no change by the rules."""
+    """Give the roof another cover and the walls another face: no change by the rules."""
     house = _building(item)
     cover = Material.TILE if house.cover is Material.SHEET_METAL else Material.SHEET_METAL
     panels = bool(rng.random() < 0.5) and house.roof in (Roof.GABLE, Roof.HIP, Roof.FLAT)
@@ -132,13 +134,17 @@ def crown_changed(item: Item, rng: np.random.Generator) -> Item:
         shape: Tree | Crown = replace(plant, height=plant.height + rise, crown=plant.crown + rise)
         return _changed(item, shape, "shot up" if rise > 0 else "topped")
     share = signed(SHARE, rng)
-    factor = (1.0 + share) ** (1.0 / 2.4)  # a column volume goes with the radius squared and part of the height
+    factor = (1.0 + share) ** (
+        1.0 / 2.4
+    )  # a column volume goes with the radius squared and part of the height
     return _changed(item, _grown(plant, factor), "grown" if share > 0 else "pruned")
 
 
 def _grown(plant: Tree | Crown, factor: float) -> Tree | Crown:
     crown = plant.crown * factor
-    return replace(plant, crown=crown, height=plant.height - plant.crown + crown, radius=plant.radius * factor)
+    return replace(
+        plant, crown=crown, height=plant.height - plant.crown + crown, radius=plant.radius * factor
+    )
 
 
 def hedge_changed(item: Item, rng: np.random.Generator) -> Item:
@@ -150,7 +156,9 @@ def hedge_changed(item: Item, rng: np.random.Generator) -> Item:
     assert isinstance(plant, Hedge)
     if rng.random() < 0.7:
         rise = signed(RISE, rng)
-        return _changed(item, replace(plant, height=max(0.3, plant.height + rise)), "trimmed" if rise < 0 else "grown")
+        return _changed(
+            item, replace(plant, height=max(0.3, plant.height + rise)), "trimmed" if rise < 0 else "grown"
+        )
     share = signed(SHARE, rng)
     return _changed(item, replace(plant, length=plant.length * (1.0 + share)), "hedge changed in length")
 
@@ -163,7 +171,9 @@ def exchanged(item: Item, rng: np.random.Generator) -> Item:
     x, y = place.x + np.cos(place.yaw) * along, place.y + np.sin(place.yaw) * along
     longest = 5.3 if item.kind == "car" else 6.6
     return replace(
-        item, after=replace(place, shape=random_vehicle(rng, longest), x=float(x), y=float(y)), event="another vehicle"
+        item,
+        after=replace(place, shape=random_vehicle(rng, longest), x=float(x), y=float(y)),
+        event="another vehicle",
     )
 
 

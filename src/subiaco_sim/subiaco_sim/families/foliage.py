@@ -1,7 +1,7 @@
 """Plants whose leaf density and lean are drawn per epoch and per plant, and the forms of crowns.
 
-A plant keeps its form from epoch to epoch. Its leaves, how many they are and how far the wind leans it are those
-of an epoch: the fuller epoch of a pair has up to three times the leaves of the barer one.
+A plant keeps its form from epoch to epoch. Its leaves, how many they are and how far the wind leans it are
+those of an epoch: the fuller epoch of a pair has up to three times the leaves of the barer one.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ class Profile(StrEnum):
 
 @dataclass(frozen=True)
 class Crown:
-    """A plant whose crown is a body of revolution with a lumpy skin [m]; ``form`` and ``leaves`` are seeds."""
+    """A plant whose crown is a lumpy body of revolution [m]; ``form`` and ``leaves`` are seeds."""
 
     profile: Profile
     height: float
@@ -73,7 +73,9 @@ class Crown:
         if self.profile is Profile.COLUMN:
             return np.asarray(np.minimum(1.0, 3.0 * (1.0 - level) + 0.1))
         if self.profile is Profile.UMBRELLA:
-            return np.asarray(np.minimum(1.0, 0.35 + 1.3 * level) * np.sqrt(np.clip(1.15 - level, 0.0, 1.0)) * 1.2)
+            return np.asarray(
+                np.minimum(1.0, 0.35 + 1.3 * level) * np.sqrt(np.clip(1.15 - level, 0.0, 1.0)) * 1.2
+            )
         return np.asarray(np.sqrt(np.clip(1.0 - (2.0 * level - 1.0) ** 2, 0.02, 1.0)))
 
     def _lumps(self, turn: Floats, level: Floats) -> Floats:
@@ -88,7 +90,7 @@ Plant = Tree | Crown | Hedge | Palm
 
 @dataclass(frozen=True)
 class Season:
-    """Of one epoch: the leaf density that plants have on average [ratio] and the lean of crowns at most [m]."""
+    """Of one epoch: the average leaf density of plants [ratio] and the lean of crowns at most [m]."""
 
     density: float
     sway: float
@@ -111,7 +113,9 @@ def dressed(item: Item, seasons: tuple[Season, Season], rng: np.random.Generator
     Three in ten plants are evergreen and keep nearly the same density; the others follow the season, each by
     a factor of its own with a standard deviation of a quarter.
     """
-    if not any(placed is not None and isinstance(placed.shape, Plant) for placed in (item.before, item.after)):
+    if not any(
+        placed is not None and isinstance(placed.shape, Plant) for placed in (item.before, item.after)
+    ):
         return item
     evergreen = rng.random() < 0.3
     states: list[Placed | None] = []

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
-
 from subiaco_sim.families.events import RISE, signed
 from subiaco_sim.families.placing import lot_at
 from subiaco_sim.ground import ROAD_HALF, Patch, Strip, strip_along
@@ -15,7 +13,9 @@ AREA = (12.0, 70.0)  # of a strip or plot, through the gate of 25 m2 [m2]
 _EVERY = 26.0  # one work each so many metres of street, times the activity [m]
 
 
-def work_the_street(layout: Layout, first_id: int, widen: float, footway: float, activity: float) -> list[GroundItem]:
+def work_the_street(
+    layout: Layout, first_id: int, widen: float, footway: float, activity: float
+) -> list[GroundItem]:
     """Resurface, mill, settle and build on strips of the road and plots of the footway; none overlap."""
     rng, found = layout.rng, []
     length = 0.25 * len(layout.centreline)
@@ -33,7 +33,7 @@ def work_the_street(layout: Layout, first_id: int, widen: float, footway: float,
 
 
 def _strip(layout: Layout, side: int, widen: float, area: float, rise: float) -> Strip:
-    """A strip of the carriageway that follows the road, anywhere from the crown to the kerb."""
+    """Return a strip of the carriageway that follows the road, anywhere from the crown to the kerb."""
     rng, line = layout.rng, layout.centreline
     width = float(rng.uniform(*STRIP_WIDTH))
     steps = int(min(area / width / 0.25, 0.6 * len(line)))
@@ -43,12 +43,14 @@ def _strip(layout: Layout, side: int, widen: float, area: float, rise: float) ->
 
 
 def _plot(layout: Layout, side: int, widen: float, footway: float, area: float, rise: float) -> Patch:
-    """A plot of the footway between kerb and building line."""
+    """Return a plot of the footway between kerb and building line."""
     rng = layout.rng
     width = min(float(rng.uniform(1.2, 4.0)), footway - 0.3)
     inset = float(rng.uniform(0.1, footway - width))
     length = min(area / width, 30.0)
-    station = float(rng.uniform(length / 2, max(length / 2 + 1.0, 0.25 * len(layout.centreline) - length / 2)))
+    station = float(
+        rng.uniform(length / 2, max(length / 2 + 1.0, 0.25 * len(layout.centreline) - length / 2))
+    )
     lot = lot_at(layout, station, side, ROAD_HALF + widen)
     x, y = from_lot(lot, 0.0, inset + width / 2)
     return Patch(x, y, length, width, lot.yaw, rise)

@@ -1,4 +1,4 @@
-"""Land of a street: steeper than the first edition's, with raised lots behind retaining walls, paved or green."""
+"""Land of a street: steep, with raised lots behind retaining walls, paved or green."""
 
 from __future__ import annotations
 
@@ -39,8 +39,10 @@ class StreetLand(Terrain):
         return kind
 
 
-def lie_of_the_land(slope: float | None, steepest: tuple[float, float], rng: np.random.Generator) -> tuple[float, float]:
-    """Draw the slope to the east and to the north: a steepness within a range, mostly along the street (x)."""
+def lie_of_the_land(
+    slope: float | None, steepest: tuple[float, float], rng: np.random.Generator
+) -> tuple[float, float]:
+    """Draw the slope to the east and north: a steepness within a range, mostly along the street (x)."""
     steepness = float(rng.uniform(*steepest)) if slope is None else slope
     turn = float(rng.normal(0.0, 0.4)) + (np.pi if rng.random() < 0.5 else 0.0)
     return float(steepness * np.cos(turn)), float(steepness * np.sin(turn))

@@ -1,4 +1,4 @@
-"""What a seed draws of a street before anything stands on it: its course, land, sensors, lanes and directions."""
+"""What a seed draws of a street before anything stands on it: course, land, sensors, lanes, directions."""
 
 from __future__ import annotations
 
@@ -29,9 +29,9 @@ _PAIRS = (
 class StreetPlan:
     """A street as its seed draws it.
 
-    ``widen`` is what a half of the road is wider than a plain one, ``footway`` the distance from the kerb to the
-    building line [m]; ``aside`` is how far each drive keeps from the middle of its lane; ``side`` is 1 where
-    traffic keeps left and -1 where it keeps right.
+    ``widen`` is what a half of the road is wider than a plain one, ``footway`` the distance from the kerb to
+    the building line [m]; ``aside`` is how far each drive keeps from the middle of its lane [m]; ``side`` is
+    1 where traffic keeps left and -1 where it keeps right.
     """
 
     family: Family
@@ -44,7 +44,9 @@ class StreetPlan:
     lane: tuple[int, int]
     aside: tuple[float, float]
     reverse_after: bool
-    bends: tuple[tuple[float, float, float], ...]  # of the course: amplitude [rad], wavelength [m], phase [rad]
+    bends: tuple[
+        tuple[float, float, float], ...
+    ]  # of the course: amplitude [rad], wavelength [m], phase [rad]
 
     @property
     def side(self) -> int:

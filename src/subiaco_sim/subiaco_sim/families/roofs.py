@@ -23,7 +23,7 @@ _PARAPET = 0.2  # thickness of a parapet [m]
 def roof_mesh(
     form: Roof, size: tuple[float, float], rise: float, cover: Material, wall: Material, overhang: float = 0.4
 ) -> Mesh:
-    """Return a roof over ``size`` (along x, along y) whose eaves lie on z = 0 and whose top on z = ``rise`` [m].
+    """Return a roof over ``size`` (along x, along y) with its eaves on z = 0 and its top on z = ``rise`` [m].
 
     The ridge runs along x. A flat roof is a slab with a parapet up to ``rise``.
     """
@@ -67,7 +67,12 @@ def _mansard(x: float, y: float, rise: float, cover: Material) -> Mesh:
     inset = min(0.9, 0.3 * x, 0.3 * y)
     break_ = 0.7 * rise
     lower = [(-x, -y, 0), (x, -y, 0), (x, y, 0), (-x, y, 0)]
-    upper = [(-x + inset, -y + inset), (x - inset, -y + inset), (x - inset, y - inset), (-x + inset, y - inset)]
+    upper = [
+        (-x + inset, -y + inset),
+        (x - inset, -y + inset),
+        (x - inset, y - inset),
+        (-x + inset, y - inset),
+    ]
     vertices = [*lower, *((a, b, break_) for a, b in upper)]
     sides = [(k, (k + 1) % 4, 4 + (k + 1) % 4, 4 + k) for k in range(4)]
     skirt = polygons(vertices, [*sides, (0, 1, 2, 3)], cover)

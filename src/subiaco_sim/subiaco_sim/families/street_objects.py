@@ -60,7 +60,8 @@ class Scaffolding:
         rail = box(self.length, 0.05, 0.05, Material.SHEET_METAL)
         for floor in np.arange(2.0, self.height - 0.4, 2.0):
             parts.append(deck.placed(0, 0, float(floor)))
-            parts.append(rail.placed(0, -self.depth / 2, float(floor) + 1.0))
+            if floor + 1.05 < self.height:
+                parts.append(rail.placed(0, -self.depth / 2, float(floor) + 1.0))
         if self.netted:
             net = box(self.length, 0.03, self.height - 2.2, Material.PAINT)
             parts.append(net.placed(0, -self.depth / 2 - 0.05, 2.2))
@@ -97,7 +98,9 @@ class Column:
     def mesh(self) -> Mesh:
         """Return the column on z = 0."""
         body = cylinder(self.radius, self.height, Material.CONCRETE, 12)
-        return join([body, cylinder(1.1 * self.radius, 0.08, Material.SHEET_METAL, 12).placed(0, 0, self.height)])
+        return join(
+            [body, cylinder(1.1 * self.radius, 0.08, Material.SHEET_METAL, 12).placed(0, 0, self.height)]
+        )
 
 
 @dataclass(frozen=True)
@@ -111,7 +114,9 @@ class Kiosk:
     def mesh(self) -> Mesh:
         """Return the box on z = 0."""
         body = box(self.length, self.width, self.height - 0.15, Material.RENDER)
-        lid = box(self.length + 0.3, self.width + 0.3, 0.15, Material.SHEET_METAL).placed(0, 0, self.height - 0.15)
+        lid = box(self.length + 0.3, self.width + 0.3, 0.15, Material.SHEET_METAL).placed(
+            0, 0, self.height - 0.15
+        )
         return join([body, lid])
 
 

@@ -1,4 +1,4 @@
-"""Lays out an Australian suburban street: detached houses, units, flats, shops, raised lots, gardens, verges."""
+"""Lays out an Australian suburban street: houses, units, flats, shops, raised lots, gardens, verges."""
 
 from __future__ import annotations
 
@@ -95,12 +95,18 @@ def _build(layout: Layout, frontage: Frontage) -> None:
 
 
 def _add_shop(layout: Layout, frontage: Frontage) -> None:
-    """A shop at the building line, some with an arcade over the footway's edge."""
+    """Build a shop at the building line, some with an arcade over the footway's edge."""
     rng = layout.rng
     arcade = float(rng.uniform(1.8, 2.8)) if rng.random() < 0.5 else 0.0
     eaves = float(rng.uniform(4.6, 5.4)) + (3.1 if rng.random() < 0.3 else 0.0)
     shop = Building(
-        frontage.width - 0.8, 12.0, eaves, Roof.FLAT, float(rng.uniform(0.3, 1.2)), Material.RENDER, arcade=arcade
+        frontage.width - 0.8,
+        12.0,
+        eaves,
+        Roof.FLAT,
+        float(rng.uniform(0.3, 1.2)),
+        Material.RENDER,
+        arcade=arcade,
     )
     put(layout, frontage.lot, "shop", BUILDING, shop, (0.0, 6.2, 0.0))
 
@@ -131,14 +137,20 @@ def _add_units(layout: Layout, frontage: Frontage) -> None:
     roof = Roof.GABLE if rng.random() < 0.6 else Roof.PENT
     for k in range(number):
         unit = Building(
-            width, 11.0, float(rng.uniform(5.0, 6.0)), roof, float(rng.uniform(1.0, 2.6)), overhang=0.0, pane=2.4
+            width,
+            11.0,
+            float(rng.uniform(5.0, 6.0)),
+            roof,
+            float(rng.uniform(1.0, 2.6)),
+            overhang=0.0,
+            pane=2.4,
         )
         along = (k - (number - 1) / 2) * width
         put(layout, frontage.lot, "unit", BUILDING, unit, (along, setback + 5.5, 0.0))
 
 
 def _add_house(layout: Layout, frontage: Frontage) -> None:
-    """A detached house; one in six stands at the building line, without a front garden."""
+    """Build a detached house; one in six stands at the building line, without a front garden."""
     rng = layout.rng
     house = random_detached(rng, frontage.width - float(rng.uniform(2.6, 5.2)))
     setback = 0.4 if rng.random() < 0.17 else float(rng.uniform(3.0, 8.0))
@@ -171,7 +183,10 @@ def _fence(layout: Layout, frontage: Frontage) -> None:
     if drawn < 0.35:
         for k in range(2):
             hedge = Hedge(
-                open_ / 2 - 0.1, float(rng.uniform(0.6, 1.2)), float(rng.uniform(0.7, 2.2)), int(rng.integers(2**31))
+                open_ / 2 - 0.1,
+                float(rng.uniform(0.6, 1.2)),
+                float(rng.uniform(0.7, 2.2)),
+                int(rng.integers(2**31)),
             )
             put(layout, lot, "hedge", VEGETATION, hedge, (-1.8 + (k - 0.5) * open_ / 2, 0.8, 0.0))
     elif drawn < 0.6:
@@ -200,7 +215,9 @@ def _grow_garden(layout: Layout, frontage: Frontage, setback: float) -> None:
 def _random_shrub(rng: np.random.Generator) -> Hedge | Crown:
     seed = int(rng.integers(2**31))
     if rng.random() < 0.5:
-        return Hedge(float(rng.uniform(0.8, 2.2)), float(rng.uniform(0.8, 1.5)), float(rng.uniform(0.6, 1.8)), seed)
+        return Hedge(
+            float(rng.uniform(0.8, 2.2)), float(rng.uniform(0.8, 1.5)), float(rng.uniform(0.6, 1.8)), seed
+        )
     height = float(rng.uniform(0.8, 2.4))
     return Crown(Profile.BALL, height, float(rng.uniform(0.4, 0.9)), 0.9 * height, 0.04, seed, seed)
 
@@ -228,7 +245,9 @@ def _equip(layout: Layout, kerb: float) -> None:
     for lot in beside(layout, 8.0, kerb + 0.6):
         drawn = rng.random()
         if drawn < 0.22:
-            put_free(layout, lot, "bin", OTHER, Bin(float(rng.uniform(0.9, 1.2))), (2.6, 0.0, 0.1), (0.7, 0.7))
+            put_free(
+                layout, lot, "bin", OTHER, Bin(float(rng.uniform(0.9, 1.2))), (2.6, 0.0, 0.1), (0.7, 0.7)
+            )
         elif drawn < 0.30:
             put_free(layout, lot, "sign", OTHER, Sign(), (-2.2, 0.0, np.pi / 2), (0.3, 0.3))
         elif drawn < 0.36:

@@ -1,4 +1,4 @@
-"""What moves while the vehicle passes: cars, vans, buses, trucks, motorcycles, bicycles and people on foot."""
+"""What moves while the vehicle passes: cars, vans, buses, trucks, motorcycles, bicycles, people on foot."""
 
 from __future__ import annotations
 
@@ -14,7 +14,12 @@ from subiaco_sim.scene_config import LANE_WIDTH
 
 
 def street_traffic(
-    first_id: int, length: float, plan: StreetPlan, amount: float, reverse_after: bool, rng: np.random.Generator
+    first_id: int,
+    length: float,
+    plan: StreetPlan,
+    amount: float,
+    reverse_after: bool,
+    rng: np.random.Generator,
 ) -> tuple[Mover, ...]:
     """Draw the traffic of both epochs: ``amount`` times a vehicle each 90 m and a person each 40 m."""
     made: list[Mover] = []
@@ -30,7 +35,9 @@ def street_traffic(
                 ROAD_HALF + plan.widen + float(rng.uniform(1.0, plan.footway - 0.6))
             )
             person = Person(float(rng.uniform(1.2, 1.95)))
-            made.append(Mover(first_id + len(made), person, epoch, float(rng.uniform(0, length)), pace, offset, 1.5))
+            made.append(
+                Mover(first_id + len(made), person, epoch, float(rng.uniform(0, length)), pace, offset, 1.5)
+            )
     return tuple(made)
 
 

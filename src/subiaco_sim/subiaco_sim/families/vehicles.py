@@ -1,4 +1,4 @@
-"""Vehicles that the first edition does not know: vans, buses, motorcycles, caravans; and a draw of all kinds."""
+"""Vans, buses, motorcycles and caravans, and a draw of all that parks at a kerb."""
 
 from __future__ import annotations
 
@@ -11,7 +11,9 @@ from subiaco_sim.primitives import Material, Mesh, box, cylinder, extrude_across
 
 
 def _wheels(radius: float, spots: tuple[tuple[float, float], ...]) -> list[Mesh]:
-    profile = [(radius * np.cos(a), radius * (1 + np.sin(a))) for a in np.linspace(0, 2 * np.pi, 8, endpoint=False)]
+    profile = [
+        (radius * np.cos(a), radius * (1 + np.sin(a))) for a in np.linspace(0, 2 * np.pi, 8, endpoint=False)
+    ]
     wheel = extrude_across([(float(x), float(z)) for x, z in profile], 0.22, Material.ASPHALT)
     return [wheel.placed(x, y, 0) for x, y in spots]
 
@@ -49,7 +51,8 @@ class Bus:
         """Return the bus on z = 0."""
         body = box(self.length, self.width, self.height - 0.35, Material.PAINT).placed(0, 0, 0.35)
         panes = [
-            box(0.9 * self.length, 0.04, 1.1, Material.GLASS).placed(0, s * self.width / 2, 1.3) for s in (-1, 1)
+            box(0.9 * self.length, 0.04, 1.1, Material.GLASS).placed(0, s * self.width / 2, 1.3)
+            for s in (-1, 1)
         ]
         front = box(0.04, 0.9 * self.width, 1.6, Material.GLASS).placed(self.length / 2, 0, 1.0)
         return join([body, *panes, front, *_wheels(0.48, _four(self.length, self.width))])
