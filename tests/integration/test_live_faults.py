@@ -22,7 +22,7 @@ from subiaco_geo.topics import FIX, IMU, LIDAR_PACKETS
 
 LOGGER = logging.getLogger(__name__)
 
-pytestmark = [pytest.mark.ros, pytest.mark.slow]
+pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.realtime]
 
 NOTICED = 5.0  # asked: 2 s, seen: 0.03 to 1.5 s; a loaded machine gets more [s]
 OUT = 10.0  # the LiDAR's cable [s]

@@ -229,7 +229,7 @@ class PoseGraphApp:
             (ScanQuality, QUALITY, lambda m: self._on_part(QUALITY, m), reliable(SCAN_DEPTH)),
             (PointCloud2, CLOUD, lambda m: self._on_part(CLOUD, m), reliable(SCAN_DEPTH)),
             (PointCloud2, SKY, lambda m: self._on_part(SKY, m), reliable(SCAN_DEPTH)),
-            (String, FACTS, self._on_facts, reliable(32)),
+            (String, FACTS, self._on_facts, latched(32)),
         )
         sensors: tuple[tuple[Any, str, Callable[[Any], object]], ...] = (
             (NavSatFix, FIX, self._on_fix),
