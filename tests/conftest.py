@@ -44,11 +44,13 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)
 def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
-    """Let a test that has to keep real time run while all other tests on this machine wait.
+    """Let a test that has to keep real time run while the other workers wait.
 
-    A test holds a lock while it runs: shared, or exclusive under the marker ``realtime``. Whoever wants
-    the lock queues at a second one, so that a test that wants to be alone gets its turn.
+    A worker holds a lock while it runs a test: shared, or exclusive under the marker ``realtime``. Whoever
+    wants the lock queues at a second one, so that a test that wants to be alone gets its turn.
     """
+    if _WORKER is None:
+        return (yield)
     kind = fcntl.LOCK_SH if item.get_closest_marker("realtime") is None else fcntl.LOCK_EX
     with _lock_file("queue") as queue, _lock_file("running") as running:
         fcntl.flock(queue, fcntl.LOCK_EX)
