@@ -17,10 +17,11 @@ from subiaco_sim.families.config import Family, StreetConfig
 from subiaco_sim.families.events import QUOTAS, RISE, SHARE
 from subiaco_sim.families.plan import StreetPlan, plan_street
 from subiaco_sim.families.roofs import Roof
+from subiaco_sim.families.vehicles import Bus
 from subiaco_sim.ground import ROAD_HALF
 from subiaco_sim.labels import ground_change, true_change
 from subiaco_sim.presets import build_family_scene, preset_hash, with_preset
-from subiaco_sim.scene import Scene
+from subiaco_sim.scene import BUILDING, MOBILE, Placed, Scene, item_mesh, laid_mesh
 from subiaco_sim.sensors import SENSORS, SensorName
 
 SEEDS = range(101, 107)
@@ -204,6 +205,18 @@ def test_activity_scales_how_much_happens() -> None:
 def test_shares_of_events_leave_something_alone() -> None:
     for quotas in QUOTAS.values():
         assert 0.0 < sum(share for _, share in quotas) < 1.0
+
+
+def test_what_lies_on_sloping_land_follows_it_and_a_house_stands_level() -> None:
+    land = scene_of("suburb", 101, slope=0.1).terrain
+    bus, house = Bus(), Building(8.0, 8.0, 3.0, Roof.FLAT, 0.3)
+    place = (0.0, 0.0, float(np.arctan2(*land.slope[::-1])))  # along the line of steepest rise
+    lying = laid_mesh(Placed(bus, *place), MOBILE, land).vertices
+    level = item_mesh(Placed(bus, *place), MOBILE, land).vertices
+    assert np.ptp(lying[:, 2] - level[:, 2]) == pytest.approx(0.1 * 12.0, abs=0.02)
+    np.testing.assert_array_equal(lying[:, :2], level[:, :2])
+    standing = laid_mesh(Placed(house, *place), BUILDING, land).vertices
+    np.testing.assert_array_equal(standing, item_mesh(Placed(house, *place), BUILDING, land).vertices)
 
 
 def test_raised_lots_lie_above_the_street_by_their_rise_and_a_wall_holds_them() -> None:

@@ -51,13 +51,13 @@ def lay_out_dense(route: Floats, plan: StreetPlan, rng: np.random.Generator) -> 
     layout.taken.append(LineString(route).buffer(kerb))
     length = 0.25 * len(route)
     middle = length * float(rng.uniform(0.35, 0.65))
-    square = (int(rng.choice([-1, 1])), middle - _SQUARE / 2, middle + _SQUARE / 2)
+    square = int(rng.choice([-1, 1]))  # side of the street
     for frontage in frontages(layout, (8.0, 20.0), layout.setback):
         lot = frontage.lot
-        if lot.side == square[0] and square[1] < lot.s < square[2]:
+        if lot.side == square and abs(lot.s - middle) < (_SQUARE + frontage.width) / 2:
             continue
         _build(layout, frontage)
-    _fill_square(layout, lot_at(layout, middle, square[0], layout.setback))
+    _fill_square(layout, lot_at(layout, middle, square, layout.setback))
     fill_kerbs(layout, kerb, _AT_THE_KERB)
     _plant(layout, kerb, plan.footway)
     _equip(layout, kerb, plan.footway)

@@ -17,7 +17,8 @@ def work_the_street(
     layout: Layout, first_id: int, widen: float, footway: float, activity: float
 ) -> list[GroundItem]:
     """Resurface, mill, settle and build on strips of the road and plots of the footway; none overlap."""
-    rng, found = layout.rng, []
+    rng = layout.rng
+    found: list[GroundItem] = []
     length = 0.25 * len(layout.centreline)
     for _ in range(int(activity * length / _EVERY + rng.random())):
         side = int(rng.choice(layout.sides))

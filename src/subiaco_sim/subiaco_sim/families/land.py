@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from subiaco_geo.frames import Floats
 from subiaco_sim.ground import Patch, Terrain
-from subiaco_sim.primitives import Material
+from subiaco_sim.primitives import Material, Mesh
 
 
 @dataclass(frozen=True)
@@ -30,6 +30,12 @@ class StreetLand(Terrain):
         for lot in self.raised:
             height = height + np.where(lot.contains(x, y), lot.rise, 0.0)
         return np.asarray(height)
+
+    def laid(self, mesh: Mesh, x: float, y: float) -> Mesh:
+        """Return a mesh that follows the slope of the land: what is upright stays upright [m]."""
+        rise = (mesh.vertices[:, :2] - (x, y)) @ np.array(self.slope)
+        vertices = mesh.vertices + rise[:, None] * np.array([0.0, 0.0, 1.0])
+        return Mesh(vertices, mesh.triangles, mesh.material)
 
     def material(self, distance: Floats) -> NDArray[np.uint8]:
         """Return the material of the ground by distance from the crown [m]."""
