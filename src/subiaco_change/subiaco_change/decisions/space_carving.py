@@ -121,6 +121,10 @@ class _Frame:
         """Height of a cell [m]: tops are known better than walls are placed."""
         return 0.5 * self.cell
 
+    def level(self, heights: Floats) -> Ints:
+        """Highest cells whose middles surfaces at heights above the ground reach; -1 below the lowest."""
+        return np.floor((heights + _TOP) / self.rise - 0.5).astype(np.int64)
+
     @property
     def volume(self) -> float:
         """Volume of a cell [m3]."""
@@ -201,7 +205,7 @@ def _state(epoch: Epoch, other: Voxels, frame: _Frame) -> _State:
     nx, ny, nz = frame.shape
     own = epoch.voxels.add(_shared(other, epoch))
     top = _tops(own, frame)
-    below = frame.levels <= top[:, :, None] + _TOP
+    below = np.arange(nz) <= frame.level(top)[:, :, None]
     middles = frame.middles()
     open_column = epoch.bare(middles).reshape(nx, ny) & (top == 0)
     free = np.repeat(open_column[:, :, None], nz, axis=2)
@@ -328,9 +332,9 @@ def _without_thin(changed: Cells, config: CarvingConfig) -> Cells:
 
 
 def _surface(voxels: Voxels, frame: _Frame) -> Ints:
-    """Numbers (nx, ny, nz) of voxels."""
+    """Numbers (nx, ny, nz) of voxels, each in the highest cell that its surface makes solid."""
     surface = np.zeros(frame.shape, dtype=np.int64)
-    level = np.floor(voxels.height / frame.rise).astype(np.int64)
+    level = frame.level(voxels.height)
     slot = np.column_stack([frame.slots(voxels.xyz[:, :2]), level])
     np.add.at(surface, tuple(slot[(level >= 0) & (level < frame.shape[2])].T), 1)
     return surface
