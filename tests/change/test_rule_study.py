@@ -80,6 +80,9 @@ def study(tmp_path, monkeypatch):
 
     monkeypatch.setattr(rule_study, "_run", run)
     surveys = [tmp_path / "first", tmp_path / "second"]
+    for survey in surveys:
+        (survey / "truth").mkdir(parents=True)
+        (survey / "truth" / "scene.yaml").touch()
 
     def start(only=("hidden_walls", "closed_gaps", "roof_gap"), config=None):
         made.clear()
@@ -115,6 +118,9 @@ def test_a_folder_of_other_settings_or_of_something_else_is_refused(study, tmp_p
     study()
     with pytest.raises(InputError, match="other code or settings"):
         study(config=ChangeConfig(leaf=0.3))
+    with pytest.raises(InputError, match="output of 'subiaco simulate'"):
+        run_rule_study([tmp_path], tmp_path / "other", ChangeConfig())
+    assert not (tmp_path / "other").exists()
     (tmp_path / "photos").mkdir()
     (tmp_path / "photos" / "one.txt").write_text("x", encoding="utf-8")
     with pytest.raises(InputError, match="no folder of a study"):

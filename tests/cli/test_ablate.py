@@ -46,3 +46,4 @@ def test_a_name_that_is_no_rule_is_refused(refused, survey_of_both, tmp_path):
         ["ablate", "--rules", survey_of_both, "-o", tmp_path / "out", "--only", "closed_gap"],
         "did you mean closed_gaps",
     )
+    refused(["ablate", "--rules", survey_of_both, "-o", tmp_path / "out", "--overwrite"], "leave them out")

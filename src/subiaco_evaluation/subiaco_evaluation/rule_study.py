@@ -112,6 +112,9 @@ def run_rule_study(
     folders = {_scene(path): output / "runs" / _scene(path) for path in surveys}
     if len(folders) < len(surveys):
         raise InputError("ablate --rules: two surveys have the same name; give each once")
+    for path in surveys:
+        if not (path / "truth" / "scene.yaml").is_file():
+            raise InputError(f"{path}: holds no truth/scene.yaml; give the output of 'subiaco simulate'")
     config = config.model_copy(update={"second_registration": False})
     _begin(output, config)
     bases = [_Job(path, BASELINE, folders[_scene(path)], config) for path in surveys]

@@ -196,6 +196,8 @@ def ablate(
     files = config_files("change", tuple(config or ()))
     ours = load_config(ChangeConfig, files, settings or [])
     if rules:
+        if registration is not None or overwrite:
+            raise InputError("ablate --rules: --registration and --overwrite do not apply; leave them out")
         with Progress(quiet=quiet) as progress:
             found = run_rule_study(cases, output, ours, progress, only=only or (), jobs=jobs)
         typer.echo(study_markdown(found))
