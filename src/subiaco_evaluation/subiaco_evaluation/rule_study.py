@@ -14,7 +14,7 @@ import numpy as np
 import pandas as pd
 
 from subiaco_change.config import ChangeConfig
-from subiaco_change.method_rules import RULES, known_rules
+from subiaco_change.method_rules import RULES, STAGES_OF_RULES, known_rules
 from subiaco_change.method_rules.switches import rules_recorded
 from subiaco_change.pipeline import detect_in_tiles
 from subiaco_change.records import TiledResult
@@ -124,7 +124,7 @@ def run_rule_study(
     table = tables.write()
     todo = [
         _Job(base.survey, rule, base.folder, config)
-        for rule in rules
+        for rule in sorted(rules, key=_first_stage, reverse=True)  # late stages cost least
         for base in bases
         if rule in load_run(base.folder, BASELINE).used
     ]
@@ -137,6 +137,11 @@ def run_rule_study(
 def _tell(progress: Callable[[str, float], None] | None, name: str, fraction: float) -> None:
     if progress is not None:
         progress(name, fraction)
+
+
+def _first_stage(rule: str) -> int:
+    """Return the place of the first stage in which a rule acts."""
+    return min(STAGES_OF_RULES.index(stage) for stage in RULES[rule].stages)
 
 
 def _scene(survey: Path) -> str:
