@@ -11,7 +11,7 @@ from test_vegetation_null import TREE, street
 from subiaco_change.config import ChangeConfig
 from subiaco_change.decisions.confidence import features
 from subiaco_change.decisions.rules import Decision
-from subiaco_change.tiling.plant_stage import (
+from subiaco_change.tiling.decision_stages import (
     PlantDecisionSlice,
     PlantRow,
     PlantSlice,
@@ -20,7 +20,7 @@ from subiaco_change.tiling.plant_stage import (
     decide_tile,
     find_vegetation_null,
 )
-from subiaco_change.tiling.stage_params import TileParams, slice_of
+from subiaco_change.tiling.stage_inputs import TileParams, slice_of
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.work.results import pack
 from subiaco_geo.work.store import MemoryStore

@@ -20,8 +20,7 @@ from subiaco_change.registration.register import given_registration, register
 from subiaco_change.tiling.alignment import ChangedPoints
 from subiaco_change.tiling.epoch_tiles import Coordinates, Side
 from subiaco_change.tiling.registration_stage import RegistrationParams, RegistrationSlice, register_again
-from subiaco_change.tiling.stage_params import slice_of
-from subiaco_change.tiling.stored_frame import PairRegistration
+from subiaco_change.tiling.stage_inputs import PairRegistration, slice_of
 from subiaco_geo.cloud_io import write_cloud
 from subiaco_geo.clouds import PointCloud, voxel_downsample
 from subiaco_geo.errors import RegistrationError

@@ -29,7 +29,7 @@ from subiaco_change.tiling.alignment import TileLods, city_grid, load_sigma
 from subiaco_change.tiling.epoch_tiles import EPOCHS, Side
 from subiaco_change.tiling.retiling import LabelledPoints, PlacedPoints
 from subiaco_change.tiling.run import ChangeRun
-from subiaco_change.tiling.stored_frame import PairRegistration, load_frame
+from subiaco_change.tiling.stage_inputs import PairRegistration, load_frame
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats

@@ -39,8 +39,13 @@ from subiaco_change.registration.warp import Residuals, estimate_warp
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.tiling.epoch_tiles import EPOCHS, Side
 from subiaco_change.tiling.retiling import LabelledPoints, load_points
-from subiaco_change.tiling.stage_params import TileParams
-from subiaco_change.tiling.stored_frame import REGISTRATION, Correction, PairRegistration, load_frame
+from subiaco_change.tiling.stage_inputs import (
+    REGISTRATION,
+    Correction,
+    PairRegistration,
+    TileParams,
+    load_frame,
+)
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats, Ints

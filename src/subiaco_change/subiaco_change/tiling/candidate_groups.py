@@ -15,9 +15,8 @@ from subiaco_change.association.costs import AssociationConfig
 from subiaco_change.decisions.measures import MeasureConfig
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.tiling.epoch_tiles import Side
-from subiaco_change.tiling.instance_merging import EpochObjects
-from subiaco_change.tiling.retiling import LabelledPoints, load_points, near_tile
-from subiaco_change.tiling.stage_params import TileParams
+from subiaco_change.tiling.retiling import EpochObjects, LabelledPoints, load_points, near_tile
+from subiaco_change.tiling.stage_inputs import TileParams
 from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats, Ints

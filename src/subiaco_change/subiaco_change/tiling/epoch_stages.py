@@ -26,6 +26,15 @@ from subiaco_change.registration.pair import (
 from subiaco_change.spacing import PointSpacing, spacing_scale
 from subiaco_change.sparse import at_spacing
 from subiaco_change.tiling.alignment import StatedPoses
+from subiaco_change.tiling.epoch_preparation import (
+    LevellingParams,
+    RenderParams,
+    TileViews,
+    TrailParams,
+    find_trails,
+    find_upright,
+    render_tile,
+)
 from subiaco_change.tiling.epoch_tiles import (
     EPOCHS,
     FIELDS,
@@ -37,15 +46,10 @@ from subiaco_change.tiling.epoch_tiles import (
     cut_cloud,
     tiles_between,
 )
-from subiaco_change.tiling.expected_visibility_stage import RenderParams, TileViews, render_tile
-from subiaco_change.tiling.instance_merging import MergingParams, unite
-from subiaco_change.tiling.levelling import LevellingParams, find_upright
 from subiaco_change.tiling.registration_stage import RegistrationParams, RegistrationSlice, find_registration
-from subiaco_change.tiling.retiling import EpochTileParams, LabelledPoints, recut_tile
-from subiaco_change.tiling.stage_params import slice_of
-from subiaco_change.tiling.stored_frame import PairRegistration, in_frame
+from subiaco_change.tiling.retiling import EpochTileParams, LabelledPoints, MergingParams, recut_tile, unite
+from subiaco_change.tiling.stage_inputs import PairRegistration, in_frame, slice_of
 from subiaco_change.tiling.tile_segmentation import SegmentationParams, SegmentationSlice, prepare_tile
-from subiaco_change.tiling.trails import TrailParams, find_trails
 from subiaco_change.visibility_evidence import evidence_kind
 from subiaco_geo.crs import Transform, transformer
 from subiaco_geo.errors import InputError

@@ -16,7 +16,7 @@ from shapely.geometry.base import BaseGeometry
 from subiaco_change.decisions.ground_cells import GroundCells, GroundChangeConfig, difference_cells
 from subiaco_change.decisions.ground_change import GroundPatch, beyond_gate, find_patches
 from subiaco_change.tiling.retiling import near_tile
-from subiaco_change.tiling.stage_params import TileParams
+from subiaco_change.tiling.stage_inputs import TileParams
 from subiaco_change.tiling.tile_surroundings import load_region
 from subiaco_change.visibility_evidence import EvidenceConfig
 from subiaco_geo.codes import Change, Semantic

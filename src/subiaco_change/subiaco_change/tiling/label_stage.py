@@ -18,11 +18,11 @@ from subiaco_change.decisions.point_labels import Labels, label_rest, unlabelled
 from subiaco_change.decisions.voxel_objects import EpochView, occupied
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.tiling.alignment import ChangedPoints, TileLods
+from subiaco_change.tiling.decision_stages import TileComparison
 from subiaco_change.tiling.epoch_tiles import EPOCHS, Side
 from subiaco_change.tiling.ground_stage import PatchSlice, TilePatches
-from subiaco_change.tiling.plant_stage import TileComparison
 from subiaco_change.tiling.retiling import LabelledPoints, load_points, near_tile
-from subiaco_change.tiling.stage_params import TileParams
+from subiaco_change.tiling.stage_inputs import TileParams
 from subiaco_change.tiling.table_stage import TableColumns
 from subiaco_change.tiling.tile_surroundings import Region, load_region
 from subiaco_change.visibility_evidence import EvidenceConfig

@@ -14,7 +14,7 @@ from subiaco_change.registration.config import RegistrationConfig
 from subiaco_change.registration.register import given_registration, register
 from subiaco_change.tiling.alignment import ChangedPoints
 from subiaco_change.tiling.epoch_tiles import Coordinates, Side, corners
-from subiaco_change.tiling.stored_frame import REGISTRATION, PairRegistration
+from subiaco_change.tiling.stage_inputs import REGISTRATION, PairRegistration
 from subiaco_geo.clouds import PointCloud, voxel_downsample
 from subiaco_geo.errors import RegistrationError
 from subiaco_geo.frames import Floats

@@ -17,10 +17,8 @@ from subiaco_change.segmentation.clustering import voxel_clusters
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.segmentation.instances import InstanceConfig, segment
 from subiaco_change.segmentation.raised_surfaces import find_raised
+from subiaco_change.tiling.epoch_preparation import load_moved, load_observer, load_turn
 from subiaco_change.tiling.epoch_tiles import Side, TilePoints
-from subiaco_change.tiling.expected_visibility_stage import load_observer
-from subiaco_change.tiling.levelling import load_turn
-from subiaco_change.tiling.trails import load_moved
 from subiaco_change.visibility_evidence import EvidenceConfig
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Semantic

@@ -1,16 +1,26 @@
-"""Stage: expected visibility of an epoch, rendered around its poses tile by tile."""
+"""Stages before the segmentation of an epoch: its vertical direction, ghost trails, expected visibility.
+
+The vertical direction of an epoch without CRS follows from the ground of all its tiles. In a cloud without
+counts and times of beams, ghost trails are detected by shape. Expected visibility is rendered around the
+poses of an epoch tile by tile.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
+from subiaco_change.level_of_detection.common_frame import upright_turn
+from subiaco_change.segmentation.classes import SemanticsConfig
+from subiaco_change.segmentation.ghost_trails import trail_probability
+from subiaco_change.segmentation.ground_model import fit_ground
+from subiaco_change.segmentation.raised_surfaces import find_raised
 from subiaco_change.tiling.epoch_tiles import Side, TilePoints, load_beams
-from subiaco_change.tiling.trails import TileTrails
 from subiaco_change.visibility_evidence import EvidenceConfig, Kind, Observer, make_observer, poses_observer
-from subiaco_geo.clouds import PointCloud
+from subiaco_geo.clouds import PointCloud, voxel_downsample
 from subiaco_geo.crs import transformer
 from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.free_space.depth_images import DepthImages
@@ -26,6 +36,88 @@ from subiaco_geo.free_space.view_estimation import estimate_view, view_histogram
 from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.tiles import tile_named
 from subiaco_geo.work.tasks import Inputs
+
+
+@dataclass(frozen=True)
+class LevellingParams:
+    """The epoch whose ``cloud/<tile>`` are levelled."""
+
+    side: Side
+
+
+@dataclass(frozen=True)
+class Levelling:
+    """Rotation (3, 3) that makes the streets of an epoch lie level, None where they do."""
+
+    turn: Floats | None
+
+
+def find_upright(inputs: Inputs, params: LevellingParams) -> Levelling:
+    """Find the rotation that makes the streets of an epoch lie level."""
+    thin = [
+        voxel_downsample(PointCloud(inputs.of(TilePoints, f"cloud/{name}").xyz), 1.0).xyz
+        for name in inputs.under("cloud")
+    ]
+    return Levelling(upright_turn(PointCloud(np.concatenate(thin), params.side.origin)))
+
+
+def load_turn(inputs: Inputs) -> Floats | None:
+    """Return the rotation of ``levelling``, None where the task rests on none or nothing is turned."""
+    found = inputs.find(Levelling, "levelling")
+    return None if found is None else found.turn
+
+
+#: Surroundings in which the length of a trail is measured [m].
+AROUND = 50.0
+
+
+@dataclass(frozen=True)
+class TrailParams:
+    """Parameters of the search for ghost trails; the lengths of ``semantics`` are those for this epoch."""
+
+    tile: str
+    size: float
+    side: Side
+    semantics: SemanticsConfig
+
+
+@dataclass(frozen=True)
+class TileTrails:
+    """Probability (N,) that each point of a tile, in their order, was left by a moving object."""
+
+    moved: NDArray[np.float32]
+
+
+def find_trails(inputs: Inputs, params: TrailParams) -> TileTrails:
+    """Find how probable it is that the points of a tile were left by a moving vehicle, by their shape.
+
+    ``inputs`` hold ``cloud/<tile>`` of the tile and its neighbours, and ``levelling`` for local clouds.
+    """
+    side, config = params.side, params.semantics
+    tile = tile_named(params.tile, params.size, AROUND)
+    own = inputs.of(TilePoints, f"cloud/{params.tile}").xyz
+    others = [
+        inputs.of(TilePoints, f"cloud/{name}").xyz for name in inputs.under("cloud") if name != params.tile
+    ]
+    xyz = np.concatenate([own, *(part[tile.in_buffered(part[:, :2] + side.origin[:2])] for part in others)])
+    turn = load_turn(inputs)
+    if turn is not None:
+        xyz = xyz @ turn.T
+    ground = fit_ground(xyz, config.ground, find_raised(xyz, config.raised))
+    height = xyz[:, 2] - ground.height(xyz[:, :2])
+    moved = trail_probability(xyz, height, config.trail_shape)
+    return TileTrails(moved[: len(own)].astype(np.float32))
+
+
+def load_moved(inputs: Inputs, tile: str, names: Sequence[str], where: Sequence[Ints]) -> Floats | None:
+    """Put together what :func:`find_trails` left of a tile and of places of its neighbours, if anything."""
+    if not inputs.under("trails"):
+        return None
+    parts = [inputs.of(TileTrails, f"trails/{tile}").moved]
+    parts += [
+        inputs.of(TileTrails, f"trails/{name}").moved[index] for name, index in zip(names, where, strict=True)
+    ]
+    return np.concatenate(parts).astype(np.float64)
 
 
 @dataclass(frozen=True)

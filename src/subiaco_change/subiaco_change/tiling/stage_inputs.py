@@ -1,18 +1,52 @@
-"""The common frame as stages hand it to each other: a registration and the corrections beyond it."""
+"""What stages hand to each other: slices of the configuration, registration, corrections, frame."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
+from typing import Any, Generic, TypeVar
 
 import numpy as np
 
+from subiaco_change.config import ChangeConfig
 from subiaco_change.level_of_detection.common_frame import CommonFrame
 from subiaco_change.level_of_detection.displacement_field import SmoothField
 from subiaco_change.records import Registration
 from subiaco_change.tiling.epoch_tiles import Side
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.frames import Floats
+from subiaco_geo.tiles import Tile, tile_named
 from subiaco_geo.work.tasks import Inputs
+
+Slice = TypeVar("Slice")
+#: A dataclass whose fields are named like those of :class:`~subiaco_change.config.ChangeConfig`.
+AnySlice = TypeVar("AnySlice")
+
+
+def slice_of(kind: type[AnySlice], config: ChangeConfig) -> AnySlice:
+    """Take of a configuration what a stage reads: another setting elsewhere redoes nothing."""
+    names = [own.name for own in fields(kind)]  # type: ignore[arg-type]
+    values: dict[str, Any] = {name: getattr(config, name) for name in names}
+    return kind(**values)
+
+
+@dataclass(frozen=True)
+class TileParams(Generic[Slice]):
+    """Parameters of a stage that looks at both epochs.
+
+    ``tile``: name of the tile, or *all*; ``size``: edge of a tile [m]; ``origin`` (3,): of the common frame
+    in the world [m]; ``config``: what the stage reads of the configuration.
+    """
+
+    tile: str
+    size: float
+    sides: tuple[Side, ...]
+    origin: Floats
+    config: Slice
+
+    def square(self, rim: float = 0.0) -> Tile:
+        """Return the tile with surroundings of a width [m]."""
+        return tile_named(self.tile, self.size, rim)
+
 
 #: Aliases under which a task finds what makes up its frame.
 REGISTRATION, CORRECTIONS = "registration", ("bias", "warp")
