@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from subiaco_change.outputs.rasters import LodRaster, lod_statement
-from subiaco_change.spacing import (
+from subiaco_change.point_spacing import (
     STREET_SPACING,
     PointSpacing,
     joint_spacing,

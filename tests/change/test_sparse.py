@@ -9,7 +9,7 @@ from park_scene import make_park
 from subiaco_change.config import ChangeConfig
 from subiaco_change.outputs.rasters import COVERAGE, build_coverage
 from subiaco_change.pipeline import detect_changes
-from subiaco_change.sparse import at_spacing
+from subiaco_change.point_spacing import at_spacing
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Change, Semantic
 

@@ -5,10 +5,9 @@ import pytest
 from placing_scene import rigid, street
 from whole import place
 
-from subiaco_change.level_of_detection.alignment_corrections import PlacingConfig
+from subiaco_change.level_of_detection.alignment_corrections import PlacingConfig, WarpConfig
 from subiaco_change.level_of_detection.displacement_lod import LodConfig
 from subiaco_change.level_of_detection.registration_uncertainty import UncertaintyConfig
-from subiaco_change.registration.warp import WarpConfig
 
 NORTH = np.array([0.0, 1.0, 0.0])
 

@@ -11,9 +11,13 @@ from subiaco_change.config import ChangeConfig
 from subiaco_change.decisions.ground_cells import GroundChangeConfig, difference_cells, shown_lod
 from subiaco_change.decisions.ground_change import GroundComparison, find_patches
 from subiaco_change.decisions.voxel_objects import EpochView
-from subiaco_change.level_of_detection.alignment_corrections import PlacingConfig
-from subiaco_change.level_of_detection.common_frame import CommonFrame
-from subiaco_change.level_of_detection.displacement_field import BlockGrid, SmoothField
+from subiaco_change.level_of_detection.alignment_corrections import (
+    PlacingConfig,
+    VerticalBiasConfig,
+    bias_field,
+    tile_medians,
+)
+from subiaco_change.level_of_detection.common_frame import BlockGrid, CommonFrame, SmoothField
 from subiaco_change.level_of_detection.displacement_lod import LodConfig, measure_displacements
 from subiaco_change.level_of_detection.registration_uncertainty import (
     PoseErrors,
@@ -23,7 +27,6 @@ from subiaco_change.level_of_detection.registration_uncertainty import (
     join_samples,
     sigma_of,
 )
-from subiaco_change.level_of_detection.vertical_bias import VerticalBiasConfig, bias_field, tile_medians
 from subiaco_change.records import Registration
 from subiaco_change.tiling.alignment import TileLods, city_grid, load_sigma
 from subiaco_change.tiling.epoch_tiles import EPOCHS, Side

@@ -17,10 +17,10 @@ from subiaco_change.given_classes import GivenClassesConfig
 from subiaco_change.input_checks import InputCheckConfig
 from subiaco_change.level_of_detection.alignment_corrections import PlacingConfig
 from subiaco_change.level_of_detection.displacement_lod import LodConfig
+from subiaco_change.point_spacing import SpacingConfig
 from subiaco_change.registration.config import RegistrationConfig
 from subiaco_change.segmentation.classes import SemanticsConfig
 from subiaco_change.segmentation.instances import InstanceConfig
-from subiaco_change.sparse import SpacingConfig
 from subiaco_change.visibility_evidence import EvidenceConfig
 from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError

@@ -10,7 +10,7 @@ from pydantic import Field
 from scipy.spatial import cKDTree
 from scipy.special import ndtri
 
-from subiaco_change.level_of_detection.displacement_field import BlockGrid
+from subiaco_change.level_of_detection.common_frame import BlockGrid
 from subiaco_change.level_of_detection.displacement_lod import Displacements
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.records import Registration

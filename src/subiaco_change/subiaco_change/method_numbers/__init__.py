@@ -48,17 +48,15 @@ from subiaco_change.method_numbers.registration_numbers import (
     VerticalBiasNumbers,
     WarpNumbers,
 )
-from subiaco_change.method_numbers.sampling_numbers import (
-    SpacingNumbers,
-    SparseNumbers,
-    VisibilityEvidenceNumbers,
-)
 from subiaco_change.method_numbers.segmentation_numbers import (
     InstancesNumbers,
+    SpacingNumbers,
+    SparseNumbers,
     ThinTrailsNumbers,
     TrailEndsNumbers,
     TrailShapeNumbers,
     TrailSwathsNumbers,
+    VisibilityEvidenceNumbers,
     WiresAndPolesNumbers,
 )
 from subiaco_geo.config import StrictModel

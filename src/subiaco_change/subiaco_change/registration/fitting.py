@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from subiaco_change.geometry import Level, build_pyramid, remove_outliers
 from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.point_spacing import PointSpacing, pair_spacing
 from subiaco_change.registration.config import RegistrationConfig
 from subiaco_change.registration.icp import (
     Noise,
@@ -30,7 +31,6 @@ from subiaco_change.registration.plausibility import (
     measure_quality,
     measure_support,
 )
-from subiaco_change.spacing import PointSpacing, pair_spacing
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.errors import InputError, RegistrationError
 from subiaco_geo.frames import Floats, Ints, invert_pose, rotation_angle, transform_points

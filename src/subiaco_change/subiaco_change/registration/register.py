@@ -10,7 +10,6 @@ import numpy as np
 
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.records import Registration
-from subiaco_change.registration.checks import Uncertainty, estimate_uncertainty, variance_along
 from subiaco_change.registration.coarse import propose, propose_shifts
 from subiaco_change.registration.config import RegistrationConfig
 from subiaco_change.registration.features import propose_by_features
@@ -35,7 +34,12 @@ from subiaco_change.registration.icp import (
     make_target,
     pair_weights,
 )
-from subiaco_change.registration.plausibility import measure_quality
+from subiaco_change.registration.plausibility import (
+    Uncertainty,
+    estimate_uncertainty,
+    measure_quality,
+    variance_along,
+)
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.errors import InputError, RegistrationError
 from subiaco_geo.frames import Floats, invert_pose, transform_points

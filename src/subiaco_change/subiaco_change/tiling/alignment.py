@@ -12,8 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from subiaco_change.decisions.ablation import Part
-from subiaco_change.level_of_detection.alignment_corrections import PlacingConfig
-from subiaco_change.level_of_detection.displacement_field import BlockGrid
+from subiaco_change.level_of_detection.alignment_corrections import (
+    PlacingConfig,
+    Residuals,
+    bias_field,
+    estimate_warp,
+    tile_medians,
+)
+from subiaco_change.level_of_detection.common_frame import BlockGrid
 from subiaco_change.level_of_detection.displacement_lod import (
     CylinderStats,
     Displacements,
@@ -34,8 +40,6 @@ from subiaco_change.level_of_detection.registration_uncertainty import (
     spread_residuals,
     unstated_poses,
 )
-from subiaco_change.level_of_detection.vertical_bias import bias_field, tile_medians
-from subiaco_change.registration.warp import Residuals, estimate_warp
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.tiling.epoch_tiles import EPOCHS, Side
 from subiaco_change.tiling.retiling import LabelledPoints, load_points

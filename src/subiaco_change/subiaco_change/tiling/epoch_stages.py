@@ -12,6 +12,7 @@ import numpy as np
 
 from subiaco_change.config import ChangeConfig
 from subiaco_change.level_of_detection.common_frame import CommonFrame
+from subiaco_change.point_spacing import PointSpacing, at_spacing, spacing_scale
 from subiaco_change.records import Registration
 from subiaco_change.registration.pair import (
     PairInfo,
@@ -23,8 +24,6 @@ from subiaco_change.registration.pair import (
     refuse_height_offset,
     shares_origin,
 )
-from subiaco_change.spacing import PointSpacing, spacing_scale
-from subiaco_change.sparse import at_spacing
 from subiaco_change.tiling.alignment import StatedPoses
 from subiaco_change.tiling.epoch_preparation import (
     LevellingParams,

@@ -11,8 +11,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from subiaco_change.point_spacing import STREET_SPACING, joint_spacing, neighbour_spacings
 from subiaco_change.registration.pair import check_finite
-from subiaco_change.spacing import STREET_SPACING, joint_spacing, neighbour_spacings
 from subiaco_change.visibility_evidence import Kind
 from subiaco_geo.clouds import PointCloud, unpack_voxel_keys, voxel_downsample
 from subiaco_geo.crs import Transform

@@ -8,8 +8,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 
 from subiaco_change.config import ChangeConfig
-from subiaco_change.level_of_detection.common_frame import CommonFrame
-from subiaco_change.level_of_detection.displacement_field import SmoothField
+from subiaco_change.level_of_detection.common_frame import CommonFrame, SmoothField
 from subiaco_change.records import Registration
 from subiaco_change.tiling.epoch_tiles import Side
 from subiaco_geo.clouds import PointCloud
