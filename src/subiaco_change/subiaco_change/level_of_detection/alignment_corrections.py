@@ -2,9 +2,9 @@
 
 The long-wavelength height difference between two epochs is estimated and removed (method, Decision 3).
 
-The warp over blocks is what a rigid motion leaves of drift and shear (method, Decision 2). Off by default. It
-may follow what many surfaces of neighbouring blocks agree on, never what one surface says alone: a real change
-is left as it is.
+The warp over blocks is what a rigid motion leaves of drift and shear (method, Decision 2). Off by default.
+It may follow what many surfaces of neighbouring blocks agree on, never what one surface says alone: a real
+change is left as it is.
 """
 
 from __future__ import annotations
