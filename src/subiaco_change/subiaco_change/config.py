@@ -7,7 +7,6 @@ from collections.abc import Sequence
 from pydantic import Field
 
 from subiaco_change.association.costs import AssociationConfig
-from subiaco_change.decisions.ablation import Part
 from subiaco_change.decisions.confidence import ConfidenceConfig
 from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.ground_cells import GroundChangeConfig
@@ -21,6 +20,7 @@ from subiaco_change.point_spacing import SpacingConfig
 from subiaco_change.registration.config import RegistrationConfig
 from subiaco_change.segmentation.classes import SemanticsConfig
 from subiaco_change.segmentation.instances import InstanceConfig
+from subiaco_change.strategies import Part
 from subiaco_change.visibility_evidence import EvidenceConfig
 from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError

@@ -11,7 +11,6 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from subiaco_change.decisions.ablation import Part
 from subiaco_change.level_of_detection.alignment_corrections import (
     PlacingConfig,
     Residuals,
@@ -41,6 +40,7 @@ from subiaco_change.level_of_detection.registration_uncertainty import (
     unstated_poses,
 )
 from subiaco_change.segmentation.ground_model import Mask
+from subiaco_change.strategies import Part, choose_strategies
 from subiaco_change.tiling.epoch_tiles import EPOCHS, Side
 from subiaco_change.tiling.retiling import LabelledPoints, load_points
 from subiaco_change.tiling.stage_inputs import (
@@ -339,7 +339,7 @@ def _poses(inputs: Inputs, origin: Floats, config: UncertaintyConfig) -> tuple[P
 
 def tile_lods(inputs: Inputs, params: TileParams[LodSlice]) -> TileLods:
     """Find the level of detection at the points of a tile."""
-    config = params.config
+    config, strategy = params.config, choose_strategies(params.config.without)
     sigma = load_sigma(inputs, params.origin, config.placing.uncertainty)
     result: dict[str, EpochLods] = {}
     sample = np.zeros(0)
@@ -354,12 +354,5 @@ def tile_lods(inputs: Inputs, params: TileParams[LodSlice]) -> TileLods:
             sample = values[::_EVERY]
         claimed = np.isfinite(combine(moved.floored, values, config.lod.combine))
         distance = np.where(claimed, moved.distance, np.float32(np.nan))
-        result[side.epoch] = EpochLods(_lod(moved.floored, values, config), distance)
+        result[side.epoch] = EpochLods(strategy.lods(moved.floored, values, config.lod.combine), distance)
     return TileLods(result["before"], result["after"], sample)
-
-
-def _lod(floored: Floats, sigma: Floats, config: LodSlice) -> NDArray[np.float32]:
-    if Part.LOD in config.without:
-        return np.zeros(len(floored), dtype=np.float32)
-    lod = combine(floored, sigma, config.lod.combine)
-    return np.where(np.isfinite(lod), lod, np.inf).astype(np.float32)

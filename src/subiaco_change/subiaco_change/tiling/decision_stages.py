@@ -17,7 +17,6 @@ from shapely.geometry.base import BaseGeometry
 
 from subiaco_change.association.costs import AssociationConfig
 from subiaco_change.config import ChangeConfig
-from subiaco_change.decisions.ablation import Part
 from subiaco_change.decisions.column_volumes import NO_COLUMNS, OpenGround
 from subiaco_change.decisions.confidence import ConfidenceConfig, decided_anew
 from subiaco_change.decisions.config import DecisionConfig
@@ -30,6 +29,7 @@ from subiaco_change.decisions.vegetation_null import PlantMeasures, fit_null, nu
 from subiaco_change.decisions.voxel_objects import NO_OBJECT, OTHERS, EpochView
 from subiaco_change.records import ChangeRecord
 from subiaco_change.segmentation.ground_model import Mask
+from subiaco_change.strategies import Part, choose_strategies
 from subiaco_change.tiling.candidate_groups import CandidateGroups
 from subiaco_change.tiling.stage_inputs import TileParams
 from subiaco_change.tiling.tile_surroundings import Region, load_region
@@ -200,11 +200,11 @@ def compare_tile(inputs: Inputs, params: TileParams[ComparisonSlice]) -> TileCom
 
 def object_rules(config: ComparisonSlice | ChangeConfig) -> ObjectRules:
     """Rules of the objects, less what is left out."""
-    decisions = config.decisions
-    if Part.LOD in config.without:
-        decisions = decisions.model_copy(update={"lod_floor": 0.0})
-    by_class = Part.CLASS_ASSOCIATION not in config.without
-    return ObjectRules(config.measures, config.association, decisions, by_class, plants=config.plants)
+    strategy = choose_strategies(config.without)
+    decisions = strategy.decisions(config.decisions)
+    return ObjectRules(
+        config.measures, config.association, decisions, strategy.by_class, plants=config.plants
+    )
 
 
 def _surroundings(low: Floats, high: Floats) -> Callable[[Floats], Mask]:

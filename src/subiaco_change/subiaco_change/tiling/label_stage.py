@@ -10,13 +10,13 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from subiaco_change.decisions.ablation import Part, pointwise
 from subiaco_change.decisions.ground_cells import GroundCells, GroundChangeConfig, shown_lod
 from subiaco_change.decisions.ground_change import GroundComparison, GroundPatch, ground_raster
 from subiaco_change.decisions.measures import MeasureConfig, same_place
 from subiaco_change.decisions.point_labels import Labels, label_rest, unlabelled
 from subiaco_change.decisions.voxel_objects import EpochView, occupied
 from subiaco_change.segmentation.ground_model import Mask
+from subiaco_change.strategies import Comparison, Part, choose_strategies
 from subiaco_change.tiling.alignment import ChangedPoints, TileLods
 from subiaco_change.tiling.decision_stages import TileComparison
 from subiaco_change.tiling.epoch_tiles import EPOCHS, Side
@@ -148,6 +148,7 @@ def label_tile(inputs: Inputs, params: TileParams[LabelSlice]) -> TileLabels:
     ``patched/<anchor>`` that reach into the tile, ``ground`` and the frame.
     """
     config, tile, origin = params.config, params.tile, params.origin
+    strategy = choose_strategies(config.without)
     near = near_tile(tile, _RIM, params.size, origin)
     regions = [load_region(inputs, side, origin, config.evidence, near) for side in params.sides]
     cells, found = patch_cells(inputs, tile, params.size, config.ground)
@@ -158,12 +159,12 @@ def label_tile(inputs: Inputs, params: TileParams[LabelSlice]) -> TileLabels:
         own = _own(regions[e], tile)
         view = _select(regions[e], own)
         labels = _of_objects(inputs, epoch, tile, view, regions[e].index[own])
-        other = regions[1 - e].view
+        other, reach = regions[1 - e].view, same_place(config.measures)
         known = other.xyz[other.semantic == Semantic.GROUND]
-        there = partial(occupied, points=other.xyz, reach=same_place(config.measures))
+        there = partial(occupied, points=other.xyz, reach=reach)
         label_rest(view, labels, ground, ids, regions[1 - e].observed, config.evidence, known, there)
-        if Part.OBJECTS in config.without:
-            labels = _by_point(view, other, regions[1 - e], labels, epoch, config)
+        compared = Comparison(view, other, regions[1 - e].observed, epoch, reach)
+        labels = replace(labels, change=strategy.labels(compared, labels.change))
         patched[:, e] = [np.count_nonzero(labels.instance == i) for i in ids]
         moved, significant = _displacement(
             inputs, tile, epoch, regions[e].index[own], labels.lod95, view.normals
@@ -240,11 +241,3 @@ def _comparison(
     corner = np.array(params.square().core[:2]) - params.origin[:2]
     cell = params.config.ground.cell
     return GroundComparison(corner, cell, piece.dz, shown_lod(piece.lod), cells, tuple(patches)), ids
-
-
-def _by_point(
-    view: EpochView, other: EpochView, seen: Region, labels: Labels, epoch: str, config: LabelSlice
-) -> Labels:
-    """Label what is not ground point by point."""
-    alone = pointwise(view, other, seen.observed, epoch, same_place(config.measures))
-    return replace(labels, change=np.where(view.semantic == Semantic.GROUND, labels.change, alone))
