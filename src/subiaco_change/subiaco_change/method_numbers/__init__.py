@@ -59,6 +59,7 @@ from subiaco_change.method_numbers.segmentation_numbers import (
     VisibilityEvidenceNumbers,
     WiresAndPolesNumbers,
 )
+from subiaco_change.method_numbers.tiling_numbers import TilingNumbers
 from subiaco_geo.config import StrictModel
 
 
@@ -110,6 +111,7 @@ class MethodNumbers(StrictModel):
     spacing: SpacingNumbers = SpacingNumbers()
     sparse: SparseNumbers = SparseNumbers()
     visibility_evidence: VisibilityEvidenceNumbers = VisibilityEvidenceNumbers()
+    tiling: TilingNumbers = TilingNumbers()
 
 
 NUMBERS = MethodNumbers()

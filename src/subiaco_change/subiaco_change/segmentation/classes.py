@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.segmentation.buildings import (
     attach_parts,
     building_planes,
@@ -333,7 +334,7 @@ def _scores(semantic: NDArray[np.uint8], features: Features) -> NDArray[np.float
     return np.asarray(counts / neighbours.shape[1], dtype=np.float32)
 
 
-_FEWEST = 100  # points below which neighbourhoods say nothing
+_FEWEST = NUMBERS.tiling.map_class_points
 
 
 def map_classes(cloud: PointCloud, moved: Floats) -> NDArray[np.uint8]:

@@ -39,6 +39,7 @@ from subiaco_change.level_of_detection.registration_uncertainty import (
     spread_residuals,
     unstated_poses,
 )
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.strategies import Part, choose_strategies
 from subiaco_change.tiling.epoch_tiles import EPOCHS, Side
@@ -56,7 +57,7 @@ from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.tiles import tile_named
 from subiaco_geo.work.tasks import Inputs
 
-_EVERY = 16  # sigma of every so many points is handed up
+_EVERY = NUMBERS.tiling.sigma_step
 
 
 @dataclass(frozen=True)

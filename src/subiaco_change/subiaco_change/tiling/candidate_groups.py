@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 
 from subiaco_change.association.costs import AssociationConfig
 from subiaco_change.decisions.measures import MeasureConfig
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.tiling.epoch_tiles import Side
 from subiaco_change.tiling.retiling import EpochObjects, LabelledPoints, load_points, near_tile
@@ -22,8 +23,8 @@ from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.work.tasks import Inputs
 
-_BOXES = 0.2  # overlap of bounding boxes, seen from above, of two objects that may be one
-_PLAY = 0.25  # added to every reach [m]
+_BOXES = NUMBERS.tiling.box_overlap
+_MARGIN = NUMBERS.tiling.reach_margin
 
 
 @dataclass(frozen=True)
@@ -92,8 +93,8 @@ def tile_links(inputs: Inputs, params: TileParams[CandidateSlice]) -> CandidateP
     ``inputs`` hold ``points/<epoch>/<tile>`` of the tile and its neighbours, ``united/<epoch>``, the frame.
     """
     config = params.config
-    reach = config.measures.tolerance + _PLAY
-    touch = config.association.parts.touch + _PLAY
+    reach = config.measures.tolerance + _MARGIN
+    touch = config.association.parts.touch + _MARGIN
     loaded = [_voxels(inputs, side, params, max(reach, touch)) for side in params.sides]
     (places_b, numbers_b, own_b), (places_a, numbers_a, own_a) = loaded
     forward = _near(places_b[own_b], numbers_b[own_b], places_a, numbers_a, reach)
@@ -228,7 +229,7 @@ def _alike(sums: list[Floats], gate: float) -> Ints:
         return np.zeros((0, 2), dtype=np.int64)
     centres = [s[:, 1:4] / np.maximum(s[:, :1], 1.0) for s in sums]
     near = cKDTree(centres[0]).sparse_distance_matrix(
-        cKDTree(centres[1]), gate + _PLAY, output_type="coo_matrix"
+        cKDTree(centres[1]), gate + _MARGIN, output_type="coo_matrix"
     )
     boxes = [shapely.box(s[:, 4], s[:, 5], s[:, 6], s[:, 7]) for s in sums]
     first, second = shapely.STRtree(boxes[1]).query(boxes[0], predicate="intersects")

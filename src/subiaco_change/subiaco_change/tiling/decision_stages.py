@@ -27,6 +27,7 @@ from subiaco_change.decisions.plant_decisions import decide_plant
 from subiaco_change.decisions.plant_measures import PlantConfig
 from subiaco_change.decisions.vegetation_null import PlantMeasures, fit_null, null_of, null_words
 from subiaco_change.decisions.voxel_objects import NO_OBJECT, OTHERS, EpochView
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.records import ChangeRecord
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.strategies import Part, choose_strategies
@@ -37,6 +38,8 @@ from subiaco_change.visibility_evidence import EvidenceConfig, Kind, weakest
 from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.work.results import register_codec
 from subiaco_geo.work.tasks import Inputs
+
+_CELL = NUMBERS.tiling.region_cell
 
 
 def _well_known_text(shape: Any) -> str:
@@ -139,9 +142,6 @@ def decide_tile(inputs: Inputs, params: TileParams[PlantDecisionSlice]) -> TileR
         decision = decide_plant(found.plant, found.lod, config.decisions, null)
         rows[found.row] = decided_anew(rows[found.row], decision, config.confidence)
     return TileRows(tuple(rows))
-
-
-_CELL = 4.0  # in which the surroundings of objects are looked up [m]
 
 
 @dataclass(frozen=True)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from subiaco_change.level_of_detection.common_frame import upright_turn
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.segmentation.classes import SemanticsConfig
 from subiaco_change.segmentation.ghost_trails import trail_probability
 from subiaco_change.segmentation.ground_model import fit_ground
@@ -67,8 +68,7 @@ def load_turn(inputs: Inputs) -> Floats | None:
     return None if found is None else found.turn
 
 
-#: Surroundings in which the length of a trail is measured [m].
-AROUND = 50.0
+_SURROUNDINGS = NUMBERS.tiling.trail_surroundings
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ def find_trails(inputs: Inputs, params: TrailParams) -> TileTrails:
     ``inputs`` hold ``cloud/<tile>`` of the tile and its neighbours, and ``levelling`` for local clouds.
     """
     side, config = params.side, params.semantics
-    tile = tile_named(params.tile, params.size, AROUND)
+    tile = tile_named(params.tile, params.size, _SURROUNDINGS)
     own = inputs.of(TilePoints, f"cloud/{params.tile}").xyz
     others = [
         inputs.of(TilePoints, f"cloud/{name}").xyz for name in inputs.under("cloud") if name != params.tile

@@ -12,6 +12,7 @@ import numpy as np
 
 from subiaco_change.config import ChangeConfig
 from subiaco_change.level_of_detection.common_frame import CommonFrame
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.point_spacing import PointSpacing, at_spacing, spacing_scale
 from subiaco_change.records import Registration
 from subiaco_change.registration.pair import (
@@ -67,8 +68,8 @@ _LOG = logging.getLogger(__name__)
 #: Name of an epoch in the stages that look at one alone.
 ALONE = "epoch"
 #: Beyond the points of a task, beams are looked up so far [m].
-SIGHT = 6.0
-_HEIGHT_TILES = 50  # tiles that tell whether the heights of both epochs are of one kind
+SIGHT = NUMBERS.tiling.beam_reach
+_HEIGHT_TILES = NUMBERS.tiling.height_tiles
 _BEAMS = 0.5  # edge of a tile of counted beams, of a tile of points: tasks read few that are too far
 
 

@@ -15,6 +15,7 @@ from shapely.geometry.base import BaseGeometry
 
 from subiaco_change.decisions.ground_cells import GroundCells, GroundChangeConfig, difference_cells
 from subiaco_change.decisions.ground_change import GroundPatch, beyond_gate, find_patches
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.tiling.retiling import near_tile
 from subiaco_change.tiling.stage_inputs import TileParams
 from subiaco_change.tiling.tile_surroundings import load_region
@@ -26,7 +27,7 @@ from subiaco_geo.work.tasks import Inputs
 
 _SIGNS = (1.0, -1.0)
 _CELLS = ("dz", "lod", "bridged", "known", "height", "other", "inside")
-_RIM = 10.0  # around a tile, so that its own cells know their surroundings [m]
+_RIM = NUMBERS.tiling.ground_margin
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from subiaco_change.decisions.ground_change import GroundComparison, GroundPatch
 from subiaco_change.decisions.measures import MeasureConfig, same_place
 from subiaco_change.decisions.point_labels import Labels, label_rest, unlabelled
 from subiaco_change.decisions.voxel_objects import EpochView, occupied
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.strategies import Comparison, Part, choose_strategies
 from subiaco_change.tiling.alignment import ChangedPoints, TileLods
@@ -31,7 +32,7 @@ from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.tiles import tile_named
 from subiaco_geo.work.tasks import Inputs
 
-_RIM = 4.0  # around a tile, for what the other epoch saw there [m]
+_RIM = NUMBERS.tiling.label_margin
 
 
 @dataclass(frozen=True)

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.tiling.epoch_tiles import Side, TilePoints
 from subiaco_change.tiling.stage_inputs import in_frame, load_frame
@@ -24,8 +25,8 @@ from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.tiles import tile_named
 from subiaco_geo.work.tasks import Inputs
 
-_SHARED = 0.5  # share of the smaller fragment, of the points that both tiles see, that makes two one
-_LEAST = 3  # points
+_SHARED = NUMBERS.tiling.shared_fraction
+_LEAST = NUMBERS.tiling.shared_points
 
 
 @dataclass(frozen=True)

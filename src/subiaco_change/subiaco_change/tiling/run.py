@@ -12,6 +12,7 @@ import numpy as np
 
 from subiaco_change.decisions.confidence import discounted
 from subiaco_change.level_of_detection.common_frame import CommonFrame
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.tiling.alignment import (
     DisplacementSlice,
     LodSlice,
@@ -70,7 +71,7 @@ STAGES = (
     "threshold_components", "patches", "changed", "refine", "labels",
 )  # fmt: skip
 Slice = TypeVar("Slice")
-_RIM = 10.0  # around a tile, or a group of objects, tasks take points [m]
+_RIM = NUMBERS.tiling.task_margin
 
 
 @dataclass(frozen=True)
