@@ -12,7 +12,7 @@ class TilingNumbers(StrictModel):
 
     trail_surroundings: float = Field(
         50.0,
-        description="Width of the surroundings of a tile in which the length of a ghost trail is measured [m]",
+        description="Width of the surroundings of a tile in which ghost trails are measured [m]",
     )
     beam_reach: float = Field(
         6.0, description="Distance beyond the points of a task up to which beams are evaluated [m]"
