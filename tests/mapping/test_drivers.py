@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from subiaco_mapping.config import GnssConfig
+from subiaco_mapping.pose_graph.config import GnssConfig
 from subiaco_mapping.preprocessing.conversions import fix_from_msg
 from subiaco_mapping.preprocessing.gnss_drivers import DriverName
 

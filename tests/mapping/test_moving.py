@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from traffic_scene import REGIONS, drive
 
 from subiaco_geo.clouds import PointCloud, voxel_keys
-from subiaco_mapping.config import FusionConfig, MovingConfig
+from subiaco_mapping.fusion.config import FusionConfig, MovingConfig
 from subiaco_mapping.fusion.dynamic_objects import height_above_floor, moved_probability
 from subiaco_mapping.fusion.finishing import FinishedMap, MapFusion
 from subiaco_mapping.fusion.outliers import beam_spacing

@@ -18,7 +18,7 @@ from subiaco_geo.maps import write_map
 from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.trajectories import Trajectory
 from subiaco_mapping.backend import MappingBackend
-from subiaco_mapping.config import GnssConfig, GraphConfig, MappingConfig
+from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.map_quality import wall_thickness as walls
 from subiaco_mapping.map_quality.config import QualityConfig
 from subiaco_mapping.map_quality.figures import assess
@@ -27,6 +27,7 @@ from subiaco_mapping.map_quality.page import with_quality
 from subiaco_mapping.map_quality.verdict import amount
 from subiaco_mapping.map_quality.wall_thickness import coverage, wall_thickness
 from subiaco_mapping.measurements import DeskewedScan, Extrinsics, GnssFix, OdometryPose
+from subiaco_mapping.pose_graph.config import GnssConfig, GraphConfig
 from subiaco_mapping.pose_graph.solution import GraphSolution
 
 FRAME = EnuFrame(-31.948, 115.825, 12.0)

@@ -8,9 +8,10 @@ import pytest
 from scipy.spatial.transform import Rotation
 
 from subiaco_geo.frames import invert_pose, make_pose
-from subiaco_mapping.config import DeskewConfig, GnssConfig
 from subiaco_mapping.measurements import Extrinsics, GnssFix, ImuSample, Returns, Scan
 from subiaco_mapping.pose_graph import gnss
+from subiaco_mapping.pose_graph.config import GnssConfig
+from subiaco_mapping.preprocessing.config import DeskewConfig
 from subiaco_mapping.preprocessing.deskew import Deskewer, body_twist
 
 SECOND = 10**9

@@ -16,16 +16,12 @@ from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.topics import FIX, MESSAGE_TYPES, POINTS
 from subiaco_mapping import pipeline
 from subiaco_mapping.checkpoint.checkpoint import checkpoint_folder
-from subiaco_mapping.config import (
-    FramePose,
-    FusionConfig,
-    GnssConfig,
-    MappingConfig,
-    OdometryConfig,
-    QualityConfig,
-    SensorsConfig,
-)
+from subiaco_mapping.config import MappingConfig, QualityConfig
+from subiaco_mapping.fusion.config import FusionConfig
 from subiaco_mapping.loop_closure.config import LoopConfig
+from subiaco_mapping.odometry.config import OdometryConfig
+from subiaco_mapping.pose_graph.config import GnssConfig
+from subiaco_mapping.preprocessing.config import FramePose, SensorsConfig
 
 CONFIG = MappingConfig(
     deskewed=True,

@@ -4,9 +4,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from subiaco_geo.frames import make_pose
-from subiaco_mapping.config import DeskewConfig
 from subiaco_mapping.measurements import DeskewedScan, Extrinsics, ImuSample, Returns, Scan
 from subiaco_mapping.odometry.velocity_filter import VelocityFilter, imu_stretch
+from subiaco_mapping.preprocessing.config import DeskewConfig
 from subiaco_mapping.preprocessing.deskew import Deskewer, body_twist
 
 START_NS, SECOND = 1_760_000_000_000_000_000, 1_000_000_000

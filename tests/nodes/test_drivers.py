@@ -11,7 +11,7 @@ import yaml
 from subiaco_bringup.drivers import LaunchedFile, LaunchedNode, gnss_driver, lidar_driver, sensor_places
 from subiaco_geo.config import validate
 from subiaco_geo.errors import InputError
-from subiaco_mapping.config import SensorsConfig
+from subiaco_mapping.preprocessing.config import SensorsConfig
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 
