@@ -14,7 +14,7 @@ from subiaco_change.decisions.object_decision import ObjectRules
 from subiaco_change.decisions.voxel_objects import EpochView, Reach
 from subiaco_change.instance_splitting.one_epoch_parts import PartConfig
 from subiaco_change.segmentation.instances import InstanceConfig
-from subiaco_change.strategies import Classified, Comparison, Part, choose_strategies
+from subiaco_change.strategies import Classified, Part, PointComparison, choose_strategies
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.errors import InputError
@@ -87,7 +87,7 @@ def test_without_the_level_of_detection_it_is_zero_and_nothing_else_changes():
 def test_without_objects_every_point_is_labelled_by_itself():
     before, after = view((5.0, Semantic.BUILDING), (12.0, Semantic.BUILDING)), view((5.0, Semantic.BUILDING))
     strategy = choose_strategies([Part.OBJECTS])
-    compared = Comparison(before, after, lambda xyz: xyz[:, 0] < 13.0, "before", REACH)
+    compared = PointComparison(before, after, lambda xyz: xyz[:, 0] < 13.0, "before", REACH)
     given = np.full(len(before.xyz), Change.INCREASED, dtype=np.uint8)
     labels = strategy.labels(compared, given)
     ground, second = before.semantic == Semantic.GROUND, before.instance == 1

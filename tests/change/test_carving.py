@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from subiaco_change.decisions.config import CarvingConfig
-from subiaco_change.decisions.space_carving import Epoch, carve
+from subiaco_change.decisions.space_carving import CarvingEpoch, carve
 from subiaco_change.decisions.voxel_objects import Voxels
 
 CELL = 0.5
@@ -75,14 +75,14 @@ PLAIN = seen("street", "west", "above", "east")
 
 
 def epoch(sheets, empty, occupied_in_other=True):
-    return Epoch(voxels(*sheets, occupied_in_other=occupied_in_other), empty, nothing_met)
+    return CarvingEpoch(voxels(*sheets, occupied_in_other=occupied_in_other), empty, nothing_met)
 
 
 def extended(side=True, gone=()):
     """The house with a new wing, which hides the wall of the house behind it."""
     old, new = voxels(*house(east=False)), voxels(*wing(side=side), occupied_in_other=False)
     known = [n for n in ("street", "west", "above", "east of the wing", "before the wing") if n not in gone]
-    return Epoch(old.add(new), seen(*known), nothing_met)
+    return CarvingEpoch(old.add(new), seen(*known), nothing_met)
 
 
 def test_a_house_that_both_saw_alike_has_not_changed():
@@ -110,7 +110,7 @@ def test_a_new_fence_beside_a_house_encloses_nothing():
     for tall in (1.8, TALL):
         fence = voxels(sheet((LENGTH, 1, 0), (LENGTH + 4, 1 + CELL, tall)), occupied_in_other=False)
         seen_now = seen("street", "west", "above", "before the wing", "east of the wing")
-        found = carve(before, Epoch(voxels(*house()).add(fence), seen_now, nothing_met), CONFIG)
+        found = carve(before, CarvingEpoch(voxels(*house()).add(fence), seen_now, nothing_met), CONFIG)
         assert found.volume.low < 0.1 * found.whole
 
 
@@ -120,7 +120,9 @@ CANOPY = ((0, -2.5, TALL - 0.6), (LENGTH, 0, TALL - 0.2))  # before the front wa
 def test_a_canopy_that_one_survey_missed_takes_no_volume_with_it():
     """The survey that has the canopy looked through below it; the other, of fewer beams, above it too."""
     under = inside(((-9, -9, 0), (30, 0, TALL - 0.6)), *(OUT[n] for n in ("west", "above", "east")))
-    has = Epoch(voxels(*house()).add(voxels(sheet(*CANOPY), occupied_in_other=False)), under, nothing_met)
+    has = CarvingEpoch(
+        voxels(*house()).add(voxels(sheet(*CANOPY), occupied_in_other=False)), under, nothing_met
+    )
     found = carve(has, epoch(house(), PLAIN), CONFIG)
     assert found.volume.high == 0.0
     assert found.volume.low > -0.15 * found.whole
@@ -166,7 +168,7 @@ def test_a_storey_needs_free_space_above_the_old_roof():
     before, after = house(), house(tall=TALL + 2.5)
     high = inside(((-9, -9, TALL + 2.5), (30, 30, HIGH)))
     grown = voxels(*before).add(voxels(*(wall[wall[:, 2] > TALL] for wall in after), occupied_in_other=False))
-    taller = Epoch(grown, high, nothing_met)
+    taller = CarvingEpoch(grown, high, nothing_met)
     known = carve(epoch(before, PLAIN), taller, CONFIG)
     assert known.height.low == pytest.approx(2.5, abs=0.1)
     blind = carve(epoch(before, seen("street")), taller, CONFIG)
@@ -177,7 +179,7 @@ def test_a_storey_needs_free_space_above_the_old_roof():
 
 def test_a_new_house_has_the_volume_between_its_walls():
     found = carve(
-        Epoch(voxels(), inside(((-9, -9, 0), (30, 30, HIGH))), nothing_met),
+        CarvingEpoch(voxels(), inside(((-9, -9, 0), (30, 30, HIGH))), nothing_met),
         epoch(house(), PLAIN, occupied_in_other=False),
         CONFIG,
     )

@@ -5,7 +5,7 @@ import pytest
 
 from subiaco_change.registration.config import RegistrationConfig
 from subiaco_change.tiling.alignment import ChangedPoints
-from subiaco_change.tiling.epoch_tiles import Coordinates, Side
+from subiaco_change.tiling.epoch_tiles import Coordinates, EpochContext
 from subiaco_change.tiling.registration_stage import RegistrationParams, RegistrationSlice, gather
 from subiaco_geo.work.results import pack
 from subiaco_geo.work.store import MemoryStore
@@ -26,7 +26,9 @@ def city(crs, limit, leaf=0.25):
             store.save(f"{epoch}/{name}", pack(Coordinates(xyz)))
     keys["changed/after/2_1"] = "mask"
     store.save("mask", pack(ChangedPoints(np.arange(400) == 7)))
-    sides = tuple(Side(e, np.zeros(3), crs, "assumed", None, np.zeros(3), 0.5) for e in ("before", "after"))
+    sides = tuple(
+        EpochContext(e, np.zeros(3), crs, "assumed", None, np.zeros(3), 0.5) for e in ("before", "after")
+    )
     config = RegistrationSlice(RegistrationConfig(), registration_points=limit, leaf=leaf)
     return Inputs(store, keys), RegistrationParams(sides, config, None)
 

@@ -20,7 +20,7 @@ from subiaco_change.level_of_detection.alignment_corrections import (
 from subiaco_change.level_of_detection.common_frame import BlockGrid, CommonFrame, SmoothField
 from subiaco_change.level_of_detection.displacement_lod import LodConfig, measure_displacements
 from subiaco_change.level_of_detection.registration_uncertainty import (
-    PoseErrors,
+    EpochPoseErrors,
     SigmaField,
     UncertaintyConfig,
     bias_samples,
@@ -29,7 +29,7 @@ from subiaco_change.level_of_detection.registration_uncertainty import (
 )
 from subiaco_change.records import Registration
 from subiaco_change.tiling.alignment import TileLods, city_grid, load_sigma
-from subiaco_change.tiling.epoch_tiles import EPOCHS, Side
+from subiaco_change.tiling.epoch_tiles import EPOCHS, EpochContext
 from subiaco_change.tiling.retiling import LabelledPoints, PlacedPoints
 from subiaco_change.tiling.run import ChangeRun
 from subiaco_change.tiling.stage_inputs import PairRegistration, load_frame
@@ -66,7 +66,7 @@ def sigma_field(
     registration: Registration,
     config: UncertaintyConfig,
     *,
-    poses: tuple[PoseErrors, ...] = (),
+    poses: tuple[EpochPoseErrors, ...] = (),
     exclude: Masks | None = None,
 ) -> SigmaField:
     """Return sigma_reg from what two placed epochs lie apart."""
@@ -122,7 +122,7 @@ def place(
     run = ChangeRun(TaskRunner(), config)
     run.origin = clouds[1].origin
     run.sides = tuple(
-        Side(epoch, c.origin, c.crs, "assumed", None, np.zeros(3), 0.5)
+        EpochContext(epoch, c.origin, c.crs, "assumed", None, np.zeros(3), 0.5)
         for epoch, c in zip(EPOCHS, clouds, strict=True)
     )
     members: list[dict[str, NDArray[np.int64]]] = []

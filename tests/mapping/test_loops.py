@@ -14,9 +14,9 @@ from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.loop_closure.config import LoopConfig
 from subiaco_mapping.loop_closure.consistency import consistent_set, disagreement
 from subiaco_mapping.loop_closure.overlay import overlay
-from subiaco_mapping.loop_closure.places import Place
+from subiaco_mapping.loop_closure.places import SubmapPlace
 from subiaco_mapping.loop_closure.scan_context import SECTORS, compare, describe
-from subiaco_mapping.loop_closure.submap_registration import Prepared, register
+from subiaco_mapping.loop_closure.submap_registration import PreparedSubmap, register
 from subiaco_mapping.loop_closure.submaps import Submap, SubmapBuilder
 from subiaco_mapping.measurements import DeskewedScan, Extrinsics, OdometryPose
 from subiaco_mapping.pose_graph.records import LoopEdge
@@ -92,7 +92,7 @@ def test_overlay_and_registration_find_a_place_from_its_turn_alone(second: tuple
     nearest_sector = np.radians(round(second[2] / 6) * 6)
     laid = overlay(one, other, nearest_sector)
     assert np.linalg.norm(laid[:2, 3] - true[:2, 3]) < 1.0
-    found = register(Prepared(one), Prepared(other), laid, CONFIG)
+    found = register(PreparedSubmap(one), PreparedSubmap(other), laid, CONFIG)
     off = invert_pose(true) @ found.T_target_source
     assert np.linalg.norm(off[:3, 3]) < 0.05
     assert np.degrees(rotation_angle(off)) < 0.1
@@ -101,7 +101,7 @@ def test_overlay_and_registration_find_a_place_from_its_turn_alone(second: tuple
 
 def test_places_that_are_not_one_are_refused_by_geometry() -> None:
     world = street(4)
-    one, other = (Prepared(seen(world, at(x, -1.7, 0))) for x in (60, 200))
+    one, other = (PreparedSubmap(seen(world, at(x, -1.7, 0))) for x in (60, 200))
     laid = overlay(one.points, other.points, 0.0)
     assert register(one, other, laid, CONFIG).refused(CONFIG) in ("overlap", "residual")
 
@@ -110,14 +110,14 @@ def test_a_bare_tunnel_holds_nothing_along_and_is_refused_as_degenerate() -> Non
     rng = np.random.default_rng(5)
     angle = rng.uniform(0, 2 * np.pi, 20_000)
     tube = np.stack([rng.uniform(-40, 40, 20_000), 4 * np.cos(angle), 4 * np.sin(angle)], axis=1)
-    found = register(Prepared(tube[::2]), Prepared(tube[1::2]), np.eye(4), CONFIG)
+    found = register(PreparedSubmap(tube[::2]), PreparedSubmap(tube[1::2]), np.eye(4), CONFIG)
     assert found.refused(CONFIG) == "degenerate"
 
 
-def place(number: int, pose: np.ndarray, sigma: float) -> Place:
+def place(number: int, pose: np.ndarray, sigma: float) -> SubmapPlace:
     """A place of its own chain."""
     submap = Submap(0, 0.0, Path("none.npy"))
-    return Place((number, 0), submap, np.eye(3), pose, np.diag(np.repeat([1e-3, sigma], 3)) ** 2)
+    return SubmapPlace((number, 0), submap, np.eye(3), pose, np.diag(np.repeat([1e-3, sigma], 3)) ** 2)
 
 
 def test_a_loop_that_the_estimate_rules_out_has_a_large_chi_square() -> None:

@@ -20,7 +20,7 @@ from subiaco_geo.trajectories import Trajectory
 from subiaco_mapping.backend import MappingBackend
 from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.map_quality import wall_thickness as walls
-from subiaco_mapping.map_quality.config import QualityConfig
+from subiaco_mapping.map_quality.config import MapQualityConfig
 from subiaco_mapping.map_quality.figures import assess
 from subiaco_mapping.map_quality.gnss_holdout import FixErrors, holdout_check, holdout_rows
 from subiaco_mapping.map_quality.page import with_quality
@@ -104,12 +104,12 @@ def test_every_point_is_counted_in_its_square_metre(count, seed, chunk):
 
 def test_one_block_of_ten_is_withheld_and_nothing_of_a_short_drive():
     times = np.arange(0, 100 * SECOND, SECOND // 5)
-    held = holdout_rows(times, QualityConfig())
+    held = holdout_rows(times, MapQualityConfig())
     assert sorted(set((times[held] // (5 * SECOND)).tolist())) == [5, 15]
     assert held.sum() == 2 * 25
-    assert not holdout_rows(times[: 9 * 5], QualityConfig()).any()
-    assert holdout_rows(times[: 20 * 5], QualityConfig()).sum() == 25
-    assert len(holdout_rows(times[:0], QualityConfig())) == 0
+    assert not holdout_rows(times[: 9 * 5], MapQualityConfig()).any()
+    assert holdout_rows(times[: 20 * 5], MapQualityConfig()).sum() == 25
+    assert len(holdout_rows(times[:0], MapQualityConfig())) == 0
 
 
 def driven(folder: Path, count: int = 600, fixes: bool = True, seed: int = 3) -> MappingBackend:
@@ -171,7 +171,10 @@ def test_a_fix_of_multipath_is_counted_and_does_not_hide_the_others(solution):
 
 @pytest.mark.parametrize(
     ("quality", "reason"),
-    [(QualityConfig(holdout=False), "quality.holdout"), (QualityConfig(holdout_block_ns=10**12), "short")],
+    [
+        (MapQualityConfig(holdout=False), "quality.holdout"),
+        (MapQualityConfig(holdout_block_ns=10**12), "short"),
+    ],
 )
 def test_where_nothing_is_withheld_the_reason_is_told(solution, quality, reason):
     assert reason in holdout_check(solution, CONFIG.model_copy(update={"quality": quality}))
@@ -184,7 +187,7 @@ def surveyed(flagged: float = 0.0) -> SurveyMap:
 
 
 def reported(survey, solution, **limits):
-    config = CONFIG.model_copy(update={"quality": QualityConfig(**limits)})
+    config = CONFIG.model_copy(update={"quality": MapQualityConfig(**limits)})
     found = with_quality(survey, solution, config)
     return found, json.loads(found.pages["quality.json"]), found.pages["quality.html"]
 
@@ -224,7 +227,7 @@ def test_the_page_lies_beside_the_map_and_needs_no_other_file(good, tmp_path):
     ],
 )
 def test_what_misses_its_limit_is_named_and_the_map_is_not_called_good(solution, limits, flagged, named):
-    config = CONFIG.model_copy(update={"quality": QualityConfig(**limits)})
+    config = CONFIG.model_copy(update={"quality": MapQualityConfig(**limits)})
     found = assess(surveyed(flagged), solution, config).facts["verdict"]
     assert found["grade"] == "check"
     assert found["sentence"].startswith("Look before you sign")
@@ -256,7 +259,7 @@ def test_a_map_without_fixes_is_called_local_and_says_what_it_could_not_check(tm
 def test_the_report_can_be_switched_off(solution):
     assert (
         with_quality(
-            surveyed(), solution, CONFIG.model_copy(update={"quality": QualityConfig(enabled=False)})
+            surveyed(), solution, CONFIG.model_copy(update={"quality": MapQualityConfig(enabled=False)})
         ).pages
         == {}
     )

@@ -12,8 +12,8 @@ from hypothesis import strategies as st
 from streams import HOME, START_NS, Drive, watched
 
 from subiaco_geo.errors import InputError
-from subiaco_mapping.health_monitor.config import QualityConfig
-from subiaco_mapping.health_monitor.positions import Place, Positions, planar_turn
+from subiaco_mapping.health_monitor.config import StreetQualityConfig
+from subiaco_mapping.health_monitor.positions import Positions, TimedPosition, planar_turn
 from subiaco_mapping.health_monitor.routes import cut_line, read_route, route_enu
 from subiaco_mapping.health_monitor.street_quality import (
     AMBER,
@@ -33,7 +33,7 @@ def drive(
     """Drive a line (N, 2), a point a second; ``raised`` holds the flags of some seconds."""
     for k, (east, north) in enumerate(way.tolist()):
         time_ns = START_NS + int((start + k) * SECOND)
-        book.take(Place(time_ns, east, north), (raised or {}).get(k, set()))
+        book.take(TimedPosition(time_ns, east, north), (raised or {}).get(k, set()))
 
 
 def street(east: float = 0.0, length: int = 100) -> np.ndarray:
@@ -41,30 +41,30 @@ def street(east: float = 0.0, length: int = 100) -> np.ndarray:
 
 
 def test_segments_are_cut_by_way_and_coloured_by_the_worst_that_lasted() -> None:
-    book = StreetQuality(QualityConfig())
+    book = StreetQuality(StreetQualityConfig())
     drive(
         book,
         street(),
         0.0,
         {2: {"packet_loss"}, 3: {"packet_loss"}, 7: {"without_rtk_fixed"}, 12: {"disk_low"}},
     )
-    lights = [segment.light(QualityConfig()) for segment in book.driven()]
+    lights = [segment.light(StreetQualityConfig()) for segment in book.driven()]
     assert lights == [RED, AMBER, GREEN, GREEN]
     assert [segment.length for segment in book.driven()] == [25.0] * 4
-    assert book.driven()[0].reasons(QualityConfig()) == ["packet_loss"]
+    assert book.driven()[0].reasons(StreetQualityConfig()) == ["packet_loss"]
     assert book.counts() == {GREEN: 2, AMBER: 1, RED: 1}
 
 
 def test_a_fault_of_a_moment_stains_its_segment_and_a_short_one_does_not() -> None:
-    book = StreetQuality(QualityConfig(min_share=0.5))
+    book = StreetQuality(StreetQualityConfig(min_share=0.5))
     drive(book, street(length=20), 0.0, {1: {"packet_loss"}})
-    assert book.driven()[0].light(QualityConfig(min_share=0.5)) == GREEN
-    book.take(Place(START_NS + 5 * SECOND, 0.0, 22.0), set(), {"clock_step"})
-    assert book.driven()[0].light(QualityConfig()) == RED
+    assert book.driven()[0].light(StreetQualityConfig(min_share=0.5)) == GREEN
+    book.take(TimedPosition(START_NS + 5 * SECOND, 0.0, 22.0), set(), {"clock_step"})
+    assert book.driven()[0].light(StreetQualityConfig()) == RED
 
 
 def test_a_red_street_is_to_be_driven_again_until_it_was() -> None:
-    book = StreetQuality(QualityConfig())
+    book = StreetQuality(StreetQualityConfig())
     drive(book, street(), 0.0, {k: {"lidar_silent"} for k in range(6, 10)})
     assert len(book.again()) == 1
     drive(book, np.column_stack([np.linspace(0, 60, 13), np.full(13, 100.0)]), 30.0)
@@ -75,7 +75,7 @@ def test_a_red_street_is_to_be_driven_again_until_it_was() -> None:
 
 
 def test_what_of_a_route_is_undriven_and_what_was_driven_badly() -> None:
-    book = StreetQuality(QualityConfig())
+    book = StreetQuality(StreetQualityConfig())
     drive(book, street(), 0.0, {k: {"without_rtk_fixed"} for k in range(11, 22)})
     route = np.array([[2.0, 0.0], [2.0, 100.0], [200.0, 100.0]])
     pieces = book.route_pieces(route)
@@ -110,7 +110,7 @@ def test_odometry_carries_on_where_fixes_end() -> None:
     monitor, _ = watched(Drive(duration=30.0, muted={"gnss": [(10.0, 30.0)]}))
     last = monitor.streets.segments[-1].way[-1]
     assert last == pytest.approx((0.0, 8.0 * 29.9), abs=2.0)
-    lights = [segment.light(QualityConfig()) for segment in monitor.streets.driven()]
+    lights = [segment.light(StreetQualityConfig()) for segment in monitor.streets.driven()]
     assert lights[0] == GREEN
     assert lights[-1] == AMBER
 

@@ -43,7 +43,7 @@ class Part(StrEnum):
 
 
 @dataclass(frozen=True)
-class Comparison:
+class PointComparison:
     """What the label of a point may be read from: one epoch, the other, and where the other could see."""
 
     view: EpochView
@@ -89,7 +89,7 @@ class Strategies:
     by_class: bool
     instances: Callable[[Classified], tuple[Codes, Instances]]
     kept: Callable[[Instances], Instances]
-    labels: Callable[[Comparison, Codes], Codes]
+    labels: Callable[[PointComparison, Codes], Codes]
 
 
 def choose_strategies(without: Collection[Part]) -> Strategies:
@@ -151,12 +151,12 @@ def no_instances(instance: Instances) -> Instances:
     return np.full_like(instance, -1)
 
 
-def object_labels(_compared: Comparison, change: Codes) -> Codes:
+def object_labels(_compared: PointComparison, change: Codes) -> Codes:
     """Label every point (N,) as its object."""
     return change
 
 
-def point_labels(compared: Comparison, change: Codes) -> Codes:
+def point_labels(compared: PointComparison, change: Codes) -> Codes:
     """Label points (N,) off the ground one by one: Added or Removed where the other epoch saw them free."""
     view, other = compared.view, compared.other
     alone = np.full(len(view.xyz), Change.UNCHANGED, dtype=np.uint8)

@@ -11,7 +11,7 @@ from subiaco_mapping.fusion.config import FusionConfig
 from subiaco_mapping.health_monitor.config import WatchConfig
 from subiaco_mapping.importers.csv_logs import LogsConfig
 from subiaco_mapping.loop_closure.config import LoopConfig
-from subiaco_mapping.map_quality.config import QualityConfig
+from subiaco_mapping.map_quality.config import MapQualityConfig
 from subiaco_mapping.odometry.config import OdometryConfig
 from subiaco_mapping.pose_graph.config import GnssConfig, GraphConfig
 from subiaco_mapping.preprocessing.config import DecodeConfig, DeskewConfig, SensorsConfig
@@ -105,7 +105,7 @@ class MappingConfig(StrictModel):
     reference: ReferenceConfig = ReferenceConfig()
     fusion: FusionConfig = FusionConfig()
     manifest: ManifestConfig = ManifestConfig()
-    quality: QualityConfig = QualityConfig()
+    quality: MapQualityConfig = MapQualityConfig()
     watch: WatchConfig = WatchConfig()
     calibration: CalibrationConfig = CalibrationConfig()
     logs: LogsConfig = LogsConfig()

@@ -17,7 +17,7 @@ from typing import Any
 import geopandas as gpd
 import pandas as pd
 
-from subiaco_change.decisions.confidence import Calibration
+from subiaco_change.decisions.confidence import ConfidenceCalibration
 from subiaco_change.input_checks import hash_path
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.outputs import table as outputs_table
@@ -95,7 +95,7 @@ class ChangeInputs:
     before: Path | None = None
     after: Path | None = None
     notes: Mapping[str, Any] = field(default_factory=dict)
-    calibration: Calibration = field(default_factory=Calibration)
+    calibration: ConfidenceCalibration = field(default_factory=ConfidenceCalibration)
     ellipsoidal: bool = False
     lots: gpd.GeoDataFrame | None = None
     findings: tuple[Finding, ...] = ()

@@ -33,7 +33,7 @@ MODELS = {"ground": "dtm.tif", "surface": "dsm.tif"}
 
 
 @dataclass(frozen=True)
-class Section:
+class TerrainSection:
     """One line and the heights along it.
 
     ``number`` counts lines from 1; ``chainage`` (N,) [m] from the start of the line; ``place`` (N, 2) east
@@ -115,7 +115,7 @@ def write_sections(lines: list[LineString], folder: Path, crs: str | None) -> No
     pd.concat(frames).to_csv(folder / "sections.csv", index=False, float_format="%.3f")
 
 
-def _cut(number: int, line: LineString, folder: Path) -> Section:
+def _cut(number: int, line: LineString, folder: Path) -> TerrainSection:
     heights: dict[str, Floats] = {}
     chainage, place = np.zeros(0), np.zeros((0, 2))
     for model, name in MODELS.items():
@@ -126,10 +126,10 @@ def _cut(number: int, line: LineString, folder: Path) -> Section:
             values = np.array([value[0] for value in raster.sample(place)], dtype=np.float64)
             inside = (place >= raster.bounds[:2]).all(axis=1) & (place <= raster.bounds[2:]).all(axis=1)
             heights[model] = np.where(inside, values, np.nan)
-    return Section(number, chainage, place, heights)
+    return TerrainSection(number, chainage, place, heights)
 
 
-def _drawn(sections: list[Section]) -> Iterator[tuple[str, int, Floats]]:
+def _drawn(sections: list[TerrainSection]) -> Iterator[tuple[str, int, Floats]]:
     """Yield layer, section and corners (N, 2) of what is drawn, each section 10 m right of the last."""
     start = 0.0
     for section in sections:

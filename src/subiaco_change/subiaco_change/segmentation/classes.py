@@ -20,7 +20,7 @@ from subiaco_change.segmentation.buildings import (
 )
 from subiaco_change.segmentation.clustering import group_indices, group_reduce, voxel_clusters
 from subiaco_change.segmentation.config import BuildingConfig, VehicleConfig
-from subiaco_change.segmentation.features import FeatureConfig, Features, compute_features
+from subiaco_change.segmentation.features import EigenFeatureConfig, Features, compute_features
 from subiaco_change.segmentation.ghost_trails import TrafficConfig, moving_points, still_blocks, timed_trails
 from subiaco_change.segmentation.ground_model import GroundConfig, GroundModel, Mask, fit_ground
 from subiaco_change.segmentation.raised_surfaces import RaisedConfig, RaisedSurfaces, find_raised
@@ -39,7 +39,7 @@ class SemanticsConfig(StrictModel):
 
     ground: GroundConfig = GroundConfig()
     raised: RaisedConfig = RaisedConfig()
-    features: FeatureConfig = FeatureConfig()
+    features: EigenFeatureConfig = EigenFeatureConfig()
     superpoints: SuperpointConfig = SuperpointConfig()
     traffic: TrafficConfig = TrafficConfig()
     trail_shape: TrailShapeConfig = TrailShapeConfig()

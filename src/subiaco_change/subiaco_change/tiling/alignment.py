@@ -42,7 +42,7 @@ from subiaco_change.level_of_detection.registration_uncertainty import (
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.strategies import Part, choose_strategies
-from subiaco_change.tiling.epoch_tiles import EPOCHS, Side
+from subiaco_change.tiling.epoch_tiles import EPOCHS, EpochContext
 from subiaco_change.tiling.retiling import LabelledPoints, load_points
 from subiaco_change.tiling.stage_inputs import (
     REGISTRATION,
@@ -168,7 +168,7 @@ class TileLods:
 
 
 def _with_rim(
-    inputs: Inputs, side: Side, params: TileParams[DisplacementSlice], rim: float
+    inputs: Inputs, side: EpochContext, params: TileParams[DisplacementSlice], rim: float
 ) -> tuple[PointCloud, int]:
     """Points of the tile first, then of its neighbours within ``rim`` [m]; and how many it has itself."""
     tile, own = params.square(rim), params.tile

@@ -15,7 +15,7 @@ from subiaco_change.association.costs import AssociationConfig
 from subiaco_change.decisions.measures import MeasureConfig
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.segmentation.ground_model import Mask
-from subiaco_change.tiling.epoch_tiles import Side
+from subiaco_change.tiling.epoch_tiles import EpochContext
 from subiaco_change.tiling.retiling import EpochObjects, LabelledPoints, load_points, near_tile
 from subiaco_change.tiling.stage_inputs import TileParams
 from subiaco_geo.clouds import voxel_indices, voxel_keys
@@ -115,7 +115,7 @@ def tile_links(inputs: Inputs, params: TileParams[CandidateSlice]) -> CandidateP
     return CandidatePairs(_unique(np.concatenate([forward, backward[:, ::-1]])), found[0], found[1])
 
 
-def _numbered(inputs: Inputs, side: Side, name: str, origin: Floats) -> tuple[Floats, Ints]:
+def _numbered(inputs: Inputs, side: EpochContext, name: str, origin: Floats) -> tuple[Floats, Ints]:
     """Points (N, 3) of objects in a tile, in the common frame, and their objects (N,)."""
     piece = inputs.find(LabelledPoints, f"points/{side.epoch}/{name}")
     if piece is None:
@@ -125,7 +125,7 @@ def _numbered(inputs: Inputs, side: Side, name: str, origin: Floats) -> tuple[Fl
 
 
 def _voxels(
-    inputs: Inputs, side: Side, params: TileParams[CandidateSlice], rim: float
+    inputs: Inputs, side: EpochContext, params: TileParams[CandidateSlice], rim: float
 ) -> tuple[Floats, Ints, Mask]:
     """Mean places (M, 3) of the voxels of objects around a tile, their objects, and which lie in it."""
     edge, origin = params.config.measures.voxel, params.origin
@@ -167,7 +167,7 @@ def _unique(pairs: Ints) -> Ints:
     return np.stack(np.divmod(np.unique(pairs[:, 0] * base + pairs[:, 1]), base), axis=1)
 
 
-def _sums(inputs: Inputs, side: Side, params: TileParams[CandidateSlice]) -> tuple[Ints, Floats]:
+def _sums(inputs: Inputs, side: EpochContext, params: TileParams[CandidateSlice]) -> tuple[Ints, Floats]:
     """Objects (K,) of an epoch in a tile, and their sums (K, 8)."""
     xyz, number = _numbered(inputs, side, params.tile, params.origin)
     objects, slot = np.unique(number, return_inverse=True)

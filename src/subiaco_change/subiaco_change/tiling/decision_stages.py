@@ -34,7 +34,7 @@ from subiaco_change.strategies import Part, choose_strategies
 from subiaco_change.tiling.candidate_groups import CandidateGroups
 from subiaco_change.tiling.stage_inputs import TileParams
 from subiaco_change.tiling.tile_surroundings import Region, load_region
-from subiaco_change.visibility_evidence import EvidenceConfig, Kind, weakest
+from subiaco_change.visibility_evidence import EvidenceConfig, EvidenceKind, weakest
 from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.work.results import register_codec
 from subiaco_geo.work.tasks import Inputs
@@ -244,7 +244,7 @@ def _in_city(record: ChangeRecord, numbers: list[Ints]) -> ChangeRecord:
     return replace(record, id_before=named[0], id_after=named[1])
 
 
-def _evidence(change: ObjectChange, kinds: list[Kind]) -> Kind:
+def _evidence(change: ObjectChange, kinds: list[EvidenceKind]) -> EvidenceKind:
     """Return what tells of the absence: the other epoch's evidence, or the weaker of both."""
     if change.before and change.after:
         return weakest(kinds)

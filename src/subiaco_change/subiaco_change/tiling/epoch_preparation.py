@@ -19,8 +19,14 @@ from subiaco_change.segmentation.classes import SemanticsConfig
 from subiaco_change.segmentation.ghost_trails import trail_probability
 from subiaco_change.segmentation.ground_model import fit_ground
 from subiaco_change.segmentation.raised_surfaces import find_raised
-from subiaco_change.tiling.epoch_tiles import Side, TilePoints, load_beams
-from subiaco_change.visibility_evidence import EvidenceConfig, Kind, Observer, make_observer, poses_observer
+from subiaco_change.tiling.epoch_tiles import EpochContext, TilePoints, load_beams
+from subiaco_change.visibility_evidence import (
+    EvidenceConfig,
+    EvidenceKind,
+    Observer,
+    make_observer,
+    poses_observer,
+)
 from subiaco_geo.clouds import PointCloud, voxel_downsample
 from subiaco_geo.crs import transformer
 from subiaco_geo.frames import Floats, Ints
@@ -43,7 +49,7 @@ from subiaco_geo.work.tasks import Inputs
 class LevellingParams:
     """The epoch whose ``cloud/<tile>`` are levelled."""
 
-    side: Side
+    side: EpochContext
 
 
 @dataclass(frozen=True)
@@ -77,7 +83,7 @@ class TrailParams:
 
     tile: str
     size: float
-    side: Side
+    side: EpochContext
     semantics: SemanticsConfig
 
 
@@ -129,7 +135,7 @@ class RenderParams:
 
     tile: str
     size: float
-    side: Side
+    side: EpochContext
     config: ExpectedVisibilityConfig
     poses: Floats
     moved: float
@@ -178,7 +184,7 @@ def _standing(inputs: Inputs, name: str, limit: float) -> Floats:
 
 
 def load_expected(
-    inputs: Inputs, alias: str, side: Side, config: ExpectedVisibilityConfig
+    inputs: Inputs, alias: str, side: EpochContext, config: ExpectedVisibilityConfig
 ) -> ExpectedVisibility:
     """Put the pieces of :func:`render_tile` under ``alias/`` together."""
     parts = [inputs.of(TileViews, f"{alias}/{name}") for name in inputs.under(alias)]
@@ -195,14 +201,14 @@ def load_expected(
     return ExpectedVisibility(images, OccupiedVoxels(keys, side.corner, side.voxel), view, config)
 
 
-def load_observer(inputs: Inputs, side: Side, points: Floats, config: EvidenceConfig) -> Observer:
+def load_observer(inputs: Inputs, side: EpochContext, points: Floats, config: EvidenceConfig) -> Observer:
     """Build the observer of an epoch around a place.
 
     Parameters
     ----------
     inputs : Inputs
         Counted beams, or what :func:`render_tile` left, under ``beams/<epoch>/``.
-    side : Side
+    side : EpochContext
     points : (N, 3) float64
         Points of the epoch around, in its world coordinates: what shadow tests rest on.
     config : EvidenceConfig
@@ -212,7 +218,9 @@ def load_observer(inputs: Inputs, side: Side, points: Floats, config: EvidenceCo
     if side.kind in ("trajectory", "estimated"):
         expected = load_expected(inputs, alias, side, config.poses)
         return Observer(side.kind, expected) if len(cloud) == 0 else poses_observer(expected, cloud, config)
-    kind: Kind = "observed" if side.kind == "shadow" and len(cloud) == 0 else side.kind  # nothing was seen
+    kind: EvidenceKind = (
+        "observed" if side.kind == "shadow" and len(cloud) == 0 else side.kind
+    )  # nothing was seen
     grid = load_beams(inputs, alias, side.corner, side.voxel) if kind == "observed" else None
     asked = config.model_copy(update={"source": kind})
     back = None if side.beams_crs is None else transformer(str(side.crs), side.beams_crs).apply

@@ -39,7 +39,7 @@ from subiaco_change.tiling.epoch_tiles import (
     EPOCHS,
     FIELDS,
     CutCloud,
-    Side,
+    EpochContext,
     TilePoints,
     corners,
     cut_beams,
@@ -91,7 +91,7 @@ class Epochs:
     config: ChangeConfig
     given: tuple[str, ...] = ()
     info: PairInfo = field(default_factory=lambda: PairInfo(None))
-    sides: tuple[Side, ...] = ()
+    sides: tuple[EpochContext, ...] = ()
     origin: Floats = field(default_factory=lambda: np.zeros(3))
     clouds: dict[str, dict[str, str]] = field(default_factory=dict)
     beams: dict[str, dict[str, str]] = field(default_factory=dict)
@@ -196,14 +196,14 @@ class Epochs:
         crs: str | None,
         cut: CutCloud,
         operation: Transform | None,
-    ) -> Side:
+    ) -> EpochContext:
         """Cut what the evidence of an epoch rests on, and tell what tasks must know of it."""
         config = self.config.evidence
         way = epoch.trajectory
         if way is not None and operation is not None:
             way = moved_trajectory(way, operation)
         kind = evidence_kind(epoch.has_beams, way, config)
-        side = Side(name, origin, crs, kind, None, origin, config.poses.occupied, cut.spacing)
+        side = EpochContext(name, origin, crs, kind, None, origin, config.poses.occupied, cut.spacing)
         self.trails[name] = {} if kind == "observed" else self._trails(side)
         self.beams[name], self.beam_edge[name] = {}, self.size
         self._keep_poses(name, epoch, way)
@@ -231,7 +231,7 @@ class Epochs:
             parts.append(ViewHistogram(piece.above, piece.ranges))
         return estimate_view(parts, self.config.evidence.poses)
 
-    def _trails(self, side: Side) -> dict[str, str]:
+    def _trails(self, side: EpochContext) -> dict[str, str]:
         """Tell ghost trails by their shape, where nothing counted beams."""
         own, semantics = self.clouds[side.epoch], self.config.semantics
         shape = semantics.trail_shape
@@ -246,7 +246,7 @@ class Epochs:
             tasks.append(Task("trails", name, find_trails, inputs, params))
         return self.runner.run(tasks, (0.02, 0.03))
 
-    def _render(self, side: Side, way: Trajectory) -> dict[str, str]:
+    def _render(self, side: EpochContext, way: Trajectory) -> dict[str, str]:
         """Render what the poses of an epoch must have seen, tile by tile of its own frame."""
         own, config = self.clouds[side.epoch], self.config.evidence.poses
         poses = way.poses[sample_poses(way.positions, config.pose_spacing)]
@@ -303,7 +303,7 @@ class Epochs:
         found = self.runner.together(stages, (0.47, 0.48))
         self.united = {epoch: keys["all"] for epoch, keys in zip(EPOCHS, found, strict=True)}
 
-    def _semantics(self, side: Side) -> list[Task[SegmentationParams]]:
+    def _semantics(self, side: EpochContext) -> list[Task[SegmentationParams]]:
         """Tasks of one epoch; they do not tell whether it is *before* or *after*, and serve as both."""
         config = slice_of(SegmentationSlice, self.config)
         tiles, own = self.config.tiles, self.clouds[side.epoch]
@@ -321,7 +321,7 @@ class Epochs:
             tasks.append(Task("semantics", name, prepare_tile, inputs, params))
         return tasks
 
-    def _upright(self, side: Side, own: Mapping[str, str]) -> dict[str, str]:
+    def _upright(self, side: EpochContext, own: Mapping[str, str]) -> dict[str, str]:
         """Find what makes a local cloud upright."""
         if side.crs is not None:
             return {}
@@ -348,7 +348,7 @@ class Epochs:
             self.points[epoch] = {n: found[n] for n in held}
             self.lit[epoch] = all(pieces[n].intensity is not None for n in held)
 
-    def _reached(self, side: Side, frame: CommonFrame) -> dict[str, list[str]]:
+    def _reached(self, side: EpochContext, frame: CommonFrame) -> dict[str, list[str]]:
         """Tiles of the common frame that an epoch's own tiles reach into, and which of these."""
         own = self.clouds[side.epoch]
         if side.epoch == "after":
@@ -362,7 +362,7 @@ class Epochs:
                 reached.setdefault(tile, []).append(name)
         return reached
 
-    def beams_at(self, side: Side, world: Floats) -> dict[str, str]:
+    def beams_at(self, side: EpochContext, world: Floats) -> dict[str, str]:
         """Tiles of beams, or of poses that look there, of an epoch around places (N, 3) of its world."""
         known = self.beams[side.epoch]
         if not known:

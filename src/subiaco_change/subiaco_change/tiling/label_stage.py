@@ -13,14 +13,14 @@ from numpy.typing import NDArray
 from subiaco_change.decisions.ground_cells import GroundCells, GroundChangeConfig, shown_lod
 from subiaco_change.decisions.ground_change import GroundComparison, GroundPatch, ground_raster
 from subiaco_change.decisions.measures import MeasureConfig, same_place
-from subiaco_change.decisions.point_labels import Labels, label_rest, unlabelled
+from subiaco_change.decisions.point_labels import PointLabels, label_rest, unlabelled
 from subiaco_change.decisions.voxel_objects import EpochView, occupied
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.segmentation.ground_model import Mask
-from subiaco_change.strategies import Comparison, Part, choose_strategies
+from subiaco_change.strategies import Part, PointComparison, choose_strategies
 from subiaco_change.tiling.alignment import ChangedPoints, TileLods
 from subiaco_change.tiling.decision_stages import TileComparison
-from subiaco_change.tiling.epoch_tiles import EPOCHS, Side
+from subiaco_change.tiling.epoch_tiles import EPOCHS, EpochContext
 from subiaco_change.tiling.ground_stage import PatchSlice, TilePatches
 from subiaco_change.tiling.retiling import LabelledPoints, load_points, near_tile
 from subiaco_change.tiling.stage_inputs import TileParams
@@ -49,7 +49,7 @@ class LabelSlice:
 class ChangedParams(TileParams[PatchSlice]):
     """``side``: the epoch whose points are asked."""
 
-    side: Side
+    side: EpochContext
 
 
 @dataclass(frozen=True)
@@ -62,7 +62,7 @@ class EpochLabels:
 
     xyz: Floats
     normals: NDArray[np.float32]
-    labels: Labels
+    labels: PointLabels
     m3c2_distance: NDArray[np.float32]
     m3c2_significant: NDArray[np.uint8]
 
@@ -164,7 +164,7 @@ def label_tile(inputs: Inputs, params: TileParams[LabelSlice]) -> TileLabels:
         known = other.xyz[other.semantic == Semantic.GROUND]
         there = partial(occupied, points=other.xyz, reach=reach)
         label_rest(view, labels, ground, ids, regions[1 - e].observed, config.evidence, known, there)
-        compared = Comparison(view, other, regions[1 - e].observed, epoch, reach)
+        compared = PointComparison(view, other, regions[1 - e].observed, epoch, reach)
         labels = replace(labels, change=strategy.labels(compared, labels.change))
         patched[:, e] = [np.count_nonzero(labels.instance == i) for i in ids]
         moved, significant = _displacement(
@@ -210,7 +210,7 @@ def _select(region: Region, members: Ints) -> EpochView:
     return replace(view, **chosen)
 
 
-def _of_objects(inputs: Inputs, epoch: str, tile: str, view: EpochView, index: Ints) -> Labels:
+def _of_objects(inputs: Inputs, epoch: str, tile: str, view: EpochView, index: Ints) -> PointLabels:
     labels = unlabelled(view)
     anchor, row = point_rows(inputs, epoch, tile, int(index.max(initial=-1)) + 1)
     anchor, row = anchor[index], row[index]

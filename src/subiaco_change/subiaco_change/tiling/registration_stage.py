@@ -13,7 +13,7 @@ from subiaco_change.records import Registration
 from subiaco_change.registration.config import RegistrationConfig
 from subiaco_change.registration.register import given_registration, register
 from subiaco_change.tiling.alignment import ChangedPoints
-from subiaco_change.tiling.epoch_tiles import Coordinates, Side, corners
+from subiaco_change.tiling.epoch_tiles import Coordinates, EpochContext, corners
 from subiaco_change.tiling.stage_inputs import REGISTRATION, PairRegistration
 from subiaco_geo.clouds import PointCloud, voxel_downsample
 from subiaco_geo.errors import RegistrationError
@@ -36,7 +36,7 @@ class RegistrationSlice:
 class RegistrationParams:
     """Parameters of a registration; ``transform`` (4, 4) in the world [m] where it is given."""
 
-    sides: tuple[Side, ...]
+    sides: tuple[EpochContext, ...]
     config: RegistrationSlice
     transform: Floats | None
 
@@ -65,7 +65,7 @@ def register_again(inputs: Inputs, params: RegistrationParams) -> PairRegistrati
     return PairRegistration(again, shift(first, again, before), None)
 
 
-Part = tuple[PointCloud, PointCloud]  # a tile of before and of after
+EpochClouds = tuple[PointCloud, PointCloud]  # a tile of before and of after
 
 
 def gather(inputs: Inputs, params: RegistrationParams) -> tuple[PointCloud, PointCloud]:
@@ -79,10 +79,10 @@ def gather(inputs: Inputs, params: RegistrationParams) -> tuple[PointCloud, Poin
     sides, config = params.sides, params.config
     local = any(side.crs is None for side in sides)
     names = sorted({name for side in sides for name in inputs.under(f"cloud/{side.epoch}")}, key=_lot)
-    parts: dict[str, Part] = {}
+    parts: dict[str, EpochClouds] = {}
     held, thin = np.zeros(2, dtype=np.int64), False
     for name in names:
-        part: Part = tuple(_load(inputs, side, name) for side in sides)  # type: ignore[assignment]
+        part: EpochClouds = tuple(_load(inputs, side, name) for side in sides)  # type: ignore[assignment]
         parts[name] = _thinned(part, 2.0 * config.leaf) if thin else part
         held += [len(cloud) for cloud in parts[name]]
         if held.max() > config.registration_points and not thin:
@@ -100,16 +100,16 @@ def _lot(name: str) -> bytes:
     return hashlib.sha256(name.encode()).digest()
 
 
-def _thinned(part: Part, edge: float) -> Part:
+def _thinned(part: EpochClouds, edge: float) -> EpochClouds:
     return voxel_downsample(part[0], edge), voxel_downsample(part[1], edge)
 
 
-def _joined(clouds: Sequence[PointCloud], side: Side) -> PointCloud:
+def _joined(clouds: Sequence[PointCloud], side: EpochContext) -> PointCloud:
     changed = np.concatenate([np.asarray(cloud.fields["changed"]) for cloud in clouds]) > 0.0
     return PointCloud(np.concatenate([c.xyz for c in clouds]), side.origin, side.crs, {"changed": changed})
 
 
-def _load(inputs: Inputs, side: Side, name: str) -> PointCloud:
+def _load(inputs: Inputs, side: EpochContext, name: str) -> PointCloud:
     own = f"cloud/{side.epoch}/{name}"
     xyz = inputs.once(Coordinates, own).xyz if own in inputs else np.zeros((0, 3))
     alias = f"changed/{side.epoch}/{name}"

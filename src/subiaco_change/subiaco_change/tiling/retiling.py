@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import connected_components
 
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.segmentation.ground_model import Mask
-from subiaco_change.tiling.epoch_tiles import Side, TilePoints
+from subiaco_change.tiling.epoch_tiles import EpochContext, TilePoints
 from subiaco_change.tiling.stage_inputs import in_frame, load_frame
 from subiaco_change.tiling.tile_segmentation import TileSegmentation
 from subiaco_geo.clouds import PointCloud
@@ -141,7 +141,7 @@ class EpochTileParams:
 
     tile: str
     size: float
-    side: Side
+    side: EpochContext
     origin: Floats
 
 
@@ -206,7 +206,7 @@ def place_tile(inputs: Inputs, params: EpochTileParams) -> PlacedPoints:
     return PlacedPoints(cloud.xyz, np.asarray(cloud.fields["normals"], dtype=np.float32))
 
 
-def load_points(inputs: Inputs, side: Side, tile: str, origin: Floats) -> PointCloud:
+def load_points(inputs: Inputs, side: EpochContext, tile: str, origin: Floats) -> PointCloud:
     """Points of a tile in the common frame, with normals.
 
     From ``placed/<epoch>/<tile>`` where they were brought there; else from ``points`` and the frame.

@@ -10,7 +10,7 @@ import numpy as np
 from subiaco_change.config import ChangeConfig
 from subiaco_change.level_of_detection.common_frame import CommonFrame, SmoothField
 from subiaco_change.records import Registration
-from subiaco_change.tiling.epoch_tiles import Side
+from subiaco_change.tiling.epoch_tiles import EpochContext
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.frames import Floats
 from subiaco_geo.tiles import Tile, tile_named
@@ -38,7 +38,7 @@ class TileParams(Generic[Slice]):
 
     tile: str
     size: float
-    sides: tuple[Side, ...]
+    sides: tuple[EpochContext, ...]
     origin: Floats
     config: Slice
 
@@ -81,7 +81,9 @@ def load_frame(inputs: Inputs, origin: Floats) -> CommonFrame:
     return frame
 
 
-def in_frame(xyz: Floats, side: Side, frame: CommonFrame, normals: Floats | None = None) -> PointCloud:
+def in_frame(
+    xyz: Floats, side: EpochContext, frame: CommonFrame, normals: Floats | None = None
+) -> PointCloud:
     """Bring points (N, 3) of an epoch, about its own origin, into the common frame."""
     fields = {} if normals is None else {"normals": np.asarray(normals, dtype=np.float64)}
     cloud = PointCloud(np.asarray(xyz, dtype=np.float64), side.origin, side.crs, fields)

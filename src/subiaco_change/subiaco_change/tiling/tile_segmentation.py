@@ -17,7 +17,7 @@ from subiaco_change.segmentation.instances import InstanceConfig
 from subiaco_change.segmentation.raised_surfaces import find_raised
 from subiaco_change.strategies import Classified, Part, choose_strategies
 from subiaco_change.tiling.epoch_preparation import load_moved, load_observer, load_turn
-from subiaco_change.tiling.epoch_tiles import Side, TilePoints
+from subiaco_change.tiling.epoch_tiles import EpochContext, TilePoints
 from subiaco_change.visibility_evidence import EvidenceConfig
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.errors import InputError
@@ -51,7 +51,7 @@ class SegmentationParams:
     size: float
     overlap: float
     edge: float
-    side: Side
+    side: EpochContext
     config: SegmentationSlice
     given: tuple[str, ...]
 
@@ -125,7 +125,7 @@ def _known(values: Floats | None, count: int) -> NDArray[np.float32]:
 
 
 def _gather(
-    inputs: Inputs, name: str, names: list[str], side: Side, tile: Tile
+    inputs: Inputs, name: str, names: list[str], side: EpochContext, tile: Tile
 ) -> tuple[Floats, list[Floats], list[Ints]]:
     """Points of the tile, of each neighbour those nearby, and where they stand there."""
     around, where = [], []

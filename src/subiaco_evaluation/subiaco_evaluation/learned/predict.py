@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from subiaco_evaluation.baselines.cells import Codes, Pair, Verdict
+from subiaco_evaluation.baselines.cells import CellVerdict, Codes, Pair
 from subiaco_evaluation.baselines.config import BaselineConfig
 from subiaco_evaluation.grid import GridConfig, cell_rule
 from subiaco_evaluation.learned.batches import collate
@@ -50,7 +50,7 @@ def load_network(path: Path, method: str) -> tuple[torch.nn.Module, TrainingConf
     return model.train(False), config
 
 
-def predict(pair: Pair, config: BaselineConfig, method: str, weights: Path) -> Verdict:
+def predict(pair: Pair, config: BaselineConfig, method: str, weights: Path) -> CellVerdict:
     """Label the cells of a pair by a trained network."""
     model, trained = load_network(weights, method)
     with torch.no_grad():
@@ -61,7 +61,7 @@ def predict(pair: Pair, config: BaselineConfig, method: str, weights: Path) -> V
 
 def _by_points(
     pair: Pair, config: BaselineConfig, model: torch.nn.Module, network: PointNetworkConfig
-) -> Verdict:
+) -> CellVerdict:
     """Label the points of both clouds, each compared with the other one, then cells by the published rule."""
     sides = (pair.before, pair.after)
     pyramids = [build_pyramid(side.cloud.xyz, network) for side in sides]
@@ -95,7 +95,9 @@ def point_chances(
     return total / np.maximum(count, 1)[:, None]
 
 
-def _vote(pair: Pair, cell: Ints, codes: NDArray[np.uint8], trust: Floats, config: BaselineConfig) -> Verdict:
+def _vote(
+    pair: Pair, cell: Ints, codes: NDArray[np.uint8], trust: Floats, config: BaselineConfig
+) -> CellVerdict:
     size = pair.before.count.size
     column = np.where(codes > Change.UNCHANGED, 5, codes).astype(np.int64)
     counts = np.bincount(cell * 7 + column, minlength=size * 7).reshape(size, 7)
@@ -109,7 +111,7 @@ def _vote(pair: Pair, cell: Ints, codes: NDArray[np.uint8], trust: Floats, confi
 
 def _by_rasters(
     pair: Pair, config: BaselineConfig, model: torch.nn.Module, trained: TrainingConfig
-) -> Verdict:
+) -> CellVerdict:
     heights = surface_models(pair)
     chances = raster_chances(model, heights, trained, config.learned.overlap)
     code = chances.argmax(axis=0).astype(np.uint8)
@@ -134,6 +136,6 @@ def raster_chances(
     return np.asarray((total / count)[:, : shape[0], : shape[1]])
 
 
-def _verdict(pair: Pair, code: Codes, confidence: Floats) -> Verdict:
+def _verdict(pair: Pair, code: Codes, confidence: Floats) -> CellVerdict:
     unknown: NDArray[Any] = np.full(pair.grid.shape, np.nan)
-    return Verdict(code, confidence, np.where(np.isfinite(pair.rise), pair.rise, np.nan), unknown)
+    return CellVerdict(code, confidence, np.where(np.isfinite(pair.rise), pair.rise, np.nan), unknown)
