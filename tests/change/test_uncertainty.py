@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from placing_scene import UP, rigid, street
-from whole import place, sigma_field
+from alignment_scene import UP, rigid, street
+from assembled_run import place, sigma_field
 
 from subiaco_change.level_of_detection.alignment_corrections import PlacingConfig
 from subiaco_change.level_of_detection.displacement_lod import LodConfig, combine, measure_displacements

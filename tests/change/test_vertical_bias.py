@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from whole import vertical_bias
+from assembled_run import vertical_bias
 
 from subiaco_change.level_of_detection.alignment_corrections import VerticalBiasConfig
 

@@ -79,7 +79,7 @@ def count_return(rows, slot, window, least):  # type: ignore[no-untyped-def]  # 
 
 @dataclass(frozen=True)
 class VoxelObservations:
-    """Looks at every voxel of a grid.
+    """Observations of every voxel of a grid.
 
     Parameters
     ----------

@@ -2,8 +2,8 @@
 
 import numpy as np
 import pytest
-from placing_scene import rigid, street
-from whole import place
+from alignment_scene import rigid, street
+from assembled_run import place
 
 from subiaco_change.level_of_detection.alignment_corrections import PlacingConfig, WarpConfig
 from subiaco_change.level_of_detection.displacement_lod import LodConfig

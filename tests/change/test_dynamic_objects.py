@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from scipy.spatial import cKDTree
 from test_measures import block
-from test_parts import obj
+from test_one_epoch_parts import obj
 
 from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.dynamic_objects import (
