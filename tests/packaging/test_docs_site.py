@@ -101,20 +101,6 @@ def test_every_figure_of_the_front_page_stands_on_the_page_that_it_links() -> No
         assert not missing, f"{line}: {missing} not on {page}"
 
 
-def test_every_page_of_results_says_what_made_it_and_when() -> None:
-    pages = [p for p in sorted((ROOT / "docs/results").glob("*.md")) if p.name != "index.md"]
-    assert len(pages) > 12
-    for page in pages:
-        text = page.read_text(encoding="utf-8")
-        if "do not edit" in text or "writes this page" in text:
-            continue  # generated
-        assert "| figures | command | seeds | recorded | revision |" in text, page
-        rows = re.findall(r"^\| [^|]+ \| [^|]+ \| [^|]+ \| (\S+) \| (\S+) \|$", text, flags=re.MULTILINE)
-        made = [(day, revision) for day, revision in rows if re.fullmatch(r"2\d{3}-\d\d-\d\d", day)]
-        assert made, page
-        assert all(re.fullmatch(r"[0-9a-f]{7,9}", revision) for _, revision in made), page
-
-
 def test_every_page_of_results_is_listed() -> None:
     listed = (ROOT / "docs/results/index.md").read_text(encoding="utf-8")
     for page in (ROOT / "docs/results").glob("*.md"):
