@@ -16,21 +16,21 @@ from subiaco_mapping.config import SensorsConfig
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 
 
-def test_each_driver_gets_its_parameter_file_and_the_lidar_its_namespace(tmp_path: Path) -> None:
+def test_each_driver_gets_its_parameter_file(tmp_path: Path) -> None:
     file = tmp_path / "driver.yaml"
     file.write_text("{}")
-    (lidar,) = lidar_driver("ouster", str(file), "/left")
+    (lidar,) = lidar_driver("ouster", str(file))
     assert lidar == LaunchedFile(
         "ouster_ros",
         "launch/driver.launch.py",
-        {"params_file": str(file), "ouster_ns": "left/ouster", "viz": "False"},
+        {"params_file": str(file), "ouster_ns": "ouster", "viz": "False"},
     )
     (ublox,) = gnss_driver("ublox", str(file))
     assert ublox == LaunchedNode("ublox_gps", "ublox_gps_node", "ublox_gps_node", (), (str(file),))
     (septentrio,) = gnss_driver("septentrio", str(file))
-    assert isinstance(septentrio, LaunchedFile)
-    assert septentrio.arguments == {"path_to_config": str(file)}
-    assert lidar_driver("none", "", "") == gnss_driver("none", "") == []
+    name = "septentrio_gnss_driver"
+    assert septentrio == LaunchedNode(name, f"{name}_node", name, (), (str(file),))
+    assert lidar_driver("none", "") == gnss_driver("none", "") == []
 
 
 @pytest.mark.parametrize(
@@ -43,7 +43,7 @@ def test_each_driver_gets_its_parameter_file_and_the_lidar_its_namespace(tmp_pat
 )
 def test_a_driver_that_is_not_known_or_lacks_its_file_is_refused(name: str, path: str, words: str) -> None:
     with pytest.raises(InputError, match=words):
-        lidar_driver(name, path, "")
+        lidar_driver(name, path)
 
 
 def test_sensors_are_placed_where_the_settings_say() -> None:
