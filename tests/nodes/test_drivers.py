@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import re
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +14,9 @@ from subiaco_bringup.drivers import LaunchedFile, LaunchedNode, gnss_driver, lid
 from subiaco_geo.config import validate
 from subiaco_geo.errors import InputError
 from subiaco_mapping.config import SensorsConfig
+
+#: Between two publications of a status that has not changed [s].
+PERIOD = 1.0
 
 CONFIG = Path(__file__).resolve().parents[2] / "config"
 
@@ -63,12 +68,79 @@ def test_sensors_are_placed_where_the_settings_say() -> None:
     assert sensor_places(SensorsConfig()) == []
 
 
-def test_the_aggregator_knows_every_status_of_our_nodes() -> None:
+def analyzers() -> dict[str, dict[str, Any]]:
+    """Return the groups of the aggregator's parameter file."""
+    parameters = yaml.safe_load((CONFIG / "diagnostics.yaml").read_text())["/**"]["ros__parameters"]
+    return {name: value for name, value in parameters.items() if isinstance(value, dict)}
+
+
+def taken_by(status: str) -> list[str]:
+    """Return the groups that take a status, by the rules of ``GenericAnalyzer``."""
+    found = []
+    for group in analyzers().values():
+        rules = (
+            any(re.fullmatch(pattern, status) for pattern in group.get("regex", ())),
+            status in group.get("expected", ()),
+            any(status.startswith(text) for text in group.get("startswith", ())),
+            any(text in status for text in group.get("contains", ())),
+        )
+        if any(rules):
+            found.append(str(group["path"]))
+    return found
+
+
+def test_the_aggregator_reads_its_parameters_with_the_types_that_it_asks_for() -> None:
+    parameters = yaml.safe_load((CONFIG / "diagnostics.yaml").read_text())["/**"]["ros__parameters"]
+    assert isinstance(parameters["pub_rate"], float)
+    assert isinstance(parameters["path"], str)
+    words = {"type", "path", "timeout", "contains", "startswith", "expected", "regex"}
+    for group in analyzers().values():
+        assert group.keys() <= words  # an unknown word would be passed over in silence
+        assert group["type"] == "diagnostic_aggregator/GenericAnalyzer"
+        assert isinstance(group["timeout"], float)
+        assert group["timeout"] >= 3 * PERIOD  # a node that lives is never stale
+        assert all(isinstance(text, str) for text in group["contains"])
+
+
+def test_every_status_of_our_nodes_is_in_one_group_in_every_namespace() -> None:
     from subiaco_mapping.health_monitor.snapshot import _LINES
 
-    parameters = yaml.safe_load((CONFIG / "diagnostics.yaml").read_text())["/**"]["ros__parameters"]
-    groups = [value for value in parameters.values() if isinstance(value, dict)]
-    assert {group["type"] for group in groups} == {"diagnostic_aggregator/GenericAnalyzer"}
-    listed = [name for group in groups for name in group["contains"]]
-    tasks = {"odometry: registration", "pose_graph: solution", "recorder: recording", "change: comparison"}
-    assert sorted(listed) == sorted(tasks | {f"monitor: {line}" for line in (*_LINES, "street")})
+    tasks = ["odometry: registration", "pose_graph: solution", "recorder: recording", "change: comparison"]
+    names = [*tasks, *(f"monitor: {line}" for line in (*_LINES, "street"))]
+    for name in names:
+        (group,) = taken_by(name)
+        assert taken_by(f"left/{name}") == [group]
+    listed = [name for group in analyzers().values() for name in group["contains"]]
+    assert sorted(listed) == sorted(names)  # and nothing is listed that no node says
+    assert taken_by("ouster: Sync Pulse In") == []
+
+
+@pytest.mark.ros
+def test_nodes_put_on_diagnostics_the_names_that_the_aggregator_takes(ros: Any, tmp_path: Path) -> None:
+    """The recorder and the monitor speak by themselves; the others once they have worked."""
+    from diagnostic_msgs.msg import DiagnosticArray
+
+    from subiaco_mapping.nodes import monitor_node, odometry_node, recorder_node
+    from subiaco_ros.diagnostics import Diagnostics
+
+    said = ros.collect(ros.node("aggregator"), DiagnosticArray, "/diagnostics", latched=False)
+    made = {
+        "recorder": (recorder_node.build, {"output": str(tmp_path / "drive")}),
+        "monitor": (monitor_node.build, {}),
+        "odometry": (odometry_node.build, {}),
+    }
+    nodes = {name: ros.node(name, namespace="left", **given) for name, (_, given) in made.items()}
+    apps = {name: make(nodes[name]) for name, (make, _) in made.items()}
+    waiting = [value for value in vars(apps["odometry"]).values() if isinstance(value, Diagnostics)]
+    assert len(waiting) == 1
+    waiting[0].report("odometry", {})
+
+    def names() -> set[str]:
+        return {status.name for array in said for status in array.status}
+
+    ros.until(lambda: {name.split(":")[0] for name in names()} >= {f"left/{name}" for name in made})
+    for name in names():
+        assert len(taken_by(name)) == 1, name
+    for app in apps.values():
+        if hasattr(app, "close"):
+            app.close()
