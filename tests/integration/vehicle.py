@@ -4,8 +4,8 @@
         [--ros-args ...]
 
 Names are relative, so that a namespace holds. Messages go out at the pace of their log times (a fraction of
-it, for busy machines) with the quality that such publishers offer, whoever listens; nobody's counts are waited
-for. At the end it waits until the map has caught up, and asks the service for the map.
+it, for busy machines) with the quality that such publishers offer, whoever listens; nobody's counts are
+waited for. At the end it waits until the map has caught up, and asks the service for the map.
 """
 
 from __future__ import annotations
