@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+import sys
+import types
 from pathlib import Path
 from typing import Any
 
@@ -10,7 +12,15 @@ import numpy as np
 import pytest
 import yaml
 
-from subiaco_bringup.drivers import LaunchedFile, LaunchedNode, gnss_driver, lidar_driver, sensor_places
+from subiaco_bringup.drivers import (
+    LaunchedFile,
+    LaunchedNode,
+    driver_actions,
+    gnss_driver,
+    in_namespace,
+    lidar_driver,
+    sensor_places,
+)
 from subiaco_geo.config import validate
 from subiaco_geo.errors import InputError
 from subiaco_mapping.config import SensorsConfig
@@ -66,6 +76,44 @@ def test_sensors_are_placed_where_the_settings_say() -> None:
     assert (words["--frame-id"], words["--child-frame-id"]) == ("base_link", "lidar_link")
     assert gnss.arguments[-1] == "gps"
     assert sensor_places(SensorsConfig()) == []
+
+
+class Action:
+    """Stands for every class of ``launch``: keeps what it was given."""
+
+    def __init__(self, *given: Any, **named: Any) -> None:
+        self.given, self.named = given, named
+
+
+@pytest.fixture
+def launch_stub(monkeypatch: pytest.MonkeyPatch) -> None:
+    contents = {
+        "launch": (),
+        "launch.actions": ("GroupAction", "IncludeLaunchDescription"),
+        "launch.launch_description_sources": ("AnyLaunchDescriptionSource",),
+        "launch_ros": (),
+        "launch_ros.actions": ("Node", "PushRosNamespace", "SetRemap"),
+    }
+    for name, members in contents.items():
+        module = types.ModuleType(name)
+        vars(module).update({member: type(member, (Action,), {}) for member in members})
+        monkeypatch.setitem(sys.modules, name, module)
+
+
+@pytest.mark.ros
+@pytest.mark.usefixtures("launch_stub")
+def test_in_a_namespace_a_driver_has_a_tree_of_frames_of_its_own(tmp_path: Path) -> None:
+    file = tmp_path / "driver.yaml"
+    file.write_text("{}")
+    actions = driver_actions(gnss_driver("septentrio", str(file)))
+    assert in_namespace("", actions) == actions
+    (group,) = in_namespace("/left/", actions)
+    push, *remaps, node = group.given[0]
+    assert push.given == ("left",)
+    assert [rule.given for rule in remaps] == [("/tf", "/left/tf"), ("/tf_static", "/left/tf_static")]
+    assert node is actions[0]
+    assert node.named["executable"] == "septentrio_gnss_driver_node"
+    assert node.named["parameters"] == [str(file)]
 
 
 def analyzers() -> dict[str, dict[str, Any]]:
