@@ -52,6 +52,7 @@ from subiaco_geo.simulated import SIMULATIONS, distinct
 from subiaco_geo.sources import Epoch, open_epoch
 from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.work.executors import make_executor
+from subiaco_geo.work.object_store import ObjectStore
 from subiaco_geo.work.store import DiskStore
 from subiaco_geo.work.task_runner import TaskRunner, stages_from
 
@@ -78,18 +79,20 @@ def task_runner(
     """
     redo = frozenset() if request.redo is None else stages_from(STAGES, request.redo)
     kept = _stage_folder(request)
+    store = ObjectStore(request.stages) if isinstance(request.stages, str) else DiskStore(kept.absolute())
     with locked(kept):
         if request.stages is None and any(kept.glob("*/*.npz")):
             _LOG.warning("%s: what a run that was stopped finished there is used again", kept)
         executor = make_executor(request.workers, request.scheduler, ("subiaco_change.tiling.run",))
         try:
-            yield TaskRunner(DiskStore(kept.absolute()), executor, progress, redo, on_tile)
+            yield TaskRunner(store, executor, progress, redo, on_tile)
         except (InputError, RegistrationError):
             executor.close()  # what runs beside the task that failed still writes
             _forget(request, kept)  # the same input would fail again
             raise
         except KeyboardInterrupt:
-            _LOG.warning("stopped; what is finished is in %s, and the same command goes on from there", kept)
+            where = request.stages or kept
+            _LOG.warning("stopped; what is finished is in %s, and the same command goes on from there", where)
             raise
         finally:
             executor.close()
@@ -188,6 +191,9 @@ def run_job(
 
 def _require_room(request: ChangeRequest, points: int) -> None:
     """Refuse a run whose stages or result would fill a disk, from the points at the working leaf."""
+    if isinstance(request.stages, str):
+        require_room(request.output, points * _RESULT_BYTES, "the result")
+        return
     stages = _stage_folder(request)
     done = sum(file.stat().st_size for file in stages.rglob("*.npz"))  # of a run that was stopped
     needed = max(points * _STAGE_BYTES - done, 0)
@@ -199,8 +205,9 @@ def _require_room(request: ChangeRequest, points: int) -> None:
 
 
 def _stage_folder(request: ChangeRequest) -> Path:
-    """Return where the finished stages of a run lie."""
-    return request.stages or request.output.with_name(f"{request.output.name}.stages")
+    """Return where the finished stages of a run lie, or would lie where object storage keeps them."""
+    beside = request.output.with_name(f"{request.output.name}.stages")
+    return request.stages if isinstance(request.stages, Path) else beside
 
 
 def _announced(findings: tuple[Finding, ...]) -> tuple[Finding, ...]:

@@ -119,6 +119,25 @@ def unpack_voxel_keys(keys: Ints) -> Ints:
     return np.stack([keys >> 42, (keys >> 21) & mask, keys & mask], axis=1) - _REACH
 
 
+def unique_cells(cells: Ints) -> tuple[Ints, Ints]:
+    """Return the distinct rows (M, K) of integer cells (N, K) in order, and the place (N,) of each row in them.
+
+    As ``np.unique`` by rows does, without sorting rows: cells of points lie close together.
+    """
+    if len(cells) == 0:
+        return cells, np.zeros(0, dtype=np.int64)
+    low = cells.min(axis=0)
+    spans = (cells.max(axis=0) - low + 1).tolist()
+    if math.prod(spans) > _CELLS_A_POINT * len(cells) + _FEW_CELLS:  # scattered far apart
+        found, place = np.unique(cells, axis=0, return_inverse=True)
+        return found, np.asarray(place.ravel())
+    flat = np.ravel_multi_index(tuple((cells - low).T), spans)
+    held = np.flatnonzero(np.bincount(flat))
+    number = np.empty(int(held[-1]) + 1, dtype=np.int64)
+    number[held] = np.arange(len(held))
+    return np.stack(np.unravel_index(held, spans), axis=1) + low, number[flat]
+
+
 def sort_spatially(xyz: Floats, cell: float = 2.0) -> Ints:
     """Return the order (N,) that groups points by cells of a size [m].
 
