@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -12,6 +13,7 @@ from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
 
 _REACH = 1 << 20
+_CELLS_A_POINT, _FEW_CELLS = 8, 1 << 20  # of a grid that is counted cell by cell, not sorted
 
 
 @dataclass(frozen=True)
@@ -120,7 +122,7 @@ def unpack_voxel_keys(keys: Ints) -> Ints:
 
 
 def unique_cells(cells: Ints) -> tuple[Ints, Ints]:
-    """Return the distinct rows (M, K) of integer cells (N, K) in order, and the place (N,) of each row in them.
+    """Return the distinct rows (M, K) of integer cells (N, K) in order, and which of them each row (N,) is.
 
     As ``np.unique`` by rows does, without sorting rows: cells of points lie close together.
     """

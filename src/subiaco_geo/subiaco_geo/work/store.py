@@ -6,7 +6,6 @@ import json
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import partial
 from os import SEEK_CUR
 from pathlib import Path
 from typing import Any, BinaryIO, ClassVar, Protocol
@@ -133,7 +132,7 @@ class DiskStore:
             Its file is missing or damaged.
         """
         path = self._path(key)
-        return Piece(str(path), partial(path.open, "rb"))
+        return Piece(str(path), lambda: path.open("rb"))
 
     def save(self, key: str, arrays: Arrays) -> None:
         """Write a piece; its file appears whole."""
