@@ -70,6 +70,14 @@ StageFolder = Annotated[
         "http://...); a later run uses them again.",
     ),
 ]
+DryRun = Annotated[
+    int | None,
+    typer.Option(
+        metavar="N",
+        min=1,
+        help="Only do the N largest tiles, and say what the whole will take in time, memory and disk.",
+    ),
+]
 FromStage = Annotated[
     str | None,
     typer.Option("--from", metavar="STAGE", help="Repeat this stage and all later stages."),
