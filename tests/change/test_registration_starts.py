@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import sys
-from dataclasses import replace
 from pathlib import Path
 
 import laspy
@@ -185,38 +184,6 @@ def test_a_second_estimate_that_fails_keeps_the_first_and_warns(bare_street):
     assert np.array_equal(found.registration.T_local, first.T_local)
     assert "the first is kept" in found.failed
     assert found.shift == 0.0
-
-
-def refined(clouds, first, **settings):
-    """Refine a registration between two clouds of which nothing changed."""
-    pieces = {"registration": PairRegistration(first, 0.0, None)}
-    for epoch, points in zip(("before", "after"), clouds, strict=True):
-        pieces[f"cloud/{epoch}/0_0"] = Coordinates(points.xyz)
-        pieces[f"changed/{epoch}/0_0"] = ChangedPoints(np.zeros(len(points), dtype=bool))
-    sides = tuple(
-        Side(epoch, points.origin, None, "shadow", None, points.origin, 0.5)
-        for epoch, points in zip(("before", "after"), clouds, strict=True)
-    )
-    store = MemoryStore({name: pack(piece) for name, piece in pieces.items()})
-    config = slice_of(RegistrationSlice, ChangeConfig(**settings))
-    return register_again(
-        Inputs(store, {name: name for name in pieces}), RegistrationParams(sides, config, None)
-    )
-
-
-def test_blocks_tell_that_a_second_estimate_moves_nothing_and_all_points_refine_one_that_does(bare_street):
-    clouds = [cloud(points) for points in bare_street]
-    sample = {"second_points": len(clouds[0]) // 3}
-    good = register(*clouds, CONFIG)
-    kept = refined(clouds, good, second_shift=0.05, **sample)
-    assert kept.registration.method == good.method
-    assert kept.shift < 0.025
-    off = replace(good, T_local=pose((0.0, 0.0, 0.0), (0.2, 0.0, 0.0)) @ good.T_local)
-    again = refined(clouds, off, second_shift=0.05, **sample)
-    whole = refined(clouds, off, second_shift=0.05, second_points=0)
-    np.testing.assert_array_equal(again.registration.T_local, whole.registration.T_local)
-    assert again.shift == pytest.approx(whole.shift)
-    assert again.shift > 0.15
 
 
 def box_level():

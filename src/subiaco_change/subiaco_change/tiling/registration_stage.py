@@ -86,9 +86,10 @@ def _sampled_shift(
     some = [cloud.select(_in_blocks(p, share)) for cloud, p in zip((before, after), places, strict=True)]
     masks = [np.asarray(cloud.fields["changed"], dtype=bool) for cloud in some]
     try:
-        return shift(first, register(*some, config.registration, *masks, start=first), before)
+        found = register(some[0], some[1], config.registration, masks[0], masks[1], start=first)
     except RegistrationError:
         return None
+    return shift(first, found, before)
 
 
 def _in_blocks(world: Floats, share: float) -> NDArray[np.bool_]:
