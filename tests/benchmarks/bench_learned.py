@@ -57,7 +57,6 @@ from subiaco_geo.maps import load_epoch
 OURS = "subiaco"
 ROOT = Path(__file__).parents[2]
 PAGE = ROOT / "docs" / "results" / "learned.md"
-DATA = ROOT / "docs" / "results" / "data" / "learned.json"
 PICTURES = ROOT / "docs" / "pictures"
 _HEAD = """# Learned methods beside simple ones and ours
 
@@ -176,6 +175,18 @@ def group_rows(
     return rows
 
 
+def case_rows(
+    cases: Sequence[Case], methods: Sequence[str], also: Mapping[str, Path], work: Path
+) -> list[dict[str, Any]]:
+    """Return the mIoU of every method on every case of a group [percent]."""
+    rows: list[dict[str, Any]] = [{"mIoU %": method} for method in (OURS, *methods)]
+    for case in cases:
+        found = matrices(case, methods, also, work)
+        for row in rows:
+            row[case.name] = round(describe(found[row["mIoU %"]].sum(axis=0))["miou_percent"], 1)
+    return rows
+
+
 def site_row(data: Path, method: str, also: Mapping[str, Path], work: Path) -> dict[str, Any]:
     """Return the row of a method on the real building site, as the epochs lie; kept once it was run."""
     kept = work / "site" / f"{method}.json"
@@ -233,6 +244,8 @@ def page(found: dict[str, Any]) -> str:
     for group, text in _GROUPS.items():
         if group in found:
             parts += [text.format(names=", ".join(found[f"{group}_names"])), table(found[group])]
+            if len(found[f"{group}_names"]) > 1:
+                parts += ["One by one:", table(found[f"{group}_each"])]
     if "site" in found:
         parts += [_SITE, table(found["site"])]
     if found["absent"]:
@@ -266,7 +279,6 @@ def main() -> None:
     parser.add_argument("--also", nargs="*", default=[], metavar="ROW=WEIGHTS", help="rows of other weights")
     parser.add_argument("--remarks", type=Path, help="text file; a line is a remark below the tables")
     parser.add_argument("--page", type=Path, default=PAGE)
-    parser.add_argument("--data", type=Path, default=DATA, help="figures of the page as JSON")
     parser.add_argument("--finished", action="store_true", help="run nothing; write what was run before")
     given = parser.parse_args()
     methods, absent = available([*METHODS, PDAL_METHOD, *LEARNED_METHODS])
@@ -284,14 +296,16 @@ def main() -> None:
         if chosen and "dsm" in able:
             names = [c.name for c in chosen]
             found |= {group: group_rows(chosen, able, also, given.work), f"{group}_names": names}
+            found[f"{group}_each"] = case_rows(chosen, able, also, given.work)
     if given.site is not None:
         kept = [m for m in (OURS, *methods) if (given.work / "site" / f"{m}.json").is_file()]
         able = kept if given.finished else [OURS, *methods]
         found["site"] = [site_row(given.site, method, also, given.work) for method in able]
     if given.remarks is not None:
         found["remarks"] = given.remarks.read_text(encoding="utf-8").splitlines()
-    given.data.parent.mkdir(parents=True, exist_ok=True)
-    given.data.write_text(json.dumps(found, indent=1) + "\n", encoding="utf-8")
+    data = given.page.parent / "data" / f"{given.page.stem}.json"
+    data.parent.mkdir(parents=True, exist_ok=True)
+    data.write_text(json.dumps(found, indent=1), encoding="utf-8")
     given.page.parent.mkdir(parents=True, exist_ok=True)
     given.page.write_text(page(found), encoding="utf-8")
     print(f"{given.page}: written")
