@@ -73,10 +73,11 @@ class CylinderSampler:
         starts = np.cumsum([0, *sizes])
         chosen = rng.integers(starts[-1], size=count)
         side = np.searchsorted(starts, chosen, side="right") - 1
-        return [
-            Place(*sides[s], self._xyz(*sides[s])[row])
-            for s, row in zip(side, chosen - starts[side], strict=True)
-        ]
+        places = []
+        for number, row in zip(side, chosen - starts[side], strict=True):
+            survey, epoch = sides[number]
+            places.append(Place(survey, epoch, self._xyz(survey, epoch)[row]))
+        return places
 
     def spread(self, rng: np.random.Generator, count: int) -> list[Place]:
         """Return random places of the regular grids that predictions use, without their overlap."""
