@@ -10,9 +10,9 @@ from scipy.spatial import cKDTree
 from subiaco_change.association.costs import AssociationConfig
 from subiaco_change.decisions.column_volumes import column_keys
 from subiaco_change.decisions.voxel_objects import ObjectInstance
-from subiaco_change.instance_splitting.one_epoch_parts import split_by_labels
+from subiaco_change.instance_splitting.one_epoch_parts import PartConfig, split_by_labels
 from subiaco_change.method_numbers import NUMBERS
-from subiaco_change.segmentation.clustering import connect, group_indices
+from subiaco_change.segmentation.clustering import connect, group_indices, voxel_clusters
 from subiaco_geo.frames import Ints
 
 _CELL = NUMBERS.merged_instances.cell
@@ -50,17 +50,35 @@ def split_by_bodies(
         return [sides]
     groups = bodies[leader]
     owner = np.repeat(np.arange(len(groups)), [sum(len(t.voxels) for t in group) for group in groups])
-    tree = cKDTree(np.concatenate([t.voxels.xyz for group in groups for t in group]))
+    places = np.concatenate([t.voxels.xyz for group in groups for t in group])
+    tree, built = cKDTree(places), np.unique(column_keys(places, _CELL))
     found: list[tuple[list[ObjectInstance], list[ObjectInstance]]] = [([], []) for _ in groups]
     for epoch, side in enumerate(sides):
         for obj in side:
             nearest = owner[tree.query(obj.voxels.xyz)[1]]
             if epoch == leader:
                 nearest[:] = np.bincount(nearest).argmax()
+            else:
+                nearest = _undivided(obj, nearest, built, config.parts)
             for number, piece in _along(obj, nearest, following):
                 found[number][epoch].append(piece)
             following += len(groups)
     return [(tuple(b), tuple(a)) for b, a in found]
+
+
+def _undivided(obj: ObjectInstance, owner: Ints, built: Ints, config: PartConfig) -> Ints:
+    """Give every connected part beside the bodies, which the other epoch lacks, to one body (M,).
+
+    A wing that closes the gap between two houses is one wing, of the house that is next to most of it.
+    ``built``: columns of all bodies.
+    """
+    voxels = obj.voxels
+    beside = ~np.isin(column_keys(voxels.xyz, _CELL), built)
+    alone = np.flatnonzero(voxels.observed & ~voxels.occupied_in_other & beside)
+    whole = owner.copy()
+    for group in group_indices(voxel_clusters(voxels.xyz[alone], config.gap)) if len(alone) else ():
+        whole[alone[group]] = np.bincount(owner[alone[group]]).argmax()
+    return whole
 
 
 def _along(obj: ObjectInstance, owner: Ints, following: int) -> list[tuple[int, ObjectInstance]]:
