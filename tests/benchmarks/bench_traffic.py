@@ -177,7 +177,7 @@ def _do(words: list[str]) -> None:
 def table(records: Sequence[dict[str, Any]]) -> str:
     """Return the table of claims by kind of traffic."""
     lines = [
-        "| traffic | surveys | minutes | trails claimed | > 0.5 | other claims | > 0.5 | standing | left out |",
+        "| traffic | surveys | minutes | trails claimed | > 0.5 | other claims | > 0.5 | standing | left |",
         "|---|---|---|---|---|---|---|---|---|",
     ]
     for kind in KINDS:
