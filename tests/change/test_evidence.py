@@ -149,6 +149,27 @@ def test_behind_foliage_a_trajectory_falls_back_on_the_points_with_less_trust():
     assert make_observer(survey, silent).free_probability(hidden) == pytest.approx(0.5)
 
 
+def test_at_the_front_of_foliage_a_trajectory_falls_back_on_the_points_and_is_as_certain_as_they():
+    """Within 0.4 m behind the front of the crown a depth image tells nothing: it may be off by as much."""
+    survey = SurveyMap(crown_over_seen_ground(), trajectory=drive())
+    observer = make_observer(survey, CONFIG)
+    front = np.column_stack([np.linspace(8, 12, 9), np.full(9, 8.37), np.full(9, 4.5)]) + ORIGIN
+    assert observer.free_probability(front) == pytest.approx(CONFIG.hidden_trust)
+    assert observer.certainty(front) == pytest.approx(CONFIG.shadow_certain)
+    on_it = front - np.array([0.0, 0.37, 0.0])
+    assert (observer.free_probability(on_it) < 0.5).all()
+
+
+def test_what_poses_see_free_rests_on_no_points_and_keeps_its_certainty():
+    survey = SurveyMap(crown_over_seen_ground(), trajectory=drive())
+    observer = make_observer(survey, CONFIG)
+    beside_road = np.column_stack([np.linspace(8, 12, 9), np.full(9, 5.0), np.full(9, 2.0)]) + ORIGIN
+    assert (observer.free_probability(beside_road) > CONFIG.shadow_trust).all()
+    assert (observer.certainty(beside_road) == 1.0).all()
+    bare = make_observer(SurveyMap(survey.cloud), CONFIG)
+    assert (bare.certainty(beside_road) == CONFIG.shadow_certain).all()
+
+
 def test_a_bare_cloud_knows_nothing_above_all_that_it_holds_around():
     """The crown ends at 6 m: whether the sensor saw any higher, its points do not tell."""
     observer = make_observer(SurveyMap(crown_over_seen_ground()), CONFIG)

@@ -44,7 +44,7 @@ class Region:
     empty: Callable[[Floats], Mask]
     free: Callable[[Floats], Floats]
     below_view: Callable[[Floats], Mask]
-    certain: float
+    certain: Callable[[Floats], Floats]
 
 
 def load_region(inputs: Inputs, side: Side, origin: Floats, config: EvidenceConfig, near: Near) -> Region:
@@ -90,7 +90,7 @@ def load_region(inputs: Inputs, side: Side, origin: Floats, config: EvidenceConf
         seen_through(observer.empty, to_world),
         free_through(observer.free_probability, to_world),
         seen_through(observer.below_view, to_world),
-        observer.certain,
+        free_through(observer.certainty, to_world),
     )
 
 
