@@ -8,8 +8,8 @@ Surveys come from ``subiaco simulate --maps-only``; ``--simulate`` makes those t
 with the same sensor in both epochs, and with 64 beams before and 128 after. Bare clouds are what another
 fusion program would deliver: sampled anew at a leaf of 0.2 m and 0.3 m by one random point a voxel, in random
 order, without normals, counts or spread; *before* as PLY, *after* as LAZ; the trajectory as TUM. All figures
-are simulated. Rows pool the seeds. After each row the table is written, and the row is kept in WORK/rows.jsonl:
-started again with the same surveys and source code, the run goes on after the last row.
+are simulated. Rows pool the seeds. After each row the table is written, and the row kept in WORK/rows.jsonl:
+a run with the same surveys and source code goes on after the last row.
 """
 
 from __future__ import annotations
