@@ -22,6 +22,7 @@ from subiaco_change.segmentation.bounding_rectangles import wall_coordinates
 from subiaco_change.segmentation.clustering import connect, group_indices, voxel_clusters
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.segmentation.object_rows import ProfileConfig, level_steps, part_slots
+from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats, Ints
 
 _CELL = NUMBERS.merged_instances.cell
@@ -78,7 +79,7 @@ def split_by_bodies(
             nearest = owner[tree.query(obj.voxels.xyz)[1]]
             if epoch == leader:
                 nearest[:] = np.bincount(nearest).argmax()
-            else:
+            elif obj.semantic is Semantic.BUILDING:
                 nearest = _undivided(obj, nearest, built, config.parts)
             for number, piece in _along(obj, nearest, following):
                 found[number][epoch].append(piece)
@@ -89,7 +90,8 @@ def split_by_bodies(
 def _undivided(obj: ObjectInstance, owner: Ints, built: Ints, config: PartConfig) -> Ints:
     """Give every connected part beside the bodies, which the other epoch lacks, to one body (M,).
 
-    A wing that closes the gap between two houses is one wing, of the house that is next to most of it.
+    A wing that closes the gap between two houses is one wing, of the house that is next to most of it. Two
+    crowns grow into a gap from both sides.
     ``built``: columns of all bodies.
     """
     voxels = obj.voxels
