@@ -18,7 +18,7 @@ import numpy as np
 from subiaco_evaluation.baselines.cells import Pair
 from subiaco_evaluation.baselines.config import BaselineConfig
 from subiaco_evaluation.baselines.run import compare_pair, prepare_pair
-from subiaco_evaluation.grid import LabelledCells, GridConfig, look_up, rasterise
+from subiaco_evaluation.grid import GridConfig, LabelledCells, look_up, rasterise
 from subiaco_evaluation.layouts import in_after_frame
 from subiaco_evaluation.scores import confusion, scores
 from subiaco_evaluation.truth import read_truth
