@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.records import Registration
 from subiaco_change.registration.config import RegistrationConfig
 from subiaco_change.registration.register import given_registration, register
@@ -22,7 +23,7 @@ from subiaco_geo.frames import Floats
 from subiaco_geo.work.tasks import Inputs
 
 _LOG = logging.getLogger(__name__)
-_BLOCK = 20.0  # edge of the blocks of a sample: several houses wide, as walls and ground must be in it [m]
+_BLOCK = NUMBERS.tiling.sample_block
 
 
 @dataclass(frozen=True)
