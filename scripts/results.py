@@ -5,18 +5,19 @@
     python scripts/results.py record PAGE/TABLE --seeds "1 to 5" -- COMMAND ...
 
 ``docs/results/data/PAGE/TABLE.json`` holds one table with the command, the seeds, the day, the revision and
-the machine that made it. A page names a table between two comments, and the generator fills the space between:
+the machine that made it. A page names a table in a comment, and the generator fills the space below it:
 
     <!-- table: changes/reporting -->
 
     <!-- end -->
 
-The lines of the front page are ``sentences`` of the table ``front/figures``. Each names its figures by the first cell
-of a row, in braces, and the generator puts in the second cell; the comment is ``<!-- sentences: front/figures -->``.
+The lines of the front page are ``sentences`` of the table ``front/figures``. Each names its figures in braces
+by the first cell of a row, and the generator puts in the second cell. The comment of such lines is
+``<!-- sentences: front/figures -->``.
 
 ``record`` runs a command, reads its last Markdown table, or a list of rows in JSON, from the output and
-writes the data file. ``source`` is then ``measured``. Older figures, of which the output is not kept, were typed
-once from the page that showed them: their ``source`` is ``recorded``.
+writes the data file. ``source`` is then ``measured``. Older figures, of which the output is not kept, were
+typed once from the page that showed them: their ``source`` is ``recorded``.
 """
 
 from __future__ import annotations
@@ -82,10 +83,8 @@ def cell(content: object) -> str:
 
 def origin(table: Mapping[str, Any]) -> str:
     """Return the line below a table: what made it, when, with which seeds, on which machine."""
-    words = [
-        f"{table['source'].capitalize()} {table['date']}, revision `{table['revision']}`",
-        f"`{table['command']}`",
-    ]
+    made = f"{table['source'].capitalize()} {table['date']}, revision `{table['revision']}`"
+    words = [made, ", ".join(f"`{command}`" for command in table["command"].split("; "))]
     words += [f"seeds {table['seeds']}"] if table["seeds"] else []
     words += [f"machine: {table['machine']}"]
     return f"*{'; '.join(words)}.*"
@@ -105,7 +104,7 @@ def sentences(table: Mapping[str, Any]) -> str:
 
 
 def read_output(text: str) -> tuple[list[str], list[list[Any]]]:
-    """Return columns and rows of what a command printed: a list of rows in JSON, or its last Markdown table."""
+    """Return columns and rows of what a command printed: rows in JSON, or its last Markdown table."""
     if text.lstrip().startswith(("[", "{")):
         found = json.loads(text)
         rows = found["rows"] if isinstance(found, dict) else found
@@ -176,9 +175,7 @@ def machine(load_before: float) -> str:
 
 def main() -> int:
     """Write the pages, compare them, or record a table."""
-    parser = argparse.ArgumentParser(
-        description="Tables and figures of the pages of results, from their data."
-    )
+    parser = argparse.ArgumentParser(description="Tables of the pages of results, from their data.")
     parser.add_argument("--check", action="store_true", help="write nothing; exit with 1 if a page differs")
     verbs = parser.add_subparsers(dest="verb")
     recorder = verbs.add_parser("record", help="run a command and keep the table that it prints")

@@ -9,8 +9,8 @@ from subiaco_change.tiling import registration_stage
 from subiaco_change.tiling.alignment import ChangedPoints
 from subiaco_change.tiling.epoch_tiles import Coordinates, Side
 from subiaco_change.tiling.registration_stage import RegistrationParams, RegistrationSlice, register_again
-from subiaco_change.tiling.stage_params import slice_of
-from subiaco_change.tiling.stored_frame import PairRegistration
+from subiaco_change.tiling.stage_inputs import slice_of
+from subiaco_change.tiling.stage_inputs import PairRegistration
 from subiaco_geo.errors import RegistrationError
 from subiaco_geo.work.results import pack
 from subiaco_geo.work.store import MemoryStore

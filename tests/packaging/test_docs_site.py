@@ -43,7 +43,7 @@ def test_no_page_loads_anything_from_another_server(site: Path) -> None:
 
 
 def test_links_out_of_the_documentation_became_paths(site: Path) -> None:
-    page = (site / "how-to/in-the-vehicle.html").read_text(encoding="utf-8")
+    page = (site / "how-to/ros-tools.html").read_text(encoding="utf-8")
     assert "<code>config/dds/README.md</code>" in page or "(<code>config/dds" in page
     targets = {t.split("#")[0] for t in re.findall(r'href="?(\.\.?/[^" >]+)', page)}
     assert len(targets) > 10

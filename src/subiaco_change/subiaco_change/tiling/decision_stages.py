@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import shapely
@@ -28,6 +28,7 @@ from subiaco_change.decisions.plant_measures import PlantConfig
 from subiaco_change.decisions.vegetation_null import PlantMeasures, fit_null, null_of, null_words
 from subiaco_change.decisions.voxel_objects import NO_OBJECT, OTHERS, EpochView
 from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.method_rules.switches import obeys_rules
 from subiaco_change.records import ChangeRecord
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.strategies import Part, choose_strategies
@@ -109,9 +110,12 @@ class PlantSlice:
 class PlantDecisionSlice:
     """What the decision of plants reads of the configuration."""
 
+    RULE_STAGES: ClassVar[tuple[str, ...]] = ("plants",)
+
     decisions: DecisionConfig
     plants: PlantConfig
     confidence: ConfidenceConfig
+    rules_off: tuple[str, ...]
 
 
 def plants_of(changes: Sequence[ObjectChange]) -> tuple[PlantRow, ...]:
@@ -129,6 +133,7 @@ def find_vegetation_null(inputs: Inputs, params: TileParams[PlantSlice]) -> Fitt
     return FittedNull(null_words(fit_null(plants, params.config.plants.null_model)))
 
 
+@obeys_rules
 def decide_tile(inputs: Inputs, params: TileParams[PlantDecisionSlice]) -> TileRows:
     """Decide the plants of a tile again, with the null of the pair; all other rows stay as they are.
 
@@ -149,6 +154,8 @@ def decide_tile(inputs: Inputs, params: TileParams[PlantDecisionSlice]) -> TileR
 class ComparisonSlice:
     """What the comparison of objects reads of the configuration."""
 
+    RULE_STAGES: ClassVar[tuple[str, ...]] = ("comparison",)
+
     evidence: EvidenceConfig
     measures: MeasureConfig
     association: AssociationConfig
@@ -156,8 +163,10 @@ class ComparisonSlice:
     plants: PlantConfig
     confidence: ConfidenceConfig
     without: tuple[Part, ...]
+    rules_off: tuple[str, ...]
 
 
+@obeys_rules
 def compare_tile(inputs: Inputs, params: TileParams[ComparisonSlice]) -> TileComparison:
     """Compare the groups of objects that a tile answers for.
 

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 
 from subiaco_change.level_of_detection.common_frame import upright_turn
 from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.method_rules.switches import obeys_rules
 from subiaco_change.segmentation.classes import SemanticsConfig
 from subiaco_change.segmentation.ghost_trails import trail_probability
 from subiaco_change.segmentation.ground_model import fit_ground
@@ -85,6 +86,7 @@ class TrailParams:
     size: float
     side: EpochContext
     semantics: SemanticsConfig
+    rules_off: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -94,6 +96,7 @@ class TileTrails:
     moved: NDArray[np.float32]
 
 
+@obeys_rules
 def find_trails(inputs: Inputs, params: TrailParams) -> TileTrails:
     """Find how probable it is that the points of a tile were left by a moving vehicle, by their shape.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import shapely
@@ -16,6 +16,7 @@ from subiaco_change.decisions.measures import MeasureConfig, same_place
 from subiaco_change.decisions.point_labels import PointLabels, label_rest, unlabelled
 from subiaco_change.decisions.voxel_objects import EpochView, occupied
 from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.method_rules.switches import obeys_rules
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.strategies import Part, PointComparison, choose_strategies
 from subiaco_change.tiling.alignment import ChangedPoints, TileLods
@@ -39,10 +40,13 @@ _RIM = NUMBERS.tiling.label_margin
 class LabelSlice:
     """What the labelling of points reads of the configuration."""
 
+    RULE_STAGES: ClassVar[tuple[str, ...]] = ("labels",)
+
     evidence: EvidenceConfig
     ground: GroundChangeConfig
     measures: MeasureConfig
     without: tuple[Part, ...]
+    rules_off: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -142,6 +146,7 @@ def _in_patch(inputs: Inputs, params: ChangedParams, cells: Ints) -> Mask:
     return np.asarray(cells[index[:, 1], index[:, 0]] >= 0)
 
 
+@obeys_rules
 def label_tile(inputs: Inputs, params: TileParams[LabelSlice]) -> TileLabels:
     """Label the points of a tile of both epochs.
 

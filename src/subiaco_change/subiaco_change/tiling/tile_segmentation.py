@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from subiaco_change.decisions.measures import MeasureConfig
 from subiaco_change.geometry import estimate_normals
 from subiaco_change.given_classes import UNGIVEN
+from subiaco_change.method_rules.switches import obeys_rules
 from subiaco_change.segmentation.classes import SemanticsConfig, label_points
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.segmentation.instances import InstanceConfig
@@ -30,6 +31,8 @@ from subiaco_geo.work.tasks import Inputs
 class SegmentationSlice:
     """What the segmentation reads of the configuration."""
 
+    RULE_STAGES: ClassVar[tuple[str, ...]] = ("segmentation",)
+
     semantics: SemanticsConfig
     instances: InstanceConfig
     evidence: EvidenceConfig
@@ -37,6 +40,7 @@ class SegmentationSlice:
     normal_radius: float
     without: tuple[Part, ...]
     measures: MeasureConfig
+    rules_off: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -54,6 +58,11 @@ class SegmentationParams:
     side: EpochContext
     config: SegmentationSlice
     given: tuple[str, ...]
+
+    @property
+    def rules_off(self) -> tuple[str, ...]:
+        """Rules that are switched off in the stage."""
+        return self.config.rules_off
 
 
 @dataclass(frozen=True)
@@ -82,6 +91,7 @@ class TileSegmentation:
     objects: Floats
 
 
+@obeys_rules
 def prepare_tile(inputs: Inputs, params: SegmentationParams) -> TileSegmentation:
     """Label the points of a tile and its surroundings, and find their objects.
 
