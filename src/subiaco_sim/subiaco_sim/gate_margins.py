@@ -49,6 +49,9 @@ class Uncertainty:
 _SOLID = Uncertainty(0.03, 0.01, 0.05, 0.02)
 _CROWN = Uncertainty(0.05, 0.02, 0.10, 0.03)
 
+#: More than any object's own: what is not near a gate with it is not measured again.
+_WIDEST = Uncertainty(0.15, 0.05, 0.25, 0.10)
+
 
 def near_gates(scene: Scene, labels: Labels) -> set[int]:
     """Return the ids of all objects and ground works whose true change lies near a gate."""
@@ -57,6 +60,7 @@ def near_gates(scene: Scene, labels: Labels) -> set[int]:
         for item in scene.items
         if not np.isnan((true := labels.measured[item.object_id]).delta_h)
         and true.before is not true.after
+        and near_gate(item.semantic, true, _WIDEST)
         and near_gate(item.semantic, true, uncertainty_of(item, scene, true))
     }
     return near | {item.object_id for item in scene.ground_items if ground_near_gate(item)}
