@@ -7,6 +7,7 @@ import pytest
 from test_measures import block, voxels, walls
 
 from subiaco_change.association.costs import AssociationConfig
+from subiaco_change.decisions.column_volumes import NO_COLUMNS, OpenGround
 from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.measures import MeasureConfig, Measures
 from subiaco_change.decisions.object_decision import ObjectRules, decide_object, is_misclassified_ground
@@ -18,6 +19,7 @@ from subiaco_change.instance_splitting.one_epoch_parts import (
     decide_vehicle_part,
     split_one_epoch_parts,
 )
+from subiaco_change.instance_splitting.split_merge import join_building_extensions, split_multi_body_matches
 from subiaco_geo.codes import Change, Semantic
 
 CONFIG = PartConfig()
@@ -267,3 +269,49 @@ def test_a_crown_beside_a_house_is_no_wing_and_a_roof_on_it_is_one():
     house = (voxels(HOUSE), voxels(HOUSE))
     assert find_building_extensions([house, (NONE, moved(crown, 10.5))], CONFIG) == {}
     assert find_building_extensions([house, (NONE, moved(np.add(crown, (0, 0, 2)), 5.0))], CONFIG) == {1: 0}
+
+
+def house_instance(xyz, number, held=True):
+    """A building of voxels on walls; all or none of it is held by the other epoch."""
+    return replace(obj([(xyz, held)]), instance=number, semantic=Semantic.BUILDING)
+
+
+def outside(*boxes):
+    """Tell which places lie outside of boxes (west, east, south, north) [m]."""
+
+    def empty(xyz):
+        inside = [
+            (xyz[:, 0] > w) & (xyz[:, 0] < e) & (xyz[:, 1] > s) & (xyz[:, 1] < n) for w, e, s, n in boxes
+        ]
+        return ~np.any(inside, axis=0)
+
+    return empty
+
+
+@pytest.mark.parametrize("taken_away", [False, True], ids=["built", "taken away"])
+@pytest.mark.parametrize("cut_off", [False, True], ids=["within the instance", "a part of its own"])
+def test_a_wing_that_closes_the_gap_to_the_next_house_extends_the_house_it_adjoins_most(taken_away, cut_off):
+    first, second = walls(10, 8, 5), np.add(walls(9, 8, 5), (12.5, 2, 0))
+    wing = np.add(walls(2, 7, 4), (10.25, 0, 0))
+    apart = [house_instance(first, 0), house_instance(second, 1)]
+    if cut_off:
+        merged = [house_instance(np.concatenate([first, second]), 0), house_instance(wing, 1, held=False)]
+    else:
+        pieces = [(first, True), (second, True), (wing, False)]
+        merged = [replace(obj(pieces), instance=0, semantic=Semantic.BUILDING)]
+    without, with_wing = outside((0, 10, 0, 8), (12.5, 21.5, 2, 10)), outside((0, 21.5, 0, 10))
+    free = (with_wing, without) if taken_away else (without, with_wing)
+    ground = OpenGround(NO_COLUMNS, NO_COLUMNS, free)
+    rules = ObjectRules(MeasureConfig(), AssociationConfig(), DecisionConfig(), ground=ground)
+    sides = (merged, apart) if taken_away else (apart, merged)
+    kept = [[t for t in side if t.voxels.occupied_in_other.any()] for side in sides]
+    lost = [[t for t in side if not t.voxels.occupied_in_other.any()] for side in sides]
+    pairs = [kept, lost] if cut_off else [kept]
+    matched = [decide_object(b, a, Semantic.BUILDING, rules) for b, a in pairs]
+    told = join_building_extensions(split_multi_body_matches(matched, rules), rules)
+    changed = Change.DECREASED if taken_away else Change.INCREASED
+    assert sorted(change.decision.change for change in told) == sorted([changed, Change.UNCHANGED])
+    larger = next(change for change in told if change.decision.change is changed)
+    places = np.concatenate([t.voxels.xyz for t in (*larger.before, *larger.after)])
+    assert places[:, 0].min() < 1
+    assert places[:, 0].max() < 12.5

@@ -129,11 +129,11 @@ def behind_the_crown(high: float) -> np.ndarray:
     return np.column_stack([np.linspace(8, 12, 9), np.full(9, 9.8), np.full(9, high)]) + ORIGIN
 
 
-def crown_over_seen_ground() -> PointCloud:
+def crown_over_seen_ground(front_m: float = 8.0) -> PointCloud:
     """Ground in full view, and the side towards the road of a crown 4 m above it, 8 m from the road."""
     rng = np.random.default_rng(8)
     ground = np.column_stack([rng.uniform(0, 20, 30000), rng.uniform(-2, 14, 30000), np.zeros(30000)])
-    front = np.column_stack([rng.uniform(6, 14, 6000), np.full(6000, 8.0), rng.uniform(3, 6, 6000)])
+    front = np.column_stack([rng.uniform(6, 14, 6000), np.full(6000, front_m), rng.uniform(3, 6, 6000)])
     return PointCloud(np.concatenate([ground, front]), ORIGIN)
 
 
@@ -147,6 +147,27 @@ def test_behind_foliage_a_trajectory_falls_back_on_the_points_with_less_trust():
     assert (chance < bare).all()
     silent = CONFIG.model_copy(update={"hidden_trust": 0.5})
     assert make_observer(survey, silent).free_probability(hidden) == pytest.approx(0.5)
+
+
+def test_at_the_front_of_foliage_a_trajectory_falls_back_on_the_points_and_is_as_certain_as_they():
+    """Within 0.4 m behind the front of the crown a depth image tells nothing: it may be off by as much."""
+    survey = SurveyMap(crown_over_seen_ground(8.2), trajectory=drive())
+    observer = make_observer(survey, CONFIG)
+    front = np.column_stack([np.linspace(8, 12, 9), np.full(9, 8.57), np.full(9, 4.5)]) + ORIGIN
+    assert observer.free_probability(front) == pytest.approx(CONFIG.hidden_trust)
+    assert observer.certainty(front) == pytest.approx(CONFIG.shadow_certain)
+    on_it = front - np.array([0.0, 0.37, 0.0])
+    assert (observer.free_probability(on_it) < 0.5).all()
+
+
+def test_what_poses_see_free_rests_on_no_points_and_keeps_its_certainty():
+    survey = SurveyMap(crown_over_seen_ground(), trajectory=drive())
+    observer = make_observer(survey, CONFIG)
+    beside_road = np.column_stack([np.linspace(8, 12, 9), np.full(9, 5.0), np.full(9, 3.5)]) + ORIGIN
+    assert (observer.free_probability(beside_road) > CONFIG.hidden_trust).all()
+    assert (observer.certainty(beside_road) == 1.0).all()
+    bare = make_observer(SurveyMap(survey.cloud), CONFIG)
+    assert (bare.certainty(beside_road) == CONFIG.shadow_certain).all()
 
 
 def test_a_bare_cloud_knows_nothing_above_all_that_it_holds_around():

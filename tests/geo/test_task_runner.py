@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from subiaco_geo.errors import InputError, SubiacoError
 from subiaco_geo.work.executors import Dask, InProcess, LocalPool, make_executor
+from subiaco_geo.work.object_store import ObjectStore
 from subiaco_geo.work.source_code import source_fingerprint
 from subiaco_geo.work.store import DiskStore, MemoryStore
 from subiaco_geo.work.task_runner import TaskRunner, stages_from
@@ -261,12 +262,14 @@ def cluster(tmp_path):
         process.wait(WAIT)
 
 
-def test_a_cluster_that_loses_a_worker_in_the_middle_leaves_the_same(tmp_path, cluster):
+@pytest.mark.parametrize("place", ["disk", "web server"])
+def test_a_cluster_that_loses_a_worker_in_the_middle_leaves_the_same(tmp_path, cluster, web_storage, place):
     address, workers = cluster
+    store = DiskStore(tmp_path / "cluster") if place == "disk" else ObjectStore(f"{web_storage.url}/cluster")
     alone = TaskRunner(DiskStore(tmp_path / "alone"))
     expected = {n: float(alone.store.load(k)["values"][0]) for n, k in alone.run(tasks_of(alone)).items()}
     executor = make_executor(scheduler=address)
-    runner = TaskRunner(DiskStore(tmp_path / "cluster"), executor)
+    runner = TaskRunner(store, executor)
     executor._client.wait_for_workers(2, timeout=WAIT)
     tasks = [
         Task(t.stage, t.name, slow_sum, t.inputs, {**t.params, "seconds": 0.3}) for t in tasks_of(runner)

@@ -100,6 +100,12 @@ class ChangeConfig(StrictModel):
         ge=0,
         description="Shift between first and second registration from which the comparison is repeated [m]",
     )
+    second_points: int = Field(
+        150_000,
+        ge=0,
+        description="Points of each epoch, in blocks all over the area, from which the second registration "
+        "is estimated first; all points take part only where these move by half of second_shift; 0 takes all",
+    )
     spacing: SpacingConfig = SpacingConfig()
     without: tuple[Part, ...] = Field(
         (), description="Parts of the method that are disabled, for ablation studies"

@@ -297,14 +297,16 @@ def bounded(fitted: float, decision: Decision, measures: Measures) -> float:
     return min(fitted, measures.free) if kind_of(decision.change) == "single" else fitted
 
 
-def decided_anew(record: ChangeRecord, decision: Decision, config: ConfidenceConfig) -> ChangeRecord:
-    """Return a row with another decision, and the confidence in that."""
+def decided_anew(
+    record: ChangeRecord, decision: Decision, config: ConfidenceConfig, free: float = 1.0
+) -> ChangeRecord:
+    """Return a row with another decision and the confidence in that, at most the probability ``free``."""
     found = np.array([*decision_features(decision), *record.features[_DECIDED:]])
     return replace(
         record,
         change=decision.change,
         reason=decision.reason,
-        confidence=probability(decision, found, config),
+        confidence=min(probability(decision, found, config), free),
         features=tuple(found.tolist()),
     )
 

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import shapely
+from scipy.spatial import cKDTree
 
 from subiaco_change.association.costs import AssociationConfig, overlap_counts
 from subiaco_change.association.matching import match_kind
@@ -59,12 +60,52 @@ def join_building_extensions(changes: list[ObjectChange], rules: ObjectRules) ->
     extensions = {
         numbers[w]: numbers[h] for w, h in find_building_extensions(pairs, rules.association.parts).items()
     }
-    joined = list(changes)
-    for host in sorted(set(extensions.values())):
-        parts = [changes[host], *(changes[w] for w, h in extensions.items() if h == host)]
-        before, after = ([t for part in parts for t in getattr(part, e)] for e in ("before", "after"))
-        joined[host] = decide_object(before, after, Semantic.BUILDING, rules)
-    return [change for i, change in enumerate(joined) if i not in extensions]
+    following = _first_free(changes)
+    joined: list[ObjectChange] = []
+    for number, change in enumerate(changes):
+        parts = [changes[w] for w, h in extensions.items() if h == number]
+        if number not in extensions:
+            told = _extended(change, parts, rules, following) if parts else [change]
+            following = max(following, _first_free(told))
+            joined.extend(told)
+    return joined
+
+
+def _extended(
+    host: ObjectChange, extensions: Sequence[ObjectChange], rules: ObjectRules, following: int
+) -> list[ObjectChange]:
+    """Decide a building with its extensions.
+
+    An extension that closes the gap to the next house makes one instance of both. Where the other epoch holds
+    the houses apart, the extension belongs to the one that it adjoins the most.
+    """
+    pieces = [(extension.before, extension.after) for extension in extensions]
+    bodies = split_by_bodies(host.before, host.after, rules.association, following)
+    if len(bodies) > 1 and all(b and a for b, a in bodies):
+        owner = [_adjoined_body(piece, bodies, rules.association.parts.touch) for piece in pieces]
+        parts = [
+            _decide_together([body, *(e for e, k in zip(pieces, owner, strict=True) if k == number)], rules)
+            for number, body in enumerate(bodies)
+        ]
+        if any(part.decision.change in _CLAIMS for part in parts):
+            return parts
+    return [_decide_together([(host.before, host.after), *pieces], rules)]
+
+
+def _adjoined_body(piece: Piece, bodies: Sequence[Piece], touch: float) -> int:
+    """Return which of some bodies most voxels of a piece adjoin, within a distance [m]."""
+    xyz = join_voxels((*piece[0], *piece[1])).xyz
+    contact = [
+        np.isfinite(cKDTree(join_voxels((*b, *a)).xyz).query(xyz, distance_upper_bound=touch)[0]).sum()
+        for b, a in bodies
+    ]
+    return int(np.argmax(contact))
+
+
+def _decide_together(pieces: Sequence[Piece], rules: ObjectRules) -> ObjectChange:
+    """Decide pieces of both epochs as one building."""
+    before, after = ([t for piece in pieces for t in piece[epoch]] for epoch in (0, 1))
+    return decide_object(before, after, Semantic.BUILDING, rules)
 
 
 @switchable("hidden_walls", first_argument)

@@ -17,6 +17,11 @@ class TilingNumbers(StrictModel):
     beam_reach: float = Field(
         6.0, description="Distance beyond the points of a task up to which beams are evaluated [m]"
     )
+    sample_block: float = Field(
+        20.0,
+        description="Edge of the blocks that the second registration samples, several houses wide, so that "
+        "walls and ground are in each [m]",
+    )
     height_tiles: int = Field(
         50, description="Number of tiles from which the kind of heights of both epochs is determined"
     )

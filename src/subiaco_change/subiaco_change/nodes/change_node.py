@@ -120,7 +120,7 @@ class ChangeApp:
                 "change/after": PointCloud2,
                 "change/table": ChangeTable,
                 "change/markers": MarkerArray,
-                "map/origin": NavSatFix,
+                "change/origin": NavSatFix,
             }.items()
         }
         self._server = ActionServer(
@@ -196,7 +196,7 @@ class ChangeApp:
         send = {name: publisher.publish for name, publisher in self._publishers.items()}
         if frame.enu is not None:
             enu = frame.enu
-            send["map/origin"](origin_message(enu.latitude_deg, enu.longitude_deg, enu.height, frame_id))
+            send["change/origin"](origin_message(enu.latitude_deg, enu.longitude_deg, enu.height, frame_id))
         send["change/before"](change_cloud_message(preview.before, frame, frame_id, end_ns))
         send["change/after"](change_cloud_message(preview.after, frame, frame_id, end_ns))
         send["change/markers"](marker_message(preview, frame, frame_id, end_ns))

@@ -86,7 +86,7 @@ def write_foxglove(path: Path, directory: Path, table: gpd.GeoDataFrame, left_ou
         log.ros("/change/markers", "visualization_msgs/msg/MarkerArray", _markers(table, heights, to_local))
         log.json("/change/table", "subiaco.ChangeTable", _table_schema(), _table_value(table, crs))
         if enu is not None:
-            log.ros("/map/origin", "sensor_msgs/msg/NavSatFix", _origin_fields(enu))
+            log.ros("/change/origin", "sensor_msgs/msg/NavSatFix", _origin_fields(enu))
             log.json("/change/footprints", "foxglove.GeoJSON", _GEOJSON_SCHEMA, _geojson(table))
         log.finish({"software": f"subiaco {__version__}", "crs": crs or "", **counts})
 

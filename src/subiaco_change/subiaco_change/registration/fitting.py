@@ -31,7 +31,7 @@ from subiaco_change.registration.plausibility import (
     measure_quality,
     measure_support,
 )
-from subiaco_geo.clouds import PointCloud
+from subiaco_geo.clouds import PointCloud, unique_cells
 from subiaco_geo.errors import InputError, RegistrationError
 from subiaco_geo.frames import Floats, Ints, invert_pose, rotation_angle, transform_points
 
@@ -256,7 +256,7 @@ def fit_groups(
     source = _thinned(before.levels[-1], config.icp_points)
     noise = _noise(source, target, pose, config) if config.polish > 0 else None
     names, member = _blocks(transform_points(pose, source.xyz), config.block, _SMALLEST * before.scale)
-    group = np.random.default_rng(config.seed).permutation(len(names))[member.ravel()] % _GROUPS
+    group = np.random.default_rng(config.seed).permutation(len(names))[member] % _GROUPS
     twists = []
     for k in range(_GROUPS):
         own = np.flatnonzero(group == k)
@@ -281,7 +281,7 @@ def _blocks(xyz: Floats, edge: float, smallest: float) -> tuple[Ints, Ints]:
     """
     while True:
         block = np.floor(xyz[:, :2] / edge).astype(np.int64)
-        names, member = np.unique(block, axis=0, return_inverse=True)
+        names, member = unique_cells(block)
         if len(names) >= 4 * _GROUPS or edge < 2.0 * smallest:
             return names, member
         edge *= 0.5

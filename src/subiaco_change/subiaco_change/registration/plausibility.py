@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from subiaco_change.geometry import Level, LocalPlanes, nearest
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.registration.icp import Pairs, Target, jacobian
+from subiaco_geo.clouds import unique_cells
 from subiaco_geo.frames import Floats, Ints, transform_points
 
 _FLAT = NUMBERS.plausibility.flatness
@@ -247,8 +248,7 @@ def estimate_uncertainty(
     length = max(float(np.sqrt(np.mean(np.sum((points - centre) ** 2, axis=1)))), 1e-6)
     scale = np.array([length] * 3 + [1.0] * 3)
     scaled = rows / scale
-    _, member = np.unique(np.floor(points[:, :2] / block).astype(np.int64), axis=0, return_inverse=True)
-    member = member.ravel()
+    _, member = unique_cells(np.floor(points[:, :2] / block).astype(np.int64))
     count = int(member.max()) + 1
     hessians, gradients = np.zeros((count, 6, 6)), np.zeros((count, 6))
     for i in range(6):
@@ -286,8 +286,7 @@ def _block_bias(points: Floats, normals: Floats, weights: Floats, residuals: Flo
     axis = np.argmax(np.abs(normals), axis=1)
     sign = np.sign(np.take_along_axis(normals, axis[:, None], axis=1)[:, 0])
     cell = np.floor(points[:, :2] / block).astype(np.int64)
-    _, member = np.unique(np.column_stack([cell, axis]), axis=0, return_inverse=True)
-    member = member.ravel()
+    _, member = unique_cells(np.column_stack([cell, axis]))
     total = np.bincount(member, weights)
     mean = np.bincount(member, weights * sign * residuals) / np.maximum(total, 1e-12)
     mean = mean[np.bincount(member) >= 100]

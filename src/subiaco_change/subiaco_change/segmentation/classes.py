@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
@@ -345,9 +346,18 @@ def _vote_clusters(
 
 def _scores(semantic: NDArray[np.uint8], features: Features) -> NDArray[np.float32]:
     """Share of each class among the neighbours: low where classes meet or a region is mixed."""
-    neighbours = features.neighbours
-    counts = np.stack([(semantic[neighbours] == c).sum(axis=1) for c in range(5)], axis=1)
-    return np.asarray(counts / neighbours.shape[1], dtype=np.float32)
+    counts = _class_counts(semantic, features.neighbours)
+    return np.asarray(counts / features.neighbours.shape[1], dtype=np.float32)
+
+
+@numba.njit(cache=True)
+def _class_counts(semantic: NDArray[np.uint8], neighbours: NDArray[np.int32]) -> Ints:
+    """Count the neighbours (N, k) of every point by class: (N, 5)."""
+    counts = np.zeros((len(neighbours), 5), dtype=np.int64)
+    for i in range(len(neighbours)):
+        for k in range(neighbours.shape[1]):
+            counts[i, semantic[neighbours[i, k]]] += 1
+    return counts
 
 
 _FEWEST = NUMBERS.tiling.map_class_points

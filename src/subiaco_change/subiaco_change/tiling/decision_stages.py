@@ -23,7 +23,7 @@ from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.measures import MeasureConfig
 from subiaco_change.decisions.object_comparison import compare_objects, make_record
 from subiaco_change.decisions.object_decision import ObjectChange, ObjectRules
-from subiaco_change.decisions.plant_decisions import decide_plant
+from subiaco_change.decisions.plant_decisions import decide_plant, place_was_free
 from subiaco_change.decisions.plant_measures import PlantConfig
 from subiaco_change.decisions.vegetation_null import PlantMeasures, fit_null, null_of, null_words
 from subiaco_change.decisions.voxel_objects import NO_OBJECT, OTHERS, EpochView
@@ -145,7 +145,8 @@ def decide_tile(inputs: Inputs, params: TileParams[PlantDecisionSlice]) -> TileR
     rows = list(compared.records)
     for found in compared.plants:
         decision = decide_plant(found.plant, found.lod, config.decisions, null)
-        rows[found.row] = decided_anew(rows[found.row], decision, config.confidence)
+        free = place_was_free(decision, found.plant)
+        rows[found.row] = decided_anew(rows[found.row], decision, config.confidence, free)
     return TileRows(tuple(rows))
 
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -104,7 +105,7 @@ class Epochs:
     points: dict[str, dict[str, str]] = field(default_factory=dict)
     lit: dict[str, bool] = field(default_factory=dict)
     simulated: bool = False
-    kept_points: int = 0  # of both epochs, at the working leaf
+    sizes: dict[str, dict[str, int]] = field(default_factory=dict)  # points by epoch and tile, at the leaf
 
     @property
     def size(self) -> float:
@@ -115,6 +116,31 @@ class Epochs:
     def tiles(self) -> list[str]:
         """Tiles with points of either epoch, in order."""
         return sorted({*self.points["before"], *self.points["after"]})
+
+    @property
+    def kept_points(self) -> int:
+        """Points of both epochs at the working leaf."""
+        return sum(size for own in self.sizes.values() for size in own.values())
+
+    def keep_largest(self, count: int) -> list[str]:
+        """Leave out all tiles but those with the most points, and their neighbours; return the names kept.
+
+        Raises
+        ------
+        InputError
+            Two clouds without CRS, whose tiles need not lie at the same places.
+        """
+        if any(side.crs is None for side in self.sides):
+            raise InputError("the largest tiles of clouds without CRS are not at one place; run the whole")
+        total: Counter[str] = Counter()
+        for own in self.sizes.values():
+            total.update(own)
+        largest = [name for name, _ in sorted(total.items(), key=lambda item: (-item[1], item[0]))[:count]]
+        kept = sorted({*largest, *(n for name in largest for n in neighbours(name, total))})
+        for epoch in EPOCHS:
+            self.clouds[epoch] = {n: key for n, key in self.clouds[epoch].items() if n in kept}
+            self.sizes[epoch] = {n: size for n, size in self.sizes[epoch].items() if n in kept}
+        return kept
 
     def cut(self, epochs: Sequence[Epoch]) -> None:
         """Cut both epochs, and what their evidence rests on, into tiles.
@@ -180,8 +206,7 @@ class Epochs:
             raise InputError(f"{name}: {error}") from error
         if found.points == 0:
             raise InputError(f"{name}: the cloud is empty; check the file")
-        self.clouds[name] = found.keys
-        self.kept_points += found.kept
+        self.clouds[name], self.sizes[name] = found.keys, found.sizes
         for field_name in self.given:
             if any(getattr(self._cloud(name, tile), field_name) is None for tile in found.keys):
                 raise InputError(

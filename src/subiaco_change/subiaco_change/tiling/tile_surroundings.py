@@ -44,7 +44,7 @@ class Region:
     empty: Callable[[Floats], Mask]
     free: Callable[[Floats], Floats]
     below_view: Callable[[Floats], Mask]
-    certain: float
+    certain: Callable[[Floats], Floats]
 
 
 def load_region(
@@ -92,7 +92,7 @@ def load_region(
         seen_through(observer.empty, to_world),
         free_through(observer.free_probability, to_world),
         seen_through(observer.below_view, to_world),
-        observer.certain,
+        free_through(observer.certainty, to_world),
     )
 
 

@@ -99,7 +99,7 @@ def inspect_bag(bag: Path, config: MappingConfig | None = None) -> dict[str, Any
     config = config or MappingConfig()
     with BagReader(Path(bag)) as plain:
         guessed = guess_names(plain.topics, config.topics)
-    names = {theirs: ours for ours, theirs in config.topics.remappings()} | guessed
+    names = config.topics.bag_names() | guessed
     with NamedBagReader(Path(bag), names) as reader:
         with errors_name(Path(bag)):
             facts = _facts(bag, reader, config)

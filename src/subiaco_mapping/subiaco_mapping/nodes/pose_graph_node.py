@@ -5,8 +5,8 @@ from __future__ import annotations
 import json
 import logging
 import sys
-from collections.abc import Callable, Mapping, Sequence
-from contextlib import ExitStack
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -55,7 +55,7 @@ from subiaco_mapping.preprocessing.conversions import fix_from_msg, heading_from
 from subiaco_msgs.msg import ReplayCounts, ScanQuality
 from subiaco_msgs.srv import Optimize, SaveMap
 from subiaco_ros.diagnostics import Diagnostics, ProgressReporter
-from subiaco_ros.managed_node import App
+from subiaco_ros.managed_node import App, Build
 from subiaco_ros.node_process import run_node
 from subiaco_ros.parameters import DYNAMIC, read_models
 from subiaco_ros.qos import latched, overridable, reliable
@@ -395,8 +395,9 @@ class PoseGraphApp:
         return response
 
 
-def main(argv: Sequence[str] | None = None) -> int:
-    """Run the node; the deskewed scans lie beside the map meanwhile."""
+@contextmanager
+def building() -> Iterator[Build]:
+    """Yield what builds the node; the deskewed scans lie beside the map until the end."""
     with ExitStack() as stack:
 
         def build(node: Node) -> App:
@@ -404,6 +405,12 @@ def main(argv: Sequence[str] | None = None) -> int:
             spool = stack.enter_context(spool_folder(own.output_directory))
             return PoseGraphApp(node, own, config, MappingBackend(config, Extrinsics(), spool))
 
+        yield build
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the node."""
+    with building() as build:
         return run_node("pose_graph", build, argv)
 
 
