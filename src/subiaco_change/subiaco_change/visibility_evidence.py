@@ -39,9 +39,9 @@ from subiaco_geo.trajectories import Trajectory
 
 _LOG = logging.getLogger(__name__)
 
-Kind = Literal["observed", "trajectory", "estimated", "shadow", "assumed"]
+EvidenceKind = Literal["observed", "trajectory", "estimated", "shadow", "assumed"]
 #: Kinds of evidence, the best first.
-KINDS: tuple[Kind, ...] = ("observed", "trajectory", "estimated", "shadow", "assumed")
+KINDS: tuple[EvidenceKind, ...] = ("observed", "trajectory", "estimated", "shadow", "assumed")
 
 
 class EvidenceConfig(StrictModel):
@@ -149,7 +149,7 @@ class Observer:
         prove together.
     """
 
-    kind: Kind
+    kind: EvidenceKind
     test: VisibilityTest
     to_own: Callable[[Floats], Floats] | None = None
     certain: float = 1.0
@@ -243,12 +243,12 @@ def ground_observed(observed: Callable[[Floats], Flags], xyz: Floats, config: Ev
     return seen
 
 
-def weakest(kinds: Iterable[Kind]) -> Kind:
+def weakest(kinds: Iterable[EvidenceKind]) -> EvidenceKind:
     """Return the weakest of some kinds of evidence."""
     return max(kinds, key=KINDS.index)
 
 
-def evidence_kind(has_beams: bool, trajectory: Trajectory | None, config: EvidenceConfig) -> Kind:
+def evidence_kind(has_beams: bool, trajectory: Trajectory | None, config: EvidenceConfig) -> EvidenceKind:
     """Name the best evidence that a map carries, or the one asked for.
 
     Raises

@@ -25,7 +25,7 @@ from subiaco_change.decisions.column_volumes import (
     exists_in_one_epoch,
 )
 from subiaco_change.decisions.config import CarvingConfig
-from subiaco_change.decisions.space_carving import Epoch, Interval, carve
+from subiaco_change.decisions.space_carving import CarvingEpoch, Interval, carve
 from subiaco_change.decisions.voxel_objects import Certainty, Free, ObjectInstance, Reach, Voxels, join_voxels
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import first_argument, switchable
@@ -180,7 +180,9 @@ def _carved(
 ) -> Measures:
     """Add height and volume of a building by space carving (Decision 17)."""
     carved = carve(
-        Epoch(before, ground.empty[0], ground.bare(0)), Epoch(after, ground.empty[1], ground.bare(1)), config
+        CarvingEpoch(before, ground.empty[0], ground.bare(0)),
+        CarvingEpoch(after, ground.empty[1], ground.bare(1)),
+        config,
     )
     both = len(before) > 0 and len(after) > 0
     volume = carved.volume

@@ -17,7 +17,7 @@ from subiaco_change.decisions.plant_decisions import decide_plant
 from subiaco_change.decisions.vegetation_null import no_null
 from subiaco_change.decisions.voxel_objects import ObjectInstance, join_voxels
 from subiaco_change.instance_splitting.building_extensions import find_building_extensions, is_smooth_surface
-from subiaco_change.instance_splitting.hedge_sections import Section, changed_sections, section_labels
+from subiaco_change.instance_splitting.hedge_sections import HedgeSection, changed_sections, section_labels
 from subiaco_change.instance_splitting.merged_instances import (
     Piece,
     group_row_houses,
@@ -298,7 +298,9 @@ def _sections(change: ObjectChange, following: int, rules: ObjectRules) -> list[
     return [*left, *(_of_section(p, s, rules, only=True) for p, s in zip(pieces, sections, strict=True))]
 
 
-def _of_section(change: ObjectChange, section: Section, rules: ObjectRules, *, only: bool) -> ObjectChange:
+def _of_section(
+    change: ObjectChange, section: HedgeSection, rules: ObjectRules, *, only: bool
+) -> ObjectChange:
     """Decide a hedge, or the piece of one that is a section, by the section whose tops moved."""
     if change.plant is None:
         return change
