@@ -124,8 +124,8 @@ def _files(generator: Any, folder: str) -> dict[str, Any]:
 
 def test_the_columns_of_tables_are_those_that_are_written(generator: Any) -> None:
     from subiaco_change.history import COLUMNS as HISTORY
-    from subiaco_change.outputs.documents import RegistrationDocument, RunDocument
-    from subiaco_change.outputs.earthwork import VOLUMES
+    from subiaco_change.outputs.change_directory_reading import RegistrationDocument, RunDocument
+    from subiaco_change.outputs.difference_rasters import VOLUMES
     from subiaco_change.outputs.rasters import COVERAGE
     from subiaco_evaluation.injection.detectability import COLUMNS as INSERTED
     from subiaco_geo import map_tables
