@@ -12,9 +12,10 @@ _SPREAD = 0x9E3779B97F4A7C15  # odd, near 2**64 over the golden ratio: neighbour
 
 
 def first_in_voxels(xyz: Floats, edge: float) -> Floats:
-    """Return the first point of every voxel of an edge [m] of points (N, 3), in the order of the points.
+    """Return the first point of every voxel of an edge [m] of points (N, 3), in an order that tells nothing.
 
-    These are the points that kiss-icp's thinning keeps, without copying every point to it and back.
+    These are the points that kiss-icp's thinning keeps, without copying every point to it and back. In the
+    order of the scan, thinning again would prefer the rings and columns that come first.
     """
     points = np.ascontiguousarray(xyz, dtype=np.float64)
     return points[_first(points, edge)]
@@ -22,13 +23,13 @@ def first_in_voxels(xyz: Floats, edge: float) -> Floats:
 
 @numba.njit(cache=True)
 def _first(points: Floats, edge: float) -> Ints:
-    """Fill an open-addressed table of voxels; return the points (K,) that came first."""
+    """Fill an open-addressed table of voxels; return the points (K,) that came first, in its order."""
     size = 16
     while size < 2 * len(points):
         size *= 2
     table = np.full(size, -1, dtype=np.int64)
-    kept = np.empty(len(points), dtype=np.int64)
-    count, mask = 0, np.uint64(size - 1)
+    first = np.empty(size, dtype=np.int64)
+    mask = np.uint64(size - 1)
     reach, own = np.int64(1 << (_BITS - 1)), np.int64((1 << _BITS) - 1)
     for i in range(len(points)):
         key = np.int64(0)
@@ -39,6 +40,5 @@ def _first(points: Floats, edge: float) -> Ints:
             slot = (slot + np.uint64(1)) & mask
         if table[slot] < 0:
             table[slot] = key
-            kept[count] = i
-            count += 1
-    return kept[:count].copy()
+            first[slot] = i
+    return first[table >= 0]
