@@ -7,10 +7,9 @@ from subiaco_change.config import ChangeConfig
 from subiaco_change.records import Registration
 from subiaco_change.tiling import registration_stage
 from subiaco_change.tiling.alignment import ChangedPoints
-from subiaco_change.tiling.epoch_tiles import Coordinates, Side
+from subiaco_change.tiling.epoch_tiles import Coordinates, EpochContext
 from subiaco_change.tiling.registration_stage import RegistrationParams, RegistrationSlice, register_again
-from subiaco_change.tiling.stage_params import slice_of
-from subiaco_change.tiling.stored_frame import PairRegistration
+from subiaco_change.tiling.stage_inputs import PairRegistration, slice_of
 from subiaco_geo.errors import RegistrationError
 from subiaco_geo.work.results import pack
 from subiaco_geo.work.store import MemoryStore
@@ -45,7 +44,8 @@ def refine(monkeypatch, sampled, whole, **settings):
     for epoch in ("before", "after"):
         pieces[f"cloud/{epoch}/0_0"] = Coordinates(xyz)
         pieces[f"changed/{epoch}/0_0"] = ChangedPoints(xyz[:, 0] < 30.0)
-    sides = tuple(Side(e, np.zeros(3), None, "shadow", None, np.zeros(3), 0.5) for e in ("before", "after"))
+    zero = np.zeros(3)
+    sides = tuple(EpochContext(e, zero, None, "shadow", None, zero, 0.5) for e in ("before", "after"))
     store = MemoryStore({name: pack(piece) for name, piece in pieces.items()})
     config = slice_of(RegistrationSlice, ChangeConfig(second_shift=0.01, **settings))
     found = register_again(Inputs(store, {n: n for n in pieces}), RegistrationParams(sides, config, None))

@@ -122,7 +122,7 @@ def test_a_view_gathered_from_parts_is_the_view_of_all_points(rows, seed, parts)
 
 def grid_of(*clouds):
     world = np.concatenate([cloud.world() for cloud in clouds])
-    grid = pictures.BlockGrid(world.min(axis=0)[:2], world.max(axis=0)[:2])
+    grid = pictures.PictureBlocks(world.min(axis=0)[:2], world.max(axis=0)[:2])
     for cloud in clouds:
         grid.add(cloud.world())
     return grid.blocks()

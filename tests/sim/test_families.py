@@ -1,4 +1,4 @@
-"""Streets of both families: what stands there, what happens, and magnitudes that no gate divides."""
+"""Streets of both families: what is built there, what happens, and magnitudes that no gate divides."""
 
 from __future__ import annotations
 

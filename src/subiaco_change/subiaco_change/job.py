@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 import geopandas as gpd
 import numpy as np
 
-from subiaco_change.decisions.confidence import Calibration, calibration_of
+from subiaco_change.decisions.confidence import ConfidenceCalibration, calibration_of
 from subiaco_change.extensions import Extensions
 from subiaco_change.given_classes import (
     CLASSIFICATION,
@@ -147,7 +147,7 @@ def run_job(
     progress: Callable[[str, float], None] | None = None,
     *,
     notes: Mapping[str, str] | None = None,
-    calibration: Calibration | None = None,
+    calibration: ConfidenceCalibration | None = None,
     write_pages: PageWriter | None = None,
 ) -> ChangeResult:
     """Load two epochs, find changes by any method, write the change directory.
@@ -162,7 +162,7 @@ def run_job(
     progress : callable, optional
     notes : mapping, optional
         Further facts for ``run.json``.
-    calibration : Calibration, optional
+    calibration : ConfidenceCalibration, optional
         What the method's confidences were fitted on.
     write_pages : callable, optional
         Writes the report into the change directory.
@@ -183,7 +183,7 @@ def run_job(
         found += _announced(check_shift(result.registration, surveys, poses, checks))
     if progress is not None:
         progress("writing", 0.97)
-    inputs = _inputs(request, before, after, notes or {}, calibration or Calibration(), lots)
+    inputs = _inputs(request, before, after, notes or {}, calibration or ConfidenceCalibration(), lots)
     inputs = replace(inputs, findings=found)
     write_change_directory(request.output, result, config, inputs, request.overwrite, write_pages)
     return result
@@ -236,7 +236,7 @@ def _inputs(
     before: SurveyMap | Epoch,
     after: SurveyMap | Epoch,
     notes: Mapping[str, str],
-    calibration: Calibration,
+    calibration: ConfidenceCalibration,
     lots: gpd.GeoDataFrame | None,
 ) -> ChangeInputs:
     named = distinct(name for epoch in (before, after) for name in epoch.info.get(SIMULATIONS, []))

@@ -19,7 +19,7 @@ from subiaco_change.tiling.epoch_tiles import EPOCHS
 from subiaco_change.tiling.label_stage import TileLabels
 from subiaco_change.tiling.retiling import LabelledPoints
 from subiaco_change.tiling.run import ChangeRun, ComparisonResult
-from subiaco_change.tiling.stored_frame import Correction, load_frame
+from subiaco_change.tiling.stage_inputs import Correction, load_frame
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.findings import Finding
 from subiaco_geo.frames import Floats

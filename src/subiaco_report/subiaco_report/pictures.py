@@ -62,7 +62,7 @@ class Mark:
     text: str
 
 
-class BlockGrid:
+class PictureBlocks:
     """Blocks of :data:`SIZE`, centred on the points, and how many points each of them holds.
 
     Parameters

@@ -227,8 +227,8 @@ def review(
 
     Example: subiaco review out/change reviews.csv
     """
-    from subiaco_change.outputs.review_files import take_up_reviews
-    from subiaco_change.outputs.review_state import review_counts
+    from subiaco_change.outputs.directory import take_up_reviews
+    from subiaco_change.outputs.reviews import review_counts
     from subiaco_report.pages import write_pages
 
     set_up_logging(verbose, quiet)

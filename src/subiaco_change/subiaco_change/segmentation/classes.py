@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import none_of_them, rule_mask, switchable
 from subiaco_change.segmentation.buildings import (
     attach_parts,
@@ -21,7 +22,7 @@ from subiaco_change.segmentation.buildings import (
 )
 from subiaco_change.segmentation.clustering import group_indices, group_reduce, voxel_clusters
 from subiaco_change.segmentation.config import BuildingConfig, VehicleConfig
-from subiaco_change.segmentation.features import FeatureConfig, Features, compute_features
+from subiaco_change.segmentation.features import EigenFeatureConfig, Features, compute_features
 from subiaco_change.segmentation.ghost_trails import TrafficConfig, moving_points, still_blocks, timed_trails
 from subiaco_change.segmentation.ground_model import GroundConfig, GroundModel, Mask, fit_ground
 from subiaco_change.segmentation.raised_surfaces import RaisedConfig, RaisedSurfaces, find_raised
@@ -40,7 +41,7 @@ class SemanticsConfig(StrictModel):
 
     ground: GroundConfig = GroundConfig()
     raised: RaisedConfig = RaisedConfig()
-    features: FeatureConfig = FeatureConfig()
+    features: EigenFeatureConfig = EigenFeatureConfig()
     superpoints: SuperpointConfig = SuperpointConfig()
     traffic: TrafficConfig = TrafficConfig()
     trail_shape: TrailShapeConfig = TrailShapeConfig()
@@ -359,7 +360,7 @@ def _class_counts(semantic: NDArray[np.uint8], neighbours: NDArray[np.int32]) ->
     return counts
 
 
-_FEWEST = 100  # points below which neighbourhoods say nothing
+_FEWEST = NUMBERS.tiling.map_class_points
 
 
 def map_classes(cloud: PointCloud, moved: Floats) -> NDArray[np.uint8]:

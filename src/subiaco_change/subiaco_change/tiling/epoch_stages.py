@@ -13,7 +13,9 @@ import numpy as np
 
 from subiaco_change.config import ChangeConfig
 from subiaco_change.level_of_detection.common_frame import CommonFrame
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules import rules_of_stages
+from subiaco_change.point_spacing import PointSpacing, at_spacing, spacing_scale
 from subiaco_change.records import Registration
 from subiaco_change.registration.pair import (
     PairInfo,
@@ -25,29 +27,31 @@ from subiaco_change.registration.pair import (
     refuse_height_offset,
     shares_origin,
 )
-from subiaco_change.spacing import PointSpacing, spacing_scale
-from subiaco_change.sparse import at_spacing
 from subiaco_change.tiling.alignment import StatedPoses
+from subiaco_change.tiling.epoch_preparation import (
+    LevellingParams,
+    RenderParams,
+    TileViews,
+    TrailParams,
+    find_trails,
+    find_upright,
+    render_tile,
+)
 from subiaco_change.tiling.epoch_tiles import (
     EPOCHS,
     FIELDS,
     CutCloud,
-    Side,
+    EpochContext,
     TilePoints,
     corners,
     cut_beams,
     cut_cloud,
     tiles_between,
 )
-from subiaco_change.tiling.expected_visibility_stage import RenderParams, TileViews, render_tile
-from subiaco_change.tiling.instance_merging import MergingParams, unite
-from subiaco_change.tiling.levelling import LevellingParams, find_upright
 from subiaco_change.tiling.registration_stage import RegistrationParams, RegistrationSlice, find_registration
-from subiaco_change.tiling.retiling import EpochTileParams, LabelledPoints, recut_tile
-from subiaco_change.tiling.stage_params import slice_of
-from subiaco_change.tiling.stored_frame import PairRegistration, in_frame
+from subiaco_change.tiling.retiling import EpochTileParams, LabelledPoints, MergingParams, recut_tile, unite
+from subiaco_change.tiling.stage_inputs import PairRegistration, in_frame, slice_of
 from subiaco_change.tiling.tile_segmentation import SegmentationParams, SegmentationSlice, prepare_tile
-from subiaco_change.tiling.trails import TrailParams, find_trails
 from subiaco_change.visibility_evidence import evidence_kind
 from subiaco_geo.crs import Transform, transformer
 from subiaco_geo.errors import InputError
@@ -66,8 +70,8 @@ _LOG = logging.getLogger(__name__)
 #: Name of an epoch in the stages that look at one alone.
 ALONE = "epoch"
 #: Beyond the points of a task, beams are looked up so far [m].
-SIGHT = 6.0
-_HEIGHT_TILES = 50  # tiles that tell whether the heights of both epochs are of one kind
+SIGHT = NUMBERS.tiling.beam_reach
+_HEIGHT_TILES = NUMBERS.tiling.height_tiles
 _BEAMS = 0.5  # edge of a tile of counted beams, of a tile of points: tasks read few that are too far
 
 
@@ -89,7 +93,7 @@ class Epochs:
     config: ChangeConfig
     given: tuple[str, ...] = ()
     info: PairInfo = field(default_factory=lambda: PairInfo(None))
-    sides: tuple[Side, ...] = ()
+    sides: tuple[EpochContext, ...] = ()
     origin: Floats = field(default_factory=lambda: np.zeros(3))
     clouds: dict[str, dict[str, str]] = field(default_factory=dict)
     beams: dict[str, dict[str, str]] = field(default_factory=dict)
@@ -218,14 +222,14 @@ class Epochs:
         crs: str | None,
         cut: CutCloud,
         operation: Transform | None,
-    ) -> Side:
+    ) -> EpochContext:
         """Cut what the evidence of an epoch rests on, and tell what tasks must know of it."""
         config = self.config.evidence
         way = epoch.trajectory
         if way is not None and operation is not None:
             way = moved_trajectory(way, operation)
         kind = evidence_kind(epoch.has_beams, way, config)
-        side = Side(name, origin, crs, kind, None, origin, config.poses.occupied, cut.spacing)
+        side = EpochContext(name, origin, crs, kind, None, origin, config.poses.occupied, cut.spacing)
         self.trails[name] = {} if kind == "observed" else self._trails(side)
         self.beams[name], self.beam_edge[name] = {}, self.size
         self._keep_poses(name, epoch, way)
@@ -253,7 +257,7 @@ class Epochs:
             parts.append(ViewHistogram(piece.above, piece.ranges))
         return estimate_view(parts, self.config.evidence.poses)
 
-    def _trails(self, side: Side) -> dict[str, str]:
+    def _trails(self, side: EpochContext) -> dict[str, str]:
         """Tell ghost trails by their shape, where nothing counted beams."""
         own, semantics = self.clouds[side.epoch], self.config.semantics
         shape = semantics.trail_shape
@@ -269,7 +273,7 @@ class Epochs:
             tasks.append(Task("trails", name, find_trails, inputs, params))
         return self.runner.run(tasks, (0.02, 0.03))
 
-    def _render(self, side: Side, way: Trajectory) -> dict[str, str]:
+    def _render(self, side: EpochContext, way: Trajectory) -> dict[str, str]:
         """Render what the poses of an epoch must have seen, tile by tile of its own frame."""
         own, config = self.clouds[side.epoch], self.config.evidence.poses
         poses = way.poses[sample_poses(way.positions, config.pose_spacing)]
@@ -326,7 +330,7 @@ class Epochs:
         found = self.runner.together(stages, (0.47, 0.48))
         self.united = {epoch: keys["all"] for epoch, keys in zip(EPOCHS, found, strict=True)}
 
-    def _semantics(self, side: Side) -> list[Task[SegmentationParams]]:
+    def _semantics(self, side: EpochContext) -> list[Task[SegmentationParams]]:
         """Tasks of one epoch; they do not tell whether it is *before* or *after*, and serve as both."""
         config = slice_of(SegmentationSlice, self.config)
         tiles, own = self.config.tiles, self.clouds[side.epoch]
@@ -344,7 +348,7 @@ class Epochs:
             tasks.append(Task("semantics", name, prepare_tile, inputs, params))
         return tasks
 
-    def _upright(self, side: Side, own: Mapping[str, str]) -> dict[str, str]:
+    def _upright(self, side: EpochContext, own: Mapping[str, str]) -> dict[str, str]:
         """Find what makes a local cloud upright."""
         if side.crs is not None:
             return {}
@@ -371,7 +375,7 @@ class Epochs:
             self.points[epoch] = {n: found[n] for n in held}
             self.lit[epoch] = all(pieces[n].intensity is not None for n in held)
 
-    def _reached(self, side: Side, frame: CommonFrame) -> dict[str, list[str]]:
+    def _reached(self, side: EpochContext, frame: CommonFrame) -> dict[str, list[str]]:
         """Tiles of the common frame that an epoch's own tiles reach into, and which of these."""
         own = self.clouds[side.epoch]
         if side.epoch == "after":
@@ -385,7 +389,7 @@ class Epochs:
                 reached.setdefault(tile, []).append(name)
         return reached
 
-    def beams_at(self, side: Side, world: Floats) -> dict[str, str]:
+    def beams_at(self, side: EpochContext, world: Floats) -> dict[str, str]:
         """Tiles of beams, or of poses that look there, of an epoch around places (N, 3) of its world."""
         known = self.beams[side.epoch]
         if not known:

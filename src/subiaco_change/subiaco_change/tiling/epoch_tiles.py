@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from subiaco_change.point_spacing import STREET_SPACING, joint_spacing, neighbour_spacings
 from subiaco_change.registration.pair import check_finite
-from subiaco_change.spacing import STREET_SPACING, joint_spacing, neighbour_spacings
-from subiaco_change.visibility_evidence import Kind
+from subiaco_change.visibility_evidence import EvidenceKind
 from subiaco_geo.clouds import PointCloud, unpack_voxel_keys, voxel_downsample
 from subiaco_geo.crs import Transform
 from subiaco_geo.frames import Floats, Ints
@@ -30,7 +30,7 @@ FIELDS = ("intensity", "semantic", "instance")
 
 
 @dataclass(frozen=True)
-class Side:
+class EpochContext:
     """What every task must know of one epoch.
 
     Parameters
@@ -58,7 +58,7 @@ class Side:
     epoch: str
     origin: Floats
     crs: str | None
-    kind: Kind
+    kind: EvidenceKind
     beams_crs: str | None
     corner: Floats
     voxel: float

@@ -10,19 +10,20 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.records import Registration
 from subiaco_change.registration.config import RegistrationConfig
 from subiaco_change.registration.register import given_registration, register
 from subiaco_change.tiling.alignment import ChangedPoints
-from subiaco_change.tiling.epoch_tiles import Coordinates, Side, corners
-from subiaco_change.tiling.stored_frame import REGISTRATION, PairRegistration
+from subiaco_change.tiling.epoch_tiles import Coordinates, EpochContext, corners
+from subiaco_change.tiling.stage_inputs import REGISTRATION, PairRegistration
 from subiaco_geo.clouds import PointCloud, unique_cells, voxel_downsample
 from subiaco_geo.errors import RegistrationError
 from subiaco_geo.frames import Floats
 from subiaco_geo.work.tasks import Inputs
 
 _LOG = logging.getLogger(__name__)
-_BLOCK = 20.0  # edge of the blocks of a sample: several houses wide, as walls and ground must be in it [m]
+_BLOCK = NUMBERS.tiling.sample_block
 
 
 @dataclass(frozen=True)
@@ -40,7 +41,7 @@ class RegistrationSlice:
 class RegistrationParams:
     """Parameters of a registration; ``transform`` (4, 4) in the world [m] where it is given."""
 
-    sides: tuple[Side, ...]
+    sides: tuple[EpochContext, ...]
     config: RegistrationSlice
     transform: Floats | None
 
@@ -99,7 +100,7 @@ def _in_blocks(world: Floats, share: float) -> NDArray[np.bool_]:
     return np.array(drawn, dtype=bool)[own]
 
 
-Part = tuple[PointCloud, PointCloud]  # a tile of before and of after
+EpochClouds = tuple[PointCloud, PointCloud]  # a tile of before and of after
 
 
 def gather(inputs: Inputs, params: RegistrationParams) -> tuple[PointCloud, PointCloud]:
@@ -113,10 +114,10 @@ def gather(inputs: Inputs, params: RegistrationParams) -> tuple[PointCloud, Poin
     sides, config = params.sides, params.config
     local = any(side.crs is None for side in sides)
     names = sorted({name for side in sides for name in inputs.under(f"cloud/{side.epoch}")}, key=_lot)
-    parts: dict[str, Part] = {}
+    parts: dict[str, EpochClouds] = {}
     held, thin = np.zeros(2, dtype=np.int64), False
     for name in names:
-        part: Part = tuple(_load(inputs, side, name) for side in sides)  # type: ignore[assignment]
+        part: EpochClouds = tuple(_load(inputs, side, name) for side in sides)  # type: ignore[assignment]
         parts[name] = _thinned(part, 2.0 * config.leaf) if thin else part
         held += [len(cloud) for cloud in parts[name]]
         if held.max() > config.registration_points and not thin:
@@ -134,16 +135,16 @@ def _lot(name: str) -> bytes:
     return hashlib.sha256(name.encode()).digest()
 
 
-def _thinned(part: Part, edge: float) -> Part:
+def _thinned(part: EpochClouds, edge: float) -> EpochClouds:
     return voxel_downsample(part[0], edge), voxel_downsample(part[1], edge)
 
 
-def _joined(clouds: Sequence[PointCloud], side: Side) -> PointCloud:
+def _joined(clouds: Sequence[PointCloud], side: EpochContext) -> PointCloud:
     changed = np.concatenate([np.asarray(cloud.fields["changed"]) for cloud in clouds]) > 0.0
     return PointCloud(np.concatenate([c.xyz for c in clouds]), side.origin, side.crs, {"changed": changed})
 
 
-def _load(inputs: Inputs, side: Side, name: str) -> PointCloud:
+def _load(inputs: Inputs, side: EpochContext, name: str) -> PointCloud:
     own = f"cloud/{side.epoch}/{name}"
     xyz = inputs.once(Coordinates, own).xyz if own in inputs else np.zeros((0, 3))
     alias = f"changed/{side.epoch}/{name}"

@@ -17,16 +17,17 @@ from kiss_icp.mapping import get_voxel_hash_map
 from kiss_icp.registration import get_registration
 
 from subiaco_geo.frames import Floats, invert_pose, rotation_angle
-from subiaco_mapping.config import OdometryConfig
 from subiaco_mapping.measurements import DeskewedScan, OdometryPose
+from subiaco_mapping.method_numbers import NUMBERS
+from subiaco_mapping.odometry.config import OdometryConfig
 from subiaco_mapping.odometry.voxel_thinning import first_in_voxels
 from subiaco_mapping.preprocessing.deskew import body_twist
 
 logger = logging.getLogger(__name__)
 
-PLANE_VARIANCE = 2e-3  # variance along the normal in small_gicp's plane-to-plane metric [m2]
-TYPICAL_RANGE = 20.0
-_GICP_REACH = 5.0 / 3.0  # correspondence distance of the refinement, in widths of the ICP kernel
+PLANE_VARIANCE = NUMBERS.odometry.plane_variance
+TYPICAL_RANGE = NUMBERS.odometry.typical_range
+_GICP_REACH = NUMBERS.odometry.refinement_reach
 
 
 class OdometryBackend(Protocol):
