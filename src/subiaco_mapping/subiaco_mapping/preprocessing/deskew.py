@@ -230,10 +230,10 @@ class Deskewer:
         parts = [part for part in (scan.first, scan.last, scan.sky) if part is not None and len(part)]
         times = parts[0].column_ns if parts else None
         shared = times is not None and all(part.column_ns is times for part in parts)  # of one decoded frame
-        known = motion.toward(scan.end_ns, times) if times is not None and shared else None
-        first = _straightened(scan.first, motion, scan.end_ns, mode, known)
-        last = _straightened(scan.last, motion, scan.end_ns, mode, known) if scan.last is not None else None
-        sky = _straightened(scan.sky, motion, scan.end_ns, mode, known) if scan.sky is not None else None
+        way = motion.toward(scan.end_ns, times) if times is not None and shared else None
+        first = _straightened(scan.first, motion, scan.end_ns, mode, way)
+        last = _straightened(scan.last, motion, scan.end_ns, mode, way) if scan.last is not None else None
+        sky = _straightened(scan.sky, motion, scan.end_ns, mode, way) if scan.sky is not None else None
         self._forget(scan.end_ns)
         return DeskewedScan(
             stamp_ns=scan.end_ns,
