@@ -197,16 +197,12 @@ build_once() {
     if [ "$(cat "$file" 2>/dev/null)" = "$wanted" ]; then return; fi
     say "building $*"
     local name
-    # Afresh after an interruption; Python packages always, as a symlink install keeps links to files that have gone.
-    if [ -e "$file.building" ] || [ "${file##*/}" = .python ]; then
-        for name; do rm -rf "${WS:?}/build/$name" "${WS:?}/install/$name"; done
-    fi
+    # Afresh: CMake keeps the path of sources that have moved, a symlink install links to files that have gone.
+    for name; do rm -rf "${WS:?}/build/$name" "${WS:?}/install/$name"; done
     mkdir -p "$WS/install"
     rm -f "$file"
-    touch "$file.building"
     colcon_build "$@" || fail "colcon build failed; the log is in ros2_ws/log/latest_build"
     echo "$wanted" >"$file"
-    rm -f "$file.building"
 }
 
 set_up_workspace() {

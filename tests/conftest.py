@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import fcntl
 import logging
 import os
 import signal
-from collections.abc import Iterator
+import tempfile
+from collections.abc import Generator, Iterator
 from pathlib import Path
+from typing import TextIO
 
 import pytest
 from hypothesis import HealthCheck, settings
@@ -36,6 +39,28 @@ def pytest_configure(config: pytest.Config) -> None:
     """Register the markers here too, for `colcon test`, which does not read pyproject.toml."""
     config.addinivalue_line("markers", "slow: takes more than ten seconds")
     config.addinivalue_line("markers", "ros: needs the built workspace (source ros2_ws/env.sh)")
+    config.addinivalue_line("markers", "realtime: has to keep up with a clock, and runs alone")
+
+
+@pytest.hookimpl(wrapper=True, tryfirst=True)
+def pytest_runtest_protocol(item: pytest.Item) -> Generator[None, object, object]:
+    """Let a test that has to keep real time run while the other workers wait.
+
+    A worker holds a lock while it runs a test: shared, or exclusive under the marker ``realtime``. Whoever
+    wants the lock queues at a second one, so that a test that wants to be alone gets its turn.
+    """
+    if _WORKER is None:
+        return (yield)
+    kind = fcntl.LOCK_SH if item.get_closest_marker("realtime") is None else fcntl.LOCK_EX
+    with _lock_file("queue") as queue, _lock_file("running") as running:
+        fcntl.flock(queue, fcntl.LOCK_EX)
+        fcntl.flock(running, kind)
+        fcntl.flock(queue, fcntl.LOCK_UN)
+        return (yield)
+
+
+def _lock_file(name: str) -> TextIO:
+    return (Path(tempfile.gettempdir()) / f"subiaco-tests-{os.getuid()}.{name}").open("w")
 
 
 def pytest_runtest_setup(item: pytest.Item) -> None:

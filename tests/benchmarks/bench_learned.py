@@ -306,7 +306,6 @@ def main() -> None:
     data = given.page.parent / "data" / f"{given.page.stem}.json"
     data.parent.mkdir(parents=True, exist_ok=True)
     data.write_text(json.dumps(found, indent=1), encoding="utf-8")
-    given.page.parent.mkdir(parents=True, exist_ok=True)
     given.page.write_text(page(found), encoding="utf-8")
     print(f"{given.page}: written")
 

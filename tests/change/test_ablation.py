@@ -8,10 +8,10 @@ import pytest
 from subiaco_change.association.costs import AssociationConfig
 from subiaco_change.config import ChangeConfig, with_parts_disabled
 from subiaco_change.decisions.ablation import Part, pointwise, view_without
+from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.measures import MeasureConfig
 from subiaco_change.decisions.object_comparison import compare_objects
 from subiaco_change.decisions.object_decision import ObjectRules
-from subiaco_change.decisions.rules import DecisionConfig
 from subiaco_change.decisions.voxel_objects import EpochView, Reach
 from subiaco_change.instance_splitting.one_epoch_parts import PartConfig
 from subiaco_geo.codes import Change, Semantic

@@ -9,8 +9,8 @@ from hypothesis import strategies as st
 from scipy.special import expit, logit
 from test_decisions import CONFIG, SAME
 
-from subiaco_change.decisions.absence import absence, opacity, pooled, porous_chance
 from subiaco_change.decisions.confidence import ConfidenceConfig, confidence
+from subiaco_change.decisions.measures import absence, opacity, pooled, porous_chance
 from subiaco_change.decisions.rules import decide
 from subiaco_change.decisions.voxel_objects import ObjectInstance, Voxels
 from subiaco_change.visibility_evidence import EvidenceConfig

@@ -3,7 +3,8 @@
 import numpy as np
 import pytest
 
-from subiaco_change.decisions.space_carving import CarvingConfig, Epoch, carve
+from subiaco_change.decisions.config import CarvingConfig
+from subiaco_change.decisions.space_carving import Epoch, carve
 from subiaco_change.decisions.voxel_objects import Voxels
 
 CELL = 0.5

@@ -12,8 +12,9 @@ from subiaco_change.decisions.column_volumes import (
     compare_volumes,
     exists_in_one_epoch,
 )
+from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.measures import MeasureConfig, measure
-from subiaco_change.decisions.rules import DecisionConfig, decide
+from subiaco_change.decisions.rules import decide
 from subiaco_change.decisions.voxel_objects import Voxels
 from subiaco_geo.codes import Change, Semantic
 

@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from subiaco_change.association.costs import AssociationConfig
+from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.measures import MeasureConfig
 from subiaco_change.decisions.object_decision import ObjectRules, decide_object
-from subiaco_change.decisions.rules import DecisionConfig
 from subiaco_change.decisions.voxel_objects import ObjectInstance, Voxels
 from subiaco_change.instance_splitting.split_merge import split_low_overlap_matches
 from subiaco_geo.codes import Change, Semantic

@@ -17,14 +17,13 @@ from subiaco_change.decisions.confidence import (
     decided_anew,
     discounted,
     features,
-    fit,
     kind_of,
     probability,
 )
 from subiaco_change.decisions.measures import Measures
 from subiaco_change.decisions.rules import Decision
 from subiaco_change.records import ChangeRecord
-from subiaco_evaluation.confidence_fit import fit_confidence, measured_bands
+from subiaco_evaluation.confidence_fit import fit, fit_confidence, measured_bands
 from subiaco_geo.codes import Change, Semantic
 
 

@@ -7,8 +7,9 @@ import numpy as np
 import pytest
 
 from subiaco_change.decisions.confidence import ConfidenceConfig, confidence, paper_score
+from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.measures import Measures
-from subiaco_change.decisions.rules import DecisionConfig, decide
+from subiaco_change.decisions.rules import decide
 from subiaco_change.decisions.space_carving import Interval
 from subiaco_geo.codes import Change, Semantic
 

@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 from scenes import ground_z, rectangle, tree
 
-from subiaco_change.segmentation.buildings import BuildingConfig
+from subiaco_change.segmentation.buildings import planar_patches
 from subiaco_change.segmentation.classes import SemanticsConfig, label_points
-from subiaco_change.segmentation.planar_patches import planar_patches
+from subiaco_change.segmentation.config import BuildingConfig
 from subiaco_change.segmentation.wires_and_poles import LineConfig, find_lines
 from subiaco_geo.clouds import PointCloud, voxel_downsample
 from subiaco_geo.codes import Semantic

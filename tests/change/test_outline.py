@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from subiaco_change.decisions.crown_outline import OutlineConfig, compare_outlines
+from subiaco_change.decisions.plant_measures import OutlineConfig, compare_outlines
 
 
 def crown(count, radius, seed, side=None):

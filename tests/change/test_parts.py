@@ -7,14 +7,17 @@ import pytest
 from test_measures import block, voxels, walls
 
 from subiaco_change.association.costs import AssociationConfig
-from subiaco_change.decisions.building_extensions import find_building_extensions, is_smooth_surface
+from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.measures import MeasureConfig, Measures
 from subiaco_change.decisions.object_decision import ObjectRules, decide_object, is_misclassified_ground
-from subiaco_change.decisions.rules import DecisionConfig
 from subiaco_change.decisions.voxel_objects import ObjectInstance, Voxels
+from subiaco_change.instance_splitting.building_extensions import find_building_extensions, is_smooth_surface
 from subiaco_change.instance_splitting.merged_instances import split_by_bodies
-from subiaco_change.instance_splitting.one_epoch_parts import PartConfig, split_one_epoch_parts
-from subiaco_change.instance_splitting.vehicle_parts import decide_vehicle_part
+from subiaco_change.instance_splitting.one_epoch_parts import (
+    PartConfig,
+    decide_vehicle_part,
+    split_one_epoch_parts,
+)
 from subiaco_geo.codes import Change, Semantic
 
 CONFIG = PartConfig()

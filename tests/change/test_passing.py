@@ -8,13 +8,14 @@ from scipy.spatial import cKDTree
 from test_measures import block
 from test_parts import obj
 
+from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.dynamic_objects import (
     OwnEpochEvidence,
     is_moving_object_trail,
     limit_confidence,
     own_epoch_evidence,
 )
-from subiaco_change.decisions.rules import Decision, DecisionConfig
+from subiaco_change.decisions.rules import Decision
 from subiaco_change.decisions.voxel_objects import OTHERS, EpochView, ObjectInstance
 from subiaco_geo.codes import Change, Semantic
 

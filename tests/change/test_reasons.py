@@ -14,11 +14,12 @@ from test_passing import RULES, passing, timed
 from test_vegetation_null import HEDGE, NULL, TREE
 from whole import compare_ground
 
+from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.dynamic_objects import is_moving_object_trail, limit_confidence
 from subiaco_change.decisions.ground_cells import GroundChangeConfig
 from subiaco_change.decisions.measures import Measures
 from subiaco_change.decisions.plant_decisions import decide_plant
-from subiaco_change.decisions.rules import NO_LEVEL, DecisionConfig, decide
+from subiaco_change.decisions.rules import NO_LEVEL, decide
 from subiaco_change.decisions.space_carving import Interval
 from subiaco_change.decisions.vegetation_null import no_null
 from subiaco_change.outputs.table import build_table, table_hash

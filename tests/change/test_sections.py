@@ -7,10 +7,11 @@ import pytest
 from test_measures import block, voxels
 
 from subiaco_change.association.costs import AssociationConfig
+from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.measures import MeasureConfig, measure
 from subiaco_change.decisions.object_decision import ObjectChange, ObjectRules
 from subiaco_change.decisions.plant_measures import measure_plant
-from subiaco_change.decisions.rules import Decision, DecisionConfig
+from subiaco_change.decisions.rules import Decision
 from subiaco_change.decisions.voxel_objects import ObjectInstance
 from subiaco_change.instance_splitting.hedge_sections import changed_sections, column_rise
 from subiaco_change.instance_splitting.split_merge import split_hedge_segments

@@ -5,8 +5,7 @@ import pytest
 from scenes import house, rectangle
 
 from subiaco_change.segmentation.bounding_rectangles import box_sides
-from subiaco_change.segmentation.height_profiles import ProfileConfig
-from subiaco_change.segmentation.row_houses import split_row
+from subiaco_change.segmentation.object_rows import ProfileConfig, split_row
 
 
 def row(*heights, width=6.0, angle=0.4):

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from subiaco_change.segmentation.trail_ends import with_pieces
+from subiaco_change.segmentation.ghost_trails import trail_probability
 from subiaco_change.segmentation.trail_raster import Raster, TrailShapeConfig
-from subiaco_change.segmentation.trail_shape import trail_probability
+from subiaco_change.segmentation.trail_swaths import with_pieces
 from subiaco_geo.frames import Floats
 
 CONFIG = TrailShapeConfig()

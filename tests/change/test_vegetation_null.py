@@ -10,9 +10,15 @@ from hypothesis import strategies as st
 from test_decisions import CONFIG
 from test_outline import crown
 
-from subiaco_change.decisions.crown_outline import OutlineConfig, compare_outlines
 from subiaco_change.decisions.plant_decisions import decide_plant
-from subiaco_change.decisions.plant_measures import PlantConfig, _is_thin, equal_density, free_shell
+from subiaco_change.decisions.plant_measures import (
+    OutlineConfig,
+    PlantConfig,
+    _is_thin,
+    compare_outlines,
+    equal_density,
+    free_shell,
+)
 from subiaco_change.decisions.vegetation_null import (
     PlantMeasures,
     VegetationNullConfig,

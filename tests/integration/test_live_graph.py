@@ -23,11 +23,12 @@ from subiaco_geo.topics import FIX, IMU, LIDAR_PACKETS
 from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.pipeline import map_survey
 
-pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.usefixtures("own_domain")]
+pytestmark = [pytest.mark.ros, pytest.mark.slow, pytest.mark.realtime, pytest.mark.usefixtures("own_domain")]
 
 SECONDS = 5.0
 MUTED = (2.1, 4.0)  # the GNSS driver is gone [s]
 SETTINGS = ("gnss.min_length=2.0",)  # the drive is short
+KEPT = 100  # messages of a topic that a publisher of vehicle.py keeps
 SAME = 0.02  # live and replayed, where nothing was lost on the way [m]
 
 
@@ -134,8 +135,11 @@ def test_a_bag_player_that_knows_nothing_of_ours_gives_the_map_of_the_bag_or_the
     for topic in (LIDAR_PACKETS, IMU, FIX):
         counts = arrivals[topic]
         known = counts["received"] + counts["lost"] + counts["before_start"]
-        # the player ends once the path is within 0.45 s of its end: what it sent last may find nobody
-        assert 0.9 * recorded[topic] - 1 <= known <= recorded[topic]
+        # What was sent last may find nobody: the player ends once the path is within 0.45 s of its end, and
+        # nothing that comes later tells how much of what its publisher kept was overwritten.
+        unknown = 0.45 / SECONDS * recorded[topic] + KEPT
+        assert recorded[topic] - unknown - 1 <= known <= recorded[topic]
+        assert counts["received"] > 0
     missed = sum(counts["lost"] + counts["left_out"] for counts in arrivals.values())
 
     assert played.trajectory is not None
@@ -144,10 +148,12 @@ def test_a_bag_player_that_knows_nothing_of_ours_gives_the_map_of_the_bag_or_the
         played.trajectory.times_ns, from_the_bag.trajectory.times_ns, return_indices=True
     )
     if missed == 0:
-        assert len(from_the_bag.trajectory.times_ns) - len(first) <= 1  # the scan that only an end closes
+        unseen = 1.0 - arrivals[LIDAR_PACKETS]["received"] / recorded[LIDAR_PACKETS]  # the share of the end
+        closed_by_an_end = 1
+        assert len(from_the_bag.trajectory.times_ns) - len(first) <= closed_by_an_end + 10 * SECONDS * unseen
         apart = played.trajectory.positions[first] - from_the_bag.trajectory.positions[second]
         assert np.linalg.norm(apart, axis=1).max() < SAME
-        assert len(played.cloud) == pytest.approx(len(from_the_bag.cloud), rel=0.05)
+        assert len(played.cloud) == pytest.approx(len(from_the_bag.cloud), rel=0.05 + unseen)
     else:  # a machine too busy for real time
         assert graph.heard("missing|lost|misses"), graph.text
 

@@ -19,6 +19,7 @@ from typing import Any
 import rclpy
 from builtin_interfaces.msg import Time
 from nav_msgs.msg import Path as PathMessage
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.qos import QoSProfile, qos_profile_sensor_data
 from rclpy.utilities import remove_ros_args
@@ -95,6 +96,11 @@ class Vehicle:
             if not (message.topic == topic and since <= seconds < until):
                 self._out[message.topic].publish(message.raw)
 
+    def settle(self) -> None:
+        """Wait until listeners have what is still on its way: what ends with this process is lost."""
+        for publisher in self._out.values():
+            publisher.wait_for_all_acked(Duration(seconds=5.0))
+
     def tell(self, time_ns: int) -> None:
         self._clock.publish(Clock(clock=Time(sec=time_ns // 10**9, nanosec=time_ns % 10**9)))
 
@@ -123,6 +129,7 @@ def main() -> int:
             return 1
         vehicle.play((given.mute[0], float(given.mute[1]), float(given.mute[2])), given.rate)
         vehicle.wait(lambda: vehicle.caught_up(reader.end_ns), 90.0)
+        vehicle.settle()
         count = len(vehicle.paths[-1].poses) if vehicle.paths else 0
         sys.stdout.write(f"path {count} of {len(vehicle.paths)} messages\n")
         complaint = vehicle.save(given.save) if given.save else ""

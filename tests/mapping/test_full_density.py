@@ -11,7 +11,7 @@ import shapely
 from mapping_scenes import SECOND, START_NS, room_scan, turning_pose, write_clouds
 from traffic_scene import REGIONS, drive
 
-from subiaco_change.segmentation.map_classes import map_classes
+from subiaco_change.segmentation.classes import map_classes
 from subiaco_geo.crs import EnuFrame
 from subiaco_geo.maps import read_map
 from subiaco_mapping.checkpoint.scan_spool import PULSE, Spool, SpooledScan, pulses_of

@@ -268,6 +268,7 @@ def test_a_step_of_the_clock_loses_nothing(tmp_path: Path) -> None:
         assert (reader.start_ns, reader.end_ns) == (min(times), max(times))
 
 
+@pytest.mark.realtime
 def test_a_message_waits_for_its_flush_no_longer_than_the_interval_and_the_machine(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -334,6 +335,7 @@ def killed_recording(folder: Path, seconds: float, split: float) -> int:
     return given
 
 
+@pytest.mark.realtime
 @pytest.mark.parametrize("seed", range(3))
 def test_a_kill_costs_at_most_a_second_and_recovery_makes_every_file_readable(
     tmp_path: Path, seed: int

@@ -129,7 +129,7 @@ class Bench:
             "quality": user.create_publisher(ScanQuality, "odometry/quality", reliable(100)),
             "cloud": user.create_publisher(PointCloud2, "points_deskewed", reliable(100)),
             "sky": user.create_publisher(PointCloud2, "points_sky", reliable(100)),
-            "facts": user.create_publisher(String, "odometry/facts", reliable(100)),
+            "facts": user.create_publisher(String, "odometry/facts", latched(32)),
             "announce": user.create_publisher(ReplayCounts, "replay/sequence", latched(1)),
             "sequence": user.create_publisher(ReplayCounts, "odometry/sequence", latched(1)),
             "end": user.create_publisher(ReplayCounts, "odometry/end", latched(1)),

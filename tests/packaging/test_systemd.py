@@ -71,7 +71,7 @@ def test_the_unit_closes_the_recording_and_tries_again_what_may_succeed() -> Non
 
 def test_the_unit_is_installed_and_documented() -> None:
     assert 'glob("systemd/*.service")' in (REPOSITORY / "src/subiaco_bringup/setup.py").read_text()
-    page = (REPOSITORY / "docs" / "in-the-vehicle.md").read_text()
+    page = (REPOSITORY / "docs/how-to/in-the-vehicle.md").read_text()
     assert str(UNIT.relative_to(REPOSITORY)) in page
     assert all(name in page for name in set(environment()) - {"SUBIACO_BAGS"})
 

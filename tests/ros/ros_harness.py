@@ -66,7 +66,6 @@ class Harness:
             assert time.monotonic() < deadline, "what was awaited did not come in time"
             waits = [app.step() for app in self.apps if not app.done]
             self.executor.spin_once(timeout_sec=min([0.05, *waits]))
-            time.sleep(0.003)  # a coroutine that waits is always ready: leave the interpreter to threads
 
     def close(self) -> None:
         """Leave nothing behind."""

@@ -79,7 +79,7 @@ def make_map(
     InputError
         A bag cannot be mapped, an option is not known, or the output exists.
     """
-    from subiaco_change.segmentation.map_classes import map_classes
+    from subiaco_change.segmentation.classes import map_classes
     from subiaco_mapping.job import run_mapping
 
     model = load_config(MappingConfig, tuple(Path(file) for file in config), as_settings(settings))

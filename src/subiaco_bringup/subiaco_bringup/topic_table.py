@@ -192,7 +192,7 @@ TOPICS: tuple[TopicRow, ...] = (
         "std_msgs/msg/String",
         ("odometry",),
         ("pose_graph",),
-        RELIABLE,
+        LATCHED,
         "",
         "1 Hz live, once for each sequence of a replay",
         "JSON: counts that the manifest of the map keeps.",

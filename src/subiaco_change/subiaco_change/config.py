@@ -9,10 +9,10 @@ from pydantic import Field
 from subiaco_change.association.costs import AssociationConfig
 from subiaco_change.decisions.ablation import Part
 from subiaco_change.decisions.confidence import ConfidenceConfig
+from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.ground_cells import GroundChangeConfig
 from subiaco_change.decisions.measures import MeasureConfig
 from subiaco_change.decisions.plant_measures import PlantConfig
-from subiaco_change.decisions.rules import DecisionConfig
 from subiaco_change.given_classes import GivenClassesConfig
 from subiaco_change.input_checks import InputCheckConfig
 from subiaco_change.level_of_detection.alignment_corrections import PlacingConfig

@@ -5,15 +5,21 @@ from __future__ import annotations
 import logging
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
-from typing import Literal, Protocol
+from typing import Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
-from scipy import ndimage
 
-from subiaco_change.geometry import ColumnIndex, build_index, nearest
-from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.geometry import build_index
+from subiaco_change.visibility_tests import (
+    CountedBeams,
+    EverythingSeen,
+    Flags,
+    PointShadow,
+    PosesAndPoints,
+    VisibilityTest,
+    highest_around,
+)
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError
@@ -30,12 +36,9 @@ from subiaco_geo.free_space.sensor_view import described_view, spin_axes
 from subiaco_geo.free_space.view_estimation import estimate_view, view_histogram
 from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.trajectories import Trajectory
-from subiaco_geo.visibility import VisibilityGrid
 
 _LOG = logging.getLogger(__name__)
 
-Flags = NDArray[np.bool_]
-_PRIOR = NUMBERS.visibility_evidence.prior_beams
 Kind = Literal["observed", "trajectory", "estimated", "shadow", "assumed"]
 #: Kinds of evidence, the best first.
 KINDS: tuple[Kind, ...] = ("observed", "trajectory", "estimated", "shadow", "assumed")
@@ -128,137 +131,6 @@ class EvidenceConfig(StrictModel):
     )
 
 
-class _Test(Protocol):
-    """Tells which world points (N, 3) were seen, and through which beams went on."""
-
-    def observed(self, world: Floats) -> Flags: ...
-
-    def passed(self, world: Floats) -> Flags: ...
-
-    def free_probability(self, world: Floats) -> Floats: ...
-
-
-@dataclass(frozen=True)
-class _Grid:
-    """Counts of beams that mapping measured."""
-
-    grid: VisibilityGrid
-    min_beams: int
-
-    def observed(self, world: Floats) -> Flags:
-        return self.grid.observed(world, self.min_beams)
-
-    def passed(self, world: Floats) -> Flags:
-        hits, passes = self.grid.lookup(world)
-        return np.asarray((passes >= self.min_beams) & (hits == 0))
-
-    def free_probability(self, world: Floats) -> Floats:
-        hits, passes = (counts.astype(np.float64) for counts in self.grid.lookup(world))
-        return np.asarray((passes + _PRIOR) / (hits + passes + 2.0 * _PRIOR))
-
-
-@dataclass(frozen=True)
-class _Shadow:
-    """Points alone: a place is seen where something near it, or beneath it, was."""
-
-    index: ColumnIndex
-    origin: Floats
-    radius: float
-    height: float
-    trust: float
-    touch: float
-    level: Floats  # (nx, ny) height of the highest point around a column [m], see _levels
-
-    def observed(self, world: Floats) -> Flags:
-        local = np.ascontiguousarray(world - self.origin)
-        near = nearest(self.index, local, self.radius)[0] >= 0
-        return near | self._above(local)
-
-    def passed(self, world: Floats) -> Flags:
-        local = np.ascontiguousarray(world - self.origin)
-        near = nearest(self.index, local, self.radius)[0] >= 0
-        return self._above(local) & ~near
-
-    def free_probability(self, world: Floats) -> Floats:
-        local = np.ascontiguousarray(world - self.origin)
-        occupied = nearest(self.index, local, self.touch)[0] >= 0
-        return np.where(occupied, 1.0 - self.trust, np.where(self._above(local), self.trust, 0.5))
-
-    def levelled(self, world: Floats) -> Flags:
-        """Tell which world points (N, 3) are no higher than something that the cloud holds around them."""
-        local = np.ascontiguousarray(world - self.origin)
-        ij, inside = self._columns(local)
-        level = np.full(len(local), -np.inf)
-        level[inside] = self.level[ij[inside, 0], ij[inside, 1]]
-        return np.asarray(local[:, 2] <= level + self.touch)
-
-    def _columns(self, local: Floats) -> tuple[NDArray[np.int64], Flags]:
-        ij = np.floor((local[:, :2] - self.index.corner) / self.index.cell).astype(np.int64)
-        return ij, np.asarray(np.all((ij >= 0) & (ij < self.index.shape), axis=1))
-
-    def _above(self, local: Floats) -> Flags:
-        """Tell which points stand above a seen one, in its column or next to it."""
-        index, shape = self.index, self.index.shape
-        lowest = np.full(shape[0] * shape[1], np.inf)
-        filled = np.flatnonzero(np.diff(index.starts) > 0)
-        lowest[filled] = index.xyz[index.starts[filled], 2]
-        ij, inside = self._columns(local)
-        found = np.full(len(local), np.inf)
-        found[inside] = lowest[ij[inside, 0] * shape[1] + ij[inside, 1]]
-        gap = local[:, 2] - found
-        return np.asarray((gap >= 0) & (gap <= self.height))
-
-
-@dataclass(frozen=True)
-class _PosesAndPoints:
-    """Expected visibility; where every pose that has a place in view meets a surface before it, the points.
-
-    Beams reach the ground beneath a crown that a depth image shows closed. Out of view of all poses nothing
-    is known, whatever the points say.
-    """
-
-    poses: ExpectedVisibility
-    points: _Shadow
-    trust: float
-
-    def observed(self, world: Floats) -> Flags:
-        return self._either(self.poses.observed(world), self.points.observed, world)
-
-    def passed(self, world: Floats) -> Flags:
-        return self._either(self.poses.passed(world), self.points.passed, world)
-
-    def free_probability(self, world: Floats) -> Floats:
-        chance = self.poses.free_probability(world)
-        ask = self._hidden(world, chance == _PRIOR)
-        above = self.points.passed(world[ask])
-        chance[ask] = np.where(above, self.trust, _PRIOR)
-        return chance
-
-    def _either(self, known: Flags, points: Callable[[Floats], Flags], world: Floats) -> Flags:
-        ask = self._hidden(world, ~known)
-        known[ask] = points(world[ask])
-        return known
-
-    def _hidden(self, world: Floats, unknown: Flags) -> NDArray[np.int64]:
-        """Which of the places of which the poses know nothing are hidden from them."""
-        ask = np.flatnonzero(unknown)
-        return ask[self.poses.hidden(world[ask])]
-
-
-@dataclass(frozen=True)
-class _Everything:
-    """The paper's rule: absence is taken as evidence everywhere."""
-
-    def observed(self, world: Floats) -> Flags:
-        return np.ones(len(world), dtype=np.bool_)
-
-    def passed(self, world: Floats) -> Flags:
-        return np.ones(len(world), dtype=np.bool_)
-
-    def free_probability(self, world: Floats) -> Floats:
-        return np.full(len(world), 0.5)
-
-
 @dataclass(frozen=True)
 class Observer:
     """What one epoch could see. Build it with :func:`make_observer`.
@@ -277,7 +149,7 @@ class Observer:
     """
 
     kind: Kind
-    test: _Test
+    test: VisibilityTest
     to_own: Callable[[Floats], Floats] | None = None
     certain: float = 1.0
 
@@ -309,12 +181,14 @@ class Observer:
         """
         own = self._own(world)
         return (
-            self.test.levelled(own) if isinstance(self.test, _Shadow) else np.ones(len(own), dtype=np.bool_)
+            self.test.levelled(own)
+            if isinstance(self.test, PointShadow)
+            else np.ones(len(own), dtype=np.bool_)
         )
 
     def passes(self, world: Floats) -> Floats | None:
         """Beams (N,) that passed for each that returned at points (N, 3); None where nothing counted them."""
-        if self.kind != "observed" or not isinstance(self.test, _Grid):
+        if self.kind != "observed" or not isinstance(self.test, CountedBeams):
             return None
         hits, passes = self.test.grid.lookup(self._own(world))
         return np.asarray(passes / np.maximum(hits, 1), dtype=np.float64)
@@ -324,7 +198,7 @@ class Observer:
 
         0 where mapping has no verdict.
         """
-        if self.kind != "observed" or not isinstance(self.test, _Grid):
+        if self.kind != "observed" or not isinstance(self.test, CountedBeams):
             return None
         found = self.test.grid.moved(self._own(world))
         return None if found is None else np.nan_to_num(found.astype(np.float64))
@@ -404,9 +278,9 @@ def make_observer(
     """
     kind = evidence_kind(survey.visibility is not None, survey.trajectory, config)
     if kind == "assumed":
-        return Observer("assumed", _Everything())
+        return Observer("assumed", EverythingSeen())
     if kind == "observed" and survey.visibility is not None:
-        return Observer("observed", _Grid(survey.visibility, config.min_beams), to_own)
+        return Observer("observed", CountedBeams(survey.visibility, config.min_beams), to_own)
     if kind == "trajectory" and survey.trajectory is not None:
         return poses_observer(
             expected_visibility(survey, survey.trajectory, config.poses), survey.cloud, config
@@ -424,34 +298,21 @@ def poses_observer(poses: ExpectedVisibility, cloud: PointCloud, config: Evidenc
         Of the same world as the poses.
     config : EvidenceConfig
     """
-    return Observer("trajectory", _PosesAndPoints(poses, _shadow(cloud, config), config.hidden_trust))
+    return Observer("trajectory", PosesAndPoints(poses, _shadow(cloud, config), config.hidden_trust))
 
 
-def _shadow(cloud: PointCloud, config: EvidenceConfig) -> _Shadow:
+def _shadow(cloud: PointCloud, config: EvidenceConfig) -> PointShadow:
     """Build the test by the points of a cloud alone."""
     index = build_index(cloud.xyz, config.shadow_radius)
-    return _Shadow(
+    return PointShadow(
         index,
         cloud.origin,
         config.shadow_radius,
         config.shadow_height,
         config.shadow_trust,
         config.shadow_touch,
-        _levels(index, config.shadow_level),
+        highest_around(index, config.shadow_level),
     )
-
-
-def _levels(index: ColumnIndex, reach: float) -> Floats:
-    """Height (nx, ny) of the highest point within a distance of every column [m]; -inf where none is."""
-    top = np.full(tuple(index.shape.tolist()), -np.inf)
-    filled = np.flatnonzero(np.diff(index.starts) > 0)
-    top.ravel()[filled] = index.xyz[index.starts[filled + 1] - 1, 2]
-    cells = max(round(reach / index.cell), 1)
-    x, y = np.mgrid[-cells : cells + 1, -cells : cells + 1]
-    around: Floats = ndimage.maximum_filter(
-        top, footprint=x**2 + y**2 <= cells**2, mode="constant", cval=-np.inf
-    )
-    return around
 
 
 def expected_visibility(

@@ -243,7 +243,7 @@ def map_(
 
     Example: subiaco map bags/demo/before -o out/before
     """
-    from subiaco_change.segmentation.map_classes import map_classes
+    from subiaco_change.segmentation.classes import map_classes
     from subiaco_mapping.config import MappingConfig
     from subiaco_mapping.job import run_mapping
     from subiaco_mapping.request import MappingRequest

@@ -1,13 +1,14 @@
-"""Cost of matching two objects (method, part D, Decisions 8 and 11)."""
+"""Cost of matching two objects, and the number of voxels that they share (part D, Decisions 8 and 11)."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field
+from scipy.sparse import coo_array
 from scipy.spatial import cKDTree
 
 from subiaco_change.decisions.measures import histogram_distance, oriented_rectangle, rectangle_iou
@@ -17,9 +18,10 @@ from subiaco_change.method_numbers import NUMBERS
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
 
-#: Weights of centroid distance [1/m], 1 - IoU and histogram distance, paper.
 _PAPER_COST = NUMBERS.costs.paper_weights
 _PHI_REACH = NUMBERS.costs.intersection_reach
+
+#: Weights of centroid distance [1/m], 1 - IoU and histogram distance, paper.
 
 
 class AssociationConfig(StrictModel):
@@ -179,3 +181,49 @@ def _near_pairs(
         reach = config.gate_distance + shape.reach + widest
         pairs.extend((i, j) for j in sorted(tree.query_ball_point(shape.centroid[:2], reach)))
     return pairs
+
+
+#: A scipy sparse array; scipy has no types.
+Sparse = Any
+
+
+def overlap_counts(
+    before: Sequence[ObjectInstance], after: Sequence[ObjectInstance], tolerance: float
+) -> tuple[Sparse, Sparse]:
+    """Count voxels of every object whose nearest voxel of the other epoch is in each object there.
+
+    Parameters
+    ----------
+    before, after : sequence of ObjectInstance
+    tolerance : float
+        Voxels farther apart do not overlap [m].
+
+    Returns
+    -------
+    forward, backward : (B, A) and (A, B) sparse arrays
+        Of voxels of *before* in *after*, and the other way round.
+    """
+    first, second = _stack(before), _stack(after)
+    shape = (len(before), len(after))
+    return (
+        _nearest_counts(first, second, shape, tolerance),
+        _nearest_counts(second, first, shape[::-1], tolerance),
+    )
+
+
+def _stack(objects: Sequence[ObjectInstance]) -> tuple[Floats, Ints]:
+    if not objects:
+        return np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
+    owner = np.repeat(np.arange(len(objects)), [len(t.voxels) for t in objects])
+    return np.concatenate([t.voxels.xyz for t in objects]), owner
+
+
+def _nearest_counts(
+    source: tuple[Floats, Ints], target: tuple[Floats, Ints], shape: tuple[int, int], tolerance: float
+) -> Sparse:
+    if len(source[0]) == 0 or len(target[0]) == 0:
+        return coo_array(shape).tocsr()
+    distance, slot = cKDTree(target[0]).query(source[0], distance_upper_bound=tolerance)
+    hit = np.isfinite(distance)
+    pairs = (source[1][hit], target[1][slot[hit]])
+    return coo_array((np.ones(int(hit.sum())), pairs), shape=shape).tocsr()

@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components, min_weight_full_bipartite_matching
 
-from subiaco_change.association.costs import AssociationConfig, candidate_costs
-from subiaco_change.association.voxel_overlap import Sparse, overlap_counts
+from subiaco_change.association.costs import AssociationConfig, Sparse, candidate_costs, overlap_counts
 from subiaco_change.decisions.voxel_objects import ObjectInstance
 from subiaco_geo.frames import Floats, Ints
 

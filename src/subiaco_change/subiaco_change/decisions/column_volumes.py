@@ -1,4 +1,8 @@
-"""Volumes between the ground and the tops of objects, in columns that both epochs observed (Decision 13)."""
+"""Columns of objects: volumes in both epochs, changes of height, and tops that no survey saw (Decision 13).
+
+A volume lies between the ground and the tops of an object, in columns that both epochs observed. Of most
+houses the street sees half of the roof: the tops of the other half are interpolated.
+"""
 
 from __future__ import annotations
 
@@ -7,6 +11,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import shapely
+from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
@@ -17,11 +22,12 @@ from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.frames import Floats, Ints
 
-NO_COLUMNS: Ints = np.zeros(0, dtype=np.int64)
 _ALONE = NUMBERS.column_volumes.one_epoch_share
 _CROSSED = NUMBERS.column_volumes.crossed_share
 _STRAY = NUMBERS.column_volumes.stray_share
 _PROBES = NUMBERS.column_volumes.probe_heights
+
+NO_COLUMNS: Ints = np.zeros(0, dtype=np.int64)
 
 #: Tells which places (N, 3) a survey saw free.
 Empty = Callable[[Floats], Mask]
@@ -202,3 +208,75 @@ def _whole(tops: Floats, xyz: Floats, cell: float) -> float:
         return 0.0
     low, high = np.quantile(box_coordinates(xyz[:, :2]), [_STRAY, 1.0 - _STRAY], axis=0)
     return float(tops.sum()) * cell**2 * max(1.0, float(np.prod(high - low + cell)) / area)
+
+
+Cells = NDArray[np.bool_]
+
+
+@dataclass(frozen=True, eq=False)
+class ColumnChange:
+    """What the columns of an object gained, less what they lost: ``change`` (nx, ny) [m].
+
+    ``foot`` (nx, ny) is the height above ground at which that begins [m], inf where nothing changed;
+    ``tops`` (2, nx, ny) those of both epochs [m], 0 where none was seen.
+    Columns of an edge ``cell`` [m] lie along its walls: ``corner`` (2,) [m], ``turn`` (2, 2).
+    """
+
+    corner: Floats
+    turn: Floats
+    cell: float
+    change: Floats
+    foot: Floats
+    tops: Floats
+
+    @staticmethod
+    def of(
+        gained: Cells, lost: Cells, tops: Floats, rise: float, grid: tuple[Floats, Floats, float]
+    ) -> ColumnChange:
+        """Sum up changed cells (nx, ny, nz) of a height ``rise`` [m]; ``grid``: corner, turn and cell."""
+        changed = gained | lost
+        change = (gained.sum(axis=2) - lost.sum(axis=2, dtype=np.float64)) * rise
+        foot = np.where(changed.any(axis=2), changed.argmax(axis=2) * rise, np.inf)
+        return ColumnChange(*grid, change, foot, tops)
+
+    def slots(self, xy: Floats) -> Ints:
+        """Columns (N, 2) of places (N, 2)."""
+        return np.floor((xy @ self.turn.T - self.corner) / self.cell).astype(np.int64)
+
+
+def body_tops(tops: Floats, inside: Cells, free: Cells, levels: Floats) -> Floats:
+    """Tops (nx, ny) of a body [m], those interpolated that were not seen; 0 outside.
+
+    Columns at its edge count whole, as those of a change do: a change is a share of what is measured alike.
+
+    Parameters
+    ----------
+    tops : (nx, ny) float64
+        Highest surface seen in every column [m]; 0 where none.
+    inside : (nx, ny) bool
+        Rectangle around the body.
+    free : (nx, ny, nz) bool
+        Cells that were seen free; a column of mostly free cells is no part of the body.
+    levels : (nz,) float64
+        Heights of the middles of the cells [m].
+    """
+    filled = interpolated_tops(tops)
+    below = levels < filled[:, :, None]
+    opened = 2 * (free & below).sum(axis=2) >= below.sum(axis=2)
+    return np.where((tops > 0) | (inside & ~opened), filled, 0.0)
+
+
+def interpolated_tops(tops: Floats) -> Floats:
+    """Tops (nx, ny) [m], where none was seen (0) the mean of the interpolations along both walls.
+
+    Of a pitched roof the half in front is seen, and the walls at its ends.
+    """
+    total, count = np.zeros_like(tops), np.zeros_like(tops)
+    for filled, known in ((total, tops), (total.T, tops.T)):
+        place = np.arange(known.shape[1])
+        for number, row in enumerate(known):
+            if row.any():
+                filled[number] += np.interp(place, place[row > 0], row[row > 0])
+    for axis in (0, 1):
+        count += np.any(tops > 0, axis=axis, keepdims=True)
+    return np.asarray(np.where(tops > 0, tops, total / np.maximum(count, 1.0)))

@@ -3,14 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
 from pydantic import Field
-from scipy.optimize import minimize
 from scipy.special import expit
 
 from subiaco_change.decisions.measures import Measures
@@ -360,47 +358,3 @@ def calibration_of(kinds: Iterable[str], simulated: bool, config: ConfidenceConf
         lacking.append(f"Confidence is not calibrated for evidence of the kind {names}.")
     own = config.fitted_on == ConfidenceConfig().fitted_on or "bands" in config.model_fields_set
     return Calibration(fitted, tuple(lacking), config.bands if own and not lacking else ())
-
-
-#: More of this evidence never makes a label less certain.
-RISING = ("gate", "observed", "size", "purity")
-#: Densities that differ more, or weaker evidence, never make a label more certain.
-FALLING = ("density", "trajectory", "estimated", "shadow", "assumed")
-
-
-def rising_of(kind: str) -> tuple[str, ...]:
-    """Name the evidence of a kind of row that may only raise its confidence."""
-    return RISING if kind == "unchanged" else ("margin", *RISING)
-
-
-def fit(x: Floats, right: NDArray[np.bool_], ridge: float = 1.0, rising: Sequence[str] = ()) -> Coefficients:
-    """Fit one model by penalised likelihood.
-
-    Parameters
-    ----------
-    x : (N, 11) float64
-        Evidence of the rows, :func:`features`.
-    right : (N,) bool
-        Whether the label was right.
-    ridge : float
-        Weight of the squared slopes; the intercept is free, so the mean
-        confidence is the share of right labels.
-    rising : sequence of str
-        Evidence whose slope may not be negative: few rows would else say that
-        less of it is more.
-    """
-    sign = np.where(right, 1.0, -1.0)
-
-    def loss(w: Floats) -> tuple[float, Floats]:
-        z = sign * (w[0] + x @ w[1:])
-        pull = -sign * expit(-z)
-        gradient = np.concatenate([[pull.sum()], x.T @ pull + 2 * ridge * w[1:]])
-        return float(np.logaddexp(0.0, -z).sum() + ridge * (w[1:] ** 2).sum()), gradient
-
-    bounds = [
-        (None, None),
-        *((0.0 if name in rising else None, 0.0 if name in FALLING else None) for name in FEATURES),
-    ]
-    found = minimize(loss, np.zeros(x.shape[1] + 1), jac=True, method="L-BFGS-B", bounds=bounds)
-    values = [round(float(v), 3) for v in found.x]
-    return Coefficients(intercept=values[0], **dict(zip(FEATURES, values[1:], strict=True)))

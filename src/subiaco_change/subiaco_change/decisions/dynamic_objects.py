@@ -13,7 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from scipy.spatial import cKDTree
 
-from subiaco_change.decisions.rules import Decision, DecisionConfig
+from subiaco_change.decisions.config import DecisionConfig
+from subiaco_change.decisions.rules import Decision
 from subiaco_change.decisions.voxel_objects import (
     NO_OBJECT,
     EpochView,

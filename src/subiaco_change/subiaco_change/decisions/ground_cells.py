@@ -118,10 +118,7 @@ def difference_cells(
     heights, bridged = _bridge(cells[0][0], cells[1][0], config)
     known = np.isfinite(cells[0][0]) | np.isfinite(cells[1][0])
     lod = np.maximum(cells[0][1], cells[1][1])
-    other, inside = (
-        _other_surface((before, after), heights, corner, beside, config)
-        for beside in (config.same_beside, math.sqrt(0.5) * config.cell)
-    )
+    other, inside = _other_surface((before, after), heights, corner, config)
     return GroundCells(heights[1] - heights[0], lod, bridged, known, heights[1], other, inside)
 
 
@@ -135,51 +132,56 @@ def _other_surface(
     views: tuple[EpochView, EpochView],
     heights: tuple[Floats, Floats],
     corner: Floats,
-    beside: float,
     config: GroundChangeConfig,
-) -> Mask:
-    """Tell in which cells the ground of two epochs is not one surface that moved.
+) -> tuple[Mask, Mask]:
+    """Tell in which cells, with what lies beside them and alone, two grounds are not one that moved.
 
     Grass that one epoch saw through, a deck above a street, a bank that passed for a plant: the epoch
     that calls the one surface ground holds points of the other too, of another class.
     """
     apart = np.abs(heights[1] - heights[0])
     row, column = np.nonzero(apart > config.threshold)
-    other = np.zeros(apart.shape, dtype=bool)
+    other, inside = np.zeros(apart.shape, dtype=bool), np.zeros(apart.shape, dtype=bool)
     if len(row) == 0:
-        return other
+        return other, inside
     middle = corner + (np.column_stack([column, row]) + 0.5) * config.cell
     limit = np.minimum(config.same_surface, 0.5 * apart[row, column])
-    held = np.zeros(len(row), dtype=bool)
+    reaches = (config.same_beside, math.sqrt(0.5) * config.cell)
+    held = np.zeros((len(reaches), len(row)), dtype=bool)
     for e, view in enumerate(views):
         off = (view.semantic != Semantic.GROUND) & ~is_ghost_trail(view)
         wall = view.semantic == Semantic.BUILDING
         surface = np.column_stack([middle, heights[1 - e][row, column]])
-        held |= _holds(view.xyz[off & ~wall], surface, limit, beside, 0.0)
-        held |= _holds(view.xyz[off & wall], surface, limit, beside, config.same_above)
-    other[row, column] = held
-    return other
+        held |= _holds(view.xyz[off & ~wall], surface, limit, reaches, 0.0)
+        held |= _holds(view.xyz[off & wall], surface, limit, reaches, config.same_above)
+    other[row, column], inside[row, column] = held
+    return other, inside
 
 
-def _holds(points: Floats, places: Floats, limit: Floats, beside: float, above: float) -> Mask:
-    """Tell at which places (M, 3) points (N, 3) lie within ``beside`` and, in height, ``limit`` (M,).
+def _holds(points: Floats, places: Floats, limit: Floats, reaches: tuple[float, ...], above: float) -> Mask:
+    """Tell at which places (M, 3) points (N, 3) lie within each reach (R,) and, in height, ``limit`` (M,).
 
-    A wall that rises beside the place is no surface at its height: more of its points lie ``above``, up to so
-    much [m].
+    Returns (R, M). A wall that rises beside the place is no surface at its height: more of its points lie
+    ``above``, up to so much [m].
     """
-    held = np.zeros(len(places), dtype=bool)
-    low, high = places.min(axis=0) - beside, places.max(axis=0) + beside
+    held = np.zeros((len(reaches), len(places)), dtype=bool)
+    widest = max(reaches)
+    low, high = places.min(axis=0) - widest, places.max(axis=0) + widest
     high[2] += above
     points = points[((points >= low) & (points <= high)).all(axis=1)]
     if len(points) == 0:
         return held
-    near = cKDTree(points[:, :2]).query_ball_point(places[:, :2], beside)
+    near = cKDTree(points[:, :2]).query_ball_point(places[:, :2], widest)
     slot = np.repeat(np.arange(len(places)), [len(n) for n in near])
     step = points[np.concatenate([np.asarray(n, dtype=np.int64) for n in near])] - places[slot]
     level = np.abs(step[:, 2]) <= limit[slot]
     higher = (step[:, 2] > limit[slot]) & (step[:, 2] <= above)
-    at, over = (np.bincount(slot[mask], minlength=len(places)) for mask in (level, higher))
-    return np.asarray((at > 0) & (over <= at))
+    away = np.hypot(step[:, 0], step[:, 1])
+    for row, reach in enumerate(reaches):
+        masks = (level & (away <= reach), higher & (away <= reach))
+        at, over = (np.bincount(slot[mask], minlength=len(places)) for mask in masks)
+        held[row] = (at > 0) & (over <= at)
+    return held
 
 
 def shown_lod(lod: Floats) -> Floats:

@@ -11,10 +11,10 @@ import numpy as np
 from subiaco_change.association.matching import Match, associate
 from subiaco_change.decisions.column_volumes import OpenGround, ground_columns
 from subiaco_change.decisions.confidence import ConfidenceConfig, bounded, features, paper_score, probability
+from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.dynamic_objects import Observed, limit_confidence, own_epoch_evidence
 from subiaco_change.decisions.measures import footprint, same_place
 from subiaco_change.decisions.object_decision import ObjectChange, ObjectRules, decide_object
-from subiaco_change.decisions.rules import DecisionConfig
 from subiaco_change.decisions.voxel_objects import (
     EpochView,
     ObjectInstance,

@@ -10,18 +10,18 @@ import numpy as np
 
 from subiaco_change.association.costs import AssociationConfig
 from subiaco_change.association.matching import match_kind
-from subiaco_change.decisions.absence import absence
 from subiaco_change.decisions.column_volumes import BUILT_UP, OpenGround
+from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.dynamic_objects import OwnEpochEvidence, is_moving_object_trail
-from subiaco_change.decisions.measures import MeasureConfig, Measures, measure
+from subiaco_change.decisions.measures import MeasureConfig, Measures, absence, measure
 from subiaco_change.decisions.plant_decisions import decide_plant
 from subiaco_change.decisions.plant_measures import PlantConfig, measure_plant
-from subiaco_change.decisions.rules import Decision, DecisionConfig, decide
+from subiaco_change.decisions.rules import Decision, decide
 from subiaco_change.decisions.space_carving import Empty
 from subiaco_change.decisions.vegetation_null import PlantMeasures, no_null
 from subiaco_change.decisions.voxel_objects import Free, ObjectInstance, join_voxels
 from subiaco_change.instance_splitting.hedge_sections import NOTHING
-from subiaco_change.instance_splitting.vehicle_parts import decide_vehicle_part
+from subiaco_change.instance_splitting.one_epoch_parts import decide_vehicle_part
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats, Ints

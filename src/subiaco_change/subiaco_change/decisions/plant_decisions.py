@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
-from subiaco_change.decisions.rules import NO_LEVEL, ClassRules, Decision, DecisionConfig
+from subiaco_change.decisions.config import ClassRules, DecisionConfig
+from subiaco_change.decisions.rules import NO_LEVEL, Decision
 from subiaco_change.decisions.vegetation_null import PLANT_MEASURES, Expected, PlantMeasures, VegetationNull
 from subiaco_geo.codes import Change
 

@@ -20,17 +20,15 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from subiaco_change.decisions.column_change import ColumnChange
-from subiaco_change.decisions.unseen_columns import body_tops
+from subiaco_change.decisions.column_volumes import ColumnChange, body_tops
+from subiaco_change.decisions.config import CarvingConfig
 from subiaco_change.decisions.voxel_objects import Voxels
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.segmentation.bounding_rectangles import wall_axes
 from subiaco_change.segmentation.ground_model import Mask
-from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
 
 #: Tells which places (N, 3) a survey saw free.
@@ -48,54 +46,6 @@ _TOUCHING = np.ones((3, 3, 3), dtype=bool)
 _BESIDE_WALL, _BESIDE_ROOF = np.ones((3, 3, 5), dtype=bool), _TOUCHING  # a surface lies anywhere in its cell
 _LEVEL = NUMBERS.space_carving.roof_normal
 _FACES = ndimage.generate_binary_structure(3, 1)
-
-
-class CarvingConfig(StrictModel):
-    """Cells of the space carving of buildings."""
-
-    cell: float = Field(
-        0.5,
-        gt=0,
-        description="Edge of the cells of space carving [m]; smaller cells cost memory, larger cells blur "
-        "walls",
-    )
-    max_cells: int = Field(
-        400_000,
-        gt=1000,
-        description="Largest number of cells of one object; larger objects are carved with larger cells",
-    )
-    thickness: int = Field(
-        2,
-        ge=1,
-        description="Smallest extent of a change of volume [cells]; thinner changes are noise of surfaces",
-    )
-    support: int = Field(
-        6,
-        ge=1,
-        description="Number of voxels of changed surface that a changed volume must have; fewer make no "
-        "claim",
-    )
-    room: float = Field(
-        2.2, gt=0, description="Smallest height of walls that enclose a volume [m]; lower walls are fences"
-    )
-    wall_gap: float = Field(
-        3.0,
-        ge=0,
-        description="Longest gap between observed pieces of one wall that is closed along the wall [m]",
-    )
-    capped: float = Field(
-        0.3,
-        ge=0,
-        le=1,
-        description="Fraction of columns with free space above their top from which the height rests on "
-        "these columns alone; raise it for wider height bounds",
-    )
-    roof_gap: float = Field(
-        1.25,
-        ge=0,
-        description="Largest distance from an observed top to the free space above at which the observed "
-        "top is the top of the column [m]",
-    )
 
 
 @dataclass(frozen=True)

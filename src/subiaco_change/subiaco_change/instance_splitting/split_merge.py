@@ -8,23 +8,23 @@ from dataclasses import replace
 import numpy as np
 import shapely
 
-from subiaco_change.association.costs import AssociationConfig
+from subiaco_change.association.costs import AssociationConfig, overlap_counts
 from subiaco_change.association.matching import match_kind
-from subiaco_change.association.voxel_overlap import overlap_counts
-from subiaco_change.decisions.building_extensions import find_building_extensions, is_smooth_surface
 from subiaco_change.decisions.measures import Measures, measure
 from subiaco_change.decisions.object_decision import ObjectChange, ObjectRules, decide_object
 from subiaco_change.decisions.plant_decisions import decide_plant
 from subiaco_change.decisions.vegetation_null import no_null
 from subiaco_change.decisions.voxel_objects import ObjectInstance, join_voxels
+from subiaco_change.instance_splitting.building_extensions import find_building_extensions, is_smooth_surface
 from subiaco_change.instance_splitting.hedge_sections import Section, changed_sections, section_labels
-from subiaco_change.instance_splitting.merged_instances import Piece, split_by_bodies
-from subiaco_change.instance_splitting.one_epoch_parts import split_by_labels
-from subiaco_change.instance_splitting.rows_of_houses import (
+from subiaco_change.instance_splitting.merged_instances import (
+    Piece,
     group_row_houses,
     split_at_changed_storeys,
     split_at_walls,
+    split_by_bodies,
 )
+from subiaco_change.instance_splitting.one_epoch_parts import split_by_labels
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_geo.codes import Change, Semantic
 

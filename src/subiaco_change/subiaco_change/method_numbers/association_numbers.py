@@ -72,7 +72,7 @@ class OneEpochPartsNumbers(StrictModel):
 
 
 class RowsOfHousesNumbers(StrictModel):
-    """Numbers of ``instance_splitting/rows_of_houses.py``."""
+    """Numbers of ``instance_splitting/merged_instances.py``."""
 
     new_storey: float = Field(
         1.5, description="Rise of a top from which a storey was added [m]; a smaller rise is a new roof"
@@ -112,7 +112,7 @@ class SplitMergeNumbers(StrictModel):
 
 
 class VehiclePartsNumbers(StrictModel):
-    """Numbers of ``instance_splitting/vehicle_parts.py``."""
+    """Numbers of ``instance_splitting/one_epoch_parts.py``."""
 
     crossed_share: float = Field(
         1 / 3,

@@ -8,7 +8,7 @@ from subiaco_geo.config import StrictModel
 
 
 class AbsenceNumbers(StrictModel):
-    """Numbers of ``decisions/absence.py``."""
+    """Numbers of ``decisions/measures.py``."""
 
     voxels_per_patch: float = Field(
         4.0,
@@ -21,7 +21,7 @@ class AbsenceNumbers(StrictModel):
 
 
 class BuildingExtensionsNumbers(StrictModel):
-    """Numbers of ``decisions/building_extensions.py``."""
+    """Numbers of ``instance_splitting/building_extensions.py``."""
 
     enclosing_share: float = Field(
         0.75,
@@ -262,7 +262,7 @@ class SpaceCarvingNumbers(StrictModel):
 
 
 class StoreysNumbers(StrictModel):
-    """Numbers of ``decisions/storeys.py``."""
+    """Numbers of ``instance_splitting/merged_instances.py``."""
 
     new_storey: float = Field(
         1.5, description="Rise of a top from which a storey was added [m]; a smaller rise is a new roof"

@@ -14,7 +14,7 @@ class InstancesNumbers(StrictModel):
 
 
 class ThinTrailsNumbers(StrictModel):
-    """Numbers of ``segmentation/thin_trails.py``."""
+    """Numbers of ``segmentation/trail_swaths.py``."""
 
     thickness_radius: float = Field(
         1.2,
@@ -33,7 +33,7 @@ class ThinTrailsNumbers(StrictModel):
 
 
 class TrailEndsNumbers(StrictModel):
-    """Numbers of ``segmentation/trail_ends.py``."""
+    """Numbers of ``segmentation/trail_swaths.py``."""
 
     direction_reach: float = Field(
         6.0,
@@ -48,7 +48,7 @@ class TrailEndsNumbers(StrictModel):
 
 
 class TrailShapeNumbers(StrictModel):
-    """Numbers of ``segmentation/trail_shape.py``."""
+    """Numbers of ``segmentation/ghost_trails.py``."""
 
     layer: float = Field(
         0.5,

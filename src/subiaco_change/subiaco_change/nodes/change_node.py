@@ -39,7 +39,8 @@ from subiaco_ros.qos import latched
 
 LOGGER = logging.getLogger(__name__)
 
-POLL = 0.1
+#: Between two looks at a running comparison, for the node's own and for one of a goal [s].
+POLL, GOAL_POLL = 0.1, 0.02
 
 
 class ChangeParameters(StrictModel):
@@ -173,6 +174,7 @@ class ChangeApp:
             told = DetectChanges.Feedback(stage=job.stage, fraction=float(job.fraction), tile=job.tile)
             handle.publish_feedback(told)
             self._progress(job.stage, job.fraction)
+            job.wait(GOAL_POLL)  # the executor resumes a coroutine at once: it would only spin
             await _NextSpin()
         self._job = None
         return self._conclude(handle, job)

@@ -54,6 +54,10 @@ class Job:
         """Whether outcome or error is there."""
         return not self._thread.is_alive()
 
+    def wait(self, seconds: float) -> None:
+        """Leave the interpreter to the job until it has finished, but for so long at most [s]."""
+        self._thread.join(seconds)
+
     def cancel(self) -> None:
         """Ask the job to stop at the next stage."""
         self._cancelled.set()

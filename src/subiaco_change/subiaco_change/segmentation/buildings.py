@@ -1,234 +1,19 @@
-"""Building class: facades, roofs, and the small parts attached to them (method, part C3)."""
+"""Building class: planar patches, facades, roofs, and the small parts attached to them (method, part C3)."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 
 import numpy as np
-from pydantic import Field
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from subiaco_change.segmentation.clustering import group_reduce, voxel_clusters
-from subiaco_change.segmentation.features import FeatureConfig, Features, compute_features
+from subiaco_change.segmentation.clustering import connect, group_reduce, voxel_clusters
+from subiaco_change.segmentation.config import BuildingConfig
+from subiaco_change.segmentation.features import Features, compute_features
 from subiaco_change.segmentation.ground_model import Mask
-from subiaco_change.segmentation.planar_patches import Patches, planar_patches
 from subiaco_geo.clouds import voxel_indices, voxel_keys
-from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
-
-
-class BuildingConfig(StrictModel):
-    """Which planes are buildings, and what belongs to them; heights are above the local ground model."""
-
-    max_linearity: float = Field(
-        0.92,
-        gt=0,
-        lt=1,
-        description="Largest linearity of a point that may join a planar patch [1]; points along lines "
-        "have no normal",
-    )
-    plane_angle_deg: float = Field(
-        10.0,
-        gt=0,
-        description="Largest angle between the normals of neighbouring points of one planar patch [deg] "
-        "(paper)",
-    )
-    plane_offset: float = Field(
-        0.08,
-        gt=0,
-        description="Largest distance of a point from its neighbour's plane within one planar patch [m] "
-        "(paper)",
-    )
-    plane_area: float = Field(
-        6.0,
-        gt=0,
-        description="Smallest area of a planar patch that is a facade or a roof by itself [m2] (paper)",
-    )
-    plane_cell: float = Field(
-        0.5, gt=0, description="Edge of the cells in which the area of a planar patch is counted [m]"
-    )
-    wire_height: float = Field(
-        4.0,
-        gt=0,
-        description="Height above ground above which linear points and patches can be wires or palm "
-        "fronds [m]",
-    )
-    wire_linearity: float = Field(
-        0.42, gt=0, lt=1, description="Mean linearity above which a planar patch can be a bundle of wires [1]"
-    )
-    wire_level: float = Field(
-        0.97,
-        gt=0,
-        lt=1,
-        description="Vertical component of a patch normal above which a bundle of wires hangs level [1]; "
-        "roofs are pitched",
-    )
-    wire_inner: float = Field(
-        0.4,
-        gt=0,
-        le=1,
-        description="Fraction of the cells of a patch with four occupied neighbours; below it, the patch "
-        "may be wires",
-    )
-    wire_rise: float = Field(
-        1.0,
-        gt=0,
-        description="Largest standard deviation of the heights in a bundle of wires [m]; sparse facades "
-        "have more",
-    )
-    frond_linearity: float = Field(
-        0.36,
-        gt=0,
-        lt=1,
-        description="Mean linearity above which a rough, bent patch consists of palm fronds [1]",
-    )
-    frond_bend: float = Field(
-        0.1,
-        gt=0,
-        description="Root mean square distance from its plane above which a patch can consist of palm "
-        "fronds [m]",
-    )
-    frond_roughness: float = Field(
-        0.04,
-        gt=0,
-        description="Median roughness above which a patch can be palm fronds or foliage instead of a roof "
-        "[m]",
-    )
-    wire_roughness: float = Field(
-        0.045, gt=0, description="Largest roughness of a point that belongs to a wire [m]"
-    )
-    wire_length: float = Field(4.0, gt=0, description="Shortest horizontal extent of a run of wires [m]")
-    wire_touch: float = Field(
-        0.4,
-        gt=0,
-        description="Edge of the voxels in which points of wires are connected into one component [m]",
-    )
-    leafy_scatter: float = Field(
-        0.18,
-        gt=0,
-        lt=1,
-        description="Mean sqrt(l3 / l1) above which a small planar patch is the side of a hedge, not a "
-        "wall [1]",
-    )
-    leafy_bend: float = Field(
-        0.2,
-        gt=0,
-        description="Root mean square distance from its plane above which a rough, inclined patch is "
-        "foliage, not a roof [m]",
-    )
-    leafy_area: float = Field(
-        25.0,
-        gt=0,
-        description="Area of a planar patch from which scattered points no longer make the patch foliage "
-        "[m2]",
-    )
-    facade_slope: float = Field(
-        0.25,
-        gt=0,
-        description="Largest vertical component of the normal of a facade [1] (paper); raise it to accept "
-        "inclined walls",
-    )
-    thick: FeatureConfig = FeatureConfig(neighbours=24, radius=1.5)
-    thick_cell: float = Field(
-        0.5,
-        gt=0,
-        description="Edge of the voxels in which a wall that was mapped as several sheets is averaged to "
-        "one [m]",
-    )
-    thick_roughness: float = Field(
-        0.16,
-        gt=0,
-        description="Largest roughness, over a radius of 1.5 m, of a wall that was mapped as several "
-        "sheets [m]",
-    )
-    thick_offset: float = Field(
-        0.25,
-        gt=0,
-        description="Largest distance between neighbouring voxel means of a wall that was mapped as "
-        "several sheets [m]",
-    )
-    thick_area: float = Field(
-        12.0, gt=0, description="Smallest area of a wall that was mapped as several sheets [m2]"
-    )
-    facade_width: float = Field(
-        0.15,
-        gt=0,
-        description="Smallest standard deviation of points along a facade [m]; the face of a pole has less",
-    )
-    facade_top: float = Field(
-        2.3,
-        gt=0,
-        description="Height above ground that a facade must reach [m]; lower walls become class other",
-    )
-    eaves: float = Field(
-        0.35,
-        ge=0,
-        description="Distance below facade_top at which a wall may end if rough eaves continue above the "
-        "wall [m]",
-    )
-    facade_share: float = Field(
-        0.3,
-        ge=0,
-        le=1,
-        description="Fraction of the points of a facade that must lie where a wall reaches facade_top",
-    )
-    part_area: float = Field(
-        2.0,
-        gt=0,
-        description="Smallest area of a planar patch that joins a larger facade or roof near it [m2]",
-    )
-    roof_height: float = Field(
-        2.0,
-        gt=0,
-        description="Median height above ground above which any planar patch that is not upright is a "
-        "roof [m] (method C3)",
-    )
-    roof_level: float = Field(
-        0.5, gt=0, lt=1, description="Smallest vertical component of the normal of a roof point [1]"
-    )
-    roof_cell: float = Field(0.5, gt=0, description="Edge of the cells of the footprint of roofs [m]")
-    chimney: float = Field(
-        1.2, ge=0, description="Height above a roof up to which points belong to the building [m]"
-    )
-    under_gap: float = Field(
-        0.3,
-        gt=0,
-        description="Clearance below a roof above which an object under the roof, a car for instance, is "
-        "separate [m]",
-    )
-    under_share: float = Field(
-        0.5,
-        gt=0,
-        le=1,
-        description="Largest fraction of the points of an object under a roof that may have roof posts "
-        "above them",
-    )
-    under_points: int = Field(
-        15, gt=0, description="Smallest number of points of a separate object under a roof"
-    )
-    touch: float = Field(
-        0.25,
-        gt=0,
-        description="Edge of the voxels in which points of one object at a building are connected [m]",
-    )
-    attach: float = Field(
-        1.0,
-        ge=0,
-        description="Distance from a building within which smooth small parts join the building [m]",
-    )
-    edge: float = Field(
-        0.7,
-        ge=0,
-        description="Distance from a building within which points that look like foliage join the "
-        "building [m]",
-    )
-    contact: float = Field(
-        0.5,
-        ge=0,
-        description="Distance from a building within which points of fences and plants that extend "
-        "farther join it [m]",
-    )
 
 
 @dataclass(frozen=True)
@@ -437,3 +222,124 @@ def find_wires(xyz: Floats, height: Floats, roughness: Floats, hard: Mask, confi
     )
     wires[thin[np.hypot(*(highs - lows))[run] > config.wire_length]] = True
     return wires
+
+
+_HALF_PLANE = 1 << 14  # cells on either side of a patch's centre
+
+
+@dataclass(frozen=True)
+class Patches:
+    """Planar patches of a cloud.
+
+    ``label`` (N,) is -1 for points of none; ``normal`` (P, 3), ``centre``
+    (P, 3) [m], ``area`` (P,) [m2] of occupied cells in the plane, ``inner``
+    (P,) [m2] of those whose four neighbours are occupied too (none in a bundle of wires), and
+    ``residual`` (P,) the root mean square distance to the plane [m]. ``rise`` (P,) is the standard
+    deviation of the heights once their slope along the patch is taken out [m]: little for a bundle of
+    wires, however steep or long; ``width`` (P,) that along the horizontal of the plane [m].
+    """
+
+    label: Ints
+    normal: Floats
+    centre: Floats
+    area: Floats
+    inner: Floats
+    residual: Floats
+    rise: Floats
+    width: Floats
+
+
+def planar_patches(
+    xyz: Floats, features: Features, candidate: Mask, angle_deg: float, offset: float, cell: float
+) -> Patches:
+    """Join neighbouring candidate points whose normals agree and that lie in each other's plane.
+
+    Parameters
+    ----------
+    xyz : (N, 3) float64 [m]
+    features : Features
+    candidate : (N,) bool
+    angle_deg : float
+        Largest angle between the normals of neighbours [deg].
+    offset : float
+        Largest distance of a neighbour from the tangent plane [m].
+    cell : float
+        Edge of the cells in which areas are counted [m].
+    """
+    edges = _smooth_edges(xyz, features, candidate, angle_deg, offset)
+    component = connect(len(xyz), edges)
+    sizes = np.bincount(component)
+    keep = candidate & (sizes[component] >= 4)
+    label = np.full(len(xyz), -1, dtype=np.int64)
+    _, label[keep] = np.unique(component[keep], return_inverse=True)
+    return _measure(xyz, label, cell)
+
+
+def _smooth_edges(xyz: Floats, features: Features, candidate: Mask, angle_deg: float, offset: float) -> Ints:
+    columns = features.neighbours[:, 1:9]
+    source = np.repeat(np.flatnonzero(candidate), columns.shape[1])
+    target = columns[candidate].ravel().astype(np.int64)
+    inside = candidate[target]
+    source, target = source[inside], target[inside]
+    normals = features.normals
+    aligned = np.abs(np.einsum("ij,ij->i", normals[source], normals[target])) > np.cos(np.radians(angle_deg))
+    source, target = source[aligned], target[aligned]
+    step = np.abs(np.einsum("ij,ij->i", normals[source], xyz[target] - xyz[source]))
+    near = step < offset
+    return np.stack([source[near], target[near]], axis=1)
+
+
+def _measure(xyz: Floats, label: Ints, cell: float) -> Patches:
+    inside = label >= 0
+    points, own = xyz[inside], label[inside]
+    count = int(own.max(initial=-1)) + 1
+    sizes = np.maximum(np.bincount(own, minlength=count), 1)
+    centre = np.stack([np.bincount(own, points[:, i], count) / sizes for i in range(3)], axis=1)
+    delta = points - centre[own]
+    covariance = np.empty((count, 3, 3))
+    for i in range(3):
+        for j in range(3):
+            covariance[:, i, j] = np.bincount(own, delta[:, i] * delta[:, j], count) / sizes
+    values, vectors = np.linalg.eigh(covariance)
+    normal = vectors[:, :, 0]
+    residual = np.sqrt(np.maximum(values[:, 0], 0.0))
+    area, inner = _plane_area(delta, own, normal, cell)
+    return Patches(label, normal, centre, area, inner, residual, *_rise_and_width(covariance, normal))
+
+
+def _rise_and_width(covariance: Floats, normal: Floats) -> tuple[Floats, Floats]:
+    """Return the standard deviations (P,) of heights about a line along each plane, and along that line."""
+    along = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
+    along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
+    spread = np.einsum("pi,pij,pj->p", along, covariance[:, :2, :2], along)
+    slope = np.einsum("pi,pi->p", along, covariance[:, :2, 2])
+    rise = np.sqrt(np.maximum(covariance[:, 2, 2] - slope**2 / np.maximum(spread, 1e-12), 0.0))
+    return rise, np.sqrt(np.maximum(spread, 0.0))
+
+
+def _plane_area(delta: Floats, own: Ints, normal: Floats, cell: float) -> tuple[Floats, Floats]:
+    """Area [m2] of the occupied cells of every patch in its own plane, and of those inside it."""
+    flat = np.abs(normal[:, 2]) > 0.95
+    reference = np.where(flat[:, None], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0])
+    u = np.cross(reference, normal)
+    u /= np.maximum(np.linalg.norm(u, axis=1, keepdims=True), 1e-12)
+    v = np.cross(normal, u)
+    column, row = (
+        np.floor(np.einsum("ij,ij->i", delta, axis[own]) / cell).astype(np.int64) for axis in (u, v)
+    )
+    half = _HALF_PLANE
+    keys = np.unique(
+        (own * 2 * half + np.clip(column, 1 - half, half - 2) + half) * 2 * half
+        + np.clip(row, 1 - half, half - 2)
+        + half
+    )
+    inside = np.ones(len(keys), dtype=bool)
+    for step in (1, -1, 2 * half, -2 * half):
+        slot = np.minimum(np.searchsorted(keys, keys + step), len(keys) - 1)
+        inside &= keys[slot] == keys + step
+    patch = keys // (4 * half * half)
+    count = len(normal)
+    return (
+        np.asarray(np.bincount(patch, minlength=count) * cell**2, dtype=np.float64),
+        np.asarray(np.bincount(patch, inside, minlength=count) * cell**2, dtype=np.float64),
+    )

@@ -10,7 +10,6 @@ from numpy.typing import NDArray
 from pydantic import Field
 
 from subiaco_change.segmentation.buildings import (
-    BuildingConfig,
     attach_parts,
     building_planes,
     find_wires,
@@ -19,13 +18,14 @@ from subiaco_change.segmentation.buildings import (
     within_roofs,
 )
 from subiaco_change.segmentation.clustering import group_indices, group_reduce, voxel_clusters
+from subiaco_change.segmentation.config import BuildingConfig, VehicleConfig
 from subiaco_change.segmentation.features import FeatureConfig, Features, compute_features
 from subiaco_change.segmentation.ghost_trails import TrafficConfig, moving_points, still_blocks, timed_trails
 from subiaco_change.segmentation.ground_model import GroundConfig, GroundModel, Mask, fit_ground
 from subiaco_change.segmentation.raised_surfaces import RaisedConfig, RaisedSurfaces, find_raised
 from subiaco_change.segmentation.superpoints import SuperpointConfig, partition
 from subiaco_change.segmentation.trail_raster import TrailShapeConfig
-from subiaco_change.segmentation.vehicles import VehicleConfig, free_boxes, ground_boxes, look_again
+from subiaco_change.segmentation.vehicles import free_boxes, ground_boxes, release_false_vehicles
 from subiaco_change.segmentation.wires_and_poles import LineConfig, find_lines
 from subiaco_geo.clouds import PointCloud, sort_spatially
 from subiaco_geo.codes import Semantic
@@ -246,7 +246,9 @@ def _classify(
     )
     semantic[rest] = _split_rest(xyz[rest], height[rest], foliage[rest], upright[rest], config)
     level = np.abs(features.normals[:, 2]) > config.level
-    semantic = look_again(xyz, height, foliage, upright, semantic, moving, trucks, level, config.vehicles)
+    semantic = release_false_vehicles(
+        xyz, height, foliage, upright, semantic, moving, trucks, level, config.vehicles
+    )
     return semantic, moving, trucks & (semantic == Semantic.MOBILE)
 
 
@@ -331,3 +333,26 @@ def _scores(semantic: NDArray[np.uint8], features: Features) -> NDArray[np.float
     neighbours = features.neighbours
     counts = np.stack([(semantic[neighbours] == c).sum(axis=1) for c in range(5)], axis=1)
     return np.asarray(counts / neighbours.shape[1], dtype=np.float32)
+
+
+_FEWEST = 100  # points below which neighbourhoods say nothing
+
+
+def map_classes(cloud: PointCloud, moved: Floats) -> NDArray[np.uint8]:
+    """Return the class (N,) of every point of a part of a map.
+
+    Parameters
+    ----------
+    cloud : PointCloud
+        Points at the leaf of the map; z is up.
+    moved : (N,) float64
+        Probability that each point moved during the survey.
+
+    Returns
+    -------
+    (N,) uint8
+        :class:`~subiaco_geo.codes.Semantic`; *other* for all of a part with fewer than 100 points.
+    """
+    if len(cloud) < _FEWEST:
+        return np.full(len(cloud), Semantic.OTHER, dtype=np.uint8)
+    return label_points(cloud, SemanticsConfig(), moved=moved).semantic

@@ -12,9 +12,14 @@ from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.segmentation.bounding_rectangles import box_coordinates
 from subiaco_change.segmentation.classes import SemanticResult
 from subiaco_change.segmentation.clustering import cell_clusters, group_indices, voxel_clusters
-from subiaco_change.segmentation.height_profiles import ProfileConfig, level_steps, part_slots
-from subiaco_change.segmentation.parked_rows import RowConfig, split_rows
-from subiaco_change.segmentation.row_houses import split_row
+from subiaco_change.segmentation.object_rows import (
+    ProfileConfig,
+    RowConfig,
+    level_steps,
+    part_slots,
+    split_row,
+    split_rows,
+)
 from subiaco_geo.clouds import PointCloud, voxel_indices, voxel_keys
 from subiaco_geo.codes import Semantic
 from subiaco_geo.config import StrictModel

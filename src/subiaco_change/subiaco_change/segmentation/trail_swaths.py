@@ -1,4 +1,13 @@
-"""Ghost trails of vehicles: swaths as wide as a vehicle, filled from side to side, on seen ground."""
+"""Swaths of ghost trails in a raster: of vehicles, of cyclists and people on foot, and their fragments.
+
+The swath of a vehicle is as wide as the vehicle and filled from side to side, on ground that was seen. The
+swath of a person is thin and lies on open ground: a fence, a wall or a hedge of that length hides the ground
+behind it, and a fence is a plane. A person sways, and hid any place beside the way for a moment only.
+
+Where few beams met a moving vehicle, its trail falls apart into fragments. A fragment belongs to a known
+trail if it lies in line with the trail, near it or near a fragment that does, and on ground that was seen. A
+vehicle that stands at the end of a trail is larger than a fragment.
+"""
 
 from __future__ import annotations
 
@@ -6,18 +15,30 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy import ndimage
+from scipy.spatial import cKDTree
 from scipy.special import expit
 
 from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.segmentation.clustering import group_indices
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.segmentation.trail_raster import AROUND, Raster, TrailShapeConfig, limited
-from subiaco_geo.frames import Floats
+from subiaco_geo.frames import Floats, Ints
 
 _DIRECTIONS = NUMBERS.trail_swaths.directions
-SURE = NUMBERS.trail_swaths.certain
 _VEHICLE = NUMBERS.trail_swaths.vehicle_area
 _PART = NUMBERS.trail_swaths.part_area
 _TALLER = NUMBERS.trail_swaths.taller
+_REACH = NUMBERS.thin_trails.thickness_radius
+_LEAST = NUMBERS.thin_trails.fewest_points
+_SAMPLE = NUMBERS.thin_trails.thickness_places
+_WINDOW = NUMBERS.thin_trails.open_window
+_OPEN = NUMBERS.thin_trails.open_quantile
+_DIRECTION = NUMBERS.trail_ends.direction_reach
+_STRAIGHT = NUMBERS.trail_ends.straightness
+_BLOCK = NUMBERS.trail_ends.block
+_ROUNDS = NUMBERS.trail_ends.most_pieces
+
+SURE = NUMBERS.trail_swaths.certain
 
 
 @dataclass(frozen=True)
@@ -146,3 +167,152 @@ def _by_parts(swath: _Swath, axis: Mask, raster: Raster, config: TrailShapeConfi
         if config.cell * np.hypot(*(part.stop - part.start for part in found)) < 2.0 * config.run:
             chance[ndimage.binary_dilation(raised == number, AROUND)] = 0.0
     return chance
+
+
+def thin_trails(xyz: Floats, index: Ints, raster: Raster, config: TrailShapeConfig) -> Floats:
+    """Return the probability (N,) that points (N, 3) of bodies were left by a cyclist or a person on foot.
+
+    Parameters
+    ----------
+    xyz : (N, 3) float64
+        Points of bodies that no vehicle left [m].
+    index : (N, 2) int64
+        Their cells.
+    raster : Raster
+    config : TrailShapeConfig
+    """
+    chance = np.zeros(len(xyz))
+    body = np.zeros(raster.ground.shape, dtype=np.bool_)
+    body[tuple(index.T)] = True
+    labels, _ = ndimage.label(ndimage.binary_closing(body, AROUND), AROUND)
+    open_ground = _open_share(raster.ground, config)
+    for number, members in enumerate(group_indices(labels[tuple(index.T)].astype(np.int64))):
+        length = float(np.hypot(*np.ptp(xyz[members, :2], axis=0))) if len(members) >= _LEAST else 0.0
+        if number == 0 or length < config.thin_length - 6.0 * config.thin_length_scale:
+            continue
+        rim = int(np.ceil(config.beside / config.cell)) + 1
+        low, high = index[members].min(axis=0) - rim, index[members].max(axis=0) + rim + 1
+        window = (slice(max(low[0], 0), high[0]), slice(max(low[1], 0), high[1]))
+        odds = _lit_odds(labels[window] == number, labels[window] > 0, raster, window, open_ground, config)
+        if odds <= 0:
+            continue
+        spread = _thickness(xyz[members, :2])
+        if np.median(spread) < config.thickest:
+            thick = limited((float(np.median(spread)) - config.thickness) / config.thickness_scale)
+            long = limited((length - config.thin_length) / config.thin_length_scale)
+            chance[members] = np.where(spread < config.thickest, expit(2.0 * min(odds, thick, long)), 0.0)
+    return chance
+
+
+def _open_share(ground: Mask, config: TrailShapeConfig) -> float:
+    """Share of the cells of open ground that hold ground points: how densely ground was seen at all."""
+    size = round(_WINDOW / config.cell)
+    share = ndimage.uniform_filter(ground.astype(np.float64), size)[ground]
+    return float(np.quantile(share, _OPEN)) if len(share) else 1.0
+
+
+def _lit_odds(
+    cells: Mask,
+    bodies: Mask,
+    raster: Raster,
+    window: tuple[slice, slice],
+    open_ground: float,
+    config: TrailShapeConfig,
+) -> float:
+    """Log odds of a trail by the ground beside it, its height, and what is over it."""
+    away = ndimage.distance_transform_edt(~cells)
+    ring = (away > 1.5) & (away * config.cell < config.beside) & ~bodies
+    if not ring.any():
+        return -6.0
+    ground, tops = raster.ground[window], raster.top[window]
+    beside = float(ground[ring].mean())
+    lit = limited((beside / open_ground - config.lit) / config.ground_scale)
+    reached = tops[cells & np.isfinite(tops)]
+    tall = limited((float(np.median(reached)) - config.thin_top) / config.thin_top_scale)
+    over = limited((config.overhead - float((tops[cells] > config.body_top).mean())) / config.ground_scale)
+    return min(lit, tall, over)
+
+
+def _thickness(xy: Floats) -> Floats:
+    """Return the standard deviation (N,) across a swath at its points (N, 2) [m], told at sampled places."""
+    some = xy[:: max(len(xy) // _SAMPLE, 1)]
+    tree = cKDTree(xy)
+    spread = np.zeros(len(some))
+    for number, near in enumerate(tree.query_ball_point(some, _REACH)):
+        if len(near) > 2:
+            spread[number] = np.sqrt(max(float(np.linalg.eigvalsh(np.cov(xy[near].T))[0]), 0.0))
+    return np.asarray(spread[cKDTree(some).query(xy)[1]])
+
+
+def with_pieces(cells: Floats, raster: Raster, sure: float, config: TrailShapeConfig) -> Floats:
+    """Return the probability of cells (rows, columns), with pieces that continue sure trails.
+
+    Parameters
+    ----------
+    cells : (rows, columns) float64
+        Probability that the bodies of cells moved.
+    raster : Raster
+    sure : float
+        Probability from which a cell belongs to a trail; pieces get it.
+    config : TrailShapeConfig
+    """
+    labels, count = _pieces(raster.body & (cells < sure), config)
+    known = np.argwhere(cells >= sure).astype(np.float64) * config.cell
+    if count == 0 or len(known) == 0:
+        return cells
+    index = np.argwhere(labels > 0)
+    number = labels[tuple(index.T)]
+    places = index.astype(np.float64) * config.cell
+    open_pieces = _candidates(labels, count, raster, config)
+    pieces = {k: places[m] for k, m in enumerate(group_indices(number)) if open_pieces[k]}
+    found = cells.copy()
+    for _ in range(_ROUNDS):
+        tree = cKDTree(known)
+        joined = [k for k in sorted(pieces) if _continues(pieces[k], known, tree, config)]
+        if not joined:
+            break
+        found[np.isin(labels, joined)] = sure
+        known = np.concatenate([known, *(pieces.pop(k) for k in joined)])
+    return found
+
+
+def _pieces(bodies: Mask, config: TrailShapeConfig) -> tuple[Ints, int]:
+    """Give numbers to the pieces (rows, columns) of bodies, without what may be a standing vehicle."""
+    groups, count = ndimage.label(bodies, AROUND)
+    area = np.bincount(groups.ravel(), minlength=count + 1) * config.cell**2
+    extent = [0.0] + [
+        config.cell * max(part.stop - part.start for part in found) for found in ndimage.find_objects(groups)
+    ]
+    vehicle = (area >= config.piece) & (np.array(extent) < config.piece_length)
+    edge = max(round(_BLOCK / config.cell), 1)
+    row, column = (np.arange(size) // edge for size in bodies.shape)
+    block = row[:, None] * (column.max() + 1) + column[None, :]
+    key = np.where(bodies & ~vehicle[groups], groups * (block.max() + 1) + block + 1, 0)
+    values, labels = np.unique(key, return_inverse=True)
+    labels = labels.reshape(key.shape) + int(values[0] > 0)
+    return labels.astype(np.int64), int(labels.max())
+
+
+def _candidates(labels: Ints, count: int, raster: Raster, config: TrailShapeConfig) -> Mask:
+    """Tell which pieces (count + 1,) lie on seen ground and are as low as a car."""
+    numbers = np.arange(count + 1)
+    seen = ndimage.maximum_filter(raster.ground, 3).astype(np.float64)
+    on_ground = np.asarray(ndimage.mean(seen, labels, numbers)) >= config.ground
+    low = np.asarray(ndimage.maximum(raster.top, labels, numbers)) < config.body_top
+    candidates = np.asarray(on_ground & low)
+    candidates[0] = False
+    return candidates
+
+
+def _continues(piece: Floats, known: Floats, tree: cKDTree, config: TrailShapeConfig) -> bool:
+    """Tell whether a piece (N, 2) lies near known cells of trails (M, 2), in line with them [m]."""
+    distance, nearest = tree.query(piece, distance_upper_bound=config.piece_gap)
+    if not np.isfinite(distance).any():
+        return False
+    start = known[nearest[int(np.argmin(distance))]]
+    around = known[tree.query_ball_point(start, _DIRECTION)]
+    values, axes = np.linalg.eigh(np.cov(around.T)) if len(around) > 2 else (np.ones(2), np.eye(2))
+    if values[1] < _STRAIGHT**2 * max(values[0], 1e-9):
+        return False
+    aside = np.abs((piece - around.mean(axis=0)) @ axes[:, 0])
+    return bool(aside.max() <= config.piece_aside)

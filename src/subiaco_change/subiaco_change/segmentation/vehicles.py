@@ -4,189 +4,15 @@ from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
-from pydantic import Field
 from scipy.spatial import cKDTree
 
 from subiaco_change.segmentation.bounding_rectangles import box_coordinates, box_sides
 from subiaco_change.segmentation.clustering import cell_clusters, group_indices, voxel_clusters
+from subiaco_change.segmentation.config import VehicleConfig
 from subiaco_change.segmentation.ground_model import Mask
-from subiaco_change.segmentation.parked_rows import RowConfig, split_rows
+from subiaco_change.segmentation.object_rows import split_rows
 from subiaco_geo.codes import Semantic
-from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
-
-
-class VehicleConfig(StrictModel):
-    """Boxes of vehicles; heights are above the local ground model."""
-
-    truck_length: float = Field(13.0, gt=0, description="Longest length of a truck or bus [m]")
-    truck_width: float = Field(3.3, gt=0, description="Widest width of a truck or bus [m]")
-    truck_min_width: float = Field(
-        0.8, gt=0, description="Smallest observed width of a truck or bus [m]; a free-standing wall has less"
-    )
-    truck_top: float = Field(3.8, gt=0, description="Largest height above ground of a truck or bus [m]")
-    truck_gap: float = Field(
-        0.4,
-        gt=0,
-        description="Edge of the cells, seen from above, in which points of a truck are connected [m]",
-    )
-    truck_planes: float = Field(
-        0.25,
-        ge=0,
-        le=1,
-        description="Smallest fraction of the points of a truck that lie in planar patches as large as a "
-        "facade",
-    )
-    trunk_linearity: float = Field(
-        0.8,
-        gt=0,
-        le=1,
-        description="Linearity above which a point next to a truck belongs to a tree trunk or a pole [1]",
-    )
-    truck_edge: float = Field(
-        0.7, ge=0, description="Distance from a truck within which small parts join the truck [m]"
-    )
-    wheels: float = Field(
-        0.68,
-        gt=0,
-        description="Largest ratio of point density near the ground to that at 1 m height for a truck, "
-        "which is open between its wheels",
-    )
-    mobile_length: float = Field(
-        5.5, gt=0, description="Longest length of a vehicle that is no truck [m] (paper: 5 m)"
-    )
-    mobile_height: float = Field(
-        3.0, gt=0, description="Largest height above ground of a vehicle that is no truck [m] (paper)"
-    )
-    mobile_top: float = Field(
-        2.6,
-        gt=0,
-        description="Height above ground below which vehicles are searched, to keep tree crowns out [m]",
-    )
-    mobile_hard: float = Field(
-        0.4,
-        ge=0,
-        le=1,
-        description="Smallest fraction of the points of a vehicle that are not foliage; half of it "
-        "suffices for a car-sized box",
-    )
-    split_band: float = Field(
-        0.3,
-        ge=0,
-        description="Height above ground of the lowest band, which is left out to separate vehicles from "
-        "hedges [m]",
-    )
-    split_gap: float = Field(
-        0.3,
-        gt=0,
-        description="Edge of the cells, seen from above, in which points of one vehicle are connected [m]",
-    )
-    rows: RowConfig = RowConfig()
-    shed_top: float = Field(
-        2.1, gt=0, description="Height above ground from which a short box with upright walls is a shed [m]"
-    )
-    shed_straight_top: float = Field(
-        1.9,
-        gt=0,
-        description="Height above ground from which a short box that does not narrow towards its top is a "
-        "shed [m]",
-    )
-    shed_straight: float = Field(
-        0.95,
-        gt=0,
-        le=1,
-        description="Ratio of top width to body width from which a box does not narrow towards its top",
-    )
-    shed_fill: float = Field(
-        0.3,
-        gt=0,
-        le=1,
-        description="Smallest fraction of its bounding rectangle that a shed lower than shed_top fills",
-    )
-    shed_length: float = Field(4.4, gt=0, description="Length above which a high box is no shed [m]")
-    mobile_volume: float = Field(
-        60.0,
-        gt=0,
-        description="Largest volume of the bounding box of a vehicle that is no truck [m3] (paper)",
-    )
-    mobile_min_width: float = Field(
-        0.8, gt=0, description="Smallest width of a vehicle [m]; narrower objects are posts and fences"
-    )
-    overhang: float = Field(
-        0.15,
-        ge=0,
-        description="Distance by which the top must project beyond the body for an object to be a shelter "
-        "with eaves [m]",
-    )
-    top_band: float = Field(
-        0.35,
-        gt=0,
-        description="Height of the uppermost band whose width is compared with the width of the body [m]",
-    )
-    leafy: float = Field(
-        0.4,
-        gt=0,
-        le=1,
-        description="Fraction of foliage points from which a vehicle candidate without clearance is a plant",
-    )
-    clear_gap: float = Field(
-        0.4, gt=0, description="Edge of the voxels in which points of one vehicle candidate are connected [m]"
-    )
-    clear_reach: float = Field(
-        0.8,
-        gt=0,
-        description="Distance around a vehicle candidate in which its clearance from other objects is "
-        "measured [m]",
-    )
-    clear_cell: float = Field(
-        0.25,
-        gt=0,
-        description="Edge of the cells in which the clearance around a vehicle candidate is counted [m]",
-    )
-    clear_height: float = Field(
-        0.4,
-        gt=0,
-        description="Height above ground from which a point blocks a cell around a vehicle candidate [m]",
-    )
-    clear_share: float = Field(
-        0.4,
-        gt=0,
-        le=1,
-        description="Fraction of blocked cells around a candidate narrower than clear_width above which "
-        "it is no vehicle",
-    )
-    clear_share_wide: float = Field(
-        0.5,
-        gt=0,
-        le=1,
-        description="Fraction of blocked cells around a candidate at least clear_width wide above which "
-        "it is no vehicle",
-    )
-    clear_width: float = Field(
-        1.4, gt=0, description="Width from which a vehicle candidate is as wide as a car [m]"
-    )
-    slab_top: float = Field(
-        1.25,
-        gt=0,
-        description="Height above ground below which a vehicle candidate may be a raised bed or a terrace "
-        "[m]",
-    )
-    slab_level: float = Field(
-        0.3,
-        gt=0,
-        le=1,
-        description="Fraction of level points above which a low vehicle candidate is a raised bed or a "
-        "terrace",
-    )
-    screen_upright: float = Field(
-        0.7,
-        gt=0,
-        le=1,
-        description="Fraction of wall points in the upper half above which a box may be a set of fences",
-    )
-    screen_fill: float = Field(
-        0.38, gt=0, le=1, description="Largest fraction of its bounding rectangle that a set of fences fills"
-    )
 
 
 def free_boxes(
@@ -318,7 +144,7 @@ def _kind(xyz: Floats, height: Floats, upright: Mask, hard: float, config: Vehic
     return Semantic.MOBILE
 
 
-def look_again(
+def release_false_vehicles(
     xyz: Floats,
     height: Floats,
     foliage: Mask,
@@ -329,7 +155,7 @@ def look_again(
     level: Mask,
     config: VehicleConfig,
 ) -> NDArray[np.uint8]:
-    """Give vehicles back that are none: sheds, raised beds, and pieces of hedges and walls.
+    """Take the class of vehicles away from sheds, raised beds, and pieces of hedges and walls.
 
     A vehicle has clearance around it. A candidate without clearance takes the class of its surroundings.
     An object on wheels (``large``) is no shed; a low object that is mostly ``level`` is no car.

@@ -10,10 +10,10 @@ import shapely
 from shapely.geometry.base import BaseGeometry
 
 from subiaco_change.decisions.confidence import ConfidenceConfig, decided_anew
+from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.object_decision import ObjectChange
 from subiaco_change.decisions.plant_decisions import decide_plant
 from subiaco_change.decisions.plant_measures import PlantConfig
-from subiaco_change.decisions.rules import DecisionConfig
 from subiaco_change.decisions.vegetation_null import PlantMeasures, fit_null, null_of, null_words
 from subiaco_change.records import ChangeRecord
 from subiaco_change.tiling.stage_params import TileParams

@@ -13,11 +13,11 @@ from subiaco_change.config import ChangeConfig
 from subiaco_change.decisions.ablation import Part
 from subiaco_change.decisions.column_volumes import NO_COLUMNS, OpenGround
 from subiaco_change.decisions.confidence import ConfidenceConfig
+from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.measures import MeasureConfig
 from subiaco_change.decisions.object_comparison import compare_objects, make_record
 from subiaco_change.decisions.object_decision import ObjectChange, ObjectRules
 from subiaco_change.decisions.plant_measures import PlantConfig
-from subiaco_change.decisions.rules import DecisionConfig
 from subiaco_change.decisions.voxel_objects import NO_OBJECT, OTHERS, EpochView
 from subiaco_change.records import ChangeRecord
 from subiaco_change.segmentation.ground_model import Mask

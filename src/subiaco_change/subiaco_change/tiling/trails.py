@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from subiaco_change.segmentation.classes import SemanticsConfig
+from subiaco_change.segmentation.ghost_trails import trail_probability
 from subiaco_change.segmentation.ground_model import fit_ground
 from subiaco_change.segmentation.raised_surfaces import find_raised
-from subiaco_change.segmentation.trail_shape import trail_probability
 from subiaco_change.tiling.epoch_tiles import Side, TilePoints
 from subiaco_change.tiling.levelling import load_turn
 from subiaco_geo.frames import Floats, Ints

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pydantic import Field
 
+from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.ground_cells import GroundChangeConfig
-from subiaco_change.decisions.rules import DecisionConfig
 from subiaco_change.segmentation.classes import SemanticsConfig
 from subiaco_change.segmentation.instances import InstanceConfig
 from subiaco_geo.config import StrictModel

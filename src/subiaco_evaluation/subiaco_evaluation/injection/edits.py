@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from subiaco_change.decisions.rules import ClassRules
+from subiaco_change.decisions.config import ClassRules
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_evaluation.injection.config import InjectionConfig
 from subiaco_evaluation.injection.occlusion import Lines, Sight

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from subiaco_geo.frames import Floats, invert_pose
+from subiaco_geo.frames import Floats, invert_pose, transform_points
 from subiaco_mapping.absolute_positions.config import ControlConfig
 from subiaco_mapping.loop_closure.submaps import Submap
 from subiaco_mapping.pose_graph.absolute_factors import PointTie
@@ -168,7 +168,7 @@ def _placed(
     for key, seen in found:
         along = np.outer(seen.normal, seen.normal)
         covariance = variance * along + _OPEN**2 * (np.eye(3) - along)
-        lever = _from(now[key[0]][key[1]], seen.place)
+        lever = _in_frame(now[key[0]][key[1]], seen.place)
         ties.append(PointTie(key, lever, place, covariance, row))
     return PlacedPoint(tuple(ties))
 
@@ -202,9 +202,9 @@ def _picked(
             return PlacedPoint(refused=f"the map of these drives lies {off:+.2f} m from where it was picked")
     if np.linalg.norm(pick - place) > config.max_offset:
         return PlacedPoint(refused=f"it was picked {np.linalg.norm(pick - place):.2f} m from where it is")
-    return PlacedPoint((PointTie(keys[0], _from(pose, pick), place, np.diag(sigma**2), row),))
+    return PlacedPoint((PointTie(keys[0], _in_frame(pose, pick), place, np.diag(sigma**2), row),))
 
 
-def _from(pose: Floats, place: Floats) -> Floats:
-    inverse = invert_pose(pose)
-    return np.asarray(inverse[:3, :3] @ place + inverse[:3, 3])
+def _in_frame(pose: Floats, place: Floats) -> Floats:
+    """Return a place (3,) of the local frame in the frame of a pose."""
+    return transform_points(invert_pose(pose), place[None])[0]

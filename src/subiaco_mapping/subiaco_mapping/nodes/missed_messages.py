@@ -55,3 +55,25 @@ class Arrivals:
             }
             for topic, count in sorted(self._received.items())
         }
+
+
+def missed_messages(arrivals: Mapping[str, Mapping[str, int]]) -> str:
+    """Say by topic how many messages a live drive lost on the way or left out at its start.
+
+    Parameters
+    ----------
+    arrivals : mapping of topic to mapping
+        Counts as of :meth:`Arrivals.facts`.
+
+    Returns
+    -------
+    str
+        Empty where nothing is missing.
+    """
+    texts = []
+    for topic, counts in arrivals.items():
+        kinds = {"lost": counts["lost"], "left out at the start": counts["left_out"]}
+        if any(kinds.values()):
+            told = ", ".join(f"{number} {kind}" for kind, number in kinds.items() if number)
+            texts.append(f"{topic} {told} of {counts['received'] + counts['lost']}")
+    return "; ".join(texts)

@@ -155,7 +155,8 @@ class OdometryApp:
         }
         for topic in (ODOMETRY_SEQUENCE, ODOMETRY_END):
             self._publishers[topic] = node.create_publisher(ReplayCounts, topic.lstrip("/"), latched(1))
-        self._publishers[FACTS] = node.create_publisher(String, FACTS.lstrip("/"), reliable(32))
+        # latched: the first report comes before other nodes have found this one
+        self._publishers[FACTS] = node.create_publisher(String, FACTS.lstrip("/"), latched(32))
         self._tf = node.create_publisher(TFMessage, "tf", reliable(100))
 
     def _create_subscriptions(self, node: Node) -> None:

@@ -46,7 +46,7 @@ from subiaco_mapping.nodes.flow import ConsumedCounter
 from subiaco_mapping.nodes.live_sources import ExtrinsicsWaiter, LiveMap
 from subiaco_mapping.nodes.map_publisher import MapPublisher
 from subiaco_mapping.nodes.messages import pose_from_messages, scan_from_messages
-from subiaco_mapping.nodes.missed_messages import Arrivals
+from subiaco_mapping.nodes.missed_messages import Arrivals, missed_messages
 from subiaco_mapping.nodes.names import (
     CLOUD,
     FACTS,
@@ -193,6 +193,7 @@ class PoseGraphApp:
         self._chain = OdometrySegments()
         self._scans = 0
         self._arrivals = Arrivals()
+        self._odometry_arrivals: dict[str, dict[str, int]] = {}
         self._ending = self._finished = False
         self._progress = ProgressReporter(node)
         self._diagnostics = Diagnostics(node, "solution")
@@ -229,7 +230,7 @@ class PoseGraphApp:
             (ScanQuality, QUALITY, lambda m: self._on_part(QUALITY, m), reliable(SCAN_DEPTH)),
             (PointCloud2, CLOUD, lambda m: self._on_part(CLOUD, m), reliable(SCAN_DEPTH)),
             (PointCloud2, SKY, lambda m: self._on_part(SKY, m), reliable(SCAN_DEPTH)),
-            (String, FACTS, self._on_facts, reliable(32)),
+            (String, FACTS, self._on_facts, latched(32)),
         )
         sensors: tuple[tuple[Any, str, Callable[[Any], object]], ...] = (
             (NavSatFix, FIX, self._on_fix),
@@ -346,7 +347,9 @@ class PoseGraphApp:
 
     def _on_facts(self, message: String) -> None:
         if self._started() is not None:
-            self._backend.add_facts(**json.loads(message.data))
+            facts = json.loads(message.data)
+            self._odometry_arrivals = facts.get("arrivals_odometry", {})
+            self._backend.add_facts(**facts)
 
     def _on_part(self, kind: str, message: Any) -> None:
         found = self._matcher.add(kind, stamp_ns(message.header.stamp), message)
@@ -379,8 +382,10 @@ class PoseGraphApp:
         refuse_existing(directory, overwrite)
         inputs = {sequence_name(Path(bag)): hash_bag(Path(bag)) for bag in self._own.bags}
         if self._announced is None:
-            facts = {"arrivals_pose_graph": self._arrivals.facts(), "scans_in_part": self._matcher.dropped}
-            self._backend.add_facts(**facts)
+            arrivals = self._arrivals.facts()
+            self._backend.add_facts(arrivals_pose_graph=arrivals, scans_in_part=self._matcher.dropped)
+            if missed := missed_messages({**self._odometry_arrivals, **arrivals}):
+                LOGGER.warning("live: messages are missing: %s", missed)
         survey = self._backend.build_map(self._progress, inputs)
         survey = mark_simulated(survey, map(Path, self._own.bags))
         if not self._own.watch_manifest:

@@ -1,0 +1,256 @@
+"""Settings of the decisions: limits of every class, and the cells of space carving."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import ClassVar
+
+from pydantic import Field
+
+from subiaco_geo.config import StrictModel
+
+
+class ClassRules(StrictModel):
+    """Thresholds of one class."""
+
+    FORMER_NAMES: ClassVar[Mapping[str, str]] = {"carried": "min_net_change"}
+
+    min_iou: float = Field(
+        ge=0,
+        le=1,
+        description="Voxel intersection over union above which two matched objects are compared for "
+        "changes [1]",
+    )
+    same_iou: float = Field(
+        0.20, ge=0, le=1, description="Voxel intersection over union above which an object is unchanged [1]"
+    )
+    height: float = Field(gt=0, description="Smallest height change that is reported [m]")
+    volume: float = Field(
+        gt=0, description="Smallest volume change that is reported, as a fraction of the volume"
+    )
+    shift: float = Field(gt=0, description="Largest centroid distance of an unchanged object [m]")
+    min_net_change: float = Field(
+        0.0,
+        ge=0,
+        description="Fraction of new or gone surface, observed by the other epoch, that must support a "
+        "change (Decision 13); 0 asks for none",
+    )
+    certain: float = Field(
+        0.5,
+        ge=0,
+        le=1,
+        description="Fraction of the limit that the nearer bound of a building's change must exceed; 1 "
+        "asks for the whole interval beyond the limit",
+    )
+    height_volume: float = Field(
+        0.25,
+        ge=0,
+        description="Fraction of the volume limit that the upper bound of a building's volume change must "
+        "reach to support its height change",
+    )
+    followed: float = Field(
+        0.5,
+        ge=0,
+        le=1,
+        description="Fraction of the height limit by which the top of all points of a low plant must have "
+        "moved with the median of its columns",
+    )
+    surface: float = Field(
+        math.inf,
+        gt=0,
+        description="Fraction of new or gone surface that is a change of volume by itself; inf for never",
+    )
+    outline: float = Field(
+        math.inf,
+        gt=0,
+        description="Shift of the outline, as a fraction of its distance from the middle, that is a "
+        "change by itself; inf for never",
+    )
+
+
+class DecisionConfig(StrictModel):
+    """Table of section E; defaults are the paper's."""
+
+    building: ClassRules = ClassRules(min_iou=0.10, height=0.50, volume=0.10, shift=1.5)
+    vegetation: ClassRules = ClassRules(
+        min_iou=0.08, height=0.30, volume=0.15, shift=2.0, min_net_change=0.10, surface=0.15, outline=0.08
+    )
+    mobile: ClassRules = ClassRules(min_iou=0.20, height=math.inf, volume=math.inf, shift=2.0)
+    lod_factor: float = Field(
+        1.2, gt=0, description="Limit of a height change as a multiple of the level of detection (paper)"
+    )
+    lod_floor: float = Field(0.10, ge=0, description="Smallest limit of a height change [m] (Decision 4)")
+    min_observed: float = Field(
+        0.3,
+        ge=0,
+        le=1,
+        description="Observed fraction of a place below which no change is claimed (Decision 14)",
+    )
+    large_voxels: int = Field(
+        100,
+        ge=1,
+        description="Observed voxels (0.5 m) from which a large part of an unmatched object was observed, "
+        "so that min_observed_large applies. Raise it to claim less",
+    )
+    min_observed_large: float = Field(
+        0.15,
+        ge=0,
+        le=1,
+        description="Observed fraction of the place of a large unmatched object from which a change is "
+        "claimed",
+    )
+    large_free: float = Field(
+        0.9,
+        ge=0,
+        le=1,
+        description="Fraction of the observed part of a large unmatched object that must be free for "
+        "min_observed_large to apply",
+    )
+    min_empty: float = Field(
+        0.6,
+        ge=0,
+        le=1,
+        description="Fraction of the observed place that must be free in the other epoch for an object to "
+        "be Added or Removed",
+    )
+    trail_moved: float = Field(
+        0.6,
+        gt=0.5,
+        le=1,
+        description="Mean probability of having moved from which an object of one epoch alone is a ghost "
+        "trail; maps without beam times use the trail_passes settings",
+    )
+    trail_uncertain: float = Field(
+        0.5,
+        gt=0,
+        le=1,
+        description="Probability of having moved, from beam times, from which an object of one epoch "
+        "alone is Unobserved",
+    )
+    min_free: float = Field(
+        0.8,
+        ge=0.5,
+        lt=1,
+        description="Probability that an object is absent in the other survey, from crossing beams, below "
+        "which nothing is claimed. Raise it to claim less",
+    )
+    min_free_surface: float = Field(
+        0.7,
+        ge=0.5,
+        lt=1,
+        description="Probability that the place of the new or lost surface of a plant was free in the other "
+        "survey, below which nothing is claimed. Raise it to claim less",
+    )
+    least_volume: float = Field(
+        2.0,
+        ge=0,
+        description="Volume that a building of one survey alone must enclose to be Added or Removed [m3]. "
+        "Raise it to claim no small sheds",
+    )
+    trail_passes: float = Field(
+        2.0,
+        gt=0,
+        description="Passes per return, at the densest quarter of points, from which a building-like "
+        "object of one epoch is a ghost trail [1]",
+    )
+    trail_passes_thin: float = Field(
+        5.0,
+        gt=0,
+        description="Passes per return from which an object of one epoch that is no building is a ghost "
+        "trail [1]; beams graze thin objects",
+    )
+    trail_passes_lane: float = Field(
+        1.3,
+        gt=0,
+        description="Passes per return from which an object of one epoch in a lane with known traffic is "
+        "a ghost trail [1]",
+    )
+    trail_passes_high: float = Field(
+        1.0,
+        gt=0,
+        description="Passes per return from which a high object that its own survey observed from both "
+        "sides is a ghost trail [1]",
+    )
+    vehicle_top: float = Field(
+        4.4,
+        gt=0,
+        description="Height above ground that no road vehicle exceeds [m]; what is higher did not move "
+        "while it was mapped",
+    )
+    vehicle_above: float = Field(
+        0.05,
+        gt=0,
+        lt=1,
+        description="Fraction of the voxels of an object above `vehicle_top` from which the object is no "
+        "vehicle",
+    )
+    trail_high: float = Field(
+        2.6,
+        gt=0,
+        description="Height above ground of its top from which an object counts as high in the ghost "
+        "trail rules [m]",
+    )
+    trail_through: float = Field(
+        0.65,
+        gt=0,
+        le=1,
+        description="Fraction of the surface that its own survey must observe on both sides for a high "
+        "object to be a ghost trail",
+    )
+    trail_top: float = Field(
+        3.8, gt=0, description="Largest height above ground of the top of a moving object [m]"
+    )
+    min_voxels: int = Field(
+        3,
+        ge=1,
+        description="Number of observed voxels above the foot of an object below which no change is claimed",
+    )
+
+
+class CarvingConfig(StrictModel):
+    """Cells of the space carving of buildings."""
+
+    cell: float = Field(
+        0.5,
+        gt=0,
+        description="Edge of the cells of space carving [m]; smaller cells cost memory, larger cells blur "
+        "walls",
+    )
+    max_cells: int = Field(
+        400_000,
+        gt=1000,
+        description="Largest number of cells of one object; larger objects are carved with larger cells",
+    )
+    thickness: int = Field(
+        2,
+        ge=1,
+        description="Smallest extent of a change of volume [cells]; thinner changes are noise of surfaces",
+    )
+    support: int = Field(
+        6,
+        ge=1,
+        description="Number of voxels of changed surface that a changed volume must have; fewer make no "
+        "claim",
+    )
+    room: float = Field(
+        2.2, gt=0, description="Smallest height of walls that enclose a volume [m]; lower walls are fences"
+    )
+    wall_gap: float = Field(
+        3.0,
+        ge=0,
+        description="Longest gap between observed pieces of one wall that is closed along the wall [m]",
+    )
+    capped: float = Field(
+        0.3,
+        ge=0,
+        le=1,
+        description="Fraction of columns with free space above their top from which the height rests on "
+        "these columns alone; raise it for wider height bounds",
+    )
+    roof_gap: float = Field(
+        1.25,
+        ge=0,
+        description="Largest distance from an observed top to the free space above at which the observed "
+        "top is the top of the column [m]",
+    )

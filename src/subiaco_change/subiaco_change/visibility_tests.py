@@ -1,0 +1,180 @@
+"""Whether a place was seen and free: by counted beams, expected visibility, points alone, or assumed."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from subiaco_change.geometry import ColumnIndex, nearest
+from subiaco_change.method_numbers import NUMBERS
+from subiaco_geo.frames import Floats
+from subiaco_geo.free_space.expected_visibility import ExpectedVisibility
+from subiaco_geo.visibility import VisibilityGrid
+
+_PRIOR = NUMBERS.visibility_evidence.prior_beams
+
+Flags = NDArray[np.bool_]
+
+
+class VisibilityTest(Protocol):
+    """Tells which world points (N, 3) were seen, and through which beams went on."""
+
+    def observed(self, world: Floats) -> Flags:
+        """Tell which world points (N, 3) the epoch could see."""
+
+    def passed(self, world: Floats) -> Flags:
+        """Tell which world points (N, 3) were seen empty: beams went on."""
+
+    def free_probability(self, world: Floats) -> Floats:
+        """Return the probability (N,) that world points (N, 3) were free; 0.5 where nothing is known."""
+
+
+@dataclass(frozen=True)
+class CountedBeams:
+    """Counts of beams that mapping measured."""
+
+    grid: VisibilityGrid
+    min_beams: int
+
+    def observed(self, world: Floats) -> Flags:
+        """Tell which world points (N, 3) the epoch could see."""
+        return self.grid.observed(world, self.min_beams)
+
+    def passed(self, world: Floats) -> Flags:
+        """Tell which world points (N, 3) were seen empty: beams went on."""
+        hits, passes = self.grid.lookup(world)
+        return np.asarray((passes >= self.min_beams) & (hits == 0))
+
+    def free_probability(self, world: Floats) -> Floats:
+        """Return the probability (N,) that world points (N, 3) were free; 0.5 where nothing is known."""
+        hits, passes = (counts.astype(np.float64) for counts in self.grid.lookup(world))
+        return np.asarray((passes + _PRIOR) / (hits + passes + 2.0 * _PRIOR))
+
+
+@dataclass(frozen=True)
+class PointShadow:
+    """Points alone: a place is seen where something near it, or beneath it, was."""
+
+    index: ColumnIndex
+    origin: Floats
+    radius: float
+    height: float
+    trust: float
+    touch: float
+    level: Floats  # (nx, ny) height of the highest point around a column [m], see highest_around
+
+    def observed(self, world: Floats) -> Flags:
+        """Tell which world points (N, 3) the epoch could see."""
+        local = np.ascontiguousarray(world - self.origin)
+        near = nearest(self.index, local, self.radius)[0] >= 0
+        return near | self._above(local)
+
+    def passed(self, world: Floats) -> Flags:
+        """Tell which world points (N, 3) were seen empty: beams went on."""
+        local = np.ascontiguousarray(world - self.origin)
+        near = nearest(self.index, local, self.radius)[0] >= 0
+        return self._above(local) & ~near
+
+    def free_probability(self, world: Floats) -> Floats:
+        """Return the probability (N,) that world points (N, 3) were free; 0.5 where nothing is known."""
+        local = np.ascontiguousarray(world - self.origin)
+        occupied = nearest(self.index, local, self.touch)[0] >= 0
+        return np.where(occupied, 1.0 - self.trust, np.where(self._above(local), self.trust, 0.5))
+
+    def levelled(self, world: Floats) -> Flags:
+        """Tell which world points (N, 3) are no higher than something that the cloud holds around them."""
+        local = np.ascontiguousarray(world - self.origin)
+        ij, inside = self._columns(local)
+        level = np.full(len(local), -np.inf)
+        level[inside] = self.level[ij[inside, 0], ij[inside, 1]]
+        return np.asarray(local[:, 2] <= level + self.touch)
+
+    def _columns(self, local: Floats) -> tuple[NDArray[np.int64], Flags]:
+        ij = np.floor((local[:, :2] - self.index.corner) / self.index.cell).astype(np.int64)
+        return ij, np.asarray(np.all((ij >= 0) & (ij < self.index.shape), axis=1))
+
+    def _above(self, local: Floats) -> Flags:
+        """Tell which points stand above a seen one, in its column or next to it."""
+        index, shape = self.index, self.index.shape
+        lowest = np.full(shape[0] * shape[1], np.inf)
+        filled = np.flatnonzero(np.diff(index.starts) > 0)
+        lowest[filled] = index.xyz[index.starts[filled], 2]
+        ij, inside = self._columns(local)
+        found = np.full(len(local), np.inf)
+        found[inside] = lowest[ij[inside, 0] * shape[1] + ij[inside, 1]]
+        gap = local[:, 2] - found
+        return np.asarray((gap >= 0) & (gap <= self.height))
+
+
+@dataclass(frozen=True)
+class PosesAndPoints:
+    """Expected visibility; where every pose that has a place in view meets a surface before it, the points.
+
+    Beams reach the ground beneath a crown that a depth image shows closed. Out of view of all poses nothing
+    is known, whatever the points say.
+    """
+
+    poses: ExpectedVisibility
+    points: PointShadow
+    trust: float
+
+    def observed(self, world: Floats) -> Flags:
+        """Tell which world points (N, 3) the epoch could see."""
+        return self._either(self.poses.observed(world), self.points.observed, world)
+
+    def passed(self, world: Floats) -> Flags:
+        """Tell which world points (N, 3) were seen empty: beams went on."""
+        return self._either(self.poses.passed(world), self.points.passed, world)
+
+    def free_probability(self, world: Floats) -> Floats:
+        """Return the probability (N,) that world points (N, 3) were free; 0.5 where nothing is known."""
+        chance = self.poses.free_probability(world)
+        ask = self._hidden(world, chance == _PRIOR)
+        above = self.points.passed(world[ask])
+        chance[ask] = np.where(above, self.trust, _PRIOR)
+        return chance
+
+    def _either(self, known: Flags, points: Callable[[Floats], Flags], world: Floats) -> Flags:
+        ask = self._hidden(world, ~known)
+        known[ask] = points(world[ask])
+        return known
+
+    def _hidden(self, world: Floats, unknown: Flags) -> NDArray[np.int64]:
+        """Which of the places of which the poses know nothing are hidden from them."""
+        ask = np.flatnonzero(unknown)
+        return ask[self.poses.hidden(world[ask])]
+
+
+@dataclass(frozen=True)
+class EverythingSeen:
+    """The paper's rule: absence is taken as evidence everywhere."""
+
+    def observed(self, world: Floats) -> Flags:
+        """Tell which world points (N, 3) the epoch could see."""
+        return np.ones(len(world), dtype=np.bool_)
+
+    def passed(self, world: Floats) -> Flags:
+        """Tell which world points (N, 3) were seen empty: beams went on."""
+        return np.ones(len(world), dtype=np.bool_)
+
+    def free_probability(self, world: Floats) -> Floats:
+        """Return the probability (N,) that world points (N, 3) were free; 0.5 where nothing is known."""
+        return np.full(len(world), 0.5)
+
+
+def highest_around(index: ColumnIndex, reach: float) -> Floats:
+    """Height (nx, ny) of the highest point within a distance of every column [m]; -inf where none is."""
+    top = np.full(tuple(index.shape.tolist()), -np.inf)
+    filled = np.flatnonzero(np.diff(index.starts) > 0)
+    top.ravel()[filled] = index.xyz[index.starts[filled + 1] - 1, 2]
+    cells = max(round(reach / index.cell), 1)
+    x, y = np.mgrid[-cells : cells + 1, -cells : cells + 1]
+    around: Floats = ndimage.maximum_filter(
+        top, footprint=x**2 + y**2 <= cells**2, mode="constant", cval=-np.inf
+    )
+    return around
