@@ -26,8 +26,11 @@ fi
 # The generated scripts read unset variables; the caller's `set -u` is put back afterwards.
 case $- in *u*) _subiaco_nounset=1 && set +u ;; *) _subiaco_nounset= ;; esac
 
+# shellcheck source=/dev/null
 . "$_subiaco_root/.venv/bin/activate"
+# shellcheck source=/dev/null
 if [ -f "$_subiaco_apt/setup.$_subiaco_shell" ]; then . "$_subiaco_apt/setup.$_subiaco_shell"; fi
+# shellcheck source=/dev/null
 . "$_subiaco_ws/install/local_setup.$_subiaco_shell"
 if [ ! -f "$_subiaco_apt/setup.$_subiaco_shell" ]; then
     # The wheels keep their shares in the virtual environment, which the generated scripts leave out.

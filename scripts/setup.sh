@@ -208,7 +208,8 @@ build_once() {
 set_up_workspace() {
     local -a interfaces
     mapfile -t interfaces < <(interfaces_to_build)
-    local base="$WS $(cat "$VENV/.installed")"
+    local base
+    base="$WS $(cat "$VENV/.installed")"
     # What a symlink install freezes: entry points, lists of files, metadata. Module contents are links.
     local frozen
     frozen="$(cd "$ROOT" && find config src/subiaco_bringup/{launch,rviz,foxglove} -type f 2>/dev/null |

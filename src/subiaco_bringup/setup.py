@@ -36,6 +36,7 @@ setup(
         "console_scripts": [
             "subiaco = subiaco_bringup.cli.main:main",
             "change_node = subiaco_bringup.nodes.executables:change_node",
+            "composed_nodes = subiaco_bringup.nodes.executables:composed_nodes",
             "foxglove_node = subiaco_bringup.nodes.executables:foxglove_node",
         ],
     },

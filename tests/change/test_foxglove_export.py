@@ -102,7 +102,7 @@ def test_footprints_lie_in_longitude_and_latitude_and_frames_are_connected(expor
         longitude, latitude = np.array(feature["geometry"]["coordinates"][0][0]).reshape(-1, 2)[0]
         assert 115 < longitude < 117
         assert -33 < latitude < -31
-    origin = topics["/map/origin"][0]
+    origin = topics["/change/origin"][0]
     assert -33 < origin.latitude < -31
     assert {t.child_frame_id for m in topics["/tf_static"] for t in m.transforms} == {"map"}
 

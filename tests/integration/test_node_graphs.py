@@ -17,7 +17,7 @@ import pandas as pd
 import pytest
 
 from subiaco_bringup.environment import node_environment
-from subiaco_bringup.graph import GraphSpec, NodeSpec, mapping_graph
+from subiaco_bringup.graph import GraphSpec, NodeSpec, deployed, in_one_process, mapping_graph
 from subiaco_bringup.jobs import run_change_graph, run_mapping_graph
 from subiaco_bringup.supervisor import Supervisor
 from subiaco_change.request import ChangeRequest
@@ -122,6 +122,30 @@ def test_two_bags_are_two_sequences_of_one_map(survey: Path, tmp_path: Path) -> 
     assert sorted(both.odometry) == ["after", "before"]
     driven = both.manifest["sequences"]
     assert {name: driven[name]["packets"]["packets"] for name in driven} == counts
+
+
+def test_nodes_of_one_process_in_a_namespace_give_the_map_of_processes_of_their_own(
+    survey: Path, tmp_path: Path
+) -> None:
+    last_seconds(survey / "before", tmp_path / "bag", 2.0)
+    near = ["gnss.min_length=2.0", "gnss.min_fixes=5"]
+    several, one = (mapping_request([tmp_path / "bag"], tmp_path / name, near) for name in ("several", "one"))
+    run_mapping_graph(several)
+    supervisor = run(in_one_process(deployed(mapping_graph(one), namespace="left")))
+    assert [process.spec.name for process in supervisor.processes] == ["mapping"]
+    expected, found = read_map(several.output), read_map(one.output)
+    np.testing.assert_array_equal(found.cloud.world(), expected.cloud.world())
+    assert found.trajectory is not None
+    assert expected.trajectory is not None
+    np.testing.assert_array_equal(found.trajectory.positions, expected.trajectory.positions)
+    assert found.manifest == expected.manifest
+
+
+def test_a_fault_of_one_node_of_a_process_ends_it_with_its_line(tmp_path: Path) -> None:
+    request = mapping_request([tmp_path / "none"], tmp_path / "map")
+    with pytest.raises(InputError, match="none: no such bag"):
+        run(in_one_process(mapping_graph(request)))
+    assert not (tmp_path / "map").exists()
 
 
 def test_the_change_graph_gives_the_table_of_the_process(

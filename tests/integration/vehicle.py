@@ -1,15 +1,17 @@
 """A vehicle for tests: plays a bag as drivers (or ``ros2 bag play --clock``) would, knowing nothing of ours.
 
-    python vehicle.py BAG [--listeners N] [--mute TOPIC FROM TO] [--save DIR] [--rate R] [--ros-args ...]
+    python vehicle.py BAG [--listeners N] [--mute TOPIC FROM TO] [--save DIR] [--rate R] [--statuses]
+        [--ros-args ...]
 
-Messages go out at the pace of their log times (a fraction of it, for busy machines) with the quality
-that such publishers offer, whoever listens; nobody's counts are waited for. At the end it waits
-until the map has caught up, and asks the service for the map.
+Names are relative, so that a namespace holds. Messages go out at the pace of their log times (a fraction of
+it, for busy machines) with the quality that such publishers offer, whoever listens; nobody's counts are
+waited for. At the end it waits until the map has caught up, and asks the service for the map.
 """
 
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 import time
 from importlib import import_module
@@ -18,6 +20,7 @@ from typing import Any
 
 import rclpy
 from builtin_interfaces.msg import Time
+from diagnostic_msgs.msg import DiagnosticArray
 from nav_msgs.msg import Path as PathMessage
 from rclpy.duration import Duration
 from rclpy.node import Node
@@ -51,12 +54,17 @@ class Vehicle:
         self._node = node
         self._reader = reader
         self._out = {
-            topic: node.create_publisher(message_class(info.msg_type), topic, quality(topic))
+            topic: node.create_publisher(message_class(info.msg_type), topic.lstrip("/"), quality(topic))
             for topic, info in reader.topics.items()
         }
         self._clock = node.create_publisher(Clock, "/clock", QoSProfile(depth=10))
         self.paths: list[Any] = []
-        node.create_subscription(PathMessage, "/path", self.paths.append, latched(1))
+        node.create_subscription(PathMessage, "path", self.paths.append, latched(1))
+        self.statuses: set[str] = set()
+        node.create_subscription(DiagnosticArray, "/diagnostics", self._on_diagnostics, 100)
+
+    def _on_diagnostics(self, message: Any) -> None:
+        self.statuses |= {status.name for status in message.status}
 
     def heard(self, listeners: int) -> bool:
         """Whether so many listen to each topic: monitor and mapping are two, with the recorder three."""
@@ -105,7 +113,7 @@ class Vehicle:
         self._clock.publish(Clock(clock=Time(sec=time_ns // 10**9, nanosec=time_ns % 10**9)))
 
     def save(self, directory: str) -> str:
-        client = self._node.create_client(SaveMap, "/pose_graph/save_map")
+        client = self._node.create_client(SaveMap, "pose_graph/save_map")
         if not self.wait(client.service_is_ready, 60.0):
             return "no service"
         future = client.call_async(SaveMap.Request(directory=directory))
@@ -118,6 +126,7 @@ def main() -> int:
     parser.add_argument("bag", type=Path)
     parser.add_argument("--mute", nargs=3, metavar=("TOPIC", "FROM", "TO"), default=(None, "0", "0"))
     parser.add_argument("--save")
+    parser.add_argument("--statuses", action="store_true")
     parser.add_argument("--listeners", type=int, default=2)
     parser.add_argument("--rate", type=float, default=0.5)
     given = parser.parse_args(remove_ros_args(sys.argv)[1:])
@@ -132,6 +141,8 @@ def main() -> int:
         vehicle.settle()
         count = len(vehicle.paths[-1].poses) if vehicle.paths else 0
         sys.stdout.write(f"path {count} of {len(vehicle.paths)} messages\n")
+        if given.statuses:
+            sys.stdout.write(f"{json.dumps(sorted(vehicle.statuses))}\n")
         complaint = vehicle.save(given.save) if given.save else ""
     rclpy.try_shutdown()
     if complaint:

@@ -183,7 +183,7 @@ def test_the_outcome_is_latched_as_local_clouds_table_and_markers(ros: Any) -> N
     clouds = ros.collect(late, PointCloud2, "change/after")
     tables = ros.collect(late, ChangeTable, "change/table")
     markers = ros.collect(late, MarkerArray, "change/markers")
-    origins = ros.collect(late, NavSatFix, "map/origin")
+    origins = ros.collect(late, NavSatFix, "change/origin")
     ros.until(lambda: clouds and tables and markers and origins)
     points = cloud_array(clouds[0])
     assert clouds[0].header.frame_id == "map"

@@ -16,10 +16,12 @@ from subiaco_bringup.graph import (
     change_graph,
     command_lines,
     deployed,
+    in_one_process,
     mapping_graph,
     merged_config,
     process_command,
     ros_parameters,
+    with_foxglove,
 )
 from subiaco_bringup.launching import COMMON_ARGUMENTS
 from subiaco_change.request import ChangeRequest
@@ -96,6 +98,21 @@ def test_processes_are_started_with_this_interpreter(tmp_path: Path) -> None:
     command = process_command(node)
     assert command[:3] == [sys.executable, "-m", "subiaco_bringup.nodes.change_node"]
     assert command[3:] == command_lines(change_graph(change_request(tmp_path)))[0][2:]
+
+
+def test_nodes_in_one_process_are_given_what_their_own_processes_would_be(tmp_path: Path) -> None:
+    from subiaco_bringup.nodes.composed_nodes import parts_of
+
+    graph = with_foxglove(mapping_graph(mapping_request(tmp_path)), 0)
+    composed = in_one_process(deployed(graph, namespace="left"))
+    process, foxglove = composed.nodes
+    assert process.principal
+    assert foxglove.executable == "foxglove_node"  # a companion may fail and the job goes on
+    line = process_command(process)
+    assert line[1:3] == ["-m", "subiaco_bringup.nodes.composed_nodes"]
+    own = command_lines(deployed(mapping_graph(mapping_request(tmp_path)), namespace="left"))
+    assert [words[1:] for words in parts_of(line[3:])] == own
+    assert [words[0] for words in parts_of(line[3:])] == ["replay", "odometry", "pose_graph"]
 
 
 class Action:
@@ -421,6 +438,7 @@ def test_every_process_of_every_graph_is_an_executable_of_its_package(
     graphs = [
         live_graph(tmp_path),
         mapping_graph(mapping_request(tmp_path)),
+        in_one_process(mapping_graph(mapping_request(tmp_path))),
         change_graph(change_request(tmp_path)),
     ]
     for spec in {node.executable: node for graph in graphs for node in graph.nodes}.values():

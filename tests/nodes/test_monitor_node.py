@@ -127,6 +127,30 @@ def test_a_driver_that_reports_its_lock_on_diagnostics_is_heard(ros: Any) -> Non
     ros.until(lambda: "pps_lost" in {s.name for s in bench.monitor.flags.raised()})
 
 
+def test_a_recorder_of_another_namespace_is_not_that_of_the_monitor(ros: Any) -> None:
+    from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
+
+    bench = Bench(ros, namespace="left")
+    recorders = bench.publisher(DiagnosticArray, "diagnostics")
+    ros.until(lambda: recorders.get_subscription_count() == 2)
+
+    def says(name: str, level: bytes) -> None:
+        status = DiagnosticStatus(name=f"{name}recorder: recording", level=level, message=name)
+        marker = DiagnosticStatus(name="pps", level=level)  # what comes after it has been read too
+        recorders.publish(DiagnosticArray(status=[status, marker]))
+
+    def raised() -> set[str]:
+        return {stretch.name for stretch in bench.monitor.flags.raised()}
+
+    says("right/", DiagnosticStatus.ERROR)
+    ros.until(lambda: "pps_lost" in raised())
+    assert "not_recorded" not in raised()
+    says("left/", DiagnosticStatus.ERROR)
+    ros.until(lambda: "not_recorded" in raised())
+    says("", DiagnosticStatus.OK)  # one that records for all
+    ros.until(lambda: "not_recorded" not in raised())
+
+
 def test_a_cloud_where_packets_belong_is_said(ros: Any) -> None:
     from sensor_msgs.msg import PointCloud2
 

@@ -270,3 +270,44 @@ def test_on_live_topics_what_was_left_out_at_the_start_is_counted_and_late_metad
     ros.until(lambda: arrived().get("/ouster/lidar_packets", {}).get("received") == 7)
     assert arrived()["/ouster/lidar_packets"] == {"received": 7, "lost": 0, "before_start": 0, "left_out": 3}
     assert arrived()["/imu/data"]["left_out"] == 0
+
+
+def test_a_live_odometry_holds_its_first_scan_back_until_its_listeners_are_matched(ros: Any) -> None:
+    from nav_msgs.msg import Odometry
+    from std_msgs.msg import String
+
+    from subiaco_msgs.msg import ScanQuality
+    from subiaco_ros.messages import transform_message
+    from tf2_msgs.msg import TFMessage
+
+    bench = Bench(ros, listeners=["tester", "late"])
+    lever = exp_se3(np.array([0, 0, 0, 0.5, 0, 1.9]))
+    places = [transform_message(lever, "base_link", frame, 0) for frame in ("lidar_link", "imu_link")]
+    bench.tf_static.publish(TFMessage(transforms=places))
+    bench.metadata.publish(String(data="{}"))
+    bench.send_packets(range(12))
+    ros.until(lambda: bench.taken("/ouster/metadata") == 1 and bench.taken("/tf_static") == 1)
+    for _ in range(20):  # the tester is matched, the other does not run
+        bench.app.step()
+    assert bench.made == []
+    late = ros.node("late")
+    stamps = ros.collect(late, Odometry, "odometry", latched=False)
+    assert bench.made == []
+    qualities = ros.collect(late, ScanQuality, "odometry/quality", latched=False)
+    ros.until(lambda: len(stamps) == len(qualities) == 3)
+    assert bench.made[0].packets == [k.to_bytes(4, "little") for k in range(12)]
+
+
+def test_listeners_are_waited_for_only_so_long(caplog: pytest.LogCaptureFixture) -> None:
+    from subiaco_mapping.nodes.live_sources import ListenerWaiter
+
+    now, missing = [100.0], ["pose_graph"]
+    waiter = ListenerWaiter(lambda: missing, patience=10.0, clock=lambda: now[0])
+    assert not waiter.over
+    now[0] = 109.9
+    assert not waiter.over
+    now[0] = 110.0
+    assert waiter.over
+    assert "pose_graph: not listening after 10 s; going on" in caplog.text
+    heard = ListenerWaiter(list, clock=lambda: now[0])
+    assert heard.over

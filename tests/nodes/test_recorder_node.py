@@ -217,6 +217,28 @@ def test_every_other_topic_is_recorded_where_asked(ros: Any, start: Any, tmp_pat
         assert list(reader.deserialize(message).counts) == [4]
 
 
+def test_a_recorder_in_a_namespace_takes_our_topics_from_it_and_others_by_their_full_name(
+    ros: Any, start: Any, tmp_path: Path
+) -> None:
+    from subiaco_msgs.msg import ReplayCounts
+
+    inside, outside = publisher(ros, "/left/ouster/lidar_packets"), publisher(ros, LIDAR_PACKETS)
+    others = [publisher(ros, topic, ReplayCounts) for topic in ("/left/counts", "/right/counts")]
+    app = start(namespace="left", record__all_topics=True)
+    ros.until(lambda: listening(app, LIDAR_PACKETS, "/left/counts", "/right/counts"))
+    ros.until(lambda: all(p.get_subscription_count() for p in (inside, outside, *others)))
+    for sender, number in ((inside, 1), (outside, 2)):
+        sender.publish(packet(number))
+    for sender in others:
+        sender.publish(ReplayCounts(source=sender.topic_name))
+    ros.until(lambda: all(received(app, t) == 1 for t in (LIDAR_PACKETS, "/left/counts", "/right/counts")))
+    app.close()
+    assert recorded(tmp_path / "drive", LIDAR_PACKETS) == [packet(1)]
+    with BagReader(tmp_path / "drive") as reader:
+        said = {m.topic: reader.deserialize(m).source for m in reader.messages(["/left/counts"])}
+    assert said == {"/left/counts": "/left/counts"}
+
+
 def test_a_full_disk_ends_the_process_with_its_reason_or_stays_and_says_so(ros: Any, start: Any) -> None:
     from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus
 

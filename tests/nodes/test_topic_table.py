@@ -127,6 +127,15 @@ def test_every_row_has_a_meaning_and_names_nodes_and_qualities_that_exist() -> N
         assert (row.quality == OFFERED) == of_drivers, row.name
 
 
+#: Topics on which several nodes speak, each about itself.
+SHARED = {"/tf", "/progress", "/diagnostics", "/replay/consumed"}
+
+
+def test_what_is_one_statement_about_the_world_has_one_node_that_makes_it() -> None:
+    several = {row.name for row in TOPICS if len(set(row.publishers) - {"driver", "replay"}) > 1}
+    assert several == SHARED
+
+
 def displays(name: str) -> list[dict[str, Any]]:
     manager = yaml.safe_load((BRINGUP / "rviz" / f"{name}.rviz").read_text())["Visualization Manager"]
     return [display for display in manager["Displays"] if "Topic" in display]

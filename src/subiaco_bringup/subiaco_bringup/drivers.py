@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from subiaco_geo.errors import InputError
-from subiaco_mapping.config import SensorsConfig
+from subiaco_mapping.preprocessing.config import SensorsConfig
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ class LaunchedNode:
 Launched = LaunchedFile | LaunchedNode
 
 
-def lidar_driver(name: str, parameters: str, namespace: str) -> list[Launched]:
+def lidar_driver(name: str, parameters: str) -> list[Launched]:
     """Return what starts a LiDAR: ``ouster``, or nothing for ``none``.
 
     Raises
@@ -67,8 +67,7 @@ def lidar_driver(name: str, parameters: str, namespace: str) -> list[Launched]:
     if name != "ouster":
         raise InputError(f"lidar {name}: no such driver; choose from ouster, none")
     path = _parameter_file("lidar_params", parameters)
-    names = "/".join(part for part in (namespace.strip("/"), "ouster") if part)
-    given = {"params_file": path, "ouster_ns": names, "viz": "False"}
+    given = {"params_file": path, "ouster_ns": "ouster", "viz": "False"}
     return [LaunchedFile("ouster_ros", "launch/driver.launch.py", given)]
 
 
@@ -87,7 +86,9 @@ def gnss_driver(name: str, parameters: str) -> list[Launched]:
     path = _parameter_file("gnss_params", parameters)
     if name == "ublox":
         return [LaunchedNode("ublox_gps", "ublox_gps_node", "ublox_gps_node", (), (path,))]
-    return [LaunchedFile("septentrio_gnss_driver", "launch/rover.launch.py", {"path_to_config": path})]
+    # Not its launch file, which also publishes base_link -> imu -> gnss without any lever arm.
+    node = "septentrio_gnss_driver"
+    return [LaunchedNode(node, f"{node}_node", node, (), (path,))]
 
 
 def sensor_places(sensors: SensorsConfig) -> list[Launched]:
@@ -116,6 +117,21 @@ def _parameter_file(argument: str, path: str) -> str:
     if not Path(path).is_file():
         raise InputError(f"{argument}: {path}: no such file")
     return str(Path(path).resolve())
+
+
+def in_namespace(namespace: str, actions: list[Any]) -> list[Any]:
+    """Return actions of ``launch`` that start nodes in a namespace, with a tree of frames of its own.
+
+    Drivers name ``/tf`` and ``/tf_static`` absolutely; a graph in a namespace hears those in it.
+    """
+    from launch.actions import GroupAction
+    from launch_ros.actions import PushRosNamespace, SetRemap
+
+    name = namespace.strip("/")
+    if not name:
+        return actions
+    frames = [SetRemap(topic, f"/{name}{topic}") for topic in ("/tf", "/tf_static")]
+    return [GroupAction([PushRosNamespace(name), *frames, *actions])]
 
 
 def driver_actions(launched: list[Launched]) -> list[Any]:

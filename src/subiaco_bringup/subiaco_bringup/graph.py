@@ -21,6 +21,9 @@ from subiaco_geo.errors import InputError, SubiacoError
 from subiaco_geo.settings import departures
 from subiaco_mapping.request import MappingRequest
 
+#: Begins the arguments of one node of a process of several: name, package, executable, its own arguments.
+PART = "--part"
+
 
 @dataclass(frozen=True)
 class NodeSpec:
@@ -47,6 +50,8 @@ class NodeSpec:
         The job does not wait for its end.
     namespace : str
         Of the node and of all its relative topics.
+    parts : tuple of NodeSpec
+        Nodes that run in this one process, which then is no node itself.
     """
 
     name: str
@@ -60,9 +65,14 @@ class NodeSpec:
     grace: float = 10.0
     companion: bool = False
     namespace: str = ""
+    parts: tuple[NodeSpec, ...] = ()
 
     def arguments(self) -> list[str]:
         """Return the arguments after the executable; the parameters go into a file."""
+        if self.parts:
+            return [
+                word for p in self.parts for word in (PART, p.name, p.package, p.executable, *p.arguments())
+            ]
         words = ["--ros-args", "-r", f"__node:={self.name}"]
         if self.namespace:
             words += ["-r", f"__ns:=/{self.namespace.strip('/')}"]
@@ -110,6 +120,19 @@ def with_foxglove(graph: GraphSpec, port: int, host: str = "127.0.0.1") -> Graph
         "foxglove", "subiaco_bringup", "foxglove_node", parameters, essential=False, companion=True
     )
     return replace(graph, nodes=(*graph.nodes, node))
+
+
+def in_one_process(graph: GraphSpec) -> GraphSpec:
+    """Return a graph whose nodes share one process; companions keep their own.
+
+    Less memory, and less speed: one of the nodes works at a time.
+    """
+    parts = tuple(node for node in graph.nodes if not node.companion)
+    grace = max(node.grace for node in parts)
+    process = NodeSpec(
+        graph.name, "subiaco_bringup", "composed_nodes", {}, principal=True, grace=grace, parts=parts
+    )
+    return replace(graph, nodes=(process, *(node for node in graph.nodes if node.companion)))
 
 
 def ros_value(name: str, value: Any) -> Any:

@@ -15,6 +15,7 @@ from subiaco_bringup.graph import (
     GraphSpec,
     change_graph,
     deployed,
+    in_one_process,
     mapping_graph,
     merged_config,
     with_foxglove,
@@ -42,6 +43,7 @@ def run_mapping_graph(
     *,
     rate: float = 0.0,
     foxglove_port: int | None = None,
+    one_process: bool = False,
     progress: Report | None = None,
 ) -> None:
     """Replay bags of one epoch through the ROS 2 nodes into a map directory.
@@ -56,6 +58,8 @@ def run_mapping_graph(
         Replay speed; 0 is as fast as the nodes go.
     foxglove_port : int, optional
         Port on which Foxglove can connect from this computer.
+    one_process : bool
+        The nodes share a process, which takes less memory and more time.
     progress : callable, optional
         Told ``(stage, fraction)``.
 
@@ -72,7 +76,8 @@ def run_mapping_graph(
     for bag in request.bags:
         find_storage(bag)
     graph = mapping_graph(request, rate=rate)
-    _run(graph if foxglove_port is None else with_foxglove(graph, foxglove_port), progress, replays=True)
+    graph = graph if foxglove_port is None else with_foxglove(graph, foxglove_port)
+    _run(in_one_process(graph) if one_process else graph, progress, replays=True)
 
 
 def run_change_graph(request: ChangeRequest, progress: Report | None = None) -> None:

@@ -67,7 +67,8 @@ def _monitor(config: dict[str, Any], folder: Path, route: Path | None) -> NodeSp
 
 
 def _odometry(config: dict[str, Any]) -> NodeSpec:
-    return NodeSpec("odometry", "subiaco_mapping", "odometry_node", config, restart=True)
+    parameters = {**config, "listeners": ["pose_graph", "monitor"]}
+    return NodeSpec("odometry", "subiaco_mapping", "odometry_node", parameters, restart=True)
 
 
 def _pose_graph(config: dict[str, Any], folder: Path) -> NodeSpec:

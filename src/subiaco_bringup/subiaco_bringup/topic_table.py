@@ -247,7 +247,7 @@ TOPICS: tuple[TopicRow, ...] = (
     TopicRow(
         "/map/origin",
         "sensor_msgs/msg/NavSatFix",
-        ("pose_graph", "change"),
+        ("pose_graph",),
         ("monitor",),
         LATCHED,
         "map",
@@ -295,6 +295,16 @@ TOPICS: tuple[TopicRow, ...] = (
         "once",
         "Labelled points of the later survey.",
         _CLOUD_FIELDS,
+    ),
+    TopicRow(
+        "/change/origin",
+        "sensor_msgs/msg/NavSatFix",
+        ("change",),
+        ("anybody",),
+        LATCHED,
+        "map",
+        "once",
+        "Origin of the frame `map` of the clouds and markers of change: degrees, ellipsoidal height [m].",
     ),
     TopicRow(
         "/change/table",

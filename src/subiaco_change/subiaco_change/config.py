@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Annotated
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from subiaco_change.association.costs import AssociationConfig
-from subiaco_change.decisions.ablation import Part
 from subiaco_change.decisions.confidence import ConfidenceConfig
 from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.ground_cells import GroundChangeConfig
@@ -17,10 +17,12 @@ from subiaco_change.given_classes import GivenClassesConfig
 from subiaco_change.input_checks import InputCheckConfig
 from subiaco_change.level_of_detection.alignment_corrections import PlacingConfig
 from subiaco_change.level_of_detection.displacement_lod import LodConfig
+from subiaco_change.method_rules import known_rules
+from subiaco_change.point_spacing import SpacingConfig
 from subiaco_change.registration.config import RegistrationConfig
 from subiaco_change.segmentation.classes import SemanticsConfig
 from subiaco_change.segmentation.instances import InstanceConfig
-from subiaco_change.sparse import SpacingConfig
+from subiaco_change.strategies import Part
 from subiaco_change.visibility_evidence import EvidenceConfig
 from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError
@@ -98,9 +100,18 @@ class ChangeConfig(StrictModel):
         ge=0,
         description="Shift between first and second registration from which the comparison is repeated [m]",
     )
+    second_points: int = Field(
+        150_000,
+        ge=0,
+        description="Points of each epoch, in blocks all over the area, from which the second registration "
+        "is estimated first; all points take part only where these move by half of second_shift; 0 takes all",
+    )
     spacing: SpacingConfig = SpacingConfig()
     without: tuple[Part, ...] = Field(
         (), description="Parts of the method that are disabled, for ablation studies"
+    )
+    rules_off: Annotated[tuple[str, ...], AfterValidator(known_rules)] = Field(
+        (), description="Rules of the method that are switched off, by name, for ablation studies"
     )
     registration: RegistrationConfig = RegistrationConfig()
     placing: PlacingConfig = PlacingConfig()

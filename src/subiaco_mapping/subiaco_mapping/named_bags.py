@@ -45,7 +45,7 @@ class NamedBagReader(BagReader):
 
 def open_bag(path: Path, topics: TopicsConfig) -> BagReader:
     """Return a reader that gives the topics of a configuration their names of ours."""
-    names = {theirs: ours for ours, theirs in topics.remappings()}
+    names = topics.bag_names()
     return NamedBagReader(path, names) if names else BagReader(path)
 
 

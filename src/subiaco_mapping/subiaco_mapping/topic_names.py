@@ -26,7 +26,11 @@ _OURS = {
 
 
 class TopicsConfig(StrictModel):
-    """Where the vehicle's drivers publish; empty is our own name."""
+    """Where the vehicle's drivers publish; empty is our own name.
+
+    A name without a leading slash lies in the namespace of the graph, as the topics of a driver of one of
+    several LiDARs do; one with it is the same for all graphs, as those of the vehicle's only receiver are.
+    """
 
     metadata: str = Field(
         "", description="Topic of the LiDAR metadata as JSON (std_msgs/String); empty for /ouster/metadata"
@@ -68,3 +72,7 @@ class TopicsConfig(StrictModel):
         """Return pairs of our name and the driver's, where they differ."""
         given = {ours: str(getattr(self, name)) for name, ours in _OURS.items()}
         return tuple((ours, theirs) for ours, theirs in given.items() if theirs and theirs != ours)
+
+    def bag_names(self) -> dict[str, str]:
+        """Return the driver's name in a bag to ours, where they differ."""
+        return {f"/{theirs.lstrip('/')}": ours for ours, theirs in self.remappings()}

@@ -20,7 +20,7 @@ from rclpy.node import Node
 from rclpy.parameter import Parameter
 
 from subiaco_geo.errors import SubiacoError
-from subiaco_ros.parameters import AUTOSTART, unlock_parameters
+from subiaco_ros.parameters import AUTOSTART, unlock_parameters, when_given
 
 
 class App(Protocol):
@@ -156,6 +156,14 @@ class ManagedNode(LifecycleNode):
         app, self.app = self.app, None
         if isinstance(app, Closing):
             app.close()
+
+    def set_parameters_atomically(self, parameter_list: list[Parameter]) -> SetParametersResult:
+        """Set parameters; say of those that cannot be set now when they can."""
+        for name in (p.name for p in parameter_list if self.has_parameter(p.name)):
+            if self.describe_parameter(name).read_only:
+                reason = f"{name} is read-only: {when_given(name)}"
+                return SetParametersResult(successful=False, reason=reason)
+        return super().set_parameters_atomically(parameter_list)
 
     def create_subscription(self, msg_type: Any, topic: str, *arguments: Any, **options: Any) -> Any:
         """Create a subscription; the clock runs in every state."""

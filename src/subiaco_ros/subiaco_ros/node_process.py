@@ -8,7 +8,9 @@ import os
 import signal
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass
 
 import rclpy
 from rclpy._rclpy_pybind11 import RCLError
@@ -63,10 +65,10 @@ def _orphaned() -> bool:
     return supervisor is not None and os.getppid() != int(supervisor)
 
 
-def _spin(executor: SingleThreadedExecutor, node: ManagedNode) -> None:
-    """Run callbacks and steps in one thread until the node may end."""
-    while not node.finished:
-        executor.spin_once(timeout_sec=node.step())
+def _spin(executor: SingleThreadedExecutor, nodes: Sequence[ManagedNode]) -> None:
+    """Run callbacks and steps in one thread until all nodes may end."""
+    while working := [node for node in nodes if not node.finished]:
+        executor.spin_once(timeout_sec=min([node.step() for node in working]))
         if _orphaned():
             raise ExternalShutdownException
 
@@ -89,6 +91,41 @@ def run_node(name: str, build: Build, argv: Sequence[str] | None = None) -> int:
     traceback and 1. Without our supervisor, under ``ros2 launch`` and ``ros2 run``, an
     interruption is the usual end and gives 0: any other code is an error there.
     """
+    return _run_process(name, lambda: [ManagedNode(name, build)], argv)
+
+
+@dataclass(frozen=True)
+class ComposedNode:
+    """One of several nodes that share a process.
+
+    Parameters
+    ----------
+    name : str
+    build : callable
+    arguments : tuple of str
+        What its own process would be given: ``--ros-args`` with remappings and a file of parameters.
+    """
+
+    name: str
+    build: Build
+    arguments: tuple[str, ...]
+
+
+def run_nodes(name: str, nodes: Sequence[ComposedNode]) -> int:
+    """Run several lifecycle nodes in one process, context and thread, and return its exit code.
+
+    They share the interpreter and its libraries, and wait for each other: nothing runs while one of them
+    works. The process ends when all may end, or one has failed; exit codes are those of :func:`run_node`.
+    """
+
+    def make() -> list[ManagedNode]:
+        options = ({"cli_args": list(n.arguments), "use_global_arguments": False} for n in nodes)
+        return [ManagedNode(n.name, n.build, **given) for n, given in zip(nodes, options, strict=True)]
+
+    return _run_process(name, make, [])
+
+
+def _run_process(name: str, make: Callable[[], list[ManagedNode]], argv: Sequence[str] | None) -> int:
     interrupted = INTERRUPTED if _SUPERVISOR in os.environ else 0
     try:
         signal.pthread_sigmask(signal.SIG_UNBLOCK, {signal.SIGINT})  # see the supervisor: imports are done
@@ -98,9 +135,9 @@ def run_node(name: str, build: Build, argv: Sequence[str] | None = None) -> int:
     except (RCLError, ParameterException, RuntimeError) as error:
         return _refused(f"{name}: {' '.join(str(error).split())}", InputError.exit_code)
     try:
-        node = ManagedNode(name, build)
-        _attach_logging(node)
-        return _run(node)
+        nodes = make()
+        _attach_logging(nodes[-1])
+        return _run(nodes)
     except (ExternalShutdownException, KeyboardInterrupt):
         return interrupted
     except SubiacoError as error:  # at the end: interrupted, there is no node any more that could log it
@@ -122,19 +159,23 @@ def _refused(reason: str, code: int) -> int:
     return code
 
 
-def _run(node: ManagedNode) -> int:
+def _run(nodes: Sequence[ManagedNode]) -> int:
     executor = SingleThreadedExecutor()
-    executor.add_node(node)
+    for node in nodes:
+        executor.add_node(node)
     try:
-        node.start()
-        _spin(executor, node)
+        for node in nodes:
+            node.start()
+        _spin(executor, nodes)
     except SubiacoError as error:
-        node.get_logger().fatal(str(error))
+        nodes[-1].get_logger().fatal(str(error))
         supervisor_channel().error(str(error))
         return error.exit_code
     finally:
-        node.put_away()
-        executor.shutdown(timeout_sec=1.0)
+        with ExitStack() as stack:  # each is put away, whatever becomes of the others
+            stack.callback(executor.shutdown, timeout_sec=1.0)
+            for node in reversed(nodes):
+                stack.callback(node.put_away)
     return 0
 
 

@@ -123,6 +123,13 @@ def describe_parameters(node: Node, model: BaseModel) -> None:
         node.declare_parameter(name, given, descriptor(field, kind))
 
 
+def when_given(name: str) -> str:
+    """Say when a parameter that is read-only takes a value."""
+    if name.split(".", maxsplit=1)[0] in _NO_SETTINGS:
+        return "give it when the process starts"
+    return "the node has read it; deactivate and clean up the node, set it, configure and activate again"
+
+
 def unlock_parameters(node: Node) -> None:
     """Let the parameters of a node that is no longer configured be set again."""
     for name in node.get_parameters_by_prefix(""):

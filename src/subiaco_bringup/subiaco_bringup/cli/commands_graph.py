@@ -70,6 +70,9 @@ def mapping(
     rate: Annotated[float, typer.Option(help="Replay speed; 0 is as fast as the nodes go.")] = 0.0,
     overwrite: Overwrite = False,
     foxglove: FoxglovePort = None,
+    one_process: Annotated[
+        bool, typer.Option("--one-process", help="Run the nodes in one process: less memory, more time.")
+    ] = False,
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
@@ -85,7 +88,9 @@ def mapping(
     model = load_config(MappingConfig, config_files("mapping", tuple(config or ())), settings or [])
     request = MappingRequest.of(bags=tuple(bags), output=output, overwrite=overwrite, config=model)
     with Progress(quiet=quiet) as progress:
-        run_mapping_graph(request, rate=rate, foxglove_port=foxglove, progress=progress)
+        run_mapping_graph(
+            request, rate=rate, foxglove_port=foxglove, one_process=one_process, progress=progress
+        )
     say(f"map: {output}", quiet=quiet)
     end_with_verdict(output, quiet=quiet)
 

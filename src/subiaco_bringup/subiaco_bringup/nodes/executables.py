@@ -13,3 +13,8 @@ def change_node() -> int:
 def foxglove_node() -> int:
     """Serve topics to Foxglove."""
     return start("subiaco_bringup.nodes.foxglove_node")
+
+
+def composed_nodes() -> int:
+    """Run several nodes in one process."""
+    return start("subiaco_bringup.nodes.composed_nodes")

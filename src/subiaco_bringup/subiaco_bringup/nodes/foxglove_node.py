@@ -35,8 +35,8 @@ LOGGER = logging.getLogger(__name__)
 SHOWN = (
     "/tf", "/tf_static", "/odometry", "/odometry/quality", "/path", "/points_deskewed", "/points_sky",
     "/map/points", "/map/origin", "/quality/markers", "/quality/geojson", "/gnss/fix", "/gnss/heading",
-    "/imu/data", "/change/before", "/change/after", "/change/markers", "/change/table", DIAGNOSTICS,
-    "/rosout",
+    "/imu/data", "/change/before", "/change/after", "/change/origin", "/change/markers", "/change/table",
+    DIAGNOSTICS, "/rosout",
 )  # fmt: skip
 #: Messages of a latched topic that a viewer gets when it comes later: /tf_static has several publishers.
 _KEPT = 32

@@ -19,10 +19,11 @@ from subiaco_change.decisions.plant_measures import PlantConfig, measure_plant
 from subiaco_change.decisions.rules import Decision, decide
 from subiaco_change.decisions.space_carving import Empty
 from subiaco_change.decisions.vegetation_null import PlantMeasures, no_null
-from subiaco_change.decisions.voxel_objects import Free, ObjectInstance, join_voxels
+from subiaco_change.decisions.voxel_objects import Certainty, Free, ObjectInstance, join_voxels
 from subiaco_change.instance_splitting.hedge_sections import NOTHING
 from subiaco_change.instance_splitting.one_epoch_parts import decide_vehicle_part
 from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.method_rules.switches import no_decision, switchable
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats, Ints
 
@@ -76,7 +77,7 @@ class ObjectRules:
     standing: tuple[Floats, Floats] = (NOTHING, NOTHING)  # all points (N, 3) that stand, of any class
     free: tuple[Free | None, Free | None] = (None, None)  # what *before* and *after* know to be free
     below_view: tuple[Empty | None, Empty | None] = (None, None)  # how high their views are known to reach
-    certain: tuple[float, float] = (1.0, 1.0)  # how certain these can be at most
+    certain: tuple[Certainty | None, Certainty | None] = (None, None)  # how certain these can be at most
     plants: PlantConfig = field(default_factory=PlantConfig)
 
 
@@ -113,6 +114,12 @@ def decide_object(
     return ObjectChange(tuple(before), tuple(after), semantic, kind, measures, decision, plant)
 
 
+def _all_parts(objects: Sequence[ObjectInstance], *_: object) -> list[ObjectInstance]:
+    """Return the parts of a plant as they are."""
+    return list(objects)
+
+
+@switchable("view_height", _all_parts)
 def _in_view(objects: Sequence[ObjectInstance], below_view: Empty | None) -> list[ObjectInstance]:
     """Parts of a plant that the other epoch holds too, what is higher than its view reached not observed."""
     if below_view is None:
@@ -128,6 +135,7 @@ def _in_view(objects: Sequence[ObjectInstance], below_view: Empty | None) -> lis
     return found
 
 
+@switchable("misclassified_ground", no_decision)
 def is_misclassified_ground(semantic: Semantic, objects: Sequence[ObjectInstance]) -> Decision | None:
     """Leave a low, level object to the comparison of the ground: it is ground with a wrong class."""
     voxels = join_voxels(objects)

@@ -15,6 +15,7 @@ from scipy.special import ndtr
 from subiaco_change.decisions.ground_change import GroundComparison, GroundPatch, patch_points
 from subiaco_change.decisions.voxel_objects import EpochView, is_ghost_trail
 from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.method_rules.switches import none_of_them, rule_mask, switchable
 from subiaco_change.records import ChangeRecord
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.visibility_evidence import EvidenceConfig, ground_observed
@@ -25,7 +26,7 @@ _AROUND = NUMBERS.point_labels.surrounding_points
 
 
 @dataclass(frozen=True)
-class Labels:
+class PointLabels:
     """Fields of one epoch's points, as :class:`subiaco_change.records.ChangeResult` wants them."""
 
     change: NDArray[np.uint8]
@@ -39,10 +40,10 @@ class Labels:
         return {name: getattr(self, name) for name in self.__dataclass_fields__}
 
 
-def unlabelled(view: EpochView) -> Labels:
+def unlabelled(view: EpochView) -> PointLabels:
     """Return labels of points before any decision; ghost trails keep these labels."""
     count = len(view.xyz)
-    return Labels(
+    return PointLabels(
         np.where(is_ghost_trail(view), Change.NOT_REPORTED, Change.UNCHANGED).astype(np.uint8),
         view.semantic.copy(),
         np.full(count, -1, dtype=np.int32),
@@ -53,7 +54,7 @@ def unlabelled(view: EpochView) -> Labels:
 
 def label_rest(
     view: EpochView,
-    labels: Labels,
+    labels: PointLabels,
     ground: GroundComparison | None,
     patch_ids: Sequence[int],
     seen_by_other: Callable[[Floats], Mask],
@@ -74,7 +75,7 @@ def label_rest(
     trail = labels.change[loose] == Change.NOT_REPORTED
     seen[trail] = seen_by_other(view.xyz[loose[trail]])
     fragment = ~is_ground & ~trail
-    seen[fragment] = occupied_by_other(view.xyz[loose[fragment]])
+    seen[fragment] = ~rule_mask("points_of_no_object", ~occupied_by_other(view.xyz[loose[fragment]]))
     hidden = np.flatnonzero(is_ground & ~seen)
     seen[hidden] = ground_observed(seen_by_other, view.xyz[loose[hidden]], evidence)
     hidden = hidden[~seen[hidden]]
@@ -84,6 +85,7 @@ def label_rest(
         _label_ground(ground, view, patch_ids, labels)
 
 
+@switchable("ground_between_rings", none_of_them)
 def surrounded(xy: Floats, points: Floats, reach: float) -> Mask:
     """Tell which places (M, 2) have points (N, 2) within reach [m] on at least three of their four sides.
 
@@ -109,7 +111,7 @@ def _compared(ground: GroundComparison | None, view: EpochView, members: Ints) -
 
 
 def _label_ground(
-    ground: GroundComparison, view: EpochView, patch_ids: Sequence[int], labels: Labels
+    ground: GroundComparison, view: EpochView, patch_ids: Sequence[int], labels: PointLabels
 ) -> None:
     patch = patch_points(ground, view)
     row, column, inside = ground.cell_of(view.xyz[:, :2])

@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import shapely
+from scipy.spatial import cKDTree
 
 from subiaco_change.association.costs import AssociationConfig, overlap_counts
 from subiaco_change.association.matching import match_kind
@@ -16,7 +17,7 @@ from subiaco_change.decisions.plant_decisions import decide_plant
 from subiaco_change.decisions.vegetation_null import no_null
 from subiaco_change.decisions.voxel_objects import ObjectInstance, join_voxels
 from subiaco_change.instance_splitting.building_extensions import find_building_extensions, is_smooth_surface
-from subiaco_change.instance_splitting.hedge_sections import Section, changed_sections, section_labels
+from subiaco_change.instance_splitting.hedge_sections import HedgeSection, changed_sections, section_labels
 from subiaco_change.instance_splitting.merged_instances import (
     Piece,
     group_row_houses,
@@ -26,6 +27,7 @@ from subiaco_change.instance_splitting.merged_instances import (
 )
 from subiaco_change.instance_splitting.one_epoch_parts import split_by_labels
 from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.method_rules.switches import applies, first_argument, switchable
 from subiaco_geo.codes import Change, Semantic
 
 _WHOLE = NUMBERS.split_merge.whole_share
@@ -36,6 +38,7 @@ _SINGLE = (Change.ADDED, Change.REMOVED)
 _CLAIMS = (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED)
 
 
+@switchable("building_extensions", first_argument)
 def join_building_extensions(changes: list[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
     """Make extensions built onto a building, or taken from it, one object with it, and decide it again.
 
@@ -57,14 +60,55 @@ def join_building_extensions(changes: list[ObjectChange], rules: ObjectRules) ->
     extensions = {
         numbers[w]: numbers[h] for w, h in find_building_extensions(pairs, rules.association.parts).items()
     }
-    joined = list(changes)
-    for host in sorted(set(extensions.values())):
-        parts = [changes[host], *(changes[w] for w, h in extensions.items() if h == host)]
-        before, after = ([t for part in parts for t in getattr(part, e)] for e in ("before", "after"))
-        joined[host] = decide_object(before, after, Semantic.BUILDING, rules)
-    return [change for i, change in enumerate(joined) if i not in extensions]
+    following = _first_free(changes)
+    joined: list[ObjectChange] = []
+    for number, change in enumerate(changes):
+        parts = [changes[w] for w, h in extensions.items() if h == number]
+        if number not in extensions:
+            told = _extended(change, parts, rules, following) if parts else [change]
+            following = max(following, _first_free(told))
+            joined.extend(told)
+    return joined
 
 
+def _extended(
+    host: ObjectChange, extensions: Sequence[ObjectChange], rules: ObjectRules, following: int
+) -> list[ObjectChange]:
+    """Decide a building with its extensions.
+
+    An extension that closes the gap to the next house makes one instance of both. Where the other epoch holds
+    the houses apart, the extension belongs to the one that it adjoins the most.
+    """
+    pieces = [(extension.before, extension.after) for extension in extensions]
+    bodies = split_by_bodies(host.before, host.after, rules.association, following)
+    if len(bodies) > 1 and all(b and a for b, a in bodies):
+        owner = [_adjoined_body(piece, bodies, rules.association.parts.touch) for piece in pieces]
+        parts = [
+            _decide_together([body, *(e for e, k in zip(pieces, owner, strict=True) if k == number)], rules)
+            for number, body in enumerate(bodies)
+        ]
+        if any(part.decision.change in _CLAIMS for part in parts):
+            return parts
+    return [_decide_together([(host.before, host.after), *pieces], rules)]
+
+
+def _adjoined_body(piece: Piece, bodies: Sequence[Piece], touch: float) -> int:
+    """Return which of some bodies most voxels of a piece adjoin, within a distance [m]."""
+    xyz = join_voxels((*piece[0], *piece[1])).xyz
+    contact = [
+        np.isfinite(cKDTree(join_voxels((*b, *a)).xyz).query(xyz, distance_upper_bound=touch)[0]).sum()
+        for b, a in bodies
+    ]
+    return int(np.argmax(contact))
+
+
+def _decide_together(pieces: Sequence[Piece], rules: ObjectRules) -> ObjectChange:
+    """Decide pieces of both epochs as one building."""
+    before, after = ([t for piece in pieces for t in piece[epoch]] for epoch in (0, 1))
+    return decide_object(before, after, Semantic.BUILDING, rules)
+
+
+@switchable("hidden_walls", first_argument)
 def join_hidden_walls(changes: list[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
     """Join a wall that the other epoch hardly observed to the changed building it belongs to.
 
@@ -103,6 +147,7 @@ def _is_hardly_observed(change: ObjectChange, rules: ObjectRules) -> bool:
     return rules.ground.empty[other] is None or change.measures.observed_fraction < _HARDLY
 
 
+@switchable("low_overlap_matches", first_argument)
 def split_low_overlap_matches(changes: Sequence[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
     """Take what was matched and hardly overlaps for two objects: one is slight, the other came or went.
 
@@ -131,6 +176,7 @@ def _least_overlap(semantic: Semantic, rules: ObjectRules) -> float:
     return rules.decisions.vegetation.min_iou if semantic is Semantic.VEGETATION else -1.0
 
 
+@switchable("multi_body_matches", first_argument)
 def split_multi_body_matches(changes: Sequence[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
     """Decide the bodies of a split or merge one by one where they did not fare alike."""
     following = _first_free(changes)
@@ -152,6 +198,7 @@ def _first_free(changes: Sequence[ObjectChange]) -> int:
     return 1 + max((t.instance for c in changes for t in (*c.before, *c.after)), default=0)
 
 
+@switchable("row_houses_at_walls", first_argument)
 def split_row_houses(changes: Sequence[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
     """Decide the houses of a row one by one where they fared differently, parted as either epoch shows."""
     if rules.association.parts.points == 0:
@@ -204,6 +251,7 @@ def _measured(members: Sequence[ObjectChange], rules: ObjectRules) -> Measures:
     return measure(before, after, rules.measures, rules.ground, building=True)
 
 
+@switchable("hedge_sections", first_argument)
 def split_hedge_segments(changes: Sequence[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
     """Give the sections of hedges whose tops moved rows of their own, or the whole where nearly all did."""
     if rules.association.parts.points == 0:
@@ -225,7 +273,8 @@ def _sections(change: ObjectChange, following: int, rules: ObjectRules) -> list[
     if not sections:
         return [change]
     alike = len({s.rise > 0 for s in sections}) == 1
-    if alike and sum(len(s.xy) for s in sections) >= _WHOLE * len(columns):
+    whole = alike and sum(len(s.xy) for s in sections) >= _WHOLE * len(columns)
+    if applies("whole_hedges", whole):
         largest = max(sections, key=lambda s: len(s.xy))
         return [_of_section(change, largest, rules, only=False)]
     sides: list[list[list[ObjectInstance]]] = []
@@ -245,7 +294,9 @@ def _sections(change: ObjectChange, following: int, rules: ObjectRules) -> list[
     return [*left, *(_of_section(p, s, rules, only=True) for p, s in zip(pieces, sections, strict=True))]
 
 
-def _of_section(change: ObjectChange, section: Section, rules: ObjectRules, *, only: bool) -> ObjectChange:
+def _of_section(
+    change: ObjectChange, section: HedgeSection, rules: ObjectRules, *, only: bool
+) -> ObjectChange:
     """Decide a hedge, or the piece of one that is a section, by the section whose tops moved."""
     if change.plant is None:
         return change
@@ -254,6 +305,7 @@ def _of_section(change: ObjectChange, section: Section, rules: ObjectRules, *, o
     return replace(change, plant=plant, decision=decision)
 
 
+@switchable("fragments_of_changed_objects", first_argument)
 def assign_fragments(
     changes: list[ObjectChange],
     objects_before: Sequence[ObjectInstance],
@@ -306,6 +358,14 @@ def _with_parts(change: ObjectChange, fragments: Sequence[ObjectChange]) -> Obje
     return replace(change, before=before, after=after, match_kind=kind)
 
 
+def _classes_as_they_are(
+    before: list[ObjectInstance], after: list[ObjectInstance], *_: object
+) -> tuple[list[ObjectInstance], list[ObjectInstance]]:
+    """Return the objects with their own classes."""
+    return before, after
+
+
+@switchable("one_class_one_place", _classes_as_they_are)
 def unify_classes(
     before: list[ObjectInstance], after: list[ObjectInstance], config: AssociationConfig, tolerance: float
 ) -> tuple[list[ObjectInstance], list[ObjectInstance]]:

@@ -48,19 +48,18 @@ from subiaco_change.method_numbers.registration_numbers import (
     VerticalBiasNumbers,
     WarpNumbers,
 )
-from subiaco_change.method_numbers.sampling_numbers import (
-    SpacingNumbers,
-    SparseNumbers,
-    VisibilityEvidenceNumbers,
-)
 from subiaco_change.method_numbers.segmentation_numbers import (
     InstancesNumbers,
+    SpacingNumbers,
+    SparseNumbers,
     ThinTrailsNumbers,
     TrailEndsNumbers,
     TrailShapeNumbers,
     TrailSwathsNumbers,
+    VisibilityEvidenceNumbers,
     WiresAndPolesNumbers,
 )
+from subiaco_change.method_numbers.tiling_numbers import TilingNumbers
 from subiaco_geo.config import StrictModel
 
 
@@ -112,6 +111,7 @@ class MethodNumbers(StrictModel):
     spacing: SpacingNumbers = SpacingNumbers()
     sparse: SparseNumbers = SparseNumbers()
     visibility_evidence: VisibilityEvidenceNumbers = VisibilityEvidenceNumbers()
+    tiling: TilingNumbers = TilingNumbers()
 
 
 NUMBERS = MethodNumbers()

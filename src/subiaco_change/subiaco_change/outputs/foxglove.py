@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pyproj import Proj
 
 from subiaco_change.outputs.clouds import change_palette, labelled_path
-from subiaco_change.outputs.table_schema import table_schema
+from subiaco_change.outputs.table import table_schema
 from subiaco_change.records import CHANGE_COLOURS
 from subiaco_geo import __version__
 from subiaco_geo.bags import TYPESTORE
@@ -86,7 +86,7 @@ def write_foxglove(path: Path, directory: Path, table: gpd.GeoDataFrame, left_ou
         log.ros("/change/markers", "visualization_msgs/msg/MarkerArray", _markers(table, heights, to_local))
         log.json("/change/table", "subiaco.ChangeTable", _table_schema(), _table_value(table, crs))
         if enu is not None:
-            log.ros("/map/origin", "sensor_msgs/msg/NavSatFix", _origin_fields(enu))
+            log.ros("/change/origin", "sensor_msgs/msg/NavSatFix", _origin_fields(enu))
             log.json("/change/footprints", "foxglove.GeoJSON", _GEOJSON_SCHEMA, _geojson(table))
         log.finish({"software": f"subiaco {__version__}", "crs": crs or "", **counts})
 

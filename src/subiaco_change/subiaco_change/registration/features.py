@@ -12,14 +12,14 @@ from scipy.spatial import KDTree
 
 from subiaco_change.geometry import Level
 from subiaco_change.method_numbers import NUMBERS
-from subiaco_change.registration.coarse import Candidate, levelling
-from subiaco_change.registration.config import FeatureConfig
+from subiaco_change.registration.coarse import StartPose, levelling
+from subiaco_change.registration.config import KeypointConfig
 from subiaco_geo.frames import Floats, Ints, make_pose, transform_points
 
 _EDGE = NUMBERS.features.edge_ratio
 
 
-def describe_keypoints(level: Level, config: FeatureConfig) -> tuple[Floats, Floats]:
+def describe_keypoints(level: Level, config: KeypointConfig) -> tuple[Floats, Floats]:
     """Find ISS keypoints (K, 3) [m] of a level, and their FPFH (K, 33)."""
     import open3d as o3d
 
@@ -134,14 +134,14 @@ def ransac(
     return pose, most
 
 
-def propose_by_features(before: Level, after: Level, config: FeatureConfig, seed: int) -> list[Candidate]:
+def propose_by_features(before: Level, after: Level, config: KeypointConfig, seed: int) -> list[StartPose]:
     """Propose the one start pose that RANSAC finds; empty where no pairs agree.
 
     Parameters
     ----------
     before, after : Level
         At about 1 m leaf, z up within 25 deg.
-    config : FeatureConfig
+    config : KeypointConfig
     seed : int
     """
     (places, described), (others, known) = (describe_keypoints(side, config) for side in (before, after))
@@ -149,4 +149,4 @@ def propose_by_features(before: Level, after: Level, config: FeatureConfig, seed
         return []
     _, match = KDTree(known).query(described)
     found = ransac(places, others[match], config.inlier, config.iterations, seed)
-    return [] if found is None else [Candidate(found[0], float(found[1]))]
+    return [] if found is None else [StartPose(found[0], float(found[1]))]

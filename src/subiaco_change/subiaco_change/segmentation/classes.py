@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.method_rules.switches import none_of_them, rule_mask, switchable
 from subiaco_change.segmentation.buildings import (
     attach_parts,
     building_planes,
@@ -19,7 +22,7 @@ from subiaco_change.segmentation.buildings import (
 )
 from subiaco_change.segmentation.clustering import group_indices, group_reduce, voxel_clusters
 from subiaco_change.segmentation.config import BuildingConfig, VehicleConfig
-from subiaco_change.segmentation.features import FeatureConfig, Features, compute_features
+from subiaco_change.segmentation.features import EigenFeatureConfig, Features, compute_features
 from subiaco_change.segmentation.ghost_trails import TrafficConfig, moving_points, still_blocks, timed_trails
 from subiaco_change.segmentation.ground_model import GroundConfig, GroundModel, Mask, fit_ground
 from subiaco_change.segmentation.raised_surfaces import RaisedConfig, RaisedSurfaces, find_raised
@@ -38,7 +41,7 @@ class SemanticsConfig(StrictModel):
 
     ground: GroundConfig = GroundConfig()
     raised: RaisedConfig = RaisedConfig()
-    features: FeatureConfig = FeatureConfig()
+    features: EigenFeatureConfig = EigenFeatureConfig()
     superpoints: SuperpointConfig = SuperpointConfig()
     traffic: TrafficConfig = TrafficConfig()
     trail_shape: TrailShapeConfig = TrailShapeConfig()
@@ -274,9 +277,15 @@ def _find_ground(
         & (height > -2 * config.ground_close)
         & ~(steep & (height > 0.5 * config.ground_distance))
     )
+    lies = (claimed[parts] & (np.abs(height) < 2 * config.ground_close)) | near
+    return np.asarray(lies & ~_rough_foot(height, features, config))
+
+
+@switchable("rough_foot", none_of_them)
+def _rough_foot(height: Floats, features: Features, config: SemanticsConfig) -> Mask:
+    """Tell which points (N,) are rough and just above the ground model: the foot of an object."""
     dense = _reach(features, config) < config.features.radius  # else roughness is that of the terrain
-    foot = dense & (features.roughness > config.foot_roughness) & (height > config.foot_height)
-    return np.asarray(((claimed[parts] & (np.abs(height) < 2 * config.ground_close)) | near) & ~foot)
+    return np.asarray(dense & (features.roughness > config.foot_roughness) & (height > config.foot_height))
 
 
 def _find_foliage(height: Floats, features: Features, parts: Ints, config: SemanticsConfig) -> Mask:
@@ -284,9 +293,15 @@ def _find_foliage(height: Floats, features: Features, parts: Ints, config: Seman
     count = int(parts.max()) + 1
     scatter = group_reduce(parts, np.sqrt(features.scatter), count)
     rough = group_reduce(parts, features.roughness, count)
-    sparse = group_reduce(parts, _reach(features, config), count) > config.sparse_reach
+    sparse = _is_sparse(group_reduce(parts, _reach(features, config), count), config)
     leafy = (scatter > np.where(sparse, config.sparse_scatter, config.scatter)) & (rough > config.roughness)
     return np.asarray(leafy[parts] & (height > config.ground_close))
+
+
+@switchable("sparse_foliage", none_of_them)
+def _is_sparse(reach: Floats, config: SemanticsConfig) -> Mask:
+    """Tell which superpoints (S,) are sparse by the reach of their neighbours [m]."""
+    return np.asarray(reach > config.sparse_reach)
 
 
 def _split_rest(
@@ -324,18 +339,28 @@ def _vote_clusters(
     ]
     tiny = np.hypot(*extent) < np.sqrt(2) * config.tiny_width
     tiny &= group_reduce(cluster, height, len(size), "maximum") < config.tiny_top
+    tiny = rule_mask("tiny_clusters", tiny)
     semantic[tiny[cluster]] = Semantic.OTHER
     return semantic
 
 
 def _scores(semantic: NDArray[np.uint8], features: Features) -> NDArray[np.float32]:
     """Share of each class among the neighbours: low where classes meet or a region is mixed."""
-    neighbours = features.neighbours
-    counts = np.stack([(semantic[neighbours] == c).sum(axis=1) for c in range(5)], axis=1)
-    return np.asarray(counts / neighbours.shape[1], dtype=np.float32)
+    counts = _class_counts(semantic, features.neighbours)
+    return np.asarray(counts / features.neighbours.shape[1], dtype=np.float32)
 
 
-_FEWEST = 100  # points below which neighbourhoods say nothing
+@numba.njit(cache=True)
+def _class_counts(semantic: NDArray[np.uint8], neighbours: NDArray[np.int32]) -> Ints:
+    """Count the neighbours (N, k) of every point by class: (N, 5)."""
+    counts = np.zeros((len(neighbours), 5), dtype=np.int64)
+    for i in range(len(neighbours)):
+        for k in range(neighbours.shape[1]):
+            counts[i, semantic[neighbours[i, k]]] += 1
+    return counts
+
+
+_FEWEST = NUMBERS.tiling.map_class_points
 
 
 def map_classes(cloud: PointCloud, moved: Floats) -> NDArray[np.uint8]:

@@ -10,7 +10,7 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from subiaco_evaluation.baselines.cells import Codes, Pair, Verdict
+from subiaco_evaluation.baselines.cells import CellVerdict, Codes, Pair
 from subiaco_evaluation.baselines.config import BaselineConfig
 from subiaco_evaluation.grid import GridConfig, cell_rule
 from subiaco_evaluation.learned.batches import collate
@@ -62,7 +62,7 @@ def load_network(path: Path, method: str) -> Trained:
     return Trained(model.train(False), config, factors)
 
 
-def predict(pair: Pair, config: BaselineConfig, method: str, weights: Path) -> Verdict:
+def predict(pair: Pair, config: BaselineConfig, method: str, weights: Path) -> CellVerdict:
     """Label the cells of a pair by a trained network."""
     trained = load_network(weights, method)
     with torch.no_grad():
@@ -71,7 +71,7 @@ def predict(pair: Pair, config: BaselineConfig, method: str, weights: Path) -> V
         return _by_rasters(pair, config, trained)
 
 
-def _by_points(pair: Pair, config: BaselineConfig, trained: Trained) -> Verdict:
+def _by_points(pair: Pair, config: BaselineConfig, trained: Trained) -> CellVerdict:
     """Label the points of both clouds, each compared with the other one, then cells by the published rule."""
     sides, network = (pair.before, pair.after), trained.config.point_network
     pyramids = [chosen_features(pyramid, network.features) for pyramid in describe_pair(pair, network)]
@@ -107,7 +107,9 @@ def point_chances(
     return total / np.maximum(count, 1)[:, None]
 
 
-def _vote(pair: Pair, cell: Ints, codes: NDArray[np.uint8], trust: Floats, config: BaselineConfig) -> Verdict:
+def _vote(
+    pair: Pair, cell: Ints, codes: NDArray[np.uint8], trust: Floats, config: BaselineConfig
+) -> CellVerdict:
     size = pair.before.count.size
     column = np.where(codes > Change.UNCHANGED, 5, codes).astype(np.int64)
     counts = np.bincount(cell * 7 + column, minlength=size * 7).reshape(size, 7)
@@ -119,7 +121,7 @@ def _vote(pair: Pair, cell: Ints, codes: NDArray[np.uint8], trust: Floats, confi
     return _verdict(pair, chosen.reshape(pair.grid.shape), mean.reshape(pair.grid.shape))
 
 
-def _by_rasters(pair: Pair, config: BaselineConfig, trained: Trained) -> Verdict:
+def _by_rasters(pair: Pair, config: BaselineConfig, trained: Trained) -> CellVerdict:
     heights = surface_models(pair)
     chances = raster_chances(trained.model, heights, trained.config, config.learned.overlap)
     code = (chances * trained.factors[:, None, None]).argmax(axis=0).astype(np.uint8)
@@ -144,6 +146,6 @@ def raster_chances(
     return np.asarray((total / count)[:, : shape[0], : shape[1]])
 
 
-def _verdict(pair: Pair, code: Codes, confidence: Floats) -> Verdict:
+def _verdict(pair: Pair, code: Codes, confidence: Floats) -> CellVerdict:
     unknown: NDArray[Any] = np.full(pair.grid.shape, np.nan)
-    return Verdict(code, confidence, np.where(np.isfinite(pair.rise), pair.rise, np.nan), unknown)
+    return CellVerdict(code, confidence, np.where(np.isfinite(pair.rise), pair.rise, np.nan), unknown)

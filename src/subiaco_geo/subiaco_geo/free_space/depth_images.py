@@ -185,7 +185,7 @@ def render(xyz: Floats, eyes: Floats, grid: ImageGrid, surfaces: Surfaces) -> De
 
 
 @dataclass(frozen=True)
-class Looks:
+class PoseCounts:
     """From how many poses a place (N,) was seen free, met as a surface, or hidden, int32 each."""
 
     free: NDArray[np.int32]
@@ -307,7 +307,9 @@ class DepthImages:
     images: Depths
     grid: ImageGrid
 
-    def looks(self, world: Floats, limits: Limits, enough: int = 0, *, surface_too: bool = False) -> Looks:
+    def looks(
+        self, world: Floats, limits: Limits, enough: int = 0, *, surface_too: bool = False
+    ) -> PoseCounts:
         """Count from how many poses places (N, 3) of the world were seen free, as a surface, or hidden.
 
         Parameters
@@ -327,7 +329,7 @@ class DepthImages:
                 near, self.images, self.grid.cell, self.grid.low, limits.packed(), enough, surface_too,
                 counts,
             )  # fmt: skip
-        return Looks(counts[:, 0].copy(), counts[:, 1].copy(), counts[:, 2].copy())
+        return PoseCounts(counts[:, 0].copy(), counts[:, 1].copy(), counts[:, 2].copy())
 
     def hides(self, world: Floats, place: NDArray[np.int32], image: Ints, behind: float) -> NDArray[np.bool_]:
         """Tell which lines of sight (L,) end at a surface of their image before they reach their place.

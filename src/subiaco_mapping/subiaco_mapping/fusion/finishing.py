@@ -16,7 +16,7 @@ from subiaco_geo.frames import Floats, transform_points
 from subiaco_geo.movement import verdicts
 from subiaco_geo.visibility import TimeRecord, VisibilityGrid
 from subiaco_mapping.checkpoint.scan_spool import SpooledScan
-from subiaco_mapping.config import FusionConfig
+from subiaco_mapping.fusion.config import FusionConfig
 from subiaco_mapping.fusion.dynamic_objects import height_above_floor, moved_probability
 from subiaco_mapping.fusion.full_density import DensityTiles, FullDensity
 from subiaco_mapping.fusion.outliers import beam_spacing, isolated_points

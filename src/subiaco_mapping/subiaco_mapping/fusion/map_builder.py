@@ -17,13 +17,14 @@ from subiaco_geo.free_space.sensor_view import SENSOR, SensorView
 from subiaco_geo.settings import method_statement
 from subiaco_geo.survey_map import PoseUncertainty, SurveyMap
 from subiaco_geo.trajectories import Trajectory
-from subiaco_mapping.config import GnssConfig, ManifestConfig, MappingConfig
+from subiaco_mapping.config import ManifestConfig, MappingConfig
 from subiaco_mapping.fusion.field_of_view import FieldOfView
 from subiaco_mapping.fusion.finishing import FinishedMap, MapFusion
 from subiaco_mapping.fusion.full_density import FullDensity
 from subiaco_mapping.fusion.ground_heights import height_table
 from subiaco_mapping.fusion.projection import Projection
 from subiaco_mapping.manifest import CONTRADICTED, LEGEND, describe_sequence, stretches
+from subiaco_mapping.pose_graph.config import GnssConfig
 from subiaco_mapping.pose_graph.solution import GraphSolution
 from subiaco_mapping.sequences import SequenceRecord
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from subiaco_geo.frames import Floats
-from subiaco_mapping.config import FusionConfig
+from subiaco_mapping.fusion.config import FusionConfig
 
 _ENOUGH = 1000  # returns that a scan needs to show its beams
 

@@ -68,6 +68,49 @@ class ExtrinsicsWaiter:
             LOGGER.warning("waiting for %s", what)
 
 
+class ListenerWaiter:
+    """Hold the first scan of a live graph back until the nodes that take it listen.
+
+    Nodes come up in any order; what is published before a node is matched is lost to it. Sensor messages wait
+    in the middleware meanwhile. After ``patience`` seconds it goes on without those that are missing.
+
+    Parameters
+    ----------
+    missing : callable
+        Returns the names of the nodes that do not listen yet.
+    patience : float
+        [s]
+    clock : callable
+        Steady seconds.
+    """
+
+    def __init__(
+        self,
+        missing: Callable[[], Sequence[str]],
+        patience: float = 10.0,
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._missing = missing
+        self._patience = patience
+        self._clock = clock
+        self._since: float | None = None
+        self._over = False
+
+    @property
+    def over(self) -> bool:
+        """Whether nothing is waited for any more."""
+        if self._over:
+            return True
+        now = self._clock()
+        self._since = now if self._since is None else self._since
+        missing = self._missing()
+        late = now - self._since >= self._patience
+        if missing and late:
+            LOGGER.warning("%s: not listening after %.0f s; going on", ", ".join(missing), self._patience)
+        self._over = not missing or late
+        return self._over
+
+
 class LiveMap:
     """Publish path and map as they grow; solve now and then in between.
 

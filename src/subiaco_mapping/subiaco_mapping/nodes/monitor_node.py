@@ -54,7 +54,7 @@ TICK_INTERVAL = 0.1
 STATUS_INTERVAL = 0.5
 MARKER_INTERVAL = 2.0
 FILE_INTERVAL = 5.0
-#: Status of the recorder, in whatever namespace it runs.
+#: Status of the recorder; that of the monitor's own namespace counts, and one that records for all of them.
 RECORDER = "recorder: recording"
 PATIENCE = 0.05
 _MOST_WAIT_NS = 10_000_000_000
@@ -246,9 +246,10 @@ class MonitorApp:
         self._origin = EnuFrame(message.latitude, message.longitude, message.altitude)
 
     def _on_diagnostics(self, message: DiagnosticArray) -> None:
+        own = self._node.get_namespace().strip("/").lower()
         for status in message.status:
             name = status.name.lower()
-            if name.rsplit("/", 1)[-1] == RECORDER:
+            if name in (RECORDER, f"{own}/{RECORDER}"):
                 stopped = status.level == DiagnosticStatus.ERROR
                 self._monitor.on_recorder(stopped, status.message, self._when()[0])
             if not name.startswith(self._prefix.lower()) and any(

@@ -29,7 +29,7 @@ from subiaco_mapping.nodes.counts import ConsumptionReporter, counts_message, li
 from subiaco_mapping.nodes.covariance import PoseCovariance, base_velocity
 from subiaco_mapping.nodes.extrinsics import StaticTransforms, sensors_needed
 from subiaco_mapping.nodes.flow import ConsumedCounter, FlowControl
-from subiaco_mapping.nodes.live_sources import ExtrinsicsWaiter
+from subiaco_mapping.nodes.live_sources import ExtrinsicsWaiter, ListenerWaiter
 from subiaco_mapping.nodes.messages import odometry_message, quality_message, scan_message, sky_message
 from subiaco_mapping.nodes.missed_messages import Arrivals
 from subiaco_mapping.nodes.names import (
@@ -80,6 +80,9 @@ class OdometryParameters(StrictModel):
 
     odom_frame: str = Field("odom", description="Frame of the odometry poses")
     consumers: tuple[str, ...] = Field((), description="Nodes whose message counts the odometry waits for")
+    listeners: tuple[str, ...] = Field(
+        (), description="Nodes that have to listen before a live odometry begins; it waits 10 s at most"
+    )
     exit_at_end: bool = Field(False, description="End the node when the replay ends")
 
 
@@ -143,6 +146,7 @@ class OdometryApp:
         self.flow = FlowControl(own.consumers, dict.fromkeys(OUTPUTS, SCAN_WINDOW))
         self._diagnostics = Diagnostics(node, "registration")
         self._create_publishers(node)
+        self._listeners = ListenerWaiter(partial(self._not_listening, node))
         self._reporter = ConsumptionReporter(node, ConsumedCounter(INPUTS), self._downstream_has_room)
         listen_to_consumers(node, self.flow, self._reporter.flush)
         self._create_subscriptions(node)
@@ -158,6 +162,23 @@ class OdometryApp:
         # latched: the first report comes before other nodes have found this one
         self._publishers[FACTS] = node.create_publisher(String, FACTS.lstrip("/"), latched(32))
         self._tf = node.create_publisher(TFMessage, "tf", reliable(100))
+
+    def _not_listening(self, node: Node) -> list[str]:
+        """Return the listeners that are not matched: all take poses and quality, one at least the scans."""
+        awaited = list(self._own.listeners)
+        if not awaited:
+            return []
+        matched = {topic: self._matched(node, topic) for topic in (ODOMETRY, QUALITY, CLOUD, SKY)}
+        if not (matched[CLOUD] and matched[SKY]):
+            return awaited
+        return [name for name in awaited if name not in matched[ODOMETRY] & matched[QUALITY]]
+
+    def _matched(self, node: Node, topic: str) -> set[str]:
+        """Return which listeners take a topic of ours, none while one of them is found but not matched."""
+        publisher = self._publishers[topic]
+        ends = node.get_subscriptions_info_by_topic(publisher.topic_name)
+        named = {end.node_name for end in ends} & set(self._own.listeners)
+        return named if publisher.get_subscription_count() >= len(named) else set()
 
     def _create_subscriptions(self, node: Node) -> None:
         sensors: tuple[tuple[Any, str, Callable[[Any], object], int, bool], ...] = (
@@ -208,6 +229,8 @@ class OdometryApp:
 
     def step(self) -> float:
         """Take what the sensors sent; say now and then how a live drive stands: it may end at any moment."""
+        if not self._listeners.over:
+            return _PATIENCE
         taken = sum(take() for take in self._drains)
         live = self._frontend is not None and not self._announced
         if live and time.monotonic() >= self._facts_at:

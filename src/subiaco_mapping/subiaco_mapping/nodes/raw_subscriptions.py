@@ -55,7 +55,7 @@ class _Listening:
     publishers: frozenset[bytes]
 
 
-class Listener:
+class RawListener:
     """Subscribe to what is offered, and hand every message to the recorder.
 
     Parameters
@@ -103,7 +103,7 @@ class Listener:
     def look(self) -> None:
         """Subscribe to new publishers, and again where the offered quality of service has changed."""
         for name in self._wanted():
-            offer = read_offer(self._node, self._node.resolve_topic_name(relative(name)))
+            offer = read_offer(self._node, self._node.resolve_topic_name(self._source(name)))
             known = self._topics.get(name)
             if offer is None or (known is not None and known.offer.key == offer.key):
                 continue
@@ -122,6 +122,10 @@ class Listener:
             names += sorted(name for name in found if name not in left_out | sources)
         return names
 
+    def _source(self, name: str) -> str:
+        """Return under which name a topic is subscribed: ours in the node's namespace, others as found."""
+        return relative(name) if name in self._config.topics else name
+
     def _recorded_topic(self, name: str, offer: Offer, known: _Listening | None) -> RecordedTopic:
         """Describe a topic; what was offered first stands, since a bag has one entry a topic."""
         if known is not None and known.topic.msg_type == offer.msg_type:
@@ -139,7 +143,7 @@ class Listener:
         counter = TopicCounter(stamped=offer.msg_type in PERIODIC_TYPES) if known is None else known.counter
         subscription = self._node.create_subscription(
             kind,
-            relative(name),
+            self._source(name),
             _never_called,
             wanted_qos(offer, self._depth(offer.msg_type)),
             callback_group=self._polled,
@@ -151,7 +155,7 @@ class Listener:
 
     def _publishers(self, name: str) -> frozenset[bytes]:
         """Return the identities of those who publish a topic now."""
-        found = self._node.get_publishers_info_by_topic(self._node.resolve_topic_name(relative(name)))
+        found = self._node.get_publishers_info_by_topic(self._node.resolve_topic_name(self._source(name)))
         return frozenset(bytes(endpoint.endpoint_gid) for endpoint in found)
 
     def _greet(self, listening: _Listening) -> None:

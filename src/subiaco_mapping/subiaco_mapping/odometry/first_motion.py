@@ -11,8 +11,8 @@ from __future__ import annotations
 import numpy as np
 
 from subiaco_geo.frames import Floats
-from subiaco_mapping.config import OdometryConfig
 from subiaco_mapping.measurements import Scan
+from subiaco_mapping.odometry.config import OdometryConfig
 from subiaco_mapping.odometry.scan_matching import KissOdometry
 from subiaco_mapping.preprocessing.deskew import straighten_by_twist
 

@@ -18,8 +18,8 @@ from kiss_icp.registration import get_registration
 from kiss_icp.voxelization import voxel_down_sample
 
 from subiaco_geo.frames import Floats, invert_pose, rotation_angle
-from subiaco_mapping.config import OdometryConfig
 from subiaco_mapping.measurements import DeskewedScan, OdometryPose
+from subiaco_mapping.odometry.config import OdometryConfig
 from subiaco_mapping.preprocessing.deskew import body_twist
 
 logger = logging.getLogger(__name__)

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from subiaco_geo.frames import Floats, Ints
-from subiaco_mapping.config import DeskewConfig
+from subiaco_mapping.preprocessing.config import DeskewConfig
 
 SECOND = 1e9
 _GRAVITY = (9.2, 10.4)  # else the accelerometer is not believed [m/s2]

@@ -12,7 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from subiaco_geo.frames import Floats, Ints
-from subiaco_mapping.config import GnssConfig
+from subiaco_mapping.pose_graph.config import GnssConfig
 from subiaco_mapping.pose_graph.records import GnssPriors
 
 KNOTS_PER_CORRELATION_TIME = 10

@@ -10,7 +10,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from subiaco_geo.frames import Floats, invert_pose
-from subiaco_mapping.config import GnssConfig, GraphConfig
+from subiaco_mapping.pose_graph.config import GnssConfig, GraphConfig
 from subiaco_mapping.pose_graph.correlated_gnss_errors import link_precision, own_precision, slow_errors
 from subiaco_mapping.pose_graph.records import Chain, GnssPriors, LoopEdge
 

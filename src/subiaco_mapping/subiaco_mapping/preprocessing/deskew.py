@@ -16,9 +16,9 @@ import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from subiaco_geo.frames import Floats, Ints, make_pose
-from subiaco_mapping.config import DeskewConfig
 from subiaco_mapping.measurements import DeskewedScan, Extrinsics, ImuSample, Returns, Scan
 from subiaco_mapping.odometry.velocity_filter import VelocityFilter, imu_stretch, rotations_of, summed
+from subiaco_mapping.preprocessing.config import DeskewConfig
 
 STANDING_SAMPLES = 50
 
