@@ -2,11 +2,14 @@
 
 import numpy as np
 import pytest
+from scenes import Scene
 
 from subiaco_change.config import ChangeConfig
-from subiaco_change.dry_run import Sample, estimate
+from subiaco_change.dry_run import Sample, dry_run, estimate
+from subiaco_change.job import RESULT_BYTES, STAGE_BYTES
 from subiaco_change.request import ChangeRequest
 from subiaco_change.tiling.run import ChangeRun
+from subiaco_geo.cloud_io import write_cloud
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.errors import InputError
 from subiaco_geo.sources import LoadedEpoch
@@ -88,3 +91,24 @@ def test_the_tile_with_the_most_points_and_its_neighbours_are_taken():
 def test_clouds_without_crs_have_no_largest_tiles():
     with pytest.raises(InputError, match="run the whole"):
         Sample(1).begin(cut_run(None))
+
+
+def test_a_dry_run_does_the_largest_tile_and_leaves_nothing(tmp_path):
+    paths = []
+    for name, scene, seed in (("a", Scene(trees=[(-8, -13)]), 1), ("b", Scene(houses=[(0, 13)]), 2)):
+        cloud = scene.survey(seed).cloud
+        paths.append(tmp_path / f"{name}.ply")
+        write_cloud(paths[-1], PointCloud(cloud.xyz, ORIGIN, "EPSG:7850"))
+    request = ChangeRequest.of(
+        before=paths[0],
+        after=paths[1],
+        output=tmp_path / "out",
+        transform="identity",
+        config=ChangeConfig.model_validate({"tiles": {"size": 40}, "second_registration": False}),
+    )
+    found = dry_run(request, 1)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.ply", "b.ply"]
+    assert 0 < found.taken <= found.tiles
+    assert found.cpu_s >= found.alone_s > 0.0
+    assert found.wall_s == pytest.approx(found.cpu_s)
+    assert found.disk_bytes == found.points * (RESULT_BYTES + STAGE_BYTES)

@@ -13,8 +13,8 @@ from scipy.spatial.transform import Rotation
 from subiaco_change.config import ChangeConfig
 from subiaco_change.geometry import build_pyramid
 from subiaco_change.registration.config import KeypointConfig, RegistrationConfig
-from subiaco_change.registration.features import propose_by_features, ransac
 from subiaco_change.registration.icp import Pairs, solve
+from subiaco_change.registration.keypoints import propose_by_features, ransac
 from subiaco_change.registration.planes import PlanePairs, extract_planes, match_planes, normal_equations
 from subiaco_change.registration.register import given_registration, register
 from subiaco_change.tiling.alignment import ChangedPoints

@@ -16,7 +16,7 @@ from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.topics import FIX, MESSAGE_TYPES, POINTS
 from subiaco_mapping import pipeline
 from subiaco_mapping.checkpoint.checkpoint import checkpoint_folder
-from subiaco_mapping.config import MappingConfig, QualityConfig
+from subiaco_mapping.config import MappingConfig, MapQualityConfig
 from subiaco_mapping.fusion.config import FusionConfig
 from subiaco_mapping.loop_closure.config import LoopConfig
 from subiaco_mapping.odometry.config import OdometryConfig
@@ -30,7 +30,7 @@ CONFIG = MappingConfig(
     odometry=OdometryConfig(voxel=0.5),
     loops=LoopConfig(enabled=False),
     fusion=FusionConfig(active_voxels=2000),
-    quality=QualityConfig(enabled=False),  # four pictures, most of the time of a run
+    quality=MapQualityConfig(enabled=False),  # four pictures, most of the time of a run
 )
 SCANS = 5
 

@@ -93,12 +93,16 @@ def _extended(
 
 
 def _adjoined_body(piece: Piece, bodies: Sequence[Piece], touch: float) -> int:
-    """Return which of some bodies most voxels of a piece adjoin, within a distance [m]."""
-    xyz = join_voxels((*piece[0], *piece[1])).xyz
-    contact = [
-        np.isfinite(cKDTree(join_voxels((*b, *a)).xyz).query(xyz, distance_upper_bound=touch)[0]).sum()
-        for b, a in bodies
-    ]
+    """Return which body most voxels of a piece of one epoch adjoin, within a distance [m].
+
+    The epoch without the piece shows where the bodies end; in the other one all may be one body.
+    """
+    without = 0 if piece[1] else 1
+    xyz = join_voxels(piece[1 - without]).xyz
+    contact = []
+    for body in bodies:
+        near = cKDTree(join_voxels(body[without]).xyz).query(xyz, distance_upper_bound=touch)[0]
+        contact.append(np.count_nonzero(np.isfinite(near)))
     return int(np.argmax(contact))
 
 

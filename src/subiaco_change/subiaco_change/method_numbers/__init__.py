@@ -61,6 +61,7 @@ from subiaco_change.method_numbers.segmentation_numbers import (
 )
 from subiaco_change.method_numbers.tiling_numbers import TilingNumbers
 from subiaco_geo.config import StrictModel
+from subiaco_geo.free_space.numbers import FREE_SPACE, FreeSpaceNumbers
 
 
 class MethodNumbers(StrictModel):
@@ -112,6 +113,7 @@ class MethodNumbers(StrictModel):
     sparse: SparseNumbers = SparseNumbers()
     visibility_evidence: VisibilityEvidenceNumbers = VisibilityEvidenceNumbers()
     tiling: TilingNumbers = TilingNumbers()
+    free_space: FreeSpaceNumbers = FREE_SPACE
 
 
 NUMBERS = MethodNumbers()

@@ -17,7 +17,7 @@ class CoarseNumbers(StrictModel):
 
 
 class FeaturesNumbers(StrictModel):
-    """Numbers of ``registration/features.py``."""
+    """Numbers of ``registration/keypoints.py``."""
 
     edge_ratio: float = Field(0.9, description="Smallest ratio of corresponding edges of a RANSAC sample")
 

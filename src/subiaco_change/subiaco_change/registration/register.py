@@ -12,7 +12,6 @@ from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.records import Registration
 from subiaco_change.registration.coarse import propose, propose_shifts
 from subiaco_change.registration.config import RegistrationConfig
-from subiaco_change.registration.features import propose_by_features
 from subiaco_change.registration.fitting import (
     Fit,
     Mask,
@@ -34,6 +33,7 @@ from subiaco_change.registration.icp import (
     make_target,
     pair_weights,
 )
+from subiaco_change.registration.keypoints import propose_by_features
 from subiaco_change.registration.plausibility import (
     Uncertainty,
     estimate_uncertainty,

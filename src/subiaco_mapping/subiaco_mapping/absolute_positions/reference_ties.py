@@ -20,13 +20,14 @@ from subiaco_mapping.absolute_positions.config import ReferenceConfig
 from subiaco_mapping.loop_closure.config import LoopConfig
 from subiaco_mapping.loop_closure.submap_registration import PreparedSubmap, register
 from subiaco_mapping.loop_closure.submaps import Submap
+from subiaco_mapping.method_numbers import NUMBERS
 from subiaco_mapping.pose_graph.absolute_factors import PoseTie
 from subiaco_mapping.pose_graph.factors import as_pose
 
 _LOG = logging.getLogger(__name__)
-_FEW = 500  # fewer points of the reference around a submap tell nothing
-_WEAK = 2.0  # standard deviation of a direction that a registration may leave open [m]
-_OTHER_HEIGHTS = 5.0  # metres of height between reference and map that are no error of GNSS
+_FEW = NUMBERS.absolute_positions.reference_points
+_WEAK = NUMBERS.absolute_positions.weak_sigma
+_OTHER_HEIGHTS = NUMBERS.absolute_positions.height_mismatch
 
 
 @dataclass(frozen=True)

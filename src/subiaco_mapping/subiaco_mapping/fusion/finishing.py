@@ -30,8 +30,9 @@ from subiaco_mapping.fusion.voxel_tiles import (
     tile_corner,
     tiles_around,
 )
+from subiaco_mapping.method_numbers import NUMBERS
 
-_SHOWN = 100  # one scan in so many shows how far its beams are apart
+_SHOWN = NUMBERS.fusion.beam_sample
 _TURN_NS = 100_000_000  # between scans without stamps
 _FAR = 10_000.0  # a map that begins farther from zero gets an origin of its own [m]
 

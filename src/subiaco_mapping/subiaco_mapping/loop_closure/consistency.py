@@ -9,14 +9,15 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from subiaco_geo.frames import Floats, invert_pose
+from subiaco_mapping.method_numbers import NUMBERS
 from subiaco_mapping.pose_graph.records import LoopEdge
 
 if TYPE_CHECKING:
     from subiaco_mapping.loop_closure.places import SubmapPlace
 
-PAIR_SLACK = 0.5  # two loops may disagree by so much at the same place [m]
-PAIR_DRIFT = 0.01  # and by so much more a metre between their places [m per m]
-PAIR_TURN = np.radians(2.0)
+PAIR_SLACK = NUMBERS.loop_closure.pair_distance
+PAIR_DRIFT = NUMBERS.loop_closure.pair_drift
+PAIR_TURN = np.radians(NUMBERS.loop_closure.pair_turn_deg)
 
 
 def reach_of(place: SubmapPlace) -> float:

@@ -10,9 +10,10 @@ import small_gicp
 
 from subiaco_geo.frames import Floats
 from subiaco_mapping.loop_closure.config import LoopConfig
+from subiaco_mapping.method_numbers import NUMBERS
 
-VOXELS = (2.0, 1.0)  # of the distributions, coarse to fine [m]
-_ROUGH = 6  # coarse voxels take so many iterations at most
+VOXELS = NUMBERS.loop_closure.distribution_voxels
+_ROUGH = NUMBERS.loop_closure.coarse_iterations
 
 
 @dataclass(frozen=True)

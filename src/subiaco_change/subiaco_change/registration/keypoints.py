@@ -54,24 +54,26 @@ def _triad(a: Floats, b: Floats, c: Floats) -> Floats:
 
 
 @numba.njit(cache=True)
-def _edges_agree(source: Floats, target: Floats, triple: Ints) -> bool:
+def _edges_agree(source: Floats, target: Floats, triple: Ints, ratio: float) -> bool:
     """Tell whether three distinct pairs span triangles whose edges have the same lengths within the ratio."""
     for i in range(3):
         j, k = triple[i], triple[(i + 1) % 3]
         a = np.sqrt(np.sum((source[j] - source[k]) ** 2))
         b = np.sqrt(np.sum((target[j] - target[k]) ** 2))
-        if j == k or min(a, b) < _EDGE * max(a, b):
+        if j == k or min(a, b) < ratio * max(a, b):
             return False
     return True
 
 
 @numba.njit(cache=True)
-def _best_sample(source: Floats, target: Floats, triples: Ints, threshold: float) -> tuple[int, int]:
+def _best_sample(
+    source: Floats, target: Floats, triples: Ints, threshold: float, ratio: float
+) -> tuple[int, int]:
     """Return the number of the triple whose motion carries most pairs together, and how many."""
     best, most = -1, 0
     for t in range(len(triples)):
         i, j, k = triples[t]
-        if not _edges_agree(source, target, triples[t]):
+        if not _edges_agree(source, target, triples[t], ratio):
             continue
         rotation = _triad(target[i], target[j], target[k]) @ _triad(source[i], source[j], source[k]).T
         shift = (target[i] + target[j] + target[k]) / 3.0
@@ -121,7 +123,7 @@ def ransac(
     if len(source) < 3:
         return None
     triples = np.random.default_rng(seed).integers(0, len(source), (iterations, 3))
-    best, most = _best_sample(source, target, triples, threshold)
+    best, most = _best_sample(source, target, triples, threshold, _EDGE)
     if most < 3:
         return None
     pose = _fit(source[triples[best]], target[triples[best]])
