@@ -274,7 +274,9 @@ def main() -> None:
         found["remarks"] = given.remarks.read_text(encoding="utf-8").splitlines()
     given.work.mkdir(parents=True, exist_ok=True)
     (given.work / "learned.json").write_text(json.dumps(found, indent=1), encoding="utf-8")
-    given.page.parent.mkdir(parents=True, exist_ok=True)
+    data = given.page.parent / "data" / f"{given.page.stem}.json"
+    data.parent.mkdir(parents=True, exist_ok=True)
+    data.write_text(json.dumps(found, indent=1), encoding="utf-8")
     given.page.write_text(page(found), encoding="utf-8")
     print(f"{given.page}: written")
 

@@ -7,7 +7,7 @@
 One recording. The simulator has neither rain nor reflections, so returns are put in here: half a percent
 of the beams end early (drops, 4 m behind the first 1.5 m on average), 0.2 % lie 1.1 to 2 times as far as what
 they met (echoes by way of a window), and a thousandth of the beams that met nothing return from anywhere. A
-voxel is noise where no real return lies in it. What moved has left the map before (`fusion.moving`).
+voxel is noise where no real return lies in it. Moving objects have left the map before (`fusion.moving`).
 """
 
 from __future__ import annotations

@@ -53,7 +53,7 @@ class Street:
 
 
 def small_objects(archive: Path, seed: int) -> list[str]:
-    """Return the names of the objects of DALES that may fit, in an order drawn by lot."""
+    """Return the names of the objects of DALES that may fit, in a random order."""
     with tarfile.open(archive) as tar:
         names = sorted(Path(m.name).stem for m in tar if Path(m.name).stem.isdigit())
     objects = read_objects(archive, names)

@@ -130,7 +130,7 @@ def _float_pcd(name: str) -> NDArray[np.float32]:
 def simulated(path: Path, epoch: str = "before") -> Sample:
     """One epoch of a simulated survey: its fused map with visibility layer.
 
-    What moved has no object: its trail is labelled mobile and no instance is expected of it.
+    The trail of a moving object is labelled mobile, and no instance is expected of it.
     """
     survey = load_epoch(path / epoch)
     fields = survey.cloud.fields
@@ -429,7 +429,7 @@ STEPS = (
     "within_roofs",
     "attach_parts",
     "_split_rest",
-    "look_again",
+    "release_false_vehicles",
     "_scores",
 )
 

@@ -22,6 +22,7 @@ import time
 from collections import Counter
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -143,8 +144,8 @@ processor time, or more than {memory} GiB of memory is a fault.
 
 **{cases:,} cases (seeds {seeds}) found {faults} faults; of these files, {left} still fail.** The table adds
 up the runs of `python tests/benchmarks/fuzz_readers.py --seconds S --seed N --keep DIR`, and
-`--page docs/results/damaged-files.md --keep DIR` writes this page after it has read every file that failed
-once more.
+`--page docs/results/damaged-files.md --keep DIR` writes this page and `data/damaged-files.json` after it has
+read every file that failed once more.
 The tests run a short share of such cases, the same ones every time (`tests/fuzz`).
 
 | reader | cases | read | refused | longest case [s CPU] | faults found | left |
@@ -152,21 +153,33 @@ The tests run a short share of such cases, the same ones every time (`tests/fuzz
 """
 
 
-def page(tallies: list[Tally], left: dict[str, int]) -> str:
-    """Return the page of damaged files; ``left`` counts the files of a reader that still fail."""
-    head = _PAGE.format(
-        seconds=CPU_SECONDS, memory=MEMORY >> 30, cases=sum(t.cases for t in tallies),
-        faults=sum(t.faults for t in tallies), left=sum(left.values()),
-        seeds=", ".join(map(str, sorted({t.seed for t in tallies}))),
-    )  # fmt: skip
+def tallied(tallies: list[Tally], left: dict[str, int]) -> dict[str, Any]:
+    """Return the data of the page: seeds, limits, and the sums of each reader over the runs.
+
+    ``left`` counts the files of a reader that still fail.
+    """
     rows = []
     for name in dict.fromkeys(target.name for target in TARGETS):
         own = [t for t in tallies if t.name == name]
         cases, accepted, faults = (sum(getattr(t, n) for t in own) for n in ("cases", "accepted", "faults"))
-        longest = max((t.longest for t in own), default=0.0)
-        counts = f"{cases:,} | {accepted:,} | {cases - accepted - faults:,}"
-        rows.append(f"| {name} | {counts} | {longest:.2f} | {faults} | {left.get(name, 0)} |\n")
-    return head + "".join(rows)
+        longest = round(max((t.longest for t in own), default=0.0), 2)
+        rows.append([name, cases, accepted, cases - accepted - faults, longest, faults, left.get(name, 0)])
+    limits = {"seconds": CPU_SECONDS, "memory": MEMORY >> 30}
+    return {**limits, "seeds": sorted({t.seed for t in tallies}), "readers": rows}
+
+
+def page(found: dict[str, Any]) -> str:
+    """Return the page of damaged files."""
+    rows = found["readers"]
+    cases, faults, left = (sum(row[i] for row in rows) for i in (1, 5, 6))
+    seeds = ", ".join(map(str, found["seeds"]))
+    head = _PAGE.format(
+        seconds=found["seconds"], memory=found["memory"], cases=cases, faults=faults, left=left, seeds=seeds
+    )
+    return head + "".join(
+        f"| {name} | {cases:,} | {read:,} | {refused:,} | {longest:.2f} | {faults} | {left} |\n"
+        for name, cases, read, refused, longest, faults, left in rows
+    )
 
 
 def still_failing(target: Target, folder: Path) -> int:
@@ -211,7 +224,10 @@ def main() -> None:
         print({name: number for name, number in left.items() if number} or "nothing that failed fails still")
         if options.page is not None:
             tallies = [Tally(**json.loads(line)) for line in counts.read_text().splitlines()]
-            options.page.write_text(page(tallies, left), encoding="utf-8")
+            found = tallied(tallies, left)
+            data = options.page.parent / "data" / f"{options.page.stem}.json"
+            data.write_text(json.dumps(found, indent=1), encoding="utf-8")
+            options.page.write_text(page(found), encoding="utf-8")
         sys.exit(any(left.values()))
     cases = faults = 0
     for name in [name for name in options.only.split(",") if name] or list(named):

@@ -8,7 +8,7 @@ from typing import Any
 _HEAD = """# Benchmarks
 
 Written by `make bench`, with [benchmarks.json](../../benchmarks.json); do not edit. Peers took the same
-inputs in the same run; the project simulates them itself: **simulated**, preset `default`, seed {seed}.
+inputs in the same run; the project simulates them: **simulated**, preset `default`, tuning seed {seed}.
 Factors are of the peer that is named. CPU seconds are of one thread unless something else is said; wall
 times are those of this machine alone. Peers beyond our dependencies: `tests/benchmarks/requirements.txt`.
 """

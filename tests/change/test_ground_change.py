@@ -106,7 +106,7 @@ def test_a_sparse_patch_is_claimed_only_where_the_ground_around_keeps_still(nois
 
 @pytest.mark.parametrize(("side", "count"), [(5.5, 1), (3.0, 0)])
 def test_the_floor_that_the_edge_of_a_pit_hides_counts_towards_its_area(side, count):
-    """Of 30 m2 dug, 5 m2 along one edge are out of sight; a pit of 9 m2 stays too small."""
+    """Of 30 m2 dug, 5 m2 along one edge are hidden; a pit of 9 m2 stays too small."""
     pit, hidden = box(30, 30, side, side), box(30, 30, 1.0, side)
     dug = view(lambda x, y: -0.3 * pit(x, y), seed=2)
     assert len(compare_ground(view(seed=1), without(dug, hidden), GroundChangeConfig()).patches) == count
@@ -248,7 +248,7 @@ def test_walls_beside_a_narrow_trench_are_no_second_surface_of_the_ground():
 
 
 def test_the_rim_of_a_milled_strip_is_no_second_surface_of_the_ground():
-    """A strip 2 m wide and 0.4 m deep whose rim, at the old level, passes for something else."""
+    """A strip 2 m wide and 0.4 m deep whose rim, at the old level, is labelled as something else."""
     strip = box(30, 30, 20, 2)
     rim = np.array([(x, y, 0.03 * x) for x in np.arange(30, 50, 0.25) for y in (29.9, 32.1)])
     before, after = view(seed=1), with_points(

@@ -125,7 +125,7 @@ def street(survey: SurveyMap, shared_data: Path) -> Street:
     clouds = (fuse(scans, poses, range(0, 77, 2)), fuse(scans, poses, range(1, 77, 2)))
     halves = (Trajectory(times[0::2], poses[0::2]), Trajectory(times[1::2], poses[1::2]))
     objects = read_objects(shared_data / "dales_objects" / "dales_objects_even.tar.gz", OBJECTS)
-    # the map leaves out what moved; the fused clouds keep it, and no object may stand inside a trail
+    # the map leaves out moving objects; the fused clouds keep it, and no object may stand inside a trail
     everything = np.concatenate([cloud.world() for cloud in clouds])
     placed = place_objects(objects, find_ground(everything), poses[:, :3, 3], SEED)
     return Street(clouds, halves, placed)

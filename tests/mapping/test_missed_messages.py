@@ -1,4 +1,4 @@
-"""Messages that a live drive missed are told by topic and kind."""
+"""Messages that a live drive missed are reported by topic and kind."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What moved leaves the map, thin things stay; a map in tiles is the map in one piece."""
+"""Moving objects leave the map, thin objects stay; a map in tiles is the map in one piece."""
 
 from functools import cache
 from pathlib import Path

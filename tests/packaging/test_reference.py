@@ -164,3 +164,11 @@ def test_every_file_of_a_change_run_is_on_the_page_with_its_columns(generator: A
     fields = re.findall(r"^property \w+ (\w+)$", head, flags=re.MULTILINE)
     described = ", ".join(known["before_labelled.ply"].columns).split(", ")
     assert set(fields) <= set(described)
+
+
+def test_the_page_of_the_live_monitor_names_every_flag_and_no_other() -> None:
+    from subiaco_mapping.health_monitor.flags import MEANINGS
+
+    page = (ROOT / "docs/reference/live-monitor.md").read_text(encoding="utf-8")
+    rows = [line.split("|")[1] for line in page.splitlines() if line.startswith("| `")]
+    assert {name for row in rows for name in re.findall(r"`(\w+)`", row)} == set(MEANINGS)

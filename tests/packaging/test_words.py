@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import re
+import tokenize
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -47,7 +48,8 @@ def found_in(text: str) -> list[str]:
 
 
 def pages() -> list[Path]:
-    documents = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").rglob("*.md")]
+    front = [ROOT / f"{name}.md" for name in ("README", "CONTRIBUTING", "CHANGELOG")]
+    documents = [*front, *(ROOT / "docs").rglob("*.md")]
     templates = [p for ending in ("*.j2", "*.html") for p in (ROOT / "src").rglob(ending)]
     interfaces = [p for kind in ("msg", "srv", "action") for p in (MESSAGES / kind).iterdir()]
     configs = [*(ROOT / "src/subiaco_bringup/config").rglob("*.yaml")]
@@ -71,6 +73,22 @@ def test_a_page_uses_no_household_phrase(page: Path) -> None:
 
 def test_no_string_of_the_sources_uses_a_household_phrase() -> None:
     found = {place: words for place, text in strings() if (words := found_in(text))}
+    assert found == {}
+
+
+def test_no_comment_and_no_string_of_the_tree_uses_a_household_phrase() -> None:
+    """Comments everywhere, and strings of tests and scripts; those of the sources are read above."""
+    found = {}
+    for path in sorted(p for folder in ("src", "tests", "scripts") for p in (ROOT / folder).rglob("*.py")):
+        if FROZEN in path.parts or path.name in {"test_words.py", "test_setting_descriptions.py"}:
+            continue
+        with path.open(encoding="utf-8") as stream:
+            for token in tokenize.generate_tokens(stream.readline):
+                checked = token.type == tokenize.COMMENT or (
+                    token.type == tokenize.STRING and ROOT / "src" not in path.parents
+                )
+                if checked and (words := found_in(token.string)):
+                    found[f"{path.relative_to(ROOT)}:{token.start[0]}"] = words
     assert found == {}
 
 

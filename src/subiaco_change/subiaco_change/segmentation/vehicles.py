@@ -144,7 +144,7 @@ def _kind(xyz: Floats, height: Floats, upright: Mask, hard: float, config: Vehic
     return Semantic.MOBILE
 
 
-def look_again(
+def release_false_vehicles(
     xyz: Floats,
     height: Floats,
     foliage: Mask,
@@ -155,7 +155,7 @@ def look_again(
     level: Mask,
     config: VehicleConfig,
 ) -> NDArray[np.uint8]:
-    """Give vehicles back that are none: sheds, raised beds, and pieces of hedges and walls.
+    """Take the class of vehicles away from sheds, raised beds, and pieces of hedges and walls.
 
     A vehicle has clearance around it. A candidate without clearance takes the class of its surroundings.
     An object on wheels (``large``) is no shed; a low object that is mostly ``level`` is no car.
