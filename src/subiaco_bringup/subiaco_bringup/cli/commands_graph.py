@@ -72,7 +72,7 @@ def mapping(
     foxglove: FoxglovePort = None,
     one_process: Annotated[
         bool,
-        typer.Option("--one-process", help="Run the nodes in one process: less memory, one node at a time."),
+        typer.Option("--one-process", help="Run the nodes in one process: less memory, one works at a time."),
     ] = False,
     verbose: Verbose = False,
     quiet: Quiet = False,
