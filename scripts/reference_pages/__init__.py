@@ -6,7 +6,7 @@ MkDocs, and ``python scripts/reference.py FOLDER`` writes them as Markdown.
 
 from __future__ import annotations
 
-from reference_pages import commands, files, messages, settings, topics
+from reference_pages import commands, files, messages, rules, settings, topics
 
 
 def pages() -> dict[str, str]:
@@ -16,5 +16,6 @@ def pages() -> dict[str, str]:
         "reference/messages.md": messages.page(),
         "reference/topics.md": topics.page(),
         "reference/files.md": files.page(),
+        "reference/rules.md": rules.page(),
         **{f"reference/{name}.md": text for name, text in settings.pages().items()},
     }

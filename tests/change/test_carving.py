@@ -2,6 +2,8 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from subiaco_change.decisions.config import CarvingConfig
 from subiaco_change.decisions.space_carving import Epoch, carve
@@ -190,3 +192,12 @@ def test_large_objects_take_larger_cells():
     coarse = CarvingConfig(max_cells=100_000)
     found = carve(epoch(long, nowhere), epoch(long, nowhere), coarse)
     assert found.volume.low == found.volume.high == 0.0
+
+
+@given(st.floats(2.0, 4.0))
+def test_a_small_new_roof_has_a_volume_at_whatever_height_within_a_cell_it_lies(height):
+    places = sheet((0, 0, 0), (1.5, 1.0, CELL)) * (1.0, 1.0, 0.0) + (0.0, 0.0, height)
+    after = Epoch(voxels(places, occupied_in_other=False), None, nothing_met)
+    before = Epoch(voxels(), lambda xyz: np.ones(len(xyz), dtype=bool), nothing_met)
+    assert len(places) == CONFIG.support
+    assert carve(before, after, CONFIG).volume.low == pytest.approx(1.5 * height, abs=1.5 * 0.3)

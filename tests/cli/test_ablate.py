@@ -28,3 +28,22 @@ def test_an_unknown_variant_or_a_missing_truth_is_refused(refused, survey_of_bot
         "'magic': not known",
         "Decision 13 reverted",
     )
+
+
+def test_a_rule_that_is_switched_off_is_scored_against_the_full_method(command, survey_of_both, tmp_path):
+    ran = command("ablate", "--rules", survey_of_both, "-o", tmp_path / "out", "--only", "closed_gaps")
+    assert ran.code == 0, ran.err
+    rows = pd.read_csv(tmp_path / "out" / "rules.csv").set_index("rule")
+    assert list(rows.index) == ["closed_gaps"]
+    assert rows.loc["closed_gaps", "verdict"] in ("never differed", "no gain shown", "pays", "costs", "mixed")
+    assert "| closed_gaps |" in ran.out
+    again = command("ablate", "--rules", survey_of_both, "-o", tmp_path / "out", "--only", "closed_gaps")
+    assert again.out == ran.out
+
+
+def test_a_name_that_is_no_rule_is_refused(refused, survey_of_both, tmp_path):
+    refused(
+        ["ablate", "--rules", survey_of_both, "-o", tmp_path / "out", "--only", "closed_gap"],
+        "did you mean closed_gaps",
+    )
+    refused(["ablate", "--rules", survey_of_both, "-o", tmp_path / "out", "--overwrite"], "leave them out")

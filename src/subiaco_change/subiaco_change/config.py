@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Annotated
 
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from subiaco_change.association.costs import AssociationConfig
 from subiaco_change.decisions.ablation import Part
@@ -17,6 +18,7 @@ from subiaco_change.given_classes import GivenClassesConfig
 from subiaco_change.input_checks import InputCheckConfig
 from subiaco_change.level_of_detection.alignment_corrections import PlacingConfig
 from subiaco_change.level_of_detection.displacement_lod import LodConfig
+from subiaco_change.method_rules import known_rules
 from subiaco_change.registration.config import RegistrationConfig
 from subiaco_change.segmentation.classes import SemanticsConfig
 from subiaco_change.segmentation.instances import InstanceConfig
@@ -101,6 +103,9 @@ class ChangeConfig(StrictModel):
     spacing: SpacingConfig = SpacingConfig()
     without: tuple[Part, ...] = Field(
         (), description="Parts of the method that are disabled, for ablation studies"
+    )
+    rules_off: Annotated[tuple[str, ...], AfterValidator(known_rules)] = Field(
+        (), description="Rules of the method that are switched off, by name, for ablation studies"
     )
     registration: RegistrationConfig = RegistrationConfig()
     placing: PlacingConfig = PlacingConfig()

@@ -188,7 +188,7 @@ def score_scene(
     counts, verdicts = None, None
     if prediction.table is not None:
         verdicts = objects.row_verdicts(prediction.table, points, config.object_share)
-        changes = objects.true_changes(_joined(real), points, config.min_points, config.min_size)
+        changes = objects.true_changes(joined_truth(real), points, config.min_points, config.min_size)
         counts = objects.object_counts(verdicts, changes, config.object_share, config.min_points)
     return SceneScore(
         name,
@@ -206,7 +206,8 @@ def score_scene(
     )
 
 
-def _joined(real: Mapping[str, PointCloud]) -> PointCloud:
+def joined_truth(real: Mapping[str, PointCloud]) -> PointCloud:
+    """Return the truth points of both epochs as one cloud, with the fields ``object`` and ``change``."""
     before = real["before"].rebased(real["after"].origin)
     fields = {n: np.concatenate([before.fields[n], real["after"].fields[n]]) for n in ("object", "change")}
     return PointCloud(np.concatenate([before.xyz, real["after"].xyz]), real["after"].origin, None, fields)

@@ -150,14 +150,28 @@ def ablate(
     cases: Annotated[
         list[Path],
         typer.Argument(
-            metavar="BEFORE AFTER TRUTH",
-            help="Two epochs and their ground truth; several triples are scored together.",
+            metavar="CASES",
+            help="BEFORE AFTER TRUTH: two epochs and their ground truth; several triples are scored "
+            "together. With --rules: outputs of 'subiaco simulate'.",
         ),
     ],
     output: Output,
+    rules: Annotated[
+        bool,
+        typer.Option(
+            "--rules",
+            help="Switch off every rule of the method in turn and report what the rule is worth, with an "
+            "interval. A study that was stopped continues with the same command.",
+        ),
+    ] = False,
+    jobs: Annotated[
+        int, typer.Option("--jobs", min=1, metavar="N", help="Number of parallel runs with --rules.")
+    ] = 1,
     only: Annotated[
         list[str] | None,
-        typer.Option(metavar="VARIANT", help="Run this variant alone, beside the full method; repeatable."),
+        typer.Option(
+            metavar="NAME", help="Run this variant, or this rule, alone, beside the full method; repeatable."
+        ),
     ] = None,
     registration: RegistrationName = None,
     config: ConfigFiles = None,
@@ -168,17 +182,29 @@ def ablate(
 ) -> None:
     """Run an ablation study: disable each component, or restore the paper's setting, and report the scores.
 
+    With --rules each rule of the method is switched off instead.
+
     Example: subiaco ablate bags/demo/before bags/demo/after bags/demo -o out/ablations
+
+    Example: subiaco ablate --rules sim/101 sim/102 -o out/rules --jobs 2
     """
     from subiaco_change.config import ChangeConfig
     from subiaco_evaluation.ablation_study import Case, ablations_markdown, run_ablations
+    from subiaco_evaluation.rule_study import run_rule_study, study_markdown
 
     set_up_logging(verbose, quiet)
+    files = config_files("change", tuple(config or ()))
+    ours = load_config(ChangeConfig, files, settings or [])
+    if rules:
+        if registration is not None or overwrite:
+            raise InputError("ablate --rules: --registration and --overwrite do not apply; leave them out")
+        with Progress(quiet=quiet) as progress:
+            found = run_rule_study(cases, output, ours, progress, only=only or (), jobs=jobs)
+        typer.echo(study_markdown(found))
+        return
     if len(cases) % 3:
         raise InputError("ablate: give BEFORE AFTER TRUTH in threes; one of them is missing")
     given = known_transform(None, registration)
-    files = config_files("change", tuple(config or ()))
-    ours = load_config(ChangeConfig, files, settings or [])
     paper = load_config(ChangeConfig, [*files, config_directory() / "paper.yaml"], settings or [])
     triples = [Case(*cases[start : start + 3]) for start in range(0, len(cases), 3)]
     with Progress(quiet=quiet) as progress:

@@ -17,6 +17,7 @@ from scipy.spatial import cKDTree
 
 from subiaco_change.decisions.voxel_objects import Voxels
 from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.method_rules.switches import first_argument, switchable
 from subiaco_change.segmentation.bounding_rectangles import box_coordinates
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.clouds import voxel_indices, voxel_keys
@@ -244,6 +245,7 @@ class ColumnChange:
         return np.floor((xy @ self.turn.T - self.corner) / self.cell).astype(np.int64)
 
 
+@switchable("unseen_tops", first_argument)
 def body_tops(tops: Floats, inside: Cells, free: Cells, levels: Floats) -> Floats:
     """Tops (nx, ny) of a body [m], those interpolated that were not seen; 0 outside.
 

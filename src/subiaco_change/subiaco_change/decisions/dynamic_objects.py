@@ -24,6 +24,7 @@ from subiaco_change.decisions.voxel_objects import (
     observed_on_both_sides,
 )
 from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.method_rules.switches import always, applies, no_decision, switchable
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats, Ints
@@ -83,6 +84,7 @@ def own_epoch_evidence(view: EpochView, observed: Observed) -> OwnEpochEvidence:
     )
 
 
+@switchable("trail_of_one_epoch", no_decision)
 def is_moving_object_trail(
     objects: Sequence[ObjectInstance], semantic: Semantic, own: OwnEpochEvidence | None, rules: DecisionConfig
 ) -> Decision | None:
@@ -134,9 +136,11 @@ def may_have_moved(
     """Tell whether objects may be what a road vehicle left: as low as one, and no part of a building."""
     if not fits_a_vehicle(objects, rules):
         return False
-    return own is None or semantic is not Semantic.BUILDING or not own.adjoins_building(objects)
+    wall = own is not None and semantic is Semantic.BUILDING and own.adjoins_building(objects)
+    return not applies("wall_at_building", wall)
 
 
+@switchable("higher_than_vehicles", always)
 def fits_a_vehicle(objects: Sequence[ObjectInstance], rules: DecisionConfig) -> bool:
     """Tell whether objects may be what a road vehicle left: no part of them is higher than vehicles are.
 
@@ -159,6 +163,12 @@ def mean_moving_probability(objects: Sequence[ObjectInstance]) -> float | None:
     return float(np.concatenate([t.moved for t in objects]).mean())
 
 
+def _unlimited(decision: Decision, _: object, confidence: float, *__: object) -> tuple[float, str]:
+    """Return the confidence and the reason as they are."""
+    return confidence, decision.reason
+
+
+@switchable("confidence_of_brief_objects", _unlimited)
 def limit_confidence(
     decision: Decision, objects: Sequence[ObjectInstance], confidence: float, rules: DecisionConfig
 ) -> tuple[float, str]:
@@ -186,8 +196,9 @@ def _passes_limit(
     enough = rules.trail_passes if semantic is Semantic.BUILDING else rules.trail_passes_thin
     if own is None:
         return enough
-    if own.in_lane(objects):
+    if applies("trail_in_lane", own.in_lane(objects)):
         enough = min(enough, rules.trail_passes_lane)
-    if top >= rules.trail_high and own.through(objects) >= rules.trail_through:
+    through = top >= rules.trail_high and own.through(objects) >= rules.trail_through
+    if applies("trail_seen_through", through):
         enough = min(enough, rules.trail_passes_high)
     return enough

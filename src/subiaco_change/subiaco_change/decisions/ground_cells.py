@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from subiaco_change.decisions.voxel_objects import UNCERTAIN, EpochView, is_ghost_trail
 from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.method_rules.switches import switchable
 from subiaco_change.segmentation.ground_model import Mask, fill_gaps
 from subiaco_geo.codes import Semantic
 from subiaco_geo.config import StrictModel
@@ -122,6 +123,7 @@ def difference_cells(
     return GroundCells(heights[1] - heights[0], lod, bridged, known, heights[1], other, inside)
 
 
+@switchable("ground_of_moving_objects", lambda view: view.semantic == Semantic.GROUND)
 def _still_ground(view: EpochView) -> Mask:
     """Tell which points (N,) are ground: low parts of a moving object that pass for it are not."""
     ground = view.semantic == Semantic.GROUND
@@ -212,6 +214,12 @@ def _cell_heights(
     return np.where(good, mean, np.nan).reshape(shape), np.where(good, level, np.nan).reshape(shape)
 
 
+def _unbridged(before: Floats, after: Floats, *_: object) -> tuple[tuple[Floats, Floats], Mask]:
+    """Return the heights of cells as they are, and those without a height in either epoch."""
+    return (before, after), ~(np.isfinite(before) & np.isfinite(after))
+
+
+@switchable("bridged_cells", _unbridged)
 def _bridge(before: Floats, after: Floats, config: GroundChangeConfig) -> tuple[tuple[Floats, Floats], Mask]:
     """Bridge empty cells next to known ones, so that sparse ground stays contiguous; tell which they are.
 

@@ -14,6 +14,7 @@ from shapely.geometry.base import BaseGeometry
 from subiaco_change.decisions.ground_cells import NO_CLAIM, GroundCells, GroundChangeConfig, block_median
 from subiaco_change.decisions.voxel_objects import EpochView
 from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.method_rules.switches import first_argument, never, rule_mask, switchable
 from subiaco_change.records import GroundChange
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.codes import Change, Semantic
@@ -93,7 +94,8 @@ def find_patches(
         depth = np.where(over, np.minimum(rise, 2 * config.threshold), 0.0)  # a few deep cells are noise
         shown = np.bincount(labels.ravel(), depth.ravel(), count + 1)
         large = _possible_sizes(labels, count, unknown, config) * config.cell**2 > config.area
-        for number in np.flatnonzero(large & (shown >= least)).tolist():
+        large &= ~rule_mask("shown_volume", large & (shown < least))
+        for number in np.flatnonzero(large).tolist():
             found = _make_patch(change, labels == number, dz, lod, corner, config)
             if _is_other_surface(labels == number, cells, config):
                 continue
@@ -103,6 +105,7 @@ def find_patches(
     return patch, tuple(patches)
 
 
+@switchable("other_surface", never)
 def _is_other_surface(where: Mask, cells: GroundCells, config: GroundChangeConfig) -> bool:
     """Tell whether both epochs hold the surfaces of a patch, so that no ground moved.
 
@@ -129,6 +132,7 @@ def beyond_gate(cells: GroundCells, sign: float, config: GroundChangeConfig) -> 
     return _closed(over, cells.bridged & ~over & ~against, config)
 
 
+@switchable("hidden_cells", first_argument)
 def _to_hidden(labels: Ints, unknown: Mask, known: Mask, config: GroundChangeConfig) -> Ints:
     """Give cells that one epoch alone saw to the patch of the nearest cell that both saw.
 
@@ -144,6 +148,7 @@ def _to_hidden(labels: Ints, unknown: Mask, known: Mask, config: GroundChangeCon
     return np.where(taken, labels[nearest[0], nearest[1]], labels)
 
 
+@switchable("closed_gaps", first_argument)
 def _closed(over: Mask, blind: Mask, config: GroundChangeConfig) -> Mask:
     """Add the blind cells that lie between changed ones."""
     if config.closing == 0:
@@ -155,6 +160,7 @@ def _closed(over: Mask, blind: Mask, config: GroundChangeConfig) -> Mask:
     return np.asarray(over | (blind & closed[inside, inside]))
 
 
+@switchable("half_height_edge", first_argument)
 def _to_half_height(labels: Ints, count: int, rise: Floats, gate: Floats, config: GroundChangeConfig) -> Ints:
     """Move the edge of every patch out to where half of its height is reached.
 
@@ -174,6 +180,14 @@ def _to_half_height(labels: Ints, count: int, rise: Floats, gate: Floats, config
     return grown
 
 
+def _own_sizes(labels: Ints, count: int, *_: object) -> Ints:
+    """Cells of every patch."""
+    sizes = np.bincount(labels.ravel(), minlength=count + 1)
+    sizes[0] = 0
+    return sizes
+
+
+@switchable("possible_area", _own_sizes)
 def _possible_sizes(labels: Ints, count: int, blind: Mask, config: GroundChangeConfig) -> Ints:
     """Cells of every patch and blind ones around it: the edge of a pit hides its floor."""
     sizes = np.bincount(labels.ravel(), minlength=count + 1)
@@ -219,6 +233,7 @@ def patch_confidence(dz: float, lod: float, spread: float, threshold: float) -> 
     return float(_normal_cdf((abs(dz) - threshold) / max(math.hypot(lod / 1.96, spread), 0.01)))
 
 
+@switchable("noise_around_patches", lambda *_: 0.0)
 def _noise_around(where: Mask, dz: Floats, cell: float) -> float:
     """Return the difference that 95 % of the blocks around a patch stay below [m].
 

@@ -28,6 +28,7 @@ from subiaco_change.decisions.config import CarvingConfig
 from subiaco_change.decisions.space_carving import Epoch, Interval, carve
 from subiaco_change.decisions.voxel_objects import Free, ObjectInstance, Reach, Voxels, join_voxels
 from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.method_rules.switches import first_argument, switchable
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats
 
@@ -312,6 +313,7 @@ def opacity(objects: Sequence[ObjectInstance]) -> float | None:
     return None if len(passed) == 0 else float(1.0 / (1.0 + passed.mean()))
 
 
+@switchable("porous_absence", first_argument)
 def porous_chance(chance: Floats, returned: float | None) -> Floats:
     """Probability (N,) that no object with this fraction of returned beams is at the places.
 

@@ -23,6 +23,7 @@ from subiaco_change.decisions.voxel_objects import Free, ObjectInstance, join_vo
 from subiaco_change.instance_splitting.hedge_sections import NOTHING
 from subiaco_change.instance_splitting.one_epoch_parts import decide_vehicle_part
 from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.method_rules.switches import no_decision, switchable
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats, Ints
 
@@ -113,6 +114,12 @@ def decide_object(
     return ObjectChange(tuple(before), tuple(after), semantic, kind, measures, decision, plant)
 
 
+def _all_parts(objects: Sequence[ObjectInstance], *_: object) -> list[ObjectInstance]:
+    """Return the parts of a plant as they are."""
+    return list(objects)
+
+
+@switchable("view_height", _all_parts)
 def _in_view(objects: Sequence[ObjectInstance], below_view: Empty | None) -> list[ObjectInstance]:
     """Parts of a plant that the other epoch holds too, what is higher than its view reached not observed."""
     if below_view is None:
@@ -128,6 +135,7 @@ def _in_view(objects: Sequence[ObjectInstance], below_view: Empty | None) -> lis
     return found
 
 
+@switchable("misclassified_ground", no_decision)
 def is_misclassified_ground(semantic: Semantic, objects: Sequence[ObjectInstance]) -> Decision | None:
     """Leave a low, level object to the comparison of the ground: it is ground with a wrong class."""
     voxels = join_voxels(objects)

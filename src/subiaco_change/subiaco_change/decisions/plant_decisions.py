@@ -8,6 +8,7 @@ from dataclasses import dataclass
 from subiaco_change.decisions.config import ClassRules, DecisionConfig
 from subiaco_change.decisions.rules import NO_LEVEL, Decision
 from subiaco_change.decisions.vegetation_null import PLANT_MEASURES, Expected, PlantMeasures, VegetationNull
+from subiaco_change.method_rules.switches import always, applies, switchable
 from subiaco_geo.codes import Change
 
 _NAMES = {
@@ -82,12 +83,13 @@ def _supported(decision: Decision, plant: PlantMeasures, config: DecisionConfig)
         return decision
     grew = decision.change is Change.INCREASED
     least = config.vegetation.height
-    if (plant.apparent < -least) if grew else (plant.apparent > least):
+    against = (plant.apparent < -least) if grew else (plant.apparent > least)
+    if applies("top_contradicts", against):
         reason = f"{decision.reason} No change is claimed: the height of all points changed by"
         reason += f" {plant.apparent:+.2f} m, which contradicts the change (limit {least:.2f} m)."
         return Decision(Change.UNCHANGED, reason, 1.0, 0.0)
     free = plant.free_gained if grew else plant.free_lost
-    if free >= config.min_free_surface:
+    if not applies("surface_was_free", free < config.min_free_surface):
         return decision
     other, surface = ("earlier", "new") if grew else ("later", "lost")
     reason = (
@@ -122,7 +124,14 @@ def _decide_whole(plant: PlantMeasures, gate: float, rules: ClassRules, null: Ve
             return _decision(plant, measure)
     candidates = [top] if plant.thin else [volume, surface] if known else [top, volume, surface]
     fired = [e for e in candidates if abs(e.strength) > 1]
-    held = [e for e in fired if math.copysign(1.0, e.strength) * surface.excess >= rules.min_net_change]
+    held = [
+        e
+        for e in fired
+        if not applies(
+            "surface_carries_change",
+            math.copysign(1.0, e.strength) * surface.excess < rules.min_net_change,
+        )
+    ]
     if held:
         rising = {e.strength > 0 for e in held}
         upwards = volume.excess > 0 if len(rising) == 2 else rising == {True}
@@ -133,6 +142,7 @@ def _decide_whole(plant: PlantMeasures, gate: float, rules: ClassRules, null: Ve
     return _decision(plant, max(measured, key=lambda e: abs(e.strength)))
 
 
+@switchable("followed_columns", always)
 def _is_followed(plant: PlantMeasures, columns: _Excess, rules: ClassRules) -> bool:
     """Tell whether the top of all points of a low plant moved with the median of its columns.
 
@@ -159,7 +169,9 @@ def _excesses(
 ) -> dict[str, _Excess]:
     """Return every measure of a whole plant with its limit: the rule's, or the scatter of the pair."""
     limits = {
-        "outline": rules.outline * plant.reach if math.isfinite(plant.reach) else math.inf,
+        "outline": rules.outline * plant.reach
+        if applies("outline_of_plants", math.isfinite(plant.reach))
+        else math.inf,
         "top": max(rules.height, gate),
         "rise": max(rules.height, gate),
         "volume": rules.volume,
@@ -174,6 +186,7 @@ def _excesses(
     return found
 
 
+@switchable("own_error_of_plants", lambda *_: math.nan)
 def _own_sigma(plant: PlantMeasures, measure: str) -> float:
     """Return the standard error of a measure by the plant itself: of shares, that of a count of voxels.
 

@@ -21,6 +21,7 @@ from subiaco_change.decisions.vegetation_null import PlantMeasures, VegetationNu
 from subiaco_change.decisions.voxel_objects import Free, ObjectInstance
 from subiaco_change.instance_splitting.hedge_sections import NOTHING, Rise, column_rise
 from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.method_rules.switches import applies, never, switchable
 from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
@@ -159,7 +160,7 @@ def measure_plant(
     both = np.concatenate([first, second])
     heights = np.concatenate([t.voxels.height for t in (*before, *after)])
     low = bool(np.quantile(heights, 0.98) <= config.low)
-    rise = column_rise(before, after, standing) if low else Rise()
+    rise = column_rise(before, after, standing) if applies("columns_of_hedges", low) else Rise()
     return PlantMeasures(
         kind="hedge" if low else "crown",
         density=density,
@@ -201,6 +202,12 @@ def free_shell(xyz: Floats, standing: Floats, free: Free | None, config: PlantCo
     return pooled(chance, len(np.unique(voxel_keys(voxel_indices(alone, config.voxel)))))
 
 
+def _as_dense_as_they_are(before: Floats, after: Floats, *_: object) -> tuple[Floats, Floats, float]:
+    """Return two point sets as they are, and no ratio of their densities."""
+    return before, after, 0.0
+
+
+@switchable("equal_density", _as_dense_as_they_are)
 def equal_density(before: Floats, after: Floats, config: PlantConfig) -> tuple[Floats, Floats, float]:
     """Thin the denser of two point sets (N, 3), (M, 3) [m] of one plant to the density of the other.
 
@@ -246,6 +253,7 @@ def _size(xyz: Floats) -> float:
     return max(float(np.linalg.norm(xyz - middle, axis=1).mean()), 0.1)
 
 
+@switchable("thin_plants", never)
 def _is_thin(xyz: Floats, config: PlantConfig) -> bool:
     """Tell whether nine tenths of points (N, 3) lie in a narrow and tall place: a pole or a trunk."""
     if len(xyz) < 2:

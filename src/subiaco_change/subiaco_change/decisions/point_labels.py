@@ -15,6 +15,7 @@ from scipy.special import ndtr
 from subiaco_change.decisions.ground_change import GroundComparison, GroundPatch, patch_points
 from subiaco_change.decisions.voxel_objects import EpochView, is_ghost_trail
 from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.method_rules.switches import none_of_them, rule_mask, switchable
 from subiaco_change.records import ChangeRecord
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.visibility_evidence import EvidenceConfig, ground_observed
@@ -74,7 +75,7 @@ def label_rest(
     trail = labels.change[loose] == Change.NOT_REPORTED
     seen[trail] = seen_by_other(view.xyz[loose[trail]])
     fragment = ~is_ground & ~trail
-    seen[fragment] = occupied_by_other(view.xyz[loose[fragment]])
+    seen[fragment] = ~rule_mask("points_of_no_object", ~occupied_by_other(view.xyz[loose[fragment]]))
     hidden = np.flatnonzero(is_ground & ~seen)
     seen[hidden] = ground_observed(seen_by_other, view.xyz[loose[hidden]], evidence)
     hidden = hidden[~seen[hidden]]
@@ -84,6 +85,7 @@ def label_rest(
         _label_ground(ground, view, patch_ids, labels)
 
 
+@switchable("ground_between_rings", none_of_them)
 def surrounded(xy: Floats, points: Floats, reach: float) -> Mask:
     """Tell which places (M, 2) have points (N, 2) within reach [m] on at least three of their four sides.
 

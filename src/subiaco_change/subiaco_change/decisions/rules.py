@@ -10,6 +10,7 @@ from subiaco_change.decisions.config import ClassRules, DecisionConfig
 from subiaco_change.decisions.measures import Measures
 from subiaco_change.decisions.space_carving import Interval
 from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.method_rules.switches import applies, first_argument, switchable
 from subiaco_geo.codes import Change, Semantic
 
 _EXACT = NUMBERS.rules.least_half_width
@@ -97,7 +98,8 @@ def _enough_seen(measures: Measures, matched: bool, config: DecisionConfig) -> b
         return True
     free = max(measures.gone_share, measures.new_share) >= config.large_free
     large = measures.observed_voxels >= config.large_voxels
-    return not matched and large and free and measures.observed_fraction >= config.min_observed_large
+    enough = not matched and large and free and measures.observed_fraction >= config.min_observed_large
+    return applies("large_seen_enough", enough)
 
 
 def _unobserved(measures: Measures, config: DecisionConfig) -> str:
@@ -127,7 +129,7 @@ def _single(in_after: bool, measures: Measures, config: DecisionConfig) -> Decis
             " surveys."
         )
         return Decision(Change.UNCHANGED, reason, (1 - empty) / max(1 - config.min_empty, 1e-9), sigmas)
-    if measures.free < config.min_free:
+    if applies("probably_free", measures.free < config.min_free):
         reason = (
             f"The probability that the object's place was free in the other survey is {measures.free:.0%},"
             f" less than the limit of {config.min_free:.0%}: nothing is claimed."
@@ -143,6 +145,7 @@ def _single(in_after: bool, measures: Measures, config: DecisionConfig) -> Decis
     return Decision(change, reason, empty / max(config.min_empty, 1e-9), sigmas)
 
 
+@switchable("enclosed_volume", first_argument)
 def _enclosing(decision: Decision, measures: Measures, config: DecisionConfig) -> Decision:
     """Claim a building of one survey alone only where it encloses a volume; else it is a piece of a wall."""
     if decision.change not in (Change.ADDED, Change.REMOVED):
@@ -237,13 +240,14 @@ def _rise(height: Interval, volume: Interval, rules: ClassRules) -> float:
 
     Where one epoch saw little of a house, the columns that both know may be of its neighbours.
     """
-    supported = math.isnan(volume.high) or volume.high >= rules.height_volume
-    return max(_beyond(height, rules.certain) if supported else 0.0, _beyond(volume, rules.certain))
+    unsupported = applies("volume_supports_height", volume.high < rules.height_volume)
+    return max(0.0 if unsupported else _beyond(height, rules.certain), _beyond(volume, rules.certain))
 
 
 def _beyond(bound: Interval, certain: float) -> float:
     """Return by how much a rise, in units of its limit, is met: by the middle, where the sign is certain."""
-    return bound.middle if bound.low >= certain else min(bound.middle, 1.0)
+    straddles = applies("sign_certain", bound.low < certain and bound.middle > 1.0)
+    return 1.0 if straddles else bound.middle
 
 
 def _sigmas(bounds: Sequence[Interval], rising: bool) -> float:

@@ -27,6 +27,13 @@ from subiaco_change.decisions.column_volumes import ColumnChange, body_tops
 from subiaco_change.decisions.config import CarvingConfig
 from subiaco_change.decisions.voxel_objects import Voxels
 from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.method_rules.switches import (
+    applies,
+    first_argument,
+    none_like_second,
+    rule_mask,
+    switchable,
+)
 from subiaco_change.segmentation.bounding_rectangles import wall_axes
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.frames import Floats, Ints
@@ -114,6 +121,10 @@ class _Frame:
         """Height of a cell [m]: tops are known better than walls are placed."""
         return 0.5 * self.cell
 
+    def level(self, heights: Floats) -> Ints:
+        """Highest cells whose middles surfaces at heights above the ground reach; -1 below the lowest."""
+        return np.floor((heights + _TOP) / self.rise - 0.5).astype(np.int64)
+
     @property
     def volume(self) -> float:
         """Volume of a cell [m3]."""
@@ -194,7 +205,7 @@ def _state(epoch: Epoch, other: Voxels, frame: _Frame) -> _State:
     nx, ny, nz = frame.shape
     own = epoch.voxels.add(_shared(other, epoch))
     top = _tops(own, frame)
-    below = frame.levels <= top[:, :, None] + _TOP
+    below = np.arange(nz) <= frame.level(top)[:, :, None]
     middles = frame.middles()
     open_column = epoch.bare(middles).reshape(nx, ny) & (top == 0)
     free = np.repeat(open_column[:, :, None], nz, axis=2)
@@ -210,6 +221,7 @@ def _state(epoch: Epoch, other: Voxels, frame: _Frame) -> _State:
     return _State(below & ~hollow, free, hollow, top)
 
 
+@switchable("cells_beside_surfaces", none_like_second)
 def _beside_surfaces(voxels: Voxels, below: Cells, frame: _Frame) -> Cells:
     """Cells below tops that surfaces of voxels may fill; between the voxels of a wall are gaps."""
     level = np.abs(voxels.normal[:, 2]) > _LEVEL
@@ -220,6 +232,7 @@ def _beside_surfaces(voxels: Voxels, below: Cells, frame: _Frame) -> Cells:
     return filled
 
 
+@switchable("between_beams", first_argument)
 def _between_beams(free: Cells, solid: Cells, top: Floats) -> Cells:
     """Fill free space where no beam happened to pass: among free cells, and between these and the ground.
 
@@ -243,6 +256,12 @@ def _shifted(cells: Cells, axis: int, step: int) -> Cells:
     return moved
 
 
+def _none_shared(other: Voxels, *_: object) -> Voxels:
+    """Return no voxels."""
+    return other.select(np.zeros(len(other), dtype=bool))
+
+
+@switchable("surface_of_both_epochs", _none_shared)
 def _shared(other: Voxels, epoch: Epoch) -> Voxels:
     """Voxels of the other epoch that this epoch has too, though it sampled them elsewhere."""
     own = epoch.voxels
@@ -294,11 +313,10 @@ def _difference(
     number, count = ndimage.label(old.free & solid, _TOUCHING)
     surface = _surface(voxels.select(~voxels.occupied_in_other), frame)
     support = np.bincount(number.ravel(), surface.ravel(), minlength=count + 1)
-    supported = support >= config.support
+    supported = ~rule_mask("supported_volumes", support < config.support)
     supported[0] = False
     changed = supported[number]
-    thin = np.ones((config.thickness, config.thickness, config.thickness + 1))
-    sure = ndimage.binary_opening(changed, thin)
+    sure = _without_thin(changed, config)
     # Between free space and a wall lies a cell that is neither: the resolution, and no room to hide in.
     sure |= ndimage.binary_dilation(sure, _FACES) & old.unknown & solid
     maybe = (old.free & new.unknown) | (old.unknown & solid)
@@ -306,15 +324,28 @@ def _difference(
     return Interval(float(sure.sum()) * frame.volume, float(reach.sum()) * frame.volume), sure
 
 
+@switchable("thin_volumes", first_argument)
+def _without_thin(changed: Cells, config: CarvingConfig) -> Cells:
+    """Remove changed cells that are thinner than the smallest extent of a change."""
+    thin = np.ones((config.thickness, config.thickness, config.thickness + 1))
+    return np.asarray(ndimage.binary_opening(changed, thin))
+
+
 def _surface(voxels: Voxels, frame: _Frame) -> Ints:
-    """Numbers (nx, ny, nz) of voxels."""
+    """Numbers (nx, ny, nz) of voxels, each in the highest cell that its surface makes solid."""
     surface = np.zeros(frame.shape, dtype=np.int64)
-    level = np.floor(voxels.height / frame.rise).astype(np.int64)
+    level = frame.level(voxels.height)
     slot = np.column_stack([frame.slots(voxels.xyz[:, :2]), level])
     np.add.at(surface, tuple(slot[(level >= 0) & (level < frame.shape[2])].T), 1)
     return surface
 
 
+def _nothing_behind(_: _State, new: _State, *__: object) -> Cells:
+    """Return no cells."""
+    return np.zeros_like(new.solid)
+
+
+@switchable("behind_new_walls", _nothing_behind)
 def _behind_new_walls(old: _State, new: _State, frame: _Frame, config: CarvingConfig) -> Cells:
     """Cells that the walls of one epoch enclose which the other epoch does not have, as high as a room.
 
@@ -324,11 +355,18 @@ def _behind_new_walls(old: _State, new: _State, frame: _Frame, config: CarvingCo
     walls = new.solid & ~old.solid & (new.top >= config.room)[:, :, None]
     # A single free cell beside a wall is the part of the wall's own cell that lies in front of it.
     stops = ndimage.binary_opening(new.free, np.ones((2, 2, 1)))
+    whole = _with_gaps(walls, new.free | old.solid, frame, config)
+    return whole | (_enclosed(whole, stops | (old.solid & ~whole)) & ~new.free)
+
+
+@switchable("wall_gaps", first_argument)
+def _with_gaps(walls: Cells, open_: Cells, frame: _Frame, config: CarvingConfig) -> Cells:
+    """Close the gaps in walls along the walls, unless the cells are known to be open."""
     gap = 2 * int(0.5 * config.wall_gap / frame.cell) + 1
     whole = walls.copy()
     for shape in ((gap, 1, 1), (1, gap, 1)):
-        whole |= ndimage.binary_closing(walls, np.ones(shape)) & ~new.free & ~old.solid
-    return whole | (_enclosed(whole, stops | (old.solid & ~whole)) & ~new.free)
+        whole |= ndimage.binary_closing(walls, np.ones(shape)) & ~open_
+    return whole
 
 
 def _height(states: tuple[_State, ...], frame: _Frame, config: CarvingConfig) -> Interval:
@@ -344,9 +382,10 @@ def _height(states: tuple[_State, ...], frame: _Frame, config: CarvingConfig) ->
     tops = []
     for state, (low, high) in zip(states, bounds, strict=True):
         stands = seen & (state.top > 0)
-        columns = stands & capped
-        if np.count_nonzero(columns) < max(_FEW, config.capped * np.count_nonzero(stands)):
-            columns = stands
+        columns = stands
+        many = np.count_nonzero(stands & capped) >= max(_FEW, config.capped * np.count_nonzero(stands))
+        if applies("capped_columns", many):
+            columns = stands & capped
         if not columns.any():
             return Interval(float("nan"), float("nan"))
         known = np.minimum(high[columns], np.maximum(ceiling, low[columns]))
@@ -359,7 +398,8 @@ def _tops_between(state: _State, frame: _Frame, config: CarvingConfig) -> tuple[
     """Lowest and highest possible top (nx, ny) of every column [m]; inf where no free cell is above."""
     bottom = np.where(state.free, frame.levels - 0.5 * frame.rise, np.inf)
     above = np.where(bottom >= state.top[:, :, None] - frame.rise, bottom, np.inf).min(axis=2)
-    high = np.where(above <= state.top + config.roof_gap, state.top, np.maximum(above, state.top))
+    near = rule_mask("roof_gap", above <= state.top + config.roof_gap)
+    high = np.where(near, state.top, np.maximum(above, state.top))
     return state.top, high
 
 

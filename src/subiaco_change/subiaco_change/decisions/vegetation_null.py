@@ -17,6 +17,7 @@ import numpy as np
 from pydantic import Field
 
 from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.method_rules.switches import switchable
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats
 
@@ -279,6 +280,7 @@ def null_words(null: VegetationNull) -> str:
     return json.dumps({name: asdict(fit) for name, fit in sorted(null.fits.items())})
 
 
+@switchable("unchanged_plants_of_the_pair", lambda _, config: no_null(config))
 def null_of(words: str, config: VegetationNullConfig) -> VegetationNull:
     """Read what :func:`null_words` wrote."""
     fits = {

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.method_rules.switches import none_of_them, switchable
 from subiaco_change.segmentation.clustering import group_indices
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.clouds import voxel_indices, voxel_keys
@@ -171,7 +172,13 @@ def is_standing(view: EpochView) -> Mask:
     the other epoch contradicts that verdict, so such points occupy their place.
     """
     above = np.asarray(view.semantic != Semantic.GROUND)
-    return above if view.passed is None else above & ~is_ghost_trail(view)
+    return above if view.passed is None else above & ~_passable(view)
+
+
+@switchable("trails_do_not_stand", lambda view: np.zeros(len(view.xyz), dtype=bool))
+def _passable(view: EpochView) -> Mask:
+    """Tell which points (N,) do not occupy their place although they lie above the ground."""
+    return is_ghost_trail(view)
 
 
 def is_ghost_trail(view: EpochView) -> Mask:
@@ -231,6 +238,7 @@ def occupied(query: Floats, points: Floats, reach: Reach) -> Mask:
     return still
 
 
+@switchable("occupied_by_ground", none_of_them)
 def occupied_by_ground(query: Floats, ground: Floats, reach: Reach) -> Mask:
     """Tell which places (M, 3) ground points (N, 3) occupy: sideways within reach, and as high.
 

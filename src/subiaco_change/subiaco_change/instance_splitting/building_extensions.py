@@ -11,6 +11,7 @@ from scipy.spatial import cKDTree
 from subiaco_change.decisions.voxel_objects import Voxels
 from subiaco_change.instance_splitting.one_epoch_parts import PartConfig
 from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.method_rules.switches import applies, never, switchable
 from subiaco_change.segmentation.clustering import cell_clusters
 from subiaco_geo.frames import Floats
 
@@ -88,13 +89,16 @@ def _is_extension(
     body, other = host[epoch], host[1 - epoch]
     round_it = max(contact) >= _ROUND * len(extension)
     free = float((extension.observed & ~extension.occupied_in_other).mean())
-    if round_it and free < _HIDDEN and _share_above(extension, other) >= _BESIDE:
+    hidden = round_it and free < _HIDDEN and _share_above(extension, other) >= _BESIDE
+    if applies("hidden_wall_of_extension", hidden):
         return True  # a wall of the house that an extension of the other epoch hides
-    if _top(extension) < _ROOM or (len(contact) > 1 and sorted(contact)[-2] > _LEANS * len(extension)):
-        return False  # lower than a room, or between two buildings
+    leans = len(contact) > 1 and sorted(contact)[-2] > _LEANS * len(extension)
+    if _top(extension) < _ROOM or applies("part_between_buildings", leans):
+        return False
     share = _enclosed_volume(extension) / max(_enclosed_volume(body), 1e-9)
     if share >= config.subordinate and not round_it:
-        return _inside(other.xyz, extension.xyz) >= _WITHIN  # its walls stand where the extension was
+        stood = _inside(other.xyz, extension.xyz) >= _WITHIN  # its walls stand where the extension was
+        return applies("part_as_large_as_building", stood)
     if _is_elevated(extension, body):
         return False
     if _share_above(extension, other) < _BESIDE and not round_it and _is_taller(extension, body):
@@ -102,6 +106,7 @@ def _is_extension(
     return share < _SMALL or not any(_between(extension.xyz, side.xyz, config) for side in host if len(side))
 
 
+@switchable("smooth_extensions", never)
 def is_smooth_surface(voxels: Voxels) -> bool:
     """Tell walls and roofs from cars and leaves, whatever their class: taller than a car, and smooth."""
     if len(voxels) < _NEIGHBOURS or voxels.height.max() < _CAR:
@@ -117,6 +122,7 @@ def _inside(host: Floats, extension: Floats) -> float:
     return float(shapely.contains_xy(outline, host[:, 0], host[:, 1]).mean()) if len(host) else 0.0
 
 
+@switchable("crown_beside_building", never)
 def _is_elevated(extension: Voxels, host: Voxels) -> bool:
     """Tell a crown from an extension: it begins high above the ground beside its host, not above it."""
     if extension.height.min() < max(_CAR, _UNDERSIDE * extension.height.max()):
@@ -124,6 +130,7 @@ def _is_elevated(extension: Voxels, host: Voxels) -> bool:
     return _share_above(extension, host) < 0.5
 
 
+@switchable("taller_neighbour", never)
 def _is_taller(extension: Voxels, host: Voxels) -> bool:
     """Tell whether an extension is taller than its host by half a storey."""
     return _top(extension) - _top(host) > _HALF_STOREY
@@ -153,6 +160,7 @@ def _top(voxels: Voxels) -> float:
     return float(np.quantile(voxels.height, 0.95))
 
 
+@switchable("house_out_of_row", never)
 def _between(extension: Floats, host: Floats, config: PartConfig) -> bool:
     """Tell whether the extension touches parts of the host that do not touch each other."""
     labels = cell_clusters(host[:, :2], config.touch)

@@ -12,6 +12,7 @@ from scipy.spatial import cKDTree
 
 from subiaco_change.decisions.voxel_objects import ObjectInstance
 from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.method_rules.switches import never, switchable
 from subiaco_geo.frames import Floats, Ints
 
 _CELL = NUMBERS.hedge_sections.cell
@@ -184,6 +185,7 @@ def _observed(objects: Sequence[ObjectInstance], xy: Floats, other_tops: Floats,
     return bool(above.any() and seen[inside][above].mean() >= _SEEN)
 
 
+@switchable("other_class_between_tops", never)
 def _held(standing: Floats, cells: Ints, low: Floats, high: Floats) -> bool:
     """Tell whether points (N, 3) stand in the upper half between two tops (C,) of most columns (C, 2)."""
     near = (

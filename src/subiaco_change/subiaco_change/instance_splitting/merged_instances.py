@@ -18,6 +18,7 @@ from subiaco_change.decisions.column_volumes import ColumnChange, column_keys
 from subiaco_change.decisions.voxel_objects import ObjectInstance, join_voxels
 from subiaco_change.instance_splitting.one_epoch_parts import split_by_labels
 from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.method_rules.switches import one_part, switchable
 from subiaco_change.segmentation.bounding_rectangles import wall_coordinates
 from subiaco_change.segmentation.clustering import connect, group_indices
 from subiaco_change.segmentation.ground_model import Mask
@@ -158,7 +159,7 @@ def split_at_walls(
     voxels = [join_voxels(side) for side in sides]
     xy = np.concatenate([v.xyz[:, :2] for v in voxels])
     labels = _moved(voxels[0].xyz, voxels[1].xyz, xy)
-    alone = _alone(voxels[0].xyz, voxels[1].xyz, xy)
+    alone = _alone(xy, voxels[0].xyz, voxels[1].xyz)
     for side in sides:
         bodies = [body for body in separate_bodies(side, config) if body] or [list(side)]
         owner = np.repeat(np.arange(len(bodies)), [sum(len(t.voxels) for t in body) for body in bodies])
@@ -168,6 +169,12 @@ def split_at_walls(
     return _pieces(sides, xy, labels, config, following)
 
 
+def _whole_row(before: Sequence[ObjectInstance], after: Sequence[ObjectInstance], *_: object) -> list[Piece]:
+    """Return a row as one piece."""
+    return [(tuple(before), tuple(after))]
+
+
+@switchable("storeys_of_row_houses", _whole_row)
 def split_at_changed_storeys(
     before: Sequence[ObjectInstance],
     after: Sequence[ObjectInstance],
@@ -218,7 +225,8 @@ def _moved(before: Floats, after: Floats, xy: Floats) -> Ints:
     return labels
 
 
-def _alone(before: Floats, after: Floats, xy: Floats) -> Ints:
+@switchable("row_house_of_one_epoch", one_part)
+def _alone(xy: Floats, before: Floats, after: Floats) -> Ints:
     """Return which stretch of a row, from 1, that one epoch alone holds places (N, 2) lie in; 0 for none.
 
     A stretch is as long as a house and lies between two; in it the one epoch shows columns across the row and

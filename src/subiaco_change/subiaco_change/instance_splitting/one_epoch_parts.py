@@ -18,6 +18,7 @@ from subiaco_change.decisions.measures import Measures, oriented_rectangle
 from subiaco_change.decisions.rules import Decision
 from subiaco_change.decisions.voxel_objects import ObjectInstance, join_voxels
 from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.method_rules.switches import applies, first_argument, no_decision, switchable
 from subiaco_change.segmentation.clustering import group_indices, voxel_clusters
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.codes import Change, Semantic
@@ -73,6 +74,7 @@ class PartConfig(StrictModel):
     )
 
 
+@switchable("parts_of_one_epoch", first_argument)
 def split_one_epoch_parts(objects: Sequence[ObjectInstance], config: PartConfig) -> list[ObjectInstance]:
     """Split every instance into what the other epoch holds too and the parts that stand alone.
 
@@ -163,7 +165,8 @@ def _with_unseen(obj: ObjectInstance, labels: Ints, config: PartConfig) -> Ints:
     if not known.all():
         left = np.count_nonzero(obj.voxels.occupied_in_other & (labels == 0))
         gone = np.bincount(labels[known])[1:].max()
-        source = np.flatnonzero(known & ((labels > 0) | (left >= gone) | (gone < _WELL_KNOWN)))
+        most = applies("unseen_belongs_to_most", left < gone and gone >= _WELL_KNOWN)
+        source = np.flatnonzero(known & ((labels > 0) | (not most)))
         nearest = cKDTree(obj.voxels.xyz[source]).query(obj.voxels.xyz[~known])[1]
         labels[~known] = labels[source][nearest]
     points = np.bincount(labels[cKDTree(obj.voxels.xyz).query(obj.xyz)[1]], minlength=labels.max() + 1)
@@ -175,6 +178,7 @@ def _with_unseen(obj: ObjectInstance, labels: Ints, config: PartConfig) -> Ints:
     return np.asarray(number[labels])
 
 
+@switchable("parts_of_vehicles", no_decision)
 def decide_vehicle_part(
     objects: Sequence[ObjectInstance], semantic: Semantic, measures: Measures, standing: Floats
 ) -> Decision | None:

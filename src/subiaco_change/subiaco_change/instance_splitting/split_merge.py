@@ -26,6 +26,7 @@ from subiaco_change.instance_splitting.merged_instances import (
 )
 from subiaco_change.instance_splitting.one_epoch_parts import split_by_labels
 from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.method_rules.switches import applies, first_argument, switchable
 from subiaco_geo.codes import Change, Semantic
 
 _WHOLE = NUMBERS.split_merge.whole_share
@@ -36,6 +37,7 @@ _SINGLE = (Change.ADDED, Change.REMOVED)
 _CLAIMS = (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED)
 
 
+@switchable("building_extensions", first_argument)
 def join_building_extensions(changes: list[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
     """Make extensions built onto a building, or taken from it, one object with it, and decide it again.
 
@@ -65,6 +67,7 @@ def join_building_extensions(changes: list[ObjectChange], rules: ObjectRules) ->
     return [change for i, change in enumerate(joined) if i not in extensions]
 
 
+@switchable("hidden_walls", first_argument)
 def join_hidden_walls(changes: list[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
     """Join a wall that the other epoch hardly observed to the changed building it belongs to.
 
@@ -103,6 +106,7 @@ def _is_hardly_observed(change: ObjectChange, rules: ObjectRules) -> bool:
     return rules.ground.empty[other] is None or change.measures.observed_fraction < _HARDLY
 
 
+@switchable("low_overlap_matches", first_argument)
 def split_low_overlap_matches(changes: Sequence[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
     """Take what was matched and hardly overlaps for two objects: one is slight, the other came or went.
 
@@ -131,6 +135,7 @@ def _least_overlap(semantic: Semantic, rules: ObjectRules) -> float:
     return rules.decisions.vegetation.min_iou if semantic is Semantic.VEGETATION else -1.0
 
 
+@switchable("multi_body_matches", first_argument)
 def split_multi_body_matches(changes: Sequence[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
     """Decide the bodies of a split or merge one by one where they did not fare alike."""
     following = _first_free(changes)
@@ -152,6 +157,7 @@ def _first_free(changes: Sequence[ObjectChange]) -> int:
     return 1 + max((t.instance for c in changes for t in (*c.before, *c.after)), default=0)
 
 
+@switchable("row_houses_at_walls", first_argument)
 def split_row_houses(changes: Sequence[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
     """Decide the houses of a row one by one where they fared differently, parted as either epoch shows."""
     if rules.association.parts.points == 0:
@@ -204,6 +210,7 @@ def _measured(members: Sequence[ObjectChange], rules: ObjectRules) -> Measures:
     return measure(before, after, rules.measures, rules.ground, building=True)
 
 
+@switchable("hedge_sections", first_argument)
 def split_hedge_segments(changes: Sequence[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
     """Give the sections of hedges whose tops moved rows of their own, or the whole where nearly all did."""
     if rules.association.parts.points == 0:
@@ -225,7 +232,8 @@ def _sections(change: ObjectChange, following: int, rules: ObjectRules) -> list[
     if not sections:
         return [change]
     alike = len({s.rise > 0 for s in sections}) == 1
-    if alike and sum(len(s.xy) for s in sections) >= _WHOLE * len(columns):
+    whole = alike and sum(len(s.xy) for s in sections) >= _WHOLE * len(columns)
+    if applies("whole_hedges", whole):
         largest = max(sections, key=lambda s: len(s.xy))
         return [_of_section(change, largest, rules, only=False)]
     sides: list[list[list[ObjectInstance]]] = []
@@ -254,6 +262,7 @@ def _of_section(change: ObjectChange, section: Section, rules: ObjectRules, *, o
     return replace(change, plant=plant, decision=decision)
 
 
+@switchable("fragments_of_changed_objects", first_argument)
 def assign_fragments(
     changes: list[ObjectChange],
     objects_before: Sequence[ObjectInstance],
@@ -306,6 +315,14 @@ def _with_parts(change: ObjectChange, fragments: Sequence[ObjectChange]) -> Obje
     return replace(change, before=before, after=after, match_kind=kind)
 
 
+def _classes_as_they_are(
+    before: list[ObjectInstance], after: list[ObjectInstance], *_: object
+) -> tuple[list[ObjectInstance], list[ObjectInstance]]:
+    """Return the objects with their own classes."""
+    return before, after
+
+
+@switchable("one_class_one_place", _classes_as_they_are)
 def unify_classes(
     before: list[ObjectInstance], after: list[ObjectInstance], config: AssociationConfig, tolerance: float
 ) -> tuple[list[ObjectInstance], list[ObjectInstance]]:

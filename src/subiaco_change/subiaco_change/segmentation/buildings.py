@@ -8,6 +8,7 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
+from subiaco_change.method_rules.switches import none_of_them, rule_mask, switchable
 from subiaco_change.segmentation.clustering import connect, group_reduce, voxel_clusters
 from subiaco_change.segmentation.config import BuildingConfig
 from subiaco_change.segmentation.features import Features, compute_features
@@ -51,6 +52,7 @@ def building_planes(
     )
 
 
+@switchable("thick_walls", none_of_them)
 def thick_walls(xyz: Floats, height: Floats, free: Mask, config: BuildingConfig) -> Mask:
     """Find walls among free points (N,) that stand in more than one sheet: a bent map saw them twice.
 
@@ -82,6 +84,12 @@ def thick_walls(xyz: Floats, height: Floats, free: Mask, config: BuildingConfig)
     return walls
 
 
+def _core_alone(_: Floats, planes: BuildingPlanes, free: Mask, *__: object) -> Mask:
+    """Return the free points of facades and roofs without parts."""
+    return planes.core & free
+
+
+@switchable("facade_parts", _core_alone)
 def join_parts(xyz: Floats, planes: BuildingPlanes, free: Mask, config: BuildingConfig) -> Mask:
     """Add to the free points (N,) of the core the parts that come near it, directly or through others."""
     core = planes.core & free
@@ -112,7 +120,8 @@ def _up_to_eaves(
     eaves = free & (height > config.facade_top) & (height < config.facade_top + config.eaves)
     above[tuple(cell[eaves].T)] = 1.0
     wall = ndimage.maximum_filter(wall, 3)
-    reaches = (wall > config.facade_top) | ((wall > config.facade_top - config.eaves) & (above > 0))
+    reaches = wall > config.facade_top
+    reaches |= rule_mask("rough_eaves", (wall > config.facade_top - config.eaves) & (above > 0) & ~reaches)
     return np.asarray(reaches[tuple(cell.T)])
 
 
@@ -133,16 +142,15 @@ def _kinds(
     level = np.abs(patches.normal[:, 2]) > config.wire_level
     narrow = patches.inner < config.wire_inner * patches.area
     wires = (linear > config.wire_linearity) & (level | narrow) & (patches.rise < config.wire_rise)
+    wires = rule_mask("wire_patches", wires & (lowest > config.wire_height))
     rough = reduced(features.roughness, "median") > config.frond_roughness
     bent = ~upright & (patches.residual > config.frond_bend) & (lowest > config.roof_height)
-    fronds = bent & rough & (linear > config.frond_linearity)
-    leafy = (reduced(np.sqrt(features.scatter), "mean") > config.leafy_scatter) & (
-        patches.area < config.leafy_area
-    )
-    slopes = ~upright & rough & (patches.residual > config.leafy_bend)
-    fronds |= slopes
-    facade &= patches.width > config.facade_width
-    building = (facade | roof) & ~fronds & ~leafy & ~(wires & (lowest > config.wire_height))
+    fronds = rule_mask("palm_fronds", bent & rough & (linear > config.frond_linearity))
+    leafy = reduced(np.sqrt(features.scatter), "mean") > config.leafy_scatter
+    leafy = rule_mask("leafy_patches", leafy & (patches.area < config.leafy_area))
+    fronds |= rule_mask("leafy_slopes", ~upright & rough & (patches.residual > config.leafy_bend))
+    facade &= ~rule_mask("facade_width", facade & (patches.width <= config.facade_width))
+    building = (facade | roof) & ~fronds & ~leafy & ~wires
     return np.asarray(building), np.asarray(fronds & (patches.area > config.part_area))
 
 
@@ -179,6 +187,7 @@ def within_roofs(
     return inside & ~apart, apart
 
 
+@switchable("objects_under_roofs", none_of_them)
 def _stands_apart(xyz: Floats, blocked: Mask, share: float, config: BuildingConfig) -> Mask:
     """Tell which points (N,) are of things of which at most a share is blocked."""
     if len(xyz) == 0:
@@ -208,6 +217,7 @@ def attach_parts(xyz: Floats, core: Mask, free: Mask, foliage: Mask, config: Bui
     return attached
 
 
+@switchable("thin_runs", none_of_them)
 def find_wires(xyz: Floats, height: Floats, roughness: Floats, hard: Mask, config: BuildingConfig) -> Mask:
     """Tell which hard points are wires, high, thin and long: no part of the crowns around them."""
     thin = np.flatnonzero(hard & (height > config.wire_height) & (roughness < config.wire_roughness))

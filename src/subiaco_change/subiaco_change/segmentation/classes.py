@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from subiaco_change.method_rules.switches import none_of_them, rule_mask, switchable
 from subiaco_change.segmentation.buildings import (
     attach_parts,
     building_planes,
@@ -274,9 +275,15 @@ def _find_ground(
         & (height > -2 * config.ground_close)
         & ~(steep & (height > 0.5 * config.ground_distance))
     )
+    lies = (claimed[parts] & (np.abs(height) < 2 * config.ground_close)) | near
+    return np.asarray(lies & ~_rough_foot(height, features, config))
+
+
+@switchable("rough_foot", none_of_them)
+def _rough_foot(height: Floats, features: Features, config: SemanticsConfig) -> Mask:
+    """Tell which points (N,) are rough and just above the ground model: the foot of an object."""
     dense = _reach(features, config) < config.features.radius  # else roughness is that of the terrain
-    foot = dense & (features.roughness > config.foot_roughness) & (height > config.foot_height)
-    return np.asarray(((claimed[parts] & (np.abs(height) < 2 * config.ground_close)) | near) & ~foot)
+    return np.asarray(dense & (features.roughness > config.foot_roughness) & (height > config.foot_height))
 
 
 def _find_foliage(height: Floats, features: Features, parts: Ints, config: SemanticsConfig) -> Mask:
@@ -284,9 +291,15 @@ def _find_foliage(height: Floats, features: Features, parts: Ints, config: Seman
     count = int(parts.max()) + 1
     scatter = group_reduce(parts, np.sqrt(features.scatter), count)
     rough = group_reduce(parts, features.roughness, count)
-    sparse = group_reduce(parts, _reach(features, config), count) > config.sparse_reach
+    sparse = _is_sparse(group_reduce(parts, _reach(features, config), count), config)
     leafy = (scatter > np.where(sparse, config.sparse_scatter, config.scatter)) & (rough > config.roughness)
     return np.asarray(leafy[parts] & (height > config.ground_close))
+
+
+@switchable("sparse_foliage", none_of_them)
+def _is_sparse(reach: Floats, config: SemanticsConfig) -> Mask:
+    """Tell which superpoints (S,) are sparse by the reach of their neighbours [m]."""
+    return np.asarray(reach > config.sparse_reach)
 
 
 def _split_rest(
@@ -324,6 +337,7 @@ def _vote_clusters(
     ]
     tiny = np.hypot(*extent) < np.sqrt(2) * config.tiny_width
     tiny &= group_reduce(cluster, height, len(size), "maximum") < config.tiny_top
+    tiny = rule_mask("tiny_clusters", tiny)
     semantic[tiny[cluster]] = Semantic.OTHER
     return semantic
 

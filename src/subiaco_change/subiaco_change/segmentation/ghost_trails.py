@@ -18,6 +18,7 @@ from pydantic import Field
 from scipy import ndimage
 
 from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.method_rules.switches import none_of_them, switchable, zeros_of_them
 from subiaco_change.segmentation.clustering import voxel_clusters
 from subiaco_change.segmentation.features import Features
 from subiaco_change.segmentation.ground_model import Mask
@@ -84,6 +85,7 @@ def timed_trails(height: Floats, moved: Floats, free: Mask, config: TrafficConfi
     return np.asarray(free & (height > config.bottom) & (moved >= config.probability))
 
 
+@switchable("trails_by_counts", none_of_them)
 def moving_points(
     xyz: Floats, height: Floats, features: Features, passed: Floats, free: Mask, config: TrafficConfig
 ) -> Mask:
@@ -115,6 +117,7 @@ def moving_points(
     return moving
 
 
+@switchable("still_blocks", none_of_them)
 def still_blocks(xyz: Floats, core: Mask, moving: Mask, config: TrafficConfig) -> Mask:
     """Tell which points of walls and roofs (N,) stand still: most of their block was not seen through."""
     members = np.flatnonzero(core)
@@ -133,6 +136,7 @@ def _local_mean(values: Floats, among: Mask, features: Features, members: Ints, 
     return np.asarray((values[neighbours] * weight).sum(axis=1) / np.maximum(weight.sum(axis=1), 1))
 
 
+@switchable("trails_by_shape", zeros_of_them)
 def trail_probability(xyz: Floats, height: Floats, config: TrailShapeConfig) -> Floats:
     """Return the probability (N,) that points (N, 3) were left by a moving vehicle.
 

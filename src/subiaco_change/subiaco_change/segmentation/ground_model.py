@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy import ndimage
 
+from subiaco_change.method_rules.switches import first_argument, second_argument, switchable
 from subiaco_change.segmentation.clustering import connect
 from subiaco_change.segmentation.raised_surfaces import RaisedSurfaces
 from subiaco_geo.config import StrictModel
@@ -240,6 +241,7 @@ def fill_gaps(raster: Floats) -> Floats:
     return filled
 
 
+@switchable("low_outliers", first_argument)
 def _reject_low(lowest: Floats, config: GroundConfig) -> Floats:
     """Remove cells far below all others around (multipath, cellars seen through grates).
 
@@ -263,6 +265,7 @@ def _progressive_filter(lowest: Floats, config: GroundConfig) -> Mask:
     return _run_on(lowest, _openings(lowest - slope, config), config)
 
 
+@switchable("continued_ground", second_argument)
 def _run_on(lowest: Floats, ground: Mask, config: GroundConfig) -> Mask:
     """Give back to the ground cells what goes on from them without a step: banks, what walls retain.
 
@@ -344,6 +347,12 @@ def _refit(
     return fill_gaps(mean), known
 
 
+def _no_cells(_: Floats, __: NDArray[np.int64], size: int, *___: object) -> Mask:
+    """Return a mask of no cells."""
+    return np.zeros(size, dtype=bool)
+
+
+@switchable("foot_of_wall", _no_cells)
 def _foot_of_wall(above: Floats, flat: NDArray[np.int64], size: int, config: GroundConfig) -> Mask:
     """Tell which cells (size,) go on upwards: as many points in the next metre as near the lowest."""
     near = np.bincount(flat[above < config.refit_band], minlength=size)

@@ -9,6 +9,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.method_rules.switches import one_part, switchable
 from subiaco_change.segmentation.bounding_rectangles import box_coordinates
 from subiaco_change.segmentation.classes import SemanticResult
 from subiaco_change.segmentation.clustering import cell_clusters, group_indices, voxel_clusters
@@ -180,6 +181,7 @@ def _vegetation(xyz: Floats, height: Floats, config: InstanceConfig) -> Ints:
     return np.unique(parted, return_inverse=True)[1].astype(np.int64)
 
 
+@switchable("hedges_by_steps", one_part)
 def split_hedge(xyz: Floats, height: Floats, config: InstanceConfig) -> Ints:
     """Part low, long foliage (N,) where one clipped top ends and another begins."""
     whole = np.zeros(len(xyz), dtype=np.int64)
@@ -239,6 +241,12 @@ def split_crowns(xyz: Floats, height: Floats, config: InstanceConfig) -> Ints:
     return np.unique(merged[index[:, 0], index[:, 1]], return_inverse=True)[1].astype(np.int64)
 
 
+def _no_trunks(*_: object) -> Floats:
+    """Return no places of trunks."""
+    return np.zeros((0, 2))
+
+
+@switchable("crowns_by_trunks", _no_trunks)
 def _trunks(xyz: Floats, height: Floats, config: InstanceConfig) -> Floats:
     """Middles (T, 2) [m] of the upright, slender parts of foliage (N,) near the ground."""
     low = np.flatnonzero((height > 0.3) & (height < config.trunk_top))

@@ -6,6 +6,7 @@ import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from pydantic import Field
 
+from subiaco_change.method_rules.switches import always, one_part, switchable
 from subiaco_change.segmentation.bounding_rectangles import box_coordinates, box_sides, wall_coordinates
 from subiaco_change.segmentation.clustering import group_indices
 from subiaco_geo.config import StrictModel
@@ -75,6 +76,7 @@ def part_slots(slot: Ints, places: Ints, config: ProfileConfig) -> Ints:
     return np.searchsorted(np.sort(cuts), slot, side="right")
 
 
+@switchable("row_houses_by_steps", one_part)
 def split_row(xy: Floats, height: Floats, config: ProfileConfig) -> Ints:
     """Part one building (N,) across its long side, labels from 0.
 
@@ -102,6 +104,7 @@ def split_row(xy: Floats, height: Floats, config: ProfileConfig) -> Ints:
     return part_slots(slot, np.array([*_dips(top, config), *steps], dtype=np.int64), config)
 
 
+@switchable("steps_in_depth", always)
 def _depth_steps(surface: Floats, place: int, config: ProfileConfig) -> bool:
     """Tell whether the rows that both sides of a place show, verandas left out, step there too.
 
@@ -113,6 +116,12 @@ def _depth_steps(surface: Floats, place: int, config: ProfileConfig) -> bool:
     return bool(len(gap) == 0 or np.median(gap) > config.step)
 
 
+def _no_slots(*_: object) -> Ints:
+    """Return no slots."""
+    return np.zeros(0, dtype=np.int64)
+
+
+@switchable("row_houses_by_dips", _no_slots)
 def _dips(top: Floats, config: ProfileConfig) -> Ints:
     """Slots at which the tops (slots,) are lowest between two houses."""
     run = np.cumsum(np.append(True, np.diff(top > config.lowest)))
@@ -153,6 +162,12 @@ class RowConfig(StrictModel):
     )
 
 
+def _clusters_as_they_are(_: Floats, __: Floats, labels: Ints, *___: object) -> Ints:
+    """Return the clusters as they are."""
+    return labels
+
+
+@switchable("parked_rows", _clusters_as_they_are)
 def split_rows(xy: Floats, height: Floats, labels: Ints, config: RowConfig) -> Ints:
     """Part clusters (N,) too large for a car at gaps that run right through them.
 

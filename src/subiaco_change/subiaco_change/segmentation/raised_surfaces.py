@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy import ndimage
 
+from subiaco_change.method_rules.switches import switchable
 from subiaco_change.segmentation.clustering import connect
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats
@@ -87,6 +88,12 @@ class RaisedSurfaces:
         return np.asarray(inside & (xyz[:, 2] >= self.lowest[index[:, 0], index[:, 1]]))
 
 
+def _no_raised(xyz: Floats, config: RaisedConfig) -> RaisedSurfaces:
+    """Return raised surfaces that hold nothing."""
+    return RaisedSurfaces(xyz[:, :2].min(axis=0), config.cell, np.full((1, 1), np.inf))
+
+
+@switchable("raised_surfaces", _no_raised)
 def find_raised(xyz: Floats, config: RaisedConfig) -> RaisedSurfaces:
     """Find the raised surfaces of a cloud, z up, and of as much around as tells how they end.
 

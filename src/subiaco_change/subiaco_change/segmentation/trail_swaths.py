@@ -19,6 +19,7 @@ from scipy.spatial import cKDTree
 from scipy.special import expit
 
 from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.method_rules.switches import first_argument, switchable, zeros_of_them
 from subiaco_change.segmentation.clustering import group_indices
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.segmentation.trail_raster import AROUND, Raster, TrailShapeConfig, limited
@@ -69,6 +70,7 @@ def find_swaths(raster: Raster, config: TrailShapeConfig) -> tuple[Floats, Mask]
     return cells, wide
 
 
+@switchable("trail_edges", first_argument)
 def with_edges(cells: Floats, wide: Mask, body: Mask, config: TrailShapeConfig) -> Floats:
     """Give the ragged edges of trails (rows, columns) their probability.
 
@@ -169,6 +171,7 @@ def _by_parts(swath: _Swath, axis: Mask, raster: Raster, config: TrailShapeConfi
     return chance
 
 
+@switchable("thin_trails", zeros_of_them)
 def thin_trails(xyz: Floats, index: Ints, raster: Raster, config: TrailShapeConfig) -> Floats:
     """Return the probability (N,) that points (N, 3) of bodies were left by a cyclist or a person on foot.
 
@@ -244,6 +247,7 @@ def _thickness(xy: Floats) -> Floats:
     return np.asarray(spread[cKDTree(some).query(xy)[1]])
 
 
+@switchable("trail_pieces", first_argument)
 def with_pieces(cells: Floats, raster: Raster, sure: float, config: TrailShapeConfig) -> Floats:
     """Return the probability of cells (rows, columns), with pieces that continue sure trails.
 

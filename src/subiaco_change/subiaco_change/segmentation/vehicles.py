@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from subiaco_change.method_rules.switches import applies, never, switchable
 from subiaco_change.segmentation.bounding_rectangles import box_coordinates, box_sides
 from subiaco_change.segmentation.clustering import cell_clusters, group_indices, voxel_clusters
 from subiaco_change.segmentation.config import VehicleConfig
@@ -15,6 +16,12 @@ from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats, Ints
 
 
+def _no_boxes(xyz: Floats, *_: object) -> tuple[Mask, Mask]:
+    """Return no trucks and no shelters."""
+    return np.zeros(len(xyz), dtype=bool), np.zeros(len(xyz), dtype=bool)
+
+
+@switchable("large_vehicles", _no_boxes)
 def free_boxes(
     xyz: Floats, height: Floats, core: Mask, part: Mask, hard: Mask, free: Mask, config: VehicleConfig
 ) -> tuple[Mask, Mask]:
@@ -98,6 +105,7 @@ def _is_free_box(xyz: Floats, height: Floats, config: VehicleConfig) -> bool:
     return bool(2.8 < length < config.truck_length and config.truck_min_width < width < config.truck_width)
 
 
+@switchable("eaves_of_shelters", never)
 def has_eaves(xyz: Floats, height: Floats, config: VehicleConfig) -> bool:
     """Tell a shelter: its top stands out over its body; vehicles grow narrower upwards."""
     top = float(np.quantile(height, 0.98)) - config.top_band
@@ -138,7 +146,7 @@ def _kind(xyz: Floats, height: Floats, upright: Mask, hard: float, config: Vehic
     if len(xyz) < 15 or not _fits(xyz, height, hard, config):
         return None
     upper = upright[height > 0.5 * np.quantile(height, 0.98)].mean()
-    screen = upper > config.screen_upright and _fill(xyz) < config.screen_fill
+    screen = applies("screens", upper > config.screen_upright and _fill(xyz) < config.screen_fill)
     if (screen or has_eaves(xyz, height, config)) and not _is_shed(xyz, height, upright, config):
         return Semantic.OTHER
     return Semantic.MOBILE
@@ -172,12 +180,13 @@ def release_false_vehicles(
             settled[mine] = Semantic.BUILDING
         elif _is_slab(height[mine], level[mine], config):
             settled[mine] = Semantic.OTHER
-        elif crowd[number] > _crowd_limit(xyz[mine], config):
+        elif applies("clearance_of_vehicles", crowd[number] > _crowd_limit(xyz[mine], config)):
             leafy = foliage[mine].mean() > config.leafy
             settled[mine] = Semantic.VEGETATION if leafy else beside[number]
     return settled
 
 
+@switchable("slabs", never)
 def _is_slab(height: Floats, level: Mask, config: VehicleConfig) -> bool:
     """Tell a raised bed or terrace: low, and mostly level where it stands out."""
     top = float(np.quantile(height, 0.98))
@@ -219,6 +228,7 @@ def _surroundings(
     return share, votes.reshape(count, -1).argmax(axis=1)
 
 
+@switchable("sheds", never)
 def _is_shed(xyz: Floats, height: Floats, upright: Mask, config: VehicleConfig) -> bool:
     """Tell a short, high box with walls to the top, or a lower one that is as wide at its top as below."""
     top = float(np.quantile(height, 0.95))

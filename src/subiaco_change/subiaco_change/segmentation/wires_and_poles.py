@@ -14,6 +14,7 @@ from pydantic import Field
 from scipy.spatial import cKDTree
 
 from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.method_rules.switches import none_of_them, switchable
 from subiaco_change.segmentation.clustering import cell_clusters, connect, group_indices
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.clouds import voxel_indices, voxel_keys
@@ -131,6 +132,7 @@ def find_lines(
     return wires | find_poles(xyz, height, free & ~wires, planar, config)
 
 
+@switchable("wires", none_of_them)
 def find_wires(xyz: Floats, height: Floats, reach: Floats, free: Mask, config: LineConfig) -> Mask:
     """Tell which free points (N,) are wires: high, long, level and thin, each line of a bundle by itself."""
     found = np.zeros(len(xyz), dtype=bool)
@@ -208,6 +210,7 @@ def _follow(xyz: Floats, seed: Mask, line: tuple[Floats, Floats], config: LineCo
     return np.flatnonzero(mine)
 
 
+@switchable("poles", none_of_them)
 def find_poles(xyz: Floats, height: Floats, free: Mask, planar: Mask, config: LineConfig) -> Mask:
     """Tell which free points (N,) are poles: upright, straight, and clear around most of their length.
 

@@ -12,6 +12,7 @@ import numpy as np
 
 from subiaco_change.config import ChangeConfig
 from subiaco_change.level_of_detection.common_frame import CommonFrame
+from subiaco_change.method_rules import rules_of_stages
 from subiaco_change.records import Registration
 from subiaco_change.registration.pair import (
     PairInfo,
@@ -235,10 +236,11 @@ class Epochs:
         semantics = semantics.model_copy(update={"trail_shape": shape})
         alone = replace(side, epoch=ALONE)
         upright = self._upright(alone, own)
+        off = rules_of_stages(self.config.rules_off, SegmentationSlice.RULE_STAGES)
         tasks = []
         for name in sorted(own):
             inputs = {f"cloud/{n}": own[n] for n in (name, *neighbours(name, own))} | upright
-            params = TrailParams(name, self.size, alone, semantics)
+            params = TrailParams(name, self.size, alone, semantics, off)
             tasks.append(Task("trails", name, find_trails, inputs, params))
         return self.runner.run(tasks, (0.02, 0.03))
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +15,7 @@ from shapely.geometry.base import BaseGeometry
 
 from subiaco_change.decisions.ground_cells import GroundCells, GroundChangeConfig, difference_cells
 from subiaco_change.decisions.ground_change import GroundPatch, beyond_gate, find_patches
+from subiaco_change.method_rules.switches import obeys_rules
 from subiaco_change.tiling.retiling import near_tile
 from subiaco_change.tiling.stage_params import TileParams
 from subiaco_change.tiling.tile_surroundings import load_region
@@ -33,15 +34,21 @@ _RIM = 10.0  # around a tile, so that its own cells know their surroundings [m]
 class GroundSlice:
     """What the difference of the ground reads of the configuration."""
 
+    RULE_STAGES: ClassVar[tuple[str, ...]] = ("ground",)
+
     evidence: EvidenceConfig
     ground: GroundChangeConfig
+    rules_off: tuple[str, ...]
 
 
 @dataclass(frozen=True)
 class PatchSlice:
     """What patches of the ground read of the configuration."""
 
+    RULE_STAGES: ClassVar[tuple[str, ...]] = ("ground",)
+
     ground: GroundChangeConfig
+    rules_off: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -121,6 +128,7 @@ def _window(tile: Tile, origin: Floats, config: GroundChangeConfig) -> tuple[Flo
     return low - origin[:2], (count, count), round((tile.core[0] - tile.buffered[0]) / config.cell)
 
 
+@obeys_rules
 def tile_ground(inputs: Inputs, params: TileParams[GroundSlice]) -> GroundCells:
     """Difference the ground in the cells of a tile."""
     config, origin, tile = params.config.ground, params.origin, params.square(_RIM)
@@ -154,6 +162,7 @@ def _mosaic(
     return GroundCells(**whole), low * size
 
 
+@obeys_rules
 def tile_over(inputs: Inputs, params: TileParams[PatchSlice]) -> ThresholdLabels:
     """Label the cells of a tile beyond the gate, for either direction."""
     config = params.config.ground
@@ -226,6 +235,7 @@ def patch_tiles(over: JoinedComponents) -> dict[str, list[PatchStart]]:
     return result
 
 
+@obeys_rules
 def tile_patches(inputs: Inputs, params: PatchParams) -> TilePatches:
     """Measure the patches that begin in a tile, and keep those large and clear enough."""
     rows: list[PatchRow] = []

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 import shapely
@@ -16,6 +16,7 @@ from subiaco_change.decisions.ground_change import GroundComparison, GroundPatch
 from subiaco_change.decisions.measures import MeasureConfig, same_place
 from subiaco_change.decisions.point_labels import Labels, label_rest, unlabelled
 from subiaco_change.decisions.voxel_objects import EpochView, occupied
+from subiaco_change.method_rules.switches import obeys_rules
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.tiling.alignment import ChangedPoints, TileLods
 from subiaco_change.tiling.epoch_tiles import EPOCHS, Side
@@ -38,10 +39,13 @@ _RIM = 4.0  # around a tile, for what the other epoch saw there [m]
 class LabelSlice:
     """What the labelling of points reads of the configuration."""
 
+    RULE_STAGES: ClassVar[tuple[str, ...]] = ("labels",)
+
     evidence: EvidenceConfig
     ground: GroundChangeConfig
     measures: MeasureConfig
     without: tuple[Part, ...]
+    rules_off: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -141,6 +145,7 @@ def _in_patch(inputs: Inputs, params: ChangedParams, cells: Ints) -> Mask:
     return np.asarray(cells[index[:, 1], index[:, 0]] >= 0)
 
 
+@obeys_rules
 def label_tile(inputs: Inputs, params: TileParams[LabelSlice]) -> TileLabels:
     """Label the points of a tile of both epochs.
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, ClassVar
 
 import shapely
 from shapely.geometry.base import BaseGeometry
@@ -15,6 +15,7 @@ from subiaco_change.decisions.object_decision import ObjectChange
 from subiaco_change.decisions.plant_decisions import decide_plant
 from subiaco_change.decisions.plant_measures import PlantConfig
 from subiaco_change.decisions.vegetation_null import PlantMeasures, fit_null, null_of, null_words
+from subiaco_change.method_rules.switches import obeys_rules
 from subiaco_change.records import ChangeRecord
 from subiaco_change.tiling.stage_params import TileParams
 from subiaco_geo.frames import Ints
@@ -89,9 +90,12 @@ class PlantSlice:
 class PlantDecisionSlice:
     """What the decision of plants reads of the configuration."""
 
+    RULE_STAGES: ClassVar[tuple[str, ...]] = ("plants",)
+
     decisions: DecisionConfig
     plants: PlantConfig
     confidence: ConfidenceConfig
+    rules_off: tuple[str, ...]
 
 
 def plants_of(changes: Sequence[ObjectChange]) -> tuple[PlantRow, ...]:
@@ -109,6 +113,7 @@ def find_vegetation_null(inputs: Inputs, params: TileParams[PlantSlice]) -> Fitt
     return FittedNull(null_words(fit_null(plants, params.config.plants.null_model)))
 
 
+@obeys_rules
 def decide_tile(inputs: Inputs, params: TileParams[PlantDecisionSlice]) -> TileRows:
     """Decide the plants of a tile again, with the null of the pair; all other rows stay as they are.
 

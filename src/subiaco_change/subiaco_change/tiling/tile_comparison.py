@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,6 +20,7 @@ from subiaco_change.decisions.object_comparison import compare_objects, make_rec
 from subiaco_change.decisions.object_decision import ObjectChange, ObjectRules
 from subiaco_change.decisions.plant_measures import PlantConfig
 from subiaco_change.decisions.voxel_objects import NO_OBJECT, OTHERS, EpochView
+from subiaco_change.method_rules.switches import obeys_rules
 from subiaco_change.records import ChangeRecord
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.tiling.candidate_groups import CandidateGroups
@@ -36,6 +38,8 @@ _CELL = 4.0  # in which the surroundings of objects are looked up [m]
 class ComparisonSlice:
     """What the comparison of objects reads of the configuration."""
 
+    RULE_STAGES: ClassVar[tuple[str, ...]] = ("comparison",)
+
     evidence: EvidenceConfig
     measures: MeasureConfig
     association: AssociationConfig
@@ -43,8 +47,10 @@ class ComparisonSlice:
     plants: PlantConfig
     confidence: ConfidenceConfig
     without: tuple[Part, ...]
+    rules_off: tuple[str, ...]
 
 
+@obeys_rules
 def compare_tile(inputs: Inputs, params: TileParams[ComparisonSlice]) -> TileComparison:
     """Compare the groups of objects that a tile answers for.
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,6 +12,7 @@ from subiaco_change.decisions.ablation import Part
 from subiaco_change.decisions.measures import MeasureConfig
 from subiaco_change.geometry import estimate_normals
 from subiaco_change.given_classes import UNGIVEN
+from subiaco_change.method_rules.switches import obeys_rules
 from subiaco_change.segmentation.classes import SemanticsConfig, label_points
 from subiaco_change.segmentation.clustering import voxel_clusters
 from subiaco_change.segmentation.ground_model import Mask
@@ -34,6 +35,8 @@ from subiaco_geo.work.tasks import Inputs
 class SegmentationSlice:
     """What the segmentation reads of the configuration."""
 
+    RULE_STAGES: ClassVar[tuple[str, ...]] = ("segmentation",)
+
     semantics: SemanticsConfig
     instances: InstanceConfig
     evidence: EvidenceConfig
@@ -41,6 +44,7 @@ class SegmentationSlice:
     normal_radius: float
     without: tuple[Part, ...]
     measures: MeasureConfig
+    rules_off: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -58,6 +62,11 @@ class SegmentationParams:
     side: Side
     config: SegmentationSlice
     given: tuple[str, ...]
+
+    @property
+    def rules_off(self) -> tuple[str, ...]:
+        """Rules that are switched off in the stage."""
+        return self.config.rules_off
 
 
 @dataclass(frozen=True)
@@ -86,6 +95,7 @@ class TileSegmentation:
     objects: Floats
 
 
+@obeys_rules
 def prepare_tile(inputs: Inputs, params: SegmentationParams) -> TileSegmentation:
     """Label the points of a tile and its surroundings, and find their objects.
 

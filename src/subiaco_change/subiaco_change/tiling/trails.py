@@ -8,6 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from subiaco_change.method_rules.switches import obeys_rules
 from subiaco_change.segmentation.classes import SemanticsConfig
 from subiaco_change.segmentation.ghost_trails import trail_probability
 from subiaco_change.segmentation.ground_model import fit_ground
@@ -30,6 +31,7 @@ class TrailParams:
     size: float
     side: Side
     semantics: SemanticsConfig
+    rules_off: tuple[str, ...]
 
 
 @dataclass(frozen=True)
@@ -39,6 +41,7 @@ class TileTrails:
     moved: NDArray[np.float32]
 
 
+@obeys_rules
 def find_trails(inputs: Inputs, params: TrailParams) -> TileTrails:
     """Find how probable it is that the points of a tile were left by a moving vehicle, by their shape.
 

@@ -1,0 +1,371 @@
+"""Rules of the comparison of objects: occupancy, splitting and merging, buildings, moving objects."""
+
+from __future__ import annotations
+
+from subiaco_change.method_rules.switches import Rule
+
+_HERE = ("comparison",)
+
+OCCUPANCY_RULES: tuple[Rule, ...] = (
+    Rule(
+        "occupied_by_ground",
+        _HERE,
+        "A place beside ground of the other epoch at the same height is occupied: one epoch's low plant is"
+        " the other's bank.",
+        ("measures.foot", "method_numbers.voxel_objects.ground_neighbours"),
+    ),
+    Rule(
+        "trails_do_not_stand",
+        _HERE,
+        "A ghost trail, recognised by beams, does not occupy its place in the other epoch.",
+        ("method_numbers.voxel_objects.passes_per_return",),
+        guards=True,
+    ),
+    Rule(
+        "porous_absence",
+        _HERE,
+        "A beam that crosses the place of a porous object proves less than one that crosses a wall.",
+        ("method_numbers.absence.least_doubt",),
+        guards=True,
+    ),
+    Rule(
+        "view_height",
+        _HERE,
+        "What is higher than the view of the other survey reached is no new or lost surface of a plant.",
+        guards=True,
+    ),
+    Rule(
+        "large_seen_enough",
+        _HERE,
+        "A large object of one epoch is judged from a smaller observed fraction, if most of what was seen is"
+        " free.",
+        ("decisions.large_voxels", "decisions.min_observed_large", "decisions.large_free"),
+    ),
+    Rule(
+        "enclosed_volume",
+        _HERE,
+        "A building of one epoch alone that encloses no volume is a fragment of a wall.",
+        ("decisions.least_volume",),
+        guards=True,
+    ),
+    Rule(
+        "probably_free",
+        _HERE,
+        "An object of one epoch is claimed only where the place was free in the other with a high"
+        " probability.",
+        ("decisions.min_free",),
+        guards=True,
+    ),
+    Rule(
+        "misclassified_ground",
+        _HERE,
+        "A low, level object of one epoch is ground with a wrong class, which is compared separately.",
+        (
+            "method_numbers.object_decision.flat_top",
+            "method_numbers.object_decision.laid_top",
+            "method_numbers.object_decision.level_normal",
+        ),
+        guards=True,
+    ),
+)
+
+MOVING_OBJECT_RULES: tuple[Rule, ...] = (
+    Rule(
+        "trail_of_one_epoch",
+        _HERE,
+        "An object of one epoch that probably moved, or that many beams passed, is a ghost trail.",
+        ("decisions.trail_moved", "decisions.trail_uncertain", "decisions.trail_passes"),
+        guards=True,
+    ),
+    Rule(
+        "trail_in_lane",
+        _HERE,
+        "In a lane with a known ghost trail fewer passing beams make an object a ghost trail.",
+        (
+            "decisions.trail_passes_lane",
+            "method_numbers.dynamic_objects.lane_reach",
+            "method_numbers.dynamic_objects.lane_share",
+        ),
+        guards=True,
+    ),
+    Rule(
+        "trail_seen_through",
+        _HERE,
+        "Of a high object that its own survey saw from both sides fewer passing beams make a ghost trail.",
+        ("decisions.trail_passes_high", "decisions.trail_high", "decisions.trail_through"),
+        guards=True,
+    ),
+    Rule(
+        "wall_at_building",
+        _HERE,
+        "An object that touches a building over the height of a wall is a part of it, and no vehicle.",
+        ("method_numbers.dynamic_objects.wall_contact",),
+        guards=True,
+    ),
+    Rule(
+        "higher_than_vehicles",
+        _HERE,
+        "What is higher than road vehicles did not move while it was mapped.",
+        ("decisions.vehicle_top", "decisions.vehicle_above"),
+        guards=True,
+    ),
+    Rule(
+        "confidence_of_brief_objects",
+        _HERE,
+        "The confidence in an object of one epoch is at most the probability that the object stood still.",
+        guards=True,
+    ),
+    Rule(
+        "parts_of_vehicles",
+        _HERE,
+        "A part of a vehicle that one epoch alone has is claimed only where the other looked through its"
+        " place, and where no standing object of the other lies beside it.",
+        (
+            "method_numbers.vehicle_parts.crossed_share",
+            "method_numbers.vehicle_parts.vehicle_width",
+            "method_numbers.vehicle_parts.adjacent",
+            "method_numbers.vehicle_parts.adjacent_share",
+        ),
+    ),
+)
+
+SPLITTING_RULES: tuple[Rule, ...] = (
+    Rule(
+        "parts_of_one_epoch",
+        _HERE,
+        "A part of an instance that stands on the ground in one epoch alone is an object of its own.",
+        (
+            "association.parts.points",
+            "association.parts.gap",
+            "association.parts.length",
+            "association.parts.foot",
+            "association.parts.top",
+            "association.parts.whole",
+            "association.parts.remainder",
+        ),
+    ),
+    Rule(
+        "unseen_belongs_to_most",
+        _HERE,
+        "Space that the other survey did not see belongs to the part that is gone, where less still stands.",
+        ("method_numbers.one_epoch_parts.observed_voxels",),
+    ),
+    Rule(
+        "one_class_one_place",
+        _HERE,
+        "Objects of two epochs that mostly coincide have one class, that of the better score.",
+        ("association.same_place",),
+    ),
+    Rule(
+        "low_overlap_matches",
+        _HERE,
+        "Two matched objects of which one is slight and hardly overlaps the other are two objects.",
+        ("association.parts.remainder",),
+    ),
+    Rule(
+        "multi_body_matches",
+        _HERE,
+        "Bodies that one epoch holds apart are decided one by one where their labels differ.",
+        ("association.apart", "association.stacked"),
+    ),
+    Rule(
+        "row_houses_at_walls",
+        _HERE,
+        "A row of houses is split at the walls that either epoch shows, where its houses changed"
+        " differently.",
+        (
+            "method_numbers.rows_of_houses.new_storey",
+            "method_numbers.rows_of_houses.shared_columns",
+            "method_numbers.rows_of_houses.columns_across",
+        ),
+    ),
+    Rule(
+        "row_house_of_one_epoch",
+        _HERE,
+        "A stretch of a row as long as a house that one epoch alone shows between two houses is a house.",
+    ),
+    Rule(
+        "storeys_of_row_houses",
+        _HERE,
+        "A storey built on one house of a row ends at its party walls, and splits the row there.",
+        (
+            "method_numbers.storeys.new_storey",
+            "method_numbers.storeys.room_height",
+            "method_numbers.storeys.unseen_gap",
+            "method_numbers.storeys.depth_share",
+            "method_numbers.storeys.same_top",
+            "method_numbers.storeys.neighbour_share",
+            "method_numbers.storeys.wall_slots",
+            "method_numbers.storeys.step_height",
+        ),
+    ),
+    Rule(
+        "hedge_sections",
+        _HERE,
+        "A section of a hedge whose tops moved is a row of its own.",
+        (
+            "method_numbers.hedge_sections.section_columns",
+            "method_numbers.hedge_sections.section_length",
+            "method_numbers.hedge_sections.observed_share",
+        ),
+    ),
+    Rule(
+        "whole_hedges",
+        _HERE,
+        "A hedge of which nearly all columns moved alike is one row.",
+        ("method_numbers.split_merge.whole_share",),
+    ),
+    Rule(
+        "other_class_between_tops",
+        _HERE,
+        "A hedge did not move where points of another class fill the space between its two tops.",
+        ("method_numbers.hedge_sections.occupied_share",),
+    ),
+    Rule(
+        "building_extensions",
+        _HERE,
+        "A part that touches a building and exists in one epoch alone is an extension of the building.",
+        ("association.parts.touch", "association.parts.subordinate"),
+    ),
+    Rule(
+        "smooth_extensions",
+        _HERE,
+        "A smooth part taller than a car may be an extension although it passed for a vehicle or a plant.",
+        (
+            "method_numbers.building_extensions.car_height",
+            "method_numbers.building_extensions.normal_neighbours",
+            "method_numbers.building_extensions.smoothness",
+        ),
+    ),
+    Rule(
+        "hidden_wall_of_extension",
+        _HERE,
+        "A wall within the outline of a house that the other epoch hardly saw is hidden by an extension.",
+        (
+            "method_numbers.building_extensions.wall_seen",
+            "method_numbers.building_extensions.neighbour_inside",
+        ),
+    ),
+    Rule(
+        "part_between_buildings",
+        _HERE,
+        "A part that touches a second building too is no extension of either.",
+        ("method_numbers.building_extensions.second_contact",),
+    ),
+    Rule(
+        "part_as_large_as_building",
+        _HERE,
+        "A part as large as its building is the building itself where the building's walls stand inside it.",
+        ("method_numbers.building_extensions.host_inside", "method_numbers.building_extensions.party_wall"),
+    ),
+    Rule(
+        "crown_beside_building",
+        _HERE,
+        "A part that begins high above the ground beside a building is a crown, not an extension.",
+        ("method_numbers.building_extensions.underside",),
+    ),
+    Rule(
+        "taller_neighbour",
+        _HERE,
+        "A part half a storey taller than a building beside it is another house.",
+        ("method_numbers.building_extensions.half_storey",),
+    ),
+    Rule(
+        "house_out_of_row",
+        _HERE,
+        "A part between parts of a building that would be apart without it was a house of the row.",
+        ("method_numbers.building_extensions.least_house_share",),
+    ),
+    Rule(
+        "hidden_walls",
+        _HERE,
+        "A wall within the outline of a changed building that the other epoch hardly saw joins its row.",
+        (
+            "method_numbers.split_merge.wall_reach",
+            "method_numbers.split_merge.inside_share",
+            "method_numbers.split_merge.least_observed",
+        ),
+    ),
+    Rule(
+        "fragments_of_changed_objects",
+        _HERE,
+        "A fragment of another class that lies in the place of a changed object carries its label.",
+        ("association.contained",),
+    ),
+)
+
+BUILDING_RULES: tuple[Rule, ...] = (
+    Rule(
+        "sign_certain",
+        _HERE,
+        "The change of a building is claimed only where the nearer bound of its interval lies on the same"
+        " side.",
+        ("decisions.building.certain",),
+        guards=True,
+    ),
+    Rule(
+        "volume_supports_height",
+        _HERE,
+        "A change of height of a building needs volume that carries the change.",
+        ("decisions.building.height_volume",),
+    ),
+    Rule(
+        "surface_of_both_epochs",
+        _HERE,
+        "A surface of the other epoch that an epoch has too, sampled elsewhere, counts as its own.",
+        ("method_numbers.space_carving.horizontal_gap", "method_numbers.space_carving.vertical_gap"),
+    ),
+    Rule(
+        "cells_beside_surfaces",
+        _HERE,
+        "A cell beside a surface is not asked whether it is free: beams pass between the voxels of a wall.",
+        ("method_numbers.space_carving.roof_normal",),
+    ),
+    Rule(
+        "between_beams",
+        _HERE,
+        "Free space is closed where no beam happened to pass: among free cells and down to the ground.",
+        ("method_numbers.space_carving.closed_sides",),
+    ),
+    Rule(
+        "behind_new_walls",
+        _HERE,
+        "Space behind two walls of one epoch that the other lacks is solid.",
+        ("measures.carving.room",),
+    ),
+    Rule(
+        "wall_gaps",
+        _HERE,
+        "A gap in a wall seen at a slant is closed along the wall.",
+        ("measures.carving.wall_gap",),
+    ),
+    Rule(
+        "thin_volumes",
+        _HERE,
+        "A change of volume thinner than two cells is noise of surfaces.",
+        ("measures.carving.thickness",),
+    ),
+    Rule(
+        "supported_volumes",
+        _HERE,
+        "A changed volume needs voxels of changed surface.",
+        ("measures.carving.support",),
+    ),
+    Rule(
+        "capped_columns",
+        _HERE,
+        "The height rests on the columns with free space above their top, where these are many.",
+        ("measures.carving.capped", "method_numbers.space_carving.fewest_columns"),
+    ),
+    Rule(
+        "roof_gap",
+        _HERE,
+        "The highest seen surface is the top of a column where free space begins soon above it.",
+        ("measures.carving.roof_gap",),
+    ),
+    Rule(
+        "unseen_tops",
+        _HERE,
+        "Tops of columns that no survey saw are interpolated along the walls before volumes are shared.",
+    ),
+)

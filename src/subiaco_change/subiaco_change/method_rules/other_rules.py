@@ -1,0 +1,147 @@
+"""Rules of plants, of the ground and of single points."""
+
+from __future__ import annotations
+
+from subiaco_change.method_rules.switches import Rule
+
+_PLANTS = ("comparison", "plants")
+_GROUND = ("ground",)
+_POINTS = ("labels",)
+
+PLANT_RULES: tuple[Rule, ...] = (
+    Rule(
+        "equal_density",
+        ("comparison",),
+        "The denser epoch of a plant is thinned to the density of the other before outlines are compared.",
+        ("plants.voxel", "plants.shared"),
+        guards=True,
+    ),
+    Rule(
+        "unchanged_plants_of_the_pair",
+        ("plants",),
+        "A plant is judged against what the unchanged plants of the same pair differ by (Decision 18).",
+        ("plants.null_model.plants", "plants.null_model.certain", "plants.null_model.slope"),
+        guards=True,
+    ),
+    Rule(
+        "own_error_of_plants",
+        _PLANTS,
+        "A plant of few voxels scatters by its own count, however little the plants of the pair scatter.",
+        guards=True,
+    ),
+    Rule(
+        "followed_columns",
+        _PLANTS,
+        "The median of a hedge's columns counts only where the top of all points moved with it.",
+        ("decisions.vegetation.followed",),
+    ),
+    Rule(
+        "columns_of_hedges",
+        ("comparison",),
+        "The tops of its columns tell more of a low plant than its highest voxels.",
+        ("method_numbers.hedge_sections.whole_rise", "method_numbers.hedge_sections.columns_per_patch"),
+    ),
+    Rule(
+        "outline_of_plants",
+        _PLANTS,
+        "The median outline of a crown is compared before its top, volume and surface.",
+        ("decisions.vegetation.outline",),
+    ),
+    Rule(
+        "surface_carries_change",
+        _PLANTS,
+        "A change of the top or volume of a plant needs new or lost surface that carries the change.",
+        ("decisions.vegetation.min_net_change",),
+        guards=True,
+    ),
+    Rule(
+        "top_contradicts",
+        _PLANTS,
+        "A plant whose top of all points moved the other way did not change.",
+    ),
+    Rule(
+        "surface_was_free",
+        _PLANTS,
+        "A plant changed only where the place of its new or lost surface was free in the other survey.",
+        ("decisions.min_free_surface",),
+        guards=True,
+    ),
+    Rule(
+        "thin_plants",
+        ("comparison",),
+        "A tall, narrow object of class vegetation has no crown, and its top alone is compared.",
+        ("plants.thin", "plants.slender"),
+    ),
+)
+
+GROUND_RULES: tuple[Rule, ...] = (
+    Rule(
+        "bridged_cells",
+        _GROUND,
+        "An empty cell takes the height of its neighbours relative to a smooth surface through both epochs.",
+        ("ground.bridge",),
+    ),
+    Rule(
+        "closed_gaps",
+        _GROUND,
+        "Occluded gaps between changed cells are filled and count towards the area.",
+        ("ground.closing",),
+    ),
+    Rule(
+        "half_height_edge",
+        _GROUND,
+        "The edge of a changed patch lies where half of its height is reached.",
+    ),
+    Rule(
+        "hidden_cells",
+        _GROUND,
+        "A cell that one epoch alone saw belongs to the nearest patch: the edge of a pit hides its floor.",
+        ("method_numbers.ground_change.dense_share",),
+    ),
+    Rule(
+        "possible_area",
+        _GROUND,
+        "Occluded cells around a patch count towards its area.",
+    ),
+    Rule(
+        "other_surface",
+        _GROUND,
+        "Ground did not move where the other epoch holds the same surface under another class.",
+        ("ground.same_surface", "ground.same_beside", "ground.same_above", "ground.same_share"),
+        guards=True,
+    ),
+    Rule(
+        "shown_volume",
+        _GROUND,
+        "A changed patch needs an observed volume, so that a few deep cells are no change.",
+        ("ground.shown",),
+        guards=True,
+    ),
+    Rule(
+        "ground_of_moving_objects",
+        _GROUND,
+        "Low parts of a moving object that pass for ground are left out.",
+        guards=True,
+    ),
+    Rule(
+        "noise_around_patches",
+        _GROUND,
+        "The level of detection of a thinly seen patch is at least the scatter of the blocks around it.",
+        ("method_numbers.ground_change.noise_reach", "method_numbers.ground_change.noise_block"),
+        guards=True,
+    ),
+)
+
+POINT_RULES: tuple[Rule, ...] = (
+    Rule(
+        "ground_between_rings",
+        _POINTS,
+        "Ground with points of the other epoch on three of its four sides was seen by that epoch.",
+        ("evidence.ground_between", "method_numbers.point_labels.surrounding_points"),
+    ),
+    Rule(
+        "points_of_no_object",
+        _POINTS,
+        "Points too few for an object are Unchanged only where the other epoch holds points too.",
+    ),
+)
