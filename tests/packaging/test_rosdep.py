@@ -30,7 +30,7 @@ NO_KEY = {
     "small_gicp": "small-gicp", "pydantic": "pydantic",
 }  # fmt: skip
 #: Imported where the user asks for it: a cluster, learned methods, a live viewer.
-OPTIONAL = {"dask", "distributed", "torch", "foxglove"}
+OPTIONAL = {"dask", "distributed", "torch", "foxglove", "fsspec"}
 
 
 def imports(package: Path) -> set[str]:
