@@ -18,7 +18,7 @@ import numpy as np
 from subiaco_evaluation.baselines.cells import Pair
 from subiaco_evaluation.baselines.config import BaselineConfig
 from subiaco_evaluation.baselines.run import compare_pair, prepare_pair
-from subiaco_evaluation.grid import Cells, GridConfig, look_up, rasterise
+from subiaco_evaluation.grid import GridConfig, LabelledCells, look_up, rasterise
 from subiaco_evaluation.layouts import in_after_frame
 from subiaco_evaluation.scores import confusion, scores
 from subiaco_evaluation.truth import read_truth
@@ -49,7 +49,7 @@ class Case:
     """One survey, prepared: both maps in one frame, and the true cells."""
 
     pair: Pair
-    truth: Cells
+    truth: LabelledCells
 
     def score(self, method: str, config: BaselineConfig) -> Ints:
         """Return the 5x6 matrix of a method."""
@@ -59,7 +59,7 @@ class Case:
         return confusion(self.truth.codes[labelled], codes[labelled])
 
 
-def cells_of(before: PointCloud, after: PointCloud) -> Cells:
+def cells_of(before: PointCloud, after: PointCloud) -> LabelledCells:
     """Return the cells of labelled points of both epochs, by the published protocol."""
     clouds = (before, after)
     return rasterise(

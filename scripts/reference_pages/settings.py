@@ -60,7 +60,7 @@ def models() -> dict[str, tuple[str, type[StrictModel], str]]:
     """Return the models of the commands by page name, with a title and where each is used."""
     from subiaco_change.config import ChangeConfig
     from subiaco_evaluation.baselines.config import BaselineConfig
-    from subiaco_evaluation.injection.calibrate import CalibrationConfig
+    from subiaco_evaluation.injection.calibrate import MapCalibrationConfig
     from subiaco_evaluation.learned.config import TrainingConfig
     from subiaco_evaluation.scoring import EvaluationConfig
     from subiaco_mapping.config import MappingConfig
@@ -71,7 +71,7 @@ def models() -> dict[str, tuple[str, type[StrictModel], str]]:
         "settings-mapping": ("mapping", MappingConfig, "`subiaco map`, `import`, `inspect`, `graph`"),
         "settings-change": ("the comparison", ChangeConfig, "`subiaco change`, `graph change`, `ablate`"),
         "settings-recording": ("recording", RecordingConfig, "`subiaco record`, `graph live`"),
-        "settings-calibration": ("injection", CalibrationConfig, "`subiaco calibrate`, `inject`"),
+        "settings-calibration": ("injection", MapCalibrationConfig, "`subiaco calibrate`, `inject`"),
         "settings-evaluation": ("evaluation", EvaluationConfig, "`subiaco evaluate` in Python"),
         "settings-baselines": ("the simple methods", BaselineConfig, "`subiaco baseline`"),
         "settings-training": ("the training of learned methods", TrainingConfig, "`subiaco train`"),

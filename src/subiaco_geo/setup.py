@@ -22,6 +22,6 @@ setup(
         ("share/" + NAME, ["package.xml"]),
     ],
     install_requires=["setuptools"],
-    extras_require={"test": ["pytest"]},
+    extras_require={"test": ["pytest"], "object-storage": ["fsspec"]},
     zip_safe=False,
 )

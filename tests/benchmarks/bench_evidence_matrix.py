@@ -8,12 +8,15 @@ Surveys come from ``subiaco simulate --maps-only``; ``--simulate`` makes those t
 with the same sensor in both epochs, and with 64 beams before and 128 after. Bare clouds are what another
 fusion program would deliver: sampled anew at a leaf of 0.2 m and 0.3 m by one random point a voxel, in random
 order, without normals, counts or spread; *before* as PLY, *after* as LAZ; the trajectory as TUM. All figures
-are simulated. Rows pool the seeds.
+are simulated. Rows pool the seeds. After each row the table is written, and the row kept in WORK/rows.jsonl:
+a run with the same surveys and source code goes on after the last row.
 """
 
 from __future__ import annotations
 
 import argparse
+import hashlib
+import json
 import subprocess
 import sys
 from collections.abc import Sequence
@@ -24,6 +27,9 @@ from typing import Any
 import numpy as np
 import yaml
 
+import subiaco_change
+import subiaco_evaluation
+import subiaco_geo
 from subiaco_change.job import run_change
 from subiaco_change.request import ChangeRequest
 from subiaco_evaluation.scoring import evaluate
@@ -128,24 +134,84 @@ def simulate(folder: Path, seeds: Sequence[int]) -> list[Path]:
     return found
 
 
-def score(cases: Sequence[Case], kinds: Sequence[str], work: Path) -> list[dict[str, Any]]:
-    """Run every case under every kind of evidence; one row a preset, sensors and kind."""
-    rows = []
+def score(
+    cases: Sequence[Case], kinds: Sequence[str], work: Path, output: Path | None = None
+) -> list[dict[str, Any]]:
+    """Run every case under every kind of evidence; one row a preset, sensors and kind, those of WORK kept.
+
+    Parameters
+    ----------
+    cases : sequence of Case
+    kinds : sequence of str
+    work : Path
+        Change directories, foreign clouds and ``rows.jsonl`` lie there.
+    output : Path, optional
+        Page that is written after each row.
+    """
+    rows: list[dict[str, Any]] = []
+    kept = Kept(work / "rows.jsonl", source_hash())
     for name in sorted({case.row for case in cases}):
         group = [case for case in cases if case.row == name]
         for kind in kinds:
-            pairs = []
-            for case in group:
-                job = job_of(case, kind, work)
-                run_change(job)
-                pairs.append((job.output, case.folder))
-            found = evaluate(pairs)
-            for pair in pairs if len(pairs) > 1 else ():
-                one = evaluate([pair])["grid"]
-                print(f"{pair[1].name} {kind}: mIoU {one['miou_percent']:.1f}", flush=True)
-            rows.append(_row(name, kind, len(group), found))
-            print(rows[-1], flush=True)
+            key = [*name, kind, *sorted(case.folder.name for case in group)]
+            row = kept.find(key)
+            if row is None:
+                row = _row(name, kind, len(group), _evaluated(group, kind, work))
+                kept.add(key, row)
+            rows.append(row)
+            print(row, flush=True)
+            if output is not None:
+                with whole_file(output) as temporary:
+                    temporary.write_text(page(rows), encoding="utf-8")
     return rows
+
+
+def _evaluated(group: Sequence[Case], kind: str, work: Path) -> dict[str, Any]:
+    """Compare the surveys of a row under one kind of evidence and score them together."""
+    pairs = []
+    for case in group:
+        job = job_of(case, kind, work)
+        run_change(job)
+        pairs.append((job.output, case.folder))
+    for pair in pairs if len(pairs) > 1 else ():
+        one = evaluate([pair])["grid"]
+        print(f"{pair[1].name} {kind}: mIoU {one['miou_percent']:.1f}", flush=True)
+    return evaluate(pairs)
+
+
+@dataclass(frozen=True)
+class Kept:
+    """Rows of earlier runs in a file of JSON lines, each with its key and the hash of the source code."""
+
+    path: Path
+    source: str
+
+    def find(self, key: Sequence[str]) -> dict[str, Any] | None:
+        """Return the row of a key that this source code gave, or None."""
+        if not self.path.is_file():
+            return None
+        found = None
+        for line in self.path.read_text(encoding="utf-8").splitlines():
+            record = json.loads(line)
+            if record["key"] == list(key) and record["source"] == self.source:
+                found = record["row"]
+        return found
+
+    def add(self, key: Sequence[str], row: dict[str, Any]) -> None:
+        """Append a row."""
+        self.path.parent.mkdir(parents=True, exist_ok=True)
+        with self.path.open("a", encoding="utf-8") as out:
+            out.write(json.dumps({"key": list(key), "source": self.source, "row": row}) + "\n")
+
+
+def source_hash() -> str:
+    """Return a short hash of the source code that compares and scores."""
+    digest = hashlib.sha256()
+    for package in (subiaco_geo, subiaco_change, subiaco_evaluation):
+        root = Path(package.__path__[0])
+        for path in sorted(root.rglob("*.py")):
+            digest.update(str(path.relative_to(root)).encode() + path.read_bytes())
+    return digest.hexdigest()[:16]
 
 
 def _row(name: tuple[str, str], kind: str, surveys: int, found: dict[str, Any]) -> dict[str, Any]:
@@ -195,10 +261,7 @@ def main() -> None:
     parser.add_argument("-o", "--output", type=Path)
     args = parser.parse_args()
     folders = list(args.surveys) + ([] if args.simulate is None else simulate(args.simulate, args.seeds))
-    rows = score([case_of(folder) for folder in folders], args.kinds, args.work)
-    if args.output is not None:
-        with whole_file(args.output) as temporary:
-            temporary.write_text(page(rows), encoding="utf-8")
+    rows = score([case_of(folder) for folder in folders], args.kinds, args.work, args.output)
     print(page(rows))
 
 

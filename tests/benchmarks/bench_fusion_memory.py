@@ -29,7 +29,7 @@ from subiaco_geo.frames import Floats, make_pose
 from subiaco_geo.maps import write_map
 from subiaco_geo.survey_map import SurveyMap
 from subiaco_mapping.checkpoint.scan_spool import SpooledScan
-from subiaco_mapping.config import FusionConfig
+from subiaco_mapping.fusion.config import FusionConfig
 from subiaco_mapping.fusion.finishing import FinishedMap, MapFusion
 from subiaco_mapping.fusion.ground_heights import height_table
 from subiaco_mapping.fusion.projection import Projection

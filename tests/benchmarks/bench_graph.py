@@ -20,7 +20,7 @@ from results import keep, rounded
 from scipy.spatial.transform import Rotation
 
 from subiaco_geo.frames import Floats, exp_se3, invert_pose, make_pose
-from subiaco_mapping.config import GnssConfig, GraphConfig
+from subiaco_mapping.pose_graph.config import GnssConfig, GraphConfig
 from subiaco_mapping.pose_graph.incremental import LiveGraph
 from subiaco_mapping.pose_graph.records import Chain, GnssPriors, GravityPriors, LoopEdge
 from subiaco_mapping.pose_graph.solver import solve

@@ -17,7 +17,7 @@ import datetime as dt
 import json
 import shutil
 import time
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -43,7 +43,7 @@ from subiaco_evaluation.baselines.run import (
     require_method,
 )
 from subiaco_evaluation.layouts import Prediction, in_after_frame, read_prediction
-from subiaco_evaluation.learned.methods import LEARNED_METHODS
+from subiaco_evaluation.learned.methods import LEARNED_METHODS, POINT_METHODS
 from subiaco_evaluation.learned.weights_file import SHIPPED, read_record
 from subiaco_evaluation.paired import paired_difference
 from subiaco_evaluation.scores import describe
@@ -119,21 +119,29 @@ def run_ours(case: Case, work: Path) -> Path:
     return out
 
 
-def matrices(case: Case, methods: Sequence[str], work: Path) -> dict[str, Ints]:
+def resolve(name: str, also: Mapping[str, Path]) -> tuple[str, BaselineConfig]:
+    """Return the method of a row and its settings; a row of ``also`` takes its own file of weights."""
+    if name not in also:
+        return name, BaselineConfig()
+    settings = BaselineConfig.model_validate({"learned": {"weights": str(also[name])}})
+    return str(read_record(also[name])["method"]), settings
+
+
+def matrices(case: Case, methods: Sequence[str], also: Mapping[str, Path], work: Path) -> dict[str, Ints]:
     """Return the 5x6 matrices of the tiles of a case (T, 5, 6) by method; what is there is not run again."""
     folder = work / case.group / case.name
     ours = run_ours(case, work)
     missing = [m for m in (OURS, *methods) if not (folder / f"{m}.npy").is_file()]
     if missing:
         truth = read_truth(case.truth)
-        real, config, pair = in_after_frame(truth), BaselineConfig(), None
+        real, pair = in_after_frame(truth), None
         for method in missing:
             started = time.perf_counter()
             if method == OURS:
                 said = read_prediction(ours, truth)
             else:
-                pair = pair or registered(case, ours, config)
-                found = compare_pair(pair, method, config)
+                pair = pair or registered(case, ours, BaselineConfig())
+                found = compare_pair(pair, *resolve(method, also))
                 said = Prediction(found.before, found.after)
             np.save(folder / f"{method}.npy", score_cells(said, real, EvaluationConfig())[1])
             print(f"{case.group} {case.name} {method}: {time.perf_counter() - started:.0f} s", flush=True)
@@ -146,9 +154,11 @@ def registered(case: Case, ours: Path, config: BaselineConfig) -> Pair:
     return prepare_pair(load_epoch(case.before), load_epoch(case.after), config, transform)[0]
 
 
-def group_rows(cases: Sequence[Case], methods: Sequence[str], work: Path) -> list[dict[str, Any]]:
+def group_rows(
+    cases: Sequence[Case], methods: Sequence[str], also: Mapping[str, Path], work: Path
+) -> list[dict[str, Any]]:
     """Return a row for every method, scored over all cases of a group."""
-    by_case = [matrices(case, methods, work) for case in cases]
+    by_case = [matrices(case, methods, also, work) for case in cases]
     tiles = {m: np.concatenate([found[m] for found in by_case]) for m in (OURS, *methods)}
     rows = []
     for method, found in tiles.items():
@@ -165,7 +175,19 @@ def group_rows(cases: Sequence[Case], methods: Sequence[str], work: Path) -> lis
     return rows
 
 
-def site_row(data: Path, method: str, work: Path) -> dict[str, Any]:
+def case_rows(
+    cases: Sequence[Case], methods: Sequence[str], also: Mapping[str, Path], work: Path
+) -> list[dict[str, Any]]:
+    """Return the mIoU of every method on every case of a group [percent]."""
+    rows: list[dict[str, Any]] = [{"mIoU %": method} for method in (OURS, *methods)]
+    for case in cases:
+        found = matrices(case, methods, also, work)
+        for row in rows:
+            row[case.name] = round(describe(found[row["mIoU %"]].sum(axis=0))["miou_percent"], 1)
+    return rows
+
+
+def site_row(data: Path, method: str, also: Mapping[str, Path], work: Path) -> dict[str, Any]:
     """Return the row of a method on the real building site, as the epochs lie; kept once it was run."""
     kept = work / "site" / f"{method}.json"
     if not kept.is_file():
@@ -173,7 +195,7 @@ def site_row(data: Path, method: str, work: Path) -> dict[str, Any]:
         if method == OURS:
             result = detect_changes(*epochs, ChangeConfig(), transform=np.eye(4))
         else:
-            result = detect_simply(*epochs, method, BaselineConfig(), transform=np.eye(4))
+            result = detect_simply(*epochs, *resolve(method, also), transform=np.eye(4))
         found, wrong = score(result, read_drawn())
         row = {"method": method, "objects right": f"{sum(s >= 0.5 for *_, s in found)} of {len(found)}"}
         row["claims"] = sum(r.change < Change.UNCHANGED for r in result.records)
@@ -191,18 +213,21 @@ def finished(cases: Sequence[Case], methods: Sequence[str], work: Path) -> tuple
     return good, [m for m in methods if all((work / c.group / c.name / f"{m}.npy").is_file() for c in good)]
 
 
-def training_rows(methods: Sequence[str]) -> list[dict[str, Any]]:
-    """Return what the records of the shipped weights say."""
+def training_rows(methods: Sequence[str], also: Mapping[str, Path]) -> list[dict[str, Any]]:
+    """Return what the records of the shipped weights and of those in ``also`` say."""
     rows = []
     for method in methods:
-        record = read_record(SHIPPED / f"{method}.npz")
-        points = method.endswith("kpconv")
+        record = read_record(also.get(method, SHIPPED / f"{method}.npz"))
+        points = record["method"] in POINT_METHODS
         settings = record["config"]["point_training" if points else "raster_training"]
+        inputs = ["1", *record["config"]["point_network"]["features"]] if points else ["heights"]
         rows.append({
-            "method": method, "parameters": record["parameters"], "learned on": ", ".join(record["surveys"]),
+            "method": method, "parameters": record["parameters"], "input": ", ".join(inputs),
+            "learned on": ", ".join(record["surveys"]),
             "validated on": ", ".join(record["validation_surveys"]), "epochs": record["epochs"],
             "cylinders or patches": record["epochs"] * settings["samples"], "hours": record["hours"],
             "best epoch": record["best_epoch"] + 1, "validation mIoU %": record["validation_miou_percent"],
+            "power of the shares": record["prior_power"],
             "seed": record["config"]["seed"], "revision": record["revision"],
         })  # fmt: skip
     return rows
@@ -219,6 +244,8 @@ def page(found: dict[str, Any]) -> str:
     for group, text in _GROUPS.items():
         if group in found:
             parts += [text.format(names=", ".join(found[f"{group}_names"])), table(found[group])]
+            if len(found[f"{group}_names"]) > 1:
+                parts += ["One by one:", table(found[f"{group}_each"])]
     if "site" in found:
         parts += [_SITE, table(found["site"])]
     if found["absent"]:
@@ -249,15 +276,18 @@ def main() -> None:
     parser.add_argument("--surveys", type=Path, nargs="*", default=[])
     parser.add_argument("--bare", nargs="*", default=[], metavar="FOLDER=SURVEY")
     parser.add_argument("--site", type=Path, metavar="DATA", help="folder that holds real_pair_site")
+    parser.add_argument("--also", nargs="*", default=[], metavar="ROW=WEIGHTS", help="rows of other weights")
     parser.add_argument("--remarks", type=Path, help="text file; a line is a remark below the tables")
     parser.add_argument("--page", type=Path, default=PAGE)
     parser.add_argument("--finished", action="store_true", help="run nothing; write what was run before")
     given = parser.parse_args()
     methods, absent = available([*METHODS, PDAL_METHOD, *LEARNED_METHODS])
-    learned = [m for m in methods if m in LEARNED_METHODS]
+    also = {name: Path(path) for name, _, path in (words.partition("=") for words in given.also)}
+    learned = [*(m for m in methods if m in LEARNED_METHODS), *also]
+    methods = [*methods, *also]
     day = dt.datetime.now(dt.UTC).date().isoformat()
     found: dict[str, Any] = {"day": day, "revision": revision(), "absent": absent}
-    found["training"] = training_rows(learned)
+    found["training"] = training_rows(learned, also)
     cases = [*map(survey_case, given.surveys), *map(bare_case, given.bare)]
     for group in _GROUPS:
         chosen, able = [case for case in cases if case.group == group], methods
@@ -265,18 +295,18 @@ def main() -> None:
             chosen, able = finished(chosen, methods, given.work)
         if chosen and "dsm" in able:
             names = [c.name for c in chosen]
-            found |= {group: group_rows(chosen, able, given.work), f"{group}_names": names}
+            found |= {group: group_rows(chosen, able, also, given.work), f"{group}_names": names}
+            found[f"{group}_each"] = case_rows(chosen, able, also, given.work)
     if given.site is not None:
         kept = [m for m in (OURS, *methods) if (given.work / "site" / f"{m}.json").is_file()]
         able = kept if given.finished else [OURS, *methods]
-        found["site"] = [site_row(given.site, method, given.work) for method in able]
+        found["site"] = [site_row(given.site, method, also, given.work) for method in able]
     if given.remarks is not None:
         found["remarks"] = given.remarks.read_text(encoding="utf-8").splitlines()
-    given.work.mkdir(parents=True, exist_ok=True)
-    (given.work / "learned.json").write_text(json.dumps(found, indent=1), encoding="utf-8")
     data = given.page.parent / "data" / f"{given.page.stem}.json"
     data.parent.mkdir(parents=True, exist_ok=True)
     data.write_text(json.dumps(found, indent=1), encoding="utf-8")
+    given.page.parent.mkdir(parents=True, exist_ok=True)
     given.page.write_text(page(found), encoding="utf-8")
     print(f"{given.page}: written")
 

@@ -34,7 +34,7 @@ from scipy.spatial.transform import Rotation
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "change"))
 
-from whole import place
+from assembled_run import place
 
 from subiaco_change.config import ChangeConfig
 from subiaco_change.geometry import estimate_normals

@@ -24,7 +24,7 @@ from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.trajectories import read_tum
 from subiaco_mapping.checkpoint.checkpoint import checkpoint_folder
 from subiaco_mapping.checkpoint.scan_spool import Spool, SpooledScan
-from subiaco_mapping.config import FusionConfig, MovingConfig
+from subiaco_mapping.fusion.config import FusionConfig, MovingConfig
 from subiaco_mapping.fusion.finishing import MapFusion
 from subiaco_mapping.fusion.projection import Projection
 

@@ -29,8 +29,8 @@ from real_street import KINDS, common_area, fuse
 
 from subiaco_change.config import ChangeConfig
 from subiaco_evaluation.injection.calibrate import (
-    Calibration,
-    CalibrationConfig,
+    MapCalibration,
+    MapCalibrationConfig,
     calibrate,
     write_calibration,
 )
@@ -57,7 +57,7 @@ def objects_folder(archive: Path, folder: Path) -> None:
                 write_cloud(folder / f"{KINDS[int(name) // 100]}_{name}.ply", PointCloud(xyz, np.zeros(3)))
 
 
-def tell(result: Calibration, area: float) -> None:
+def tell(result: MapCalibration, area: float) -> None:
     """Print recall by class and by size, and false alarms by class."""
     changes = pd.concat([result.changes, result.fresh_changes])
     changes["size"] = pd.cut(changes["magnitude_m"], SIZES)
@@ -89,7 +89,7 @@ def main() -> None:
     even, odd = (fuse(scans, poses, range(first, len(poses), 2)) for first in (0, 1))
     times = np.arange(0, len(poses), 2, dtype=np.int64) * 10**8
     survey = SurveyMap(even, Trajectory(times, poses[0::2]))
-    config = CalibrationConfig(copies=words.copies - 1, fresh=1, injection=InjectionConfig(**EDITS))
+    config = MapCalibrationConfig(copies=words.copies - 1, fresh=1, injection=InjectionConfig(**EDITS))
     with tempfile.TemporaryDirectory() as folder:
         objects_folder(words.data / "dales_objects" / "dales_objects_even.tar.gz", Path(folder))
         read = read_donors(Path(folder), config.injection.leaf)

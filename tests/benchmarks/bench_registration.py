@@ -35,7 +35,7 @@ from scipy.spatial.transform import Rotation
 from subiaco_change.geometry import Level
 from subiaco_change.records import Registration
 from subiaco_change.registration import register as chain
-from subiaco_change.registration.coarse import Candidate
+from subiaco_change.registration.coarse import StartPose
 from subiaco_change.registration.config import RegistrationConfig
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Change
@@ -94,14 +94,14 @@ def error(found: Registration, truth: Floats) -> tuple[Floats, float]:
     return shift, float(np.degrees(Rotation.from_matrix(delta[:3, :3]).magnitude()))
 
 
-def propose_by_kiss(before: Level, after: Level, *_: object) -> list[Candidate]:
+def propose_by_kiss(before: Level, after: Level, *_: object) -> list[StartPose]:
     """KISS-Matcher with its own defaults at 1 m, as the coarse stage."""
     import kiss_matcher
 
     matcher = kiss_matcher.KISSMatcher(kiss_matcher.KISSMatcherConfig(1.0))
     found = matcher.estimate(before.xyz.astype(np.float32), after.xyz.astype(np.float32))
     pose = make_pose(np.asarray(found.rotation, dtype=np.float64), np.asarray(found.translation).ravel())
-    return [Candidate(pose, float(matcher.get_num_final_inliers()))] if found.valid else []
+    return [StartPose(pose, float(matcher.get_num_final_inliers()))] if found.valid else []
 
 
 CHAINS = {"ours": "pictures", "paper": "features", "kiss": "features"}

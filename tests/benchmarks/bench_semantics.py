@@ -34,7 +34,7 @@ from results import keep, rounded
 
 from subiaco_change.segmentation import classes
 from subiaco_change.segmentation.classes import SemanticResult, SemanticsConfig, label_points
-from subiaco_change.segmentation.features import FeatureConfig, compute_features
+from subiaco_change.segmentation.features import EigenFeatureConfig, compute_features
 from subiaco_change.segmentation.ground_model import fit_ground
 from subiaco_change.segmentation.instances import InstanceConfig, segment
 from subiaco_change.segmentation.superpoints import partition
@@ -161,7 +161,7 @@ def threshold_rules(cloud: PointCloud) -> NDArray[np.uint8]:
     """Plain thresholds of the paper's public code: 5 m cells, normals, their variance."""
     order = sort_spatially(cloud.xyz)
     xyz = cloud.xyz[order]
-    features = compute_features(xyz, FeatureConfig())
+    features = compute_features(xyz, EigenFeatureConfig())
     cell = np.unique(voxel_keys(voxel_indices(xyz * [1, 1, 0], 5.0)), return_inverse=True)[1]
     by_cell = np.lexsort((xyz[:, 2], cell))
     starts = np.searchsorted(cell[by_cell], np.arange(cell.max() + 1))
@@ -329,7 +329,7 @@ def draw_steps(sample: Sample, path: Path, half: float = 30.0) -> None:
     block = np.flatnonzero((np.abs(sample.cloud.xyz[:, :2] - middle) < half).all(axis=1))
     block = block[np.argsort(sample.cloud.xyz[block, 2])]
     x, y = sample.cloud.xyz[block, :2].T
-    shape = compute_features(sample.cloud.xyz[block], FeatureConfig())
+    shape = compute_features(sample.cloud.xyz[block], EigenFeatureConfig())
     mixed = np.random.default_rng(0).permutation(int(max(result.superpoint.max(), instance.max())) + 1)
     shown = {
         "1 height above ground": np.clip(result.height_above_ground[block], 0, 8),

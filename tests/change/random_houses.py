@@ -15,7 +15,7 @@ from subiaco_change.config import ChangeConfig
 from subiaco_change.decisions.column_volumes import NO_COLUMNS, OpenGround
 from subiaco_change.decisions.object_comparison import compare_objects
 from subiaco_change.decisions.voxel_objects import OTHERS, EpochView
-from subiaco_change.tiling.tile_comparison import object_rules
+from subiaco_change.tiling.decision_stages import object_rules
 from subiaco_change.visibility_evidence import EvidenceConfig, make_observer
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Change, Semantic

@@ -1,19 +1,21 @@
 """Parts of the method left out: each switch changes what it should, and nothing else."""
 
-from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from subiaco_change.association.costs import AssociationConfig
 from subiaco_change.config import ChangeConfig, with_parts_disabled
-from subiaco_change.decisions.ablation import Part, pointwise, view_without
 from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.measures import MeasureConfig
 from subiaco_change.decisions.object_comparison import compare_objects
 from subiaco_change.decisions.object_decision import ObjectRules
 from subiaco_change.decisions.voxel_objects import EpochView, Reach
 from subiaco_change.instance_splitting.one_epoch_parts import PartConfig
+from subiaco_change.segmentation.instances import InstanceConfig
+from subiaco_change.strategies import Classified, Part, PointComparison, choose_strategies
+from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.errors import InputError
 
@@ -56,29 +58,45 @@ def test_without_classes_in_the_association_a_hedge_and_a_wall_in_one_place_are_
     assert [c.match_kind for c in changes(before, after, by_class=False)] == ["one_to_one"]
 
 
-def test_without_semantics_what_touches_is_one_thing_with_the_rules_of_buildings():
+def test_without_semantics_all_that_touches_is_one_object_with_the_rules_of_buildings():
     whole = view((5.0, Semantic.BUILDING), (8.0, Semantic.VEGETATION), (20.0, Semantic.MOBILE))
-    bare = view_without(whole, [Part.SEMANTICS], 0.5)
+    cloud = PointCloud(whole.xyz, np.zeros(3))
+    strategy = choose_strategies([Part.SEMANTICS])
+    classes = SimpleNamespace(semantic=whole.semantic)
+    semantic, instance = strategy.instances(Classified(cloud, cloud, classes, InstanceConfig(), 0.5))
     off = whole.semantic != Semantic.GROUND
-    assert set(bare.semantic[off]) == {int(Semantic.BUILDING)}
-    assert len(np.unique(bare.instance[off])) == 2
-    assert (bare.instance[~off] == -1).all()
+    assert set(semantic[off]) == {int(Semantic.BUILDING)}
+    assert len(np.unique(instance[off])) == 2
+    assert (instance[~off] == -1).all()
+    assert np.array_equal(strategy.kept(instance), instance)
 
 
 def test_without_the_level_of_detection_it_is_zero_and_nothing_else_changes():
-    whole = view((5.0, Semantic.BUILDING))
-    bare = view_without(whole, [Part.LOD], 0.5)
-    assert (bare.lod == 0).all()
-    assert np.array_equal(replace(bare, lod=whole.lod).instance, whole.instance)
+    variance, sigma = np.array([1e-4, np.inf]), np.full(2, 0.01)
+    bare, whole = choose_strategies([Part.LOD]), choose_strategies([])
+    assert (bare.lods(variance, sigma, "linear") == 0).all()
+    assert bare.decisions(DecisionConfig()) == DecisionConfig(lod_floor=0.0)
+    known, unknown = whole.lods(variance, sigma, "linear")
+    assert 0 < known < 0.1
+    assert np.isposinf(unknown)
+    assert whole.decisions(DecisionConfig()) == DecisionConfig()
+    for name in ("by_class", "instances", "kept", "labels"):
+        assert getattr(bare, name) == getattr(whole, name)
 
 
-def test_without_objects_every_point_answers_for_itself():
+def test_without_objects_every_point_is_labelled_by_itself():
     before, after = view((5.0, Semantic.BUILDING), (12.0, Semantic.BUILDING)), view((5.0, Semantic.BUILDING))
-    labels = pointwise(before, after, lambda xyz: xyz[:, 0] < 13.0, "before", REACH)
-    second = before.instance == 1
-    assert (labels[~second] == Change.UNCHANGED).all()
+    strategy = choose_strategies([Part.OBJECTS])
+    compared = PointComparison(before, after, lambda xyz: xyz[:, 0] < 13.0, "before", REACH)
+    given = np.full(len(before.xyz), Change.INCREASED, dtype=np.uint8)
+    labels = strategy.labels(compared, given)
+    ground, second = before.semantic == Semantic.GROUND, before.instance == 1
+    assert (labels[ground] == Change.INCREASED).all()
+    assert (labels[~second & ~ground] == Change.UNCHANGED).all()
     assert set(labels[second & (before.xyz[:, 0] < 13.0)]) == {int(Change.REMOVED)}
     assert set(labels[second & (before.xyz[:, 0] >= 13.0)]) == {int(Change.UNOBSERVED)}
+    assert (strategy.kept(before.instance) == -1).all()
+    assert np.array_equal(choose_strategies([]).labels(compared, given), given)
 
 
 def test_parts_are_named_once_in_order_and_unknown_ones_refused():

@@ -83,7 +83,7 @@ def test_what_all_places_of_an_object_share_bounds_what_they_prove_together(coun
     voxels = Voxels(np.zeros(count, int), xyz, xyz * 0, np.ones(count), yes, ~yes, yes)
     part = ObjectInstance(0, Semantic.VEGETATION, 0.9, np.arange(count), voxels, 0.03, xyz, np.zeros(0))
     free = (None, lambda places: np.full(len(places), chance))
-    bounded = absence([part], [], free, (1.0, certain))
+    bounded = absence([part], [], free, (None, lambda xyz: np.full(len(xyz), certain)))
     assert bounded <= certain
     assert bounded == pytest.approx(certain * absence([part], [], free))
 

@@ -13,8 +13,14 @@ import pandas as pd
 import pytest
 from jsonschema import Draft202012Validator
 
-from subiaco_change.outputs.table import ALL_COLUMNS, TEXT_COLUMNS, build_table, read_csv, write_csv
-from subiaco_change.outputs.table_schema import schema_faults
+from subiaco_change.outputs.table import (
+    ALL_COLUMNS,
+    TEXT_COLUMNS,
+    build_table,
+    read_csv,
+    schema_faults,
+    write_csv,
+)
 from subiaco_change.records import ChangeResult
 from subiaco_geo.codes import Change, Semantic
 

@@ -151,20 +151,6 @@ def test_one_sided_objects_need_a_place_that_was_seen_empty():
     assert label(before=False, new_share=1.0, observed_voxels=2) is Change.UNOBSERVED
 
 
-@pytest.mark.parametrize(
-    ("voxels", "observed", "free", "expected"),
-    [
-        (400, 0.28, 0.95, Change.REMOVED),
-        (60, 0.28, 0.95, Change.UNOBSERVED),
-        (400, 0.10, 0.95, Change.UNOBSERVED),
-        (400, 0.28, 0.80, Change.UNOBSERVED),
-    ],
-)
-def test_a_large_part_that_was_seen_free_is_enough_of_a_large_object(voxels, observed, free, expected):
-    seen = {"observed_voxels": voxels, "observed_fraction": observed, "gone_share": free}
-    assert label(after=False, **seen) is expected
-
-
 def test_moved_vehicles_are_left_out_of_the_report():
     assert label(Semantic.MOBILE) is Change.UNCHANGED
     assert label(Semantic.MOBILE, delta_c=2.1) is Change.NOT_REPORTED

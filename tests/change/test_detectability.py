@@ -11,7 +11,7 @@ from scipy.special import expit
 from subiaco_change.decisions.confidence import FEATURES, ConfidenceConfig
 from subiaco_change.outputs.rasters import LodRaster
 from subiaco_evaluation.confidence_fit import LEAST, fit_confidence, held_out_errors
-from subiaco_evaluation.injection.calibrate import Calibration, CalibrationConfig, write_calibration
+from subiaco_evaluation.injection.calibrate import MapCalibration, MapCalibrationConfig, write_calibration
 from subiaco_evaluation.injection.detectability import COLUMNS, Curve, fit_curve, fit_curves, statement
 
 TRUE = Curve(a=3.0, b=5.0, c=-2.0, tested=(0.05, 1.0), count=0, found=0)
@@ -106,8 +106,8 @@ def test_only_kinds_of_evidence_whose_confidences_held_on_other_surveys_are_call
 def test_a_calibration_is_written_with_table_curves_and_map(tmp_path):
     lod = LodRaster(np.array([[0.06, np.nan]], np.float32), np.ones((1, 2), np.float32), 1000.0, 2005.0, 5.0)
     every = pd.concat([changes(300, seed=6), changes(5, seed=7, class_name="building")])
-    result = Calibration(judged(), every, changes(200, seed=8), lod, "EPSG:7850", {"inserted": 1})
-    config = CalibrationConfig(copies=2)
+    result = MapCalibration(judged(), every, changes(200, seed=8), lod, "EPSG:7850", {"inserted": 1})
+    config = MapCalibrationConfig(copies=2)
     document = write_calibration(tmp_path / "out", result, config, tmp_path / "map")
     assert document["fresh_changes"]["above"] > 50
     assert document["second_pass"]["measured"] is False

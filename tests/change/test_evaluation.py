@@ -421,3 +421,56 @@ def test_a_published_pair_of_ascii_clouds_is_read(tmp_path):
     (tmp_path / "2025.ply").unlink()
     with pytest.raises(InputError, match=r"2025\.ply is missing"):
         read_published_pair(tmp_path)
+
+
+def marked(truth, folder, near, **scene):
+    """Copy a truth whose named objects are near a gate, with more entries of its scene."""
+    shutil.copytree(truth, folder)
+    path = folder / "truth" / "objects.csv"
+    table = pd.DataFrame({"object_id": near, "near_gate": 1})
+    table.to_csv(path, index=False)
+    said = folder / "truth" / "scene.yaml"
+    said.write_text(yaml.safe_dump({**yaml.safe_load(said.read_text()), **scene}))
+    return folder
+
+
+def test_changes_near_a_gate_are_scored_apart(tmp_path, perfect):
+    """What is said of an object near a gate is neither right nor wrong without these objects."""
+    change, truth = perfect
+    for epoch in ("before", "after"):
+        with np.load(truth / epoch / "truth" / "points.npz") as data:
+            np.save(tmp_path / f"{epoch}.npy", np.where(data["change"] == 0, 4, data["change"]))
+            if epoch == "after":
+                added = np.unique(data["object"][data["change"] == 0])
+    with_near = marked(truth, tmp_path / "marked", added.tolist())
+    result = evaluate([(tmp_path, with_near)])
+    assert result["grid"]["iou_percent"]["Added"] == 0.0
+    clear = result["without_near_gate"]
+    assert clear["objects_near_gate"] == len(added)
+    assert clear["grid"]["iou_percent"]["Added"] is None
+    assert clear["grid"]["accuracy_percent"] == 100.0
+    perfect_said = evaluate([(change, with_near)])["without_near_gate"]["objects"]
+    assert perfect_said["true"] == 6 - len(added)
+    assert perfect_said["precision_percent"] == perfect_said["recall_percent"] == 100.0
+    assert evaluate([perfect])["without_near_gate"] is None
+
+
+def test_families_are_scored_apart_and_the_gap_between_them_is_stated(tmp_path, perfect):
+    change, truth = perfect
+    for epoch in ("before", "after"):
+        with np.load(truth / epoch / "truth" / "points.npz") as data:
+            np.save(tmp_path / f"{epoch}.npy", np.where(data["change"] == 0, 4, data["change"]))
+    suburb = marked(truth, tmp_path / "suburb", [], family="suburb")
+    dense = marked(truth, tmp_path / "dense", [], family="dense")
+    result = evaluate([(change, suburb), (tmp_path, dense)])
+    families = result["families"]
+    assert families["never_tuned"] == "dense"
+    assert families["scores"]["suburb"]["miou_percent"] == 100.0
+    lost = evaluate([(tmp_path, truth)])["grid"]["miou_percent"]
+    assert families["scores"]["dense"]["miou_percent"] == lost < 100.0
+    assert families["generalisation_gap_miou_percent"] == pytest.approx(100.0 - lost)
+    write_evaluation(result, tmp_path / "out")
+    page = (tmp_path / "out" / "evaluation.md").read_text()
+    assert "| dense (never tuned on) | 1 |" in page
+    assert f"Generalisation gap, mIoU of the tuned family less that of the other: {100.0 - lost:.1f}" in page
+    assert evaluate([perfect])["families"] is None

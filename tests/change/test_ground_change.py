@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from whole import compare_ground
+from assembled_run import compare_ground
 
 from subiaco_change.decisions.ground_cells import GroundCells, GroundChangeConfig
 from subiaco_change.decisions.ground_change import beyond_gate, find_patches, ground_raster

@@ -8,7 +8,7 @@ import geopandas as gpd
 import pytest
 from shapely.geometry import box
 
-from subiaco_change.history import Step, build_history, run_epochs
+from subiaco_change.history import HistoryStep, build_history, run_epochs
 from subiaco_change.request import ChangeRequest
 from subiaco_geo.errors import InputError
 
@@ -32,7 +32,7 @@ def table(*rows: Row) -> gpd.GeoDataFrame:
 
 
 def follow(first: gpd.GeoDataFrame, second: gpd.GeoDataFrame) -> gpd.GeoDataFrame:
-    steps = [Step("2019", "2022", first), Step("2022", "2025", second)]
+    steps = [HistoryStep("2019", "2022", first), HistoryStep("2022", "2025", second)]
     return build_history(steps).set_index("history_id")
 
 

@@ -8,7 +8,7 @@ import pytest
 from subiaco_evaluation.injection.config import InjectionConfig, RepeatConfig
 from subiaco_evaluation.injection.repeat import measured_repeat
 from subiaco_evaluation.injection.second_pass import resampled
-from subiaco_evaluation.injection.source_objects import Scene, by_turns
+from subiaco_evaluation.injection.source_objects import SourceScene, by_turns
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Semantic
 from subiaco_geo.errors import InputError
@@ -16,7 +16,7 @@ from subiaco_geo.errors import InputError
 ORIGIN = np.array([391_000.0, 6_464_000.0, 20.0])
 
 
-def scene(seed: int = 1) -> Scene:
+def scene(seed: int = 1) -> SourceScene:
     """A floor of 40 m by 25 m that one to eight beams a voxel hit, and a block of leaves."""
     rng = np.random.default_rng(seed)
     floor = np.stack(np.meshgrid(np.arange(0, 40, 0.25), np.arange(0, 25, 0.25), [0.0]), -1).reshape(-1, 3)
@@ -24,7 +24,9 @@ def scene(seed: int = 1) -> Scene:
     xyz = np.concatenate([floor, leaves + np.array([10.0, 10.0, 2.0])])
     fields = {"n": rng.integers(1, 9, len(xyz)).astype(np.uint32)}
     semantic = np.repeat([Semantic.GROUND, Semantic.VEGETATION], [len(floor), len(leaves)]).astype(np.uint8)
-    return Scene(PointCloud(xyz, ORIGIN, "EPSG:7850", fields), semantic, np.zeros(len(xyz), dtype=np.int32))
+    return SourceScene(
+        PointCloud(xyz, ORIGIN, "EPSG:7850", fields), semantic, np.zeros(len(xyz), dtype=np.int32)
+    )
 
 
 @pytest.mark.parametrize(("sigma", "again", "foliage"), [(0.02, 0.3, 0.5), (0.006, 0.7, 0.2)])

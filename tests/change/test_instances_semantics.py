@@ -9,7 +9,7 @@ from scipy.spatial import cKDTree
 
 from subiaco_change.segmentation.classes import SemanticsConfig, label_points
 from subiaco_change.segmentation.clustering import voxel_clusters
-from subiaco_change.segmentation.features import FeatureConfig, compute_features, neighbour_eigen
+from subiaco_change.segmentation.features import EigenFeatureConfig, compute_features, neighbour_eigen
 from subiaco_change.segmentation.instances import InstanceConfig, segment
 from subiaco_change.segmentation.superpoints import (
     SuperpointConfig,
@@ -110,7 +110,7 @@ def test_the_energy_is_never_above_the_trivial_partitions(seed, count, strength)
     rng = np.random.default_rng(seed)
     xyz = rng.random((count, 3))
     features = rng.random((count, 4)) + (xyz[:, :1] > 0.5)
-    neighbours = compute_features(xyz, FeatureConfig(neighbours=8)).neighbours
+    neighbours = compute_features(xyz, EigenFeatureConfig(neighbours=8)).neighbours
     config = SuperpointConfig(strength=strength)
     found = partition(features, neighbours, config)
     edges = graph_edges(neighbours)
@@ -126,7 +126,7 @@ def test_the_energy_is_never_above_the_trivial_partitions(seed, count, strength)
 def test_two_flat_features_give_two_superpoints():
     xyz = np.stack(np.meshgrid(np.arange(20.0), np.arange(10.0), [0.0]), axis=-1).reshape(-1, 3)
     features = np.repeat((xyz[:, :1] > 9.5).astype(float), 2, axis=1) * 5
-    found = partition(features, compute_features(xyz, FeatureConfig()).neighbours, SuperpointConfig())
+    found = partition(features, compute_features(xyz, EigenFeatureConfig()).neighbours, SuperpointConfig())
     assert len(np.unique(found.labels)) == 2
 
 

@@ -1,5 +1,7 @@
 """What learned methods learn from: pyramids, cylinders, patches, labels; all of it without PyTorch."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -8,6 +10,7 @@ from scipy.spatial import cKDTree
 
 from subiaco_evaluation.learned.config import PointNetworkConfig
 from subiaco_evaluation.learned.curve import COLUMNS, write_curve
+from subiaco_evaluation.learned.features import FEATURES, chosen_features, point_features
 from subiaco_evaluation.learned.kernel_points import kernel_points
 from subiaco_evaluation.learned.labels import IGNORED, class_shares, to_classes, to_codes
 from subiaco_evaluation.learned.pyramids import (
@@ -36,7 +39,7 @@ from subiaco_evaluation.learned.weights_file import find_weights, read_record, r
 from subiaco_geo.codes import Change
 from subiaco_geo.errors import InputError
 
-SMALL = PointNetworkConfig(width=4, levels=3, neighbours=8, radius=6.0)
+SMALL = PointNetworkConfig(width=4, levels=3, neighbours=8, radius=6.0, features=())
 
 
 def plane(seed, size=30.0, count=6000, height=0.0):
@@ -181,6 +184,48 @@ def test_the_labelled_cloud_of_a_cylinder_is_that_of_the_epoch_that_was_drawn():
     assert cut_pair(*pair.pyramids, np.array([99.0, 0.0, 0.0]), 6.0) is None
 
 
+def test_validation_places_lie_evenly_over_both_epochs_of_every_survey():
+    sampler = CylinderSampler([labelled_pair(4), labelled_pair(6)], 6.0)
+    places = sampler.spread(np.random.default_rng(0), 1000)
+    assert {(p.survey, p.epoch) for p in places} == {(0, 0), (0, 1), (1, 0), (1, 1)}
+    one = np.array([p.centre[:2] for p in places if (p.survey, p.epoch) == (1, 0)])
+    assert cKDTree(one).query(one, k=2)[0][:, 1].min() >= 12.0
+    few = sampler.spread(np.random.default_rng(0), 5)
+    assert [p.centre.tolist() for p in few] == [p.centre.tolist() for p in places[:5]]
+
+
+def test_features_describe_height_stability_and_shape_of_a_point():
+    rng = np.random.default_rng(7)
+    ground = np.column_stack([rng.uniform(0, 12, (8000, 2)), np.zeros(8000)])
+    wall = np.column_stack([rng.uniform(0, 12, 4000), np.full(4000, 6.1), rng.uniform(0, 5, 4000)])
+    clouds = ground, np.concatenate([ground, wall])
+    before, after = (build_pyramid(cloud, SMALL) for cloud in clouds)
+    found = dict(zip(FEATURES, point_features(after, before, clouds[1][:, 2]).T, strict=True))
+    xyz = after.levels[0].xyz
+    high = (xyz[:, 2] > 1.5) & (np.abs(xyz[:, 0] - 6.0) < 4.0)
+    flat = (xyz[:, 2] < 0.01) & (np.abs(xyz[:, 1] - 6.0) > 2.5) & (np.abs(xyz[:, 0] - 6.0) < 4.0)
+    flat &= np.abs(xyz[:, 1] - 6.0) < 4.5
+    assert np.allclose(found["height"], xyz[:, 2], atol=1e-5)
+    assert (found["stability"][flat] == 1.0).all()
+    assert (found["stability"][high] == 0.0).all()
+    assert found["verticality"][flat].min() > 0.99
+    assert found["verticality"][high].max() < 0.05
+    assert found["height_range"][flat].max() < 0.05
+    assert found["height_range"][high].min() > 0.3
+    assert np.median(found["planarity"][high]) > 0.3
+    assert all(np.isfinite(column).all() for column in found.values())
+
+
+def test_a_network_gets_the_features_that_its_settings_name():
+    pyramid = build_pyramid(plane(1), SMALL)
+    whole = replace(pyramid, features=point_features(pyramid, pyramid, plane(1)[:, 2]))
+    some = chosen_features(whole, ("linearity", "height"))
+    assert np.array_equal(some.features[:, 1], whole.features[:, 0])
+    assert some.features.shape == (len(pyramid.levels[0].xyz), 2)
+    cut = cut_cylinder(some, np.array([15.0, 15.0, 0.0]), 6.0)
+    assert np.array_equal(cut.features, some.features[cut.picked])
+
+
 def test_the_grid_of_cylinders_holds_every_point():
     xyz = plane(10, size=83.0)
     centres = grid_centres(xyz, 10.0, 0.3)
@@ -224,10 +269,12 @@ def test_patches_carry_the_change_with_its_label_however_they_are_turned():
 def test_a_raster_smaller_than_a_patch_is_extended_without_labels():
     small = RasterPair(np.zeros((2, 20, 70)), np.full((20, 70), int(Change.UNCHANGED)))
     sampler = PatchSampler([small], 32, 5.0, exchange=False)
-    heights, codes = sampler.draw(np.random.default_rng(1), varied=False)
-    assert heights.shape == (2, 32, 32)
-    assert (codes == 4).sum() == 20 * 32
-    assert (codes == IGNORED).sum() == 12 * 32
+    patches = sampler.spread(np.random.default_rng(1), 9)
+    assert len(patches) == 3  # 70 columns
+    for heights, codes in patches:
+        assert heights.shape == (2, 32, 32)
+        assert (codes == 4).sum() == 20 * 32
+        assert (codes == IGNORED).sum() == 12 * 32
 
 
 def test_exchanged_epochs_reverse_every_label_and_twice_none():

@@ -1,9 +1,12 @@
 """The networks of the learned methods; skipped where PyTorch is not installed."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
 from subiaco_evaluation.learned.config import PointNetworkConfig, RasterNetworkConfig, TrainingConfig
+from subiaco_evaluation.learned.features import chosen_features, point_features
 from subiaco_evaluation.learned.jobs import TrainingJob
 from subiaco_evaluation.learned.kernel_points import kernel_points
 from subiaco_evaluation.learned.labels import to_classes
@@ -16,10 +19,18 @@ from subiaco_geo.errors import InputError
 torch = pytest.importorskip("torch", reason="PyTorch is not installed: make learned")
 
 from subiaco_evaluation.learned.batches import Neighbourhood, collate, neighbourhood  # noqa: E402
+from subiaco_evaluation.learned.deep_clustering import ClusterTask, spherical_k_means  # noqa: E402
 from subiaco_evaluation.learned.kpconv import Bottleneck, KernelPointConvolution, gather  # noqa: E402
 from subiaco_evaluation.learned.point_networks import POINT_NETWORKS, difference  # noqa: E402
 from subiaco_evaluation.learned.raster_networks import RASTER_NETWORKS  # noqa: E402
-from subiaco_evaluation.learned.tasks import PointTask, RasterTask, task_loss  # noqa: E402
+from subiaco_evaluation.learned.tasks import (  # noqa: E402
+    POWERS,
+    PointTask,
+    RasterTask,
+    prior_factors,
+    score_validation,
+    task_loss,
+)
 from subiaco_evaluation.learned.training import (  # noqa: E402
     State,
     model_arrays,
@@ -28,7 +39,10 @@ from subiaco_evaluation.learned.training import (  # noqa: E402
     write_checkpoint,
 )
 
-TINY = PointNetworkConfig(width=8, levels=3, neighbours=10, radius=6.0, kernel_points=9, dropout=0.0)
+TINY = PointNetworkConfig(
+    width=8, levels=3, neighbours=10, radius=6.0, kernel_points=9, dropout=0.0, features=(), clusters=12
+)
+SUPERVISED = ("siamese-kpconv", "triplet-kpconv", "efs-kpconv")
 
 
 def twin_of_a_convolution(queries, support, features, index, kernel, extent, weight):
@@ -102,15 +116,18 @@ def batch():
 def test_every_parameter_of_a_point_network_gets_a_gradient(method, batch):
     torch.manual_seed(0)
     model = POINT_NETWORKS[method](TINY)
+    if method == "dc3dcd":
+        model.class_of.copy_(torch.eye(4)[torch.arange(TINY.clusters) % 4])
     said = model(batch)
     assert said.shape == (batch.compared[0].count, 4)
     assert torch.allclose(said.exp().sum(dim=1), torch.ones(len(said)), atol=1e-5)
     said[torch.arange(len(said)), batch.classes].sum().backward()
-    silent = [name for name, p in model.named_parameters() if p.grad is None or not p.grad.abs().sum() > 0]
+    moved = {name: p.grad for name, p in model.named_parameters() if p.requires_grad}
+    silent = [name for name, gradient in moved.items() if gradient is None or not gradient.abs().sum() > 0]
     assert silent == []
 
 
-@pytest.mark.parametrize("method", list(POINT_NETWORKS))
+@pytest.mark.parametrize("method", SUPERVISED)
 def test_a_point_network_learns_one_cylinder_by_heart(method, batch):
     torch.manual_seed(1)
     model = POINT_NETWORKS[method](TINY)
@@ -129,7 +146,7 @@ def test_a_point_network_learns_one_cylinder_by_heart(method, batch):
     ("method", "millions"), [("siamese-kpconv", 18.4), ("triplet-kpconv", None), ("efs-kpconv", None)]
 )
 def test_the_published_sizes_give_the_published_number_of_parameters(method, millions):
-    config = PointNetworkConfig(width=64, levels=5)
+    config = PointNetworkConfig(width=64, levels=5, features=())
     model = POINT_NETWORKS[method](config)
     first = model.decoder.layers[0].linear
     expected = {"siamese-kpconv": 2048 + 1024, "triplet-kpconv": 4096 + 1024, "efs-kpconv": 4096 + 2048}
@@ -180,7 +197,13 @@ def raster_task(seed=0):
     return RasterTask("dsm-siamese", tiny_training(), [pair], [pair])
 
 
-@pytest.mark.parametrize("make", [point_task, raster_task])
+def cluster_task(seed=0):
+    torch.manual_seed(seed)
+    pair = house_pair()
+    return ClusterTask("dc3dcd", tiny_training(), [pair], [pair])
+
+
+@pytest.mark.parametrize("make", [point_task, raster_task, cluster_task])
 def test_a_training_that_was_stopped_goes_on_as_if_it_had_not_been(make, tmp_path):
     whole = make()
     optimiser = whole.optimiser()
@@ -224,3 +247,88 @@ def test_labels_that_are_ignored_do_not_change_the_loss():
     weights = torch.tensor([0.1, 0.9, 1.0, 1.0])
     assert torch.isclose(task_loss((said, classes), weights), task_loss((said[kept], classes[kept]), weights))
     assert (to_classes(np.array([Change.UNOBSERVED]), 1) == -1).all()
+
+
+def raised_ground(rise, features):
+    """Even ground that is higher in the second epoch, everywhere and without a step."""
+    rng = np.random.default_rng(3)
+    clouds = [np.column_stack([rng.uniform(-8, 8, (4000, 2)), np.full(4000, z)]) for z in (0.0, rise)]
+    pyramids = [build_pyramid(cloud, TINY) for cloud in clouds]
+    heights = [np.zeros(4000), np.full(4000, rise)]
+    first, second = (
+        replace(p, features=point_features(p, pyramids[1 - n], heights[n])) for n, p in enumerate(pyramids)
+    )
+    pair = tuple(chosen_features(p, features) for p in (first, second))
+    return collate([cut_pair(*pair, np.zeros(3), 6.0)], TINY.model_copy(update={"features": features}))
+
+
+@pytest.mark.parametrize(("features", "sees"), [((), False), (("height",), True)])
+def test_only_a_height_feature_shows_a_rise_of_even_ground(features, sees):
+    torch.manual_seed(4)
+    model = POINT_NETWORKS["siamese-kpconv"](TINY.model_copy(update={"features": features})).eval()
+    with torch.no_grad():
+        low, high = (model(raised_ground(rise, features)) for rise in (0.0, 0.45))
+    assert (not torch.allclose(low, high, atol=1e-3)) is sees
+
+
+def test_the_signed_network_tells_a_rise_from_a_fall_where_the_published_one_is_blind():
+    heights = torch.zeros((1, 2, 32, 32))
+    heights[0, 1, 8:16, 8:16] = 1.0
+    for skips, blind in (("absolute", True), ("signed", False)):
+        torch.manual_seed(0)
+        config = RasterNetworkConfig(width=4, patch=32, dropout=0.0, skips=skips)
+        model = RASTER_NETWORKS["dsm-siamese"](config).eval()
+        given = []
+        model.decoder.register_forward_pre_hook(lambda _module, args, given=given: given.append(args[1]))
+        model(heights)
+        model(heights.flip(1))
+        same = [torch.allclose(a, b) for a, b in zip(*given, strict=True)]
+        assert same == [blind] * len(same)
+
+
+def test_powers_of_the_shares_lower_the_claims_of_rare_classes():
+    shares = np.array([0.9, 0.09, 0.01])
+    assert np.allclose(prior_factors(shares, 0.0), 1.0)
+    assert np.allclose(prior_factors(shares, 1.0), shares / 0.9)
+    assert (np.diff(prior_factors(shares, 0.5)) < 0).all()
+
+
+def test_validation_takes_the_power_that_scores_best():
+    task = raster_task()
+    found = score_validation(task)
+    assert found.power in POWERS
+    task.shares = np.full(5, 0.2)  # every power is the same
+    flat = score_validation(task)
+    assert flat.power == 0.0
+    assert found.score >= flat.score
+    assert found.loss == flat.loss
+
+
+def test_k_means_finds_directions_that_lie_apart():
+    rng = np.random.default_rng(0)
+    true = rng.integers(4, size=400)
+    directions = np.eye(4)[true] + rng.normal(0, 0.05, (400, 4))
+    features = torch.nn.functional.normalize(torch.from_numpy(directions).float(), dim=1)
+    centres, labels = spherical_k_means(features, 12, 20, np.random.default_rng(1))
+    assert torch.allclose(centres.norm(dim=1), torch.ones(12), atol=1e-5)
+    assert torch.equal(labels, (features @ centres.T).argmax(dim=1))
+    for cluster in labels.unique():
+        assert len(np.unique(true[labels.numpy() == int(cluster)])) == 1
+
+
+def test_deep_clustering_learns_without_labels_and_names_its_clusters_by_them():
+    task = cluster_task()
+    unlabelled = cluster_task()
+    for pair in unlabelled.training:
+        for classes in pair.classes:
+            classes[:] = -1
+    for one in (task, unlabelled):
+        run_epoch(one, one.optimiser(), 0.01, 100.0, (0, 0))
+    for name, value in model_arrays(task).items():
+        assert np.array_equal(value, model_arrays(unlabelled)[name]), name
+    assert task.model.prototypes.weight.grad is None
+    score = score_validation(task).score
+    named = task.model.class_of
+    assert torch.equal(named.sum(dim=1), torch.ones(TINY.clusters))
+    assert 0.0 < score <= 1.0
+    assert score_validation(unlabelled).score != score

@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from placing_scene import UP, street
+from alignment_scene import UP, street
 from scenes import Scene
 from scipy.spatial.transform import Rotation
 

@@ -23,11 +23,10 @@ from subiaco_change.method_rules.switches import (
     rules_switched_off,
     switchable,
 )
+from subiaco_change.tiling.decision_stages import ComparisonSlice, PlantDecisionSlice, PlantSlice
 from subiaco_change.tiling.ground_stage import GroundSlice
 from subiaco_change.tiling.label_stage import LabelSlice
-from subiaco_change.tiling.plant_stage import PlantDecisionSlice, PlantSlice
-from subiaco_change.tiling.stage_params import TileParams, slice_of
-from subiaco_change.tiling.tile_comparison import ComparisonSlice
+from subiaco_change.tiling.stage_inputs import TileParams, slice_of
 from subiaco_change.tiling.tile_segmentation import SegmentationSlice
 from subiaco_geo.settings import method_statement, setting_values
 from subiaco_geo.work.tasks import fingerprint

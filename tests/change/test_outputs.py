@@ -19,8 +19,8 @@ from result_scene import OBJECTS, ORIGIN, SceneConfig, ground_raster
 from subiaco_change.outputs import directory as outputs
 from subiaco_change.outputs import table as outputs_table
 from subiaco_change.outputs.clouds import POINT_FIELDS, labelled_cloud
+from subiaco_change.outputs.geopackage import layer_qml
 from subiaco_change.outputs.rasters import build_coverage, build_lod_raster, write_lod
-from subiaco_change.outputs.style import layer_qml
 from subiaco_change.outputs.table import (
     ALL_COLUMNS,
     COLUMNS,

@@ -8,11 +8,11 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from assembled_run import compare_ground
 from hypothesis import given
 from hypothesis import strategies as st
-from test_passing import RULES, passing, timed
+from test_dynamic_objects import RULES, passing, timed
 from test_vegetation_null import HEDGE, NULL, TREE
-from whole import compare_ground
 
 from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.dynamic_objects import is_moving_object_trail, limit_confidence

@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from subiaco_change.registration.checks import estimate_uncertainty
 from subiaco_change.registration.config import RegistrationConfig
 from subiaco_change.registration.icp import Pairs, jacobian, pair_weights, solve
 from subiaco_change.registration.ndt import align_ndt, distributions
+from subiaco_change.registration.plausibility import estimate_uncertainty
 from subiaco_change.registration.register import given_registration, register
 from subiaco_geo.clouds import PointCloud, voxel_downsample
 from subiaco_geo.errors import InputError, RegistrationError

@@ -12,16 +12,15 @@ from scipy.spatial.transform import Rotation
 
 from subiaco_change.config import ChangeConfig
 from subiaco_change.geometry import build_pyramid
-from subiaco_change.registration.config import FeatureConfig, RegistrationConfig
-from subiaco_change.registration.features import propose_by_features, ransac
+from subiaco_change.registration.config import KeypointConfig, RegistrationConfig
 from subiaco_change.registration.icp import Pairs, solve
+from subiaco_change.registration.keypoints import propose_by_features, ransac
 from subiaco_change.registration.planes import PlanePairs, extract_planes, match_planes, normal_equations
 from subiaco_change.registration.register import given_registration, register
 from subiaco_change.tiling.alignment import ChangedPoints
-from subiaco_change.tiling.epoch_tiles import Coordinates, Side
+from subiaco_change.tiling.epoch_tiles import Coordinates, EpochContext
 from subiaco_change.tiling.registration_stage import RegistrationParams, RegistrationSlice, register_again
-from subiaco_change.tiling.stage_params import slice_of
-from subiaco_change.tiling.stored_frame import PairRegistration
+from subiaco_change.tiling.stage_inputs import PairRegistration, slice_of
 from subiaco_geo.cloud_io import write_cloud
 from subiaco_geo.clouds import PointCloud, voxel_downsample
 from subiaco_geo.errors import RegistrationError
@@ -78,7 +77,7 @@ def test_ransac_finds_nothing_where_no_three_pairs_agree(count):
 def test_the_paper_s_chain_registers_clouds_without_a_frame_given_samples_enough(bare_street):
     """One pair in 28 is right, so that 20 000 samples hold one good triple at best."""
     config = RegistrationConfig(
-        coarse="always", coarse_method="features", features=FeatureConfig(iterations=2_000_000)
+        coarse="always", coarse_method="features", features=KeypointConfig(iterations=2_000_000)
     )
     before, after = (cloud(points) for points in bare_street)
     result = register(before, after, config)
@@ -89,10 +88,10 @@ def test_the_paper_s_chain_registers_clouds_without_a_frame_given_samples_enough
 
 def test_feature_starts_are_the_same_for_the_same_seed(bare_street):
     levels = [build_pyramid(points - np.median(points, axis=0), (1.0,))[0] for points in bare_street]
-    first, second = (propose_by_features(*levels, FeatureConfig(), seed=5) for _ in range(2))
+    first, second = (propose_by_features(*levels, KeypointConfig(), seed=5) for _ in range(2))
     assert np.array_equal(first[0].pose, second[0].pose)
     nothing = build_pyramid(np.zeros((9, 3)), (1.0,))[0]
-    assert propose_by_features(levels[0], nothing, FeatureConfig(), 5) == []
+    assert propose_by_features(levels[0], nothing, KeypointConfig(), 5) == []
 
 
 @pytest.mark.parametrize(("one", "other"), [("a.ply", "b.las"), ("a.laz", "b.pcd"), ("a.copc.laz", "b.ply")])
@@ -173,7 +172,7 @@ def test_a_second_estimate_that_fails_keeps_the_first_and_warns(bare_street):
         pieces[f"cloud/{epoch}/0_0"] = Coordinates(points.xyz)
         pieces[f"changed/{epoch}/0_0"] = ChangedPoints(np.ones(len(points), dtype=bool))
     sides = tuple(
-        Side(epoch, points.origin, None, "shadow", None, points.origin, 0.5)
+        EpochContext(epoch, points.origin, None, "shadow", None, points.origin, 0.5)
         for epoch, points in zip(("before", "after"), clouds, strict=True)
     )
     inputs = Inputs(

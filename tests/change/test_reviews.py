@@ -14,11 +14,10 @@ from shapely.geometry import box
 from subiaco_bringup.cli.main import run
 from subiaco_change.outputs import directory as outputs
 from subiaco_change.outputs.change_directory_reading import read_change_directory
+from subiaco_change.outputs.directory import take_up_reviews
 from subiaco_change.outputs.exports import export_changes
 from subiaco_change.outputs.parcels import OUTSIDE
-from subiaco_change.outputs.review_files import take_up_reviews
-from subiaco_change.outputs.review_state import review_counts, review_states, selected_by_review
-from subiaco_change.outputs.reviews import read_review_file
+from subiaco_change.outputs.reviews import read_review_file, review_counts, review_states, selected_by_review
 from subiaco_change.outputs.table import TEXT_COLUMNS, read_csv
 from subiaco_geo.cloud_io import read_cloud
 from subiaco_geo.codes import Change

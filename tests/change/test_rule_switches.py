@@ -37,13 +37,6 @@ HEDGE = replace(CROWN, kind="hedge", rise=0.0, rise_sigma=0.02)
 SINGLES = [
     ("probably_free", Semantic.OTHER, replace(NEW, free=0.6), Change.UNOBSERVED, Change.ADDED),
     ("enclosed_volume", Semantic.BUILDING, replace(NEW, delta_v=0.5), Change.UNOBSERVED, Change.ADDED),
-    (
-        "large_seen_enough",
-        Semantic.BUILDING,
-        replace(NEW, observed_fraction=0.2),
-        Change.ADDED,
-        Change.UNOBSERVED,
-    ),
 ]
 
 

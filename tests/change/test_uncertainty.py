@@ -2,13 +2,13 @@
 
 import numpy as np
 import pytest
-from placing_scene import UP, rigid, street
-from whole import place, sigma_field
+from alignment_scene import UP, rigid, street
+from assembled_run import place, sigma_field
 
 from subiaco_change.level_of_detection.alignment_corrections import PlacingConfig
 from subiaco_change.level_of_detection.displacement_lod import LodConfig, combine, measure_displacements
 from subiaco_change.level_of_detection.registration_uncertainty import (
-    PoseErrors,
+    EpochPoseErrors,
     UncertaintyConfig,
     pose_errors,
 )
@@ -116,8 +116,8 @@ def test_the_transform_counts_more_the_farther_a_point_is_from_its_centre():
 def test_pose_covariances_of_both_epochs_join_in_quadrature():
     covariance = np.zeros((1, 6, 6))
     covariance[0, 5, 5], covariance[0, 2, 2] = 0.03**2, 0.001**2
-    one = PoseErrors(np.array([[80.0, 30.0, 0.0]]), covariance)
-    two = PoseErrors(np.array([[80.0, 30.0, 0.0]]), covariance * (4 / 3) ** 2)
+    one = EpochPoseErrors(np.array([[80.0, 30.0, 0.0]]), covariance)
+    two = EpochPoseErrors(np.array([[80.0, 30.0, 0.0]]), covariance * (4 / 3) ** 2)
     plain, both = (field(street(1), street(2), poses=p, config={"floor": 0.0}) for p in ((), (one, two)))
     assert at(both, 80, 30, UP) == pytest.approx(np.hypot(at(plain, 80, 30, UP), 0.05), rel=0.01)
     # a yaw of 1 mrad (and 4/3 of that) moves a wall 20 m ahead sideways

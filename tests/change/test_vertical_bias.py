@@ -2,9 +2,9 @@
 
 import numpy as np
 import pytest
-from whole import vertical_bias
+from assembled_run import vertical_bias
 
-from subiaco_change.level_of_detection.vertical_bias import VerticalBiasConfig
+from subiaco_change.level_of_detection.alignment_corrections import VerticalBiasConfig
 
 
 def ground(seed, lift=None, size=(200.0, 160.0)):

@@ -122,7 +122,7 @@ def damaged_parquet(data: bytes, edits: Sequence[Edit]) -> bytes:
 
 def _small_grid() -> Any:
     from subiaco_geo.clouds import voxel_keys
-    from subiaco_geo.observation_times import Looks
+    from subiaco_geo.observation_times import VoxelObservations
     from subiaco_geo.visibility import TimeRecord, VisibilityGrid
 
     count = 30
@@ -130,7 +130,9 @@ def _small_grid() -> Any:
         voxel_keys(np.stack([np.arange(count), np.arange(count) % 5, np.arange(count) % 3], axis=1))
     )
     ones = np.ones(count, np.uint16)
-    looks = Looks(ones, ones, ones, ones.astype(np.uint32), ones.astype(np.uint32), ones.astype(np.uint8))
+    looks = VoxelObservations(
+        ones, ones, ones, ones.astype(np.uint32), ones.astype(np.uint32), ones.astype(np.uint8)
+    )
     return VisibilityGrid(
         np.array([391_200.0, 6_464_300.0, 12.0]), 0.5, keys, ones.astype(np.uint32), ones.astype(np.uint32),
         np.full(count, 20, np.uint8), TimeRecord(0.2, 10**18, looks),

@@ -99,7 +99,7 @@ def small_sensor() -> tuple[str, tuple[bytes, ...]]:
 
 def _read_packets(path: Path) -> object:
     """Decode what a file holds, cut at the size of a packet; the rest is a packet of its own."""
-    from subiaco_mapping.config import DecodeConfig
+    from subiaco_mapping.preprocessing.config import DecodeConfig
     from subiaco_mapping.preprocessing.decode import PacketDecoder
 
     decoder = PacketDecoder(small_sensor()[0], DecodeConfig())
@@ -112,7 +112,7 @@ def _read_packets(path: Path) -> object:
 
 
 def _read_metadata(path: Path) -> object:
-    from subiaco_mapping.config import DecodeConfig
+    from subiaco_mapping.preprocessing.config import DecodeConfig
     from subiaco_mapping.preprocessing.decode import PacketDecoder
 
     decoder = PacketDecoder(path.read_text(errors="replace"), DecodeConfig())

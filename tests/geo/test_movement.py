@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from subiaco_geo.clouds import voxel_keys
 from subiaco_geo.movement import MovementConfig, connected, verdicts
-from subiaco_geo.observation_times import Looks, joined_looks
+from subiaco_geo.observation_times import VoxelObservations, joined_looks
 from subiaco_geo.visibility import (
     NO_VERDICT,
     SURELY_MOVED,
@@ -29,7 +29,7 @@ LENGTH = 12.0  # of the street that is looked at [m]
 Present = Callable[[np.ndarray, float], np.ndarray]
 
 
-def looked_at(cells: np.ndarray, seconds: float, present: Present, start: float = 0.0) -> Looks:
+def looked_at(cells: np.ndarray, seconds: float, present: Present, start: float = 0.0) -> VoxelObservations:
     """Look at voxels (M, 3) in every window: hit where something is present, looked through elsewhere."""
     count = round(seconds / CONFIG.window)
     hit = np.stack([present(cells, start + k * CONFIG.window) for k in range(count)], axis=1)
@@ -40,7 +40,7 @@ def looked_at(cells: np.ndarray, seconds: float, present: Present, start: float 
     sums = (hit.sum(axis=1), (~hit).sum(axis=1), rises.sum(axis=1))
     edges = (hit[:, 0] + 2 * hit[:, -1]).astype(np.uint8)
     hits, through, runs = (column.astype(np.uint16) for column in sums)
-    return Looks(hits, through, runs, first.astype(np.uint32), last.astype(np.uint32), edges)
+    return VoxelObservations(hits, through, runs, first.astype(np.uint32), last.astype(np.uint32), edges)
 
 
 def block(length: float, height: int = 3, width: int = 1) -> np.ndarray:
@@ -49,7 +49,7 @@ def block(length: float, height: int = 3, width: int = 1) -> np.ndarray:
     return np.stack([axis.ravel() for axis in shape], axis=1)
 
 
-def probability(cells: np.ndarray, looks: Looks) -> np.ndarray:
+def probability(cells: np.ndarray, looks: VoxelObservations) -> np.ndarray:
     """Probability (M,) that what was hit moved; NaN where nothing was."""
     code = verdicts(voxel_keys(cells), looks, CONFIG)
     return np.where(code == NO_VERDICT, np.nan, code / SURELY_MOVED)
@@ -119,10 +119,10 @@ def test_a_shrub_seen_briefly_on_two_passes_stands() -> None:
     assert alone == pytest.approx(np.full(len(cells), 0.5))
     starts = np.arange(len(cells)) * 2
     both = [np.stack([a, b], axis=1).ravel() for a, b in zip(looks.columns(), later(looks, 200), strict=True)]
-    assert np.nanmax(probability(cells, joined_looks(starts, Looks(*both)))) < 0.1
+    assert np.nanmax(probability(cells, joined_looks(starts, VoxelObservations(*both)))) < 0.1
 
 
-def later(looks: Looks, windows: int) -> list[np.ndarray]:
+def later(looks: VoxelObservations, windows: int) -> list[np.ndarray]:
     return looks.later(windows).columns()
 
 
@@ -176,7 +176,7 @@ def windows_of(beams: list[tuple[int, bool]], least: int, cut: int | None = None
         slot = np.flatnonzero(store.grid().keys == voxel_keys(np.array([[2, 0, 0]])))
         parts.append(store.looks().select(slot))
     columns = [np.concatenate(column) for column in zip(*(p.columns() for p in parts), strict=True)]
-    looks = joined_looks(np.zeros(1, np.int64), Looks(*columns))
+    looks = joined_looks(np.zeros(1, np.int64), VoxelObservations(*columns))
     *counts, edges = (int(column[0]) for column in looks.columns())
     return counts, edges
 

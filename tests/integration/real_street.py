@@ -21,7 +21,7 @@ from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats, transform_points
 from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.trajectories import Trajectory
-from subiaco_mapping.config import FusionConfig
+from subiaco_mapping.fusion.config import FusionConfig
 from subiaco_mapping.fusion.outliers import beam_spacing
 from subiaco_mapping.fusion.voxel_fusion import VoxelAccumulator, add_scan, fused_cloud, within
 

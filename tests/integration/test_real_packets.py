@@ -20,9 +20,9 @@ from subiaco_geo.bags import BagReader, packet_from_cdr
 from subiaco_geo.cloud_io import read_cloud
 from subiaco_geo.maps import read_map
 from subiaco_geo.topics import IMU_PACKETS, LIDAR_PACKETS
-from subiaco_mapping.config import DecodeConfig
 from subiaco_mapping.measurements import Returns, Scan
 from subiaco_mapping.pipeline import read_metadata
+from subiaco_mapping.preprocessing.config import DecodeConfig
 from subiaco_mapping.preprocessing.decode import DecodeCounts, PacketDecoder
 from subiaco_mapping.request import MappingRequest
 

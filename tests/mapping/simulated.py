@@ -5,8 +5,9 @@ from pathlib import Path
 
 from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.trajectories import Trajectory, read_tum
-from subiaco_mapping.config import GnssConfig, MappingConfig
+from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.pipeline import map_survey
+from subiaco_mapping.pose_graph.config import GnssConfig
 from subiaco_sim.config import LidarMode, SimulationConfig, TruthConfig
 from subiaco_sim.drives import Survey, plan_survey
 from subiaco_sim.labels import label_scene

@@ -11,8 +11,8 @@ from subiaco_geo.frames import invert_pose, make_pose
 from subiaco_mapping.calibration.antenna import fit_antenna
 from subiaco_mapping.calibration.config import CalibrationConfig
 from subiaco_mapping.calibration.imu import OdometryTrack
-from subiaco_mapping.config import GnssConfig
 from subiaco_mapping.measurements import GnssFix
+from subiaco_mapping.pose_graph.config import GnssConfig
 
 FRAME = EnuFrame(-31.948, 115.825, 12.0)
 LEVER = np.array([-0.4, 0.3, 0.9])

@@ -31,7 +31,8 @@ from subiaco_mapping.calibration.facades import Facades, compare, find_facades
 from subiaco_mapping.calibration.imu import ImuFit, ImuTrack, OdometryTrack, fit_imu
 from subiaco_mapping.calibration.report import page, write_calibration
 from subiaco_mapping.calibration.rig import calibrate_rig, with_rig
-from subiaco_mapping.config import GnssConfig, MappingConfig
+from subiaco_mapping.config import MappingConfig
+from subiaco_mapping.pose_graph.config import GnssConfig
 
 T_LIDAR_IMU = invert_pose(T_BASE_LIDAR) @ T_BASE_IMU
 WRONG = Rotation.from_euler("xyz", [1.5, -2.0, 3.0], degrees=True).as_matrix()

@@ -10,7 +10,7 @@ from mapping_scenes import pcap_bufs, sdk_frames
 from ouster.sdk import core
 
 from subiaco_geo.errors import InputError
-from subiaco_mapping.config import DecodeConfig
+from subiaco_mapping.preprocessing.config import DecodeConfig
 from subiaco_mapping.preprocessing.decode import PacketDecoder, complete_times
 
 EVERYTHING = DecodeConfig(min_range=0.0, max_range=1000.0)

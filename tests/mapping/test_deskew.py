@@ -6,8 +6,8 @@ from mapping_scenes import SECOND, START_NS, cast, turning_pose
 from scipy.spatial.transform import Rotation
 
 from subiaco_geo.frames import invert_pose, make_pose
-from subiaco_mapping.config import DeskewConfig
 from subiaco_mapping.measurements import Extrinsics, ImuSample, Returns, Scan
+from subiaco_mapping.preprocessing.config import DeskewConfig
 from subiaco_mapping.preprocessing.deskew import Deskewer, body_twist
 
 PERIOD = SECOND // 10

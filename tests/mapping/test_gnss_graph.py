@@ -14,11 +14,12 @@ from subiaco_geo.crs import EnuFrame
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import exp_se3, make_pose
 from subiaco_mapping.backend import MappingBackend
-from subiaco_mapping.config import GnssConfig, GraphConfig, MappingConfig
+from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.fusion.map_builder import describe
 from subiaco_mapping.manifest import describe_fixes
 from subiaco_mapping.measurements import DeskewedScan, Extrinsics, GnssFix, HeadingSample, OdometryPose
 from subiaco_mapping.pose_graph import gnss
+from subiaco_mapping.pose_graph.config import GnssConfig, GraphConfig
 from subiaco_mapping.pose_graph.correlated_gnss_errors import link_precision, own_precision, slow_errors
 from subiaco_mapping.pose_graph.gravity import gravity_priors
 from subiaco_mapping.pose_graph.records import Chain, ChainSolution, GnssPriors, GravityPriors, HeadingPriors

@@ -10,7 +10,6 @@ from hypothesis import strategies as st
 from subiaco_geo.bags import TYPESTORE, BagReader
 from subiaco_geo.errors import InputError
 from subiaco_geo.topics import FIX, HEADING, IMU, LIDAR_PACKETS, METADATA
-from subiaco_mapping.config import GnssConfig
 from subiaco_mapping.importers.csv_logs import (
     GnssColumns,
     LogsConfig,
@@ -20,6 +19,7 @@ from subiaco_mapping.importers.csv_logs import (
 )
 from subiaco_mapping.importers.packets import import_recording
 from subiaco_mapping.inspection.inspect_bag import inspect_bag
+from subiaco_mapping.pose_graph.config import GnssConfig
 from subiaco_mapping.preprocessing.conversions import fix_from_msg, heading_from_msg, imu_from_msg
 
 LOGS = LogsConfig()

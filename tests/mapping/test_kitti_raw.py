@@ -10,10 +10,11 @@ import pytest
 from subiaco_geo.bags import BagReader
 from subiaco_geo.errors import InputError
 from subiaco_geo.topics import FIX, IMU, POINTS, TF_STATIC
-from subiaco_mapping.config import GnssConfig, MappingConfig
+from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.importers.csv_logs import parse_time_ns
 from subiaco_mapping.importers.kitti_raw import raised
 from subiaco_mapping.importers.packets import import_recording
+from subiaco_mapping.pose_graph.config import GnssConfig
 from subiaco_mapping.preprocessing.conversions import extrinsics_from_tf, fix_from_msg, scan_from_points
 
 CALIBRATION = "calib_time: 25-May-2012 16:47:16\nR: 0 -1 0 1 0 0 0 0 1\nT: -0.8 0.3 -0.7\n"

@@ -8,7 +8,7 @@ import pytest
 
 from subiaco_geo.errors import SubiacoError
 from subiaco_geo.frames import make_pose
-from subiaco_mapping.config import GnssConfig, GraphConfig
+from subiaco_mapping.pose_graph.config import GnssConfig, GraphConfig
 from subiaco_mapping.pose_graph.marginals import SparseMarginals
 from subiaco_mapping.pose_graph.records import Chain, GravityPriors
 from subiaco_mapping.pose_graph.solver import solve

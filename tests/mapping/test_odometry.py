@@ -9,8 +9,9 @@ from kitti import kitti_clouds, kitti_reference
 from mapping_scenes import SECOND, START_NS, cast, relative, room_scan, turning_pose
 
 from subiaco_geo.frames import invert_pose, make_pose
-from subiaco_mapping.config import MappingConfig, OdometryConfig
+from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.measurements import DeskewedScan, Extrinsics, Returns, Scan
+from subiaco_mapping.odometry.config import OdometryConfig
 from subiaco_mapping.odometry.frontend import OdometryFrontend
 from subiaco_mapping.odometry.scan_matching import KissOdometry
 

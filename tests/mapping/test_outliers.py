@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from subiaco_mapping.config import FusionConfig
+from subiaco_mapping.fusion.config import FusionConfig
 from subiaco_mapping.fusion.outliers import beam_spacing, isolated_points
 
 CONFIG = FusionConfig()

@@ -21,10 +21,12 @@ from subiaco_geo.errors import InputError
 from subiaco_geo.frames import make_pose
 from subiaco_geo.free_space.sensor_view import described_view
 from subiaco_geo.topics import IMU, LIDAR_PACKETS, MESSAGE_TYPES, METADATA, POINTS
-from subiaco_mapping.config import FramePose, MappingConfig, OdometryConfig, SensorsConfig
+from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.importers.packets import import_recording
 from subiaco_mapping.inspection.inspect_bag import describe, inspect_bag
+from subiaco_mapping.odometry.config import OdometryConfig
 from subiaco_mapping.pipeline import map_survey
+from subiaco_mapping.preprocessing.config import FramePose, SensorsConfig
 from subiaco_mapping.preprocessing.conversions import extrinsics_from_tf, scan_from_points
 
 ROOM = MappingConfig(deskewed=True, odometry=OdometryConfig(voxel=0.5))

@@ -9,9 +9,9 @@ import pytest
 
 from subiaco_geo.bags import TYPESTORE
 from subiaco_geo.errors import InputError
-from subiaco_mapping.config import GnssConfig
 from subiaco_mapping.importers.csv_logs import LogsConfig, parse_time_ns, read_gnss_log
 from subiaco_mapping.measurements import GnssFix
+from subiaco_mapping.pose_graph.config import GnssConfig
 from subiaco_mapping.preprocessing.conversions import fix_from_msg
 
 NAMES = (

@@ -23,7 +23,7 @@ from subiaco_bringup.drivers import (
 )
 from subiaco_geo.config import validate
 from subiaco_geo.errors import InputError
-from subiaco_mapping.config import SensorsConfig
+from subiaco_mapping.preprocessing.config import SensorsConfig
 
 #: Between two publications of a status that has not changed [s].
 PERIOD = 1.0

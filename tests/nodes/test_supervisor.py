@@ -151,24 +151,24 @@ def test_status_and_progress_reach_whoever_shows_them_and_lines_of_the_log_do_no
 
 
 def test_a_report_that_a_killed_node_left_half_is_passed_over() -> None:
-    from subiaco_ros.supervision import Listener, Progress
+    from subiaco_ros.supervision import NodeProgress, ReportListener
 
     told: list[Any] = []
     reading, writing = os.pipe()
     os.write(writing, b'{"progress": {"stage": "fusing scans", "fraction": 0.5}}\n{"error": "no sp')
     os.close(writing)
-    Listener(told.append, told.append, told.append).read(reading)
-    assert told == [Progress("fusing scans", 0.5)]
+    ReportListener(told.append, told.append, told.append).read(reading)
+    assert told == [NodeProgress("fusing scans", 0.5)]
 
 
 def test_a_node_whose_supervisor_has_gone_works_on(monkeypatch: pytest.MonkeyPatch) -> None:
-    from subiaco_ros.supervision import Progress, SupervisorChannel
+    from subiaco_ros.supervision import NodeProgress, SupervisorChannel
 
     reading, writing = os.pipe()
     channel = SupervisorChannel(writing)
     assert channel.supervised
     os.close(reading)
-    channel.progress(Progress("fusing scans", 0.5))
+    channel.progress(NodeProgress("fusing scans", 0.5))
     assert not channel.supervised
     channel.error("said to nobody")
     os.close(writing)

@@ -3,7 +3,11 @@
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from subiaco_evaluation.baselines.config import BaselineConfig
+from subiaco_evaluation.learned.weights_file import write_weights
 
 FOLDER = Path(__file__).parents[1] / "benchmarks"
 
@@ -25,6 +29,7 @@ def test_the_page_shows_every_table_and_names_methods_that_were_not_run(bench):
         "training": [{"method": "efs-kpconv", "hours": 0.25}],
         "surveys": [{"method": "dsm", "mIoU %": 40.5}],
         "surveys_names": ["one", "two"],
+        "surveys_each": [{"mIoU %": "dsm", "one": 41.0, "two": 40.0}],
         "site": [{"method": "dsm", "claims": 7}],
         "absent": {"pdal-m3c2": "the command 'pdal' was not found"},
         "remarks": ["A sentence."],
@@ -33,12 +38,13 @@ def test_the_page_shows_every_table_and_names_methods_that_were_not_run(bench):
     for piece in (
         "| efs-kpconv | 0.25 |",
         "| dsm | 40.5 |",
+        "| dsm | 41 | 40 |",
         "one, two",
         "| dsm | 7 |",
         "pdal-m3c2 was not run",
     ):
         assert piece in text
-    assert text.count("\n| --- |") == 3
+    assert text.count("\n| --- |") == 4
     assert "Another sensor" not in text
     assert text.endswith("* A sentence.\n")
 
@@ -55,3 +61,11 @@ def test_a_method_whose_program_is_missing_is_named_and_left_out(bench, monkeypa
     good, absent = bench.available(["dsm", "pdal-m3c2"])
     assert good == ["dsm"]
     assert list(absent) == ["pdal-m3c2"]
+
+
+def test_a_row_of_other_weights_runs_the_method_that_their_record_names(bench, tmp_path):
+    write_weights(tmp_path / "w.npz", {"a": np.zeros(2)}, {"method": "dsm-siamese"})
+    also = {"signed": tmp_path / "w.npz"}
+    method, settings = bench.resolve("signed", also)
+    assert (method, settings.learned.weights) == ("dsm-siamese", str(tmp_path / "w.npz"))
+    assert bench.resolve("dsm", also) == ("dsm", BaselineConfig())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ast
 import re
 import sys
 from collections.abc import Iterator
@@ -123,8 +124,8 @@ def _files(generator: Any, folder: str) -> dict[str, Any]:
 
 def test_the_columns_of_tables_are_those_that_are_written(generator: Any) -> None:
     from subiaco_change.history import COLUMNS as HISTORY
-    from subiaco_change.outputs.documents import RegistrationDocument, RunDocument
-    from subiaco_change.outputs.earthwork import VOLUMES
+    from subiaco_change.outputs.change_directory_reading import RegistrationDocument, RunDocument
+    from subiaco_change.outputs.difference_rasters import VOLUMES
     from subiaco_change.outputs.rasters import COVERAGE
     from subiaco_evaluation.injection.detectability import COLUMNS as INSERTED
     from subiaco_geo import map_tables
@@ -172,3 +173,15 @@ def test_the_page_of_the_live_monitor_names_every_flag_and_no_other() -> None:
     page = (ROOT / "docs/reference/live-monitor.md").read_text(encoding="utf-8")
     rows = [line.split("|")[1] for line in page.splitlines() if line.startswith("| `")]
     assert {name for row in rows for name in re.findall(r"`(\w+)`", row)} == set(MEANINGS)
+
+
+def test_the_page_of_findings_names_every_code_that_a_run_may_state() -> None:
+    stated = set()
+    for path in sorted((ROOT / "src").rglob("*.py")):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if isinstance(node, ast.Call) and getattr(node.func, "id", "") == "Finding":
+                stated |= {arg.value for arg in node.args[:1] if isinstance(arg, ast.Constant)}
+    page = (ROOT / "docs/reference/findings.md").read_text(encoding="utf-8")
+    rows = [line.split("|")[1] for line in page.splitlines() if line.startswith("| `")]
+    assert len(stated) > 12
+    assert stated <= {name for row in rows for name in re.findall(r"`(\w+)`", row)}

@@ -17,8 +17,7 @@ from result_scene import ORIGIN
 from shapely.geometry import box
 
 from subiaco_bringup.cli.main import run
-from subiaco_change.outputs.difference_rasters import BANDS, write_difference_rasters
-from subiaco_change.outputs.earthwork import cut_and_fill
+from subiaco_change.outputs.difference_rasters import BANDS, cut_and_fill, write_difference_rasters
 from subiaco_geo.errors import InputError
 from subiaco_report.accuracy import accuracy_facts, read_check
 from subiaco_report.delivery import Delivery, deliver

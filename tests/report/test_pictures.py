@@ -56,6 +56,19 @@ def test_the_view_equals_a_plain_loop(rows):
     np.testing.assert_array_equal(seen, highest)
 
 
+@given(points, st.integers(0, 2**40 - 1))
+def test_of_equal_heights_the_last_point_is_seen_and_priority_comes_before_height(rows, drawn):
+    xyz = np.array(rows, dtype=float)
+    priority = np.array([bool(drawn >> k & 1) for k in range(len(xyz))])
+    best = {}
+    for k, (x, y, z) in enumerate(xyz):
+        pixel = int((1.0 - y) // 0.5), int(x // 0.5)
+        best[pixel] = max(best.get(pixel, (False, -np.inf, -1)), (priority[k], z, k))
+    view = top_view(xyz, FRAME, priority)
+    assert {pixel: view[pixel] for pixel in best} == {pixel: found[2] for pixel, found in best.items()}
+    assert (view >= 0).sum() == len(best)
+
+
 def test_holes_next_to_points_are_filled_and_farther_ones_stay():
     view = np.full((5, 5), -1)
     view[0, 0] = 3
@@ -109,7 +122,7 @@ def test_a_view_gathered_from_parts_is_the_view_of_all_points(rows, seed, parts)
 
 def grid_of(*clouds):
     world = np.concatenate([cloud.world() for cloud in clouds])
-    grid = pictures.BlockGrid(world.min(axis=0)[:2], world.max(axis=0)[:2])
+    grid = pictures.PictureBlocks(world.min(axis=0)[:2], world.max(axis=0)[:2])
     for cloud in clouds:
         grid.add(cloud.world())
     return grid.blocks()

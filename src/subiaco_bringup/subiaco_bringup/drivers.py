@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from subiaco_geo.errors import InputError
-from subiaco_mapping.config import SensorsConfig
+from subiaco_mapping.preprocessing.config import SensorsConfig
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,7 @@ from typing import Any
 
 from subiaco_bringup.graph import GraphSpec, NodeSpec, process_command
 from subiaco_geo.errors import InputError, RegistrationError, SubiacoError
-from subiaco_ros.supervision import CHANNEL, Listener, Progress
+from subiaco_ros.supervision import CHANNEL, NodeProgress, ReportListener
 
 LOGGER = logging.getLogger(__name__)
 
@@ -84,7 +84,7 @@ class NodeProcess:
                 start_new_session=True,
             )
         os.close(writing)
-        reports = Listener(self._on_progress, self._show, self._on_error)
+        reports = ReportListener(self._on_progress, self._show, self._on_error)
         self._readers = [
             threading.Thread(target=take, args=taken, name=f"{what} of {spec.name}", daemon=True)
             for what, take, taken in (("log", self._read, ()), ("reports", reports.read, (reading,)))
@@ -112,7 +112,7 @@ class NodeProcess:
         for reader in self._readers:
             reader.join(timeout=2.0)
 
-    def _on_progress(self, progress: Progress) -> None:
+    def _on_progress(self, progress: NodeProgress) -> None:
         if self._progress is not None:
             self._progress(progress.stage, progress.fraction)
 

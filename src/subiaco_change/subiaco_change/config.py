@@ -8,7 +8,6 @@ from typing import Annotated
 from pydantic import AfterValidator, Field
 
 from subiaco_change.association.costs import AssociationConfig
-from subiaco_change.decisions.ablation import Part
 from subiaco_change.decisions.confidence import ConfidenceConfig
 from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.ground_cells import GroundChangeConfig
@@ -19,10 +18,11 @@ from subiaco_change.input_checks import InputCheckConfig
 from subiaco_change.level_of_detection.alignment_corrections import PlacingConfig
 from subiaco_change.level_of_detection.displacement_lod import LodConfig
 from subiaco_change.method_rules import known_rules
+from subiaco_change.point_spacing import SpacingConfig
 from subiaco_change.registration.config import RegistrationConfig
 from subiaco_change.segmentation.classes import SemanticsConfig
 from subiaco_change.segmentation.instances import InstanceConfig
-from subiaco_change.sparse import SpacingConfig
+from subiaco_change.strategies import Part
 from subiaco_change.visibility_evidence import EvidenceConfig
 from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError
@@ -99,6 +99,12 @@ class ChangeConfig(StrictModel):
         0.005,
         ge=0,
         description="Shift between first and second registration from which the comparison is repeated [m]",
+    )
+    second_points: int = Field(
+        150_000,
+        ge=0,
+        description="Points of each epoch, in blocks all over the area, from which the second registration "
+        "is estimated first; all points take part only where these move by half of second_shift; 0 takes all",
     )
     spacing: SpacingConfig = SpacingConfig()
     without: tuple[Part, ...] = Field(

@@ -47,7 +47,7 @@ _CHANGED = (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED)
 
 
 @dataclass(frozen=True)
-class Step:
+class HistoryStep:
     """The table between two epochs that follow each other, and their names."""
 
     before: str
@@ -104,7 +104,7 @@ def run_epochs(
             run_change(request.model_copy(update=own), shared, write_pages=write_pages)
             table = read_reviewed(pair)
             assert table is not None, "written just now"
-            steps.append(Step(before, after, table))
+            steps.append(HistoryStep(before, after, table))
         history = build_history(steps)
         write_csv(target / MARKER, history)
         write_layer(target / "history.gpkg", "history", history)
@@ -131,7 +131,7 @@ def _share(
     return lambda stage, fraction: progress(f"{pair}: {stage}", (number + fraction) / count)
 
 
-def build_history(steps: Sequence[Step]) -> gpd.GeoDataFrame:
+def build_history(steps: Sequence[HistoryStep]) -> gpd.GeoDataFrame:
     """Follow every object through the tables of epochs that follow each other.
 
     Two rows are one object where they share an instance of the epoch
@@ -146,7 +146,7 @@ def build_history(steps: Sequence[Step]) -> gpd.GeoDataFrame:
 
     Parameters
     ----------
-    steps : sequence of Step
+    steps : sequence of HistoryStep
         In the order of time; each begins where the one before ends.
 
     Returns
@@ -221,7 +221,7 @@ def _instances(column: pd.Series) -> dict[str, list[int]]:
     return found
 
 
-def _history(steps: Sequence[Step], starts: Ints, members: Ints) -> tuple[Any, ...]:
+def _history(steps: Sequence[HistoryStep], starts: Ints, members: Ints) -> tuple[Any, ...]:
     """Sum up the rows of one object."""
     names = [steps[0].before, *(s.after for s in steps)]
     seen, absent, unknown = set[int](), set[int](), set[int]()

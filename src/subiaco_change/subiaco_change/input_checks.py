@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -10,11 +11,11 @@ from pathlib import Path
 import numpy as np
 from pydantic import Field
 
-from subiaco_change.outputs.hashing import hash_path
 from subiaco_change.records import Registration
 from subiaco_geo.config import StrictModel
 from subiaco_geo.crs_area import outside
 from subiaco_geo.datum_shifts import likely_shift
+from subiaco_geo.errors import InputError
 from subiaco_geo.findings import Finding
 from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.maps import cloud_of
@@ -275,3 +276,24 @@ def unstated_findings(
             "Set placing.uncertainty.unstated_pose [m] to what is known of the survey.",
         ),
     )
+
+
+def hash_path(path: Path) -> str:
+    """Return the SHA-256 of a file, or of every file of a directory in name order.
+
+    Raises
+    ------
+    InputError
+        Nothing is there.
+    """
+    if not path.exists():
+        raise InputError(f"{path}: no such file or directory; check the name")
+    digest = hashlib.sha256()
+    files = [path] if path.is_file() else sorted(p for p in path.rglob("*") if p.is_file())
+    for file in files:
+        if file != path:
+            digest.update(file.relative_to(path).as_posix().encode())
+        with file.open("rb") as stream:
+            while block := stream.read(1 << 20):
+                digest.update(block)
+    return digest.hexdigest()

@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 import geopandas as gpd
 import numpy as np
 
-from subiaco_change.decisions.confidence import Calibration, calibration_of
+from subiaco_change.decisions.confidence import ConfidenceCalibration, calibration_of
 from subiaco_change.extensions import Extensions
 from subiaco_change.given_classes import (
     CLASSIFICATION,
@@ -38,7 +38,7 @@ from subiaco_change.outputs.reviews import read_reviewed
 from subiaco_change.pipeline import detect_in_tiles
 from subiaco_change.records import ChangeRecord, ChangeResult, TiledResult
 from subiaco_change.request import ChangeRequest, ComparisonRequest
-from subiaco_change.tiling.run import STAGES
+from subiaco_change.tiling.run import STAGES, ChangeRun
 from subiaco_geo.atomic import refuse_existing, refuse_foreign
 from subiaco_geo.codes import Change
 from subiaco_geo.config import StrictModel
@@ -52,6 +52,7 @@ from subiaco_geo.simulated import SIMULATIONS, distinct
 from subiaco_geo.sources import Epoch, open_epoch
 from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.work.executors import make_executor
+from subiaco_geo.work.object_store import ObjectStore
 from subiaco_geo.work.store import DiskStore
 from subiaco_geo.work.task_runner import TaskRunner, stages_from
 
@@ -59,7 +60,7 @@ _LOG = logging.getLogger(__name__)
 Taken = TypeVar("Taken")
 CLAIMED = (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED)
 _JUMP = 20.0  # longer steps between scans lead from one recording to the next [m]
-_RESULT_BYTES, _STAGE_BYTES = 60, 200  # a point takes on the disk; measured: 58, and 220 to 315
+RESULT_BYTES, STAGE_BYTES = 60, 200  # a point takes on the disk; measured: 58, and 220 to 315
 _DATED = np.datetime64("2000-01-01")
 
 
@@ -78,18 +79,20 @@ def task_runner(
     """
     redo = frozenset() if request.redo is None else stages_from(STAGES, request.redo)
     kept = _stage_folder(request)
+    store = ObjectStore(request.stages) if isinstance(request.stages, str) else DiskStore(kept.absolute())
     with locked(kept):
         if request.stages is None and any(kept.glob("*/*.npz")):
             _LOG.warning("%s: what a run that was stopped finished there is used again", kept)
         executor = make_executor(request.workers, request.scheduler, ("subiaco_change.tiling.run",))
         try:
-            yield TaskRunner(DiskStore(kept.absolute()), executor, progress, redo, on_tile)
+            yield TaskRunner(store, executor, progress, redo, on_tile)
         except (InputError, RegistrationError):
             executor.close()  # what runs beside the task that failed still writes
             _forget(request, kept)  # the same input would fail again
             raise
         except KeyboardInterrupt:
-            _LOG.warning("stopped; what is finished is in %s, and the same command goes on from there", kept)
+            where = request.stages or kept
+            _LOG.warning("stopped; what is finished is in %s, and the same command goes on from there", where)
             raise
         finally:
             executor.close()
@@ -144,7 +147,7 @@ def run_job(
     progress: Callable[[str, float], None] | None = None,
     *,
     notes: Mapping[str, str] | None = None,
-    calibration: Calibration | None = None,
+    calibration: ConfidenceCalibration | None = None,
     write_pages: PageWriter | None = None,
 ) -> ChangeResult:
     """Load two epochs, find changes by any method, write the change directory.
@@ -159,7 +162,7 @@ def run_job(
     progress : callable, optional
     notes : mapping, optional
         Further facts for ``run.json``.
-    calibration : Calibration, optional
+    calibration : ConfidenceCalibration, optional
         What the method's confidences were fitted on.
     write_pages : callable, optional
         Writes the report into the change directory.
@@ -180,27 +183,38 @@ def run_job(
         found += _announced(check_shift(result.registration, surveys, poses, checks))
     if progress is not None:
         progress("writing", 0.97)
-    inputs = _inputs(request, before, after, notes or {}, calibration or Calibration(), lots)
+    inputs = _inputs(request, before, after, notes or {}, calibration or ConfidenceCalibration(), lots)
     inputs = replace(inputs, findings=found)
     write_change_directory(request.output, result, config, inputs, request.overwrite, write_pages)
     return result
 
 
+def _begin(request: ChangeRequest, begun: Callable[[ChangeRun], None] | None, run: ChangeRun) -> None:
+    """Look at a run whose epochs are cut before its stages begin."""
+    if begun is not None:
+        begun(run)
+    _require_room(request, run.kept_points)
+
+
 def _require_room(request: ChangeRequest, points: int) -> None:
     """Refuse a run whose stages or result would fill a disk, from the points at the working leaf."""
+    if isinstance(request.stages, str):
+        require_room(request.output, points * RESULT_BYTES, "the result")
+        return
     stages = _stage_folder(request)
     done = sum(file.stat().st_size for file in stages.rglob("*.npz"))  # of a run that was stopped
-    needed = max(points * _STAGE_BYTES - done, 0)
+    needed = max(points * STAGE_BYTES - done, 0)
     if ground_of(stages).stat().st_dev == ground_of(request.output).stat().st_dev:
-        require_room(request.output, points * _RESULT_BYTES + needed, "the run")
+        require_room(request.output, points * RESULT_BYTES + needed, "the run")
         return
     require_room(stages, needed, "the run")
-    require_room(request.output, points * _RESULT_BYTES, "the result")
+    require_room(request.output, points * RESULT_BYTES, "the result")
 
 
 def _stage_folder(request: ChangeRequest) -> Path:
-    """Return where the finished stages of a run lie."""
-    return request.stages or request.output.with_name(f"{request.output.name}.stages")
+    """Return where the finished stages of a run lie, or would lie where object storage keeps them."""
+    beside = request.output.with_name(f"{request.output.name}.stages")
+    return request.stages if isinstance(request.stages, Path) else beside
 
 
 def _announced(findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
@@ -222,7 +236,7 @@ def _inputs(
     before: SurveyMap | Epoch,
     after: SurveyMap | Epoch,
     notes: Mapping[str, str],
-    calibration: Calibration,
+    calibration: ConfidenceCalibration,
     lots: gpd.GeoDataFrame | None,
 ) -> ChangeInputs:
     named = distinct(name for epoch in (before, after) for name in epoch.info.get(SIMULATIONS, []))
@@ -283,12 +297,14 @@ def run_change_and(
     progress: Callable[[str, float], None] | None = None,
     *,
     on_tile: Callable[[str, str], None] | None = None,
+    begun: Callable[[ChangeRun], None] | None = None,
     extensions: Extensions = Extensions(),  # noqa: B008 - frozen
     write_pages: PageWriter | None = None,
 ) -> Taken:
     """Run our own method as :func:`run_change`; return what is taken of the result.
 
-    ``on_tile`` is told the stage and the name of every tile that is done.
+    ``on_tile`` is told the stage and the name of every tile that is done; ``begun`` is given the run once
+    both epochs are cut.
     """
     config = request.config
     lots = _start(request)
@@ -303,9 +319,8 @@ def run_change_and(
     found = _announced(check_surveys((request.before, request.after), surveys, config.checks))
     found += unstated_findings(surveys, poses.unstated_pose, used=poses.pose_covariance)
     with task_runner(request, progress, on_tile) as runner:
-        result = detect_in_tiles(
-            epochs, config, runner, transform=transform, given=given, room=partial(_require_room, request)
-        )
+        start = partial(_begin, request, begun)
+        result = detect_in_tiles(epochs, config, runner, transform=transform, given=given, begun=start)
         if labelled is not None:
             found += _announced(given_class_findings(labelled, (request.before, request.after)))
         result = extensions.decided(result)

@@ -19,7 +19,7 @@ from subiaco_change.tiling.epoch_tiles import EPOCHS
 from subiaco_change.tiling.label_stage import TileLabels
 from subiaco_change.tiling.retiling import LabelledPoints
 from subiaco_change.tiling.run import ChangeRun, ComparisonResult
-from subiaco_change.tiling.stored_frame import Correction, load_frame
+from subiaco_change.tiling.stage_inputs import Correction, load_frame
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.findings import Finding
 from subiaco_geo.frames import Floats
@@ -78,17 +78,17 @@ def detect_in_tiles(
     *,
     transform: Floats | None = None,
     given: Sequence[str] = (),
-    room: Callable[[int], None] | None = None,
+    begun: Callable[[ChangeRun], None] | None = None,
 ) -> TiledResult:
     """Find what changed between two epochs without ever holding one of them; see :func:`detect_changes`.
 
-    The result reads its clouds from the store of the runner: use it while that is there. ``room`` is told how
-    many points both thinned clouds have, once they are cut, and may refuse them.
+    The result reads its clouds from the store of the runner: use it while that is there. ``begun`` is
+    given the run once both epochs are cut, and may refuse them or leave tiles out.
     """
     run = ChangeRun(runner, config, tuple(given))
     run.cut(epochs)
-    if room is not None:
-        room(run.kept_points)
+    if begun is not None:
+        begun(run)
     if transform is None or np.array_equal(transform, np.eye(4)):
         run.check_heights()
     run.follow_spacing()

@@ -109,6 +109,10 @@ class Registration:
         T_world[:3, 3] = self.origin + self.T_local[:3, 3] - self.T_local[:3, :3] @ self.origin
         return T_world
 
+    def placed(self, world: Floats) -> Floats:
+        """Bring world coordinates (N, 3) of *before* to those of *after* [m]."""
+        return np.asarray((world - self.origin) @ self.T_local[:3, :3].T + self.T_local[:3, 3] + self.origin)
+
 
 @dataclass(frozen=True)
 class GroundChange:

@@ -11,6 +11,7 @@ from pydantic import AfterValidator, BeforeValidator, Field
 from subiaco_change.config import ChangeConfig
 from subiaco_geo.frames import Floats, is_rigid
 from subiaco_geo.requests import Request
+from subiaco_geo.work.object_store import is_url
 
 _Row = tuple[float, float, float, float]
 _Rows = tuple[_Row, _Row, _Row, _Row]
@@ -32,6 +33,11 @@ def _rigid(rows: _Rows | None) -> _Rows | None:
     if rows is not None and not is_rigid(np.array(rows), _ROTATION_ROUNDING):
         raise ValueError("not rigid; give a rotation and a shift without scale, with the last row 0 0 0 1")
     return rows
+
+
+def _place(value: Any) -> Any:
+    """Return a folder as a path, and leave a URL as it is."""
+    return Path(value) if isinstance(value, str) and not is_url(value) else value
 
 
 def _with_class(given: tuple[str, ...]) -> tuple[str, ...]:
@@ -87,10 +93,11 @@ class ChangeRequest(ComparisonRequest):
     scheduler: str | None = Field(
         None, description="Address of a dask scheduler, such as tcp://host:8786, in place of local processes"
     )
-    stages: Path | None = Field(
+    stages: Annotated[Path | str | None, BeforeValidator(_place)] = Field(
         None,
-        description="Folder in which the results of all stages are kept; without it they are kept beside the "
-        "output until the run has succeeded, so that a stopped run continues",
+        description="Folder, or URL in object storage (s3://bucket/stages), in which the results of all "
+        "stages are kept; without it they are kept beside the output until the run has succeeded, so that a "
+        "stopped run continues",
     )
     redo: str | None = Field(
         None, description="Stage that is repeated, with all later ones, although results of it are kept"

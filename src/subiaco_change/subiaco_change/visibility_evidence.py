@@ -39,9 +39,9 @@ from subiaco_geo.trajectories import Trajectory
 
 _LOG = logging.getLogger(__name__)
 
-Kind = Literal["observed", "trajectory", "estimated", "shadow", "assumed"]
+EvidenceKind = Literal["observed", "trajectory", "estimated", "shadow", "assumed"]
 #: Kinds of evidence, the best first.
-KINDS: tuple[Kind, ...] = ("observed", "trajectory", "estimated", "shadow", "assumed")
+KINDS: tuple[EvidenceKind, ...] = ("observed", "trajectory", "estimated", "shadow", "assumed")
 
 
 class EvidenceConfig(StrictModel):
@@ -117,9 +117,9 @@ class EvidenceConfig(StrictModel):
         0.65,
         ge=0.5,
         lt=1,
-        description="Probability that a place was free that all poses of a trajectory have in view behind a "
-        "surface, and that lies without points above an observed point: foliage lets beams by. 0.5 says "
-        "nothing of such places",
+        description="Probability that a place was free that poses of a trajectory have in view only at or "
+        "behind a surface, and that lies without points above an observed point: foliage lets beams by. 0.5 "
+        "says nothing of such places",
     )
     shadow_certain: float = Field(
         0.85,
@@ -145,10 +145,11 @@ class Observer:
         Brings world points (N, 3) of the pair's common CRS to the CRS in
         which this epoch's evidence lives; identity if None.
     certain : float
-        Probability that the evidence is right as a whole, which bounds what many places prove together.
+        Probability that the evidence of the points alone is right as a whole, which bounds what many places
+        prove together.
     """
 
-    kind: Kind
+    kind: EvidenceKind
     test: VisibilityTest
     to_own: Callable[[Floats], Floats] | None = None
     certain: float = 1.0
@@ -172,6 +173,16 @@ class Observer:
         beam each way beforehand.
         """
         return self.test.free_probability(self._own(world))
+
+    def certainty(self, world: Floats) -> Floats:
+        """Return the probability (N,) that the evidence at places (N, 3) is right as a whole.
+
+        One unknown line of sight may explain all free places of an object that the points alone call free.
+        """
+        own = self._own(world)
+        if isinstance(self.test, PosesAndPoints):
+            return np.where(self.test.rests_on_points(own), self.certain, 1.0)
+        return np.full(len(own), self.certain)
 
     def below_view(self, world: Floats) -> Flags:
         """Tell which points (N, 3) lie no higher than the field of view is known to have reached around.
@@ -232,12 +243,12 @@ def ground_observed(observed: Callable[[Floats], Flags], xyz: Floats, config: Ev
     return seen
 
 
-def weakest(kinds: Iterable[Kind]) -> Kind:
+def weakest(kinds: Iterable[EvidenceKind]) -> EvidenceKind:
     """Return the weakest of some kinds of evidence."""
     return max(kinds, key=KINDS.index)
 
 
-def evidence_kind(has_beams: bool, trajectory: Trajectory | None, config: EvidenceConfig) -> Kind:
+def evidence_kind(has_beams: bool, trajectory: Trajectory | None, config: EvidenceConfig) -> EvidenceKind:
     """Name the best evidence that a map carries, or the one asked for.
 
     Raises
@@ -298,7 +309,8 @@ def poses_observer(poses: ExpectedVisibility, cloud: PointCloud, config: Evidenc
         Of the same world as the poses.
     config : EvidenceConfig
     """
-    return Observer("trajectory", PosesAndPoints(poses, _shadow(cloud, config), config.hidden_trust))
+    test = PosesAndPoints(poses, _shadow(cloud, config), config.hidden_trust)
+    return Observer("trajectory", test, certain=config.shadow_certain)
 
 
 def _shadow(cloud: PointCloud, config: EvidenceConfig) -> PointShadow:

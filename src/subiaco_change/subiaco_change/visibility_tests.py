@@ -113,10 +113,11 @@ class PointShadow:
 
 @dataclass(frozen=True)
 class PosesAndPoints:
-    """Expected visibility; where every pose that has a place in view meets a surface before it, the points.
+    """Expected visibility; where the poses that have a place in view tell nothing of it, the points.
 
-    Beams reach the ground beneath a crown that a depth image shows closed. Out of view of all poses nothing
-    is known, whatever the points say.
+    Beams reach the ground beneath a crown that a depth image shows closed, and the margin in front of a
+    surface is neither free nor occupied by the image alone. Out of view of all poses nothing is known,
+    whatever the points say.
     """
 
     poses: ExpectedVisibility
@@ -133,11 +134,22 @@ class PosesAndPoints:
 
     def free_probability(self, world: Floats) -> Floats:
         """Return the probability (N,) that world points (N, 3) were free; 0.5 where nothing is known."""
-        chance = self.poses.free_probability(world)
-        ask = self._hidden(world, chance == _PRIOR)
-        above = self.points.passed(world[ask])
-        chance[ask] = np.where(above, self.trust, _PRIOR)
+        chance, by_points = self._combined(world)
+        chance[by_points] = self.trust
         return chance
+
+    def rests_on_points(self, world: Floats) -> Flags:
+        """Tell which world points (N, 3) are called free by the points of the epoch alone."""
+        return self._combined(world)[1]
+
+    def _combined(self, world: Floats) -> tuple[Floats, Flags]:
+        """Probabilities (N,) by the poses, and which places they tell nothing of and the points call free."""
+        chance = self.poses.free_probability(world)
+        by_points = chance == _PRIOR
+        ask = np.flatnonzero(by_points)
+        in_view = self.poses.undecided(world[ask])
+        by_points[ask] = in_view & (self.points.free_probability(world[ask]) > _PRIOR)
+        return chance, by_points
 
     def _either(self, known: Flags, points: Callable[[Floats], Flags], world: Floats) -> Flags:
         ask = self._hidden(world, ~known)

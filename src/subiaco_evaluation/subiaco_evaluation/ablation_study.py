@@ -13,9 +13,9 @@ import pandas as pd
 from pydantic import BaseModel
 
 from subiaco_change.config import ChangeConfig, with_parts_disabled
-from subiaco_change.decisions.ablation import Part
 from subiaco_change.job import read_transform, run_change
 from subiaco_change.request import ChangeRequest
+from subiaco_change.strategies import Part
 from subiaco_evaluation.scoring import evaluate
 from subiaco_geo.atomic import whole_directory
 from subiaco_geo.errors import InputError

@@ -43,7 +43,7 @@ class GridConfig(StrictModel):
 
 
 @dataclass(frozen=True)
-class Cells:
+class LabelledCells:
     """Labelled cells: sorted keys (M,), codes (M,) uint8, confidence (M,) of the winning label."""
 
     keys: Ints
@@ -94,7 +94,7 @@ def rasterise(
     epoch: NDArray[Any],
     config: GridConfig,
     confidence: Floats | None = None,
-) -> Cells:
+) -> LabelledCells:
     """Label the cells that points of both epochs fall in.
 
     Parameters
@@ -130,10 +130,10 @@ def rasterise(
     total = np.bincount(cell * 7 + column, weights=trust, minlength=len(keys) * 7).reshape(-1, 7)
     won = (np.arange(len(keys)), slot[codes])
     mean = np.divide(total[won], counts[won], out=np.zeros(len(keys)), where=counts[won] > 0)
-    return Cells(keys, codes, mean)
+    return LabelledCells(keys, codes, mean)
 
 
-def look_up(cells: Cells, keys: Ints) -> tuple[NDArray[np.uint8], Floats]:
+def look_up(cells: LabelledCells, keys: Ints) -> tuple[NDArray[np.uint8], Floats]:
     """Return code and confidence at keys (M,); cells that are not there are 255."""
     if len(cells.keys) == 0:
         return np.full(len(keys), int(Change.UNOBSERVED), np.uint8), np.zeros(len(keys))

@@ -13,6 +13,7 @@ from pydantic import Field
 
 from subiaco_change.outputs.json_text import plain
 from subiaco_evaluation import object_matching as objects
+from subiaco_evaluation.families import by_family
 from subiaco_evaluation.grid import GridConfig, look_up, rasterise
 from subiaco_evaluation.layouts import (
     Prediction,
@@ -21,6 +22,14 @@ from subiaco_evaluation.layouts import (
     read_prediction,
     read_published_loops,
     scene_name,
+)
+from subiaco_evaluation.near_gate import (
+    ClearScore,
+    near_gate_ids,
+    points_without,
+    pool_clear,
+    verdicts_without,
+    without_objects,
 )
 from subiaco_evaluation.paired import paired_difference, tile_matrices
 from subiaco_evaluation.score_files import write_evaluation
@@ -89,6 +98,8 @@ class SceneScore:
     tiles: Ints | None = None
     registration: dict[str, float] | None = None
     trajectories: Mapping[str, dict[str, float]] | None = None
+    clear: ClearScore | None = None
+    family: str | None = None
 
 
 def evaluate(pairs: Sequence[tuple[Path, Path]], config: EvaluationConfig | None = None) -> dict[str, Any]:
@@ -203,7 +214,32 @@ def score_scene(
         tiles,
         registration_error(prediction.registration, truth.T_after_before),
         score_trajectories(prediction.run, truth.trajectories, config.rpe_length),
+        _score_clear(prediction, real, points, verdicts, near_gate_ids(truth.objects), config),
+        truth.scene.get("family"),
     )
+
+
+def _score_clear(
+    prediction: Prediction,
+    real: Mapping[str, PointCloud],
+    points: objects.PointPairs,
+    verdicts: pd.DataFrame | None,
+    near: Ints | None,
+    config: EvaluationConfig,
+) -> ClearScore | None:
+    """Count a scene once more without the objects near a gate; None where the truth does not mark them."""
+    if near is None:
+        return None
+    clear = {epoch: without_objects(cloud, near) for epoch, cloud in real.items()}
+    counts, kept = None, None
+    if prediction.table is not None and verdicts is not None:
+        rest = points_without(points, near)
+        kept = verdicts_without(
+            objects.row_verdicts(prediction.table, rest, config.object_share), points, near
+        )
+        changes = objects.true_changes(joined_truth(clear), rest, config.min_points, config.min_size)
+        counts = objects.object_counts(kept, changes, config.object_share, config.min_points)
+    return ClearScore(len(near), score_cells(prediction, clear, config)[0], counts, kept)
 
 
 def joined_truth(real: Mapping[str, PointCloud]) -> PointCloud:
@@ -280,7 +316,13 @@ def score_trajectories(
 
 
 def pool(found: Sequence[SceneScore], config: EvaluationConfig) -> dict[str, Any]:
-    """Add scenes up and score the sums; intervals come from drawing scenes."""
+    """Add scenes up and score the sums, all together and by family; intervals come from drawing scenes."""
+    families = sorted({scene.family for scene in found if scene.family})
+    pooled = {name: _pool_scenes([s for s in found if s.family == name], config) for name in families}
+    return {**_pool_scenes(found, config), "families": by_family(pooled)}
+
+
+def _pool_scenes(found: Sequence[SceneScore], config: EvaluationConfig) -> dict[str, Any]:
     grids = [scene.grid for scene in found]
     total = np.sum(grids, axis=0)
     right, trust = (np.concatenate([scene.decided[i] for scene in found]) for i in (0, 1))
@@ -300,6 +342,7 @@ def pool(found: Sequence[SceneScore], config: EvaluationConfig) -> dict[str, Any
         "objects": _pool_objects(found),
         "semantics": describe_semantics(np.sum([scene.semantics for scene in found], axis=0)),
         "reliability": _pool_reliability(found, config.bins),
+        "without_near_gate": pool_clear([scene.clear for scene in found], config.bins),
         "scenes": [
             {"name": s.name, **scores(s.grid), "registration": s.registration, "trajectories": s.trajectories}
             for s in found

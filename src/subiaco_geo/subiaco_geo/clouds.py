@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 
@@ -12,6 +13,7 @@ from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
 
 _REACH = 1 << 20
+_CELLS_A_POINT, _FEW_CELLS = 8, 1 << 20  # of a grid that is counted cell by cell, not sorted
 
 
 @dataclass(frozen=True)
@@ -117,6 +119,25 @@ def unpack_voxel_keys(keys: Ints) -> Ints:
     """Invert :func:`voxel_keys`, giving (N, 3) int64 indices."""
     mask = (1 << 21) - 1
     return np.stack([keys >> 42, (keys >> 21) & mask, keys & mask], axis=1) - _REACH
+
+
+def unique_cells(cells: Ints) -> tuple[Ints, Ints]:
+    """Return the distinct rows (M, K) of integer cells (N, K) in order, and which of them each row (N,) is.
+
+    As ``np.unique`` by rows does, without sorting rows: cells of points lie close together.
+    """
+    if len(cells) == 0:
+        return cells, np.zeros(0, dtype=np.int64)
+    low = cells.min(axis=0)
+    spans = (cells.max(axis=0) - low + 1).tolist()
+    if math.prod(spans) > _CELLS_A_POINT * len(cells) + _FEW_CELLS:  # scattered far apart
+        found, place = np.unique(cells, axis=0, return_inverse=True)
+        return found, np.asarray(place.ravel())
+    flat = np.ravel_multi_index(tuple((cells - low).T), spans)
+    held = np.flatnonzero(np.bincount(flat))
+    number = np.empty(int(held[-1]) + 1, dtype=np.int64)
+    number[held] = np.arange(len(held))
+    return np.stack(np.unravel_index(held, spans), axis=1) + low, number[flat]
 
 
 def sort_spatially(xyz: Floats, cell: float = 2.0) -> Ints:

@@ -29,7 +29,7 @@ from scipy.special import betaln, gammaln
 
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
-from subiaco_geo.observation_times import Looks
+from subiaco_geo.observation_times import VoxelObservations
 from subiaco_geo.visibility import NO_VERDICT, SURELY_MOVED
 
 _LIMIT = 1 << 20
@@ -110,7 +110,7 @@ class MovementConfig(StrictModel):
     )
 
 
-def evidence_of_movement(looks: Looks, config: MovementConfig) -> NDArray[np.float32]:
+def evidence_of_movement(looks: VoxelObservations, config: MovementConfig) -> NDArray[np.float32]:
     """Log likelihood ratio (M,) of moving against standing of every voxel; NaN where nothing returned."""
     hits, through = looks.hits.astype(np.float64), looks.through.astype(np.float64)
     runs = np.maximum(looks.runs, 1.0)
@@ -193,14 +193,16 @@ class _Doubtful:
     candidate: NDArray[np.bool_]
 
 
-def verdicts(keys: Ints, looks: Looks, config: MovementConfig, most: int = 1 << 22) -> NDArray[np.uint8]:
+def verdicts(
+    keys: Ints, looks: VoxelObservations, config: MovementConfig, most: int = 1 << 22
+) -> NDArray[np.uint8]:
     """Decide of every voxel whether what returned from it moved.
 
     Parameters
     ----------
     keys : (M,) int64
         Sorted packed voxel indices (:func:`subiaco_geo.clouds.voxel_keys`); may be mapped from disk.
-    looks : Looks
+    looks : VoxelObservations
         At these voxels.
     config : MovementConfig
     most : int
@@ -223,7 +225,12 @@ def verdicts(keys: Ints, looks: Looks, config: MovementConfig, most: int = 1 << 
 
 
 def _judge_part(
-    keys: Ints, looks: Looks, config: MovementConfig, start: int, most: int, code: NDArray[np.uint8]
+    keys: Ints,
+    looks: VoxelObservations,
+    config: MovementConfig,
+    start: int,
+    most: int,
+    code: NDArray[np.uint8],
 ) -> _Doubtful:
     """Write the verdict on the voxels of a part as if all stood; return those that may have moved."""
     stop = min(start + most, len(keys))

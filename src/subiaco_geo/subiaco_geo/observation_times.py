@@ -78,8 +78,8 @@ def count_return(rows, slot, window, least):  # type: ignore[no-untyped-def]  # 
 
 
 @dataclass(frozen=True)
-class Looks:
-    """Looks at every voxel of a grid.
+class VoxelObservations:
+    """Observations of every voxel of a grid.
 
     Parameters
     ----------
@@ -104,39 +104,41 @@ class Looks:
         """Return the fields in order."""
         return [getattr(self, field.name) for field in fields(self)]
 
-    def select(self, index: Any) -> Looks:
+    def select(self, index: Any) -> VoxelObservations:
         """Return the looks at some of the voxels: a mask, indices or a slice."""
-        return Looks(*(column[index] for column in self.columns()))
+        return VoxelObservations(*(column[index] for column in self.columns()))
 
-    def later(self, windows: int) -> Looks:
+    def later(self, windows: int) -> VoxelObservations:
         """Return them with every window numbered so many later."""
         shift = np.uint32(windows)
         first, last = (np.where(c > 0, c + shift, 0).astype(np.uint32) for c in (self.first, self.last))
-        return Looks(self.hits, self.through, self.runs, first, last, self.edges)
+        return VoxelObservations(self.hits, self.through, self.runs, first, last, self.edges)
 
 
-def looks_of(rows: Rows, least: int) -> Looks:
+def looks_of(rows: Rows, least: int) -> VoxelObservations:
     """Read the running states (M, COLUMNS) of voxels."""
     state = rows[:, _STATE]
     hit, through = (state & _HIT) > 0, (state & _BEAMS) >= least
     ends = hit | (~through & ((state & _AFTER_HIT) > 0))
     edges = (((state & _BEGAN_HIT) > 0) + 2 * ends.astype(np.uint8)).astype(np.uint8)
     first, last = (rows[:, column].astype(np.uint32) for column in (_FIRST, _LAST))
-    return Looks(rows[:, _HITS].copy(), rows[:, _THROUGH].copy(), rows[:, _RUNS].copy(), first, last, edges)
+    return VoxelObservations(
+        rows[:, _HITS].copy(), rows[:, _THROUGH].copy(), rows[:, _RUNS].copy(), first, last, edges
+    )
 
 
-def joined_looks(starts: Ints, looks: Looks) -> Looks:
+def joined_looks(starts: Ints, looks: VoxelObservations) -> VoxelObservations:
     """Join the looks of the same voxels at different times.
 
     Parameters
     ----------
     starts : (M,) int64
         Where the rows of each voxel begin; they go on to the next start.
-    looks : Looks
+    looks : VoxelObservations
         Rows of one voxel lie side by side, in the order of time.
     """
     ends = np.append(starts[1:], len(looks.hits)).astype(np.int64)
-    return Looks(*_join(starts, ends, *looks.columns()))
+    return VoxelObservations(*_join(starts, ends, *looks.columns()))
 
 
 @numba.njit(cache=True)

@@ -110,11 +110,16 @@ def neighbours(name: str, names: Collection[str], rings: int = 1) -> list[str]:
 def split_by_tile(xy: Floats, size: float = 80.0) -> dict[str, NDArray[np.int64]]:
     """Return the indices of the points (N, 2 or more) of every tile, in order; tiles by id."""
     index = np.floor(np.asarray(xy)[:, :2] / size).astype(np.int64)
-    order = np.lexsort((index[:, 0], index[:, 1]))
-    ordered = index[order]
-    fresh = np.flatnonzero(np.any(np.diff(ordered, axis=0, prepend=ordered[:1] - 1) != 0, axis=1))
-    groups = np.split(order, fresh[1:]) if len(order) else []
-    return {f"{c}_{r}": np.sort(g) for (c, r), g in zip(ordered[fresh].tolist(), groups, strict=True)}
+    if len(index) == 0:
+        return {}
+    column, row = (index - index.min(axis=0)).T
+    tile = row * (int(column.max()) + 1) + column
+    tile = tile.astype(np.min_scalar_type(int(tile.max())))  # short keys sort faster
+    order = np.argsort(tile, kind="stable")
+    ordered = tile[order]
+    fresh = np.concatenate([[0], np.flatnonzero(ordered[1:] != ordered[:-1]) + 1])
+    groups = np.split(order, fresh[1:])
+    return {f"{c}_{r}": g for (c, r), g in zip(index[order[fresh]].tolist(), groups, strict=True)}
 
 
 def _tile(column: int, row: int, size: float, overlap: float) -> Tile:

@@ -17,7 +17,7 @@ from subiaco_geo.atomic import whole_file
 from subiaco_geo.clouds import packable, voxel_indices, voxel_keys
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
-from subiaco_geo.observation_times import Looks
+from subiaco_geo.observation_times import VoxelObservations
 
 #: Probability that what returned from a voxel moved, where nothing is known of it.
 NO_VERDICT = 255
@@ -46,13 +46,13 @@ class TimeRecord:
         Length of a time window [s].
     start_ns : int
         UTC time at which window 1 begins; window ``w`` begins ``(w - 1) * window`` seconds later.
-    looks : Looks
+    looks : VoxelObservations
         Of M voxels.
     """
 
     window: float
     start_ns: int
-    looks: Looks
+    looks: VoxelObservations
 
 
 @dataclass(frozen=True)
@@ -184,7 +184,7 @@ def _grid_of(arrays: Mapping[str, NDArray[Any]]) -> VisibilityGrid:
         window, start_ns = _number(arrays, "window"), int(_number(arrays, "start_ns", "iu"))
         if not 0.0 < window < np.inf:
             raise ValueError(f"window is {window} s")
-        times = TimeRecord(window, start_ns, Looks(*(columns[name] for name in _LOOKS)))
+        times = TimeRecord(window, start_ns, VoxelObservations(*(columns[name] for name in _LOOKS)))
         moving = columns["moving"]
     keys, hits, passes = (columns[name] for name in _COUNTS)
     return VisibilityGrid(origin.astype(np.float64), float(voxel), keys, hits, passes, moving, times)

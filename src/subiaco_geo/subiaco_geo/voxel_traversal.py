@@ -11,7 +11,14 @@ from numpy.typing import NDArray
 
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
-from subiaco_geo.observation_times import COLUMNS, Looks, Rows, count_passing, count_return, looks_of
+from subiaco_geo.observation_times import (
+    COLUMNS,
+    Rows,
+    VoxelObservations,
+    count_passing,
+    count_return,
+    looks_of,
+)
 from subiaco_geo.visibility import VisibilityGrid
 
 _EMPTY = -1
@@ -84,7 +91,7 @@ def _walk(  # noqa: C901, PLR0912, PLR0915
 ) -> tuple[int, int]:  # fmt: skip
     """Walk beams (voxel units) from index ``first`` until done or the table is full.
 
-    Looks are counted where ``window`` is not 0 (:mod:`subiaco_geo.observation_times`).
+    VoxelObservations are counted where ``window`` is not 0 (:mod:`subiaco_geo.observation_times`).
 
     Amanatides and Woo (1987), with the number of steps fixed beforehand on
     every axis, so that rounding can never walk past the end voxel. Returns
@@ -264,7 +271,7 @@ class VisibilityAccumulator:
             self.origin, self.voxel, self._keys[order], self._hits[order], self._passes[order]
         )
 
-    def looks(self) -> Looks:
+    def looks(self) -> VoxelObservations:
         """Return the looks at every voxel, in the order of :meth:`grid`."""
         used = np.flatnonzero(self._keys != _EMPTY)
         return looks_of(self._looks[used[np.argsort(self._keys[used])]], self._least)

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from tempfile import TemporaryDirectory
+from typing import Any, Protocol
 
 from subiaco_geo.crs_area import require_usable
 from subiaco_geo.errors import InputError
+from subiaco_geo.locks import held_directory, sweep
 from subiaco_geo.survey_map import SurveyMap
 from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.fusion.full_density import FullDensity
@@ -149,3 +153,49 @@ class MappingBackend:
             known = {**survey.info, "control": solution.absolute.described(survey.cloud)}
             survey = replace(survey, info=known)
         return with_quality(survey, solution, self._config)
+
+
+class Backend(Protocol):
+    """Steps of a mapping back end, as the pose-graph node calls them."""
+
+    def start_sequence(self, name: str, extrinsics: Extrinsics | None = None) -> None:
+        """Begin a recording."""
+
+    def add_facts(self, **facts: Any) -> None:
+        """Note facts about the current recording."""
+
+    def on_odometry(self, pose: OdometryPose, scan: DeskewedScan) -> None:
+        """Take a registered scan."""
+
+    def on_fix(self, fix: GnssFix) -> None:
+        """Take a fix."""
+
+    def on_heading(self, heading: HeadingSample) -> None:
+        """Take a heading."""
+
+    def optimize(self) -> GraphSolution:
+        """Solve."""
+
+    def preview(self) -> LiveEstimate:
+        """Solve incrementally."""
+
+    def build_map(
+        self, progress: ProgressCallback | None = None, inputs: Mapping[str, str] | None = None
+    ) -> SurveyMap:
+        """Fuse."""
+
+    def with_quality(self, survey: SurveyMap, progress: ProgressCallback | None = None) -> SurveyMap:
+        """Lay the quality report beside a map."""
+
+
+@contextmanager
+def spool_folder(output_directory: str) -> Iterator[Path]:
+    """Yield a folder for the deskewed scans (10 MB/s): beside the map, else in the temporary folder."""
+    if not output_directory:
+        with TemporaryDirectory(prefix="subiaco-spool-") as temporary:
+            yield Path(temporary)
+        return
+    output = Path(output_directory).absolute()
+    sweep(output.parent, f".{output.name}.spool-")
+    with held_directory(output.with_name(f".{output.name}.spool-{os.getpid()}")) as folder:
+        yield folder

@@ -13,16 +13,17 @@ from subiaco_geo.clouds import PointCloud
 from subiaco_geo.datum_shifts import likely_shift
 from subiaco_geo.frames import Floats
 from subiaco_mapping.control_points import PICKED, ControlPoints
+from subiaco_mapping.method_numbers import NUMBERS
 
 #: Fewer points than this make no accuracy statement (ASPRS Positional Accuracy Standards, edition 2, 2023).
 ENOUGH = 30
 #: Factors to 95 % of the RMSE of horizontal distances, and of heights (NSSDA, ICSM SP1).
 HORIZONTAL_95, VERTICAL_95 = 1.7308, 1.96
-_RADIUS = 0.75  # map points around a control point that carry its surface [m]
-_REACH = 1.0  # above or below the control point, map points are another surface [m]
-_TRIM = 3.0  # points so many robust deviations off the fitted plane are left out
-_ALIKE = 3  # control points that must err alike before a cause is named
-_FEW = 8  # fewer map points carry no plane
+_RADIUS = NUMBERS.control_points.radius
+_REACH = NUMBERS.control_points.height_reach
+_TRIM = NUMBERS.control_points.plane_outlier
+_ALIKE = NUMBERS.control_points.common_cause_points
+_FEW = NUMBERS.control_points.plane_points
 
 
 @dataclass(frozen=True)

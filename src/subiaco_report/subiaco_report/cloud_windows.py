@@ -12,7 +12,7 @@ from subiaco_change.outputs.rasters import Coverage, read_coverage
 from subiaco_geo.cloud_windows import CloudFile
 from subiaco_geo.frames import Ints
 from subiaco_report.city_map import LONGEST
-from subiaco_report.pictures import BlockGrid, overview_frame
+from subiaco_report.pictures import PictureBlocks, overview_frame
 from subiaco_report.top_views import Above
 
 _LOD_STEP, _LOD_STEPS = 1e-4, 100_000  # of the counted levels of detection [m], and how many there are
@@ -58,7 +58,7 @@ class Gathered:
 
     epochs: tuple[CloudFile, CloudFile]
     coverage: Coverage
-    blocks: BlockGrid
+    blocks: PictureBlocks
     lod: LodCounts
     overview: Above
     city: Above
@@ -71,7 +71,7 @@ def gather(change: ChangeDirectory) -> Gathered:
     high = np.maximum(*(epoch.high[:2] for epoch in epochs))
     overview, city = Above(overview_frame(low, high)), Above(overview_frame(low, high, LONGEST))
     coverage = read_coverage(change.path / "coverage.tif")
-    found = Gathered(epochs, coverage, BlockGrid(low, high), LodCounts(), overview, city)
+    found = Gathered(epochs, coverage, PictureBlocks(low, high), LodCounts(), overview, city)
     for epoch in epochs:
         for part in epoch.parts():
             world, label = part.world(), np.asarray(part.fields["change"], dtype=np.uint8)

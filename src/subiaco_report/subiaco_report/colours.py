@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
+from matplotlib import colormaps
 from matplotlib.cm import ScalarMappable
 from matplotlib.colors import Normalize
 from numpy.typing import NDArray
@@ -16,6 +18,7 @@ from subiaco_geo.clouds import PointCloud
 from subiaco_geo.frames import Floats, Ints
 from subiaco_report.top_views import CHANGED, Frame, fill_holes, top_view
 
+VIRIDIS = colormaps["viridis"]  # a copy at every look-up, of which each makes its table anew
 BACKGROUND = (247, 247, 245)
 
 Colours = NDArray[np.uint8]
@@ -30,8 +33,42 @@ def height_range(clouds: Sequence[PointCloud]) -> tuple[float, float]:
     return float(low), float(max(high, low + 1.0))
 
 
+@dataclass(frozen=True)
+class TopView:
+    """What is seen of a cloud from above: point (rows, columns) of every pixel, -1 for none; its shade."""
+
+    point: Ints
+    shade: Floats
+
+
+def seen_from_above(cloud: PointCloud, frame: Frame, *, changed_first: bool, fill: int = 1) -> TopView:
+    """Return what is seen of a cloud in a frame in world coordinates.
+
+    ``changed_first``: changed points hide all others; ``fill``: pixels by which points grow.
+    """
+    origin = np.append(cloud.origin[:2], 0.0)
+    local = Frame(
+        frame.west - origin[0],
+        frame.south - origin[1],
+        frame.east - origin[0],
+        frame.north - origin[1],
+        frame.pixel,
+    )
+    priority = np.isin(np.asarray(cloud.fields["change"]), CHANGED) if changed_first else None
+    view = fill_holes(top_view(cloud.xyz, local, priority), fill)
+    seen = view >= 0
+    z = np.full(view.shape, np.nan)
+    z[seen] = cloud.xyz[view[seen], 2]
+    return TopView(view, hillshade(z, frame.pixel) if seen.any() else z)
+
+
 def paint(
-    cloud: PointCloud, frame: Frame, kind: str, heights: tuple[float, float] = (0.0, 1.0), fill: int = 1
+    cloud: PointCloud,
+    frame: Frame,
+    kind: str,
+    heights: tuple[float, float] = (0.0, 1.0),
+    fill: int = 1,
+    seen_points: TopView | None = None,
 ) -> Colours:
     """Return the top view of a cloud as colours (rows, columns, 3).
 
@@ -47,27 +84,16 @@ def paint(
         Ends of the height colours [m].
     fill : int
         Pixels by which points grow into empty places.
+    seen_points : TopView, optional
+        Of the cloud in the frame, where it is known: all kinds but *change* share one.
     """
-    origin = np.append(cloud.origin[:2], 0.0)
-    local = Frame(
-        frame.west - origin[0],
-        frame.south - origin[1],
-        frame.east - origin[0],
-        frame.north - origin[1],
-        frame.pixel,
-    )
-    change = np.asarray(cloud.fields["change"])
-    priority = np.isin(change, CHANGED) if kind == "change" else None
-    view = fill_holes(top_view(cloud.xyz, local, priority), fill)
-    seen = view >= 0
-    picture = np.empty((*view.shape, 3), dtype=np.uint8)
+    view = seen_points or seen_from_above(cloud, frame, changed_first=kind == "change", fill=fill)
+    seen = view.point >= 0
+    picture = np.empty((*seen.shape, 3), dtype=np.uint8)
     picture[:] = BACKGROUND
     if not seen.any():
         return picture
-    index = view[seen]
-    z = np.full(view.shape, np.nan)
-    z[seen] = cloud.xyz[index, 2]
-    shade = hillshade(z, frame.pixel)[seen]
+    index, shade = view.point[seen], view.shade[seen]
     picture[seen] = _shaded(_colours(cloud, index, kind, heights, shade), shade, kind)
     return picture
 
@@ -79,7 +105,7 @@ def _colours(
         return _brightness(cloud, index, shade)[:, None] * np.array([235.0, 238.0, 245.0])
     if kind == "height":
         values = cloud.xyz[index, 2] + cloud.origin[2]
-        return np.asarray(ScalarMappable(Normalize(*heights), "viridis").to_rgba(values)[:, :3] * 255.0)
+        return np.asarray(ScalarMappable(Normalize(*heights), VIRIDIS).to_rgba(values)[:, :3] * 255.0)
     if kind == "semantics":
         return semantic_palette()[np.asarray(cloud.fields["semantic"])[index].astype(np.int64)]
     if kind == "instances":

@@ -15,12 +15,11 @@ import pyogrio
 from pyproj import CRS
 
 from subiaco_change.outputs.change_directory_reading import ChangeDirectory, read_change_directory
-from subiaco_change.outputs.difference_rasters import write_difference_rasters
-from subiaco_change.outputs.earthwork import cut_and_fill
+from subiaco_change.outputs.difference_rasters import cut_and_fill, write_difference_rasters
 from subiaco_change.outputs.exports import export_changes
 from subiaco_change.outputs.geopackage import write_layer
 from subiaco_change.outputs.parcels import OUTSIDE, read_lots
-from subiaco_change.outputs.review_state import review_counts
+from subiaco_change.outputs.reviews import review_counts
 from subiaco_change.outputs.table import write_csv
 from subiaco_geo.atomic import whole_directory
 from subiaco_report.accuracy import accuracy_facts, read_check
@@ -53,7 +52,7 @@ _ABOUT = {
 class Delivery:
     """What a delivery holds beside the change directory.
 
-    ``review``: rows by their review, see :func:`~subiaco_change.outputs.review_state.selected_by_review`;
+    ``review``: rows by their review, see :func:`~subiaco_change.outputs.reviews.selected_by_review`;
     ``polygons``: areas for cut and fill, None takes the lots of the change directory; ``check``: output of
     ``subiaco check --json``; ``cell``: edge of the cells of the difference rasters [m]; ``clouds``: with
     point clouds; ``created``: day of the metadata, None takes today (UTC).

@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import geopandas as gpd
 import numpy as np
-from matplotlib import colormaps
 from numpy.typing import NDArray
 from PIL import Image
 from shapely.geometry.base import BaseGeometry
@@ -20,7 +19,7 @@ from subiaco_change.outputs.terrain import hillshade
 from subiaco_geo.cloud_windows import CloudFile
 from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats, Ints
-from subiaco_report.colours import BACKGROUND, Colours
+from subiaco_report.colours import BACKGROUND, VIRIDIS, Colours
 from subiaco_report.top_views import CHANGED, Frame, fill_holes, top_view
 
 PANEL, SECTION, HEAD = 140, 84, 15  # edges of the parts of a picture on the page [pixel]
@@ -214,7 +213,7 @@ Paint = Callable[[Points, View], Floats]
 def _height_colours(points: Points, view: View) -> Floats:
     low, high = view.heights
     share = np.clip((points[0][:, 2] - low) / (high - low), 0.0, 1.0)
-    return np.asarray(colormaps["viridis"](0.05 + 0.95 * share)[:, :3] * 255.0)
+    return np.asarray(VIRIDIS(0.05 + 0.95 * share)[:, :3] * 255.0)
 
 
 def _change_colours(points: Points, _: View) -> Floats:
@@ -228,7 +227,7 @@ def _plan(points: Points, view: View, colour: Paint) -> Colours:
     priority = np.isin(points[1], CHANGED) if colour is _change_colours else None
     seen = fill_holes(top_view(local, frame, priority))
     z = np.where(seen >= 0, points[0][seen, 2], np.nan) if len(local) else np.full(seen.shape, np.nan)
-    return _filled(seen, colour(points, view), 0.45 + 0.65 * hillshade(z, pixel))
+    return _filled(seen, points, view, colour, 0.45 + 0.65 * hillshade(z, pixel))
 
 
 def _section(points: Points, view: View, colour: Paint) -> Colours:
@@ -242,13 +241,15 @@ def _section(points: Points, view: View, colour: Paint) -> Colours:
     v = (points[0][:, 2] - view.middle) * view.exaggeration
     priority = np.isin(points[1], CHANGED) if colour is _change_colours else None
     seen = top_view(np.stack([u, v, toward], axis=1), Frame(-half, -tall, half, tall, pixel), priority)
-    return _filled(seen, colour(points, view))
+    return _filled(seen, points, view, colour)
 
 
-def _filled(seen: Ints, colours: Floats, shade: Floats | None = None) -> Colours:
+def _filled(seen: Ints, points: Points, view: View, colour: Paint, shade: Floats | None = None) -> Colours:
     picture = np.empty((*seen.shape, 3), dtype=np.uint8)
     picture[:] = BACKGROUND
     hit = seen >= 0
-    values = colours[seen[hit]] if shade is None else colours[seen[hit]] * shade[hit][:, None]
+    shown = seen[hit]
+    values = colour((points[0][shown], points[1][shown]), view)
+    values = values if shade is None else values * shade[hit][:, None]
     picture[hit] = np.clip(values, 0, 255).astype(np.uint8)
     return picture

@@ -10,7 +10,7 @@ import numpy as np
 import pandas as pd
 
 from subiaco_change.outputs.rasters import Coverage
-from subiaco_change.outputs.review_state import is_rejected
+from subiaco_change.outputs.reviews import is_rejected
 from subiaco_change.records import CHANGE_COLOURS
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.findings import Finding

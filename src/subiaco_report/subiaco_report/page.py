@@ -15,7 +15,7 @@ import pandas as pd
 from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
 
 from subiaco_change.outputs.change_directory_reading import ChangeDirectory, read_change_directory
-from subiaco_change.outputs.review_state import review_counts
+from subiaco_change.outputs.reviews import review_counts
 from subiaco_change.records import SEMANTIC_COLOURS
 from subiaco_geo.atomic import whole_file
 from subiaco_geo.codes import Change, Semantic

@@ -19,7 +19,7 @@ from subiaco_change.records import CHANGE_COLOURS
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Change
 from subiaco_geo.frames import Floats
-from subiaco_report.colours import Colours, height_range, paint
+from subiaco_report.colours import Colours, height_range, paint, seen_from_above
 from subiaco_report.top_views import Above, Frame
 
 #: The five pictures of a block, in the order of the report, with their captions.
@@ -62,7 +62,7 @@ class Mark:
     text: str
 
 
-class BlockGrid:
+class PictureBlocks:
     """Blocks of :data:`SIZE`, centred on the points, and how many points each of them holds.
 
     Parameters
@@ -114,8 +114,17 @@ def block_pictures(before: PointCloud, after: PointCloud, block: Block) -> dict[
     """
     frame, near = Frame(*block.bounds, _PIXEL), (before, after)
     heights = height_range(near)
+    views = {first: [seen_from_above(c, frame, changed_first=first) for c in near] for first in (False, True)}
     return {
-        kind: _webp(np.concatenate([paint(cloud, frame, kind, heights) for cloud in near], axis=1))
+        kind: _webp(
+            np.concatenate(
+                [
+                    paint(cloud, frame, kind, heights, seen_points=view)
+                    for cloud, view in zip(near, views[kind == "change"], strict=True)
+                ],
+                axis=1,
+            )
+        )
         for kind in KINDS
     }
 

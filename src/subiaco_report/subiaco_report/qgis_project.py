@@ -15,10 +15,9 @@ import numpy as np
 import pyogrio
 from pyproj import CRS
 
-from subiaco_change.outputs.qgis_forms import form_elements
+from subiaco_change.outputs.geopackage import COVERAGE_COLOURS, RGB, form_elements, renderer
 from subiaco_change.outputs.rasters import COVERAGE
-from subiaco_change.outputs.review_state import ACCEPTED
-from subiaco_change.outputs.style import COVERAGE_COLOURS, RGB, renderer
+from subiaco_change.outputs.reviews import ACCEPTED
 from subiaco_change.records import CHANGE_COLOURS
 from subiaco_geo.codes import Change
 
@@ -47,7 +46,7 @@ _DZ_STEPS = (
 class _Layer:
     """One layer: its name for people, its group, source beside the project, kind, provider, and style as XML.
 
-    ``form`` holds the elements of :func:`~subiaco_change.outputs.qgis_forms.form_elements`.
+    ``form`` holds the elements of :func:`~subiaco_change.outputs.geopackage.form_elements`.
     """
 
     name: str

@@ -14,7 +14,7 @@ import numpy as np
 import pyogrio
 
 from subiaco_change.outputs.parcels import OUTSIDE
-from subiaco_change.outputs.review_state import review_states
+from subiaco_change.outputs.reviews import review_states
 from subiaco_geo.atomic import whole_directory
 from subiaco_report.evidence_pictures import Evidence, svg_path
 from subiaco_report.facts import CHANGED_LABELS

@@ -12,9 +12,9 @@ from numpy.typing import NDArray
 
 from subiaco_change.decisions.confidence import BANDS
 from subiaco_change.outputs.change_directory_reading import ChangeDirectory
+from subiaco_change.outputs.geopackage import COVERAGE_COLOURS
 from subiaco_change.outputs.rasters import COVERAGE, Coverage
-from subiaco_change.outputs.review_state import is_rejected, review_counts
-from subiaco_change.outputs.style import COVERAGE_COLOURS
+from subiaco_change.outputs.reviews import is_rejected, review_counts
 from subiaco_change.records import CHANGE_COLOURS
 from subiaco_geo.codes import Change
 from subiaco_report.city_map import city_map, webp_uri

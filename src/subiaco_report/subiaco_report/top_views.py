@@ -38,7 +38,7 @@ class Frame:
         return self.west, self.east, self.south, self.north
 
 
-def top_view(xyz: Floats, frame: Frame, priority: NDArray[np.generic] | None = None) -> Ints:
+def top_view(xyz: Floats, frame: Frame, priority: NDArray[np.bool_] | None = None) -> Ints:
     """Return the index of the point seen in every pixel, -1 where there is none.
 
     Parameters
@@ -46,8 +46,8 @@ def top_view(xyz: Floats, frame: Frame, priority: NDArray[np.generic] | None = N
     xyz : (N, 3) float64
         In the coordinates of the frame [m].
     frame : Frame
-    priority : (N,) array, optional
-        A point of higher priority hides one of lower; height decides among equals.
+    priority : (N,) bool, optional
+        Points that hide all others; height decides among equals.
 
     Returns
     -------
@@ -59,12 +59,20 @@ def top_view(xyz: Floats, frame: Frame, priority: NDArray[np.generic] | None = N
     row = np.floor((frame.north - xyz[:, 1]) / frame.pixel).astype(np.int64)
     inside = np.flatnonzero((row >= 0) & (row < rows) & (column >= 0) & (column < columns))
     flat = row[inside] * columns + column[inside]
-    order = np.argsort(xyz[inside, 2], kind="stable")
-    if priority is not None:
-        order = order[np.argsort(priority[inside][order], kind="stable")]
     view = np.full(rows * columns, -1, dtype=np.int64)
-    view[flat[order]] = inside[order]  # the last of equal pixels wins
+    _show_highest(view, xyz[:, 2], inside, flat)
+    if priority is not None:
+        first = priority[inside]
+        _show_highest(view, xyz[:, 2], inside[first], flat[first])
     return view.reshape(rows, columns)
+
+
+def _show_highest(view: Ints, z: Floats, points: Ints, pixel: Ints) -> None:
+    """Let pixels (P,) show the highest of the points (K,) that fall into them; of equals the last wins."""
+    top = np.full(len(view), -np.inf)
+    np.maximum.at(top, pixel, z[points])
+    highest = z[points] == top[pixel]
+    view[pixel[highest]] = points[highest]
 
 
 class Above:

@@ -11,7 +11,7 @@ from rclpy.clock import Clock, ClockType
 from rclpy.node import Node
 
 from subiaco_ros.qos import latched
-from subiaco_ros.supervision import Progress, supervisor_channel
+from subiaco_ros.supervision import NodeProgress, supervisor_channel
 from subiaco_ros.topic_names import DIAGNOSTICS
 
 #: Between two publications of a status that has not changed [s].
@@ -48,7 +48,7 @@ class ProgressReporter:
             self._report(stage, fraction)
 
     def _report(self, stage: str, fraction: float) -> None:
-        self._channel.progress(Progress(stage, fraction))
+        self._channel.progress(NodeProgress(stage, fraction))
         if not self._channel.supervised:
             text = f"{stage}: {100 * fraction:.0f} %"
             self._node.get_logger().info(text)

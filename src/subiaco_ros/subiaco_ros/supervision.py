@@ -19,7 +19,7 @@ CHANNEL = "SUBIACO_REPORT_CHANNEL"
 
 
 @dataclass(frozen=True)
-class Progress:
+class NodeProgress:
     """How far a node has come: the stage, and the fraction of it that is done."""
 
     stage: str
@@ -46,7 +46,7 @@ class SupervisorChannel:
         """Whether a supervisor listens."""
         return self._descriptor is not None
 
-    def progress(self, progress: Progress) -> None:
+    def progress(self, progress: NodeProgress) -> None:
         """Tell how far the node has come."""
         self._send({"progress": asdict(progress)})
 
@@ -80,7 +80,7 @@ def supervisor_channel() -> SupervisorChannel:
 
 
 @dataclass(frozen=True)
-class Listener:
+class ReportListener:
     """What a supervisor does with the reports of a node.
 
     Parameters
@@ -88,7 +88,7 @@ class Listener:
     on_progress, on_status, on_error : callable
     """
 
-    on_progress: Callable[[Progress], None]
+    on_progress: Callable[[NodeProgress], None]
     on_status: Callable[[dict[str, Any]], None]
     on_error: Callable[[str], None]
 
@@ -101,7 +101,7 @@ class Listener:
 
     def _take(self, report: Mapping[str, Any]) -> None:
         if "progress" in report:
-            self.on_progress(Progress(**report["progress"]))
+            self.on_progress(NodeProgress(**report["progress"]))
         if "status" in report:
             self.on_status(report["status"])
         if "error" in report:

@@ -9,7 +9,9 @@ from typing import Literal
 from pydantic import Field
 
 from subiaco_geo.config import StrictModel
+from subiaco_sim.families.config import StreetConfig
 from subiaco_sim.scene_config import SceneConfig
+from subiaco_sim.sensors import SensorName
 
 
 class LidarMode(StrEnum):
@@ -156,7 +158,9 @@ class TruthConfig(StrictModel):
 class SimulationConfig(StrictModel):
     """One simulated survey."""
 
-    preset: str = Field("default", description="easy, default, hard or city")
+    preset: str = Field(
+        "default", description="easy, default, hard, city, suburb, suburb_hard, dense or dense_hard"
+    )
     seed: int = Field(1, ge=0, description="Everything random follows from it")
     city_loops: int = Field(20, ge=1, le=400, description="Loops of the preset city, a survey each")
     city_loop: int | None = Field(None, ge=0, le=399, description="Only this loop of the preset city, from 0")
@@ -168,13 +172,21 @@ class SimulationConfig(StrictModel):
     mode: LidarMode = Field(LidarMode.COLUMNS_1024, description="Columns x revolutions a second")
     beams_before: Beams | None = Field(None, description="Beams of the earlier drive; the preset's when null")
     beams_after: Beams | None = Field(None, description="Beams of the later drive; the preset's when null")
+    sensor_before: SensorName | None = Field(
+        None, description="Sensor of the earlier drive, by real beam angles; a family preset's when null"
+    )
+    sensor_after: SensorName | None = Field(
+        None, description="Sensor of the later drive, by real beam angles; a family preset's when null"
+    )
     lane_before: int | None = Field(
         None, ge=0, le=2, description="Lane of the earlier drive, 0 beside the crown; the preset's when null"
     )
     lane_after: int | None = Field(
         None, ge=0, le=2, description="Lane of the later drive, 0 beside the crown; the preset's when null"
     )
-    reverse_after: bool = Field(True, description="The later drive goes the other way")
+    reverse_after: bool | None = Field(
+        None, description="The later drive goes the other way; the preset's when null"
+    )
     dual_return: bool = Field(False, description="Two returns a beam, strongest first")
     ground_cell: float | None = Field(
         None, ge=0.1, le=2.0, description="Edge of the ground mesh [m]; the preset's when null"
@@ -185,6 +197,7 @@ class SimulationConfig(StrictModel):
         None, description="Folder of a recorded drive (gnss*.pos, imu*.csv.gz) whose speed and swing to take"
     )
     scene: SceneConfig = SceneConfig()
+    street: StreetConfig = StreetConfig()
     lidar: LidarConfig = LidarConfig()
     imu: ImuConfig = ImuConfig()
     gnss: GnssConfig = GnssConfig()

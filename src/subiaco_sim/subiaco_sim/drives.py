@@ -17,11 +17,12 @@ from subiaco_sim.lidar import SCAN_NS, Lidar, SimulatedScan, column_times, point
 from subiaco_sim.map_errors import MapWarp
 from subiaco_sim.motion import LANE, Motion, drive
 from subiaco_sim.movers import freeze
-from subiaco_sim.packets import sensor_info
-from subiaco_sim.presets import build_scene, find_preset, with_preset
+from subiaco_sim.packets import sensor_info, true_sensor_info
+from subiaco_sim.presets import FamilyPreset, build_family_scene, build_scene, find_preset, with_preset
 from subiaco_sim.recorded import read_recorded_drive
 from subiaco_sim.scene import EPOCHS, CompiledScene, Scene, compile_scene, ground_object
 from subiaco_sim.scene_config import LANE_WIDTH
+from subiaco_sim.sensors import SENSORS
 from subiaco_sim.vehicle import LIDAR
 
 MAP_CRS = "EPSG:7850"
@@ -77,14 +78,7 @@ def plan_survey(config: SimulationConfig) -> Survey:
     """Build the scene and both drives; the survey's settings are complete with those of the preset."""
     preset = find_preset(config.preset)
     config = with_preset(config)
-    scene = build_scene(
-        config.preset,
-        config.seed,
-        config.ground_cell,
-        config.city_loop or 0,
-        config.scene,
-        config.reverse_after,
-    )
+    scene = _scene_of(config)
     duration = config.duration or preset.duration
     folder = config.recorded_drive
     recorded = read_recorded_drive(folder) if folder is not None else None
@@ -96,29 +90,53 @@ def plan_survey(config: SimulationConfig) -> Survey:
             START_NS[epoch],
             duration,
             preset.speed,
-            reverse=epoch == "after" and config.reverse_after,
+            reverse=epoch == "after" and bool(config.reverse_after),
             seed=config.seed * 2 + number + 1_000_003 * (config.city_loop or 0),
             place=preset.place[number],
             recorded=recorded,
             lane=_lane(config, number),
         )
         scans = int(duration * 1e9 // SCAN_NS)
-        beams = (config.beams_before, config.beams_after)[number] or 128
-        info = sensor_info(config.mode, config.dual_return, beams)
+        info = _sensor_of(config, number)
         compiled = compile_scene(scene, epoch)
         drives[epoch] = Drive(epoch, number, motion, compiled, config.mode.columns, scans, info)
     return Survey(config, scene, drives)
 
 
+def _scene_of(config: SimulationConfig) -> Scene:
+    """Build the scene that complete settings ask for."""
+    if isinstance(find_preset(config.preset), FamilyPreset):
+        return build_family_scene(config)
+    return build_scene(
+        config.preset,
+        config.seed,
+        config.ground_cell,
+        config.city_loop or 0,
+        config.scene,
+        bool(config.reverse_after),
+    )
+
+
+def _sensor_of(config: SimulationConfig, number: int) -> SensorInfo:
+    """Return the metadata of an epoch's sensor: one of real beam angles, else by its number of beams."""
+    name = (config.sensor_before, config.sensor_after)[number]
+    if name is not None:
+        return true_sensor_info(config.mode, config.dual_return, SENSORS[name])
+    beams = (config.beams_before, config.beams_after)[number] or 128
+    return sensor_info(config.mode, config.dual_return, beams)
+
+
 def _lane(config: SimulationConfig, number: int) -> float:
-    """Return how far off the crown an epoch's lane lies [m]."""
+    """Return how far left of the crown an epoch's lane lies [m]; negative where traffic keeps right."""
     lane = (config.lane_before, config.lane_after)[number] or 0
-    lanes = config.scene.character.lanes
+    preset = find_preset(config.preset)
+    plan = preset.plan(config.street, config.seed) if isinstance(preset, FamilyPreset) else None
+    lanes = config.scene.character.lanes if plan is None else plan.lanes
     if lane >= lanes:
         raise InputError(
             f"lane_{EPOCHS[number]} {lane}: there are {lanes} each way; ask for 0 to {lanes - 1}"
         )
-    return LANE + LANE_WIDTH * lane
+    return LANE + LANE_WIDTH * lane if plan is None else plan.lane_offset(number, lane)
 
 
 def warp_of(survey: Survey, epoch: str) -> MapWarp:

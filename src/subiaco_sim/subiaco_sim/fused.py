@@ -11,8 +11,8 @@ from scipy.ndimage import binary_erosion
 from subiaco_geo.cloud_io import write_cloud
 from subiaco_geo.clouds import from_world
 from subiaco_geo.frames import Floats, Ints
-from subiaco_geo.raywalk import VisibilityAccumulator
 from subiaco_geo.visibility import save_visibility
+from subiaco_geo.voxel_traversal import VisibilityAccumulator
 from subiaco_sim.collect import MeanPoints
 from subiaco_sim.drives import MAP_CRS, WORLD, Drive, ScanPoints
 from subiaco_sim.labels import Labels

@@ -193,8 +193,16 @@ class Terrain:
         index = np.arange(x.size).reshape(x.shape)
         a, b, c, d = (i.ravel() for i in (index[:-1, :-1], index[:-1, 1:], index[1:, 1:], index[1:, :-1]))
         triangles = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
-        land = Mesh(vertices, triangles, road_material(distance.ravel()[triangles].mean(axis=1)))
+        land = Mesh(vertices, triangles, self.material(distance.ravel()[triangles].mean(axis=1)))
         return join([land, self._paint()]) if self.lines else land
+
+    def laid(self, mesh: Mesh, x: float, y: float) -> Mesh:  # noqa: ARG002 - of land that slopes for things
+        """Return a mesh that stands on x, y [m] as it lies on the land; here the land is level for things."""
+        return mesh
+
+    def material(self, distance: Floats) -> NDArray[np.uint8]:
+        """Return the material of the ground by distance from the crown [m]."""
+        return road_material(distance)
 
     def _paint(self) -> Mesh:
         """Return the painted lines, just above the ground."""

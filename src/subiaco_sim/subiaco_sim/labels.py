@@ -19,6 +19,7 @@ from subiaco_sim.scene import (
     Foliage,
     GroundItem,
     Item,
+    Placed,
     Scene,
     Shape,
     foot_height,
@@ -87,13 +88,28 @@ def body_of(item: Item, scene: Scene, epoch: str) -> Body | None:
     placed = item.at(epoch)
     if placed is None:
         return None
+    points, foot = skin_of(placed, item.semantic, scene, epoch)
+    return columns_of(points, foot)
+
+
+def skin_of(
+    placed: Placed, semantic: int, scene: Scene, epoch: str, leaves: int = 0, seed: int = 0
+) -> tuple[Floats, float]:
+    """Sample the surface of a placed shape above its foot: points (N, 3) in ENU, and the foot's height [m].
+
+    ``leaves`` and ``seed`` choose other leaves of the same form and other places on the surface.
+    """
     terrain = scene.terrain_at(epoch)
-    placed = replace(placed, shape=solid_form(placed.shape))
-    mesh = item_mesh(placed, item.semantic, terrain)
-    points = sample_surface(mesh, 0.08, np.random.default_rng(0))
-    foot = foot_height(placed, item.semantic, terrain)
-    points = points[points[:, 2] > foot + 0.02]
-    columns = np.floor(points[:, :2] / COLUMN).astype(np.int64)
+    placed = replace(placed, shape=solid_form(placed.shape, leaves))
+    mesh = item_mesh(placed, semantic, terrain)
+    points = sample_surface(mesh, 0.08, np.random.default_rng(seed))
+    foot = foot_height(placed, semantic, terrain)
+    return points[points[:, 2] > foot + 0.02], foot
+
+
+def columns_of(points: Floats, foot: float, shift: tuple[float, float] = (0.0, 0.0)) -> Body:
+    """Return the columns under a surface (N, 3), on a grid moved by ``shift`` [m]."""
+    columns = np.floor((points[:, :2] - shift) / COLUMN).astype(np.int64)
     keys = voxel_keys(np.column_stack([columns, np.zeros(len(columns), dtype=np.int64)]))
     cells, slot = np.unique(keys, return_inverse=True)
     tops = np.zeros(len(cells))
@@ -102,9 +118,11 @@ def body_of(item: Item, scene: Scene, epoch: str) -> Body | None:
     return Body(cells, tops, middle)
 
 
-def solid_form(shape: Shape) -> Shape:
-    """Return a shape that does not depend on the leaves of the season."""
-    return shape.solid() if isinstance(shape, Foliage) else shape
+def solid_form(shape: Shape, leaves: int = 0) -> Shape:
+    """Return a shape that does not depend on the leaves of the season; ``leaves`` is a seed of dense ones."""
+    if not isinstance(shape, Foliage):
+        return shape
+    return replace(shape.solid(), leaves=leaves) if leaves else shape.solid()  # type: ignore[type-var]
 
 
 def _same_form(item: Item, scene: Scene) -> bool:

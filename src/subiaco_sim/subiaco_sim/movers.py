@@ -92,7 +92,8 @@ def freeze(
         x, y, heading = mover.at(route, seconds)
         if np.hypot(x - eye[0], y - eye[1]) < _NEAR:
             z = terrain.height_at(x, y)
-            meshes.append((mover.object_id, mover.shape.mesh().placed(x, y, z, heading)))
+            mesh = terrain.laid(mover.shape.mesh().placed(x, y, z, heading), x, y)
+            meshes.append((mover.object_id, mesh))
             centres.append((x, y, z + 1.2))
             radii.append(mover.radius)
     if not meshes:

@@ -12,6 +12,7 @@ from ouster.sdk.core import HeaderType, PacketFormat, SensorInfo, TimestampMode,
 from subiaco_geo.frames import Floats, Ints
 from subiaco_sim.config import FaultConfig, LidarMode
 from subiaco_sim.lidar import Return, SimulatedScan
+from subiaco_sim.sensors import Sensor, row_shift
 from subiaco_sim.vehicle import LIDAR
 
 COLUMNS_PER_PACKET = 16
@@ -38,6 +39,18 @@ def sensor_info(mode: LidarMode, dual: bool, beams: int = 128) -> SensorInfo:
     settings.lidar_mode = lidar_mode
     settings.timestamp_mode = TimestampMode.TIME_FROM_SYNC_PULSE_IN
     info.config = settings
+    return SensorInfo(info.to_json_string())
+
+
+def true_sensor_info(mode: LidarMode, dual: bool, sensor: Sensor) -> SensorInfo:
+    """Return the metadata of a sensor with the beam angles of a real unit."""
+    info = sensor_info(mode, dual, sensor.beams)
+    info.prod_line = sensor.line
+    info.beam_altitude_angles = sensor.elevation_deg
+    info.beam_azimuth_angles = sensor.azimuth_deg
+    form = info.format
+    form.pixel_shift_by_row = row_shift(sensor, mode.columns)
+    info.format = form
     return SensorInfo(info.to_json_string())
 
 

@@ -17,6 +17,9 @@ from subiaco_sim.changes import apply_changes, ground_changes, replaced_cars
 from subiaco_sim.city import BLOCK, CITY_ROW, city_block, city_road, city_tile
 from subiaco_sim.config import Beams, FaultConfig, MapErrorConfig, SimulationConfig
 from subiaco_sim.events import let_time_pass, work_the_ground
+from subiaco_sim.families.build import StreetSize, build_street
+from subiaco_sim.families.config import Family, StreetConfig
+from subiaco_sim.families.plan import StreetPlan, plan_street
 from subiaco_sim.ground import Road
 from subiaco_sim.movers import random_movers
 from subiaco_sim.neighbourhood import lay_out_crowded
@@ -51,6 +54,19 @@ class Preset:
     slope: float = 0.02  # steepest lie of the land [m per m]
     gentlest: float = 0.0  # least slope along x [m per m]
     pitch: tuple[float, float] | None = None  # between the loops of a city, east and north [m]
+
+
+@dataclass(frozen=True)
+class FamilyPreset(Preset):
+    """A street that its seed draws: course, land, sensors, lanes and what stands there."""
+
+    family: Family = Family.SUBURB
+    hard: bool = False
+    length: float = 210.0  # of the street [m]
+
+    def plan(self, street: StreetConfig, seed: int) -> StreetPlan:
+        """Draw the plan of the street."""
+        return plan_street(self.family, hard=self.hard, config=street, seed=seed)
 
 
 def winding_street() -> Floats:
@@ -145,6 +161,32 @@ PRESETS: dict[str, Preset] = {
 }
 
 
+def _family(family: Family, *, hard: bool) -> FamilyPreset:
+    """Return the preset of a family; its waypoints only say how long the street is."""
+    length = 210.0
+    return FamilyPreset(
+        lambda: np.array([[-length / 2, 0.0], [length / 2, 0.0]]),
+        frontage=0.0,
+        rounds=0,
+        margin=42.0,
+        cell=0.3,
+        duration=26.0,
+        speed=7.0,
+        divergence=1.2e-3 if hard else 8e-4,
+        wet_road=0.4 if hard else 0.0,
+        maps=MapErrorConfig(shift=0.8, rotation_deg=0.5, drift=0.05, shear=0.03) if hard else _NO_ERRORS,
+        faults=FaultConfig(packet_loss=0.002, canyons=True, multipath=1) if hard else _NO_FAULTS,
+        family=family,
+        hard=hard,
+        length=length,
+    )
+
+
+for _kind in Family:
+    for _hard in (False, True):
+        PRESETS[f"{_kind}{'_hard' if _hard else ''}"] = _family(_kind, hard=_hard)
+
+
 def find_preset(name: str) -> Preset:
     """Return a preset by name.
 
@@ -182,6 +224,15 @@ def build_scene(
     items = replaced_cars(apply_changes(layout, preset.rounds), rng)
     ground = ground_changes(layout, len(items) + 1, preset.rounds)
     return Scene(terrain, tuple(items), tuple(ground), route)
+
+
+def build_family_scene(config: SimulationConfig) -> Scene:
+    """Build the scene of a family preset from settings that are complete."""
+    preset = find_preset(config.preset)
+    assert isinstance(preset, FamilyPreset)
+    size = StreetSize(config.street.length or preset.length, preset.margin, config.ground_cell or preset.cell)
+    plan = preset.plan(config.street, config.seed)
+    return build_street(plan, size, config.street, bool(config.reverse_after), config.seed)
 
 
 def loop_offset(preset: Preset, loop: int) -> Floats:
@@ -244,6 +295,10 @@ def _merged(base: AnyModel, asked: AnyModel) -> AnyModel:
 def with_preset(config: SimulationConfig) -> SimulationConfig:
     """Return the settings with those of the preset wherever nothing else was asked for."""
     preset = find_preset(config.preset)
+    if isinstance(preset, FamilyPreset):
+        config = _drawn(preset, config)
+    elif config.street != StreetConfig():
+        raise InputError(f"street: preset {config.preset} has none of these settings; take suburb or dense")
     if preset.scene is None and config.scene != SceneConfig():
         raise InputError(f"scene: preset {config.preset} has none of these settings; take a crowded preset")
     lidar = {"divergence": preset.divergence, "wet_road": preset.wet_road}
@@ -256,6 +311,7 @@ def with_preset(config: SimulationConfig) -> SimulationConfig:
             "beams_after": config.beams_after or preset.beams[1],
             "lane_before": preset.lanes[0] if config.lane_before is None else config.lane_before,
             "lane_after": preset.lanes[1] if config.lane_after is None else config.lane_after,
+            "reverse_after": True if config.reverse_after is None else config.reverse_after,
             "scene": _merged(preset.scene or SceneConfig(), config.scene),
             "lidar": config.lidar.model_copy(update={k: v for k, v in lidar.items() if k not in asked}),
             "faults": _merged(preset.faults, config.faults),
@@ -264,11 +320,37 @@ def with_preset(config: SimulationConfig) -> SimulationConfig:
     )
 
 
+def _drawn(preset: FamilyPreset, config: SimulationConfig) -> SimulationConfig:
+    """Return the settings with what the seed draws wherever nothing else was asked for."""
+    plan = preset.plan(config.street, config.seed)
+    sensors = [None if beams else name for beams, name in zip(_beams(config), plan.sensors, strict=True)]
+    return config.model_copy(
+        update={
+            "sensor_before": config.sensor_before or sensors[0],
+            "sensor_after": config.sensor_after or sensors[1],
+            "lane_before": plan.lane[0] if config.lane_before is None else config.lane_before,
+            "lane_after": plan.lane[1] if config.lane_after is None else config.lane_after,
+            "reverse_after": plan.reverse_after if config.reverse_after is None else config.reverse_after,
+        }
+    )
+
+
+def _beams(config: SimulationConfig) -> tuple[int | None, int | None]:
+    return config.beams_before, config.beams_after
+
+
+def family_of(name: str) -> str | None:
+    """Return the family of streets that a preset belongs to; None for those of the first edition."""
+    preset = find_preset(name)
+    return str(preset.family) if isinstance(preset, FamilyPreset) else None
+
+
 def simulator_hash() -> str:
     """Return a short hash of the simulator's own source: the same hash and seed give the same survey."""
     digest = hashlib.sha256()
-    for path in sorted(Path(__file__).parent.glob("*.py")):
-        digest.update(path.name.encode() + path.read_bytes())
+    root = Path(__file__).parent
+    for path in sorted(root.rglob("*.py")):
+        digest.update(path.relative_to(root).as_posix().encode() + path.read_bytes())
     return digest.hexdigest()[:16]
 
 

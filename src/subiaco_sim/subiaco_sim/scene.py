@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from subiaco_geo.frames import Floats, Ints
 from subiaco_sim.ground import Patch, Strip, Terrain
+from subiaco_sim.plants import Hedge
 from subiaco_sim.primitives import Mesh, join
 
 EPOCHS = ("before", "after")
@@ -142,6 +143,13 @@ def item_mesh(placed: Placed, semantic: int, terrain: Terrain) -> Mesh:
     return placed.shape.mesh().placed(placed.x, placed.y, z, placed.yaw)
 
 
+def laid_mesh(placed: Placed, semantic: int, terrain: Terrain) -> Mesh:
+    """Return the mesh of a placed shape as it lies on the land; buildings, trees and palms stand upright."""
+    mesh = item_mesh(placed, semantic, terrain)
+    upright = semantic == BUILDING or (semantic == VEGETATION and not isinstance(placed.shape, Hedge))
+    return mesh if upright else terrain.laid(mesh, placed.x, placed.y)
+
+
 @dataclass(frozen=True)
 class Hits:
     """What N rays met; ``distance`` is infinite and ``object_id`` -1 where nothing."""
@@ -206,7 +214,7 @@ def compile_scene(scene: Scene, epoch: str, threads: int = 0) -> CompiledScene:
     for item in scene.items:
         placed = item.at(epoch)
         if placed is not None:
-            meshes.append((item.object_id, item_mesh(placed, item.semantic, terrain)))
+            meshes.append((item.object_id, laid_mesh(placed, item.semantic, terrain)))
     return compile_meshes(meshes, threads)
 
 

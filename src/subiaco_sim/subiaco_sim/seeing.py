@@ -14,17 +14,20 @@ from subiaco_sim.config import TruthConfig
 from subiaco_sim.scene import CompiledScene
 
 _LIFT = np.array([0.0, 0.0, 0.4])
-_HALF_VIEW = np.radians(22.5)
 _CELL = 0.25  # one test a cell and object [m]
 
 
 @dataclass(frozen=True)
 class OtherDrive:
-    """The other epoch: its scene, its LiDAR poses (N, 4, 4) in ENU, and how far it sees [m]."""
+    """The other epoch: its scene, its LiDAR poses (N, 4, 4) in ENU and how far it sees [m].
+
+    ``view_deg`` is the elevation of the lowest and of the highest beam [deg].
+    """
 
     scene: CompiledScene
     poses: Floats
     max_range: float
+    view_deg: tuple[float, float] = (-22.5, 22.5)
 
     def spaced(self, spacing: float) -> Floats:
         """Return poses at least ``spacing`` apart along the path."""
@@ -59,7 +62,7 @@ def seen_from(
         for lift in (np.zeros(3), _LIFT):
             near = np.flatnonzero(~seen & (nearest[:, rank] < len(poses)))
             pose = poses[nearest[near, rank]]
-            inside = _in_view(pose, places[near] + lift, drive.max_range)
+            inside = _in_view(pose, places[near] + lift, drive)
             near, pose = near[inside], pose[inside]
             if len(near):
                 reach = _reaches(
@@ -88,11 +91,13 @@ def _nearest_poses(poses: Floats, places: Floats, reach: float) -> Ints:
     return np.asarray(index, dtype=np.int64).reshape(len(places), most)
 
 
-def _in_view(poses: Floats, places: Floats, max_range: float) -> NDArray[np.bool_]:
+def _in_view(poses: Floats, places: Floats, drive: OtherDrive) -> NDArray[np.bool_]:
     local = np.einsum("nji,nj->ni", poses[:, :3, :3], places - poses[:, :3, 3])
     distance = np.linalg.norm(local, axis=1)
     elevation = np.arcsin(np.clip(local[:, 2] / np.maximum(distance, 1e-6), -1, 1))
-    return np.asarray((distance < max_range) & (distance > 0.5) & (np.abs(elevation) < _HALF_VIEW))
+    low, high = np.radians(drive.view_deg)
+    within = (elevation > low) & (elevation < high)
+    return np.asarray((distance < drive.max_range) & (distance > 0.5) & within)
 
 
 def _reaches(

@@ -18,9 +18,10 @@ from subiaco_geo.config import config_hash
 from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.trajectories import Trajectory, write_tum
 from subiaco_sim.drives import MAP_CRS, START_NS, WORLD, Drive, Survey, warp_of
+from subiaco_sim.gate_margins import near_gates
 from subiaco_sim.labels import Labels, TrueChange
 from subiaco_sim.map_errors import MapWarp
-from subiaco_sim.presets import preset_hash, simulator_hash
+from subiaco_sim.presets import family_of, preset_hash, simulator_hash
 from subiaco_sim.scene import CLASS_NAMES, GROUND, CompiledScene, GroundItem, Item
 from subiaco_sim.seeing import OtherDrive, seen_from
 from subiaco_sim.vehicle import MOUNTINGS
@@ -40,7 +41,13 @@ def point_changes(
 ) -> NDArray[np.uint8]:
     """Return the change code of points (N, 3) in ENU: their object's, 255 where the other drive is blind."""
     other = survey.drives["after" if epoch == "before" else "before"]
-    view = OtherDrive(other.compiled, other.lidar_poses(other.scan_end_ns()), survey.config.lidar.max_range)
+    elevations = other.info.beam_altitude_angles
+    view = OtherDrive(
+        other.compiled,
+        other.lidar_poses(other.scan_end_ns()),
+        survey.config.lidar.max_range,
+        (float(np.min(elevations)), float(np.max(elevations))),
+    )
     seen = seen_from(view, xyz, object_id, labels.reshaped, survey.config.truth)
     return np.where(seen, labels.change[object_id], Change.UNOBSERVED).astype(np.uint8)
 
@@ -117,7 +124,9 @@ def write_objects(path: Path, survey: Survey, labels: Labels, seen: dict[str, tu
     """
     rows = [_item_row(item, labels.measured[item.object_id]) for item in survey.scene.items]
     rows += [_ground_row(item, survey, labels) for item in survey.scene.ground_items]
+    near = near_gates(survey.scene, labels)
     for row in rows:
+        row["near_gate"] = int(row["object_id"] in near)
         for epoch, (total, decidable) in seen.items():
             number = int(str(row["object_id"]))
             row[f"n_{epoch}"] = int(total[number])
@@ -148,6 +157,7 @@ def write_scene(path: Path, survey: Survey, labels: Labels, bags: dict[str, str]
         "city_loop": config.city_loop,
         "simulator_hash": simulator_hash(),
         "preset_hash": preset_hash(config.preset),
+        "family": family_of(config.preset),
         "scene_hash": scene_hash([d.compiled for d in survey.drives.values()]),
         "config_hash": config_hash(config),
         "config": json.loads(config.model_dump_json()),

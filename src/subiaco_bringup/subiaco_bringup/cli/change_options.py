@@ -63,9 +63,19 @@ GivenInstances = Annotated[
     typer.Option(metavar="given", help="'given' takes the object of every point from its field instance."),
 ]
 StageFolder = Annotated[
-    Path | None,
+    str | None,
     typer.Option(
-        metavar="DIR", help="Keep the results of every stage in this folder; a later run uses them again."
+        metavar="DIR|URL",
+        help="Keep the results of every stage in this folder, or in object storage (s3://bucket/folder, "
+        "http://...); a later run uses them again.",
+    ),
+]
+DryRun = Annotated[
+    int | None,
+    typer.Option(
+        metavar="N",
+        min=1,
+        help="Only do the N largest tiles, and say what the whole will take in time, memory and disk.",
     ),
 ]
 FromStage = Annotated[
@@ -122,7 +132,7 @@ def change_request(
     without: Sequence[str] | None,
     semantics: str | None,
     instances: str | None,
-    keep_stages: Path | None,
+    keep_stages: str | None,
     from_stage: str | None,
     workers: int | None,
     config: Sequence[Path] | None,

@@ -112,7 +112,7 @@ def calibrate(
     import pandas as pd
 
     from subiaco_change.config import ChangeConfig
-    from subiaco_evaluation.injection.calibrate import CalibrationConfig, write_calibration
+    from subiaco_evaluation.injection.calibrate import MapCalibrationConfig, write_calibration
     from subiaco_evaluation.injection.calibrate import calibrate as run
     from subiaco_evaluation.injection.inject import read_donors
     from subiaco_geo.atomic import refuse_existing, refuse_foreign
@@ -122,7 +122,7 @@ def calibrate(
     refuse_existing(output, overwrite)
     refuse_foreign(output, "calibration.json")
     chosen = [*(settings or []), *([] if copies is None else [f"copies={copies}"])]
-    model = load_config(CalibrationConfig, tuple(config or ()), chosen)
+    model = load_config(MapCalibrationConfig, tuple(config or ()), chosen)
     change = load_config(ChangeConfig, config_files("change", tuple(change_config or ())), [])
     donors = () if objects is None else tuple(read_donors(objects, model.injection.leaf))
     given = known_transform(None, registration)

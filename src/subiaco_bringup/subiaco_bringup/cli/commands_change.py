@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections import Counter
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 from subiaco_bringup.cli.change_options import (
     EPOCH_HELP,
+    DryRun,
     FromStage,
     GivenInstances,
     GivenSemantics,
@@ -40,6 +41,9 @@ from subiaco_bringup.cli.options import (
 from subiaco_bringup.cli.progress import Progress
 from subiaco_geo.errors import InputError
 
+if TYPE_CHECKING:
+    from subiaco_change.request import ChangeRequest
+
 
 def change(
     epochs: Annotated[
@@ -57,6 +61,7 @@ def change(
     instances: GivenInstances = None,
     keep_stages: StageFolder = None,
     from_stage: FromStage = None,
+    dry_run: DryRun = None,
     workers: Workers = None,
     scheduler: Scheduler = None,
     config: ConfigFiles = None,
@@ -87,6 +92,9 @@ def change(
         semantics=semantics, instances=instances, keep_stages=keep_stages, from_stage=from_stage,
         workers=workers, scheduler=scheduler, config=config, settings=settings, overwrite=overwrite,
     )  # fmt: skip
+    if dry_run is not None:
+        _say_estimate(request, dry_run, quiet)
+        return
     if len(epochs) > 2:
         with Progress(quiet=quiet) as progress:
             history = run_epochs(epochs, request, progress, write_pages)
@@ -100,6 +108,16 @@ def change(
     listed = ", ".join(f"{count} {label}" for label, count in sorted(counts.items()))
     say(f"changes: {output} ({listed or 'no objects'}); open {output / 'report.html'}", quiet=quiet)
     say_findings(output)
+
+
+def _say_estimate(request: ChangeRequest, tiles: int, quiet: bool) -> None:
+    """Do the largest tiles of the first and the last epoch, and say what the whole will take."""
+    from subiaco_change.dry_run import dry_run
+    from subiaco_report.pages import write_pages
+
+    with Progress(quiet=quiet) as progress:
+        found = dry_run(request, tiles, progress, write_pages)
+    say(f"dry run: {found.text()}", quiet=quiet)
 
 
 def evaluate(
@@ -209,8 +227,8 @@ def review(
 
     Example: subiaco review out/change reviews.csv
     """
-    from subiaco_change.outputs.review_files import take_up_reviews
-    from subiaco_change.outputs.review_state import review_counts
+    from subiaco_change.outputs.directory import take_up_reviews
+    from subiaco_change.outputs.reviews import review_counts
     from subiaco_report.pages import write_pages
 
     set_up_logging(verbose, quiet)

@@ -15,7 +15,7 @@ from subiaco_geo.config import StrictModel, load_config
 from subiaco_geo.settings import is_public, setting_fields, setting_values
 
 
-class Job(StrEnum):
+class SettingsJob(StrEnum):
     """A job that has settings."""
 
     MAP = "map"
@@ -23,16 +23,16 @@ class Job(StrEnum):
     RECORD = "record"
 
 
-def _model_of(job: Job) -> tuple[type[StrictModel], str]:
+def _model_of(job: SettingsJob) -> tuple[type[StrictModel], str]:
     """Return the model of a job and the name of its shipped files."""
     from subiaco_change.config import ChangeConfig
     from subiaco_mapping.config import MappingConfig
     from subiaco_mapping.recording.config import RecordingConfig
 
-    models: dict[Job, tuple[type[StrictModel], str]] = {
-        Job.MAP: (MappingConfig, "mapping"),
-        Job.CHANGE: (ChangeConfig, "change"),
-        Job.RECORD: (RecordingConfig, "record"),
+    models: dict[SettingsJob, tuple[type[StrictModel], str]] = {
+        SettingsJob.MAP: (MappingConfig, "mapping"),
+        SettingsJob.CHANGE: (ChangeConfig, "change"),
+        SettingsJob.RECORD: (RecordingConfig, "record"),
     }
     return models[job]
 
@@ -85,7 +85,7 @@ def _text(value: object) -> str:
 
 
 def config(
-    job: Annotated[Job, typer.Argument(metavar="JOB", help="map, change or record.")],
+    job: Annotated[SettingsJob, typer.Argument(metavar="JOB", help="map, change or record.")],
     every: Annotated[
         bool,
         typer.Option("--all", help="Show the numbers of the method too, which only research has to change."),

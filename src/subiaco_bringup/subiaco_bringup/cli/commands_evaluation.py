@@ -40,6 +40,7 @@ class Method(StrEnum):
     SIAMESE_KPCONV = "siamese-kpconv"
     TRIPLET_KPCONV = "triplet-kpconv"
     EFS_KPCONV = "efs-kpconv"
+    DC3DCD = "dc3dcd"
 
 
 class Learned(StrEnum):
@@ -50,13 +51,14 @@ class Learned(StrEnum):
     SIAMESE_KPCONV = "siamese-kpconv"
     TRIPLET_KPCONV = "triplet-kpconv"
     EFS_KPCONV = "efs-kpconv"
+    DC3DCD = "dc3dcd"
 
 
 _METHOD_HELP = (
     "dsm: difference of the highest point per cell. nn: nearest neighbour against a level of detection. "
     "m3c2: distance along the normal against its level of detection. c2c: nearest neighbour, one threshold. "
     "pdal-m3c2: M3C2 as PDAL computes it. The others are trained networks and need PyTorch ('make learned'): "
-    "dsm-siamese and dsm-fc-ef on surface models, the kpconv methods on points."
+    "dsm-siamese and dsm-fc-ef on surface models, the kpconv methods and dc3dcd on points."
 )
 
 

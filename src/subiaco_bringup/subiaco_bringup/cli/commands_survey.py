@@ -47,7 +47,8 @@ def simulate(
         str | None,
         typer.Option(
             help="Scene: easy (one street, as shipped), default (round a block), "
-            "hard (a hillside road with faults) or city (20 loops)."
+            "hard (a hillside road with faults), city (20 loops), suburb or dense (a street that the seed "
+            "draws), suburb_hard or dense_hard (the same on steep land, two different sensors)."
         ),
     ] = None,
     epoch: Annotated[str | None, typer.Option(help="Which drive to simulate: before, after or both.")] = None,

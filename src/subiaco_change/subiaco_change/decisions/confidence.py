@@ -45,7 +45,7 @@ _CLAIMS = ("single", "reshaped")
 _TYPICAL_SHARE = NUMBERS.confidence.typical_observed
 _SIGMAS = NUMBERS.confidence.gate_sigmas
 
-Kind = Literal["single", "reshaped", "unchanged"]
+ClaimKind = Literal["single", "reshaped", "unchanged"]
 
 
 class Coefficients(StrictModel):
@@ -218,7 +218,7 @@ def paper_score(semantic: Semantic, measures: Measures, lod: float) -> float:
     return float(expit(min(total, 50.0)))
 
 
-def kind_of(change: Change) -> Kind | None:
+def kind_of(change: Change) -> ClaimKind | None:
     """Name the model of a label; None for labels that claim nothing."""
     if change in (Change.ADDED, Change.REMOVED):
         return "single"
@@ -297,14 +297,16 @@ def bounded(fitted: float, decision: Decision, measures: Measures) -> float:
     return min(fitted, measures.free) if kind_of(decision.change) == "single" else fitted
 
 
-def decided_anew(record: ChangeRecord, decision: Decision, config: ConfidenceConfig) -> ChangeRecord:
-    """Return a row with another decision, and the confidence in that."""
+def decided_anew(
+    record: ChangeRecord, decision: Decision, config: ConfidenceConfig, free: float = 1.0
+) -> ChangeRecord:
+    """Return a row with another decision and the confidence in that, at most the probability ``free``."""
     found = np.array([*decision_features(decision), *record.features[_DECIDED:]])
     return replace(
         record,
         change=decision.change,
         reason=decision.reason,
-        confidence=probability(decision, found, config),
+        confidence=min(probability(decision, found, config), free),
         features=tuple(found.tolist()),
     )
 
@@ -328,7 +330,7 @@ def discounted(record: ChangeRecord, simulated: bool, config: ConfidenceConfig) 
 
 
 @dataclass(frozen=True)
-class Calibration:
+class ConfidenceCalibration:
     """What ``run.json`` says of the confidences of a pair.
 
     ``calibrated_for``: evidence, clouds and surveys of the fit; empty without one. ``lacking``: sentences
@@ -341,10 +343,10 @@ class Calibration:
     bands: tuple[MeasuredBand, ...] = ()
 
 
-def calibration_of(kinds: Iterable[str], simulated: bool, config: ConfidenceConfig) -> Calibration:
+def calibration_of(kinds: Iterable[str], simulated: bool, config: ConfidenceConfig) -> ConfidenceCalibration:
     """Compare what the confidences were fitted on with a pair: its kinds of evidence and its clouds."""
     if not config.calibrated:
-        return Calibration()
+        return ConfidenceCalibration()
     fitted = {"evidence": list(config.evidence), "clouds": config.clouds, "surveys": config.fitted_on}
     lacking = []
     if not simulated and config.clouds != "own":
@@ -357,4 +359,4 @@ def calibration_of(kinds: Iterable[str], simulated: bool, config: ConfidenceConf
         names = ", ".join(missing)
         lacking.append(f"Confidence is not calibrated for evidence of the kind {names}.")
     own = config.fitted_on == ConfidenceConfig().fitted_on or "bands" in config.model_fields_set
-    return Calibration(fitted, tuple(lacking), config.bands if own and not lacking else ())
+    return ConfidenceCalibration(fitted, tuple(lacking), config.bands if own and not lacking else ())

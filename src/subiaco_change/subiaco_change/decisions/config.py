@@ -87,26 +87,6 @@ class DecisionConfig(StrictModel):
         le=1,
         description="Observed fraction of a place below which no change is claimed (Decision 14)",
     )
-    large_voxels: int = Field(
-        100,
-        ge=1,
-        description="Observed voxels (0.5 m) from which a large part of an unmatched object was observed, "
-        "so that min_observed_large applies. Raise it to claim less",
-    )
-    min_observed_large: float = Field(
-        0.15,
-        ge=0,
-        le=1,
-        description="Observed fraction of the place of a large unmatched object from which a change is "
-        "claimed",
-    )
-    large_free: float = Field(
-        0.9,
-        ge=0,
-        le=1,
-        description="Fraction of the observed part of a large unmatched object that must be free for "
-        "min_observed_large to apply",
-    )
     min_empty: float = Field(
         0.6,
         ge=0,

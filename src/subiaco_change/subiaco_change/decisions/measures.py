@@ -25,8 +25,8 @@ from subiaco_change.decisions.column_volumes import (
     exists_in_one_epoch,
 )
 from subiaco_change.decisions.config import CarvingConfig
-from subiaco_change.decisions.space_carving import Epoch, Interval, carve
-from subiaco_change.decisions.voxel_objects import Free, ObjectInstance, Reach, Voxels, join_voxels
+from subiaco_change.decisions.space_carving import CarvingEpoch, Interval, carve
+from subiaco_change.decisions.voxel_objects import Certainty, Free, ObjectInstance, Reach, Voxels, join_voxels
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import first_argument, switchable
 from subiaco_geo.config import StrictModel
@@ -180,7 +180,9 @@ def _carved(
 ) -> Measures:
     """Add height and volume of a building by space carving (Decision 17)."""
     carved = carve(
-        Epoch(before, ground.empty[0], ground.bare(0)), Epoch(after, ground.empty[1], ground.bare(1)), config
+        CarvingEpoch(before, ground.empty[0], ground.bare(0)),
+        CarvingEpoch(after, ground.empty[1], ground.bare(1)),
+        config,
     )
     both = len(before) > 0 and len(after) > 0
     volume = carved.volume
@@ -272,13 +274,13 @@ def absence(
     before: Sequence[ObjectInstance],
     after: Sequence[ObjectInstance],
     free: tuple[Free | None, Free | None],
-    certain: tuple[float, float] = (1.0, 1.0),
+    certain: tuple[Certainty | None, Certainty | None] = (None, None),
 ) -> float:
     """Probability that the object is absent where the other epoch holds nothing.
 
     The mean log odds of the places, times the square root of the number of patches that they form: places
     next to one another are crossed by the same beams, so their errors are correlated. What all patches of an
-    object have in common does not average out: the probability stays below ``certain``.
+    object have in common does not average out: the probability stays below the mean of ``certain``.
 
     Parameters
     ----------
@@ -286,19 +288,24 @@ def absence(
         Parts of the object in both epochs.
     free : (callable, callable)
         How probable *before* and *after* find it that places (N, 3) are free; None: certain.
-    certain : (float, float)
-        Probability that the evidence of *before* and of *after* is right as a whole: of a bare cloud nobody
-        knows whence it was measured, and one hidden place tells of all the others.
+    certain : (callable, callable)
+        Probability that the evidence of *before* and of *after* at places (N, 3) is right as a whole: of a
+        bare cloud nobody knows whence it was measured, and one hidden place tells of all the others. None: 1.
     """
     chances, bound = [np.zeros(0)], 1.0
     for objects, known, whole in ((before, free[1], certain[1]), (after, free[0], certain[0])):
         if objects and known is not None:
-            bound = min(bound, whole)
             voxels = join_voxels(objects)
             places = voxels.xyz[voxels.observed & ~voxels.occupied_in_other]
+            bound = min(bound, mean_certainty(whole, places))
             chances.append(porous_chance(known(places), opacity(objects)))
     joined = np.concatenate(chances)
     return 1.0 if len(joined) == 0 else bound * pooled(float(joined.mean()), len(joined))
+
+
+def mean_certainty(certain: Certainty | None, places: Floats) -> float:
+    """Return the mean probability that the evidence at places (N, 3) is right as a whole."""
+    return 1.0 if certain is None or len(places) == 0 else float(certain(places).mean())
 
 
 def pooled(mean: float, voxels: int) -> float:

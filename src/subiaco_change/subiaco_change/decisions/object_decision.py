@@ -19,7 +19,7 @@ from subiaco_change.decisions.plant_measures import PlantConfig, measure_plant
 from subiaco_change.decisions.rules import Decision, decide
 from subiaco_change.decisions.space_carving import Empty
 from subiaco_change.decisions.vegetation_null import PlantMeasures, no_null
-from subiaco_change.decisions.voxel_objects import Free, ObjectInstance, join_voxels
+from subiaco_change.decisions.voxel_objects import Certainty, Free, ObjectInstance, join_voxels
 from subiaco_change.instance_splitting.hedge_sections import NOTHING
 from subiaco_change.instance_splitting.one_epoch_parts import decide_vehicle_part
 from subiaco_change.method_numbers import NUMBERS
@@ -77,7 +77,7 @@ class ObjectRules:
     standing: tuple[Floats, Floats] = (NOTHING, NOTHING)  # all points (N, 3) that stand, of any class
     free: tuple[Free | None, Free | None] = (None, None)  # what *before* and *after* know to be free
     below_view: tuple[Empty | None, Empty | None] = (None, None)  # how high their views are known to reach
-    certain: tuple[float, float] = (1.0, 1.0)  # how certain these can be at most
+    certain: tuple[Certainty | None, Certainty | None] = (None, None)  # how certain these can be at most
     plants: PlantConfig = field(default_factory=PlantConfig)
 
 

@@ -77,6 +77,12 @@ def decide_plant(plant: PlantMeasures, lod: float, config: DecisionConfig, null:
     return _supported(chosen, plant, config)
 
 
+def place_was_free(decision: Decision, plant: PlantMeasures) -> float:
+    """Return how probable it is that the place of what a plant gained or lost was free; 1 without a claim."""
+    free = {Change.INCREASED: plant.free_gained, Change.DECREASED: plant.free_lost}
+    return free.get(decision.change, 1.0)
+
+
 def _supported(decision: Decision, plant: PlantMeasures, config: DecisionConfig) -> Decision:
     """Leave a plant unchanged whose claim its height contradicts, or whose place was not seen free."""
     if decision.change not in (Change.INCREASED, Change.DECREASED):
@@ -88,7 +94,7 @@ def _supported(decision: Decision, plant: PlantMeasures, config: DecisionConfig)
         reason = f"{decision.reason} No change is claimed: the height of all points changed by"
         reason += f" {plant.apparent:+.2f} m, which contradicts the change (limit {least:.2f} m)."
         return Decision(Change.UNCHANGED, reason, 1.0, 0.0)
-    free = plant.free_gained if grew else plant.free_lost
+    free = place_was_free(decision, plant)
     if not applies("surface_was_free", free < config.min_free_surface):
         return decision
     other, surface = ("earlier", "new") if grew else ("later", "lost")

@@ -16,9 +16,9 @@ from pydantic import Field
 from scipy.spatial import cKDTree
 from scipy.special import expit, logit
 
-from subiaco_change.decisions.measures import Measures, absence, pooled
+from subiaco_change.decisions.measures import Measures, absence, mean_certainty, pooled
 from subiaco_change.decisions.vegetation_null import PlantMeasures, VegetationNullConfig
-from subiaco_change.decisions.voxel_objects import Free, ObjectInstance
+from subiaco_change.decisions.voxel_objects import Certainty, Free, ObjectInstance
 from subiaco_change.instance_splitting.hedge_sections import NOTHING, Rise, column_rise
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import applies, never, switchable
@@ -142,7 +142,7 @@ def measure_plant(
     config: PlantConfig,
     standing: tuple[Floats, Floats] = (NOTHING, NOTHING),
     free: tuple[Free | None, Free | None] = (None, None),
-    certain: tuple[float, float] = (1.0, 1.0),
+    certain: tuple[Certainty | None, Certainty | None] = (None, None),
 ) -> PlantMeasures:
     """Measure a plant that both epochs hold; the denser epoch is thinned to the density of the other.
 
@@ -151,9 +151,9 @@ def measure_plant(
     these can be at most.
     """
     first, second = (np.concatenate([t.xyz for t in objects]) for objects in (before, after))
-    lost = certain[1] * free_shell(first, standing[1], free[1], config)
+    lost = free_shell(first, standing[1], free[1], config, certain[1])
     lost = min(lost, absence(before, (), free, certain))
-    gained = certain[0] * free_shell(second, standing[0], free[0], config)
+    gained = free_shell(second, standing[0], free[0], config, certain[0])
     gained = min(gained, absence((), after, free, certain))
     first, second, density = equal_density(first, second, config)
     outline = compare_outlines(first, second, config.outline)
@@ -181,7 +181,13 @@ def measure_plant(
     )
 
 
-def free_shell(xyz: Floats, standing: Floats, free: Free | None, config: PlantConfig) -> float:
+def free_shell(
+    xyz: Floats,
+    standing: Floats,
+    free: Free | None,
+    config: PlantConfig,
+    certain: Certainty | None = None,
+) -> float:
     """Return how probable it is that the surface that one epoch alone has was free in the other.
 
     Of points (N, 3) with no standing point (M, 3) of the other epoch within ``config.shell``, taken together
@@ -199,7 +205,8 @@ def free_shell(xyz: Floats, standing: Floats, free: Free | None, config: PlantCo
         return _NOT_KNOWN
     odds = logit(np.clip(free(alone), 1.0 - _MOST, _MOST))
     chance = float(expit(odds.mean()))
-    return pooled(chance, len(np.unique(voxel_keys(voxel_indices(alone, config.voxel)))))
+    together = pooled(chance, len(np.unique(voxel_keys(voxel_indices(alone, config.voxel)))))
+    return mean_certainty(certain, alone) * together
 
 
 def _as_dense_as_they_are(before: Floats, after: Floats, *_: object) -> tuple[Floats, Floats, float]:

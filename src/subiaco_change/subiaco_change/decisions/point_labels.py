@@ -26,7 +26,7 @@ _AROUND = NUMBERS.point_labels.surrounding_points
 
 
 @dataclass(frozen=True)
-class Labels:
+class PointLabels:
     """Fields of one epoch's points, as :class:`subiaco_change.records.ChangeResult` wants them."""
 
     change: NDArray[np.uint8]
@@ -40,10 +40,10 @@ class Labels:
         return {name: getattr(self, name) for name in self.__dataclass_fields__}
 
 
-def unlabelled(view: EpochView) -> Labels:
+def unlabelled(view: EpochView) -> PointLabels:
     """Return labels of points before any decision; ghost trails keep these labels."""
     count = len(view.xyz)
-    return Labels(
+    return PointLabels(
         np.where(is_ghost_trail(view), Change.NOT_REPORTED, Change.UNCHANGED).astype(np.uint8),
         view.semantic.copy(),
         np.full(count, -1, dtype=np.int32),
@@ -54,7 +54,7 @@ def unlabelled(view: EpochView) -> Labels:
 
 def label_rest(
     view: EpochView,
-    labels: Labels,
+    labels: PointLabels,
     ground: GroundComparison | None,
     patch_ids: Sequence[int],
     seen_by_other: Callable[[Floats], Mask],
@@ -111,7 +111,7 @@ def _compared(ground: GroundComparison | None, view: EpochView, members: Ints) -
 
 
 def _label_ground(
-    ground: GroundComparison, view: EpochView, patch_ids: Sequence[int], labels: Labels
+    ground: GroundComparison, view: EpochView, patch_ids: Sequence[int], labels: PointLabels
 ) -> None:
     patch = patch_points(ground, view)
     row, column, inside = ground.cell_of(view.xyz[:, :2])

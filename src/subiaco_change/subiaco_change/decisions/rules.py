@@ -55,7 +55,7 @@ def decide(
     matched : callable, optional
         Decides an object that can be compared in both epochs instead of the rules of its class.
     """
-    if not _enough_seen(measures, in_before and in_after, config):
+    if not _enough_seen(measures, config):
         return Decision(Change.UNOBSERVED, _unobserved(measures, config), 1.0 - measures.observed_fraction)
     if not (in_before and in_after):
         decision = _single(in_after, measures, config)
@@ -90,16 +90,9 @@ def _compare(
     return by_class(measures, gate, rules)
 
 
-def _enough_seen(measures: Measures, matched: bool, config: DecisionConfig) -> bool:
-    """Tell whether the other epoch observed enough of the place to claim anything."""
-    if measures.observed_voxels < config.min_voxels:
-        return False
-    if measures.observed_fraction >= config.min_observed:
-        return True
-    free = max(measures.gone_share, measures.new_share) >= config.large_free
-    large = measures.observed_voxels >= config.large_voxels
-    enough = not matched and large and free and measures.observed_fraction >= config.min_observed_large
-    return applies("large_seen_enough", enough)
+def _enough_seen(measures: Measures, config: DecisionConfig) -> bool:
+    """Tell whether the other epoch observed enough of the place to claim anything (Decision 14)."""
+    return measures.observed_voxels >= config.min_voxels and measures.observed_fraction >= config.min_observed
 
 
 def _unobserved(measures: Measures, config: DecisionConfig) -> str:

@@ -82,7 +82,7 @@ class Carved:
 
 
 @dataclass(frozen=True)
-class Epoch:
+class CarvingEpoch:
     """Voxels of an object in one epoch, and what the epoch knows of the space around.
 
     ``empty`` is None where nothing tells free space from unknown space.
@@ -149,12 +149,12 @@ class _State:
         return ~(self.solid | self.free | self.hollow)
 
 
-def carve(before: Epoch, after: Epoch, config: CarvingConfig) -> Carved:
+def carve(before: CarvingEpoch, after: CarvingEpoch, config: CarvingConfig) -> Carved:
     """Compare the space that an object takes up in two epochs, of which one may lack it.
 
     Parameters
     ----------
-    before, after : Epoch
+    before, after : CarvingEpoch
         In one local frame [m].
     config : CarvingConfig
     """
@@ -197,7 +197,7 @@ def _middles(corner: Floats, turn: Floats, shape: tuple[int, int, int], cell: fl
     return np.asarray((corner + (index + 0.5) * cell) @ turn)
 
 
-def _state(epoch: Epoch, other: Voxels, frame: _Frame) -> _State:
+def _state(epoch: CarvingEpoch, other: Voxels, frame: _Frame) -> _State:
     """Tell solid, free and unknown cells of an epoch.
 
     A surface of the other epoch that this one has too, though it sampled it elsewhere, counts as its own.
@@ -262,7 +262,7 @@ def _none_shared(other: Voxels, *_: object) -> Voxels:
 
 
 @switchable("surface_of_both_epochs", _none_shared)
-def _shared(other: Voxels, epoch: Epoch) -> Voxels:
+def _shared(other: Voxels, epoch: CarvingEpoch) -> Voxels:
     """Voxels of the other epoch that this epoch has too, though it sampled them elsewhere."""
     own = epoch.voxels
     if len(other) == 0 or len(own) == 0:

@@ -27,6 +27,8 @@ _PASSED_THROUGH = NUMBERS.voxel_objects.passes_per_return
 
 #: How probable it is, (N,), that nothing stood at places (N, 3).
 Free = Callable[[Floats], Floats]
+#: How probable it is, (N,), that what is known of places (N, 3) is right as a whole.
+Certainty = Callable[[Floats], Floats]
 
 
 @dataclass(frozen=True)

@@ -30,7 +30,7 @@ NOTHING: Floats = np.zeros((0, 3))
 
 
 @dataclass(frozen=True)
-class Section:
+class HedgeSection:
     """Columns whose tops moved alike: their middles (C, 2), the median rise and the gate it passed, in m."""
 
     xy: Floats
@@ -43,7 +43,7 @@ def changed_sections(
     after: Sequence[ObjectInstance],
     threshold: float,
     standing: tuple[Floats, Floats] = (NOTHING, NOTHING),
-) -> tuple[list[Section], Floats]:
+) -> tuple[list[HedgeSection], Floats]:
     """Find where tops of a low plant moved by over a threshold [m], and beyond their spread.
 
     Where the epoch whose tops are lower has points between the two, in ``standing`` (N, 3) of *before* and
@@ -69,7 +69,7 @@ def changed_sections(
             if _held(standing[int(sign < 0)], cells + corner, low[labels == number], high[labels == number]):
                 continue
             if _observed(after if sign > 0 else before, xy, low, cells):
-                sections.append(Section(xy, float(np.median(rise[labels == number])), threshold))
+                sections.append(HedgeSection(xy, float(np.median(rise[labels == number])), threshold))
     known = np.argwhere(np.isfinite(rise))
     return sections, _middles(known + corner)
 
@@ -198,7 +198,7 @@ def _held(standing: Floats, cells: Ints, low: Floats, high: Floats) -> bool:
     return len(np.unique(slot[between])) >= _HELD * len(cells)
 
 
-def section_labels(obj: ObjectInstance, sections: Sequence[Section], columns: Floats) -> Ints:
+def section_labels(obj: ObjectInstance, sections: Sequence[HedgeSection], columns: Floats) -> Ints:
     """Section (M,) of every voxel of an object, counted from 1; 0 for what did not move."""
     owner = np.zeros(len(columns), dtype=np.int64)
     for number, section in enumerate(sections, start=1):

@@ -16,13 +16,14 @@ from scipy.spatial import cKDTree
 from subiaco_change.association.costs import AssociationConfig
 from subiaco_change.decisions.column_volumes import ColumnChange, column_keys
 from subiaco_change.decisions.voxel_objects import ObjectInstance, join_voxels
-from subiaco_change.instance_splitting.one_epoch_parts import split_by_labels
+from subiaco_change.instance_splitting.one_epoch_parts import PartConfig, split_by_labels
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import one_part, switchable
 from subiaco_change.segmentation.bounding_rectangles import wall_coordinates
-from subiaco_change.segmentation.clustering import connect, group_indices
+from subiaco_change.segmentation.clustering import connect, group_indices, voxel_clusters
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.segmentation.object_rows import ProfileConfig, level_steps, part_slots
+from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats, Ints
 
 _CELL = NUMBERS.merged_instances.cell
@@ -71,17 +72,36 @@ def split_by_bodies(
         return [sides]
     groups = bodies[leader]
     owner = np.repeat(np.arange(len(groups)), [sum(len(t.voxels) for t in group) for group in groups])
-    tree = cKDTree(np.concatenate([t.voxels.xyz for group in groups for t in group]))
+    places = np.concatenate([t.voxels.xyz for group in groups for t in group])
+    tree, built = cKDTree(places), np.unique(column_keys(places, _CELL))
     found: list[tuple[list[ObjectInstance], list[ObjectInstance]]] = [([], []) for _ in groups]
     for epoch, side in enumerate(sides):
         for obj in side:
             nearest = owner[tree.query(obj.voxels.xyz)[1]]
             if epoch == leader:
                 nearest[:] = np.bincount(nearest).argmax()
+            elif obj.semantic is Semantic.BUILDING:
+                nearest = _undivided(obj, nearest, built, config.parts)
             for number, piece in _along(obj, nearest, following):
                 found[number][epoch].append(piece)
             following += len(groups)
     return [(tuple(b), tuple(a)) for b, a in found]
+
+
+def _undivided(obj: ObjectInstance, owner: Ints, built: Ints, config: PartConfig) -> Ints:
+    """Give every connected part beside the bodies, which the other epoch lacks, to one body (M,).
+
+    A wing that closes the gap between two houses is one wing, of the house that is next to most of it. Two
+    crowns grow into a gap from both sides.
+    ``built``: columns of all bodies.
+    """
+    voxels = obj.voxels
+    beside = ~np.isin(column_keys(voxels.xyz, _CELL), built)
+    alone = np.flatnonzero(voxels.observed & ~voxels.occupied_in_other & beside)
+    whole = owner.copy()
+    for group in group_indices(voxel_clusters(voxels.xyz[alone], config.gap)) if len(alone) else ():
+        whole[alone[group]] = np.bincount(owner[alone[group]]).argmax()
+    return whole
 
 
 def _along(obj: ObjectInstance, owner: Ints, following: int) -> list[tuple[int, ObjectInstance]]:

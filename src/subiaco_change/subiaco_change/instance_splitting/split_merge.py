@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import shapely
+from scipy.spatial import cKDTree
 
 from subiaco_change.association.costs import AssociationConfig, overlap_counts
 from subiaco_change.association.matching import match_kind
@@ -16,7 +17,7 @@ from subiaco_change.decisions.plant_decisions import decide_plant
 from subiaco_change.decisions.vegetation_null import no_null
 from subiaco_change.decisions.voxel_objects import ObjectInstance, join_voxels
 from subiaco_change.instance_splitting.building_extensions import find_building_extensions, is_smooth_surface
-from subiaco_change.instance_splitting.hedge_sections import Section, changed_sections, section_labels
+from subiaco_change.instance_splitting.hedge_sections import HedgeSection, changed_sections, section_labels
 from subiaco_change.instance_splitting.merged_instances import (
     Piece,
     group_row_houses,
@@ -59,12 +60,56 @@ def join_building_extensions(changes: list[ObjectChange], rules: ObjectRules) ->
     extensions = {
         numbers[w]: numbers[h] for w, h in find_building_extensions(pairs, rules.association.parts).items()
     }
-    joined = list(changes)
-    for host in sorted(set(extensions.values())):
-        parts = [changes[host], *(changes[w] for w, h in extensions.items() if h == host)]
-        before, after = ([t for part in parts for t in getattr(part, e)] for e in ("before", "after"))
-        joined[host] = decide_object(before, after, Semantic.BUILDING, rules)
-    return [change for i, change in enumerate(joined) if i not in extensions]
+    following = _first_free(changes)
+    joined: list[ObjectChange] = []
+    for number, change in enumerate(changes):
+        parts = [changes[w] for w, h in extensions.items() if h == number]
+        if number not in extensions:
+            told = _extended(change, parts, rules, following) if parts else [change]
+            following = max(following, _first_free(told))
+            joined.extend(told)
+    return joined
+
+
+def _extended(
+    host: ObjectChange, extensions: Sequence[ObjectChange], rules: ObjectRules, following: int
+) -> list[ObjectChange]:
+    """Decide a building with its extensions.
+
+    An extension that closes the gap to the next house makes one instance of both. Where the other epoch holds
+    the houses apart, the extension belongs to the one that it adjoins the most.
+    """
+    pieces = [(extension.before, extension.after) for extension in extensions]
+    bodies = split_by_bodies(host.before, host.after, rules.association, following)
+    if len(bodies) > 1 and all(b and a for b, a in bodies):
+        owner = [_adjoined_body(piece, bodies, rules.association.parts.touch) for piece in pieces]
+        parts = [
+            _decide_together([body, *(e for e, k in zip(pieces, owner, strict=True) if k == number)], rules)
+            for number, body in enumerate(bodies)
+        ]
+        if any(part.decision.change in _CLAIMS for part in parts):
+            return parts
+    return [_decide_together([(host.before, host.after), *pieces], rules)]
+
+
+def _adjoined_body(piece: Piece, bodies: Sequence[Piece], touch: float) -> int:
+    """Return which body most voxels of a piece of one epoch adjoin, within a distance [m].
+
+    The epoch without the piece shows where the bodies end; in the other one all may be one body.
+    """
+    without = 0 if piece[1] else 1
+    xyz = join_voxels(piece[1 - without]).xyz
+    contact = []
+    for body in bodies:
+        near = cKDTree(join_voxels(body[without]).xyz).query(xyz, distance_upper_bound=touch)[0]
+        contact.append(np.count_nonzero(np.isfinite(near)))
+    return int(np.argmax(contact))
+
+
+def _decide_together(pieces: Sequence[Piece], rules: ObjectRules) -> ObjectChange:
+    """Decide pieces of both epochs as one building."""
+    before, after = ([t for piece in pieces for t in piece[epoch]] for epoch in (0, 1))
+    return decide_object(before, after, Semantic.BUILDING, rules)
 
 
 @switchable("hidden_walls", first_argument)
@@ -253,7 +298,9 @@ def _sections(change: ObjectChange, following: int, rules: ObjectRules) -> list[
     return [*left, *(_of_section(p, s, rules, only=True) for p, s in zip(pieces, sections, strict=True))]
 
 
-def _of_section(change: ObjectChange, section: Section, rules: ObjectRules, *, only: bool) -> ObjectChange:
+def _of_section(
+    change: ObjectChange, section: HedgeSection, rules: ObjectRules, *, only: bool
+) -> ObjectChange:
     """Decide a hedge, or the piece of one that is a section, by the section whose tops moved."""
     if change.plant is None:
         return change

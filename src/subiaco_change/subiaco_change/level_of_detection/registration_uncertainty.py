@@ -10,7 +10,7 @@ from pydantic import Field
 from scipy.spatial import cKDTree
 from scipy.special import ndtri
 
-from subiaco_change.level_of_detection.displacement_field import BlockGrid
+from subiaco_change.level_of_detection.common_frame import BlockGrid
 from subiaco_change.level_of_detection.displacement_lod import Displacements
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.records import Registration
@@ -63,7 +63,7 @@ class UncertaintyConfig(StrictModel):
 
 
 @dataclass(frozen=True)
-class PoseErrors:
+class EpochPoseErrors:
     """Covariances of the poses of one epoch in the common frame.
 
     ``positions`` (M, 3) [m]; ``covariances`` (M, 6, 6), rotation first [rad, m].
@@ -89,16 +89,16 @@ class UnstatedPoses:
         return np.asarray(self.sigma**2 * np.ones(len(xyz)) * np.einsum("ni,ni->n", normals, normals))
 
 
-Poses = PoseErrors | UnstatedPoses
+Poses = EpochPoseErrors | UnstatedPoses
 
 
-def unstated_poses(stated: Sequence[PoseErrors], default: float) -> UnstatedPoses:
+def unstated_poses(stated: Sequence[EpochPoseErrors], default: float) -> UnstatedPoses:
     """Return what holds of an epoch without covariances: a default [m], or what the other epoch states."""
     spread = [float(np.median(np.trace(p.covariances[:, 3:, 3:], axis1=1, axis2=2)) / 3.0) for p in stated]
     return UnstatedPoses(float(np.sqrt(max([default**2, *spread]))))
 
 
-def pose_errors(positions: Floats, covariances: Floats, T_frame_map: Floats) -> PoseErrors:
+def pose_errors(positions: Floats, covariances: Floats, T_frame_map: Floats) -> EpochPoseErrors:
     """Bring the pose covariances of a map into the common frame.
 
     Parameters
@@ -112,7 +112,7 @@ def pose_errors(positions: Floats, covariances: Floats, T_frame_map: Floats) -> 
     """
     rotation = T_frame_map[:3, :3]
     turn = np.kron(np.eye(2), rotation)
-    return PoseErrors(positions @ rotation.T + T_frame_map[:3, 3], turn @ covariances @ turn.T)
+    return EpochPoseErrors(positions @ rotation.T + T_frame_map[:3, 3], turn @ covariances @ turn.T)
 
 
 def _along(lever: Floats, normals: Floats, covariance: Floats) -> Floats:

@@ -48,20 +48,20 @@ from subiaco_change.method_numbers.registration_numbers import (
     VerticalBiasNumbers,
     WarpNumbers,
 )
-from subiaco_change.method_numbers.sampling_numbers import (
-    SpacingNumbers,
-    SparseNumbers,
-    VisibilityEvidenceNumbers,
-)
 from subiaco_change.method_numbers.segmentation_numbers import (
     InstancesNumbers,
+    SpacingNumbers,
+    SparseNumbers,
     ThinTrailsNumbers,
     TrailEndsNumbers,
     TrailShapeNumbers,
     TrailSwathsNumbers,
+    VisibilityEvidenceNumbers,
     WiresAndPolesNumbers,
 )
+from subiaco_change.method_numbers.tiling_numbers import TilingNumbers
 from subiaco_geo.config import StrictModel
+from subiaco_geo.free_space.numbers import FREE_SPACE, FreeSpaceNumbers
 
 
 class MethodNumbers(StrictModel):
@@ -112,6 +112,8 @@ class MethodNumbers(StrictModel):
     spacing: SpacingNumbers = SpacingNumbers()
     sparse: SparseNumbers = SparseNumbers()
     visibility_evidence: VisibilityEvidenceNumbers = VisibilityEvidenceNumbers()
+    tiling: TilingNumbers = TilingNumbers()
+    free_space: FreeSpaceNumbers = FREE_SPACE
 
 
 NUMBERS = MethodNumbers()

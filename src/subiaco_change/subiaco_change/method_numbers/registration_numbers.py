@@ -17,7 +17,7 @@ class CoarseNumbers(StrictModel):
 
 
 class FeaturesNumbers(StrictModel):
-    """Numbers of ``registration/features.py``."""
+    """Numbers of ``registration/keypoints.py``."""
 
     edge_ratio: float = Field(0.9, description="Smallest ratio of corresponding edges of a RANSAC sample")
 
@@ -167,7 +167,7 @@ class RegisterNumbers(StrictModel):
 
 
 class WarpNumbers(StrictModel):
-    """Numbers of ``registration/warp.py``."""
+    """Numbers of ``level_of_detection/alignment_corrections.py``."""
 
     rounds: int = Field(10, description="Number of iterations of the robust fit of the warp")
 
@@ -200,6 +200,6 @@ class RegistrationUncertaintyNumbers(StrictModel):
 
 
 class VerticalBiasNumbers(StrictModel):
-    """Numbers of ``level_of_detection/vertical_bias.py``."""
+    """Numbers of ``level_of_detection/alignment_corrections.py``."""
 
     cell: float = Field(0.5, description="Edge of the cells whose heights are compared [m]")

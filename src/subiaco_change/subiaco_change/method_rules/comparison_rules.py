@@ -35,13 +35,6 @@ OCCUPANCY_RULES: tuple[Rule, ...] = (
         guards=True,
     ),
     Rule(
-        "large_seen_enough",
-        _HERE,
-        "A large object of one epoch is judged from a smaller observed fraction, if most of what was seen is"
-        " free.",
-        ("decisions.large_voxels", "decisions.min_observed_large", "decisions.large_free"),
-    ),
-    Rule(
         "enclosed_volume",
         _HERE,
         "A building of one epoch alone that encloses no volume is a fragment of a wall.",

@@ -34,6 +34,7 @@ PLANT_RULES: tuple[Rule, ...] = (
         _PLANTS,
         "The median of a hedge's columns counts only where the top of all points moved with it.",
         ("decisions.vegetation.followed",),
+        guards=True,
     ),
     Rule(
         "columns_of_hedges",

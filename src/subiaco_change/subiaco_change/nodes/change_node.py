@@ -16,7 +16,7 @@ from visualization_msgs.msg import MarkerArray
 
 from subiaco_change.config import ChangeConfig
 from subiaco_change.job import run_change_and
-from subiaco_change.nodes.job import Detect, Job, JobCancelledError, OnTile, Outcome, Report
+from subiaco_change.nodes.job import Detect, JobCancelledError, JobThread, OnTile, Outcome, Report
 from subiaco_change.nodes.messages import change_cloud_message, marker_message, table_message
 from subiaco_change.outputs.directory import PageWriter
 from subiaco_change.outputs.preview import build_preview
@@ -108,8 +108,8 @@ class ChangeApp:
         if own.request:
             source = "change node: parameter request"
             self._request = make_request(json_object(own.request, source), config, source)
-        self._job: Job | None = None
-        self._own_job: Job | None = None
+        self._job: JobThread | None = None
+        self._own_job: JobThread | None = None
         self._finished = False
         self._progress = ProgressReporter(node)
         self._diagnostics = Diagnostics(node, "comparison")
@@ -140,13 +140,13 @@ class ChangeApp:
     def step(self) -> float:
         """Start and watch the comparison given by parameters."""
         if self._request is not None:
-            self._job = self._own_job = Job(self._request, self._detect)
+            self._job = self._own_job = JobThread(self._request, self._detect)
             self._request = None
         elif self._own_job is not None:
             self._watch(self._own_job)
         return POLL
 
-    def _watch(self, job: Job) -> None:
+    def _watch(self, job: JobThread) -> None:
         self._progress(job.stage, job.fraction)
         if not job.finished:
             return
@@ -167,7 +167,7 @@ class ChangeApp:
             request = request_of_goal(handle.request, self._config)
         except InputError as error:
             return _refused(handle, error)
-        job = self._job = Job(request, self._detect)
+        job = self._job = JobThread(request, self._detect)
         while not job.finished:
             if handle.is_cancel_requested:
                 job.cancel()
@@ -179,7 +179,7 @@ class ChangeApp:
         self._job = None
         return self._conclude(handle, job)
 
-    def _conclude(self, handle: Any, job: Job) -> DetectChanges.Result:
+    def _conclude(self, handle: Any, job: JobThread) -> DetectChanges.Result:
         try:
             table = self._publish(job.get(), job.request.output)
         except JobCancelledError:

@@ -31,7 +31,7 @@ class JobCancelledError(SubiacoError):
     """The job was cancelled between two stages."""
 
 
-class Job:
+class JobThread:
     """Run one request; poll it from the node's thread.
 
     Parameters

@@ -1,11 +1,13 @@
-"""The change directory: every file of a change run, written whole or not at all."""
+"""The change directory: every file of a change run, written whole or not at all, reviews taken up."""
 
 from __future__ import annotations
 
 import logging
 import platform
 import shutil
+import sqlite3
 from collections.abc import Callable, Mapping
+from contextlib import closing
 from dataclasses import dataclass, field
 from functools import partial
 from importlib.metadata import PackageNotFoundError, version
@@ -13,16 +15,17 @@ from pathlib import Path
 from typing import Any
 
 import geopandas as gpd
+import pandas as pd
 
-from subiaco_change.decisions.confidence import Calibration
+from subiaco_change.decisions.confidence import ConfidenceCalibration
+from subiaco_change.input_checks import hash_path
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.outputs import table as outputs_table
 from subiaco_change.outputs.change_directory_reading import ChangeDirectory, read_change_directory
 from subiaco_change.outputs.clouds import write_labelled
-from subiaco_change.outputs.geopackage import write_geopackage, write_layer
-from subiaco_change.outputs.hashing import hash_path
+from subiaco_change.outputs.geopackage import embed_styles, write_geopackage, write_layer
 from subiaco_change.outputs.json_text import write_json
-from subiaco_change.outputs.parcels import build_parcels, coverage_polygons
+from subiaco_change.outputs.parcels import build_parcels, coverage_polygons, rebuild_parcels
 from subiaco_change.outputs.rasters import (
     Coverage,
     LodRaster,
@@ -31,23 +34,30 @@ from subiaco_change.outputs.rasters import (
     join_coverage,
     join_lod,
     lod_statement,
+    read_coverage,
     write_coverage,
     write_ground_change,
     write_lod,
 )
-from subiaco_change.outputs.reviews import carry_reviews, read_reviewed
-from subiaco_change.outputs.style import embed_styles
-from subiaco_change.outputs.table_schema import schema_faults
+from subiaco_change.outputs.reviews import (
+    REVIEW_FILE,
+    apply_reviews,
+    carry_reviews,
+    read_review_file,
+    read_reviewed,
+)
+from subiaco_change.outputs.table import schema_faults
 from subiaco_change.records import ChangeResult, Registration, TiledResult
-from subiaco_geo.atomic import refuse_existing, refuse_foreign, whole_directory
+from subiaco_geo.atomic import refuse_existing, refuse_foreign, whole_directory, whole_file
 from subiaco_geo.config import StrictModel, config_hash, write_config
 from subiaco_geo.findings import SEVERITIES, Finding
 from subiaco_geo.settings import method_statement, setting_values
 from subiaco_geo.work.tasks import peak_mib
 
+_LOG = logging.getLogger(__name__)
+
 __all__ = ["ChangeDirectory", "ChangeInputs", "PageWriter", "read_change_directory", "write_change_directory"]
 
-_LOG = logging.getLogger(__name__)
 
 #: What tells a change directory from another folder.
 MARKER = "run.json"
@@ -85,7 +95,7 @@ class ChangeInputs:
     before: Path | None = None
     after: Path | None = None
     notes: Mapping[str, Any] = field(default_factory=dict)
-    calibration: Calibration = field(default_factory=Calibration)
+    calibration: ConfidenceCalibration = field(default_factory=ConfidenceCalibration)
     ellipsoidal: bool = False
     lots: gpd.GeoDataFrame | None = None
     findings: tuple[Finding, ...] = ()
@@ -261,3 +271,65 @@ def _write_areas(
         write_layer(package, "parcels", parcels)
         outputs_table.write_csv(target / "parcels.csv", parcels)
     embed_styles(package, ("coverage",) if lots is None else ("coverage", "parcels"))
+
+
+#: Name of a review file of which every row is in the table now.
+APPLIED = "reviews_applied.csv"
+_SPATIAL = ("ST_IsEmpty", "ST_MinX", "ST_MaxX", "ST_MinY", "ST_MaxY")  # which triggers of GeoPackages name
+
+
+def take_up_reviews(directory: Path, files: list[Path]) -> tuple[gpd.GeoDataFrame, list[str]]:
+    """Store reviews in every file of a change directory that holds or counts rows, but the pages.
+
+    Parameters
+    ----------
+    directory : Path
+        Change directory; its own ``reviews.csv`` and what was typed into its CSV or GeoPackage count too.
+    files : list of Path
+        Review files of :func:`read_review_file`; a later one wins.
+
+    Returns
+    -------
+    table : GeoDataFrame
+        With its reviews.
+    unknown : list of str
+        ``object_uid`` that the table does not have.
+
+    Raises
+    ------
+    InputError
+        Not a change directory, or not a review file.
+    """
+    read_change_directory(directory)  # refuses what is none
+    table = read_reviewed(directory)
+    assert table is not None
+    unknown: list[str] = []
+    for path in files:
+        reviews = read_review_file(path)
+        table = apply_reviews(table, reviews)
+        unknown += sorted(set(reviews.index) - set(table["object_uid"]))
+    with whole_file(directory / "changes.gpkg") as temporary:
+        shutil.copyfile(directory / "changes.gpkg", temporary)
+        _update_package(temporary, table)
+        if (directory / "parcels.csv").is_file():
+            parcels = rebuild_parcels(temporary, table, read_coverage(directory / "coverage.tif"))
+            with whole_file(directory / "parcels.csv") as target:
+                outputs_table.write_csv(target, parcels)
+    with whole_file(directory / "changes.csv") as temporary:
+        outputs_table.write_csv(temporary, table)
+    with whole_file(directory / "changes.parquet") as temporary:
+        outputs_table.write_parquet(temporary, table)
+    if (directory / REVIEW_FILE).is_file():
+        (directory / REVIEW_FILE).replace(directory / APPLIED)
+    return table, unknown
+
+
+def _update_package(path: Path, table: pd.DataFrame) -> None:
+    """Write the reviews into the layers ``objects`` and ``ground``; everything else stays as it is."""
+    rows = table[["review", "reviewer", "note", "object_uid"]].to_numpy().tolist()
+    with closing(sqlite3.connect(path)) as connection, connection:
+        for name in _SPATIAL:
+            connection.create_function(name, 1, lambda _: 0)
+        for layer in ("objects", "ground"):
+            query = f"update {layer} set review = ?, reviewer = ?, note = ? where object_uid = ?"  # noqa: S608
+            connection.executemany(query, rows)

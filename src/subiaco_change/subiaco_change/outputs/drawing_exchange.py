@@ -26,8 +26,8 @@ _APPLICATION = "SUBIACO"  # owner of the extended data
 _LONGEST = 250  # characters of a string of extended data
 _TEXT_HEIGHT = 1.0  # of the object number [m]
 
-Group = tuple[int, Any]
-_ENTITIES: tuple[Group, ...] = ((0, "SECTION"), (2, "ENTITIES"))
+DxfGroup = tuple[int, Any]
+_ENTITIES: tuple[DxfGroup, ...] = ((0, "SECTION"), (2, "ENTITIES"))
 
 
 def write_dxf(path: Path, table: gpd.GeoDataFrame) -> None:
@@ -54,7 +54,7 @@ def write_dxf(path: Path, table: gpd.GeoDataFrame) -> None:
 
 def write_contour_dxf(path: Path, lines: gpd.GeoDataFrame) -> None:
     """Write contours (``height_m``, lines) as polylines of the layer ``CONTOUR`` at their heights."""
-    groups: list[Group] = [*_head({"CONTOUR": 8}), *_ENTITIES]
+    groups: list[DxfGroup] = [*_head({"CONTOUR": 8}), *_ENTITIES]
     for height, line in zip(lines["height_m"], lines.geometry, strict=True):
         groups += _polyline("CONTOUR", line.coords, float(height), [], closed=False)
     _write(path, groups)
@@ -62,13 +62,13 @@ def write_contour_dxf(path: Path, lines: gpd.GeoDataFrame) -> None:
 
 def write_section_dxf(path: Path, drawn: Iterable[tuple[str, int, Floats]]) -> None:
     """Write profiles (layer, section, corners (N, 2)) as polylines that carry ``section=number``."""
-    groups: list[Group] = [*_head({"GROUND": 30, "SURFACE": 5}), *_ENTITIES]
+    groups: list[DxfGroup] = [*_head({"GROUND": 30, "SURFACE": 5}), *_ENTITIES]
     for layer, number, corners in drawn:
         groups += _polyline(layer, corners, 0.0, [f"section={number}"], closed=False)
     _write(path, groups)
 
 
-def _write(path: Path, groups: list[Group]) -> None:
+def _write(path: Path, groups: list[DxfGroup]) -> None:
     """Write the groups of a drawing and its end."""
     pairs = [*groups, (0, "ENDSEC"), (0, "EOF")]
     text = "".join(f"{code}\n{value}\n" for code, value in pairs)
@@ -80,7 +80,7 @@ def _text(value: Any) -> str:
     return "" if pd.isna(value) else " ".join(str(value).split())
 
 
-def _head(layers: Mapping[str, int]) -> Iterator[Group]:
+def _head(layers: Mapping[str, int]) -> Iterator[DxfGroup]:
     """Version, layers with their colours, and the application of the extended data."""
     yield from [(0, "SECTION"), (2, "HEADER"), (9, "$ACADVER"), (1, "AC1009"), (0, "ENDSEC")]
     yield from [(0, "SECTION"), (2, "TABLES"), (0, "TABLE"), (2, "LAYER"), (70, len(layers))]
@@ -92,7 +92,7 @@ def _head(layers: Mapping[str, int]) -> Iterator[Group]:
 
 def _polyline(
     layer: str, corners: Any, height: float, data: list[str], *, closed: bool = True
-) -> Iterator[Group]:
+) -> Iterator[DxfGroup]:
     yield from [(0, "POLYLINE"), (8, layer), (66, 1), (10, 0.0), (20, 0.0), (30, f"{height:.3f}")]
     yield (70, int(closed))
     if data:
@@ -104,6 +104,6 @@ def _polyline(
     yield from [(0, "SEQEND"), (8, layer)]
 
 
-def _label(row: dict[str, Any], place: tuple[float, ...]) -> Iterator[Group]:
+def _label(row: dict[str, Any], place: tuple[float, ...]) -> Iterator[DxfGroup]:
     yield from [(0, "TEXT"), (8, str(row["label"]).upper()), (10, f"{place[0]:.3f}"), (20, f"{place[1]:.3f}")]
     yield from [(30, f"{row['z']:.3f}"), (40, _TEXT_HEIGHT), (1, row["object_id"])]

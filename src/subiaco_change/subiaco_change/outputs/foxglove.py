@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from pyproj import Proj
 
 from subiaco_change.outputs.clouds import change_palette, labelled_path
-from subiaco_change.outputs.table_schema import table_schema
+from subiaco_change.outputs.table import table_schema
 from subiaco_change.records import CHANGE_COLOURS
 from subiaco_geo import __version__
 from subiaco_geo.bags import TYPESTORE

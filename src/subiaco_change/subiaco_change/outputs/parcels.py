@@ -15,7 +15,7 @@ from shapely.errors import ShapelyError
 from shapely.geometry import MultiPolygon, shape
 
 from subiaco_change.outputs.rasters import COVERAGE, Coverage
-from subiaco_change.outputs.review_state import is_rejected
+from subiaco_change.outputs.reviews import is_rejected
 from subiaco_geo.codes import Change
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints

@@ -66,7 +66,7 @@ def _band(size: int, fine: float = 0.8, broad: float = 5.0) -> Floats:
 
 
 @dataclass(frozen=True)
-class Candidate:
+class StartPose:
     """A start pose ``T_after_before`` and the score that proposed it."""
 
     pose: Floats
@@ -167,7 +167,7 @@ def _turned(level: Level, rotation: Floats) -> Level:
     return Level(level.leaf, transform_points(rotation, level.xyz), turned)
 
 
-def propose(before: Level, after: Level, pixel: float = 2.0, count: int = 12) -> list[Candidate]:
+def propose(before: Level, after: Level, pixel: float = 2.0, count: int = 12) -> list[StartPose]:
     """Propose start poses for clouds that share no frame.
 
     Parameters
@@ -194,13 +194,13 @@ def propose(before: Level, after: Level, pixel: float = 2.0, count: int = 12) ->
         turn = Rotation.from_euler("z", peak.yaw).as_matrix()
         pose = make_pose(turn, np.array([*peak.shift, 0.0]))
         pose[2, 3] = _height_offset(pose, flat_before, flat_after)
-        candidates.append(Candidate(level_after.T @ pose @ level_before, peak.score))
+        candidates.append(StartPose(level_after.T @ pose @ level_before, peak.score))
     return candidates
 
 
 def propose_shifts(
     before: Level, after: Level, pose: Floats, pixel: float, count: int = 4
-) -> list[Candidate]:
+) -> list[StartPose]:
     """Propose poses that differ from a fitted one by a level shift, the best first.
 
     Parameters
@@ -226,5 +226,5 @@ def propose_shifts(
             continue
         aside = make_pose(np.eye(3), np.array([*peak.shift, 0.0]))
         aside[2, 3] = _height_offset(aside, moved, after)
-        candidates.append(Candidate(aside @ pose, peak.score))
+        candidates.append(StartPose(aside @ pose, peak.score))
     return candidates[:count]

@@ -9,7 +9,7 @@ from pydantic import Field
 from subiaco_geo.config import StrictModel
 
 
-class FeatureConfig(StrictModel):
+class KeypointConfig(StrictModel):
     """The paper's coarse alignment; its values, except the FPFH radius, which it does not give."""
 
     salient_radius: float = Field(1.5, gt=0, description="Radius of the scatter matrix of ISS keypoints [m]")
@@ -56,7 +56,7 @@ class RegistrationConfig(StrictModel):
         "pictures",
         description="Coarse search by bird's-eye pictures, or by features: ISS, FPFH and RANSAC (paper)",
     )
-    features: FeatureConfig = FeatureConfig()
+    features: KeypointConfig = KeypointConfig()
     coarse_pixel: float = Field(
         1.0,
         gt=0,

@@ -10,6 +10,7 @@ from scipy.spatial.transform import Rotation
 
 from subiaco_change.geometry import Level, build_pyramid, remove_outliers
 from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.point_spacing import PointSpacing, pair_spacing
 from subiaco_change.registration.config import RegistrationConfig
 from subiaco_change.registration.icp import (
     Noise,
@@ -30,8 +31,7 @@ from subiaco_change.registration.plausibility import (
     measure_quality,
     measure_support,
 )
-from subiaco_change.spacing import PointSpacing, pair_spacing
-from subiaco_geo.clouds import PointCloud
+from subiaco_geo.clouds import PointCloud, unique_cells
 from subiaco_geo.errors import InputError, RegistrationError
 from subiaco_geo.frames import Floats, Ints, invert_pose, rotation_angle, transform_points
 
@@ -52,7 +52,7 @@ _SUPPORTED = NUMBERS.fitting.support_errors
 
 
 @dataclass(frozen=True)
-class Side:
+class PreparedEpoch:
     """One epoch prepared: its centre (3,) in the common frame, and levels about that centre.
 
     ``spacing``: of the points of the epoch [m]; ``scale``: factor on lengths that the pair asks for.
@@ -94,7 +94,7 @@ def prepare_pair(
     config: RegistrationConfig,
     exclude_before: Mask | None = None,
     exclude_after: Mask | None = None,
-) -> tuple[tuple[Side, Side], RegistrationConfig]:
+) -> tuple[tuple[PreparedEpoch, PreparedEpoch], RegistrationConfig]:
     """Prepare both epochs; return them, and the settings that their spacing asks for."""
     clouds = (
         _cleaned(before, exclude_before, "before", config),
@@ -122,11 +122,11 @@ def _cleaned(cloud: PointCloud, exclude: Mask | None, name: str, config: Registr
     return remove_outliers(cloud, config.outlier_neighbours, config.outlier_sigmas)
 
 
-def _side(cloud: PointCloud, own: float, spacing: PointSpacing, config: RegistrationConfig) -> Side:
+def _side(cloud: PointCloud, own: float, spacing: PointSpacing, config: RegistrationConfig) -> PreparedEpoch:
     """Centre a cloud and build its pyramid."""
     centre = np.median(cloud.xyz, axis=0)
     levels = build_pyramid(cloud.xyz - centre, config.leaves, config.normal_radius)
-    return Side(centre, levels, {}, own, spacing.scale)
+    return PreparedEpoch(centre, levels, {}, own, spacing.scale)
 
 
 def _thinned(level: Level, limit: int) -> Level:
@@ -163,8 +163,8 @@ def _remapped(
 
 
 def refine_coarsely(
-    before: Side,
-    after: Side,
+    before: PreparedEpoch,
+    after: PreparedEpoch,
     pose: Floats,
     config: RegistrationConfig,
     factors: tuple[float, ...] = (1.0, 0.5),
@@ -178,7 +178,7 @@ def refine_coarsely(
 
 
 def _by_ndt(
-    before: Side, after: Side, cell: float, pose: Floats, config: RegistrationConfig
+    before: PreparedEpoch, after: PreparedEpoch, cell: float, pose: Floats, config: RegistrationConfig
 ) -> Floats | None:
     """Align Gaussians of voxels of an edge [m]; None where either epoch has too few of them."""
     grids = before.grid(cell), after.grid(cell)
@@ -188,7 +188,12 @@ def _by_ndt(
 
 
 def refine(
-    before: Side, after: Side, targets: list[Target], pose: Floats, start: str, config: RegistrationConfig
+    before: PreparedEpoch,
+    after: PreparedEpoch,
+    targets: list[Target],
+    pose: Floats,
+    start: str,
+    config: RegistrationConfig,
 ) -> Fit:
     """Coarse to fine: NDT, then point-to-plane ICP, on every level (method B3)."""
     ndt_pose = None
@@ -241,7 +246,7 @@ def _noise(source: Level, target: Target, pose: Floats, config: RegistrationConf
 
 
 def fit_groups(
-    before: Side, target: Target, pose: Floats, centre: Floats, config: RegistrationConfig
+    before: PreparedEpoch, target: Target, pose: Floats, centre: Floats, config: RegistrationConfig
 ) -> Floats:
     """Fit groups of blocks on their own; return the covariance (6, 6) of the pose about a centre (3,).
 
@@ -251,7 +256,7 @@ def fit_groups(
     source = _thinned(before.levels[-1], config.icp_points)
     noise = _noise(source, target, pose, config) if config.polish > 0 else None
     names, member = _blocks(transform_points(pose, source.xyz), config.block, _SMALLEST * before.scale)
-    group = np.random.default_rng(config.seed).permutation(len(names))[member.ravel()] % _GROUPS
+    group = np.random.default_rng(config.seed).permutation(len(names))[member] % _GROUPS
     twists = []
     for k in range(_GROUPS):
         own = np.flatnonzero(group == k)
@@ -276,7 +281,7 @@ def _blocks(xyz: Floats, edge: float, smallest: float) -> tuple[Ints, Ints]:
     """
     while True:
         block = np.floor(xyz[:, :2] / edge).astype(np.int64)
-        names, member = np.unique(block, axis=0, return_inverse=True)
+        names, member = unique_cells(block)
         if len(names) >= 4 * _GROUPS or edge < 2.0 * smallest:
             return names, member
         edge *= 0.5
@@ -289,7 +294,9 @@ def twist_between(one: Floats, other: Floats, centre: Floats) -> Floats:
     return np.concatenate([turn, transform_points(delta, centre[None])[0] - centre])
 
 
-def _same_planes(before: Side, after: Side, pose: Floats, config: RegistrationConfig) -> PlanePairs | None:
+def _same_planes(
+    before: PreparedEpoch, after: PreparedEpoch, pose: Floats, config: RegistrationConfig
+) -> PlanePairs | None:
     """Pair the planes of both epochs for the plane-to-plane term, where it is wanted."""
     if config.plane_weight == 0:
         return None
@@ -298,7 +305,7 @@ def _same_planes(before: Side, after: Side, pose: Floats, config: RegistrationCo
 
 
 def judge(
-    before: Side,
+    before: PreparedEpoch,
     targets: list[Target],
     pose: Floats,
     ndt_pose: Floats | None,
@@ -338,7 +345,7 @@ def _structure(pairs: Pairs, config: RegistrationConfig) -> float:
     return float(pair_weights(pairs, config.tukey, config.huber)[steep].sum())
 
 
-def column(side: Side) -> float:
+def column(side: PreparedEpoch) -> float:
     """Edge of the columns by which overlap is measured [m]."""
     return _COLUMN * side.scale
 
@@ -396,7 +403,7 @@ def falls_short(share: float, count: int, least: float) -> bool:
     return trials > 0 and share + _SURE * np.sqrt(least * (1.0 - least) / trials) < least
 
 
-def density_note(sides: tuple[Side, Side]) -> str:
+def density_note(sides: tuple[PreparedEpoch, PreparedEpoch]) -> str:
     """Name the density of the clouds where it is below that of a mapped street; else nothing."""
     if sides[0].scale <= 1.0:
         return ""

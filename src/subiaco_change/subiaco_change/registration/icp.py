@@ -151,7 +151,7 @@ def jacobian(pairs: Pairs, centre: Floats) -> Floats:
 
 
 @dataclass(frozen=True)
-class Step:
+class GaussNewtonStep:
     """One Gauss-Newton step and what the normal equations say about it."""
 
     twist: Floats
@@ -172,7 +172,7 @@ def solve(
     min_eigenvalue: float,
     turning: tuple[Floats, Floats] | None = None,
     fixing: Floats | None = None,
-) -> Step:
+) -> GaussNewtonStep:
     """Solve the weighted normal equations, ignoring ill-conditioned directions.
 
     Rotations are scaled by the RMS distance of the pairs from the centre, so
@@ -200,7 +200,7 @@ def solve(
     twist = basis @ np.linalg.solve(basis.T @ full @ basis, basis.T @ right) / scale
     hessian = information * total * np.outer(scale, scale)
     names = tuple(dict.fromkeys(_name(v) for v in vectors.T[values < min_eigenvalue]))
-    return Step(twist, hessian, names, values)
+    return GaussNewtonStep(twist, hessian, names, values)
 
 
 def align_icp(
@@ -215,7 +215,7 @@ def align_icp(
     reach: float,
     planes: PlanePairs | None = None,
     noise: Noise | None = None,
-) -> tuple[Floats, Pairs, Step | None]:
+) -> tuple[Floats, Pairs, GaussNewtonStep | None]:
     """Iterate pairs and Gauss-Newton steps from a start pose; ``planes`` adds the plane-to-plane term.
 
     With ``noise`` every kind of neighbourhood has a weight and a biweight of its own.
@@ -225,7 +225,7 @@ def align_icp(
     pose : (4, 4) float64
     pairs : Pairs
         At the pose before the last step.
-    step : Step or None
+    step : GaussNewtonStep or None
         The last step; None when fewer than 50 pairs were found.
     """
     step = None

@@ -123,6 +123,7 @@ def _turn(rotation: Floats, cov: Floats, work: Floats, out: Floats) -> None:
 def _normal_equations(  # noqa: C901, PLR0912
     rotation: Floats, translation: Floats, centre: Floats, means: Floats, covs: Floats,
     keys: Ints, t_means: Floats, t_covs: Floats, cell: float,
+    width: float,
 ) -> tuple[float, Floats, Floats]:  # fmt: skip
     """Score, gradient (6,) and Gauss-Newton Hessian (6, 6) of the left perturbation about a centre.
 
@@ -161,9 +162,9 @@ def _normal_equations(  # noqa: C901, PLR0912
             for i in range(3):
                 v[i] = info[i, 0] * d[0] + info[i, 1] * d[1] + info[i, 2] * d[2]
                 squared += v[i] * d[i]
-            value = np.exp(-0.5 * _D2 * squared)
+            value = np.exp(-0.5 * width * squared)
             score += value
-            weight = value * _D2
+            weight = value * width
             if weight < 1e-9:
                 continue
             for m in range(6):
@@ -195,7 +196,7 @@ def _score_at(
 ) -> tuple[float, Floats, Floats]:
     return _normal_equations(
         np.ascontiguousarray(pose[:3, :3]), pose[:3, 3].copy(), centre, source.means, source.covariances,
-        target.keys, target.means, target.covariances, target.cell,
+        target.keys, target.means, target.covariances, target.cell, _D2,
     )  # fmt: skip
 
 

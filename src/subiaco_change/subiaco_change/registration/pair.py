@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from subiaco_change.method_numbers import NUMBERS
-from subiaco_geo.clouds import PointCloud, voxel_downsample
+from subiaco_geo.clouds import PointCloud, unique_cells, voxel_downsample
 from subiaco_geo.crs import Transform, transformer
 from subiaco_geo.errors import InputError
 from subiaco_geo.findings import Finding
@@ -132,10 +132,10 @@ def _other_zone(before: Floats, after: Floats, crs_before: str, crs_after: str) 
 
 def lowest_points(xyz: Floats) -> dict[tuple[int, int], float]:
     """Return the height of the lowest point [m] of every cell of 4 m of points (N, 3) in the world."""
-    cells, member = np.unique(np.floor(xyz[:, :2] / _CELL).astype(np.int64), axis=0, return_inverse=True)
+    cells, member = unique_cells(np.floor(xyz[:, :2] / _CELL).astype(np.int64))
     low = np.full(len(cells), np.inf)
-    np.minimum.at(low, member.ravel(), xyz[:, 2])
-    return {(int(i), int(j)): float(z) for (i, j), z in zip(cells, low, strict=True)}
+    np.minimum.at(low, member, xyz[:, 2])
+    return {(i, j): z for (i, j), z in zip(cells.tolist(), low.tolist(), strict=True)}
 
 
 def refuse_height_offset(before: dict[tuple[int, int], float], after: dict[tuple[int, int], float]) -> None:

@@ -39,7 +39,15 @@ class PlanePairs:
 
 
 @numba.njit(cache=True)
-def _label(points: Floats, normals: Floats, starts: Ints, draws: Floats) -> Ints:
+def _label(
+    points: Floats,
+    normals: Floats,
+    starts: Ints,
+    draws: Floats,
+    thickness: float,
+    parallel: float,
+    fewest: int,
+) -> Ints:
     """Give each point the number (N,) of its plane, -1 for none; blocks are runs between starts.
 
     A sample is one point with its normal; the plane with most points is
@@ -49,33 +57,33 @@ def _label(points: Floats, normals: Floats, starts: Ints, draws: Floats) -> Ints
     planes = 0
     for block in range(len(starts) - 1):
         low, high = starts[block], starts[block + 1]
-        for plane in range(_PLANES):
-            best, most = -1, _LEAST - 1
+        for plane in range(draws.shape[1]):
+            best, most = -1, fewest - 1
             for draw in draws[block, plane]:
                 s = low + int(draw * (high - low))
                 if label[s] < 0:
                     count = 0
                     for p in range(low, high):
-                        count += label[p] < 0 and _lies_in(points, normals, p, s)
+                        count += label[p] < 0 and _lies_in(points, normals, p, s, thickness, parallel)
                     if count > most:
                         best, most = s, count
             if best < 0:
                 break
             for p in range(low, high):
-                if label[p] < 0 and _lies_in(points, normals, p, best):
+                if label[p] < 0 and _lies_in(points, normals, p, best, thickness, parallel):
                     label[p] = planes
             planes += 1
     return label
 
 
 @numba.njit(cache=True, inline="always")
-def _lies_in(points: Floats, normals: Floats, p: int, s: int) -> bool:
+def _lies_in(points: Floats, normals: Floats, p: int, s: int, thickness: float, parallel: float) -> bool:
     """Tell whether point p lies in the plane of point s."""
     away, cosine = 0.0, 0.0
     for axis in range(3):
         away += normals[s, axis] * (points[p, axis] - points[s, axis])
         cosine += normals[s, axis] * normals[p, axis]
-    return abs(away) < _THICK and abs(cosine) > _ALIKE
+    return abs(away) < thickness and abs(cosine) > parallel
 
 
 def extract_planes(level: Level, seed: int) -> Planes:
@@ -96,7 +104,7 @@ def _extract(level: Level, chosen: NDArray[np.bool_], seed: int) -> Planes:
     starts = np.append(np.unique(block[order], return_index=True)[1], len(xyz))
     draws = np.random.default_rng(seed).random((len(starts) - 1, _PLANES, _SAMPLES))
     xyz = xyz[order]
-    label = _label(xyz, normals[order], starts, draws)
+    label = _label(xyz, normals[order], starts, draws, _THICK, _ALIKE, _LEAST)
     return _fit(xyz[label >= 0], label[label >= 0])
 
 

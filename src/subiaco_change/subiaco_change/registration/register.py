@@ -10,14 +10,12 @@ import numpy as np
 
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.records import Registration
-from subiaco_change.registration.checks import Uncertainty, estimate_uncertainty, variance_along
 from subiaco_change.registration.coarse import propose, propose_shifts
 from subiaco_change.registration.config import RegistrationConfig
-from subiaco_change.registration.features import propose_by_features
 from subiaco_change.registration.fitting import (
     Fit,
     Mask,
-    Side,
+    PreparedEpoch,
     column,
     complaints,
     density_note,
@@ -35,7 +33,13 @@ from subiaco_change.registration.icp import (
     make_target,
     pair_weights,
 )
-from subiaco_change.registration.plausibility import measure_quality
+from subiaco_change.registration.keypoints import propose_by_features
+from subiaco_change.registration.plausibility import (
+    Uncertainty,
+    estimate_uncertainty,
+    measure_quality,
+    variance_along,
+)
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.errors import InputError, RegistrationError
 from subiaco_geo.frames import Floats, invert_pose, transform_points
@@ -44,7 +48,7 @@ _LOG = logging.getLogger(__name__)
 _NOTED = NUMBERS.registration_findings.noted_shift
 
 
-def _apart(before: Side, after: Side) -> bool:
+def _apart(before: PreparedEpoch, after: PreparedEpoch) -> bool:
     """Tell whether the bounding boxes are disjoint as the frames are given."""
     boxes = [
         (side.centre + side.levels[0].xyz.min(axis=0), side.centre + side.levels[0].xyz.max(axis=0))
@@ -53,7 +57,9 @@ def _apart(before: Side, after: Side) -> bool:
     return bool(np.any(np.maximum(boxes[0][0], boxes[1][0]) > np.minimum(boxes[0][1], boxes[1][1]) + 5.0))
 
 
-def _from_identity(before: Side, after: Side, targets: list[Target], config: RegistrationConfig) -> Fit:
+def _from_identity(
+    before: PreparedEpoch, after: PreparedEpoch, targets: list[Target], config: RegistrationConfig
+) -> Fit:
     """Refine from the frames as they are given; hopeless starts are given up after the coarsest NDT."""
     if _apart(before, after):
         raise RegistrationError("identity: the extents are disjoint")
@@ -74,7 +80,7 @@ def _from_identity(before: Side, after: Side, targets: list[Target], config: Reg
 
 
 def refuse_rivals(
-    before: Side, after: Side, targets: list[Target], fit: Fit, config: RegistrationConfig
+    before: PreparedEpoch, after: PreparedEpoch, targets: list[Target], fit: Fit, config: RegistrationConfig
 ) -> None:
     """Refuse a fit where a pose elsewhere fits better: a row of equal houses, shifted by one."""
     here = _score(before, targets, fit.pose, config)
@@ -90,11 +96,13 @@ def refuse_rivals(
             )
 
 
-def _score(before: Side, targets: list[Target], pose: Floats, config: RegistrationConfig) -> float:
+def _score(before: PreparedEpoch, targets: list[Target], pose: Floats, config: RegistrationConfig) -> float:
     return measure_quality(before.levels[0], targets[0], pose, config.tukey, column(before)).score
 
 
-def _from_search(before: Side, after: Side, targets: list[Target], config: RegistrationConfig) -> Fit:
+def _from_search(
+    before: PreparedEpoch, after: PreparedEpoch, targets: list[Target], config: RegistrationConfig
+) -> Fit:
     """Refine the best of the proposed start poses."""
     coarsest = before.levels[0], after.levels[0]
     if config.coarse_method == "features":
@@ -117,7 +125,7 @@ def _from_search(before: Side, after: Side, targets: list[Target], config: Regis
 
 
 def _places(
-    poses: list[Floats], before: Side, target: Target, tolerance: float, count: int = 5
+    poses: list[Floats], before: PreparedEpoch, target: Target, tolerance: float, count: int = 5
 ) -> tuple[list[Floats], list[float]]:
     """Return the best poses that place the points more than 2 m apart, best first, and their scores."""
     source, gap = before.levels[0], 2.0 * before.scale
@@ -132,8 +140,8 @@ def _places(
 
 
 def _attempt(
-    before: Side,
-    after: Side,
+    before: PreparedEpoch,
+    after: PreparedEpoch,
     targets: list[Target],
     start: Floats | None,
     georeferenced: bool,
@@ -168,7 +176,7 @@ def _attempt(
     )
 
 
-def _between(T_world: Floats, sides: tuple[Side, Side], origin: Floats) -> Floats:
+def _between(T_world: Floats, sides: tuple[PreparedEpoch, PreparedEpoch], origin: Floats) -> Floats:
     """Bring a world transform to the centred frames of two sides about one origin (3,)."""
     local = T_world.copy()
     centres = origin + sides[0].centre, origin + sides[1].centre
@@ -255,7 +263,11 @@ def given_registration(
 
 
 def _doubted(
-    found: Registration, fit: Fit, sides: tuple[Side, Side], targets: list[Target], config: RegistrationConfig
+    found: Registration,
+    fit: Fit,
+    sides: tuple[PreparedEpoch, PreparedEpoch],
+    targets: list[Target],
+    config: RegistrationConfig,
 ) -> Registration:
     """Test a given transform as a registration is tested, and state what speaks against it.
 
@@ -297,7 +309,7 @@ def _doubted(
 
 def _report(
     fit: Fit,
-    sides: tuple[Side, Side],
+    sides: tuple[PreparedEpoch, PreparedEpoch],
     target: Target,
     origin: Floats,
     method: str,
@@ -326,7 +338,7 @@ def _report(
     )  # fmt: skip
 
 
-def _details(fit: Fit, spread: Uncertainty, sides: tuple[Side, Side]) -> dict[str, float]:
+def _details(fit: Fit, spread: Uncertainty, sides: tuple[PreparedEpoch, PreparedEpoch]) -> dict[str, float]:
     """Numbers behind the verdict, for registration.json."""
     return {
         "spacing_before_m": sides[0].spacing,

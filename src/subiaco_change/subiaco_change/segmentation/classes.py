@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import none_of_them, rule_mask, switchable
 from subiaco_change.segmentation.buildings import (
     attach_parts,
@@ -20,7 +22,7 @@ from subiaco_change.segmentation.buildings import (
 )
 from subiaco_change.segmentation.clustering import group_indices, group_reduce, voxel_clusters
 from subiaco_change.segmentation.config import BuildingConfig, VehicleConfig
-from subiaco_change.segmentation.features import FeatureConfig, Features, compute_features
+from subiaco_change.segmentation.features import EigenFeatureConfig, Features, compute_features
 from subiaco_change.segmentation.ghost_trails import TrafficConfig, moving_points, still_blocks, timed_trails
 from subiaco_change.segmentation.ground_model import GroundConfig, GroundModel, Mask, fit_ground
 from subiaco_change.segmentation.raised_surfaces import RaisedConfig, RaisedSurfaces, find_raised
@@ -39,7 +41,7 @@ class SemanticsConfig(StrictModel):
 
     ground: GroundConfig = GroundConfig()
     raised: RaisedConfig = RaisedConfig()
-    features: FeatureConfig = FeatureConfig()
+    features: EigenFeatureConfig = EigenFeatureConfig()
     superpoints: SuperpointConfig = SuperpointConfig()
     traffic: TrafficConfig = TrafficConfig()
     trail_shape: TrailShapeConfig = TrailShapeConfig()
@@ -344,12 +346,21 @@ def _vote_clusters(
 
 def _scores(semantic: NDArray[np.uint8], features: Features) -> NDArray[np.float32]:
     """Share of each class among the neighbours: low where classes meet or a region is mixed."""
-    neighbours = features.neighbours
-    counts = np.stack([(semantic[neighbours] == c).sum(axis=1) for c in range(5)], axis=1)
-    return np.asarray(counts / neighbours.shape[1], dtype=np.float32)
+    counts = _class_counts(semantic, features.neighbours)
+    return np.asarray(counts / features.neighbours.shape[1], dtype=np.float32)
 
 
-_FEWEST = 100  # points below which neighbourhoods say nothing
+@numba.njit(cache=True)
+def _class_counts(semantic: NDArray[np.uint8], neighbours: NDArray[np.int32]) -> Ints:
+    """Count the neighbours (N, k) of every point by class: (N, 5)."""
+    counts = np.zeros((len(neighbours), 5), dtype=np.int64)
+    for i in range(len(neighbours)):
+        for k in range(neighbours.shape[1]):
+            counts[i, semantic[neighbours[i, k]]] += 1
+    return counts
+
+
+_FEWEST = NUMBERS.tiling.map_class_points
 
 
 def map_classes(cloud: PointCloud, moved: Floats) -> NDArray[np.uint8]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from pydantic import Field
 
-from subiaco_change.segmentation.features import FeatureConfig
+from subiaco_change.segmentation.features import EigenFeatureConfig
 from subiaco_change.segmentation.object_rows import RowConfig
 from subiaco_geo.config import StrictModel
 
@@ -120,7 +120,7 @@ class BuildingConfig(StrictModel):
         description="Largest vertical component of the normal of a facade [1] (paper); raise it to accept "
         "inclined walls",
     )
-    thick: FeatureConfig = FeatureConfig(neighbours=24, radius=1.5)
+    thick: EigenFeatureConfig = EigenFeatureConfig(neighbours=24, radius=1.5)
     thick_cell: float = Field(
         0.5,
         gt=0,

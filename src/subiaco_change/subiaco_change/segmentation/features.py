@@ -15,7 +15,7 @@ from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats
 
 
-class FeatureConfig(StrictModel):
+class EigenFeatureConfig(StrictModel):
     """Neighbourhood of the eigen-features."""
 
     neighbours: int = Field(
@@ -51,7 +51,7 @@ class Features:
     roughness: Floats
 
 
-def compute_features(xyz: Floats, config: FeatureConfig) -> Features:
+def compute_features(xyz: Floats, config: EigenFeatureConfig) -> Features:
     """Compute eigen-features of points (N, 3) [m], best sorted spatially beforehand."""
     k = min(config.neighbours + 1, len(xyz))
     local = np.ascontiguousarray(xyz - xyz.mean(axis=0), dtype=np.float32)

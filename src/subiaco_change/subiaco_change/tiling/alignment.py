@@ -11,9 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from subiaco_change.decisions.ablation import Part
-from subiaco_change.level_of_detection.alignment_corrections import PlacingConfig
-from subiaco_change.level_of_detection.displacement_field import BlockGrid
+from subiaco_change.level_of_detection.alignment_corrections import (
+    PlacingConfig,
+    Residuals,
+    bias_field,
+    estimate_warp,
+    tile_medians,
+)
+from subiaco_change.level_of_detection.common_frame import BlockGrid
 from subiaco_change.level_of_detection.displacement_lod import (
     CylinderStats,
     Displacements,
@@ -34,20 +39,25 @@ from subiaco_change.level_of_detection.registration_uncertainty import (
     spread_residuals,
     unstated_poses,
 )
-from subiaco_change.level_of_detection.vertical_bias import bias_field, tile_medians
-from subiaco_change.registration.warp import Residuals, estimate_warp
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.segmentation.ground_model import Mask
-from subiaco_change.tiling.epoch_tiles import EPOCHS, Side
+from subiaco_change.strategies import Part, choose_strategies
+from subiaco_change.tiling.epoch_tiles import EPOCHS, EpochContext
 from subiaco_change.tiling.retiling import LabelledPoints, load_points
-from subiaco_change.tiling.stage_params import TileParams
-from subiaco_change.tiling.stored_frame import REGISTRATION, Correction, PairRegistration, load_frame
+from subiaco_change.tiling.stage_inputs import (
+    REGISTRATION,
+    Correction,
+    PairRegistration,
+    TileParams,
+    load_frame,
+)
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.tiles import tile_named
 from subiaco_geo.work.tasks import Inputs
 
-_EVERY = 16  # sigma of every so many points is handed up
+_EVERY = NUMBERS.tiling.sigma_step
 
 
 @dataclass(frozen=True)
@@ -158,7 +168,7 @@ class TileLods:
 
 
 def _with_rim(
-    inputs: Inputs, side: Side, params: TileParams[DisplacementSlice], rim: float
+    inputs: Inputs, side: EpochContext, params: TileParams[DisplacementSlice], rim: float
 ) -> tuple[PointCloud, int]:
     """Points of the tile first, then of its neighbours within ``rim`` [m]; and how many it has itself."""
     tile, own = params.square(rim), params.tile
@@ -330,7 +340,7 @@ def _poses(inputs: Inputs, origin: Floats, config: UncertaintyConfig) -> tuple[P
 
 def tile_lods(inputs: Inputs, params: TileParams[LodSlice]) -> TileLods:
     """Find the level of detection at the points of a tile."""
-    config = params.config
+    config, strategy = params.config, choose_strategies(params.config.without)
     sigma = load_sigma(inputs, params.origin, config.placing.uncertainty)
     result: dict[str, EpochLods] = {}
     sample = np.zeros(0)
@@ -345,12 +355,5 @@ def tile_lods(inputs: Inputs, params: TileParams[LodSlice]) -> TileLods:
             sample = values[::_EVERY]
         claimed = np.isfinite(combine(moved.floored, values, config.lod.combine))
         distance = np.where(claimed, moved.distance, np.float32(np.nan))
-        result[side.epoch] = EpochLods(_lod(moved.floored, values, config), distance)
+        result[side.epoch] = EpochLods(strategy.lods(moved.floored, values, config.lod.combine), distance)
     return TileLods(result["before"], result["after"], sample)
-
-
-def _lod(floored: Floats, sigma: Floats, config: LodSlice) -> NDArray[np.float32]:
-    if Part.LOD in config.without:
-        return np.zeros(len(floored), dtype=np.float32)
-    lod = combine(floored, sigma, config.lod.combine)
-    return np.where(np.isfinite(lod), lod, np.inf).astype(np.float32)

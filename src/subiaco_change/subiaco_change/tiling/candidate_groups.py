@@ -13,18 +13,18 @@ from scipy.spatial import cKDTree
 
 from subiaco_change.association.costs import AssociationConfig
 from subiaco_change.decisions.measures import MeasureConfig
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.segmentation.ground_model import Mask
-from subiaco_change.tiling.epoch_tiles import Side
-from subiaco_change.tiling.instance_merging import EpochObjects
-from subiaco_change.tiling.retiling import LabelledPoints, load_points, near_tile
-from subiaco_change.tiling.stage_params import TileParams
+from subiaco_change.tiling.epoch_tiles import EpochContext
+from subiaco_change.tiling.retiling import EpochObjects, LabelledPoints, load_points, near_tile
+from subiaco_change.tiling.stage_inputs import TileParams
 from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.work.tasks import Inputs
 
-_BOXES = 0.2  # overlap of bounding boxes, seen from above, of two objects that may be one
-_PLAY = 0.25  # added to every reach [m]
+_BOXES = NUMBERS.tiling.box_overlap
+_MARGIN = NUMBERS.tiling.reach_margin
 
 
 @dataclass(frozen=True)
@@ -93,8 +93,8 @@ def tile_links(inputs: Inputs, params: TileParams[CandidateSlice]) -> CandidateP
     ``inputs`` hold ``points/<epoch>/<tile>`` of the tile and its neighbours, ``united/<epoch>``, the frame.
     """
     config = params.config
-    reach = config.measures.tolerance + _PLAY
-    touch = config.association.parts.touch + _PLAY
+    reach = config.measures.tolerance + _MARGIN
+    touch = config.association.parts.touch + _MARGIN
     loaded = [_voxels(inputs, side, params, max(reach, touch)) for side in params.sides]
     (places_b, numbers_b, own_b), (places_a, numbers_a, own_a) = loaded
     forward = _near(places_b[own_b], numbers_b[own_b], places_a, numbers_a, reach)
@@ -115,7 +115,7 @@ def tile_links(inputs: Inputs, params: TileParams[CandidateSlice]) -> CandidateP
     return CandidatePairs(_unique(np.concatenate([forward, backward[:, ::-1]])), found[0], found[1])
 
 
-def _numbered(inputs: Inputs, side: Side, name: str, origin: Floats) -> tuple[Floats, Ints]:
+def _numbered(inputs: Inputs, side: EpochContext, name: str, origin: Floats) -> tuple[Floats, Ints]:
     """Points (N, 3) of objects in a tile, in the common frame, and their objects (N,)."""
     piece = inputs.find(LabelledPoints, f"points/{side.epoch}/{name}")
     if piece is None:
@@ -125,7 +125,7 @@ def _numbered(inputs: Inputs, side: Side, name: str, origin: Floats) -> tuple[Fl
 
 
 def _voxels(
-    inputs: Inputs, side: Side, params: TileParams[CandidateSlice], rim: float
+    inputs: Inputs, side: EpochContext, params: TileParams[CandidateSlice], rim: float
 ) -> tuple[Floats, Ints, Mask]:
     """Mean places (M, 3) of the voxels of objects around a tile, their objects, and which lie in it."""
     edge, origin = params.config.measures.voxel, params.origin
@@ -167,7 +167,7 @@ def _unique(pairs: Ints) -> Ints:
     return np.stack(np.divmod(np.unique(pairs[:, 0] * base + pairs[:, 1]), base), axis=1)
 
 
-def _sums(inputs: Inputs, side: Side, params: TileParams[CandidateSlice]) -> tuple[Ints, Floats]:
+def _sums(inputs: Inputs, side: EpochContext, params: TileParams[CandidateSlice]) -> tuple[Ints, Floats]:
     """Objects (K,) of an epoch in a tile, and their sums (K, 8)."""
     xyz, number = _numbered(inputs, side, params.tile, params.origin)
     objects, slot = np.unique(number, return_inverse=True)
@@ -229,7 +229,7 @@ def _alike(sums: list[Floats], gate: float) -> Ints:
         return np.zeros((0, 2), dtype=np.int64)
     centres = [s[:, 1:4] / np.maximum(s[:, :1], 1.0) for s in sums]
     near = cKDTree(centres[0]).sparse_distance_matrix(
-        cKDTree(centres[1]), gate + _PLAY, output_type="coo_matrix"
+        cKDTree(centres[1]), gate + _MARGIN, output_type="coo_matrix"
     )
     boxes = [shapely.box(s[:, 4], s[:, 5], s[:, 6], s[:, 7]) for s in sums]
     first, second = shapely.STRtree(boxes[1]).query(boxes[0], predicate="intersects")

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import logging
 import math
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
@@ -12,7 +13,9 @@ import numpy as np
 
 from subiaco_change.config import ChangeConfig
 from subiaco_change.level_of_detection.common_frame import CommonFrame
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules import rules_of_stages
+from subiaco_change.point_spacing import PointSpacing, at_spacing, spacing_scale
 from subiaco_change.records import Registration
 from subiaco_change.registration.pair import (
     PairInfo,
@@ -24,29 +27,31 @@ from subiaco_change.registration.pair import (
     refuse_height_offset,
     shares_origin,
 )
-from subiaco_change.spacing import PointSpacing, spacing_scale
-from subiaco_change.sparse import at_spacing
 from subiaco_change.tiling.alignment import StatedPoses
+from subiaco_change.tiling.epoch_preparation import (
+    LevellingParams,
+    RenderParams,
+    TileViews,
+    TrailParams,
+    find_trails,
+    find_upright,
+    render_tile,
+)
 from subiaco_change.tiling.epoch_tiles import (
     EPOCHS,
     FIELDS,
     CutCloud,
-    Side,
+    EpochContext,
     TilePoints,
     corners,
     cut_beams,
     cut_cloud,
     tiles_between,
 )
-from subiaco_change.tiling.expected_visibility_stage import RenderParams, TileViews, render_tile
-from subiaco_change.tiling.instance_merging import MergingParams, unite
-from subiaco_change.tiling.levelling import LevellingParams, find_upright
 from subiaco_change.tiling.registration_stage import RegistrationParams, RegistrationSlice, find_registration
-from subiaco_change.tiling.retiling import EpochTileParams, LabelledPoints, recut_tile
-from subiaco_change.tiling.stage_params import slice_of
-from subiaco_change.tiling.stored_frame import PairRegistration, in_frame
+from subiaco_change.tiling.retiling import EpochTileParams, LabelledPoints, MergingParams, recut_tile, unite
+from subiaco_change.tiling.stage_inputs import PairRegistration, in_frame, slice_of
 from subiaco_change.tiling.tile_segmentation import SegmentationParams, SegmentationSlice, prepare_tile
-from subiaco_change.tiling.trails import TrailParams, find_trails
 from subiaco_change.visibility_evidence import evidence_kind
 from subiaco_geo.crs import Transform, transformer
 from subiaco_geo.errors import InputError
@@ -65,8 +70,8 @@ _LOG = logging.getLogger(__name__)
 #: Name of an epoch in the stages that look at one alone.
 ALONE = "epoch"
 #: Beyond the points of a task, beams are looked up so far [m].
-SIGHT = 6.0
-_HEIGHT_TILES = 50  # tiles that tell whether the heights of both epochs are of one kind
+SIGHT = NUMBERS.tiling.beam_reach
+_HEIGHT_TILES = NUMBERS.tiling.height_tiles
 _BEAMS = 0.5  # edge of a tile of counted beams, of a tile of points: tasks read few that are too far
 
 
@@ -88,7 +93,7 @@ class Epochs:
     config: ChangeConfig
     given: tuple[str, ...] = ()
     info: PairInfo = field(default_factory=lambda: PairInfo(None))
-    sides: tuple[Side, ...] = ()
+    sides: tuple[EpochContext, ...] = ()
     origin: Floats = field(default_factory=lambda: np.zeros(3))
     clouds: dict[str, dict[str, str]] = field(default_factory=dict)
     beams: dict[str, dict[str, str]] = field(default_factory=dict)
@@ -100,7 +105,7 @@ class Epochs:
     points: dict[str, dict[str, str]] = field(default_factory=dict)
     lit: dict[str, bool] = field(default_factory=dict)
     simulated: bool = False
-    kept_points: int = 0  # of both epochs, at the working leaf
+    sizes: dict[str, dict[str, int]] = field(default_factory=dict)  # points by epoch and tile, at the leaf
 
     @property
     def size(self) -> float:
@@ -111,6 +116,31 @@ class Epochs:
     def tiles(self) -> list[str]:
         """Tiles with points of either epoch, in order."""
         return sorted({*self.points["before"], *self.points["after"]})
+
+    @property
+    def kept_points(self) -> int:
+        """Points of both epochs at the working leaf."""
+        return sum(size for own in self.sizes.values() for size in own.values())
+
+    def keep_largest(self, count: int) -> list[str]:
+        """Leave out all tiles but those with the most points, and their neighbours; return the names kept.
+
+        Raises
+        ------
+        InputError
+            Two clouds without CRS, whose tiles need not lie at the same places.
+        """
+        if any(side.crs is None for side in self.sides):
+            raise InputError("the largest tiles of clouds without CRS are not at one place; run the whole")
+        total: Counter[str] = Counter()
+        for own in self.sizes.values():
+            total.update(own)
+        largest = [name for name, _ in sorted(total.items(), key=lambda item: (-item[1], item[0]))[:count]]
+        kept = sorted({*largest, *(n for name in largest for n in neighbours(name, total))})
+        for epoch in EPOCHS:
+            self.clouds[epoch] = {n: key for n, key in self.clouds[epoch].items() if n in kept}
+            self.sizes[epoch] = {n: size for n, size in self.sizes[epoch].items() if n in kept}
+        return kept
 
     def cut(self, epochs: Sequence[Epoch]) -> None:
         """Cut both epochs, and what their evidence rests on, into tiles.
@@ -176,8 +206,7 @@ class Epochs:
             raise InputError(f"{name}: {error}") from error
         if found.points == 0:
             raise InputError(f"{name}: the cloud is empty; check the file")
-        self.clouds[name] = found.keys
-        self.kept_points += found.kept
+        self.clouds[name], self.sizes[name] = found.keys, found.sizes
         for field_name in self.given:
             if any(getattr(self._cloud(name, tile), field_name) is None for tile in found.keys):
                 raise InputError(
@@ -193,14 +222,14 @@ class Epochs:
         crs: str | None,
         cut: CutCloud,
         operation: Transform | None,
-    ) -> Side:
+    ) -> EpochContext:
         """Cut what the evidence of an epoch rests on, and tell what tasks must know of it."""
         config = self.config.evidence
         way = epoch.trajectory
         if way is not None and operation is not None:
             way = moved_trajectory(way, operation)
         kind = evidence_kind(epoch.has_beams, way, config)
-        side = Side(name, origin, crs, kind, None, origin, config.poses.occupied, cut.spacing)
+        side = EpochContext(name, origin, crs, kind, None, origin, config.poses.occupied, cut.spacing)
         self.trails[name] = {} if kind == "observed" else self._trails(side)
         self.beams[name], self.beam_edge[name] = {}, self.size
         self._keep_poses(name, epoch, way)
@@ -228,7 +257,7 @@ class Epochs:
             parts.append(ViewHistogram(piece.above, piece.ranges))
         return estimate_view(parts, self.config.evidence.poses)
 
-    def _trails(self, side: Side) -> dict[str, str]:
+    def _trails(self, side: EpochContext) -> dict[str, str]:
         """Tell ghost trails by their shape, where nothing counted beams."""
         own, semantics = self.clouds[side.epoch], self.config.semantics
         shape = semantics.trail_shape
@@ -244,7 +273,7 @@ class Epochs:
             tasks.append(Task("trails", name, find_trails, inputs, params))
         return self.runner.run(tasks, (0.02, 0.03))
 
-    def _render(self, side: Side, way: Trajectory) -> dict[str, str]:
+    def _render(self, side: EpochContext, way: Trajectory) -> dict[str, str]:
         """Render what the poses of an epoch must have seen, tile by tile of its own frame."""
         own, config = self.clouds[side.epoch], self.config.evidence.poses
         poses = way.poses[sample_poses(way.positions, config.pose_spacing)]
@@ -301,7 +330,7 @@ class Epochs:
         found = self.runner.together(stages, (0.47, 0.48))
         self.united = {epoch: keys["all"] for epoch, keys in zip(EPOCHS, found, strict=True)}
 
-    def _semantics(self, side: Side) -> list[Task[SegmentationParams]]:
+    def _semantics(self, side: EpochContext) -> list[Task[SegmentationParams]]:
         """Tasks of one epoch; they do not tell whether it is *before* or *after*, and serve as both."""
         config = slice_of(SegmentationSlice, self.config)
         tiles, own = self.config.tiles, self.clouds[side.epoch]
@@ -319,7 +348,7 @@ class Epochs:
             tasks.append(Task("semantics", name, prepare_tile, inputs, params))
         return tasks
 
-    def _upright(self, side: Side, own: Mapping[str, str]) -> dict[str, str]:
+    def _upright(self, side: EpochContext, own: Mapping[str, str]) -> dict[str, str]:
         """Find what makes a local cloud upright."""
         if side.crs is not None:
             return {}
@@ -346,7 +375,7 @@ class Epochs:
             self.points[epoch] = {n: found[n] for n in held}
             self.lit[epoch] = all(pieces[n].intensity is not None for n in held)
 
-    def _reached(self, side: Side, frame: CommonFrame) -> dict[str, list[str]]:
+    def _reached(self, side: EpochContext, frame: CommonFrame) -> dict[str, list[str]]:
         """Tiles of the common frame that an epoch's own tiles reach into, and which of these."""
         own = self.clouds[side.epoch]
         if side.epoch == "after":
@@ -360,7 +389,7 @@ class Epochs:
                 reached.setdefault(tile, []).append(name)
         return reached
 
-    def beams_at(self, side: Side, world: Floats) -> dict[str, str]:
+    def beams_at(self, side: EpochContext, world: Floats) -> dict[str, str]:
         """Tiles of beams, or of poses that look there, of an epoch around places (N, 3) of its world."""
         known = self.beams[side.epoch]
         if not known:

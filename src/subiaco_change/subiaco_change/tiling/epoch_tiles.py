@@ -11,9 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from subiaco_change.point_spacing import STREET_SPACING, joint_spacing, neighbour_spacings
 from subiaco_change.registration.pair import check_finite
-from subiaco_change.spacing import STREET_SPACING, joint_spacing, neighbour_spacings
-from subiaco_change.visibility_evidence import Kind
+from subiaco_change.visibility_evidence import EvidenceKind
 from subiaco_geo.clouds import PointCloud, unpack_voxel_keys, voxel_downsample
 from subiaco_geo.crs import Transform
 from subiaco_geo.frames import Floats, Ints
@@ -30,7 +30,7 @@ FIELDS = ("intensity", "semantic", "instance")
 
 
 @dataclass(frozen=True)
-class Side:
+class EpochContext:
     """What every task must know of one epoch.
 
     Parameters
@@ -58,7 +58,7 @@ class Side:
     epoch: str
     origin: Floats
     crs: str | None
-    kind: Kind
+    kind: EvidenceKind
     beams_crs: str | None
     corner: Floats
     voxel: float
@@ -139,9 +139,10 @@ class Spill:
 
 @dataclass(frozen=True)
 class CutCloud:
-    """Keys of the tiles of a cloud, its least and largest world coordinates (3,) [m], points and spacing."""
+    """Keys of the tiles of a cloud and points of each; its least and largest coordinates (3,) [m]."""
 
     keys: dict[str, str]
+    sizes: dict[str, int]
     low: Floats
     high: Floats
     points: int
@@ -176,8 +177,8 @@ def cut_cloud(
     InputError
         No points, or coordinates that are not finite.
     """
-    low, high, points, kept = np.full(3, np.inf), np.full(3, -np.inf), 0, 0
-    keys, spacings = {}, []
+    low, high, points = np.full(3, np.inf), np.full(3, -np.inf), 0
+    keys, sizes, spacings = {}, {}, []
     with TemporaryDirectory(prefix="subiaco_") as folder:
         spill = Spill(Path(folder))
         for part in parts:
@@ -190,10 +191,10 @@ def cut_cloud(
                 spill.add(name, {"xyz": world[members] - origin, **fields})
         for name, arrays in spill.tiles():
             thin = voxel_downsample(PointCloud(arrays.pop("xyz"), origin, None, arrays), leaf)
-            kept += len(thin)
+            sizes[name] = len(thin)
             keys[name] = runner.put("cut", name, TilePoints(thin.xyz, *(thin.fields.get(f) for f in FIELDS)))
             spacings.append(neighbour_spacings(thin.xyz))
-    return CutCloud(keys, low, high, points, kept, joint_spacing(spacings))
+    return CutCloud(keys, sizes, low, high, points, sum(sizes.values()), joint_spacing(spacings))
 
 
 def cut_beams(runner: TaskRunner, parts: Iterable[VisibilityGrid], size: float) -> dict[str, str]:

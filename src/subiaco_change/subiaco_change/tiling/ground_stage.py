@@ -15,9 +15,10 @@ from shapely.geometry.base import BaseGeometry
 
 from subiaco_change.decisions.ground_cells import GroundCells, GroundChangeConfig, difference_cells
 from subiaco_change.decisions.ground_change import GroundPatch, beyond_gate, find_patches
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import obeys_rules
 from subiaco_change.tiling.retiling import near_tile
-from subiaco_change.tiling.stage_params import TileParams
+from subiaco_change.tiling.stage_inputs import TileParams
 from subiaco_change.tiling.tile_surroundings import load_region
 from subiaco_change.visibility_evidence import EvidenceConfig
 from subiaco_geo.codes import Change, Semantic
@@ -27,7 +28,7 @@ from subiaco_geo.work.tasks import Inputs
 
 _SIGNS = (1.0, -1.0)
 _CELLS = ("dz", "lod", "bridged", "known", "height", "other", "inside")
-_RIM = 10.0  # around a tile, so that its own cells know their surroundings [m]
+_RIM = NUMBERS.tiling.ground_margin
 
 
 @dataclass(frozen=True)

@@ -10,20 +10,21 @@ import numpy as np
 import shapely
 from numpy.typing import NDArray
 
-from subiaco_change.decisions.ablation import Part, pointwise
 from subiaco_change.decisions.ground_cells import GroundCells, GroundChangeConfig, shown_lod
 from subiaco_change.decisions.ground_change import GroundComparison, GroundPatch, ground_raster
 from subiaco_change.decisions.measures import MeasureConfig, same_place
-from subiaco_change.decisions.point_labels import Labels, label_rest, unlabelled
+from subiaco_change.decisions.point_labels import PointLabels, label_rest, unlabelled
 from subiaco_change.decisions.voxel_objects import EpochView, occupied
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import obeys_rules
 from subiaco_change.segmentation.ground_model import Mask
+from subiaco_change.strategies import Part, PointComparison, choose_strategies
 from subiaco_change.tiling.alignment import ChangedPoints, TileLods
-from subiaco_change.tiling.epoch_tiles import EPOCHS, Side
+from subiaco_change.tiling.decision_stages import TileComparison
+from subiaco_change.tiling.epoch_tiles import EPOCHS, EpochContext
 from subiaco_change.tiling.ground_stage import PatchSlice, TilePatches
-from subiaco_change.tiling.plant_stage import TileComparison
 from subiaco_change.tiling.retiling import LabelledPoints, load_points, near_tile
-from subiaco_change.tiling.stage_params import TileParams
+from subiaco_change.tiling.stage_inputs import TileParams
 from subiaco_change.tiling.table_stage import TableColumns
 from subiaco_change.tiling.tile_surroundings import Region, load_region
 from subiaco_change.visibility_evidence import EvidenceConfig
@@ -32,7 +33,7 @@ from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.tiles import tile_named
 from subiaco_geo.work.tasks import Inputs
 
-_RIM = 4.0  # around a tile, for what the other epoch saw there [m]
+_RIM = NUMBERS.tiling.label_margin
 
 
 @dataclass(frozen=True)
@@ -52,7 +53,7 @@ class LabelSlice:
 class ChangedParams(TileParams[PatchSlice]):
     """``side``: the epoch whose points are asked."""
 
-    side: Side
+    side: EpochContext
 
 
 @dataclass(frozen=True)
@@ -65,7 +66,7 @@ class EpochLabels:
 
     xyz: Floats
     normals: NDArray[np.float32]
-    labels: Labels
+    labels: PointLabels
     m3c2_distance: NDArray[np.float32]
     m3c2_significant: NDArray[np.uint8]
 
@@ -153,6 +154,7 @@ def label_tile(inputs: Inputs, params: TileParams[LabelSlice]) -> TileLabels:
     ``patched/<anchor>`` that reach into the tile, ``ground`` and the frame.
     """
     config, tile, origin = params.config, params.tile, params.origin
+    strategy = choose_strategies(config.without)
     near = near_tile(tile, _RIM, params.size, origin)
     regions = [load_region(inputs, side, origin, config.evidence, near) for side in params.sides]
     cells, found = patch_cells(inputs, tile, params.size, config.ground)
@@ -163,12 +165,12 @@ def label_tile(inputs: Inputs, params: TileParams[LabelSlice]) -> TileLabels:
         own = _own(regions[e], tile)
         view = _select(regions[e], own)
         labels = _of_objects(inputs, epoch, tile, view, regions[e].index[own])
-        other = regions[1 - e].view
+        other, reach = regions[1 - e].view, same_place(config.measures)
         known = other.xyz[other.semantic == Semantic.GROUND]
-        there = partial(occupied, points=other.xyz, reach=same_place(config.measures))
+        there = partial(occupied, points=other.xyz, reach=reach)
         label_rest(view, labels, ground, ids, regions[1 - e].observed, config.evidence, known, there)
-        if Part.OBJECTS in config.without:
-            labels = _by_point(view, other, regions[1 - e], labels, epoch, config)
+        compared = PointComparison(view, other, regions[1 - e].observed, epoch, reach)
+        labels = replace(labels, change=strategy.labels(compared, labels.change))
         patched[:, e] = [np.count_nonzero(labels.instance == i) for i in ids]
         moved, significant = _displacement(
             inputs, tile, epoch, regions[e].index[own], labels.lod95, view.normals
@@ -213,7 +215,7 @@ def _select(region: Region, members: Ints) -> EpochView:
     return replace(view, **chosen)
 
 
-def _of_objects(inputs: Inputs, epoch: str, tile: str, view: EpochView, index: Ints) -> Labels:
+def _of_objects(inputs: Inputs, epoch: str, tile: str, view: EpochView, index: Ints) -> PointLabels:
     labels = unlabelled(view)
     anchor, row = point_rows(inputs, epoch, tile, int(index.max(initial=-1)) + 1)
     anchor, row = anchor[index], row[index]
@@ -245,11 +247,3 @@ def _comparison(
     corner = np.array(params.square().core[:2]) - params.origin[:2]
     cell = params.config.ground.cell
     return GroundComparison(corner, cell, piece.dz, shown_lod(piece.lod), cells, tuple(patches)), ids
-
-
-def _by_point(
-    view: EpochView, other: EpochView, seen: Region, labels: Labels, epoch: str, config: LabelSlice
-) -> Labels:
-    """Label what is not ground point by point."""
-    alone = pointwise(view, other, seen.observed, epoch, same_place(config.measures))
-    return replace(labels, change=np.where(view.semantic == Semantic.GROUND, labels.change, alone))

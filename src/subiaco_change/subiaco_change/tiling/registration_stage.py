@@ -8,19 +8,22 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.records import Registration
 from subiaco_change.registration.config import RegistrationConfig
 from subiaco_change.registration.register import given_registration, register
 from subiaco_change.tiling.alignment import ChangedPoints
-from subiaco_change.tiling.epoch_tiles import Coordinates, Side, corners
-from subiaco_change.tiling.stored_frame import REGISTRATION, PairRegistration
-from subiaco_geo.clouds import PointCloud, voxel_downsample
+from subiaco_change.tiling.epoch_tiles import Coordinates, EpochContext, corners
+from subiaco_change.tiling.stage_inputs import REGISTRATION, PairRegistration
+from subiaco_geo.clouds import PointCloud, unique_cells, voxel_downsample
 from subiaco_geo.errors import RegistrationError
 from subiaco_geo.frames import Floats
 from subiaco_geo.work.tasks import Inputs
 
 _LOG = logging.getLogger(__name__)
+_BLOCK = NUMBERS.tiling.sample_block
 
 
 @dataclass(frozen=True)
@@ -30,13 +33,15 @@ class RegistrationSlice:
     registration: RegistrationConfig
     registration_points: int
     leaf: float
+    second_shift: float
+    second_points: int
 
 
 @dataclass(frozen=True)
 class RegistrationParams:
     """Parameters of a registration; ``transform`` (4, 4) in the world [m] where it is given."""
 
-    sides: tuple[Side, ...]
+    sides: tuple[EpochContext, ...]
     config: RegistrationSlice
     transform: Floats | None
 
@@ -52,9 +57,15 @@ def find_registration(inputs: Inputs, params: RegistrationParams) -> PairRegistr
 
 
 def register_again(inputs: Inputs, params: RegistrationParams) -> PairRegistration:
-    """Refine a registration without what its comparison calls changed."""
+    """Refine a registration without what its comparison calls changed.
+
+    A sample of blocks tells first whether there is anything to refine: mostly there is not.
+    """
     first = inputs.of(PairRegistration, REGISTRATION).registration
     before, after = gather(inputs, params)
+    moved = _sampled_shift(first, before, after, params.config)
+    if moved is not None and moved < 0.5 * params.config.second_shift:
+        return PairRegistration(first, moved, None)
     masks = [np.asarray(cloud.fields["changed"], dtype=bool) for cloud in (before, after)]
     try:
         again = register(before, after, params.config.registration, masks[0], masks[1], start=first)
@@ -65,7 +76,31 @@ def register_again(inputs: Inputs, params: RegistrationParams) -> PairRegistrati
     return PairRegistration(again, shift(first, again, before), None)
 
 
-Part = tuple[PointCloud, PointCloud]  # a tile of before and of after
+def _sampled_shift(
+    first: Registration, before: PointCloud, after: PointCloud, config: RegistrationSlice
+) -> float | None:
+    """Shift [m] that blocks with ``second_points`` of each epoch give; None where all points take part."""
+    share = config.second_points / max(min(len(before), len(after)), 1)
+    if share <= 0.0 or share > 0.5:
+        return None
+    places = first.placed(before.world()), after.world()
+    some = [cloud.select(_in_blocks(p, share)) for cloud, p in zip((before, after), places, strict=True)]
+    masks = [np.asarray(cloud.fields["changed"], dtype=bool) for cloud in some]
+    try:
+        found = register(some[0], some[1], config.registration, masks[0], masks[1], start=first)
+    except RegistrationError:
+        return None
+    return shift(first, found, before)
+
+
+def _in_blocks(world: Floats, share: float) -> NDArray[np.bool_]:
+    """Tell which points (N, 3) lie in blocks drawn with a probability, the same in every run and epoch."""
+    blocks, own = unique_cells(np.floor(world[:, :2] / _BLOCK).astype(np.int64))
+    drawn = [int.from_bytes(_lot(f"{i}_{j}")[:4], "big") < share * 2**32 for i, j in blocks.tolist()]
+    return np.array(drawn, dtype=bool)[own]
+
+
+EpochClouds = tuple[PointCloud, PointCloud]  # a tile of before and of after
 
 
 def gather(inputs: Inputs, params: RegistrationParams) -> tuple[PointCloud, PointCloud]:
@@ -79,10 +114,10 @@ def gather(inputs: Inputs, params: RegistrationParams) -> tuple[PointCloud, Poin
     sides, config = params.sides, params.config
     local = any(side.crs is None for side in sides)
     names = sorted({name for side in sides for name in inputs.under(f"cloud/{side.epoch}")}, key=_lot)
-    parts: dict[str, Part] = {}
+    parts: dict[str, EpochClouds] = {}
     held, thin = np.zeros(2, dtype=np.int64), False
     for name in names:
-        part: Part = tuple(_load(inputs, side, name) for side in sides)  # type: ignore[assignment]
+        part: EpochClouds = tuple(_load(inputs, side, name) for side in sides)  # type: ignore[assignment]
         parts[name] = _thinned(part, 2.0 * config.leaf) if thin else part
         held += [len(cloud) for cloud in parts[name]]
         if held.max() > config.registration_points and not thin:
@@ -100,16 +135,16 @@ def _lot(name: str) -> bytes:
     return hashlib.sha256(name.encode()).digest()
 
 
-def _thinned(part: Part, edge: float) -> Part:
+def _thinned(part: EpochClouds, edge: float) -> EpochClouds:
     return voxel_downsample(part[0], edge), voxel_downsample(part[1], edge)
 
 
-def _joined(clouds: Sequence[PointCloud], side: Side) -> PointCloud:
+def _joined(clouds: Sequence[PointCloud], side: EpochContext) -> PointCloud:
     changed = np.concatenate([np.asarray(cloud.fields["changed"]) for cloud in clouds]) > 0.0
     return PointCloud(np.concatenate([c.xyz for c in clouds]), side.origin, side.crs, {"changed": changed})
 
 
-def _load(inputs: Inputs, side: Side, name: str) -> PointCloud:
+def _load(inputs: Inputs, side: EpochContext, name: str) -> PointCloud:
     own = f"cloud/{side.epoch}/{name}"
     xyz = inputs.once(Coordinates, own).xyz if own in inputs else np.zeros((0, 3))
     alias = f"changed/{side.epoch}/{name}"
@@ -122,5 +157,4 @@ def shift(first: Registration, second: Registration, before: PointCloud) -> floa
     """Largest distance between two registrations at the corners of *before* [m]."""
     low, high = before.world().min(axis=0), before.world().max(axis=0)
     box = corners(low, high, low[2], high[2])
-    placed = [(box - r.origin) @ r.T_local[:3, :3].T + r.T_local[:3, 3] + r.origin for r in (first, second)]
-    return float(np.linalg.norm(placed[0] - placed[1], axis=1).max())
+    return float(np.linalg.norm(first.placed(box) - second.placed(box), axis=1).max())

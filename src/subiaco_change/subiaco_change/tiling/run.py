@@ -12,6 +12,7 @@ import numpy as np
 
 from subiaco_change.decisions.confidence import discounted
 from subiaco_change.level_of_detection.common_frame import CommonFrame
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.tiling.alignment import (
     DisplacementSlice,
     LodSlice,
@@ -32,6 +33,14 @@ from subiaco_change.tiling.candidate_groups import (
     find_groups,
     tile_links,
 )
+from subiaco_change.tiling.decision_stages import (
+    ComparisonSlice,
+    PlantDecisionSlice,
+    PlantSlice,
+    compare_tile,
+    decide_tile,
+    find_vegetation_null,
+)
 from subiaco_change.tiling.epoch_stages import SIGHT, Epochs, corners_around
 from subiaco_change.tiling.epoch_tiles import EPOCHS, tiles_between
 from subiaco_change.tiling.ground_stage import (
@@ -45,20 +54,11 @@ from subiaco_change.tiling.ground_stage import (
     tile_over,
     tile_patches,
 )
-from subiaco_change.tiling.instance_merging import EpochObjects
 from subiaco_change.tiling.label_stage import ChangedParams, LabelSlice, label_tile, tile_changed
-from subiaco_change.tiling.plant_stage import (
-    PlantDecisionSlice,
-    PlantSlice,
-    decide_tile,
-    find_vegetation_null,
-)
 from subiaco_change.tiling.registration_stage import register_again
-from subiaco_change.tiling.retiling import EpochTileParams, place_tile
-from subiaco_change.tiling.stage_params import TileParams, slice_of
-from subiaco_change.tiling.stored_frame import PairRegistration
+from subiaco_change.tiling.retiling import EpochObjects, EpochTileParams, place_tile
+from subiaco_change.tiling.stage_inputs import PairRegistration, TileParams, slice_of
 from subiaco_change.tiling.table_stage import Table, build_table
-from subiaco_change.tiling.tile_comparison import ComparisonSlice, compare_tile
 from subiaco_change.visibility_evidence import weakest
 from subiaco_geo.tiles import neighbours
 from subiaco_geo.work.tasks import Inputs, Task
@@ -71,7 +71,7 @@ STAGES = (
     "threshold_components", "patches", "changed", "refine", "labels",
 )  # fmt: skip
 Slice = TypeVar("Slice")
-_RIM = 10.0  # around a tile, or a group of objects, tasks take points [m]
+_RIM = NUMBERS.tiling.task_margin
 
 
 @dataclass(frozen=True)

@@ -11,8 +11,8 @@ from numpy.typing import NDArray
 from subiaco_change.decisions.ground_change import GroundPatch
 from subiaco_change.decisions.point_labels import patch_record
 from subiaco_change.records import ChangeRecord
+from subiaco_change.tiling.decision_stages import TileRows
 from subiaco_change.tiling.ground_stage import PatchRow, TilePatches
-from subiaco_change.tiling.plant_stage import TileRows
 from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.work.task_runner import TaskRunner
 

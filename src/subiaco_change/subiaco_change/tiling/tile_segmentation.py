@@ -8,23 +8,19 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 
-from subiaco_change.decisions.ablation import Part
 from subiaco_change.decisions.measures import MeasureConfig
 from subiaco_change.geometry import estimate_normals
 from subiaco_change.given_classes import UNGIVEN
 from subiaco_change.method_rules.switches import obeys_rules
 from subiaco_change.segmentation.classes import SemanticsConfig, label_points
-from subiaco_change.segmentation.clustering import voxel_clusters
 from subiaco_change.segmentation.ground_model import Mask
-from subiaco_change.segmentation.instances import InstanceConfig, segment
+from subiaco_change.segmentation.instances import InstanceConfig
 from subiaco_change.segmentation.raised_surfaces import find_raised
-from subiaco_change.tiling.epoch_tiles import Side, TilePoints
-from subiaco_change.tiling.expected_visibility_stage import load_observer
-from subiaco_change.tiling.levelling import load_turn
-from subiaco_change.tiling.trails import load_moved
+from subiaco_change.strategies import Classified, Part, choose_strategies
+from subiaco_change.tiling.epoch_preparation import load_moved, load_observer, load_turn
+from subiaco_change.tiling.epoch_tiles import EpochContext, TilePoints
 from subiaco_change.visibility_evidence import EvidenceConfig
 from subiaco_geo.clouds import PointCloud
-from subiaco_geo.codes import Semantic
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.tiles import Tile, tile_named
@@ -59,7 +55,7 @@ class SegmentationParams:
     size: float
     overlap: float
     edge: float
-    side: Side
+    side: EpochContext
     config: SegmentationSlice
     given: tuple[str, ...]
 
@@ -139,7 +135,7 @@ def _known(values: Floats | None, count: int) -> NDArray[np.float32]:
 
 
 def _gather(
-    inputs: Inputs, name: str, names: list[str], side: Side, tile: Tile
+    inputs: Inputs, name: str, names: list[str], side: EpochContext, tile: Tile
 ) -> tuple[Floats, list[Floats], list[Ints]]:
     """Points of the tile, of each neighbour those nearby, and where they stand there."""
     around, where = [], []
@@ -164,7 +160,7 @@ def _label(
 
     ``wide`` (N, 3) are all points of the tile and its neighbours: a hall may fill the tile.
     """
-    config = params.config
+    config, strategy = params.config, choose_strategies(params.config.without)
     turn = load_turn(inputs)
     upright = cloud if turn is None else PointCloud(cloud.xyz @ turn.T, cloud.origin)
     passed, moved = beams
@@ -180,24 +176,10 @@ def _label(
         result = replace(result, semantic=semantic, moving=result.moving & own)
     if "instance" in params.given:
         instance = _given("instance", inputs, params.tile, names, where).astype(np.int32)
-    elif Part.SEMANTICS in config.without:
-        semantic, instance = _classless(cloud.xyz, semantic, config.measures.voxel)
     else:
-        instance = segment(upright, result, config.instances)
-    if Part.OBJECTS in config.without:
-        instance = np.full_like(instance, -1)
-    return semantic, instance, score.astype(np.float32), result.height_above_ground
-
-
-def _classless(
-    xyz: Floats, semantic: NDArray[np.uint8], edge: float
-) -> tuple[NDArray[np.uint8], NDArray[np.int32]]:
-    """Make all that is off the ground one class, its objects what hangs together (method, B8)."""
-    off = np.flatnonzero(semantic != Semantic.GROUND)
-    instance = np.full(len(xyz), -1, dtype=np.int32)
-    instance[off] = voxel_clusters(xyz[off], edge)
-    one = np.where(semantic == Semantic.GROUND, semantic, np.uint8(Semantic.BUILDING))
-    return one.astype(np.uint8), instance
+        found = Classified(cloud, upright, result, config.instances, config.measures.voxel)
+        semantic, instance = strategy.instances(found)
+    return semantic, strategy.kept(instance), score.astype(np.float32), result.height_above_ground
 
 
 def _given(field: str, inputs: Inputs, tile: str, names: list[str], where: list[Ints]) -> NDArray[np.generic]:

@@ -13,10 +13,10 @@ from subiaco_change.decisions.voxel_objects import UNCERTAIN, EpochView
 from subiaco_change.level_of_detection.common_frame import free_through, seen_through
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.tiling.alignment import TileLods
-from subiaco_change.tiling.epoch_tiles import Side
-from subiaco_change.tiling.expected_visibility_stage import load_observer
+from subiaco_change.tiling.epoch_preparation import load_observer
+from subiaco_change.tiling.epoch_tiles import EpochContext
 from subiaco_change.tiling.retiling import LabelledPoints, load_points
-from subiaco_change.tiling.stored_frame import load_frame
+from subiaco_change.tiling.stage_inputs import load_frame
 from subiaco_change.visibility_evidence import EvidenceConfig, Observer
 from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats, Ints
@@ -44,10 +44,12 @@ class Region:
     empty: Callable[[Floats], Mask]
     free: Callable[[Floats], Floats]
     below_view: Callable[[Floats], Mask]
-    certain: float
+    certain: Callable[[Floats], Floats]
 
 
-def load_region(inputs: Inputs, side: Side, origin: Floats, config: EvidenceConfig, near: Near) -> Region:
+def load_region(
+    inputs: Inputs, side: EpochContext, origin: Floats, config: EvidenceConfig, near: Near
+) -> Region:
     """Load those points of an epoch for which ``near`` holds, given places (N, 3) of the common frame.
 
     ``inputs`` hold ``points lods`` of the tiles around, ``beams`` and the frame; ``origin`` (3,) is its own.
@@ -90,7 +92,7 @@ def load_region(inputs: Inputs, side: Side, origin: Floats, config: EvidenceConf
         seen_through(observer.empty, to_world),
         free_through(observer.free_probability, to_world),
         seen_through(observer.below_view, to_world),
-        observer.certain,
+        free_through(observer.certainty, to_world),
     )
 
 

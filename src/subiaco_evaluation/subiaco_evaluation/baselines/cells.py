@@ -74,7 +74,7 @@ def common_grid(before: PointCloud, after: PointCloud, cell: float) -> Grid:
 
 
 @dataclass(frozen=True)
-class Side:
+class EpochCells:
     """One epoch in cells.
 
     ``cell`` (N,) and ``thing`` (N,) are by point: its cell, and whether it
@@ -95,8 +95,8 @@ class Side:
 class Pair:
     """Two epochs in one frame, ready for any simple method."""
 
-    before: Side
-    after: Side
+    before: EpochCells
+    after: EpochCells
     grid: Grid
     registration: Registration
 
@@ -115,7 +115,7 @@ def make_pair(
     return Pair(sides[0], sides[1], grid, registration)
 
 
-def _make_side(cloud: PointCloud, grid: Grid, config: BaselineConfig) -> Side:
+def _make_side(cloud: PointCloud, grid: Grid, config: BaselineConfig) -> EpochCells:
     model = fit_ground(cloud.xyz, config.ground)
     cell = grid.flat(cloud.xyz)
     size = grid.shape[0] * grid.shape[1]
@@ -126,7 +126,7 @@ def _make_side(cloud: PointCloud, grid: Grid, config: BaselineConfig) -> Side:
     count, things = np.bincount(cell, minlength=size), np.bincount(cell[thing], minlength=size)
     count, things = (values.reshape(grid.shape) for values in (count, things))
     ground = _ground_raster(model, grid)
-    return Side(cloud, cell, np.asarray(thing), count, things, top.reshape(grid.shape), ground)
+    return EpochCells(cloud, cell, np.asarray(thing), count, things, top.reshape(grid.shape), ground)
 
 
 def _ground_raster(model: GroundModel, grid: Grid) -> Floats:
@@ -136,7 +136,7 @@ def _ground_raster(model: GroundModel, grid: Grid) -> Floats:
 
 
 @dataclass(frozen=True)
-class Verdict:
+class CellVerdict:
     """What a method says of every cell (rows, columns).
 
     ``code`` holds codes of :class:`Change`; ``confidence`` is 0.5 at the
@@ -202,7 +202,7 @@ def decide_from_points(
     return code, _margin(np.fmax(*shares), config.share, code)
 
 
-def _share(side: Side, changed: Mask) -> Floats:
+def _share(side: EpochCells, changed: Mask) -> Floats:
     hits = np.bincount(side.cell[changed], minlength=side.count.size).reshape(side.count.shape)
     return np.asarray(hits / np.maximum(side.count, 1))
 

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from subiaco_evaluation.baselines.cells import Codes, Pair, Verdict, clean, name_changes
+from subiaco_evaluation.baselines.cells import CellVerdict, Codes, Pair, clean, name_changes
 from subiaco_evaluation.baselines.config import BaselineConfig
 from subiaco_geo.codes import Change
 from subiaco_geo.frames import Floats
 
 
-def difference_surfaces(pair: Pair, config: BaselineConfig) -> Verdict:
+def difference_surfaces(pair: Pair, config: BaselineConfig) -> CellVerdict:
     """Label cells by how far the highest point rose or sank.
 
     The method knows nothing of visibility: a cell without points in one
@@ -26,7 +26,7 @@ def difference_surfaces(pair: Pair, config: BaselineConfig) -> Verdict:
     code = name_changes(pair, up, down, settings.voids)
     if settings.voids == "unobserved":
         code[np.isnan(rise)] = Change.UNOBSERVED
-    return Verdict(code, _confidence(rise, settings.threshold, code), rise, np.full(rise.shape, np.nan))
+    return CellVerdict(code, _confidence(rise, settings.threshold, code), rise, np.full(rise.shape, np.nan))
 
 
 def _filled_rise(pair: Pair) -> Floats:

@@ -7,12 +7,12 @@ import numpy as np
 from subiaco_change.geometry import estimate_normals
 from subiaco_change.level_of_detection.displacement_lod import LodConfig, LodResult, compare_epochs
 from subiaco_change.segmentation.ground_model import Mask
-from subiaco_evaluation.baselines.cells import Pair, Side, Verdict, decide_from_points, mean_by_cell
+from subiaco_evaluation.baselines.cells import CellVerdict, EpochCells, Pair, decide_from_points, mean_by_cell
 from subiaco_evaluation.baselines.config import BaselineConfig, M3c2Config
 from subiaco_geo.clouds import PointCloud
 
 
-def difference_along_normals(pair: Pair, config: BaselineConfig) -> Verdict:
+def difference_along_normals(pair: Pair, config: BaselineConfig) -> CellVerdict:
     """Label cells whose points moved along their normal by more than M3C2 can be wrong.
 
     Every point is a core point. The registration error adds linearly, as
@@ -31,10 +31,10 @@ def difference_along_normals(pair: Pair, config: BaselineConfig) -> Verdict:
         pair, (results[0].distance.astype(np.float64), -results[1].distance.astype(np.float64))
     )
     level = mean_by_cell(pair, (results[0].lod95.astype(np.float64), results[1].lod95.astype(np.float64)))
-    return Verdict(code, confidence, distance, level)
+    return CellVerdict(code, confidence, distance, level)
 
 
-def _with_normals(side: Side, radius: float) -> PointCloud:
+def _with_normals(side: EpochCells, radius: float) -> PointCloud:
     return side.cloud.with_fields(normals=estimate_normals(side.cloud.xyz, radius))
 
 

@@ -6,7 +6,7 @@ import numpy as np
 
 from subiaco_change.geometry import build_index, nearest
 from subiaco_change.level_of_detection.displacement_lod import LodConfig, combine, compare_epochs
-from subiaco_evaluation.baselines.cells import Pair, Side, Verdict, decide_from_points, mean_by_cell
+from subiaco_evaluation.baselines.cells import CellVerdict, EpochCells, Pair, decide_from_points, mean_by_cell
 from subiaco_evaluation.baselines.config import BaselineConfig, NearestConfig
 from subiaco_geo.frames import Floats
 
@@ -14,7 +14,7 @@ from subiaco_geo.frames import Floats
 _REACH = 1.5
 
 
-def difference_by_lod(pair: Pair, config: BaselineConfig) -> Verdict:
+def difference_by_lod(pair: Pair, config: BaselineConfig) -> CellVerdict:
     """Label cells whose points lie farther from the other epoch than they could be told to."""
     settings = config.nn
     gates, lods = [], []
@@ -25,17 +25,17 @@ def difference_by_lod(pair: Pair, config: BaselineConfig) -> Verdict:
     distances = _distances(pair, max(float(gate.max(initial=0.0)) for gate in gates))
     changed = (distances[0] > gates[0], distances[1] > gates[1])
     code, confidence = decide_from_points(pair, changed, config.cells, settings, settings.voids)
-    return Verdict(code, confidence, _capped(pair, distances), mean_by_cell(pair, (lods[0], lods[1])))
+    return CellVerdict(code, confidence, _capped(pair, distances), mean_by_cell(pair, (lods[0], lods[1])))
 
 
-def difference_by_threshold(pair: Pair, config: BaselineConfig) -> Verdict:
+def difference_by_threshold(pair: Pair, config: BaselineConfig) -> CellVerdict:
     """Label cells whose points lie farther from the other epoch than one threshold (C2C)."""
     settings = config.c2c
     distances = _distances(pair, settings.threshold)
     changed = (distances[0] > settings.threshold, distances[1] > settings.threshold)
     code, confidence = decide_from_points(pair, changed, config.cells, settings, settings.voids)
     distance = _capped(pair, distances)
-    return Verdict(code, confidence, distance, np.full(distance.shape, np.nan))
+    return CellVerdict(code, confidence, distance, np.full(distance.shape, np.nan))
 
 
 def _distances(pair: Pair, gate: float) -> tuple[Floats, Floats]:
@@ -52,7 +52,7 @@ def _capped(pair: Pair, distances: tuple[Floats, Floats]) -> Floats:
     return mean_by_cell(pair, distances)
 
 
-def _lod(own: Side, other: Side, sigma_reg: float, settings: NearestConfig) -> Floats:
+def _lod(own: EpochCells, other: EpochCells, sigma_reg: float, settings: NearestConfig) -> Floats:
     """Return LoD95 (N,); where the other epoch has no surface, from the own roughness and the floor.
 
     An infinite level would hide exactly what is new or gone.

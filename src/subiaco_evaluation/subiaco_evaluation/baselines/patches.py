@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from subiaco_change.records import ChangeRecord
 from subiaco_change.segmentation.ground_model import Mask
-from subiaco_evaluation.baselines.cells import Codes, Pair, Side, Verdict
+from subiaco_evaluation.baselines.cells import CellVerdict, Codes, EpochCells, Pair
 from subiaco_evaluation.baselines.config import BaselineConfig
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Change, Semantic
@@ -31,7 +31,7 @@ def connect(code: Codes) -> tuple[Ints, list[Change]]:
 
 
 def label_points(
-    pair: Pair, verdict: Verdict, number: Ints, config: BaselineConfig
+    pair: Pair, verdict: CellVerdict, number: Ints, config: BaselineConfig
 ) -> tuple[PointCloud, ...]:
     """Give the points of both epochs the labels of their cells."""
     sides = (pair.before, pair.after)
@@ -39,7 +39,7 @@ def label_points(
 
 
 def _label(
-    side: Side, epoch: int, pair: Pair, verdict: Verdict, number: Ints, config: BaselineConfig
+    side: EpochCells, epoch: int, pair: Pair, verdict: CellVerdict, number: Ints, config: BaselineConfig
 ) -> PointCloud:
     code = verdict.code.ravel()[side.cell]
     takes = np.ones(len(side.cell), dtype=bool)
@@ -55,7 +55,7 @@ def _label(
     )
 
 
-def _of_surface(side: Side, epoch: int, pair: Pair, code: Codes) -> Mask:
+def _of_surface(side: EpochCells, epoch: int, pair: Pair, code: Codes) -> Mask:
     """Tell which points belong to what changed: the things of a cell, or its ground where it has none."""
     things = (pair.before.things + pair.after.things > 0).ravel()[side.cell]
     gone_or_new = np.where(code == Change.ADDED, epoch == 1, (code != Change.REMOVED) | (epoch == 0))
@@ -64,7 +64,7 @@ def _of_surface(side: Side, epoch: int, pair: Pair, code: Codes) -> Mask:
 
 def make_records(
     pair: Pair,
-    verdict: Verdict,
+    verdict: CellVerdict,
     number: Ints,
     names: list[Change],
     clouds: tuple[PointCloud, ...],
@@ -94,7 +94,7 @@ def _record(
     change: Change,
     cells: Ints,
     pair: Pair,
-    verdict: Verdict,
+    verdict: CellVerdict,
     counts: tuple[int, int],
     method: str,
 ) -> ChangeRecord:

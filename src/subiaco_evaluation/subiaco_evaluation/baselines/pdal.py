@@ -11,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from subiaco_change.segmentation.ground_model import Mask
-from subiaco_evaluation.baselines.cells import Pair, Verdict, decide_from_points, mean_by_cell
+from subiaco_evaluation.baselines.cells import CellVerdict, Pair, decide_from_points, mean_by_cell
 from subiaco_evaluation.baselines.config import BaselineConfig, M3c2Config
 from subiaco_geo.cloud_io import write_cloud
 from subiaco_geo.clouds import PointCloud
@@ -37,7 +37,7 @@ def require_pdal() -> None:
         raise InputError(f"pdal-m3c2: {program} has no {_DRIVER}; install PDAL 2.10 or later")
 
 
-def difference_by_pdal(pair: Pair, config: BaselineConfig) -> Verdict:
+def difference_by_pdal(pair: Pair, config: BaselineConfig) -> CellVerdict:
     """Label cells whose points moved by more than PDAL's uncertainty; settings are those of ``m3c2``."""
     settings = config.m3c2
     with tempfile.TemporaryDirectory(prefix="subiaco-pdal-") as folder:
@@ -47,7 +47,7 @@ def difference_by_pdal(pair: Pair, config: BaselineConfig) -> Verdict:
     changed = (_changed(*found[0], settings), _changed(*found[1], settings))
     code, confidence = decide_from_points(pair, changed, config.cells, settings, settings.voids)
     distance = mean_by_cell(pair, (found[0][0], -found[1][0]))
-    return Verdict(code, confidence, distance, mean_by_cell(pair, (found[0][1], found[1][1])))
+    return CellVerdict(code, confidence, distance, mean_by_cell(pair, (found[0][1], found[1][1])))
 
 
 def pipeline(own: Path, other: Path, output: Path, sigma: float, settings: M3c2Config) -> list[object]:

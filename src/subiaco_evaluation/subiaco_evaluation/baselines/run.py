@@ -15,7 +15,7 @@ from subiaco_change.records import ChangeResult
 from subiaco_change.registration.pair import check_pair
 from subiaco_change.registration.register import given_registration, register
 from subiaco_change.request import ComparisonRequest
-from subiaco_evaluation.baselines.cells import Pair, Verdict, make_pair
+from subiaco_evaluation.baselines.cells import CellVerdict, Pair, make_pair
 from subiaco_evaluation.baselines.config import BaselineConfig
 from subiaco_evaluation.baselines.dsm import difference_surfaces
 from subiaco_evaluation.baselines.m3c2 import difference_along_normals
@@ -32,7 +32,7 @@ from subiaco_geo.survey_map import SurveyMap
 Progress = Callable[[str, float], None]
 
 #: The simple methods by the name of the command; learned ones and PDAL's need more than our dependencies.
-METHODS: dict[str, Callable[[Pair, BaselineConfig], Verdict]] = {
+METHODS: dict[str, Callable[[Pair, BaselineConfig], CellVerdict]] = {
     "dsm": difference_surfaces,
     "nn": difference_by_lod,
     "m3c2": difference_along_normals,
@@ -87,7 +87,7 @@ def compare_pair(pair: Pair, method: str, config: BaselineConfig) -> ChangeResul
     return ChangeResult(records, clouds[0], clouds[1], pair.registration, None, {}, (caution,))
 
 
-def _verdict(pair: Pair, method: str, config: BaselineConfig) -> Verdict:
+def _verdict(pair: Pair, method: str, config: BaselineConfig) -> CellVerdict:
     if method in METHODS:
         return METHODS[method](pair, config)
     if method == PDAL_METHOD:

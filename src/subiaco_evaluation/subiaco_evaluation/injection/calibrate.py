@@ -44,7 +44,7 @@ from subiaco_geo.survey_map import SurveyMap
 MARKER = "calibration.json"
 
 
-class CalibrationConfig(StrictModel):
+class MapCalibrationConfig(StrictModel):
     """How many copies, and what is done to them."""
 
     copies: int = Field(
@@ -57,7 +57,7 @@ class CalibrationConfig(StrictModel):
 
 
 @dataclass(frozen=True)
-class Calibration:
+class MapCalibration:
     """Rows and changes of all copies; ``fresh_changes`` are those of copies that nothing was fitted on.
 
     ``repeat`` tells how the second pass differed, and ``repeat_measured`` whether that was measured.
@@ -80,12 +80,12 @@ class Calibration:
 def calibrate(
     survey: SurveyMap,
     change: ChangeConfig,
-    config: CalibrationConfig,
+    config: MapCalibrationConfig,
     donors: tuple[Donor, ...] = (),
     progress: Callable[[str, float], None] | None = None,
     transform: Floats | None = None,
     other: PointCloud | None = None,
-) -> Calibration:
+) -> MapCalibration:
     """Run change detection on injected copies of a map.
 
     Parameters
@@ -93,7 +93,7 @@ def calibrate(
     survey : SurveyMap
         With a trajectory.
     change : ChangeConfig
-    config : CalibrationConfig
+    config : MapCalibrationConfig
     donors : tuple of Donor
         Objects to put; those of the map itself where there are none.
     progress : callable, optional
@@ -135,13 +135,17 @@ def calibrate(
     if len(every) == 0 or lod is None:
         raise InputError("calibrate: no change fitted anywhere in this map; is it large enough?")
     fresh = every["copy"] >= config.copies
-    return Calibration(
+    return MapCalibration(
         pd.concat(rows), every[~fresh], every[fresh], lod, crs, left_out, injection.repeat, other is not None
     )
 
 
 def write_calibration(
-    directory: Path, result: Calibration, config: CalibrationConfig, source: Path, overwrite: bool = False
+    directory: Path,
+    result: MapCalibration,
+    config: MapCalibrationConfig,
+    source: Path,
+    overwrite: bool = False,
 ) -> dict[str, Any]:
     """Write ``confidence.yaml``, ``detectable*``, ``fresh.csv``, ``changes.csv`` and ``calibration.json``.
 

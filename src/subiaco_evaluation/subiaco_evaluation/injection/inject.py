@@ -25,7 +25,7 @@ from subiaco_evaluation.injection.edits import (
 from subiaco_evaluation.injection.occlusion import Sight
 from subiaco_evaluation.injection.second_pass import second_pass, with_truth
 from subiaco_evaluation.injection.site import Site
-from subiaco_evaluation.injection.source_objects import Scene, by_turns, label_scene, things_of
+from subiaco_evaluation.injection.source_objects import SourceScene, by_turns, label_scene, things_of
 from subiaco_geo.cloud_io import READABLE, read_cloud
 from subiaco_geo.clouds import voxel_downsample
 from subiaco_geo.codes import Change, Semantic
@@ -114,7 +114,7 @@ def inject(
     config: InjectionConfig,
     donors: Sequence[Donor] = (),
     progress: Callable[[str, float], None] | None = None,
-    scene: Scene | None = None,
+    scene: SourceScene | None = None,
 ) -> Injected:
     """Put known changes into a map.
 
@@ -126,7 +126,7 @@ def inject(
     donors : sequence of Donor
         Objects to put; those of the map itself where there are none.
     progress : callable, optional
-    scene : Scene, optional
+    scene : SourceScene, optional
         Of :func:`label_scene`, where several copies are made of one map.
 
     Raises
@@ -152,7 +152,7 @@ def inject(
     return Injected(before, after, rows, left_out)
 
 
-def _untouched(survey: SurveyMap, scene: Scene, config: InjectionConfig) -> Edited:
+def _untouched(survey: SurveyMap, scene: SourceScene, config: InjectionConfig) -> Edited:
     assert survey.trajectory is not None
     xyz = scene.cloud.xyz
     sight = Sight.of_drive(survey.trajectory.positions - scene.cloud.origin, config.sight)

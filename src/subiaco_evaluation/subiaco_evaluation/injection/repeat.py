@@ -13,7 +13,7 @@ from subiaco_change.geometry import fit_planes
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_evaluation.injection.config import InjectionConfig, RepeatConfig
 from subiaco_evaluation.injection.second_pass import resampled
-from subiaco_evaluation.injection.source_objects import Scene
+from subiaco_evaluation.injection.source_objects import SourceScene
 from subiaco_geo.clouds import PointCloud, voxel_downsample
 from subiaco_geo.codes import Semantic
 from subiaco_geo.errors import InputError
@@ -28,12 +28,12 @@ _AGAIN = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7, 0.8, 0.9])
 _FOLIAGE = np.array([0.02, 0.1, 0.2, 0.3, 0.4, 0.5, 0.6])
 
 
-def measured_repeat(scene: Scene, other: PointCloud, config: InjectionConfig) -> RepeatConfig:
+def measured_repeat(scene: SourceScene, other: PointCloud, config: InjectionConfig) -> RepeatConfig:
     """Measure the noise of a second pass where another map of the same days overlaps.
 
     Parameters
     ----------
-    scene : Scene
+    scene : SourceScene
         The map that changes are put into.
     other : PointCloud
         A map of other sequences of that epoch, in the same frame.
@@ -79,7 +79,7 @@ def measured_repeat(scene: Scene, other: PointCloud, config: InjectionConfig) ->
     return repeat
 
 
-def _modelled(scene: Scene, config: InjectionConfig, asked: Mask) -> Callable[[RepeatConfig], float]:
+def _modelled(scene: SourceScene, config: InjectionConfig, asked: Mask) -> Callable[[RepeatConfig], float]:
     """Return how many of the points that are asked about the model hits again, by its parameters."""
     fields: dict[str, NDArray[np.generic]] = {**scene.cloud.fields, "semantic": scene.semantic}
 

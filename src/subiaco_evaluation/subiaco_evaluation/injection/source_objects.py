@@ -29,7 +29,7 @@ _TOUCHING = 0.5  # fragments this near an object are parts of it [m]
 
 
 @dataclass(frozen=True)
-class Scene:
+class SourceScene:
     """A map at the working leaf, with the class (N,) uint8 and the object (N,) int32 of every point.
 
     The object :data:`TRAIL` is a ghost trail, -1 is no object.
@@ -40,7 +40,7 @@ class Scene:
     instance: NDArray[np.int32]
 
 
-def label_scene(survey: SurveyMap, config: InjectionConfig) -> Scene:
+def label_scene(survey: SurveyMap, config: InjectionConfig) -> SourceScene:
     """Find the classes and the objects of a map at the working leaf."""
     cloud = voxel_downsample(survey.cloud, config.leaf)
     upright = levelled(cloud)
@@ -51,7 +51,7 @@ def label_scene(survey: SurveyMap, config: InjectionConfig) -> Scene:
     for number, members in _members(instance, instance >= 0).items():
         if _is_trail(members, passes, moved, config):
             instance[instance == number] = TRAIL
-    return Scene(cloud, semantic.semantic, instance)
+    return SourceScene(cloud, semantic.semantic, instance)
 
 
 def _is_trail(members: Ints, passes: Floats | None, moved: Floats | None, config: InjectionConfig) -> bool:

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from subiaco_evaluation.learned.config import PointNetworkConfig
 from subiaco_evaluation.learned.kernel_points import kernel_points
-from subiaco_evaluation.learned.pyramids import Indices, Level
+from subiaco_evaluation.learned.pyramids import Cylinder, Indices, Level
 from subiaco_evaluation.learned.sampling import CylinderPair, Singles, vary
 from subiaco_geo.frames import Floats
 
@@ -46,10 +46,14 @@ class LevelBatch:
 
 @dataclass(frozen=True)
 class PairBatch:
-    """Cylinders of both clouds; ``nearest`` by level, ``classes`` (N,) of the compared points."""
+    """Cylinders of both clouds; ``nearest`` by level, ``classes`` (N,) of the compared points.
+
+    ``inputs`` are the features (N, 1 + F) of the finest points of both clouds, the constant 1 first.
+    """
 
     reference: tuple[LevelBatch, ...]
     compared: tuple[LevelBatch, ...]
+    inputs: tuple[Tensor, Tensor]
     nearest: tuple[Tensor, ...]
     classes: Tensor
 
@@ -70,8 +74,9 @@ def neighbourhood(
     """
     reach = torch.cat([support, support.new_full((1, 3), _FAR)])
     offset = reach[index] - queries[:, None]
-    distance = torch.cdist(kernel[None], offset, compute_mode="donot_use_mm_for_euclid_dist")
-    return Neighbourhood(index, distance.mul_(-1.0 / extent).add_(1.0).clamp_(min=0.0))
+    squares = (offset**2).sum(dim=2, keepdim=True) + (kernel**2).sum(dim=1)
+    distance = squares.add_(offset @ kernel.T, alpha=-2.0).clamp_(min=0.0).sqrt_()
+    return Neighbourhood(index, distance.mul_(-1.0 / extent).add_(1.0).clamp_(min=0.0).transpose(1, 2))
 
 
 def collate(
@@ -108,7 +113,14 @@ def collate(
         for level in range(config.levels)
     )
     classes = torch.from_numpy(np.concatenate([c.classes for c in cylinders])).to(device)
-    return PairBatch(sides[0], sides[1], nearest, classes)
+    inputs = [_inputs([getattr(c, name) for c in cylinders], device) for name in ("reference", "compared")]
+    return PairBatch(sides[0], sides[1], (inputs[0], inputs[1]), nearest, classes)
+
+
+def _inputs(cylinders: Sequence[Cylinder], device: str) -> Tensor:
+    """Return the constant 1 and the features (N, 1 + F) of the finest points."""
+    features = torch.from_numpy(np.concatenate([c.features for c in cylinders])).to(device)
+    return torch.cat([features.new_ones((len(features), 1)), features], dim=1)
 
 
 def _stacked(parts: Sequence[Indices], sizes: Sequence[int], device: str) -> Tensor:

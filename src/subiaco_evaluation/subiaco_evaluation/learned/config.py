@@ -6,9 +6,22 @@ sizes of the publications.
 
 from __future__ import annotations
 
+from typing import Literal
+
 from pydantic import Field
 
 from subiaco_geo.config import StrictModel
+
+Feature = Literal[
+    "height",
+    "stability",
+    "verticality",
+    "linearity",
+    "planarity",
+    "omnivariance",
+    "height_rank",
+    "height_range",
+]
 
 
 class PointNetworkConfig(StrictModel):
@@ -31,10 +44,17 @@ class PointNetworkConfig(StrictModel):
         gt=0,
         description="Radius of the cylinders that are classified [m] (published: 50; AHN: 25)",
     )
+    features: tuple[Feature, ...] = Field(
+        ("height", "stability"),
+        description="Hand-made features of a point beside the constant 1; published: none (2023), or "
+        "all with the normal (2024)",
+    )
     neighbours: int = Field(
         20, ge=4, description="Largest number of neighbours in a convolution (published: 25 to 38)"
     )
-    kernel_points: int = Field(25, ge=5, description="Number of kernel points of a convolution (published)")
+    kernel_points: int = Field(
+        15, ge=5, description="Number of kernel points of a convolution (published: 25)"
+    )
     search: float = Field(
         2.5,
         gt=0,
@@ -45,6 +65,10 @@ class PointNetworkConfig(StrictModel):
         gt=0,
         description="Mean distance of the kernel points from the centre as a multiple of the grid edge "
         "(published)",
+    )
+    clusters: int = Field(100, ge=2, description="Number of clusters of DC3DCD (published: 1000)")
+    temperature: float = Field(
+        0.1, gt=0, description="Divisor of the similarity of features and prototypes of DC3DCD"
     )
     batch_norm_momentum: float = Field(
         0.02, gt=0, le=1, description="Weight of a new batch in the batch statistics (published)"
@@ -68,13 +92,18 @@ class RasterNetworkConfig(StrictModel):
         5.0, gt=0, description="Height difference from the middle of a patch that is the input 1 [m]"
     )
     dropout: float = Field(0.2, ge=0, lt=1, description="Fraction of features dropped (published)")
+    skips: Literal["absolute", "signed"] = Field(
+        "absolute",
+        description="Difference that the Siamese network hands to its decoder: without its sign (published), "
+        "or with it",
+    )
 
 
 class PointTrainingConfig(StrictModel):
     """Stochastic gradient descent on cylinders."""
 
-    epochs: int = Field(16, ge=1, description="Number of epochs (published: 550)")
-    samples: int = Field(100, ge=1, description="Number of cylinders of an epoch (published: 6000)")
+    epochs: int = Field(20, ge=1, description="Number of epochs (published: 550)")
+    samples: int = Field(200, ge=1, description="Number of cylinders of an epoch (published: 6000)")
     batch: int = Field(2, ge=1, description="Number of cylinders of a step (published: 10)")
     learning_rate: float = Field(0.01, gt=0, description="Factor of the first steps (published)")
     momentum: float = Field(0.98, ge=0, lt=1, description="Momentum factor of the optimiser (published)")
@@ -89,6 +118,15 @@ class PointTrainingConfig(StrictModel):
     clip: float = Field(
         100.0, gt=0, description="Coefficient to which single gradients are limited (published)"
     )
+    cluster_iterations: int = Field(
+        20, ge=1, description="Number of k-means iterations of DC3DCD in an epoch (published)"
+    )
+    labelled: int = Field(
+        60,
+        ge=1,
+        description="Number of labelled cylinders by which the clusters of DC3DCD get their classes; no "
+        "gradient comes from a label",
+    )
     noise: float = Field(
         0.01, ge=0, description="Standard deviation of the noise added to coordinates [m] (published)"
     )
@@ -98,9 +136,9 @@ class PointTrainingConfig(StrictModel):
 class RasterTrainingConfig(StrictModel):
     """Adam on patches."""
 
-    epochs: int = Field(25, ge=1, description="Number of epochs (published: 50)")
+    epochs: int = Field(40, ge=1, description="Number of epochs (published: 50)")
     samples: int = Field(128, ge=1, description="Number of patches of an epoch")
-    batch: int = Field(8, ge=1, description="Number of patches of a step (published: 32)")
+    batch: int = Field(4, ge=1, description="Number of patches of a step (published: 32)")
     learning_rate: float = Field(1e-3, gt=0, description="Factor of the first steps (common for Adam)")
     weight_decay: float = Field(1e-4, ge=0, description="Coefficient of the weight decay (published)")
     final_rate: float = Field(
@@ -123,9 +161,10 @@ class TrainingConfig(StrictModel):
         description="Number of epochs without a better validation score after which training ends",
     )
     validation_samples: int = Field(
-        20,
+        40,
         ge=1,
-        description="Number of cylinders or patches that are scored after every epoch",
+        description="Number of cylinders or patches that are scored after every epoch; they are drawn "
+        "evenly over the validation surveys",
     )
     swap_epochs: bool = Field(
         True,

@@ -7,7 +7,7 @@ import importlib.util
 from subiaco_geo.errors import InputError
 
 RASTER_METHODS = ("dsm-siamese", "dsm-fc-ef")
-POINT_METHODS = ("siamese-kpconv", "triplet-kpconv", "efs-kpconv")
+POINT_METHODS = ("siamese-kpconv", "triplet-kpconv", "efs-kpconv", "dc3dcd")
 LEARNED_METHODS = (*RASTER_METHODS, *POINT_METHODS)
 
 

@@ -49,15 +49,10 @@ def widths(config: PointNetworkConfig) -> list[int]:
 def encoder(config: PointNetworkConfig, carried: Sequence[int] | None = None) -> nn.ModuleList:
     """Return the stages of an encoder; ``carried`` is the number of features that enter every stage."""
     outputs = widths(config)
-    inputs = list(carried or [1, *outputs[:-1]])
+    inputs = list(carried or [1 + len(config.features), *outputs[:-1]])
     inner = [config.width, *outputs[:-1]]
     rows = zip(inputs, inner, outputs, strict=True)
     return nn.ModuleList(Stage(config, *row, first=index == 0) for index, row in enumerate(rows))
-
-
-def ones(level: LevelBatch, like: Tensor) -> Tensor:
-    """Return the constant input feature (N, 1)."""
-    return like.new_ones((level.count, 1))
 
 
 class Decoder(nn.Module):
@@ -78,12 +73,16 @@ class Decoder(nn.Module):
             nn.Linear(config.width, len(CLASSES)),
         )
 
-    def forward(self, features: Tensor, skips: Features, levels: Sequence[LevelBatch]) -> Tensor:
-        """Return log probabilities (N, classes) of the finest points."""
+    def describe(self, features: Tensor, skips: Features, levels: Sequence[LevelBatch]) -> Tensor:
+        """Return the last features (N, width) of the finest points."""
         for layer, skip, level in zip(self.layers, reversed(skips), reversed(levels[:-1]), strict=True):
             assert level.coarser is not None
             features = layer(torch.cat([features.index_select(0, level.coarser), skip], dim=1))
-        return torch.log_softmax(self.head(features), dim=1)
+        return torch.as_tensor(self.head[0](features))
+
+    def forward(self, features: Tensor, skips: Features, levels: Sequence[LevelBatch]) -> Tensor:
+        """Return log probabilities (N, classes) of the finest points."""
+        return torch.log_softmax(self.head[1:](self.describe(features, skips, levels)), dim=1)
 
 
 class SiameseKpconv(nn.Module):
@@ -104,8 +103,8 @@ class SiameseKpconv(nn.Module):
 def siamese_differences(stages: nn.ModuleList, batch: PairBatch) -> Features:
     """Return the feature differences of every level of an encoder that both clouds share."""
     sides = []
-    for levels in (batch.reference, batch.compared):
-        features, found = ones(levels[0], levels[0].own.influence), []
+    for levels, inputs in zip((batch.reference, batch.compared), batch.inputs, strict=True):
+        features, found = inputs, []
         for stage, level in zip(stages, levels, strict=True):
             features = stage(features, level)
             found.append(features)
@@ -143,21 +142,55 @@ class EfsKpconv(nn.Module):
         super().__init__()
         outputs = widths(config)
         self.encoder = encoder(config)
-        self.fused = encoder(config, [1, *(2 * width for width in outputs[:-1])])
+        self.fused = encoder(config, [1 + len(config.features), *(2 * width for width in outputs[:-1])])
         *skips, bottom = (2 * width for width in outputs)
         self.decoder = Decoder(config, bottom, skips)
 
-    def forward(self, batch: PairBatch) -> Tensor:
-        """Return log probabilities (N, classes) of the compared points."""
-        like = batch.reference[0].own.influence
-        old, new = ones(batch.reference[0], like), ones(batch.compared[0], like)
+    def encode(self, batch: PairBatch) -> Features:
+        """Return the features of the compared points of every level, fused with their differences."""
+        old, new = batch.inputs
         found = []
         for index, near in enumerate(batch.nearest):
             old = self.encoder[index](old, batch.reference[index])
             own = self.fused[index](new, batch.compared[index])
             new = torch.cat([own, difference(old, own, near)], dim=1)
             found.append(new)
-        return self.decoder(found[-1], found[:-1], batch.compared)
+        return found
+
+    def forward(self, batch: PairBatch) -> Tensor:
+        """Return log probabilities (N, classes) of the compared points."""
+        *skips, bottom = self.encode(batch)
+        return self.decoder(bottom, skips, batch.compared)
+
+
+class DeepClusteringKpconv(EfsKpconv):
+    """DC3DCD: an EFSKPConv that predicts clusters of its own features; every cluster has one class.
+
+    The last layer holds the prototypes of the clusters, which the training sets and no gradient moves.
+    ``class_of`` (clusters, classes) is 1 at the class of a cluster.
+    """
+
+    class_of: Tensor
+
+    def __init__(self, config: PointNetworkConfig) -> None:
+        super().__init__(config)
+        self.prototypes = nn.Linear(config.width, config.clusters, bias=False).requires_grad_(False)
+        self.decoder.head = nn.Sequential(self.decoder.head[0])
+        self.temperature = config.temperature
+        self.register_buffer("class_of", torch.eye(len(CLASSES))[torch.zeros(config.clusters).long()])
+
+    def describe(self, batch: PairBatch) -> Tensor:
+        """Return the last features (N, width), of length 1."""
+        *skips, bottom = self.encode(batch)
+        return nn.functional.normalize(self.decoder.describe(bottom, skips, batch.compared), dim=1)
+
+    def clusters(self, batch: PairBatch) -> Tensor:
+        """Return log probabilities (N, clusters) of the compared points."""
+        return torch.log_softmax(self.prototypes(self.describe(batch)) / self.temperature, dim=1)
+
+    def forward(self, batch: PairBatch) -> Tensor:
+        """Return log probabilities (N, classes) of the compared points."""
+        return (self.clusters(batch).exp() @ self.class_of).clamp_min(1e-9).log()
 
 
 #: Networks by the name of the method.
@@ -165,4 +198,5 @@ POINT_NETWORKS: dict[str, Callable[[PointNetworkConfig], nn.Module]] = {
     "siamese-kpconv": SiameseKpconv,
     "triplet-kpconv": TripletKpconv,
     "efs-kpconv": EfsKpconv,
+    "dc3dcd": DeepClusteringKpconv,
 }

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -9,15 +10,16 @@ import numpy as np
 import torch
 from numpy.typing import NDArray
 
-from subiaco_evaluation.baselines.cells import Codes, Pair, Verdict
+from subiaco_evaluation.baselines.cells import CellVerdict, Codes, Pair
 from subiaco_evaluation.baselines.config import BaselineConfig
 from subiaco_evaluation.grid import GridConfig, cell_rule
 from subiaco_evaluation.learned.batches import collate
 from subiaco_evaluation.learned.config import PointNetworkConfig, TrainingConfig
+from subiaco_evaluation.learned.features import chosen_features, describe_pair
 from subiaco_evaluation.learned.labels import CLASSES, to_codes
 from subiaco_evaluation.learned.methods import POINT_METHODS
 from subiaco_evaluation.learned.point_networks import POINT_NETWORKS
-from subiaco_evaluation.learned.pyramids import Pyramid, build_pyramid
+from subiaco_evaluation.learned.pyramids import Pyramid
 from subiaco_evaluation.learned.raster_networks import RASTER_NETWORKS
 from subiaco_evaluation.learned.sampling import cut_pair, grid_centres, network_input, padded, patch_corners
 from subiaco_evaluation.learned.surveys import RasterPair, surface_models
@@ -28,7 +30,16 @@ from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
 
 
-def load_network(path: Path, method: str) -> tuple[torch.nn.Module, TrainingConfig]:
+@dataclass(frozen=True)
+class Trained:
+    """A trained network, its settings, and the factors (classes,) of its probabilities."""
+
+    model: torch.nn.Module
+    config: TrainingConfig
+    factors: Floats
+
+
+def load_network(path: Path, method: str) -> Trained:
     """Read trained weights into their network.
 
     Raises
@@ -44,32 +55,33 @@ def load_network(path: Path, method: str) -> tuple[torch.nn.Module, TrainingConf
         else:
             model = RASTER_NETWORKS[method](config.raster_network)
         load_arrays(model, arrays)
+        factors = np.array(record["class_factors"], dtype=np.float64)
     except (ValueError, RuntimeError, KeyError) as error:
         reason = " ".join(str(error).split())[:120]
         raise InputError(f"{path}: these weights do not fit {method} ({reason}); train again") from error
-    return model.train(False), config
+    return Trained(model.train(False), config, factors)
 
 
-def predict(pair: Pair, config: BaselineConfig, method: str, weights: Path) -> Verdict:
+def predict(pair: Pair, config: BaselineConfig, method: str, weights: Path) -> CellVerdict:
     """Label the cells of a pair by a trained network."""
-    model, trained = load_network(weights, method)
+    trained = load_network(weights, method)
     with torch.no_grad():
         if method in POINT_METHODS:
-            return _by_points(pair, config, model, trained.point_network)
-        return _by_rasters(pair, config, model, trained)
+            return _by_points(pair, config, trained)
+        return _by_rasters(pair, config, trained)
 
 
-def _by_points(
-    pair: Pair, config: BaselineConfig, model: torch.nn.Module, network: PointNetworkConfig
-) -> Verdict:
+def _by_points(pair: Pair, config: BaselineConfig, trained: Trained) -> CellVerdict:
     """Label the points of both clouds, each compared with the other one, then cells by the published rule."""
-    sides = (pair.before, pair.after)
-    pyramids = [build_pyramid(side.cloud.xyz, network) for side in sides]
+    sides, network = (pair.before, pair.after), trained.config.point_network
+    pyramids = [chosen_features(pyramid, network.features) for pyramid in describe_pair(pair, network)]
     codes, trusts = [], []
     for epoch in (0, 1):
-        chances = point_chances(model, pyramids[1 - epoch], pyramids[epoch], network, config.learned.overlap)
+        chances = point_chances(
+            trained.model, pyramids[1 - epoch], pyramids[epoch], network, config.learned.overlap
+        )
         known = chances.sum(axis=1) > 0
-        classes = np.where(known, chances.argmax(axis=1), -1)
+        classes = np.where(known, (chances * trained.factors).argmax(axis=1), -1)
         member = pyramids[epoch].member
         codes.append(to_codes(classes, epoch)[member])
         trusts.append(chances.max(axis=1)[member])
@@ -95,7 +107,9 @@ def point_chances(
     return total / np.maximum(count, 1)[:, None]
 
 
-def _vote(pair: Pair, cell: Ints, codes: NDArray[np.uint8], trust: Floats, config: BaselineConfig) -> Verdict:
+def _vote(
+    pair: Pair, cell: Ints, codes: NDArray[np.uint8], trust: Floats, config: BaselineConfig
+) -> CellVerdict:
     size = pair.before.count.size
     column = np.where(codes > Change.UNCHANGED, 5, codes).astype(np.int64)
     counts = np.bincount(cell * 7 + column, minlength=size * 7).reshape(size, 7)
@@ -107,12 +121,10 @@ def _vote(pair: Pair, cell: Ints, codes: NDArray[np.uint8], trust: Floats, confi
     return _verdict(pair, chosen.reshape(pair.grid.shape), mean.reshape(pair.grid.shape))
 
 
-def _by_rasters(
-    pair: Pair, config: BaselineConfig, model: torch.nn.Module, trained: TrainingConfig
-) -> Verdict:
+def _by_rasters(pair: Pair, config: BaselineConfig, trained: Trained) -> CellVerdict:
     heights = surface_models(pair)
-    chances = raster_chances(model, heights, trained, config.learned.overlap)
-    code = chances.argmax(axis=0).astype(np.uint8)
+    chances = raster_chances(trained.model, heights, trained.config, config.learned.overlap)
+    code = (chances * trained.factors[:, None, None]).argmax(axis=0).astype(np.uint8)
     code[(pair.before.count == 0) & (pair.after.count == 0)] = Change.UNCHANGED
     return _verdict(pair, code, chances.max(axis=0))
 
@@ -134,6 +146,6 @@ def raster_chances(
     return np.asarray((total / count)[:, : shape[0], : shape[1]])
 
 
-def _verdict(pair: Pair, code: Codes, confidence: Floats) -> Verdict:
+def _verdict(pair: Pair, code: Codes, confidence: Floats) -> CellVerdict:
     unknown: NDArray[Any] = np.full(pair.grid.shape, np.nan)
-    return Verdict(code, confidence, np.where(np.isfinite(pair.rise), pair.rise, np.nan), unknown)
+    return CellVerdict(code, confidence, np.where(np.isfinite(pair.rise), pair.rise, np.nan), unknown)

@@ -45,18 +45,27 @@ class Level:
 
 @dataclass(frozen=True)
 class Pyramid:
-    """Levels of a cloud, finest first, and the point of the finest level (M,) for every input point."""
+    """Levels of a cloud, finest first.
+
+    ``member`` (M,) is the point of the finest level of every input point, ``features`` (N, F) describe the
+    points of the finest level.
+    """
 
     levels: tuple[Level, ...]
     member: Indices
+    features: NDArray[np.float32]
 
 
 @dataclass(frozen=True)
 class Cylinder:
-    """Levels cut out of a pyramid: ``xyz`` relative to the centre, ``picked`` (N,) counts in the pyramid."""
+    """Levels cut out of a pyramid: ``xyz`` relative to the centre, ``picked`` (N,) counts in the pyramid.
+
+    ``features`` (N, F) describe the points of the finest level.
+    """
 
     levels: tuple[Level, ...]
     picked: Ints
+    features: NDArray[np.float32]
 
 
 def voxel_means(xyz: Floats, edge: float) -> tuple[Floats, Indices]:
@@ -94,7 +103,7 @@ def build_pyramid(xyz: Floats, config: PointNetworkConfig) -> Pyramid:
         levels.append(
             Level(mean, near(trees[index], mean, config.neighbours, reach), pooled, coarser.astype(np.int32))
         )
-    return Pyramid(tuple(levels), member)
+    return Pyramid(tuple(levels), member, np.zeros((len(means[0]), 0), dtype=np.float32))
 
 
 def _none(xyz: Floats) -> Indices:
@@ -119,7 +128,7 @@ def cut_cylinder(pyramid: Pyramid, centre: Floats, radius: float) -> Cylinder | 
         pooled = places[index - 1][level.pooled[rows]] if index else level.pooled[rows]
         coarser = places[index + 1][level.coarser[rows]] if index + 1 < len(chosen) else level.coarser
         levels.append(Level(level.xyz[rows] - centre, places[index][level.neighbours[rows]], pooled, coarser))
-    return Cylinder(tuple(levels), picked)
+    return Cylinder(tuple(levels), picked, pyramid.features[picked])
 
 
 def _places(rows: Ints, size: int) -> Indices:
@@ -140,7 +149,10 @@ def nearest_across(reference: Cylinder, compared: Cylinder) -> tuple[Indices, ..
 
 def pyramid_arrays(pyramid: Pyramid, prefix: str) -> dict[str, NDArray[Any]]:
     """Return the arrays of a pyramid by name, for a file."""
-    arrays: dict[str, NDArray[Any]] = {f"{prefix}_member": pyramid.member}
+    arrays: dict[str, NDArray[Any]] = {
+        f"{prefix}_member": pyramid.member,
+        f"{prefix}_features": pyramid.features,
+    }
     for index, level in enumerate(pyramid.levels):
         arrays |= {f"{prefix}_{index}_{name}": value for name, value in vars(level).items()}
     return arrays
@@ -150,4 +162,4 @@ def pyramid_of_arrays(arrays: Mapping[str, NDArray[Any]], prefix: str, levels: i
     """Return the pyramid that :func:`pyramid_arrays` wrote."""
     names = ("xyz", "neighbours", "pooled", "coarser")
     built = (Level(*(arrays[f"{prefix}_{index}_{name}"] for name in names)) for index in range(levels))
-    return Pyramid(tuple(built), arrays[f"{prefix}_member"])
+    return Pyramid(tuple(built), arrays[f"{prefix}_member"], arrays[f"{prefix}_features"])

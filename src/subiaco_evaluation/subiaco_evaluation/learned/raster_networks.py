@@ -80,17 +80,19 @@ class EarlyFusion(nn.Module):
 
 
 class SiameseDifference(nn.Module):
-    """FC-Siam-diff: one encoder for both surface models; skips are absolute differences."""
+    """FC-Siam-diff: one encoder for both surface models; skips are absolute or signed differences."""
 
     def __init__(self, config: RasterNetworkConfig) -> None:
         super().__init__()
+        self.signed = config.skips == "signed"
         self.encoder = _Encoder(1, config.width, config.dropout)
         self.decoder = _Decoder(config.width, config.dropout)
 
     def forward(self, heights: Tensor) -> Tensor:
         """Return log probabilities (B, 5, rows, columns) of surface models (B, 2, rows, columns)."""
         sides = [self.encoder(heights[:, epoch : epoch + 1]) for epoch in (0, 1)]
-        skips = [(a - b).abs() for a, b in zip(sides[0][:-1], sides[1][:-1], strict=True)]
+        skips = [b - a for a, b in zip(sides[0][:-1], sides[1][:-1], strict=True)]
+        skips = skips if self.signed else [skip.abs() for skip in skips]
         return self.decoder(sides[1][-1], skips)
 
 

@@ -66,6 +66,29 @@ class CylinderSampler:
         rows = [self._rows[index][rng.integers(len(self._rows[index]))] for index in chosen]
         return [Place(int(s), int(e), self._xyz(s, e)[n]) for s, e, n in rows]
 
+    def draw_evenly(self, rng: np.random.Generator, count: int) -> list[Place]:
+        """Return random places that no label decides."""
+        sides = [(survey, epoch) for survey in range(len(self.pairs)) for epoch in (0, 1)]
+        sizes = [len(self._xyz(*side)) for side in sides]
+        starts = np.cumsum([0, *sizes])
+        chosen = rng.integers(starts[-1], size=count)
+        side = np.searchsorted(starts, chosen, side="right") - 1
+        places = []
+        for number, row in zip(side, chosen - starts[side], strict=True):
+            survey, epoch = sides[number]
+            places.append(Place(survey, epoch, self._xyz(survey, epoch)[row]))
+        return places
+
+    def spread(self, rng: np.random.Generator, count: int) -> list[Place]:
+        """Return random places of the regular grids that predictions use, without their overlap."""
+        every = [
+            Place(survey, epoch, centre)
+            for survey in range(len(self.pairs))
+            for epoch in (0, 1)
+            for centre in grid_centres(self._xyz(survey, epoch), self.radius, 0.0)
+        ]
+        return [every[index] for index in rng.permutation(len(every))[:count]]
+
     def _xyz(self, survey: int, epoch: int) -> Floats:
         return self.pairs[survey].pyramids[epoch].levels[0].xyz
 
@@ -123,23 +146,37 @@ class PatchSampler:
         by_code = (rows[rows[:, 3] == code, :3] for code in range(5))
         self._rows = [found for found in by_code if len(found)]
 
-    def draw(self, rng: np.random.Generator, *, varied: bool = True) -> tuple[Singles, Ints]:
-        """Return heights (2, patch, patch) as network input, and codes (patch, patch)."""
+    def draw(self, rng: np.random.Generator) -> tuple[Singles, Ints]:
+        """Return heights (2, patch, patch) as network input, and codes (patch, patch), turned at random."""
         rows = self._rows[rng.integers(len(self._rows))]
         survey, row, column = rows[rng.integers(len(rows))]
         half = self.patch // 2
-        jitter = rng.integers(-half, half, size=2) if varied else np.zeros(2, dtype=np.int64)
+        jitter = rng.integers(-half, half, size=2)
         pair = self.pairs[survey]
         top, left = np.clip(
             np.array([row, column]) + jitter - half, 0, np.array(pair.codes.shape) - self.patch
         )
-        window = (slice(top, top + self.patch), slice(left, left + self.patch))
-        heights, codes = pair.heights[(slice(None), *window)], pair.codes[window]
-        if varied:
-            heights, codes = turned(heights, codes, int(rng.integers(8)))
-            if self.exchange and rng.random() < 0.5:
-                heights, codes = heights[::-1], exchanged(codes)
+        heights, codes = self._cut(pair, top, left)
+        heights, codes = turned(heights, codes, int(rng.integers(8)))
+        if self.exchange and rng.random() < 0.5:
+            heights, codes = heights[::-1], exchanged(codes)
         return network_input(heights, self.scale), np.ascontiguousarray(codes)
+
+    def spread(self, rng: np.random.Generator, count: int) -> list[tuple[Singles, Ints]]:
+        """Return random ones of the adjacent patches that hold labels, as they lie."""
+        every = []
+        for pair in self.pairs:
+            rows, columns = (patch_corners(size, self.patch, 0.0) for size in pair.codes.shape)
+            cut = (self._cut(pair, top, left) for top in rows for left in columns)
+            every += [(heights, codes) for heights, codes in cut if (codes >= 0).any()]
+        chosen = (every[index] for index in rng.permutation(len(every))[:count])
+        return [
+            (network_input(heights, self.scale), np.ascontiguousarray(codes)) for heights, codes in chosen
+        ]
+
+    def _cut(self, pair: RasterPair, top: int, left: int) -> tuple[Floats, Ints]:
+        window = (slice(top, top + self.patch), slice(left, left + self.patch))
+        return pair.heights[(slice(None), *window)], pair.codes[window]
 
 
 def padded(pair: RasterPair, patch: int) -> RasterPair:

@@ -18,8 +18,9 @@ from subiaco_evaluation.baselines.run import prepare_pair
 from subiaco_evaluation.grid import GridConfig, cell_keys, look_up, rasterise
 from subiaco_evaluation.layouts import in_after_frame
 from subiaco_evaluation.learned.config import PointNetworkConfig
+from subiaco_evaluation.learned.features import FEATURES, chosen_features, describe_pair
 from subiaco_evaluation.learned.labels import CLASSES, IGNORED, to_classes
-from subiaco_evaluation.learned.pyramids import Pyramid, build_pyramid, pyramid_arrays, pyramid_of_arrays
+from subiaco_evaluation.learned.pyramids import Pyramid, pyramid_arrays, pyramid_of_arrays
 from subiaco_evaluation.object_matching import transfer
 from subiaco_evaluation.truth import SurveyTruth, read_truth
 from subiaco_geo.atomic import whole_file
@@ -69,14 +70,12 @@ def read_labelled_pair(survey: Path, config: BaselineConfig) -> tuple[Pair, Surv
 def label_points(pair: Pair, truth: SurveyTruth, network: PointNetworkConfig) -> PointPair:
     """Build the pyramids of both epochs and label their finest levels."""
     real = in_after_frame(truth)
-    pyramids, classes = [], []
+    pyramids, classes = describe_pair(pair, network), []
     for epoch, (name, side) in enumerate((("before", pair.before), ("after", pair.after))):
-        pyramid = build_pyramid(side.cloud.xyz, network)
         change = transfer(side.cloud, real[name], _RADIUS).true_change
         learned = to_classes(np.where(change < 0, 255, change), epoch)
-        pyramids.append(pyramid)
-        classes.append(vote(learned, pyramid.member, len(pyramid.levels[0].xyz)))
-    return PointPair((pyramids[0], pyramids[1]), (classes[0], classes[1]))
+        classes.append(vote(learned, pyramids[epoch].member, len(pyramids[epoch].levels[0].xyz)))
+    return PointPair(pyramids, (classes[0], classes[1]))
 
 
 def label_cells(pair: Pair, truth: SurveyTruth) -> RasterPair:
@@ -112,7 +111,8 @@ class Prepared:
 
     def _points(self, path: Path) -> PointPair:
         with np.load(path, allow_pickle=False) as arrays:
-            pyramids = [pyramid_of_arrays(arrays, name, self.network.levels) for name in ("before", "after")]
+            whole = (pyramid_of_arrays(arrays, name, self.network.levels) for name in ("before", "after"))
+            pyramids = [chosen_features(pyramid, self.network.features) for pyramid in whole]
             return PointPair((pyramids[0], pyramids[1]), (arrays["classes_before"], arrays["classes_after"]))
 
     def _rasters(self, path: Path) -> RasterPair:
@@ -140,5 +140,6 @@ class Prepared:
             "network": self.network.model_dump(include={"first_grid", "levels", "neighbours", "search"}),
             "baseline": self.baseline.model_dump(include={"leaf", "cells", "ground"}),
             "survey": str(survey.resolve()),
+            "features": FEATURES,
         }  # fmt: skip
         return hashlib.sha256(scene + json.dumps(sizes, sort_keys=True).encode()).hexdigest()[:12]

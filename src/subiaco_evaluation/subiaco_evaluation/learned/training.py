@@ -17,12 +17,19 @@ from numpy.typing import NDArray
 
 from subiaco_evaluation.learned.config import TrainingConfig
 from subiaco_evaluation.learned.curve import write_curve
+from subiaco_evaluation.learned.deep_clustering import ClusterTask
 from subiaco_evaluation.learned.jobs import TrainingJob
 from subiaco_evaluation.learned.methods import POINT_METHODS
 from subiaco_evaluation.learned.surveys import Prepared
-from subiaco_evaluation.learned.tasks import PointTask, RasterTask, Task, score_validation, task_loss
+from subiaco_evaluation.learned.tasks import (
+    PointTask,
+    RasterTask,
+    Task,
+    prior_factors,
+    score_validation,
+    task_loss,
+)
 from subiaco_evaluation.learned.weights_file import array_text, text_array, write_weights
-from subiaco_evaluation.scores import class_iou, nanmean
 from subiaco_geo import __version__
 from subiaco_geo.atomic import whole_file
 from subiaco_geo.errors import InputError
@@ -40,6 +47,7 @@ class State:
     seconds: float = 0.0
     best_score: float = -1.0
     best_epoch: int = -1
+    best_power: float = 0.0
     rows: list[dict[str, float]] = field(default_factory=list)
     best: Arrays = field(default_factory=dict)
 
@@ -50,8 +58,9 @@ def make_task(job: TrainingJob, config: TrainingConfig, say: Say) -> Task:
     device = "cuda" if torch.cuda.is_available() else "cpu"
     torch.manual_seed(config.seed)
     if job.method in POINT_METHODS:
+        kind = ClusterTask if job.method == "dc3dcd" else PointTask
         clouds = prepared.points(job.surveys, say), prepared.points(job.held_out, say)
-        return PointTask(job.method, config, *clouds, device)
+        return kind(job.method, config, *clouds, device)
     rasters = prepared.rasters(job.surveys, say), prepared.rasters(job.held_out, say)
     return RasterTask(job.method, config, *rasters, device)
 
@@ -78,15 +87,17 @@ def train(job: TrainingJob, config: TrainingConfig, say: Say) -> dict[str, Any]:
         rate = settings.learning_rate * settings.final_rate ** (state.epoch / max(settings.epochs - 1, 1))
         started = time.perf_counter()
         loss = run_epoch(task, optimiser, rate, settings.clip, (config.seed, state.epoch))
-        validation, matrix = score_validation(task)
-        score = 100.0 * nanmean(class_iou(matrix))
+        validation = score_validation(task)
+        score = 100.0 * validation.score
         state.seconds += time.perf_counter() - started
         state.rows.append(
             {"epoch": state.epoch, "seconds": state.seconds, "learning_rate": rate, "training_loss": loss,
-             "validation_loss": validation, "validation_miou_percent": score}
+             "validation_loss": validation.loss, "validation_miou_percent": score,
+             "prior_power": validation.power}
         )  # fmt: skip
         if score > state.best_score:
             state.best_score, state.best_epoch, state.best = score, state.epoch, model_arrays(task)
+            state.best_power = validation.power
         state.epoch += 1
         write_checkpoint(checkpoint, key, task, optimiser, state)
         write_curve(job.folder / job.output.stem, state.rows)
@@ -134,7 +145,8 @@ def write_checkpoint(
 ) -> None:
     """Write everything that the next epoch depends on, whole or not at all."""
     facts = {"key": key, "epoch": state.epoch, "seconds": state.seconds, "rows": state.rows,
-             "best_score": state.best_score, "best_epoch": state.best_epoch}  # fmt: skip
+             "best_score": state.best_score, "best_epoch": state.best_epoch,
+             "best_power": state.best_power}  # fmt: skip
     arrays: Arrays = {"state": text_array(facts)}
     arrays |= {f"model/{name}": value for name, value in model_arrays(task).items()}
     arrays |= {f"best/{name}": value for name, value in state.best.items()}
@@ -183,6 +195,8 @@ def describe_training(job: TrainingJob, config: TrainingConfig, task: Task, stat
         "epochs": state.epoch,
         "best_epoch": state.best_epoch,
         "validation_miou_percent": round(state.best_score, 2),
+        "prior_power": state.best_power,
+        "class_factors": prior_factors(task.shares, state.best_power).tolist(),
         "hours": round(state.seconds / 3600.0, 3),
         "threads": torch.get_num_threads(),
         "parameters": sum(p.numel() for p in task.model.parameters()),

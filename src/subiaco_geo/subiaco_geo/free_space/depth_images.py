@@ -10,12 +10,11 @@ from numpy.typing import NDArray
 
 from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.frames import Floats, Ints
+from subiaco_geo.free_space.numbers import FREE_SPACE
 
 #: Depth [cm] of directions about which nothing is known, and of empty ones against the sky.
 UNKNOWN, SKY = 0, 65535
 _FARTHEST = 65000.0  # depth that an image holds [cm]
-_THIN = 0.2  # least height of a point on a level surface, of its width
-_STRETCH = 0.05  # least cosine of an elevation by which a splat is widened
 
 Depths = NDArray[np.uint16]
 
@@ -95,7 +94,7 @@ def _arctan2(y: float, x: float) -> float:
 @numba.njit(cache=True)
 def _splat(
     xyz: Floats, level: NDArray[np.bool_], eye: Floats, cell: float, low: float, depth: NDArray[np.float32],
-    splat: float, nearest: float, farthest: float,
+    splat: float, nearest: float, farthest: float, thickness: float, cosine: float,
 ) -> None:  # fmt: skip
     """Write the nearest depth [m] of every cell that a point covers; points of level surfaces lie flat."""
     rows, columns = depth.shape
@@ -108,12 +107,12 @@ def _splat(
         r, flat = np.sqrt(r2), np.sqrt(flat2)
         elevation = (_arctan2(dz, flat) - low) / cell
         half = splat / r / cell
-        tall = max(half * abs(dz) / r, half * _THIN) if level[i] else half
+        tall = max(half * abs(dz) / r, half * thickness) if level[i] else half
         first, last = int(np.floor(elevation - tall)), int(np.floor(elevation + tall))
         if last < 0 or first >= rows:
             continue
         azimuth = (_arctan2(dy, dx) + np.pi) / cell
-        wide = min(half / max(flat / r, _STRETCH), 0.5 * columns - 1.0)
+        wide = min(half / max(flat / r, cosine), 0.5 * columns - 1.0)
         left, right = int(np.floor(azimuth - wide)), int(np.floor(azimuth + wide))
         near = np.float32(r)
         for row in range(max(first, 0), min(last, rows - 1) + 1):
@@ -179,13 +178,15 @@ def render(xyz: Floats, eyes: Floats, grid: ImageGrid, surfaces: Surfaces) -> De
             surfaces.splat,
             surfaces.nearest,
             surfaces.farthest,
+            FREE_SPACE.level_thickness,
+            FREE_SPACE.widest_cosine,
         )
         images[number] = _closed(depth, sky_row)
     return images
 
 
 @dataclass(frozen=True)
-class Looks:
+class PoseCounts:
     """From how many poses a place (N,) was seen free, met as a surface, or hidden, int32 each."""
 
     free: NDArray[np.int32]
@@ -307,7 +308,9 @@ class DepthImages:
     images: Depths
     grid: ImageGrid
 
-    def looks(self, world: Floats, limits: Limits, enough: int = 0, *, surface_too: bool = False) -> Looks:
+    def looks(
+        self, world: Floats, limits: Limits, enough: int = 0, *, surface_too: bool = False
+    ) -> PoseCounts:
         """Count from how many poses places (N, 3) of the world were seen free, as a surface, or hidden.
 
         Parameters
@@ -327,7 +330,7 @@ class DepthImages:
                 near, self.images, self.grid.cell, self.grid.low, limits.packed(), enough, surface_too,
                 counts,
             )  # fmt: skip
-        return Looks(counts[:, 0].copy(), counts[:, 1].copy(), counts[:, 2].copy())
+        return PoseCounts(counts[:, 0].copy(), counts[:, 1].copy(), counts[:, 2].copy())
 
     def hides(self, world: Floats, place: NDArray[np.int32], image: Ints, behind: float) -> NDArray[np.bool_]:
         """Tell which lines of sight (L,) end at a surface of their image before they reach their place.

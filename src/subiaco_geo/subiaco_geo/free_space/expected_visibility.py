@@ -237,6 +237,15 @@ class ExpectedVisibility:
         nothing = (looks.free < self.config.min_poses) & (looks.surface == 0)
         return np.asarray(nothing & (looks.hidden >= self.config.min_poses) & ~self.occupied.holds(world))
 
+    def undecided(self, world: Floats) -> Flags:
+        """Tell which places (N, 3) [m, world] the poses have in view without telling whether they are free.
+
+        They lie at a surface of the epoch, in the margin in front of it, or behind it, and hold no point.
+        """
+        looks = self.images.looks(world, self._limits())
+        in_view = (looks.surface > 0) | (looks.hidden >= self.config.min_poses)
+        return np.asarray(in_view & (looks.free < self.config.min_poses) & ~self.occupied.holds(world))
+
     def _limits(self) -> Limits:
         config, view = self.config, self.view
         reach = min(view.useful_range, config.max_range)

@@ -10,11 +10,13 @@ import numpy as np
 
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
+from subiaco_geo.free_space.numbers import FREE_SPACE
 
 #: Entry of ``map.yaml``.
 SENSOR = "sensor"
 _FIELDS = ("elevation_min_deg", "elevation_max_deg", "useful_range_m")
-_UPRIGHT = np.cos(np.radians(35.0))
+
+_UPRIGHT = np.cos(np.radians(FREE_SPACE.spin_axis_deg))
 
 
 @dataclass(frozen=True)

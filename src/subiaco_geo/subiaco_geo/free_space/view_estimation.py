@@ -11,13 +11,16 @@ from numpy.typing import NDArray
 from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.free_space.depth_images import UNKNOWN, DepthImages, Depths, ImageGrid
 from subiaco_geo.free_space.expected_visibility import ExpectedVisibilityConfig
+from subiaco_geo.free_space.numbers import FREE_SPACE
 from subiaco_geo.free_space.sensor_view import SensorView
 
-_ANGLES = np.radians(np.arange(0.0, 90.25, 0.5))  # edges of the cells of a histogram of elevations
-_STEP = 0.5  # edge of the cells of a histogram of ranges [m]
-_EVERY = 10  # cells of elevation from one histogram of ranges to the next
-_MOST = 4000  # points of a tile that are asked
-_GRAZING = 3.0  # surfaces so oblique still count as met: cells of depth a cell of width
+_ANGLES = np.radians(
+    np.arange(0.0, 90.25, FREE_SPACE.elevation_step_deg)
+)  # edges of the cells of a histogram of elevations
+_STEP = FREE_SPACE.range_step
+_EVERY = FREE_SPACE.elevations_per_range
+_MOST = FREE_SPACE.view_points
+_GRAZING = FREE_SPACE.grazing_slack
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from subiaco_geo.frames import Floats, Ints
 
 #: Scale of the times of a trajectory: UTC since 1970, GPS since 1980, seconds of a GPS week, or no known one.
 Clock = Literal["utc", "gps", "week", "none"]
-Kind = Literal["auto", "tum", "sbet", "pos", "csv"]
+FormatName = Literal["auto", "tum", "sbet", "pos", "csv"]
 GPS_EPOCH_NS = 315_964_800 * 10**9  # 1980-01-06 in UTC
 WEEK_NS = 604_800 * 10**9
 #: Earlier stamps are no dates: seconds since a recording began, or of a GPS week.
@@ -58,7 +58,7 @@ class TrajectoryColumns(StrictModel):
 class TrajectoryFormat(StrictModel):
     """How the trajectory file of one epoch is read."""
 
-    kind: Kind = Field(
+    kind: FormatName = Field(
         "auto",
         description="Format of the trajectory file: tum, sbet (Applanix), pos (RTKLIB), csv (named columns), "
         "or auto: by the ending and the first line of the file",

@@ -21,7 +21,7 @@ from subiaco_geo.trajectory_files.formats import (
     GPS_EPOCH_NS,
     WEEK_NS,
     Clock,
-    Kind,
+    FormatName,
     RecordedPath,
     TrajectoryFormat,
 )
@@ -31,7 +31,7 @@ from subiaco_geo.trajectory_files.sbet import read_sbet
 from subiaco_geo.trajectory_files.tables import first_row, read_table
 
 _LOG = logging.getLogger(__name__)
-_SUFFIXES: dict[str, Kind] = {".sbet": "sbet", ".out": "sbet", ".pos": "pos", ".tum": "tum"}
+_SUFFIXES: dict[str, FormatName] = {".sbet": "sbet", ".out": "sbet", ".pos": "pos", ".tum": "tum"}
 _ADJUSTED_NS, _FIRST_NS = 10**18, 900_000_000 * 10**9  # LAS takes a billion seconds off GPS time
 _STEP_NS = 20_000_000  # more poses a second than 50 tell nothing of what was seen
 _NEAR = 5.0  # points so close to a pose, in plan, show the ground under it [m]
@@ -125,7 +125,7 @@ def _sbet(path: Path, form: TrajectoryFormat, _group: str) -> RecordedPath:
     return replace(found, times_ns=found.times_ns + late)
 
 
-_READERS: dict[Kind, Callable[[Path, TrajectoryFormat, str], RecordedPath]] = {
+_READERS: dict[FormatName, Callable[[Path, TrajectoryFormat, str], RecordedPath]] = {
     "tum": _tum,
     "sbet": _sbet,
     "pos": lambda path, form, _group: read_solution_path(path, form.leap_seconds),
@@ -133,7 +133,7 @@ _READERS: dict[Kind, Callable[[Path, TrajectoryFormat, str], RecordedPath]] = {
 }
 
 
-def _kind_of(path: Path) -> Kind:
+def _kind_of(path: Path) -> FormatName:
     """Tell the format by the ending, of texts by the first row: eight numbers are TUM."""
     known = _SUFFIXES.get(path.suffix.lower())
     if known is not None:

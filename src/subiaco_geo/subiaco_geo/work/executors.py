@@ -14,6 +14,8 @@ from contextlib import contextmanager, suppress
 from multiprocessing import forkserver
 from typing import Any, Protocol
 
+import numpy as np
+
 from subiaco_geo.errors import InputError, SubiacoError
 from subiaco_geo.work.store import DiskStore, Store
 from subiaco_geo.work.tasks import Task, TaskCost, execute
@@ -21,6 +23,7 @@ from subiaco_geo.work.tasks import Task, TaskCost, execute
 _LOG = logging.getLogger(__name__)
 _ATTEMPTS = 3  # pools started before lost workers are taken for a lasting fault
 _POLL = 0.1  # between two looks at a cluster whose tasks run [s]
+_PROBE = "probe/all"  # piece by which workers show that they see the store
 _THREADS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS")
 
 
@@ -77,8 +80,8 @@ class LocalPool:
 
     def run(self, store: Store, tasks: Sequence[Task[Any]]) -> Iterator[TaskCost]:
         """Do the tasks; what a killed worker left undone is done by a fresh one."""
-        if not isinstance(store, DiskStore):
-            raise InputError("worker processes need stages on disk; use a DiskStore")
+        if not store.shared:
+            raise InputError("worker processes need stages that they see; use a DiskStore")
         left = {task.key: task for task in sorted(tasks, key=lambda task: -_weight(store, task))}
         for attempt in range(_ATTEMPTS):
             try:
@@ -118,7 +121,7 @@ class LocalPool:
             self._pool = None
 
 
-def _weight(store: DiskStore, task: Task[Any]) -> int:
+def _weight(store: Store, task: Task[Any]) -> int:
     """Bytes that a task reads: what is large comes first, so that no worker ends long after the others."""
     return sum(store.size(key) for key in task.inputs.values())
 
@@ -139,7 +142,7 @@ def _one_thread() -> Iterator[None]:
 
 
 class Dask:
-    """Workers of a dask cluster that see the same files.
+    """Workers of a dask cluster that see the same files or the same object storage.
 
     Parameters
     ----------
@@ -175,10 +178,10 @@ class Dask:
 
     def run(self, store: Store, tasks: Sequence[Task[Any]]) -> Iterator[TaskCost]:
         """Do the tasks; the scheduler gives those of a lost worker to another."""
-        if not isinstance(store, DiskStore):
-            raise InputError("a cluster needs stages on disk; use a DiskStore")
+        if not store.shared:
+            raise InputError("a cluster needs stages that it sees; use a DiskStore or an ObjectStore")
         if not self._checked:
-            _check_files(self._client, store)
+            _check_sight(self._client, store)
             self._checked = True
         futures = [
             self._client.submit(execute, store, task, key=task.key, retries=2, pure=False) for task in tasks
@@ -239,14 +242,27 @@ class Dask:
             self._client.close()
 
 
-def _check_files(client: Any, store: DiskStore) -> None:
-    store.root.mkdir(parents=True, exist_ok=True)
-    seen: dict[str, bool] = client.run(os.path.isdir, str(store.root))
+def _check_sight(client: Any, store: Store) -> None:
+    """Refuse a cluster with a worker that does not see a piece saved here."""
+    store.save(_PROBE, {"seen": np.ones(1)})
+    seen: dict[str, bool] = client.run(_sees, store)
     if not seen:
         raise InputError("--scheduler: the cluster has no workers; start 'dask worker' first")
     blind = sorted(worker for worker, sees in seen.items() if not sees)
     if blind:
-        raise InputError(f"--scheduler: worker {blind[0]} does not see {store.root}; put it on a shared disk")
+        place = store.root if isinstance(store, DiskStore) else store
+        raise InputError(
+            f"--scheduler: worker {blind[0]} does not see {place}; put it on a shared disk, or keep "
+            "the stages in object storage (--keep-stages URL)"
+        )
+
+
+def _sees(store: Store) -> bool:
+    """Tell, on a worker, whether it sees what was saved elsewhere."""
+    try:
+        return store.has(_PROBE)
+    except SubiacoError:
+        return False
 
 
 def make_executor(workers: int = 1, scheduler: str | None = None, preload: Sequence[str] = ()) -> Executor:

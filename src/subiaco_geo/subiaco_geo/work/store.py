@@ -1,14 +1,14 @@
-"""Stores of finished tasks: named sets of arrays, on disk or in memory."""
+"""Stores of finished tasks: named sets of arrays, on disk or in memory (object storage: ``object_store``)."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from os import SEEK_CUR
 from pathlib import Path
-from typing import Any, BinaryIO, Protocol
+from typing import Any, BinaryIO, ClassVar, Protocol
 from zipfile import BadZipFile, ZipFile
 
 import numpy as np
@@ -25,8 +25,17 @@ _NAME_AT = 26  # in the local header of a member of a zip: lengths of its name a
 class Store(Protocol):
     """Keeps named sets of arrays under keys ``stage/name-hash``."""
 
+    @property
+    def shared(self) -> bool:
+        """Whether other processes see the pieces."""
+        ...
+
     def has(self, key: str) -> bool:
         """Tell whether a piece is finished."""
+        ...
+
+    def size(self, key: str) -> int:
+        """Return the bytes of a finished piece; 0 where they are not known at once."""
         ...
 
     def load(self, key: str) -> Arrays:
@@ -42,14 +51,21 @@ class Store(Protocol):
         ...
 
 
-class _Piece(Mapping[str, Array]):
+class Piece(Mapping[str, Array]):
     """Arrays of an ``.npz``, each read when it is asked for; between, the file is closed: there are many.
 
     Arrays are read where they lie: numpy's own reader opens the archive again and sums every byte.
+
+    Parameters
+    ----------
+    name : str
+        Of the file, for messages.
+    open_file : callable
+        Opens it for reading.
     """
 
-    def __init__(self, path: Path) -> None:
-        self._path = path
+    def __init__(self, name: str, open_file: Callable[[], BinaryIO]) -> None:
+        self._name, self._open_file = name, open_file
         with self._opened() as stream, ZipFile(stream) as archive:
             self._headers = {
                 member.filename.removesuffix(".npy"): member.header_offset for member in archive.infolist()
@@ -58,11 +74,11 @@ class _Piece(Mapping[str, Array]):
     @contextmanager
     def _opened(self) -> Iterator[BinaryIO]:
         try:
-            with self._path.open("rb") as stream:
+            with self._open_file() as stream:
                 yield stream
         except (OSError, ValueError, EOFError, BadZipFile) as error:
             raise InputError(
-                f"{self._path}: a kept stage cannot be read ({error}); remove it, run again"
+                f"{self._name}: a kept stage cannot be read ({error}); remove it, run again"
             ) from error
 
     def __getitem__(self, name: str) -> Array:
@@ -94,6 +110,7 @@ class DiskStore:
     """
 
     root: Path
+    shared: ClassVar[bool] = True
 
     def _path(self, key: str) -> Path:
         return self.root / f"{key}.npz"
@@ -114,7 +131,8 @@ class DiskStore:
         InputError
             Its file is missing or damaged.
         """
-        return _Piece(self._path(key))
+        path = self._path(key)
+        return Piece(str(path), lambda: path.open("rb"))
 
     def save(self, key: str, arrays: Arrays) -> None:
         """Write a piece; its file appears whole."""
@@ -136,6 +154,11 @@ class MemoryStore:
     """Pieces in this process, for small work."""
 
     pieces: dict[str, Arrays] = field(default_factory=dict)
+    shared: ClassVar[bool] = False
+
+    def size(self, key: str) -> int:
+        """Return the bytes of the arrays of a piece."""
+        return sum(array.nbytes for array in self.pieces[key].values())
 
     def has(self, key: str) -> bool:
         """Tell whether a piece is finished."""

@@ -10,15 +10,16 @@ import numpy as np
 from subiaco_geo.frames import Floats, invert_pose, transform_points
 from subiaco_mapping.absolute_positions.config import ControlConfig
 from subiaco_mapping.loop_closure.submaps import Submap
+from subiaco_mapping.method_numbers import NUMBERS
 from subiaco_mapping.pose_graph.absolute_factors import PointTie
 
-_FEW = 8  # fewer points of a submap carry no plane
-_LAYER = 0.3  # points so far above the lowest at a place are another surface [m]
-_TRIM = 3.0  # points so many robust deviations off the plane are left out
-_OPEN = 100.0  # standard deviation in directions that a tie leaves open [m]
-_STEEP = 0.7  # cosine of the inclination from which a surface gives no height
+_FEW = NUMBERS.absolute_positions.plane_points
+_LAYER = NUMBERS.absolute_positions.layer_height
+_TRIM = NUMBERS.absolute_positions.plane_outlier
+_OPEN = NUMBERS.absolute_positions.open_sigma
+_STEEP = NUMBERS.absolute_positions.level_cosine
 _UPWARDS = np.array([0.0, 0.0, 1.0])
-_PICK_OFF = 0.5  # a picked height so far from the surface of the map is no pick of it [m]
+_PICK_OFF = NUMBERS.absolute_positions.pick_distance
 
 
 @dataclass(frozen=True)

@@ -26,14 +26,15 @@ from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.control import check_control
 from subiaco_mapping.control_points import ControlPoints, read_control, split_roles
 from subiaco_mapping.loop_closure.submaps import Submap
+from subiaco_mapping.method_numbers import NUMBERS
 from subiaco_mapping.pose_graph.absolute_factors import AbsoluteTies, PointTie
 from subiaco_mapping.pose_graph.records import Solved
 
 _LOG = logging.getLogger(__name__)
-_ROUNDS = 2  # the ground under a point is looked up again where the corrected map has it
-_DOUBTFUL = 3.29  # standard deviations beyond which a point contradicts the others (99.9 %)
-_DETERMINED = 10.0  # variance of a direction that a tie does not leave open [m2]
-_HELD = 1e-4  # of an offset that nothing determines [m]
+_ROUNDS = NUMBERS.absolute_positions.rounds
+_DOUBTFUL = NUMBERS.absolute_positions.contradiction
+_DETERMINED = NUMBERS.absolute_positions.determined_variance
+_HELD = NUMBERS.absolute_positions.held_sigma
 
 Solve = Callable[[AbsoluteTies], Solved]
 

@@ -18,15 +18,16 @@ from subiaco_geo.geoid import undulations
 from subiaco_geo.sources import open_epoch
 from subiaco_mapping.absolute_positions.config import ReferenceConfig
 from subiaco_mapping.loop_closure.config import LoopConfig
-from subiaco_mapping.loop_closure.submap_registration import Prepared, register
+from subiaco_mapping.loop_closure.submap_registration import PreparedSubmap, register
 from subiaco_mapping.loop_closure.submaps import Submap
+from subiaco_mapping.method_numbers import NUMBERS
 from subiaco_mapping.pose_graph.absolute_factors import PoseTie
 from subiaco_mapping.pose_graph.factors import as_pose
 
 _LOG = logging.getLogger(__name__)
-_FEW = 500  # fewer points of the reference around a submap tell nothing
-_WEAK = 2.0  # standard deviation of a direction that a registration may leave open [m]
-_OTHER_HEIGHTS = 5.0  # metres of height between reference and map that are no error of GNSS
+_FEW = NUMBERS.absolute_positions.reference_points
+_WEAK = NUMBERS.absolute_positions.weak_sigma
+_OTHER_HEIGHTS = NUMBERS.absolute_positions.height_mismatch
 
 
 @dataclass(frozen=True)
@@ -122,7 +123,7 @@ def fit_reference(
         _refuse_heights(near, points @ pose[:3, :3].T + pose[:3, 3], config)
         middle = pose.copy()
         middle[:3, 3] = 0.0
-        found = register(Prepared(near - pose[:3, 3]), Prepared(points), middle, loops)
+        found = register(PreparedSubmap(near - pose[:3, 3]), PreparedSubmap(points), middle, loops)
         reason = found.refused(loops)
         if reason is not None:
             counts[f"refused_{reason}"] += 1

@@ -19,9 +19,9 @@ from subiaco_geo.frames import Floats, Ints, interpolate_poses, invert_pose
 from subiaco_mapping.calibration.config import CalibrationConfig
 from subiaco_mapping.calibration.estimate import solve, spread
 from subiaco_mapping.calibration.imu import OdometryTrack
-from subiaco_mapping.config import GnssConfig
 from subiaco_mapping.measurements import GnssFix, HeadingSample
 from subiaco_mapping.pose_graph import gnss
+from subiaco_mapping.pose_graph.config import GnssConfig
 
 ODOMETRY_SIGMA = 0.01  # of a pose within its stretch [m]
 SLOPE = 0.05  # of a stretch against the vertical that is known [rad]

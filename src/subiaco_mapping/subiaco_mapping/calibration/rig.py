@@ -16,9 +16,10 @@ from subiaco_mapping.calibration.estimate import Parameter
 from subiaco_mapping.calibration.facades import FacadeComparison, compare, find_facades
 from subiaco_mapping.calibration.imu import ImuFit, ImuTrack, fit_imu
 from subiaco_mapping.calibration.recording import Collected, drive_through, read_imu
-from subiaco_mapping.config import FramePose, MappingConfig
+from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.fusion.map_builder import ProgressCallback, silent
 from subiaco_mapping.measurements import Extrinsics
+from subiaco_mapping.preprocessing.config import FramePose
 
 logger = logging.getLogger(__name__)
 

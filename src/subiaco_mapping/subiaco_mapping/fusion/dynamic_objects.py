@@ -14,9 +14,10 @@ from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter
 
 from subiaco_geo.frames import Floats
+from subiaco_mapping.method_numbers import NUMBERS
 
-_SHARED = 1.5  # edges of a voxel above the floor below which its looks are shared with the floor
-_CELL = 0.5  # in plan, within which and around which the lowest is looked for [m]
+_SHARED = NUMBERS.fusion.floor_voxels
+_CELL = NUMBERS.fusion.floor_cell
 
 
 def moved_probability(

@@ -6,11 +6,12 @@ import numpy as np
 
 from subiaco_geo.frames import Floats
 from subiaco_geo.free_space.sensor_view import SensorView
+from subiaco_mapping.method_numbers import NUMBERS
 
-_ANGLE = np.radians(0.1)  # cells of elevation
-_RANGE = 0.5  # cells of range [m]
-_STRAY = 0.001  # share of beams at either end that are left out
-_REACHED = 0.99  # share of the returns within the useful range
+_ANGLE = np.radians(NUMBERS.fusion.elevation_cell_deg)
+_RANGE = NUMBERS.fusion.range_cell
+_STRAY = NUMBERS.fusion.stray_beams
+_REACHED = NUMBERS.fusion.useful_range
 
 
 class FieldOfView:

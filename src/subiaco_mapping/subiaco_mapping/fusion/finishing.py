@@ -16,7 +16,7 @@ from subiaco_geo.frames import Floats, transform_points
 from subiaco_geo.movement import verdicts
 from subiaco_geo.visibility import TimeRecord, VisibilityGrid
 from subiaco_mapping.checkpoint.scan_spool import SpooledScan
-from subiaco_mapping.config import FusionConfig
+from subiaco_mapping.fusion.config import FusionConfig
 from subiaco_mapping.fusion.dynamic_objects import height_above_floor, moved_probability
 from subiaco_mapping.fusion.full_density import DensityTiles, FullDensity
 from subiaco_mapping.fusion.outliers import beam_spacing, isolated_points
@@ -30,8 +30,9 @@ from subiaco_mapping.fusion.voxel_tiles import (
     tile_corner,
     tiles_around,
 )
+from subiaco_mapping.method_numbers import NUMBERS
 
-_SHOWN = 100  # one scan in so many shows how far its beams are apart
+_SHOWN = NUMBERS.fusion.beam_sample
 _TURN_NS = 100_000_000  # between scans without stamps
 _FAR = 10_000.0  # a map that begins farther from zero gets an origin of its own [m]
 

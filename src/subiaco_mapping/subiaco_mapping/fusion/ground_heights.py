@@ -6,13 +6,14 @@ import numpy as np
 
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.frames import Floats
+from subiaco_mapping.method_numbers import NUMBERS
 
-_CELL = 1.0
+_CELL = NUMBERS.fusion.ground_cell
 _PART = 1 << 20  # points in memory at a time
-_MIN_SHARE = 0.15  # of a tile's cells that must show ground
-_MIN_SPREAD = 0.15  # of the tile's edge: standard deviation of these cells along their narrow side
-_MAX_TILT = np.radians(20.0)  # steeper is a roof or a hedge, not ground
-_TUKEY = 0.3
+_MIN_SHARE = NUMBERS.fusion.ground_fraction
+_MIN_SPREAD = NUMBERS.fusion.ground_spread
+_MAX_TILT = np.radians(NUMBERS.fusion.ground_tilt_deg)
+_TUKEY = NUMBERS.fusion.ground_kernel
 
 
 def _lowest_of_cells(xyz: Floats) -> Floats:

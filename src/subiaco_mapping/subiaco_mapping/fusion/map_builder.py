@@ -14,20 +14,22 @@ from subiaco_geo.config import config_hash
 from subiaco_geo.crs_area import AUTO
 from subiaco_geo.frames import invert_pose
 from subiaco_geo.free_space.sensor_view import SENSOR, SensorView
-from subiaco_geo.settings import method_statement
+from subiaco_geo.settings import method_statement, setting_values
 from subiaco_geo.survey_map import PoseUncertainty, SurveyMap
 from subiaco_geo.trajectories import Trajectory
-from subiaco_mapping.config import GnssConfig, ManifestConfig, MappingConfig
+from subiaco_mapping.config import ManifestConfig, MappingConfig
 from subiaco_mapping.fusion.field_of_view import FieldOfView
 from subiaco_mapping.fusion.finishing import FinishedMap, MapFusion
 from subiaco_mapping.fusion.full_density import FullDensity
 from subiaco_mapping.fusion.ground_heights import height_table
 from subiaco_mapping.fusion.projection import Projection
 from subiaco_mapping.manifest import CONTRADICTED, LEGEND, describe_sequence, stretches
+from subiaco_mapping.method_numbers import NUMBERS
+from subiaco_mapping.pose_graph.config import GnssConfig
 from subiaco_mapping.pose_graph.solution import GraphSolution
 from subiaco_mapping.sequences import SequenceRecord
 
-_VIEWED = 10  # one scan in so many tells the field of view
+_VIEWED = NUMBERS.fusion.view_sample
 
 ProgressCallback = Callable[[str, float], None]
 
@@ -149,7 +151,7 @@ def _info(
         "sequences": [sequence.name for sequence in solution.sequences],
         "inputs": dict(inputs),
         "config_hash": config_hash(config),
-        "method": method_statement(config),
+        "method": method_statement(config, setting_values(NUMBERS)),
         "georeferenced": frame is not None,
         "crs_source": None if frame is None else "auto" if config.crs == AUTO else "given",
         "local_because": solution.reason,

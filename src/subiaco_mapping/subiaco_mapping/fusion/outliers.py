@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from subiaco_geo.frames import Floats
-from subiaco_mapping.config import FusionConfig
+from subiaco_mapping.fusion.config import FusionConfig
+from subiaco_mapping.method_numbers import NUMBERS
 
-_ENOUGH = 1000  # returns that a scan needs to show its beams
+_ENOUGH = NUMBERS.fusion.scan_returns
 
 
 def beam_spacing(xyz: Floats, neighbours: int) -> float:

@@ -15,7 +15,7 @@ from subiaco_geo.clouds import PointCloud, from_world, unpack_voxel_keys
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints, transform_points
 from subiaco_mapping.checkpoint.scan_spool import SpooledScan
-from subiaco_mapping.config import FusionConfig
+from subiaco_mapping.fusion.config import FusionConfig
 from subiaco_mapping.fusion.outliers import isolated_points
 
 _EMPTY = -1

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from subiaco_geo.clouds import unpack_voxel_keys
 from subiaco_geo.frames import Floats, Ints
-from subiaco_geo.observation_times import COLUMNS, WINDOWS, Looks, joined_looks, looks_of
+from subiaco_geo.observation_times import COLUMNS, WINDOWS, VoxelObservations, joined_looks, looks_of
 from subiaco_geo.visibility import VisibilityGrid
 from subiaco_geo.voxel_traversal import VisibilityAccumulator
 from subiaco_mapping.fusion.voxel_fusion import VoxelAccumulator, VoxelStatistics, statistics_of
@@ -208,12 +208,12 @@ class VisibilityTiles:
         """Give the table's memory back."""
         self._active = self._empty()
 
-    def grid(self) -> tuple[VisibilityGrid, Looks]:
+    def grid(self) -> tuple[VisibilityGrid, VoxelObservations]:
         """Return the whole layer, mapped from disk, and the looks at its voxels; flushed before."""
         whole = DiskColumns(self._folder / "grid")
         nothing = np.zeros((0, COLUMNS), dtype=np.uint16)
         empty = [np.zeros(0, np.uint32), np.zeros(0, np.uint32), *looks_of(nothing, 1).columns()]
-        looks_named = tuple(f"look_{field.name}" for field in fields(Looks))
+        looks_named = tuple(f"look_{field.name}" for field in fields(VoxelObservations))
         names = ("hits", "passes", *looks_named)
         whole.append(keys=np.zeros(0, np.int64), **dict(zip(names, empty, strict=True)))
         columns: dict[int, list[int]] = {}
@@ -223,7 +223,7 @@ class VisibilityTiles:
             keys, found = self._runs.read(column)
             whole.append(keys=keys, **dict(zip(names, found, strict=True)))
         arrays = whole.arrays()
-        looks = Looks(*(arrays.pop(name) for name in looks_named))
+        looks = VoxelObservations(*(arrays.pop(name) for name in looks_named))
         keys, hits, passes = (arrays[name] for name in ("keys", "hits", "passes"))
         return VisibilityGrid(self._origin, self._voxel, keys, hits, passes), looks
 
@@ -232,7 +232,7 @@ def _joined_beams(keys: Ints, columns: list[Rows]) -> tuple[Ints, list[Rows]]:
     """Join rows of equal keys, in the order of time: beams are added up, looks follow one another."""
     ranked, starts, order = _grouped(keys)
     counts = [np.add.reduceat(c[order], starts, axis=0, dtype=c.dtype) for c in columns[:2]]
-    looks = joined_looks(starts, Looks(*(c[order] for c in columns[2:])))
+    looks = joined_looks(starts, VoxelObservations(*(c[order] for c in columns[2:])))
     return ranked, [*counts, *looks.columns()]
 
 

@@ -117,7 +117,7 @@ class DiskLimits(StrictModel):
     )
 
 
-class QualityConfig(StrictModel):
+class StreetQualityConfig(StrictModel):
     """The light of every street segment."""
 
     segment_length: float = Field(
@@ -157,7 +157,7 @@ class WatchConfig(StrictModel):
     gnss: GnssLimits = GnssLimits()
     imu: ImuLimits = ImuLimits()
     disk: DiskLimits = DiskLimits()
-    quality: QualityConfig = QualityConfig()
+    quality: StreetQualityConfig = StreetQualityConfig()
     join_ns: int = Field(
         2 * _SECOND, ge=0, description="Gap between two occurrences of one flag below which they are one [ns]"
     )

@@ -38,7 +38,7 @@ MEANINGS = {
 
 
 @dataclass
-class Stretch:
+class FlagInterval:
     """One flag from when to when; still up where ``end_ns`` is None."""
 
     name: str
@@ -63,9 +63,9 @@ class FlagHistory:
 
     def __init__(self, join_ns: int) -> None:
         self._join_ns = join_ns
-        self._open: dict[tuple[str, str], Stretch] = {}
-        self._closed: list[Stretch] = []
-        self._last: dict[tuple[str, str], Stretch] = {}
+        self._open: dict[tuple[str, str], FlagInterval] = {}
+        self._closed: list[FlagInterval] = []
+        self._last: dict[tuple[str, str], FlagInterval] = {}
         self.way = 0.0
         self.scans = 0
 
@@ -94,15 +94,15 @@ class FlagHistory:
             last.end_ns, last.detail = None, detail or last.detail
             self._open[key] = last
             return
-        stretch = Stretch(*key, start_ns, None, detail, self.way, self.way, self.scans, self.scans)
+        stretch = FlagInterval(*key, start_ns, None, detail, self.way, self.way, self.scans, self.scans)
         self._open[key] = self._last[key] = stretch
         self._closed.append(stretch)
 
-    def raised(self) -> list[Stretch]:
+    def raised(self) -> list[FlagInterval]:
         """Return what is up now, oldest first."""
         return sorted(self._open.values(), key=lambda stretch: stretch.start_ns)
 
-    def __iter__(self) -> Iterator[Stretch]:
+    def __iter__(self) -> Iterator[FlagInterval]:
         return iter(self._closed)
 
     def flagged(self, now_ns: int) -> dict[str, list[dict[str, Any]]]:

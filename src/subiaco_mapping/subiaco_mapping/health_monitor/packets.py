@@ -10,7 +10,7 @@ import numpy as np
 from ouster.sdk import core
 
 from subiaco_geo.bags import packet_from_cdr
-from subiaco_mapping.config import DecodeConfig
+from subiaco_mapping.preprocessing.config import DecodeConfig
 from subiaco_mapping.preprocessing.decode import expected_columns, parse_metadata, utc_shift_ns
 from subiaco_mapping.recording.losses import PacketCounter
 

@@ -17,7 +17,7 @@ _MIN_WAY = 20.0
 
 
 @dataclass(frozen=True)
-class Place:
+class TimedPosition:
     """One position: time [ns], east and north [m] about the first fix."""
 
     time_ns: int
@@ -38,7 +38,7 @@ class Positions:
         self._odometry: tuple[int, Floats] | None = None
         self._pairs: deque[tuple[Floats, Floats]] = deque(maxlen=_PAIRS)
 
-    def on_fix(self, fix: GnssFix, now_ns: int) -> Place | None:
+    def on_fix(self, fix: GnssFix, now_ns: int) -> TimedPosition | None:
         """Take a fix; return where the vehicle is."""
         if not fix.is_usable():
             return None
@@ -49,15 +49,15 @@ class Positions:
         self._fix = (now_ns, enu)
         if self._odometry is not None and now_ns - self._odometry[0] < _FRESH_NS:
             self._pairs.append((self._odometry[1], enu))
-        return Place(now_ns, float(enu[0]), float(enu[1]))
+        return TimedPosition(now_ns, float(enu[0]), float(enu[1]))
 
-    def on_odometry(self, xyz: Floats, now_ns: int) -> Place | None:
+    def on_odometry(self, xyz: Floats, now_ns: int) -> TimedPosition | None:
         """Take an odometry position (3,) [m]; return where that is, once fixes have stayed away."""
         self._odometry = (now_ns, xyz)
         if self._fix is None or now_ns - self._fix[0] < _FRESH_NS:
             return None
         carried = self._carried(xyz)
-        return None if carried is None else Place(now_ns, float(carried[0]), float(carried[1]))
+        return None if carried is None else TimedPosition(now_ns, float(carried[0]), float(carried[1]))
 
     def broken(self) -> None:
         """Forget the odometry: it began again elsewhere."""

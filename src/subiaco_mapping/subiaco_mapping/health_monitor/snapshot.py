@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from subiaco_mapping.health_monitor.flags import Stretch
+from subiaco_mapping.health_monitor.flags import FlagInterval
 from subiaco_mapping.health_monitor.monitor import Monitor
 
 OK, WARN, ERROR, STALE = 0, 1, 2, 3
@@ -30,7 +30,7 @@ _SHOWN_NS = 10_000_000_000
 
 
 @dataclass(frozen=True)
-class Line:
+class StatusLine:
     """One line of the picture: name, level (0 ok, 1 warning, 2 error, 3 not there), words, values."""
 
     name: str
@@ -49,7 +49,7 @@ class Snapshot:
     light : str
         Of the street segment being driven.
     reasons : tuple of str
-    lines : tuple of Line
+    lines : tuple of StatusLine
     again : int
         Segments to be driven again.
     counts : dict
@@ -61,7 +61,7 @@ class Snapshot:
     time_ns: int
     light: str
     reasons: tuple[str, ...]
-    lines: tuple[Line, ...]
+    lines: tuple[StatusLine, ...]
     again: int
     counts: dict[str, int]
     undriven: float
@@ -107,19 +107,19 @@ def take_snapshot(monitor: Monitor, undriven: float = float("nan")) -> Snapshot:
     )
 
 
-def _line(name: str, stretches: list[Stretch], values: dict[str, str], monitor: Monitor) -> Line:
+def _line(name: str, stretches: list[FlagInterval], values: dict[str, str], monitor: Monitor) -> StatusLine:
     stream = monitor.streams.get(name)
     if stream is not None and stream.count == 0:
-        return Line(name, STALE, "nothing yet", values)
+        return StatusLine(name, STALE, "nothing yet", values)
     if not stretches:
-        return Line(name, OK, "ok", values)
+        return StatusLine(name, OK, "ok", values)
     level = max(ERROR if s.name in _ERRORS and s.end_ns is None else WARN for s in stretches)
     words = []
     for stretch in stretches:
         whose = f" ({stretch.source})" if stretch.source else ""
         ended = "" if stretch.end_ns is None else " [over]"
         words.append(f"{stretch.name}{whose}: {stretch.detail}{ended}".rstrip(": "))
-    return Line(name, level, "; ".join(words), values)
+    return StatusLine(name, level, "; ".join(words), values)
 
 
 def _stream(monitor: Monitor, name: str, now_ns: int) -> dict[str, str]:

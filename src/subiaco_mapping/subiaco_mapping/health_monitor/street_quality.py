@@ -13,8 +13,8 @@ import numpy as np
 from subiaco_geo.atomic import whole_file
 from subiaco_geo.crs import EnuFrame
 from subiaco_geo.frames import Floats
-from subiaco_mapping.health_monitor.config import QualityConfig
-from subiaco_mapping.health_monitor.positions import Place
+from subiaco_mapping.health_monitor.config import StreetQualityConfig
+from subiaco_mapping.health_monitor.positions import TimedPosition
 from subiaco_mapping.health_monitor.routes import cut_line, densified, middle
 
 GREEN, AMBER, RED, UNDRIVEN = "green", "amber", "red", "undriven"
@@ -32,13 +32,13 @@ class Segment:
     length: float = 0.0
     faults: dict[str, int] = field(default_factory=dict)
 
-    def reasons(self, config: QualityConfig) -> list[str]:
+    def reasons(self, config: StreetQualityConfig) -> list[str]:
         """Return the flags that lasted long enough to count, worst first."""
         span = max(self.end_ns - self.start_ns, 1)
         lasting = [name for name, time_ns in self.faults.items() if time_ns >= config.min_share * span]
         return sorted(lasting, key=lambda name: (name not in config.red, name))
 
-    def light(self, config: QualityConfig) -> str:
+    def light(self, config: StreetQualityConfig) -> str:
         """Return the colour."""
         reasons = self.reasons(config)
         if any(name in config.red for name in reasons):
@@ -51,15 +51,15 @@ class StreetQuality:
 
     Parameters
     ----------
-    config : QualityConfig
+    config : StreetQualityConfig
     """
 
-    def __init__(self, config: QualityConfig) -> None:
+    def __init__(self, config: StreetQualityConfig) -> None:
         self._config = config
-        self._last: Place | None = None
+        self._last: TimedPosition | None = None
         self.segments: list[Segment] = []
 
-    def take(self, place: Place, raised: Collection[str], events: Collection[str] = ()) -> None:
+    def take(self, place: TimedPosition, raised: Collection[str], events: Collection[str] = ()) -> None:
         """Go on to a place; the flags raised meanwhile stain the way there.
 
         ``events`` are flags of one moment: they stain the whole segment.

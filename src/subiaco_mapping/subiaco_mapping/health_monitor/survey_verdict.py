@@ -32,25 +32,27 @@ _REMEDIES = {
 
 
 @dataclass(frozen=True)
-class Verdict:
+class SurveyVerdict:
     """The word, what forbids, and what asks for care."""
 
     word: str
     forbids: tuple[str, ...]
     cares: tuple[str, ...]
 
-    def with_more(self, forbids: Sequence[str], cares: Sequence[str]) -> Verdict:
+    def with_more(self, forbids: Sequence[str], cares: Sequence[str]) -> SurveyVerdict:
         """Return the verdict with further reasons."""
         return verdict_of((*forbids, *self.forbids), (*self.cares, *cares))
 
 
-def verdict_of(forbids: Sequence[str], cares: Sequence[str]) -> Verdict:
+def verdict_of(forbids: Sequence[str], cares: Sequence[str]) -> SurveyVerdict:
     """Return the verdict that reasons make."""
     word = USELESS if forbids else CARE if cares else USABLE
-    return Verdict(word, tuple(forbids), tuple(cares))
+    return SurveyVerdict(word, tuple(forbids), tuple(cares))
 
 
-def judge(monitor: Monitor, topics: Collection[str], duration: float, point_times: bool = True) -> Verdict:
+def judge(
+    monitor: Monitor, topics: Collection[str], duration: float, point_times: bool = True
+) -> SurveyVerdict:
     """Judge a survey by what the watch saw.
 
     Parameters

@@ -12,12 +12,14 @@ import numpy as np
 from subiaco_geo.bags import BagReader, packet_from_cdr, require_topic
 from subiaco_geo.errors import errors_name
 from subiaco_geo.topics import FIX, IMU, LIDAR_PACKETS, MESSAGE_TYPES, METADATA, POINTS
-from subiaco_mapping.config import DecodeConfig, GnssConfig, MappingConfig
+from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.health_monitor.bag_check import watch_bag
 from subiaco_mapping.health_monitor.survey_verdict import judge
 from subiaco_mapping.inspection.bag_faults import faults
 from subiaco_mapping.named_bags import NamedBagReader, guess_names
 from subiaco_mapping.pipeline import read_metadata
+from subiaco_mapping.pose_graph.config import GnssConfig
+from subiaco_mapping.preprocessing.config import DecodeConfig
 from subiaco_mapping.preprocessing.conversions import fix_from_msg, stamp_ns
 from subiaco_mapping.preprocessing.decode import PacketDecoder
 from subiaco_mapping.preprocessing.point_times import TIME_FIELDS

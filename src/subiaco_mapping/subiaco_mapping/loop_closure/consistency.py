@@ -9,17 +9,18 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from subiaco_geo.frames import Floats, invert_pose
+from subiaco_mapping.method_numbers import NUMBERS
 from subiaco_mapping.pose_graph.records import LoopEdge
 
 if TYPE_CHECKING:
-    from subiaco_mapping.loop_closure.places import Place
+    from subiaco_mapping.loop_closure.places import SubmapPlace
 
-PAIR_SLACK = 0.5  # two loops may disagree by so much at the same place [m]
-PAIR_DRIFT = 0.01  # and by so much more a metre between their places [m per m]
-PAIR_TURN = np.radians(2.0)
+PAIR_SLACK = NUMBERS.loop_closure.pair_distance
+PAIR_DRIFT = NUMBERS.loop_closure.pair_drift
+PAIR_TURN = np.radians(NUMBERS.loop_closure.pair_turn_deg)
 
 
-def reach_of(place: Place) -> float:
+def reach_of(place: SubmapPlace) -> float:
     """Return three sigma of a place's horizontal position [m]."""
     return 3.0 * float(np.sqrt(np.linalg.eigvalsh(place.covariance[3:5, 3:5])[-1]))
 
@@ -28,7 +29,7 @@ def _twist(pose: Floats) -> Floats:
     return np.concatenate([Rotation.from_matrix(pose[:3, :3]).as_rotvec(), pose[:3, 3]])
 
 
-def disagreement(edge: LoopEdge, first: Place, second: Place) -> float:
+def disagreement(edge: LoopEdge, first: SubmapPlace, second: SubmapPlace) -> float:
     """Return the chi-square (6 degrees of freedom) between a loop and the present estimate.
 
     The covariances of both poses are added as if they were independent, and the first's rotation is

@@ -13,9 +13,9 @@ from subiaco_geo.frames import Floats, invert_pose, make_pose
 from subiaco_mapping.loop_closure.config import LoopConfig
 from subiaco_mapping.loop_closure.consistency import disagreement, reach_of
 from subiaco_mapping.loop_closure.overlay import overlay
-from subiaco_mapping.loop_closure.places import Candidate, Place
+from subiaco_mapping.loop_closure.places import LoopCandidate, SubmapPlace
 from subiaco_mapping.loop_closure.scan_context import Descriptor, compare, describe
-from subiaco_mapping.loop_closure.submap_registration import Prepared, Registration, register
+from subiaco_mapping.loop_closure.submap_registration import PreparedSubmap, SubmapRegistration, register
 from subiaco_mapping.pose_graph.gnss import level_rotation
 from subiaco_mapping.pose_graph.records import LoopEdge
 
@@ -36,17 +36,19 @@ class LoopFinder:
     threads: int = 1
     counts: Counter[str] = field(default_factory=Counter)
     _described: dict[tuple[int, int], Descriptor] = field(default_factory=dict)
-    _prepared: dict[tuple[int, int], Prepared] = field(default_factory=dict)
-    _registered: dict[tuple[tuple[int, int], tuple[int, int]], Registration] = field(default_factory=dict)
+    _prepared: dict[tuple[int, int], PreparedSubmap] = field(default_factory=dict)
+    _registered: dict[tuple[tuple[int, int], tuple[int, int]], SubmapRegistration] = field(
+        default_factory=dict
+    )
 
-    def by_estimate(self, places: Sequence[Place]) -> list[Candidate]:
+    def by_estimate(self, places: Sequence[SubmapPlace]) -> list[LoopCandidate]:
         """Propose, for every place, the nearest other visit by each chain."""
         posed = [place for place in places if place.pose is not None]
         if len(posed) < 2:
             return []
         positions = np.array([place.pose[:2, 3] for place in posed if place.pose is not None])
         tree = KDTree(positions)
-        found: dict[tuple[tuple[int, int], tuple[int, int]], Candidate] = {}
+        found: dict[tuple[tuple[int, int], tuple[int, int]], LoopCandidate] = {}
         for i, place in enumerate(posed):
             near = tree.query_ball_point(positions[i], self.config.near + min(reach_of(place), 20.0))
             near.sort(key=lambda j: float(np.linalg.norm(positions[i] - positions[j])))
@@ -58,10 +60,10 @@ class LoopFinder:
                 seen.add(other.key[0])
                 first, second = sorted((place, other), key=lambda p: p.key)
                 guess = invert_pose(_pose(first)) @ _pose(second)
-                found[first.key, second.key] = Candidate(first, second, guess)
+                found[first.key, second.key] = LoopCandidate(first, second, guess)
         return list(found.values())
 
-    def by_descriptor(self, places: Sequence[Place]) -> list[Candidate]:
+    def by_descriptor(self, places: Sequence[SubmapPlace]) -> list[LoopCandidate]:
         """Propose, for every place, the most alike of the others before it."""
         descriptors = [self._describe(place) for place in places]
         found = []
@@ -73,14 +75,14 @@ class LoopFinder:
                     break
                 if self._another_visit(places[j], place):
                     taken += 1
-                    found.append(Candidate(places[j], place, None, -float(yaw[j])))
+                    found.append(LoopCandidate(places[j], place, None, -float(yaw[j])))
         return found
 
-    def _another_visit(self, one: Place, other: Place) -> bool:
+    def _another_visit(self, one: SubmapPlace, other: SubmapPlace) -> bool:
         apart = abs(one.submap.way - other.submap.way)
         return one.key[0] != other.key[0] or apart > self.config.min_way
 
-    def verified(self, candidates: Sequence[Candidate]) -> list[tuple[Candidate, Registration]]:
+    def verified(self, candidates: Sequence[LoopCandidate]) -> list[tuple[LoopCandidate, SubmapRegistration]]:
         """Register candidates; what geometry does not bear out is counted and left out."""
         found = []
         for candidate in sorted(candidates, key=lambda c: (c.first.key, c.second.key)):
@@ -91,7 +93,7 @@ class LoopFinder:
                 found.append((candidate, result))
         return found
 
-    def close(self, places: Sequence[Place]) -> list[LoopEdge]:
+    def close(self, places: Sequence[SubmapPlace]) -> list[LoopEdge]:
         """Return the loops that geometry and the present estimate bear out, all places being posed."""
         near = self.by_estimate(places)
         known = {(c.first.key, c.second.key) for c in near}
@@ -104,7 +106,7 @@ class LoopFinder:
         )
         return self.borne_out([*near, *possible])
 
-    def borne_out(self, candidates: Sequence[Candidate]) -> list[LoopEdge]:
+    def borne_out(self, candidates: Sequence[LoopCandidate]) -> list[LoopEdge]:
         """Return the loops of candidates that geometry and the present estimate bear out."""
         edges = []
         for candidate, result in self.verified(candidates):
@@ -115,27 +117,27 @@ class LoopFinder:
                 edges.append(edge)
         return edges
 
-    def _possible(self, candidate: Candidate) -> bool:
+    def _possible(self, candidate: LoopCandidate) -> bool:
         apart = np.linalg.norm(_pose(candidate.first)[:3, 3] - _pose(candidate.second)[:3, 3])
         reach = np.hypot(reach_of(candidate.first), reach_of(candidate.second))
         return bool(apart < 2 * self.config.submap_length + reach)
 
-    def _levelled(self, place: Place) -> Floats:
+    def _levelled(self, place: SubmapPlace) -> Floats:
         return np.asarray(place.submap.points() @ place.R_level_lidar.T)
 
-    def _describe(self, place: Place) -> Descriptor:
+    def _describe(self, place: SubmapPlace) -> Descriptor:
         if place.key not in self._described:
             self._described[place.key] = describe(self._levelled(place), self.config.radius)
         return self._described[place.key]
 
-    def _prepare(self, place: Place) -> Prepared:
+    def _prepare(self, place: SubmapPlace) -> PreparedSubmap:
         if place.key not in self._prepared:
             if len(self._prepared) >= _KEPT:
                 self._prepared.pop(next(iter(self._prepared)))
-            self._prepared[place.key] = Prepared(place.submap.points(), self.threads)
+            self._prepared[place.key] = PreparedSubmap(place.submap.points(), self.threads)
         return self._prepared[place.key]
 
-    def _register(self, candidate: Candidate) -> Registration:
+    def _register(self, candidate: LoopCandidate) -> SubmapRegistration:
         first, second = candidate.first, candidate.second
         key = first.key, second.key
         if key not in self._registered:
@@ -148,12 +150,12 @@ class LoopFinder:
         return self._registered[key]
 
 
-def _pose(place: Place) -> Floats:
+def _pose(place: SubmapPlace) -> Floats:
     assert place.pose is not None
     return place.pose
 
 
-def edge_of(candidate: Candidate, result: Registration) -> LoopEdge:
+def edge_of(candidate: LoopCandidate, result: SubmapRegistration) -> LoopEdge:
     """Return the loop of a registration."""
     first, second = candidate.first.scan, candidate.second.scan
     return LoopEdge(first, second, result.T_target_source, result.covariance)

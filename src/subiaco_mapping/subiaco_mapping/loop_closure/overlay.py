@@ -11,11 +11,14 @@ from scipy.ndimage import gaussian_filter
 from scipy.spatial.transform import Rotation
 
 from subiaco_geo.frames import Floats, make_pose
+from subiaco_mapping.method_numbers import NUMBERS
 
-CELL = 0.5  # [m]
-_SIZE = 256
-_TURNS_DEG = np.arange(-6.0, 6.1, 1.5)
-_STANDING = 1.0  # above the ground [m]
+CELL = NUMBERS.loop_closure.overlay_cell
+_SIZE = NUMBERS.loop_closure.overlay_size
+_LARGEST_DEG = NUMBERS.loop_closure.overlay_turn_deg
+_STEP_DEG = NUMBERS.loop_closure.overlay_turn_step_deg
+_TURNS_DEG = np.arange(-_LARGEST_DEG, _LARGEST_DEG + _STEP_DEG / 2, _STEP_DEG)
+_STANDING = NUMBERS.loop_closure.overlay_height
 
 
 def ground_height(points: Floats) -> float:

@@ -9,7 +9,7 @@ from subiaco_mapping.loop_closure.submaps import Submap
 
 
 @dataclass(frozen=True)
-class Place:
+class SubmapPlace:
     """A submap where the graph has it.
 
     Parameters
@@ -38,10 +38,10 @@ class Place:
 
 
 @dataclass(frozen=True)
-class Candidate:
+class LoopCandidate:
     """Two places that may be one; the guess is None where only descriptors say so."""
 
-    first: Place
-    second: Place
+    first: SubmapPlace
+    second: SubmapPlace
     guess: Floats | None
     yaw: float = 0.0

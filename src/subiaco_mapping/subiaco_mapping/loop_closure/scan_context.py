@@ -14,10 +14,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from subiaco_geo.frames import Floats
+from subiaco_mapping.method_numbers import NUMBERS
 
-RINGS, SECTORS = 20, 60
-LANE = 3.5  # between the looks [m]
-_LOWEST = -3.0  # of the heights that count, from the sensor [m]
+RINGS, SECTORS = NUMBERS.loop_closure.rings, NUMBERS.loop_closure.sectors
+LANE = NUMBERS.loop_closure.lane_offset
+_LOWEST = NUMBERS.loop_closure.lowest_height
 
 Spectrum = NDArray[np.complex128]
 

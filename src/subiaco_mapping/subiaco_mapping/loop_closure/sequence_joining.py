@@ -10,19 +10,19 @@ import numpy as np
 from subiaco_geo.frames import Floats, invert_pose
 from subiaco_mapping.loop_closure.consistency import consistent_set
 from subiaco_mapping.loop_closure.finder import LoopFinder, edge_of
-from subiaco_mapping.loop_closure.places import Candidate, Place
+from subiaco_mapping.loop_closure.places import LoopCandidate, SubmapPlace
 from subiaco_mapping.pose_graph.records import LoopEdge
 
 
 def join(
-    finder: LoopFinder, places: Sequence[Place], T_odom_lidar: dict[int, Floats]
+    finder: LoopFinder, places: Sequence[SubmapPlace], T_odom_lidar: dict[int, Floats]
 ) -> tuple[int, Floats, list[LoopEdge]] | None:
     """Place one more chain, the one with most consistent loops.
 
     Parameters
     ----------
     finder : LoopFinder
-    places : sequence of Place
+    places : sequence of SubmapPlace
         Of all chains; those not placed have no pose.
     T_odom_lidar : dict of int to (S, 4, 4) float64
         Odometry of the chains that are not placed.
@@ -50,11 +50,11 @@ def join(
     return best
 
 
-def _free(candidate: Candidate) -> Place:
+def _free(candidate: LoopCandidate) -> SubmapPlace:
     return candidate.first if candidate.first.pose is None else candidate.second
 
 
-def _placement(candidate: Candidate, T_first_second: Floats, odometry: Floats) -> Floats:
+def _placement(candidate: LoopCandidate, T_first_second: Floats, odometry: Floats) -> Floats:
     first, second = candidate.first, candidate.second
     if second.pose is None:
         assert first.pose is not None

@@ -10,13 +10,14 @@ import small_gicp
 
 from subiaco_geo.frames import Floats
 from subiaco_mapping.loop_closure.config import LoopConfig
+from subiaco_mapping.method_numbers import NUMBERS
 
-VOXELS = (2.0, 1.0)  # of the distributions, coarse to fine [m]
-_ROUGH = 6  # coarse voxels take so many iterations at most
+VOXELS = NUMBERS.loop_closure.distribution_voxels
+_ROUGH = NUMBERS.loop_closure.coarse_iterations
 
 
 @dataclass(frozen=True)
-class Registration:
+class SubmapRegistration:
     """A registration of two submaps.
 
     Parameters
@@ -47,7 +48,7 @@ class Registration:
         return "degenerate" if self.sigma > config.max_sigma else None
 
 
-class Prepared:
+class PreparedSubmap:
     """A submap ready for registration: voxel distributions, tree, normals."""
 
     def __init__(self, points: Floats, threads: int = 1) -> None:
@@ -62,7 +63,9 @@ class Prepared:
             self.voxels.append(voxels)
 
 
-def register(target: Prepared, source: Prepared, guess: Floats, config: LoopConfig) -> Registration:
+def register(
+    target: PreparedSubmap, source: PreparedSubmap, guess: Floats, config: LoopConfig
+) -> SubmapRegistration:
     """Register two submaps: voxel distributions coarse to fine, then point to plane."""
     pose = guess
     for size, voxels in zip(VOXELS, target.voxels, strict=True):
@@ -82,7 +85,7 @@ def register(target: Prepared, source: Prepared, guess: Floats, config: LoopConf
     return _judged(result, len(source.points), config)
 
 
-def _judged(result: Any, count: int, config: LoopConfig) -> Registration:
+def _judged(result: Any, count: int, config: LoopConfig) -> SubmapRegistration:
     inliers = max(int(result.num_inliers), 1)
     variance = max(2.0 * float(result.error) / max(inliers - 6, 1), 1e-6)
     information = np.asarray(result.H) / (variance * config.correlation)
@@ -90,7 +93,7 @@ def _judged(result: Any, count: int, config: LoopConfig) -> Registration:
     covariance = (vectors / np.maximum(values, 1e-6)) @ vectors.T
     sigma = float(np.sqrt(np.linalg.eigvalsh(covariance[3:, 3:])[-1]))
     floors = np.repeat([np.radians(config.sigma_rotation_deg), config.sigma_translation], 3)
-    return Registration(
+    return SubmapRegistration(
         np.asarray(result.T_target_source),
         covariance + np.diag(floors**2),
         inliers / count,

@@ -10,7 +10,7 @@ from pydantic import Field
 from subiaco_geo.config import StrictModel
 
 
-class QualityConfig(StrictModel):
+class MapQualityConfig(StrictModel):
     """Quality report of a map; limits are those of its verdict, nothing is refused."""
 
     FORMER_NAMES: ClassVar[Mapping[str, str]] = {

@@ -16,7 +16,7 @@ from subiaco_mapping.manifest import CONTRADICTED, LEGEND
 from subiaco_mapping.map_quality.gnss_holdout import FixErrors, fix_errors, holdout_check
 from subiaco_mapping.map_quality.time_series import STATES, Series, series_of
 from subiaco_mapping.map_quality.verdict import checks, verdict
-from subiaco_mapping.map_quality.wall_thickness import Coverage, Walls, coverage, wall_thickness
+from subiaco_mapping.map_quality.wall_thickness import WallCoverage, Walls, coverage, wall_thickness
 from subiaco_mapping.pose_graph.solution import GraphSolution
 
 _DAY_NS = 86_400_000_000_000
@@ -34,7 +34,7 @@ class Assessment:
     withheld : FixErrors or str
         Or why there are none.
     walls : Walls
-    coverage : Coverage
+    coverage : WallCoverage
     facts : dict
         Plain values, those of ``quality.json``.
     """
@@ -43,7 +43,7 @@ class Assessment:
     used: FixErrors
     withheld: FixErrors | str
     walls: Walls
-    coverage: Coverage
+    coverage: WallCoverage
     facts: dict[str, Any]
 
 

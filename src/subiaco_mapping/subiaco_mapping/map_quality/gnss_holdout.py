@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from subiaco_geo.errors import SubiacoError
 from subiaco_geo.frames import Floats, Ints
 from subiaco_mapping.config import MappingConfig
-from subiaco_mapping.map_quality.config import QualityConfig
+from subiaco_mapping.map_quality.config import MapQualityConfig
 from subiaco_mapping.pose_graph.gnss import enough_to_place
 from subiaco_mapping.pose_graph.records import Chain, ChainSolution, GnssPriors
 from subiaco_mapping.pose_graph.solution import GraphSolution
@@ -152,7 +152,7 @@ def _errors_of(
     )
 
 
-def holdout_rows(times_ns: Ints, config: QualityConfig) -> NDArray[np.bool_]:
+def holdout_rows(times_ns: Ints, config: MapQualityConfig) -> NDArray[np.bool_]:
     """Mark the fixes (N,) in time order that are held out; nothing of a drive shorter than three blocks."""
     if len(times_ns) == 0:
         return np.zeros(0, dtype=np.bool_)

@@ -25,7 +25,7 @@ _COLOURS = ("#0072b2", "#e69f00", "#009e73")
 
 
 @dataclass(frozen=True)
-class Comparison:
+class TrajectoryComparison:
     """An estimate against a reference.
 
     Parameters
@@ -87,7 +87,7 @@ def statistics(values: Floats) -> dict[str, float]:
 
 def compare(
     estimate: Trajectory, reference: Trajectory, *, align: bool = False, lengths: Sequence[float] = LENGTHS
-) -> Comparison:
+) -> TrajectoryComparison:
     """Compare a trajectory with a reference, both in one frame unless aligned.
 
     Parameters
@@ -114,7 +114,7 @@ def compare(
             stretches.append(stretch_errors(estimate, reference, length))
         except InputError:  # the way is shorter
             continue
-    return Comparison(estimate, reference, errors, tuple(stretches), moved)
+    return TrajectoryComparison(estimate, reference, errors, tuple(stretches), moved)
 
 
 def table(described: dict[str, Any]) -> str:
@@ -139,7 +139,7 @@ def table(described: dict[str, Any]) -> str:
     return "\n".join(lines) + "\n"
 
 
-def write_comparison(directory: Path, found: Comparison, *, overwrite: bool = False) -> None:
+def write_comparison(directory: Path, found: TrajectoryComparison, *, overwrite: bool = False) -> None:
     """Write ``comparison.json``, ``comparison.txt``, ``ape.png`` and, where there are stretches, ``rpe.png``.
 
     Raises
@@ -163,7 +163,7 @@ def _png(figure: Figure) -> bytes:
     return stream.getvalue()
 
 
-def _ape(found: Comparison) -> Figure:
+def _ape(found: TrajectoryComparison) -> Figure:
     """Draw the way coloured by error, and the errors over time."""
     figure = Figure(figsize=(13.0, 6.0), dpi=100, facecolor="white", layout="constrained")
     grid = figure.add_gridspec(3, 2)
@@ -196,7 +196,7 @@ def _ape(found: Comparison) -> Figure:
     return figure
 
 
-def _rpe(found: Comparison) -> Figure:
+def _rpe(found: TrajectoryComparison) -> Figure:
     """Draw the relative error of every stretch against where it starts, a row for every length."""
     count = len(found.stretches)
     figure = Figure(figsize=(13.0, 2.6 * count), dpi=100, facecolor="white", layout="constrained")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
-from subiaco_mapping.map_quality.config import QualityConfig
+from subiaco_mapping.map_quality.config import MapQualityConfig
 
 #: Check, where its figure stands in the facts, its limit in the configuration.
 _CHECKS = (
@@ -27,7 +27,7 @@ _OPENINGS = {
 }
 
 
-def checks(facts: dict[str, Any], limits: QualityConfig) -> list[dict[str, Any]]:
+def checks(facts: dict[str, Any], limits: MapQualityConfig) -> list[dict[str, Any]]:
     """Hold figures against their limits; what could not be measured has neither value nor answer."""
     found = []
     for name, path, limit in _CHECKS:

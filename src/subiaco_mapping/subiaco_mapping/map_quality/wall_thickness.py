@@ -102,7 +102,7 @@ def _fitted(cloud: PointCloud, rows: Ints, patch: Ints) -> tuple[NDArray[np.bool
 
 
 @dataclass(frozen=True)
-class Coverage:
+class WallCoverage:
     """Square metres in plan.
 
     Parameters
@@ -129,7 +129,7 @@ class Coverage:
         }
 
 
-def coverage(cloud: PointCloud) -> Coverage:
+def coverage(cloud: PointCloud) -> WallCoverage:
     """Count points and returns in every square metre that holds any."""
     corner = np.floor(cloud.origin[:2])
     keys, points, returns = (np.zeros(0, np.int64) for _ in range(3))
@@ -144,4 +144,4 @@ def coverage(cloud: PointCloud) -> Coverage:
         returns = np.bincount(place, np.append(returns, count)).astype(np.int64)
         keys = of
     cell = np.column_stack([keys >> 32, keys & 0xFFFFFFFF]) - _HALF
-    return Coverage(cell + corner.astype(np.int64), points, returns)
+    return WallCoverage(cell + corner.astype(np.int64), points, returns)

@@ -6,8 +6,8 @@ from collections.abc import Collection
 from typing import Any
 
 from subiaco_geo.topics import FIX, IMU
-from subiaco_mapping.config import SensorsConfig
 from subiaco_mapping.measurements import Extrinsics
+from subiaco_mapping.preprocessing.config import SensorsConfig
 from subiaco_mapping.preprocessing.conversions import extrinsics_from_tf
 
 

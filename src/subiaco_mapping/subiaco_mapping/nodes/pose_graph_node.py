@@ -4,14 +4,12 @@ from __future__ import annotations
 
 import json
 import logging
-import os
 import sys
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
-from typing import Any, Protocol
+from typing import Any
 
 from nav_msgs.msg import Odometry
 from pydantic import Field
@@ -24,21 +22,16 @@ from subiaco_geo.bag_files import sequence_name
 from subiaco_geo.bags import hash_bag
 from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError, SubiacoError
-from subiaco_geo.locks import held_directory, sweep
 from subiaco_geo.maps import write_map
 from subiaco_geo.simulated import mark_simulated
 from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.topics import FIX, HEADING, TF_STATIC
-from subiaco_mapping.backend import MappingBackend
+from subiaco_mapping.backend import Backend, MappingBackend, spool_folder
 from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.fusion.preview import OdometrySegments
 from subiaco_mapping.health_monitor.files import extended, read_manifest, with_watched
 from subiaco_mapping.measurements import (
-    DeskewedScan,
     Extrinsics,
-    GnssFix,
-    HeadingSample,
-    OdometryPose,
 )
 from subiaco_mapping.nodes.counts import ConsumptionReporter
 from subiaco_mapping.nodes.extrinsics import StaticTransforms, sensors_needed
@@ -86,7 +79,6 @@ INPUTS = (
     SEQUENCE,
 )
 
-Progress = Callable[[str, float], None]
 
 #: Scans that the middleware keeps while the graph is solved; beyond, scans are lost and counted.
 SCAN_DEPTH = 128
@@ -133,39 +125,6 @@ class PoseGraphParameters(StrictModel):
     watch_manifest: str = Field(
         "", description="File manifest.yaml of the monitor, to which the manifest of the map is added"
     )
-
-
-class Backend(Protocol):
-    """The steps that this node wraps."""
-
-    def start_sequence(self, name: str, extrinsics: Extrinsics | None = None) -> None:
-        """Begin a recording."""
-
-    def add_facts(self, **facts: Any) -> None:
-        """Note facts about the current recording."""
-
-    def on_odometry(self, pose: OdometryPose, scan: DeskewedScan) -> None:
-        """Take a registered scan."""
-
-    def on_fix(self, fix: GnssFix) -> None:
-        """Take a fix."""
-
-    def on_heading(self, heading: HeadingSample) -> None:
-        """Take a heading."""
-
-    def optimize(self) -> GraphSolution:
-        """Solve."""
-
-    def preview(self) -> LiveEstimate:
-        """Solve incrementally."""
-
-    def build_map(
-        self, progress: Progress | None = None, inputs: Mapping[str, str] | None = None
-    ) -> SurveyMap:
-        """Fuse."""
-
-    def with_quality(self, survey: SurveyMap, progress: Progress | None = None) -> SurveyMap:
-        """Lay the quality report beside a map."""
 
 
 class PoseGraphApp:
@@ -434,19 +393,6 @@ class PoseGraphApp:
         else:
             response.success, response.message = True, request.directory
         return response
-
-
-@contextmanager
-def spool_folder(output_directory: str) -> Iterator[Path]:
-    """Yield a folder for the deskewed scans (10 MB/s): beside the map, else in the temporary folder."""
-    if not output_directory:
-        with TemporaryDirectory(prefix="subiaco-spool-") as temporary:
-            yield Path(temporary)
-        return
-    output = Path(output_directory).absolute()
-    sweep(output.parent, f".{output.name}.spool-")
-    with held_directory(output.with_name(f".{output.name}.spool-{os.getpid()}")) as folder:
-        yield folder
 
 
 @contextmanager

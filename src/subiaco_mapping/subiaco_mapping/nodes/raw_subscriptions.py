@@ -55,7 +55,7 @@ class _Listening:
     publishers: frozenset[bytes]
 
 
-class Listener:
+class RawListener:
     """Subscribe to what is offered, and hand every message to the recorder.
 
     Parameters

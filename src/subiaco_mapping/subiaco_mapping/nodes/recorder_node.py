@@ -17,7 +17,7 @@ from rclpy.node import Node
 
 from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError
-from subiaco_mapping.nodes.raw_subscriptions import Listener
+from subiaco_mapping.nodes.raw_subscriptions import RawListener
 from subiaco_mapping.recording.config import RecordConfig, RecordingConfig
 from subiaco_mapping.recording.entries import RecorderStatus
 from subiaco_mapping.recording.recorder import Recorder
@@ -58,7 +58,7 @@ class RecorderApp:
         self._node = node
         self._config = config
         self.recorder = Recorder(Path(own.output), config, resume=own.resume, facts=self._facts)
-        self.listener = Listener(node, config, self.recorder.add)
+        self.listener = RawListener(node, config, self.recorder.add)
         self._diagnostics = Diagnostics(node, "recording", socket.gethostname())
         self._began = self._said = self._drained = time.monotonic()
         self._until = self._said + own.duration if own.duration else None

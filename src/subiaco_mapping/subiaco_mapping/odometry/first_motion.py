@@ -11,13 +11,14 @@ from __future__ import annotations
 import numpy as np
 
 from subiaco_geo.frames import Floats
-from subiaco_mapping.config import OdometryConfig
 from subiaco_mapping.measurements import Scan
+from subiaco_mapping.method_numbers import NUMBERS
+from subiaco_mapping.odometry.config import OdometryConfig
 from subiaco_mapping.odometry.scan_matching import KissOdometry
 from subiaco_mapping.preprocessing.deskew import straighten_by_twist
 
-ROUNDS = 5
-SETTLED = 0.005  # a change of the way between the scans that ends the rounds [m]
+ROUNDS = NUMBERS.odometry.first_rounds
+SETTLED = NUMBERS.odometry.first_settled
 
 
 def first_twist(first: Scan, second: Scan, config: OdometryConfig, threads: int = 1) -> Floats | None:

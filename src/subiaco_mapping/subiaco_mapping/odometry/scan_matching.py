@@ -15,18 +15,19 @@ import small_gicp
 from kiss_icp.config import KISSConfig
 from kiss_icp.mapping import get_voxel_hash_map
 from kiss_icp.registration import get_registration
-from kiss_icp.voxelization import voxel_down_sample
 
 from subiaco_geo.frames import Floats, invert_pose, rotation_angle
-from subiaco_mapping.config import OdometryConfig
 from subiaco_mapping.measurements import DeskewedScan, OdometryPose
+from subiaco_mapping.method_numbers import NUMBERS
+from subiaco_mapping.odometry.config import OdometryConfig
+from subiaco_mapping.odometry.voxel_thinning import first_in_voxels
 from subiaco_mapping.preprocessing.deskew import body_twist
 
 logger = logging.getLogger(__name__)
 
-PLANE_VARIANCE = 2e-3  # variance along the normal in small_gicp's plane-to-plane metric [m2]
-TYPICAL_RANGE = 20.0
-_GICP_REACH = 5.0 / 3.0  # correspondence distance of the refinement, in widths of the ICP kernel
+PLANE_VARIANCE = NUMBERS.odometry.plane_variance
+TYPICAL_RANGE = NUMBERS.odometry.typical_range
+_GICP_REACH = NUMBERS.odometry.refinement_reach
 
 
 class OdometryBackend(Protocol):
@@ -143,7 +144,7 @@ class KissOdometry:
             self._twist = None if gap_s * 1e9 > self._config.max_gap_ns else self._twist
             self._start_segment()
         guess = self._pose @ self._prediction(scan, gap_s)
-        dense = voxel_down_sample(scan.xyz, self._config.voxel * 0.5)
+        dense = first_in_voxels(scan.xyz, self._config.voxel * 0.5)
         result = self._solve(dense, guess, gap_s, scan.stamp_ns)
         self._finish(dense, result, guess, gap_s)
         return result
@@ -162,7 +163,7 @@ class KissOdometry:
 
     def _solve(self, dense: Floats, guess: Floats, gap_s: float, stamp_ns: int) -> OdometryPose:
         pose, predicted, first = self._matched(dense, guess), False, self._map.empty()
-        looked_at = voxel_down_sample(dense, self._config.gicp_leaf)
+        looked_at = first_in_voxels(dense, self._config.gicp_leaf)
         cloud = self._look.cloud(looked_at) if len(looked_at) > 10 else None
         distance = min(self._config.gicp_distance, _GICP_REACH * self._threshold)
         look = self._look.align(cloud, pose, distance) if cloud is not None else None
@@ -179,7 +180,7 @@ class KissOdometry:
 
     def _matched(self, dense: Floats, guess: Floats) -> Floats:
         """Return kiss-icp's pose, the guess where there is nothing to match."""
-        keypoints = voxel_down_sample(dense, self._config.voxel * 1.5)
+        keypoints = first_in_voxels(dense, self._config.voxel * 1.5)
         if len(keypoints) == 0 or self._map.empty():
             return guess
         matched = self._registration.align_points_to_map(

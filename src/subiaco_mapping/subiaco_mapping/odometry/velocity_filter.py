@@ -8,11 +8,12 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from subiaco_geo.frames import Floats, Ints
-from subiaco_mapping.config import DeskewConfig
+from subiaco_mapping.method_numbers import NUMBERS
+from subiaco_mapping.preprocessing.config import DeskewConfig
 
 SECOND = 1e9
-_GRAVITY = (9.2, 10.4)  # else the accelerometer is not believed [m/s2]
-_FIRST_SPEED, _FIRST_REST = 20.0, 2.0  # sigmas at the start [m/s, m/s2]
+_GRAVITY = NUMBERS.odometry.gravity_bounds
+_FIRST_SPEED, _FIRST_REST = NUMBERS.odometry.first_speed_sigma, NUMBERS.odometry.first_acceleration_sigma
 
 
 @dataclass(frozen=True)

@@ -9,11 +9,12 @@ import gtsam
 import numpy as np
 
 from subiaco_geo.frames import Floats
-from subiaco_mapping.config import GnssConfig
+from subiaco_mapping.method_numbers import NUMBERS
+from subiaco_mapping.pose_graph.config import GnssConfig
 from subiaco_mapping.pose_graph.factors import OFFSET_KEY, REFERENCE_KEY, MakeKernel, as_pose, pose_key
 
-_SMALL_SHARE, _SLOW = 1e-3, 30.0  # slow errors carry the offset, so there must be some [1, s]
-_TURN = 1e-5  # of a reference cloud as a whole [rad]
+_SMALL_SHARE, _SLOW = NUMBERS.pose_graph.offset_share, NUMBERS.pose_graph.offset_correlation_time
+_TURN = NUMBERS.pose_graph.reference_turn_sigma
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,8 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from subiaco_geo.frames import Floats, invert_pose
-from subiaco_mapping.config import GnssConfig, GraphConfig
+from subiaco_mapping.method_numbers import NUMBERS
+from subiaco_mapping.pose_graph.config import GnssConfig, GraphConfig
 from subiaco_mapping.pose_graph.correlated_gnss_errors import link_precision, own_precision, slow_errors
 from subiaco_mapping.pose_graph.records import Chain, GnssPriors, LoopEdge
 
@@ -19,8 +20,8 @@ MakeKernel: TypeAlias = Callable[[float], Any]
 _CHAIN = 1 << 40
 #: Common offset of all fixes, sign turned, and frame of a reference cloud: one of each in a graph.
 OFFSET_KEY, REFERENCE_KEY = 4 << 36, 5 << 36
-_LEVER_SIGMA = 1e-4  # keeps a lever arm where it is [m]
-_FREE = 1.0  # tilt that a heading leaves open [rad]
+_LEVER_SIGMA = NUMBERS.pose_graph.lever_sigma
+_FREE = NUMBERS.pose_graph.heading_tilt_sigma
 
 
 def pose_key(chain: int, scan: int) -> int:

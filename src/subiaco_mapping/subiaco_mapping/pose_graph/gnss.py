@@ -15,10 +15,11 @@ from subiaco_geo.crs_area import AUTO, crs_at, require_inside
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints, interpolate_poses, invert_pose, make_pose
 from subiaco_geo.geoid import ellipsoidal_heights
-from subiaco_mapping.config import GnssConfig
 from subiaco_mapping.measurements import GnssFix
+from subiaco_mapping.method_numbers import NUMBERS
+from subiaco_mapping.pose_graph.config import GnssConfig
 
-_ASTRAY = np.array([1.0, 1.0, 2000.0])  # a fix so far off the others is not of the drive [deg, deg, m]
+_ASTRAY = np.array(NUMBERS.pose_graph.astray)
 
 
 @dataclass(frozen=True)

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 
 from subiaco_geo.frames import Floats, Ints
+from subiaco_mapping.method_numbers import NUMBERS
 from subiaco_mapping.pose_graph.records import GravityPriors
 
-GRAVITY_BOUNDS = (9.2, 10.4)
+GRAVITY_BOUNDS = NUMBERS.pose_graph.gravity_bounds
 
 
 def gravity_priors(stamps_ns: Ints, T_odom_lidar: Floats, accel: Floats, window_ns: int) -> GravityPriors:

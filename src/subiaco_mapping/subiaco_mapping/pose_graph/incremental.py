@@ -16,7 +16,7 @@ import numpy as np
 
 from subiaco_geo.errors import SubiacoError
 from subiaco_geo.frames import Floats, invert_pose
-from subiaco_mapping.config import GnssConfig, GraphConfig
+from subiaco_mapping.pose_graph.config import GnssConfig, GraphConfig
 from subiaco_mapping.pose_graph.factors import (
     add_anchor,
     add_gravity,

@@ -11,8 +11,9 @@ from scipy.sparse.linalg import splu
 
 from subiaco_geo.errors import SubiacoError
 from subiaco_geo.frames import Floats
+from subiaco_mapping.method_numbers import NUMBERS
 
-_PRECISE = 1e-3  # of what a solution may leave of the right side
+_PRECISE = NUMBERS.pose_graph.marginal_residual
 
 
 class SparseMarginals:

@@ -9,15 +9,17 @@ import numpy as np
 from subiaco_geo.crs import EnuFrame
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, interpolate_poses, invert_pose, make_pose
-from subiaco_mapping.config import GnssConfig, MappingConfig
+from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.manifest import describe_fixes
+from subiaco_mapping.method_numbers import NUMBERS
 from subiaco_mapping.pose_graph import gnss
+from subiaco_mapping.pose_graph.config import GnssConfig
 from subiaco_mapping.pose_graph.gravity import gravity_priors
 from subiaco_mapping.pose_graph.records import Chain, ChainSolution, GnssPriors, HeadingPriors
 from subiaco_mapping.pose_graph.solution import SequenceSolution
 from subiaco_mapping.sequences import SequenceRecord
 
-_OUTSIDE = 16.266  # chi-square of three axes, 99.9 %
+_OUTSIDE = NUMBERS.pose_graph.fix_outlier
 
 
 @dataclass(frozen=True)

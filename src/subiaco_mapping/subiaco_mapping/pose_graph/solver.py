@@ -10,8 +10,8 @@ import numpy as np
 
 from subiaco_geo.errors import SubiacoError
 from subiaco_geo.frames import Floats
-from subiaco_mapping.config import GnssConfig, GraphConfig
 from subiaco_mapping.pose_graph.absolute_factors import NO_TIES, AbsoluteTies, add_ties, offset_of
+from subiaco_mapping.pose_graph.config import GnssConfig, GraphConfig
 from subiaco_mapping.pose_graph.correlated_gnss_errors import slow_errors
 from subiaco_mapping.pose_graph.factors import (
     MakeKernel,

@@ -15,7 +15,7 @@ from subiaco_geo.frames import Floats, invert_pose
 from subiaco_mapping.absolute_positions.positioning import AbsoluteFacts, position
 from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.loop_closure.finder import LoopFinder, level_axes
-from subiaco_mapping.loop_closure.places import Place
+from subiaco_mapping.loop_closure.places import SubmapPlace
 from subiaco_mapping.loop_closure.sequence_joining import join
 from subiaco_mapping.pose_graph.incremental import LiveGraph
 from subiaco_mapping.pose_graph.records import Chain, LoopEdge, Solved
@@ -218,7 +218,7 @@ class SurveyGraph:
         chains: dict[int, Chain],
         poses: Mapping[int, Floats],
         covariances: Mapping[tuple[int, int], Floats],
-    ) -> list[Place]:
+    ) -> list[SubmapPlace]:
         """Return the submaps where they are; those of chains without ``poses`` have none."""
         found = []
         for number in sorted(chains):
@@ -230,12 +230,12 @@ class SurveyGraph:
                 pose = chain.T_world_odom @ chain.T_odom_lidar[at] if known is None else known
                 axes = level_axes(pose[2, :3], sequence.extrinsics.T_base_lidar)
                 covariance = covariances.get((number, k), np.eye(6))
-                found.append(Place((number, k), submap, axes, known, covariance))
+                found.append(SubmapPlace((number, k), submap, axes, known, covariance))
         return found
 
     def _solved_places(
         self, sequences: list[SequenceRecord], chains: dict[int, Chain], solved: Solved
-    ) -> list[Place]:
+    ) -> list[SubmapPlace]:
         poses = {number: solution.T_world_lidar for number, solution in solved.chains.items()}
         covariances = {}
         for number, solution in solved.chains.items():

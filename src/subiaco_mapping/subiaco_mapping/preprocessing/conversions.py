@@ -12,7 +12,7 @@ from scipy.spatial.transform import Rotation
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, invert_pose, make_pose, pose_from_quaternion
 from subiaco_geo.topics import POINTS, TF_STATIC
-from subiaco_mapping.config import FramePose, GnssConfig, MappingConfig, SensorsConfig
+from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.measurements import (
     Extrinsics,
     GnssFix,
@@ -21,6 +21,8 @@ from subiaco_mapping.measurements import (
     Returns,
     Scan,
 )
+from subiaco_mapping.pose_graph.config import GnssConfig
+from subiaco_mapping.preprocessing.config import FramePose, SensorsConfig
 from subiaco_mapping.preprocessing.gnss_drivers import rtk_state
 from subiaco_mapping.preprocessing.point_times import TIME_FIELDS, point_times
 

@@ -12,8 +12,8 @@ from ouster.sdk import core
 
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
-from subiaco_mapping.config import DecodeConfig
 from subiaco_mapping.measurements import Returns, Scan
+from subiaco_mapping.preprocessing.config import DecodeConfig
 from subiaco_mapping.preprocessing.sky import sky_mask, thinned
 
 logger = logging.getLogger(__name__)

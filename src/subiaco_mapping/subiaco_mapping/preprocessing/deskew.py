@@ -10,17 +10,19 @@ from __future__ import annotations
 
 from collections import deque
 from dataclasses import dataclass
+from functools import cached_property
 
 import numba
 import numpy as np
 from scipy.spatial.transform import Rotation, Slerp
 
 from subiaco_geo.frames import Floats, Ints, make_pose
-from subiaco_mapping.config import DeskewConfig
 from subiaco_mapping.measurements import DeskewedScan, Extrinsics, ImuSample, Returns, Scan
+from subiaco_mapping.method_numbers import NUMBERS
 from subiaco_mapping.odometry.velocity_filter import VelocityFilter, imu_stretch, rotations_of, summed
+from subiaco_mapping.preprocessing.config import DeskewConfig
 
-STANDING_SAMPLES = 50
+STANDING_SAMPLES = NUMBERS.preprocessing.standing_samples
 
 
 @dataclass(frozen=True)
@@ -47,9 +49,22 @@ class Motion:
         origin = self.knots_ns[0]
         knots = (self.knots_ns - origin).astype(np.float64)
         query = np.clip((times_ns - origin).astype(np.float64), 0.0, knots[-1])
-        rotation = Slerp(knots, Rotation.from_matrix(self.rotations))(query).as_matrix()
+        rotation = self._slerp(query).as_matrix()
         position = np.stack([np.interp(query, knots, self.positions[:, i]) for i in range(3)], axis=1)
         return rotation, position
+
+    @cached_property
+    def _slerp(self) -> Slerp:
+        """Rotations between the knots, over nanoseconds since the first."""
+        return Slerp(
+            (self.knots_ns - self.knots_ns[0]).astype(np.float64), Rotation.from_matrix(self.rotations)
+        )
+
+    def toward(self, end_ns: int, times_ns: Ints) -> tuple[Floats, Floats]:
+        """Return rotations (M, 3, 3) and shifts (M, 3) [m] from the LiDAR at times to the LiDAR at an end."""
+        rotation, position = self.at(np.append(times_ns, end_ns))
+        back = rotation[-1].T
+        return back @ rotation[:-1], (position[:-1] - position[-1]) @ rotation[-1]
 
     def between(self, start_ns: int, end_ns: int) -> Floats:
         """Return ``T_start_end`` (4, 4)."""
@@ -119,16 +134,15 @@ def straighten_by_twist(scan: Scan, twist: Floats, previous_ns: int | None = Non
     )
 
 
-def _straightened(returns: Returns, motion: Motion, end_ns: int, mode: str) -> Floats:
-    """Return the points (N, 3) where the LiDAR at ``end_ns`` sees them."""
+def _straightened(
+    returns: Returns, motion: Motion, end_ns: int, mode: str, known: tuple[Floats, Floats] | None = None
+) -> Floats:
+    """Return the points (N, 3) where the LiDAR at ``end_ns`` sees them; ``known`` is the way by column."""
     if mode == "none" or len(returns) == 0:
         return returns.xyz
     times_ns, index = returns.by_time()
-    rotation, position = motion.at(times_ns)
-    end_rotation, end_position = motion.at(np.array([end_ns]))
-    relative = end_rotation[0].T @ rotation
-    shift = (position - end_position[0]) @ end_rotation[0]
-    return _moved(returns.xyz, index, relative, shift)
+    rotation, shift = motion.toward(end_ns, times_ns) if known is None else known
+    return _moved(returns.xyz, index, rotation, shift)
 
 
 def _at(knots_ns: Ints, times_ns: Ints, values: Floats) -> Floats:
@@ -213,9 +227,13 @@ class Deskewer:
         unknown = twist is None and motion.mode == "constant_velocity"
         predicted = None if previous_ns is None or unknown else motion.between(previous_ns, scan.end_ns)
         mode = "none" if scan.deskewed or unknown else motion.mode
-        first = _straightened(scan.first, motion, scan.end_ns, mode)
-        last = _straightened(scan.last, motion, scan.end_ns, mode) if scan.last is not None else None
-        sky = _straightened(scan.sky, motion, scan.end_ns, mode) if scan.sky is not None else None
+        parts = [part for part in (scan.first, scan.last, scan.sky) if part is not None and len(part)]
+        times = parts[0].column_ns if parts else None
+        shared = times is not None and all(part.column_ns is times for part in parts)  # of one decoded frame
+        way = motion.toward(scan.end_ns, times) if times is not None and shared else None
+        first = _straightened(scan.first, motion, scan.end_ns, mode, way)
+        last = _straightened(scan.last, motion, scan.end_ns, mode, way) if scan.last is not None else None
+        sky = _straightened(scan.sky, motion, scan.end_ns, mode, way) if scan.sky is not None else None
         self._forget(scan.end_ns)
         return DeskewedScan(
             stamp_ns=scan.end_ns,

@@ -19,18 +19,19 @@ from scipy.spatial.transform import Rotation
 
 from subiaco_geo.frames import Floats
 from subiaco_mapping.measurements import ImuSample, OdometryPose
+from subiaco_mapping.method_numbers import NUMBERS
 
 logger = logging.getLogger(__name__)
 
-WARN_MS = 2.0
+WARN_MS = NUMBERS.preprocessing.clock_warning_ms
 SECOND = 1e9
-MAX_STEP = 0.25  # longest interval between scans that is used [s]
-MAX_HOLE = 0.05  # longest gap between IMU samples that is used [s]
-MIN_INTERVALS = 30
-KERNEL = 3.0  # Huber [sigma]
-FIRST_SIGMA = 1e-3  # of a rotation between scans, until residuals tell [rad]
-MEMORY = 50  # intervals over which that is averaged
-PRIORS = np.array([0.1, 0.1, 0.1, 0.02, 0.02, 0.02, 0.1])  # rotation [rad], bias [rad/s], offset [s]
+MAX_STEP = NUMBERS.preprocessing.clock_step
+MAX_HOLE = NUMBERS.preprocessing.clock_hole
+MIN_INTERVALS = NUMBERS.preprocessing.clock_intervals
+KERNEL = NUMBERS.preprocessing.clock_kernel
+FIRST_SIGMA = NUMBERS.preprocessing.clock_first_sigma
+MEMORY = NUMBERS.preprocessing.clock_memory
+PRIORS = np.array(NUMBERS.preprocessing.clock_priors)
 
 
 @dataclass(frozen=True)

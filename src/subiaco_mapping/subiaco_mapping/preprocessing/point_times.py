@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Ints
 from subiaco_geo.topics import POINTS
+from subiaco_mapping.method_numbers import NUMBERS
 
 TIME_FIELDS = ("t", "time", "timestamp", "time_stamp", "offset_time", "timeStamp")
 #: Nanoseconds of each unit, the likelier one first: integers mostly count nanoseconds, floats seconds.
@@ -23,7 +24,7 @@ _UNITS_INTEGER = (1, 10**3, 10**6, 10**9)
 _UNITS_FLOAT = (10**9, 10**6, 10**3, 1)
 _SWEEP_NS = (300_000, 2_000_000_000)  # shortest (one packet) and longest cloud
 _ABSOLUTE_NS = 10**17  # later than 1973: counted from 1970, not from the header
-_FEW = 100  # points from which the duration is believed
+_FEW = NUMBERS.preprocessing.timed_points
 
 
 def point_times(points: NDArray[np.void], header_ns: int, valid: NDArray[np.bool_]) -> Ints | None:

@@ -20,10 +20,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from subiaco_geo.frames import Ints
+from subiaco_mapping.method_numbers import NUMBERS
 
-RING_STEP = 2
-COLUMNS_PER_TURN = 128  # with every second ring a lattice of 0.7 x 2.8 deg, moved on every scan
-MAX_CLUTTER = 0.1  # share of the rings above that may have returned
+RING_STEP = NUMBERS.preprocessing.sky_ring_step
+COLUMNS_PER_TURN = NUMBERS.preprocessing.sky_columns
+MAX_CLUTTER = NUMBERS.preprocessing.sky_clutter
 _RING_REACH, _COLUMN_REACH = 1, 2
 
 Flags = NDArray[np.bool_]

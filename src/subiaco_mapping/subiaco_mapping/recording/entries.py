@@ -10,7 +10,7 @@ from typing import Any, Literal
 from subiaco_geo.bag_segments import RecordedTopic
 from subiaco_geo.bags import TYPESTORE
 
-State = Literal["recording", "disk full", "failed", "closed"]
+RecordingState = Literal["recording", "disk full", "failed", "closed"]
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +34,7 @@ class RecorderStatus:
     between two looks at the clock: a kill then would have cost so much more than ``flush_interval``.
     """
 
-    state: State
+    state: RecordingState
     reason: str
     file: str
     files: int

@@ -20,7 +20,7 @@ from subiaco_geo.bag_segments import RecordedTopic, SegmentWriter, natural_order
 from subiaco_geo.errors import InputError
 from subiaco_mapping.recording.config import RecordConfig
 from subiaco_mapping.recording.disk import GB, DiskRoom, DiskWaiter
-from subiaco_mapping.recording.entries import Entry, RecorderStatus, State, free_bytes, latched_key
+from subiaco_mapping.recording.entries import Entry, RecorderStatus, RecordingState, free_bytes, latched_key
 
 LOGGER = logging.getLogger(__name__)
 
@@ -108,7 +108,7 @@ class Recorder:
         self._queued_bytes = 0
         self._wake = threading.Condition()
         self._ending = False
-        self._state: State = "recording"
+        self._state: RecordingState = "recording"
         self._reason = ""
         self._accepted = self._refused = self._messages = self._closed_bytes = self._repeated = 0
         now = time.monotonic()
@@ -270,7 +270,7 @@ class Recorder:
         if self._segment is not None and now - self._split >= self._config.split_duration:
             self._finish_segment()
 
-    def _stop(self, state: State, reason: str) -> None:
+    def _stop(self, state: RecordingState, reason: str) -> None:
         with self._wake:
             self._state, self._reason = state, f"{self.folder}: {reason}"
             self._queue.clear()

@@ -24,7 +24,7 @@ from subiaco_geo.frames import Floats
 from subiaco_report.facts import CHANGED_LABELS, is_simulated, legend
 from subiaco_report.row_data import pack, page_rows
 from subiaco_report.summary import epoch_facts
-from subiaco_report.viewer.node_files import Stretch, node_columns, node_script
+from subiaco_report.viewer.node_files import IntensityStretch, node_columns, node_script
 from subiaco_report.viewer.octree import (
     GRID,
     NodeKey,
@@ -165,7 +165,7 @@ def _write_cloud(
     }
 
 
-def _survey(cloud: CloudFile) -> tuple[int, Stretch, float, tuple[float, float]]:
+def _survey(cloud: CloudFile) -> tuple[int, IntensityStretch, float, tuple[float, float]]:
     """Return points, stretch of the intensity, median spacing [m] and usual heights of a cloud [m]."""
     points, spacings, bright, heights = 0, [], [], []
     for part in cloud.parts():
@@ -180,7 +180,7 @@ def _survey(cloud: CloudFile) -> tuple[int, Stretch, float, tuple[float, float]]
     shown = np.nanpercentile(np.concatenate(bright), [2.0, 98.0]) if bright else np.array([0.0, 1.0])
     low, high = np.percentile(np.concatenate(heights), [1.0, 99.0])
     spacing = float(np.median(spacings)) if spacings else 1.0
-    return points, Stretch(*map(float, shown)), max(spacing, 0.01), (float(low), float(high))
+    return points, IntensityStretch(*map(float, shown)), max(spacing, 0.01), (float(low), float(high))
 
 
 def _document(

@@ -43,7 +43,7 @@ COLUMNS: dict[str, np.dtype[np.generic]] = {
 
 
 @dataclass(frozen=True)
-class Stretch:
+class IntensityStretch:
     """Intensities shown as black and as white."""
 
     low: float
@@ -56,7 +56,7 @@ class Stretch:
 
 
 def node_columns(
-    cloud: PointCloud, unit: Floats, key: NodeKey, stretch: Stretch
+    cloud: PointCloud, unit: Floats, key: NodeKey, stretch: IntensityStretch
 ) -> dict[str, NDArray[np.generic]]:
     """Return the columns of the points of one node, which ``unit`` (N, 3) places in the root cube."""
     corner = np.array([key.x, key.y, key.z], dtype=np.float64)

@@ -1,0 +1,1 @@
+"""Streets of two families, drawn from a seed: an Australian suburb and a dense European street."""

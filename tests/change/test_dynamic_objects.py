@@ -1,0 +1,167 @@
+"""Ghost trails, distinguished from hedges that beams graze."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial import cKDTree
+from test_measures import block
+from test_one_epoch_parts import obj
+
+from subiaco_change.decisions.config import DecisionConfig
+from subiaco_change.decisions.dynamic_objects import (
+    OwnEpochEvidence,
+    is_moving_object_trail,
+    limit_confidence,
+    own_epoch_evidence,
+)
+from subiaco_change.decisions.rules import Decision
+from subiaco_change.decisions.voxel_objects import OTHERS, EpochView, ObjectInstance
+from subiaco_geo.codes import Change, Semantic
+
+RULES = DecisionConfig()
+NOWHERE = cKDTree(np.zeros((0, 3)))
+
+
+def everywhere(xyz):
+    return np.ones(len(xyz), dtype=bool)
+
+
+def nowhere(xyz):
+    return np.zeros(len(xyz), dtype=bool)
+
+
+def passing(top, passed):
+    """An object of 4 x 2 m that ``passed`` beams passed for each that returned."""
+    cells = block((0, 0, 0), (4, 2, top))
+    seen = obj([(cells, False)])
+    return replace(seen, passed=np.full(len(seen.points), passed))
+
+
+@pytest.mark.parametrize(
+    ("passed", "top", "semantic", "observed", "trail"),
+    [
+        (6.0, 1.5, Semantic.VEGETATION, nowhere, True),
+        (4.0, 1.5, Semantic.VEGETATION, everywhere, False),
+        (4.0, 1.5, Semantic.OTHER, everywhere, False),
+        (4.0, 1.5, Semantic.BUILDING, nowhere, True),
+        (1.0, 1.5, Semantic.BUILDING, everywhere, False),
+        (1.2, 3.2, Semantic.VEGETATION, everywhere, True),
+        (1.2, 3.2, Semantic.VEGETATION, nowhere, False),
+        (0.8, 3.2, Semantic.VEGETATION, everywhere, False),
+        (9.0, 8.0, Semantic.VEGETATION, everywhere, False),
+    ],
+    ids=[
+        "far more than any hedge lets by",
+        "a hedge that beams graze",
+        "a fence between beams",
+        "walls let nothing by",
+        "a wall seen from both sides",
+        "a lorry that was looked through",
+        "a bush that nothing was seen behind",
+        "a bush that stops most beams",
+        "a tall crown",
+    ],
+)
+def test_what_passed_is_told_from_what_beams_graze(passed, top, semantic, observed, trail):
+    decision = is_moving_object_trail(
+        [passing(top, passed)], semantic, OwnEpochEvidence(observed, NOWHERE), RULES
+    )
+    assert (decision is not None) == trail
+    if decision is not None:
+        assert decision.change is Change.NOT_REPORTED
+        assert f"{passed} beams passed" in decision.reason
+
+
+def test_what_lies_in_the_lane_of_known_traffic_needs_fewer_beams():
+    places = passing(1.5, 2.0)
+    along = OwnEpochEvidence(nowhere, cKDTree(np.add(places.xyz, (0.0, 0.5, 0.0))))
+    beside = OwnEpochEvidence(
+        nowhere, cKDTree(np.add(places.xyz, (0.0, 2.0, 0.0)))
+    )  # half of it is within a metre
+    assert is_moving_object_trail([places], Semantic.VEGETATION, along, RULES) is not None
+    assert is_moving_object_trail([places], Semantic.VEGETATION, beside, RULES) is None
+    assert is_moving_object_trail([passing(1.5, 1.0)], Semantic.VEGETATION, along, RULES) is None
+
+
+def test_an_object_is_a_trail_only_if_all_its_parts_were_looked_through():
+    parts = [passing(1.5, 9.0), passing(1.5, 0.5)]
+    assert (
+        is_moving_object_trail(parts, Semantic.MOBILE, OwnEpochEvidence(everywhere, NOWHERE), RULES) is None
+    )
+
+
+def test_a_car_that_is_compared_elsewhere_is_no_traffic():
+    xyz = block((0, 0, 0), (4, 2, 1.5))
+    count = len(xyz)
+    semantic = np.full(count, Semantic.MOBILE, dtype=np.uint8)
+    instance = np.where(xyz[:, 0] < 2, OTHERS, -1).astype(np.int32)
+    flat = np.ones(count)
+    view = EpochView(xyz, np.zeros((count, 3)), semantic, instance, xyz[:, 2], flat, flat, 9.0 * flat)
+    assert own_epoch_evidence(view, everywhere).traffic.data == pytest.approx(xyz[xyz[:, 0] > 2])
+
+
+def timed(moved: float, count: int = 60) -> ObjectInstance:
+    """An object whose points all moved with one probability."""
+    obj = passing(1.5, 1.0)
+    points = np.arange(count)
+    return replace(obj, points=points, xyz=np.zeros((count, 3)), moved=np.full(count, moved))
+
+
+def test_a_verdict_by_times_takes_the_place_of_counts() -> None:
+    looked_through = replace(timed(0.0), passed=np.full(60, 500.0))
+    assert is_moving_object_trail([looked_through], Semantic.VEGETATION, None, RULES) is None
+    decision = is_moving_object_trail([timed(0.95)], Semantic.VEGETATION, None, RULES)
+    assert decision is not None
+    assert decision.change is Change.NOT_REPORTED
+    assert "95% of having moved" in decision.reason
+
+
+def test_counts_decide_where_one_part_has_no_times_and_the_reason_says_so() -> None:
+    counted = replace(timed(0.0), moved=np.zeros(0), passed=np.full(60, 500.0))
+    decision = is_moving_object_trail([counted], Semantic.VEGETATION, None, RULES)
+    assert decision is not None
+    assert "the map keeps no times" in decision.reason
+
+
+@pytest.mark.parametrize(("moved", "claimed"), [(0.0, True), (0.45, True), (0.5, False), (0.55, False)])
+def test_what_is_as_likely_a_trail_as_an_object_is_not_claimed(moved: float, claimed: bool) -> None:
+    decision = is_moving_object_trail([timed(moved)], Semantic.VEGETATION, None, RULES)
+    assert (decision is None) == claimed
+    if decision is not None:
+        assert decision.change is Change.UNOBSERVED
+        assert f"(probability {moved:.0%}, limit 50%)" in decision.reason
+
+
+@pytest.mark.parametrize(("moved", "expected"), [(0.0, 0.9), (0.3, 0.7), (0.5, 0.5)])
+def test_a_claim_on_what_was_seen_for_a_moment_only_is_not_trusted(moved: float, expected: float) -> None:
+    claim = Decision(Change.ADDED, "in the later survey alone", 1.5)
+    certain, reason = limit_confidence(claim, [timed(moved)], 0.9, RULES)
+    assert certain == pytest.approx(expected)
+    assert ("may have moved" in reason) == (moved > 0)
+    same = Decision(Change.UNCHANGED, "as it was", 0.1)
+    assert limit_confidence(same, [timed(moved)], 0.9, RULES) == (0.9, "as it was")
+
+
+def test_a_wall_higher_than_any_vehicle_did_not_pass_however_briefly_it_was_seen() -> None:
+    brief = timed(0.5)
+    heights = np.linspace(0.3, 5.3, len(brief.voxels.height))
+    wall = replace(brief, voxels=replace(brief.voxels, height=heights))
+    assert is_moving_object_trail([wall], Semantic.BUILDING, None, RULES) is None
+    claim = Decision(Change.ADDED, "in the later survey alone", 1.5)
+    assert limit_confidence(claim, [wall], 0.9, RULES) == (0.9, claim.reason)
+    bus = replace(brief, voxels=replace(brief.voxels, height=0.7 * heights))
+    assert is_moving_object_trail([bus], Semantic.BUILDING, None, RULES) is not None
+
+
+def test_a_part_of_a_building_that_was_seen_briefly_is_no_vehicle() -> None:
+    brief = timed(0.5)
+    heights = np.linspace(0.3, 2.8, len(brief.xyz))
+    part = replace(brief, xyz=np.column_stack([np.zeros(len(heights)), np.zeros(len(heights)), heights]))
+    house = np.column_stack([np.full(30, 0.4), np.zeros(30), np.linspace(0, 3, 30)])
+    for distance, moved in ((0.0, None), (3.0, Change.UNOBSERVED)):
+        own = OwnEpochEvidence(everywhere, NOWHERE, cKDTree(np.add(house, (distance, 0, 0))), np.full(30, 77))
+        decision = is_moving_object_trail([part], Semantic.BUILDING, own, RULES)
+        assert (None if decision is None else decision.change) is moved
+    own = OwnEpochEvidence(everywhere, NOWHERE, cKDTree(house), np.full(30, part.instance))
+    assert is_moving_object_trail([part], Semantic.BUILDING, own, RULES) is not None

@@ -1,0 +1,317 @@
+"""Parts of an instance that stand in one epoch alone, and wings that belong to a building."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from test_measures import block, voxels, walls
+
+from subiaco_change.association.costs import AssociationConfig
+from subiaco_change.decisions.column_volumes import NO_COLUMNS, OpenGround
+from subiaco_change.decisions.config import DecisionConfig
+from subiaco_change.decisions.measures import MeasureConfig, Measures
+from subiaco_change.decisions.object_decision import ObjectRules, decide_object, is_misclassified_ground
+from subiaco_change.decisions.voxel_objects import ObjectInstance, Voxels
+from subiaco_change.instance_splitting.building_extensions import find_building_extensions, is_smooth_surface
+from subiaco_change.instance_splitting.merged_instances import split_by_bodies
+from subiaco_change.instance_splitting.one_epoch_parts import (
+    PartConfig,
+    decide_vehicle_part,
+    split_one_epoch_parts,
+)
+from subiaco_change.instance_splitting.split_merge import join_building_extensions, split_multi_body_matches
+from subiaco_geo.codes import Change, Semantic
+
+CONFIG = PartConfig()
+CROSSED = Measures(
+    iou=0.0, d_perp=0.0, delta_c=0.0, delta_h=0.0, delta_v=0.0, delta_v_surface=0.0, volume=1.0, chi2=1.0,
+    gone_share=0.0, new_share=1.0, observed_fraction=1.0, observed_voxels=50, net_changed_fraction=2.0,
+)  # fmt: skip
+
+
+def obj(pieces, instance=3):
+    """An instance of (voxel places, whether the other epoch holds them), four points a voxel."""
+    xyz = np.concatenate([np.asarray(p, dtype=float) for p, _ in pieces])
+    occupied_in_other = np.concatenate([np.full(len(p), flag) for p, flag in pieces])
+    made = voxels(xyz, instance)
+    held = Voxels(
+        *(
+            getattr(made, n) if n != "occupied_in_other" else occupied_in_other
+            for n in Voxels.__dataclass_fields__
+        )
+    )
+    points = np.repeat(xyz, 4, axis=0)
+    return ObjectInstance(instance, Semantic.VEGETATION, 0.8, np.arange(len(points)), held, 0.03, points)
+
+
+def test_a_new_hedge_that_touches_an_old_one_is_an_object_of_its_own():
+    old, new = block((0, 0, 0), (5, 1, 1.5)), block((5, 0, 0), (8, 1, 1.5))
+    parts = split_one_epoch_parts([obj([(old, True), (new, False)])], CONFIG)
+    assert [p.instance for p in parts] == [3, 4]
+    assert [len(p.voxels) for p in parts] == [len(old), len(new)]
+    assert sorted(np.concatenate([p.points for p in parts])) == list(range(4 * (len(old) + len(new))))
+    assert parts[1].xyz[:, 0].min() > 5
+
+
+def test_the_top_of_a_grown_hedge_stays_with_it():
+    old, top = block((0, 0, 0), (5, 1, 1.5)), block((0, 0, 1.5), (5, 1, 3.0))
+    assert len(split_one_epoch_parts([obj([(old, True), (top, False)])], CONFIG)) == 1
+
+
+def test_a_shell_around_a_crown_stays_with_it():
+    crown = block((-2, -2, 3), (2, 2, 6))
+    shell = block((-3, -3, 3), (3, 3, 6))
+    shell = shell[(abs(shell[:, :2]) > 2).any(axis=1)]
+    assert len(split_one_epoch_parts([obj([(crown, True), (shell, False)])], CONFIG)) == 1
+
+
+def test_an_object_that_stands_in_one_epoch_alone_is_not_parted():
+    whole = obj([(block((0, 0, 0), (5, 1, 1.5)), False)])
+    rest = obj([(block((0, 0, 0), (5, 1, 1.5)), False), (block((5, 0, 0), (5.5, 0.5, 0.5)), True)])
+    for single in (whole, rest):
+        assert split_one_epoch_parts([single], CONFIG) == [single]
+
+
+def test_a_bin_under_a_crown_is_an_object_of_its_own():
+    crown, trunk, bin_ = (
+        block((-2, -2, 2), (2, 2, 5)),
+        block((0, 0, 0), (0.5, 0.5, 2)),
+        block((1, 1, 0), (2, 2, 1)),
+    )
+    parts = split_one_epoch_parts([obj([(crown, True), (trunk, True), (bin_, False)])], CONFIG)
+    assert [len(p.voxels) for p in parts] == [len(crown) + len(trunk), len(bin_)]
+    assert parts[1].voxels.height.max() < 1.0
+
+
+def test_a_kerb_told_wrong_is_no_part():
+    hedge, kerb = block((0, 0, 0), (5, 1, 1.5)), block((5, 0, 0), (9, 1, 0.5))
+    assert len(split_one_epoch_parts([obj([(hedge, True), (kerb, False)])], CONFIG)) == 1
+
+
+@pytest.mark.parametrize(("left", "hidden_went"), [(1.0, True), (8.0, False)], ids=["a gate", "a house"])
+def test_what_nobody_saw_goes_with_what_is_gone_if_little_is_left(left, hidden_went):
+    rest, gone = block((0, 0, 0), (left, 2, 3)), block((left, 0, 0), (left + 2, 2, 3))
+    hidden = block((0, 2, 0), (left + 2, 4, 3))  # behind both
+    made = obj([(rest, True), (gone, False), (hidden, False)])
+    seen = np.repeat([True, True, False], [len(rest), len(gone), len(hidden)])
+    made = replace(made, voxels=replace(made.voxels, observed=seen))
+    kept, part = split_one_epoch_parts([made], CONFIG)
+    behind_the_rest = len(block((0, 2, 0), (left, 4, 3)))
+    assert len(kept.voxels) == len(rest) + (0 if hidden_went else behind_the_rest)
+    assert len(part.voxels) == len(made.voxels) - len(kept.voxels)
+
+
+def test_parting_is_left_out_on_request():
+    both = obj([(block((0, 0, 0), (5, 1, 1.5)), True), (block((5, 0, 0), (8, 1, 1.5)), False)])
+    assert split_one_epoch_parts([both], PartConfig(points=0)) == [both]
+
+
+def moved(xyz, x):
+    return voxels(np.add(xyz, (x, 0.0, 0.0)))
+
+
+NONE = voxels(np.zeros((0, 3)))
+HOUSE, WING = walls(10, 8, 5), walls(4, 6, 4)
+
+
+def test_a_wing_built_onto_a_house_belongs_to_it_and_one_taken_from_it_too():
+    house = (voxels(HOUSE), voxels(HOUSE))
+    assert find_building_extensions([house, (NONE, moved(WING, 10))], CONFIG) == {1: 0}
+    assert find_building_extensions([(moved(WING, 10), NONE), house], CONFIG) == {0: 1}
+
+
+@pytest.mark.parametrize(("x", "body"), [(14, WING), (10, walls(14, 10, 6))], ids=["apart", "larger"])
+def test_what_stands_apart_or_is_larger_is_no_wing(x, body):
+    assert find_building_extensions([(voxels(HOUSE), voxels(HOUSE)), (NONE, moved(body, x))], CONFIG) == {}
+
+
+@pytest.mark.parametrize("body", [walls(3, 3, 2.2), walls(4, 6, 7)], ids=["a shed", "a taller house"])
+def test_what_is_lower_than_a_room_or_taller_than_the_house_is_no_wing(body):
+    house = (voxels(HOUSE), voxels(HOUSE))
+    assert find_building_extensions([house, (NONE, moved(body, 10))], CONFIG) == {}
+    assert find_building_extensions([(moved(body, 10), NONE), house], CONFIG) == {}
+
+
+def test_a_shed_left_inside_the_outline_of_a_house_that_is_gone_is_no_rest_of_it():
+    for height, rest in ((3.0, True), (2.0, False)):
+        inside, house = voxels(np.add(walls(3, 3, height), (4.0, 1.0, 0.0))), voxels(HOUSE)
+        assert bool(find_building_extensions([(inside, inside), (house, NONE)], CONFIG)) == rest
+
+
+def test_a_house_between_two_others_is_no_wing_of_either():
+    ends = [(moved(HOUSE, x), moved(HOUSE, x)) for x in (0, 16)]
+    assert find_building_extensions([*ends, (moved(walls(6, 8, 4), 10), NONE)], CONFIG) == {}
+
+
+def test_a_house_that_leans_on_one_neighbour_more_than_on_the_other_is_no_wing():
+    first = voxels(np.concatenate([HOUSE, np.add(walls(3, 2, 5), (10, 8, 0))]))
+    last, middle = moved(walls(10, 4, 5), 13), np.add(walls(3, 8, 4), (10, 0, 0))
+    assert find_building_extensions([(first, first), (last, last), (voxels(middle), NONE)], CONFIG) == {}
+
+
+def test_a_taller_house_beside_a_low_one_was_no_wing_of_it():
+    house = (voxels(HOUSE), voxels(HOUSE))
+    assert find_building_extensions([house, (moved(walls(6, 8, 6), 10), NONE)], CONFIG) == {1: 0}
+    assert find_building_extensions([house, (moved(walls(6, 8, 7.5), 10), NONE)], CONFIG) == {}
+
+
+def test_a_house_gone_from_a_row_that_is_one_instance_was_no_wing():
+    row = voxels(np.concatenate([HOUSE, np.add(HOUSE, (16, 0, 0))]))
+    assert find_building_extensions([(row, row), (moved(walls(6, 8, 4), 10), NONE)], CONFIG) == {}
+
+
+def test_a_part_keeps_the_beams_of_its_own_points():
+    old, new = block((0, 0, 0), (3, 1, 1.5)), block((3, 0, 0), (6, 1, 1.5))
+    whole = obj([(old, True), (new, False)])
+    beams = np.repeat([0.2, 9.0], [4 * len(old), 4 * len(new)])
+    rest, part = split_one_epoch_parts([replace(whole, passed=beams)], PartConfig(points=1))
+    assert rest.passed.max() == 0.2
+    assert part.passed.min() == 9.0
+
+
+def test_a_wing_larger_than_what_is_left_of_its_house_stands_round_it():
+    left = moved(walls(3, 8, 4), 0)
+    gone = moved(walls(3, 9, 6), 1.0)
+    assert find_building_extensions([(left, left), (gone, NONE)], CONFIG) == {1: 0}
+
+
+def test_walls_are_built_and_cars_and_leaves_are_not():
+    wall = voxels(walls(6, 6, 4))
+    rng = np.random.default_rng(0)
+    turned = rng.normal(size=(len(wall), 3))
+    leaves = replace(wall, normal=turned / np.linalg.norm(turned, axis=1, keepdims=True))
+    assert is_smooth_surface(wall)
+    assert not is_smooth_surface(leaves)
+    assert not is_smooth_surface(voxels(walls(4, 2, 1.5)))
+
+
+def crown(x, occupied_in_other, number):
+    part = obj([(block((x, 0, 2), (x + 4, 4, 6)), occupied_in_other)])
+    return replace(part, instance=number)
+
+
+def test_crowns_that_one_epoch_holds_apart_are_told_apart_in_the_other():
+    joined = replace(
+        obj([(block((0, 0, 2), (4, 4, 6)), True), (block((4, 0, 2), (8, 4, 6)), True)]), instance=0
+    )
+    two = [crown(0, True, 0), crown(4, True, 1)]
+    pieces = split_by_bodies([joined], two, AssociationConfig(), 2)
+    assert [len(b[0].voxels) for b, _ in pieces] == [len(a[0].voxels) for _, a in pieces]
+    assert [b[0].xyz[:, 0].max() < 4 for b, _ in pieces] == [True, False]
+    assert [b[0].instance for b, _ in pieces] == [0, 2]
+
+
+def test_a_roof_over_its_walls_and_a_small_fragment_are_no_bodies_of_their_own():
+    low, high = (obj([(block((0, 0, z), (4, 4, z + 2)), True)]) for z in (0, 2))
+    crumb = obj([(block((5, 0, 0), (5.5, 0.5, 0.5)), True)])
+    assert len(split_by_bodies([low], [low, high, crumb], AssociationConfig(), 9)) == 1
+
+
+@pytest.mark.parametrize(
+    ("semantic", "height", "flat"),
+    [
+        (Semantic.OTHER, 0.5, True),
+        (Semantic.OTHER, 1.5, False),
+        (Semantic.MOBILE, 0.5, True),
+        (Semantic.MOBILE, 1.0, False),
+        (Semantic.BUILDING, 0.5, False),
+    ],
+    ids=["a strip of new paving", "a runner", "road that passed for a car", "a car's floor", "a terrace"],
+)
+def test_what_lies_flat_is_left_to_the_ground(semantic, height, flat):
+    slab = obj([(block((0, 0, 0), (8, 2, height)), False)])
+    decision = is_misclassified_ground(semantic, [slab])
+    assert (decision is not None) == flat
+    assert decision is None or decision.change is Change.NOT_REPORTED
+
+
+@pytest.mark.parametrize(
+    ("start", "width", "whole", "same"),
+    [(4.0, 1.0, 0, True), (4.0, 2.0, 0, False), (6.0, 1.0, 0, False), (4.0, 1.0, -1, False)],
+    ids=["the longer end of another car", "a car behind it", "a motorcycle farther off", "a bin beside it"],
+)
+def test_what_a_vehicle_is_longer_by_than_another_in_its_place_is_no_vehicle(start, width, whole, same):
+    old = block((0, 0, 0), (4, 2, 1.5), 0.2)
+    piece = obj([(block((start, 0, 0), (start + 2 * width - 1, width, 1.0)), False)])
+    piece = replace(piece, semantic=Semantic.MOBILE, whole=whole)
+    decision = decide_vehicle_part([piece], Semantic.MOBILE, CROSSED, old)
+    assert (decision is not None) == same
+    assert decision is None or decision.change is Change.UNCHANGED
+
+
+def test_a_part_of_a_vehicle_that_the_other_epoch_only_grazed_is_not_claimed():
+    old, new = block((0, 0, 0), (4, 2, 1.5)), block((4, 0, 0), (8, 2, 1.5))
+    part = split_one_epoch_parts([obj([(old, True), (new, False)])], CONFIG)[1]
+    rules = ObjectRules(MeasureConfig(), AssociationConfig(), DecisionConfig())
+    free_space_confirmed = replace(
+        part, voxels=replace(part.voxels, free_space_confirmed=np.ones(len(part.voxels), dtype=bool))
+    )
+    found = [
+        decide_object((), (p,), Semantic.MOBILE, rules).decision.change for p in (part, free_space_confirmed)
+    ]
+    assert found == [Change.UNOBSERVED, Change.ADDED]
+
+
+def test_a_low_wall_does_not_lie_flat():
+    wall = obj([(block((0, 0, 0), (8, 0.5, 0.5)), False)])
+    sideways = replace(wall.voxels, normal=np.tile([0.0, 1.0, 0.0], (len(wall.voxels), 1)))
+    assert is_misclassified_ground(Semantic.OTHER, [replace(wall, voxels=sideways)]) is None
+
+
+def test_a_house_that_lost_most_of_itself_is_one_with_what_is_left_inside_its_outline():
+    front, old = walls(10, 1, 4), np.add(walls(10, 9, 6), (0, 1, 0))
+    left = np.concatenate([front, np.add(walls(6, 7, 3), (2, 1, 0))])
+    assert find_building_extensions([(voxels(front), voxels(left)), (voxels(old), NONE)], CONFIG) == {1: 0}
+
+
+def test_a_crown_beside_a_house_is_no_wing_and_a_roof_on_it_is_one():
+    crown = np.array([p for p in walls(3, 3, 5) if p[2] > 4.2])
+    house = (voxels(HOUSE), voxels(HOUSE))
+    assert find_building_extensions([house, (NONE, moved(crown, 10.5))], CONFIG) == {}
+    assert find_building_extensions([house, (NONE, moved(np.add(crown, (0, 0, 2)), 5.0))], CONFIG) == {1: 0}
+
+
+def house_instance(xyz, number, held=True):
+    """A building of voxels on walls; all or none of it is held by the other epoch."""
+    return replace(obj([(xyz, held)]), instance=number, semantic=Semantic.BUILDING)
+
+
+def outside(*boxes):
+    """Tell which places lie outside of boxes (west, east, south, north) [m]."""
+
+    def empty(xyz):
+        inside = [
+            (xyz[:, 0] > w) & (xyz[:, 0] < e) & (xyz[:, 1] > s) & (xyz[:, 1] < n) for w, e, s, n in boxes
+        ]
+        return ~np.any(inside, axis=0)
+
+    return empty
+
+
+@pytest.mark.parametrize("taken_away", [False, True], ids=["built", "taken away"])
+@pytest.mark.parametrize("cut_off", [False, True], ids=["within the instance", "a part of its own"])
+def test_a_wing_that_closes_the_gap_to_the_next_house_extends_the_house_it_adjoins_most(taken_away, cut_off):
+    first, second = walls(10, 8, 5), np.add(walls(9, 8, 5), (12.5, 2, 0))
+    wing = np.add(walls(2, 7, 4), (10.25, 0, 0))
+    apart = [house_instance(first, 0), house_instance(second, 1)]
+    if cut_off:
+        merged = [house_instance(np.concatenate([first, second]), 0), house_instance(wing, 1, held=False)]
+    else:
+        pieces = [(first, True), (second, True), (wing, False)]
+        merged = [replace(obj(pieces), instance=0, semantic=Semantic.BUILDING)]
+    without, with_wing = outside((0, 10, 0, 8), (12.5, 21.5, 2, 10)), outside((0, 21.5, 0, 10))
+    free = (with_wing, without) if taken_away else (without, with_wing)
+    ground = OpenGround(NO_COLUMNS, NO_COLUMNS, free)
+    rules = ObjectRules(MeasureConfig(), AssociationConfig(), DecisionConfig(), ground=ground)
+    sides = (merged, apart) if taken_away else (apart, merged)
+    kept = [[t for t in side if t.voxels.occupied_in_other.any()] for side in sides]
+    lost = [[t for t in side if not t.voxels.occupied_in_other.any()] for side in sides]
+    pairs = [kept, lost] if cut_off else [kept]
+    matched = [decide_object(b, a, Semantic.BUILDING, rules) for b, a in pairs]
+    told = join_building_extensions(split_multi_body_matches(matched, rules), rules)
+    changed = Change.DECREASED if taken_away else Change.INCREASED
+    assert sorted(change.decision.change for change in told) == sorted([changed, Change.UNCHANGED])
+    larger = next(change for change in told if change.decision.change is changed)
+    places = np.concatenate([t.voxels.xyz for t in (*larger.before, *larger.after)])
+    assert places[:, 0].min() < 1
+    assert places[:, 0].max() < 12.5

@@ -1,0 +1,205 @@
+"""Space carving of buildings: what was seen bounds what can have changed."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from subiaco_change.decisions.config import CarvingConfig
+from subiaco_change.decisions.space_carving import CarvingEpoch, carve
+from subiaco_change.decisions.voxel_objects import Voxels
+
+CELL = 0.5
+LENGTH, DEPTH, TALL = 10.0, 8.0, 3.0
+CONFIG = CarvingConfig()
+
+
+def sheet(low, high):
+    """Middles of the voxels of a box."""
+    axes = [np.arange(a, b, CELL) + CELL / 2 for a, b in zip(low, high, strict=True)]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+def voxels(*sheets, occupied_in_other=True):
+    xyz = np.concatenate([np.zeros((0, 3)), *sheets])
+    count = len(xyz)
+    flags = [np.full(count, value) for value in (True, occupied_in_other, False)]
+    return Voxels(np.zeros(count, np.int64), xyz, np.tile([0.0, 0.0, 1.0], (count, 1)), xyz[:, 2], *flags)
+
+
+def inside(*boxes):
+    """Tell places that lie in a box (low, high), a hand's breadth of it taken off."""
+
+    def told(xyz):
+        return np.any([((xyz > low) & (xyz < high)).all(axis=1) for low, high in boxes], axis=0)
+
+    return told
+
+
+def nowhere(xyz):
+    return np.zeros(len(xyz), dtype=bool)
+
+
+def nothing_met(xy):
+    return np.zeros(len(xy), dtype=bool)
+
+
+def house(tall=TALL, east=True):
+    """Front wall and side walls; the street lies at y < 0 and sees neither roof nor back."""
+    walls = [sheet((0, 0, 0), (LENGTH, CELL, tall)), sheet((0, CELL, 0), (CELL, DEPTH, tall))]
+    return [*walls, sheet((LENGTH - CELL, CELL, 0), (LENGTH, DEPTH, tall))] if east else walls
+
+
+def wing(width=4.0, depth=5.0, side=True):
+    """A wing on the east: its front wall, and its side wall where it was seen."""
+    walls = [sheet((LENGTH, 1, 0), (LENGTH + width, 1 + CELL, TALL))]
+    if side:
+        walls.append(sheet((LENGTH + width - CELL, 1 + CELL, 0), (LENGTH + width, 1 + depth, TALL)))
+    return walls
+
+
+HIGH = 20.0
+OUT = {
+    "street": ((-9, -9, 0), (30, 0, HIGH)),
+    "west": ((-9, -9, 0), (0, 30, HIGH)),
+    "above": ((-9, -9, TALL), (30, 30, HIGH)),
+    "east": ((LENGTH, -9, 0), (30, 30, HIGH)),
+    "east of the wing": ((LENGTH + 4.0, -9, 0), (30, 30, HIGH)),
+    "before the wing": ((LENGTH, -9, 0), (30, 1, HIGH)),
+}
+
+
+def seen(*names):
+    return inside(*(OUT[name] for name in names))
+
+
+PLAIN = seen("street", "west", "above", "east")
+
+
+def epoch(sheets, empty, occupied_in_other=True):
+    return CarvingEpoch(voxels(*sheets, occupied_in_other=occupied_in_other), empty, nothing_met)
+
+
+def extended(side=True, gone=()):
+    """The house with a new wing, which hides the wall of the house behind it."""
+    old, new = voxels(*house(east=False)), voxels(*wing(side=side), occupied_in_other=False)
+    known = [n for n in ("street", "west", "above", "east of the wing", "before the wing") if n not in gone]
+    return CarvingEpoch(old.add(new), seen(*known), nothing_met)
+
+
+def test_a_house_that_both_saw_alike_has_not_changed():
+    found = carve(epoch(house(), PLAIN), epoch(house(), PLAIN), CONFIG)
+    assert (found.volume.low, found.volume.high) == (0.0, 0.0)
+    assert (found.height.low, found.height.high) == pytest.approx((0.0, 0.0))
+
+
+def test_a_wing_five_metres_deep_of_which_two_walls_were_seen_has_its_volume():
+    """Neither its roof nor the house wall behind it was seen: the walls enclose it."""
+    found = carve(epoch(house(), PLAIN), extended(), CONFIG)
+    assert 0.8 * 4 * 5 * TALL < found.volume.low <= 4 * 5 * TALL
+    assert found.height.low <= 0.0 <= found.height.high
+
+
+def test_behind_a_single_wall_the_depth_is_open():
+    found = carve(epoch(house(), PLAIN), extended(side=False), CONFIG)
+    assert found.volume.low < 0.25 * 4 * 5 * TALL
+    assert found.volume.high >= 4 * 5 * TALL
+
+
+def test_a_new_fence_beside_a_house_encloses_nothing():
+    """The wall of the house stood before, so it is no wall of what is new; the fence is lower than a room."""
+    before = epoch(house(), PLAIN)
+    for tall in (1.8, TALL):
+        fence = voxels(sheet((LENGTH, 1, 0), (LENGTH + 4, 1 + CELL, tall)), occupied_in_other=False)
+        seen_now = seen("street", "west", "above", "before the wing", "east of the wing")
+        found = carve(before, CarvingEpoch(voxels(*house()).add(fence), seen_now, nothing_met), CONFIG)
+        assert found.volume.low < 0.1 * found.whole
+
+
+CANOPY = ((0, -2.5, TALL - 0.6), (LENGTH, 0, TALL - 0.2))  # before the front wall, on nothing
+
+
+def test_a_canopy_that_one_survey_missed_takes_no_volume_with_it():
+    """The survey that has the canopy looked through below it; the other, of fewer beams, above it too."""
+    under = inside(((-9, -9, 0), (30, 0, TALL - 0.6)), *(OUT[n] for n in ("west", "above", "east")))
+    has = CarvingEpoch(
+        voxels(*house()).add(voxels(sheet(*CANOPY), occupied_in_other=False)), under, nothing_met
+    )
+    found = carve(has, epoch(house(), PLAIN), CONFIG)
+    assert found.volume.high == 0.0
+    assert found.volume.low > -0.15 * found.whole
+
+
+def test_the_volume_of_a_house_of_which_the_street_sees_half_a_roof_is_that_of_the_whole():
+    """Under a pitched roof with its ridge along the street: 10 by 8 m, 3 m at the eaves, 5 m at the ridge."""
+    deep = np.arange(CELL / 2, DEPTH, CELL)
+    rise = TALL + 2.0 - 0.5 * np.abs(deep - DEPTH / 2)
+    gables = [
+        sheet((x, y - CELL / 2, 0), (x + CELL, y + CELL / 2, top))
+        for x in (0, LENGTH - CELL)
+        for y, top in zip(deep, rise, strict=True)
+    ]
+    roof = np.array(
+        [
+            (x, y, top)
+            for x in np.arange(CELL / 2, LENGTH, CELL)
+            for y, top in zip(deep, rise, strict=True)
+            if y < DEPTH / 2
+        ]
+    )
+    both = epoch([sheet((0, 0, 0), (LENGTH, CELL, TALL)), *gables, roof], seen("street"))
+    found = carve(both, both, CONFIG)
+    assert found.whole == pytest.approx(LENGTH * DEPTH * 4.0, rel=0.06)
+
+
+def test_swapping_the_epochs_swaps_the_bounds():
+    there = carve(epoch(house(), PLAIN), extended(), CONFIG)
+    back = carve(extended(), epoch(house(), PLAIN), CONFIG)
+    assert (back.volume.low, back.volume.high) == (-there.volume.high, -there.volume.low)
+    assert (back.height.low, back.height.high) == pytest.approx((-there.height.high, -there.height.low))
+
+
+def test_a_wing_whose_place_nobody_saw_before_is_no_evidence():
+    """What neither epoch knows free says nothing: the wing may have stood there all along."""
+    hidden = epoch(house(), seen("street", "west", "above"))
+    found = carve(hidden, extended(gone=("above",)), CONFIG)
+    assert found.volume.low == 0.0
+
+
+def test_a_storey_needs_free_space_above_the_old_roof():
+    before, after = house(), house(tall=TALL + 2.5)
+    high = inside(((-9, -9, TALL + 2.5), (30, 30, HIGH)))
+    grown = voxels(*before).add(voxels(*(wall[wall[:, 2] > TALL] for wall in after), occupied_in_other=False))
+    taller = CarvingEpoch(grown, high, nothing_met)
+    known = carve(epoch(before, PLAIN), taller, CONFIG)
+    assert known.height.low == pytest.approx(2.5, abs=0.1)
+    blind = carve(epoch(before, seen("street")), taller, CONFIG)
+    assert blind.height.low <= 0.0 <= blind.height.high
+    lost = carve(taller, epoch(before, seen("street")), CONFIG)
+    assert lost.height.low <= 0.0 <= lost.height.high
+
+
+def test_a_new_house_has_the_volume_between_its_walls():
+    found = carve(
+        CarvingEpoch(voxels(), inside(((-9, -9, 0), (30, 30, HIGH))), nothing_met),
+        epoch(house(), PLAIN, occupied_in_other=False),
+        CONFIG,
+    )
+    assert found.volume.low == pytest.approx(LENGTH * DEPTH * TALL, rel=0.2)
+    assert found.whole == pytest.approx(LENGTH * DEPTH * TALL, rel=0.2)
+
+
+def test_large_objects_take_larger_cells():
+    long = [sheet((0, 0, 0), (300, CELL, 20)), sheet((0, 0, 0), (CELL, 300, 20))]
+    coarse = CarvingConfig(max_cells=100_000)
+    found = carve(epoch(long, nowhere), epoch(long, nowhere), coarse)
+    assert found.volume.low == found.volume.high == 0.0
+
+
+@given(st.floats(2.0, 4.0))
+def test_a_small_new_roof_has_a_volume_at_whatever_height_within_a_cell_it_lies(height):
+    places = sheet((0, 0, 0), (1.5, 1.0, CELL)) * (1.0, 1.0, 0.0) + (0.0, 0.0, height)
+    after = CarvingEpoch(voxels(places, occupied_in_other=False), None, nothing_met)
+    before = CarvingEpoch(voxels(), lambda xyz: np.ones(len(xyz), dtype=bool), nothing_met)
+    assert len(places) == CONFIG.support
+    assert carve(before, after, CONFIG).volume.low == pytest.approx(1.5 * height, abs=1.5 * 0.3)
