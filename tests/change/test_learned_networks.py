@@ -146,7 +146,7 @@ def test_a_point_network_learns_one_cylinder_by_heart(method, batch):
     ("method", "millions"), [("siamese-kpconv", 18.4), ("triplet-kpconv", None), ("efs-kpconv", None)]
 )
 def test_the_published_sizes_give_the_published_number_of_parameters(method, millions):
-    config = PointNetworkConfig(width=64, levels=5, features=())
+    config = PointNetworkConfig(width=64, levels=5, kernel_points=25, features=())
     model = POINT_NETWORKS[method](config)
     first = model.decoder.layers[0].linear
     expected = {"siamese-kpconv": 2048 + 1024, "triplet-kpconv": 4096 + 1024, "efs-kpconv": 4096 + 2048}

@@ -104,7 +104,7 @@ def test_a_linter_of_dockerfiles_has_nothing_to_say(name: str) -> None:
 
 def shell_commands() -> dict[str, str]:
     """Return what the images and compose files give to a shell."""
-    found = {}
+    found: dict[str, str] = {}
     for name in FILES:
         said = instructions(name)
         found |= {f"{name} RUN {k}": text for k, (word, text) in enumerate(said) if word == "RUN"}

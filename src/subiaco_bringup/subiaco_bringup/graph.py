@@ -125,7 +125,7 @@ def with_foxglove(graph: GraphSpec, port: int, host: str = "127.0.0.1") -> Graph
 def in_one_process(graph: GraphSpec) -> GraphSpec:
     """Return a graph whose nodes share one process; companions keep their own.
 
-    Less memory, and less speed: one of the nodes works at a time.
+    That takes less memory; one of the nodes works at a time.
     """
     parts = tuple(node for node in graph.nodes if not node.companion)
     grace = max(node.grace for node in parts)

@@ -59,7 +59,7 @@ def run_mapping_graph(
     foxglove_port : int, optional
         Port on which Foxglove can connect from this computer.
     one_process : bool
-        The nodes share a process, which takes less memory and more time.
+        The nodes share a process, which takes less memory; one of them works at a time.
     progress : callable, optional
         Told ``(stage, fraction)``.
 

@@ -163,7 +163,8 @@ class ManagedNode(LifecycleNode):
             if self.describe_parameter(name).read_only:
                 reason = f"{name} is read-only: {when_given(name)}"
                 return SetParametersResult(successful=False, reason=reason)
-        return super().set_parameters_atomically(parameter_list)
+        result: SetParametersResult = super().set_parameters_atomically(parameter_list)
+        return result
 
     def create_subscription(self, msg_type: Any, topic: str, *arguments: Any, **options: Any) -> Any:
         """Create a subscription; the clock runs in every state."""

@@ -71,7 +71,8 @@ def mapping(
     overwrite: Overwrite = False,
     foxglove: FoxglovePort = None,
     one_process: Annotated[
-        bool, typer.Option("--one-process", help="Run the nodes in one process: less memory, more time.")
+        bool,
+        typer.Option("--one-process", help="Run the nodes in one process: less memory, one works at a time."),
     ] = False,
     verbose: Verbose = False,
     quiet: Quiet = False,

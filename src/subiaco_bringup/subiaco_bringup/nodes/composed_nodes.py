@@ -27,7 +27,9 @@ def parts_of(words: Sequence[str]) -> list[list[str]]:
 def _building(package: str, executable: str) -> AbstractContextManager[Build]:
     """Return what builds a node: ``building`` of its module where something outlives it, else ``build``."""
     module: Any = import_module(f"{package}.nodes.{executable}")
-    return module.building() if hasattr(module, "building") else nullcontext(module.build)
+    found: AbstractContextManager[Build]
+    found = module.building() if hasattr(module, "building") else nullcontext(module.build)
+    return found
 
 
 def main(argv: Sequence[str] | None = None) -> int:
