@@ -240,6 +240,13 @@ def test_heights_above_the_geoid_become_ellipsoidal_with_a_grid(tmp_path: Path) 
     np.testing.assert_allclose(found, [[-31.5, 115.8, -11.5], [-32.0, 116.0, -27.0]], atol=1e-4)
 
 
+def test_a_geoid_in_the_present_folder_needs_no_path(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    geoid(tmp_path / "geoid.gtx")
+    monkeypatch.chdir(tmp_path)
+    found = ellipsoidal_heights(np.array([[-31.5, 115.8, 20.0]]), Path("geoid.gtx"))
+    np.testing.assert_allclose(found[0, 2], -11.5, atol=1e-4)
+
+
 def test_a_geoid_that_is_none_or_lies_elsewhere_is_refused(tmp_path: Path) -> None:
     fixes = np.array([[-31.5, 115.8, 20.0]])
     with pytest.raises(InputError, match="no such geoid grid"):

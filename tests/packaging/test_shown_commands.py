@@ -1,36 +1,32 @@
-"""Commands that the documentation shows: verbs and options exist, and the tutorial of two clouds runs."""
+"""Commands that the documentation shows run on a tiny survey, or the list says why they cannot."""
 
 from __future__ import annotations
 
+import os
 import re
+import runpy
 import shlex
 import sys
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 
-ROOT = Path(__file__).resolve().parents[2]
-PAGES = [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *sorted((ROOT / "docs").rglob("*.md"))]
+sys.path.insert(0, str(Path(__file__).parent))
 
+from shown_commands import NOT_RUN, PAGES, ROOT, RUN, SHOWN, SMALLER, Shown
+from shown_world import World, outputs
 
-def blocks(page: Path, languages: str = r"(?:bash|text)?") -> list[str]:
-    """Return blocks of code in a page; a block may be indented below a list."""
-    text = page.read_text(encoding="utf-8")
-    return re.findall(rf"^ *```{languages}\n(.*?)^ *```$", text, flags=re.DOTALL | re.MULTILINE)
-
-
-def commands(block: str) -> list[list[str]]:
-    """Return the words of every line that begins with ``subiaco``; continued lines are joined."""
-    lines = re.sub(r"\\\n\s*", " ", block).splitlines()
-    found = [re.sub(r"^(?:[A-Z_]+=\S+\s+)+", "", line.strip()) for line in lines]
-    words = [
-        shlex.split(line.split(" > ")[0], comments=True) for line in found if line.startswith("subiaco ")
-    ]
-    return [one[1:] for one in words]
-
-
-SHOWN = [(page, words) for page in PAGES for block in blocks(page) for words in commands(block)]
+OURS = [line for line in SHOWN if line.words[:1] == ["subiaco"]]
+#: A command inside a sentence, with its options.
+INLINE = {
+    (page, found)
+    for page in PAGES
+    for found in re.findall(r"`subiaco ([a-z][^`]+)`", page.read_text(encoding="utf-8"))
+}
+SHOWN_WORDS = [(line.page, line.words[1:]) for line in OURS]
+SHOWN_WORDS += [(page, shlex.split(re.sub(r" \.\.\.|\[|\]", "", text))) for page, text in sorted(INLINE)]
 
 
 @pytest.fixture(scope="module")
@@ -58,12 +54,12 @@ def fault(command: Any, words: list[str]) -> str | None:
 
 
 def test_the_documentation_shows_commands() -> None:
-    assert len(SHOWN) > 60
-    assert len({page for page, _ in SHOWN}) > 12
+    assert len(OURS) > 60
+    assert len({line.page for line in OURS}) > 12
 
 
 def test_every_verb_and_every_option_that_a_page_shows_exists(command: Any) -> None:
-    found = {f"{page.name}: {' '.join(words)}": fault(command, words) for page, words in SHOWN}
+    found = {f"{page.name}: {' '.join(words)}": fault(command, words) for page, words in SHOWN_WORDS}
     assert {line: wrong for line, wrong in found.items() if wrong} == {}
 
 
@@ -83,7 +79,7 @@ def test_every_setting_that_a_page_shows_exists(command: Any) -> None:
     known |= {name.removeprefix("injection.") for name in known}
     shown = {
         (page.name, words[i + 1].split("=")[0])
-        for page, words in SHOWN
+        for page, words in SHOWN_WORDS
         for i, word in enumerate(words[:-1])
         if word == "--set"
     }
@@ -91,39 +87,81 @@ def test_every_setting_that_a_page_shows_exists(command: Any) -> None:
     assert {(page, name) for page, name in shown if name not in known} == set()
 
 
-def test_the_tutorial_of_two_clouds_runs(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+@pytest.fixture(scope="module")
+def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[World]:
+    """Return the folder in which all commands run, in the order of the pages."""
+    root = tmp_path_factory.mktemp("world")
+    before = Path.cwd()
+    os.chdir(root)
+    try:
+        yield World(root)
+    finally:
+        os.chdir(before)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("line", RUN, ids=lambda line: line.name)
+def test_a_command_that_a_page_shows_runs(
+    line: Shown, world: World, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """Two clouds of a street with three houses (seeds 1 and 2) stand for what a reader downloads."""
-    import numpy as np
+    words = line.words
+    world.provide(words)
+    if words[0] == "subiaco":
+        from subiaco_bringup.cli.main import run
 
-    from subiaco_bringup.cli.main import run
-    from subiaco_geo.cloud_io import write_cloud
-    from subiaco_geo.clouds import from_world
-
-    monkeypatch.chdir(tmp_path)
-    for seed, name in ((1, "before.laz"), (2, "after.laz")):
-        world = _street(np.random.default_rng(seed)) + np.array([391_200.0, 6_464_300.0, 12.0])
-        write_cloud(tmp_path / name, from_world(world, crs="EPSG:7850"))
-    steps = [w for block in blocks(ROOT / "docs/tutorials/two-clouds.md", "bash") for w in commands(block)]
-    assert len(steps) == 4
-    for words in steps:
-        assert run([*words, "-q"]) == 0, (words, capsys.readouterr().err)
-    for written in ("pair/summary.html", "pair/report.html", "strict/changes.csv", "geojson", "ply"):
-        assert (tmp_path / "out" / written).exists()
+        code = run([*words[1:], *SMALLER.get(words[1], [])])
+    else:
+        assert words[0] == "python", f"{line.name}: add it to NOT_RUN with the reason, or run it"
+        code = run_script(words[1:])
+    captured = capfd.readouterr()
+    assert code == 0, captured.err
+    if line.redirected:
+        (world.root / line.redirected).write_text(captured.out, encoding="utf-8")
+    for name in outputs(words):
+        assert (world.root / name).exists(), f"{name} was not written"
 
 
-def _street(rng: Any) -> Any:
-    """Return points (N, 3) of a floor of 40 m x 30 m with three boxes [m]."""
-    import numpy as np
+def run_script(words: list[str]) -> int:
+    """Run a script in this process, as ``python SCRIPT ARGUMENTS`` does, and return its exit code."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(sys, "argv", words)
+        patch.syspath_prepend(str((ROOT / words[0]).parent))
+        try:
+            runpy.run_path(str(ROOT / words[0]), run_name="__main__")
+        except SystemExit as end:
+            return int(end.code or 0)
+    return 0
 
-    parts = [rng.uniform([0, 0, 0], [40, 30, 0.02], (12_000, 3))]
-    for west, south, width, depth, height in [(4, 4, 8, 6, 5), (22, 5, 5, 9, 3), (12, 20, 12, 5, 4)]:
-        box = rng.uniform([west, south, 0], [west + width, south + depth, height], (5000, 3))
-        side = rng.integers(0, 5, len(box))
-        for number, (axis, value) in enumerate(
-            [(0, west), (0, west + width), (1, south), (1, south + depth), (2, height)]
-        ):
-            box[side == number, axis] = value
-        parts.append(box)
-    return np.concatenate(parts) + rng.normal(0.0, 0.01, (12_000 + 3 * 5000, 3))
+
+def test_a_reason_for_not_running_is_needed_and_names_tests_that_exist() -> None:
+    for pattern, why in NOT_RUN.items():
+        assert any(re.search(pattern, line.line) for line in SHOWN), f"no page shows {pattern}"
+        for test in re.findall(r"tests/[\w/]+\.py", why):
+            assert (ROOT / test).is_file(), test
+    assert len(NOT_RUN) < 18
+    assert len(RUN) > 20
+
+
+def test_every_script_and_every_option_of_a_script_that_a_page_shows_exists() -> None:
+    scripts = [line.words for line in SHOWN if line.words[:1] == ["python"] and line.words[1].endswith(".py")]
+    assert len(scripts) > 10
+    for words in scripts:
+        source = (ROOT / words[1]).read_text(encoding="utf-8")
+        own = words[: words.index("--")] if "--" in words else words
+        assert [word for word in own if re.match(r"--[a-z]", word) and f'"{word}"' not in source] == [], words
+
+
+def test_every_make_target_in_a_block_exists() -> None:
+    targets = set(re.findall(r"^([a-z-]+):", (ROOT / "Makefile").read_text(encoding="utf-8"), re.MULTILINE))
+    shown = {line.words[1] for line in SHOWN if line.words[:1] == ["make"]}
+    assert len(shown) > 4
+    assert shown <= targets
+
+
+def test_no_command_hides_in_an_indented_block() -> None:
+    for page in PAGES:
+        text = re.sub(
+            r"^ *```.*?^ *```", "", page.read_text(encoding="utf-8"), flags=re.DOTALL | re.MULTILINE
+        )
+        hidden = re.findall(r"^ {4}(?:subiaco|python|make) .*", text, flags=re.MULTILINE)
+        assert hidden == [] or page.name == "benchmarks.md", page

@@ -67,10 +67,11 @@ def undulations(xy: ArrayLike, crs: str, grid: Path) -> Floats:
 
 def _shifted(lat_lon_h: ArrayLike, grid: Path, *, inverse: bool) -> Floats:
     rows = np.array(lat_lon_h, dtype=np.float64)
-    if not grid.is_file() or any(letter in str(grid) for letter in " ,"):
+    path = grid.resolve()  # PROJ looks for a bare name among its own files only
+    if not path.is_file() or any(letter in str(path) for letter in " ,"):
         raise InputError(f"{grid}: no such geoid grid, or blanks or commas in its path; give a .gtx or .tif")
     way = "+inv " if inverse else ""
-    steps = f"+step {way}+proj=vgridshift +grids={grid} +multiplier=1 +step +proj=unitconvert"
+    steps = f"+step {way}+proj=vgridshift +grids={path} +multiplier=1 +step +proj=unitconvert"
     pipeline = f"+proj=pipeline +step +proj=unitconvert +xy_in=deg +xy_out=rad {steps} +xy_in=rad +xy_out=deg"
     try:
         operation = Transformer.from_pipeline(pipeline)
