@@ -8,6 +8,7 @@
 A survey is an output of ``subiaco simulate --maps-only``. A bare pair is a folder with one cloud named
 before.* and one named after.*, and the survey that holds its truth. Every method takes the registration
 that 'subiaco change' found. What is there in the work folder is not run again, so a stopped run goes on.
+A learned method takes the weights that are shipped; ``--also ROW=FILE`` adds a row of other weights.
 """
 
 from __future__ import annotations
@@ -306,7 +307,6 @@ def main() -> None:
     data = given.page.parent / "data" / f"{given.page.stem}.json"
     data.parent.mkdir(parents=True, exist_ok=True)
     data.write_text(json.dumps(found, indent=1), encoding="utf-8")
-    given.page.parent.mkdir(parents=True, exist_ok=True)
     given.page.write_text(page(found), encoding="utf-8")
     print(f"{given.page}: written")
 

@@ -74,7 +74,7 @@ def test_a_tile_is_decided_by_what_the_crowns_of_all_tiles_did(store):
     store.save("null", pack(null_of_tiles(store, a="a", b="b")))
     rows = decided(store, "b", "null")
     assert [r.change for r in rows[-2:]] == [Change.UNCHANGED, Change.INCREASED]
-    assert "the other 31 crowns of this pair moved +0.2" in rows[-1].reason
+    assert "the other 31 crowns of this pair by +0.2" in rows[-1].reason
     assert rows[0].change is Change.INCREASED  # no plant: stays as it was decided
     assert rows[0].reason == GROWN.reason
 

@@ -35,7 +35,7 @@ def faults(reason: str) -> list[str]:
         "limit": re.search(r"limit[^.]*?\d|than the limit", reason) is not None,
         "conclusion": re.search(
             r"(?:: |, and )[^:]*(?:claimed|grew|shrank|is new|removed|moving object|not reported|stayed"
-            r"|raised|lowered|both surveys|separately|beyond the limits|middle estimate)[^:]*\.",
+            r"|raised|lowered|both surveys|separately|beyond the limits|exceeds its limit)[^:]*\.",
             reason,
         )
         is not None,

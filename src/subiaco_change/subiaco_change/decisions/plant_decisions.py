@@ -12,11 +12,11 @@ from subiaco_change.method_rules.switches import always, applies, switchable
 from subiaco_geo.codes import Change
 
 _NAMES = {
-    "outline": "outline",
-    "top": "top",
-    "volume": "volume",
-    "surface": "new or lost surface",
-    "rise": "top",
+    "outline": "the outline",
+    "top": "the top",
+    "volume": "the volume",
+    "surface": "the surface",
+    "rise": "the top",
 }
 
 
@@ -164,8 +164,8 @@ def _without_surface(plant: PlantMeasures, found: _Excess, surface: _Excess, rul
     share = _quantity(surface.excess, "share")
     reason = (
         f"{_compared(plant, found)} exceeds the limit of {_quantity(found.limit, found.unit, sign=False)},"
-        f" but the new or lost surface, {share}, does not carry the change (limit"
-        f" {100 * rules.min_net_change:.0f} %): no change is claimed."
+        f" but the surface changed by only {share} (limit {100 * rules.min_net_change:.0f} %):"
+        " no change is claimed."
     )
     return Decision(Change.UNCHANGED, reason, 1.0, 0.0)
 
@@ -215,7 +215,7 @@ def _decision(plant: PlantMeasures, found: _Excess) -> Decision:
     if not math.isfinite(found.value):
         return Decision(
             Change.UNCHANGED,
-            f"{_name(plant)}: too few points of both surveys to compare, and no change is claimed.",
+            f"{_name(plant)}: the surveys share too few points of the plant, and no change is claimed.",
             0.0,
         )
     change = Change.UNCHANGED
@@ -231,18 +231,18 @@ def _compared(plant: PlantMeasures, found: _Excess) -> str:
     """Write the value, what the other plants of the pair did, and the excess."""
     expected, unit = found.expected, found.unit
     others = "crowns" if plant.kind == "crown" else "hedges and shrubs"
-    scatter = f"(sd {_quantity(expected.sd, unit, sign=False)})"
+    scatter = f"(standard deviation {_quantity(expected.sd, unit, sign=False)})"
     if expected.count:
-        rest = f"the other {expected.count - 1} {others} of this pair moved"
+        rest = f"the other {expected.count - 1} {others} of this pair by"
         rest += f" {_quantity(expected.shift, unit)} {scatter}"
     else:
-        rest = f"this pair has too few {others} for a scatter of its own {scatter}"
-    value = _quantity(found.value, unit)
-    return f"{_name(plant)} {_NAMES[found.measure]} {value}; {rest}; excess {_quantity(found.excess, unit)}"
+        rest = f"this pair has too few {others}, so that the scatter of simulated pairs counts {scatter}"
+    changed = f"{_name(plant)}: {_NAMES[found.measure]} changed by {_quantity(found.value, unit)}"
+    return f"{changed}, {rest}. The excess of {_quantity(found.excess, unit)}"
 
 
 def _name(plant: PlantMeasures) -> str:
-    return "Thin object without a crown:" if plant.thin else plant.kind.capitalize()
+    return "Thin object without a crown" if plant.thin else plant.kind.capitalize()
 
 
 def _quantity(value: float, unit: str, *, sign: bool = True) -> str:

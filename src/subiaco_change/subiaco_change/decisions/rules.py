@@ -212,13 +212,13 @@ def _building(measures: Measures, gate: float, rules: ClassRules) -> Decision:
     evidence += f" {volume.low / whole:+.0%} to {volume.high / whole:+.0%} (limit {rules.volume:.0%}): "
     straddles = any(bound.low <= side <= bound.high for bound in bounds for side in (-1.0, 1.0))
     if straddles:
-        evidence += "space that a survey did not see decides whether a limit is exceeded, and "
+        evidence += "space that a survey did not observe decides whether a limit is exceeded, and "
     if max(up, down) <= 1:
         evidence += "no change is claimed."
         return Decision(Change.UNCHANGED, evidence, 1.0 if straddles else max(up, down, 0.0))
     rising = up > 1 and (down <= 1 or volume.middle > 0)
     change = Change.INCREASED if rising else Change.DECREASED
-    evidence += f"the building {'grew' if rising else 'shrank'} by its middle estimate."
+    evidence += f"the middle of an interval exceeds its limit, the building {'grew' if rising else 'shrank'}."
     return Decision(change, evidence, up if rising else down, _sigmas(bounds, rising))
 
 
