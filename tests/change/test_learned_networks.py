@@ -13,6 +13,7 @@ from subiaco_evaluation.learned.labels import to_classes
 from subiaco_evaluation.learned.pyramids import build_pyramid
 from subiaco_evaluation.learned.sampling import cut_pair
 from subiaco_evaluation.learned.surveys import PointPair, RasterPair
+from subiaco_evaluation.learned.weights_file import SHIPPED, read_record
 from subiaco_geo.codes import Change
 from subiaco_geo.errors import InputError
 
@@ -22,6 +23,7 @@ from subiaco_evaluation.learned.batches import Neighbourhood, collate, neighbour
 from subiaco_evaluation.learned.deep_clustering import ClusterTask, spherical_k_means  # noqa: E402
 from subiaco_evaluation.learned.kpconv import Bottleneck, KernelPointConvolution, gather  # noqa: E402
 from subiaco_evaluation.learned.point_networks import POINT_NETWORKS, difference  # noqa: E402
+from subiaco_evaluation.learned.predict import load_network  # noqa: E402
 from subiaco_evaluation.learned.raster_networks import RASTER_NETWORKS  # noqa: E402
 from subiaco_evaluation.learned.tasks import (  # noqa: E402
     POWERS,
@@ -332,3 +334,16 @@ def test_deep_clustering_learns_without_labels_and_names_its_clusters_by_them():
     assert torch.equal(named.sum(dim=1), torch.ones(TINY.clusters))
     assert 0.0 < score <= 1.0
     assert score_validation(unlabelled).score != score
+
+
+@pytest.mark.parametrize("path", sorted(SHIPPED.glob("*.npz")), ids=lambda path: path.stem)
+def test_shipped_weights_fit_their_network_and_name_their_training(path):
+    trained = load_network(path, path.stem)
+    record = read_record(path)
+    assert sum(p.numel() for p in trained.model.parameters()) == record["parameters"]
+    assert all(torch.isfinite(p).all() for p in trained.model.parameters())
+    assert len(trained.factors) == (4 if path.stem.endswith("kpconv") else 5)
+    assert (trained.factors.max(), trained.factors.min() > 0) == (1.0, True)
+    assert record["hours"] > 0
+    assert set(record["surveys"]).isdisjoint(record["validation_surveys"])
+    assert path.stat().st_size < 2_000_000

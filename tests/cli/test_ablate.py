@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import pandas as pd
+import pytest
 
 MIOU = "miou"
 
@@ -30,6 +31,7 @@ def test_an_unknown_variant_or_a_missing_truth_is_refused(refused, survey_of_bot
     )
 
 
+@pytest.mark.slow
 def test_a_rule_that_is_switched_off_is_scored_against_the_full_method(command, survey_of_both, tmp_path):
     ran = command("ablate", "--rules", survey_of_both, "-o", tmp_path / "out", "--only", "closed_gaps")
     assert ran.code == 0, ran.err

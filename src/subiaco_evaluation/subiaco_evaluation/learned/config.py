@@ -68,7 +68,7 @@ class PointNetworkConfig(StrictModel):
     )
     clusters: int = Field(100, ge=2, description="Number of clusters of DC3DCD (published: 1000)")
     temperature: float = Field(
-        0.1, gt=0, description="Divisor of the similarity of features and prototypes of DC3DCD"
+        0.1, gt=0, description="Inverse factor of the similarity of features and prototypes of DC3DCD"
     )
     batch_norm_momentum: float = Field(
         0.02, gt=0, le=1, description="Weight of a new batch in the batch statistics (published)"
