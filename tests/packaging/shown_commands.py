@@ -19,6 +19,7 @@ NOT_RUN = {
     r"^subiaco (map|inspect|import|recover|calibrate-rig)\b": "a recording; tests/mapping/test_pipeline.py",
     r"^subiaco (simulate|inject|calibrate|evaluate)\b": "a simulated survey; tests/sim/test_survey.py",
     r"bags/demo|out/demo|_injected|calibration/|draw_survey": "goes on from a simulated survey",
+    r"out/2019 ": "three epochs; tests/change/test_history.py",
     r"sbet_|--semantics asprs": "a delivery of another system; tests/geo/test_trajectory_files.py",
     r"^subiaco .*--scheduler|^dask\b|^DASK_": "a cluster; tests/geo/test_task_runner.py",
     r"^subiaco (train|baseline siamese)": "PyTorch and hours; tests/change/test_learned_commands.py",

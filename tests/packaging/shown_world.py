@@ -25,17 +25,18 @@ class World:
         self.made.mkdir()
         for folder in ("config", "scripts", "docs", "ros2_ws"):
             (root / folder).symlink_to(ROOT / folder)
-        for seed, name in ((1, "before"), (2, "after")):
+        for seed, name in ((1, "before"), (2, "after"), (3, "between")):
             (self.made / name).mkdir()
             world = boxes(np.random.default_rng(seed)) + np.array([391_200.0, 6_464_300.0, 12.0])
             write_cloud(self.made / name / "map.ply", from_world(world, crs="EPSG:7850"))
 
-    def makers(self) -> dict[str, Callable[[Path], None]]:
+    def makers(self) -> dict[str, Callable[[Path], object]]:
         """Return what makes a file or folder, by the pattern of its name; the first that fits counts."""
         before, after = self.made / "before", self.made / "after"
         return {
-            r"out/(before|2019|2023)": lambda path: path.symlink_to(before),
-            r"out/(after|2022|2025)|out/map": lambda path: path.symlink_to(after),
+            r"out/(before|2019|2023)": lambda path: shutil.copytree(before, path),
+            r"out/(after|2025)|out/map": lambda path: shutil.copytree(after, path),
+            r"out/2022": lambda path: shutil.copytree(self.made / "between", path),
             r"out/change": self.change,
             r".*\.tum": tum,
             r"before\.laz": lambda path: laz(before, path),
