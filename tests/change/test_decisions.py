@@ -114,13 +114,13 @@ def test_an_interval_that_straddles_its_limit_says_so_and_costs_confidence():
     straddling, doubtful = decided(Interval(2.0, 12.0))
     clear, sure = decided(Interval(-1.0, 1.0))
     assert straddling.change is clear.change is Change.UNCHANGED
-    assert "did not see" in straddling.reason
-    assert "did not see" not in clear.reason
+    assert "did not observe" in straddling.reason
+    assert "did not observe" not in clear.reason
     assert doubtful < sure
     barely, clearly = decided(Interval(8.0, 20.0))[0], decided(Interval(15.0, 20.0))[0]
     assert barely.change is clearly.change is Change.INCREASED
-    assert "did not see" in barely.reason
-    assert "did not see" not in clearly.reason
+    assert "did not observe" in barely.reason
+    assert "did not observe" not in clearly.reason
     assert barely.sigmas < clearly.sigmas
 
 

@@ -44,7 +44,7 @@ def test_the_half_of_a_hedge_whose_top_moved_is_a_row_of_its_own(height, label):
     rest, moved = decided(before, after)
     assert (rest.decision.change, moved.decision.change) == (Change.UNCHANGED, label)
     assert moved.plant.section == pytest.approx(height - 1.5, abs=0.05)
-    assert f"top {moved.plant.section:+.2f} m" in moved.decision.reason
+    assert f"top changed by {moved.plant.section:+.2f} m" in moved.decision.reason
     assert before.xyz[moved.points("before"), 0].min() > 5.4
     assert before.xyz[rest.points("before"), 0].max() < 6.6
     together = np.concatenate([c.points("before") for c in (rest, moved)])

@@ -32,8 +32,8 @@ NO_KEY = {
     "open3d": "open3d", "ouster": "ouster-sdk", "pgeof": "pgeof", "pyogrio": "pyogrio", "rosbags": "rosbags",
     "small_gicp": "small-gicp", "pydantic": "pydantic",
 }  # fmt: skip
-#: Imported where the user asks for it: a cluster, learned methods, a live viewer.
-OPTIONAL = {"dask", "distributed", "torch", "foxglove"}
+#: Imported where the user asks for it: a cluster, object storage, learned methods, a live viewer.
+OPTIONAL = {"dask", "distributed", "torch", "foxglove", "fsspec"}
 VENDORED = ("ouster_sensor_msgs", "tf2_msgs")
 
 

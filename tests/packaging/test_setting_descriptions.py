@@ -45,7 +45,7 @@ PHRASES = (
 )
 UNITS = {
     "1", "1/m", "GB", "MB", "bytes", "cells", "days", "deg", "m", "m or 1", "m/m", "m/s", "m/s2",
-    "m/s2/sqrt(s)", "m2", "m3", "messages", "min", "ns", "rad", "rad/s", "s", "years",
+    "m/s2/sqrt(s)", "m2", "m3", "messages", "min", "ms", "ns", "rad", "rad/s", "s", "years",
 }  # fmt: skip
 #: Words that say that a number has no unit.
 PURE = ("coefficient", "factor", "fraction", "multiple", "number of", "odds", "probability", "ratio",

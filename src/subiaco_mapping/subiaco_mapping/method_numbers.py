@@ -34,7 +34,7 @@ class AbsolutePositionsNumbers(StrictModel):
     )
     level_cosine: float = Field(
         0.7,
-        description="Smallest cosine of the inclination of a surface that determines a height",
+        description="Smallest cosine of the inclination, a ratio, of a surface that determines a height",
     )
     pick_distance: float = Field(
         0.5,
@@ -46,7 +46,8 @@ class AbsolutePositionsNumbers(StrictModel):
     )
     contradiction: float = Field(
         3.29,
-        description="Standardised residual beyond which a control point contradicts the others (99.9 %)",
+        description="Residual, a multiple of its standard deviation, beyond which a control point "
+        "contradicts the others (99.9 %)",
     )
     determined_variance: float = Field(
         10.0,
@@ -99,8 +100,8 @@ class FusionNumbers(StrictModel):
 
     floor_voxels: float = Field(
         1.5,
-        description="Height above the floor, in voxels, below which a voxel shares its observations "
-        "with the floor",
+        description="Height above the floor, a multiple of a voxel, below which a voxel shares its "
+        "observations with the floor",
     )
     floor_cell: float = Field(0.5, description="Edge of the cells in which the lowest voxel is searched [m]")
     elevation_cell_deg: float = Field(0.1, description="Elevation step of the measured field of view [deg]")
@@ -152,7 +153,7 @@ class LoopClosureNumbers(StrictModel):
     pair_drift: float = Field(
         0.01,
         description="Growth of the largest disagreement of two loops with the distance between their "
-        "places [m per m]",
+        "places [m/m]",
     )
     pair_turn_deg: float = Field(2.0, description="Largest rotation between two consistent loops [deg]")
     overlay_cell: float = Field(
@@ -208,7 +209,8 @@ class OdometryNumbers(StrictModel):
     )
     refinement_reach: float = Field(
         5.0 / 3.0,
-        description="Correspondence distance of the refinement, in widths of the kernel of the scan matching",
+        description="Correspondence distance of the refinement, a multiple of the kernel width of "
+        "the scan matching",
     )
     gravity_bounds: tuple[float, float] = Field(
         (9.2, 10.4),
@@ -244,8 +246,8 @@ class PoseGraphNumbers(StrictModel):
     )
     astray: tuple[float, float, float] = Field(
         (1.0, 1.0, 2000.0),
-        description="Distance from the other fixes beyond which a fix is not of the drive: latitude, "
-        "longitude, height [deg, deg, m]",
+        description="Distance in latitude and longitude [deg] and in height [m] from the other "
+        "fixes beyond which a fix is not of the drive",
     )
     gravity_bounds: tuple[float, float] = Field(
         (9.2, 10.4),
@@ -253,12 +255,13 @@ class PoseGraphNumbers(StrictModel):
     )
     marginal_residual: float = Field(
         1e-3,
-        description="Largest relative residual of a solution of the normal equations from which "
+        description="Largest residual, as a ratio, of a solution of the normal equations from which "
         "covariances are taken",
     )
     fix_outlier: float = Field(
         16.266,
-        description="Chi-square of three axes beyond which a fix is an outlier (99.9 %)",
+        description="Ratio of squared residual and variance, summed over three axes, beyond which "
+        "a fix is an outlier (99.9 %)",
     )
 
 
@@ -284,7 +287,7 @@ class PreprocessingNumbers(StrictModel):
     )
     clock_kernel: float = Field(
         3.0,
-        description="Width of the Huber kernel of that estimate [standard deviations]",
+        description="Width of the Huber kernel of that estimate, a multiple of a standard deviation",
     )
     clock_first_sigma: float = Field(
         1e-3,

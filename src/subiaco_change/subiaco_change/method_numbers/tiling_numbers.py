@@ -42,8 +42,8 @@ class TilingNumbers(StrictModel):
     )
     box_overlap: float = Field(
         0.2,
-        description="Smallest overlap of the bounding boxes of two objects, as intersection over union, from "
-        "which the objects may match",
+        description="Smallest overlap of the bounding boxes of two objects, as the ratio of intersection and "
+        "union, from which the objects may match",
     )
     reach_margin: float = Field(
         0.25, description="Length by which candidate groups exceed the reach of every decision [m]"

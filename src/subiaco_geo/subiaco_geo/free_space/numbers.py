@@ -20,7 +20,8 @@ class FreeSpaceNumbers(StrictModel):
         "width",
     )
     widest_cosine: float = Field(
-        0.05, description="Smallest cosine of the elevation by which a point in a depth image is widened"
+        0.05,
+        description="Smallest cosine of the elevation, a ratio, by which a point in a depth image is widened",
     )
     spin_axis_deg: float = Field(
         35.0,
@@ -41,7 +42,8 @@ class FreeSpaceNumbers(StrictModel):
     )
     grazing_slack: float = Field(
         3.0,
-        description="Depth tolerance on surfaces at a grazing angle, in cells of a depth image at the range",
+        description="Depth tolerance on surfaces at a grazing angle, a multiple of a cell "
+        "of a depth image at the range",
     )
 
 
