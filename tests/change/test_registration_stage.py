@@ -29,7 +29,9 @@ def city(crs, limit, leaf=0.25):
     sides = tuple(
         EpochContext(e, np.zeros(3), crs, "assumed", None, np.zeros(3), 0.5) for e in ("before", "after")
     )
-    config = RegistrationSlice(RegistrationConfig(), registration_points=limit, leaf=leaf)
+    config = RegistrationSlice(
+        RegistrationConfig(), registration_points=limit, leaf=leaf, second_shift=0.01, second_points=0
+    )
     return Inputs(store, keys), RegistrationParams(sides, config, None)
 
 

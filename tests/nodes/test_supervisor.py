@@ -47,7 +47,7 @@ def tally(folder: Path, name: str) -> int:
 
 def tells(*reports: str) -> str:
     """Return a program that sends reports, each written as ``kind=value``."""
-    lines = ["from subiaco_ros.supervision import Progress, supervisor_channel"]
+    lines = ["from subiaco_ros.supervision import NodeProgress, supervisor_channel"]
     for report in reports:
         kind, _, value = report.partition("=")
         lines.append(f"supervisor_channel().{kind}({value})")
@@ -141,7 +141,7 @@ def test_status_and_progress_reach_whoever_shows_them_and_lines_of_the_log_do_no
     seen: list[dict[str, Any]] = []
     stages: list[tuple[str, float]] = []
     long = {"light": "red", "lines": ["x" * 70_000]}  # more than a pipe holds at once
-    program = tells("progress=Progress('fusing scans', 0.25)", f"status={long!r}")
+    program = tells("progress=NodeProgress('fusing scans', 0.25)", f"status={long!r}")
     program += """print('progress: nothing 50 %\\n[INFO] status: {"light": "green"}')"""
     says = scripts(node("says", principal=True), program)
     graph = GraphSpec("test", (says,))
