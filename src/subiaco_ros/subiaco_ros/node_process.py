@@ -9,7 +9,7 @@ import signal
 import sys
 import time
 from collections.abc import Callable, Iterable, Sequence
-from contextlib import ExitStack
+from contextlib import ExitStack, suppress
 from dataclasses import dataclass
 
 import rclpy
@@ -149,7 +149,8 @@ def _run_process(name: str, make: Callable[[], list[ManagedNode]], argv: Sequenc
     finally:
         signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})  # a second one changes nothing
         logging.getLogger().handlers = []
-        rclpy.try_shutdown()
+        with suppress(RCLError):  # the handler of a signal may end the context between look and call
+            rclpy.try_shutdown()
 
 
 def _refused(reason: str, code: int) -> int:
