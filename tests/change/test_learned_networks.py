@@ -339,7 +339,7 @@ def test_labels_that_are_ignored_do_not_change_the_loss():
     kept = classes >= 0
     weights = torch.tensor([0.1, 0.9, 1.0, 1.0])
     assert torch.isclose(task_loss((said, classes), weights), task_loss((said[kept], classes[kept]), weights))
-    assert (to_classes(np.array([Change.NOT_REPORTED]), 1) == -1).all()
+    assert (to_classes(np.array([Change.UNOBSERVED]), 1) == -1).all()
 
 
 def raised_ground(rise, features):

@@ -19,7 +19,7 @@ from subiaco_evaluation.learned.config import TrainingConfig
 from subiaco_evaluation.learned.curve import write_curve
 from subiaco_evaluation.learned.deep_clustering import ClusterTask
 from subiaco_evaluation.learned.jobs import TrainingJob
-from subiaco_evaluation.learned.labels import UNOBSERVED_POINTS
+from subiaco_evaluation.learned.labels import MOVING_OBJECTS
 from subiaco_evaluation.learned.methods import POINT_METHODS
 from subiaco_evaluation.learned.surveys import Prepared
 from subiaco_evaluation.learned.tasks import (
@@ -233,7 +233,7 @@ def describe_training(job: TrainingJob, config: TrainingConfig, task: Task, stat
         "epochs": state.epoch,
         "best_epoch": state.best_epoch,
         "validation_miou_percent": round(state.best_score, 2),
-        "unobserved_points": UNOBSERVED_POINTS,
+        "moving_objects": MOVING_OBJECTS,
         "prior_power": state.best_power,
         "class_factors": prior_factors(task.shares, state.best_power).tolist(),
         "hours": round(state.seconds / 3600.0, 3),
