@@ -239,14 +239,18 @@ def training_rows(methods: Sequence[str], also: Mapping[str, Path]) -> list[dict
     for method in methods:
         record = read_record(also.get(method, SHIPPED / f"{method}.npz"))
         points = record["method"] in POINT_METHODS
-        settings = record["config"]["point_training" if points else "raster_training"]
+        part = "point_training" if points else "raster_training"
         inputs = ["1", *record["config"]["point_network"]["features"]] if points else ["heights"]
+        parts = [*record.get("earlier", []), record]
+        begun = sum(r["epochs"] for r in parts[:-1])
         rows.append({
             "method": method, "parameters": record["parameters"], "input": ", ".join(inputs),
             "learned on": ", ".join(record["surveys"]),
-            "validated on": ", ".join(record["validation_surveys"]), "epochs": record["epochs"],
-            "cylinders or patches": record["epochs"] * settings["samples"], "hours": record["hours"],
-            "best epoch": record["best_epoch"] + 1, "validation mIoU %": record["validation_miou_percent"],
+            "validated on": ", ".join(record["validation_surveys"]), "epochs": begun + record["epochs"],
+            "cylinders or patches": sum(r["epochs"] * r["config"][part]["samples"] for r in parts),
+            "hours": round(sum(r["hours"] for r in parts), 3), "best epoch": begun + record["best_epoch"] + 1,
+            "validation mIoU %": record["validation_miou_percent"],
+            "moving objects": record.get("moving_objects", "left out" if points else "unchanged"),
             "power of the shares": record["prior_power"],
             "seed": record["config"]["seed"], "revision": record["revision"],
         })  # fmt: skip

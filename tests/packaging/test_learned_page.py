@@ -79,3 +79,21 @@ def test_a_row_of_other_weights_runs_the_method_that_their_record_names(bench, t
     method, settings = bench.resolve("signed", also)
     assert (method, settings.learned.weights) == ("dsm-siamese", str(tmp_path / "w.npz"))
     assert bench.resolve("dsm", also) == ("dsm", BaselineConfig())
+
+
+def test_a_training_that_began_with_weights_counts_from_its_first_cylinder(bench, tmp_path):
+    config = {
+        "seed": 0,
+        "point_network": {"features": ["height"]},
+        "point_training": {"samples": 100},
+    }
+    part = {"config": config, "epochs": 3, "hours": 0.5, "revision": "old"}
+    record = {
+        **part, "method": "siamese-kpconv", "parameters": 7, "surveys": ["a", "b"],
+        "validation_surveys": ["c"], "best_epoch": 1, "validation_miou_percent": 50.0, "prior_power": 0.25, "moving_objects": "unchanged",
+        "earlier": [{**part, "epochs": 4}],
+    }  # fmt: skip
+    write_weights(tmp_path / "w.npz", {"a": np.zeros(2)}, record)
+    (row,) = bench.training_rows(["row"], {"row": tmp_path / "w.npz"})
+    assert (row["epochs"], row["cylinders or patches"], row["hours"], row["best epoch"]) == (7, 700, 1.0, 6)
+    assert (row["input"], row["learned on"], row["moving objects"]) == ("1, height", "a, b", "unchanged")
