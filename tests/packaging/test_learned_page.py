@@ -90,7 +90,8 @@ def test_a_training_that_began_with_weights_counts_from_its_first_cylinder(bench
     part = {"config": config, "epochs": 3, "hours": 0.5, "revision": "old"}
     record = {
         **part, "method": "siamese-kpconv", "parameters": 7, "surveys": ["a", "b"],
-        "validation_surveys": ["c"], "best_epoch": 1, "validation_miou_percent": 50.0, "prior_power": 0.25, "moving_objects": "unchanged",
+        "validation_surveys": ["c"], "best_epoch": 1,
+        "validation_miou_percent": 50.0, "prior_power": 0.25, "moving_objects": "unchanged",
         "earlier": [{**part, "epochs": 4}],
     }  # fmt: skip
     write_weights(tmp_path / "w.npz", {"a": np.zeros(2)}, record)
