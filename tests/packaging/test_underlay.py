@@ -90,7 +90,8 @@ find_package(rosidl_default_generators REQUIRED)
 foreach(_needed {needed})
   find_package(${{_needed}} REQUIRED)
 endforeach()
-list(FILTER AMENT_EXTENSIONS_rosidl_generate_idl_interfaces EXCLUDE REGEX "introspection|typesupport_cpp_generate")
+list(FILTER AMENT_EXTENSIONS_rosidl_generate_idl_interfaces
+    EXCLUDE REGEX "introspection|typesupport_cpp_generate")
 rosidl_generate_interfaces({name} {files} DEPENDENCIES {needed})
 ament_package()
 """

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -76,6 +77,8 @@ class RawListener:
         self._topics: dict[str, _Listening] = {}
         self._refused: dict[str, str] = {}
         self._metadata: str | None = None
+        if LIDAR_PACKETS in config.topics:  # now, and not while packets wait for their counter
+            import_module("subiaco_mapping.preprocessing.decode")
 
     @property
     def counters(self) -> dict[str, TopicCounter]:
