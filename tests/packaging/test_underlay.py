@@ -18,6 +18,7 @@ import pytest
 
 REPOSITORY = Path(__file__).resolve().parents[2]
 PATIENCE = 900.0  # a build on an idle core takes a tenth of this [s]
+APT_ROS = Path("/opt/ros/jazzy/setup.bash")
 VENDORED = ("ouster_sensor_msgs", "tf2_msgs")
 
 #: Files of each package upstream; the vendored copies have the first alone.
@@ -103,11 +104,19 @@ MANIFEST = """<package format="3"><name>{name}</name><version>1.0.0</version><de
 
 
 def build_environment() -> dict[str, str]:
-    """Return an environment without any workspace: ROS alone."""
-    left_out = ("PYTHONPATH", "CMAKE_PREFIX_PATH", "COLCON_PREFIX_PATH", "_ROS_WHEELS_BOOTSTRAP_COMPLETE")
+    """Return an environment without any workspace: ROS alone, and none of our libraries on the path."""
+    left_out = {
+        "PYTHONPATH", "LD_LIBRARY_PATH", "AMENT_PREFIX_PATH", "CMAKE_PREFIX_PATH", "COLCON_PREFIX_PATH",
+        "_ROS_WHEELS_BOOTSTRAP_COMPLETE",
+    }  # fmt: skip
     environment = {name: value for name, value in os.environ.items() if name not in left_out}
-    ros = "/opt/ros/jazzy" if Path("/opt/ros/jazzy/setup.bash").is_file() else sys.prefix
-    return environment | {"AMENT_PREFIX_PATH": ros, "MAKEFLAGS": "-j2"}
+    if APT_ROS.is_file():
+        command = ["bash", "-c", 'source "$0" && env -0', str(APT_ROS)]
+        said = subprocess.run(command, env=environment, capture_output=True, text=True, check=True).stdout
+        environment = dict(entry.split("=", 1) for entry in said.split("\0") if "=" in entry)
+    else:
+        environment["AMENT_PREFIX_PATH"] = sys.prefix
+    return environment | {"MAKEFLAGS": "-j2"}
 
 
 #: What is compiled here is never run for its speed.
@@ -211,7 +220,8 @@ def test_the_workspace_built_over_full_messages_leaves_them_alone_and_loads_them
     from ament_index_python.packages import get_package_prefix
 
     environment = build_environment()
-    prefixes = [str(underlay / name) for name in VENDORED]
+    ours = get_package_prefix("subiaco_msgs")
+    prefixes = [*(str(underlay / name) for name in VENDORED), ours]
     environment["AMENT_PREFIX_PATH"] = ":".join([*prefixes, environment["AMENT_PREFIX_PATH"]])
     listed = subprocess.run(
         ["colcon", "list", "--names-only", "--base-paths", "ros2_ws/src"],
@@ -223,7 +233,7 @@ def test_the_workspace_built_over_full_messages_leaves_them_alone_and_loads_them
     assert built == set(listed) - {"subiaco_msgs"}
 
     # the built packages, not the sources that a developer's PYTHONPATH may name
-    messages = Path(get_package_prefix("subiaco_msgs")) / "share/subiaco_msgs/package.bash"
+    messages = Path(ours) / "share/subiaco_msgs/package.bash"
     scripts = (underlay / "local_setup.bash", messages, tmp_path / "install/local_setup.bash")
     sourced = " && ".join(f"source {script}" for script in scripts)
     run = ["bash", "-c", f'{sourced} && exec "$0" -c "$1"', sys.executable, textwrap.dedent(LOADED)]
