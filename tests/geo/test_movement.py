@@ -189,28 +189,43 @@ def test_a_window_is_a_look_through_only_with_enough_beams_and_no_return() -> No
     assert windows_of([(4, True), (4, False), (4, False)], 2) == ([1, 0, 1, 4, 4], 3)
 
 
+def plain_looks(beams: list[tuple[int, bool]], least: int, cut: int) -> list[tuple[int, bool]]:
+    """Looks (window, hit); beams since the last look are forgotten at the cut."""
+    told, pending = [], 0
+    first_after_cut = beams[cut][0] if cut < len(beams) else None
+    for w in sorted({w for w, _ in beams}):
+        pending = 0 if w == first_after_cut else pending
+        pending += sum(v == w for v, _ in beams)
+        hit = any(hit for v, hit in beams if v == w)
+        if hit or pending >= least:
+            told.append((w, hit))
+            pending = 0
+    return told
+
+
 @given(st.lists(st.tuples(st.integers(0, 2), st.booleans()), min_size=1, max_size=30), st.integers(1, 3))
 @settings(deadline=None, max_examples=60)
-def test_looks_are_those_of_a_plain_count_and_do_not_depend_on_when_memory_went_to_disk(
+def test_looks_are_those_of_a_plain_count_and_memory_that_goes_to_disk_loses_beams_of_unfinished_looks_alone(
     steps: list[tuple[int, bool]], least: int
 ) -> None:
     window, beams = 1, []
     for step, hit in steps:
         window += step
         beams.append((window, hit))
-    told = []
-    for w in sorted({w for w, _ in beams}):
-        if any(hit for v, hit in beams if v == w):
-            told.append((w, True))
-        elif sum(v == w for v, _ in beams) >= least:
-            told.append((w, False))
-    hits = [w for w, hit in told if hit]
-    runs = sum(hit and (k == 0 or not told[k - 1][1]) for k, (_, hit) in enumerate(told))
-    expected = [len(hits), len(told) - len(hits), runs, min(hits, default=0), max(hits, default=0)]
-    assert windows_of(beams, least)[0] == expected
-    for cut in range(1, len(beams)):
-        if beams[cut - 1][0] != beams[cut][0]:
-            assert windows_of(beams, least, cut)[0] == expected
+    for cut in range(1, len(beams) + 1):
+        if cut < len(beams) and beams[cut - 1][0] == beams[cut][0]:
+            continue
+        told = plain_looks(beams, least, cut)
+        hits = [w for w, hit in told if hit]
+        runs = sum(hit and (k == 0 or not told[k - 1][1]) for k, (_, hit) in enumerate(told))
+        expected = [len(hits), len(told) - len(hits), runs, min(hits, default=0), max(hits, default=0)]
+        assert windows_of(beams, least, cut)[0] == expected
+
+
+def test_beams_too_few_for_a_look_in_one_window_add_up_and_a_return_discards_them() -> None:
+    thin = [(w, False) for w in range(1, 8)]
+    assert windows_of(thin, 3)[0] == [0, 2, 0, 0, 0]
+    assert windows_of([*thin[:2], (3, True), *thin[3:]], 3)[0] == [1, 1, 1, 3, 3]
 
 
 def test_a_layer_with_times_is_read_back_whole_and_in_parts_and_one_without_still_loads(

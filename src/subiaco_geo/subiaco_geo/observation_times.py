@@ -1,9 +1,10 @@
 """Observation times of voxels: time windows in which a voxel returned a beam or was crossed by one.
 
-A window in which any beam returned from a voxel is a *hit window*; one in which nothing returned although
-enough beams went through is a *through window*. Both are *looks*. Consecutive hit windows, with no look
-through the voxel between them, make one *run*: a parked car has one, a passing vehicle has one,
-a queue that crawls by a few, a hedge many.
+A window in which any beam returned from a voxel is a *hit window*; one in which nothing returned and
+enough beams have gone through since the last look is a *through window*. Both are *looks*. Far from the
+sensor few beams go through a voxel in one window, so beams add up over windows; a return discards them.
+Consecutive hit windows, with no look through the voxel between them, make one *run*: a parked car has one,
+a passing vehicle has one, a queue that crawls by a few, a hedge many.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ COLUMNS = 7  # of the running state of a voxel, see below
 WINDOWS = 1 << 15  # so many windows the running state can tell apart
 
 _WINDOW, _STATE, _HITS, _THROUGH, _RUNS, _FIRST, _LAST = range(COLUMNS)
-_BEAMS = 0xFF  # of the state: beams that went through in this window, as far as they count
+_BEAMS = 0xFF  # of the state: beams that went through since the last look, as far as they count
 _HIT, _AFTER_HIT, _BEGAN_HIT = 0x100, 0x200, 0x400  # this window; the look before it; the first look
 
 Rows = NDArray[np.uint16]
@@ -30,12 +31,15 @@ Counts = NDArray[np.uint16]
 
 @numba.njit(cache=True, inline="always")
 def _closed(state, least):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Return the state of a voxel at the beginning of a window, from that at the end of the last one."""
+    """Return the state of a voxel at the beginning of a window, from that at the end of the last one.
+
+    Beams that were too few for a look count on.
+    """
     if state & _HIT:
         return (state & _BEGAN_HIT) | _AFTER_HIT
     if (state & _BEAMS) >= least:
         return state & _BEGAN_HIT
-    return state & (_AFTER_HIT | _BEGAN_HIT)
+    return state
 
 
 @numba.njit(cache=True, inline="always")

@@ -133,7 +133,7 @@ class MapFusion:
         xyz = transform_points(pose, scan.xyz)
         self._first.add(xyz, scan.intensity, pose[:3, 3])
         self._last.add(transform_points(pose, scan.last_xyz), scan.last_intensity, pose[:3, 3])
-        beams, returned = visibility_beams(scan, pose, self._config)
+        beams, returned = visibility_beams(scan, pose, self._config, self._scans)
         ends = transform_points(pose, beams) @ matrix.T + offset
         origin = matrix @ pose[:3, 3] + offset
         starts, hits = np.broadcast_to(origin, ends.shape), xyz @ matrix.T + offset
