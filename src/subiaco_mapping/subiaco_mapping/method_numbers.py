@@ -110,6 +110,11 @@ class FusionNumbers(StrictModel):
     fragment_reach: float = Field(
         0.6, description="Distance up to which a point lies beside points of a moving object [m]"
     )
+    fragment_length: float = Field(
+        8.0,
+        description="Greatest extent of a fragment along an axis [m]; less than the width of the "
+        "surroundings that are processed together with a tile",
+    )
     fragment_share: float = Field(
         0.8,
         description="Share of a group of points beside points of moving objects from which the group is a "

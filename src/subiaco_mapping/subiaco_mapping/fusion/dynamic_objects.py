@@ -23,6 +23,7 @@ _SHARED = NUMBERS.fusion.floor_voxels
 _CELL = NUMBERS.fusion.floor_cell
 _FRAGMENT_FLOOR = NUMBERS.fusion.fragment_floor
 _FRAGMENT_REACH = NUMBERS.fusion.fragment_reach
+_FRAGMENT_LENGTH = NUMBERS.fusion.fragment_length
 
 
 def moved_probability(
@@ -55,6 +56,7 @@ def fragment_shares(
 
     Groups are connected components of the voxels that hold points above the road that did not move. A
     fragment of a moving vehicle has a share near 1; a wall, a hedge or a parked car beside traffic has not.
+    Groups longer than a vehicle have 0; so the answer does not depend on how much of them a tile holds.
 
     Parameters
     ----------
@@ -75,6 +77,10 @@ def fragment_shares(
     group = connected(keys)[slot]
     distance, _ = cKDTree(xyz[moved]).query(xyz[rest], distance_upper_bound=_FRAGMENT_REACH)
     beside = np.bincount(group, np.isfinite(distance)) / np.maximum(np.bincount(group), 1)
+    low, high = np.full((2, len(beside), 3), np.inf)
+    np.minimum.at(low, group, xyz[rest])
+    np.minimum.at(high, group, -xyz[rest])
+    beside[((-high - low) > _FRAGMENT_LENGTH).any(axis=1)] = 0.0
     shares[rest] = beside[group]
     return shares
 
