@@ -219,7 +219,7 @@ class ObjectDecisionNumbers(StrictModel):
     )
     crown_column: float = Field(0.5, description="Edge of the columns of a crown whose tops are compared [m]")
     crown_top: float = Field(
-        0.95, description="Quantile of the tops of its columns that is the top of a crown"
+        0.95, description="Quantile of the tops of its columns, as a fraction, that is the top of a crown"
     )
     crown_columns: int = Field(8, description="Smallest number of columns of a crown whose top is known")
     cut_depth: float = Field(
@@ -240,9 +240,12 @@ class PlantMeasuresNumbers(StrictModel):
     )
     place_cap: float = Field(0.9, description="Largest probability of being free that one place contributes")
     unknown_free: float = Field(0.5, description="Probability of being free of an unobserved place")
-    top_quantile: float = Field(0.95, description="Quantile of the heights of a plant that is its top")
+    top_quantile: float = Field(
+        0.95, description="Quantile of the heights of a plant, as a fraction, that is its top"
+    )
     voxels_per_patch: float = Field(
-        2.0, description="Neighbouring voxels of a plant that a survey observes, or misses, together"
+        2.0,
+        description="Number of neighbouring voxels of a plant that a survey observes, or misses, together",
     )
 
 
