@@ -43,15 +43,21 @@ def test_few_columns_tell_no_top():
     assert not is_top_seen([obj([(block((0, 0, 2), (1, 1, 6)), False)])])
 
 
-@pytest.mark.parametrize(("reach", "change"), [(9.0, Change.ADDED), (2.5, Change.UNOBSERVED)])
-def test_a_cut_crown_above_the_view_of_the_other_survey_is_not_claimed(reach, change):
+@pytest.mark.parametrize(
+    ("reach", "beside", "change"),
+    [(9.0, 0.0, Change.ADDED), (2.5, 0.0, Change.UNOBSERVED), (2.5, 3.0, Change.ADDED)],
+    ids=["in view", "the upper part of a cut crown", "a tree that stands alone"],
+)
+def test_a_cut_crown_above_the_view_of_the_other_survey_is_not_claimed(reach, beside, change):
     cut = obj([(block((0, 0, 3), (5, 5, 5)), False)])
-    rules = replace(RULES, below_view=(below(reach), below(reach)))
+    stem = block((5 + beside, 2, 0), (6 + beside, 3, 3))
+    rules = replace(RULES, below_view=(below(reach), below(reach)), standing=(stem, stem))
     assert decide_object((), [cut], Semantic.VEGETATION, rules).decision.change is change
 
 
 def test_a_crown_with_its_top_seen_is_claimed_above_all_that_surrounds_it():
-    rules = replace(RULES, below_view=(below(0.5), below(0.5)))
+    beside = np.add(crown(), (2.5, 0.0, -1.0))
+    rules = replace(RULES, below_view=(below(0.5), below(0.5)), standing=(beside, beside))
     whole = obj([(crown(), False)])
     assert decide_object((), [whole], Semantic.VEGETATION, rules).decision.change is Change.ADDED
     assert decide_object([whole], (), Semantic.VEGETATION, rules).decision.change is Change.REMOVED
@@ -60,7 +66,9 @@ def test_a_crown_with_its_top_seen_is_claimed_above_all_that_surrounds_it():
 def test_what_every_view_reaches_is_enough_to_claim_a_felled_tree():
     stem = block((0, 0, 0.5), (1, 1, 2.0))
     tree = obj([(np.concatenate([stem, block((-2, -2, 2), (3, 3, 4))]), False)])
-    rules = replace(RULES, below_view=(below(0.2), below(0.2)))
+    rules = replace(
+        RULES, below_view=(below(0.2), below(0.2)), standing=(np.add(stem, 1.0), np.add(stem, 1.0))
+    )
     assert decide_object([tree], (), Semantic.VEGETATION, rules).decision.change is Change.REMOVED
 
 

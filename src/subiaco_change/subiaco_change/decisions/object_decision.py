@@ -33,6 +33,7 @@ _FLAT_TOP = NUMBERS.object_decision.flat_top
 _LAID_TOP = NUMBERS.object_decision.laid_top
 _LEVEL = NUMBERS.object_decision.level_normal
 _EVERY_VIEW = NUMBERS.object_decision.every_view
+_BESIDE = NUMBERS.object_decision.beside_plant
 _COLUMN = NUMBERS.object_decision.crown_column
 _CROWN_TOP = NUMBERS.object_decision.crown_top
 _CROWN_COLUMNS = NUMBERS.object_decision.crown_columns
@@ -128,14 +129,25 @@ def _compared(
 ) -> tuple[Sequence[ObjectInstance], Sequence[ObjectInstance]]:
     """Parts of an object that are compared: of plants, those that the view of the other epoch reached.
 
-    Of a plant of one epoch its own top tells whether a field of view ends in crowns.
+    Of a plant of one epoch its own top tells whether a field of view ends in crowns. It may be the upper part
+    of what the other epoch holds beside it; what stands alone was added, or removed, as a whole.
     """
+    alone = not (before and after)
     if semantic is not Semantic.VEGETATION:
+        return before, after
+    if alone and not _adjoins((*before, *after), rules.standing[int(bool(before))]):
         return before, after
     return (
         _in_view(before, after or before, rules.below_view[1]),
         _in_view(after, before or after, rules.below_view[0]),
     )
+
+
+def _adjoins(objects: Sequence[ObjectInstance], standing: Floats) -> bool:
+    """Tell whether standing points (N, 3) of the other epoch lie beside the points of objects."""
+    xyz = np.concatenate([t.xyz for t in objects])
+    near = ((standing >= xyz.min(axis=0) - _BESIDE) & (standing <= xyz.max(axis=0) + _BESIDE)).all(axis=1)
+    return bool(near.any()) and float(cKDTree(xyz).query(standing[near])[0].min()) <= _BESIDE
 
 
 def _observed_fraction(parts: Sequence[ObjectInstance], measures: Measures, rules: ObjectRules) -> float:

@@ -217,6 +217,11 @@ class ObjectDecisionNumbers(StrictModel):
     every_view: float = Field(
         2.0, description="Height above ground up to which the view of every survey reaches [m]"
     )
+    beside_plant: float = Field(
+        1.0,
+        description="Distance from standing points of the other epoch within which a plant may be a part of a"
+        " plant that both epochs have [m]",
+    )
     crown_column: float = Field(0.5, description="Edge of the columns of a crown whose tops are compared [m]")
     crown_top: float = Field(
         0.95, description="Quantile of the tops of its columns, as a fraction, that is the top of a crown"

@@ -35,6 +35,7 @@ OCCUPANCY_RULES: tuple[Rule, ...] = (
         " top is not seen.",
         (
             "method_numbers.object_decision.every_view",
+            "method_numbers.object_decision.beside_plant",
             "method_numbers.object_decision.cut_depth",
             "method_numbers.object_decision.cut_share",
         ),
