@@ -33,9 +33,7 @@ class World:
     def makers(self) -> dict[str, Callable[[Path], object]]:
         """Return what makes a file or folder, by the pattern of its name; the first that fits counts."""
         return {
-            r"bags/(2023|2025)/loop0[12]": lambda path: drive.recording(
-                path, path.parent.name, int(path.name[-1]) - 1
-            ),
+            r"bags/20\d\d/loop0[12]": lambda path: shutil.copytree(self.bag(path), path),
             r"bags/am": drive.cut,
             r"bags/demo": lambda path: shutil.copytree(self.injected(), path),
             r"bags/\w+": lambda path: drive.recording(path, "2025", 0),
@@ -57,6 +55,14 @@ class World:
             r"lots\.gpkg": lambda path: lots(self.map("2025"), path),
             r"logo\.png": lambda path: shutil.copy(ROOT / "docs/pictures/graph.png", path),
         }
+
+    def bag(self, path: Path) -> Path:
+        """Return a recording that is named by epoch and loop."""
+        kept = self.kept / path.relative_to(self.root)
+        if not kept.exists():
+            kept.parent.mkdir(parents=True, exist_ok=True)
+            drive.recording(kept, path.parent.name, int(path.name[-1]) - 1)
+        return kept
 
     def map(self, epoch: str) -> Path:
         """Return the map of an epoch."""
@@ -103,7 +109,7 @@ class World:
             maker = next((m for p, m in self.makers().items() if re.fullmatch(p, word)), None)
             if maker is None or word in written:
                 continue
-            if re.fullmatch(r"out/20\d\d|out/map", word):
+            if re.fullmatch(r"(bags|out)/20\d\d.*|out/map", word):
                 remove(path)
             if not path.exists():
                 path.parent.mkdir(parents=True, exist_ok=True)
