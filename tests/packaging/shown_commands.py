@@ -32,7 +32,7 @@ NOT_RUN = {
 ONE_TILE = ["--set", "tiles.size=400"]
 SMALLER = {
     "change": ["--workers", "1", *ONE_TILE],
-    "map": ["--workers", "1"],
+    "map": ["--workers", "1", "--set", "quality.holdout=false"],
     "calibrate": ["--copies", "2"],
     "simulate": ["--preset", "easy", "--duration", "1.1", "--mode", "512x10", "--set", "ground_cell=3.0"],
 }

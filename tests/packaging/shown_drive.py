@@ -13,7 +13,7 @@ sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "fuzz"))
 
 from subiaco_geo.bags import BagWriter
 from subiaco_geo.frames import Floats
-from subiaco_geo.topics import MESSAGE_TYPES, TF_STATIC
+from subiaco_geo.topics import FIX, MESSAGE_TYPES, TF_STATIC
 from subiaco_mapping.importers.bag_messages import LogMessage, cloud_message, extrinsics_message, fix_message
 from subiaco_mapping.importers.csv_logs import imu_message
 
@@ -93,15 +93,16 @@ def messages(epoch: str, number: int) -> list[LogMessage]:
     return sorted(found, key=lambda message: message.time_ns)
 
 
-def recording(folder: Path, epoch: str, number: int) -> None:
+def recording(folder: Path, epoch: str, number: int, topic: str = FIX, antenna: str = "gnss_link") -> None:
     """Write a recording as a bag; the sensors lie 1.8 m above the ground, where base_link is."""
     found = messages(epoch, number)
-    frames = {name: np.eye(4) for name in ("lidar_link", "imu_link", "gnss_link")}
+    frames = {name: np.eye(4) for name in ("lidar_link", "imu_link", antenna)}
     static = extrinsics_message(found[0].time_ns, frames)
     with BagWriter(folder) as writer:
         writer.write_raw(TF_STATIC, MESSAGE_TYPES[TF_STATIC], static.cdr, static.time_ns, latched=True)
         for item in found:
-            writer.write_raw(item.topic, MESSAGE_TYPES[item.topic], item.cdr, item.time_ns)
+            name = topic if item.topic == FIX else item.topic
+            writer.write_raw(name, MESSAGE_TYPES[item.topic], item.cdr, item.time_ns)
 
 
 def cut(folder: Path) -> None:

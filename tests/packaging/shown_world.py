@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import shown_drive as drive
+from shown_commands import SMALLER
 
 from subiaco_geo.cloud_io import read_cloud, write_cloud
 from subiaco_geo.clouds import PointCloud
@@ -41,6 +42,7 @@ class World:
             r"drive\.(pcap|json)": lambda path: drive.capture(path.with_suffix(".pcap")),
             r"gnss\.csv": drive.gnss_log,
             r"imu\.csv": drive.imu_log,
+            r"out/sim": lambda path: shutil.copytree(self.simulated(), path),
             r"out/demo/after": lambda path: shutil.copytree(self.injected(), path),
             r"out/(before|2019|2023)": lambda path: shutil.copytree(self.map("2023"), path),
             r"out/(after|map|2022|2025|demo/before)": lambda path: shutil.copytree(self.map("2025"), path),
@@ -74,6 +76,15 @@ class World:
         self.provide(["subiaco", "inject", "out/2025"])
         return self.made("out/2025_injected", ["inject", "out/2025", "--seed", "3"])
 
+    def simulated(self) -> Path:
+        """Return fused maps of a simulated survey with truth."""
+        from subiaco_bringup.cli.main import run
+
+        kept = self.kept / "sim/201"
+        if not kept.exists():
+            assert run(["simulate", str(kept), "--maps-only", *SMALLER["simulate"], "-q"]) == 0
+        return kept
+
     def change(self) -> Path:
         """Return a change directory of the two maps."""
         self.provide(["subiaco", "change", "out/2023", "out/2025"])
@@ -94,7 +105,7 @@ class World:
         """Keep the first output of each name, because later pages write other settings to that place."""
         for name in outputs(words):
             path, kept = self.root / name, self.kept / name
-            if path.is_dir() and not kept.exists():
+            if path.is_dir() and not kept.exists() and not name.startswith("bags/"):
                 shutil.copytree(path, kept)
 
     def provide(self, words: list[str]) -> None:
@@ -111,8 +122,10 @@ class World:
                 continue
             if re.fullmatch(r"(bags|out)/20\d\d.*|out/map", word):
                 remove(path)
-            if not path.exists():
-                path.parent.mkdir(parents=True, exist_ok=True)
+            path.parent.mkdir(parents=True, exist_ok=True)
+            if "config/drivers/ublox.yaml" in words and word.startswith("bags/"):
+                drive.recording(path, "2025", 0, "/ublox_gps_node/fix", "gps")
+            elif not path.exists():
                 maker(path)
 
 
