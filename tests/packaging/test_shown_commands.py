@@ -133,6 +133,8 @@ def test_the_commands_of_the_front_page_find_the_box_that_the_later_survey_has_m
     west, south, _, east, north, _ = (drive.NEW[0].reshape(2, 3) + drive.CORNER).ravel()
     assert claims["x"].between(west, east).all()
     assert claims["y"].between(south, north).all()
+    stated = table["reason"].str.fullmatch(r"[A-Z0-9].*\d.*limit.*\d.*[:,] .*[a-z]+\.")
+    assert table["reason"][~stated].tolist() == []
 
 
 def run_script(words: list[str]) -> int:
