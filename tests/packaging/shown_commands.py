@@ -31,7 +31,7 @@ NOT_RUN = {
 #: Options that make a run small, added to what is shown; a later option replaces an earlier one.
 ONE_TILE = ["--set", "tiles.size=400"]
 SMALLER = {
-    "change": ["--workers", "1", *ONE_TILE],
+    "change": ["--workers", "1", *ONE_TILE, "--set", "second_registration=false"],
     "map": ["--workers", "1", "--set", "quality.holdout=false"],
     "calibrate": ["--copies", "2"],
     "simulate": ["--preset", "easy", "--duration", "1.1", "--mode", "512x10", "--set", "ground_cell=3.0"],
