@@ -176,7 +176,9 @@ def _by_measures(measures: Measures, gate: float, rules: ClassRules) -> Decision
     relative = measures.delta_v / max(measures.volume, 1e-6)
     height = measures.delta_h / limit if math.isfinite(measures.delta_h) else 0.0
     up, down = _strengths(height, relative / rules.volume, measures, rules)
-    evidence = f"Height change {measures.delta_h:+z.2f} m (limit {limit:.2f} m), volume change {relative:+z.0%}"
+    evidence = (
+        f"Height change {measures.delta_h:+z.2f} m (limit {limit:.2f} m), volume change {relative:+z.0%}"
+    )
     evidence += (
         f" (limit {rules.volume:.0%}), new or lost surface {measures.net_changed_fraction:+z.0%} (limit"
     )
