@@ -34,7 +34,7 @@ SMALLER = {
     "change": ["--workers", "1", *ONE_TILE, "--set", "second_registration=false"],
     "map": ["--workers", "1", "--set", "quality.holdout=false"],
     "calibrate": ["--copies", "2"],
-    "simulate": ["--preset", "easy", "--duration", "1.1", "--mode", "512x10", "--set", "ground_cell=3.0"],
+    "simulate": ["--preset", "easy", "--duration", "1.1", "--mode", "512x10", "--set", "ground_cell=2.0"],
 }
 
 
