@@ -193,6 +193,21 @@ def test_whole_lost_frames_count_and_damaged_packets_are_told_apart() -> None:
     assert counts.malformed == 2
 
 
+def test_a_count_of_frames_that_begins_again_is_a_restart_and_no_loss() -> None:
+    """A bag of 50 frames in a loop: its first frames are no late ones."""
+    layout = core.PacketFormat(core.SensorInfo(METADATA))
+    first = {place: core.LidarPacket(layout) for place in range(32)}
+    raws = []
+    for frame in (*range(50), *range(50)):
+        for place, packet in first.items():
+            layout.set_frame_id(packet, frame)
+            for column in range(16):
+                layout.set_col_measurement_id(packet, column, 16 * place + column)
+            raws.append(packet_to_cdr(bytes(packet.buf)))
+    counts = count(raws).counts
+    assert (counts.restarts, counts.lost_at_sensor, counts.late, counts.duplicate) == (1, 0, 0, 0)
+
+
 def test_a_topic_adds_up_transport_sensor_and_disk() -> None:
     counter = TopicCounter(stamped=True)
     for k in range(100):
