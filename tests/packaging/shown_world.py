@@ -186,11 +186,12 @@ def laz(survey: Path, path: Path) -> None:
 
 
 def control(survey: Path, path: Path) -> None:
-    """Write three points of the ground of a map as control points."""
+    """Write six points of the ground beside the drive as control points."""
     cloud = points(survey)
-    world = np.asarray(cloud.xyz, dtype=np.float64) + cloud.origin
-    ground = world[world[:, 2] < np.quantile(world[:, 2], 0.2)]
-    lines = [f"p{i},{x:.3f},{y:.3f},{z:.3f}" for i, (x, y, z) in enumerate(ground[:: len(ground) // 2])]
+    place = np.asarray(cloud.xyz, dtype=np.float64) + cloud.origin - drive.CORNER
+    beside = (abs(place[:, 2]) < 0.1) & (abs(place[:, 1] - 16.0) < 2.5) & (abs(place[:, 0] - 20.0) < 12.0)
+    ground = place[beside] + drive.CORNER
+    lines = [f"p{i},{x:.3f},{y:.3f},{z:.3f}" for i, (x, y, z) in enumerate(ground[:: len(ground) // 5][:6])]
     path.write_text("\n".join(["name,east,north,height", *lines]) + "\n", encoding="utf-8")
 
 
