@@ -129,8 +129,8 @@ def _compared(
 ) -> tuple[Sequence[ObjectInstance], Sequence[ObjectInstance]]:
     """Return the parts of an object that are compared: of a plant, the parts in view of the other epoch.
 
-    The top of a plant of one epoch shows whether a field of view ends in the crown. The plant may be the upper
-    part of an object that the other epoch has beside it. A plant without such a neighbour is compared whole.
+    The top of a plant of one epoch shows whether a field of view ends in the crown. The plant may be the
+    upper part of an object that the other epoch has beside it. A plant without a neighbour is compared whole.
     """
     alone = not (before and after)
     if semantic is not Semantic.VEGETATION:
