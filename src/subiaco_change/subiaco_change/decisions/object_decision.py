@@ -127,10 +127,10 @@ def decide_object(
 def _compared(
     before: Sequence[ObjectInstance], after: Sequence[ObjectInstance], semantic: Semantic, rules: ObjectRules
 ) -> tuple[Sequence[ObjectInstance], Sequence[ObjectInstance]]:
-    """Return the parts of an object that are compared: of a plant, the parts in view of the other epoch.
+    """Parts of an object that are compared: of plants, those that the view of the other epoch reached.
 
-    The top of a plant of one epoch shows whether a field of view ends in the crown. The plant may be the
-    upper part of an object that the other epoch has beside it. A plant without a neighbour is compared whole.
+    Of a plant of one epoch its own top tells whether a field of view ends in crowns. It may be the upper part
+    of what the other epoch holds beside it; an isolated object was added, or removed, as a whole.
     """
     alone = not (before and after)
     if semantic is not Semantic.VEGETATION:
