@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 from subiaco_change.decisions.config import ClassRules, DecisionConfig
 from subiaco_change.decisions.rules import NO_LEVEL, Decision
 from subiaco_change.decisions.vegetation_null import PLANT_MEASURES, Expected, PlantMeasures, VegetationNull
-from subiaco_change.method_rules.switches import always, applies, switchable
+from subiaco_change.method_rules.switches import always, applies, switchable, third_argument
 from subiaco_geo.codes import Change
 
 _NAMES = {
@@ -130,6 +131,9 @@ def _decide_whole(plant: PlantMeasures, gate: float, rules: ClassRules, null: Ve
             return _decision(plant, measure)
     candidates = [top] if plant.thin else [volume, surface] if known else [top, volume, surface]
     fired = [e for e in candidates if abs(e.strength) > 1]
+    extent = [] if plant.thin else [columns, outline]
+    leaves = [e for e in fired if applies("extent_carries_surface", _is_foliage(plant, e, extent, rules))]
+    fired = [e for e in fired if e not in leaves]
     held = [
         e
         for e in fired
@@ -144,19 +148,44 @@ def _decide_whole(plant: PlantMeasures, gate: float, rules: ClassRules, null: Ve
         return _decision(plant, max(held, key=lambda e: e.strength if upwards else -e.strength))
     if fired:
         return _without_surface(plant, max(fired, key=lambda e: abs(e.strength)), surface, rules)
+    if leaves:
+        return _of_leaves(plant, max(leaves, key=lambda e: abs(e.strength)))
     measured = [e for e in (*first, *candidates) if math.isfinite(e.value)] or candidates
     return _decision(plant, max(measured, key=lambda e: abs(e.strength)))
 
 
 @switchable("followed_columns", always)
 def _is_followed(plant: PlantMeasures, columns: _Excess, rules: ClassRules) -> bool:
-    """Tell whether the top of all points of a low plant moved with the median of its columns.
+    """Tell whether the top of all points of a plant moved with the median of its columns.
 
     Where few points tell of a column, the medians of two samplings differ although the plant is as high.
     """
     if math.isnan(plant.apparent):
         return True
     return math.copysign(1.0, columns.strength) * plant.apparent >= rules.followed * rules.height
+
+
+def _is_foliage(
+    plant: PlantMeasures, found: _Excess, extent: Sequence[_Excess], rules: ClassRules
+) -> bool:
+    """Tell whether surface appeared or disappeared in a plant of which neither tops nor outline followed.
+
+    Leaves that fall open a crown to beams and leave its extent as it is.
+    """
+    part = plant.rise_of_part if found.strength > 0 else plant.fall_of_part
+    if part > rules.height:
+        return False
+    known = [e.strength for e in extent if math.isfinite(e.value)]
+    return bool(known) and max(math.copysign(1.0, found.strength) * s for s in known) < rules.followed
+
+
+def _of_leaves(plant: PlantMeasures, found: _Excess) -> Decision:
+    """Leave a plant unchanged whose surface changed while its tops and its outline did not."""
+    reason = (
+        f"{_compared(plant, found)} exceeds the limit of {_quantity(found.limit, found.unit, sign=False)},"
+        " but neither the top nor the outline of the plant followed: leaves differ, and no change is claimed."
+    )
+    return Decision(Change.UNCHANGED, reason, 1.0, 0.0)
 
 
 def _without_surface(plant: PlantMeasures, found: _Excess, surface: _Excess, rules: ClassRules) -> Decision:
@@ -186,21 +215,20 @@ def _excesses(
     found = {}
     for measure, limit in limits.items():
         expected = null.expected(plant, measure)
-        own = _own_sigma(plant, measure)
-        sd = max(expected.sd, own) if math.isfinite(own) else expected.sd
+        sd = _sigma(plant, measure, expected.sd)
         found[measure] = _Excess(measure, plant.value(measure), expected, max(limit, null.certain * sd), sd)
     return found
 
 
-@switchable("own_error_of_plants", lambda *_: math.nan)
-def _own_sigma(plant: PlantMeasures, measure: str) -> float:
-    """Return the standard error of a measure by the plant itself: of shares, that of a count of voxels.
+@switchable("own_error_of_plants", third_argument)
+def _sigma(plant: PlantMeasures, measure: str, scatter: float) -> float:
+    """Return the standard deviation of a measure of an unchanged plant: the others' scatter and its own error.
 
-    Neighbouring voxels of a surface are seen, or not, in pairs.
+    The own error of a share is that of a count of voxels: neighbouring voxels are seen, or not, in pairs.
     """
     if measure in ("volume", "surface"):
-        return math.sqrt(min(abs(plant.surface), 1.0) / max(0.5 * plant.voxels, 1.0))
-    return {"outline": plant.outline_sigma, "rise": plant.rise_sigma}.get(measure, 0.0)
+        return max(scatter, math.sqrt(min(abs(plant.surface), 1.0) / max(0.5 * plant.voxels, 1.0)))
+    return math.hypot(scatter, plant.error(measure))
 
 
 _CONCLUSIONS = {
