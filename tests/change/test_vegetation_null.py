@@ -79,7 +79,8 @@ def test_hedges_that_changed_do_not_widen_the_scatter_of_the_others_even_where_n
 @pytest.mark.parametrize("sd", [0.05, 0.15, 0.3])
 def test_a_wide_scatter_of_many_plants_without_a_change_is_measured_as_wide(sd, seed):
     rng = np.random.default_rng(seed)
-    plants = [replace(TREE, outline=float(shift)) for shift in rng.normal(0.0, sd, 80)]
+    shifts = rng.normal(0.0, sd, 80)
+    plants = [replace(TREE, outline=float(shift), outline_sigma=0.0) for shift in shifts]
     assert fit_null(plants, NULL).expected(TREE, "outline").sd == pytest.approx(sd, rel=0.3)
 
 
@@ -182,8 +183,22 @@ def test_hedges_are_not_compared_with_crowns_and_their_columns_decide():
     grown = label(replace(HEDGE, rise=0.6), null)
     assert grown.change is Change.INCREASED
     assert "hedges and shrubs" in grown.reason
-    assert label(replace(HEDGE, rise=0.15, top=0.6, surface=0.3), null).change is Change.INCREASED
-    assert label(replace(HEDGE, rise=0.15, top=0.6, surface=0.12), null).change is Change.UNCHANGED
+    leaves = replace(HEDGE, rise=0.15, surface=0.3)
+    assert label(leaves, null).change is Change.UNCHANGED
+    assert "leaves differ" in label(leaves, null).reason
+    assert label(replace(leaves, rise_of_part=0.6), null).change is Change.INCREASED
+    assert label(replace(leaves, rise=math.nan, outline=math.nan), null).change is Change.INCREASED
+
+
+def test_few_points_of_some_plants_do_not_widen_the_scatter_of_the_others():
+    rng = np.random.default_rng(3)
+    known = [replace(TREE, rise=r, rise_sigma=0.03) for r in rng.normal(0.05, 0.04, 24)]
+    poor = [replace(TREE, rise=r, rise_sigma=0.4) for r in rng.normal(0.05, 0.4, 24)]
+    null = fit_null([*known, *poor], NULL)
+    assert null.fits["crown/rise"].sd < 0.08
+    grown = replace(TREE, rise=0.45)
+    assert label(replace(grown, rise_sigma=0.03), null).change is Change.INCREASED
+    assert label(replace(grown, rise_sigma=0.4), null).change is Change.UNCHANGED
 
 
 def test_a_share_of_few_voxels_is_no_evidence():
@@ -206,7 +221,7 @@ def test_a_measure_against_the_direction_of_its_excess_claims_nothing():
 
 
 def test_a_top_that_no_surface_carries_is_no_change_and_says_why():
-    found = label(replace(TREE, top=0.8, surface=0.02), no_null(NULL))
+    found = label(replace(TREE, outline=math.nan, top=0.8, surface=0.02), no_null(NULL))
     assert found.change is Change.UNCHANGED
     assert "changed by only" in found.reason
 

@@ -123,9 +123,7 @@ def _with_tops(measures: Measures, plant: PlantMeasures, lod: float) -> Measures
     if not math.isfinite(plant.rise):
         return measures
     half = math.hypot(1.96 * plant.rise_sigma, lod)
-    return replace(
-        measures, delta_h=plant.rise, height_bounds=Interval(plant.rise - half, plant.rise + half)
-    )
+    return replace(measures, delta_h=plant.rise, height_bounds=Interval(plant.rise - half, plant.rise + half))
 
 
 def _all_parts(objects: Sequence[ObjectInstance], *_: object) -> list[ObjectInstance]:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from subiaco_change.decisions.config import ClassRules, DecisionConfig
 from subiaco_change.decisions.rules import NO_LEVEL, Decision
@@ -114,24 +114,39 @@ def _decide_section(plant: PlantMeasures, null: VegetationNull) -> Decision:
 
 
 def _decide_whole(plant: PlantMeasures, gate: float, rules: ClassRules, null: VegetationNull) -> Decision:
-    """Decide by the columns of a hedge or the outline where they moved, else by top, volume and surface.
+    """Decide by the tops of the columns or the outline where they moved, else by volume and surface.
 
-    The tops of its columns say more of a hedge than its highest voxels, of which few beams tell.
+    The tops of its columns say more of a plant than its highest voxels, of which few beams tell.
     """
     found = _excesses(plant, gate, rules, null)
-    columns, outline, top, volume, surface = (
-        found[m] for m in ("rise", "outline", "top", "volume", "surface")
-    )
+    columns, outline = found["rise"], found["outline"]
     known = math.isfinite(plant.rise)
-    first = [] if plant.thin else [columns, outline]
-    if abs(columns.strength) > 1 and not _is_followed(plant, columns, rules):
-        first = [m for m in first if m is not columns]
+    extent = [] if plant.thin else [columns, outline]
+    unfollowed = abs(columns.strength) > 1 and not _is_followed(plant, columns, rules)
+    first = [m for m in extent if m is not columns or not unfollowed]
     for measure in first:
         if abs(measure.strength) > 1:
             return _decision(plant, measure)
-    candidates = [top] if plant.thin else [volume, surface] if known else [top, volume, surface]
+    names = ("top",) if plant.thin else ("volume", "surface") if known else ("top", "volume", "surface")
+    candidates = [found[name] for name in names]
+    by_surface = _decide_by_surface(plant, candidates, extent, found, rules)
+    if by_surface is not None:
+        return by_surface
+    measured = [e for e in (*first, *candidates) if math.isfinite(e.value)] or candidates
+    unchanged = _decision(plant, max(measured, key=lambda e: abs(e.strength)))
+    return unchanged if known else replace(unchanged, sigmas=0.0)  # a top that nobody saw may have moved
+
+
+def _decide_by_surface(
+    plant: PlantMeasures,
+    candidates: Sequence[_Excess],
+    extent: Sequence[_Excess],
+    found: dict[str, _Excess],
+    rules: ClassRules,
+) -> Decision | None:
+    """Decide by measures that rest on new and lost surface; None where none of them exceeds its limit."""
+    surface = found["surface"]
     fired = [e for e in candidates if abs(e.strength) > 1]
-    extent = [] if plant.thin else [columns, outline]
     leaves = [e for e in fired if applies("extent_carries_surface", _is_foliage(plant, e, extent, rules))]
     fired = [e for e in fired if e not in leaves]
     held = [
@@ -144,14 +159,11 @@ def _decide_whole(plant: PlantMeasures, gate: float, rules: ClassRules, null: Ve
     ]
     if held:
         rising = {e.strength > 0 for e in held}
-        upwards = volume.excess > 0 if len(rising) == 2 else rising == {True}
+        upwards = found["volume"].excess > 0 if len(rising) == 2 else rising == {True}
         return _decision(plant, max(held, key=lambda e: e.strength if upwards else -e.strength))
     if fired:
         return _without_surface(plant, max(fired, key=lambda e: abs(e.strength)), surface, rules)
-    if leaves:
-        return _of_leaves(plant, max(leaves, key=lambda e: abs(e.strength)))
-    measured = [e for e in (*first, *candidates) if math.isfinite(e.value)] or candidates
-    return _decision(plant, max(measured, key=lambda e: abs(e.strength)))
+    return _of_leaves(plant, max(leaves, key=lambda e: abs(e.strength))) if leaves else None
 
 
 @switchable("followed_columns", always)
@@ -165,9 +177,7 @@ def _is_followed(plant: PlantMeasures, columns: _Excess, rules: ClassRules) -> b
     return math.copysign(1.0, columns.strength) * plant.apparent >= rules.followed * rules.height
 
 
-def _is_foliage(
-    plant: PlantMeasures, found: _Excess, extent: Sequence[_Excess], rules: ClassRules
-) -> bool:
+def _is_foliage(plant: PlantMeasures, found: _Excess, extent: Sequence[_Excess], rules: ClassRules) -> bool:
     """Tell whether surface appeared or disappeared in a plant of which neither tops nor outline followed.
 
     Leaves that fall open a crown to beams and leave its extent as it is.
@@ -222,7 +232,7 @@ def _excesses(
 
 @switchable("own_error_of_plants", third_argument)
 def _sigma(plant: PlantMeasures, measure: str, scatter: float) -> float:
-    """Return the standard deviation of a measure of an unchanged plant: the others' scatter and its own error.
+    """Return the standard deviation of a measure of an unchanged plant: the scatter and its own error.
 
     The own error of a share is that of a count of voxels: neighbouring voxels are seen, or not, in pairs.
     """

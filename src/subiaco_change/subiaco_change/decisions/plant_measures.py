@@ -17,10 +17,10 @@ from scipy.spatial import cKDTree
 from scipy.special import expit, logit
 
 from subiaco_change.decisions.measures import Measures, absence, mean_certainty, pooled
-from subiaco_change.decisions.vegetation_null import PlantMeasures, VegetationNullConfig
-from subiaco_change.decisions.voxel_objects import Certainty, Free, ObjectInstance
 from subiaco_change.decisions.plant_tops import EpochSpace, TopChange, TopConfig, change_of_tops
 from subiaco_change.decisions.space_carving import Empty
+from subiaco_change.decisions.vegetation_null import PlantMeasures, VegetationNullConfig
+from subiaco_change.decisions.voxel_objects import Certainty, Free, ObjectInstance
 from subiaco_change.instance_splitting.hedge_sections import NOTHING
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import never, switchable

@@ -1,4 +1,4 @@
-"""Change of the tops of a plant: column by column, at equal point density, where both epochs saw the space above.
+"""Change of the tops of a plant: columns at equal point density, where both epochs saw the space above.
 
 Voxels of two epochs count as the same place within a distance that grows with the spacing of the points, so
 that they do not resolve half a metre of growth. The tops of columns do: each is read from as many points in
@@ -53,6 +53,12 @@ class TopConfig(StrictModel):
         2.0,
         gt=0,
         description="Number of neighbouring columns whose tops the same beams met, and whose errors are one",
+    )
+    part: float = Field(
+        2.0,
+        gt=0,
+        description="Number of standard deviations of the other half of the columns by which the quarter "
+        "that moved most must exceed their median for a part of the plant to have moved",
     )
 
 
@@ -117,7 +123,8 @@ def change_of_tops(
     columns = _shared_columns(before, after, config)
     if len(columns.cells) < config.columns:
         return TopChange()
-    parts = [_of_part(sign * (columns.tops[1] - columns.tops[0])) for sign in (1.0, -1.0)]
+    rises = columns.tops[1] - columns.tops[0]
+    parts = [_of_part(sign * rises, config.part) for sign in (1.0, -1.0)]
     middle = columns.tops.mean(axis=0)
     columns = columns.select(middle >= np.quantile(middle, 1.0 - config.upper))
     known = _known(columns, spaces, config)
@@ -130,11 +137,11 @@ def change_of_tops(
     return TopChange(median, 1.2533 * spread / math.sqrt(patches), *parts)
 
 
-def _of_part(rises: Floats) -> float:
-    """Return the upper quartile of rises (C,) if the scatter of the lower half does not explain it; else 0."""
+def _of_part(rises: Floats, certain: float) -> float:
+    """Return the upper quartile of rises (C,) if the scatter of the lower half does not explain it."""
     low, middle, high = np.quantile(rises, [0.25, 0.5, 0.75]).tolist()
-    sd = (middle - low) / 0.6745  # of a normal distribution with this lower quartile
-    return float(high) if high > middle + 2.0 * sd else 0.0
+    sd = 1.4826 * (middle - low)  # of a normal distribution with this lower quartile
+    return float(high) if high > middle + certain * sd else 0.0
 
 
 def _shared_columns(before: Floats, after: Floats, config: TopConfig) -> _Columns:
@@ -192,7 +199,9 @@ def _known(columns: _Columns, spaces: tuple[EpochSpace, EpochSpace], config: Top
             continue
         space, top = spaces[epoch], columns.highest[epoch]
         known[mine] &= ~_other_class_above(columns.cells, columns.tops, top, space.standing, config)[mine]
-        known[mine] &= _observed_above(middles[mine], top[mine], columns.highest[1 - epoch][mine], space, config)
+        known[mine] &= _observed_above(
+            middles[mine], top[mine], columns.highest[1 - epoch][mine], space, config
+        )
     return known
 
 
@@ -211,7 +220,7 @@ def _observed_above(
 def _other_class_above(
     cells: Ints, tops: Floats, own: Floats, standing: Floats, config: TopConfig
 ) -> np.ndarray:
-    """Tell in which columns (C,) points (N, 3) above the plant's ``own`` top reach between two tops (2, C)."""
+    """Tell in which columns (C,) points (N, 3) above the ``own`` top reach between two tops (2, C)."""
     held = np.zeros(len(cells), dtype=bool)
     near = (
         (standing[:, :2] >= cells.min(axis=0) * config.cell)

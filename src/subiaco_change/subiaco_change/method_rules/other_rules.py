@@ -40,7 +40,13 @@ PLANT_RULES: tuple[Rule, ...] = (
         "tops_of_columns",
         ("comparison",),
         "The tops of its columns, at equal point density, tell how a plant grew; voxels do not resolve that.",
-        ("plants.tops.cell", "plants.tops.points", "plants.tops.upper", "plants.tops.patch"),
+        (
+            "plants.tops.cell",
+            "plants.tops.points",
+            "plants.tops.upper",
+            "plants.tops.patch",
+            "plants.tops.part",
+        ),
     ),
     Rule(
         "space_above_tops",
