@@ -53,8 +53,9 @@ def label(plant, null):
 @pytest.mark.parametrize("shift", [0.25, -0.25])
 def test_a_shift_that_all_crowns_of_a_pair_share_is_no_change_and_one_beyond_is(shift):
     null = fit_null(street(40, shift, 0.06), NULL)
-    rest = label(replace(TREE, outline=1.3 * shift), null)
+    rest = label(replace(TREE, outline=1.3 * shift, rise=0.0, rise_sigma=0.02), null)
     assert rest.change is Change.UNCHANGED
+    assert label(replace(TREE, outline=1.3 * shift), null).sigmas == 0.0  # nobody saw its top
     grown = label(replace(TREE, outline=0.6), null)
     pruned = label(replace(TREE, outline=-0.6), null)
     assert (grown.change, pruned.change) == (Change.INCREASED, Change.DECREASED)

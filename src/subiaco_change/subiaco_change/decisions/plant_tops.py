@@ -179,10 +179,11 @@ def expected_top(heights: Floats, column: Ints, drawn: Ints) -> Floats:
     rank = np.arange(len(height)) - (np.cumsum(count) - count)[column] + 1
     n, m = count[column], drawn[column]
     chosen = (rank >= m) & (m > 0)
-    height, column, rank, n, m = (values[chosen] for values in (height, column, rank, n, m))
+    rank, n, m = rank[chosen], n[chosen], m[chosen]
     ways = gammaln(rank) - gammaln(m) - gammaln(rank - m + 1)
     total = gammaln(n + 1) - gammaln(m + 1) - gammaln(n - m + 1)
-    return np.bincount(column, height * np.exp(ways - total), minlength=len(drawn))
+    share = np.exp(ways - total)
+    return np.asarray(np.bincount(column[chosen], height[chosen] * share, minlength=len(drawn)), np.float64)
 
 
 @switchable("space_above_tops", lambda columns, *_: np.ones(len(columns.cells), dtype=bool))
