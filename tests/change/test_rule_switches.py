@@ -75,7 +75,6 @@ PLANTS = [
     ("extent_carries_surface", replace(CROWN, surface=0.4), Change.UNCHANGED, Change.INCREASED),
     ("top_contradicts", replace(CROWN, outline=0.8, apparent=-0.5), Change.UNCHANGED, Change.INCREASED),
     ("surface_was_free", replace(CROWN, outline=0.8, free_gained=0.4), Change.UNCHANGED, Change.INCREASED),
-    ("followed_columns", replace(HEDGE, rise=0.8, apparent=0.0), Change.UNCHANGED, Change.INCREASED),
     (
         "own_error_of_plants",
         replace(CROWN, outline=math.nan, voxels=6, volume=0.9, surface=0.9),

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from test_crown_outline import crown
 from test_decisions import CONFIG
 
-from subiaco_change.decisions.plant_decisions import decide_plant
+from subiaco_change.decisions.plant_decisions import decide_plant, place_was_free
 from subiaco_change.decisions.plant_measures import (
     OutlineConfig,
     PlantConfig,
@@ -108,12 +108,13 @@ def test_growth_is_not_claimed_where_all_points_together_reach_lower_and_the_oth
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize(("followed", "claimed"), [(0.45, True), (0.2, True), (0.0, False), (-0.1, False)])
-def test_the_columns_of_a_hedge_change_nothing_where_the_top_of_all_its_points_stays(sign, followed, claimed):
-    moved = replace(HEDGE, rise=sign * 0.5, apparent=sign * followed)
-    found = label(moved, no_null(NULL)).change
+def test_tops_that_moved_are_not_outvoted_by_the_height_of_all_points(sign):
+    moved = replace(HEDGE, rise=sign * 0.5, apparent=-sign * 0.4, free_gained=0.5, free_lost=0.5)
     changed = Change.INCREASED if sign > 0 else Change.DECREASED
-    assert found is (changed if claimed else Change.UNCHANGED)
+    assert label(moved, no_null(NULL)).change is changed
+    assert place_was_free(label(moved, no_null(NULL)), moved, CONFIG) == 1.0
+    section = replace(moved, section=sign * 0.5, section_gate=0.3, section_only=True)
+    assert label(section, no_null(NULL)).change is Change.UNCHANGED
 
 
 def test_surface_of_one_epoch_alone_is_what_has_nothing_of_the_other_near_it():

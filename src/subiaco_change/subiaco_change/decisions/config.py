@@ -53,9 +53,8 @@ class ClassRules(StrictModel):
         0.5,
         ge=0,
         le=1,
-        description="Fraction of the height limit by which the top of all points of a plant must have moved "
-        "with the median of its columns; and fraction of their limits by which the tops or the outline must "
-        "have moved for new or lost surface to be a change",
+        description="Fraction of their limits by which the tops or the outline of a plant must have moved "
+        "for new or lost surface to be a change",
     )
     surface: float = Field(
         math.inf,

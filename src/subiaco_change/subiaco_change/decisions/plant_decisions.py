@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from subiaco_change.decisions.config import ClassRules, DecisionConfig
 from subiaco_change.decisions.rules import NO_LEVEL, Decision
 from subiaco_change.decisions.vegetation_null import PLANT_MEASURES, Expected, PlantMeasures, VegetationNull
-from subiaco_change.method_rules.switches import always, applies, switchable, third_argument
+from subiaco_change.method_rules.switches import applies, switchable, third_argument
 from subiaco_geo.codes import Change
 
 _NAMES = {
@@ -78,15 +78,23 @@ def decide_plant(plant: PlantMeasures, lod: float, config: DecisionConfig, null:
     return _supported(chosen, plant, config)
 
 
-def place_was_free(decision: Decision, plant: PlantMeasures) -> float:
+def _tops_moved(decision: Decision, plant: PlantMeasures, config: DecisionConfig) -> bool:
+    """Tell whether the tops of a plant carry a claim: the space above them was observed, column by column."""
+    sign = {Change.INCREASED: 1.0, Change.DECREASED: -1.0}.get(decision.change, 0.0)
+    return not plant.section_only and sign * plant.rise > config.vegetation.height
+
+
+def place_was_free(decision: Decision, plant: PlantMeasures, config: DecisionConfig) -> float:
     """Return how probable it is that the place of what a plant gained or lost was free; 1 without a claim."""
+    if _tops_moved(decision, plant, config):
+        return 1.0
     free = {Change.INCREASED: plant.free_gained, Change.DECREASED: plant.free_lost}
     return free.get(decision.change, 1.0)
 
 
 def _supported(decision: Decision, plant: PlantMeasures, config: DecisionConfig) -> Decision:
     """Leave a plant unchanged whose claim its height contradicts, or whose place was not seen free."""
-    if decision.change not in (Change.INCREASED, Change.DECREASED):
+    if decision.change not in (Change.INCREASED, Change.DECREASED) or _tops_moved(decision, plant, config):
         return decision
     grew = decision.change is Change.INCREASED
     least = config.vegetation.height
@@ -95,7 +103,7 @@ def _supported(decision: Decision, plant: PlantMeasures, config: DecisionConfig)
         reason = f"{decision.reason} No change is claimed: the height of all points changed by"
         reason += f" {plant.apparent:+.2f} m, which contradicts the change (limit {least:.2f} m)."
         return Decision(Change.UNCHANGED, reason, 1.0, 0.0)
-    free = place_was_free(decision, plant)
+    free = place_was_free(decision, plant, config)
     if not applies("surface_was_free", free < config.min_free_surface):
         return decision
     other, surface = ("earlier", "new") if grew else ("later", "lost")
@@ -122,9 +130,7 @@ def _decide_whole(plant: PlantMeasures, gate: float, rules: ClassRules, null: Ve
     columns, outline = found["rise"], found["outline"]
     known = math.isfinite(plant.rise)
     extent = [] if plant.thin else [columns, outline]
-    unfollowed = abs(columns.strength) > 1 and not _is_followed(plant, columns, rules)
-    first = [m for m in extent if m is not columns or not unfollowed]
-    for measure in first:
+    for measure in extent:
         if abs(measure.strength) > 1:
             return _decision(plant, measure)
     names = ("top",) if plant.thin else ("volume", "surface") if known else ("top", "volume", "surface")
@@ -132,7 +138,7 @@ def _decide_whole(plant: PlantMeasures, gate: float, rules: ClassRules, null: Ve
     by_surface = _decide_by_surface(plant, candidates, extent, found, rules)
     if by_surface is not None:
         return by_surface
-    measured = [e for e in (*first, *candidates) if math.isfinite(e.value)] or candidates
+    measured = [e for e in (*extent, *candidates) if math.isfinite(e.value)] or candidates
     unchanged = _decision(plant, max(measured, key=lambda e: abs(e.strength)))
     return unchanged if known else replace(unchanged, sigmas=0.0)  # a top that nobody saw may have moved
 
@@ -164,17 +170,6 @@ def _decide_by_surface(
     if fired:
         return _without_surface(plant, max(fired, key=lambda e: abs(e.strength)), surface, rules)
     return _of_leaves(plant, max(leaves, key=lambda e: abs(e.strength))) if leaves else None
-
-
-@switchable("followed_columns", always)
-def _is_followed(plant: PlantMeasures, columns: _Excess, rules: ClassRules) -> bool:
-    """Tell whether the top of all points of a plant moved with the median of its columns.
-
-    Where few points tell of a column, the medians of two samplings differ although the plant is as high.
-    """
-    if math.isnan(plant.apparent):
-        return True
-    return math.copysign(1.0, columns.strength) * plant.apparent >= rules.followed * rules.height
 
 
 def _is_foliage(plant: PlantMeasures, found: _Excess, extent: Sequence[_Excess], rules: ClassRules) -> bool:

@@ -27,7 +27,7 @@ class TopConfig(StrictModel):
 
     cell: float = Field(0.75, gt=0, description="Edge of the columns in which tops are compared [m]")
     points: int = Field(3, ge=1, description="Number of points that a column needs in each epoch")
-    columns: int = Field(4, ge=3, description="Number of columns that a comparison of tops needs")
+    columns: int = Field(3, ge=3, description="Number of columns that a comparison of tops needs")
     upper: float = Field(
         0.5,
         gt=0,
@@ -35,11 +35,11 @@ class TopConfig(StrictModel):
         description="Fraction of the columns, the highest ones, whose tops are those of the plant",
     )
     known: float = Field(
-        0.5,
+        0.2,
         ge=0,
         le=1,
         description="Fraction of these columns above which the epoch with the lower top must have observed "
-        "free space. Raise it to claim less",
+        "free space; tops are those of such columns. Raise it to claim less",
     )
     above: float = Field(
         0.5,
@@ -128,7 +128,7 @@ def change_of_tops(
     middle = columns.tops.mean(axis=0)
     columns = columns.select(middle >= np.quantile(middle, 1.0 - config.upper))
     known = _known(columns, spaces, config)
-    if np.count_nonzero(known) < max(config.columns // 2, config.known * len(known)):
+    if np.count_nonzero(known) < max(config.columns, config.known * len(known)):
         return TopChange(rise_of_part=parts[0], fall_of_part=parts[1])
     rises = (columns.tops[1] - columns.tops[0])[known]
     median = float(np.median(rises))

@@ -30,13 +30,6 @@ PLANT_RULES: tuple[Rule, ...] = (
         guards=True,
     ),
     Rule(
-        "followed_columns",
-        _PLANTS,
-        "The median rise of the columns of a plant counts only where the top of all points moved with it.",
-        ("decisions.vegetation.followed",),
-        guards=True,
-    ),
-    Rule(
         "tops_of_columns",
         ("comparison",),
         "The tops of its columns, at equal point density, tell how a plant grew; voxels do not resolve that.",
@@ -78,7 +71,7 @@ PLANT_RULES: tuple[Rule, ...] = (
     Rule(
         "top_contradicts",
         _PLANTS,
-        "A plant whose top of all points moved the other way did not change.",
+        "A plant whose top of all points moved the other way did not change, unless its columns say so.",
     ),
     Rule(
         "surface_was_free",

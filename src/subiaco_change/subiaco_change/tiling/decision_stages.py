@@ -145,7 +145,7 @@ def decide_tile(inputs: Inputs, params: TileParams[PlantDecisionSlice]) -> TileR
     rows = list(compared.records)
     for found in compared.plants:
         decision = decide_plant(found.plant, found.lod, config.decisions, null)
-        free = place_was_free(decision, found.plant)
+        free = place_was_free(decision, found.plant, config.decisions)
         rows[found.row] = decided_anew(rows[found.row], decision, config.confidence, free)
     return TileRows(tuple(rows))
 
