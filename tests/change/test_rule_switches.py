@@ -31,7 +31,6 @@ CROWN = PlantMeasures(
     kind="crown", density=0.0, size=2.0, voxels=300, thin=False, reach=2.0, outline=0.0, outline_sigma=0.03,
     top=0.0, volume=0.0, surface=0.0, rise=math.nan, rise_sigma=math.nan,
 )  # fmt: skip
-HEDGE = replace(CROWN, kind="hedge", rise=0.0, rise_sigma=0.02)
 
 #: Rule, class, measures of one epoch alone, label with the rule, label without.
 SINGLES = [
