@@ -13,6 +13,7 @@ from subiaco_geo.bags import packet_to_cdr
 from subiaco_mapping.recording.config import RecordConfig
 from subiaco_mapping.recording.losses import (
     PacketCounter,
+    PacketHeaders,
     SequenceCounter,
     StampCounter,
     TopicCounter,
@@ -216,3 +217,36 @@ def test_header_stamps_are_read_from_serialised_bytes_only_where_there_are_enoug
 def test_watermarks_must_be_in_order() -> None:
     with pytest.raises(ValidationError, match="warn_free_gb must not be below stop_free_gb"):
         RecordConfig(warn_free_gb=1.0, stop_free_gb=2.0)
+
+
+def test_packets_that_came_before_the_metadata_are_counted_once_their_layout_is_known() -> None:
+    """A cable is out meanwhile: what it cost must not depend on when the metadata come."""
+    out = set(range(40, 140))
+    kept = [packet for k, packet in enumerate(PACKETS) if k not in out]
+    for known_after in (0, 20, 40, 60, len(kept)):
+        counter = TopicCounter(headers=PacketHeaders())
+        for k, packet in enumerate([*kept, b"\0\1\0\0"]):
+            if k == known_after:
+                counter.know_packets(METADATA)
+            counter.take(packet, k, None)
+        counter.know_packets(METADATA)
+        facts = counter.facts()
+        assert (facts["lost_at_sensor"], facts["malformed"], facts["restarts"]) == (len(out), 1, 0)
+        assert "without_metadata" not in facts
+
+
+def test_only_the_newest_headers_are_held_and_their_number_is_told_while_no_metadata_come() -> None:
+    counter = TopicCounter(headers=PacketHeaders())
+    for k in range(40_000):
+        counter.take(PACKETS[k % len(PACKETS)], k, None)
+    assert counter.facts()["without_metadata"] == 1 << 15
+    assert sum(len(head) for _, head in counter.headers or ()) < 3_000_000
+
+
+def test_packets_without_metadata_are_an_alarm_where_metadata_should_be_recorded() -> None:
+    received = {"/ouster/lidar_packets": 9, "/gnss/fix": 1}
+    (absent,) = RecordConfig().absent(received)
+    assert absent.startswith("no LiDAR metadata (/ouster/metadata)")
+    assert RecordConfig().absent({**received, "/ouster/metadata": 1}) == []
+    assert RecordConfig().absent({"/lidar/points": 3, "/gnss/fix": 1}) == []
+    assert RecordConfig(topics=("/ouster/lidar_packets",)).absent(received) == []
