@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from mapping_scenes import pcap_bufs
 from ouster.sdk import core
 from pydantic import ValidationError
 
@@ -193,6 +196,21 @@ def test_whole_lost_frames_count_and_damaged_packets_are_told_apart() -> None:
     assert counts.malformed == 2
 
 
+def test_a_count_of_frames_that_begins_again_is_a_restart_and_no_loss() -> None:
+    """A bag of 50 frames in a loop: its first frames are no late ones."""
+    layout = core.PacketFormat(core.SensorInfo(METADATA))
+    first = {place: core.LidarPacket(layout) for place in range(32)}
+    raws = []
+    for frame in (*range(50), *range(50)):
+        for place, packet in first.items():
+            layout.set_frame_id(packet, frame)
+            for column in range(16):
+                layout.set_col_measurement_id(packet, column, 16 * place + column)
+            raws.append(packet_to_cdr(bytes(packet.buf)))
+    counts = count(raws).counts
+    assert (counts.restarts, counts.lost_at_sensor, counts.late, counts.duplicate) == (1, 0, 0, 0)
+
+
 def test_a_topic_adds_up_transport_sensor_and_disk() -> None:
     counter = TopicCounter(stamped=True)
     for k in range(100):
@@ -233,6 +251,30 @@ def test_packets_that_came_before_the_metadata_are_counted_once_their_layout_is_
         facts = counter.facts()
         assert (facts["lost_at_sensor"], facts["malformed"], facts["restarts"]) == (len(out), 1, 0)
         assert "without_metadata" not in facts
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "OS-1-128_v2.3.0_1024x10_lb_n3.pcap OS-1-128_v2.3.0_1024x10.json",
+        "OS-0-32-U1_v2.2.0_1024x10.pcap OS-0-32-U1_v2.2.0_1024x10.json",
+        "OS-1-128_767798045_1024x10_20230712_120049.pcap OS-1-128_767798045_1024x10_20230712_120049.json",
+    ],
+    ids=["legacy", "dual", "fusa"],
+)
+def test_the_headers_of_every_format_tell_what_whole_packets_tell(shared_data: Path, name: str) -> None:
+    recording, metadata = (shared_data / "ouster" / file for file in name.split())
+    text = metadata.read_text()
+    bufs = pcap_bufs(recording, text)
+    raws = [packet_to_cdr(buf) for k, buf in enumerate(bufs) if k % 7]
+    whole, later = TopicCounter(), TopicCounter(headers=PacketHeaders())
+    whole.know_packets(text)
+    for k, raw in enumerate(raws):
+        whole.take(raw, k, None)
+        later.take(raw, k, None)
+    later.know_packets(text)
+    assert later.facts() == whole.facts()
+    assert later.facts()["lost_at_sensor"] >= len(bufs) // 7 - 2
 
 
 def test_only_the_newest_headers_are_held_and_their_number_is_told_while_no_metadata_come() -> None:

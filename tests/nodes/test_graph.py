@@ -181,9 +181,12 @@ def test_a_launch_starts_a_live_node_again_a_few_times_and_goes_on_without_the_m
     ends = ends_of(LAUNCH / "live.launch.py", output=str(tmp_path / "drive"))
     assert ends["pose_graph_node"](Ended(1), Ended()) == []
     for _ in range(MOST_RESTARTS):
+        assert ends["recorder_node"](Ended(-11), Ended()) == []
+    with pytest.raises(SubiacoError, match="node recorder ended with exit code -11"):
+        ends["recorder_node"](Ended(-11), Ended())
+    for _ in range(MOST_RESTARTS + 1):  # the recording goes on
         assert ends["odometry_node"](Ended(-11), Ended()) == []
-    with pytest.raises(SubiacoError, match="node odometry ended with exit code -11"):
-        ends["odometry_node"](Ended(-11), Ended())
+        assert ends["monitor_node"](Ended(-11), Ended()) == []
     with pytest.raises(SubiacoError, match="node recorder ended with exit code 2"):
         ends["recorder_node"](Ended(2), Ended())
 
@@ -312,7 +315,9 @@ def test_only_what_can_be_started_again_without_harm_is(tmp_path: Path) -> None:
 
     nodes = {node.name: node for node in live_graph(tmp_path / "drive").nodes}
     assert [name for name, node in nodes.items() if node.restart] == ["recorder", "monitor", "odometry"]
-    assert not nodes["pose_graph"].essential
+    assert [name for name, node in nodes.items() if node.essential] == ["recorder"]
+    unrecorded = live_graph(tmp_path / "drive", record=False).nodes
+    assert [node.name for node in unrecorded if node.essential] == ["odometry"]
     assert "recorder" not in {node.name for node in live_graph(tmp_path / "drive", record=False).nodes}
 
 

@@ -51,7 +51,8 @@ def record(
     remap: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="OURS:=SOURCE", help="Where a topic comes from; the bag gets our name. Repeatable."
+            metavar="OURS:=SOURCE",
+            help="Topic of a driver that is recorded under the name that Subiaco uses; repeatable.",
         ),
     ] = None,
     config: ConfigFiles = None,
@@ -63,7 +64,7 @@ def record(
 
     Files are whole every minute and flushed four times a second: a kill or a loss of power costs less
     than a second. A disk that runs full ends the recording with every file whole. A recorder that crashes
-    is started again. Exit code 2 where no LiDAR or no GNSS message came.
+    is started again. Exit code 2 where no LiDAR or no GNSS message came, or packets without metadata.
 
     Example: subiaco record -o bags/2025-03-14_am --remap /gnss/fix:=/ublox_gps_node/fix
     """
@@ -120,7 +121,9 @@ def recover(
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
-    """Repair a recording that was cut off, and report what is lost. The original is not changed.
+    """Repair a recording that was cut off, and report what is lost.
+
+    The original is changed only with --in-place.
 
     Example: subiaco recover bags/2025-03-14_am
     """

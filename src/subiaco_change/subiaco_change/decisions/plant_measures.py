@@ -18,7 +18,6 @@ from scipy.special import expit, logit
 
 from subiaco_change.decisions.measures import Measures, absence, mean_certainty, pooled
 from subiaco_change.decisions.plant_tops import EpochSpace, TopChange, TopConfig, change_of_tops
-from subiaco_change.decisions.space_carving import Empty
 from subiaco_change.decisions.vegetation_null import PlantMeasures, VegetationNullConfig
 from subiaco_change.decisions.voxel_objects import Certainty, Free, ObjectInstance
 from subiaco_change.instance_splitting.hedge_sections import NOTHING
@@ -31,6 +30,8 @@ from subiaco_geo.frames import Floats, Ints
 _SAMPLE = NUMBERS.plant_measures.surface_sample
 _MOST = NUMBERS.plant_measures.place_cap
 _NOT_KNOWN = NUMBERS.plant_measures.unknown_free
+_TOP = NUMBERS.plant_measures.top_quantile
+_PATCH = NUMBERS.plant_measures.voxels_per_patch
 
 
 class OutlineConfig(StrictModel):
@@ -146,20 +147,19 @@ def measure_plant(
     standing: tuple[Floats, Floats] = (NOTHING, NOTHING),
     free: tuple[Free | None, Free | None] = (None, None),
     certain: tuple[Certainty | None, Certainty | None] = (None, None),
-    below_view: tuple[Empty | None, Empty | None] = (None, None),
 ) -> PlantMeasures:
     """Measure a plant that both epochs hold; the denser epoch is thinned to the density of the other.
 
     ``standing`` (N, 3) of *before* and of *after*: points above the ground of any class. ``free`` of *before*
     and of *after*: how probable it is that places (N, 3) are free; None: certain. ``certain``: how certain
-    these can be at most. ``below_view`` of *before* and of *after*: how high their views are known to reach.
+    these can be at most.
     """
     first, second = (np.concatenate([t.xyz for t in objects]) for objects in (before, after))
     lost = free_shell(first, standing[1], free[1], config, certain[1])
     lost = min(lost, absence(before, (), free, certain))
     gained = free_shell(second, standing[0], free[0], config, certain[0])
     gained = min(gained, absence((), after, free, certain))
-    spaces = [EpochSpace(*known) for known in zip(standing, free, below_view, strict=True)]
+    spaces = [EpochSpace(*known) for known in zip(standing, free, strict=True)]
     tops = _tops(first, second, (spaces[0], spaces[1]), config)
     first, second, density = equal_density(first, second, config)
     outline = compare_outlines(first, second, config.outline)
@@ -185,6 +185,7 @@ def measure_plant(
         free_gained=gained,
         free_lost=lost,
         apparent=_top(after) - _top(before),
+        top_sigma=math.hypot(*(quantile_sigma(_heights(objects), _TOP) for objects in (before, after))),
     )
 
 
@@ -264,9 +265,28 @@ def _thinned(xyz: Floats, keys: np.ndarray, share: float) -> Floats:
     return np.asarray(xyz[kept])
 
 
+def quantile_sigma(values: Floats, quantile: float) -> float:
+    """Return the standard error of a quantile of values (N,), of which neighbours were sampled together.
+
+    The binomial error of the rank, times the slope of the quantiles within two of these errors: a top of few
+    voxels, or one that is not level, is known less well.
+    """
+    if len(values) < 2:
+        return math.inf
+    step = math.sqrt(quantile * (1.0 - quantile) / max(len(values) / _PATCH, 1.0))
+    low, high = max(quantile - 2.0 * step, 0.0), min(quantile + 2.0 * step, 1.0)
+    slope = float(np.diff(np.quantile(values, [low, high]))[0]) / (high - low)
+    return slope * step
+
+
+def _heights(objects: Sequence[ObjectInstance]) -> Floats:
+    """Heights (M,) of the voxels of objects above ground [m]."""
+    return np.concatenate([t.voxels.height for t in objects])
+
+
 def _top(objects: Sequence[ObjectInstance]) -> float:
     """Return the 98 % height of the voxels of an object above ground [m]."""
-    return float(np.quantile(np.concatenate([t.voxels.height for t in objects]), 0.98))
+    return float(np.quantile(_heights(objects), 0.98))
 
 
 def _size(xyz: Floats) -> float:

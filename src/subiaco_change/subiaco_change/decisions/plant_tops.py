@@ -15,7 +15,6 @@ from pydantic import Field
 from scipy.spatial import cKDTree
 from scipy.special import gammaln
 
-from subiaco_change.decisions.space_carving import Empty
 from subiaco_change.decisions.voxel_objects import Free
 from subiaco_change.method_rules.switches import switchable
 from subiaco_geo.config import StrictModel
@@ -67,13 +66,11 @@ class EpochSpace:
     """What an epoch knows of the space around a plant.
 
     ``standing`` (N, 3): its points above the ground, of any class [m]. ``free``: how probable it finds
-    places (N, 3) free; None where all space counts as observed. ``below_view``: which places lie below the
-    upper limit of its view; None where that is not limited.
+    places (N, 3) free; None where all space counts as observed.
     """
 
     standing: Floats
     free: Free | None = None
-    below_view: Empty | None = None
 
 
 @dataclass(frozen=True)
@@ -200,22 +197,10 @@ def _known(columns: _Columns, spaces: tuple[EpochSpace, EpochSpace], config: Top
             continue
         space, top = spaces[epoch], columns.highest[epoch]
         known[mine] &= ~_other_class_above(columns.cells, columns.tops, top, space.standing, config)[mine]
-        known[mine] &= _observed_above(
-            middles[mine], top[mine], columns.highest[1 - epoch][mine], space, config
-        )
+        if space.free is not None:
+            above = np.column_stack([middles, top + config.above])[mine]
+            known[mine] &= space.free(above) >= config.free
     return known
-
-
-def _observed_above(
-    middles: Floats, top: Floats, other: Floats, space: EpochSpace, config: TopConfig
-) -> np.ndarray:
-    """Tell where (C,) an epoch observed free space above its tops, and as high as the tops of the other."""
-    seen = np.ones(len(middles), dtype=bool)
-    if space.below_view is not None:
-        seen &= space.below_view(np.column_stack([middles, np.maximum(top, other)]))
-    if space.free is not None and seen.any():
-        seen[seen] = space.free(np.column_stack([middles, top + config.above])[seen]) >= config.free
-    return seen
 
 
 def _other_class_above(

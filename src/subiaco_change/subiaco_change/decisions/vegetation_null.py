@@ -62,13 +62,13 @@ class PlantMeasures:
     ``density``: log of the ratio of the points in voxels that both epochs occupy; ``size``: mean reach of the
     plant from its middle [m]; ``voxels``: of either epoch that the other observed; ``thin``: tall, and
     without a crown. NaN where not measured: ``outline`` [m], its standard error ``outline_sigma`` and its
-    ``reach`` [m]; ``top`` [m]; ``volume`` and ``surface`` as shares; ``rise`` [m], the median rise of the
-    tops of its columns, and its standard error ``rise_sigma``; ``section`` and ``section_gate`` [m], the
-    median rise of a section of the hedge and the limit that the section passed. ``section_only``: the row
-    is that section alone. ``rise_of_part`` and ``fall_of_part`` [m]: of the columns of a part of the plant.
-    ``free_gained`` and ``free_lost``: probability that the surface that *after*, or
-    *before*, alone has was free in the other epoch. ``apparent``: change of the 98 % height of all its
-    points, observed by the other epoch or not [m].
+    ``reach`` [m]; ``top`` [m] and its standard error ``top_sigma``; ``volume`` and ``surface`` as shares;
+    ``rise`` [m], the median rise of the tops of its columns, and its standard error ``rise_sigma``;
+    ``section`` and ``section_gate`` [m], the median rise of a section of the hedge and the limit that the
+    section passed. ``section_only``: the row is that section alone. ``rise_of_part`` and ``fall_of_part``
+    [m]: of the columns of a part of the plant. ``free_gained`` and ``free_lost``: probability that the
+    surface that *after*, or *before*, alone has was free in the other epoch. ``apparent``: change of the
+    98 % height of all its points, observed by the other epoch or not [m].
     """
 
     kind: PlantKind
@@ -92,6 +92,7 @@ class PlantMeasures:
     free_gained: float = 1.0
     free_lost: float = 1.0
     apparent: float = math.nan
+    top_sigma: float = 0.0
 
     def value(self, measure: str) -> float:
         """Return one of :data:`PLANT_MEASURES`."""
@@ -99,8 +100,9 @@ class PlantMeasures:
 
     def error(self, measure: str) -> float:
         """Return the standard error of a measure by the plant itself; 0 where it has none of its own."""
-        own = {"outline": self.outline_sigma, "rise": self.rise_sigma}.get(measure, 0.0)
-        return own if math.isfinite(own) else 0.0
+        errors = {"outline": self.outline_sigma, "rise": self.rise_sigma, "top": self.top_sigma}
+        own = errors.get(measure, 0.0)
+        return 0.0 if math.isnan(own) else own
 
 
 class VegetationNullConfig(StrictModel):

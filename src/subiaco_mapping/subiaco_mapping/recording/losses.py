@@ -17,8 +17,8 @@ from subiaco_geo.topics import FIX, IMU, MESSAGE_TYPES, POINTS
 
 _STAMP = struct.Struct("<iI")
 _CDR_HEAD = 4
-#: Packets this far behind or ahead are another run of the sensor, not a loss.
-_RESTART_FRAMES = 600
+#: Packets further ahead or further behind are of another run of the sensor, as in the decoder; no loss.
+_RESTART_FRAMES, _LATE_FRAMES = 600, 10
 _REMEMBERED = 4096
 _AROUND = 20  # messages on either side of a step that tell whether some are missing
 _FEWEST = 5
@@ -253,7 +253,7 @@ class PacketCounter:
         turn = newest // self._in_frame
         step = (frame_id - turn + self._modulus // 2) % self._modulus - self._modulus // 2
         number = (turn + step) * self._in_frame + place
-        if abs(step) > _RESTART_FRAMES:
+        if not -_LATE_FRAMES <= step <= _RESTART_FRAMES:
             self._begin(frame_id, place, restarted=True)
         elif number > newest:
             self._advance(newest, number)
