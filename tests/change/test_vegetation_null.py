@@ -280,7 +280,7 @@ def test_a_pole_is_thin_and_a_crown_is_not():
 def test_a_top_that_few_voxels_or_a_ragged_crown_tell_is_no_growth():
     """The top rose by 0.45 m, with a quarter of the surface new."""
     null = no_null(NULL)
-    grown = replace(TREE, top=0.45, surface=0.25, free_gained=0.9)
+    grown = replace(TREE, outline=math.nan, top=0.45, surface=0.25, free_gained=0.9)
     assert label(replace(grown, top_sigma=0.05), null).change is Change.INCREASED
     ragged = label(replace(grown, top_sigma=0.2, surface=0.12), null)
     assert ragged.change is Change.UNCHANGED
