@@ -71,6 +71,23 @@ class OneEpochPartsNumbers(StrictModel):
     )
 
 
+class PlacesSeenFreeNumbers(StrictModel):
+    """Numbers of ``instance_splitting/places_seen_free.py``."""
+
+    free_probability: float = Field(
+        0.9,
+        description="Probability of being free from which a place near points of the other epoch counts as "
+        "observed free",
+    )
+    neighbours: int = Field(
+        6, description="Number of nearest points of the other epoch that show whether its surface is smooth"
+    )
+    smooth_normals: float = Field(
+        0.9,
+        description="Smallest mean cosine between the normals of neighbours on a smooth surface, as a ratio",
+    )
+
+
 class RowsOfHousesNumbers(StrictModel):
     """Numbers of ``instance_splitting/merged_instances.py``."""
 
