@@ -29,6 +29,7 @@ from subiaco_geo.frames import Floats, Ints
 
 _CELL = NUMBERS.one_epoch_parts.cell
 _WELL_KNOWN = NUMBERS.one_epoch_parts.observed_voxels
+_FAR = NUMBERS.one_epoch_parts.far_share
 _ABOVE = NUMBERS.one_epoch_parts.overhang
 _ACROSS = NUMBERS.vehicle_parts.crossed_share
 _VEHICLE = NUMBERS.vehicle_parts.vehicle_width
@@ -108,7 +109,7 @@ def split_one_epoch_parts(
                 observed=voxels.observed | free,
                 occupied_in_other=voxels.occupied_in_other & ~free,
             )
-        labels = _parts_of(replace(obj, voxels=voxels), config)
+        labels = _parts_of(replace(obj, voxels=voxels), obj.voxels, config)
         parted = replace(obj, voxels=_flagged(obj.voxels, voxels, labels > 0))
         rest, *own = split_by_labels(parted, labels, following) if labels.any() else [obj]
         following += len(own)
@@ -176,8 +177,11 @@ def _joined(parts: Sequence[ObjectInstance]) -> ObjectInstance:
     )
 
 
-def _parts_of(obj: ObjectInstance, config: PartConfig) -> Ints:
-    """Return the part (M,) of every voxel of an instance, 0 for what is left."""
+def _parts_of(obj: ObjectInstance, plain: Voxels, config: PartConfig) -> Ints:
+    """Return the part (M,) of every voxel of an instance, 0 for what is left.
+
+    ``plain``: its voxels without the places that were seen free although points lie near.
+    """
     voxels = obj.voxels
     labels = np.zeros(len(voxels), dtype=np.int64)
     alone = voxels.observed & ~voxels.occupied_in_other
@@ -185,15 +189,32 @@ def _parts_of(obj: ObjectInstance, config: PartConfig) -> Ints:
         return labels
     members = np.flatnonzero(alone)
     column = column_keys(voxels.xyz, _CELL)
+    far = plain.observed & ~plain.occupied_in_other
     count = 0
     for group in group_indices(voxel_clusters(voxels.xyz[members], config.gap)):
         piece = members[group]
-        if _stands(obj, piece, column, alone, config):
-            count += 1
-            labels[piece] = count
+        whole = _stands(obj, piece, column, alone, config)
+        for part in [piece] if whole else _free_columns(obj, piece, column, alone, config):
+            if far[part].mean() >= _FAR and (whole or _stands(obj, part, column, alone, config)):
+                count += 1
+                labels[part] = count
     if count == 0:
         return labels
     return _with_unseen(obj, labels, config)
+
+
+def _free_columns(
+    obj: ObjectInstance, piece: Ints, column: Ints, alone: Mask, config: PartConfig
+) -> list[Ints]:
+    """Return the connected pieces of a cluster in those columns that the other epoch saw free.
+
+    Leaves of a plant that moved a little join an object beside the plant to one cluster with it.
+    """
+    inside = _below(obj, piece, column) & obj.voxels.observed
+    keys, slot = np.unique(column[inside], return_inverse=True)
+    share = np.bincount(slot, alone[inside]) / np.maximum(np.bincount(slot), 1)
+    kept = piece[np.isin(column[piece], keys[share >= config.whole])]
+    return [kept[group] for group in group_indices(voxel_clusters(obj.voxels.xyz[kept], config.gap))]
 
 
 def _stands(obj: ObjectInstance, piece: Ints, column: Ints, alone: Mask, config: PartConfig) -> bool:

@@ -65,6 +65,11 @@ class OneEpochPartsNumbers(StrictModel):
         20,
         description="Number of observed voxels from which a part may be most of an instance",
     )
+    far_share: float = Field(
+        0.2,
+        description="Fraction of the voxels of a part that must lie farther from points of the other epoch "
+        "than its spacing explains",
+    )
     overhang: float = Field(
         0.25,
         description="Height above a part from which a point hangs over the part [m]",

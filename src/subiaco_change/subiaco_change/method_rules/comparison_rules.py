@@ -136,6 +136,7 @@ SPLITTING_RULES: tuple[Rule, ...] = (
             "association.parts.top",
             "association.parts.whole",
             "association.parts.remainder",
+            "method_numbers.one_epoch_parts.far_share",
         ),
     ),
     Rule(
