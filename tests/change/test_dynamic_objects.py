@@ -11,6 +11,7 @@ from test_one_epoch_parts import obj
 from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.dynamic_objects import (
     OwnEpochEvidence,
+    continues_trail,
     is_moving_object_trail,
     limit_confidence,
     own_epoch_evidence,
@@ -165,3 +166,37 @@ def test_a_part_of_a_building_that_was_seen_briefly_is_no_vehicle() -> None:
         assert (None if decision is None else decision.change) is moved
     own = OwnEpochEvidence(everywhere, NOWHERE, cKDTree(house), np.full(30, part.instance))
     assert is_moving_object_trail([part], Semantic.BUILDING, own, RULES) is not None
+
+
+TRAIL = block((0.0, -9.0, 0.3), (2.0, 0.0, 1.5))  # a vehicle passed along y
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "semantic", "continued"),
+    [
+        ((0.2, 0.0, 0.3), (1.8, 4.0, 1.2), Semantic.VEGETATION, True),
+        ((0.5, -6.0, 0.3), (1.5, -3.0, 1.2), Semantic.VEGETATION, True),
+        ((0.2, 3.0, 0.3), (1.8, 7.0, 1.2), Semantic.VEGETATION, False),
+        ((2.5, -8.0, 0.3), (4.5, 0.0, 1.2), Semantic.VEGETATION, False),
+        ((0.2, 0.5, 0.3), (1.8, 4.0, 7.0), Semantic.VEGETATION, False),
+        ((0.2, 0.0, 0.3), (1.8, 4.0, 1.2), Semantic.BUILDING, False),
+        ((0.2, 0.0, 0.3), (1.8, 4.0, 1.2), Semantic.MOBILE, False),
+    ],
+    ids=["its end", "in its midst", "apart", "a hedge beside it", "a tree", "a wall", "a parked car"],
+)
+def test_what_continues_a_trail_known_by_its_shape_is_not_claimed(low, high, semantic, continued):
+    own = OwnEpochEvidence(nowhere, NOWHERE, shaped=cKDTree(TRAIL))
+    decision = continues_trail([obj([(block(low, high), False)])], semantic, own, RULES)
+    assert (decision is not None) == continued
+    if decision is not None:
+        assert decision.change is Change.UNOBSERVED
+
+
+def test_trails_are_known_by_shape_alone_where_nothing_counted_beams():
+    count = len(TRAIL)
+    semantic = np.full(count, Semantic.MOBILE, dtype=np.uint8)
+    loose = np.full(count, -1, dtype=np.int32)
+    flat = np.ones(count)
+    bare = EpochView(TRAIL, np.zeros((count, 3)), semantic, loose, TRAIL[:, 2], flat, flat)
+    assert own_epoch_evidence(bare, everywhere).shaped.n == count
+    assert own_epoch_evidence(replace(bare, passed=flat), everywhere).shaped.n == 0

@@ -18,6 +18,7 @@ from subiaco_change.decisions.plant_measures import (
     compare_outlines,
     equal_density,
     free_shell,
+    quantile_sigma,
 )
 from subiaco_change.decisions.vegetation_null import (
     PlantMeasures,
@@ -257,3 +258,22 @@ def test_a_pole_is_thin_and_a_crown_is_not():
     pole = rng.normal(size=(200, 3)) * 0.03 + np.column_stack([np.zeros((200, 2)), np.linspace(0, 5, 200)])
     assert _is_thin(pole, PlantConfig())
     assert not _is_thin(rng.random((200, 3)) * 4.0, PlantConfig())
+
+
+def test_a_top_that_few_voxels_or_a_ragged_crown_tell_is_no_growth():
+    """The top rose by 0.45 m, with a quarter of the surface new."""
+    null = no_null(NULL)
+    grown = replace(TREE, top=0.45, surface=0.25, free_gained=0.9)
+    assert label(replace(grown, top_sigma=0.05), null).change is Change.INCREASED
+    ragged = label(replace(grown, top_sigma=0.2, surface=0.12), null)
+    assert ragged.change is Change.UNCHANGED
+    assert label(replace(grown, top=-0.45, surface=-0.12, top_sigma=0.2), null).change is Change.UNCHANGED
+
+
+@pytest.mark.parametrize("count", [30, 100, 400])
+def test_the_standard_error_of_a_top_is_its_scatter_over_samples_of_pairs(count):
+    rng = np.random.default_rng(count)
+    samples = np.repeat(rng.triangular(0.0, 4.0, 5.0, (300, count // 2)), 2, axis=1)
+    scatter = np.quantile(samples, 0.95, axis=1).std()
+    stated = np.median([quantile_sigma(sample, 0.95) for sample in samples])
+    assert 0.5 * scatter < stated < 1.7 * scatter

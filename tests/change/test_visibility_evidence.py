@@ -170,14 +170,35 @@ def test_what_poses_see_free_rests_on_no_points_and_keeps_its_certainty():
     assert (bare.certainty(beside_road) == CONFIG.shadow_certain).all()
 
 
-def test_a_bare_cloud_knows_nothing_above_all_that_it_holds_around():
+def test_a_bare_cloud_knows_nothing_above_what_its_points_show_the_view_to_have_reached():
     """The crown ends at 6 m: whether the sensor saw any higher, its points do not tell."""
     observer = make_observer(SurveyMap(crown_over_seen_ground()), CONFIG)
-    heights = np.array([1.0, 5.0, 6.2, 6.6, 9.0])
-    beside = np.column_stack([np.full(5, 10.0), np.full(5, 5.0), heights]) + ORIGIN
-    far = beside - [0.0, 4.0, 0.0]  # the crown is 7 m away
-    assert observer.below_view(beside).tolist() == [True, True, True, False, False]
+    heights = np.array([1.0, 4.0, 5.2, 5.9, 6.2])
+    at_crown = np.column_stack([np.full(5, 10.0), np.full(5, 8.0), heights]) + ORIGIN
+    assert observer.below_view(at_crown).tolist() == [True, True, True, True, False]
+    beside = at_crown - [0.0, 4.0, 0.0]  # nearer to the road the view of the same beam is 1.6 m lower
+    assert observer.below_view(beside).tolist() == [True, True, False, False, False]
+    far = at_crown - [0.0, 7.0, 0.0]
     assert not observer.below_view(far)[1]
     assert observer.free_probability(beside) == pytest.approx(0.8)  # an object of one epoch shows below too
     driven = make_observer(SurveyMap(crown_over_seen_ground(), trajectory=drive()), CONFIG)
     assert driven.below_view(beside).all()
+
+
+@pytest.mark.parametrize(("seen_to", "free"), [(14.0, True), (8.4, False), (7.0, False)])
+def test_a_place_at_the_rim_of_what_a_bare_cloud_holds_is_not_known_to_be_free(seen_to, free):
+    """The ground in front of a wall is seen with the wall there or not; ground on both sides is not."""
+    rng = np.random.default_rng(3)
+    ground = np.column_stack([rng.uniform(0, 20, 30000), rng.uniform(-2, seen_to, 30000), np.zeros(30000)])
+    observer = make_observer(SurveyMap(PointCloud(ground, ORIGIN)), CONFIG)
+    wall = np.column_stack([np.linspace(5, 15, 21), np.full(21, 8.1), np.full(21, 1.5)]) + ORIGIN
+    assert observer.free_probability(wall) == pytest.approx(CONFIG.shadow_trust if free else 0.5)
+
+
+def test_a_bush_before_a_wall_that_was_seen_behind_it_is_known_to_be_gone():
+    rng = np.random.default_rng(4)
+    ground = np.column_stack([rng.uniform(0, 20, 30000), rng.uniform(-2, 8, 30000), np.zeros(30000)])
+    wall = np.column_stack([rng.uniform(0, 20, 9000), np.full(9000, 8.0), rng.uniform(0, 4, 9000)])
+    observer = make_observer(SurveyMap(PointCloud(np.concatenate([ground, wall]), ORIGIN)), CONFIG)
+    bush = np.column_stack([np.linspace(8, 9, 5), np.full(5, 7.0), np.linspace(0.5, 1.5, 5)]) + ORIGIN
+    assert observer.free_probability(bush) == pytest.approx(CONFIG.shadow_trust)

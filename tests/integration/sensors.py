@@ -8,6 +8,7 @@ The LiDAR (16 beams, 512x10) sees a room. A line on standard input changes somet
     stop lidar          its cable is pulled: nothing comes, and the sensor goes on counting
     go lidar            it is back
     step 0.2 lidar imu  their clocks jump
+    heard 3 lidar       answered once so many listen to it, and have its metadata
 """
 
 from __future__ import annotations
@@ -20,6 +21,7 @@ from typing import Any
 import numpy as np
 import rclpy
 from ouster.sdk import core
+from rclpy.duration import Duration
 from rclpy.node import Node
 from rclpy.qos import QoSProfile
 from rclpy.utilities import remove_ros_args
@@ -83,11 +85,21 @@ class Car:
                 self.stopped.update(words)
             elif verb == "go":
                 self.stopped.difference_update(words)
+            elif verb == "heard":
+                self._await_listeners(int(words[0]), words[1:])
             else:
                 for sensor in words[1:]:
                     self._step[sensor] += int(float(words[0]) * 1e9)
             sys.stdout.write(line)
             sys.stdout.flush()
+
+    def _await_listeners(self, count: int, sensors: list[str]) -> None:
+        heard = [self._out[sensor] for sensor in sensors]
+        heard += [self._metadata] if "lidar" in sensors else []
+        while any(publisher.get_subscription_count() < count for publisher in heard):
+            time.sleep(0.02)
+        if "lidar" in sensors:
+            self._metadata.wait_for_all_acked(Duration(seconds=60.0))
 
     def run(self, ends: threading.Thread) -> None:
         """Publish what is due."""

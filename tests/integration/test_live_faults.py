@@ -77,6 +77,8 @@ def test_five_faults_and_a_crash_are_noticed_named_survived_and_in_the_manifest(
     car, gnss = started(running, "lidar", "imu", "pps"), started(running, "gnss", "--ros-args", "-r", THEIRS)
     for line in ("lidar", "gnss", "clocks", "odometry"):
         live.until(lambda line=line: live.heard(f"{line}: (ok|look)"))
+    car.obey("heard 3 lidar")  # recorder, monitor and odometry
+    gnss.obey("heard 3 gnss")  # recorder, monitor and pose graph
 
     took: dict[str, float] = {}
     pulled = car.obey("stop lidar")

@@ -158,6 +158,37 @@ def test_a_bag_player_that_knows_nothing_of_ours_gives_the_map_of_the_bag_or_the
         assert graph.heard("missing|lost|misses"), graph.text
 
 
+def test_a_bag_that_is_played_in_a_loop_is_mapped_once(
+    survey: Path, from_the_bag: SurveyMap, tmp_path: Path
+) -> None:
+    """The clock goes back to the start: every node lives on, and no drive lies in the map twice."""
+    folder = tmp_path / "drive"
+    graph = LiveRun("-o", folder, "--no-record", "--sim-time", settings=SETTINGS)
+    try:
+        graph.until(lambda: graph.heard("lidar: none: nothing yet"))
+        play(graph, survey / "before" / "bag", "--rate", 1.0, "--turns", 2)
+        for said in (
+            "/clock went back",
+            r"lidar_packets: time went back by 4\.\d s .*the odometry begins again",
+            r"/odometry: time went back by 4\.\d s; the map leaves out what it has",
+        ):
+            graph.until(lambda said=said: graph.heard(said))
+        assert graph.stop() == 0, graph.text
+    finally:
+        graph.kill()
+    played = read_map(folder / "map")
+    assert played.trajectory is not None
+    assert from_the_bag.trajectory is not None
+    times = played.trajectory.times_ns
+    assert (np.diff(times) > 0).all()
+    assert len(np.intersect1d(times, from_the_bag.trajectory.times_ns)) == len(times)
+    driven = played.manifest["sequences"]["live"]
+    assert "odometry_silent" not in driven["flagged"]
+    left_out = driven["arrivals_pose_graph"]
+    assert left_out["/odometry"]["left_out"] > 0
+    assert left_out[FIX]["left_out"] > 0
+
+
 def test_a_folder_that_holds_a_drive_is_not_written_into(tmp_path: Path) -> None:
     (tmp_path / "survey" / "bag").mkdir(parents=True)
     live = LiveRun("-o", tmp_path / "survey")

@@ -15,19 +15,19 @@ from pathlib import Path
 import numpy as np
 import pandas as pd
 import pytest
+from bags import last_seconds
 
 from subiaco_bringup.environment import node_environment
 from subiaco_bringup.graph import GraphSpec, NodeSpec, deployed, in_one_process, mapping_graph
 from subiaco_bringup.jobs import run_change_graph, run_mapping_graph
 from subiaco_bringup.supervisor import Supervisor
 from subiaco_change.request import ChangeRequest
-from subiaco_geo.bags import BagReader, BagWriter
+from subiaco_geo.bags import BagReader
 from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.config import load_config
 from subiaco_geo.errors import InputError, RegistrationError, SubiacoError
 from subiaco_geo.maps import read_map, write_map
 from subiaco_geo.survey_map import SurveyMap
-from subiaco_geo.topics import LATCHED, LIDAR_PACKETS
 from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.pipeline import map_survey
 from subiaco_mapping.request import MappingRequest
@@ -99,19 +99,6 @@ def test_the_mapping_graph_loses_no_packet_and_gives_the_map_of_the_process(
     assert through.info["config_hash"] == direct.info["config_hash"]
     assert through.info["inputs"] == direct.info["inputs"]
     assert through.manifest == direct.manifest
-
-
-def last_seconds(source: Path, target: Path, seconds: float) -> int:
-    """Copy what every sensor sent at the end of a bag; return the LiDAR packets."""
-    with BagReader(source) as reader, BagWriter(target) as writer:
-        for message in reader.messages():
-            latched = message.topic in LATCHED
-            if latched or message.log_time_ns >= reader.end_ns - seconds * 1e9:
-                writer.write_raw(
-                    message.topic, message.msg_type, message.raw, message.log_time_ns, latched=latched
-                )
-    with BagReader(target) as reader:
-        return reader.topics[LIDAR_PACKETS].count
 
 
 def test_two_bags_are_two_sequences_of_one_map(survey: Path, tmp_path: Path) -> None:

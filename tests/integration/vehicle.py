@@ -1,7 +1,7 @@
 """A vehicle for tests: plays a bag as drivers (or ``ros2 bag play --clock``) would, knowing nothing of ours.
 
-    python vehicle.py BAG [--listeners N] [--mute TOPIC FROM TO] [--save DIR] [--rate R] [--statuses]
-        [--ros-args ...]
+    python vehicle.py BAG [--listeners N] [--mute TOPIC FROM TO] [--save DIR] [--rate R] [--turns N]
+        [--statuses] [--ros-args ...]
 
 Names are relative, so that a namespace holds. Messages go out at the pace of their log times (a fraction of
 it, for busy machines) with the quality that such publishers offer, whoever listens; nobody's counts are
@@ -129,6 +129,7 @@ def main() -> int:
     parser.add_argument("--statuses", action="store_true")
     parser.add_argument("--listeners", type=int, default=2)
     parser.add_argument("--rate", type=float, default=0.5)
+    parser.add_argument("--turns", type=int, default=1)  # as `ros2 bag play --loop`
     given = parser.parse_args(remove_ros_args(sys.argv)[1:])
     rclpy.init(args=sys.argv)
     with BagReader(given.bag) as reader:
@@ -136,7 +137,8 @@ def main() -> int:
         if not vehicle.wait(lambda: vehicle.heard(given.listeners), 60.0):
             sys.stderr.write("nobody listens\n")
             return 1
-        vehicle.play((given.mute[0], float(given.mute[1]), float(given.mute[2])), given.rate)
+        for _ in range(given.turns):
+            vehicle.play((given.mute[0], float(given.mute[1]), float(given.mute[2])), given.rate)
         vehicle.wait(lambda: vehicle.caught_up(reader.end_ns), 90.0)
         vehicle.settle()
         count = len(vehicle.paths[-1].poses) if vehicle.paths else 0

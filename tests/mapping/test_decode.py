@@ -149,6 +149,16 @@ def test_a_packet_after_its_frame_was_closed_is_late() -> None:
     assert (counts.late, counts.lost) == (1, 1)
 
 
+def test_frames_that_are_counted_from_the_start_again_are_decoded_however_few_there_were() -> None:
+    """The sensor restarts after a second and a half, or a bag is played in a loop."""
+    bufs, metadata = synthetic(frames=15)
+    scans, counts = decode(bufs * 2, metadata)
+    assert (len(scans), counts.restarts, counts.late, counts.lost) == (30, 1, 0, 0)
+    for first, again in zip(scans[:15], scans[15:], strict=True):
+        assert first.end_ns == again.end_ns
+        np.testing.assert_array_equal(first.first.xyz, again.first.xyz)
+
+
 def test_a_whole_lost_frame_counts_all_its_packets() -> None:
     bufs, metadata = synthetic()
     per_frame = len(bufs) // 3

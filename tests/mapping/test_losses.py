@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from mapping_scenes import pcap_bufs
 from ouster.sdk import core
 from pydantic import ValidationError
 
@@ -13,6 +16,7 @@ from subiaco_geo.bags import packet_to_cdr
 from subiaco_mapping.recording.config import RecordConfig
 from subiaco_mapping.recording.losses import (
     PacketCounter,
+    PacketHeaders,
     SequenceCounter,
     StampCounter,
     TopicCounter,
@@ -192,6 +196,21 @@ def test_whole_lost_frames_count_and_damaged_packets_are_told_apart() -> None:
     assert counts.malformed == 2
 
 
+def test_a_count_of_frames_that_begins_again_is_a_restart_and_no_loss() -> None:
+    """A bag of 50 frames in a loop: its first frames are no late ones."""
+    layout = core.PacketFormat(core.SensorInfo(METADATA))
+    first = {place: core.LidarPacket(layout) for place in range(32)}
+    raws = []
+    for frame in (*range(50), *range(50)):
+        for place, packet in first.items():
+            layout.set_frame_id(packet, frame)
+            for column in range(16):
+                layout.set_col_measurement_id(packet, column, 16 * place + column)
+            raws.append(packet_to_cdr(bytes(packet.buf)))
+    counts = count(raws).counts
+    assert (counts.restarts, counts.lost_at_sensor, counts.late, counts.duplicate) == (1, 0, 0, 0)
+
+
 def test_a_topic_adds_up_transport_sensor_and_disk() -> None:
     counter = TopicCounter(stamped=True)
     for k in range(100):
@@ -216,3 +235,60 @@ def test_header_stamps_are_read_from_serialised_bytes_only_where_there_are_enoug
 def test_watermarks_must_be_in_order() -> None:
     with pytest.raises(ValidationError, match="warn_free_gb must not be below stop_free_gb"):
         RecordConfig(warn_free_gb=1.0, stop_free_gb=2.0)
+
+
+def test_packets_that_came_before_the_metadata_are_counted_once_their_layout_is_known() -> None:
+    """A cable is out meanwhile: what it cost must not depend on when the metadata come."""
+    out = set(range(40, 140))
+    kept = [packet for k, packet in enumerate(PACKETS) if k not in out]
+    for known_after in (0, 20, 40, 60, len(kept)):
+        counter = TopicCounter(headers=PacketHeaders())
+        for k, packet in enumerate([*kept, b"\0\1\0\0"]):
+            if k == known_after:
+                counter.know_packets(METADATA)
+            counter.take(packet, k, None)
+        counter.know_packets(METADATA)
+        facts = counter.facts()
+        assert (facts["lost_at_sensor"], facts["malformed"], facts["restarts"]) == (len(out), 1, 0)
+        assert "without_metadata" not in facts
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "OS-1-128_v2.3.0_1024x10_lb_n3.pcap OS-1-128_v2.3.0_1024x10.json",
+        "OS-0-32-U1_v2.2.0_1024x10.pcap OS-0-32-U1_v2.2.0_1024x10.json",
+        "OS-1-128_767798045_1024x10_20230712_120049.pcap OS-1-128_767798045_1024x10_20230712_120049.json",
+    ],
+    ids=["legacy", "dual", "fusa"],
+)
+def test_the_headers_of_every_format_tell_what_whole_packets_tell(shared_data: Path, name: str) -> None:
+    recording, metadata = (shared_data / "ouster" / file for file in name.split())
+    text = metadata.read_text()
+    bufs = pcap_bufs(recording, text)
+    raws = [packet_to_cdr(buf) for k, buf in enumerate(bufs) if k % 7]
+    whole, later = TopicCounter(), TopicCounter(headers=PacketHeaders())
+    whole.know_packets(text)
+    for k, raw in enumerate(raws):
+        whole.take(raw, k, None)
+        later.take(raw, k, None)
+    later.know_packets(text)
+    assert later.facts() == whole.facts()
+    assert later.facts()["lost_at_sensor"] >= len(bufs) // 7 - 2
+
+
+def test_only_the_newest_headers_are_held_and_their_number_is_told_while_no_metadata_come() -> None:
+    counter = TopicCounter(headers=PacketHeaders())
+    for k in range(40_000):
+        counter.take(PACKETS[k % len(PACKETS)], k, None)
+    assert counter.facts()["without_metadata"] == 1 << 15
+    assert sum(len(head) for _, head in counter.headers or ()) < 3_000_000
+
+
+def test_packets_without_metadata_are_an_alarm_where_metadata_should_be_recorded() -> None:
+    received = {"/ouster/lidar_packets": 9, "/gnss/fix": 1}
+    (absent,) = RecordConfig().absent(received)
+    assert absent.startswith("no LiDAR metadata (/ouster/metadata)")
+    assert RecordConfig().absent({**received, "/ouster/metadata": 1}) == []
+    assert RecordConfig().absent({"/lidar/points": 3, "/gnss/fix": 1}) == []
+    assert RecordConfig(topics=("/ouster/lidar_packets",)).absent(received) == []

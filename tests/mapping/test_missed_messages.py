@@ -13,7 +13,7 @@ def test_what_was_lost_or_left_out_is_told_by_topic() -> None:
     arrivals.leave_out("/gnss/fix")
     arrivals.counted("/imu/data", lambda _: None)(None, {"publication_sequence_number": 1})
     said = missed_messages(arrivals.facts())
-    assert said == "/gnss/fix 2 lost, 1 left out at the start of 5"
+    assert said == "/gnss/fix 2 lost, 1 left out of 5"
 
 
 def test_nothing_is_told_where_everything_came() -> None:

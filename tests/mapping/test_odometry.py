@@ -148,6 +148,17 @@ def test_the_front_end_drops_empty_scans_and_counts_them() -> None:
     assert frontend.dropped_scans == 1
 
 
+def test_the_front_end_tells_how_far_a_scan_lies_before_those_that_were_registered() -> None:
+    frontend, xyz = (
+        OdometryFrontend(MappingConfig(deskewed=True), Extrinsics()),
+        room_scan(np.eye(4), 2000, 0),
+    )
+    for k, behind in ((0, 0), (50, 0), (10, 40), (11, 39), (51, 0)):
+        outputs = frontend.on_points(as_scan(xyz, START_NS + k * STEP))
+        assert (len(outputs), frontend.behind_ns) == (int(not behind), behind * STEP)
+    assert frontend.dropped_scans == 2
+
+
 def test_a_drive_that_begins_at_speed_is_straight_from_its_first_scan() -> None:
     """The sensor turns clockwise from the rear at 10 Hz, at 8 m/s; steps are alike from the first on."""
     frontend, outputs, stamps = OdometryFrontend(MappingConfig(), Extrinsics()), [], []

@@ -333,3 +333,51 @@ def test_a_goal_that_is_no_request_is_aborted_with_the_reason(ros: Any) -> None:
     assert not answer.success
     assert "workers" in answer.message
     assert ActionUser(ros, before="a", after="b", output="c").result().result.success
+
+
+@pytest.mark.parametrize("transition", ["cleanup", "shutdown"])
+def test_a_node_that_is_put_away_ends_its_comparison_and_the_goal_fails(ros: Any, transition: str) -> None:
+    from action_msgs.msg import GoalStatus, GoalStatusArray
+    from rclpy.lifecycle import TransitionCallbackReturn
+
+    from subiaco_change.nodes.change_node import ChangeApp, ChangeParameters
+    from subiaco_ros.parameters import read_models
+
+    begun, ended = threading.Event(), threading.Event()
+
+    def detect(_request: Any, report: Any, _on_tile: Any) -> Any:
+        begun.set()
+        try:
+            while True:
+                report("objects", 0.5)
+        finally:
+            ended.set()
+
+    def build(node: Any) -> ChangeApp:
+        own, config = read_models(node, ChangeParameters, ChangeConfig)
+        return ChangeApp(node, own, config, detect)
+
+    node = ros.managed("change", build)
+    node.start()
+    watcher = ros.node("watcher")
+    told = ros.collect(watcher, GoalStatusArray, "change/detect/_action/status")
+    user = ActionUser(ros, before="a", after="b", output="c")
+    assert user.handle.accepted
+    ros.until(begun.is_set)
+    if transition == "cleanup":
+        assert node.trigger_deactivate() == TransitionCallbackReturn.SUCCESS
+    getattr(node, f"trigger_{transition}")()
+    assert ended.is_set()
+    ros.until(lambda: told and told[-1].status_list[-1].status == GoalStatus.STATUS_ABORTED)
+    assert node.app is None
+    assert node.finished == (transition == "shutdown")
+    for _ in range(10):
+        ros.executor.spin_once(timeout_sec=0.01)
+    if transition == "cleanup":
+        begun.clear()
+        assert node.trigger_configure() == TransitionCallbackReturn.SUCCESS
+        assert node.trigger_activate() == TransitionCallbackReturn.SUCCESS
+        again = ActionUser(ros, before="a", after="b", output="c")
+        assert again.handle.accepted
+        ros.until(begun.is_set)
+        node.put_away()

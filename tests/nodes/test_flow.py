@@ -53,6 +53,20 @@ def test_counts_of_strangers_and_old_counts_change_nothing() -> None:
     assert flow.settled
 
 
+def test_what_was_consumed_of_a_replay_before_opens_no_window_for_the_next() -> None:
+    flow = FlowControl(["a"], {"/x": 3})
+    flow.on_counts("a", ["/x"], [998])
+    flow.on_counts("a", ["/x"], [1000])  # the last of the replay before
+    for _ in range(3):
+        assert flow.may_publish("/x")
+        flow.published("/x")
+    assert not flow.may_publish("/x")
+    flow.on_counts("a", ["/x"], [1001])
+    assert flow.in_flight("/x") == 2
+    flow.on_counts("a", ["/x"], [1003])
+    assert flow.settled
+
+
 def test_what_is_awaited_is_said_in_words() -> None:
     flow = FlowControl(["a"])
     assert flow.describe_waiting() == "nodes a"

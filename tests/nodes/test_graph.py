@@ -4,13 +4,21 @@ from __future__ import annotations
 
 import importlib.util
 import sys
-import types
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 import yaml
+from launch_stand_in import (
+    Action,
+    Ended,
+    SetEnvironmentVariable,
+    description_of,
+    ends_of,
+    launched_nodes,
+    stand_in,
+)
 
 from subiaco_bringup.graph import (
     change_graph,
@@ -115,97 +123,10 @@ def test_nodes_in_one_process_are_given_what_their_own_processes_would_be(tmp_pa
     assert [words[0] for words in parts_of(line[3:])] == ["replay", "odometry", "pose_graph"]
 
 
-class Action:
-    """Stands for every class of ``launch``: keeps what it was given."""
-
-    def __init__(self, *given: Any, **named: Any) -> None:
-        self.given, self.named = given, named
-
-
-class Node(Action):
-    """Stands for launch_ros.actions.Node."""
-
-
-class OpaqueFunction(Action):
-    """Stands for launch.actions.OpaqueFunction."""
-
-
-class SetEnvironmentVariable(Action):
-    """Stands for launch.actions.SetEnvironmentVariable."""
-
-
-class RegisterEventHandler(Action):
-    """Stands for launch.actions.RegisterEventHandler."""
-
-
-class Configuration:
-    """Stands for LaunchConfiguration; the context is a plain dict."""
-
-    def __init__(self, name: str) -> None:
-        self.name = name
-
-    def perform(self, context: dict[str, str]) -> str:
-        return context[self.name]
-
-
 @pytest.fixture
 def launch_stub(monkeypatch: pytest.MonkeyPatch) -> None:
     """Put a minimal ``launch`` in place: the real one is not on PyPI."""
-    contents = {
-        "launch": {"LaunchDescription": Action},
-        "launch.actions": {
-            "DeclareLaunchArgument": Action,
-            "EmitEvent": Action,
-            "OpaqueFunction": OpaqueFunction,
-            "RegisterEventHandler": RegisterEventHandler,
-            "SetEnvironmentVariable": SetEnvironmentVariable,
-        },
-        "launch.substitutions": {"LaunchConfiguration": Configuration},
-        "launch.event_handlers": {"OnProcessExit": Action},
-        "launch.events": {"Shutdown": Action},
-        "launch_ros": {},
-        "launch_ros.actions": {"Node": Node},
-    }
-    for name, members in contents.items():
-        module = types.ModuleType(name)
-        vars(module).update(members)
-        monkeypatch.setitem(sys.modules, name, module)
-
-
-def description_of(file: Path) -> list[Any]:
-    """Return what ``ros2 launch`` is given by a launch file."""
-    spec = importlib.util.spec_from_file_location("launched", file)
-    assert spec is not None
-    assert spec.loader is not None
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return list(module.generate_launch_description().given[0])
-
-
-def launched_nodes(file: Path, **arguments: str) -> list[dict[str, Any]]:
-    """Expand a launch file as ``ros2 launch`` would, and return what its nodes are given."""
-    actions = description_of(file)
-    declared = [a for a in actions if type(a) is Action]
-    context = {a.given[0]: a.named["default_value"] for a in declared} | arguments
-    assert not [name for name, value in context.items() if value is None]
-    (expand,) = [a for a in actions if isinstance(a, OpaqueFunction)]
-    return [a.named for a in expand.named["function"](context) if isinstance(a, Node)]
-
-
-class Ended:
-    """Stands for the event of a process that has ended, and for a context of a launch that goes on."""
-
-    def __init__(self, code: int = 0, *, shut_down: bool = False) -> None:
-        self.returncode, self.is_shutdown = code, shut_down
-
-
-def ends_of(file: Path, **arguments: str) -> dict[str, Any]:
-    """Return what follows from the end of each executable of a launch file."""
-    actions = description_of(file)
-    context = {a.given[0]: a.named["default_value"] for a in actions if type(a) is Action} | arguments
-    (expand,) = [a for a in actions if isinstance(a, OpaqueFunction)]
-    handlers = [a.given[0] for a in expand.named["function"](context) if isinstance(a, RegisterEventHandler)]
-    return {h.named["target_action"].named["executable"]: h.named["on_exit"] for h in handlers}
+    stand_in(monkeypatch)
 
 
 def launched_lines(file: Path, **arguments: str) -> list[list[str]]:
@@ -260,9 +181,12 @@ def test_a_launch_starts_a_live_node_again_a_few_times_and_goes_on_without_the_m
     ends = ends_of(LAUNCH / "live.launch.py", output=str(tmp_path / "drive"))
     assert ends["pose_graph_node"](Ended(1), Ended()) == []
     for _ in range(MOST_RESTARTS):
+        assert ends["recorder_node"](Ended(-11), Ended()) == []
+    with pytest.raises(SubiacoError, match="node recorder ended with exit code -11"):
+        ends["recorder_node"](Ended(-11), Ended())
+    for _ in range(MOST_RESTARTS + 1):  # the recording goes on
         assert ends["odometry_node"](Ended(-11), Ended()) == []
-    with pytest.raises(SubiacoError, match="node odometry ended with exit code -11"):
-        ends["odometry_node"](Ended(-11), Ended())
+        assert ends["monitor_node"](Ended(-11), Ended()) == []
     with pytest.raises(SubiacoError, match="node recorder ended with exit code 2"):
         ends["recorder_node"](Ended(2), Ended())
 
@@ -391,7 +315,9 @@ def test_only_what_can_be_started_again_without_harm_is(tmp_path: Path) -> None:
 
     nodes = {node.name: node for node in live_graph(tmp_path / "drive").nodes}
     assert [name for name, node in nodes.items() if node.restart] == ["recorder", "monitor", "odometry"]
-    assert not nodes["pose_graph"].essential
+    assert [name for name, node in nodes.items() if node.essential] == ["recorder"]
+    unrecorded = live_graph(tmp_path / "drive", record=False).nodes
+    assert [node.name for node in unrecorded if node.essential] == ["odometry"]
     assert "recorder" not in {node.name for node in live_graph(tmp_path / "drive", record=False).nodes}
 
 

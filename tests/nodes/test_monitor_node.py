@@ -204,3 +204,39 @@ def test_a_monitor_that_was_restarted_goes_on_with_what_it_wrote(ros: Any, tmp_p
     manifest = SurveyFiles(tmp_path, "live", []).manifest(later)["sequences"]["live"]
     assert [entry["detail"] for entry in manifest["flagged"]["clock_step"]] == ["jumped", "jumped again"]
     assert manifest["start_s"] == T0_NS * 1e-9
+
+
+def test_a_looped_bag_goes_on_from_its_end_and_nothing_is_timed_before_the_clock_runs(
+    ros: Any, tmp_path: Path
+) -> None:
+    from rclpy.parameter import Parameter
+    from rosgraph_msgs.msg import Clock
+    from sensor_msgs.msg import Imu
+
+    from subiaco_mapping.nodes.monitor_node import build
+    from subiaco_ros.messages import stamp_message
+
+    node = ros.node("monitor", use_sim_time=True, output_directory=str(tmp_path))
+    assert node.get_parameter("use_sim_time").type_ == Parameter.Type.BOOL
+    app = build(node)
+    ros.apps.append(app)
+    user = ros.node("player")
+    clock = user.create_publisher(Clock, "/clock", 10)
+    imu = user.create_publisher(Imu, "/imu/data", 100)
+    ros.until(lambda: clock.get_subscription_count() and imu.get_subscription_count())
+    imu.publish(Imu())
+    for _ in range(10):
+        ros.executor.spin_once(timeout_sec=0.02)
+    assert app._monitor.start_ns is None
+    said = []
+    for second in (100.0, 101.0, 102.0, 100.5, 101.5):  # played again from 100.5 on
+        clock.publish(Clock(clock=stamp_message(round(second * 1e9))))
+        expected = node.get_clock()
+        ros.until(lambda second=second, expected=expected: expected.now().nanoseconds == round(second * 1e9))
+        said.append(app._times()[0] * 1e-9)
+        imu.publish(Imu())
+        count = app._monitor.streams["imu"].count
+        ros.until(lambda count=count: app._monitor.streams["imu"].count == count + 1)
+    assert said == [100.0, 101.0, 102.0, 102.0, 103.0]
+    assert app._monitor.start_ns == 100 * 10**9
+    assert app._monitor.streams["imu"].longest_gap_ns <= 1_000_000_000

@@ -26,6 +26,7 @@ class FakeFrontend:
         self.packets: list[bytes] = []
         self.imu: list[Any] = []
         self.scans = 0
+        self.behind_ns = 0
 
     def _output(self) -> Any:
         from subiaco_mapping.odometry.frontend import FrontendOutput
@@ -270,6 +271,61 @@ def test_on_live_topics_what_was_left_out_at_the_start_is_counted_and_late_metad
     ros.until(lambda: arrived().get("/ouster/lidar_packets", {}).get("received") == 7)
     assert arrived()["/ouster/lidar_packets"] == {"received": 7, "lost": 0, "before_start": 0, "left_out": 3}
     assert arrived()["/imu/data"]["left_out"] == 0
+
+
+def test_a_live_odometry_begins_again_where_time_went_back(
+    ros: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    from std_msgs.msg import String
+
+    from subiaco_ros.messages import transform_message
+    from tf2_msgs.msg import TFMessage
+
+    live = Bench(ros)
+    places = [transform_message(np.eye(4), "base_link", f"{name}_link", 0) for name in ("lidar", "imu")]
+    live.tf_static.publish(TFMessage(transforms=places))
+    live.metadata.publish(String(data="{}"))
+    ros.until(lambda: live.taken("/tf_static") >= 1 and live.taken("/ouster/metadata") >= 1)
+    live.send_packets(range(4))
+    sent = 4
+    ros.until(lambda: live.taken("/ouster/lidar_packets") == sent)
+    for behind_ns, made in ((300_000_000, 1), (5_000_000_000, 2), (0, 2)):
+        live.made[-1].behind_ns = behind_ns
+        for _ in range(2):  # the next packet after the one that was behind begins again
+            live.send_packets(range(1))
+            sent += 1
+            ros.until(lambda sent=sent: live.taken("/ouster/lidar_packets") == sent)
+        assert len(live.made) == made
+    assert caplog.text.count("time went back by 5.0 s") == 1
+    assert live.made[-1].metadata == "{}"
+    live.send_packets(range(4))
+    ros.until(lambda: len(live.qualities) >= 3)
+    first, *_, last = (quality.segment for quality in live.qualities)
+    assert last - first >= 1000  # segments of one run are not those of another
+
+
+def test_metadata_of_a_driver_that_keeps_nothing_for_late_listeners_are_heard_too(ros: Any) -> None:
+    from std_msgs.msg import String
+
+    from subiaco_ros.qos import reliable
+
+    bench = Bench(ros)
+    bench.user.destroy_publisher(bench.metadata)
+    volatile = bench.user.create_publisher(String, "ouster/metadata", reliable(1))
+    ros.until(volatile.get_subscription_count)
+    volatile.publish(String(data="{}"))
+    ros.until(lambda: bench.taken("/ouster/metadata") == 1)
+
+
+def test_a_replay_keeps_to_its_sequence_wherever_time_goes(ros: Any) -> None:
+    bench = Bench(ros)
+    bench.begin()
+    bench.send_packets(range(4))
+    ros.until(lambda: len(bench.clouds) == 1)
+    bench.made[0].behind_ns = 5_000_000_000
+    bench.send_packets(range(4))
+    ros.until(lambda: len(bench.clouds) == 2)
+    assert len(bench.made) == 1
 
 
 def test_a_live_odometry_holds_its_first_scan_back_until_its_listeners_are_matched(ros: Any) -> None:

@@ -337,6 +337,42 @@ def test_on_live_topics_path_and_map_grow_and_an_interrupted_survey_leaves_its_m
     bench.app.close()  # once is enough
 
 
+def test_a_node_that_stays_is_given_a_second_replay(ros: Any) -> None:
+    bench = Bench(ros, FakeBackend())
+    for turn, name in enumerate(("one", "two"), start=1):
+        bench.begin(name)
+        bench.scan()
+        bench.end()
+        ros.until(lambda turn=turn: bench.taken("/odometry/end") == turn and bench.app._finished)
+    assert [found for found, _ in bench.backend.sequences] == ["one", "two"]
+    assert len(bench.backend.taken) == 2
+
+
+def test_what_a_looped_bag_brings_again_enters_the_map_once(
+    ros: Any, caplog: pytest.LogCaptureFixture
+) -> None:
+    from sensor_msgs.msg import NavSatFix
+
+    from subiaco_ros.messages import stamp_message
+
+    bench = Bench(ros, FakeBackend(), **PLACES)
+    for turn in range(2):
+        bench.sent = 0
+        for k in range(3):
+            fix = NavSatFix()
+            fix.header.stamp = stamp_message(T0_NS + k)
+            bench.out["fix"].publish(fix)
+            bench.scan()
+        ros.until(lambda turn=turn: bench.taken("/points_sky") == 3 * (turn + 1) == bench.taken("/gnss/fix"))
+    assert [pose.stamp_ns for pose, _ in bench.backend.taken] == [T0_NS + k * 100_000_000 for k in (1, 2, 3)]
+    assert len(bench.backend.fixes) == 3
+    bench.scan()  # newer than all
+    ros.until(lambda: len(bench.backend.taken) == 4)
+    assert caplog.text.count("/odometry: time went back by 0.2 s") == 1
+    arrivals = bench.app._arrivals.facts()
+    assert (arrivals["/odometry"]["left_out"], arrivals["/gnss/fix"]["left_out"]) == (3, 3)
+
+
 def call(ros: Any, user: Any, kind: Any, name: str, request: Any) -> Any:
     client = user.create_client(kind, name)
     ros.until(client.service_is_ready)

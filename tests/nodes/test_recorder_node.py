@@ -13,6 +13,7 @@ from typing import Any
 
 import pytest
 import yaml
+from ouster.sdk import core
 
 from subiaco_geo.bag_recovery import recover_bag
 from subiaco_geo.bags import TYPESTORE, BagReader, BagWriter, packet_to_cdr
@@ -201,6 +202,38 @@ def test_losses_appear_on_diagnostics_by_topic(ros: Any, start: Any) -> None:
     values = {value.key: value.value for value in told()[-1].values}
     assert "lost_by_stamp=2" in values[IMU]
     assert "lost_in_transport=0" in values[IMU]
+
+
+def test_packets_that_came_before_the_metadata_are_counted_too(ros: Any, start: Any, tmp_path: Path) -> None:
+    """A driver may send its metadata late, and its cable may be out meanwhile."""
+    from rclpy.qos import DurabilityPolicy
+    from std_msgs.msg import String
+
+    from subiaco_sim.config import LidarMode
+    from subiaco_sim.packets import sensor_info
+
+    info = sensor_info(LidarMode.COLUMNS_512, dual=False, beams=16)
+    layout = core.PacketFormat(info)
+
+    def sent(frame: int) -> bytes:
+        packet = core.LidarPacket(layout)
+        layout.set_frame_id(packet, frame)
+        return packet_to_cdr(bytes(packet.buf))
+
+    driver = publisher(ros, LIDAR_PACKETS)
+    app = start()
+    ros.until(lambda: listening(app, LIDAR_PACKETS) and driver.get_subscription_count())
+    for frame in (1, 11):  # frames of 32 packets, of which each first one is sent
+        driver.publish(sent(frame))
+    ros.until(lambda: received(app, LIDAR_PACKETS) == 2)
+    assert app.listener.facts()[LIDAR_PACKETS]["without_metadata"] == 2
+    latched = publisher(ros, METADATA, String, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+    latched.publish(String(data=info.to_json_string()))
+    ros.until(lambda: "lost_at_sensor" in app.listener.facts()[LIDAR_PACKETS])
+    assert app.listener.facts()[LIDAR_PACKETS]["lost_at_sensor"] == 10 * 32 - 1
+    app.close()
+    facts = yaml.safe_load((tmp_path / "drive" / "recording.yaml").read_text())
+    assert facts["topics"][LIDAR_PACKETS]["lost_at_sensor"] == 10 * 32 - 1
 
 
 def test_every_other_topic_is_recorded_where_asked(ros: Any, start: Any, tmp_path: Path) -> None:

@@ -8,10 +8,7 @@ from __future__ import annotations
 
 import ast
 import json
-import os
 import re
-import shutil
-import subprocess
 import sys
 import xml.etree.ElementTree as ET
 from pathlib import Path
@@ -112,29 +109,3 @@ def test_vendored_messages_have_the_type_hashes_of_upstream() -> None:
                 [],
                 [("buf", ours.fielddefs["std_msgs/msg/UInt8MultiArray"][1][1][1])],
             )
-
-
-@pytest.mark.slow
-@pytest.mark.skipif(shutil.which("colcon") is None, reason="colcon is not installed")
-def test_the_workspace_builds_over_an_underlay_with_full_messages_and_leaves_them_alone(
-    tmp_path: Path,
-) -> None:
-    underlay = tmp_path / "underlay"
-    for name in VENDORED:
-        share = underlay / "share" / name
-        share.mkdir(parents=True)
-        (share / "package.xml").write_text(f"<package format='3'><name>{name}</name></package>")
-        marker = underlay / "share/ament_index/resource_index/packages" / name
-        marker.parent.mkdir(parents=True, exist_ok=True)
-        marker.touch()
-    environment = {**os.environ, "AMENT_PREFIX_PATH": f"{underlay}:{sys.prefix}"}
-    result = subprocess.run(
-        ["colcon", "--log-base", str(tmp_path / "log"), "build", "--base-paths", "ros2_ws/src",
-         "--build-base", str(tmp_path / "build"), "--install-base", str(tmp_path / "install"),
-         "--packages-skip", "subiaco_msgs"],
-        cwd=REPOSITORY, env=environment, capture_output=True, text=True, timeout=200, check=False,
-    )  # fmt: skip
-    assert result.returncode == 0, result.stderr[-2000:]
-    built = {path.name for path in (tmp_path / "install").iterdir() if path.is_dir()}
-    assert {package.name for package in PACKAGES} <= built
-    assert not built & set(VENDORED)

@@ -33,11 +33,13 @@ class Harness:
         declared = {"automatically_declare_parameters_from_overrides": True}
         return self._added(Node(name, namespace=namespace, **declared, **options))
 
-    def managed(self, name: str, build: Callable[[Any], Any], **parameters: Any) -> Any:
+    def managed(
+        self, name: str, build: Callable[[Any], Any], *, namespace: str = "", **parameters: Any
+    ) -> Any:
         """Make a lifecycle node around an app, as a node process does."""
         from subiaco_ros.managed_node import ManagedNode
 
-        return self._added(ManagedNode(name, build, **self._options(parameters)))
+        return self._added(ManagedNode(name, build, namespace=namespace, **self._options(parameters)))
 
     def _options(self, parameters: dict[str, Any]) -> dict[str, Any]:
         from rclpy.parameter import Parameter

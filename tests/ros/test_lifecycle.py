@@ -176,6 +176,30 @@ def test_a_node_goes_through_its_states_and_works_only_while_active(ros: Any) ->
     assert bench.node.finished
 
 
+def test_what_could_not_be_put_away_at_shutdown_is_the_end_of_the_process_and_an_old_fault_is_not(
+    ros: Any,
+) -> None:
+    from rclpy.parameter import Parameter
+
+    class Stuck(Echo):
+        def close(self) -> None:
+            raise InputError("/disk: the file cannot be closed")
+
+    whole = Bench(ros, Echo, autostart=False, depth=200)
+    assert not whole.change(CONFIGURE)
+    whole.node.set_parameters([Parameter("depth", value=20)])
+    assert whole.change(CONFIGURE)
+    whole.node.trigger_shutdown()
+    assert whole.node.finished
+    ros.apps.clear()
+    stuck = ros.managed("stuck", Stuck)
+    stuck.start()
+    stuck.trigger_shutdown()
+    with pytest.raises(InputError, match="/disk: the file cannot be closed"):
+        assert stuck.finished
+    assert stuck.app is None
+
+
 def test_a_node_starts_by_itself_unless_autostart_is_false(ros: Any) -> None:
     bench = Bench(ros, Echo)
     bench.node.start()

@@ -49,7 +49,9 @@ def live_graph(
     topics = validate(TopicsConfig, config.get("topics", {}), "topics")
     names = (*topics.remappings(), *remappings)
     folder = Path(output).resolve()
-    nodes = [_monitor(config, folder, route), _odometry(config), _pose_graph(config, folder)]
+    # A recording can be mapped afterwards: it outlives the nodes that map and watch.
+    odometry = replace(_odometry(config), essential=not record)
+    nodes = [_monitor(config, folder, route), odometry, _pose_graph(config, folder)]
     relative = tuple((ours.lstrip("/"), theirs) for ours, theirs in names)
     nodes = [
         replace(n, parameters={**n.parameters, "use_sim_time": sim_time}, remappings=relative) for n in nodes
@@ -63,7 +65,9 @@ def live_graph(
 def _monitor(config: dict[str, Any], folder: Path, route: Path | None) -> NodeSpec:
     planned = {} if route is None else {"route": str(Path(route).resolve())}
     own = {"output_directory": str(folder), "sequence": SEQUENCE, **planned}
-    return NodeSpec("monitor", "subiaco_mapping", "monitor_node", {**config, **own}, restart=True)
+    return NodeSpec(
+        "monitor", "subiaco_mapping", "monitor_node", {**config, **own}, restart=True, essential=False
+    )
 
 
 def _odometry(config: dict[str, Any]) -> NodeSpec:

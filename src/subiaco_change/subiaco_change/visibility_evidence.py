@@ -17,8 +17,9 @@ from subiaco_change.visibility_tests import (
     Flags,
     PointShadow,
     PosesAndPoints,
+    Surroundings,
     VisibilityTest,
-    highest_around,
+    view_level,
 )
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.config import StrictModel
@@ -112,6 +113,31 @@ class EvidenceConfig(StrictModel):
         description="Distance within which a cloud without trajectory must hold a point as high as the "
         "surface that a plant gained or lost, for its place to count as observed [m]: the field of view may "
         "end lower",
+    )
+    shadow_slope: float = Field(
+        0.4,
+        ge=0,
+        description="Slope at which the view that a point shows falls towards the sensor in a cloud without "
+        "trajectory, as a ratio; 0.4 is the highest beam of a sensor with a view of 45 degrees",
+    )
+    shadow_cell: float = Field(
+        0.5,
+        gt=0,
+        description="Edge of the columns whose lowest points surround a place in a cloud without "
+        "trajectory [m]",
+    )
+    shadow_ring: float = Field(
+        1.5,
+        gt=0,
+        description="Distance within which lower points must surround a place for the place to count as free "
+        "in a cloud without trajectory [m]",
+    )
+    shadow_sides: int = Field(
+        6,
+        ge=0,
+        le=8,
+        description="Number of the eight sides of a place on which lower points must lie for the place to "
+        "count as free in a cloud without trajectory",
     )
     hidden_trust: float = Field(
         0.65,
@@ -323,7 +349,8 @@ def _shadow(cloud: PointCloud, config: EvidenceConfig) -> PointShadow:
         config.shadow_height,
         config.shadow_trust,
         config.shadow_touch,
-        highest_around(index, config.shadow_level),
+        view_level(index, config.shadow_level, config.shadow_slope),
+        Surroundings.of(cloud.xyz, config.shadow_cell, config.shadow_ring, config.shadow_sides),
     )
 
 

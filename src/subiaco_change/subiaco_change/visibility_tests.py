@@ -10,13 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from subiaco_change.geometry import ColumnIndex, nearest
+from subiaco_change.geometry import ColumnIndex, build_index, nearest
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_geo.frames import Floats
 from subiaco_geo.free_space.expected_visibility import ExpectedVisibility
 from subiaco_geo.visibility import VisibilityGrid
 
 _PRIOR = NUMBERS.visibility_evidence.prior_beams
+_SIDES = 8  # of a place: the main and half directions of the compass
 
 Flags = NDArray[np.bool_]
 
@@ -57,6 +58,60 @@ class CountedBeams:
 
 
 @dataclass(frozen=True)
+class Surroundings:
+    """Lowest points of a cloud by fine columns, and on how many sides of a place they lie.
+
+    The ground in front of a wall is seen although the wall hides its own place, and what lies beyond the rim
+    of the field of view is not seen although its neighbourhood is. A place that was free lies among places
+    that were seen, on all sides.
+
+    Parameters
+    ----------
+    lowest : (nx, ny) float64
+        Height of the lowest point of every column [m]; inf where there is none.
+    corner : (2,) float64
+        Outer corner [m].
+    cell : float
+        Edge of a column [m].
+    reach : float
+        Distance within which a side must hold a point [m].
+    sides : int
+        Number of the eight sides that must.
+    """
+
+    lowest: Floats
+    corner: Floats
+    cell: float
+    reach: float
+    sides: int
+
+    @classmethod
+    def of(cls, xyz: Floats, cell: float, reach: float, sides: int) -> Surroundings:
+        """Find the lowest of points (N, 3) of every column."""
+        index = build_index(xyz, cell)
+        lowest = np.full(tuple(index.shape.tolist()), np.inf)
+        filled = np.flatnonzero(np.diff(index.starts) > 0)
+        lowest.ravel()[filled] = index.xyz[index.starts[filled], 2]
+        return cls(lowest, index.corner, index.cell, reach, sides)
+
+    def enclose(self, local: Floats) -> Flags:
+        """Tell which places (N, 3) have lower points on enough sides."""
+        ij = np.floor((local[:, :2] - self.corner) / self.cell).astype(np.int64)
+        cells = max(round(self.reach / self.cell), 1)
+        found = np.zeros((len(local), _SIDES), dtype=bool)
+        shape = np.array(self.lowest.shape)
+        for x, y in np.argwhere(np.ones((2 * cells + 1, 2 * cells + 1))) - cells:
+            if not 0 < np.hypot(x, y) <= cells:
+                continue
+            at = ij + np.array([x, y])
+            inside = np.flatnonzero(((at >= 0) & (at < shape)).all(axis=1))
+            lower = np.zeros(len(local), dtype=bool)
+            lower[inside] = self.lowest[at[inside, 0], at[inside, 1]] <= local[inside, 2]
+            found[:, round(np.arctan2(y, x) / (2 * np.pi / _SIDES)) % _SIDES] |= lower
+        return np.asarray(found.sum(axis=1) >= self.sides)
+
+
+@dataclass(frozen=True)
 class PointShadow:
     """Points alone: a place is seen where something near it, or beneath it, was."""
 
@@ -66,7 +121,8 @@ class PointShadow:
     height: float
     trust: float
     touch: float
-    level: Floats  # (nx, ny) height of the highest point around a column [m], see highest_around
+    level: Floats  # (nx, ny) how high the view reached at a column at least [m], see view_level
+    around: Surroundings
 
     def observed(self, world: Floats) -> Flags:
         """Tell which world points (N, 3) the epoch could see."""
@@ -83,16 +139,19 @@ class PointShadow:
     def free_probability(self, world: Floats) -> Floats:
         """Return the probability (N,) that world points (N, 3) were free; 0.5 where nothing is known."""
         local = np.ascontiguousarray(world - self.origin)
-        occupied = nearest(self.index, local, self.touch)[0] >= 0
-        return np.where(occupied, 1.0 - self.trust, np.where(self._above(local), self.trust, 0.5))
+        chance = np.full(len(local), 0.5)
+        above = np.flatnonzero(self._above(local))
+        chance[above[self.around.enclose(local[above])]] = self.trust
+        chance[nearest(self.index, local, self.touch)[0] >= 0] = 1.0 - self.trust
+        return chance
 
     def levelled(self, world: Floats) -> Flags:
-        """Tell which world points (N, 3) are no higher than something that the cloud holds around them."""
+        """Tell which world points (N, 3) are no higher than what the cloud shows its view to have reached."""
         local = np.ascontiguousarray(world - self.origin)
         ij, inside = self._columns(local)
         level = np.full(len(local), -np.inf)
         level[inside] = self.level[ij[inside, 0], ij[inside, 1]]
-        return np.asarray(local[:, 2] <= level + self.touch)
+        return np.asarray(local[:, 2] <= level)
 
     def _columns(self, local: Floats) -> tuple[NDArray[np.int64], Flags]:
         ij = np.floor((local[:, :2] - self.index.corner) / self.index.cell).astype(np.int64)
@@ -179,14 +238,19 @@ class EverythingSeen:
         return np.full(len(world), 0.5)
 
 
-def highest_around(index: ColumnIndex, reach: float) -> Floats:
-    """Height (nx, ny) of the highest point within a distance of every column [m]; -inf where none is."""
+def view_level(index: ColumnIndex, reach: float, slope: float) -> Floats:
+    """Height (nx, ny) up to which the points of a cloud show that the view reached, by column [m].
+
+    A point shows that the view reached its own height at its place. Nearer to the sensor the view of the same
+    beam is lower: it falls by ``slope`` a metre, to a distance ``reach`` [m]. -inf where no point is.
+    """
     top = np.full(tuple(index.shape.tolist()), -np.inf)
     filled = np.flatnonzero(np.diff(index.starts) > 0)
     top.ravel()[filled] = index.xyz[index.starts[filled + 1] - 1, 2]
     cells = max(round(reach / index.cell), 1)
     x, y = np.mgrid[-cells : cells + 1, -cells : cells + 1]
-    around: Floats = ndimage.maximum_filter(
-        top, footprint=x**2 + y**2 <= cells**2, mode="constant", cval=-np.inf
+    steps = np.hypot(x, y)
+    level: Floats = ndimage.grey_dilation(
+        top, footprint=steps <= cells, structure=-slope * index.cell * steps, mode="constant", cval=-np.inf
     )
-    return around
+    return level

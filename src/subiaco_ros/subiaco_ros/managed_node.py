@@ -57,6 +57,13 @@ Build = Callable[[Node], App]
 _IDLE = 0.1
 
 
+#: Parameters of every node that are read when its process starts, and what they mean.
+_AT_THE_START = {
+    AUTOSTART: "Whether the node configures and activates itself when it is started",
+    "use_sim_time": "Whether the node follows /clock instead of the clock of this computer",
+}
+
+
 class ActiveGroup(MutuallyExclusiveCallbackGroup):
     """Callbacks that run only while their node is active."""
 
@@ -91,11 +98,12 @@ class ManagedNode(LifecycleNode):
             name, automatically_declare_parameters_from_overrides=True, enable_logger_service=True, **options
         )
         if not self.has_parameter(AUTOSTART):
+            self.declare_parameter(AUTOSTART, True)
+        for parameter, meaning in _AT_THE_START.items():
             described = ParameterDescriptor(
-                description="Whether the node configures and activates itself when it is started",
-                read_only=True,
+                type=Parameter.Type.BOOL.value, description=meaning, read_only=True
             )
-            self.declare_parameter(AUTOSTART, True, described)
+            self.set_descriptor(parameter, described)
         self.add_on_set_parameters_callback(self._on_set_parameters)
         self._refuse_unknown_transitions()
         self._standing = list(self.publishers)
@@ -133,8 +141,16 @@ class ManagedNode(LifecycleNode):
 
     @property
     def finished(self) -> bool:
-        """Whether the process may end: the app is done, or the node was shut down."""
+        """Whether the process may end: the app is done, or the node was shut down.
+
+        Raises
+        ------
+        SubiacoError
+            The node was shut down, and could not put everything away.
+        """
         over = self._state_machine.current_state[1] == "finalized"
+        if over and self.failure is not None:
+            raise self.failure
         return over or (self.active and self.app is not None and self.app.done)
 
     def start(self) -> None:
@@ -189,8 +205,8 @@ class ManagedNode(LifecycleNode):
         return self._tried(self._clean_up, TransitionCallbackReturn.ERROR, super().on_cleanup, state)
 
     def on_shutdown(self, state: LifecycleState) -> TransitionCallbackReturn:
-        """Put away what the app has; the process ends."""
-        return self._tried(self._clean_up, TransitionCallbackReturn.ERROR, super().on_shutdown, state)
+        """Put away what the app has; the process ends, with the reason where something could not be."""
+        return self._tried(self._clean_up, TransitionCallbackReturn.FAILURE, super().on_shutdown, state)
 
     def on_error(self, state: LifecycleState) -> TransitionCallbackReturn:  # noqa: ARG002 - rclpy's interface
         """Go back to unconfigured, where something could not be put away."""
@@ -206,6 +222,7 @@ class ManagedNode(LifecycleNode):
         state: LifecycleState,
     ) -> TransitionCallbackReturn:
         """Do the work of a transition; say what stood in its way, which rclpy would swallow."""
+        self.failure = None
         try:
             work()
         except Exception as error:  # noqa: BLE001 - kept, and raised again by start()

@@ -63,7 +63,7 @@ def record(
 
     Files are whole every minute and flushed four times a second: a kill or a loss of power costs less
     than a second. A disk that runs full ends the recording with every file whole. A recorder that crashes
-    is started again. Exit code 2 where no LiDAR or no GNSS message came.
+    is started again. Exit code 2 where no LiDAR or no GNSS message came, or packets without metadata.
 
     Example: subiaco record -o bags/2025-03-14_am --remap /gnss/fix:=/ublox_gps_node/fix
     """

@@ -34,6 +34,10 @@ _BESIDE = NUMBERS.dynamic_objects.visibility_step
 _LANE = NUMBERS.dynamic_objects.lane_reach
 _WITHIN = NUMBERS.dynamic_objects.lane_share
 _WALL = NUMBERS.dynamic_objects.wall_contact
+_TRAIL_POINTS = NUMBERS.dynamic_objects.trail_points
+_TRAIL_REACH = NUMBERS.dynamic_objects.trail_reach
+_TRAIL_WIDTH = NUMBERS.dynamic_objects.trail_width
+_TRAIL_LENGTH = NUMBERS.dynamic_objects.trail_length
 
 
 @dataclass(frozen=True)
@@ -41,13 +45,15 @@ class OwnEpochEvidence:
     """What the survey of an epoch itself knows of the places where its objects stand.
 
     ``observed`` tells which places (N, 3) it saw; ``traffic`` holds the trails it is sure of, ``buildings``
-    the points of buildings, whose instances (B,) are ``building_of``.
+    the points of buildings, whose instances (B,) are ``building_of``; ``shaped`` the trails that are known by
+    their shape alone, where nothing counted beams.
     """
 
     observed: Observed
     traffic: cKDTree
     buildings: cKDTree | None = None
     building_of: Ints | None = None
+    shaped: cKDTree | None = None
 
     def through(self, objects: Sequence[ObjectInstance]) -> float:
         """Share of the surface of objects on both sides of which the survey looked."""
@@ -81,7 +87,51 @@ def own_epoch_evidence(view: EpochView, observed: Observed) -> OwnEpochEvidence:
         cKDTree(view.xyz[is_ghost_trail(view)]),
         cKDTree(view.xyz[building]),
         view.instance[building].astype(np.int64),
+        cKDTree(view.xyz[_trail_by_shape(view)]),
     )
+
+
+def _trail_by_shape(view: EpochView) -> Mask:
+    """Tell which points (N,) shape alone makes a ghost trail."""
+    loose = np.asarray((view.semantic == Semantic.MOBILE) & (view.instance == NO_OBJECT))
+    return loose & (view.passed is None)
+
+
+@switchable("trail_continued", no_decision)
+def continues_trail(
+    objects: Sequence[ObjectInstance], semantic: Semantic, own: OwnEpochEvidence | None, rules: DecisionConfig
+) -> Decision | None:
+    """Tell a supposed plant that continues a ghost trail of its own epoch from one that stands.
+
+    At its ends and edges a trail has few points and is not as filled as between them, so that its points pass
+    for foliage. Together with the trail beside it the object is a strip as narrow as a vehicle.
+    """
+    if own is None or own.shaped is None or own.shaped.n < _TRAIL_POINTS:
+        return None
+    if semantic is not Semantic.VEGETATION or not fits_a_vehicle(objects, rules):
+        return None
+    places = np.concatenate([t.xyz for t in objects])
+    distance, slot = own.shaped.query(places)
+    nearest = int(np.argmin(distance))
+    if distance[nearest] > _LANE:
+        return None
+    trail = own.shaped.data[own.shaped.query_ball_point(own.shaped.data[slot[nearest]], _TRAIL_REACH)]
+    length, width = _strip(np.concatenate([trail[:, :2], places[:, :2]]))
+    if len(trail) < _TRAIL_POINTS or width > _TRAIL_WIDTH or length < _TRAIL_LENGTH:
+        return None
+    reason = (
+        f"Together with the ghost trail beside it the object is a strip {length:.1f} m long and {width:.1f} m"
+        f" wide (limit {_TRAIL_WIDTH:.1f} m): it may be a part of the trail, and nothing is claimed."
+    )
+    return Decision(Change.UNOBSERVED, reason, 0.0)
+
+
+def _strip(xy: Floats) -> tuple[float, float]:
+    """Length and width of points (N, 2) along and across their main direction, less one in twenty [m]."""
+    step = xy - xy.mean(axis=0)
+    low, high = np.quantile(step @ np.linalg.eigh(step.T @ step)[1], [0.025, 0.975], axis=0)
+    width, length = (high - low).tolist()
+    return length, width
 
 
 @switchable("trail_of_one_epoch", no_decision)

@@ -7,29 +7,38 @@ from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
+from scipy.spatial import cKDTree
 
 from subiaco_change.association.costs import AssociationConfig
 from subiaco_change.association.matching import match_kind
-from subiaco_change.decisions.column_volumes import BUILT_UP, OpenGround
+from subiaco_change.decisions.column_volumes import BUILT_UP, OpenGround, column_keys
 from subiaco_change.decisions.config import DecisionConfig
-from subiaco_change.decisions.dynamic_objects import OwnEpochEvidence, is_moving_object_trail
+from subiaco_change.decisions.dynamic_objects import OwnEpochEvidence, continues_trail, is_moving_object_trail
 from subiaco_change.decisions.measures import MeasureConfig, Measures, absence, measure
 from subiaco_change.decisions.plant_decisions import decide_plant
 from subiaco_change.decisions.plant_measures import PlantConfig, measure_plant
 from subiaco_change.decisions.rules import Decision, decide
 from subiaco_change.decisions.space_carving import Empty
 from subiaco_change.decisions.vegetation_null import PlantMeasures, no_null
-from subiaco_change.decisions.voxel_objects import Certainty, Free, ObjectInstance, join_voxels
+from subiaco_change.decisions.voxel_objects import Certainty, Free, ObjectInstance, Voxels, join_voxels
 from subiaco_change.instance_splitting.hedge_sections import NOTHING
 from subiaco_change.instance_splitting.one_epoch_parts import decide_vehicle_part
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import no_decision, switchable
+from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats, Ints
 
 _FLAT_TOP = NUMBERS.object_decision.flat_top
 _LAID_TOP = NUMBERS.object_decision.laid_top
 _LEVEL = NUMBERS.object_decision.level_normal
+_EVERY_VIEW = NUMBERS.object_decision.every_view
+_BESIDE = NUMBERS.object_decision.beside_plant
+_COLUMN = NUMBERS.object_decision.crown_column
+_CROWN_TOP = NUMBERS.object_decision.crown_top
+_CROWN_COLUMNS = NUMBERS.object_decision.crown_columns
+_CUT_DEPTH = NUMBERS.object_decision.cut_depth
+_CUT_SHARE = NUMBERS.object_decision.cut_share
 _OF_PLANTS = (Change.UNCHANGED, Change.INCREASED, Change.DECREASED)  # labels on which other plants have a say
 
 
@@ -86,12 +95,12 @@ def decide_object(
 ) -> ObjectChange:
     """Measure and decide what the parts of one object in both epochs say together."""
     building = semantic is Semantic.BUILDING
-    compared = (before, after)
-    if semantic is Semantic.VEGETATION and before and after:
-        compared = _in_view(before, rules.below_view[1]), _in_view(after, rules.below_view[0])
+    compared = _compared(before, after, semantic, rules)
     measures = measure(
         join_voxels(compared[0]), join_voxels(compared[1]), rules.measures, rules.ground, building
     )
+    if not (before and after):
+        measures = replace(measures, observed_fraction=_observed_fraction((*before, *after), measures, rules))
     measures = replace(measures, free=absence(before, after, rules.free, rules.certain))
     lod = object_lod((*before, *after))
     plant, matched = None, None
@@ -107,11 +116,49 @@ def decide_object(
         decision = (
             is_misclassified_ground(semantic, parts)
             or is_moving_object_trail(parts, semantic, own, rules.decisions)
+            or continues_trail(parts, semantic, own, rules.decisions)
             or decide_vehicle_part(parts, semantic, measures, rules.standing[int(bool(before))])
             or decision
         )
     kind = match_kind(len(before), len(after))
     return ObjectChange(tuple(before), tuple(after), semantic, kind, measures, decision, plant)
+
+
+def _compared(
+    before: Sequence[ObjectInstance], after: Sequence[ObjectInstance], semantic: Semantic, rules: ObjectRules
+) -> tuple[Sequence[ObjectInstance], Sequence[ObjectInstance]]:
+    """Parts of an object that are compared: of plants, those that the view of the other epoch reached.
+
+    Of a plant of one epoch its own top tells whether a field of view ends in crowns. It may be the upper part
+    of what the other epoch holds beside it; what stands alone was added, or removed, as a whole.
+    """
+    alone = not (before and after)
+    if semantic is not Semantic.VEGETATION:
+        return before, after
+    if alone and not _adjoins((*before, *after), rules.standing[int(bool(before))]):
+        return before, after
+    return (
+        _in_view(before, after or before, rules.below_view[1]),
+        _in_view(after, before or after, rules.below_view[0]),
+    )
+
+
+def _adjoins(objects: Sequence[ObjectInstance], standing: Floats) -> bool:
+    """Tell whether standing points (N, 3) of the other epoch lie beside the points of objects."""
+    xyz = np.concatenate([t.xyz for t in objects])
+    near = ((standing >= xyz.min(axis=0) - _BESIDE) & (standing <= xyz.max(axis=0) + _BESIDE)).all(axis=1)
+    return bool(near.any()) and float(cKDTree(xyz).query(standing[near])[0].min()) <= _BESIDE
+
+
+def _observed_fraction(parts: Sequence[ObjectInstance], measures: Measures, rules: ObjectRules) -> float:
+    """Return the observed fraction of an object of one epoch, what the view may not have reached included.
+
+    The lower part of a crown is enough to claim the crown, if that part is known to be free.
+    """
+    if not any(rules.below_view):
+        return measures.observed_fraction
+    none = join_voxels(())
+    return measure(join_voxels(parts), none, rules.measures, rules.ground).observed_fraction
 
 
 def _all_parts(objects: Sequence[ObjectInstance], *_: object) -> list[ObjectInstance]:
@@ -120,19 +167,49 @@ def _all_parts(objects: Sequence[ObjectInstance], *_: object) -> list[ObjectInst
 
 
 @switchable("view_height", _all_parts)
-def _in_view(objects: Sequence[ObjectInstance], below_view: Empty | None) -> list[ObjectInstance]:
-    """Parts of a plant that the other epoch holds too, what is higher than its view reached not observed."""
-    if below_view is None:
+def _in_view(
+    objects: Sequence[ObjectInstance], other: Sequence[ObjectInstance], below_view: Empty | None
+) -> list[ObjectInstance]:
+    """Parts of a plant, what is higher than the view of the other epoch reached not observed.
+
+    Where the parts ``other`` of the plant show its top, the view reached that.
+    """
+    if not objects or below_view is None or is_top_seen(other):
         return list(objects)
+    ceiling = max(float(t.xyz[:, 2].max()) for t in other)  # what is beside points is not above them
     found = []
     for instance in objects:
         voxels = instance.voxels
-        known = voxels.occupied_in_other | below_view(voxels.xyz)
+        known = _below_view(voxels, below_view) | (voxels.occupied_in_other & (voxels.xyz[:, 2] <= ceiling))
         limited = replace(
             voxels, observed=voxels.observed & known, free_space_confirmed=voxels.free_space_confirmed & known
         )
-        found.append(replace(instance, voxels=limited))
+        slot = cKDTree(voxels.xyz).query(instance.xyz)[1]
+        low = (voxels.height <= _EVERY_VIEW)[slot] | (instance.xyz[:, 2] <= ceiling)
+        points = known[slot] & (low | below_view(instance.xyz))
+        xyz = instance.xyz[points] if points.any() else instance.xyz
+        found.append(replace(instance, voxels=limited, xyz=xyz))
     return found
+
+
+def _below_view(voxels: Voxels, below_view: Empty) -> Mask:
+    """Tell which voxels (M,) lie no higher than the view is known to reach, or than every view does."""
+    return np.asarray((voxels.height <= _EVERY_VIEW) | below_view(voxels.xyz))
+
+
+def is_top_seen(objects: Sequence[ObjectInstance]) -> bool:
+    """Tell whether the points of a plant end at its top, and not where the field of view of a sensor ends.
+
+    A crown is round: few of its columns reach its top. A field of view that ends in a crown cuts all columns
+    at about the same height.
+    """
+    xyz = np.concatenate([t.xyz for t in objects])
+    columns, slot = np.unique(column_keys(xyz, _COLUMN), return_inverse=True)
+    tops = np.full(len(columns), -np.inf)
+    np.maximum.at(tops, slot, xyz[:, 2])
+    top = float(np.quantile(tops, _CROWN_TOP))
+    upper = tops[tops > 0.5 * (top + float(xyz[:, 2].min()))]
+    return len(upper) >= _CROWN_COLUMNS and float(np.mean(upper >= top - _CUT_DEPTH)) < _CUT_SHARE
 
 
 @switchable("misclassified_ground", no_decision)

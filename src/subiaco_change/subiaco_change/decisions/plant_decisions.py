@@ -200,7 +200,8 @@ def _own_sigma(plant: PlantMeasures, measure: str) -> float:
     """
     if measure in ("volume", "surface"):
         return math.sqrt(min(abs(plant.surface), 1.0) / max(0.5 * plant.voxels, 1.0))
-    return {"outline": plant.outline_sigma, "rise": plant.rise_sigma}.get(measure, 0.0)
+    own = {"outline": plant.outline_sigma, "rise": plant.rise_sigma, "top": plant.top_sigma}
+    return own[measure]
 
 
 _CONCLUSIONS = {

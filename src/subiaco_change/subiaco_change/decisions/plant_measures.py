@@ -29,6 +29,8 @@ from subiaco_geo.frames import Floats, Ints
 _SAMPLE = NUMBERS.plant_measures.surface_sample
 _MOST = NUMBERS.plant_measures.place_cap
 _NOT_KNOWN = NUMBERS.plant_measures.unknown_free
+_TOP = NUMBERS.plant_measures.top_quantile
+_PATCH = NUMBERS.plant_measures.voxels_per_patch
 
 
 class OutlineConfig(StrictModel):
@@ -178,6 +180,7 @@ def measure_plant(
         free_gained=gained,
         free_lost=lost,
         apparent=_top(after) - _top(before),
+        top_sigma=math.hypot(*(quantile_sigma(_heights(objects), _TOP) for objects in (before, after))),
     )
 
 
@@ -249,9 +252,28 @@ def _thinned(xyz: Floats, keys: np.ndarray, share: float) -> Floats:
     return np.asarray(xyz[kept])
 
 
+def quantile_sigma(values: Floats, quantile: float) -> float:
+    """Return the standard error of a quantile of values (N,), of which neighbours were sampled together.
+
+    The binomial error of the rank, times the slope of the quantiles within two of these errors: a top of few
+    voxels, or one that is not level, is known less well.
+    """
+    if len(values) < 2:
+        return math.inf
+    step = math.sqrt(quantile * (1.0 - quantile) / max(len(values) / _PATCH, 1.0))
+    low, high = max(quantile - 2.0 * step, 0.0), min(quantile + 2.0 * step, 1.0)
+    slope = float(np.diff(np.quantile(values, [low, high]))[0]) / (high - low)
+    return slope * step
+
+
+def _heights(objects: Sequence[ObjectInstance]) -> Floats:
+    """Heights (M,) of the voxels of objects above ground [m]."""
+    return np.concatenate([t.voxels.height for t in objects])
+
+
 def _top(objects: Sequence[ObjectInstance]) -> float:
     """Return the 98 % height of the voxels of an object above ground [m]."""
-    return float(np.quantile(np.concatenate([t.voxels.height for t in objects]), 0.98))
+    return float(np.quantile(_heights(objects), 0.98))
 
 
 def _size(xyz: Floats) -> float:

@@ -62,12 +62,12 @@ class PlantMeasures:
     ``density``: log of the ratio of the points in voxels that both epochs occupy; ``size``: mean reach of the
     plant from its middle [m]; ``voxels``: of either epoch that the other observed; ``thin``: tall, and
     without a crown. NaN where not measured: ``outline`` [m], its standard error ``outline_sigma`` and its
-    ``reach`` [m]; ``top`` [m]; ``volume`` and ``surface`` as shares; ``rise`` [m], the median rise of the
-    columns of a low plant, and its standard error ``rise_sigma``; ``section`` and ``section_gate`` [m], the
-    median rise of a section of the hedge and the limit that the section passed. ``section_only``: the row
-    is that section alone. ``free_gained`` and ``free_lost``: probability that the surface that *after*, or
-    *before*, alone has was free in the other epoch. ``apparent``: change of the 98 % height of all its
-    points, observed by the other epoch or not [m].
+    ``reach`` [m]; ``top`` [m] and its standard error ``top_sigma``; ``volume`` and ``surface`` as shares;
+    ``rise`` [m], the median rise of the columns of a low plant, and its standard error ``rise_sigma``;
+    ``section`` and ``section_gate`` [m], the median rise of a section of the hedge and the limit that the
+    section passed. ``section_only``: the row is that section alone. ``free_gained`` and ``free_lost``:
+    probability that the surface that *after*, or *before*, alone has was free in the other epoch.
+    ``apparent``: change of the 98 % height of all its points, observed by the other epoch or not [m].
     """
 
     kind: PlantKind
@@ -89,6 +89,7 @@ class PlantMeasures:
     free_gained: float = 1.0
     free_lost: float = 1.0
     apparent: float = math.nan
+    top_sigma: float = 0.0
 
     def value(self, measure: str) -> float:
         """Return one of :data:`PLANT_MEASURES`."""

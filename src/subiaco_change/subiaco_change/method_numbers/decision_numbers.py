@@ -149,6 +149,20 @@ class DynamicObjectsNumbers(StrictModel):
         "building, and no vehicle [m]",
     )
 
+    trail_points: int = Field(
+        30, description="Smallest number of points of a ghost trail that an object may continue"
+    )
+    trail_reach: float = Field(
+        10.0, description="Radius in which the ghost trail beside an object gives the direction of both [m]"
+    )
+    trail_width: float = Field(
+        2.8, description="Largest width of a ghost trail and an object that continues the trail, together [m]"
+    )
+    trail_length: float = Field(
+        6.0,
+        description="Smallest length of a ghost trail and an object that continues the trail, together [m]",
+    )
+
 
 class GroundCellsNumbers(StrictModel):
     """Numbers of ``decisions/ground_cells.py``."""
@@ -200,6 +214,26 @@ class ObjectDecisionNumbers(StrictModel):
         0.75,
         description="Smallest mean vertical component of normals of misclassified ground, as a ratio",
     )
+    every_view: float = Field(
+        2.0, description="Height above ground up to which the view of every survey reaches [m]"
+    )
+    beside_plant: float = Field(
+        1.0,
+        description="Distance from standing points of the other epoch within which a plant may be a part of a"
+        " plant that both epochs have [m]",
+    )
+    crown_column: float = Field(0.5, description="Edge of the columns of a crown whose tops are compared [m]")
+    crown_top: float = Field(
+        0.95, description="Quantile of the tops of its columns, as a fraction, that is the top of a crown"
+    )
+    crown_columns: int = Field(8, description="Smallest number of columns of a crown whose top is known")
+    cut_depth: float = Field(
+        0.3, description="Depth below the top of a crown to which columns end that a field of view cut [m]"
+    )
+    cut_share: float = Field(
+        0.35,
+        description="Fraction of the columns of a crown that end near its top where a field of view cut it",
+    )
 
 
 class PlantMeasuresNumbers(StrictModel):
@@ -211,6 +245,13 @@ class PlantMeasuresNumbers(StrictModel):
     )
     place_cap: float = Field(0.9, description="Largest probability of being free that one place contributes")
     unknown_free: float = Field(0.5, description="Probability of being free of an unobserved place")
+    top_quantile: float = Field(
+        0.95, description="Quantile of the heights of a plant, as a fraction, that is its top"
+    )
+    voxels_per_patch: float = Field(
+        2.0,
+        description="Number of neighbouring voxels of a plant that a survey observes, or misses, together",
+    )
 
 
 class PointLabelsNumbers(StrictModel):

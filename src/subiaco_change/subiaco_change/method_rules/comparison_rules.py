@@ -31,7 +31,14 @@ OCCUPANCY_RULES: tuple[Rule, ...] = (
     Rule(
         "view_height",
         _HERE,
-        "What is higher than the view of the other survey reached is no new or lost surface of a plant.",
+        "What is higher than the view of the other survey reached is no new or lost surface of a plant whose"
+        " top is not seen.",
+        (
+            "method_numbers.object_decision.every_view",
+            "method_numbers.object_decision.beside_plant",
+            "method_numbers.object_decision.cut_depth",
+            "method_numbers.object_decision.cut_share",
+        ),
         guards=True,
     ),
     Rule(
@@ -68,6 +75,19 @@ MOVING_OBJECT_RULES: tuple[Rule, ...] = (
         _HERE,
         "An object of one epoch that probably moved, or that many beams passed, is a ghost trail.",
         ("decisions.trail_moved", "decisions.trail_uncertain", "decisions.trail_passes"),
+        guards=True,
+    ),
+    Rule(
+        "trail_continued",
+        _HERE,
+        "A supposed plant of one epoch that is as narrow a strip as a vehicle, together with a ghost trail"
+        " known by its shape, may be a part of the trail.",
+        (
+            "method_numbers.dynamic_objects.trail_points",
+            "method_numbers.dynamic_objects.trail_reach",
+            "method_numbers.dynamic_objects.trail_width",
+            "method_numbers.dynamic_objects.trail_length",
+        ),
         guards=True,
     ),
     Rule(

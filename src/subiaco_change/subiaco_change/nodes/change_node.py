@@ -41,6 +41,8 @@ LOGGER = logging.getLogger(__name__)
 
 #: Between two looks at a running comparison, for the node's own and for one of a goal [s].
 POLL, GOAL_POLL = 0.1, 0.02
+#: A cancelled comparison gets so long to reach the end of its stage [s]; its thread holds no process.
+_CLOSING = 5.0
 
 
 class ChangeParameters(StrictModel):
@@ -110,6 +112,7 @@ class ChangeApp:
             self._request = make_request(json_object(own.request, source), config, source)
         self._job: JobThread | None = None
         self._own_job: JobThread | None = None
+        self._goal: Any = None
         self._finished = False
         self._progress = ProgressReporter(node)
         self._diagnostics = Diagnostics(node, "comparison")
@@ -136,6 +139,17 @@ class ChangeApp:
     def done(self) -> bool:
         """Whether the comparison given by parameters is done and the node need not stay."""
         return self._finished and self._own.exit_at_end
+
+    def close(self) -> None:
+        """End a comparison that runs; its goal fails, and nothing is written."""
+        job, goal = self._job, self._goal
+        self._job = self._own_job = self._goal = None
+        if job is None:
+            return
+        job.cancel()
+        if goal is not None and goal.is_active:
+            goal.abort()
+        job.wait(_CLOSING)
 
     def step(self) -> float:
         """Start and watch the comparison given by parameters."""
@@ -168,7 +182,10 @@ class ChangeApp:
         except InputError as error:
             return _refused(handle, error)
         job = self._job = JobThread(request, self._detect)
+        self._goal = handle
         while not job.finished:
+            if self._goal is not handle:  # closed meanwhile
+                return DetectChanges.Result(success=False, message="the node was cleaned up or shut down")
             if handle.is_cancel_requested:
                 job.cancel()
             told = DetectChanges.Feedback(stage=job.stage, fraction=float(job.fraction), tile=job.tile)
@@ -176,7 +193,7 @@ class ChangeApp:
             self._progress(job.stage, job.fraction)
             job.wait(GOAL_POLL)  # the executor resumes a coroutine at once: it would only spin
             await _NextSpin()
-        self._job = None
+        self._job = self._goal = None
         return self._conclude(handle, job)
 
     def _conclude(self, handle: Any, job: JobThread) -> DetectChanges.Result:

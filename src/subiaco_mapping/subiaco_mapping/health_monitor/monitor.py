@@ -17,6 +17,7 @@ from subiaco_mapping.health_monitor.streams import StreamWatch
 from subiaco_mapping.health_monitor.street_quality import StreetQuality
 from subiaco_mapping.manifest import LEGEND
 from subiaco_mapping.measurements import GnssFix, ImuSample
+from subiaco_mapping.recording.losses import PacketHeaders
 
 SENSORS = ("lidar", "imu", "gnss")
 _TICK_NS = 100_000_000
@@ -74,6 +75,7 @@ class Monitor:
         }
         self.clocks = ClockWatch(config.watch.clocks)
         self.packets: PacketWatch | None = None
+        self._headers = PacketHeaders()
         self.loss = LossWindow()
         self.imu = ImuWatch(config.watch.imu)
         self.gnss = GnssWatch(config.watch.gnss)
@@ -89,12 +91,16 @@ class Monitor:
     def on_metadata(self, text: str) -> None:
         """Take the LiDAR's metadata; a second time it is ignored."""
         if self.packets is None:
-            self.packets = PacketWatch(text, self.config.decode)
+            self.packets = PacketWatch(text, self.config.decode, self._headers)
+            self._headers = PacketHeaders()
 
     def on_packet(self, raw: bytes | memoryview, now_ns: int, arrival_ns: int) -> None:
         """Take one serialised LiDAR packet message."""
         self._take("lidar", now_ns)
-        note = None if self.packets is None else self.packets.take(raw)
+        if self.packets is None:
+            self._headers.take(raw)
+            return
+        note = self.packets.take(raw)
         if note is not None:
             self.clocks.take("lidar", now_ns, note.stamp_ns, arrival_ns)
             self.loss.take(now_ns, 1.0, float(note.lost))

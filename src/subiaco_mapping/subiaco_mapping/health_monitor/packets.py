@@ -12,7 +12,7 @@ from ouster.sdk import core
 from subiaco_geo.bags import packet_from_cdr
 from subiaco_mapping.preprocessing.config import DecodeConfig
 from subiaco_mapping.preprocessing.decode import expected_columns, parse_metadata, utc_shift_ns
-from subiaco_mapping.recording.losses import PacketCounter
+from subiaco_mapping.recording.losses import PacketCounter, PacketHeaders
 
 _SECOND_NS = 1_000_000_000
 
@@ -62,15 +62,17 @@ class PacketWatch:
         Sensor JSON.
     config : DecodeConfig
         For the clock that the sensor counts.
+    before : PacketHeaders, optional
+        Of packets that came before the metadata.
     """
 
-    def __init__(self, metadata: str, config: DecodeConfig) -> None:
+    def __init__(self, metadata: str, config: DecodeConfig, before: PacketHeaders | None = None) -> None:
         info = parse_metadata(metadata)
         self._format: Any = core.PacketFormat(info)
         self._shift_ns = utc_shift_ns(config)
         self._turn: int | None = None
         self.counter = PacketCounter(metadata)
-        self.received = 0
+        self.received = 0 if before is None else self.counter.take_headers(before)
         self.timestamp_mode = str(info.config.timestamp_mode or "").rpartition(".")[2]
         per_turn = int(expected_columns(info).sum()) // int(info.format.columns_per_packet)
         self.packets_per_second = per_turn * float(info.format.fps)

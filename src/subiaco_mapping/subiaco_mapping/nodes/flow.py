@@ -12,8 +12,9 @@ from collections.abc import Iterable, Mapping, Sequence
 class FlowControl:
     """The publishing side: messages in flight on each topic, from counts that consumers send back.
 
-    A consumer says which topics it takes by counting them, zeros included; a
-    topic that nobody counts is never held back.
+    A consumer says which topics it takes by counting them; a topic that nobody counts is never held back.
+    Nothing is sent before every consumer has spoken, so that what it counted until then came from others: a
+    replay before this one.
 
     Parameters
     ----------
@@ -32,6 +33,7 @@ class FlowControl:
         self._windows = dict(windows or {})
         self._default_window = default_window
         self._consumed: dict[str, dict[str, int]] = {}
+        self._before: dict[str, dict[str, int]] = {}
         self.totals: Counter[str] = Counter()
 
     @property
@@ -52,9 +54,11 @@ class FlowControl:
         """Note what one consumer has consumed so far; others than the named ones are ignored: False."""
         if source not in self._consumers:
             return False
-        known = self._consumed.setdefault(source, {})
+        known, before = self._consumed.setdefault(source, {}), self._before.setdefault(source, {})
         for topic, count in zip(topics, counts, strict=True):
-            known[topic] = max(known.get(topic, 0), int(count))
+            if not self.totals[topic]:
+                before[topic] = int(count)
+            known[topic] = max(known.get(topic, 0), int(count) - before.get(topic, 0))
         return True
 
     def takers(self, topic: str) -> int:

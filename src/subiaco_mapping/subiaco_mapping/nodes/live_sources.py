@@ -111,6 +111,38 @@ class ListenerWaiter:
         return self._over
 
 
+class LiveTimes:
+    """What has been taken of live topics, so that nothing enters the map twice.
+
+    Time goes back where a clock is set, and where a bag is played in a loop.
+    """
+
+    def __init__(self) -> None:
+        self._newest: dict[str, int] = {}
+        self._taken: dict[str, set[int]] = {}
+        self._behind: set[str] = set()
+
+    def is_newer(self, topic: str, stamp_ns: int) -> bool:
+        """Whether a message is newer than all before; say it where that ceases to be so."""
+        newest = self._newest.get(topic)
+        if newest is None or stamp_ns > newest:
+            self._newest[topic] = stamp_ns
+            self._behind.discard(topic)
+            return True
+        if topic not in self._behind:
+            self._behind.add(topic)
+            went = (newest - stamp_ns) * 1e-9
+            LOGGER.warning("%s: time went back by %.1f s; the map leaves out what it has", topic, went)
+        return False
+
+    def is_repeated(self, topic: str, stamp_ns: int) -> bool:
+        """Whether a message of this very stamp was taken before."""
+        taken = self._taken.setdefault(topic, set())
+        known = stamp_ns in taken
+        taken.add(stamp_ns)
+        return known
+
+
 class LiveMap:
     """Publish path and map as they grow; solve now and then in between.
 

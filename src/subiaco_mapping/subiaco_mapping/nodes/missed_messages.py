@@ -10,7 +10,7 @@ from subiaco_mapping.recording.losses import SequenceCounter
 
 
 class Arrivals:
-    """Count by topic what came, what was lost on the way, and what was left out at the start.
+    """Count by topic what came, what was lost on the way, and what was left out.
 
     Losses are gaps in the numbers that the middleware gives to messages.
     """
@@ -36,7 +36,7 @@ class Arrivals:
         return on_message
 
     def leave_out(self, topic: str) -> None:
-        """Note a message that could not be used, since it was not yet known where the sensors sit."""
+        """Note a message that came before the places of the sensors, or of a time that was mapped before."""
         self._left_out[topic] += 1
 
     @property
@@ -58,7 +58,7 @@ class Arrivals:
 
 
 def missed_messages(arrivals: Mapping[str, Mapping[str, int]]) -> str:
-    """Say by topic how many messages a live drive lost on the way or left out at its start.
+    """Say by topic how many messages a live drive lost on the way or left out.
 
     Parameters
     ----------
@@ -72,7 +72,7 @@ def missed_messages(arrivals: Mapping[str, Mapping[str, int]]) -> str:
     """
     texts = []
     for topic, counts in arrivals.items():
-        kinds = {"lost": counts["lost"], "left out at the start": counts["left_out"]}
+        kinds = {"lost": counts["lost"], "left out": counts["left_out"]}
         if any(kinds.values()):
             told = ", ".join(f"{number} {kind}" for kind, number in kinds.items() if number)
             texts.append(f"{topic} {told} of {counts['received'] + counts['lost']}")

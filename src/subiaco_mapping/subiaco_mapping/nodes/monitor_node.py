@@ -58,6 +58,8 @@ FILE_INTERVAL = 5.0
 RECORDER = "recorder: recording"
 PATIENCE = 0.05
 _MOST_WAIT_NS = 10_000_000_000
+#: A simulated clock that goes back by more was set back; by less, its messages came out of order [ns].
+_LOOP_NS = 500_000_000
 
 
 class MonitorParameters(StrictModel):
@@ -81,20 +83,30 @@ class MonitorParameters(StrictModel):
 class StreamTime:
     """Two times of now: one that never jumps, and the host's clock.
 
-    With ``use_sim_time`` both are that of the replay, 0 until it speaks.
+    With ``use_sim_time`` both are that of the replay, 0 until it speaks. Where a bag is played in a loop,
+    they go on from its end.
     """
 
     def __init__(self, node: Node) -> None:
         self._node = node
         self.simulated = bool(node.get_parameter("use_sim_time").value)
         self._offset_ns = time.time_ns() - time.monotonic_ns()
+        self._played_ns = self._newest_ns = 0
 
     def __call__(self) -> tuple[int, int]:
         """Return ``(now_ns, arrival_ns)``."""
         if self.simulated:
-            now_ns = int(self._node.get_clock().now().nanoseconds)
+            now_ns = self._replayed(int(self._node.get_clock().now().nanoseconds))
             return now_ns, now_ns
         return time.monotonic_ns() + self._offset_ns, time.time_ns()
+
+    def _replayed(self, clock_ns: int) -> int:
+        """Return the time of a replay, which does not go back."""
+        if clock_ns and clock_ns + self._played_ns < self._newest_ns - _LOOP_NS:
+            self._played_ns = self._newest_ns - clock_ns
+            self._node.get_logger().warning("/clock went back: a bag that is played in a loop")
+        self._newest_ns = max(self._newest_ns, clock_ns + self._played_ns if clock_ns else 0)
+        return self._newest_ns
 
 
 class MonitorApp:
@@ -181,14 +193,20 @@ class MonitorApp:
             if found is not None:
                 wanted.append((found, topic, handler, 64, False))
         timed = [
-            (kind, topic, self._timed(handler), depth, raw) for kind, topic, handler, depth, raw in wanted
+            (kind, topic, handler if topic == METADATA else self._timed(handler), depth, raw)
+            for kind, topic, handler, depth, raw in wanted
         ]
         return follow_offers(self._node, timed, polled=(LIDAR_PACKETS,))
 
     def _timed(self, handler: Callable[[Any], None]) -> Callable[[Any, Any], None]:
-        """Let a handler know when its message reached this host, however long it waited for us."""
+        """Let a handler know when its message reached this host, however long it waited for us.
+
+        Before a replay has told its time, nothing can be said of when a message came.
+        """
 
         def on_message(message: Any, info: Any) -> None:
+            if self._simulated and not self._times()[0]:
+                return
             self._received_ns = int(info["received_timestamp"])
             handler(message)
             self._received_ns = 0

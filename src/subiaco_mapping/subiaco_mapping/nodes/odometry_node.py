@@ -71,6 +71,9 @@ _CLOUD_DEPTH = 64
 #: Messages of a sensor taken in one turn, and how long is waited for other callbacks where none had come [s].
 _TURN, _PATIENCE = 64, 0.005
 
+#: Scans that lie further before those that were registered are no late ones: time went back [ns].
+_WENT_BACK_NS = 500_000_000
+
 #: Between two reports of the facts of a live drive, which has no end that could be waited for [s].
 _FACTS_INTERVAL = 1.0
 
@@ -87,7 +90,9 @@ class OdometryParameters(StrictModel):
 
 
 class Frontend(Protocol):
-    """The step that this node wraps."""
+    """The step that this node wraps; ``behind_ns`` is how far its newest scan lies before the one before."""
+
+    behind_ns: int
 
     def set_metadata(self, metadata: str) -> None:
         """Give the sensor's metadata, where it was not known at the start."""
@@ -191,8 +196,8 @@ class OdometryApp:
             for kind, topic, handler, depth, raw in sensors
         ]
         self._drains = self._polled(node, wanted)
+        follow_offers(node, [(String, METADATA, self._counting(METADATA, self._on_metadata), 1, False)])
         handlers: tuple[tuple[Any, str, Callable[[Any], object], Any], ...] = (
-            (String, METADATA, self._on_metadata, latched(1)),
             (TFMessage, TF_STATIC, self._on_tf_static, latched(100)),
             (ReplayCounts, SEQUENCE, self._on_sequence, latched(1)),
             (ReplayCounts, END, self._on_end, latched(1)),
@@ -255,6 +260,7 @@ class OdometryApp:
         frontend = self._sequence_frontend(LIDAR_PACKETS)
         if frontend is not None:
             self._publish(frontend.on_packet(packet_from_cdr(raw)))
+            self._follow_time(frontend, LIDAR_PACKETS)
 
     def _on_points(self, message: PointCloud2) -> None:
         if LIDAR_PACKETS in self._announced:
@@ -262,11 +268,22 @@ class OdometryApp:
         frontend = self._sequence_frontend(POINTS)
         if frontend is not None:
             self._publish(frontend.on_points(scan_from_points(message, self._config)))
+            self._follow_time(frontend, POINTS)
 
     def _on_imu(self, message: Imu) -> None:
         frontend = self._sequence_frontend(IMU)
         if frontend is not None:
             self._publish(frontend.on_imu(imu_from_msg(message)))
+
+    def _follow_time(self, frontend: Frontend, topic: str) -> None:
+        """Begin again where the time of live scans went back: else none would be newer for as long."""
+        if self._announced or frontend.behind_ns <= _WENT_BACK_NS:
+            return
+        LOGGER.warning(
+            "%s: time went back by %.1f s (a clock that was set, or a bag that is played in a loop); the "
+            "odometry begins again", topic, frontend.behind_ns * 1e-9,
+        )  # fmt: skip
+        self._finish_sequence()
 
     def _on_sequence(self, message: ReplayCounts) -> None:
         self._finish_sequence()
@@ -295,7 +312,8 @@ class OdometryApp:
                 if known is None:
                     self._arrivals.leave_out(topic)
                     return None
-                extrinsics, self._run = known, OdometrySegments.RUN * int(time.time() % 2_000_000)
+                begun = OdometrySegments.RUN * int(time.time() % 2_000_000)
+                extrinsics, self._run = known, max(begun, self._run + OdometrySegments.RUN)
             self._extrinsics = extrinsics
             self._covariance, self._last_pose = PoseCovariance(self._extrinsics.T_base_lidar), None
             self._frontend = self._make_frontend(self._extrinsics, self._metadata)

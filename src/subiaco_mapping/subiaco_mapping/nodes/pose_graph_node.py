@@ -36,7 +36,7 @@ from subiaco_mapping.measurements import (
 from subiaco_mapping.nodes.counts import ConsumptionReporter
 from subiaco_mapping.nodes.extrinsics import StaticTransforms, sensors_needed
 from subiaco_mapping.nodes.flow import ConsumedCounter
-from subiaco_mapping.nodes.live_sources import ExtrinsicsWaiter, LiveMap
+from subiaco_mapping.nodes.live_sources import ExtrinsicsWaiter, LiveMap, LiveTimes
 from subiaco_mapping.nodes.map_publisher import MapPublisher
 from subiaco_mapping.nodes.messages import pose_from_messages, scan_from_messages
 from subiaco_mapping.nodes.missed_messages import Arrivals, missed_messages
@@ -149,6 +149,7 @@ class PoseGraphApp:
         self._marker: tuple[str, ReplayCounts] | None = None
         self._sequence = "live"
         self._start = ExtrinsicsWaiter(("gnss",))
+        self._times = LiveTimes()
         self._chain = OdometrySegments()
         self._scans = 0
         self._arrivals = Arrivals()
@@ -272,6 +273,7 @@ class PoseGraphApp:
         self._reporter.consumed(topic)
 
     def _begin(self, name: str) -> None:
+        self._ending = self._finished = False  # a node that stays is given another replay
         self._sequence = name
         self._extrinsics = None
         self._map.begin_sequence()
@@ -294,14 +296,21 @@ class PoseGraphApp:
     def _on_tf_static(self, message: TFMessage) -> bool:
         return self._transforms.add(message)
 
+    def _takes(self, topic: str, message: NavSatFix | Imu) -> bool:
+        """Whether a measurement enters the graph: the extrinsics are known, and no loop brings it again."""
+        stamp = stamp_ns(message.header.stamp)
+        again = self._announced is None and self._times.is_repeated(topic, stamp)
+        if self._started() is None or again:
+            self._arrivals.leave_out(topic)
+            return False
+        return True
+
     def _on_fix(self, message: NavSatFix) -> None:
-        if self._started() is None:
-            self._arrivals.leave_out(FIX)
-        else:
+        if self._takes(FIX, message):
             self._backend.on_fix(fix_from_msg(message, self._config.gnss))
 
     def _on_heading(self, message: Imu) -> None:
-        if self._started() is not None:
+        if self._takes(HEADING, message):
             self._backend.on_heading(heading_from_msg(message))
 
     def _on_facts(self, message: String) -> None:
@@ -320,10 +329,14 @@ class PoseGraphApp:
             return
         odometry, quality, cloud, sky = found
         pose = pose_from_messages(odometry, quality, extrinsics.T_base_lidar)
-        scan = scan_from_messages(cloud, sky, quality)
         if self._announced is None:
             segment, T_odom_lidar = self._chain.take(pose.segment, pose.T_odom_lidar)
             pose = replace(pose, segment=segment, T_odom_lidar=T_odom_lidar)
+            if not self._times.is_newer(ODOMETRY, pose.stamp_ns):
+                self._arrivals.leave_out(ODOMETRY)
+                self._map.publish_odom_frame(pose.stamp_ns, self._chain.T_chain_odom)
+                return
+        scan = scan_from_messages(cloud, sky, quality)
         self._backend.on_odometry(pose, scan)
         self._map.publish_odom_frame(pose.stamp_ns, self._chain.T_chain_odom)
         self._scans += 1

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +19,7 @@ from subiaco_geo.errors import InputError
 from subiaco_geo.topics import LIDAR_PACKETS, MESSAGE_TYPES, METADATA, PACKET_TYPE
 from subiaco_mapping.recording.config import RecordConfig
 from subiaco_mapping.recording.definitions import Definitions
-from subiaco_mapping.recording.losses import PERIODIC_TYPES, PacketCounter, TopicCounter
+from subiaco_mapping.recording.losses import PERIODIC_TYPES, PacketHeaders, TopicCounter
 from subiaco_ros.qos_adaptation import (
     Offer,
     PolledCallbackGroup,
@@ -76,6 +77,8 @@ class RawListener:
         self._topics: dict[str, _Listening] = {}
         self._refused: dict[str, str] = {}
         self._metadata: str | None = None
+        if LIDAR_PACKETS in config.topics:  # now, and not while packets wait for their counter
+            import_module("subiaco_mapping.preprocessing.decode")
 
     @property
     def counters(self) -> dict[str, TopicCounter]:
@@ -140,7 +143,7 @@ class RawListener:
         kind = message_class(offer.msg_type)
         if known is not None:
             self._node.destroy_subscription(known.subscription)
-        counter = TopicCounter(stamped=offer.msg_type in PERIODIC_TYPES) if known is None else known.counter
+        counter = self._new_counter(name, offer) if known is None else known.counter
         subscription = self._node.create_subscription(
             kind,
             self._source(name),
@@ -152,6 +155,11 @@ class RawListener:
         publishers = self._publishers(name) if known is None else known.publishers
         self._topics[name] = _Listening(topic, offer, subscription, counter, publishers)
         self._count_packets()
+
+    @staticmethod
+    def _new_counter(name: str, offer: Offer) -> TopicCounter:
+        headers = PacketHeaders() if name == LIDAR_PACKETS else None
+        return TopicCounter(stamped=offer.msg_type in PERIODIC_TYPES, headers=headers)
 
     def _publishers(self, name: str) -> frozenset[bytes]:
         """Return the identities of those who publish a topic now."""
@@ -206,11 +214,8 @@ class RawListener:
         listening = self._topics.get(LIDAR_PACKETS)
         if listening is None or self._metadata is None:
             return
-        known = listening.counter.packets
-        if known is not None and known.metadata == self._metadata:
-            return
-        counts = None if known is None else known.counts
         try:
-            listening.counter.packets = PacketCounter(self._metadata, counts)
+            listening.counter.know_packets(self._metadata)
+            self._refused.pop(METADATA, None)
         except InputError as error:
             self._refused[METADATA] = str(error)

@@ -58,6 +58,7 @@ class OdometryFrontend:
         self._first: Scan | None = None  # of an unbroken stretch
         self._latest_ns = 0
         self.dropped_scans = 0
+        self.behind_ns = 0  # how far the newest scan lies before one that was registered
         self.implausible_imu = 0
         if metadata is not None:
             self.set_metadata(metadata)
@@ -135,7 +136,9 @@ class OdometryFrontend:
         previous_ns = self._odometry.last_stamp_ns if held is None else held.end_ns
         if len(scan.first) == 0 or (previous_ns is not None and scan.end_ns <= previous_ns):
             self.dropped_scans += 1
+            self.behind_ns = 0 if previous_ns is None else max(0, previous_ns - scan.end_ns)
             return []
+        self.behind_ns = 0
         begins = previous_ns is None or scan.end_ns - previous_ns > self._config.odometry.max_gap_ns
         if begins and not scan.deskewed:
             self._first = scan

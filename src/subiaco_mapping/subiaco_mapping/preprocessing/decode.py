@@ -19,7 +19,9 @@ from subiaco_mapping.preprocessing.sky import sky_mask, thinned
 logger = logging.getLogger(__name__)
 
 GPS_MINUS_TAI_S = -19
-RESTART_FRAMES = 600
+#: A frame further ahead than an outage may last, or further back than a packet may be late, is of another
+#: run of the sensor: a driver that was started again, or a bag that is played in a loop.
+RESTART_FRAMES, LATE_FRAMES = 600, 10
 _MAX_PIXELS, _MAX_COLUMNS = 1024, 16384
 
 
@@ -225,7 +227,7 @@ class PacketDecoder:
             return []
         scans = self._restart_if_new_session(data)
         number = self._unwrap(int(self._layout.packets.frame_id(data)))
-        if self._newest is not None and abs(number - self._newest) > RESTART_FRAMES:
+        if self._newest is not None and not -LATE_FRAMES <= number - self._newest <= RESTART_FRAMES:
             scans += self._restart()
             number = int(self._layout.packets.frame_id(data))
         if self._closed is not None and number <= self._closed:

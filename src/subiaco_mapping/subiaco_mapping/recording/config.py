@@ -8,7 +8,7 @@ from typing import Literal, Self
 from pydantic import Field, model_validator
 
 from subiaco_geo.config import StrictModel
-from subiaco_geo.topics import FIX, LIDAR_PACKETS, MESSAGE_TYPES, POINTS
+from subiaco_geo.topics import FIX, LIDAR_PACKETS, MESSAGE_TYPES, METADATA, POINTS
 from subiaco_mapping.topic_names import GPS_FIX, NMEA_SENTENCE, TIME_REFERENCE
 
 #: What a survey cannot do without: a name for people, and the topics of which one must have messages.
@@ -67,18 +67,21 @@ class RecordConfig(StrictModel):
     )
 
     def absent(self, received: Mapping[str, int]) -> list[str]:
-        """Name the essential sensors that should be recorded and of which no message came.
+        """Name what a survey cannot do without, that should be recorded and of which no message came.
 
         Parameters
         ----------
         received : mapping of str to int
             Messages a topic, by the names that the bag gets.
         """
-        return [
+        absent = [
             f"no {sensor} data ({', '.join(topics)})"
             for sensor, topics in ESSENTIAL.items()
             if set(topics) & set(self.topics) and not any(received.get(topic) for topic in topics)
         ]
+        if received.get(LIDAR_PACKETS) and METADATA in self.topics and not received.get(METADATA):
+            absent.append(f"no LiDAR metadata ({METADATA}), without which no packet can be decoded,")
+        return absent
 
     @model_validator(mode="after")
     def _watermarks_in_order(self) -> Self:

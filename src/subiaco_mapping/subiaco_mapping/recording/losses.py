@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import struct
 from collections import deque
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, field
 from typing import Any
 
@@ -16,14 +17,16 @@ from subiaco_geo.topics import FIX, IMU, MESSAGE_TYPES, POINTS
 
 _STAMP = struct.Struct("<iI")
 _CDR_HEAD = 4
-#: Packets this far behind or ahead are another run of the sensor, not a loss.
-_RESTART_FRAMES = 600
+#: Packets further ahead or further behind are of another run of the sensor, as in the decoder; no loss.
+_RESTART_FRAMES, _LATE_FRAMES = 600, 10
 _REMEMBERED = 4096
 _AROUND = 20  # messages on either side of a step that tell whether some are missing
 _FEWEST = 5
 _FIRST = 100  # messages until the rate is known
 _SURE = 0.6  # share of a period by which messages are late from which one is missing
 _STEP_NS = 500_000_000  # a clock that is off by more at once was set
+_HEAD = 64  # bytes at the start of a packet that hold its ids, in every Ouster format
+_HELD = 1 << 15  # packets of which these are kept until the metadata come; 25 s at 1,280 packets a second
 #: Types of sensors with a steady rate; all begin with a header.
 PERIODIC_TYPES = frozenset(MESSAGE_TYPES[topic] for topic in (IMU, FIX, POINTS))
 
@@ -209,16 +212,32 @@ class PacketCounter:
         except InputError:
             self.counts.malformed += 1
             return
+        self._count(data)
+
+    def take_headers(self, headers: PacketHeaders) -> int:
+        """Note packets that came before the metadata; return how many are of this sensor."""
+        self.counts.malformed += headers.malformed
+        counted, data = 0, np.zeros(0, np.uint8)
+        for size, head in headers:
+            if len(data) != size:
+                data = np.zeros(size, np.uint8)
+            data[: len(head)] = np.frombuffer(head, np.uint8)
+            counted += self._count(data)
+        return counted
+
+    def _count(self, data: Any) -> bool:
+        """Note one packet; return whether it is of this sensor."""
         place = self._placed(data) if len(data) == self._format.lidar_packet_size else -1
         if place < 0:
             self.counts.malformed += 1
-            return
+            return False
         frame_id, init_id = int(self._format.frame_id(data)), int(self._format.init_id(data))
         if self._newest is None or init_id != self._init_id:
             self._begin(frame_id, place, restarted=self._newest is not None)
         else:
             self._follow(self._newest, frame_id, place)
         self._init_id = init_id
+        return True
 
     def _placed(self, data: Any) -> int:
         """Return which packet of its frame this is, -1 where it cannot be one."""
@@ -234,7 +253,7 @@ class PacketCounter:
         turn = newest // self._in_frame
         step = (frame_id - turn + self._modulus // 2) % self._modulus - self._modulus // 2
         number = (turn + step) * self._in_frame + place
-        if abs(step) > _RESTART_FRAMES:
+        if not -_LATE_FRAMES <= step <= _RESTART_FRAMES:
             self._begin(frame_id, place, restarted=True)
         elif number > newest:
             self._advance(newest, number)
@@ -255,6 +274,33 @@ class PacketCounter:
             del self._missing[old]
 
 
+class PacketHeaders:
+    """The headers of packets whose layout is not known yet, since the metadata have not come.
+
+    Of the newest 32,768 packets, so that what is missing among them can still be counted.
+    """
+
+    def __init__(self) -> None:
+        self.malformed = 0
+        self._held: deque[tuple[int, bytes]] = deque(maxlen=_HELD)
+
+    def __len__(self) -> int:
+        return len(self._held)
+
+    def __iter__(self) -> Iterator[tuple[int, bytes]]:
+        """Yield size and first bytes of each packet."""
+        return iter(self._held)
+
+    def take(self, raw: bytes | memoryview) -> None:
+        """Keep what tells the place of one serialised packet in its stream."""
+        try:
+            data = packet_from_cdr(raw)
+        except InputError:
+            self.malformed += 1
+            return
+        self._held.append((len(data), bytes(data[:_HEAD])))
+
+
 def header_stamp_ns(raw: bytes | memoryview) -> int | None:
     """Return the header stamp of a serialised message [ns], None where the bytes are too few."""
     if len(raw) < _CDR_HEAD + _STAMP.size or raw[1] != 1:
@@ -271,6 +317,8 @@ class TopicCounter:
     ----------
     stamped : bool
         The messages begin with a header and come at a steady rate.
+    headers : PacketHeaders, optional
+        Of LiDAR packets, until their layout is known.
     """
 
     stamped: bool = False
@@ -280,6 +328,22 @@ class TopicCounter:
     transport: SequenceCounter = field(default_factory=SequenceCounter)
     stamps: StampCounter = field(default_factory=StampCounter)
     packets: PacketCounter | None = None
+    headers: PacketHeaders | None = None
+
+    def know_packets(self, metadata_json: str) -> None:
+        """Count packets from now on by their ids, and those that came before the metadata.
+
+        Raises
+        ------
+        InputError
+            The metadata cannot be read.
+        """
+        if self.packets is not None and self.packets.metadata == metadata_json:
+            return
+        self.packets = PacketCounter(metadata_json, None if self.packets is None else self.packets.counts)
+        if self.headers is not None:
+            self.packets.take_headers(self.headers)
+            self.headers = None
 
     def take(self, raw: bytes | memoryview, received_ns: int, sequence: int | None) -> None:
         """Note one message."""
@@ -293,6 +357,8 @@ class TopicCounter:
                 self.stamps.take(stamp, received_ns)
         if self.packets is not None:
             self.packets.take(raw)
+        elif self.headers is not None:
+            self.headers.take(raw)
 
     @property
     def lost(self) -> int:
@@ -318,4 +384,6 @@ class TopicCounter:
                 "stamps_stepped": stamps.stepped,
                 "stamps_uneven": stamps.uneven,
             }
+        if self.headers is not None:
+            facts["without_metadata"] = len(self.headers)
         return facts | (asdict(self.packets.counts) if self.packets is not None else {})
