@@ -206,10 +206,12 @@ def _parts_of(obj: ObjectInstance, plain: Voxels, config: PartConfig) -> Ints:
 def _free_columns(
     obj: ObjectInstance, piece: Ints, column: Ints, alone: Mask, config: PartConfig
 ) -> list[Ints]:
-    """Return the connected pieces of a cluster in those columns that the other epoch saw free.
+    """Return the connected pieces of a cluster of a plant in those columns that the other epoch saw free.
 
     Leaves of a plant that moved a little join an object beside the plant to one cluster with it.
     """
+    if obj.semantic is not Semantic.VEGETATION:
+        return []
     inside = _below(obj, piece, column) & obj.voxels.observed
     keys, slot = np.unique(column[inside], return_inverse=True)
     share = np.bincount(slot, alone[inside]) / np.maximum(np.bincount(slot), 1)
