@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from subiaco_geo.clouds import voxel_keys
 from subiaco_geo.movement import MovementConfig, connected, verdicts
-from subiaco_geo.observation_times import VoxelObservations, joined_looks
+from subiaco_geo.observation_times import PENDING, VoxelObservations, joined_looks
 from subiaco_geo.visibility import (
     NO_VERDICT,
     SURELY_MOVED,
@@ -165,16 +165,19 @@ def windows_of(beams: list[tuple[int, bool]], least: int, cut: int | None = None
     """Hits, looks through, runs, first and last window of a voxel, and its edges, from the accumulator."""
     parts, start, end = [], np.array([[0.25, 0.25, 0.25]]), np.array([[2.25, 0.25, 0.25]])
     groups = [beams] if cut is None else [beams[:cut], beams[cut:]]
+    store, shift = VisibilityAccumulator(np.zeros(3), 0.5, 1024, least_beams=least), 0
     for group in groups:
-        store = VisibilityAccumulator(np.zeros(3), 0.5, 1024, least_beams=least)
+        if parts:
+            later = max(group[0][0] - 1 - PENDING, 0)
+            store, shift = store.pending(group[0][0], later), later
         store.add(start + 5, end + 5, window=1)  # another place
         for window, hit in group:
             if hit:
-                store.touch(np.array([[1.25, 0.25, 0.25]]), window)
+                store.touch(np.array([[1.25, 0.25, 0.25]]), window - shift)
             else:
-                store.add(start, end, window=window)
+                store.add(start, end, window=window - shift)
         slot = np.flatnonzero(store.grid().keys == voxel_keys(np.array([[2, 0, 0]])))
-        parts.append(store.looks().select(slot))
+        parts.append(store.looks().select(slot).later(shift))
     columns = [np.concatenate(column) for column in zip(*(p.columns() for p in parts), strict=True)]
     looks = joined_looks(np.zeros(1, np.int64), VoxelObservations(*columns))
     *counts, edges = (int(column[0]) for column in looks.columns())
@@ -189,7 +192,24 @@ def test_a_window_is_a_look_through_only_with_enough_beams_and_no_return() -> No
     assert windows_of([(4, True), (4, False), (4, False)], 2) == ([1, 0, 1, 4, 4], 3)
 
 
-@given(st.lists(st.tuples(st.integers(0, 2), st.booleans()), min_size=1, max_size=30), st.integers(1, 3))
+def plain_looks(beams: list[tuple[int, bool]], least: int) -> list[tuple[int, bool]]:
+    """Looks (window, hit) of a plain count."""
+    told, pending, last = [], 0, 0
+    for w in sorted({w for w, _ in beams}):
+        pending = (pending if w - last <= PENDING else 0) + sum(v == w for v, _ in beams)
+        last, hit = w, any(hit for v, hit in beams if v == w)
+        if hit or pending >= least:
+            told.append((w, hit))
+            pending = 0
+    return told
+
+
+@given(
+    st.lists(
+        st.tuples(st.sampled_from([0, 1, 2, PENDING, PENDING + 1]), st.booleans()), min_size=1, max_size=30
+    ),
+    st.integers(1, 3),
+)
 @settings(deadline=None, max_examples=60)
 def test_looks_are_those_of_a_plain_count_and_do_not_depend_on_when_memory_went_to_disk(
     steps: list[tuple[int, bool]], least: int
@@ -198,12 +218,7 @@ def test_looks_are_those_of_a_plain_count_and_do_not_depend_on_when_memory_went_
     for step, hit in steps:
         window += step
         beams.append((window, hit))
-    told = []
-    for w in sorted({w for w, _ in beams}):
-        if any(hit for v, hit in beams if v == w):
-            told.append((w, True))
-        elif sum(v == w for v, _ in beams) >= least:
-            told.append((w, False))
+    told = plain_looks(beams, least)
     hits = [w for w, hit in told if hit]
     runs = sum(hit and (k == 0 or not told[k - 1][1]) for k, (_, hit) in enumerate(told))
     expected = [len(hits), len(told) - len(hits), runs, min(hits, default=0), max(hits, default=0)]
@@ -211,6 +226,12 @@ def test_looks_are_those_of_a_plain_count_and_do_not_depend_on_when_memory_went_
     for cut in range(1, len(beams)):
         if beams[cut - 1][0] != beams[cut][0]:
             assert windows_of(beams, least, cut)[0] == expected
+
+
+def test_beams_too_few_for_a_look_in_one_window_add_up_and_a_return_discards_them() -> None:
+    thin = [(w, False) for w in range(1, 8)]
+    assert windows_of(thin, 3)[0] == [0, 2, 0, 0, 0]
+    assert windows_of([*thin[:2], (3, True), *thin[3:]], 3)[0] == [1, 1, 1, 3, 3]
 
 
 def test_a_layer_with_times_is_read_back_whole_and_in_parts_and_one_without_still_loads(

@@ -11,7 +11,7 @@ from traffic_scene import REGIONS, drive
 
 from subiaco_geo.clouds import PointCloud, voxel_keys
 from subiaco_mapping.fusion.config import FusionConfig, MovingConfig
-from subiaco_mapping.fusion.dynamic_objects import height_above_floor, moved_probability
+from subiaco_mapping.fusion.dynamic_objects import fragment_shares, height_above_floor, moved_probability
 from subiaco_mapping.fusion.finishing import FinishedMap, MapFusion
 from subiaco_mapping.fusion.outliers import beam_spacing
 from subiaco_mapping.fusion.projection import Projection
@@ -182,3 +182,28 @@ def test_without_movement_the_finished_map_is_the_fused_cloud(tmp_path: Path) ->
     found = fuse(tmp_path / "f", config, scans=6).cloud
     kept = {name: values for name, values in found.fields.items() if name != "moving"}
     assert_same_cloud(PointCloud(found.xyz, found.origin, found.crs, kept), expected)
+
+
+def box(low: tuple[float, float, float], size: tuple[float, float, float]) -> np.ndarray:
+    """Points 0.25 m apart that fill a box."""
+    axes = [a + np.arange(0.0, s, 0.25) for a, s in zip(low, size, strict=True)]
+    return np.stack(np.meshgrid(*axes, indexing="ij"), axis=-1).reshape(-1, 3)
+
+
+@given(st.integers(0, 2**32 - 1))
+@settings(deadline=None, max_examples=20)
+def test_the_rest_of_a_moving_vehicle_is_a_fragment_and_a_car_or_hedge_beside_it_is_not(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    ground = box((0, 0, 0), (30, 12, 0.25))
+    vehicle = box((10, 4, 0.25), (4.5, 1.75, 1.5))
+    parked, hedge = box((10, 7.5, 0.25), (4.5, 1.75, 1.5)), box((0, 10, 0.25), (30, 1, 1.5))
+    xyz = np.concatenate([ground, vehicle, parked, hedge])
+    number = np.repeat(np.arange(4), [len(ground), len(vehicle), len(parked), len(hedge)])
+    corner = vehicle[rng.integers(len(vehicle))]
+    left = (number == 1) & (np.abs(xyz - corner).max(axis=1) < rng.uniform(0.3, 0.7))
+    shares = fragment_shares(xyz, xyz[:, 2], (number == 1) & ~left, 0.5)
+    high = xyz[:, 2] >= 0.3
+    assert shares[left & high].min(initial=1.0) >= 0.8
+    assert shares[number != 1].max() < 0.8
+    assert not shares[~high].any()
+    assert not fragment_shares(xyz, xyz[:, 2], np.zeros(len(xyz), dtype=np.bool_), 0.5).any()

@@ -16,25 +16,26 @@ ORDER = ("README.md", "docs/tutorials", "docs/how-to", "docs/explanation", "docs
 NOT_RUN = {
     r"^subiaco (record|graph live)\b": "drivers of a vehicle; tests/integration/test_live_graph.py",
     r"^subiaco graph (mapping|change)\b": "ROS 2 processes; tests/integration/test_node_graphs.py",
-    r"^subiaco (map|inspect|import|recover|calibrate-rig)\b": "a recording; tests/mapping/test_pipeline.py",
-    r"^subiaco (simulate|inject|calibrate|evaluate)\b": "a simulated survey; tests/sim/test_survey.py",
-    r"bags/demo|out/demo|_injected|calibration/|draw_survey": "goes on from a simulated survey",
-    r"out/2019 ": "three epochs; tests/change/test_history.py",
-    r"sbet_|--semantics asprs": "a delivery of another system; tests/geo/test_trajectory_files.py",
     r"^subiaco .*--scheduler|^dask\b|^DASK_": "a cluster; tests/geo/test_task_runner.py",
     r"^subiaco (train|baseline siamese)": "PyTorch and hours; tests/change/test_learned_commands.py",
-    r"^python (tests/benchmarks/|scripts/prove_presets|scripts/calibrate)": "measures for hours",
+    r"\$\{?\w|^(for|do|done)\b|^<": "part of a loop, or names a placeholder",
+    r"^python (tests/benchmarks/|scripts/calibrate_confidence)": "measures for hours",
     r"^python docs/tutorials/": "runs in tests/api/test_api.py",
     r"^python scripts/results.py record": "records what is measured; tests/packaging/test_results_pages.py",
     r"^make \w+|^scripts/lock.sh|^docker |docker compose": "sets up or measures for minutes",
     r"^ros2 |^rosdep |^python -m (colcon|pip)|^python3 -m venv": "needs an apt installation of ROS 2",
     r"^git clone|^sudo |^journalctl|^wsl |^cd ": "changes the machine or needs the network",
     r"^(source|export|mkdir|printf|\.) ": "prepares a shell",
-    r"^(for|do|done)\b|^<": "part of a loop, or names a placeholder",
 }
 
 #: Options that make a run small, added to what is shown; a later option replaces an earlier one.
-SMALLER = {"change": ["--workers", "1"]}
+ONE_TILE = ["--set", "tiles.size=400"]
+SMALLER = {
+    "change": ["--workers", "1", *ONE_TILE, "--set", "second_registration=false"],
+    "map": ["--workers", "1", "--set", "quality.holdout=false"],
+    "calibrate": ["--copies", "2"],
+    "simulate": ["--preset", "easy", "--duration", "1.1", "--mode", "512x10", "--set", "ground_cell=2.0"],
+}
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,12 @@ class Shown:
         """Name of the file that takes the output."""
         found = re.search(r"\s>\s*(\S+)", self.line)
         return found[1] if found else None
+
+    @property
+    def kind(self) -> tuple[str, ...]:
+        """Words that make the run another one; seed, folder and size of a simulation do not."""
+        simulation = self.words[:2] == ["subiaco", "simulate"]
+        return ("simulate", str("--maps-only" in self.words)) if simulation else tuple(self.words)
 
     @property
     def name(self) -> str:
@@ -95,5 +102,5 @@ def place(page: Path) -> int:
 
 SHOWN = [line for page in sorted(PAGES, key=place) for line in shown(page)]
 #: Every command and script that runs, once, as it stands on the first page that shows it.
-RUN = list({tuple(line.words): line for line in reversed(SHOWN) if line.not_run() is None}.values())
+RUN = list({line.kind: line for line in reversed(SHOWN) if line.not_run() is None}.values())
 RUN = sorted(RUN, key=SHOWN.index)

@@ -85,6 +85,26 @@ def test_a_table_says_what_measured_it_when_and_where(path: Path) -> None:
     assert all(len(row) == len(table["columns"]) for row in table["rows"])
 
 
+def test_a_figure_of_the_front_page_is_a_cell_of_the_table_that_it_names(results: Any) -> None:
+    front = results.load("front/figures")
+    shown = {row[0]: dict(zip(front["columns"], row, strict=True)) for row in front["rows"]}
+    assert set(shown) - set(front["cells"]) == {"points, millions", "minutes"}, (
+        "of 60.7 M + 70.0 M and 1,443 s"
+    )
+    for figure, (name, first, column) in front["cells"].items():
+        if name == "learned/surveys":
+            learned = json.loads((RESULTS / "data/learned.json").read_text(encoding="utf-8"))
+            (row,) = [row for row in learned["surveys"] if row["method"] == first]
+            assert (row[column], learned["day"]) == (shown[figure]["value"], shown[figure]["date"]), figure
+            assert shown[figure]["revision"] == learned["revision"], figure
+            continue
+        table = results.load(name)
+        (row,) = [row for row in table["rows"] if row[0] == first]
+        found = dict(zip(table["columns"], row, strict=True))[column]
+        expected = (found, table["date"], table["revision"])
+        assert expected == tuple(shown[figure][key] for key in ("value", "date", "revision")), figure
+
+
 def test_a_command_is_recorded_with_the_table_that_it_prints(results: Any, tmp_path: Path) -> None:
     printed = "words\n| survey | mIoU |\n|---|---|\n| a | 81.50 |\n| b | 79.5 |\n"
     path = results.record(

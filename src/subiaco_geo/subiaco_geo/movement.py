@@ -43,14 +43,14 @@ class MovementConfig(StrictModel):
         ge=0.05,
         le=2.0,
         description="Length of a time window [s]. A window with returns from a voxel is a hit; one with "
-        "enough passing beams and no return is a look through the voxel",
+        "no return by whose end enough beams have passed since the last look is a look through the voxel",
     )
     least_beams: int = Field(
         3,
         ge=1,
         le=255,
-        description="Number of traced beams (visibility_stride) that must pass through a voxel in a "
-        "window for a look through. Raise it if edges of static objects count as moving",
+        description="Number of traced beams (visibility_stride) that must pass through a voxel, in one "
+        "window or several, for a look through. Raise it if edges of static objects count as moving",
     )
     standing_share: float = Field(
         2.0,

@@ -1,9 +1,11 @@
 """Observation times of voxels: time windows in which a voxel returned a beam or was crossed by one.
 
-A window in which any beam returned from a voxel is a *hit window*; one in which nothing returned although
-enough beams went through is a *through window*. Both are *looks*. Consecutive hit windows, with no look
-through the voxel between them, make one *run*: a parked car has one, a passing vehicle has one,
-a queue that crawls by a few, a hedge many.
+A window in which any beam returned from a voxel is a *hit window*; one in which nothing returned and
+enough beams have gone through since the last look is a *through window*. Both are *looks*. Far from the
+sensor few beams go through a voxel in one window, so beams add up over windows, until a return or a pause
+of more than :data:`PENDING` windows discards them.
+Consecutive hit windows, with no look through the voxel between them, make one *run*: a parked car has one,
+a passing vehicle has one, a queue that crawls by a few, a hedge many.
 """
 
 from __future__ import annotations
@@ -19,9 +21,10 @@ from subiaco_geo.frames import Ints
 
 COLUMNS = 7  # of the running state of a voxel, see below
 WINDOWS = 1 << 15  # so many windows the running state can tell apart
+PENDING = 10  # windows after which beams that were too few for a look are forgotten
 
 _WINDOW, _STATE, _HITS, _THROUGH, _RUNS, _FIRST, _LAST = range(COLUMNS)
-_BEAMS = 0xFF  # of the state: beams that went through in this window, as far as they count
+_BEAMS = 0xFF  # of the state: beams that went through since the last look, as far as they count
 _HIT, _AFTER_HIT, _BEGAN_HIT = 0x100, 0x200, 0x400  # this window; the look before it; the first look
 
 Rows = NDArray[np.uint16]
@@ -29,13 +32,18 @@ Counts = NDArray[np.uint16]
 
 
 @numba.njit(cache=True, inline="always")
-def _closed(state, least):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Return the state of a voxel at the beginning of a window, from that at the end of the last one."""
+def _closed(state, least, gap):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Return the state of a voxel at the beginning of a window, from that at the end of the last one.
+
+    The last one was ``gap`` windows before. Beams that were too few for a look count on for a while.
+    """
     if state & _HIT:
         return (state & _BEGAN_HIT) | _AFTER_HIT
     if (state & _BEAMS) >= least:
         return state & _BEGAN_HIT
-    return state & (_AFTER_HIT | _BEGAN_HIT)
+    if gap > PENDING:
+        return state & (_AFTER_HIT | _BEGAN_HIT)
+    return state
 
 
 @numba.njit(cache=True, inline="always")
@@ -47,8 +55,8 @@ def count_passing(rows, slot, window, least):  # type: ignore[no-untyped-def]  #
             return
         state += 1
     else:
+        state = _closed(state, least, window - rows[slot, _WINDOW]) + 1
         rows[slot, _WINDOW] = window
-        state = _closed(state, least) + 1
     rows[slot, _STATE] = state
     if (state & _BEAMS) == least and not state & _HIT:
         rows[slot, _THROUGH] += 1
@@ -64,8 +72,8 @@ def count_return(rows, slot, window, least):  # type: ignore[no-untyped-def]  # 
         if (state & _BEAMS) >= least:
             rows[slot, _THROUGH] -= 1
     else:
+        state = _closed(state, least, window - rows[slot, _WINDOW])
         rows[slot, _WINDOW] = window
-        state = _closed(state, least)
     if rows[slot, _HITS] == 0:
         rows[slot, _FIRST] = window
         if rows[slot, _THROUGH] == 0:
@@ -125,6 +133,22 @@ def looks_of(rows: Rows, least: int) -> VoxelObservations:
     return VoxelObservations(
         rows[:, _HITS].copy(), rows[:, _THROUGH].copy(), rows[:, _RUNS].copy(), first, last, edges
     )
+
+
+def pending_rows(rows: Rows, least: int, window: int, shift: int) -> tuple[Ints, Rows]:
+    """Return which running states (M, COLUMNS) hold beams of a look that is not complete, and new states.
+
+    The new states hold nothing but those beams. ``window`` is the next window; windows are numbered ``shift``
+    less from there on.
+    """
+    state = rows[:, _STATE]
+    beams = state & _BEAMS
+    held = (state & _HIT == 0) & (beams > 0) & (beams < least)
+    kept = np.flatnonzero(held & (window - rows[:, _WINDOW].astype(np.int64) <= PENDING))
+    fresh = np.zeros((len(kept), rows.shape[1]), dtype=rows.dtype)
+    fresh[:, _STATE] = beams[kept]
+    fresh[:, _WINDOW] = rows[kept, _WINDOW].astype(np.int64) - shift
+    return kept, fresh
 
 
 def joined_looks(starts: Ints, looks: VoxelObservations) -> VoxelObservations:

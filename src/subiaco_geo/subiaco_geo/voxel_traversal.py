@@ -18,6 +18,7 @@ from subiaco_geo.observation_times import (
     count_passing,
     count_return,
     looks_of,
+    pending_rows,
 )
 from subiaco_geo.visibility import VisibilityGrid
 
@@ -262,6 +263,22 @@ class VisibilityAccumulator:
                 self._looks, window, self._least,
             )  # fmt: skip
             self._used += added
+
+    def pending(self, window: int, shift: int) -> VisibilityAccumulator:
+        """Return an accumulator that goes on from here and holds only beams of incomplete observations.
+
+        ``window`` is the number of the next window; from there on windows are numbered ``shift`` less.
+        """
+        used = np.flatnonzero(self._keys != _EMPTY)
+        kept, rows = pending_rows(self._looks[used], self._least, window, shift)
+        keys, none = self._keys[used[kept]], np.zeros(len(kept), dtype=np.uint32)
+        fresh = VisibilityAccumulator(
+            self.origin, self.voxel, max(1 << 18, int(len(kept) / _MAX_LOAD) + 1), self._least
+        )
+        _reinsert(keys, none, none, fresh._keys, fresh._hits, fresh._passes)
+        _move_looks(keys, rows, fresh._keys, fresh._looks)
+        fresh._used = len(kept)
+        return fresh
 
     def grid(self) -> VisibilityGrid:
         """Return what was counted so far."""

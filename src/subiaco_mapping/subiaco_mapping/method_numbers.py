@@ -104,6 +104,27 @@ class FusionNumbers(StrictModel):
         "observations with the floor",
     )
     floor_cell: float = Field(0.5, description="Edge of the cells in which the lowest voxel is searched [m]")
+    fragment_floor: float = Field(
+        0.3, description="Height above the lowest point from which points may be a fragment of a vehicle [m]"
+    )
+    fragment_reach: float = Field(
+        0.6, description="Distance up to which a point lies beside points of a moving object [m]"
+    )
+    fragment_length: float = Field(
+        8.0,
+        description="Greatest extent of a fragment along an axis [m]; less than the width of the "
+        "surroundings that are processed together with a tile",
+    )
+    fragment_share: float = Field(
+        0.8,
+        description="Share of a group of points beside points of moving objects from which the group is a "
+        "fragment of them",
+    )
+    fragment_moved: float = Field(
+        0.85,
+        description="Least probability that a fragment moved; below `moving.sure` the fragment stays in the "
+        "map",
+    )
     elevation_cell_deg: float = Field(0.1, description="Elevation step of the measured field of view [deg]")
     range_cell: float = Field(0.5, description="Range step of the measured field of view [m]")
     stray_beams: float = Field(

@@ -75,7 +75,7 @@ DryRun = Annotated[
     typer.Option(
         metavar="N",
         min=1,
-        help="Only do the N largest tiles, and say what the whole will take in time, memory and disk.",
+        help="Compare the N largest tiles only, and estimate time, memory and disk of the whole run.",
     ),
 ]
 FromStage = Annotated[

@@ -129,11 +129,15 @@ def evaluate(
         ),
     ],
     output: Annotated[
-        Path | None, typer.Option("-o", "--output", metavar="DIR", help="Also write the scores there.")
+        Path | None,
+        typer.Option("-o", "--output", metavar="DIR", help="Folder for the scores, which are also printed."),
     ] = None,
     published: Annotated[
         str | None,
-        typer.Option(metavar="RUN", help="The one path is a folder in the published layout; score this run."),
+        typer.Option(
+            metavar="RUN",
+            help="Score this run of the only path, a folder in the layout of the published evaluation.",
+        ),
     ] = None,
     against: Annotated[
         list[Path] | None,
@@ -176,7 +180,7 @@ def evaluate(
 
 def report(
     change_directory: Annotated[
-        Path, typer.Argument(metavar="CHANGE_DIR", help="What 'subiaco change' wrote.")
+        Path, typer.Argument(metavar="CHANGE_DIR", help="Change directory, which 'subiaco change' wrote.")
     ],
     project: Annotated[
         str | None, typer.Option(metavar="NAME", help="Name of the project in the header of the report.")
@@ -192,7 +196,7 @@ def report(
 ) -> None:
     """Build report.html and summary.html of a change directory again, and changes.qgs where it is missing.
 
-    A changes.qgs that is there is left as it is: it may hold your own layers. Project, client and logo are
+    An existing changes.qgs is kept, because it may contain layers of your own. Project, client and logo are
     kept for the next time.
 
     Example: subiaco report out/change --project "Survey 2025" --client "City of Subiaco"
@@ -210,7 +214,7 @@ def report(
 
 def review(
     change_directory: Annotated[
-        Path, typer.Argument(metavar="CHANGE_DIR", help="What 'subiaco change' wrote.")
+        Path, typer.Argument(metavar="CHANGE_DIR", help="Change directory, which 'subiaco change' wrote.")
     ],
     files: Annotated[
         list[Path] | None,
@@ -220,7 +224,7 @@ def review(
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
-    """Take reviews up into the table, the GeoPackage, the lots and the pages of a change directory.
+    """Apply reviews to the table, the GeoPackage, the lots and the pages of a change directory.
 
     Reviews come from the files given, from reviews.csv in the directory, and from what was typed into
     changes.csv or into changes.gpkg (the form in QGIS). Rejected changes leave every count.
@@ -264,7 +268,9 @@ class ExportKind(StrEnum):
 
 
 def export(
-    directory: Annotated[Path, typer.Argument(metavar="MAP_OR_CHANGE_DIR", help="What to export.")],
+    directory: Annotated[
+        Path, typer.Argument(metavar="MAP_OR_CHANGE_DIR", help="Map directory or change directory to export.")
+    ],
     output: Output,
     to: Annotated[
         ExportKind,
@@ -342,5 +348,5 @@ def register(app: typer.Typer) -> None:
     app.command("change", short_help="Find what changed between two maps.")(change)
     app.command("evaluate", short_help="Score what was found against truth.")(evaluate)
     app.command("report", short_help="Build report.html of a change directory again.")(report)
-    app.command("review", short_help="Take reviews up into the outputs of a change directory.")(review)
+    app.command("review", short_help="Apply reviews to the outputs of a change directory.")(review)
     app.command("export", short_help="Write a map or changes in a form other programs ask for.")(export)

@@ -12,7 +12,7 @@ from subiaco_bringup.cli.options import Output, Quiet, Verbose, say, set_up_logg
 
 def deliver(
     change_directory: Annotated[
-        Path, typer.Argument(metavar="CHANGE_DIR", help="What 'subiaco change' wrote.")
+        Path, typer.Argument(metavar="CHANGE_DIR", help="Change directory, which 'subiaco change' wrote.")
     ],
     output: Output,
     review: Annotated[
@@ -36,7 +36,7 @@ def deliver(
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
-    """Make the folder that a client is handed: tables, rasters, clouds, volumes, accuracy statement.
+    """Make the folder for a client: tables, rasters, clouds, volumes, accuracy statement.
 
     It has ISO 19115 metadata, and a manifest with the SHA-256 of every file.
 
@@ -53,7 +53,7 @@ def deliver(
 
 def viewer(
     change_directory: Annotated[
-        Path, typer.Argument(metavar="CHANGE_DIR", help="What 'subiaco change' wrote.")
+        Path, typer.Argument(metavar="CHANGE_DIR", help="Change directory, which 'subiaco change' wrote.")
     ],
     show: Annotated[bool, typer.Option("--open", help="Open the page in the web browser.")] = False,
     verbose: Verbose = False,
@@ -82,4 +82,4 @@ def viewer(
 def register(app: typer.Typer) -> None:
     """Add these verbs to the command."""
     app.command("viewer", short_help="Write the 3D viewer of both surveys.")(viewer)
-    app.command("deliver", short_help="Make the folder that a client is handed.")(deliver)
+    app.command("deliver", short_help="Make the folder for a client.")(deliver)

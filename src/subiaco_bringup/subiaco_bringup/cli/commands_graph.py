@@ -153,14 +153,20 @@ def live(
     settings: Settings = None,
     remap: Annotated[
         list[str] | None,
-        typer.Option(metavar="OURS:=DRIVERS", help="Where a driver publishes a topic of ours. Repeatable."),
+        typer.Option(
+            metavar="OURS:=DRIVERS",
+            help="Name under which a driver publishes a topic of Subiaco; repeatable.",
+        ),
     ] = None,
     route: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Planned route: GeoJSON line, or CSV with columns lat,lon."),
     ] = None,
     no_record: Annotated[
-        bool, typer.Option("--no-record", help="Do not record: somebody else does, or a bag is played.")
+        bool,
+        typer.Option(
+            "--no-record", help="Do not record, because another program records or a bag is played."
+        ),
     ] = False,
     sim_time: Annotated[
         bool, typer.Option("--sim-time", help="Follow /clock, for 'ros2 bag play --clock'.")

@@ -51,7 +51,8 @@ def record(
     remap: Annotated[
         list[str] | None,
         typer.Option(
-            metavar="OURS:=SOURCE", help="Where a topic comes from; the bag gets our name. Repeatable."
+            metavar="OURS:=SOURCE",
+            help="Topic of a driver that is recorded under the name that Subiaco uses; repeatable.",
         ),
     ] = None,
     config: ConfigFiles = None,
@@ -120,7 +121,9 @@ def recover(
     verbose: Verbose = False,
     quiet: Quiet = False,
 ) -> None:
-    """Repair a recording that was cut off, and report what is lost. The original is not changed.
+    """Repair a recording that was cut off, and report what is lost.
+
+    The original is changed only with --in-place.
 
     Example: subiaco recover bags/2025-03-14_am
     """

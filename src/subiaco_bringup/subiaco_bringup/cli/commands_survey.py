@@ -333,7 +333,7 @@ def calibrate_rig(
 ) -> None:
     """Estimate the positions of IMU and antenna and their time offsets from a short recording.
 
-    Starts from /tf_static and the configuration, keeps what the motion does not show, and says
+    Starts from /tf_static and the configuration, keeps values that the motion does not determine, and says
     whether facades come out thinner. Writes rig.yaml for --config, report.md, calibration.json.
 
     Example: subiaco calibrate-rig bags/turns -o out/rig

@@ -25,9 +25,15 @@ class ClassRules(StrictModel):
     same_iou: float = Field(
         0.20, ge=0, le=1, description="Voxel intersection over union above which an object is unchanged [1]"
     )
-    height: float = Field(gt=0, description="Smallest height change that is reported [m]")
+    height: float = Field(
+        gt=0,
+        description="Change of the height of an object of this class beyond which the object is called "
+        "Increased or Decreased [m]. Raise it to claim fewer changes",
+    )
     volume: float = Field(
-        gt=0, description="Smallest volume change that is reported, as a fraction of the volume"
+        gt=0,
+        description="Change of the volume of an object of this class, as a fraction of the volume, beyond "
+        "which the object is called Increased or Decreased. Raise it to claim fewer changes",
     )
     shift: float = Field(gt=0, description="Largest centroid distance of an unchanged object [m]")
     min_net_change: float = Field(

@@ -31,9 +31,11 @@ class GroundChangeConfig(StrictModel):
         2.0, gt=0, description="Edge of the cells of the delivered raster of height differences [m] (paper)"
     )
     threshold: float = Field(
-        0.15, gt=0, description="Smallest elevation difference that is a ground change [m] (paper)"
+        0.15, gt=0, description="Change of the ground level beyond which a cell counts as changed [m] (paper)"
     )
-    area: float = Field(25.0, gt=0, description="Smallest contiguous area of a ground change [m2] (paper)")
+    area: float = Field(
+        25.0, gt=0, description="Contiguous area above which changed ground is reported [m2] (paper)"
+    )
     lod_factor: float = Field(
         1.2, gt=0, description="Limit of a ground change as a multiple of the level of detection (paper)"
     )

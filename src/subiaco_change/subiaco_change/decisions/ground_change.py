@@ -223,7 +223,7 @@ def _make_patch(
     height, spread = float(np.median(values)), float(values.std())
     confidence = patch_confidence(height, level, spread, config.threshold)
     reason = (
-        f"The ground level changed by {height:+.2f} m (limit {config.threshold:.2f} m, LoD95 {level:.2f} m,"
+        f"The ground level changed by {height:+z.2f} m (limit {config.threshold:.2f} m, LoD95 {level:.2f} m,"
         f" standard deviation {spread:.2f} m) over {area:.0f} m² (limit {config.area:.0f} m²): the ground was"
         f" {'raised' if height > 0 else 'lowered'}."
     )

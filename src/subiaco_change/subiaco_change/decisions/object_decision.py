@@ -130,7 +130,7 @@ def _compared(
     """Parts of an object that are compared: of plants, those that the view of the other epoch reached.
 
     Of a plant of one epoch its own top tells whether a field of view ends in crowns. It may be the upper part
-    of what the other epoch holds beside it; what stands alone was added, or removed, as a whole.
+    of what the other epoch holds beside it; an isolated object was added, or removed, as a whole.
     """
     alone = not (before and after)
     if semantic is not Semantic.VEGETATION:

@@ -92,7 +92,7 @@ def _supported(decision: Decision, plant: PlantMeasures, config: DecisionConfig)
     against = (plant.apparent < -least) if grew else (plant.apparent > least)
     if applies("top_contradicts", against):
         reason = f"{decision.reason} No change is claimed: the height of all points changed by"
-        reason += f" {plant.apparent:+.2f} m, which contradicts the change (limit {least:.2f} m)."
+        reason += f" {plant.apparent:+z.2f} m, which contradicts the change (limit {least:.2f} m)."
         return Decision(Change.UNCHANGED, reason, 1.0, 0.0)
     free = place_was_free(decision, plant)
     if not applies("surface_was_free", free < config.min_free_surface):
@@ -248,4 +248,4 @@ def _name(plant: PlantMeasures) -> str:
 
 def _quantity(value: float, unit: str, *, sign: bool = True) -> str:
     plus = "+" if sign else ""
-    return f"{value:{plus}.2f} m" if unit == "m" else f"{100 * value:{plus}.0f} %"
+    return f"{value:{plus}z.2f} m" if unit == "m" else f"{100 * value:{plus}z.0f} %"

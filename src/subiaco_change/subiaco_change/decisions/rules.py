@@ -176,9 +176,11 @@ def _by_measures(measures: Measures, gate: float, rules: ClassRules) -> Decision
     relative = measures.delta_v / max(measures.volume, 1e-6)
     height = measures.delta_h / limit if math.isfinite(measures.delta_h) else 0.0
     up, down = _strengths(height, relative / rules.volume, measures, rules)
-    evidence = f"Height change {measures.delta_h:+.2f} m (limit {limit:.2f} m), volume change {relative:+.0%}"
+    evidence = (
+        f"Height change {measures.delta_h:+z.2f} m (limit {limit:.2f} m), volume change {relative:+z.0%}"
+    )
     evidence += (
-        f" (limit {rules.volume:.0%}), new or lost surface {measures.net_changed_fraction:+.0%} (limit"
+        f" (limit {rules.volume:.0%}), new or lost surface {measures.net_changed_fraction:+z.0%} (limit"
     )
     evidence += f" {rules.min_net_change:.0%}): "
     if up <= 1 and down <= 1:
@@ -193,7 +195,7 @@ def _building(measures: Measures, gate: float, rules: ClassRules) -> Decision:
 
     A label needs the middle of the bounds beyond the limit, and both bounds on its side of zero: an extension
     of 16 % that is known to lie between 9 and 17 % has grown, and a wrong sign cannot come out. Bounds that
-    straddle the limit are told, and cost confidence.
+    straddle the limit are stated in the reason, and lower the confidence.
 
     Where height and volume say the opposite, the volume's sign wins (Decision 12).
     """
@@ -210,7 +212,7 @@ def _building(measures: Measures, gate: float, rules: ClassRules) -> Decision:
     down = _rise(-bounds[0], -bounds[1], rules)
     evidence = f"Height change {_span(height)} (limit {limit:.2f} m), volume change"
     stated = volume.widened(measures.volume_resolution)
-    evidence += f" {stated.low / whole:+.0%} to {stated.high / whole:+.0%} (limit {rules.volume:.0%}): "
+    evidence += f" {stated.low / whole:+z.0%} to {stated.high / whole:+z.0%} (limit {rules.volume:.0%}): "
     straddles = any(bound.low <= side <= bound.high for bound in bounds for side in (-1.0, 1.0))
     if straddles:
         evidence += "space that a survey did not observe decides whether a limit is exceeded, and "
@@ -219,14 +221,14 @@ def _building(measures: Measures, gate: float, rules: ClassRules) -> Decision:
         return Decision(Change.UNCHANGED, evidence, 1.0 if straddles else max(up, down, 0.0))
     rising = up > 1 and (down <= 1 or volume.middle > 0)
     change = Change.INCREASED if rising else Change.DECREASED
-    evidence += f"the middle of an interval exceeds its limit, the building {'grew' if rising else 'shrank'}."
+    evidence += f"the middle of an interval exceeds its limit: the building {'grew' if rising else 'shrank'}."
     return Decision(change, evidence, up if rising else down, _sigmas(bounds, rising))
 
 
 def _span(height: Interval) -> str:
     """Write the bounds of a change of height."""
     known = math.isfinite(height.low) and math.isfinite(height.high)
-    return f"{height.low:+.2f} to {height.high:+.2f} m" if known else "not known"
+    return f"{height.low:+z.2f} to {height.high:+z.2f} m" if known else "not known"
 
 
 def _rise(height: Interval, volume: Interval, rules: ClassRules) -> float:

@@ -37,7 +37,7 @@ class FusionConfig(StrictModel):
     )
     full_density: bool = Field(
         False,
-        description="Writes every return too, as classified LAZ tiles with GPS times in the folder "
+        description="Write every return too, as classified LAZ tiles with GPS times in the folder "
         "full_density of the map; needs about 40 bytes of disk a return while the map is made",
     )
     min_points: int = Field(1, ge=1, description="Number of points that a voxel of the map needs")

@@ -12,12 +12,18 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 from scipy.ndimage import minimum_filter
+from scipy.spatial import cKDTree
 
+from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.frames import Floats
+from subiaco_geo.movement import connected
 from subiaco_mapping.method_numbers import NUMBERS
 
 _SHARED = NUMBERS.fusion.floor_voxels
 _CELL = NUMBERS.fusion.floor_cell
+_FRAGMENT_FLOOR = NUMBERS.fusion.fragment_floor
+_FRAGMENT_REACH = NUMBERS.fusion.fragment_reach
+_FRAGMENT_LENGTH = NUMBERS.fusion.fragment_length
 
 
 def moved_probability(
@@ -41,6 +47,42 @@ def moved_probability(
     raised = moved(xyz[low] + [0.0, 0.0, voxel])
     found[low] = np.fmax(found[low], raised)
     return found
+
+
+def fragment_shares(
+    xyz: Floats, above_floor: Floats, moved: NDArray[np.bool_], voxel: float
+) -> NDArray[np.float32]:
+    """Return for every point (N,) which share of its group lies beside points that moved, 0 to 1.
+
+    Groups are connected components of the voxels that hold points above the road that did not move. A
+    fragment of a moving vehicle has a share near 1; a wall, a hedge or a parked car beside traffic has not.
+    Groups longer than a vehicle have 0; so the answer does not depend on how much of them a tile holds.
+
+    Parameters
+    ----------
+    xyz : (N, 3) float64
+        One point a map voxel, z up [m].
+    above_floor : (N,) float64
+        Height above the lowest point around [m].
+    moved : (N,) bool
+        Points that are removed.
+    voxel : float
+        Edge of the voxels that connect points [m].
+    """
+    shares = np.zeros(len(xyz), dtype=np.float32)
+    rest = np.flatnonzero(~moved & (above_floor >= _FRAGMENT_FLOOR))
+    if len(rest) == 0 or not moved.any():
+        return shares
+    keys, slot = np.unique(voxel_keys(voxel_indices(xyz[rest], voxel)), return_inverse=True)
+    group = connected(keys)[slot]
+    distance, _ = cKDTree(xyz[moved]).query(xyz[rest], distance_upper_bound=_FRAGMENT_REACH)
+    beside = np.bincount(group, np.isfinite(distance)) / np.maximum(np.bincount(group), 1)
+    low, high = np.full((2, len(beside), 3), np.inf)
+    np.minimum.at(low, group, xyz[rest])
+    np.minimum.at(high, group, -xyz[rest])
+    beside[((-high - low) > _FRAGMENT_LENGTH).any(axis=1)] = 0.0
+    shares[rest] = beside[group]
+    return shares
 
 
 def height_above_floor(xyz: Floats) -> Floats:

@@ -14,10 +14,10 @@ from subiaco_geo.clouds import PointCloud
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, transform_points
 from subiaco_geo.movement import verdicts
-from subiaco_geo.visibility import TimeRecord, VisibilityGrid
+from subiaco_geo.visibility import NO_VERDICT, SURELY_MOVED, TimeRecord, VisibilityGrid
 from subiaco_mapping.checkpoint.scan_spool import SpooledScan
 from subiaco_mapping.fusion.config import FusionConfig
-from subiaco_mapping.fusion.dynamic_objects import height_above_floor, moved_probability
+from subiaco_mapping.fusion.dynamic_objects import fragment_shares, height_above_floor, moved_probability
 from subiaco_mapping.fusion.full_density import DensityTiles, FullDensity
 from subiaco_mapping.fusion.outliers import beam_spacing, isolated_points
 from subiaco_mapping.fusion.projection import Projection
@@ -111,6 +111,7 @@ class MapFusion:
         )
         self._statistics = Recent(self._usable)
         self._spacing = 0.0
+        self._fragments: list[Floats] = []
 
     def add(
         self,
@@ -133,7 +134,7 @@ class MapFusion:
         xyz = transform_points(pose, scan.xyz)
         self._first.add(xyz, scan.intensity, pose[:3, 3])
         self._last.add(transform_points(pose, scan.last_xyz), scan.last_intensity, pose[:3, 3])
-        beams, returned = visibility_beams(scan, pose, self._config)
+        beams, returned = visibility_beams(scan, pose, self._config, self._scans)
         ends = transform_points(pose, beams) @ matrix.T + offset
         origin = matrix @ pose[:3, 3] + offset
         starts, hits = np.broadcast_to(origin, ends.shape), xyz @ matrix.T + offset
@@ -159,6 +160,7 @@ class MapFusion:
         for done, tile in enumerate(tiles):
             self._finish_tile(tile, threads, still, moving)
             report(done / len(tiles))
+        self._record_fragments()
         cloud = self._cloud(still)
         if self._density is not None:
             self._density.finish(recordings or {})
@@ -175,6 +177,16 @@ class MapFusion:
         moving = verdicts(grid.keys, looks, config)
         times = TimeRecord(config.window, self._clock.start_ns, looks)
         return replace(grid, moving=moving, times=times)
+
+    def _record_fragments(self) -> None:
+        """Write the probability of fragments of moving objects to their voxels of the visibility layer."""
+        verdict = self._layer.moving
+        if verdict is None or not self._fragments:
+            return
+        slot, found = self._layer.slots(np.concatenate(self._fragments))
+        hit = slot[found]
+        lifted = np.uint8(round(NUMBERS.fusion.fragment_moved * SURELY_MOVED))
+        verdict[hit] = np.where(verdict[hit] == NO_VERDICT, NO_VERDICT, np.maximum(verdict[hit], lifted))
 
     def _usable(self, tile: int) -> VoxelStatistics:
         found = self._first.statistics(tile)
@@ -209,6 +221,10 @@ class MapFusion:
         probability = moved_probability(xyz, above, self._moved, config.visibility_voxel)
         probability[above < config.moving.floor] = 0.0
         moved = config.moving.enabled & (np.nan_to_num(probability) >= config.moving.sure)
+        shares = fragment_shares(xyz, above, moved, config.visibility_voxel)
+        fragment = shares >= NUMBERS.fusion.fragment_share
+        probability[fragment] = np.fmax(probability[fragment], NUMBERS.fusion.fragment_moved)
+        self._fragments.append(self._projection.points(xyz[:own][fragment[:own]]))
         self._write(moving, found.select(np.flatnonzero(moved[:own])))
         isolated = isolated_points(xyz, found.reach, self._spacing, config, threads)
         keep = ~moved & ~isolated

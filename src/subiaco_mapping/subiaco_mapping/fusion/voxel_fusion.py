@@ -268,9 +268,12 @@ def add_scan(
 
 
 def visibility_beams(
-    scan: SpooledScan, T_local_lidar: Floats, config: FusionConfig
+    scan: SpooledScan, T_local_lidar: Floats, config: FusionConfig, number: int = 0
 ) -> tuple[Floats, NDArray[np.bool_]]:
-    """Choose the beams of a scan that the visibility layer walks.
+    """Choose the beams of a scan that the visibility layer traces.
+
+    Consecutive scans start at different beams. A fixed start would trace the same rings in every scan,
+    because the stride divides the number of rings, and nothing between those rings.
 
     Parameters
     ----------
@@ -278,6 +281,8 @@ def visibility_beams(
     T_local_lidar : (4, 4) float64
         The local frame's z is up.
     config : FusionConfig
+    number : int
+        Of the scan in its map.
 
     Returns
     -------
@@ -286,7 +291,8 @@ def visibility_beams(
     returned : (N,) bool
         False where the beam met nothing up to its end.
     """
-    hits, sky = scan.xyz[:: config.visibility_stride], scan.sky_xyz
+    stride = config.visibility_stride
+    hits, sky = scan.xyz[number % stride :: stride], scan.sky_xyz
     rise = sky @ T_local_lidar[2, :3]
     above = rise > np.sin(np.radians(config.sky_elevation_deg)) * np.linalg.norm(sky, axis=1)
     ends = np.concatenate([hits, sky[above]])

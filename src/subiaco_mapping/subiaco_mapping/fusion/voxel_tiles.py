@@ -13,7 +13,14 @@ from numpy.typing import NDArray
 
 from subiaco_geo.clouds import unpack_voxel_keys
 from subiaco_geo.frames import Floats, Ints
-from subiaco_geo.observation_times import COLUMNS, WINDOWS, VoxelObservations, joined_looks, looks_of
+from subiaco_geo.observation_times import (
+    COLUMNS,
+    PENDING,
+    WINDOWS,
+    VoxelObservations,
+    joined_looks,
+    looks_of,
+)
 from subiaco_geo.visibility import VisibilityGrid
 from subiaco_geo.voxel_traversal import VisibilityAccumulator
 from subiaco_mapping.fusion.voxel_fusion import VoxelAccumulator, VoxelStatistics, statistics_of
@@ -190,11 +197,18 @@ class VisibilityTiles:
         if window != self._window:
             reached = 0 < window - self._base < WINDOWS
             if not reached or len(self._active) >= self._most:
-                self.flush()
-                self._base = window - 1
+                self._go_on(window)
             self._window = window
         self._active.touch(hits, window - self._base)
         self._active.add(starts, ends, returned, window - self._base)
+
+    def _go_on(self, window: int) -> None:
+        """Write what is in memory, except beams of observations that the next windows may complete."""
+        base = max(window - 1 - PENDING, 0)
+        near = self._base <= base and window - self._window <= PENDING
+        fresh = self._active.pending(window - self._base, base - self._base) if near else self._empty()
+        self.flush()
+        self._active, self._base = fresh, base if near else window - 1
 
     def flush(self) -> None:
         """Write what is in memory."""
