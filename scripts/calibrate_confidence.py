@@ -61,7 +61,7 @@ def rows_of(survey: Path, variants: list[str], kept: Path | None) -> pd.DataFram
         begun = time.monotonic()
         real = real or in_after_frame(read_truth(survey))
         pair = [bare_of(load_epoch(survey / epoch), VARIANTS[name]) for epoch in ("before", "after")]
-        result = detect_changes(pair[0], pair[1], ChangeConfig(), bench=bench)
+        result = detect_changes(pair[0], pair[1], ChangeConfig(), runner=bench)
         rows = judged_rows(result, pair_points(result, real["before"], real["after"]), survey.name)
         print(f"{survey.name} {name}: {len(rows)} rows, {time.monotonic() - begun:.0f} s", file=sys.stderr)
         if file is not None:

@@ -13,7 +13,7 @@ from subiaco_change.decisions.object_decision import ObjectChange, ObjectRules
 from subiaco_change.decisions.plant_measures import measure_plant
 from subiaco_change.decisions.rules import Decision
 from subiaco_change.decisions.voxel_objects import ObjectInstance
-from subiaco_change.instance_splitting.hedge_sections import changed_sections, column_rise
+from subiaco_change.instance_splitting.hedge_sections import changed_sections
 from subiaco_change.instance_splitting.split_merge import split_hedge_segments
 from subiaco_geo.codes import Change, Semantic
 
@@ -109,23 +109,6 @@ def test_where_points_of_another_class_stood_nothing_grew():
     assert [s.rise > 0.6 for s in changed_sections([before], [after], 0.3)[0]] == [True]
     assert changed_sections([before], [after], 0.3, (wall, nothing))[0] == []
     assert len(changed_sections([before], [after], 0.3, (np.add(wall, (0, 0, 3)), nothing))[0]) == 1
-
-
-@pytest.mark.parametrize("seed", range(6))
-def test_the_top_of_a_hedge_of_a_few_points_is_as_uncertain_as_its_samplings_differ(seed):
-    """The same short hedge, 1 m high, met by some three points a column in each epoch."""
-    rng = np.random.default_rng(seed)
-    rises = []
-    for _ in range(40):
-        pair = [rng.uniform([0, 0, 0], [3, 1, 1], (36, 3)) for _ in range(2)]
-        thin = [replace(hedge([(0, 3, 1.0)], 1), xyz=xyz, points=np.arange(len(xyz))) for xyz in pair]
-        rises.append(column_rise([thin[0]], [thin[1]]))
-    known = [r for r in rises if np.isfinite(r.median)]
-    assert len(known) > 20
-    beyond = [abs(r.median) > 3 * r.sigma for r in known]
-    assert np.mean(beyond) <= 0.05
-    full = column_rise([hedge([(0, 3, 1.0)], 1)], [hedge([(0, 3, 1.4)], 2)])
-    assert full.median > 3 * full.sigma  # many points: 0.4 m are beyond doubt
 
 
 def test_tops_that_few_beams_met_are_not_trimmed():

@@ -31,7 +31,6 @@ CROWN = PlantMeasures(
     kind="crown", density=0.0, size=2.0, voxels=300, thin=False, reach=2.0, outline=0.0, outline_sigma=0.03,
     top=0.0, volume=0.0, surface=0.0, rise=math.nan, rise_sigma=math.nan,
 )  # fmt: skip
-HEDGE = replace(CROWN, kind="hedge", rise=0.0, rise_sigma=0.02)
 
 #: Rule, class, measures of one epoch alone, label with the rule, label without.
 SINGLES = [
@@ -71,13 +70,13 @@ def test_rules_of_buildings_hold_back_a_claim_that_comes_without_them(rule, heig
 #: Rule, plant, label with the rule, label without.
 PLANTS = [
     ("outline_of_plants", replace(CROWN, outline=0.8), Change.INCREASED, Change.UNCHANGED),
-    ("surface_carries_change", replace(CROWN, top=2.0), Change.UNCHANGED, Change.INCREASED),
+    ("surface_carries_change", replace(CROWN, outline=math.nan, top=2.0), Change.UNCHANGED, Change.INCREASED),
+    ("extent_carries_surface", replace(CROWN, surface=0.4), Change.UNCHANGED, Change.INCREASED),
     ("top_contradicts", replace(CROWN, outline=0.8, apparent=-0.5), Change.UNCHANGED, Change.INCREASED),
     ("surface_was_free", replace(CROWN, outline=0.8, free_gained=0.4), Change.UNCHANGED, Change.INCREASED),
-    ("followed_columns", replace(HEDGE, rise=0.8, apparent=0.0), Change.UNCHANGED, Change.INCREASED),
     (
         "own_error_of_plants",
-        replace(CROWN, voxels=6, volume=0.9, surface=0.9),
+        replace(CROWN, outline=math.nan, voxels=6, volume=0.9, surface=0.9),
         Change.UNCHANGED,
         Change.INCREASED,
     ),

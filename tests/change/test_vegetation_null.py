@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 from test_crown_outline import crown
 from test_decisions import CONFIG
 
-from subiaco_change.decisions.plant_decisions import decide_plant
+from subiaco_change.decisions.plant_decisions import decide_plant, place_was_free
 from subiaco_change.decisions.plant_measures import (
     OutlineConfig,
     PlantConfig,
@@ -54,8 +54,9 @@ def label(plant, null):
 @pytest.mark.parametrize("shift", [0.25, -0.25])
 def test_a_shift_that_all_crowns_of_a_pair_share_is_no_change_and_one_beyond_is(shift):
     null = fit_null(street(40, shift, 0.06), NULL)
-    rest = label(replace(TREE, outline=1.3 * shift), null)
+    rest = label(replace(TREE, outline=1.3 * shift, rise=0.0, rise_sigma=0.02), null)
     assert rest.change is Change.UNCHANGED
+    assert label(replace(TREE, outline=1.3 * shift), null).sigmas == 0.0  # nobody saw its top
     grown = label(replace(TREE, outline=0.6), null)
     pruned = label(replace(TREE, outline=-0.6), null)
     assert (grown.change, pruned.change) == (Change.INCREASED, Change.DECREASED)
@@ -80,7 +81,8 @@ def test_hedges_that_changed_do_not_widen_the_scatter_of_the_others_even_where_n
 @pytest.mark.parametrize("sd", [0.05, 0.15, 0.3])
 def test_a_wide_scatter_of_many_plants_without_a_change_is_measured_as_wide(sd, seed):
     rng = np.random.default_rng(seed)
-    plants = [replace(TREE, outline=float(shift)) for shift in rng.normal(0.0, sd, 80)]
+    shifts = rng.normal(0.0, sd, 80)
+    plants = [replace(TREE, outline=float(shift), outline_sigma=0.0) for shift in shifts]
     assert fit_null(plants, NULL).expected(TREE, "outline").sd == pytest.approx(sd, rel=0.3)
 
 
@@ -107,12 +109,13 @@ def test_growth_is_not_claimed_where_all_points_together_reach_lower_and_the_oth
 
 
 @pytest.mark.parametrize("sign", [1, -1])
-@pytest.mark.parametrize(("followed", "claimed"), [(0.45, True), (0.2, True), (0.0, False), (-0.1, False)])
-def test_the_columns_of_a_hedge_change_nothing_where_the_top_of_all_its_points_stays(sign, followed, claimed):
-    moved = replace(HEDGE, rise=sign * 0.5, apparent=sign * followed)
-    found = label(moved, no_null(NULL)).change
+def test_tops_that_moved_are_not_outvoted_by_the_height_of_all_points(sign):
+    moved = replace(HEDGE, rise=sign * 0.5, apparent=-sign * 0.4, free_gained=0.5, free_lost=0.5)
     changed = Change.INCREASED if sign > 0 else Change.DECREASED
-    assert found is (changed if claimed else Change.UNCHANGED)
+    assert label(moved, no_null(NULL)).change is changed
+    assert place_was_free(label(moved, no_null(NULL)), moved, CONFIG) == 1.0
+    section = replace(moved, section=sign * 0.5, section_gate=0.3, section_only=True)
+    assert label(section, no_null(NULL)).change is Change.UNCHANGED
 
 
 def test_surface_of_one_epoch_alone_is_what_has_nothing_of_the_other_near_it():
@@ -183,8 +186,22 @@ def test_hedges_are_not_compared_with_crowns_and_their_columns_decide():
     grown = label(replace(HEDGE, rise=0.6), null)
     assert grown.change is Change.INCREASED
     assert "hedges and shrubs" in grown.reason
-    assert label(replace(HEDGE, rise=0.15, top=0.6, surface=0.3), null).change is Change.INCREASED
-    assert label(replace(HEDGE, rise=0.15, top=0.6, surface=0.12), null).change is Change.UNCHANGED
+    leaves = replace(HEDGE, rise=0.15, surface=0.3)
+    assert label(leaves, null).change is Change.UNCHANGED
+    assert "leaves differ" in label(leaves, null).reason
+    assert label(replace(leaves, rise_of_part=0.6), null).change is Change.INCREASED
+    assert label(replace(leaves, rise=math.nan, outline=math.nan), null).change is Change.INCREASED
+
+
+def test_few_points_of_some_plants_do_not_widen_the_scatter_of_the_others():
+    rng = np.random.default_rng(3)
+    known = [replace(TREE, rise=r, rise_sigma=0.03) for r in rng.normal(0.05, 0.04, 24)]
+    poor = [replace(TREE, rise=r, rise_sigma=0.4) for r in rng.normal(0.05, 0.4, 24)]
+    null = fit_null([*known, *poor], NULL)
+    assert null.fits["crown/rise"].sd < 0.08
+    grown = replace(TREE, rise=0.45)
+    assert label(replace(grown, rise_sigma=0.03), null).change is Change.INCREASED
+    assert label(replace(grown, rise_sigma=0.4), null).change is Change.UNCHANGED
 
 
 def test_a_share_of_few_voxels_is_no_evidence():
@@ -207,7 +224,7 @@ def test_a_measure_against_the_direction_of_its_excess_claims_nothing():
 
 
 def test_a_top_that_no_surface_carries_is_no_change_and_says_why():
-    found = label(replace(TREE, top=0.8, surface=0.02), no_null(NULL))
+    found = label(replace(TREE, outline=math.nan, top=0.8, surface=0.02), no_null(NULL))
     assert found.change is Change.UNCHANGED
     assert "changed by only" in found.reason
 
@@ -263,7 +280,7 @@ def test_a_pole_is_thin_and_a_crown_is_not():
 def test_a_top_that_few_voxels_or_a_ragged_crown_tell_is_no_growth():
     """The top rose by 0.45 m, with a quarter of the surface new."""
     null = no_null(NULL)
-    grown = replace(TREE, top=0.45, surface=0.25, free_gained=0.9)
+    grown = replace(TREE, outline=math.nan, top=0.45, surface=0.25, free_gained=0.9)
     assert label(replace(grown, top_sigma=0.05), null).change is Change.INCREASED
     ragged = label(replace(grown, top_sigma=0.2, surface=0.12), null)
     assert ragged.change is Change.UNCHANGED

@@ -59,8 +59,8 @@ class ClassRules(StrictModel):
         0.5,
         ge=0,
         le=1,
-        description="Fraction of the height limit by which the top of all points of a low plant must have "
-        "moved with the median of its columns",
+        description="Fraction of their limits by which the tops or the outline of a plant must have moved "
+        "for new or lost surface to be a change",
     )
     surface: float = Field(
         math.inf,

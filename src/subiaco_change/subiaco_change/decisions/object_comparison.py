@@ -116,13 +116,15 @@ def height_of(objects: Sequence[ObjectInstance], quantile: float = 0.95) -> floa
     return float(np.quantile(voxels.height, quantile)) if len(voxels) else math.nan
 
 
-def density_ratio(before: Sequence[ObjectInstance], after: Sequence[ObjectInstance]) -> float:
-    """Return the log of the points per voxel in *after* over those in *before*; 0 where one is empty."""
+def density_ratio(
+    before: Sequence[ObjectInstance], after: Sequence[ObjectInstance], around: float = 0.0
+) -> float:
+    """Return the log of the points per voxel in *after* over those in *before*, or ``around``."""
     counts = [
         sum(len(t.points) for t in objects) / max(sum(len(t.voxels) for t in objects), 1)
         for objects in (before, after)
     ]
-    return math.log(counts[1] / counts[0]) if min(counts) > 0 else 0.0
+    return math.log(counts[1] / counts[0]) if min(counts) > 0 else around
 
 
 def make_record(
@@ -132,8 +134,12 @@ def make_record(
     evidence: str,
     trust: ConfidenceConfig,
     rules: DecisionConfig,
+    around: float = 0.0,
 ) -> ChangeRecord:
-    """Turn an object into a row of the table, in world coordinates."""
+    """Turn an object into a row of the table, in world coordinates.
+
+    ``around``: log ratio of the points of both epochs around, for an object that only one of them has.
+    """
     import shapely.affinity
 
     objects = (*change.before, *change.after)
@@ -142,7 +148,7 @@ def make_record(
     m = change.measures
     heights = [height_of(objects) for objects in (change.before, change.after)]
     score = float(np.mean([t.score for t in objects]))
-    density = change.plant.density if change.plant else density_ratio(change.before, change.after)
+    density = change.plant.density if change.plant else density_ratio(change.before, change.after, around)
     found = features(change.decision, m, change.semantic, score, density, evidence)
     certain = bounded(probability(change.decision, found, trust), change.decision, m)
     certain, reason = limit_confidence(change.decision, objects, certain, rules)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -18,7 +19,7 @@ from subiaco_change.decisions.measures import MeasureConfig, Measures, absence, 
 from subiaco_change.decisions.plant_decisions import decide_plant
 from subiaco_change.decisions.plant_measures import PlantConfig, measure_plant
 from subiaco_change.decisions.rules import Decision, decide
-from subiaco_change.decisions.space_carving import Empty
+from subiaco_change.decisions.space_carving import Empty, Interval
 from subiaco_change.decisions.vegetation_null import PlantMeasures, no_null
 from subiaco_change.decisions.voxel_objects import Certainty, Free, ObjectInstance, Voxels, join_voxels
 from subiaco_change.instance_splitting.hedge_sections import NOTHING
@@ -106,6 +107,7 @@ def decide_object(
     plant, matched = None, None
     if semantic is Semantic.VEGETATION and before and after:
         plant = measure_plant(*compared, measures, rules.plants, rules.standing, rules.free, rules.certain)
+        measures = _with_tops(measures, plant, lod)
         matched = partial(decide_plant, plant, lod, rules.decisions, no_null(rules.plants.null_model))
     decision = decide(semantic, bool(before), bool(after), measures, lod, rules.decisions, matched)
     if decision.change not in _OF_PLANTS or measures.iou <= rules.decisions.vegetation.min_iou:
@@ -122,6 +124,14 @@ def decide_object(
         )
     kind = match_kind(len(before), len(after))
     return ObjectChange(tuple(before), tuple(after), semantic, kind, measures, decision, plant)
+
+
+def _with_tops(measures: Measures, plant: PlantMeasures, lod: float) -> Measures:
+    """Report the change of the height of a plant as that of the tops of its columns, where they are known."""
+    if not math.isfinite(plant.rise):
+        return measures
+    half = math.hypot(1.96 * plant.rise_sigma, lod)
+    return replace(measures, delta_h=plant.rise, height_bounds=Interval(plant.rise - half, plant.rise + half))
 
 
 def _compared(

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 from subiaco_change.decisions.config import ClassRules, DecisionConfig
 from subiaco_change.decisions.rules import NO_LEVEL, Decision
 from subiaco_change.decisions.vegetation_null import PLANT_MEASURES, Expected, PlantMeasures, VegetationNull
-from subiaco_change.method_rules.switches import always, applies, switchable
+from subiaco_change.method_rules.switches import applies, switchable, third_argument
 from subiaco_geo.codes import Change
 
 _NAMES = {
@@ -77,15 +78,23 @@ def decide_plant(plant: PlantMeasures, lod: float, config: DecisionConfig, null:
     return _supported(chosen, plant, config)
 
 
-def place_was_free(decision: Decision, plant: PlantMeasures) -> float:
+def _tops_moved(decision: Decision, plant: PlantMeasures, config: DecisionConfig) -> bool:
+    """Tell whether the tops of a plant carry a claim: the space above them was observed, column by column."""
+    sign = {Change.INCREASED: 1.0, Change.DECREASED: -1.0}.get(decision.change, 0.0)
+    return not plant.section_only and sign * plant.rise > config.vegetation.height
+
+
+def place_was_free(decision: Decision, plant: PlantMeasures, config: DecisionConfig) -> float:
     """Return how probable it is that the place of what a plant gained or lost was free; 1 without a claim."""
+    if _tops_moved(decision, plant, config):
+        return 1.0
     free = {Change.INCREASED: plant.free_gained, Change.DECREASED: plant.free_lost}
     return free.get(decision.change, 1.0)
 
 
 def _supported(decision: Decision, plant: PlantMeasures, config: DecisionConfig) -> Decision:
     """Leave a plant unchanged whose claim its height contradicts, or whose place was not seen free."""
-    if decision.change not in (Change.INCREASED, Change.DECREASED):
+    if decision.change not in (Change.INCREASED, Change.DECREASED) or _tops_moved(decision, plant, config):
         return decision
     grew = decision.change is Change.INCREASED
     least = config.vegetation.height
@@ -94,7 +103,7 @@ def _supported(decision: Decision, plant: PlantMeasures, config: DecisionConfig)
         reason = f"{decision.reason} No change is claimed: the height of all points changed by"
         reason += f" {plant.apparent:+z.2f} m, which contradicts the change (limit {least:.2f} m)."
         return Decision(Change.UNCHANGED, reason, 1.0, 0.0)
-    free = place_was_free(decision, plant)
+    free = place_was_free(decision, plant, config)
     if not applies("surface_was_free", free < config.min_free_surface):
         return decision
     other, surface = ("earlier", "new") if grew else ("later", "lost")
@@ -113,23 +122,39 @@ def _decide_section(plant: PlantMeasures, null: VegetationNull) -> Decision:
 
 
 def _decide_whole(plant: PlantMeasures, gate: float, rules: ClassRules, null: VegetationNull) -> Decision:
-    """Decide by the columns of a hedge or the outline where they moved, else by top, volume and surface.
+    """Decide by the tops of the columns or the outline where they moved, else by volume and surface.
 
-    The tops of its columns say more of a hedge than its highest voxels, of which few beams tell.
+    The tops of its columns say more of a plant than its highest voxels, of which few beams tell.
     """
     found = _excesses(plant, gate, rules, null)
-    columns, outline, top, volume, surface = (
-        found[m] for m in ("rise", "outline", "top", "volume", "surface")
-    )
+    columns, outline = found["rise"], found["outline"]
     known = math.isfinite(plant.rise)
-    first = [] if plant.thin else [columns, outline]
-    if abs(columns.strength) > 1 and not _is_followed(plant, columns, rules):
-        first = [m for m in first if m is not columns]
-    for measure in first:
+    extent = [] if plant.thin else [columns, outline]
+    for measure in extent:
         if abs(measure.strength) > 1:
             return _decision(plant, measure)
-    candidates = [top] if plant.thin else [volume, surface] if known else [top, volume, surface]
+    names = ("top",) if plant.thin else ("volume", "surface") if known else ("top", "volume", "surface")
+    candidates = [found[name] for name in names]
+    by_surface = _decide_by_surface(plant, candidates, extent, found, rules)
+    if by_surface is not None:
+        return by_surface
+    measured = [e for e in (*extent, *candidates) if math.isfinite(e.value)] or candidates
+    unchanged = _decision(plant, max(measured, key=lambda e: abs(e.strength)))
+    return unchanged if known else replace(unchanged, sigmas=0.0)  # a top that nobody saw may have moved
+
+
+def _decide_by_surface(
+    plant: PlantMeasures,
+    candidates: Sequence[_Excess],
+    extent: Sequence[_Excess],
+    found: dict[str, _Excess],
+    rules: ClassRules,
+) -> Decision | None:
+    """Decide by measures that rest on new and lost surface; None where none of them exceeds its limit."""
+    surface = found["surface"]
     fired = [e for e in candidates if abs(e.strength) > 1]
+    leaves = [e for e in fired if applies("extent_carries_surface", _is_foliage(plant, e, extent, rules))]
+    fired = [e for e in fired if e not in leaves]
     held = [
         e
         for e in fired
@@ -140,23 +165,32 @@ def _decide_whole(plant: PlantMeasures, gate: float, rules: ClassRules, null: Ve
     ]
     if held:
         rising = {e.strength > 0 for e in held}
-        upwards = volume.excess > 0 if len(rising) == 2 else rising == {True}
+        upwards = found["volume"].excess > 0 if len(rising) == 2 else rising == {True}
         return _decision(plant, max(held, key=lambda e: e.strength if upwards else -e.strength))
     if fired:
         return _without_surface(plant, max(fired, key=lambda e: abs(e.strength)), surface, rules)
-    measured = [e for e in (*first, *candidates) if math.isfinite(e.value)] or candidates
-    return _decision(plant, max(measured, key=lambda e: abs(e.strength)))
+    return _of_leaves(plant, max(leaves, key=lambda e: abs(e.strength))) if leaves else None
 
 
-@switchable("followed_columns", always)
-def _is_followed(plant: PlantMeasures, columns: _Excess, rules: ClassRules) -> bool:
-    """Tell whether the top of all points of a low plant moved with the median of its columns.
+def _is_foliage(plant: PlantMeasures, found: _Excess, extent: Sequence[_Excess], rules: ClassRules) -> bool:
+    """Tell whether surface appeared or disappeared in a plant of which neither tops nor outline followed.
 
-    Where few points tell of a column, the medians of two samplings differ although the plant is as high.
+    Leaves that fall open a crown to beams and leave its extent as it is.
     """
-    if math.isnan(plant.apparent):
-        return True
-    return math.copysign(1.0, columns.strength) * plant.apparent >= rules.followed * rules.height
+    part = plant.rise_of_part if found.strength > 0 else plant.fall_of_part
+    if part > rules.height:
+        return False
+    known = [e.strength for e in extent if math.isfinite(e.value)]
+    return bool(known) and max(math.copysign(1.0, found.strength) * s for s in known) < rules.followed
+
+
+def _of_leaves(plant: PlantMeasures, found: _Excess) -> Decision:
+    """Leave a plant unchanged whose surface changed while its tops and its outline did not."""
+    reason = (
+        f"{_compared(plant, found)} exceeds the limit of {_quantity(found.limit, found.unit, sign=False)},"
+        " but neither the top nor the outline of the plant followed: leaves differ, and no change is claimed."
+    )
+    return Decision(Change.UNCHANGED, reason, 1.0, 0.0)
 
 
 def _without_surface(plant: PlantMeasures, found: _Excess, surface: _Excess, rules: ClassRules) -> Decision:
@@ -186,22 +220,20 @@ def _excesses(
     found = {}
     for measure, limit in limits.items():
         expected = null.expected(plant, measure)
-        own = _own_sigma(plant, measure)
-        sd = max(expected.sd, own) if math.isfinite(own) else expected.sd
+        sd = _sigma(plant, measure, expected.sd)
         found[measure] = _Excess(measure, plant.value(measure), expected, max(limit, null.certain * sd), sd)
     return found
 
 
-@switchable("own_error_of_plants", lambda *_: math.nan)
-def _own_sigma(plant: PlantMeasures, measure: str) -> float:
-    """Return the standard error of a measure by the plant itself: of shares, that of a count of voxels.
+@switchable("own_error_of_plants", third_argument)
+def _sigma(plant: PlantMeasures, measure: str, scatter: float) -> float:
+    """Return the standard deviation of a measure of an unchanged plant: the scatter and its own error.
 
-    Neighbouring voxels of a surface are seen, or not, in pairs.
+    The own error of a share is that of a count of voxels: neighbouring voxels are seen, or not, in pairs.
     """
     if measure in ("volume", "surface"):
-        return math.sqrt(min(abs(plant.surface), 1.0) / max(0.5 * plant.voxels, 1.0))
-    own = {"outline": plant.outline_sigma, "rise": plant.rise_sigma, "top": plant.top_sigma}
-    return own[measure]
+        return max(scatter, math.sqrt(min(abs(plant.surface), 1.0) / max(0.5 * plant.voxels, 1.0)))
+    return math.hypot(scatter, plant.error(measure))
 
 
 _CONCLUSIONS = {

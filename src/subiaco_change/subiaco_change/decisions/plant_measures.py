@@ -17,11 +17,12 @@ from scipy.spatial import cKDTree
 from scipy.special import expit, logit
 
 from subiaco_change.decisions.measures import Measures, absence, mean_certainty, pooled
+from subiaco_change.decisions.plant_tops import EpochSpace, TopChange, TopConfig, change_of_tops
 from subiaco_change.decisions.vegetation_null import PlantMeasures, VegetationNullConfig
 from subiaco_change.decisions.voxel_objects import Certainty, Free, ObjectInstance
-from subiaco_change.instance_splitting.hedge_sections import NOTHING, Rise, column_rise
+from subiaco_change.instance_splitting.hedge_sections import NOTHING
 from subiaco_change.method_numbers import NUMBERS
-from subiaco_change.method_rules.switches import applies, never, switchable
+from subiaco_change.method_rules.switches import never, switchable
 from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
@@ -134,6 +135,7 @@ class PlantConfig(StrictModel):
         "epoch alone [m]",
     )
     outline: OutlineConfig = OutlineConfig()
+    tops: TopConfig = TopConfig()
     null_model: VegetationNullConfig = VegetationNullConfig()
 
 
@@ -157,12 +159,13 @@ def measure_plant(
     lost = min(lost, absence(before, (), free, certain))
     gained = free_shell(second, standing[0], free[0], config, certain[0])
     gained = min(gained, absence((), after, free, certain))
+    spaces = [EpochSpace(*known) for known in zip(standing, free, strict=True)]
+    tops = _tops(first, second, (spaces[0], spaces[1]), config)
     first, second, density = equal_density(first, second, config)
     outline = compare_outlines(first, second, config.outline)
     both = np.concatenate([first, second])
     heights = np.concatenate([t.voxels.height for t in (*before, *after)])
     low = bool(np.quantile(heights, 0.98) <= config.low)
-    rise = column_rise(before, after, standing) if applies("columns_of_hedges", low) else Rise()
     return PlantMeasures(
         kind="hedge" if low else "crown",
         density=density,
@@ -175,13 +178,23 @@ def measure_plant(
         top=measures.delta_h,
         volume=measures.delta_v / max(measures.volume, 1e-6),
         surface=measures.net_changed_fraction,
-        rise=rise.median,
-        rise_sigma=rise.sigma,
+        rise=tops.median,
+        rise_sigma=tops.sigma,
+        rise_of_part=tops.rise_of_part,
+        fall_of_part=tops.fall_of_part,
         free_gained=gained,
         free_lost=lost,
         apparent=_top(after) - _top(before),
         top_sigma=math.hypot(*(quantile_sigma(_heights(objects), _TOP) for objects in (before, after))),
     )
+
+
+@switchable("tops_of_columns", lambda *_: TopChange())
+def _tops(
+    before: Floats, after: Floats, spaces: tuple[EpochSpace, EpochSpace], config: PlantConfig
+) -> TopChange:
+    """Measure how far the tops of the columns of a plant moved."""
+    return change_of_tops(before, after, spaces, config.tops)
 
 
 def free_shell(

@@ -51,7 +51,7 @@ class PlantScatter(StrictModel):
         gt=0, description="Standard deviation of the fraction of new or gone surface of unchanged plants"
     )
     rise: float = Field(
-        gt=0, description="Standard deviation of the median rise of the columns of unchanged hedges [m]"
+        gt=0, description="Standard deviation of the median rise of the tops of unchanged plants [m]"
     )
 
 
@@ -63,11 +63,12 @@ class PlantMeasures:
     plant from its middle [m]; ``voxels``: of either epoch that the other observed; ``thin``: tall, and
     without a crown. NaN where not measured: ``outline`` [m], its standard error ``outline_sigma`` and its
     ``reach`` [m]; ``top`` [m] and its standard error ``top_sigma``; ``volume`` and ``surface`` as shares;
-    ``rise`` [m], the median rise of the columns of a low plant, and its standard error ``rise_sigma``;
+    ``rise`` [m], the median rise of the tops of its columns, and its standard error ``rise_sigma``;
     ``section`` and ``section_gate`` [m], the median rise of a section of the hedge and the limit that the
-    section passed. ``section_only``: the row is that section alone. ``free_gained`` and ``free_lost``:
-    probability that the surface that *after*, or *before*, alone has was free in the other epoch.
-    ``apparent``: change of the 98 % height of all its points, observed by the other epoch or not [m].
+    section passed. ``section_only``: the row is that section alone. ``rise_of_part`` and ``fall_of_part``
+    [m]: of the columns of a part of the plant. ``free_gained`` and ``free_lost``: probability that the
+    surface that *after*, or *before*, alone has was free in the other epoch. ``apparent``: change of the
+    98 % height of all its points, observed by the other epoch or not [m].
     """
 
     kind: PlantKind
@@ -86,6 +87,8 @@ class PlantMeasures:
     section: float = math.nan
     section_gate: float = math.nan
     section_only: bool = False
+    rise_of_part: float = 0.0
+    fall_of_part: float = 0.0
     free_gained: float = 1.0
     free_lost: float = 1.0
     apparent: float = math.nan
@@ -94,6 +97,12 @@ class PlantMeasures:
     def value(self, measure: str) -> float:
         """Return one of :data:`PLANT_MEASURES`."""
         return float(getattr(self, measure))
+
+    def error(self, measure: str) -> float:
+        """Return the standard error of a measure by the plant itself; 0 where it has none of its own."""
+        errors = {"outline": self.outline_sigma, "rise": self.rise_sigma, "top": self.top_sigma}
+        own = errors.get(measure, 0.0)
+        return 0.0 if math.isnan(own) else own
 
 
 class VegetationNullConfig(StrictModel):
@@ -211,8 +220,11 @@ def fit_null(plants: Sequence[PlantMeasures], config: VegetationNullConfig) -> V
             if np.count_nonzero(known) < config.plants:
                 continue
             places = np.array([_place(p) for p in own])[known]
-            order = np.lexsort((*places.T, values[known]))
-            fits[f"{kind}/{measure}"] = _fit(places[order], values[known][order], measure, config)
+            errors = np.array([p.error(measure) for p in own])[known]
+            order = np.lexsort((*places.T, errors, values[known]))
+            fits[f"{kind}/{measure}"] = _fit(
+                places[order], values[known][order], errors[order], measure, config
+            )
     return replace(no_null(config), fits=fits)
 
 
@@ -221,13 +233,16 @@ def _place(plant: PlantMeasures) -> Floats:
     return np.array([plant.density, math.log(plant.size)])
 
 
-def _fit(places: Floats, values: Floats, measure: str, config: VegetationNullConfig) -> NullFit:
+def _fit(
+    places: Floats, values: Floats, errors: Floats, measure: str, config: VegetationNullConfig
+) -> NullFit:
     """Fit one measure (N,) against covariates (N, 2), with plants that changed as a second component.
 
     A plant either did not change, and scatters normally about the model, or did, and follows a wide Cauchy
-    distribution. Among standard deviations from the least one upward, the one of the greatest posterior is
-    taken. Slopes are held near zero as far as ``slope`` says: few plants would else explain changes by their
-    size.
+    distribution. A plant scatters by its own standard error (N,) as well: few points of some plants do not
+    widen the scatter of the others. Among standard deviations from the least one upward, the one of the
+    greatest posterior is taken. Slopes are held near zero as far as ``slope`` says: few plants would else
+    explain changes by their size.
     """
     least = float(getattr(config.least, measure))
     low, high = (np.quantile(places, q, axis=0) for q in (0.05, 0.95))
@@ -235,29 +250,37 @@ def _fit(places: Floats, values: Floats, measure: str, config: VegetationNullCon
     design = np.column_stack([np.ones(len(values)), np.clip(places, low, high) - centre])
     tried = np.geomspace(least, max(float(np.ptp(values)), 2.0 * least), _SCATTERS)
     stated = float(getattr(config.stated, measure))
-    fits = [_with_scatter(design, values, float(sd), stated, config) for sd in tried]
+    fits = [_with_scatter(design, values, errors, float(sd), stated, config) for sd in tried]
     best = int(np.argmax([posterior for posterior, _ in fits]))
     a, b, c = (float(v) for v in fits[best][1])
     return NullFit((a, b, c), _pair(centre), _pair(low), _pair(high), float(tried[best]), len(values))
 
 
 def _with_scatter(
-    design: Floats, values: Floats, sd: float, stated: float, config: VegetationNullConfig
+    design: Floats,
+    values: Floats,
+    errors: Floats,
+    sd: float,
+    stated: float,
+    config: VegetationNullConfig,
 ) -> tuple[float, Floats]:
     """Return the log posterior of a standard deviation and the coefficients (3,) of its model, by EM."""
     found = np.array([_shortest_half_middle(values), 0.0, 0.0])
-    pull = np.diag([1e-9, (sd / config.slope) ** 2, (sd / config.slope) ** 2])
+    own = np.hypot(sd, errors)
+    precision = 1.0 / own**2
+    pull = np.diag([1e-9, config.slope**-2, config.slope**-2])
     changed, wide = config.changed_share, config.changed * stated
     posterior = -math.inf
     for _ in range(_ROUNDS):
         rest = values - design @ found
-        same = (1.0 - changed) * np.exp(-0.5 * (rest / sd) ** 2) / (sd * math.sqrt(2.0 * math.pi))
+        same = (1.0 - changed) * np.exp(-0.5 * (rest / own) ** 2) / (own * math.sqrt(2.0 * math.pi))
         other = changed / (math.pi * wide * (1.0 + (rest / wide) ** 2))
         last, posterior = posterior, float(np.log(same + other).sum())
         if posterior - last < _SETTLED:
             break
         weight = same / (same + other)
-        found = np.linalg.solve(design.T @ (design * weight[:, None]) + pull, design.T @ (weight * values))
+        trust = weight * precision
+        found = np.linalg.solve(design.T @ (design * trust[:, None]) + pull, design.T @ (trust * values))
         changed = (len(values) - float(weight.sum()) + _PRIOR_PLANTS * config.changed_share) / (
             len(values) + _PRIOR_PLANTS
         )

@@ -21,8 +21,6 @@ _POINTS = NUMBERS.hedge_sections.column_points
 _CELLS = NUMBERS.hedge_sections.section_columns
 _LENGTH = NUMBERS.hedge_sections.section_length
 _SEEN = NUMBERS.hedge_sections.observed_share
-_SMALL = NUMBERS.hedge_sections.whole_rise
-_PATCH = NUMBERS.hedge_sections.columns_per_patch
 _HELD = NUMBERS.hedge_sections.occupied_share
 
 #: Nothing stands.
@@ -54,7 +52,7 @@ def changed_sections(
     if np.quantile(heights, 0.98) > _LOW:
         return [], np.zeros((0, 2))
     first, second = (np.concatenate([t.xyz for t in objects]) for objects in (before, after))
-    corner, tops, _ = _tops(first, second)
+    corner, tops = _tops(first, second)
     rise = _smooth(tops[1] - tops[0])
     threshold = max(threshold, 1.96 * math.hypot(_roughness(tops[0]), _roughness(tops[1])))
     sections = []
@@ -74,45 +72,6 @@ def changed_sections(
     return sections, _middles(known + corner)
 
 
-@dataclass(frozen=True)
-class Rise:
-    """Median rise of the columns of a low plant, with its standard error [m]; NaN where unknown."""
-
-    median: float = math.nan
-    sigma: float = math.nan
-
-
-def column_rise(
-    before: Sequence[ObjectInstance],
-    after: Sequence[ObjectInstance],
-    standing: tuple[Floats, Floats] = (NOTHING, NOTHING),
-) -> Rise:
-    """Measure how far the tops of a low plant moved, over the columns that both epochs share.
-
-    Unknown where the epoch whose tops are lower has points of another class between the two, as for
-    :func:`changed_sections`, or did not observe what is higher in the other.
-    """
-    first, second = (np.concatenate([t.xyz for t in objects]) for objects in (before, after))
-    corner, tops, errors = _tops(first, second)
-    rise = tops[1] - tops[0]
-    cells = np.argwhere(np.isfinite(rise))
-    if len(cells) < _CELLS:
-        return Rise()
-    values = rise[tuple(cells.T)]
-    median = float(np.median(values))
-    scatter = 1.2533 * _spread(values - median) / math.sqrt(len(values))
-    sampling = float(np.sqrt(np.median(errors[tuple(cells.T)] ** 2) / max(len(values) / _PATCH, 1.0)))
-    found = Rise(median, max(scatter, sampling))
-    if abs(median) <= _SMALL:
-        return found
-    low, high = (tops if median > 0 else tops[::-1])[:, cells[:, 0], cells[:, 1]]
-    if _held(standing[int(median < 0)], cells + corner, low, high):
-        return Rise()
-    lower = tops[0] if median > 0 else tops[1]
-    seen = _observed(after if median > 0 else before, _middles(cells + corner), lower, cells)
-    return found if seen else Rise()
-
-
 def _spread(values: Floats) -> float:
     """Robust standard deviation of values (N,) about zero."""
     return 1.4826 * float(np.median(np.abs(values)))
@@ -123,11 +82,8 @@ def _middles(cells: Ints) -> Floats:
     return (cells.astype(np.float64) + 0.5) * _CELL
 
 
-def _tops(before: Floats, after: Floats) -> tuple[Ints, Floats, Floats]:
-    """Lowest column, tops (2, rows, columns) of two clouds (N, 3), and the error of their difference [m].
-
-    NaN where one of the clouds is thin. The error (rows, columns) is the standard deviation of the difference
-    of the highest of so many points of a uniform column.
+def _tops(before: Floats, after: Floats) -> tuple[Ints, Floats]:
+    """Lowest column, and tops (2, rows, columns) of two clouds (N, 3); NaN where one of the clouds is thin.
 
     The highest of m points stands at m / (m + 1) of the height, so that tops of which few points tell look
     lower. Both clouds are read at the quantile that the fewer have, and what is missing is added to both.
@@ -144,9 +100,7 @@ def _tops(before: Floats, after: Floats) -> tuple[Ints, Floats, Floats]:
     tops = np.array([_quantiles(z, key, share) for z, key in zip(heights, keys, strict=True)])
     known = fewest >= _POINTS
     whole = bottom + (tops - bottom) / np.where(known, share, 1.0)
-    spread = np.sqrt(2.0 / np.where(known, fewest * (fewest + 2.0), 1.0))
-    errors = np.where(known, (whole.max(axis=0) - bottom) * spread, np.nan).reshape(shape)
-    return corner, np.where(known, whole, np.nan).reshape(2, *shape), errors
+    return corner, np.where(known, whole, np.nan).reshape(2, *shape)
 
 
 def _quantiles(values: Floats, group: Ints, share: Floats) -> Floats:

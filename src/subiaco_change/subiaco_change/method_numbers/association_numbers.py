@@ -35,15 +35,6 @@ class HedgeSectionsNumbers(StrictModel):
         0.5,
         description="Fraction of the changed surface of a section that the other epoch must observe",
     )
-    whole_rise: float = Field(
-        0.2,
-        description="Change of the whole plant up to which the plant is not divided [m]",
-    )
-    columns_per_patch: float = Field(
-        4.0,
-        gt=0,
-        description="Number of neighbouring columns whose tops the same beams met, and whose errors are one",
-    )
     occupied_share: float = Field(
         0.5,
         description="Fraction of the columns of a section occupied by another object from which the "

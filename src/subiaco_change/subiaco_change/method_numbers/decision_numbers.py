@@ -218,7 +218,7 @@ class ObjectDecisionNumbers(StrictModel):
         2.0, description="Height above ground up to which the view of every survey reaches [m]"
     )
     beside_plant: float = Field(
-        1.0,
+        2.5,
         description="Distance from standing points of the other epoch within which a plant may be a part of a"
         " plant that both epochs have [m]",
     )

@@ -30,23 +30,36 @@ PLANT_RULES: tuple[Rule, ...] = (
         guards=True,
     ),
     Rule(
-        "followed_columns",
-        _PLANTS,
-        "The median of a hedge's columns counts only where the top of all points moved with it.",
-        ("decisions.vegetation.followed",),
-        guards=True,
+        "tops_of_columns",
+        ("comparison",),
+        "The tops of its columns, at equal point density, tell how a plant grew; voxels do not resolve that.",
+        (
+            "plants.tops.cell",
+            "plants.tops.points",
+            "plants.tops.upper",
+            "plants.tops.patch",
+            "plants.tops.part",
+        ),
     ),
     Rule(
-        "columns_of_hedges",
+        "space_above_tops",
         ("comparison",),
-        "The tops of its columns tell more of a low plant than its highest voxels.",
-        ("method_numbers.hedge_sections.whole_rise", "method_numbers.hedge_sections.columns_per_patch"),
+        "The tops of a plant count where the epoch with the lower top observed free space above that top.",
+        ("plants.tops.known", "plants.tops.above", "plants.tops.free"),
+        guards=True,
     ),
     Rule(
         "outline_of_plants",
         _PLANTS,
         "The median outline of a crown is compared before its top, volume and surface.",
         ("decisions.vegetation.outline",),
+    ),
+    Rule(
+        "extent_carries_surface",
+        _PLANTS,
+        "New or lost surface of a plant of which neither tops nor outline followed is a matter of leaves.",
+        ("decisions.vegetation.followed",),
+        guards=True,
     ),
     Rule(
         "surface_carries_change",
@@ -58,7 +71,7 @@ PLANT_RULES: tuple[Rule, ...] = (
     Rule(
         "top_contradicts",
         _PLANTS,
-        "A plant whose top of all points moved the other way did not change.",
+        "A plant whose top of all points moved the other way did not change, unless its columns say so.",
     ),
     Rule(
         "surface_was_free",

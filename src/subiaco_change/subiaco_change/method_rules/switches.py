@@ -156,6 +156,11 @@ def second_argument(_: Any, second: Any, *__: Any, **___: Any) -> Any:
     return second
 
 
+def third_argument(_: Any, __: Any, third: Any, *___: Any, **____: Any) -> Any:
+    """Return the third argument."""
+    return third
+
+
 def never(*_: Any, **__: Any) -> bool:
     """Return False."""
     return False

@@ -6,6 +6,7 @@ the unchanged plants of all tiles (Decision 18).
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
@@ -145,7 +146,7 @@ def decide_tile(inputs: Inputs, params: TileParams[PlantDecisionSlice]) -> TileR
     rows = list(compared.records)
     for found in compared.plants:
         decision = decide_plant(found.plant, found.lod, config.decisions, null)
-        free = place_was_free(decision, found.plant)
+        free = place_was_free(decision, found.plant, config.decisions)
         rows[found.row] = decided_anew(rows[found.row], decision, config.confidence, free)
     return TileRows(tuple(rows))
 
@@ -194,10 +195,17 @@ def compare_tile(inputs: Inputs, params: TileParams[ComparisonSlice]) -> TileCom
     )
     changes = compare_objects(views[0], views[1], regions[0].observed, regions[1].observed, rules)
     numbers = [number for _, number in compact]
+    around = _log_ratio(len(views[0].xyz), len(views[1].xyz))
     records = [
         _in_city(
             make_record(
-                change, 0, params.origin, _evidence(change, kinds), config.confidence, config.decisions
+                change,
+                0,
+                params.origin,
+                _evidence(change, kinds),
+                config.confidence,
+                config.decisions,
+                around,
             ),
             numbers,
         )
@@ -206,6 +214,11 @@ def compare_tile(inputs: Inputs, params: TileParams[ComparisonSlice]) -> TileCom
     before = RowPoints(tuple(regions[0].tiles), _points(regions[0], changes, "before"))
     after = RowPoints(tuple(regions[1].tiles), _points(regions[1], changes, "after"))
     return TileComparison(tuple(records), plants_of(changes), before, after)
+
+
+def _log_ratio(before: int, after: int) -> float:
+    """Return the log of the ratio of two numbers of points; 0 where one is none."""
+    return math.log(after / before) if min(before, after) > 0 else 0.0
 
 
 def object_rules(config: ComparisonSlice | ChangeConfig) -> ObjectRules:

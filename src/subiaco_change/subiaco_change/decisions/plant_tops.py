@@ -1,0 +1,223 @@
+"""Change of the tops of a plant: columns at equal point density, where both epochs saw the space above.
+
+Voxels of two epochs count as the same place within a distance that grows with the spacing of the points, so
+that they do not resolve half a metre of growth. The tops of columns do: each is read from as many points in
+both epochs, and what two samplings of an unchanged plant differ by is what the columns scatter.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from pydantic import Field
+from scipy.spatial import cKDTree
+from scipy.special import gammaln
+
+from subiaco_change.decisions.voxel_objects import Free
+from subiaco_change.method_rules.switches import switchable
+from subiaco_geo.config import StrictModel
+from subiaco_geo.frames import Floats, Ints
+
+
+class TopConfig(StrictModel):
+    """Columns in which the tops of plants are compared."""
+
+    cell: float = Field(0.75, gt=0, description="Edge of the columns in which tops are compared [m]")
+    points: int = Field(3, ge=1, description="Number of points that a column needs in each epoch")
+    columns: int = Field(3, ge=3, description="Number of columns that a comparison of tops needs")
+    upper: float = Field(
+        0.5,
+        gt=0,
+        le=1,
+        description="Fraction of the columns, the highest ones, whose tops are those of the plant",
+    )
+    known: float = Field(
+        0.2,
+        ge=0,
+        le=1,
+        description="Fraction of these columns above which the epoch with the lower top must have observed "
+        "free space; tops are those of such columns. Raise it to claim less",
+    )
+    above: float = Field(
+        0.5,
+        gt=0,
+        description="Height above the lower top at which its epoch must have observed free space [m]",
+    )
+    free: float = Field(
+        0.7, gt=0.5, lt=1, description="Probability of being free from which that space counts as observed"
+    )
+    patch: float = Field(
+        2.0,
+        gt=0,
+        description="Number of neighbouring columns whose tops the same beams met, and whose errors are one",
+    )
+    part: float = Field(
+        2.0,
+        gt=0,
+        description="Number of standard deviations of the other half of the columns by which the quarter "
+        "that moved most must exceed their median for a part of the plant to have moved",
+    )
+
+
+@dataclass(frozen=True)
+class EpochSpace:
+    """What an epoch knows of the space around a plant.
+
+    ``standing`` (N, 3): its points above the ground, of any class [m]. ``free``: how probable it finds
+    places (N, 3) free; None where all space counts as observed.
+    """
+
+    standing: Floats
+    free: Free | None = None
+
+
+@dataclass(frozen=True)
+class TopChange:
+    """Median rise of the tops of a plant, with its standard error [m]; NaN where it was not observed.
+
+    ``rise_of_part`` and ``fall_of_part`` [m]: how far the quarter of all its columns rose, or fell, that did
+    most, where that is beyond two standard deviations of the other half; 0 elsewhere.
+    """
+
+    median: float = math.nan
+    sigma: float = math.nan
+    rise_of_part: float = 0.0
+    fall_of_part: float = 0.0
+
+
+@dataclass(frozen=True)
+class _Columns:
+    """Columns of both epochs: cells (C, 2), tops (2, C) at equal density, highest points (2, C), in m."""
+
+    cells: Ints
+    tops: Floats
+    highest: Floats
+
+    def select(self, kept: np.ndarray) -> _Columns:
+        return _Columns(self.cells[kept], self.tops[:, kept], self.highest[:, kept])
+
+
+def change_of_tops(
+    before: Floats, after: Floats, spaces: tuple[EpochSpace, EpochSpace], config: TopConfig
+) -> TopChange:
+    """Measure how far the tops of the highest columns of a plant moved.
+
+    Parameters
+    ----------
+    before, after : (N, 3), (M, 3) float64
+        Points of the plant [m].
+    spaces : (EpochSpace, EpochSpace)
+        What *before* and *after* know of the space around it.
+    config : TopConfig
+
+    Returns
+    -------
+    TopChange
+        The error is that of a median over patches of columns.
+    """
+    columns = _shared_columns(before, after, config)
+    if len(columns.cells) < config.columns:
+        return TopChange()
+    rises = columns.tops[1] - columns.tops[0]
+    parts = [_of_part(sign * rises, config.part) for sign in (1.0, -1.0)]
+    middle = columns.tops.mean(axis=0)
+    columns = columns.select(middle >= np.quantile(middle, 1.0 - config.upper))
+    known = _known(columns, spaces, config)
+    if np.count_nonzero(known) < max(config.columns, config.known * len(known)):
+        return TopChange(rise_of_part=parts[0], fall_of_part=parts[1])
+    rises = (columns.tops[1] - columns.tops[0])[known]
+    median = float(np.median(rises))
+    spread = 1.4826 * float(np.median(np.abs(rises - median)))
+    patches = max(len(rises) / config.patch, 1.0)
+    return TopChange(median, 1.2533 * spread / math.sqrt(patches), *parts)
+
+
+def _of_part(rises: Floats, certain: float) -> float:
+    """Return the upper quartile of rises (C,) if the scatter of the lower half does not explain it."""
+    low, middle, high = np.quantile(rises, [0.25, 0.5, 0.75]).tolist()
+    sd = 1.4826 * (middle - low)  # of a normal distribution with this lower quartile
+    return float(high) if high > middle + certain * sd else 0.0
+
+
+def _shared_columns(before: Floats, after: Floats, config: TopConfig) -> _Columns:
+    """Return the columns with enough points in both epochs."""
+    places = np.floor(np.concatenate([before, after])[:, :2] / config.cell).astype(np.int64)
+    cells, slot = np.unique(places, axis=0, return_inverse=True)
+    slots = np.split(slot.reshape(-1), [len(before)])
+    counts = np.array([np.bincount(s, minlength=len(cells)) for s in slots])
+    fewest = counts.min(axis=0)
+    heights = before[:, 2], after[:, 2]
+    tops = np.array([expected_top(z, s, fewest) for z, s in zip(heights, slots, strict=True)])
+    highest = np.full((2, len(cells)), -np.inf)
+    for epoch, (z, s) in enumerate(zip(heights, slots, strict=True)):
+        np.maximum.at(highest[epoch], s, z)
+    return _Columns(cells, tops, highest).select(fewest >= config.points)
+
+
+def expected_top(heights: Floats, column: Ints, drawn: Ints) -> Floats:
+    """Return the expected height of the highest of a number of points drawn from every column (C,).
+
+    Of n points of a column, m are drawn: the k-th lowest is the highest of them in C(k-1, m-1) of C(n, m)
+    draws. Two epochs of which as many points are drawn differ by their tops, not by their densities.
+
+    Parameters
+    ----------
+    heights : (N,) float64
+    column : (N,) int
+        Column of every point.
+    drawn : (C,) int
+        Number of points drawn from every column; 0 where a column has none.
+    """
+    order = np.lexsort((heights, column))
+    height, column = heights[order], column[order]
+    count = np.bincount(column, minlength=len(drawn))
+    rank = np.arange(len(height)) - (np.cumsum(count) - count)[column] + 1
+    n, m = count[column], drawn[column]
+    chosen = (rank >= m) & (m > 0)
+    rank, n, m = rank[chosen], n[chosen], m[chosen]
+    ways = gammaln(rank) - gammaln(m) - gammaln(rank - m + 1)
+    total = gammaln(n + 1) - gammaln(m + 1) - gammaln(n - m + 1)
+    share = np.exp(ways - total)
+    return np.asarray(np.bincount(column[chosen], height[chosen] * share, minlength=len(drawn)), np.float64)
+
+
+@switchable("space_above_tops", lambda columns, *_: np.ones(len(columns.cells), dtype=bool))
+def _known(columns: _Columns, spaces: tuple[EpochSpace, EpochSpace], config: TopConfig) -> np.ndarray:
+    """Tell of which columns (C,) the epoch with the lower top knows that nothing stood above it.
+
+    Above that top it observed free space, and no point of another class reaches into the difference.
+    """
+    lower_before = columns.tops[0] <= columns.tops[1]
+    known = np.ones(len(columns.cells), dtype=bool)
+    middles = (columns.cells + 0.5) * config.cell
+    for epoch, mine in enumerate((lower_before, ~lower_before)):
+        if not mine.any():
+            continue
+        space, top = spaces[epoch], columns.highest[epoch]
+        known[mine] &= ~_other_class_above(columns.cells, columns.tops, top, space.standing, config)[mine]
+        if space.free is not None:
+            above = np.column_stack([middles, top + config.above])[mine]
+            known[mine] &= space.free(above) >= config.free
+    return known
+
+
+def _other_class_above(
+    cells: Ints, tops: Floats, own: Floats, standing: Floats, config: TopConfig
+) -> np.ndarray:
+    """Tell in which columns (C,) points (N, 3) above the ``own`` top reach between two tops (2, C)."""
+    held = np.zeros(len(cells), dtype=bool)
+    near = (
+        (standing[:, :2] >= cells.min(axis=0) * config.cell)
+        & (standing[:, :2] < (cells.max(axis=0) + 1) * config.cell)
+    ).all(axis=1)
+    xyz = standing[near]
+    if len(xyz) == 0:
+        return held
+    distance, slot = cKDTree(cells).query(np.floor(xyz[:, :2] / config.cell), distance_upper_bound=0.5)
+    xyz, slot = xyz[np.isfinite(distance)], slot[np.isfinite(distance)]
+    low, high = tops.min(axis=0)[slot], tops.max(axis=0)[slot]
+    between = (xyz[:, 2] > np.maximum(0.5 * (low + high), own[slot] + 1e-6)) & (xyz[:, 2] < high + 0.1)
+    held[slot[between]] = True
+    return held

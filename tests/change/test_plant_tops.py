@@ -1,0 +1,85 @@
+"""Tops of plants, column by column at equal density, where the space above was observed."""
+
+from __future__ import annotations
+
+import itertools
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from subiaco_change.decisions.plant_tops import EpochSpace, TopConfig, change_of_tops, expected_top
+from subiaco_change.method_rules.switches import rules_switched_off
+
+CONFIG = TopConfig()
+NOTHING = EpochSpace(np.zeros((0, 3)))
+
+
+def crown(seed, points=3000, top=9.0, height=4.0, radius=2.5, x=0.0):
+    """Points in an ellipsoid of foliage, more of them in its skin."""
+    rng = np.random.default_rng(seed)
+    way = rng.normal(size=(points, 3))
+    way /= np.linalg.norm(way, axis=1, keepdims=True)
+    reach = rng.uniform(0.5, 1.0, (points, 1)) ** 0.5
+    return way * reach * [radius, radius, 0.5 * height] + [x, 0.0, top - 0.5 * height]
+
+
+def test_the_expected_top_of_a_draw_is_the_mean_over_all_draws():
+    heights = np.array([1.0, 4.0, 2.5, 7.0, 3.0])
+    for drawn in (1, 2, 3, 5):
+        mean = np.mean([max(heights[list(draw)]) for draw in itertools.combinations(range(5), drawn)])
+        found = expected_top(heights, np.zeros(5, dtype=int), np.array([drawn]))
+        assert found == pytest.approx([mean])
+
+
+@pytest.mark.parametrize("rise", [-0.7, -0.4, 0.4, 0.7])
+@pytest.mark.parametrize("points", [(900, 3000), (3000, 900)])
+def test_a_crown_that_grew_or_was_topped_is_measured_whatever_the_densities(rise, points):
+    before = crown(1, points[0])
+    after = crown(2, points[1], top=9.0 + rise, height=4.0 + rise)
+    found = change_of_tops(before, after, (NOTHING, NOTHING), CONFIG)
+    assert found.median == pytest.approx(rise, abs=0.15)
+    assert abs(found.median) > 2 * found.sigma
+
+
+def test_density_alone_moves_no_top_and_its_error_says_how_far_it_could():
+    beyond = []
+    for seed in range(40):
+        pair = crown(2 * seed, 500), crown(2 * seed + 1, 4000)
+        found = change_of_tops(*pair, (NOTHING, NOTHING), CONFIG)
+        beyond.append(abs(found.median) > 3 * np.hypot(found.sigma, 0.03))
+    assert np.mean(beyond) <= 0.05
+
+
+def test_a_top_above_the_view_of_the_other_epoch_is_not_known():
+    before, after = crown(1), crown(2)
+    cut = before[before[:, 2] < 8.2]  # its view ended there
+
+    def free(xyz):
+        return np.where(xyz[:, 2] < 8.2, 0.9, 0.5)
+
+    blind = EpochSpace(np.zeros((0, 3)), free)
+    assert np.isnan(change_of_tops(cut, after, (blind, NOTHING), CONFIG).median)
+    with rules_switched_off(["space_above_tops"]):
+        assert change_of_tops(cut, after, (blind, NOTHING), CONFIG).median > 0.2
+    open_sky = replace(blind, free=lambda xyz: np.full(len(xyz), 0.9))
+    assert change_of_tops(cut, after, (open_sky, NOTHING), CONFIG).median > 0.2
+
+
+def test_points_of_another_class_between_the_tops_contradict_growth():
+    before, after = crown(1), crown(2, top=9.6, height=4.6)
+    lost = crown(3, top=9.6, height=4.6)
+    other = EpochSpace(lost[lost[:, 2] > 8.0])
+    assert change_of_tops(before, after, (NOTHING, NOTHING), CONFIG).median > 0.4
+    assert np.isnan(change_of_tops(before, after, (other, NOTHING), CONFIG).median)
+
+
+def test_a_part_that_rose_is_told_from_scatter():
+    before = np.concatenate([crown(1), crown(2, x=5.0), crown(3, x=10.0)])
+    grown = crown(4, top=10.5, height=5.5, x=10.0)
+    same = np.concatenate([crown(5), crown(6, x=5.0)])
+    found = change_of_tops(before, np.concatenate([same, grown]), (NOTHING, NOTHING), CONFIG)
+    assert found.rise_of_part > 0.3
+    assert found.fall_of_part == 0.0
+    still = change_of_tops(before, np.concatenate([same, crown(7, x=10.0)]), (NOTHING,) * 2, CONFIG)
+    assert (still.rise_of_part, still.fall_of_part) == (0.0, 0.0)
