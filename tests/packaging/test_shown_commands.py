@@ -101,6 +101,7 @@ def world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[World]:
 
 
 @pytest.mark.slow
+@pytest.mark.timeout(1200)
 @pytest.mark.parametrize("line", RUN, ids=lambda line: line.name)
 def test_a_command_that_a_page_shows_runs(
     line: Shown, world: World, capfd: pytest.CaptureFixture[str]
