@@ -2,12 +2,18 @@
 """Simple and learned methods beside ours: on reporting seeds, and untouched on other sensors and a real pair.
 
     make learned
-    python tests/benchmarks/bench_learned.py out/learned --surveys sim/default_1 sim/hard_1 sim/easy_1 \
-        --bare foreign/default_101=sim/default_101 --site $SUBIACO_TEST_DATA
+    python tests/benchmarks/bench_learned.py out/learned --surveys sim/easy_1 sim/default_1 sim/hard_1 \
+        --suburb sim/suburb_101 --dense sim/dense_101 \
+        --bare sim/easy_101 sim/default_101 sim/suburb_101 --site $SUBIACO_TEST_DATA
 
-A survey is an output of ``subiaco simulate --maps-only``. A bare pair is a folder with one cloud named
-before.* and one named after.*, and the survey that holds its truth. Every method takes the registration
-that 'subiaco change' found. What is there in the work folder is not run again, so a stopped run goes on.
+One row alone, on one survey, beside the row that the intervals refer to, as a page of its own:
+
+    python tests/benchmarks/bench_learned.py out/row --surveys sim/easy_1 --methods dsm siamese-kpconv \
+        --page out/row.md
+
+A survey is an output of ``subiaco simulate --maps-only``. Bare clouds are made of one as
+``bench_evidence_matrix.py`` makes them. Every method takes the registration that 'subiaco change' found.
+What is there in the work folder is not run again, so a stopped run goes on.
 A learned method takes the weights that are shipped; ``--also ROW=FILE`` adds a row of other weights.
 """
 
@@ -24,6 +30,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from bench_evidence_matrix import ENDINGS, write_foreign
 from bench_real import revision
 from bench_real_site import read_site, score
 from bench_real_site import read_truth as read_drawn
@@ -72,12 +79,25 @@ _GROUPS = {
 No method was tuned, trained or chosen on these surveys: {names}. Cells of 0.5 m, the published protocol,
 all surveys pooled.
 """,
-    "bare": """## Another sensor, bare clouds
+    "suburb": """## Streets of another generator
 
-The clouds have no trajectory and another sensor: {names}. No network saw these streets or this sensor; the
-networks are untouched.
+The networks learned streets of the presets `easy`, `default` and `hard`. A second generator drew the streets
+of {names} (preset `suburb`): no network was trained on them. The rules of `subiaco` were tuned on this
+family.
+""",
+    "dense": """## Streets that nothing was tuned on
+
+No network was trained, no rule tuned and no single error looked at on streets of the preset `dense`: {names}.
+The seed is one of those by which the method is watched while rules are written.
+""",
+    "bare": """## Bare clouds, another sensor
+
+Clouds without trajectory, normals and visibility, thinned anew at 0.2 m (*before*) and 0.3 m (*after*), as
+another program delivers them: {names}. The streets of `suburb` were seen with other sensors, OS0-32 before
+and OS1-128 after. No network was trained on these streets, sensors or grids; the networks are untouched.
 """,
 }
+_SURVEYS = ("surveys", "suburb", "dense")  # groups of cases that are outputs of 'subiaco simulate'
 _SITE = """## A real building site
 
 One real site, seen twice by a handheld scanner (MultiChange3D), scored against what was drawn by eye. An
@@ -96,19 +116,18 @@ class Case:
     truth: Path
 
 
-def survey_case(path: Path) -> Case:
+def survey_case(path: Path, group: str = "surveys") -> Case:
     """Return the case of a simulated survey."""
-    return Case("surveys", path.name, path / "before", path / "after", path)
+    return Case(group, path.name, path / "before", path / "after", path)
 
 
-def bare_case(words: str) -> Case:
-    """Return the case of ``FOLDER=SURVEY``."""
-    folder, _, truth = words.partition("=")
-    clouds = [
-        next(p for p in sorted(Path(folder).glob(f"{epoch}.*")) if p.suffix in {".ply", ".laz", ".las"})
-        for epoch in ("before", "after")
-    ]
-    return Case("bare", Path(folder).name, clouds[0], clouds[1], Path(truth))
+def bare_case(survey: Path, work: Path) -> Case:
+    """Return the case of the bare clouds of a survey, which are made where they are missing."""
+    folder = work / "bare" / survey.name / "clouds"
+    if not (folder / "after.tum").is_file():
+        write_foreign(survey, folder)
+    clouds = [folder / f"{epoch}.{ending}" for epoch, ending in ENDINGS.items()]
+    return Case("bare", survey.name, clouds[0], clouds[1], survey)
 
 
 def run_ours(case: Case, work: Path) -> Path:
@@ -220,14 +239,18 @@ def training_rows(methods: Sequence[str], also: Mapping[str, Path]) -> list[dict
     for method in methods:
         record = read_record(also.get(method, SHIPPED / f"{method}.npz"))
         points = record["method"] in POINT_METHODS
-        settings = record["config"]["point_training" if points else "raster_training"]
+        part = "point_training" if points else "raster_training"
         inputs = ["1", *record["config"]["point_network"]["features"]] if points else ["heights"]
+        parts = [*record.get("earlier", []), record]
+        begun = sum(r["epochs"] for r in parts[:-1])
         rows.append({
             "method": method, "parameters": record["parameters"], "input": ", ".join(inputs),
             "learned on": ", ".join(record["surveys"]),
-            "validated on": ", ".join(record["validation_surveys"]), "epochs": record["epochs"],
-            "cylinders or patches": record["epochs"] * settings["samples"], "hours": record["hours"],
-            "best epoch": record["best_epoch"] + 1, "validation mIoU %": record["validation_miou_percent"],
+            "validated on": ", ".join(record["validation_surveys"]), "epochs": begun + record["epochs"],
+            "cylinders or patches": sum(r["epochs"] * r["config"][part]["samples"] for r in parts),
+            "hours": round(sum(r["hours"] for r in parts), 3), "best epoch": begun + record["best_epoch"] + 1,
+            "validation mIoU %": record["validation_miou_percent"],
+            "moving objects": record.get("moving_objects", "left out" if points else "unchanged"),
             "power of the shares": record["prior_power"],
             "seed": record["config"]["seed"], "revision": record["revision"],
         })  # fmt: skip
@@ -275,21 +298,25 @@ def main() -> None:
     )
     parser.add_argument("work", type=Path)
     parser.add_argument("--surveys", type=Path, nargs="*", default=[])
-    parser.add_argument("--bare", nargs="*", default=[], metavar="FOLDER=SURVEY")
+    parser.add_argument("--suburb", type=Path, nargs="*", default=[])
+    parser.add_argument("--dense", type=Path, nargs="*", default=[])
+    parser.add_argument("--bare", type=Path, nargs="*", default=[])
     parser.add_argument("--site", type=Path, metavar="DATA", help="folder that holds real_pair_site")
+    parser.add_argument("--methods", nargs="*", help="rows to run beside ours; all without it")
     parser.add_argument("--also", nargs="*", default=[], metavar="ROW=WEIGHTS", help="rows of other weights")
     parser.add_argument("--remarks", type=Path, help="text file; a line is a remark below the tables")
     parser.add_argument("--page", type=Path, default=PAGE)
     parser.add_argument("--finished", action="store_true", help="run nothing; write what was run before")
     given = parser.parse_args()
-    methods, absent = available([*METHODS, PDAL_METHOD, *LEARNED_METHODS])
+    methods, absent = available(given.methods or [*METHODS, PDAL_METHOD, *LEARNED_METHODS])
     also = {name: Path(path) for name, _, path in (words.partition("=") for words in given.also)}
     learned = [*(m for m in methods if m in LEARNED_METHODS), *also]
     methods = [*methods, *also]
     day = dt.datetime.now(dt.UTC).date().isoformat()
     found: dict[str, Any] = {"day": day, "revision": revision(), "absent": absent}
     found["training"] = training_rows(learned, also)
-    cases = [*map(survey_case, given.surveys), *map(bare_case, given.bare)]
+    cases = [survey_case(path, group) for group in _SURVEYS for path in getattr(given, group)]
+    cases += [bare_case(path, given.work) for path in given.bare]
     for group in _GROUPS:
         chosen, able = [case for case in cases if case.group == group], methods
         if given.finished:

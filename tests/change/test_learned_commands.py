@@ -14,7 +14,7 @@ from subiaco_bringup.cli.commands_evaluation import Learned, Method
 from subiaco_bringup.cli.main import run
 from subiaco_change.outputs.directory import read_change_directory
 from subiaco_evaluation.baselines.config import M3c2Config
-from subiaco_evaluation.baselines.pdal import pipeline
+from subiaco_evaluation.baselines.pdal import pipeline, require_pdal
 from subiaco_evaluation.baselines.run import ALL_METHODS
 from subiaco_evaluation.learned.config import TrainingConfig
 from subiaco_evaluation.learned.jobs import training_job
@@ -145,8 +145,15 @@ def test_the_pipeline_names_every_cloud_once_and_the_settings_of_m3c2(tmp_path):
 
 
 @pytest.mark.usefixtures("no_pages")
-def test_what_pdal_computes_becomes_a_change_directory(clouds, tmp_path, fake_pdal):
-    fake_pdal()
+@pytest.mark.parametrize("program", ["fake", "installed"])
+def test_what_pdal_computes_becomes_a_change_directory(clouds, tmp_path, fake_pdal, program):
+    if program == "fake":
+        fake_pdal()
+    else:
+        try:
+            require_pdal()
+        except InputError as error:
+            pytest.skip(str(error))
     out = tmp_path / "out"
     words = ["baseline", "pdal-m3c2", *map(str, clouds), "-o", str(out), "--registration", "identity", "-q"]
     assert run(words) == 0

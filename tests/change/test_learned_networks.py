@@ -13,12 +13,13 @@ from subiaco_evaluation.learned.labels import to_classes
 from subiaco_evaluation.learned.pyramids import build_pyramid
 from subiaco_evaluation.learned.sampling import cut_pair
 from subiaco_evaluation.learned.surveys import PointPair, RasterPair
-from subiaco_evaluation.learned.weights_file import SHIPPED, read_record
+from subiaco_evaluation.learned.weights_file import SHIPPED, read_record, read_weights, write_weights
 from subiaco_geo.codes import Change
 from subiaco_geo.errors import InputError
 
 torch = pytest.importorskip("torch", reason="PyTorch is not installed: make learned")
 
+from subiaco_evaluation.learned import training  # noqa: E402
 from subiaco_evaluation.learned.batches import Neighbourhood, collate, neighbourhood  # noqa: E402
 from subiaco_evaluation.learned.deep_clustering import ClusterTask, spherical_k_means  # noqa: E402
 from subiaco_evaluation.learned.kpconv import Bottleneck, KernelPointConvolution, gather  # noqa: E402
@@ -29,15 +30,18 @@ from subiaco_evaluation.learned.tasks import (  # noqa: E402
     POWERS,
     PointTask,
     RasterTask,
+    Validation,
     prior_factors,
     score_validation,
     task_loss,
 )
 from subiaco_evaluation.learned.training import (  # noqa: E402
     State,
+    begin,
     model_arrays,
     read_checkpoint,
     run_epoch,
+    train,
     write_checkpoint,
 )
 
@@ -176,9 +180,9 @@ def test_a_raster_network_learns_one_patch_by_heart(method):
     assert all(p.grad is not None for p in model.parameters())
 
 
-def tiny_training(**settings):
-    steps = {"epochs": 2, "samples": 2, "batch": 2}
-    raster = RasterNetworkConfig(width=2, patch=32)
+def tiny_training(epochs=2, width=2, **settings):
+    steps = {"epochs": epochs, "samples": 2, "batch": 2}
+    raster = RasterNetworkConfig(width=width, patch=32)
     return TrainingConfig(
         point_network=TINY, raster_network=raster, point_training=steps, raster_training=steps,
         validation_samples=2, **settings,
@@ -225,6 +229,93 @@ def test_a_training_that_was_stopped_goes_on_as_if_it_had_not_been(make, tmp_pat
     run_epoch(second, resumed, 0.01, 100.0, (0, 1))
     for name, value in model_arrays(whole).items():
         assert np.array_equal(value, model_arrays(second)[name]), name
+
+
+def raster_job(folder, start=None):
+    return TrainingJob("dsm-siamese", (folder / "a",), (folder / "b",), folder / "w.npz", start=start)
+
+
+@pytest.fixture
+def scored(monkeypatch):
+    """Trainings of a tiny raster network whose validation scores are given."""
+    seen = []
+
+    def install(scores):
+        left = iter(scores)
+
+        def score(task):
+            seen.append(model_arrays(task))
+            return Validation(0.5, next(left), 0.25)
+
+        monkeypatch.setattr(training, "make_task", lambda _job, config, _say: raster_task(config.seed))
+        monkeypatch.setattr(training, "score_validation", score)
+        return seen
+
+    return install
+
+
+def silent(_name, _share):
+    """Say nothing."""
+
+
+def equal(first, second):
+    return all(np.array_equal(value, second[name]) for name, value in first.items())
+
+
+def test_a_training_ends_when_its_score_no_longer_rises_and_keeps_the_best_weights(scored, tmp_path):
+    seen = scored([0.3, 0.5, 0.4, 0.4, 0.9])
+    record = train(raster_job(tmp_path), tiny_training(epochs=5, patience=2), silent)
+    assert (record["epochs"], record["best_epoch"], record["validation_miou_percent"]) == (4, 1, 50.0)
+    write_weights(tmp_path / "best.npz", seen[1], record)
+    assert equal(*(read_weights(tmp_path / name, "dsm-siamese")[0] for name in ("w.npz", "best.npz")))
+    assert len((tmp_path / "w.curve.csv").read_text().splitlines()) == 5
+    assert (tmp_path / "w.curve.png").stat().st_size > 1000
+    assert not (tmp_path / "w.npz.training").exists()
+
+
+def test_a_killed_training_goes_on_by_the_same_command_to_the_same_weights(scored, tmp_path):
+    class Killed(BaseException):
+        pass
+
+    def kill(_name, share):
+        if share < 1.0:
+            raise Killed
+
+    rising = [0.1, 0.2]
+    (tmp_path / "whole").mkdir()
+    scored(rising)
+    train(raster_job(tmp_path / "whole"), tiny_training(), silent)
+    scored(rising)
+    with pytest.raises(Killed):
+        train(raster_job(tmp_path), tiny_training(), kill)
+    assert not (tmp_path / "w.npz").exists()
+    scored(rising[1:])
+    record = train(raster_job(tmp_path), tiny_training(), kill)
+    assert (record["epochs"], record["best_epoch"]) == (2, 1)
+    assert equal(*(read_weights(tmp_path / n, "dsm-siamese")[0] for n in ("w.npz", "whole/w.npz")))
+
+
+def test_a_training_that_begins_with_weights_keeps_them_unless_it_scores_higher(scored, tmp_path):
+    scored([0.1, 0.2])
+    first = train(raster_job(tmp_path), tiny_training(), silent)
+    (tmp_path / "w.npz").rename(tmp_path / "start.npz")
+    seen = scored([0.6, 0.5, 0.5])
+    seen.clear()
+    record = train(raster_job(tmp_path, tmp_path / "start.npz"), tiny_training(seed=3), silent)
+    begun = read_weights(tmp_path / "start.npz", "dsm-siamese")[0]
+    assert equal(begun, seen[0])
+    assert not equal(begun, seen[1])
+    assert equal(begun, read_weights(tmp_path / "w.npz", "dsm-siamese")[0])
+    assert record["best_epoch"] == -1
+    assert [e["score_at_the_start"] for e in record["earlier"]] == [60.0]
+    assert record["earlier"][0]["epochs"] == first["epochs"]
+
+
+def test_weights_of_other_sizes_are_refused_to_begin_with(scored, tmp_path):
+    scored([0.1, 0.2])
+    train(raster_job(tmp_path), tiny_training(), silent)
+    with pytest.raises(InputError, match="other settings of raster_network"):
+        begin(raster_task(), tiny_training(width=4), tmp_path / "w.npz")
 
 
 def test_a_checkpoint_of_another_training_is_refused(tmp_path):

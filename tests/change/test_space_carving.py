@@ -1,5 +1,7 @@
 """Space carving of buildings: what was seen bounds what can have changed."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -87,10 +89,21 @@ def extended(side=True, gone=()):
     return CarvingEpoch(old.add(new), seen(*known), nothing_met)
 
 
-def test_a_house_that_both_saw_alike_has_not_changed():
+def test_a_house_that_both_saw_alike_has_not_changed_by_more_than_the_resolution():
     found = carve(epoch(house(), PLAIN), epoch(house(), PLAIN), CONFIG)
     assert (found.volume.low, found.volume.high) == (0.0, 0.0)
-    assert (found.height.low, found.height.high) == pytest.approx((0.0, 0.0))
+    half = 0.25 * CONFIG.cell
+    assert (found.height.low, found.height.high) == pytest.approx((-half, half))
+    assert found.resolution == pytest.approx(half * LENGTH * DEPTH, rel=0.2)
+
+
+@pytest.mark.parametrize("rise", [0.02, 0.06, 0.12])
+def test_a_rise_below_the_resolution_lies_within_the_stated_bounds(rise):
+    before, after = epoch(house(), PLAIN), epoch(house(), PLAIN)
+    raised = replace(after.voxels, height=after.voxels.height + rise)
+    found = carve(before, replace(after, voxels=raised), CONFIG)
+    assert found.height.low <= rise <= found.height.high
+    assert found.volume.widened(found.resolution).high >= 0.9 * rise * LENGTH * DEPTH
 
 
 def test_a_wing_five_metres_deep_of_which_two_walls_were_seen_has_its_volume():
@@ -172,7 +185,7 @@ def test_a_storey_needs_free_space_above_the_old_roof():
     grown = voxels(*before).add(voxels(*(wall[wall[:, 2] > TALL] for wall in after), occupied_in_other=False))
     taller = CarvingEpoch(grown, high, nothing_met)
     known = carve(epoch(before, PLAIN), taller, CONFIG)
-    assert known.height.low == pytest.approx(2.5, abs=0.1)
+    assert known.height.middle == pytest.approx(2.5, abs=0.1)
     blind = carve(epoch(before, seen("street")), taller, CONFIG)
     assert blind.height.low <= 0.0 <= blind.height.high
     lost = carve(taller, epoch(before, seen("street")), CONFIG)

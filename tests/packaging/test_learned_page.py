@@ -15,7 +15,7 @@ FOLDER = Path(__file__).parents[1] / "benchmarks"
 @pytest.fixture
 def bench(monkeypatch):
     monkeypatch.syspath_prepend(str(FOLDER))
-    for name in ("bench_learned", "bench_real", "bench_real_site", "tabulated"):
+    for name in ("bench_learned", "bench_evidence_matrix", "bench_real", "bench_real_site", "tabulated"):
         monkeypatch.delitem(sys.modules, name, raising=False)
     import bench_learned
 
@@ -49,11 +49,21 @@ def test_the_page_shows_every_table_and_names_methods_that_were_not_run(bench):
     assert text.endswith("* A sentence.\n")
 
 
-def test_a_bare_case_is_one_cloud_for_each_epoch_and_the_survey_of_its_truth(bench, tmp_path):
-    for name in ("before.ply", "before.tum", "after.laz", "after.tum"):
-        (tmp_path / name).touch()
-    case = bench.bare_case(f"{tmp_path}=sim/a")
-    assert (case.before.name, case.after.name, case.truth) == ("before.ply", "after.laz", Path("sim/a"))
+def test_bare_clouds_of_a_survey_are_made_once(bench, tmp_path, monkeypatch):
+    made = []
+
+    def write(survey, folder):
+        made.append((survey, folder))
+        folder.mkdir(parents=True)
+        (folder / "after.tum").touch()
+
+    monkeypatch.setattr(bench, "write_foreign", write)
+    cases = [bench.bare_case(Path("sim/a"), tmp_path) for _ in range(2)]
+    folder = tmp_path / "bare" / "a" / "clouds"
+    assert made == [(Path("sim/a"), folder)]
+    assert cases[0] == cases[1]
+    assert (cases[0].before, cases[0].after) == (folder / "before.ply", folder / "after.laz")
+    assert (cases[0].group, cases[0].truth) == ("bare", Path("sim/a"))
 
 
 def test_a_method_whose_program_is_missing_is_named_and_left_out(bench, monkeypatch, tmp_path):
@@ -69,3 +79,22 @@ def test_a_row_of_other_weights_runs_the_method_that_their_record_names(bench, t
     method, settings = bench.resolve("signed", also)
     assert (method, settings.learned.weights) == ("dsm-siamese", str(tmp_path / "w.npz"))
     assert bench.resolve("dsm", also) == ("dsm", BaselineConfig())
+
+
+def test_a_training_that_began_with_weights_counts_from_its_first_cylinder(bench, tmp_path):
+    config = {
+        "seed": 0,
+        "point_network": {"features": ["height"]},
+        "point_training": {"samples": 100},
+    }
+    part = {"config": config, "epochs": 3, "hours": 0.5, "revision": "old"}
+    record = {
+        **part, "method": "siamese-kpconv", "parameters": 7, "surveys": ["a", "b"],
+        "validation_surveys": ["c"], "best_epoch": 1,
+        "validation_miou_percent": 50.0, "prior_power": 0.25, "moving_objects": "unchanged",
+        "earlier": [{**part, "epochs": 4}],
+    }  # fmt: skip
+    write_weights(tmp_path / "w.npz", {"a": np.zeros(2)}, record)
+    (row,) = bench.training_rows(["row"], {"row": tmp_path / "w.npz"})
+    assert (row["epochs"], row["cylinders or patches"], row["hours"], row["best epoch"]) == (7, 700, 1.0, 6)
+    assert (row["input"], row["learned on"], row["moving objects"]) == ("1, height", "a, b", "unchanged")

@@ -117,8 +117,8 @@ class FusionNumbers(StrictModel):
     )
     fragment_share: float = Field(
         0.8,
-        description="Fraction of the points of a group that must lie beside points of a moving object, so that "
-        "the group is a fragment of that object",
+        description="Fraction of the points of a group that must lie beside points of a moving object for "
+        "the group to be a fragment of it",
     )
     fragment_moved: float = Field(
         0.85,

@@ -120,6 +120,13 @@ def train(
         Path | None,
         typer.Option(metavar="DIR", help="Folder of prepared surveys that several trainings share."),
     ] = None,
+    start: Annotated[
+        Path | None,
+        typer.Option(
+            metavar="WEIGHTS",
+            help="Trained weights of the same network to begin with.",
+        ),
+    ] = None,
     config: ConfigFiles = None,
     settings: Settings = None,
     overwrite: Overwrite = False,
@@ -138,7 +145,9 @@ def train(
 
     set_up_logging(verbose, quiet)
     model = load_config(TrainingConfig, tuple(config or ()), settings or [])
-    job = training_job(method.value, surveys, validate or (), output, prepared, overwrite=overwrite)
+    job = training_job(
+        method.value, surveys, validate or (), output, prepared, start=start, overwrite=overwrite
+    )
     with Progress(quiet=quiet) as progress:
         record = run_training(job, model, progress)
     say(

@@ -63,8 +63,8 @@ class GroundChangeConfig(StrictModel):
     same_above: float = Field(
         1.5,
         gt=0,
-        description="Height above the other epoch's ground up to which points of a building show that a wall "
-        "rises there, and no surface ends [m]",
+        description="Height above the other epoch's ground up to which points of a building, vehicle or "
+        "other object show that a side rises there, and no surface ends [m]",
     )
     same_share: float = Field(
         0.5,
@@ -154,7 +154,7 @@ def _other_surface(
     held = np.zeros((len(reaches), len(row)), dtype=bool)
     for e, view in enumerate(views):
         off = (view.semantic != Semantic.GROUND) & ~is_ghost_trail(view)
-        wall = view.semantic == Semantic.BUILDING
+        wall = view.semantic != Semantic.VEGETATION
         surface = np.column_stack([middle, heights[1 - e][row, column]])
         held |= _holds(view.xyz[off & ~wall], surface, limit, reaches, 0.0)
         held |= _holds(view.xyz[off & wall], surface, limit, reaches, config.same_above)

@@ -93,7 +93,7 @@ def find_patches(
         labels = _to_hidden(labels, unknown, cells.known, config)
         depth = np.where(over, np.minimum(rise, 2 * config.threshold), 0.0)  # a few deep cells are noise
         shown = np.bincount(labels.ravel(), depth.ravel(), count + 1)
-        large = _possible_sizes(labels, count, unknown, config) * config.cell**2 > config.area
+        large = _possible_sizes(labels, count, cells, config) * config.cell**2 > config.area
         large &= ~rule_mask("shown_volume", large & (shown < least))
         for number in np.flatnonzero(large).tolist():
             found = _make_patch(change, labels == number, dz, lod, corner, config)
@@ -188,15 +188,20 @@ def _own_sizes(labels: Ints, count: int, *_: object) -> Ints:
 
 
 @switchable("possible_area", _own_sizes)
-def _possible_sizes(labels: Ints, count: int, blind: Mask, config: GroundChangeConfig) -> Ints:
-    """Cells of every patch and blind ones around it: the edge of a pit hides its floor."""
+def _possible_sizes(labels: Ints, count: int, cells: GroundCells, config: GroundChangeConfig) -> Ints:
+    """Cells of every patch and blind ones around it: the edge of a pit hides its floor.
+
+    No more are hidden than both epochs measured: where one epoch is sparse, most cells are blind or took the
+    height of their neighbours.
+    """
+    blind = ~np.isfinite(cells.dz)
     sizes = np.bincount(labels.ravel(), minlength=count + 1)
-    sizes[0] = 0
     size = 2 * config.closing + 1
     around = np.where(blind & (labels == 0), ndimage.grey_dilation(labels, size=(size, size)), 0)
     hidden = np.bincount(around.ravel(), minlength=count + 1)
-    hidden[0] = 0
-    return np.asarray(sizes + np.minimum(hidden, sizes))
+    measured = np.bincount(labels[~blind & ~cells.bridged], minlength=count + 1)
+    sizes[0] = hidden[0] = 0
+    return np.asarray(sizes + np.minimum(hidden, measured))
 
 
 def _make_patch(

@@ -114,7 +114,8 @@ class Measures:
     (negative) on balance, counting only places that the other epoch looked across. ``free`` is the mean
     probability of being free, in the other epoch, of the places where it holds nothing.
     Of buildings, ``height_bounds`` and ``volume_bounds`` are what space carving leaves
-    possible (Decision 17), ``delta_h`` and ``delta_v`` their middles.
+    possible (Decision 17), ``delta_h`` and ``delta_v`` their middles; ``volume_resolution``
+    is the volume below which carving shows no change.
     """
 
     iou: float
@@ -134,6 +135,12 @@ class Measures:
     volume_bounds: Interval | None = None
     free: float = 1.0
     columns: ColumnChange | None = field(default=None, compare=False, repr=False)
+    volume_resolution: float = 0.0
+
+    @property
+    def stated_volume(self) -> Interval | None:
+        """Bounds of the change of volume, the resolution of the carving included [m3]."""
+        return self.volume_bounds and self.volume_bounds.widened(self.volume_resolution)
 
 
 def measure(
@@ -197,6 +204,7 @@ def _carved(
         height_bounds=carved.height if both else None,
         volume_bounds=volume,
         columns=carved.columns,
+        volume_resolution=carved.resolution,
     )
 
 

@@ -18,12 +18,15 @@ from subiaco_change.decisions.object_decision import ObjectChange, ObjectRules, 
 from subiaco_change.decisions.voxel_objects import (
     EpochView,
     ObjectInstance,
+    Voxels,
     build_instances,
     build_voxels,
     is_standing,
     join_voxels,
 )
+from subiaco_change.instance_splitting.building_extensions import classify_low_parts
 from subiaco_change.instance_splitting.one_epoch_parts import split_one_epoch_parts
+from subiaco_change.instance_splitting.places_seen_free import places_seen_free
 from subiaco_change.instance_splitting.split_merge import (
     assign_fragments,
     join_building_extensions,
@@ -35,6 +38,7 @@ from subiaco_change.instance_splitting.split_merge import (
     unify_classes,
 )
 from subiaco_change.records import ChangeRecord
+from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats
 
@@ -55,9 +59,11 @@ def compare_objects(
     )
     voxels_b = build_voxels(before, after, seen_by_after, edge, reach, step, rules.free[1])
     voxels_a = build_voxels(after, before, seen_by_before, edge, reach, step, rules.free[0])
-    objects_before, objects_after = build_instances(before, voxels_b), build_instances(after, voxels_a)
-    objects_before, objects_after = (
-        split_one_epoch_parts(objects, rules.association.parts) for objects in (objects_before, objects_after)
+    objects_before = _with_parts(
+        before, voxels_b, places_seen_free(voxels_b, after, reach, rules.free[1]), rules
+    )
+    objects_after = _with_parts(
+        after, voxels_a, places_seen_free(voxels_a, before, reach, rules.free[0]), rules
     )
     if rules.by_class:
         objects_before, objects_after = unify_classes(
@@ -71,16 +77,25 @@ def compare_objects(
             for b, a in _parts(matches, objects_before, objects_after)
         ]
     for semantic in (Semantic.BUILDING, Semantic.VEGETATION, Semantic.MOBILE, Semantic.OTHER):
-        of_b = [t for t in objects_before if t.semantic is semantic]
-        of_a = [t for t in objects_after if t.semantic is semantic]
+        of_b = [t for t in objects_before if t.semantic is semantic and not t.is_part]
+        of_a = [t for t in objects_after if t.semantic is semantic and not t.is_part]
         matches = associate(of_b, of_a, rules.association, tolerance)
         changes.extend(decide_object(b, a, semantic, rules) for b, a in _parts(matches, of_b, of_a))
+    changes.extend(decide_object((t,), (), t.semantic, rules) for t in objects_before if t.is_part)
+    changes.extend(decide_object((), (t,), t.semantic, rules) for t in objects_after if t.is_part)
     changes = split_low_overlap_matches(changes, rules)
     changes = split_multi_body_matches(changes, rules)
     changes = split_row_houses(changes, rules)
     changes = split_hedge_segments(changes, rules)
     changes = join_hidden_walls(join_building_extensions(changes, rules), rules)
     return assign_fragments(changes, objects_before, objects_after, rules.association, tolerance)
+
+
+def _with_parts(view: EpochView, voxels: Voxels, free: Mask, rules: ObjectRules) -> list[ObjectInstance]:
+    """Objects of an epoch, and their parts that the other epoch lacks as objects of their own."""
+    objects = build_instances(view, voxels)
+    seen_free = [free[voxels.owner == t.instance] for t in objects]
+    return classify_low_parts(split_one_epoch_parts(objects, rules.association.parts, seen_free))
 
 
 def _parts(
@@ -165,8 +180,8 @@ def make_record(
         features=tuple(found.tolist()),
         delta_h_low_m=m.height_bounds.low if m.height_bounds else math.nan,
         delta_h_high_m=m.height_bounds.high if m.height_bounds else math.nan,
-        delta_v_low_m3=m.volume_bounds.low if m.volume_bounds else math.nan,
-        delta_v_high_m3=m.volume_bounds.high if m.volume_bounds else math.nan,
+        delta_v_low_m3=m.stated_volume.low if m.stated_volume else math.nan,
+        delta_v_high_m3=m.stated_volume.high if m.stated_volume else math.nan,
         height_before_m=heights[0],
         height_after_m=heights[1],
     )

@@ -211,7 +211,8 @@ def _building(measures: Measures, gate: float, rules: ClassRules) -> Decision:
     up = _rise(*bounds, rules)
     down = _rise(-bounds[0], -bounds[1], rules)
     evidence = f"Height change {_span(height)} (limit {limit:.2f} m), volume change"
-    evidence += f" {volume.low / whole:+z.0%} to {volume.high / whole:+z.0%} (limit {rules.volume:.0%}): "
+    stated = volume.widened(measures.volume_resolution)
+    evidence += f" {stated.low / whole:+z.0%} to {stated.high / whole:+z.0%} (limit {rules.volume:.0%}): "
     straddles = any(bound.low <= side <= bound.high for bound in bounds for side in (-1.0, 1.0))
     if straddles:
         evidence += "space that a survey did not observe decides whether a limit is exceeded, and "

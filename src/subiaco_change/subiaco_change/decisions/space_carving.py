@@ -67,18 +67,26 @@ class Interval:
         """The point estimate."""
         return 0.5 * (self.low + self.high)
 
+    def widened(self, by: float) -> Interval:
+        """Return the interval with bounds that lie further out."""
+        return Interval(self.low - by, self.high + by)
+
     def __neg__(self) -> Interval:
         return Interval(-self.high, -self.low)
 
 
 @dataclass(frozen=True)
 class Carved:
-    """Change of the volume [m3] and of the height [m], and the volume *before* [m3]."""
+    """Change of the volume [m3] and of the height [m], and the volume *before* [m3].
+
+    ``resolution``: half of a cell over the area of the body [m3]; a smaller change is not observed.
+    """
 
     volume: Interval
     height: Interval
     whole: float
     columns: ColumnChange | None = None
+    resolution: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -170,7 +178,9 @@ def carve(before: CarvingEpoch, after: CarvingEpoch, config: CarvingConfig) -> C
     tops = np.stack([state.top for state in states])
     grid = (frame.corner, frame.turn, frame.cell)
     columns = ColumnChange.of(gained, lost, tops, frame.rise, grid)
-    return Carved(volume, _height(states, frame, config), _whole(old, both, gained, frame), columns)
+    whole = _whole(old, both, gained, frame)
+    area = whole / max(float(old.top[old.top > 0].mean()), frame.rise) if (old.top > 0).any() else 0.0
+    return Carved(volume, _height(states, frame, config), whole, columns, 0.5 * frame.rise * area)
 
 
 def _frame(voxels: Voxels, config: CarvingConfig) -> _Frame:
@@ -373,7 +383,8 @@ def _height(states: tuple[_State, ...], frame: _Frame, config: CarvingConfig) ->
     """Change of the height that 5 % of the columns reach, of columns that both epochs know.
 
     The top of a column lies between the highest surface seen in it and the lowest free cell above; where
-    few columns have free space above, those without count too, up to the highest top of all.
+    few columns have free space above, those without count too, up to the highest top of all. A top is
+    known to half of a cell.
     """
     ceiling = max(float(state.top.max()) for state in states)
     bounds = [_tops_between(state, frame, config) for state in states]
@@ -391,7 +402,7 @@ def _height(states: tuple[_State, ...], frame: _Frame, config: CarvingConfig) ->
         known = np.minimum(high[columns], np.maximum(ceiling, low[columns]))
         tops.append([float(np.quantile(v, 0.95)) for v in (low[columns], known)])
     (low_b, high_b), (low_a, high_a) = tops
-    return Interval(low_a - high_b, high_a - low_b)
+    return Interval(low_a - high_b, high_a - low_b).widened(0.5 * frame.rise)
 
 
 def _tops_between(state: _State, frame: _Frame, config: CarvingConfig) -> tuple[Floats, Floats]:

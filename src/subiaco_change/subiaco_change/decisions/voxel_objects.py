@@ -120,6 +120,11 @@ class ObjectInstance:
         """The instance it was parted from, or itself."""
         return self.instance if self.whole < 0 else self.whole
 
+    @property
+    def is_part(self) -> bool:
+        """Whether it was parted from another instance."""
+        return self.whole >= 0 and self.whole != self.instance
+
 
 def build_voxels(
     view: EpochView,

@@ -3,16 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 import shapely
 from scipy.spatial import cKDTree
 
-from subiaco_change.decisions.voxel_objects import Voxels
+from subiaco_change.decisions.voxel_objects import ObjectInstance, Voxels
 from subiaco_change.instance_splitting.one_epoch_parts import PartConfig
 from subiaco_change.method_numbers import NUMBERS
-from subiaco_change.method_rules.switches import applies, never, switchable
+from subiaco_change.method_rules.switches import applies, first_argument, never, switchable
 from subiaco_change.segmentation.clustering import cell_clusters
+from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats
 
 _ROUND = NUMBERS.building_extensions.enclosing_share
@@ -114,6 +116,15 @@ def is_smooth_surface(voxels: Voxels) -> bool:
     near = cKDTree(voxels.xyz).query(voxels.xyz, k=_NEIGHBOURS)[1][:, 1:]
     along = np.abs(np.einsum("ikj,ij->ik", voxels.normal[near], voxels.normal))
     return bool(along.mean() >= _SMOOTH)
+
+
+@switchable("low_building_parts", first_argument)
+def classify_low_parts(objects: Sequence[ObjectInstance]) -> list[ObjectInstance]:
+    """Give parts of buildings that are lower than a room no class: a shrub, a skip or a bin at a wall."""
+    low = [t.is_part and t.semantic is Semantic.BUILDING and _top(t.voxels) < _ROOM for t in objects]
+    return [
+        replace(t, semantic=Semantic.OTHER) if found else t for t, found in zip(objects, low, strict=True)
+    ]
 
 
 def _inside(host: Floats, extension: Floats) -> float:

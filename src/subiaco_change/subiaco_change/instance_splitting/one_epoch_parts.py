@@ -11,12 +11,14 @@ from dataclasses import replace
 
 import numpy as np
 from pydantic import Field
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from subiaco_change.decisions.column_volumes import column_keys
 from subiaco_change.decisions.measures import Measures, oriented_rectangle
 from subiaco_change.decisions.rules import Decision
-from subiaco_change.decisions.voxel_objects import ObjectInstance, join_voxels
+from subiaco_change.decisions.voxel_objects import ObjectInstance, Voxels, join_voxels
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import applies, first_argument, no_decision, switchable
 from subiaco_change.segmentation.clustering import group_indices, voxel_clusters
@@ -27,6 +29,7 @@ from subiaco_geo.frames import Floats, Ints
 
 _CELL = NUMBERS.one_epoch_parts.cell
 _WELL_KNOWN = NUMBERS.one_epoch_parts.observed_voxels
+_FAR = NUMBERS.one_epoch_parts.far_share
 _ABOVE = NUMBERS.one_epoch_parts.overhang
 _ACROSS = NUMBERS.vehicle_parts.crossed_share
 _VEHICLE = NUMBERS.vehicle_parts.vehicle_width
@@ -75,25 +78,44 @@ class PartConfig(StrictModel):
 
 
 @switchable("parts_of_one_epoch", first_argument)
-def split_one_epoch_parts(objects: Sequence[ObjectInstance], config: PartConfig) -> list[ObjectInstance]:
+def split_one_epoch_parts(
+    objects: Sequence[ObjectInstance], config: PartConfig, seen_free: Sequence[Mask] | None = None
+) -> list[ObjectInstance]:
     """Split every instance into what the other epoch holds too and the parts that stand alone.
 
     What grew or was trimmed stays with its object: it hangs over columns that
     stood in both epochs. A part of its own stands on the ground, in columns
     that the other epoch saw free from bottom to top.
+
+    Parameters
+    ----------
+    objects : sequence of ObjectInstance
+        Of one epoch.
+    config : PartConfig
+    seen_free : sequence of (M,) bool, optional
+        Of every object, voxels whose place the other epoch observed free, although it has points near.
     """
     if config.points == 0:
         return list(objects)
-    parted: list[ObjectInstance] = []
+    rests: list[ObjectInstance] = []
+    parts: list[ObjectInstance] = []
     following = max((t.instance for t in objects), default=-1) + 1
-    for obj in objects:
-        labels = _parts_of(obj, config)
-        if not labels.any():
-            parted.append(obj)
-            continue
-        parted.extend(split_by_labels(obj, labels, following))
-        following += int(labels.max())
-    return parted
+    for number, obj in enumerate(objects):
+        voxels = obj.voxels
+        if seen_free is not None:
+            free = seen_free[number]
+            voxels = replace(
+                voxels,
+                observed=voxels.observed | free,
+                occupied_in_other=voxels.occupied_in_other & ~free,
+            )
+        labels = _parts_of(replace(obj, voxels=voxels), obj.voxels, config)
+        parted = replace(obj, voxels=_flagged(obj.voxels, voxels, labels > 0))
+        rest, *own = split_by_labels(parted, labels, following) if labels.any() else [obj]
+        following += len(own)
+        rests.append(rest)
+        parts.extend(own)
+    return [*rests, *_united(parts, config)]
 
 
 def split_by_labels(obj: ObjectInstance, labels: Ints, following: int) -> list[ObjectInstance]:
@@ -116,8 +138,50 @@ def split_by_labels(obj: ObjectInstance, labels: Ints, following: int) -> list[O
     ]
 
 
-def _parts_of(obj: ObjectInstance, config: PartConfig) -> Ints:
-    """Return the part (M,) of every voxel of an instance, 0 for what is left."""
+def _flagged(plain: Voxels, seen: Voxels, where: Mask) -> Voxels:
+    """Voxels with what is known of them without, and ``where`` (M,) with, the places that were seen free."""
+    return replace(
+        plain,
+        observed=np.where(where, seen.observed, plain.observed),
+        occupied_in_other=np.where(where, seen.occupied_in_other, plain.occupied_in_other),
+    )
+
+
+def _united(parts: Sequence[ObjectInstance], config: PartConfig) -> list[ObjectInstance]:
+    """Make one object of parts that touch: the segmentation may divide one object between two others."""
+    if len(parts) < 2:
+        return list(parts)
+    cluster = voxel_clusters(np.concatenate([p.voxels.xyz for p in parts]), config.gap)
+    owner = np.repeat(np.arange(len(parts)), [len(p.voxels) for p in parts])
+    links = np.column_stack([owner, cluster + len(parts)])
+    size = len(parts) + int(cluster.max()) + 1
+    graph = coo_array((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(size, size))
+    group = connected_components(graph.tocsr(), directed=False)[1][: len(parts)]
+    _, first = np.unique(group, return_index=True)
+    return [_joined([p for p, g in zip(parts, group, strict=True) if g == group[k]]) for k in np.sort(first)]
+
+
+def _joined(parts: Sequence[ObjectInstance]) -> ObjectInstance:
+    """Make one object of parts of one epoch: number, class and origin are those of the largest."""
+    if len(parts) == 1:
+        return parts[0]
+    largest = max(parts, key=lambda p: len(p.points))
+    voxels = Voxels.joined([p.voxels for p in parts])
+    return replace(
+        largest,
+        points=np.concatenate([p.points for p in parts]),
+        voxels=replace(voxels, owner=np.full(len(voxels), largest.instance)),
+        xyz=np.concatenate([p.xyz for p in parts]),
+        passed=np.concatenate([p.passed for p in parts]),
+        moved=np.concatenate([p.moved for p in parts]),
+    )
+
+
+def _parts_of(obj: ObjectInstance, plain: Voxels, config: PartConfig) -> Ints:
+    """Return the part (M,) of every voxel of an instance, 0 for what is left.
+
+    ``plain``: its voxels without the places that were seen free although points lie near.
+    """
     voxels = obj.voxels
     labels = np.zeros(len(voxels), dtype=np.int64)
     alone = voxels.observed & ~voxels.occupied_in_other
@@ -125,15 +189,34 @@ def _parts_of(obj: ObjectInstance, config: PartConfig) -> Ints:
         return labels
     members = np.flatnonzero(alone)
     column = column_keys(voxels.xyz, _CELL)
+    far = plain.observed & ~plain.occupied_in_other
     count = 0
     for group in group_indices(voxel_clusters(voxels.xyz[members], config.gap)):
         piece = members[group]
-        if _stands(obj, piece, column, alone, config):
-            count += 1
-            labels[piece] = count
+        whole = _stands(obj, piece, column, alone, config)
+        for part in [piece] if whole else _free_columns(obj, piece, column, alone, config):
+            if far[part].mean() >= _FAR and (whole or _stands(obj, part, column, alone, config)):
+                count += 1
+                labels[part] = count
     if count == 0:
         return labels
     return _with_unseen(obj, labels, config)
+
+
+def _free_columns(
+    obj: ObjectInstance, piece: Ints, column: Ints, alone: Mask, config: PartConfig
+) -> list[Ints]:
+    """Return the connected pieces of a cluster of a plant in those columns that the other epoch saw free.
+
+    Leaves of a plant that moved a little join an object beside the plant to one cluster with it.
+    """
+    if obj.semantic is not Semantic.VEGETATION:
+        return []
+    inside = _below(obj, piece, column) & obj.voxels.observed
+    keys, slot = np.unique(column[inside], return_inverse=True)
+    share = np.bincount(slot, alone[inside]) / np.maximum(np.bincount(slot), 1)
+    kept = piece[np.isin(column[piece], keys[share >= config.whole])]
+    return [kept[group] for group in group_indices(voxel_clusters(obj.voxels.xyz[kept], config.gap))]
 
 
 def _stands(obj: ObjectInstance, piece: Ints, column: Ints, alone: Mask, config: PartConfig) -> bool:

@@ -11,6 +11,7 @@ from subiaco_change.method_numbers.association_numbers import (
     HedgeSectionsNumbers,
     MergedInstancesNumbers,
     OneEpochPartsNumbers,
+    PlacesSeenFreeNumbers,
     RowsOfHousesNumbers,
     SplitMergeNumbers,
     VehiclePartsNumbers,
@@ -86,6 +87,7 @@ class MethodNumbers(StrictModel):
     hedge_sections: HedgeSectionsNumbers = HedgeSectionsNumbers()
     merged_instances: MergedInstancesNumbers = MergedInstancesNumbers()
     one_epoch_parts: OneEpochPartsNumbers = OneEpochPartsNumbers()
+    places_seen_free: PlacesSeenFreeNumbers = PlacesSeenFreeNumbers()
     rows_of_houses: RowsOfHousesNumbers = RowsOfHousesNumbers()
     split_merge: SplitMergeNumbers = SplitMergeNumbers()
     vehicle_parts: VehiclePartsNumbers = VehiclePartsNumbers()

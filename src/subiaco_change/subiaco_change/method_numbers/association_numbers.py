@@ -56,9 +56,31 @@ class OneEpochPartsNumbers(StrictModel):
         20,
         description="Number of observed voxels from which a part may be most of an instance",
     )
+    far_share: float = Field(
+        0.2,
+        description="Fraction of the voxels of a part that must lie farther from points of the other epoch "
+        "than its spacing explains",
+    )
     overhang: float = Field(
         0.25,
         description="Height above a part from which a point hangs over the part [m]",
+    )
+
+
+class PlacesSeenFreeNumbers(StrictModel):
+    """Numbers of ``instance_splitting/places_seen_free.py``."""
+
+    free_probability: float = Field(
+        0.9,
+        description="Probability of being free from which a place near points of the other epoch counts as "
+        "observed free",
+    )
+    neighbours: int = Field(
+        6, description="Number of nearest points of the other epoch that show whether its surface is smooth"
+    )
+    smooth_normals: float = Field(
+        0.9,
+        description="Smallest mean cosine between the normals of neighbours on a smooth surface, as a ratio",
     )
 
 

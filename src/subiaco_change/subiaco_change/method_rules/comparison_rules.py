@@ -146,7 +146,8 @@ SPLITTING_RULES: tuple[Rule, ...] = (
     Rule(
         "parts_of_one_epoch",
         _HERE,
-        "A part of an instance that stands on the ground in one epoch alone is an object of its own.",
+        "A part of an instance that stands on the ground in one epoch alone is an object of its own, which"
+        " is never matched; parts of neighbouring instances that touch are one object.",
         (
             "association.parts.points",
             "association.parts.gap",
@@ -155,7 +156,25 @@ SPLITTING_RULES: tuple[Rule, ...] = (
             "association.parts.top",
             "association.parts.whole",
             "association.parts.remainder",
+            "method_numbers.one_epoch_parts.far_share",
         ),
+    ),
+    Rule(
+        "places_seen_free",
+        _HERE,
+        "A place that beams of the other epoch crossed is free although points of that epoch lie near, unless"
+        " they lie on a smooth surface that continues there.",
+        (
+            "method_numbers.places_seen_free.free_probability",
+            "method_numbers.places_seen_free.neighbours",
+            "method_numbers.places_seen_free.smooth_normals",
+        ),
+    ),
+    Rule(
+        "low_building_parts",
+        _HERE,
+        "A part of a building that is lower than a room stands at the building and has no class.",
+        ("method_numbers.building_extensions.room_height",),
     ),
     Rule(
         "unseen_belongs_to_most",

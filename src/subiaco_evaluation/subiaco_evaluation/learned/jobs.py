@@ -11,6 +11,7 @@ from typing import Any
 
 from subiaco_evaluation.learned.config import TrainingConfig
 from subiaco_evaluation.learned.methods import require_torch
+from subiaco_evaluation.learned.weights_file import read_weights
 from subiaco_geo.atomic import refuse_existing
 from subiaco_geo.errors import InputError
 
@@ -28,6 +29,8 @@ class TrainingJob:
         Weights (``.npz``); checkpoint and prepared surveys lie beside it until the training ends.
     prepared : Path, optional
         Folder of prepared surveys that several trainings share.
+    start : Path, optional
+        Trained weights of the same network that the training begins with.
     """
 
     method: str
@@ -35,6 +38,7 @@ class TrainingJob:
     held_out: tuple[Path, ...]
     output: Path
     prepared: Path | None = None
+    start: Path | None = None
 
     @property
     def folder(self) -> Path:
@@ -45,6 +49,8 @@ class TrainingJob:
         """Name everything that a checkpoint depends on."""
         words = [self.method, config.model_dump(mode="json"), sorted(str(s.resolve()) for s in self.surveys)]
         words.append(sorted(str(s.resolve()) for s in self.held_out))
+        if self.start is not None:
+            words.append(hashlib.sha256(self.start.read_bytes()).hexdigest())
         return hashlib.sha256(json.dumps(words, sort_keys=True).encode()).hexdigest()[:16]
 
 
@@ -55,6 +61,7 @@ def training_job(
     output: Path,
     prepared: Path | None = None,
     *,
+    start: Path | None = None,
     overwrite: bool = False,
 ) -> TrainingJob:
     """Return a job whose files are there and whose output may be written.
@@ -64,7 +71,8 @@ def training_job(
     Raises
     ------
     InputError
-        A survey is missing or given twice, or the output exists or is no ``.npz``.
+        A survey is missing or given twice, the output exists or is no ``.npz``, or ``start`` holds no weights
+        of this method.
     """
     if output.suffix != ".npz":
         raise InputError(f"{output}: weights are written as .npz; choose a name that ends in .npz")
@@ -80,7 +88,9 @@ def training_job(
             raise InputError(f"{survey}: no truth/scene.yaml; give the output of 'subiaco simulate'")
     if len({survey.resolve() for survey in every}) < len(every):
         raise InputError("train: a survey is given twice; surveys to learn and to validate must differ")
-    return TrainingJob(method, tuple(learned), tuple(held_out), output, prepared)
+    if start is not None:
+        read_weights(start, method)
+    return TrainingJob(method, tuple(learned), tuple(held_out), output, prepared, start)
 
 
 def run_training(

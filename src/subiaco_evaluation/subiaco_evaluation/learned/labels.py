@@ -2,6 +2,9 @@
 
 A point network labels the points of one cloud by comparison with the other cloud. Removed is what Added
 becomes when the epochs are exchanged, and Decreased what Increased becomes: one network serves both clouds.
+A point of a moving object counts as unchanged, because it is no change to report: left out of the loss, these
+points were claimed as Added and Removed, and cells of unchanged ground took the claim. Points whose place the
+other epoch did not observe are not learned.
 """
 
 from __future__ import annotations
@@ -17,6 +20,8 @@ from subiaco_geo.frames import Ints
 #: Classes of a point network: unchanged, absent in the other cloud, surface higher here, surface lower here.
 CLASSES = ("unchanged", "absent in the other", "higher than the other", "lower than the other")
 IGNORED = -1
+#: What points of moving objects are learned as; records of weights name it.
+MOVING_OBJECTS = "unchanged"
 _AS_AFTER = (Change.UNCHANGED, Change.ADDED, Change.INCREASED, Change.DECREASED)
 _AS_BEFORE = (Change.UNCHANGED, Change.REMOVED, Change.DECREASED, Change.INCREASED)
 #: Labels of a cell after the epochs were exchanged.
@@ -29,10 +34,11 @@ def to_classes(change: NDArray[Any], epoch: int) -> Ints:
     Parameters
     ----------
     change : (N,) uint8
-        Codes of :class:`Change`.
+        Codes of :class:`Change`; NOT_REPORTED of moving objects.
     epoch : int
     """
     table = np.full(256, IGNORED, dtype=np.int64)
+    table[int(Change.NOT_REPORTED)] = CLASSES.index(MOVING_OBJECTS)
     for index, code in enumerate(_AS_AFTER if epoch else _AS_BEFORE):
         table[int(code)] = index
     return table[np.asarray(change).astype(np.int64)]

@@ -19,11 +19,12 @@ from subiaco_evaluation.grid import GridConfig, cell_keys, look_up, rasterise
 from subiaco_evaluation.layouts import in_after_frame
 from subiaco_evaluation.learned.config import PointNetworkConfig
 from subiaco_evaluation.learned.features import FEATURES, chosen_features, describe_pair
-from subiaco_evaluation.learned.labels import CLASSES, IGNORED, to_classes
+from subiaco_evaluation.learned.labels import CLASSES, IGNORED, MOVING_OBJECTS, to_classes
 from subiaco_evaluation.learned.pyramids import Pyramid, pyramid_arrays, pyramid_of_arrays
 from subiaco_evaluation.object_matching import transfer
 from subiaco_evaluation.truth import SurveyTruth, read_truth
 from subiaco_geo.atomic import whole_file
+from subiaco_geo.codes import Change
 from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.maps import load_epoch
 
@@ -73,7 +74,7 @@ def label_points(pair: Pair, truth: SurveyTruth, network: PointNetworkConfig) ->
     pyramids, classes = describe_pair(pair, network), []
     for epoch, (name, side) in enumerate((("before", pair.before), ("after", pair.after))):
         change = transfer(side.cloud, real[name], _RADIUS).true_change
-        learned = to_classes(np.where(change < 0, 255, change), epoch)
+        learned = to_classes(np.where(change < 0, int(Change.UNOBSERVED), change), epoch)
         classes.append(vote(learned, pyramids[epoch].member, len(pyramids[epoch].levels[0].xyz)))
     return PointPair(pyramids, (classes[0], classes[1]))
 
@@ -141,5 +142,6 @@ class Prepared:
             "baseline": self.baseline.model_dump(include={"leaf", "cells", "ground"}),
             "survey": str(survey.resolve()),
             "features": FEATURES,
+            "moving": MOVING_OBJECTS,
         }  # fmt: skip
         return hashlib.sha256(scene + json.dumps(sizes, sort_keys=True).encode()).hexdigest()[:12]

@@ -35,6 +35,7 @@ Output = tuple[Tensor, Tensor]  # log probabilities (N, classes), true classes (
 class Task(Protocol):
     """What the training loop needs of a method."""
 
+    method: str
     model: nn.Module
     weights: Tensor
     shares: Floats

@@ -19,6 +19,7 @@ from subiaco_evaluation.learned.config import TrainingConfig
 from subiaco_evaluation.learned.curve import write_curve
 from subiaco_evaluation.learned.deep_clustering import ClusterTask
 from subiaco_evaluation.learned.jobs import TrainingJob
+from subiaco_evaluation.learned.labels import MOVING_OBJECTS
 from subiaco_evaluation.learned.methods import POINT_METHODS
 from subiaco_evaluation.learned.surveys import Prepared
 from subiaco_evaluation.learned.tasks import (
@@ -29,12 +30,22 @@ from subiaco_evaluation.learned.tasks import (
     score_validation,
     task_loss,
 )
-from subiaco_evaluation.learned.weights_file import array_text, text_array, write_weights
+from subiaco_evaluation.learned.weights_file import array_text, read_weights, text_array, write_weights
 from subiaco_geo import __version__
 from subiaco_geo.atomic import whole_file
 from subiaco_geo.errors import InputError
 
 _LOG = logging.getLogger(__name__)
+#: What the record of a training keeps of the one whose weights it began with.
+_EARLIER = (
+    "config",
+    "surveys",
+    "validation_surveys",
+    "epochs",
+    "validation_miou_percent",
+    "hours",
+    "revision",
+)
 Arrays = dict[str, NDArray[Any]]
 Say = Callable[[str, float], None]
 
@@ -49,6 +60,7 @@ class State:
     best_epoch: int = -1
     best_power: float = 0.0
     rows: list[dict[str, float]] = field(default_factory=list)
+    earlier: list[dict[str, Any]] = field(default_factory=list)
     best: Arrays = field(default_factory=dict)
 
 
@@ -82,7 +94,10 @@ def train(job: TrainingJob, config: TrainingConfig, say: Say) -> dict[str, Any]:
     optimiser = task.optimiser()
     checkpoint = job.folder / "checkpoint.npz"
     key = job.key(config)
-    state = read_checkpoint(checkpoint, key, task, optimiser) if checkpoint.is_file() else State()
+    if checkpoint.is_file():
+        state = read_checkpoint(checkpoint, key, task, optimiser)
+    else:
+        state = begin(task, config, job.start)
     while state.epoch < settings.epochs and state.epoch - state.best_epoch <= config.patience:
         rate = settings.learning_rate * settings.final_rate ** (state.epoch / max(settings.epochs - 1, 1))
         started = time.perf_counter()
@@ -107,6 +122,28 @@ def train(job: TrainingJob, config: TrainingConfig, say: Say) -> dict[str, Any]:
     write_weights(job.output, state.best, record)
     shutil.rmtree(job.folder, ignore_errors=True)
     return record
+
+
+def begin(task: Task, config: TrainingConfig, start: Path | None) -> State:
+    """Return the state before the first epoch; weights to start with are scored, and are the best so far.
+
+    Raises
+    ------
+    InputError
+        The weights to start with are of a network of other sizes.
+    """
+    if start is None:
+        return State()
+    arrays, record = read_weights(start, task.method)
+    part = "point_network" if isinstance(task, PointTask) else "raster_network"
+    if record["config"][part] != config.model_dump(mode="json")[part]:
+        raise InputError(f"{start}: weights of other settings of {part}; give the --set or --config they had")
+    load_arrays(task.model, arrays)
+    found = score_validation(task)
+    score = 100.0 * found.score
+    last = {name: record[name] for name in _EARLIER} | {"score_at_the_start": round(score, 2)}
+    earlier = [*record.get("earlier", []), last]
+    return State(best_score=score, best_power=found.power, best=model_arrays(task), earlier=earlier)
 
 
 def run_epoch(
@@ -146,7 +183,7 @@ def write_checkpoint(
     """Write everything that the next epoch depends on, whole or not at all."""
     facts = {"key": key, "epoch": state.epoch, "seconds": state.seconds, "rows": state.rows,
              "best_score": state.best_score, "best_epoch": state.best_epoch,
-             "best_power": state.best_power}  # fmt: skip
+             "best_power": state.best_power, "earlier": state.earlier}  # fmt: skip
     arrays: Arrays = {"state": text_array(facts)}
     arrays |= {f"model/{name}": value for name, value in model_arrays(task).items()}
     arrays |= {f"best/{name}": value for name, value in state.best.items()}
@@ -192,9 +229,11 @@ def describe_training(job: TrainingJob, config: TrainingConfig, task: Task, stat
         "config": config.model_dump(mode="json"),
         "surveys": names_of(job.surveys),
         "validation_surveys": names_of(job.held_out),
+        "earlier": state.earlier,
         "epochs": state.epoch,
         "best_epoch": state.best_epoch,
         "validation_miou_percent": round(state.best_score, 2),
+        "moving_objects": MOVING_OBJECTS,
         "prior_power": state.best_power,
         "class_factors": prior_factors(task.shares, state.best_power).tolist(),
         "hours": round(state.seconds / 3600.0, 3),
