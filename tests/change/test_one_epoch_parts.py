@@ -106,6 +106,16 @@ def test_parting_is_left_out_on_request():
     assert split_one_epoch_parts([both], PartConfig(points=0)) == [both]
 
 
+def test_a_larger_car_in_the_place_of_the_first_stays_one_object_and_a_skip_beside_a_car_does_not():
+    first, body = block((0.5, 0.5, 0), (4.0, 1.5, 1.5)), block((0, 0, 0), (4.5, 2.0, 2.0))
+    around = body[~(((body >= (0.5, 0.5, 0)) & (body < (4.0, 1.5, 1.5))).all(axis=1))]
+    larger = replace(obj([(first, True), (around, False)]), semantic=Semantic.MOBILE)
+    assert len(split_one_epoch_parts([larger], CONFIG)) == 1
+    skip = block((4.5, 0, 0), (8.0, 2.0, 1.5))
+    pair = replace(obj([(body, True), (skip, False)]), semantic=Semantic.MOBILE)
+    assert [len(p.voxels) for p in split_one_epoch_parts([pair], CONFIG)] == [len(body), len(skip)]
+
+
 def moved(xyz, x):
     return voxels(np.add(xyz, (x, 0.0, 0.0)))
 

@@ -14,6 +14,7 @@ from pydantic import Field
 from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
+from shapely import Point
 
 from subiaco_change.decisions.column_volumes import column_keys
 from subiaco_change.decisions.measures import Measures, oriented_rectangle
@@ -193,6 +194,8 @@ def _parts_of(obj: ObjectInstance, plain: Voxels, config: PartConfig) -> Ints:
     count = 0
     for group in group_indices(voxel_clusters(voxels.xyz[members], config.gap)):
         piece = members[group]
+        if _surrounds(obj, piece, plain.occupied_in_other):
+            continue
         whole = _stands(obj, piece, column, alone, config)
         for part in [piece] if whole else _free_columns(obj, piece, column, alone, config):
             if far[part].mean() >= _FAR and (whole or _stands(obj, part, column, alone, config)):
@@ -201,6 +204,18 @@ def _parts_of(obj: ObjectInstance, plain: Voxels, config: PartConfig) -> Ints:
     if count == 0:
         return labels
     return _with_unseen(obj, labels, config)
+
+
+def _surrounds(obj: ObjectInstance, piece: Ints, occupied: Mask) -> bool:
+    """Tell whether a piece of a vehicle lies around what both epochs have: a larger car in the same place.
+
+    ``occupied`` (M,) are the voxels beside points of the other epoch.
+    """
+    rest = np.setdiff1d(np.flatnonzero(occupied), piece)
+    if obj.semantic is not Semantic.MOBILE or len(rest) == 0:
+        return False
+    centre = Point(obj.voxels.xyz[piece, :2].mean(axis=0))
+    return bool(oriented_rectangle(obj.voxels.xyz[rest, :2]).contains(centre))
 
 
 def _free_columns(
