@@ -106,16 +106,6 @@ def test_parting_is_left_out_on_request():
     assert split_one_epoch_parts([both], PartConfig(points=0)) == [both]
 
 
-def test_a_larger_car_in_the_place_of_the_first_stays_one_object_and_a_skip_beside_a_car_does_not():
-    first, body = block((0.5, 0.5, 0), (4.0, 1.5, 1.5)), block((0, 0, 0), (4.5, 2.0, 2.0))
-    around = body[~(((body >= (0.5, 0.5, 0)) & (body < (4.0, 1.5, 1.5))).all(axis=1))]
-    larger = replace(obj([(first, True), (around, False)]), semantic=Semantic.MOBILE)
-    assert len(split_one_epoch_parts([larger], CONFIG)) == 1
-    skip = block((4.5, 0, 0), (8.0, 2.0, 1.5))
-    pair = replace(obj([(body, True), (skip, False)]), semantic=Semantic.MOBILE)
-    assert [len(p.voxels) for p in split_one_epoch_parts([pair], CONFIG)] == [len(body), len(skip)]
-
-
 def moved(xyz, x):
     return voxels(np.add(xyz, (x, 0.0, 0.0)))
 
@@ -247,6 +237,17 @@ def test_what_a_vehicle_is_longer_by_than_another_in_its_place_is_no_vehicle(sta
     decision = decide_vehicle_part([piece], Semantic.MOBILE, CROSSED, old)
     assert (decision is not None) == same
     assert decision is None or decision.change is Change.UNCHANGED
+
+
+def test_the_sides_of_a_larger_car_in_the_place_of_another_are_no_vehicle():
+    old, body = block((0.5, 0.5, 0), (4.0, 1.5, 1.5), 0.2), block((0, 0, 0), (4.5, 2.0, 2.0))
+    around = body[~(((body >= (0.5, 0.5, 0)) & (body < (4.0, 1.5, 1.5))).all(axis=1))]
+    sides = replace(obj([(around, False)]), semantic=Semantic.MOBILE, whole=0)
+    decision = decide_vehicle_part([sides], Semantic.MOBILE, CROSSED, old)
+    assert decision is not None
+    assert decision.change is Change.UNCHANGED
+    behind = np.add(old, (4.5, 0.0, 0.0))
+    assert decide_vehicle_part([sides], Semantic.MOBILE, CROSSED, behind) is None
 
 
 def test_a_part_of_a_vehicle_that_the_other_epoch_only_grazed_is_not_claimed():

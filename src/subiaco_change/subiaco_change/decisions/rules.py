@@ -221,8 +221,10 @@ def _building(measures: Measures, gate: float, rules: ClassRules) -> Decision:
         return Decision(Change.UNCHANGED, evidence, 1.0 if straddles else max(up, down, 0.0))
     rising = up > 1 and (down <= 1 or volume.middle > 0)
     change = Change.INCREASED if rising else Change.DECREASED
-    evidence += f"the middle of an interval exceeds its limit: the building {'grew' if rising else 'shrank'}."
-    return Decision(change, evidence, up if rising else down, _sigmas(bounds, rising))
+    turned = bounds if rising else tuple(-bound for bound in bounds)
+    part = "a whole" if any(bound.low > 1.0 for bound in turned) else "the middle of an"
+    evidence += f"{part} interval exceeds its limit: the building {'grew' if rising else 'shrank'}."
+    return Decision(change, evidence, up if rising else down, _sigmas(turned))
 
 
 def _span(height: Interval) -> str:
@@ -246,10 +248,9 @@ def _beyond(bound: Interval, certain: float) -> float:
     return 1.0 if straddles else bound.middle
 
 
-def _sigmas(bounds: Sequence[Interval], rising: bool) -> float:
-    """Return by how many standard deviations a change exceeds its limit; bounds lie two from the middle."""
-    turned = bounds if rising else [-bound for bound in bounds]
-    return max(2.0 * (b.middle - 1.0) / max(0.5 * (b.high - b.low), _EXACT) for b in turned)
+def _sigmas(bounds: Sequence[Interval]) -> float:
+    """Return by how many standard deviations a rise exceeds its limit; bounds lie two from the middle."""
+    return max(2.0 * (b.middle - 1.0) / max(0.5 * (b.high - b.low), _EXACT) for b in bounds)
 
 
 def _share(value: float, limit: float) -> float:

@@ -194,8 +194,6 @@ def _parts_of(obj: ObjectInstance, plain: Voxels, config: PartConfig) -> Ints:
     count = 0
     for group in group_indices(voxel_clusters(voxels.xyz[members], config.gap)):
         piece = members[group]
-        if _surrounds(obj, piece, plain.occupied_in_other):
-            continue
         whole = _stands(obj, piece, column, alone, config)
         for part in [piece] if whole else _free_columns(obj, piece, column, alone, config):
             if far[part].mean() >= _FAR and (whole or _stands(obj, part, column, alone, config)):
@@ -204,18 +202,6 @@ def _parts_of(obj: ObjectInstance, plain: Voxels, config: PartConfig) -> Ints:
     if count == 0:
         return labels
     return _with_unseen(obj, labels, config)
-
-
-def _surrounds(obj: ObjectInstance, piece: Ints, occupied: Mask) -> bool:
-    """Tell whether a piece of a vehicle lies around what both epochs have: a larger car in the same place.
-
-    ``occupied`` (M,) are the voxels beside points of the other epoch.
-    """
-    rest = np.setdiff1d(np.flatnonzero(occupied), piece)
-    if obj.semantic is not Semantic.MOBILE or len(rest) == 0:
-        return False
-    centre = Point(obj.voxels.xyz[piece, :2].mean(axis=0))
-    return bool(oriented_rectangle(obj.voxels.xyz[rest, :2]).contains(centre))
 
 
 def _free_columns(
@@ -295,7 +281,7 @@ def decide_vehicle_part(
         return Decision(Change.UNOBSERVED, reason, 1.0 - across)
     xyz = join_voxels(objects).xyz
     held = _held(xyz, standing)
-    if held < _HELD or _width(xyz) >= _VEHICLE:
+    if held < _HELD or (_width(xyz) >= _VEHICLE and not _surrounds(xyz, standing)):
         return None
     reason = (
         f"{held:.0%} of this part of a vehicle lies beside points of the other survey (limit"
@@ -310,6 +296,14 @@ def _held(xyz: Floats, standing: Floats) -> float:
     if not near.any():
         return 0.0
     return float(np.mean(cKDTree(standing[near]).query(xyz)[0] <= _NEXT))
+
+
+def _surrounds(xyz: Floats, points: Floats) -> bool:
+    """Tell whether places (M, 3) lie around points (N, 3): the sides of a larger car in the same place."""
+    inside = ((points >= xyz.min(axis=0)) & (points <= xyz.max(axis=0))).all(axis=1)
+    if not inside.any():
+        return False
+    return bool(oriented_rectangle(points[inside, :2]).contains(Point(xyz[:, :2].mean(axis=0))))
 
 
 def _width(xyz: Floats) -> float:

@@ -126,13 +126,15 @@ def join_hidden_walls(changes: list[ObjectChange], rules: ObjectRules) -> list[O
     }
     joined: dict[int, list[int]] = {}
     for number, change in enumerate(changes):
+        alone = (*change.before, *change.after)
+        low_part = change.semantic is Semantic.OTHER and all(t.is_part for t in alone)
         if (
-            change.semantic is not Semantic.BUILDING
+            not (change.semantic is Semantic.BUILDING or low_part)
             or (change.before and change.after)
             or not _is_hardly_observed(change, rules)
         ):
             continue
-        xyz = join_voxels((*change.before, *change.after)).xyz
+        xyz = join_voxels(alone).xyz
         shares = {i: shapely.contains_xy(o, xyz[:, 0], xyz[:, 1]).mean() for i, o in hosts.items()}
         best = max(shares, key=lambda i: shares[i], default=number)
         if shares.get(best, 0.0) >= _WITHIN:
