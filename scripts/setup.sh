@@ -235,10 +235,18 @@ install_command() {
     echo "$1" >"$VENV/.command"
 }
 
+# numba keeps a compiled kernel until its own module changes, not until a kernel that it calls does.
+remove_old_kernels() {
+    local newest
+    newest="$(find "$1" -name '*.py' -printf '%T@ %p\n' | sort -n | tail -n 1 | cut -d ' ' -f 2-)"
+    [ -z "$newest" ] || find "$1" -name '*.nb[ci]' ! -newer "$newest" -delete
+}
+
 main() {
     require_system_packages
     set_up_venv
     set_up_workspace
+    remove_old_kernels "$ROOT/src"
     say "ready: source ros2_ws/env.sh"
 }
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import json
+import os
 import re
 import subprocess
 import xml.etree.ElementTree as ET
@@ -182,6 +183,14 @@ def test_an_apt_ros_is_used_and_what_it_has_is_not_built_again(tmp_path: Path) -
     names = bash("interfaces_to_build", SUBIACO_APT_ROS=str(tmp_path)).stdout.split()
     assert names == ["subiaco_msgs", "ouster_sensor_msgs"]
     assert bash("has_apt_ros", SUBIACO_APT_ROS=str(tmp_path / "none")).returncode == 1
+
+
+def test_compiled_kernels_older_than_the_newest_module_are_removed(tmp_path: Path) -> None:
+    for seconds, name in enumerate(("old.nbi", "old.1.nbc", "changed.py", "new.nbi", "new.1.nbc"), start=1):
+        (tmp_path / name).touch()
+        os.utime(tmp_path / name, (seconds, seconds))
+    bash(f"remove_old_kernels {tmp_path}")
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["changed.py", "new.1.nbc", "new.nbi"]
 
 
 def test_the_digest_sees_contents_and_names_but_not_order(tmp_path: Path) -> None:
