@@ -224,7 +224,7 @@ def test_the_workspace_built_over_full_messages_leaves_them_alone_and_loads_them
     prefixes = [*(str(underlay / name) for name in VENDORED), ours]
     environment["AMENT_PREFIX_PATH"] = ":".join([*prefixes, environment["AMENT_PREFIX_PATH"]])
     listed = subprocess.run(
-        ["colcon", "list", "--names-only", "--base-paths", "ros2_ws/src"],
+        ["colcon", "--log-base", "/dev/null", "list", "--names-only", "--base-paths", "ros2_ws/src"],
         cwd=REPOSITORY, env=environment, capture_output=True, text=True, check=True,
     ).stdout.split()  # fmt: skip
     assert set(listed) == {path.parent.name for path in (REPOSITORY / "src").glob("subiaco*/package.xml")}
