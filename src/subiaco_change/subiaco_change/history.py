@@ -12,8 +12,6 @@ from typing import Any
 import geopandas as gpd
 import numpy as np
 import pandas as pd
-from scipy.sparse import coo_matrix
-from scipy.sparse.csgraph import connected_components
 from shapely.geometry import MultiPolygon
 
 from subiaco_change.job import run_change
@@ -22,6 +20,7 @@ from subiaco_change.outputs.geopackage import write_layer
 from subiaco_change.outputs.reviews import read_reviewed, same_objects
 from subiaco_change.outputs.table import write_csv
 from subiaco_change.request import ChangeRequest
+from subiaco_change.segmentation.clustering import connect
 from subiaco_geo.atomic import refuse_existing, refuse_foreign, whole_directory
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.errors import InputError
@@ -166,8 +165,7 @@ def build_history(steps: Sequence[HistoryStep]) -> gpd.GeoDataFrame:
     places = [_same_place(step.table) + start for step, start in zip(kept, starts, strict=False)]
     pairs = np.concatenate([*links, *places, np.empty((0, 2), dtype=np.int64)])
     size = int(starts[-1])
-    graph = coo_matrix((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), (size, size))
-    _, component = connected_components(graph, directed=False)
+    component = connect(size, pairs)
     order = np.argsort(component, kind="stable")
     groups = np.split(order, np.flatnonzero(np.diff(component[order])) + 1) if size else []
     rows = [_history(kept, starts, members) for members in groups]

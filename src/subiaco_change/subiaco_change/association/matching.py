@@ -8,10 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components, min_weight_full_bipartite_matching
+from scipy.sparse.csgraph import min_weight_full_bipartite_matching
 
 from subiaco_change.association.costs import AssociationConfig, Sparse, candidate_costs, overlap_counts
 from subiaco_change.decisions.voxel_objects import ObjectInstance
+from subiaco_change.segmentation.clustering import connect
 from subiaco_geo.frames import Floats, Ints
 
 
@@ -77,10 +78,8 @@ def _uncrossed(
     ]
     numbers = {pair: k for k, pair in enumerate(sorted(set().union(*wholes)))}
     links = [(m, len(matches) + numbers[pair]) for m, pairs in enumerate(wholes) for pair in pairs]
-    nodes = len(matches) + len(numbers)
-    rows, columns = zip(*links, strict=True) if links else ((), ())
-    graph = coo_array((np.ones(len(links)), (np.array(rows, int), np.array(columns, int))), (nodes, nodes))
-    group = connected_components(graph.tocsr(), directed=False)[1][: len(matches)]
+    pairs = np.array(links, dtype=np.int64).reshape(-1, 2)
+    group = connect(len(matches) + len(numbers), pairs)[: len(matches)]
     united: dict[int, list[Match]] = {}
     for match, number in zip(matches, group.tolist(), strict=True):
         united.setdefault(number, []).append(match)
@@ -106,10 +105,8 @@ def _match_contained(
     sides = ((before, rest_b, rest_a, counts[0]), (after, rest_a, rest_b, counts[1]))
     links = [_contained(objects, own, other, count, config) for objects, own, other, count in sides]
     graph = links[0] + links[1].T
-    nodes = len(rest_b) + len(rest_a)
     rows, columns = graph.nonzero()
-    square = coo_array((np.ones(len(rows)), (rows, columns + len(rest_b))), shape=(nodes, nodes))
-    group = connected_components(square.tocsr(), directed=False)[1] if nodes else np.zeros(0, dtype=np.int64)
+    group = connect(len(rest_b) + len(rest_a), np.column_stack([rows, columns + len(rest_b)]))
     found = []
     for number in range(int(group.max(initial=-1)) + 1):
         members = np.flatnonzero(group == number).tolist()
@@ -201,9 +198,7 @@ def assign(
     rows, columns, costs = rows[worth], columns[worth], costs[worth]
     if len(rows) == 0:
         return []
-    nodes = count_b + count_a
-    graph = coo_array((np.ones(len(rows)), (rows, columns + count_b)), shape=(nodes, nodes))
-    component = connected_components(graph.tocsr(), directed=False)[1][rows]
+    component = connect(count_b + count_a, np.column_stack([rows, columns + count_b]))[rows]
     pairs: list[tuple[int, int]] = []
     for number in np.unique(component):
         inside = component == number

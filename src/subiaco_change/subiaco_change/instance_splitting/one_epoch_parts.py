@@ -11,8 +11,6 @@ from dataclasses import replace
 
 import numpy as np
 from pydantic import Field
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 from shapely import Point
 
@@ -22,7 +20,7 @@ from subiaco_change.decisions.rules import Decision
 from subiaco_change.decisions.voxel_objects import ObjectInstance, Voxels, join_voxels
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import applies, first_argument, no_decision, switchable
-from subiaco_change.segmentation.clustering import group_indices, voxel_clusters
+from subiaco_change.segmentation.clustering import connect, group_indices, voxel_clusters
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.config import StrictModel
@@ -155,9 +153,7 @@ def _united(parts: Sequence[ObjectInstance], config: PartConfig) -> list[ObjectI
     cluster = voxel_clusters(np.concatenate([p.voxels.xyz for p in parts]), config.gap)
     owner = np.repeat(np.arange(len(parts)), [len(p.voxels) for p in parts])
     links = np.column_stack([owner, cluster + len(parts)])
-    size = len(parts) + int(cluster.max()) + 1
-    graph = coo_array((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(size, size))
-    group = connected_components(graph.tocsr(), directed=False)[1][: len(parts)]
+    group = connect(len(parts) + int(cluster.max()) + 1, links)[: len(parts)]
     _, first = np.unique(group, return_index=True)
     return [_joined([p for p, g in zip(parts, group, strict=True) if g == group[k]]) for k in np.sort(first)]
 

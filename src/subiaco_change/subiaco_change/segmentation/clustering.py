@@ -71,8 +71,9 @@ def _root(parent: Ints, node: int) -> int:
 
 def connect(count: int, pairs: Ints) -> Ints:
     """Label ``count`` nodes (count,) by the connected components of pairs (E, 2)."""
-    ones = np.ones(len(pairs), dtype=np.int8)
-    graph = coo_array((ones, (pairs[:, 0], pairs[:, 1])), shape=(count, count)).tocsr()
+    if count == 0:
+        return np.zeros(0, dtype=np.int64)
+    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count)).tocsr()
     return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
 
 

@@ -7,13 +7,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import shapely
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from subiaco_change.association.costs import AssociationConfig
 from subiaco_change.decisions.measures import MeasureConfig
 from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.segmentation.clustering import connect
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.tiling.epoch_tiles import EpochContext
 from subiaco_change.tiling.retiling import EpochObjects, LabelledPoints, load_points, near_tile
@@ -193,10 +192,7 @@ def find_groups(inputs: Inputs, params: GroupParams) -> CandidateGroups:
     for piece in pieces:
         edges += [piece.across + np.array([0, size_b]), piece.before.pairs, piece.after.pairs + size_b]
     edges.append(_alike(sums, params.config.association.gate_distance) + np.array([0, size_b]))
-    pairs = np.concatenate(edges)
-    nodes = size_b + size_a
-    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(nodes, nodes))
-    group = connected_components(graph.tocsr(), directed=False)[1].astype(np.int64)
+    group = connect(size_b + size_a, np.concatenate(edges))
     every = np.concatenate(sums)
     count = int(group.max(initial=-1)) + 1
     total = np.stack([np.bincount(group, every[:, k], count) for k in range(3)], axis=1)

@@ -9,14 +9,13 @@ from typing import Any, ClassVar
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 from shapely.geometry.base import BaseGeometry
 
 from subiaco_change.decisions.ground_cells import GroundCells, GroundChangeConfig, difference_cells
 from subiaco_change.decisions.ground_change import GroundPatch, beyond_gate, find_patches
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import obeys_rules
+from subiaco_change.segmentation.clustering import connect
 from subiaco_change.tiling.retiling import near_tile
 from subiaco_change.tiling.stage_inputs import TileParams
 from subiaco_change.tiling.tile_surroundings import load_region
@@ -197,11 +196,7 @@ def join_over(inputs: Inputs, _: TileParams[PatchSlice]) -> JoinedComponents:
                 if other in labels:
                     touching = _across(labels[name][d], labels[other][d], dc, dr)
                     pairs.append(touching + np.array([start[name] - 1, start[other] - 1]))
-        links = np.concatenate(pairs)
-        size = int(offset[-1])
-        graph = coo_array((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(size, size))
-        patch = connected_components(graph.tocsr(), directed=False)[1] if size else np.zeros(0, np.int64)
-        found.append(Components(offset, patch.astype(np.int64)))
+        found.append(Components(offset, connect(int(offset[-1]), np.concatenate(pairs))))
     return JoinedComponents(tuple(tiles), found[0], found[1])
 
 

@@ -12,10 +12,9 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.segmentation.clustering import connect
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.tiling.epoch_tiles import EpochContext, TilePoints
 from subiaco_change.tiling.stage_inputs import in_frame, load_frame
@@ -61,7 +60,7 @@ def unite(inputs: Inputs, params: MergingParams) -> EpochObjects:
         number = np.concatenate([np.zeros(0, np.int64), *(np.arange(len(s)) for s in summaries)])
         group = np.unique(number, return_inverse=True)[1]
     else:
-        group = _groups(_links(inputs, tiles, offset, every), len(every))
+        group = connect(len(every), _links(inputs, tiles, offset, every))
     number, semantic, points = _renumber(group.astype(np.int64), every)
     return EpochObjects(tuple(tiles), offset, number.astype(np.int32), semantic.astype(np.uint8), points)
 
@@ -98,11 +97,6 @@ def _pairs(rows: Ints, first: int, second: int, every: Floats) -> Ints:
     pairs, enough = pairs + np.array([first, second]), (count >= _LEAST) & (count >= _SHARED * smaller)
     alike = every[pairs[:, 0], 0] == every[pairs[:, 1], 0]
     return np.asarray(pairs[enough & alike])
-
-
-def _groups(links: Ints, count: int) -> Ints:
-    graph = coo_array((np.ones(len(links)), (links[:, 0], links[:, 1])), shape=(count, count))
-    return np.asarray(connected_components(graph.tocsr(), directed=False)[1])
 
 
 def _renumber(group: Ints, every: Floats) -> tuple[Ints, Ints, Ints]:
