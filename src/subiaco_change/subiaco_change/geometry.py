@@ -17,6 +17,12 @@ _MAX_COLUMNS = 1 << 24
 _ROUNDING = 1e-6  # more than the coordinates of a column can be off by rounding [m]
 
 
+def in_box_around(points: Floats, places: Floats, reach: float) -> NDArray[np.bool_]:
+    """Tell which points (N, D) lie in the box around places (M, D), wider by ``reach`` [m] on every side."""
+    low, high = places.min(axis=0) - reach, places.max(axis=0) + reach
+    return np.asarray(((points >= low) & (points <= high)).all(axis=1))
+
+
 @dataclass(frozen=True)
 class ColumnIndex:
     """Points sorted by square column, and by height within it.

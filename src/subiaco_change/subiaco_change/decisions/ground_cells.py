@@ -154,10 +154,10 @@ def _other_surface(
     held = np.zeros((len(reaches), len(row)), dtype=bool)
     for e, view in enumerate(views):
         off = (view.semantic != Semantic.GROUND) & ~is_ghost_trail(view)
-        wall = view.semantic != Semantic.VEGETATION
+        upright = view.semantic != Semantic.VEGETATION
         surface = np.column_stack([middle, heights[1 - e][row, column]])
-        held |= _holds(view.xyz[off & ~wall], surface, limit, reaches, 0.0)
-        held |= _holds(view.xyz[off & wall], surface, limit, reaches, config.same_above)
+        held |= _holds(view.xyz[off & ~upright], surface, limit, reaches, 0.0)
+        held |= _holds(view.xyz[off & upright], surface, limit, reaches, config.same_above)
     other[row, column], inside[row, column] = held
     return other, inside
 
@@ -165,7 +165,7 @@ def _other_surface(
 def _holds(points: Floats, places: Floats, limit: Floats, reaches: tuple[float, ...], above: float) -> Mask:
     """Tell at which places (M, 3) points (N, 3) lie within each reach (R,) and, in height, ``limit`` (M,).
 
-    Returns (R, M). A wall that rises beside the place is no surface at its height: more of its points lie
+    Returns (R, M). A side that rises beside the place is no surface at its height: more of its points lie
     ``above``, up to so much [m].
     """
     held = np.zeros((len(reaches), len(places)), dtype=bool)

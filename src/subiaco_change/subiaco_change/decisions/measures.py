@@ -172,7 +172,7 @@ def measure(
         chi2=histogram_distance(seen_b.height, seen_a.height, config.bins),
         gone_share=alone_b / max(len(seen_b), 1),
         new_share=alone_a / max(len(seen_a), 1),
-        observed_fraction=(len(seen_b) + len(seen_a)) / max(_above_foot(before, after, config), 1),
+        observed_fraction=observed_fraction(before, after, config),
         observed_voxels=len(seen_b) + len(seen_a),
         net_changed_fraction=_net_changed_fraction(before, after),
     )
@@ -208,10 +208,11 @@ def _carved(
     )
 
 
-def _above_foot(before: Voxels, after: Voxels, config: MeasureConfig) -> int:
-    """Count the voxels that are high enough to be distinguished from ground."""
+def observed_fraction(before: Voxels, after: Voxels, config: MeasureConfig) -> float:
+    """Fraction of the voxels that the other epoch observed, of those high enough to differ from ground."""
     standing = same_place(config).standing
-    return sum(int(np.count_nonzero(v.observed | (v.height > standing))) for v in (before, after))
+    high = sum(int(np.count_nonzero(v.observed | (v.height > standing))) for v in (before, after))
+    return sum(int(np.count_nonzero(v.observed)) for v in (before, after)) / max(high, 1)
 
 
 def _net_changed_fraction(before: Voxels, after: Voxels) -> float:

@@ -116,6 +116,11 @@ def height_of(objects: Sequence[ObjectInstance], quantile: float = 0.95) -> floa
     return float(np.quantile(voxels.height, quantile)) if len(voxels) else math.nan
 
 
+def log_ratio(before: float, after: float, unknown: float = 0.0) -> float:
+    """Return the log of *after* over *before*; ``unknown`` where one of them is 0."""
+    return math.log(after / before) if min(before, after) > 0 else unknown
+
+
 def density_ratio(
     before: Sequence[ObjectInstance], after: Sequence[ObjectInstance], around: float = 0.0
 ) -> float:
@@ -124,7 +129,7 @@ def density_ratio(
         sum(len(t.points) for t in objects) / max(sum(len(t.voxels) for t in objects), 1)
         for objects in (before, after)
     ]
-    return math.log(counts[1] / counts[0]) if min(counts) > 0 else around
+    return log_ratio(counts[0], counts[1], around)
 
 
 def make_record(

@@ -15,13 +15,14 @@ from subiaco_change.association.matching import match_kind
 from subiaco_change.decisions.column_volumes import BUILT_UP, OpenGround, column_keys
 from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.dynamic_objects import OwnEpochEvidence, continues_trail, is_moving_object_trail
-from subiaco_change.decisions.measures import MeasureConfig, Measures, absence, measure
+from subiaco_change.decisions.measures import MeasureConfig, Measures, absence, measure, observed_fraction
 from subiaco_change.decisions.plant_decisions import decide_plant
 from subiaco_change.decisions.plant_measures import PlantConfig, measure_plant
 from subiaco_change.decisions.rules import Decision, decide
 from subiaco_change.decisions.space_carving import Empty, Interval
 from subiaco_change.decisions.vegetation_null import PlantMeasures, no_null
 from subiaco_change.decisions.voxel_objects import Certainty, Free, ObjectInstance, Voxels, join_voxels
+from subiaco_change.geometry import in_box_around
 from subiaco_change.instance_splitting.hedge_sections import NOTHING
 from subiaco_change.instance_splitting.one_epoch_parts import decide_vehicle_part
 from subiaco_change.method_numbers import NUMBERS
@@ -156,8 +157,8 @@ def _compared(
 def _adjoins(objects: Sequence[ObjectInstance], standing: Floats) -> bool:
     """Tell whether standing points (N, 3) of the other epoch lie beside the points of objects."""
     xyz = np.concatenate([t.xyz for t in objects])
-    near = ((standing >= xyz.min(axis=0) - _BESIDE) & (standing <= xyz.max(axis=0) + _BESIDE)).all(axis=1)
-    return bool(near.any()) and float(cKDTree(xyz).query(standing[near])[0].min()) <= _BESIDE
+    near = standing[in_box_around(standing, xyz, _BESIDE)]
+    return len(near) > 0 and float(cKDTree(xyz).query(near)[0].min()) <= _BESIDE
 
 
 def _observed_fraction(parts: Sequence[ObjectInstance], measures: Measures, rules: ObjectRules) -> float:
@@ -167,8 +168,7 @@ def _observed_fraction(parts: Sequence[ObjectInstance], measures: Measures, rule
     """
     if not any(rules.below_view):
         return measures.observed_fraction
-    none = join_voxels(())
-    return measure(join_voxels(parts), none, rules.measures, rules.ground).observed_fraction
+    return observed_fraction(join_voxels(parts), join_voxels(()), rules.measures)
 
 
 def _all_parts(objects: Sequence[ObjectInstance], *_: object) -> list[ObjectInstance]:

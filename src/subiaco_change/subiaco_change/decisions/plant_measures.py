@@ -20,6 +20,7 @@ from subiaco_change.decisions.measures import Measures, absence, mean_certainty,
 from subiaco_change.decisions.plant_tops import EpochSpace, TopChange, TopConfig, change_of_tops
 from subiaco_change.decisions.vegetation_null import PlantMeasures, VegetationNullConfig
 from subiaco_change.decisions.voxel_objects import Certainty, Free, ObjectInstance
+from subiaco_change.geometry import in_box_around
 from subiaco_change.instance_splitting.hedge_sections import NOTHING
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import never, switchable
@@ -213,8 +214,7 @@ def free_shell(
     if free is None:
         return 1.0
     alone = xyz[:: -(-len(xyz) // _SAMPLE)]
-    low, high = alone.min(axis=0) - config.shell, alone.max(axis=0) + config.shell
-    near = standing[((standing >= low) & (standing <= high)).all(axis=1)]
+    near = standing[in_box_around(standing, alone, config.shell)]
     if len(near):
         alone = alone[np.isinf(cKDTree(near).query(alone, distance_upper_bound=config.shell)[0])]
     if len(alone) == 0:

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from subiaco_change.geometry import in_box_around
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import none_of_them, switchable
 from subiaco_change.segmentation.clustering import group_indices
@@ -254,8 +255,7 @@ def occupied_by_ground(query: Floats, ground: Floats, reach: Reach) -> Mask:
     lies = np.zeros(len(query), dtype=bool)
     if len(ground) < 5 or len(query) == 0:
         return lies
-    low, high = query.min(axis=0) - reach.high, query.max(axis=0) + reach.high
-    ground = ground[((ground >= low) & (ground <= high)).all(axis=1)]
+    ground = ground[in_box_around(ground, query, reach.high)]
     if len(ground) < 5:
         return lies
     tree = cKDTree(ground[:, :2])

@@ -10,6 +10,7 @@ import shapely
 from scipy.spatial import cKDTree
 
 from subiaco_change.decisions.voxel_objects import ObjectInstance, Voxels
+from subiaco_change.geometry import in_box_around
 from subiaco_change.instance_splitting.one_epoch_parts import PartConfig
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import applies, first_argument, never, switchable
@@ -154,8 +155,7 @@ def _share_above(extension: Voxels, host: Voxels) -> float:
 
 
 def _contact(extension: Floats, host: Floats, config: PartConfig) -> int:
-    low, high = host[:, :2].min(axis=0) - config.touch, host[:, :2].max(axis=0) + config.touch
-    near = extension[((extension[:, :2] >= low) & (extension[:, :2] <= high)).all(axis=1), :2]
+    near = extension[in_box_around(extension[:, :2], host[:, :2], config.touch), :2]
     if len(near) == 0:
         return 0
     return int(np.isfinite(cKDTree(host[:, :2]).query(near, distance_upper_bound=config.touch)[0]).sum())

@@ -18,6 +18,7 @@ from subiaco_change.decisions.column_volumes import column_keys
 from subiaco_change.decisions.measures import Measures, oriented_rectangle
 from subiaco_change.decisions.rules import Decision
 from subiaco_change.decisions.voxel_objects import ObjectInstance, Voxels, join_voxels
+from subiaco_change.geometry import in_box_around
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import applies, first_argument, no_decision, switchable
 from subiaco_change.segmentation.clustering import connect, group_indices, voxel_clusters
@@ -100,16 +101,10 @@ def split_one_epoch_parts(
     parts: list[ObjectInstance] = []
     following = max((t.instance for t in objects), default=-1) + 1
     for number, obj in enumerate(objects):
-        voxels = obj.voxels
-        if seen_free is not None:
-            free = seen_free[number]
-            voxels = replace(
-                voxels,
-                observed=voxels.observed | free,
-                occupied_in_other=voxels.occupied_in_other & ~free,
-            )
-        labels = _parts_of(replace(obj, voxels=voxels), obj.voxels, config)
-        parted = replace(obj, voxels=_flagged(obj.voxels, voxels, labels > 0))
+        plain = obj.voxels
+        free = np.zeros(len(plain), dtype=bool) if seen_free is None else seen_free[number]
+        labels = _parts_of(replace(obj, voxels=_with_free(plain, free)), plain, config)
+        parted = replace(obj, voxels=_with_free(plain, free & (labels > 0)))
         rest, *own = split_by_labels(parted, labels, following) if labels.any() else [obj]
         following += len(own)
         rests.append(rest)
@@ -137,12 +132,10 @@ def split_by_labels(obj: ObjectInstance, labels: Ints, following: int) -> list[O
     ]
 
 
-def _flagged(plain: Voxels, seen: Voxels, where: Mask) -> Voxels:
-    """Voxels with what is known of them without, and ``where`` (M,) with, the places that were seen free."""
+def _with_free(voxels: Voxels, free: Mask) -> Voxels:
+    """Voxels of which some (M,) lie in places that the other epoch observed free."""
     return replace(
-        plain,
-        observed=np.where(where, seen.observed, plain.observed),
-        occupied_in_other=np.where(where, seen.occupied_in_other, plain.occupied_in_other),
+        voxels, observed=voxels.observed | free, occupied_in_other=voxels.occupied_in_other & ~free
     )
 
 
@@ -288,18 +281,18 @@ def decide_vehicle_part(
 
 def _held(xyz: Floats, standing: Floats) -> float:
     """Share of places (M, 3) beside points (N, 3)."""
-    near = ((standing >= xyz.min(axis=0) - _NEXT) & (standing <= xyz.max(axis=0) + _NEXT)).all(axis=1)
-    if not near.any():
+    near = standing[in_box_around(standing, xyz, _NEXT)]
+    if len(near) == 0:
         return 0.0
-    return float(np.mean(cKDTree(standing[near]).query(xyz)[0] <= _NEXT))
+    return float(np.mean(cKDTree(near).query(xyz)[0] <= _NEXT))
 
 
 def _surrounds(xyz: Floats, points: Floats) -> bool:
     """Tell whether places (M, 3) lie around points (N, 3): the sides of a larger car in the same place."""
-    inside = ((points >= xyz.min(axis=0)) & (points <= xyz.max(axis=0))).all(axis=1)
-    if not inside.any():
+    inside = points[in_box_around(points, xyz, 0.0)]
+    if len(inside) == 0:
         return False
-    return bool(oriented_rectangle(points[inside, :2]).contains(Point(xyz[:, :2].mean(axis=0))))
+    return bool(oriented_rectangle(inside[:, :2]).contains(Point(xyz[:, :2].mean(axis=0))))
 
 
 def _width(xyz: Floats) -> float:

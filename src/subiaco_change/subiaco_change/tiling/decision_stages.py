@@ -6,7 +6,6 @@ the unchanged plants of all tiles (Decision 18).
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar
@@ -22,7 +21,7 @@ from subiaco_change.decisions.column_volumes import NO_COLUMNS, OpenGround
 from subiaco_change.decisions.confidence import ConfidenceConfig, decided_anew
 from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.measures import MeasureConfig
-from subiaco_change.decisions.object_comparison import compare_objects, make_record
+from subiaco_change.decisions.object_comparison import compare_objects, log_ratio, make_record
 from subiaco_change.decisions.object_decision import ObjectChange, ObjectRules
 from subiaco_change.decisions.plant_decisions import decide_plant, place_was_free
 from subiaco_change.decisions.plant_measures import PlantConfig
@@ -195,7 +194,7 @@ def compare_tile(inputs: Inputs, params: TileParams[ComparisonSlice]) -> TileCom
     )
     changes = compare_objects(views[0], views[1], regions[0].observed, regions[1].observed, rules)
     numbers = [number for _, number in compact]
-    around = _log_ratio(len(views[0].xyz), len(views[1].xyz))
+    around = log_ratio(len(views[0].xyz), len(views[1].xyz))
     records = [
         _in_city(
             make_record(
@@ -214,11 +213,6 @@ def compare_tile(inputs: Inputs, params: TileParams[ComparisonSlice]) -> TileCom
     before = RowPoints(tuple(regions[0].tiles), _points(regions[0], changes, "before"))
     after = RowPoints(tuple(regions[1].tiles), _points(regions[1], changes, "after"))
     return TileComparison(tuple(records), plants_of(changes), before, after)
-
-
-def _log_ratio(before: int, after: int) -> float:
-    """Return the log of the ratio of two numbers of points; 0 where one is none."""
-    return math.log(after / before) if min(before, after) > 0 else 0.0
 
 
 def object_rules(config: ComparisonSlice | ChangeConfig) -> ObjectRules:
