@@ -124,6 +124,12 @@ class VegetationNullConfig(StrictModel):
         gt=0,
         description="Number of standard deviations of unchanged plants beyond which a change is claimed",
     )
+    together: float = Field(
+        4.8,
+        gt=0,
+        description="Standard deviations of unchanged plants, those of the outline and of the top added up, "
+        "beyond which a change is claimed where both changed in one direction",
+    )
     slope: float = Field(
         0.15,
         gt=0,
@@ -193,11 +199,13 @@ class NullFit:
 class VegetationNull:
     """Fits by ``kind/measure``; what is not there has the stated scatter about no change.
 
-    ``certain``: standard deviations of the unchanged plants beyond which a change is claimed.
+    ``certain``: standard deviations of the unchanged plants beyond which a change is claimed; ``together``:
+    those of outline and top, added up.
     """
 
     stated: PlantScatter
     certain: float
+    together: float
     fits: dict[str, NullFit] = field(default_factory=dict)
 
     def expected(self, plant: PlantMeasures, measure: str) -> Expected:
@@ -323,4 +331,5 @@ def null_of(words: str, config: VegetationNullConfig) -> VegetationNull:
 
 def no_null(config: VegetationNullConfig) -> VegetationNull:
     """Return the null of a pair of which no plants are known."""
-    return VegetationNull(config.stated if config.enabled else config.least, config.certain)
+    scatter = config.stated if config.enabled else config.least
+    return VegetationNull(scatter, config.certain, config.together)
