@@ -75,12 +75,6 @@ PLANTS = [
     ("top_contradicts", replace(CROWN, outline=0.8, apparent=-0.5), Change.UNCHANGED, Change.INCREASED),
     ("surface_was_free", replace(CROWN, outline=0.8, free_gained=0.4), Change.UNCHANGED, Change.INCREASED),
     (
-        "outline_agrees_with_top",
-        replace(CROWN, outline=0.27, outline_sigma=0.08, rise=0.42, rise_sigma=0.12),
-        Change.INCREASED,
-        Change.UNCHANGED,
-    ),
-    (
         "own_error_of_plants",
         replace(CROWN, outline=math.nan, voxels=6, volume=0.9, surface=0.9),
         Change.UNCHANGED,

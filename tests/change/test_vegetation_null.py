@@ -47,11 +47,6 @@ def street(count, shift, scatter, changed=(), seed=0, slope=0.0):
     return [*plants, *(replace(TREE, outline=m) for m in changed)]
 
 
-def replace_scatter(**deviations):
-    """Stated scatter of unchanged plants with some standard deviations [m] replaced."""
-    return NULL.stated.model_copy(update=deviations)
-
-
 def label(plant, null):
     return decide_plant(plant, 0.03, CONFIG, null)
 
@@ -68,32 +63,6 @@ def test_a_shift_that_all_crowns_of_a_pair_share_is_no_change_and_one_beyond_is(
     assert "the other 39 crowns of this pair by" in grown.reason
     assert "excess" in grown.reason
     assert grown.sigmas > 0 > rest.sigmas
-
-
-@pytest.mark.parametrize("sign", [1, -1])
-def test_outline_and_top_that_changed_together_count_together_and_never_below_the_limits_of_the_rules(sign):
-    null = replace(no_null(NULL), stated=replace_scatter(outline=0.1, rise=0.2))
-    tree = replace(TREE, outline=sign * 0.25, outline_sigma=0.0, rise=sign * 0.5, rise_sigma=0.0)
-    claimed = Change.INCREASED if sign > 0 else Change.DECREASED
-    found = label(tree, null)
-    assert found.change is claimed
-    assert "as well" in found.reason
-    assert label(replace(tree, outline=0.0), null).change is Change.UNCHANGED
-    assert label(replace(tree, rise=0.0), null).change is Change.UNCHANGED
-    assert label(replace(tree, rise=-sign * 0.5), null).change is Change.UNCHANGED
-    sure = replace(no_null(NULL), stated=replace_scatter(outline=0.03, rise=0.03))
-    small = replace(tree, outline=sign * 0.08, rise=sign * 0.25)
-    assert label(small, sure).change is Change.UNCHANGED
-
-
-def test_of_seven_hundred_trees_that_did_not_change_one_at_most_is_claimed_by_outline_and_top_together():
-    rng = np.random.default_rng(3)
-    null = replace(no_null(NULL), stated=replace_scatter(outline=0.1, rise=0.2))
-    drawn = rng.normal(size=(7000, 2)) * [0.1, 0.2]
-    trees = [replace(TREE, outline=o, outline_sigma=0.0, rise=r, rise_sigma=0.0) for o, r in drawn]
-    claimed = sum(label(tree, null).change is not Change.UNCHANGED for tree in trees)
-    alone = sum(label(tree, replace(null, together=99.0)).change is not Change.UNCHANGED for tree in trees)
-    assert claimed - alone <= 10
 
 
 @pytest.mark.parametrize("seed", range(5))

@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from subiaco_change.decisions.config import ClassRules, DecisionConfig
 from subiaco_change.decisions.rules import NO_LEVEL, Decision
 from subiaco_change.decisions.vegetation_null import PLANT_MEASURES, Expected, PlantMeasures, VegetationNull
-from subiaco_change.method_rules.switches import applies, first_argument, switchable, third_argument
+from subiaco_change.method_rules.switches import applies, switchable, third_argument
 from subiaco_geo.codes import Change
 
 _NAMES = {
@@ -30,7 +30,6 @@ class _Excess:
     expected: Expected
     limit: float
     sd: float
-    agrees: str = ""  # what lowered the limit, in words
 
     @property
     def unit(self) -> str:
@@ -223,28 +222,7 @@ def _excesses(
         expected = null.expected(plant, measure)
         sd = _sigma(plant, measure, expected.sd)
         found[measure] = _Excess(measure, plant.value(measure), expected, max(limit, null.certain * sd), sd)
-    extent = {"outline": found["outline"], "rise": found["rise"]}
-    for name, other in (("outline", "rise"), ("rise", "outline")):
-        found[name] = _with_other(extent[name], extent[other], limits[name], null)
     return found
-
-
-@switchable("outline_agrees_with_top", first_argument)
-def _with_other(own: _Excess, other: _Excess, least: float, null: VegetationNull) -> _Excess:
-    """Lower the limit of the outline, or of the top, of a plant as far as the other one agrees with it.
-
-    Both are measured on different points: that both left the scatter of the pair in one direction is less
-    probable than that either did. The limit never falls below the ``least`` one, that of the rule.
-    """
-    others = other.strength * other.limit / other.sd
-    same_way = math.copysign(1.0, own.strength) * others
-    if not math.isfinite(own.excess) or same_way < 1.0:
-        return own
-    limit = max(least, (null.together - same_way) * own.sd)
-    if limit >= own.limit:
-        return own
-    words = f"{_NAMES[other.measure]} changed by {_quantity(other.value, other.unit)} as well"
-    return replace(own, limit=limit, agrees=words)
 
 
 @switchable("own_error_of_plants", third_argument)
@@ -278,8 +256,7 @@ def _decision(plant: PlantMeasures, found: _Excess) -> Decision:
         change = Change.INCREASED if found.strength > 0 else Change.DECREASED
     verb = "does not exceed" if change is Change.UNCHANGED else "exceeds"
     limit = _quantity(found.limit, found.unit, sign=False)
-    agrees = f" ({found.agrees})" if found.agrees else ""
-    reason = f"{_compared(plant, found)} {verb} the limit of {limit}{agrees}: {_CONCLUSIONS[change]}."
+    reason = f"{_compared(plant, found)} {verb} the limit of {limit}: {_CONCLUSIONS[change]}."
     return Decision(change, reason, abs(found.strength), found.sigmas)
 
 

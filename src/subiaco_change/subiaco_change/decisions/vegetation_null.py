@@ -124,12 +124,6 @@ class VegetationNullConfig(StrictModel):
         gt=0,
         description="Number of standard deviations of unchanged plants beyond which a change is claimed",
     )
-    together: float = Field(
-        4.8,
-        gt=0,
-        description="Standard deviations of unchanged plants, those of the outline and of the top added up, "
-        "beyond which a change is claimed where both changed in one direction",
-    )
     slope: float = Field(
         0.15,
         gt=0,
@@ -199,13 +193,11 @@ class NullFit:
 class VegetationNull:
     """Fits by ``kind/measure``; what is not there has the stated scatter about no change.
 
-    ``certain``: standard deviations of the unchanged plants beyond which a change is claimed; ``together``:
-    those of outline and top, added up.
+    ``certain``: standard deviations of the unchanged plants beyond which a change is claimed.
     """
 
     stated: PlantScatter
     certain: float
-    together: float
     fits: dict[str, NullFit] = field(default_factory=dict)
 
     def expected(self, plant: PlantMeasures, measure: str) -> Expected:
@@ -331,5 +323,4 @@ def null_of(words: str, config: VegetationNullConfig) -> VegetationNull:
 
 def no_null(config: VegetationNullConfig) -> VegetationNull:
     """Return the null of a pair of which no plants are known."""
-    scatter = config.stated if config.enabled else config.least
-    return VegetationNull(scatter, config.certain, config.together)
+    return VegetationNull(config.stated if config.enabled else config.least, config.certain)

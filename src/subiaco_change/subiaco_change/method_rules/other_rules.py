@@ -30,12 +30,6 @@ PLANT_RULES: tuple[Rule, ...] = (
         guards=True,
     ),
     Rule(
-        "outline_agrees_with_top",
-        _PLANTS,
-        "Outline and top of a plant that left the scatter of the pair in one direction count together.",
-        ("plants.null_model.together",),
-    ),
-    Rule(
         "tops_of_columns",
         ("comparison",),
         "The tops of its columns, at equal point density, tell how a plant grew; voxels do not resolve that.",
