@@ -189,6 +189,12 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         ("association.same_place",),
     ),
     Rule(
+        "no_partner_elsewhere",
+        _HERE,
+        "A building or plant whose place was seen free has no partner that shares no voxel with it.",
+        ("association.place_free",),
+    ),
+    Rule(
         "low_overlap_matches",
         _HERE,
         "Two matched objects of which one is slight and hardly overlaps the other are two objects.",
