@@ -6,8 +6,9 @@ from pathlib import Path
 
 import numpy as np
 from mapping_scenes import SECOND, START_NS
+from rosbags.rosbag1 import Writer as Ros1Writer
 from rosbags.rosbag2 import StoragePlugin, Writer
-from rosbags.typesys import get_types_from_msg
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from subiaco_geo.bags import make_typestore
 
@@ -83,3 +84,30 @@ def write_livox(
             stamp = START_NS + k * SECOND // 10
             cloud = livox_message(store, xyz, offsets_ns, stamp, package=package)
             writer.write(connection, stamp, store.serialize_cdr(cloud, name))
+
+
+def write_ros1_livox(bag: Path, clouds: list[tuple[np.ndarray, np.ndarray]]) -> None:
+    """A ROS 1 bag of the same clouds."""
+    store = get_typestore(Stores.ROS1_NOETIC)
+    package = PACKAGES[1]
+    name = f"{package}/msg/CustomMsg"
+    store.register(get_types_from_msg(POINT, f"{package}/msg/CustomPoint"))
+    store.register(get_types_from_msg(CLOUD, name))
+    header, time = store.types["std_msgs/msg/Header"], store.types["builtin_interfaces/msg/Time"]
+    point = store.types[f"{package}/msg/CustomPoint"]
+    with Ros1Writer(bag) as writer:
+        connection = writer.add_connection("/livox/lidar", name, typestore=store)
+        for k, (xyz, offsets_ns) in enumerate(clouds):
+            stamp = START_NS + k * SECOND // 10
+            cloud = store.types[name](
+                header=header(k, time(stamp // SECOND, stamp % SECOND), "livox_frame"),
+                timebase=stamp,
+                point_num=len(xyz),
+                lidar_id=1,
+                rsvd=np.zeros(3, np.uint8),
+                points=[
+                    point(int(t), *map(float, p), reflectivity=7, tag=0, line=0)
+                    for p, t in zip(xyz, offsets_ns, strict=True)
+                ],
+            )
+            writer.write(connection, stamp, store.serialize_ros1(cloud, name))

@@ -2,13 +2,17 @@
 
 from __future__ import annotations
 
+import re
+import shlex
+import subprocess
+import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from livox_bags import PACKAGES, livox_message, livox_typestore, write_livox
+from livox_bags import PACKAGES, livox_message, livox_typestore, write_livox, write_ros1_livox
 from mapping_scenes import SECOND, START_NS, point_cloud_message, room_scan, turning_pose
 from rosbags.rosbag2 import StoragePlugin
 
@@ -16,7 +20,9 @@ from subiaco_geo.bags import TYPESTORE, BagWriter
 from subiaco_geo.errors import InputError
 from subiaco_geo.topics import MESSAGE_TYPES, POINTS
 from subiaco_mapping.config import MappingConfig
+from subiaco_mapping.importers.packets import import_recording
 from subiaco_mapping.inspection.inspect_bag import inspect_bag
+from subiaco_mapping.named_bags import open_bag
 from subiaco_mapping.odometry.config import OdometryConfig
 from subiaco_mapping.pipeline import map_survey
 from subiaco_mapping.preprocessing.livox import livox_points, scan_from_livox
@@ -131,3 +137,22 @@ def test_a_topic_of_another_type_is_refused_with_the_types_that_are_read(tmp_pat
         writer.write("/livox/lidar", "std_msgs/msg/String", text, START_NS)
     with pytest.raises(InputError, match="livox_ros_driver2/msg/CustomMsg or sensor_msgs/msg/PointCloud2"):
         map_survey([tmp_path / "drive"], MappingConfig(topics=TOPICS))
+
+
+def test_a_ros_1_bag_of_clouds_is_mapped_after_the_conversion_that_its_refusal_names(tmp_path: Path) -> None:
+    recording, target = tmp_path / "drive.bag", tmp_path / "drive"
+    write_ros1_livox(recording, [(XYZ, OFFSETS_NS)] * 5)
+    with pytest.raises(InputError, match="rosbags-convert") as refused:
+        import_recording(recording, tmp_path / "bag")
+    assert "\n" not in str(refused.value)
+    assert f"--dst {target}" in str(refused.value)
+    assert "--set topics.points=/livox/lidar" in str(refused.value)
+    told = re.search(r"'rosbags-convert (.*?)'", str(refused.value))
+    assert told is not None
+    subprocess.run([sys.executable, "-m", "rosbags.convert", *shlex.split(told[1])], check=True)
+    facts = inspect_bag(target, MappingConfig(topics=TOPICS))
+    assert facts["topics"]["/lidar/points"]["count"] == 5
+    with open_bag(target, TOPICS) as reader:
+        points, header_ns = livox_points(next(reader.messages({POINTS})).raw)
+    assert header_ns == START_NS
+    np.testing.assert_array_equal(points["offset_time"], OFFSETS_NS)
