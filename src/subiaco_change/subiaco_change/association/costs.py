@@ -88,8 +88,8 @@ class AssociationConfig(StrictModel):
         0.6,
         gt=0,
         le=1,
-        description="Fraction of the observed place of a building or plant that was free in the other survey, from "
-        "which it has no partner beside that place [1]",
+        description="Fraction of the observed place of a building or plant that was free in the other "
+        "survey, from which it has no partner beside that place [1]",
     )
     parts: PartConfig = PartConfig()
     apart: float = Field(
