@@ -120,7 +120,7 @@ def candidate_costs(
 ) -> tuple[Ints, Ints, Floats]:
     """Gated pairs of groups (E,), (E,) and their chi-square costs (E,).
 
-    ``counts`` as of :func:`overlap_counts`: what stands still and left a place that was seen free has no
+    ``counts`` as of :func:`overlap_counts`: a building or plant whose place was seen free has no
     partner that shares no voxel with it.
     """
     shapes_b = [_shape([before[i] for i in group]) for group in groups_b]
