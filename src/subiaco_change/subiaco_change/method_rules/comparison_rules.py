@@ -202,6 +202,12 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         ("association.same_place",),
     ),
     Rule(
+        "no_partner_elsewhere",
+        _HERE,
+        "A building or plant whose place was seen free has no partner that shares no voxel with it.",
+        ("association.place_free",),
+    ),
+    Rule(
         "multi_body_matches",
         _HERE,
         "Bodies that one epoch holds apart are decided one by one where their labels differ.",
