@@ -10,7 +10,13 @@ from test_measures import block
 from test_one_epoch_parts import obj
 
 from subiaco_change.decisions.config import DecisionConfig
-from subiaco_change.decisions.driven_lane import DrivenLane, lane_share_of_claim, limit_in_lane
+from subiaco_change.decisions.driven_lane import (
+    DrivenLane,
+    SurveyPath,
+    lane_near,
+    lane_share_of_claim,
+    limit_in_lane,
+)
 from subiaco_change.decisions.rules import Decision
 from subiaco_change.method_rules.switches import rules_switched_off
 from subiaco_geo.codes import Change
@@ -92,3 +98,14 @@ def test_the_lane_of_either_survey_counts():
     far, near = DrivenLane(STRAIGHT + np.array([0.0, 3.5, 0.0])), DrivenLane(STRAIGHT)
     for lanes in ([near.covers, far.covers], [far.covers, near.covers]):
         assert lane_share_of_claim(other, [car(-0.9)], lanes, RULES) == 1.0
+
+
+def test_the_part_of_a_long_drive_near_some_points_covers_them_as_the_whole_drive_does():
+    rng = np.random.default_rng(4)
+    turns = np.cumsum(rng.normal(0, 0.05, 2000))
+    drive = np.cumsum(np.column_stack([np.cos(turns), np.sin(turns), np.zeros(2000)]), axis=0)
+    places = drive[900:950] + np.column_stack([rng.normal(0, 1.0, (50, 2)), np.full(50, -1.5)])
+    near = lane_near(SurveyPath(drive), places).covers(places)
+    assert near.tolist() == DrivenLane(drive).covers(places).tolist()
+    assert 0 < near.sum() < 50
+    assert not lane_near(SurveyPath(drive), places[:0]).covers(places).any()
