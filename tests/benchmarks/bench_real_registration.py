@@ -2,6 +2,7 @@
 """Registration of real clouds of every density at the defaults, where the transform is known.
 
     python tests/benchmarks/bench_real_registration.py pairs        # random halves: the transform is known
+    python tests/benchmarks/bench_real_registration.py varied       # random pieces, densities and overlaps
     python tests/benchmarks/bench_real_registration.py wrong        # other places, wrong transforms
     python tests/benchmarks/bench_real_registration.py pairs --only autzen oakland
 
@@ -175,6 +176,39 @@ def pairs_of(name: str, xyz: Floats) -> Iterator[Pair]:
             yield Pair(f"{name}{label}, {kind}", transform_points(invert_pose(truth), before), after, truth)
 
 
+def varied_pairs(name: str, xyz: Floats, count: int) -> Iterator[Pair]:
+    """Yield pairs of random pieces: edge, density of each epoch, overlap and motion are drawn.
+
+    The piece is 40 m to the whole cloud wide. Of each epoch a random half of the points is taken, of which
+    1, 1/2 or 1/4 is kept; the epochs overlap by half to all of the piece, and *before* lies up to 0.5 m and
+    0.5 degrees aside.
+    """
+    low, high = xyz[:, :2].min(axis=0), xyz[:, :2].max(axis=0)
+    for number in range(count):
+        rng = np.random.default_rng([number, sum(map(ord, name))])
+        edge = np.minimum(rng.uniform(40.0, max(float((high - low).max()), 60.0), 2), high - low)
+        corner = low + rng.random(2) * (high - low - edge)
+        inside = ((xyz[:, :2] >= corner) & (xyz[:, :2] <= corner + edge)).all(axis=1)
+        before, after = random_halves(xyz[inside], number)
+        shares = 0.5 ** rng.integers(0, 3, 2)
+        overlap = rng.uniform(0.5, 1.0)
+        axis = int(rng.integers(0, 2))
+        cut = edge[axis] * (1.0 - overlap) / 2.0
+        before = before[
+            (before[:, axis] < corner[axis] + edge[axis] - cut) & (rng.random(len(before)) < shares[0])
+        ]
+        after = after[(after[:, axis] > corner[axis] + cut) & (rng.random(len(after)) < shares[1])]
+        centre = np.median(xyz[inside], axis=0)
+        tilt = rng.uniform(-0.1, 0.1, 3) + np.array([0.0, 0.0, rng.uniform(-0.4, 0.4)])
+        turn = Rotation.from_rotvec(np.radians(tilt)).as_matrix()
+        angle, length = rng.uniform(0, 2 * np.pi), rng.uniform(0.0, 0.5)
+        shift = np.array([length * np.cos(angle), length * np.sin(angle), rng.uniform(-0.2, 0.2)])
+        truth = make_pose(turn, shift + centre - turn @ centre)
+        kept = f"kept {shares[0]:.2f} and {shares[1]:.2f}"
+        words = f"{edge[0]:.0f} x {edge[1]:.0f} m, {kept}, overlap {overlap:.2f}"
+        yield Pair(f"{name} {number}: {words}", transform_points(invert_pose(truth), before), after, truth)
+
+
 def cloud(xyz: Floats) -> PointCloud:
     """Return a cloud at the working leaf, as the change run registers it."""
     return voxel_downsample(from_world(xyz), LEAF)
@@ -262,11 +296,14 @@ def load(read: Callable[[], Floats]) -> Floats | None:
         return None
 
 
-def run_pairs(only: list[str], words: list[str]) -> list[dict[str, Any]]:
+def run_pairs(only: list[str], words: list[str], varied: int = 0) -> list[dict[str, Any]]:
+    """Register pairs of fixed densities, or ``varied`` random ones of every cloud."""
     rows = []
     for name, read in SOURCES.items():
         xyz = load(read) if wanted(name, only) else None
-        for pair in [] if xyz is None else pairs_of(name, xyz):
+        if xyz is None:
+            continue
+        for pair in varied_pairs(name, xyz, varied) if varied else pairs_of(name, xyz):
             if all(word in pair.name for word in words):
                 rows.append(measure(pair))
                 print(rows[-1], flush=True)
@@ -299,13 +336,14 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("job", choices=["pairs", "wrong"])
+    parser.add_argument("job", choices=["pairs", "varied", "wrong"])
     parser.add_argument("--only", nargs="*", default=[], help="words, one of which a source's name holds")
     parser.add_argument("--words", nargs="*", default=[], help="words, all of which a pair's name holds")
+    parser.add_argument("--count", type=int, default=4, help="pairs of each cloud (varied)")
     parser.add_argument("--json", type=Path, help="leave the rows there")
     arguments = parser.parse_args()
-    if arguments.job == "pairs":
-        rows = run_pairs(arguments.only, arguments.words)
+    if arguments.job != "wrong":
+        rows = run_pairs(arguments.only, arguments.words, arguments.count * (arguments.job == "varied"))
         table(rows)
     else:
         rows = run_wrong(arguments.only)

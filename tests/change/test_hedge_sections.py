@@ -102,15 +102,6 @@ def test_a_thinly_sampled_trim_is_found_where_its_tops_moved_beyond_their_spread
     assert section.xy[:, 0].min() > 5
 
 
-def test_where_points_of_another_class_stood_nothing_grew():
-    before, after = hedge([(0, 12, 1.2)], 1), hedge([(0, 6, 1.2), (6, 12, 2.0)], 2)
-    wall = block((6, 0, 1.2), (12, 1, 2.0), 0.2)
-    nothing = np.zeros((0, 3))
-    assert [s.rise > 0.6 for s in changed_sections([before], [after], 0.3)[0]] == [True]
-    assert changed_sections([before], [after], 0.3, (wall, nothing))[0] == []
-    assert len(changed_sections([before], [after], 0.3, (np.add(wall, (0, 0, 3)), nothing))[0]) == 1
-
-
 def test_tops_that_few_beams_met_are_not_trimmed():
     rng = np.random.default_rng(5)
     before, after = hedge([(0, 12, 1.5)], 1), hedge([(0, 12, 1.5)], 2)

@@ -121,15 +121,15 @@ def test_the_reason_of_any_measures_has_value_limit_and_conclusion(
 @given(
     plant=st.sampled_from([TREE, HEDGE]),
     thin=st.booleans(),
-    values=st.tuples(CHANGES, CHANGES, CHANGES, CHANGES, CHANGES, SHARES, SHARES),
+    values=st.tuples(CHANGES, CHANGES, CHANGES, CHANGES, SHARES, SHARES),
 )
 def test_the_reason_of_any_plant_has_value_limit_and_conclusion(
     plant: object, thin: bool, values: tuple[float, ...]
 ) -> None:
-    outline, top, volume, surface, apparent, gained, lost = values
+    outline, top, volume, surface, gained, lost = values
     measured = replace(
         plant, thin=thin, outline=outline / 5, top=top, volume=volume / 5, surface=surface / 5,
-        rise=top if plant is HEDGE else math.nan, apparent=apparent, free_gained=gained, free_lost=lost,
+        rise=top if plant is HEDGE else math.nan, free_gained=gained, free_lost=lost,
     )  # fmt: skip
     reason = decide_plant(measured, 0.03, CONFIG, no_null(NULL)).reason
     assert faults(reason) == [], reason

@@ -72,7 +72,6 @@ PLANTS = [
     ("outline_of_plants", replace(CROWN, outline=0.8), Change.INCREASED, Change.UNCHANGED),
     ("surface_carries_change", replace(CROWN, outline=math.nan, top=2.0), Change.UNCHANGED, Change.INCREASED),
     ("extent_carries_surface", replace(CROWN, surface=0.4), Change.UNCHANGED, Change.INCREASED),
-    ("top_contradicts", replace(CROWN, outline=0.8, apparent=-0.5), Change.UNCHANGED, Change.INCREASED),
     ("surface_was_free", replace(CROWN, outline=0.8, free_gained=0.4), Change.UNCHANGED, Change.INCREASED),
     (
         "own_error_of_plants",

@@ -124,3 +124,30 @@ def test_a_file_that_only_bears_the_name_of_osf_is_refused(tmp_path: Path) -> No
     with pytest.raises(InputError, match=r"drive\.osf: not a whole OSF file"):
         import_recording(recording, tmp_path / "bag")
     assert not (tmp_path / "bag").exists()
+
+
+@pytest.mark.parametrize(
+    ("name", "said"),
+    [
+        ("drive.mcap", "needs no import"),
+        ("drive/metadata.yaml", "needs no import"),
+        ("drive.pos", "--gnss"),
+        ("imu.csv", "--gnss or --imu"),
+        ("drive.las", "not supported"),
+        (
+            "2011_09_26/2011_09_26_drive_0027_sync/velodyne_points/x",
+            "for example .*2011_09_26_drive_0027_sync",
+        ),
+    ],
+)
+def test_what_is_no_recording_is_refused_in_one_line_that_names_the_way(
+    tmp_path: Path, name: str, said: str
+) -> None:
+    path = tmp_path / name
+    path.parent.mkdir(parents=True, exist_ok=True)
+    path.write_text("")
+    given = tmp_path / name.split("/", maxsplit=1)[0]
+    with pytest.raises(InputError, match=said) as refused:
+        import_recording(given, tmp_path / "bag")
+    assert "\n" not in str(refused.value)
+    assert str(given) in str(refused.value)

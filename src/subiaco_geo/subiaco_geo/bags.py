@@ -316,8 +316,8 @@ class BagReader:
             store.register({name: fields for name, fields in types.items() if name not in store.fielddefs})
 
 
-def require_topic(reader: BagReader, topic: str, msg_type: str) -> TopicInfo:
-    """Return the info of a topic that must be there, with the type that we need.
+def require_topic(reader: BagReader, topic: str, msg_types: str | Collection[str]) -> TopicInfo:
+    """Return the info of a topic that must be there, with a type that we read.
 
     Raises
     ------
@@ -328,9 +328,10 @@ def require_topic(reader: BagReader, topic: str, msg_type: str) -> TopicInfo:
     if info is None:
         present = ", ".join(sorted(reader.topics)) or "none"
         raise InputError(f"{reader.path}: no topic {topic} (it has {present}); record it or remap it")
-    if info.msg_type != msg_type:
+    accepted = [msg_types] if isinstance(msg_types, str) else sorted(msg_types)
+    if info.msg_type not in accepted:
         raise InputError(
-            f"{reader.path}: {topic} is {info.msg_type}, expected {msg_type}; "
+            f"{reader.path}: {topic} is {info.msg_type}, expected {' or '.join(accepted)}; "
             "remap the right topic to this name"
         )
     return info

@@ -9,7 +9,7 @@ from pathlib import Path
 from rosbags.rosbag2 import Reader
 
 from subiaco_geo.bags import BagMessage, BagReader, TopicInfo
-from subiaco_geo.topics import FIX, IMU, LIDAR_PACKETS, MESSAGE_TYPES, METADATA, POINTS
+from subiaco_geo.topics import FIX, IMU, LIDAR_PACKETS, MESSAGE_TYPES, METADATA, POINTS, types_of
 from subiaco_mapping.topic_names import TopicsConfig
 
 
@@ -80,7 +80,7 @@ def guess_names(topics: Mapping[str, TopicInfo], config: TopicsConfig) -> dict[s
 
 
 def _fits(name: str, info: TopicInfo, ours: str) -> bool:
-    if info.msg_type != MESSAGE_TYPES[ours] or name in MESSAGE_TYPES:
+    if info.msg_type not in types_of(ours) or name in MESSAGE_TYPES:
         return False
     word = {METADATA: "metadata", LIDAR_PACKETS: "lidar"}.get(ours, "")
     return word in name.lower() and not (ours == IMU and "heading" in name.lower())

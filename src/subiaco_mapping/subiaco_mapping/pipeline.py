@@ -10,13 +10,24 @@ from typing import Any, Protocol
 import numpy as np
 
 from subiaco_geo.bag_files import sequence_name
-from subiaco_geo.bags import BagReader, hash_bag, packet_from_cdr, require_topic
+from subiaco_geo.bags import BagMessage, BagReader, hash_bag, packet_from_cdr, require_topic
 from subiaco_geo.crs_area import require_usable
 from subiaco_geo.disk import free_bytes, require_room
 from subiaco_geo.errors import InputError, errors_name
 from subiaco_geo.simulated import mark_simulated
 from subiaco_geo.survey_map import SurveyMap
-from subiaco_geo.topics import FIX, HEADING, IMU, LIDAR_PACKETS, MESSAGE_TYPES, METADATA, POINTS, TF_STATIC
+from subiaco_geo.topics import (
+    FIX,
+    HEADING,
+    IMU,
+    LIDAR_PACKETS,
+    LIVOX_TYPES,
+    MESSAGE_TYPES,
+    METADATA,
+    POINTS,
+    TF_STATIC,
+    types_of,
+)
 from subiaco_geo.work.tasks import Inputs
 from subiaco_mapping.checkpoint.checkpoint import CheckpointedBackend, opened
 from subiaco_mapping.checkpoint.sequence_files import pack
@@ -24,7 +35,14 @@ from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.fusion.full_density import FullDensity
 from subiaco_mapping.fusion.map_builder import ProgressCallback, silent
 from subiaco_mapping.health_monitor.files import with_watched
-from subiaco_mapping.measurements import DeskewedScan, Extrinsics, GnssFix, HeadingSample, OdometryPose
+from subiaco_mapping.measurements import (
+    DeskewedScan,
+    Extrinsics,
+    GnssFix,
+    HeadingSample,
+    OdometryPose,
+    Scan,
+)
 from subiaco_mapping.named_bags import open_bag
 from subiaco_mapping.odometry.frontend import FrontendOutput, OdometryFrontend
 from subiaco_mapping.pose_graph.gnss import PlaceCheck
@@ -35,6 +53,7 @@ from subiaco_mapping.preprocessing.conversions import (
     imu_from_msg,
     scan_from_points,
 )
+from subiaco_mapping.preprocessing.livox import scan_from_livox
 from subiaco_mapping.recordings import (
     OneSequence,
     PackedRecord,
@@ -58,7 +77,7 @@ def lidar_topic(reader: BagReader) -> str:
     """
     for topic in (LIDAR_PACKETS, POINTS):
         if topic in reader.topics:
-            require_topic(reader, topic, MESSAGE_TYPES[topic])
+            require_topic(reader, topic, types_of(topic))
             if topic == LIDAR_PACKETS:
                 require_topic(reader, METADATA, MESSAGE_TYPES[METADATA])
             return topic
@@ -82,6 +101,13 @@ def read_metadata(reader: BagReader) -> str | None:
     """Return the sensor metadata of a bag, None where it has none."""
     first = next(reader.messages({METADATA}), None) if METADATA in reader.topics else None
     return None if first is None else str(reader.deserialize(first).data)
+
+
+def read_cloud(reader: BagReader, message: BagMessage, config: MappingConfig) -> Scan:
+    """Return the scan of a recorded cloud: a PointCloud2, or a ``CustomMsg`` of Livox."""
+    if message.msg_type in LIVOX_TYPES:
+        return scan_from_livox(message.raw, config)
+    return scan_from_points(reader.deserialize(message), config)
 
 
 class SequenceSink(Protocol):
@@ -137,7 +163,7 @@ def run_sequence(
 
     steps: dict[str, Callable[..., None]] = {
         LIDAR_PACKETS: lambda m: feed(frontend.on_packet(packet_from_cdr(m.raw))),
-        POINTS: lambda m: feed(frontend.on_points(scan_from_points(reader.deserialize(m), config))),
+        POINTS: lambda m: feed(frontend.on_points(read_cloud(reader, m, config))),
         IMU: lambda m: feed(frontend.on_imu(imu_from_msg(reader.deserialize(m)))),
         FIX: lambda m: take(fix_from_msg(reader.deserialize(m), config.gnss)),
         HEADING: lambda m: backend.on_heading(heading_from_msg(reader.deserialize(m))),

@@ -32,7 +32,6 @@ from subiaco_change.instance_splitting.split_merge import (
     join_building_extensions,
     join_hidden_walls,
     split_hedge_segments,
-    split_low_overlap_matches,
     split_multi_body_matches,
     split_row_houses,
     unify_classes,
@@ -83,7 +82,6 @@ def compare_objects(
         changes.extend(decide_object(b, a, semantic, rules) for b, a in _parts(matches, of_b, of_a))
     changes.extend(decide_object((t,), (), t.semantic, rules) for t in objects_before if t.is_part)
     changes.extend(decide_object((), (t,), t.semantic, rules) for t in objects_after if t.is_part)
-    changes = split_low_overlap_matches(changes, rules)
     changes = split_multi_body_matches(changes, rules)
     changes = split_row_houses(changes, rules)
     changes = split_hedge_segments(changes, rules)

@@ -97,12 +97,6 @@ def _supported(decision: Decision, plant: PlantMeasures, config: DecisionConfig)
     if decision.change not in (Change.INCREASED, Change.DECREASED) or _tops_moved(decision, plant, config):
         return decision
     grew = decision.change is Change.INCREASED
-    least = config.vegetation.height
-    against = (plant.apparent < -least) if grew else (plant.apparent > least)
-    if applies("top_contradicts", against):
-        reason = f"{decision.reason} No change is claimed: the height of all points changed by"
-        reason += f" {plant.apparent:+z.2f} m, which contradicts the change (limit {least:.2f} m)."
-        return Decision(Change.UNCHANGED, reason, 1.0, 0.0)
     free = place_was_free(decision, plant, config)
     if not applies("surface_was_free", free < config.min_free_surface):
         return decision

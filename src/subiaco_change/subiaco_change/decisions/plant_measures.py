@@ -185,7 +185,6 @@ def measure_plant(
         fall_of_part=tops.fall_of_part,
         free_gained=gained,
         free_lost=lost,
-        apparent=_top(after) - _top(before),
         top_sigma=math.hypot(*(quantile_sigma(_heights(objects), _TOP) for objects in (before, after))),
     )
 
@@ -282,11 +281,6 @@ def quantile_sigma(values: Floats, quantile: float) -> float:
 def _heights(objects: Sequence[ObjectInstance]) -> Floats:
     """Heights (M,) of the voxels of objects above ground [m]."""
     return np.concatenate([t.voxels.height for t in objects])
-
-
-def _top(objects: Sequence[ObjectInstance]) -> float:
-    """Return the 98 % height of the voxels of an object above ground [m]."""
-    return float(np.quantile(_heights(objects), 0.98))
 
 
 def _size(xyz: Floats) -> float:

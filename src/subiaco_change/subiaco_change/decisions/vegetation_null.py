@@ -67,8 +67,7 @@ class PlantMeasures:
     ``section`` and ``section_gate`` [m], the median rise of a section of the hedge and the limit that the
     section passed. ``section_only``: the row is that section alone. ``rise_of_part`` and ``fall_of_part``
     [m]: of the columns of a part of the plant. ``free_gained`` and ``free_lost``: probability that the
-    surface that *after*, or *before*, alone has was free in the other epoch. ``apparent``: change of the
-    98 % height of all its points, observed by the other epoch or not [m].
+    surface that *after*, or *before*, alone has was free in the other epoch.
     """
 
     kind: PlantKind
@@ -91,7 +90,6 @@ class PlantMeasures:
     fall_of_part: float = 0.0
     free_gained: float = 1.0
     free_lost: float = 1.0
-    apparent: float = math.nan
     top_sigma: float = 0.0
 
     def value(self, measure: str) -> float:

@@ -12,7 +12,6 @@ from scipy.spatial import cKDTree
 
 from subiaco_change.decisions.voxel_objects import ObjectInstance
 from subiaco_change.method_numbers import NUMBERS
-from subiaco_change.method_rules.switches import never, switchable
 from subiaco_geo.frames import Floats, Ints
 
 _CELL = NUMBERS.hedge_sections.cell
@@ -21,7 +20,6 @@ _POINTS = NUMBERS.hedge_sections.column_points
 _CELLS = NUMBERS.hedge_sections.section_columns
 _LENGTH = NUMBERS.hedge_sections.section_length
 _SEEN = NUMBERS.hedge_sections.observed_share
-_HELD = NUMBERS.hedge_sections.occupied_share
 
 #: Nothing stands.
 NOTHING: Floats = np.zeros((0, 3))
@@ -40,13 +38,10 @@ def changed_sections(
     before: Sequence[ObjectInstance],
     after: Sequence[ObjectInstance],
     threshold: float,
-    standing: tuple[Floats, Floats] = (NOTHING, NOTHING),
 ) -> tuple[list[HedgeSection], Floats]:
     """Find where tops of a low plant moved by over a threshold [m], and beyond their spread.
 
-    Where the epoch whose tops are lower has points between the two, in ``standing`` (N, 3) of *before* and
-    *after*, nothing moved: a part of the plant has another class there. Returns the sections, and all
-    columns compared (C, 2).
+    Returns the sections, and all columns compared (C, 2).
     """
     heights = np.concatenate([t.voxels.height for t in (*before, *after)])
     if np.quantile(heights, 0.98) > _LOW:
@@ -63,9 +58,7 @@ def changed_sections(
             if len(cells) < _CELLS or (np.ptp(cells, axis=0).max() + 1) * _CELL < _LENGTH:
                 continue
             xy = _middles(cells + corner)
-            low, high = tops[:: int(sign)]
-            if _held(standing[int(sign < 0)], cells + corner, low[labels == number], high[labels == number]):
-                continue
+            low = tops[0 if sign > 0 else 1]
             if _observed(after if sign > 0 else before, xy, low, cells):
                 sections.append(HedgeSection(xy, float(np.median(rise[labels == number])), threshold))
     known = np.argwhere(np.isfinite(rise))
@@ -137,19 +130,6 @@ def _observed(objects: Sequence[ObjectInstance], xy: Floats, other_tops: Floats,
     inside = np.isfinite(distance)
     above = voxels[inside, 2] > other_tops[tuple(cells[slot[inside]].T)] + 0.1
     return bool(above.any() and seen[inside][above].mean() >= _SEEN)
-
-
-@switchable("other_class_between_tops", never)
-def _held(standing: Floats, cells: Ints, low: Floats, high: Floats) -> bool:
-    """Tell whether points (N, 3) stand in the upper half between two tops (C,) of most columns (C, 2)."""
-    near = (
-        (standing[:, :2] >= cells.min(axis=0) * _CELL) & (standing[:, :2] < (cells.max(axis=0) + 1) * _CELL)
-    ).all(axis=1)
-    xyz = standing[near]
-    distance, slot = cKDTree(cells).query(np.floor(xyz[:, :2] / _CELL), distance_upper_bound=0.5)
-    xyz, slot = xyz[np.isfinite(distance)], slot[np.isfinite(distance)]
-    between = (xyz[:, 2] > 0.5 * (low + high)[slot]) & (xyz[:, 2] < high[slot] + 0.1)
-    return len(np.unique(slot[between])) >= _HELD * len(cells)
 
 
 def section_labels(obj: ObjectInstance, sections: Sequence[HedgeSection], columns: Floats) -> Ints:

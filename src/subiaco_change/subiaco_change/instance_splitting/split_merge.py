@@ -153,35 +153,6 @@ def _is_hardly_observed(change: ObjectChange, rules: ObjectRules) -> bool:
     return rules.ground.empty[other] is None or change.measures.observed_fraction < _HARDLY
 
 
-@switchable("low_overlap_matches", first_argument)
-def split_low_overlap_matches(changes: Sequence[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
-    """Take what was matched and hardly overlaps for two objects: one is slight, the other came or went.
-
-    A fence that a house was built around lies inside the house, and is no house.
-    """
-    told: list[ObjectChange] = []
-    for change in changes:
-        alone = [change]
-        sizes = [sum(len(t.voxels) for t in objects) for objects in (change.before, change.after)]
-        slight = 0 < min(sizes) < rules.association.parts.remainder * max(sizes)
-        if slight and change.measures.iou <= _least_overlap(change.semantic, rules):
-            b, a = change.before, change.after
-            alone = [
-                decide_object(b, (), change.semantic, rules),
-                decide_object((), a, change.semantic, rules),
-            ]
-        fared = {part.decision.change for part in alone}
-        told.extend(alone if fared & {Change.ADDED, Change.REMOVED} else [change])
-    return told
-
-
-def _least_overlap(semantic: Semantic, rules: ObjectRules) -> float:
-    """Overlap up to which two matched objects of a class are not compared; -1 where they always are."""
-    if semantic is Semantic.BUILDING:
-        return rules.decisions.building.min_iou
-    return rules.decisions.vegetation.min_iou if semantic is Semantic.VEGETATION else -1.0
-
-
 @switchable("multi_body_matches", first_argument)
 def split_multi_body_matches(changes: Sequence[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
     """Decide the bodies of a split or merge one by one where they did not fare alike."""
@@ -275,7 +246,7 @@ def _sections(change: ObjectChange, following: int, rules: ObjectRules) -> list[
     if change.semantic is not Semantic.VEGETATION or not (change.before and change.after):
         return [change]
     limit = max(rules.decisions.vegetation.height, rules.decisions.lod_factor * change.lod)
-    sections, columns = changed_sections(change.before, change.after, limit, rules.standing)
+    sections, columns = changed_sections(change.before, change.after, limit)
     if not sections:
         return [change]
     alike = len({s.rise > 0 for s in sections}) == 1

@@ -35,11 +35,6 @@ class HedgeSectionsNumbers(StrictModel):
         0.5,
         description="Fraction of the changed surface of a section that the other epoch must observe",
     )
-    occupied_share: float = Field(
-        0.5,
-        description="Fraction of the columns of a section occupied by another object from which the "
-        "section is not one of the plant",
-    )
 
 
 class MergedInstancesNumbers(StrictModel):

@@ -189,12 +189,6 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         ("association.same_place",),
     ),
     Rule(
-        "low_overlap_matches",
-        _HERE,
-        "Two matched objects of which one is slight and hardly overlaps the other are two objects.",
-        ("association.parts.remainder",),
-    ),
-    Rule(
         "multi_body_matches",
         _HERE,
         "Bodies that one epoch holds apart are decided one by one where their labels differ.",
@@ -248,12 +242,6 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         ("method_numbers.split_merge.whole_share",),
     ),
     Rule(
-        "other_class_between_tops",
-        _HERE,
-        "A hedge did not move where points of another class fill the space between its two tops.",
-        ("method_numbers.hedge_sections.occupied_share",),
-    ),
-    Rule(
         "building_extensions",
         _HERE,
         "A part that touches a building and exists in one epoch alone is an extension of the building.",
@@ -270,31 +258,10 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         ),
     ),
     Rule(
-        "hidden_wall_of_extension",
-        _HERE,
-        "A wall within the outline of a house that the other epoch hardly saw is hidden by an extension.",
-        (
-            "method_numbers.building_extensions.wall_seen",
-            "method_numbers.building_extensions.neighbour_inside",
-        ),
-    ),
-    Rule(
         "part_between_buildings",
         _HERE,
         "A part that touches a second building too is no extension of either.",
         ("method_numbers.building_extensions.second_contact",),
-    ),
-    Rule(
-        "part_as_large_as_building",
-        _HERE,
-        "A part as large as its building is the building itself where the building's walls stand inside it.",
-        ("method_numbers.building_extensions.host_inside", "method_numbers.building_extensions.party_wall"),
-    ),
-    Rule(
-        "crown_beside_building",
-        _HERE,
-        "A part that begins high above the ground beside a building is a crown, not an extension.",
-        ("method_numbers.building_extensions.underside",),
     ),
     Rule(
         "taller_neighbour",

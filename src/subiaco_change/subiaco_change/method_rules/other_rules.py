@@ -69,11 +69,6 @@ PLANT_RULES: tuple[Rule, ...] = (
         guards=True,
     ),
     Rule(
-        "top_contradicts",
-        _PLANTS,
-        "A plant whose top of all points moved the other way did not change, unless its columns say so.",
-    ),
-    Rule(
         "surface_was_free",
         _PLANTS,
         "A plant changed only where the place of its new or lost surface was free in the other survey.",

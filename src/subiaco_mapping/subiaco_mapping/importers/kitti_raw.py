@@ -60,9 +60,9 @@ def kitti_messages(folder: Path) -> Iterator[LogMessage]:
     """
     sweeps = sorted((folder / "velodyne_points" / "data").glob("*.bin"))
     if not sweeps:
-        raise InputError(
-            f"{folder}: no velodyne_points/data/*.bin; give the folder of one drive of KITTI's raw data"
-        )
+        drives = sorted(path.parent.name for path in folder.glob("*/velodyne_points"))
+        one = f", for example {folder / drives[0]}" if drives else " of KITTI's raw data"
+        raise InputError(f"{folder}: no velodyne_points/data/*.bin; give the folder of one drive{one}")
     start_ns, end_ns = _turns(folder / "velodyne_points", sweeps)
     streams: list[Iterator[LogMessage]] = [_clouds(sweeps, start_ns, end_ns)]
     if (folder / "oxts" / "data").is_dir():

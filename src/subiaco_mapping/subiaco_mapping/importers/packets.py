@@ -23,7 +23,7 @@ from rosbags.rosbag1 import ReaderError
 from subiaco_geo.atomic import refuse_existing, refuse_foreign
 from subiaco_geo.bags import TYPESTORE, BagWriter, packet_to_cdr
 from subiaco_geo.errors import InputError
-from subiaco_geo.topics import IMU_PACKETS, LATCHED, LIDAR_PACKETS, MESSAGE_TYPES, METADATA, POINTS
+from subiaco_geo.topics import IMU_PACKETS, LATCHED, LIDAR_PACKETS, MESSAGE_TYPES, METADATA, POINTS, types_of
 from subiaco_mapping.importers.bag_messages import LogMessage
 from subiaco_mapping.importers.isolated_reader import read_isolated
 from subiaco_mapping.importers.kitti_raw import kitti_messages
@@ -38,6 +38,8 @@ _ROS1_FAULTS = (
     struct.error, RuntimeError, TypeError, zlib.error,
 )  # fmt: skip
 _PCAP_SUFFIXES = (".pcap", ".pcapng")
+_ROS2_SUFFIXES = (".mcap", ".db3")
+_LOG_OPTIONS = {".pos": "--gnss", ".csv": "--gnss or --imu"}
 
 
 @dataclass(frozen=True)
@@ -156,8 +158,10 @@ def ros1_recording(recording: Path) -> tuple[str | None, list[RecordedPacket]]:
         Not a ROS 1 bag.
     """
     metadata, packets = None, []
+    topics: dict[str, str] = {}
     try:
         with Ros1Reader(recording) as reader:
+            topics = {connection.topic: connection.msgtype for connection in reader.connections}
             for connection, time_ns, raw in reader.messages():
                 tail = connection.topic.rsplit("/", 1)[-1]
                 size = int.from_bytes(raw[:4], "little")
@@ -168,7 +172,23 @@ def ros1_recording(recording: Path) -> tuple[str | None, list[RecordedPacket]]:
     except _ROS1_FAULTS as error:
         said = " ".join(str(error).split()) or type(error).__name__
         raise InputError(f"{recording}: not a whole ROS 1 bag ({said}); run 'rosbag reindex'") from error
+    if not packets:
+        raise InputError(_without_packets(recording, topics))
     return metadata, packets
+
+
+def _without_packets(recording: Path, topics: dict[str, str]) -> str:
+    """Say how a ROS 1 bag without packets can be mapped: its clouds, converted to a ROS 2 bag."""
+    readable = types_of(POINTS)
+    clouds = sorted(name for name, msg_type in topics.items() if msg_type in readable)
+    if not clouds:
+        present = ", ".join(sorted(topics)) or "no topic"
+        return f"{recording}: no Ouster packets and no clouds in it (it has {present}); record them"
+    target = recording.with_suffix("")
+    return (
+        f"{recording}: clouds on {', '.join(clouds)} and no Ouster packets; run 'rosbags-convert --src "
+        f"{recording} --dst {target}' and map {target} with --set topics.points={clouds[0]}"
+    )
 
 
 def _trimmed(packets: Iterable[RecordedPacket], metadata: str) -> Iterator[RecordedPacket]:
@@ -253,12 +273,9 @@ def import_recording(
     recording, bag = Path(recording), Path(bag)
     refuse_existing(bag, overwrite)
     refuse_foreign(bag, "metadata.yaml")
+    _refuse_what_is_none(recording)
     if recording.is_dir():
         return _write_in_place(recording, bag, None, kitti_messages(recording), logged)
-    if not recording.is_file():
-        raise InputError(
-            f"{recording}: no such recording; give a .pcap, .osf, ROS 1 .bag or a raw folder of KITTI"
-        )
     if recording.suffix in _PCAP_SUFFIXES:
         text = _read_text(metadata or find_metadata(recording))
         packets: Iterable[RecordedPacket] = read_isolated(recording, pcap_packets, recording, text)
@@ -277,6 +294,24 @@ def import_recording(
             ".osf or ROS 1 .bag of raw packets"
         )
     return _write_in_place(recording, bag, text, packets, logged)
+
+
+def _refuse_what_is_none(recording: Path) -> None:
+    """Refuse what is absent, what needs no import, and logs given in the place of a recording."""
+    if not recording.exists():
+        raise InputError(
+            f"{recording}: no such recording; give a .pcap, .osf, ROS 1 .bag or a raw folder of KITTI"
+        )
+    if recording.suffix in _ROS2_SUFFIXES or (recording / "metadata.yaml").is_file():
+        raise InputError(
+            f"{recording}: a ROS 2 bag needs no import; 'subiaco inspect {recording}' says what it holds, "
+            "and 'subiaco map' takes it as it is"
+        )
+    if recording.suffix in _LOG_OPTIONS:
+        raise InputError(
+            f"{recording}: a log, not a recording of a LiDAR; give the recording, and the log with "
+            f"{_LOG_OPTIONS[recording.suffix]} {recording}"
+        )
 
 
 def _write_in_place(

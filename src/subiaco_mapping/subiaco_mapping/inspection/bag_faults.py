@@ -10,7 +10,7 @@ from subiaco_geo.bags import BagReader
 from subiaco_geo.crs_area import crs_at, require_inside
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
-from subiaco_geo.topics import FIX, IMU_PACKETS, LIDAR_PACKETS, MESSAGE_TYPES, POINTS, TF_STATIC
+from subiaco_geo.topics import FIX, IMU_PACKETS, LIDAR_PACKETS, MESSAGE_TYPES, POINTS, TF_STATIC, types_of
 from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.preprocessing.conversions import check_frames, fix_from_msg
 
@@ -84,7 +84,7 @@ def _other_lidars(reader: BagReader) -> list[str]:
     others = [
         name
         for name, info in reader.topics.items()
-        if info.msg_type == MESSAGE_TYPES[ours] and name not in (ours, IMU_PACKETS) and info.count
+        if info.msg_type in types_of(ours) and name not in (ours, IMU_PACKETS) and info.count
         if ours == POINTS or "imu" not in name.lower()
     ]
     if not others or ours not in reader.topics:

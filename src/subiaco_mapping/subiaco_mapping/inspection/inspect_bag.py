@@ -11,7 +11,7 @@ import numpy as np
 
 from subiaco_geo.bags import BagReader, packet_from_cdr, require_topic
 from subiaco_geo.errors import errors_name
-from subiaco_geo.topics import FIX, IMU, LIDAR_PACKETS, MESSAGE_TYPES, METADATA, POINTS
+from subiaco_geo.topics import FIX, IMU, LIDAR_PACKETS, LIVOX_TYPES, MESSAGE_TYPES, METADATA, POINTS, types_of
 from subiaco_mapping.config import MappingConfig
 from subiaco_mapping.health_monitor.bag_check import watch_bag
 from subiaco_mapping.health_monitor.survey_verdict import judge
@@ -117,6 +117,8 @@ def _has_times(reader: BagReader) -> bool:
     if LIDAR_PACKETS in reader.topics or POINTS not in reader.topics:
         return True
     first = next(reader.messages({POINTS}), None)
+    if first is not None and first.msg_type in LIVOX_TYPES:
+        return True
     names = () if first is None else tuple(field.name for field in reader.deserialize(first).fields)
     return any(name in names for name in TIME_FIELDS)
 
@@ -136,7 +138,7 @@ def _facts(bag: Path, reader: BagReader, config: MappingConfig) -> dict[str, Any
     }
     for topic in (LIDAR_PACKETS, POINTS, FIX, IMU):
         if topic in reader.topics:
-            require_topic(reader, topic, MESSAGE_TYPES[topic])
+            require_topic(reader, topic, types_of(topic))
     if LIDAR_PACKETS in reader.topics:
         require_topic(reader, METADATA, MESSAGE_TYPES[METADATA])
         facts["lidar"] = _packet_facts(reader, str(read_metadata(reader)), config.decode)

@@ -108,11 +108,29 @@ def scan_from_points(message: Any, config: MappingConfig) -> Scan:
     InputError
         No x y z, or no point times while ``deskewed`` is not set.
     """
-    points = cloud_array(message)
+    return scan_from_array(cloud_array(message), stamp_ns(message.header.stamp), config)
+
+
+def scan_from_array(points: NDArray[np.void], header_ns: int, config: MappingConfig) -> Scan:
+    """Convert the points of a cloud.
+
+    Parameters
+    ----------
+    points : (N,) structured
+        ``x``, ``y``, ``z`` [m] in ``lidar_link``, a time field (:mod:`.point_times`), and if known
+        ``intensity`` or ``reflectivity``, ``ring`` or ``line``.
+    header_ns : int
+        Stamp of the message, from where times that are not absolute count.
+    config : MappingConfig
+
+    Raises
+    ------
+    InputError
+        No x y z, or no point times while ``deskewed`` is not set.
+    """
     missing = [name for name in "xyz" if name not in (points.dtype.names or ())]
     if missing:
         raise InputError(f"{POINTS}: no field {missing[0]}; a cloud needs x, y and z")
-    header_ns = stamp_ns(message.header.stamp)
     xyz = np.stack([points[name] for name in "xyz"], axis=1).astype(np.float64)
     finite = np.isfinite(xyz).all(axis=1)
     times_ns = (
