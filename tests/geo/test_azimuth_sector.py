@@ -117,6 +117,14 @@ def test_a_cloud_that_ends_at_both_ends_of_its_drive_shows_no_sector() -> None:
     assert found(eyes, headings, cut) == ()
 
 
+def test_a_cloud_that_was_cut_beside_its_drive_shows_no_sector() -> None:
+    """The cloud holds one side of the road up to the middle of it, over the length of the drive."""
+    eyes, headings = straight()
+    cloud = ground(eyes, headings, ())
+    cut = cloud[(cloud[:, 1] > -2.0) & (cloud[:, 0] > 0.0) & (cloud[:, 0] < 59.5)]
+    assert found(eyes, headings, cut) == ()
+
+
 def test_a_drive_far_beyond_its_cloud_shows_no_sector() -> None:
     eyes, headings = straight(200.0)
     cloud = ground(eyes, headings, ())

@@ -23,6 +23,7 @@ Arcs = tuple[tuple[float, float], ...]
 
 _CELL = FREE_SPACE.sector_cell
 _BINS = FREE_SPACE.sector_steps
+_BESIDE = FREE_SPACE.sector_beside
 
 Flags = NDArray[np.bool_]
 Bits = NDArray[np.uint64]
@@ -48,16 +49,24 @@ class _Places:
     near: Bits
     filled: Flags
 
-    def empty(self, blind: int, arc: int) -> bool:
-        """Tell whether cells that only ``blind`` has in view, and ``arc`` near, hold next to no points."""
-        due, held = self._expected(blind, self._alone(blind) & self._near(arc))
+    def empty(self, blind: int) -> bool:
+        """Tell whether cells that only these azimuths have in view hold next to no points."""
+        due, held = self._expected(blind, self._alone(blind) & self._near(blind))
         return due >= FREE_SPACE.sector_evidence and held <= FREE_SPACE.sector_stray * due
 
-    def shows(self, blind: int, step: int) -> bool:
+    def shows_blind(self, blind: int, step: int) -> bool:
         """Tell whether cells that only ``blind`` has in view, and not without a step of it, lack points."""
-        needed = self._alone(blind) & ~self._alone(blind & ~step) & self._near(step)
-        due, held = self._expected(blind, needed)
+        due, held = self._of_step(blind, step)
         return due >= FREE_SPACE.sector_edge and held <= FREE_SPACE.sector_seen * due
+
+    def shows_seen(self, blind: int, beside: int) -> bool:
+        """Tell whether cells hold points that only ``blind`` and steps beside it have in view."""
+        due, held = self._of_step(blind | beside, beside)
+        return due >= FREE_SPACE.sector_edge and held > FREE_SPACE.sector_open * due
+
+    def _of_step(self, blind: int, step: int) -> tuple[float, int]:
+        needed = self._alone(blind) & ~self._alone(blind & ~step) & self._near(step)
+        return self._expected(blind, needed)
 
     def _alone(self, blind: int) -> Flags:
         return np.asarray((self.far & ~np.uint64(blind)) == 0)
@@ -94,10 +103,8 @@ def estimate_blind_arcs(eyes: Floats, headings: Floats, columns: Floats, far: fl
     """
     if len(eyes) < 2 or len(columns) == 0:
         return ()
-    places = _places(eyes, headings, columns, far)
     blind, arcs, step = 0, [], 2.0 * np.pi / _BINS
-    while (found := _widest(places, blind)) is not None:
-        first, width = _trimmed(places, blind, *found)
+    for first, width in _blind_arcs(_places(eyes, headings, columns, far)):
         blind |= _bits(first, width)
         arcs.append((first * step, width * step))
     seen = _BINS - blind.bit_count()
@@ -116,21 +123,32 @@ def path_poses(positions: Floats) -> Ints:
     return np.union1d(first, [len(positions) - 1])
 
 
-def _widest(places: _Places, blind: int) -> tuple[int, int] | None:
-    """Return first step and number of steps of the widest blind arc beside those already known."""
+def _blind_arcs(places: _Places) -> list[tuple[int, int]]:
+    """Find blind arcs that do not overlap, the widest first: first step and number of steps of each.
+
+    Where a cloud was cut, the azimuths beside an arc show no points either: then nothing is known of it.
+    """
+    blind, found = 0, []
     for width in range(_BINS - 1, 0, -1):
-        for first in range(_BINS):
-            arc = _bits(first, width)
-            if arc & blind == 0 and places.empty(blind | arc, arc):
-                return first, width
-    return None
+        for start in range(_BINS):
+            arc = _bits(start, width)
+            if arc & blind or not places.empty(arc):
+                continue
+            first, extent = _trimmed(places, start, width)
+            arc = _bits(first, extent)
+            if places.shows_seen(arc, _bits(first - _BESIDE, _BESIDE)) and places.shows_seen(
+                arc, _bits(first + extent, _BESIDE)
+            ):
+                blind |= arc
+                found.append((first, extent))
+    return found
 
 
-def _trimmed(places: _Places, blind: int, first: int, width: int) -> tuple[int, int]:
+def _trimmed(places: _Places, first: int, width: int) -> tuple[int, int]:
     """Take off the steps at both ends of an arc that no cells show to be blind."""
-    while width > 1 and not places.shows(blind | _bits(first, width), _bits(first, 1)):
+    while width > 1 and not places.shows_blind(_bits(first, width), _bits(first, 1)):
         first, width = (first + 1) % _BINS, width - 1
-    while width > 1 and not places.shows(blind | _bits(first, width), _bits(first + width - 1, 1)):
+    while width > 1 and not places.shows_blind(_bits(first, width), _bits(first + width - 1, 1)):
         width -= 1
     return first, width
 

@@ -78,6 +78,12 @@ class FreeSpaceNumbers(StrictModel):
     sector_seen: float = Field(
         0.3, description="Fraction of the cells due beyond which the outermost step of a blind arc was seen"
     )
+    sector_beside: int = Field(
+        2, description="Number of steps beside a blind arc in which the sensor must have looked"
+    )
+    sector_open: float = Field(
+        0.5, description="Fraction of the cells due that must hold points in the steps beside a blind arc"
+    )
     sector_least_deg: float = Field(
         60.0,
         description="Smallest sector that blind azimuths leave; where less is left, the cloud ends at the "
