@@ -153,7 +153,7 @@ def make_record(
     score = float(np.mean([t.score for t in objects]))
     density = change.plant.density if change.plant else density_ratio(change.before, change.after, around)
     found = features(change.decision, m, change.semantic, score, density, evidence)
-    certain = bounded(probability(change.decision, found, trust), change.decision, m)
+    certain = bounded(probability(change.decision, found, trust), change.decision, m, trust)
     certain, reason = limit_confidence(change.decision, objects, certain, rules)
     return ChangeRecord(
         object_id=object_id,

@@ -42,6 +42,16 @@ class BuildingExtensionsNumbers(StrictModel):
         description="Fraction of the outline of a part that touches a second building from which the part "
         "belongs to neither",
     )
+    host_inside: float = Field(
+        0.3,
+        description="Fraction of a building inside a part of one epoch from which the part is the "
+        "building itself",
+    )
+    party_wall: float = Field(
+        0.5,
+        description="Distance from the edge of an outline within which a wall is shared with the "
+        "neighbour [m]",
+    )
     neighbour_inside: float = Field(
         0.5,
         description="Fraction of a neighbour that may lie within the outline of a building in the epoch "
@@ -54,6 +64,10 @@ class BuildingExtensionsNumbers(StrictModel):
     normal_neighbours: int = Field(
         6,
         description="Number of voxels whose normals are compared, the voxel itself included",
+    )
+    wall_seen: float = Field(
+        0.5,
+        description="Fraction of a wall that must be observed to be absent where something occludes the wall",
     )
     smoothness: float = Field(
         0.78,

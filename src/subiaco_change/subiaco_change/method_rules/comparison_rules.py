@@ -189,6 +189,12 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         ("association.same_place",),
     ),
     Rule(
+        "no_partner_elsewhere",
+        _HERE,
+        "A building or plant whose place was seen free has no partner that shares no voxel with it.",
+        ("association.place_free",),
+    ),
+    Rule(
         "multi_body_matches",
         _HERE,
         "Bodies that one epoch holds apart are decided one by one where their labels differ.",
@@ -258,10 +264,25 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         ),
     ),
     Rule(
+        "hidden_wall_of_extension",
+        _HERE,
+        "A wall within the outline of a house that the other epoch hardly saw is hidden by an extension.",
+        (
+            "method_numbers.building_extensions.wall_seen",
+            "method_numbers.building_extensions.neighbour_inside",
+        ),
+    ),
+    Rule(
         "part_between_buildings",
         _HERE,
         "A part that touches a second building too is no extension of either.",
         ("method_numbers.building_extensions.second_contact",),
+    ),
+    Rule(
+        "part_as_large_as_building",
+        _HERE,
+        "A part as large as its building is the building itself where the building's walls stand inside it.",
+        ("method_numbers.building_extensions.host_inside", "method_numbers.building_extensions.party_wall"),
     ),
     Rule(
         "taller_neighbour",
