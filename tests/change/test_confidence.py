@@ -20,8 +20,10 @@ from subiaco_change.decisions.confidence import (
     kind_of,
     probability,
 )
+from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.measures import Measures
-from subiaco_change.decisions.rules import Decision
+from subiaco_change.decisions.rules import Decision, decide
+from subiaco_change.decisions.space_carving import Interval
 from subiaco_change.records import ChangeRecord
 from subiaco_evaluation.confidence_fit import fit, fit_confidence, measured_bands
 from subiaco_geo.codes import Change, Semantic
@@ -37,6 +39,8 @@ TYPICAL = Measures(
     iou=0.9, d_perp=0.0, delta_c=0.1, delta_h=0.0, delta_v=0.0, delta_v_surface=0.0, volume=100.0, chi2=0.0,
     gone_share=0.0, new_share=0.0, observed_fraction=0.8, observed_voxels=50, net_changed_fraction=0.0,
 )  # fmt: skip
+
+NONE = {"margin": 0.0, "gate": 0.0, "observed": 0.0, "size": 0.0, "purity": 0.0, "solid": 0.0, "density": 0.0}
 
 
 def test_a_typical_row_has_the_confidence_of_the_intercept():
@@ -171,6 +175,39 @@ def test_a_claim_about_a_place_that_was_hardly_observed_is_never_sure(share, mos
     row = Decision(Change.ADDED, "", 5.0)
     found = confidence(row, replace(TYPICAL, observed_fraction=share), Semantic.BUILDING, 0.9, sure)
     assert most - 0.02 < found <= most
+
+
+@pytest.mark.parametrize(
+    ("low", "high", "most"), [(6.0, 14.5, 0.6), (9.0, 15.0, 0.92), (11.0, 15.0, 1.0), (-2.0, 4.0, 1.0)]
+)
+def test_bounds_that_straddle_the_limit_of_a_building_cap_the_confidence(low, high, most):
+    bounds = Interval(low, high)
+    house = replace(
+        TYPICAL,
+        iou=0.9,
+        volume=100.0,
+        delta_v=bounds.middle,
+        volume_bounds=bounds,
+        height_bounds=Interval(0.0, 0.0),
+    )
+    decision = decide(Semantic.BUILDING, True, True, house, 0.1, DecisionConfig())
+    assert decision.change is (Change.INCREASED if bounds.middle > 10.0 else Change.UNCHANGED)
+    sure = ConfidenceConfig(
+        reshaped=Coefficients(intercept=9.0, **NONE), unchanged=Coefficients(intercept=9.0, **NONE)
+    )
+    found = confidence(decision, house, Semantic.BUILDING, 0.7, sure)
+    assert most - 0.1 < found <= most
+
+
+def test_a_building_whose_bounds_leave_everything_open_is_unchanged_as_most_buildings_are():
+    bounds = Interval(-60.0, 80.0)
+    house = replace(
+        TYPICAL, volume=100.0, delta_v=10.0, volume_bounds=bounds, height_bounds=Interval(0.0, 0.0)
+    )
+    decision = decide(Semantic.BUILDING, True, True, house, 0.1, DecisionConfig())
+    sure = ConfidenceConfig(unchanged=Coefficients(intercept=9.0, **NONE))
+    assert decision.change is Change.UNCHANGED
+    assert confidence(decision, house, Semantic.BUILDING, 0.7, sure) == pytest.approx(0.875, abs=0.01)
 
 
 def test_bands_are_called_by_what_was_measured_on_surveys_left_out():

@@ -132,6 +132,12 @@ def test_what_is_lower_than_a_room_or_taller_than_the_house_is_no_wing(body):
     assert find_building_extensions([(moved(body, 10), NONE), house], CONFIG) == {}
 
 
+def test_a_shed_left_inside_the_outline_of_a_house_that_is_gone_is_no_rest_of_it():
+    for height, rest in ((3.0, True), (2.0, False)):
+        inside, house = voxels(np.add(walls(3, 3, height), (4.0, 1.0, 0.0))), voxels(HOUSE)
+        assert bool(find_building_extensions([(inside, inside), (house, NONE)], CONFIG)) == rest
+
+
 def test_a_house_between_two_others_is_no_wing_of_either():
     ends = [(moved(HOUSE, x), moved(HOUSE, x)) for x in (0, 16)]
     assert find_building_extensions([*ends, (moved(walls(6, 8, 4), 10), NONE)], CONFIG) == {}
@@ -261,6 +267,12 @@ def test_a_low_wall_does_not_lie_flat():
     wall = obj([(block((0, 0, 0), (8, 0.5, 0.5)), False)])
     sideways = replace(wall.voxels, normal=np.tile([0.0, 1.0, 0.0], (len(wall.voxels), 1)))
     assert is_misclassified_ground(Semantic.OTHER, [replace(wall, voxels=sideways)]) is None
+
+
+def test_a_house_that_lost_most_of_itself_is_one_with_what_is_left_inside_its_outline():
+    front, old = walls(10, 1, 4), np.add(walls(10, 9, 6), (0, 1, 0))
+    left = np.concatenate([front, np.add(walls(6, 7, 3), (2, 1, 0))])
+    assert find_building_extensions([(voxels(front), voxels(left)), (voxels(old), NONE)], CONFIG) == {1: 0}
 
 
 def house_instance(xyz, number, held=True):

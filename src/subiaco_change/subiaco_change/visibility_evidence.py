@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import logging
 from collections.abc import Callable, Iterable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -29,12 +29,13 @@ from subiaco_geo.free_space.expected_visibility import (
     ExpectedVisibility,
     ExpectedVisibilityConfig,
     OccupiedVoxels,
+    occupied_columns,
     occupied_corner,
     render_views,
     sample_poses,
 )
-from subiaco_geo.free_space.sensor_view import described_view, spin_axes
-from subiaco_geo.free_space.view_estimation import estimate_view, view_histogram
+from subiaco_geo.free_space.sensor_view import described_view, spin_axes, spin_headings
+from subiaco_geo.free_space.view_estimation import blind_arcs, estimate_view, view_histogram
 from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.trajectories import Trajectory
 
@@ -365,4 +366,8 @@ def expected_visibility(
     if view is None:
         view = estimate_view([view_histogram(world, images, config)], config)
     occupied = OccupiedVoxels.of(world, occupied_corner(world.min(axis=0), config), config.occupied)
+    columns = occupied_columns(occupied.keys, occupied.corner, occupied.voxel)
+    reach = min(view.useful_range, config.max_range)
+    view = replace(view, blind=blind_arcs(trajectory.poses, columns, reach))
+    images = images.blinded(spin_headings(chosen[:, :3, :3]), view.blind)
     return ExpectedVisibility(images, occupied, view, config)

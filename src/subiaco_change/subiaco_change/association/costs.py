@@ -15,13 +15,17 @@ from subiaco_change.decisions.measures import histogram_distance, oriented_recta
 from subiaco_change.decisions.voxel_objects import ObjectInstance
 from subiaco_change.instance_splitting.one_epoch_parts import PartConfig
 from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.method_rules.switches import never, switchable
+from subiaco_geo.codes import Semantic
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
 
+#: Weights of centroid distance [1/m], 1 - IoU and histogram distance, paper.
 _PAPER_COST = NUMBERS.costs.paper_weights
 _PHI_REACH = NUMBERS.costs.intersection_reach
-
-#: Weights of centroid distance [1/m], 1 - IoU and histogram distance, paper.
+_STILL = (Semantic.BUILDING, Semantic.VEGETATION)
+#: A scipy sparse array; scipy has no types.
+Sparse = Any
 
 
 class AssociationConfig(StrictModel):
@@ -80,6 +84,13 @@ class AssociationConfig(StrictModel):
         description="Fraction of the voxels of a fragment that must lie inside an object for the two to "
         "be joined (Decision 9)",
     )
+    place_free: float = Field(
+        0.6,
+        gt=0,
+        le=1,
+        description="Fraction of the observed place of a building or plant that was free in the other "
+        "survey, from which it has no partner beside that place [1]",
+    )
     parts: PartConfig = PartConfig()
     apart: float = Field(
         0.15,
@@ -105,8 +116,13 @@ def candidate_costs(
     groups_b: Sequence[tuple[int, ...]],
     groups_a: Sequence[tuple[int, ...]],
     config: AssociationConfig,
+    counts: tuple[Sparse, Sparse] | None = None,
 ) -> tuple[Ints, Ints, Floats]:
-    """Gated pairs of groups (E,), (E,) and their chi-square costs (E,)."""
+    """Gated pairs of groups (E,), (E,) and their chi-square costs (E,).
+
+    ``counts`` as of :func:`overlap_counts`: a building or plant whose place was seen free has no
+    partner that shares no voxel with it.
+    """
     shapes_b = [_shape([before[i] for i in group]) for group in groups_b]
     shapes_a = [_shape([after[j] for j in group]) for group in groups_a]
     rows, columns, costs = [], [], []
@@ -116,6 +132,8 @@ def candidate_costs(
         distance = float(np.linalg.norm(b.centroid - a.centroid))
         if distance > config.gate_distance and overlap < config.gate_overlap:
             continue
+        if counts is not None and _is_elsewhere(before, after, (groups_b[i], groups_a[j]), counts, config):
+            continue
         rows.append(i)
         columns.append(j)
         costs.append(_cost(distance, overlap, b, a, config))
@@ -124,6 +142,31 @@ def candidate_costs(
         np.array(columns, dtype=np.int64),
         np.array(costs, dtype=np.float64),
     )
+
+
+@switchable("no_partner_elsewhere", never)
+def _is_elsewhere(
+    before: Sequence[ObjectInstance],
+    after: Sequence[ObjectInstance],
+    groups: tuple[tuple[int, ...], tuple[int, ...]],
+    counts: tuple[Sparse, Sparse],
+    config: AssociationConfig,
+) -> bool:
+    """Tell whether a building or plant was seen gone, and a candidate for it stands beside its place."""
+    of_b, of_a = list(groups[0]), list(groups[1])
+    if before[of_b[0]].semantic not in _STILL:
+        return False
+    if counts[0][of_b, :][:, of_a].sum() + counts[1][of_a, :][:, of_b].sum() > 0:
+        return False
+    sides = [before[i] for i in of_b], [after[j] for j in of_a]
+    return any(_seen_gone(objects, config.place_free) for objects in sides)
+
+
+def _seen_gone(objects: Sequence[ObjectInstance], least: float) -> bool:
+    """Tell whether at least this share of the observed voxels of objects lay in free space."""
+    observed = np.concatenate([t.voxels.observed for t in objects])
+    free = observed & ~np.concatenate([t.voxels.occupied_in_other for t in objects])
+    return bool(np.count_nonzero(free) >= max(least * np.count_nonzero(observed), 1))
 
 
 def _cost(distance: float, overlap: float, b: _Shape, a: _Shape, config: AssociationConfig) -> float:
@@ -181,10 +224,6 @@ def _near_pairs(
         reach = config.gate_distance + shape.reach + widest
         pairs.extend((i, j) for j in sorted(tree.query_ball_point(shape.centroid[:2], reach)))
     return pairs
-
-
-#: A scipy sparse array; scipy has no types.
-Sparse = Any
 
 
 def overlap_counts(

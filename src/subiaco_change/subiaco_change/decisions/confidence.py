@@ -9,7 +9,7 @@ from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field
-from scipy.special import expit
+from scipy.special import expit, ndtr
 
 from subiaco_change.decisions.measures import Measures
 from subiaco_change.decisions.rules import Decision
@@ -161,6 +161,13 @@ class ConfidenceConfig(StrictModel):
         description="Doubt about a change in a place that the other survey did not observe at all, as a "
         "probability. Higher values are more cautious",
     )
+    unchanged_share: float = Field(
+        0.75,
+        ge=0,
+        le=1,
+        description="Probability that a building did not change where the bounds of its change leave that "
+        "open [1]",
+    )
     single: Coefficients = Coefficients(
         intercept=1.404,
         margin=0.057,
@@ -288,13 +295,28 @@ def confidence(
 ) -> float:
     """Return the probability that the label is right; for a place not observed, how much was not."""
     return bounded(
-        probability(decision, features(decision, measures, semantic, class_score), config), decision, measures
+        probability(decision, features(decision, measures, semantic, class_score), config),
+        decision,
+        measures,
+        config,
     )
 
 
-def bounded(fitted: float, decision: Decision, measures: Measures) -> float:
-    """Bound the confidence of an object of one epoch by how surely its place was free in the other."""
-    return min(fitted, measures.free) if kind_of(decision.change) == "single" else fitted
+def bounded(fitted: float, decision: Decision, measures: Measures, config: ConfidenceConfig) -> float:
+    """Bound a confidence by what the evidence can show at most.
+
+    An object of one epoch: by how surely its place was free in the other. A building of both: by the
+    probability that the true change lies on the claimed side of the limit, if the bounds of its change are
+    two standard deviations from their middle. Where they leave that open, most buildings did not change.
+    """
+    if kind_of(decision.change) == "single":
+        return min(fitted, measures.free)
+    if measures.volume_bounds is None or math.isnan(decision.sigmas):
+        return fitted
+    beyond = float(ndtr(decision.sigmas))
+    if decision.change is Change.UNCHANGED:
+        return min(fitted, 1.0 - beyond * (1.0 - config.unchanged_share))
+    return min(fitted, beyond)
 
 
 def decided_anew(

@@ -218,7 +218,8 @@ def _building(measures: Measures, gate: float, rules: ClassRules) -> Decision:
         evidence += "space that a survey did not observe decides whether a limit is exceeded, and "
     if max(up, down) <= 1:
         evidence += "no change is claimed."
-        return Decision(Change.UNCHANGED, evidence, 1.0 if straddles else max(up, down, 0.0))
+        either = max(_sigmas(bounds), _sigmas(tuple(-bound for bound in bounds)))
+        return Decision(Change.UNCHANGED, evidence, 1.0 if straddles else max(up, down, 0.0), either)
     rising = up > 1 and (down <= 1 or volume.middle > 0)
     change = Change.INCREASED if rising else Change.DECREASED
     turned = bounds if rising else tuple(-bound for bound in bounds)

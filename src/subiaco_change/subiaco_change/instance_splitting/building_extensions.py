@@ -23,9 +23,12 @@ _SMALL = NUMBERS.building_extensions.least_house_share
 _CAR = NUMBERS.building_extensions.car_height
 _ROOM = NUMBERS.building_extensions.room_height
 _LEANS = NUMBERS.building_extensions.second_contact
+_WITHIN = NUMBERS.building_extensions.host_inside
+_PARTY = NUMBERS.building_extensions.party_wall
 _BESIDE = NUMBERS.building_extensions.neighbour_inside
 _HALF_STOREY = NUMBERS.building_extensions.half_storey
 _NEIGHBOURS = NUMBERS.building_extensions.normal_neighbours
+_HIDDEN = NUMBERS.building_extensions.wall_seen
 _SMOOTH = NUMBERS.building_extensions.smoothness
 
 
@@ -87,12 +90,17 @@ def _is_extension(
     """Tell whether a part of one epoch alone is an extension of the building that the part touches most."""
     body, other = host[epoch], host[1 - epoch]
     round_it = max(contact) >= _ROUND * len(extension)
+    free = float((extension.observed & ~extension.occupied_in_other).mean())
+    hidden = round_it and free < _HIDDEN and _share_above(extension, other) >= _BESIDE
+    if applies("hidden_wall_of_extension", hidden):
+        return True  # a wall of the house that an extension of the other epoch hides
     leans = len(contact) > 1 and sorted(contact)[-2] > _LEANS * len(extension)
     if _top(extension) < _ROOM or applies("part_between_buildings", leans):
         return False
     share = _enclosed_volume(extension) / max(_enclosed_volume(body), 1e-9)
     if share >= config.subordinate and not round_it:
-        return False
+        stood = _inside(other.xyz, extension.xyz) >= _WITHIN  # its walls stand where the extension was
+        return applies("part_as_large_as_building", stood)
     if _share_above(extension, other) < _BESIDE and not round_it and _is_taller(extension, body):
         return False
     return share < _SMALL or not any(_between(extension.xyz, side.xyz, config) for side in host if len(side))
@@ -115,6 +123,12 @@ def classify_low_parts(objects: Sequence[ObjectInstance]) -> list[ObjectInstance
     return [
         replace(t, semantic=Semantic.OTHER) if found else t for t, found in zip(objects, low, strict=True)
     ]
+
+
+def _inside(host: Floats, extension: Floats) -> float:
+    """Share of the places of a host (N, 3) that lie well inside the outline of an extension (M, 3)."""
+    outline = shapely.MultiPoint(extension[:, :2]).convex_hull.buffer(-_PARTY)
+    return float(shapely.contains_xy(outline, host[:, 0], host[:, 1]).mean()) if len(host) else 0.0
 
 
 @switchable("taller_neighbour", never)

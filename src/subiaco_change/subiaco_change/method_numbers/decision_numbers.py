@@ -42,6 +42,16 @@ class BuildingExtensionsNumbers(StrictModel):
         description="Fraction of the outline of a part that touches a second building from which the part "
         "belongs to neither",
     )
+    host_inside: float = Field(
+        0.3,
+        description="Fraction of a building inside a part of one epoch from which the part is the "
+        "building itself",
+    )
+    party_wall: float = Field(
+        0.5,
+        description="Distance from the edge of an outline within which a wall is shared with the "
+        "neighbour [m]",
+    )
     neighbour_inside: float = Field(
         0.5,
         description="Fraction of a neighbour that may lie within the outline of a building in the epoch "
@@ -54,6 +64,10 @@ class BuildingExtensionsNumbers(StrictModel):
     normal_neighbours: int = Field(
         6,
         description="Number of voxels whose normals are compared, the voxel itself included",
+    )
+    wall_seen: float = Field(
+        0.5,
+        description="Fraction of a wall that must be observed to be absent where something occludes the wall",
     )
     smoothness: float = Field(
         0.78,
@@ -142,6 +156,30 @@ class DynamicObjectsNumbers(StrictModel):
     trail_length: float = Field(
         6.0,
         description="Smallest length of a ghost trail and an object that continues the trail, together [m]",
+    )
+
+
+class DrivenLaneNumbers(StrictModel):
+    """Numbers of ``decisions/driven_lane.py``."""
+
+    half_width: float = Field(
+        1.2,
+        description="Distance beside the path of a survey vehicle within which a place is carriageway [m]; a"
+        " parked vehicle beside the lane is farther away",
+    )
+    beyond: float = Field(
+        12.0, description="Distance beyond both ends of a drive over which the lane continues [m]"
+    )
+    gap: float = Field(
+        8.0, description="Distance between two positions from which nothing is known of the path between [m]"
+    )
+    sensor_height: float = Field(
+        5.0, description="Largest difference in height between a sensor and what lies in its lane [m]"
+    )
+    share: float = Field(0.6, description="Fraction of the points of an object that lies in a driven lane")
+    step: float = Field(0.25, description="Distance between the points of a path [m]")
+    heading_length: float = Field(
+        3.0, description="Length of the end of a drive that gives the direction of the lane beyond [m]"
     )
 
 

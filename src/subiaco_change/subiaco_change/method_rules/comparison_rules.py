@@ -123,6 +123,19 @@ MOVING_OBJECT_RULES: tuple[Rule, ...] = (
         guards=True,
     ),
     Rule(
+        "claim_in_driven_lane",
+        _HERE,
+        "What one epoch alone holds in the lane that a survey vehicle drove through is seldom a lasting"
+        " change.",
+        (
+            "decisions.lane_confidence",
+            "method_numbers.driven_lane.half_width",
+            "method_numbers.driven_lane.beyond",
+            "method_numbers.driven_lane.share",
+        ),
+        guards=True,
+    ),
+    Rule(
         "confidence_of_brief_objects",
         _HERE,
         "The confidence in an object of one epoch is at most the probability that the object stood still.",
@@ -187,6 +200,12 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         _HERE,
         "Objects of two epochs that mostly coincide have one class, that of the better score.",
         ("association.same_place",),
+    ),
+    Rule(
+        "no_partner_elsewhere",
+        _HERE,
+        "A building or plant whose place was seen free has no partner that shares no voxel with it.",
+        ("association.place_free",),
     ),
     Rule(
         "multi_body_matches",
@@ -258,10 +277,25 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         ),
     ),
     Rule(
+        "hidden_wall_of_extension",
+        _HERE,
+        "A wall within the outline of a house that the other epoch hardly saw is hidden by an extension.",
+        (
+            "method_numbers.building_extensions.wall_seen",
+            "method_numbers.building_extensions.neighbour_inside",
+        ),
+    ),
+    Rule(
         "part_between_buildings",
         _HERE,
         "A part that touches a second building too is no extension of either.",
         ("method_numbers.building_extensions.second_contact",),
+    ),
+    Rule(
+        "part_as_large_as_building",
+        _HERE,
+        "A part as large as its building is the building itself where the building's walls stand inside it.",
+        ("method_numbers.building_extensions.host_inside", "method_numbers.building_extensions.party_wall"),
     ),
     Rule(
         "taller_neighbour",

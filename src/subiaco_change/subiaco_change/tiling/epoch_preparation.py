@@ -133,7 +133,8 @@ def load_moved(inputs: Inputs, tile: str, names: Sequence[str], where: Sequence[
 class RenderParams:
     """Parameters of the rendering; ``poses`` (K, 4, 4) are those in the tile.
 
-    Points hide nothing from a probability of ``moved`` on of having been left by a moving object.
+    ``headings`` (K,) are the azimuths that the vehicle faces there [rad]. Points
+    hide nothing from a probability of ``moved`` on of having been left by a moving object.
     """
 
     tile: str
@@ -141,6 +142,7 @@ class RenderParams:
     side: EpochContext
     config: ExpectedVisibilityConfig
     poses: Floats
+    headings: Floats
     moved: float
 
 
@@ -148,13 +150,14 @@ class RenderParams:
 class TileViews:
     """Depth images of the poses in a tile, and what the tile holds.
 
-    ``eyes`` (K, 3), ``axes`` (K, 3) and ``images`` (K, rows, columns) of
+    ``eyes`` (K, 3), ``axes`` (K, 3), ``headings`` (K,) [rad] and ``images`` (K, rows, columns) of
     :class:`~subiaco_geo.free_space.depth_images.DepthImages`; ``occupied`` (M,), keys of the voxels with
     points; ``above`` and ``ranges``, what the points need of a sensor.
     """
 
     eyes: Floats
     axes: Floats
+    headings: Floats
     images: NDArray[np.uint16]
     occupied: Ints
     above: Ints
@@ -176,7 +179,9 @@ def render_tile(inputs: Inputs, params: RenderParams) -> TileViews:
     images = render_views(world, poses[:, :3, 3].copy(), spin_axes(poses[:, :3, :3]), config)
     needs = view_histogram(own, images, config)
     occupied = OccupiedVoxels.of(own, side.corner, config.occupied).keys
-    return TileViews(images.eyes, images.axes, images.images, occupied, needs.above, needs.ranges)
+    return TileViews(
+        images.eyes, images.axes, params.headings, images.images, occupied, needs.above, needs.ranges
+    )
 
 
 def _standing(inputs: Inputs, name: str, limit: float) -> Floats:
@@ -191,6 +196,7 @@ def load_expected(
 ) -> ExpectedVisibility:
     """Put the pieces of :func:`render_tile` under ``alias/`` together."""
     parts = [inputs.of(TileViews, f"{alias}/{name}") for name in inputs.under(alias)]
+    view = estimate_view([], config) if side.view is None else side.view
     grid = image_grid(config)
     if not parts:
         none = np.zeros((0, 3))
@@ -199,8 +205,8 @@ def load_expected(
     else:
         eyes, axes = np.concatenate([p.eyes for p in parts]), np.concatenate([p.axes for p in parts])
         images = DepthImages(eyes, axes, np.concatenate([p.images for p in parts]), grid)
+        images = images.blinded(np.concatenate([p.headings for p in parts]), view.blind)
         keys = np.unique(np.concatenate([p.occupied for p in parts]))  # on a border, two tiles hold a voxel
-    view = estimate_view([], config) if side.view is None else side.view
     return ExpectedVisibility(images, OccupiedVoxels(keys, side.corner, side.voxel), view, config)
 
 

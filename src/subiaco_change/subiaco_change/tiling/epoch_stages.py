@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from subiaco_change.config import ChangeConfig
+from subiaco_change.decisions.driven_lane import SurveyPath
 from subiaco_change.level_of_detection.common_frame import CommonFrame
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules import rules_of_stages
@@ -56,9 +57,9 @@ from subiaco_change.visibility_evidence import evidence_kind
 from subiaco_geo.crs import Transform, transformer
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
-from subiaco_geo.free_space.expected_visibility import occupied_corner, sample_poses
-from subiaco_geo.free_space.sensor_view import SensorView, described_view
-from subiaco_geo.free_space.view_estimation import ViewHistogram, estimate_view
+from subiaco_geo.free_space.expected_visibility import occupied_columns, occupied_corner, sample_poses
+from subiaco_geo.free_space.sensor_view import SensorView, described_view, spin_headings
+from subiaco_geo.free_space.view_estimation import ViewHistogram, blind_arcs, estimate_view
 from subiaco_geo.simulated import SIMULATIONS
 from subiaco_geo.sources import Epoch
 from subiaco_geo.tiles import neighbours, split_by_tile, tile_named
@@ -100,6 +101,7 @@ class Epochs:
     beam_edge: dict[str, float] = field(default_factory=dict)
     trails: dict[str, dict[str, str]] = field(default_factory=dict)
     poses: dict[str, str] = field(default_factory=dict)
+    paths: dict[str, str] = field(default_factory=dict)
     prepared: dict[str, dict[str, str]] = field(default_factory=dict)
     united: dict[str, str] = field(default_factory=dict)
     points: dict[str, dict[str, str]] = field(default_factory=dict)
@@ -243,19 +245,20 @@ class Epochs:
         elif kind == "trajectory" and way is not None:
             side = replace(side, corner=occupied_corner(cut.low, config.poses))
             self.beams[name] = self._render(side, way)
-            side = replace(side, view=self._view(name, epoch))
+            side = replace(side, view=self._view(side, epoch, way))
         return side
 
-    def _view(self, name: str, epoch: Epoch) -> SensorView:
+    def _view(self, side: EpochContext, epoch: Epoch, way: Trajectory) -> SensorView:
         """Take the sensor that a map describes, or estimate it from what its points need."""
-        told = described_view(epoch.info)
-        if told is not None:
-            return told
-        parts = []
-        for key in self.beams[name].values():
+        config = self.config.evidence.poses
+        parts, columns = [], [np.zeros((0, 2))]
+        for key in self.beams[side.epoch].values():
             piece = self.runner.load(TileViews, key)
             parts.append(ViewHistogram(piece.above, piece.ranges))
-        return estimate_view(parts, self.config.evidence.poses)
+            columns.append(occupied_columns(piece.occupied, side.corner, side.voxel))
+        view = described_view(epoch.info) or estimate_view(parts, config)
+        reach = min(view.useful_range, config.max_range)
+        return replace(view, blind=blind_arcs(way.poses, np.concatenate(columns), reach))
 
     def _trails(self, side: EpochContext) -> dict[str, str]:
         """Tell ghost trails by their shape, where nothing counted beams."""
@@ -277,21 +280,25 @@ class Epochs:
         """Render what the poses of an epoch must have seen, tile by tile of its own frame."""
         own, config = self.clouds[side.epoch], self.config.evidence.poses
         poses = way.poses[sample_poses(way.positions, config.pose_spacing)]
+        headings = spin_headings(poses[:, :3, :3])
         by_tile = split_by_tile(poses[:, :3, 3], self.size)
         rings = math.ceil(config.max_range / self.size)
         moved = self.config.semantics.traffic.probability
         tasks = []
         for name in sorted({*own, *by_tile}):
-            looking = poses[by_tile[name]] if name in by_tile else poses[:0]
+            here = by_tile.get(name, np.zeros(0, dtype=np.int64))
+            looking = poses[here]
             around = [name, *(neighbours(name, own, rings) if len(looking) else ())]
             inputs = {f"cloud/{n}": own[n] for n in around if n in own}
             inputs |= {f"trails/{n}": self.trails[side.epoch][n] for n in around if n in own}
-            params = RenderParams(name, self.size, side, config, looking, moved)
+            params = RenderParams(name, self.size, side, config, looking, headings[here], moved)
             tasks.append(Task("expected_visibility", name, render_tile, inputs, params))
         return self.runner.run(tasks, (0.02, 0.05))
 
     def _keep_poses(self, name: str, epoch: Epoch, way: Trajectory | None) -> None:
-        """Keep the pose covariances of a map, where it carries them."""
+        """Keep the path of the survey vehicle, and the pose covariances of a map, where it carries them."""
+        if way is not None and len(way) > 0:
+            self.paths[f"path/{name}"] = self.runner.put("paths", name, SurveyPath(way.positions))
         found = epoch.uncertainty
         if found is None or way is None or len(found.times_ns) == 0:
             return

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numba
 import numpy as np
@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.frames import Floats, Ints
+from subiaco_geo.free_space.azimuth_sector import Arcs, in_arcs
 from subiaco_geo.free_space.numbers import FREE_SPACE
 
 #: Depth [cm] of directions about which nothing is known, and of empty ones against the sky.
@@ -307,6 +308,14 @@ class DepthImages:
     axes: Floats
     images: Depths
     grid: ImageGrid
+
+    def blinded(self, headings: Floats, blind: Arcs) -> DepthImages:
+        """Return images that know nothing of blind arcs about the headings (K,) of the vehicle [rad]."""
+        if not blind:
+            return self
+        centres = (np.arange(self.grid.columns) + 0.5) * self.grid.cell - np.pi
+        closed = in_arcs(centres[None] - headings[:, None], blind)
+        return replace(self, images=np.where(closed[:, None], np.uint16(UNKNOWN), self.images))
 
     def looks(
         self, world: Floats, limits: Limits, enough: int = 0, *, surface_too: bool = False

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial import cKDTree
 
-from subiaco_geo.clouds import packable, voxel_indices, voxel_keys
+from subiaco_geo.clouds import packable, unique_cells, unpack_voxel_keys, voxel_indices, voxel_keys
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.free_space.depth_images import DepthImages, ImageGrid, Limits, Surfaces, render
@@ -154,6 +154,12 @@ def render_views(world: Floats, eyes: Floats, axes: Floats, config: ExpectedVisi
 def occupied_corner(low: Floats, config: ExpectedVisibilityConfig) -> Floats:
     """Return the corner (3,) of the occupied voxels below the lowest coordinates (3,) of an epoch [m]."""
     return np.asarray(np.floor(low) - 2.0 * config.occupied)
+
+
+def occupied_columns(keys: Ints, corner: Floats, voxel: float) -> Floats:
+    """Return the centres (M, 2) of the columns of occupied voxels (N,) in the world [m]."""
+    columns, _ = unique_cells(unpack_voxel_keys(keys)[:, :2])
+    return np.asarray((columns + 0.5) * voxel + corner[:2])
 
 
 @dataclass(frozen=True)

@@ -45,6 +45,53 @@ class FreeSpaceNumbers(StrictModel):
         description="Depth tolerance on surfaces at a grazing angle, a multiple of a cell "
         "of a depth image at the range",
     )
+    sector_steps: int = Field(
+        36, description="Number of steps of azimuth around, in which blind arcs of a sensor are estimated"
+    )
+    sector_cloud: float = Field(
+        0.25,
+        description="Fraction of the cells around a pose that must hold points for the pose to show blind "
+        "azimuths: elsewhere the drive lies outside its cloud",
+    )
+    sector_cell: float = Field(
+        1.0, description="Edge of the horizontal cells that show into which azimuths a sensor looked [m]"
+    )
+    sector_near: tuple[float, float] = Field(
+        (5.0, 15.0),
+        description="Distances from the path between which a cell holds points where a sensor looked that "
+        "way; a nearer cell spans too many azimuths [m]",
+    )
+    sector_pose_spacing: float = Field(
+        0.5, description="Distance along the trajectory between poses that show blind azimuths [m]"
+    )
+    sector_evidence: float = Field(
+        40.0,
+        description="Number of cells with points that must be due, and lacking, before azimuths are blind",
+    )
+    sector_stray: float = Field(
+        0.1, description="Fraction of the cells due that may hold points although their azimuths are blind"
+    )
+    sector_edge: float = Field(
+        2.0,
+        description="Number of cells that must hold points, and do not, for the last step of a blind arc",
+    )
+    sector_seen: float = Field(
+        0.3, description="Fraction of the cells due beyond which the outermost step of a blind arc was seen"
+    )
+    sector_beside: int = Field(
+        2, description="Number of steps beside a blind arc in which the sensor must have looked"
+    )
+    sector_open: float = Field(
+        0.5, description="Fraction of the cells due that must hold points in the steps beside a blind arc"
+    )
+    sector_least_deg: float = Field(
+        60.0,
+        description="Smallest sector that blind azimuths leave; where less is left, the cloud ends at the "
+        "drive and all azimuths count as seen [deg]",
+    )
+    sector_places: int = Field(
+        200_000, description="Largest number of cells of a drive from which blind azimuths are estimated"
+    )
 
 
 FREE_SPACE = FreeSpaceNumbers()

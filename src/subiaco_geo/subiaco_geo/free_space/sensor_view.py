@@ -10,6 +10,7 @@ import numpy as np
 
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
+from subiaco_geo.free_space.azimuth_sector import Arcs
 from subiaco_geo.free_space.numbers import FREE_SPACE
 
 #: Entry of ``map.yaml``.
@@ -29,24 +30,20 @@ class SensorView:
         Lowest and highest beam in the sensor's own axes [rad].
     useful_range : float
         So far an ordinary surface returns a beam [m].
+    blind : tuple of (float, float)
+        Arcs of azimuths into which no beam goes, from the heading of the vehicle
+        (:func:`spin_headings`), counter-clockwise: first angle and extent [rad].
     """
 
     elevation_min: float
     elevation_max: float
     useful_range: float
+    blind: Arcs = ()
 
     def description(self) -> dict[str, float]:
         """Return the entry ``sensor`` of ``map.yaml``."""
         low, high = np.degrees([self.elevation_min, self.elevation_max]).round(2).tolist()
         return dict(zip(_FIELDS, (low, high, round(float(self.useful_range), 1)), strict=True))
-
-    def joined(self, other: SensorView) -> SensorView:
-        """Return the field of view that two sensors of one vehicle cover together."""
-        return SensorView(
-            min(self.elevation_min, other.elevation_min),
-            max(self.elevation_max, other.elevation_max),
-            max(self.useful_range, other.useful_range),
-        )
 
 
 def described_view(info: Mapping[str, Any]) -> SensorView | None:
@@ -81,9 +78,26 @@ def spin_axes(rotations: Floats) -> Floats:
     vertical = np.tile([0.0, 0.0, 1.0], (len(rotations), 1))
     if len(rotations) == 0:
         return vertical
-    upward = rotations[:, 2, :]  # height of every body axis
-    mean = upward.mean(axis=0)
-    axis = int(np.argmax(np.abs(mean)))
-    if abs(mean[axis]) < _UPRIGHT:
+    axis, mean = _upright_axis(rotations)
+    if abs(mean) < _UPRIGHT:
         return vertical
-    return np.ascontiguousarray(np.sign(mean[axis]) * rotations[:, :, axis])
+    return np.ascontiguousarray(np.sign(mean) * rotations[:, :, axis])
+
+
+def spin_headings(rotations: Floats) -> Floats:
+    """Return the azimuth (M,) that a sensor faces in the world, from its rotations (M, 3, 3) [rad].
+
+    It is that of the body axis that follows the upright one: x where z is upright, as vehicles have it, and z
+    where y is, as cameras have it. Any axis that turns with the vehicle serves.
+    """
+    if len(rotations) == 0:
+        return np.zeros(0)
+    axis = rotations[:, :, (_upright_axis(rotations)[0] + 1) % 3]
+    return np.asarray(np.arctan2(axis[:, 1], axis[:, 0]))
+
+
+def _upright_axis(rotations: Floats) -> tuple[int, float]:
+    """Return the body axis that is upright most of the way, and its mean height as a ratio."""
+    mean = rotations[:, 2, :].mean(axis=0)
+    axis = int(np.argmax(np.abs(mean)))
+    return axis, float(mean[axis])

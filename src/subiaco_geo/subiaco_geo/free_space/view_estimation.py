@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from subiaco_geo.frames import Floats, Ints
+from subiaco_geo.free_space.azimuth_sector import Arcs, estimate_blind_arcs, path_poses
 from subiaco_geo.free_space.depth_images import UNKNOWN, DepthImages, Depths, ImageGrid
 from subiaco_geo.free_space.expected_visibility import ExpectedVisibilityConfig
 from subiaco_geo.free_space.numbers import FREE_SPACE
-from subiaco_geo.free_space.sensor_view import SensorView
+from subiaco_geo.free_space.sensor_view import SensorView, spin_headings
 
 _ANGLES = np.radians(
     np.arange(0.0, 90.25, FREE_SPACE.elevation_step_deg)
@@ -96,6 +97,22 @@ def estimate_view(parts: Sequence[ViewHistogram], config: ExpectedVisibilityConf
         if own.sum() > 0:
             reach = min(_STEP * (1 + _quantile(own, config.range_quantile)), reach)
     return SensorView(low, high, float(reach))
+
+
+def blind_arcs(poses: Floats, columns: Floats, useful_range: float) -> Arcs:
+    """Estimate the azimuths into which the sensor of an epoch never looked.
+
+    Parameters
+    ----------
+    poses : (K, 4, 4) float64
+        Of the whole epoch [m, world].
+    columns : (M, 2) float64
+        Horizontal positions that hold points [m, world].
+    useful_range : float
+        Of the sensor [m].
+    """
+    chosen = poses[path_poses(poses[:, :3, 3])]
+    return estimate_blind_arcs(chosen[:, :2, 3], spin_headings(chosen[:, :3, :3]), columns, useful_range)
 
 
 def _quantile(counts: NDArray[np.int64], share: float) -> int:
