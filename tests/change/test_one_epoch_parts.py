@@ -319,3 +319,23 @@ def test_a_wing_that_closes_the_gap_to_the_next_house_extends_the_house_it_adjoi
     places = np.concatenate([t.voxels.xyz for t in (*larger.before, *larger.after)])
     assert places[:, 0].min() < 1
     assert places[:, 0].max() < 12.5
+
+
+@pytest.mark.parametrize("taken_away", [False, True], ids=["built", "taken away"])
+@pytest.mark.parametrize(("width", "own_row"), [(4.5, True), (2.0, False)])
+def test_a_house_of_a_row_of_which_only_the_front_was_seen_has_a_row_of_its_own(taken_away, width, own_row):
+    first = walls(10, 12, 6)
+    second = np.add(walls(10, 12, 6), (10 + width + 0.5, 0, 0))
+    front = np.add(block((0, 0, 0), (width, 0.5, 4)), (10.25, 0, 0))
+    apart = [house_instance(first, 0), house_instance(second, 1)]
+    row = house_instance(np.concatenate([first, second]), 0)
+    part = house_instance(front, 1, held=False)
+    rules = ObjectRules(MeasureConfig(), AssociationConfig(), DecisionConfig())
+    lone = ([part], []) if taken_away else ([], [part])
+    both = ([row], apart) if taken_away else (apart, [row])
+    matched = [decide_object(*both, Semantic.BUILDING, rules), decide_object(*lone, Semantic.BUILDING, rules)]
+    assert matched[1].decision.change is (Change.REMOVED if taken_away else Change.ADDED)
+    told = join_building_extensions(matched, rules)
+    rows = [change for change in told if change.decision.change is matched[1].decision.change]
+    assert len(rows) == int(own_row)
+    assert sum(len(c.before) + len(c.after) for c in told) == 4

@@ -117,6 +117,10 @@ class SplitMergeNumbers(StrictModel):
         0.5,
         description="Observed fraction below which a part of a building gets no row of its own",
     )
+    house_front: float = Field(
+        3.0,
+        description="Width of a gap between two houses from which its filling is a house, not a wing [m]",
+    )
 
 
 class VehiclePartsNumbers(StrictModel):

@@ -310,6 +310,12 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         ("method_numbers.building_extensions.least_house_share",),
     ),
     Rule(
+        "house_between_houses",
+        _HERE,
+        "What fills a gap as wide as a house between two houses that did not change is a house of the row.",
+        ("method_numbers.split_merge.house_front",),
+    ),
+    Rule(
         "hidden_walls",
         _HERE,
         "A wall within the outline of a changed building that the other epoch hardly saw joins its row.",
