@@ -29,7 +29,7 @@ from scipy.spatial.transform import Rotation
 
 from subiaco_change.config import ChangeConfig
 from subiaco_change.pipeline import detect_changes
-from subiaco_change.records import ChangeResult
+from subiaco_change.records import ChangeRecord, ChangeResult
 from subiaco_geo.clouds import from_world
 from subiaco_geo.codes import Change
 from subiaco_geo.errors import SubiacoError
@@ -146,6 +146,13 @@ def emptied(scene: Scene, kept: Ints, removed: Ints, seed: int) -> Floats:
     return np.concatenate(laid)
 
 
+def _row(r: ChangeRecord) -> str:
+    return (
+        f"{r.semantic.label} {r.change.label} {r.confidence:.2f} n {r.n_before}/{r.n_after}"
+        f" at {r.x:.1f} {r.y:.1f}: {r.reason}"
+    )
+
+
 @dataclass(frozen=True)
 class Outcome:
     """A comparison: result, removed objects (roof, points in *before*), planted trees, pose error [m]."""
@@ -155,26 +162,35 @@ class Outcome:
     planted: list[Floats]
     shift: float
 
+    def objects(self) -> list[tuple[bool, Change, Floats, float, list[str]]]:
+        """Return of each changed object: roof, change, points, share with that label, rows that touch it."""
+        result = self.result
+        given = [(roof, Change.REMOVED, xyz, result.before) for roof, xyz in self.removed]
+        given += [(False, Change.ADDED, xyz, result.after) for xyz in self.planted]
+        found = []
+        for roof, change, xyz, cloud in given:
+            label = cloud.fields["change"][cKDTree(cloud.world()).query(xyz)[1]]
+            outline = shapely.MultiPoint(xyz[:, :2]).convex_hull
+            rows = [_row(r) for r in result.records if r.footprint.intersects(outline)]
+            found.append((roof, change, xyz, float(np.mean(label == change)), rows))
+        return found
+
+    def area(self) -> float:
+        """Return the area that *after* covers [m2]."""
+        world = self.result.after.world()
+        return float(len(np.unique(np.floor(world[:, :2]).astype(np.int64), axis=0)))
+
     def line(self, name: str, seconds: float) -> str:
         """Return the row of the table."""
-        tree = cKDTree(self.result.before.world())
-        found = {True: [0, 0], False: [0, 0]}
-        for roof, xyz in self.removed:
-            label = self.result.before.fields["change"][tree.query(xyz)[1]]
-            found[roof][0] += int(np.mean(label == Change.REMOVED) >= 0.5)
-            found[roof][1] += 1
-        new = cKDTree(self.result.after.world())
+        objects = self.objects()
+        kinds = ((True, Change.REMOVED), (False, Change.REMOVED), (False, Change.ADDED))
         shares = [
-            float(np.mean(self.result.after.fields["change"][new.query(xyz)[1]] == Change.ADDED))
-            for xyz in self.planted
+            [share for roof, change, _, share, _ in objects if (roof, change) == kind] for kind in kinds
         ]
+        told = " | ".join(f"{sum(s >= 0.5 for s in some)} of {len(some)}" for some in shares)
         false = self.false_claims()
-        world = self.result.after.world()
-        area = len(np.unique(np.floor(world[:, :2]).astype(np.int64), axis=0))
         counts = [sum(r > c for r in false.values()) for c in (0.0, 0.5, 0.9)]
-        rates = [f"{n} ({1000 * n / area:.2f})" for n in counts]
-        put = [sum(share >= 0.5 for share in shares), len(shares)]
-        told = " | ".join(f"{hits} of {count}" for hits, count in (found[True], found[False], put))
+        rates = [f"{n} ({1000 * n / self.area():.2f})" for n in counts]
         return f"| {name} | {1e3 * self.shift:.0f} | {told} | {' | '.join(rates)} | {seconds:.0f} |"
 
     def false_claims(self) -> dict[str, float]:
@@ -183,8 +199,7 @@ class Outcome:
         outlines = [shapely.MultiPoint(xyz[:, :2]).convex_hull.buffer(1.0) for xyz in changed]
         known = shapely.union_all(outlines)
         return {
-            f"{r.semantic.label} {r.change.label} {r.confidence:.2f} n {r.n_before}/{r.n_after}"
-            f" at {r.x:.1f} {r.y:.1f}: {r.reason}": r.confidence
+            _row(r): r.confidence
             for r in self.result.records
             if r.change in CLAIMS and not r.footprint.intersects(known)
         }
@@ -241,6 +256,7 @@ def main() -> None:
         table.append(outcome.line(name, time.process_time() - started))
         print(table[-1], flush=True)
         if words.rows:
+            print(*(f"missed: {rows}" for *_, share, rows in outcome.objects() if share < 0.5), sep="\n")
             print(*outcome.false_claims(), sep="\n")
     print("\n".join(table))
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import time
 from collections.abc import Callable, Iterator
@@ -70,10 +71,12 @@ class Harness:
             self.executor.spin_once(timeout_sec=min([0.05, *waits]))
 
     def close(self) -> None:
-        """Leave nothing behind."""
+        """Leave nothing behind: the next test may get the same domain."""
         self.executor.shutdown()
         for node in self._nodes:
             node.destroy_node()
+        self.apps.clear()
+        gc.collect()  # action clients and servers keep their node in the domain until they are collected
         self.context.try_shutdown()
         self._held.__exit__(None, None, None)
 

@@ -158,6 +158,13 @@ class DecisionConfig(StrictModel):
         description="Passes per return from which a high object that its own survey observed from both "
         "sides is a ghost trail [1]",
     )
+    lane_confidence: float = Field(
+        0.5,
+        gt=0,
+        le=1,
+        description="Highest confidence of a change in what one epoch alone holds in the lane that a survey "
+        "vehicle drove through, as a probability",
+    )
     vehicle_top: float = Field(
         4.4,
         gt=0,

@@ -12,6 +12,7 @@ from subiaco_change.association.matching import Match, associate
 from subiaco_change.decisions.column_volumes import OpenGround, ground_columns
 from subiaco_change.decisions.confidence import ConfidenceConfig, bounded, features, paper_score, probability
 from subiaco_change.decisions.config import DecisionConfig
+from subiaco_change.decisions.driven_lane import limit_in_lane
 from subiaco_change.decisions.dynamic_objects import Observed, limit_confidence, own_epoch_evidence
 from subiaco_change.decisions.measures import footprint, same_place
 from subiaco_change.decisions.object_decision import ObjectChange, ObjectRules, decide_object
@@ -155,6 +156,7 @@ def make_record(
     found = features(change.decision, m, change.semantic, score, density, evidence)
     certain = bounded(probability(change.decision, found, trust), change.decision, m, trust)
     certain, reason = limit_confidence(change.decision, objects, certain, rules)
+    certain, reason = limit_in_lane(change.decision.change, change.in_lane, certain, reason, rules)
     return ChangeRecord(
         object_id=object_id,
         semantic=change.semantic,

@@ -14,7 +14,13 @@ from subiaco_change.association.costs import AssociationConfig
 from subiaco_change.association.matching import match_kind
 from subiaco_change.decisions.column_volumes import BUILT_UP, OpenGround, column_keys
 from subiaco_change.decisions.config import DecisionConfig
-from subiaco_change.decisions.dynamic_objects import OwnEpochEvidence, continues_trail, is_moving_object_trail
+from subiaco_change.decisions.driven_lane import lane_share_of_claim
+from subiaco_change.decisions.dynamic_objects import (
+    Observed,
+    OwnEpochEvidence,
+    continues_trail,
+    is_moving_object_trail,
+)
 from subiaco_change.decisions.measures import MeasureConfig, Measures, absence, measure, observed_fraction
 from subiaco_change.decisions.plant_decisions import decide_plant
 from subiaco_change.decisions.plant_measures import PlantConfig, measure_plant
@@ -55,6 +61,7 @@ class ObjectChange:
     measures: Measures
     decision: Decision
     plant: PlantMeasures | None = None  # where the plants of the pair have a say in its label
+    in_lane: float = 0.0  # fraction of a claim of one epoch that lies in the lane of a survey vehicle
 
     @property
     def lod(self) -> float:
@@ -89,6 +96,7 @@ class ObjectRules:
     free: tuple[Free | None, Free | None] = (None, None)  # what *before* and *after* know to be free
     below_view: tuple[Empty | None, Empty | None] = (None, None)  # how high their views are known to reach
     certain: tuple[Certainty | None, Certainty | None] = (None, None)  # how certain these can be at most
+    lanes: tuple[Observed, ...] = ()  # which places the survey vehicles of both epochs drove through
     plants: PlantConfig = field(default_factory=PlantConfig)
 
 
@@ -124,7 +132,8 @@ def decide_object(
             or decision
         )
     kind = match_kind(len(before), len(after))
-    return ObjectChange(tuple(before), tuple(after), semantic, kind, measures, decision, plant)
+    in_lane = lane_share_of_claim(decision, (*before, *after), rules.lanes, rules.decisions)
+    return ObjectChange(tuple(before), tuple(after), semantic, kind, measures, decision, plant, in_lane)
 
 
 def _with_tops(measures: Measures, plant: PlantMeasures, lod: float) -> Measures:

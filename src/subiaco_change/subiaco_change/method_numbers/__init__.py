@@ -21,6 +21,7 @@ from subiaco_change.method_numbers.decision_numbers import (
     BuildingExtensionsNumbers,
     ColumnVolumesNumbers,
     ConfidenceNumbers,
+    DrivenLaneNumbers,
     DynamicObjectsNumbers,
     GroundCellsNumbers,
     GroundChangeNumbers,
@@ -72,6 +73,7 @@ class MethodNumbers(StrictModel):
     building_extensions: BuildingExtensionsNumbers = BuildingExtensionsNumbers()
     column_volumes: ColumnVolumesNumbers = ColumnVolumesNumbers()
     confidence: ConfidenceNumbers = ConfidenceNumbers()
+    driven_lane: DrivenLaneNumbers = DrivenLaneNumbers()
     dynamic_objects: DynamicObjectsNumbers = DynamicObjectsNumbers()
     ground_cells: GroundCellsNumbers = GroundCellsNumbers()
     ground_change: GroundChangeNumbers = GroundChangeNumbers()

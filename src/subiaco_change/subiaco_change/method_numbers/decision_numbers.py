@@ -159,6 +159,30 @@ class DynamicObjectsNumbers(StrictModel):
     )
 
 
+class DrivenLaneNumbers(StrictModel):
+    """Numbers of ``decisions/driven_lane.py``."""
+
+    half_width: float = Field(
+        1.2,
+        description="Distance beside the path of a survey vehicle within which a place is carriageway [m]; a"
+        " parked vehicle beside the lane is farther away",
+    )
+    beyond: float = Field(
+        12.0, description="Distance beyond both ends of a drive over which the lane continues [m]"
+    )
+    gap: float = Field(
+        8.0, description="Distance between two positions from which nothing is known of the path between [m]"
+    )
+    sensor_height: float = Field(
+        5.0, description="Largest difference in height between a sensor and what lies in its lane [m]"
+    )
+    share: float = Field(0.6, description="Fraction of the points of an object that lies in a driven lane")
+    step: float = Field(0.25, description="Distance between the points of a path [m]")
+    heading_length: float = Field(
+        3.0, description="Length of the end of a drive that gives the direction of the lane beyond [m]"
+    )
+
+
 class GroundCellsNumbers(StrictModel):
     """Numbers of ``decisions/ground_cells.py``."""
 

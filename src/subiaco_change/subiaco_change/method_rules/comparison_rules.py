@@ -123,6 +123,19 @@ MOVING_OBJECT_RULES: tuple[Rule, ...] = (
         guards=True,
     ),
     Rule(
+        "claim_in_driven_lane",
+        _HERE,
+        "What one epoch alone holds in the lane that a survey vehicle drove through is seldom a lasting"
+        " change.",
+        (
+            "decisions.lane_confidence",
+            "method_numbers.driven_lane.half_width",
+            "method_numbers.driven_lane.beyond",
+            "method_numbers.driven_lane.share",
+        ),
+        guards=True,
+    ),
+    Rule(
         "confidence_of_brief_objects",
         _HERE,
         "The confidence in an object of one epoch is at most the probability that the object stood still.",

@@ -198,8 +198,18 @@ SEGMENTATION_RULES: tuple[Rule, ...] = (
     Rule(
         "screens",
         _HERE,
-        "An upright outline that hardly fills its rectangle is a fence, not a vehicle.",
-        ("semantics.vehicles.screen_upright", "semantics.vehicles.screen_fill"),
+        "An upright outline that hardly fills its rectangle and reaches the ground is a fence, no vehicle.",
+        ("semantics.vehicles.screen_upright", "semantics.vehicles.screen_fill", "semantics.vehicles.wheels"),
+    ),
+    Rule(
+        "one_sided_cars",
+        _HERE,
+        "A thin smooth thing as long as a car whose upper part leans inwards is the side of a car.",
+        (
+            "semantics.vehicles.side_hard",
+            "semantics.vehicles.side_lean",
+            "semantics.vehicles.side_window",
+        ),
     ),
     Rule(
         "sheds",

@@ -323,8 +323,12 @@ def judge(
     weights = pair_weights(pairs, config.tukey, config.huber)
     step = solve(pairs, weights, pairs.points.mean(axis=0), config.min_eigenvalue)
     middle = max(len(targets) - 2, 0)
-    compared = (before.levels[middle], targets[middle], pose, config.tukey, column(before))
-    quality = measure_quality(*compared)
+    # In sparse clouds voxels of finer levels hold a point or none, and equal crowns match in a third of them.
+    full = middle if before.scale == 1.0 else 0
+    quality = measure_quality(before.levels[middle], targets[middle], pose, config.tukey, column(before))
+    support = measure_support(
+        before.levels[full], targets[full], pose, config.tukey, column(before), before.scale
+    )
     apart = angle = np.nan
     ndt_better = False
     if ndt_pose is not None:
@@ -334,8 +338,8 @@ def judge(
         ndt_better = _structure(there, config) > as_well * _structure(pairs, config)
     rmse = float(np.sqrt(np.average(pairs.residuals**2, weights=weights)))
     return Fit(
-        pose, pairs, step.degenerate, step.eigenvalues, quality,
-        measure_support(*compared, before.scale), apart, angle, ndt_better, rmse, start,
+        pose, pairs, step.degenerate, step.eigenvalues, quality, support, apart, angle, ndt_better, rmse,
+        start,
     )  # fmt: skip
 
 

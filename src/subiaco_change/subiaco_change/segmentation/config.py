@@ -387,3 +387,21 @@ class VehicleConfig(StrictModel):
     screen_fill: float = Field(
         0.38, gt=0, le=1, description="Largest fraction of its bounding rectangle that a set of fences fills"
     )
+    side_hard: float = Field(
+        0.7,
+        gt=0,
+        le=1,
+        description="Smallest fraction of the points of the side of a car, seen alone, that are not foliage",
+    )
+    side_lean: float = Field(
+        0.12,
+        gt=0,
+        description="Distance by which the windows of a car, seen from one side alone, lean inwards from its "
+        "body [m]",
+    )
+    side_window: float = Field(
+        0.75,
+        gt=0,
+        lt=1,
+        description="Height from which the side of a car consists of windows, as a fraction of its height",
+    )

@@ -143,13 +143,36 @@ def ground_boxes(
 
 def _kind(xyz: Floats, height: Floats, upright: Mask, hard: float, config: VehicleConfig) -> Semantic | None:
     """Class of a compact thing that stands on the ground; None for what is no box of a vehicle's size."""
-    if len(xyz) < 15 or not _fits(xyz, height, hard, config):
+    if len(xyz) < 15:
         return None
+    if not _fits(xyz, height, hard, config):
+        return Semantic.MOBILE if _is_side_of_car(xyz, height, hard, config) else None
     upper = upright[height > 0.5 * np.quantile(height, 0.98)].mean()
-    screen = applies("screens", upper > config.screen_upright and _fill(xyz) < config.screen_fill)
+    thin = upper > config.screen_upright and _fill(xyz) < config.screen_fill
+    on_wheels = _foot(height) < config.wheels and box_sides(xyz[:, :2])[0] < config.mobile_length
+    screen = applies("screens", thin and not on_wheels)
     if (screen or has_eaves(xyz, height, config)) and not _is_shed(xyz, height, upright, config):
         return Semantic.OTHER
     return Semantic.MOBILE
+
+
+@switchable("one_sided_cars", never)
+def _is_side_of_car(xyz: Floats, height: Floats, hard: float, config: VehicleConfig) -> bool:
+    """Tell the side of a car that was seen from one side alone: its windows lean inwards.
+
+    Walls and fences of that length are upright to their tops, and foliage is not smooth.
+    """
+    sides = box_coordinates(xyz[:, :2])
+    length, width = np.ptp(sides, axis=0).tolist()
+    top, low = float(np.quantile(height, 0.98)), float(np.quantile(height, 0.02))
+    if not (3.2 < length < config.mobile_length and config.side_lean < width <= config.mobile_min_width):
+        return False
+    if hard < config.side_hard or low > 0.6 or not 1.2 < top < 2.2:
+        return False
+    head, body = height > config.side_window * top, height < 0.5 * top
+    if head.sum() < 4 or body.sum() < 4:
+        return False
+    return bool(abs(np.median(sides[head, 1]) - np.median(sides[body, 1])) > config.side_lean)
 
 
 def release_false_vehicles(

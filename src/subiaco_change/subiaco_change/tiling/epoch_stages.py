@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from subiaco_change.config import ChangeConfig
+from subiaco_change.decisions.driven_lane import SurveyPath
 from subiaco_change.level_of_detection.common_frame import CommonFrame
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules import rules_of_stages
@@ -100,6 +101,7 @@ class Epochs:
     beam_edge: dict[str, float] = field(default_factory=dict)
     trails: dict[str, dict[str, str]] = field(default_factory=dict)
     poses: dict[str, str] = field(default_factory=dict)
+    paths: dict[str, str] = field(default_factory=dict)
     prepared: dict[str, dict[str, str]] = field(default_factory=dict)
     united: dict[str, str] = field(default_factory=dict)
     points: dict[str, dict[str, str]] = field(default_factory=dict)
@@ -294,7 +296,9 @@ class Epochs:
         return self.runner.run(tasks, (0.02, 0.05))
 
     def _keep_poses(self, name: str, epoch: Epoch, way: Trajectory | None) -> None:
-        """Keep the pose covariances of a map, where it carries them."""
+        """Keep the path of the survey vehicle, and the pose covariances of a map, where it carries them."""
+        if way is not None and len(way) > 0:
+            self.paths[f"path/{name}"] = self.runner.put("paths", name, SurveyPath(way.positions))
         found = epoch.uncertainty
         if found is None or way is None or len(found.times_ns) == 0:
             return

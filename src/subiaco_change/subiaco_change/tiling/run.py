@@ -291,7 +291,7 @@ class ChangeRun(Epochs):
             mine = np.flatnonzero(found.anchor == position).tolist()
             near = {n for g in mine for n in tiles_between(low[g], high[g], self.size)}
             names = sorted(near & set(self.tiles))
-            inputs[tile] = {**self._region(names, frame, lods, common, names), "groups": groups}
+            inputs[tile] = {**self._region(names, frame, lods, common, names), "groups": groups, **self.paths}
             reach[tile] = names
         return self._tasks("compare", compare_tile, ComparisonSlice, inputs), reach
 

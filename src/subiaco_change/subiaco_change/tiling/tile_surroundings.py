@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from subiaco_change.decisions.driven_lane import SurveyPath, lane_near
 from subiaco_change.decisions.voxel_objects import UNCERTAIN, EpochView
 from subiaco_change.level_of_detection.common_frame import free_through, seen_through
 from subiaco_change.segmentation.ground_model import Mask
@@ -33,7 +34,8 @@ class Region:
     ``index`` (N,) place of the point there; ``seen`` tells which places of the common frame the
     epoch observed, ``empty`` where its beams went on and nothing came back, ``free`` how probable it
     is that nothing stood there, by its beams, ``certain`` how certain that can be at most, and ``below_view``
-    which places are no higher than its view is known to have reached.
+    which places are no higher than its view is known to have reached; ``driven`` which places its vehicle
+    drove through, None where its trajectory is not known.
     """
 
     view: EpochView
@@ -45,6 +47,7 @@ class Region:
     free: Callable[[Floats], Floats]
     below_view: Callable[[Floats], Mask]
     certain: Callable[[Floats], Floats]
+    driven: Callable[[Floats], Mask] | None
 
 
 def load_region(
@@ -52,7 +55,8 @@ def load_region(
 ) -> Region:
     """Load those points of an epoch for which ``near`` holds, given places (N, 3) of the common frame.
 
-    ``inputs`` hold ``points lods`` of the tiles around, ``beams`` and the frame; ``origin`` (3,) is its own.
+    ``inputs`` hold ``points lods`` of the tiles around, ``beams``, the ``path`` of the survey vehicle where
+    it is known, and the frame; ``origin`` (3,) is its own.
     """
     frame = load_frame(inputs, origin)
     tiles = inputs.under(f"points/{side.epoch}")
@@ -82,6 +86,7 @@ def load_region(
     view, slot, index = _view(parts)
     world = np.concatenate(own_world) if side.kind in ("shadow", "trajectory") else np.zeros((0, 3))
     observer: Observer = load_observer(inputs, side, world, config)
+    path = inputs.find(SurveyPath, f"path/{side.epoch}")
     to_world = frame.before_world if side.epoch == "before" else frame.after_world
     return Region(
         view,
@@ -93,6 +98,7 @@ def load_region(
         free_through(observer.free_probability, to_world),
         seen_through(observer.below_view, to_world),
         free_through(observer.certainty, to_world),
+        None if path is None else seen_through(lane_near(path, to_world(view.xyz)).covers, to_world),
     )
 
 
