@@ -62,7 +62,7 @@ class _Places:
     def shows_seen(self, blind: int, beside: int) -> bool:
         """Tell whether cells hold points that only ``blind`` and steps beside it have in view."""
         due, held = self._of_step(blind | beside, beside)
-        return due >= FREE_SPACE.sector_edge and held > FREE_SPACE.sector_open * due
+        return due >= FREE_SPACE.sector_edge and held > FREE_SPACE.sector_seen * due
 
     def _of_step(self, blind: int, step: int) -> tuple[float, int]:
         needed = self._alone(blind) & ~self._alone(blind & ~step) & self._near(step)

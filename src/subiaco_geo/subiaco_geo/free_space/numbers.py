@@ -76,13 +76,12 @@ class FreeSpaceNumbers(StrictModel):
         description="Number of cells that must hold points, and do not, for the last step of a blind arc",
     )
     sector_seen: float = Field(
-        0.3, description="Fraction of the cells due beyond which the outermost step of a blind arc was seen"
+        0.3,
+        description="Fraction of the cells due that hold points in azimuths into which the sensor looked, "
+        "those hidden by walls and vehicles left out; no more hold points in the last step of a blind arc",
     )
     sector_beside: int = Field(
         2, description="Number of steps beside a blind arc in which the sensor must have looked"
-    )
-    sector_open: float = Field(
-        0.5, description="Fraction of the cells due that must hold points in the steps beside a blind arc"
     )
     sector_least_deg: float = Field(
         60.0,
