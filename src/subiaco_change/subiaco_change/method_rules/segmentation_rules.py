@@ -136,6 +136,12 @@ SEGMENTATION_RULES: tuple[Rule, ...] = (
         ("semantics.buildings.frond_linearity", "semantics.buildings.frond_bend"),
     ),
     Rule(
+        "leafy_slopes",
+        _HERE,
+        "A rough, inclined patch far from its plane is foliage, not a roof: the crowns of real streets need it.",
+        ("semantics.buildings.leafy_bend",),
+    ),
+    Rule(
         "leafy_patches",
         _HERE,
         "A small planar patch of scattered points is the side of a hedge, not a wall.",

@@ -148,6 +148,7 @@ def _kinds(
     fronds = rule_mask("palm_fronds", bent & rough & (linear > config.frond_linearity))
     leafy = reduced(np.sqrt(features.scatter), "mean") > config.leafy_scatter
     leafy = rule_mask("leafy_patches", leafy & (patches.area < config.leafy_area))
+    fronds |= rule_mask("leafy_slopes", ~upright & rough & (patches.residual > config.leafy_bend))
     facade &= ~rule_mask("facade_width", facade & (patches.width <= config.facade_width))
     building = (facade | roof) & ~fronds & ~leafy & ~wires
     return np.asarray(building), np.asarray(fronds & (patches.area > config.part_area))

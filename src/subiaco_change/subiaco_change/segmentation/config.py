@@ -102,6 +102,12 @@ class BuildingConfig(StrictModel):
         description="Mean sqrt(l3 / l1) above which a small planar patch is the side of a hedge, not a "
         "wall [1]",
     )
+    leafy_bend: float = Field(
+        0.2,
+        gt=0,
+        description="Root mean square distance from its plane above which a rough, inclined patch is "
+        "foliage, not a roof [m]",
+    )
     leafy_area: float = Field(
         25.0,
         gt=0,
