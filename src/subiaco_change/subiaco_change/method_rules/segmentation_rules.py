@@ -138,7 +138,7 @@ SEGMENTATION_RULES: tuple[Rule, ...] = (
     Rule(
         "leafy_slopes",
         _HERE,
-        "A rough, inclined patch far from its plane is foliage, not a roof: the crowns of real streets need it.",
+        "A rough, inclined patch far from its plane is foliage, not a roof: real crowns need this.",
         ("semantics.buildings.leafy_bend",),
     ),
     Rule(
