@@ -93,12 +93,9 @@ def _extended(
         ]
         if any(part.decision.change in _CLAIMS for part in parts):
             return parts
-        houses = [e for e, c in zip(extensions, contacts, strict=True) if _is_house_of_row(e, c, bodies)]
-        together = _decide_together([(host.before, host.after), *pieces], rules)
-        if houses and together.decision.change not in _CLAIMS:
-            rest = [(e.before, e.after) for e in extensions if e not in houses]
-            return [_decide_together([(host.before, host.after), *rest], rules), *houses]
-        return [together]
+        rows = [e for e, c in zip(extensions, contacts, strict=True) if _is_house_of_row(e, c, bodies)]
+        pieces = [(e.before, e.after) for e in extensions if e not in rows]
+        return [_decide_together([(host.before, host.after), *pieces], rules), *rows]
     return [_decide_together([(host.before, host.after), *pieces], rules)]
 
 

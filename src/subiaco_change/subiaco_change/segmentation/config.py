@@ -393,6 +393,12 @@ class VehicleConfig(StrictModel):
     screen_fill: float = Field(
         0.38, gt=0, le=1, description="Largest fraction of its bounding rectangle that a set of fences fills"
     )
+    van_top: float = Field(
+        1.9,
+        gt=0,
+        description="Height above ground from which two upright sides that are open between wheels are those "
+        "of a van, not fences [m]",
+    )
     side_hard: float = Field(
         0.7,
         gt=0,
