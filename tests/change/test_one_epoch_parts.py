@@ -339,3 +339,10 @@ def test_a_house_of_a_row_of_which_only_the_front_was_seen_has_a_row_of_its_own(
     rows = [change for change in told if change.decision.change is matched[1].decision.change]
     assert len(rows) == int(own_row)
     assert sum(len(c.before) + len(c.after) for c in told) == 4
+
+
+def test_a_crown_beside_a_house_is_no_wing_and_a_roof_on_it_is_one():
+    crown = np.array([p for p in walls(3, 3, 5) if p[2] > 4.2])
+    house = (voxels(HOUSE), voxels(HOUSE))
+    assert find_building_extensions([house, (NONE, moved(crown, 10.5))], CONFIG) == {}
+    assert find_building_extensions([house, (NONE, moved(np.add(crown, (0, 0, 2)), 5.0))], CONFIG) == {1: 0}

@@ -27,6 +27,7 @@ _WITHIN = NUMBERS.building_extensions.host_inside
 _PARTY = NUMBERS.building_extensions.party_wall
 _BESIDE = NUMBERS.building_extensions.neighbour_inside
 _HALF_STOREY = NUMBERS.building_extensions.half_storey
+_UNDERSIDE = NUMBERS.building_extensions.underside
 _NEIGHBOURS = NUMBERS.building_extensions.normal_neighbours
 _HIDDEN = NUMBERS.building_extensions.wall_seen
 _SMOOTH = NUMBERS.building_extensions.smoothness
@@ -101,6 +102,8 @@ def _is_extension(
     if share >= config.subordinate and not round_it:
         stood = _inside(other.xyz, extension.xyz) >= _WITHIN  # its walls stand where the extension was
         return applies("part_as_large_as_building", stood)
+    if _is_elevated(extension, body):
+        return False
     if _share_above(extension, other) < _BESIDE and not round_it and _is_taller(extension, body):
         return False
     return share < _SMALL or not any(_between(extension.xyz, side.xyz, config) for side in host if len(side))
@@ -129,6 +132,14 @@ def _inside(host: Floats, extension: Floats) -> float:
     """Share of the places of a host (N, 3) that lie well inside the outline of an extension (M, 3)."""
     outline = shapely.MultiPoint(extension[:, :2]).convex_hull.buffer(-_PARTY)
     return float(shapely.contains_xy(outline, host[:, 0], host[:, 1]).mean()) if len(host) else 0.0
+
+
+@switchable("crown_beside_building", never)
+def _is_elevated(extension: Voxels, host: Voxels) -> bool:
+    """Tell a crown from an extension: it begins high above the ground beside its host, not above it."""
+    if extension.height.min() < max(_CAR, _UNDERSIDE * extension.height.max()):
+        return False
+    return _share_above(extension, host) < 0.5
 
 
 @switchable("taller_neighbour", never)

@@ -57,6 +57,11 @@ class BuildingExtensionsNumbers(StrictModel):
         description="Fraction of a neighbour that may lie within the outline of a building in the epoch "
         "without it",
     )
+    underside: float = Field(
+        0.6,
+        description="Height of the underside of a part, as a fraction of the height of its top, above "
+        "which nothing carries the part",
+    )
     half_storey: float = Field(
         1.5,
         description="Height difference from which an adjoining part is another house [m]",

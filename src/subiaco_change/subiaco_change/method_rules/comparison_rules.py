@@ -298,6 +298,12 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         ("method_numbers.building_extensions.host_inside", "method_numbers.building_extensions.party_wall"),
     ),
     Rule(
+        "crown_beside_building",
+        _HERE,
+        "A part that begins high above the ground beside a building is a crown, not an extension.",
+        ("method_numbers.building_extensions.underside",),
+    ),
+    Rule(
         "taller_neighbour",
         _HERE,
         "A part half a storey taller than a building beside it is another house.",
