@@ -19,9 +19,12 @@ REPOSITORY = Path(__file__).resolve().parents[1]
 # A ROS domain for each session and each of its workers, so that tests running side by side do not hear each
 # other. Domains 1 to 101 keep clear of the ephemeral ports.
 _DOMAIN = os.environ.setdefault("ROS_DOMAIN_ID", str(1 + os.getpid() % 101))
+_OF_WORKERS = [1 + (int(_DOMAIN) + 50 * worker) % 101 for worker in range(8)]
+# Tests that take a domain of their own leave those of the workers alone (tests/ros/ros_harness.py).
+os.environ.setdefault("SUBIACO_TEST_DOMAINS", " ".join(map(str, [int(_DOMAIN), *_OF_WORKERS])))
 _WORKER = os.environ.get("PYTEST_XDIST_WORKER")
 if _WORKER is not None:
-    os.environ["ROS_DOMAIN_ID"] = str(1 + (int(_DOMAIN) + 50 * int(_WORKER.removeprefix("gw"))) % 101)
+    os.environ["ROS_DOMAIN_ID"] = str(_OF_WORKERS[int(_WORKER.removeprefix("gw"))])
 
 # A shell without job control lets what it starts in the background ignore SIGINT, and children inherit
 # that: a graph that a test interrupts would go on.

@@ -117,6 +117,14 @@ def test_a_cloud_that_ends_at_both_ends_of_its_drive_shows_no_sector() -> None:
     assert found(eyes, headings, cut) == ()
 
 
+@pytest.mark.parametrize("beyond", [0.0, 2.0, 4.0])
+def test_a_short_street_cut_a_little_beyond_both_ends_and_sides_shows_no_sector(beyond: float) -> None:
+    eyes, headings = straight(36.0)
+    cloud = ground(eyes, headings, ())
+    inside = (cloud[:, 0] > -beyond) & (cloud[:, 0] < 35.5 + beyond) & (np.abs(cloud[:, 1]) < 16.0)
+    assert found(eyes, headings, cloud[inside]) == ()
+
+
 def test_a_cloud_that_was_cut_beside_its_drive_shows_no_sector() -> None:
     """The cloud holds one side of the road up to the middle of it, over the length of the drive."""
     eyes, headings = straight()

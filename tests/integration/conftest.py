@@ -17,9 +17,10 @@ sys.path.insert(0, str(Path(__file__).parents[1] / "ros"))
 def own_domain() -> Iterator[None]:
     """A ROS domain of a module's own: a live graph listens to everybody in its domain."""
     import domain_coordinator
+    from ros_harness import next_domain
 
     before = os.environ.get("ROS_DOMAIN_ID")
-    held = domain_coordinator.domain_id()
+    held = domain_coordinator.domain_id(next_domain)
     os.environ["ROS_DOMAIN_ID"] = str(held.__enter__())
     yield
     held.__exit__(None, None, None)

@@ -101,10 +101,11 @@ def test_frames_make_a_tree_with_rates(ros: Any, inspector: Any) -> None:
 def test_an_empty_domain_says_so_and_a_missing_node_is_bad_input(capsys: pytest.CaptureFixture[str]) -> None:
     pytest.importorskip("subiaco_msgs.msg", reason="workspace not sourced: source ros2_ws/env.sh")
     import domain_coordinator
+    from ros_harness import next_domain
 
     from subiaco_bringup.cli.main import run
 
-    held = domain_coordinator.domain_id()
+    held = domain_coordinator.domain_id(next_domain)
     domain = str(held.__enter__())
     os.environ.setdefault("ROS_LOG_DIR", "/tmp/subiaco-test-logs")
     assert run(["graph", "list", "--domain", domain, "--seconds", "0"]) == 0

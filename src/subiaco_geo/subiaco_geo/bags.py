@@ -328,7 +328,7 @@ def require_topic(reader: BagReader, topic: str, msg_types: str | Collection[str
     if info is None:
         present = ", ".join(sorted(reader.topics)) or "none"
         raise InputError(f"{reader.path}: no topic {topic} (it has {present}); record it or remap it")
-    accepted = [msg_types] if isinstance(msg_types, str) else sorted(msg_types)
+    accepted = [msg_types] if isinstance(msg_types, str) else sorted(msg_types, reverse=True)
     if info.msg_type not in accepted:
         raise InputError(
             f"{reader.path}: {topic} is {info.msg_type}, expected {' or '.join(accepted)}; "

@@ -99,7 +99,8 @@ def estimate_blind_arcs(eyes: Floats, headings: Floats, columns: Floats, far: fl
     Returns
     -------
     tuple of (float, float)
-        Blind arcs. None where less than a sector of them would be left: then the cloud ends at the drive.
+        Blind arcs. None where less than a sector of them would be left, or where the sensor would have
+        looked to both sides alone: then the cloud ends at the drive.
     """
     if len(eyes) < 2 or len(columns) == 0:
         return ()
@@ -107,8 +108,21 @@ def estimate_blind_arcs(eyes: Floats, headings: Floats, columns: Floats, far: fl
     for first, width in _blind_arcs(_places(eyes, headings, columns, far)):
         blind |= _bits(first, width)
         arcs.append((first * step, width * step))
+    if _cut_at_both_ends(arcs):
+        return ()
     seen = _BINS - blind.bit_count()
     return tuple(arcs) if seen * step >= np.radians(FREE_SPACE.sector_least_deg) else ()
+
+
+def _cut_at_both_ends(arcs: list[tuple[float, float]]) -> bool:
+    """Tell whether one arc is blind ahead, another one behind, and both are half of the circle or more.
+
+    No sensor looks to both sides alone.
+    """
+    ends = [in_arcs(np.array([0.0, np.pi]), (arc,)) for arc in arcs]
+    if not ends or any(side.all() for side in ends) or sum(extent for _, extent in arcs) < np.pi:
+        return False
+    return bool(np.any(ends, axis=0).all())
 
 
 def path_poses(positions: Floats) -> Ints:
