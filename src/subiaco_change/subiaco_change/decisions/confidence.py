@@ -101,7 +101,7 @@ class ConfidenceConfig(StrictModel):
     """Coefficients fitted on simulated surveys by ``scripts/calibrate_confidence.py``.
 
     On surveys that no rule was tuned on: where rules are tuned they are right more often than elsewhere.
-    The magnitudes of these surveys run through every limit and their epochs are measured by unlike sensors.
+    On four of the six the changes run through every limit and the epochs are measured by unlike sensors.
     Some 75 wrong rows among 464 changed ones are few to vouch for a probability: ``held_out_ece`` says
     how far off it was on surveys left out.
     """

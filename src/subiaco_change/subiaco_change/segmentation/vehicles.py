@@ -147,9 +147,10 @@ def _kind(xyz: Floats, height: Floats, upright: Mask, hard: float, config: Vehic
         return None
     if not _fits(xyz, height, hard, config):
         return Semantic.MOBILE if _is_side_of_car(xyz, height, hard, config) else None
-    upper = upright[height > 0.5 * np.quantile(height, 0.98)].mean()
+    top = float(np.quantile(height, 0.98))
+    upper = upright[height > 0.5 * top].mean()
     thin = upper > config.screen_upright and _fill(xyz) < config.screen_fill
-    tall = float(np.quantile(height, 0.98)) > config.van_top  # garden fences are lower
+    tall = top > config.van_top  # garden fences are lower
     on_wheels = tall and _foot(height) < config.wheels and box_sides(xyz[:, :2])[0] < config.mobile_length
     screen = applies("screens", thin and not on_wheels)
     if (screen or has_eaves(xyz, height, config)) and not _is_shed(xyz, height, upright, config):
