@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 from assembled_run import compare_ground
 
-from subiaco_change.decisions.ground_cells import GroundCells, GroundChangeConfig
+from subiaco_change.decisions.ground_cells import GroundCells, GroundChangeConfig, difference_cells
 from subiaco_change.decisions.ground_change import beyond_gate, find_patches, ground_raster
 from subiaco_change.decisions.voxel_objects import EpochView
 from subiaco_geo.codes import Change, Semantic
@@ -41,6 +41,39 @@ def test_a_narrow_strip_is_found():
     found = patches(lambda x, y: 0.2 * ((x > 50) & (x < 51) & (y > 20) & (y < 60)))
     assert [p.change for p in found] == [Change.INCREASED]
     assert found[0].dz == pytest.approx(0.2, abs=0.03)
+
+
+@pytest.mark.parametrize("dz", [0.21, -0.21, -0.4])
+@pytest.mark.parametrize("angle", [0.3, 0.6, 1.2])
+def test_a_strip_across_the_cells_is_one_patch(angle, dz):
+    """0.85 m by 40 m at an angle to the cells: its edge runs through most of them."""
+    along = np.array([np.cos(angle), np.sin(angle)])
+
+    def lift(x, y):
+        u, v = (x - 30) * along[0] + (y - 30) * along[1], (y - 30) * along[0] - (x - 30) * along[1]
+        return dz * ((u > 0) & (u < 40) & (v > 0) & (v < 0.85))
+
+    found = patches(lift)
+    assert len(found) == 1
+    assert found[0].dz == pytest.approx(dz, abs=0.06)
+    assert found[0].area == pytest.approx(34, rel=0.25)
+
+
+def test_a_cell_on_an_edge_has_the_height_of_its_larger_part():
+    def cell(*heights):
+        xy = np.linspace(0.1, 0.4, len(heights))
+        one = view(size=1.0)
+        return EpochView(
+            *(v[: len(heights)] for v in (np.column_stack([xy, xy, heights]), *list(vars(one).values())[1:7]))
+        )
+
+    def difference(before, after):
+        return difference_cells(cell(*before), cell(*after), np.zeros(2), (1, 1), GroundChangeConfig()).dz[
+            0, 0
+        ]
+
+    assert difference([5.0, 5.02, 4.98, 4.6], [4.6]) == pytest.approx(-0.4)
+    assert np.isnan(difference([5.0, 4.6], [5.0, 4.6]))
 
 
 @pytest.mark.parametrize(

@@ -16,7 +16,7 @@ from subiaco_change.method_rules.switches import switchable
 from subiaco_change.segmentation.ground_model import Mask, fill_gaps
 from subiaco_geo.codes import Semantic
 from subiaco_geo.config import StrictModel
-from subiaco_geo.frames import Floats
+from subiaco_geo.frames import Floats, Ints
 
 NO_CLAIM = NUMBERS.ground_cells.no_claim_lod
 
@@ -42,8 +42,15 @@ class GroundChangeConfig(StrictModel):
     max_spread: float = Field(
         0.12,
         gt=0,
-        description="Standard deviation of the heights in a cell above which the cell holds no clean "
-        "ground [m]",
+        description="Largest height distance from the median of a cell at which its points belong to one "
+        "level [m]",
+    )
+    level_share: float = Field(
+        0.6,
+        gt=0,
+        le=1,
+        description="Fraction of the ground points of a cell that must lie on one level; a cell with fewer "
+        "holds no clean ground",
     )
     bridge: int = Field(
         3, ge=1, description="Window in which an empty cell takes the height of its neighbours [cells]"
@@ -197,7 +204,11 @@ def shown_lod(lod: Floats) -> Floats:
 def _cell_heights(
     view: EpochView, mask: Mask, corner: Floats, shape: tuple[int, int], config: GroundChangeConfig
 ) -> tuple[Floats, Floats]:
-    """Mean height and LoD of every cell; NaN where empty or where the heights spread."""
+    """Height and LoD of every cell; NaN where empty or where no level holds most of the points.
+
+    The height is the mean of the points near the median: a cell that the edge of a pit runs through has two
+    levels, and that of the larger part counts.
+    """
     xyz, lod = view.xyz[mask], view.lod[mask]
     index = np.floor((xyz[:, :2] - corner) / config.cell).astype(np.int64)
     # The window was cut in world coordinates: on its rim, the last digits of the local ones may differ.
@@ -205,15 +216,23 @@ def _cell_heights(
     flat = index[:, 1] * shape[1] + index[:, 0]
     size = shape[0] * shape[1]
     count = np.bincount(flat, minlength=size)
-    safe = np.maximum(count, 1)
-    mean = np.bincount(flat, xyz[:, 2], size) / safe
-    spread = np.sqrt(np.bincount(flat, (xyz[:, 2] - mean[flat]) ** 2, size) / safe)
+    level = np.abs(xyz[:, 2] - _medians(flat, xyz[:, 2], count)[flat]) <= config.max_spread
+    near = np.bincount(flat, level, size)
+    mean = np.bincount(flat, np.where(level, xyz[:, 2], 0.0), size) / np.maximum(near, 1)
     finite = np.isfinite(lod)
-    level = np.bincount(flat, np.where(finite, lod, 0.0), size)
+    total = np.bincount(flat, np.where(finite, lod, 0.0), size)
     some = np.bincount(flat, finite, size)
-    level = np.where(some > 0, level / np.maximum(some, 1), np.nan)
-    good = (count > 0) & (spread < config.max_spread)
-    return np.where(good, mean, np.nan).reshape(shape), np.where(good, level, np.nan).reshape(shape)
+    lods = np.where(some > 0, total / np.maximum(some, 1), np.nan)
+    good = (count > 0) & (near >= config.level_share * count)
+    return np.where(good, mean, np.nan).reshape(shape), np.where(good, lods, np.nan).reshape(shape)
+
+
+def _medians(cell: Ints, values: Floats, count: Ints) -> Floats:
+    """Median of the values (N,) of every cell (C,), of an even number the lower one; NaN where none."""
+    ordered = values[np.lexsort((values, cell))]
+    start = np.cumsum(count) - count
+    middle = np.minimum(start + np.maximum(count - 1, 0) // 2, len(values) - 1)
+    return np.where(count > 0, ordered[middle], np.nan)
 
 
 def _unbridged(before: Floats, after: Floats, *_: object) -> tuple[tuple[Floats, Floats], Mask]:

@@ -24,6 +24,7 @@ _DENSE = NUMBERS.ground_change.dense_share
 _AROUND = NUMBERS.ground_change.noise_reach
 _NOISE_BLOCK = NUMBERS.ground_change.noise_block
 _INNER = NUMBERS.ground_change.inner_share
+_EDGE = NUMBERS.ground_change.edge_share
 _LOD_CELLS = NUMBERS.ground_change.lod_cells
 
 
@@ -123,13 +124,15 @@ def _gate(lod: Floats, config: GroundChangeConfig) -> Floats:
 
 
 def beyond_gate(cells: GroundCells, sign: float, config: GroundChangeConfig) -> Mask:
-    """Tell which cells changed in one direction, those that nobody measured between them included.
+    """Tell which cells changed in one direction, and which between them belong to the same change.
 
-    Not those whose neighbours moved the other way.
+    Between changed cells lie some that nobody measured, where no neighbour moved the other way, and some
+    that the edge of the change runs through: they hold the mean of both sides.
     """
-    over = np.nan_to_num(sign * cells.dz, nan=-1.0) > _gate(cells.lod, config)
+    rise, gate = np.nan_to_num(sign * cells.dz, nan=-1.0), _gate(cells.lod, config)
     against = np.nan_to_num(sign * cells.dz, nan=1.0) <= 0.0
-    return _closed(over, cells.bridged & ~over & ~against, config)
+    between = (cells.bridged & ~against) | (rise > _EDGE * gate)
+    return _closed(rise > gate, between, config)
 
 
 @switchable("hidden_cells", first_argument)
@@ -149,15 +152,15 @@ def _to_hidden(labels: Ints, unknown: Mask, known: Mask, config: GroundChangeCon
 
 
 @switchable("closed_gaps", first_argument)
-def _closed(over: Mask, blind: Mask, config: GroundChangeConfig) -> Mask:
-    """Add the blind cells that lie between changed ones."""
+def _closed(over: Mask, between: Mask, config: GroundChangeConfig) -> Mask:
+    """Add the cells ``between`` that lie between changed ones."""
     if config.closing == 0:
         return over
     size = 2 * config.closing + 1
     padded = np.pad(over, config.closing)
     closed = ndimage.binary_closing(padded, structure=np.ones((size, size)))
     inside = slice(config.closing, -config.closing)
-    return np.asarray(over | (blind & closed[inside, inside]))
+    return np.asarray(over | (between & closed[inside, inside]))
 
 
 @switchable("half_height_edge", first_argument)
@@ -174,7 +177,7 @@ def _to_half_height(labels: Ints, count: int, rise: Floats, gate: Floats, config
         mine = labels[around] == number
         if np.count_nonzero(mine) * config.cell**2 < 0.25 * config.area:
             continue
-        half = 0.5 * float(np.median(rise[around][mine & (rise[around] > gate[around])]))
+        half = _EDGE * float(np.median(rise[around][mine & (rise[around] > gate[around])]))
         edge = ndimage.binary_dilation(mine, np.ones((3, 3))) & (grown[around] == 0)
         grown[around][edge & (rise[around] > half)] = number
     return grown

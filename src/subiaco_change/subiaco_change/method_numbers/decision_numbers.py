@@ -205,6 +205,11 @@ class GroundChangeNumbers(StrictModel):
         description="Fraction of the surrounding ground measured in both epochs from which missing ground "
         "is occluded, not unmeasured",
     )
+    edge_share: float = Field(
+        0.5,
+        description="Fraction of the height of a change, or of its limit, beyond which a cell on its edge or "
+        "between changed cells belongs to the change",
+    )
     noise_reach: float = Field(
         10.0,
         description="Distance within which the ground shows the noise of a patch with few points [m]",
