@@ -5,9 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from assembled_run import compare_ground
+from hypothesis import given, settings
+from hypothesis import strategies as st
 
 from subiaco_change.decisions.ground_cells import GroundCells, GroundChangeConfig, difference_cells
-from subiaco_change.decisions.ground_change import beyond_gate, find_patches, ground_raster
+from subiaco_change.decisions.ground_change import beyond_gate, ground_raster
 from subiaco_change.decisions.voxel_objects import EpochView
 from subiaco_geo.codes import Change, Semantic
 
@@ -56,7 +58,7 @@ def test_a_strip_across_the_cells_is_one_patch(angle, dz):
     found = patches(lift)
     assert len(found) == 1
     assert found[0].dz == pytest.approx(dz, abs=0.06)
-    assert found[0].area == pytest.approx(34, rel=0.25)
+    assert found[0].area == pytest.approx(34, rel=0.3)  # a cell counts whole
 
 
 def test_a_cell_on_an_edge_has_the_height_of_its_larger_part():
@@ -198,35 +200,54 @@ def test_cells_whose_neighbours_moved_the_other_way_are_no_part_of_a_patch():
     dz[:, 19:21] = np.nan
     blind = np.isnan(dz)
     hidden = GroundCells(
-        dz, np.full(shape, 0.03), blind, ~blind, np.zeros(shape), blind & False, blind & False
+        dz, np.full(shape, 0.03), blind, np.zeros(shape), *(np.zeros(shape, dtype=bool) for _ in range(4))
     )
     assert beyond_gate(hidden, 1.0, GroundChangeConfig()).all()
     sunk = replace(hidden, dz=np.where(blind, -0.05, dz))
     assert not beyond_gate(sunk, 1.0, GroundChangeConfig())[:, 19:21].any()
 
 
-@pytest.mark.parametrize(("step", "taken"), [(1, True), (6, False)], ids=["hidden", "rings far apart"])
-def test_ground_of_one_epoch_alone_joins_the_patch_beside_it_unless_rings_are_far_apart(step, taken):
-    """A strip of 2 m rose; beside it 1 m that *after* did not meet."""
-    shape = (60, 60)
-    dz = np.full(shape, np.nan)
-    dz[:, ::step] = 0.0
-    dz[:, 20:24] = 0.3
-    dz[:, 24:26] = np.nan
-    unseen = np.isnan(dz)
-    cells = GroundCells(
-        dz,
-        np.full(shape, 0.03),
-        unseen,
-        np.ones(shape, dtype=bool),
-        np.zeros(shape),
-        unseen & False,
-        unseen & False,
-    )
-    patch, found = find_patches(cells, np.zeros(2), GroundChangeConfig())
-    assert len(found) == 1
-    assert (patch[30, 20:24] == 0).all()
-    assert (patch[30, 24] == 0) == taken
+def trench(ground, keep):
+    """A trench of 1.5 m by 30 m and 0.5 m deep seen from the south: the top of its far wall, and no floor.
+
+    ``keep`` (N,) points of the ground around that the epoch has.
+    """
+    x, y, z = ground.xyz.T
+    inside = (x > 20) & (x < 50) & (y > 40) & (y < 41.5)
+    wall = inside & (y > 41.2)
+    lower = ground.xyz - np.outer(wall, [0.0, 0.0, 0.3]) * np.linspace(0.7, 1.3, len(z))[:, None]
+    kept = wall | (~inside & keep(x, y))
+    return EpochView(*(v[kept] for v in (lower, *list(vars(ground).values())[1:7])))
+
+
+def test_a_trench_whose_floor_its_edge_hides_is_found_by_its_far_wall():
+    after = trench(view(seed=2), lambda x, y: x > -1)
+    found = compare_ground(view(seed=1), after, GroundChangeConfig())
+    assert [p.change for p in found.patches] == [Change.DECREASED]
+    assert found.patches[0].area == pytest.approx(45, rel=0.2)
+    filled = compare_ground(after, view(seed=1), GroundChangeConfig())
+    assert [p.change for p in filled.patches] == [Change.INCREASED]
+
+
+def test_between_scan_lines_far_apart_no_pit_hides_its_floor():
+    after = trench(view(seed=2), lambda x, y: np.mod(y, 4.0) < 0.5)
+    found = compare_ground(view(seed=1), after, GroundChangeConfig())
+    assert sum(p.area for p in found.patches) < 20
+
+
+@given(st.integers(0, 1000), st.floats(0.0, 0.12), st.floats(0.0, 0.4))
+@settings(max_examples=15, deadline=None)
+def test_two_surveys_of_the_same_ground_with_steps_show_no_change(seed, noise, step):
+    """A step of the ground and gaps of any kind: what lies lower beside an edge is no pit."""
+    rng = np.random.default_rng(seed)
+    grounds = []
+    for epoch in range(2):
+        ground = view(lambda x, y: step * (y > 20.3), seed=2 * seed + epoch, size=40.0)
+        gaps = [box(*rng.uniform(2, 30, 2), *rng.uniform(1, 9, 2)) for _ in range(6)]
+        seen = ~np.any([gap(ground.xyz[:, 0], ground.xyz[:, 1]) for gap in gaps], axis=0)
+        xyz = ground.xyz + np.column_stack([np.zeros((len(seen), 2)), rng.normal(0, noise / 2, len(seen))])
+        grounds.append(EpochView(*(v[seen] for v in (xyz, *list(vars(ground).values())[1:7]))))
+    assert compare_ground(*grounds, GroundChangeConfig()).patches == ()
 
 
 def test_a_patch_whose_difference_varies_by_a_third_of_it_is_not_certain():

@@ -105,7 +105,7 @@ def area(rise, other=False):
     dz, none = np.zeros(shape), np.zeros(shape, dtype=bool)
     dz[10:30, 10:30] = rise
     held = dz > 0 if other else none
-    return GroundCells(dz, np.full(shape, 0.05), none, ~none, dz, held, held)
+    return GroundCells(dz, np.full(shape, 0.05), none, dz, held, held, none, none)
 
 
 def patches(cells):
@@ -126,7 +126,7 @@ def test_a_large_gap_in_a_patch_counts_towards_its_area_until_the_rule_is_off():
     dz[:, :] = 0.0
     dz[10:30, 10:14] = 0.4
     dz[10:30, 14:30] = np.nan
-    cells = replace(cells, dz=dz, known=np.isfinite(dz))
+    cells = replace(cells, dz=dz)
     assert patches(cells) == 1
     with rules_switched_off(["possible_area"]):
         assert patches(cells) == 0

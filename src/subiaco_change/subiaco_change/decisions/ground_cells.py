@@ -19,6 +19,12 @@ from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
 
 NO_CLAIM = NUMBERS.ground_cells.no_claim_lod
+_WALL_POINTS = NUMBERS.ground_cells.wall_points
+_WALL_SHARE = NUMBERS.ground_cells.wall_share
+_WALL_TOP = NUMBERS.ground_cells.wall_top
+_WALL_DEPTH = NUMBERS.ground_cells.wall_depth
+_FLOOR_REACH = NUMBERS.ground_cells.floor_reach
+_DENSE = NUMBERS.ground_cells.dense_share
 
 
 class GroundChangeConfig(StrictModel):
@@ -106,30 +112,84 @@ class GroundCells:
     """Cells (rows, columns) of two epochs, row 0 in the south.
 
     ``dz`` after minus before, NaN where either epoch has no ground; ``lod`` [m], NaN where either has
-    none; ``bridged``: took a neighbour's height in an epoch; ``known``: holds ground in either;
-    ``height`` in *after* [m]; ``other``: one epoch holds the ground of the other under another class, in
-    the cell or beside it; ``inside``: in the cell itself.
+    none; ``bridged``: took a neighbour's height in an epoch; ``height`` in *after* [m]; ``other``: one epoch
+    holds the ground of the other under another class, in the cell or beside it; ``inside``: in the cell
+    itself; ``raised`` and ``lowered``: hidden floor of a pit of *before* and of *after*.
     """
 
     dz: Floats
     lod: Floats
     bridged: Mask
-    known: Mask
     height: Floats
     other: Mask
     inside: Mask
+    raised: Mask
+    lowered: Mask
 
 
 def difference_cells(
     before: EpochView, after: EpochView, corner: Floats, shape: tuple[int, int], config: GroundChangeConfig
 ) -> GroundCells:
     """Difference the ground of two epochs in the cells of a window that all their ground points lie in."""
-    cells = [_cell_heights(v, _still_ground(v), corner, shape, config) for v in (before, after)]
-    heights, bridged = _bridge(cells[0][0], cells[1][0], config)
-    known = np.isfinite(cells[0][0]) | np.isfinite(cells[1][0])
+    views = (before, after)
+    cells = [_cell_heights(v, _still_ground(v), corner, shape, config) for v in views]
+    own = [np.isfinite(height) for height, _ in cells]
+    (first, second), bridged = _bridge(cells[0][0], cells[1][0], config)
+    walls = [_pit_walls(v, h, corner, config) for v, (h, _) in zip(views, cells[::-1], strict=True)]
+    pits = [_floor_of_pits(w, mine, its, config) for w, mine, its in zip(walls, own, own[::-1], strict=True)]
+    heights = tuple(
+        np.where(np.isfinite(wall), wall, np.where(around, np.nan, height))
+        for height, wall, (around, _) in zip((first, second), walls, pits, strict=True)
+    )
+    pit = np.isfinite(walls[0]) | np.isfinite(walls[1])
     lod = np.maximum(cells[0][1], cells[1][1])
-    other, inside = _other_surface((before, after), heights, corner, config)
-    return GroundCells(heights[1] - heights[0], lod, bridged, known, heights[1], other, inside)
+    other, inside = _other_surface(views, (heights[0], heights[1]), corner, config)
+    hidden = (pits[0][1], pits[1][1])
+    surfaces = (heights[1], other & ~pit, inside & ~pit)
+    return GroundCells(heights[1] - heights[0], lod, bridged & ~pit, *surfaces, *hidden)
+
+
+def _no_walls(_: EpochView, other: Floats, *__: object) -> Floats:
+    """Return no walls of pits."""
+    return np.full(other.shape, np.nan)
+
+
+@switchable("pit_walls", _no_walls)
+def _pit_walls(view: EpochView, other: Floats, corner: Floats, config: GroundChangeConfig) -> Floats:
+    """Height of the points of an epoch that lie under the ground of the other epoch; NaN in other cells.
+
+    A surface has nothing beneath it: where there is something, the ground lies lower in this epoch. ``other``
+    (rows, columns) height of the other epoch's ground.
+    """
+    row, column = (np.floor((view.xyz[:, 1::-1] - corner[::-1]) / config.cell).astype(np.int64)).T
+    inside = (row >= 0) & (column >= 0) & (row < other.shape[0]) & (column < other.shape[1])
+    kept = inside & ~is_ghost_trail(view)
+    z, flat = view.xyz[kept, 2], row[kept] * other.shape[1] + column[kept]
+    above = z - other.ravel()[flat]
+    low = above < -config.threshold
+    covered = (np.abs(above) <= config.max_spread) & (view.semantic[kept] != Semantic.GROUND)
+    lows, near, deep, cover = (
+        np.bincount(flat, m, other.size) for m in (low, above < _WALL_TOP, above < -_WALL_DEPTH, covered)
+    )
+    wall = (lows >= _WALL_POINTS) & (lows >= _WALL_SHARE * near) & (deep == 0) & (cover < lows)
+    below = _medians(flat[low], z[low], np.bincount(flat[low], minlength=other.size))
+    return np.where(wall, below, np.nan).reshape(other.shape)
+
+
+def _floor_of_pits(wall: Floats, own: Mask, other: Mask, config: GroundChangeConfig) -> tuple[Mask, Mask]:
+    """Tell in which cells beside the walls of pits an epoch has no ground, and in which the pit hides it.
+
+    The near edge of a pit hides its floor. Where the epoch measured less than half of the ground (``own``)
+    that the other epoch measured (``other``), its scan lines lie far apart, and nothing is hidden.
+    """
+    steps = round(_FLOOR_REACH / config.cell)
+    found = np.isfinite(wall)
+    if not found.any():
+        return found, found
+    around = ndimage.binary_dilation(found, np.ones((3, 3)), iterations=steps) & ~own & ~found
+    size = 2 * config.closing + 1
+    mine, its = (ndimage.uniform_filter(m.astype(np.float64), size) for m in (own, other))
+    return around, around & other & (mine >= _DENSE * its)
 
 
 @switchable("ground_of_moving_objects", lambda view: view.semantic == Semantic.GROUND)
@@ -229,6 +289,8 @@ def _cell_heights(
 
 def _medians(cell: Ints, values: Floats, count: Ints) -> Floats:
     """Median of the values (N,) of every cell (C,), of an even number the lower one; NaN where none."""
+    if len(values) == 0:
+        return np.full(len(count), np.nan)
     ordered = values[np.lexsort((values, cell))]
     start = np.cumsum(count) - count
     middle = np.minimum(start + np.maximum(count - 1, 0) // 2, len(values) - 1)

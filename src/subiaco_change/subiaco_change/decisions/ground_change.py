@@ -20,7 +20,6 @@ from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats, Ints
 
-_DENSE = NUMBERS.ground_change.dense_share
 _AROUND = NUMBERS.ground_change.noise_reach
 _NOISE_BLOCK = NUMBERS.ground_change.noise_block
 _INNER = NUMBERS.ground_change.inner_share
@@ -84,14 +83,12 @@ def find_patches(
     patch = np.full(dz.shape, -1, dtype=np.int64)
     patches: list[GroundPatch] = []
     gate = _gate(lod, config)
-    unknown = ~np.isfinite(dz)
     least = config.shown * config.area * config.threshold / config.cell**2
     for sign, change in ((1.0, Change.INCREASED), (-1.0, Change.DECREASED)):
         rise = np.nan_to_num(sign * dz, nan=-1.0)
         over = rise > gate
         labels, count = ndimage.label(beyond_gate(cells, sign, config), structure=np.ones((3, 3)))
         labels = _to_half_height(labels, count, rise, gate, config)
-        labels = _to_hidden(labels, unknown, cells.known, config)
         depth = np.where(over, np.minimum(rise, 2 * config.threshold), 0.0)  # a few deep cells are noise
         shown = np.bincount(labels.ravel(), depth.ravel(), count + 1)
         large = _possible_sizes(labels, count, cells, config) * config.cell**2 > config.area
@@ -127,28 +124,13 @@ def beyond_gate(cells: GroundCells, sign: float, config: GroundChangeConfig) -> 
     """Tell which cells changed in one direction, and which between them belong to the same change.
 
     Between changed cells lie some that nobody measured, where no neighbour moved the other way, and some
-    that the edge of the change runs through: they hold the mean of both sides.
+    that the edge of the change runs through: they hold the mean of both sides. The hidden floor of a pit
+    belongs to the pit.
     """
     rise, gate = np.nan_to_num(sign * cells.dz, nan=-1.0), _gate(cells.lod, config)
     against = np.nan_to_num(sign * cells.dz, nan=1.0) <= 0.0
     between = (cells.bridged & ~against) | (rise > _EDGE * gate)
-    return _closed(rise > gate, between, config)
-
-
-@switchable("hidden_cells", first_argument)
-def _to_hidden(labels: Ints, unknown: Mask, known: Mask, config: GroundChangeConfig) -> Ints:
-    """Give cells that one epoch alone saw to the patch of the nearest cell that both saw.
-
-    The near edge of a pit hides its floor, and what was there before is gone with the rest. Where an
-    epoch measured less than half of the ground around, its rings are far apart, and nothing is hidden.
-    """
-    if config.closing == 0 or unknown.all():
-        return labels
-    distance, nearest = ndimage.distance_transform_edt(unknown, return_indices=True)
-    size = 2 * config.closing + 1
-    both, either = (ndimage.uniform_filter(m.astype(np.float64), size) for m in (~unknown, known))
-    taken = unknown & known & (labels == 0) & (distance <= config.closing) & (both >= _DENSE * either)
-    return np.where(taken, labels[nearest[0], nearest[1]], labels)
+    return _closed(rise > gate, between, config) | (cells.raised if sign > 0 else cells.lowered)
 
 
 @switchable("closed_gaps", first_argument)
@@ -219,7 +201,7 @@ def _make_patch(
     area = len(cells) * cell**2
     known = lod[where & np.isfinite(lod)]
     level = float(np.median(known)) if len(known) else _nearest_lod(cells, lod)
-    if len(known) < 0.5 * len(cells):  # thinly seen: neighbours err together, over a block
+    if len(known) < 0.5 * len(values):  # thinly seen: neighbours err together, over a block
         blocks = max(1.0, len(values) * cell**2 / _NOISE_BLOCK**2)
         spread = float(values.std()) / math.sqrt(blocks)
         level = math.hypot(level, 1.96 * spread, _noise_around(where, dz, cell))

@@ -195,16 +195,37 @@ class GroundCellsNumbers(StrictModel):
         10.0,
         description="Level of detection that is shown where none could be determined [m]",
     )
+    wall_points: int = Field(
+        2,
+        description="Points under the other epoch's ground from which a cell holds the wall of a pit",
+    )
+    wall_share: float = Field(
+        0.3,
+        description="Fraction of the low points of a cell that must lie under the other epoch's ground",
+    )
+    wall_top: float = Field(
+        0.3,
+        description="Height above the other epoch's ground up to which points count as low points [m]",
+    )
+    wall_depth: float = Field(
+        1.5,
+        description="Depth under the other epoch's ground beyond which points show another level or "
+        "reflections and no wall of a pit [m]",
+    )
+    floor_reach: float = Field(
+        1.5,
+        description="Distance from a wall within which the near edge of a pit hides its floor [m]",
+    )
+    dense_share: float = Field(
+        0.5,
+        description="Fraction of the other epoch's ground around that an epoch must have measured for its "
+        "missing ground to be hidden, not unmeasured",
+    )
 
 
 class GroundChangeNumbers(StrictModel):
     """Numbers of ``decisions/ground_change.py``."""
 
-    dense_share: float = Field(
-        0.5,
-        description="Fraction of the surrounding ground measured in both epochs from which missing ground "
-        "is occluded, not unmeasured",
-    )
     edge_share: float = Field(
         0.5,
         description="Fraction of the height of a change, or of its limit, beyond which a cell on its edge or "

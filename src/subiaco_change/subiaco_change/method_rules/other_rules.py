@@ -102,10 +102,13 @@ GROUND_RULES: tuple[Rule, ...] = (
         "The edge of a changed patch lies where half of its height is reached.",
     ),
     Rule(
-        "hidden_cells",
+        "pit_walls",
         _GROUND,
-        "A cell that one epoch alone saw belongs to the nearest patch: the edge of a pit hides its floor.",
-        ("method_numbers.ground_change.dense_share",),
+        "Points under the other epoch's ground are the wall of a pit, whose near edge hides its floor.",
+        tuple(
+            f"method_numbers.ground_cells.{name}"
+            for name in ("wall_points", "wall_share", "wall_top", "wall_depth", "floor_reach", "dense_share")
+        ),
     ),
     Rule(
         "possible_area",

@@ -26,7 +26,7 @@ from subiaco_geo.tiles import Tile
 from subiaco_geo.work.tasks import Inputs
 
 _SIGNS = (1.0, -1.0)
-_CELLS = ("dz", "lod", "bridged", "known", "height", "other", "inside")
+_CELLS = ("dz", "lod", "bridged", "height", "other", "inside", "raised", "lowered")
 _RIM = NUMBERS.tiling.ground_margin
 
 
@@ -137,7 +137,7 @@ def tile_ground(inputs: Inputs, params: TileParams[GroundSlice]) -> GroundCells:
     corner, shape, rim = _window(tile, origin, config)
     if any(not (view.semantic == Semantic.GROUND).any() for view in views):
         nothing, none = np.full(shape, np.nan), np.zeros(shape, dtype=bool)
-        cells = GroundCells(nothing, nothing, none, none, nothing, none, none)
+        cells = GroundCells(nothing, nothing, none, nothing, none, none, none, none)
     else:
         cells = difference_cells(views[0], views[1], corner, shape, config)
     return GroundCells(*(getattr(cells, name)[rim:-rim, rim:-rim] for name in _CELLS))
