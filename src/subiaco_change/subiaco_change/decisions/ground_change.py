@@ -153,9 +153,12 @@ def _closed(over: Mask, blind: Mask, config: GroundChangeConfig) -> Mask:
     """Add the blind cells that lie between changed ones."""
     if config.closing == 0:
         return over
+    if not (over.any() and blind.any()):
+        return over
     size = 2 * config.closing + 1
-    padded = np.pad(over, config.closing)
-    closed = ndimage.binary_closing(padded, structure=np.ones((size, size)))
+    padded = np.pad(over, config.closing).view(np.uint8)  # filters of a square take its sides in turn
+    grown = ndimage.maximum_filter(padded, size, mode="constant", cval=0)
+    closed = ndimage.minimum_filter(grown, size, mode="constant", cval=0).view(np.bool_)
     inside = slice(config.closing, -config.closing)
     return np.asarray(over | (blind & closed[inside, inside]))
 
