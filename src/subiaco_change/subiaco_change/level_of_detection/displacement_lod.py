@@ -10,7 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from subiaco_change.geometry import ColumnIndex, build_index, column_range, estimate_normals, first_above
+from subiaco_change.geometry import (
+    ColumnIndex,
+    build_index,
+    column_gap,
+    column_range,
+    estimate_normals,
+    first_above,
+)
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.config import StrictModel
@@ -111,6 +118,7 @@ def _cylinders(
     Each (2, n): in the whole cylinder, and in the short one within it.
     """
     n = len(queries)
+    both = short < half_length  # else the short one is the whole
     mean, variance, count = np.zeros((2, n)), np.zeros((2, n)), np.zeros((2, n), np.int64)
     for q in range(n):
         x, y, z = queries[q, 0], queries[q, 1], queries[q, 2]
@@ -124,8 +132,12 @@ def _cylinders(
         j0, j1 = column_range(y - reach_y, y + reach_y, corner[1], cell, shape[1])
         total, squares, m = 0.0, 0.0, 0
         short_total, short_squares, short_m = 0.0, 0.0, 0
+        aside = (half_length * np.sqrt(a * a + b * b) + radius) ** 2
         for i in range(i0, i1 + 1):
+            gap = column_gap(x, i, corner[0], cell) ** 2
             for j in range(j0, j1 + 1):
+                if gap + column_gap(y, j, corner[1], cell) ** 2 > aside:
+                    continue
                 end = starts[i * shape[1] + j + 1]
                 k = first_above(points, starts[i * shape[1] + j], end, z - reach_z)
                 while k < end and points[k, 2] <= z + reach_z:
@@ -137,16 +149,20 @@ def _cylinders(
                     facing = (agreement <= 0.0) | (abs(a * u + b * v + c * w) >= agreement)
                     near = facing & (across <= radius * radius)
                     whole = 1.0 if near & (size <= half_length) else 0.0  # adding nothing beats a branch
-                    part = 1.0 if near & (size <= short) else 0.0
                     m += int(whole)
                     total += whole * along
                     squares += whole * (along * along)
-                    short_m += int(part)
-                    short_total += part * along
-                    short_squares += part * (along * along)
+                    if both:
+                        part = 1.0 if near & (size <= short) else 0.0
+                        short_m += int(part)
+                        short_total += part * along
+                        short_squares += part * (along * along)
                     k += 1
         _put(mean, variance, count, 0, q, total, squares, m)
-        _put(mean, variance, count, 1, q, short_total, short_squares, short_m)
+        if both:
+            _put(mean, variance, count, 1, q, short_total, short_squares, short_m)
+    if not both:
+        mean[1], variance[1], count[1] = mean[0], variance[0], count[0]
     return mean, variance, count
 
 
