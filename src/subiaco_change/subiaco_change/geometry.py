@@ -6,8 +6,10 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
+import shapely
 import small_gicp
 from numpy.typing import NDArray
+from shapely.geometry.base import BaseGeometry
 
 from subiaco_geo.clouds import PointCloud, extent_of, sort_spatially, voxel_downsample, within_box
 from subiaco_geo.errors import InputError
@@ -21,6 +23,15 @@ def in_box_around(points: Floats, places: Floats, reach: float) -> NDArray[np.bo
     """Tell which points (N, D) lie in the box around places (M, D), wider by ``reach`` [m] on every side."""
     low, high = extent_of(places)
     return within_box(points, low - reach, high + reach)
+
+
+def outline_of_cells(cells: Ints, corner: Floats, edge: float) -> BaseGeometry:
+    """Return the outline [m] of square cells (N, 2), counted east and north from a corner (2,) [m].
+
+    The cells are distinct and share their edges exactly, so that no edges need be intersected.
+    """
+    low, high = (corner + step * edge for step in (cells, cells + 1))
+    return shapely.coverage_union_all(shapely.box(low[:, 0], low[:, 1], high[:, 0], high[:, 1]))
 
 
 @dataclass(frozen=True)

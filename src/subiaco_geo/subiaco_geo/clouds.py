@@ -103,9 +103,7 @@ def extent_of(xyz: NDArray[Number]) -> tuple[NDArray[Number], NDArray[Number]]:
     return low, np.array([xyz[:, k].max() for k in columns], dtype=xyz.dtype)
 
 
-def within_box(
-    xyz: NDArray[Any], low: NDArray[Any], high: NDArray[Any]
-) -> NDArray[np.bool_]:
+def within_box(xyz: NDArray[Any], low: NDArray[Any], high: NDArray[Any]) -> NDArray[np.bool_]:
     """Tell which points (N, D) lie in a box from ``low`` (D,) to ``high`` (D,), its faces included."""
     inside = (xyz[:, 0] >= low[0]) & (xyz[:, 0] <= high[0])
     for k in range(1, xyz.shape[1]):

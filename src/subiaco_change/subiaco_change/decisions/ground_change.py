@@ -6,13 +6,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import shapely
 from numpy.typing import NDArray
 from scipy import ndimage
 from shapely.geometry.base import BaseGeometry
 
 from subiaco_change.decisions.ground_cells import NO_CLAIM, GroundCells, GroundChangeConfig, block_median
 from subiaco_change.decisions.voxel_objects import EpochView
+from subiaco_change.geometry import outline_of_cells
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import first_argument, never, rule_mask, switchable
 from subiaco_change.records import GroundChange
@@ -212,9 +212,7 @@ def _make_patch(
 ) -> GroundPatch:
     cell = config.cell
     cells = np.argwhere(where)
-    west_south = corner + cells[:, ::-1] * cell
-    boxes = shapely.box(west_south[:, 0], west_south[:, 1], west_south[:, 0] + cell, west_south[:, 1] + cell)
-    outline = shapely.union_all(boxes)
+    outline = outline_of_cells(cells[:, ::-1], corner, cell)
     values = dz[where & np.isfinite(dz)]
     area = len(cells) * cell**2
     known = lod[where & np.isfinite(lod)]

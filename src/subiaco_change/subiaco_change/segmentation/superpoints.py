@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from subiaco_geo.config import StrictModel
 from subiaco_geo.clouds import stable_order
+from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
 
 
