@@ -141,6 +141,11 @@ def unpack_voxel_keys(keys: Ints) -> Ints:
     return np.stack([keys >> 42, (keys >> 21) & mask, keys & mask], axis=1) - _REACH
 
 
+def unpack_voxel_columns(keys: Ints) -> Ints:
+    """Return the first two of the indices that :func:`unpack_voxel_keys` gives, (N, 2) int64."""
+    return np.stack([keys >> 42, (keys >> 21) & ((1 << 21) - 1)], axis=1) - _REACH
+
+
 def unique_cells(cells: Ints) -> tuple[Ints, Ints]:
     """Return the distinct rows (M, K) of integer cells (N, K) in order, and which of them each row (N,) is.
 

@@ -115,7 +115,7 @@ def exists_in_one_epoch(voxels: Voxels) -> Mask:
         return np.zeros(0, dtype=bool)
     part = np.unique(voxels.owner, return_inverse=True)[1]
     seen = np.bincount(part, voxels.observed)
-    free = np.bincount(part, voxels.observed & ~voxels.occupied_in_other)
+    free = np.bincount(part, voxels.observed_unoccupied)
     crossed = np.bincount(part, voxels.free_space_confirmed)
     return np.asarray(((free >= _ALONE * seen) & (crossed > _CROSSED * free))[part])
 

@@ -306,7 +306,7 @@ def absence(
     for objects, known, whole in ((before, free[1], certain[1]), (after, free[0], certain[0])):
         if objects and known is not None:
             voxels = join_voxels(objects)
-            places = voxels.xyz[voxels.observed & ~voxels.occupied_in_other]
+            places = voxels.xyz[voxels.observed_unoccupied]
             bound = min(bound, mean_certainty(whole, places))
             chances.append(porous_chance(known(places), opacity(objects)))
     joined = np.concatenate(chances)

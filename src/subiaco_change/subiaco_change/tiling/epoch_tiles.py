@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from subiaco_change.point_spacing import STREET_SPACING, joint_spacing, neighbour_spacings
 from subiaco_change.registration.pair import check_finite
 from subiaco_change.visibility_evidence import EvidenceKind
-from subiaco_geo.clouds import PointCloud, extent_of, unpack_voxel_keys, voxel_downsample
+from subiaco_geo.clouds import PointCloud, extent_of, unpack_voxel_columns, voxel_downsample
 from subiaco_geo.crs import Transform
 from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.free_space.sensor_view import SensorView
@@ -204,7 +204,7 @@ def cut_beams(runner: TaskRunner, parts: Iterable[VisibilityGrid], size: float) 
     with TemporaryDirectory(prefix="subiaco_") as folder:
         spill = Spill(Path(folder))
         for part in parts:
-            centres = (unpack_voxel_keys(part.keys)[:, :2] + 0.5) * part.voxel + part.origin[:2]
+            centres = (unpack_voxel_columns(part.keys) + 0.5) * part.voxel + part.origin[:2]
             for name, m in split_by_tile(centres, size).items():
                 columns: dict[str, NDArray[Any]] = {
                     "keys": part.keys[m],
