@@ -239,9 +239,17 @@ class ExpectedVisibility:
 
         Of these the poses say nothing. Foliage lets beams by that a closed depth image does not.
         """
+        return np.asarray(self.behind_surfaces(world) & ~self.occupied.holds(world))
+
+    def behind_surfaces(self, world: Floats) -> Flags:
+        """Tell which places (N, 3) [m, world], with points or without, lie behind a surface for all poses.
+
+        A point there shows that beams went through or past that surface: a hedge, a fence, a gap between
+        two poses.
+        """
         looks = self.images.looks(world, self._limits())
         nothing = (looks.free < self.config.min_poses) & (looks.surface == 0)
-        return np.asarray(nothing & (looks.hidden >= self.config.min_poses) & ~self.occupied.holds(world))
+        return np.asarray(nothing & (looks.hidden >= self.config.min_poses))
 
     def undecided(self, world: Floats) -> Flags:
         """Tell which places (N, 3) [m, world] the poses have in view without telling whether they are free.
