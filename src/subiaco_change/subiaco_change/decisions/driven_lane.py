@@ -2,7 +2,7 @@
 
 A vehicle of a queue that stood while a survey passed has the beams of a standing object. Whether it lasts
 cannot be seen in one epoch. The survey vehicle itself tells: where it drove, the place is carriageway.
-Traffic does not cross what stands there: where mapping recorded moving objects in most columns of an object
+No traffic crosses a standing object there: where mapping recorded moving objects in most columns of an object
 in the lane, the object was a vehicle too.
 """
 
