@@ -217,11 +217,10 @@ class PosesAndPoints:
 
     def _combined(self, world: Floats) -> tuple[Floats, Flags]:
         """Probabilities (N,) by the poses, and which places they tell nothing of and the points call free."""
-        chance = self.poses.free_probability(world)
-        by_points = chance == _PRIOR
+        chance, undecided = self.poses.free_and_undecided(world)
+        by_points = undecided & (chance == _PRIOR)
         ask = np.flatnonzero(by_points)
-        in_view = self.poses.undecided(world[ask])
-        by_points[ask] = in_view & (self.points.free_probability(world[ask]) > _PRIOR)
+        by_points[ask] = self.points.free_probability(world[ask]) > _PRIOR
         return chance, by_points
 
     def _either(self, known: Flags, points: Callable[[Floats], Flags], world: Floats) -> Flags:
