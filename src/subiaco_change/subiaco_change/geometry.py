@@ -205,6 +205,14 @@ def nearest(index: ColumnIndex, queries: Floats, radius: float) -> tuple[Ints, F
     return np.where(slot >= 0, index.order[slot], -1), distance
 
 
+def nearest_points(index: ColumnIndex, queries: Floats, radius: float) -> Floats:
+    """Return the nearest indexed point (N, 3) of queries (N, 3); NaN where none lies within a radius [m]."""
+    slot, _ = _nearest(index.xyz, index.starts, index.shape, index.corner, index.cell, queries, radius)
+    found = np.full((len(queries), 3), np.nan)
+    found[slot >= 0] = index.xyz[slot[slot >= 0]]
+    return found
+
+
 @numba.njit(cache=True)
 def smallest_eigen(
     a: float, b: float, c: float, d: float, e: float, f: float, out: Floats
