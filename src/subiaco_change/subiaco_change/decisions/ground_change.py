@@ -138,7 +138,7 @@ def _closed(over: Mask, between: Mask, config: GroundChangeConfig) -> Mask:
     """Add the cells ``between`` that lie between changed ones."""
     if config.closing == 0:
         return over
-    if not (over.any() and blind.any()):
+    if not (over.any() and between.any()):
         return over
     size = 2 * config.closing + 1
     padded = np.pad(over, config.closing).view(np.uint8)  # filters of a square take its sides in turn
