@@ -99,3 +99,12 @@ def test_of_a_row_of_three_houses_the_one_that_was_raised_has_a_row_of_its_own(r
     x = np.concatenate([t.voxels.xyz[:, 0] for t in (*house.before, *house.after)])
     low, high = -9.0 + 6.0 * raised, -3.0 + 6.0 * raised
     assert ((x > low - 0.6) & (x < high + 0.6)).mean() > 0.97
+
+
+def test_a_house_built_over_the_remains_of_a_wall_is_new():
+    """A wall of 4 m stood where a house of 12 m now has its front: they overlap too little to compare."""
+    wall, house = Box(-6.0, 8.0, 4.0, 0.4, 1.8), Box(-6.0, 8.0, 12.0, 9.0, 6.0)
+    before, after = (survey(Street((box,)), Sensor(beams=96), seed) for seed, box in enumerate((wall, house)))
+    built = {c.decision.change for c in compare(before, after, "observed") if c.after}
+    taken = {c.decision.change for c in compare(after, before, "observed") if c.before}
+    assert (built, taken) == ({Change.ADDED}, {Change.REMOVED})

@@ -94,7 +94,7 @@ def find_patches(
         large = _possible_sizes(labels, count, cells, config) * config.cell**2 > config.area
         large &= ~rule_mask("shown_volume", large & (shown < least))
         for number in np.flatnonzero(large).tolist():
-            found = _make_patch(change, labels == number, dz, lod, corner, config)
+            found = _make_patch(change, labels == number, cells, corner, config)
             if _is_other_surface(labels == number, cells, config):
                 continue
             if abs(found.dz) > max(config.threshold, config.lod_factor * found.lod):
@@ -193,16 +193,17 @@ def _possible_sizes(labels: Ints, count: int, cells: GroundCells, config: Ground
 
 
 def _make_patch(
-    change: Change, where: Mask, dz: Floats, lod: Floats, corner: Floats, config: GroundChangeConfig
+    change: Change, where: Mask, ground: GroundCells, corner: Floats, config: GroundChangeConfig
 ) -> GroundPatch:
-    cell = config.cell
+    cell, dz, lod = config.cell, ground.dz, ground.lod
     cells = np.argwhere(where)
     outline = outline_of_cells(cells[:, ::-1], corner, cell)
     values = dz[where & np.isfinite(dz)]
     area = len(cells) * cell**2
     known = lod[where & np.isfinite(lod)]
     level = float(np.median(known)) if len(known) else _nearest_lod(cells, lod)
-    if len(known) < 0.5 * len(values):  # thinly seen: neighbours err together, over a block
+    in_view = np.count_nonzero(where & ~(ground.raised | ground.lowered))
+    if len(known) < 0.5 * in_view:  # thinly seen: neighbours err together, over a block
         blocks = max(1.0, len(values) * cell**2 / _NOISE_BLOCK**2)
         spread = float(values.std()) / math.sqrt(blocks)
         level = math.hypot(level, 1.96 * spread, _noise_around(where, dz, cell))

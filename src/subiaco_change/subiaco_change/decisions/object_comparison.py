@@ -32,6 +32,7 @@ from subiaco_change.instance_splitting.split_merge import (
     assign_fragments,
     join_building_extensions,
     join_hidden_walls,
+    part_hardly_overlapping,
     split_hedge_segments,
     split_multi_body_matches,
     split_row_houses,
@@ -83,7 +84,7 @@ def compare_objects(
         changes.extend(decide_object(b, a, semantic, rules) for b, a in _parts(matches, of_b, of_a))
     changes.extend(decide_object((t,), (), t.semantic, rules) for t in objects_before if t.is_part)
     changes.extend(decide_object((), (t,), t.semantic, rules) for t in objects_after if t.is_part)
-    changes = split_multi_body_matches(changes, rules)
+    changes = split_multi_body_matches(part_hardly_overlapping(changes, rules), rules)
     changes = split_row_houses(changes, rules)
     changes = split_hedge_segments(changes, rules)
     changes = join_hidden_walls(join_building_extensions(changes, rules), rules)

@@ -176,6 +176,30 @@ def _is_hardly_observed(change: ObjectChange, rules: ObjectRules) -> bool:
     return rules.ground.empty[other] is None or change.measures.observed_fraction < _HARDLY
 
 
+@switchable("hardly_overlapping", first_argument)
+def part_hardly_overlapping(changes: Sequence[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
+    """Decide the objects of a match apart where they overlap too little to be compared (paper: limit of IoU).
+
+    A house that was built over the remains of a wall is a new house.
+    """
+    decisions = rules.decisions
+    least = {
+        Semantic.BUILDING: decisions.building.min_iou,
+        Semantic.VEGETATION: decisions.vegetation.min_iou,
+    }
+    told: list[ObjectChange] = []
+    for change in changes:
+        parts = [change]
+        if change.before and change.after and change.measures.iou <= least.get(change.semantic, -1.0):
+            apart = (
+                decide_object(change.before, (), change.semantic, rules),
+                decide_object((), change.after, change.semantic, rules),
+            )
+            parts = list(apart) if any(p.decision.change in _CLAIMS for p in apart) else parts
+        told.extend(parts)
+    return told
+
+
 @switchable("multi_body_matches", first_argument)
 def split_multi_body_matches(changes: Sequence[ObjectChange], rules: ObjectRules) -> list[ObjectChange]:
     """Decide the bodies of a split or merge one by one where they did not fare alike."""

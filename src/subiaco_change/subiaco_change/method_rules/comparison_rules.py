@@ -220,6 +220,12 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         ("association.place_free",),
     ),
     Rule(
+        "hardly_overlapping",
+        _HERE,
+        "Objects of a match that overlap too little to be compared are decided apart.",
+        ("decisions.building.min_iou", "decisions.vegetation.min_iou"),
+    ),
+    Rule(
         "multi_body_matches",
         _HERE,
         "Bodies that one epoch holds apart are decided one by one where their labels differ.",
