@@ -36,6 +36,13 @@ CROWN = PlantMeasures(
 SINGLES = [
     ("probably_free", Semantic.OTHER, replace(NEW, free=0.6), Change.UNOBSERVED, Change.ADDED),
     ("enclosed_volume", Semantic.BUILDING, replace(NEW, delta_v=0.5), Change.UNOBSERVED, Change.ADDED),
+    (
+        "surely_enclosed_volume",
+        Semantic.BUILDING,
+        replace(NEW, volume_bounds=Interval(1.0, 99.0)),
+        Change.UNOBSERVED,
+        Change.ADDED,
+    ),
 ]
 
 
@@ -72,6 +79,12 @@ PLANTS = [
     ("outline_of_plants", replace(CROWN, outline=0.8), Change.INCREASED, Change.UNCHANGED),
     ("surface_carries_change", replace(CROWN, outline=math.nan, top=2.0), Change.UNCHANGED, Change.INCREASED),
     ("extent_carries_surface", replace(CROWN, surface=0.4), Change.UNCHANGED, Change.INCREASED),
+    (
+        "unseen_tops_of_plants",
+        replace(CROWN, outline=math.nan, top=2.0, surface=0.12, tops_unseen=True),
+        Change.UNCHANGED,
+        Change.INCREASED,
+    ),
     ("surface_was_free", replace(CROWN, outline=0.8, free_gained=0.4), Change.UNCHANGED, Change.INCREASED),
     (
         "own_error_of_plants",
