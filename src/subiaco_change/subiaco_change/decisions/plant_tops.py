@@ -200,11 +200,11 @@ def _known(columns: _Columns, spaces: tuple[EpochSpace, EpochSpace], config: Top
         space, top = spaces[epoch], columns.highest[epoch]
         known[mine] &= ~_other_class_above(columns.cells, columns.tops, top, space.standing, config)[mine]
         if space.free is not None:
-            known &= ~mine | _open_above(middles, top, columns.tops[1 - epoch], space.free, config)
+            known &= ~mine | open_above(middles, top, columns.tops[1 - epoch], space.free, config)
     return known
 
 
-def _open_above(middles: Floats, own: Floats, other: Floats, free: Free, config: TopConfig) -> np.ndarray:
+def open_above(middles: Floats, own: Floats, other: Floats, free: Free, config: TopConfig) -> np.ndarray:
     """Tell over which columns (C,) an epoch observed free space from its ``own`` top up to the ``other``.
 
     One free place does not show that a plant ends below it: beams of two rings pass over and under a bough.

@@ -269,6 +269,13 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         ),
     ),
     Rule(
+        "space_above_sections",
+        _HERE,
+        "A section of a hedge moved only where the epoch with the lower tops observed free space above them.",
+        ("plants.tops.above", "plants.tops.free", "method_numbers.hedge_sections.observed_share"),
+        guards=True,
+    ),
+    Rule(
         "whole_hedges",
         _HERE,
         "A hedge of which nearly all columns moved alike is one row.",

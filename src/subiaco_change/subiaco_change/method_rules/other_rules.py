@@ -121,6 +121,13 @@ GROUND_RULES: tuple[Rule, ...] = (
         "Occluded cells around a patch count towards its area.",
     ),
     Rule(
+        "both_measured",
+        _GROUND,
+        "Whether both epochs hold the surfaces of a patch is told by the cells that both measured alone.",
+        ("ground.bridge",),
+        guards=True,
+    ),
+    Rule(
         "coinciding_ground",
         _GROUND,
         "Ground of one epoch that coincides with points of the other, of any class, did not move.",
