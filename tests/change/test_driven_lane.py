@@ -13,6 +13,7 @@ from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.driven_lane import (
     DrivenLane,
     SurveyPath,
+    decide_in_traffic,
     lane_near,
     lane_share_of_claim,
     limit_in_lane,
@@ -71,8 +72,65 @@ def test_the_rule_can_be_switched_off():
 
 def test_the_lane_continues_beyond_the_end_of_a_drive_but_not_far():
     lane = DrivenLane(STRAIGHT)
-    ahead = np.array([[70.0, 0.0, 0.5], [-10.0, 1.0, 0.5], [75.0, 0.0, 0.5], [-15.0, 0.0, 0.5]])
+    ahead = np.array([[88.0, 0.0, 0.5], [-28.0, 1.0, 0.5], [93.0, 0.0, 0.5], [-33.0, 0.0, 0.5]])
     assert lane.covers(ahead).tolist() == [True, True, False, False]
+
+
+@pytest.mark.parametrize(("radius", "bends"), [(150.0, True), (-200.0, True), (10.0, False)])
+def test_beyond_its_end_the_lane_keeps_the_bend_of_a_street_but_not_that_of_a_turn(radius, bends):
+    way = np.arange(0.0, abs(radius) if bends else 18.0, 0.5)
+    arc = np.column_stack([abs(radius) * np.sin(way / abs(radius)), radius * (1 - np.cos(way / abs(radius)))])
+    lane = DrivenLane(np.column_stack([arc, np.full(len(way), 2.0)]))
+    beyond = (way[-1] + 25.0) / abs(radius)
+    bent = np.array([[abs(radius) * np.sin(beyond), radius * (1 - np.cos(beyond)), 0.5]])
+    step = arc[-1] - arc[-2]
+    straight = np.append(arc[-1] + 25.0 * step / np.linalg.norm(step), 0.5)[None]
+    assert lane.covers(bent).tolist() == [bends]
+    assert lane.covers(straight).tolist() == [not bends]
+
+
+def test_a_vehicle_that_waits_at_the_end_of_its_drive_keeps_its_direction():
+    waiting = STRAIGHT[-1] + np.random.default_rng(2).normal(0, 0.02, (600, 3))
+    lane = DrivenLane(np.concatenate([STRAIGHT, waiting]))
+    assert lane.covers(np.array([[85.0, 0.0, 0.5], [60.0, 20.0, 0.5]])).tolist() == [True, False]
+
+
+def test_a_lorry_that_covers_the_lane_lies_in_it_although_its_points_lie_beside_it():
+    """Of a lorry 2.9 m wide a survey beside it sees one side and the rear."""
+    side = block((20.0, 1.4, 0.0), (27.0, 1.5, 3.0))
+    rear = block((20.0, -1.4, 0.0), (20.1, 1.5, 3.0))
+    lorry = obj([(np.concatenate([side, rear]), False)])
+    assert DrivenLane(STRAIGHT).covers(lorry.xyz).mean() < 0.3
+    assert lane_share_of_claim(CLAIM, [lorry], [DrivenLane(STRAIGHT).covers], RULES) > 0.6
+
+
+def moved_where(y_from, y_to):
+    """Mapping recorded moving objects between two distances to the left of the path."""
+    return lambda xyz: np.where((xyz[:, 1] >= y_from) & (xyz[:, 1] < y_to), 0.97, 0.1)
+
+
+@pytest.mark.parametrize(
+    ("left", "moved", "traffic"),
+    [
+        (-0.9, moved_where(-1.0, 1.0), True),
+        (-0.9, moved_where(-1.0, -0.5), False),
+        (-0.9, None, False),
+        (2.0, moved_where(2.0, 4.0), False),
+    ],
+    ids=["crossed", "passed beside it", "no times of beams", "not in the lane"],
+)
+def test_what_moving_objects_crossed_in_the_lane_was_a_vehicle_of_the_traffic(left, moved, traffic):
+    decision = decide_in_traffic([car(left)], [DrivenLane(STRAIGHT).covers], moved, RULES)
+    assert (decision is not None) == traffic
+    if decision is not None:
+        assert decision.change is Change.NOT_REPORTED
+        assert "moving objects crossed 100% of its place" in decision.reason
+
+
+def test_a_tree_above_the_lane_is_no_traffic():
+    crown = car(-0.9, top=7.0)
+    everywhere = moved_where(-9.0, 9.0)
+    assert decide_in_traffic([crown], [DrivenLane(STRAIGHT).covers], everywhere, RULES) is None
 
 
 def test_nothing_is_known_between_positions_that_are_far_apart():

@@ -4,6 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import shapely
+from scipy import ndimage
+from scipy.sparse import coo_array
+from scipy.sparse.csgraph import connected_components
 from scipy.spatial import cKDTree
 
 from subiaco_change.geometry import (
@@ -13,7 +17,9 @@ from subiaco_change.geometry import (
     fit_planes,
     nearest,
     outlier_mask,
+    outline_of_cells,
 )
+from subiaco_change.segmentation.clustering import connect, group_reduce
 from subiaco_geo.errors import InputError
 
 
@@ -81,3 +87,40 @@ def test_the_pyramid_gets_coarser_and_keeps_the_plane():
 def test_points_that_are_not_finite_cannot_be_indexed():
     with pytest.raises(InputError, match="finite"):
         build_index(np.full((3, 3), np.nan), 1.0)
+
+
+@pytest.mark.parametrize("cell", [0.4, 5.0])
+def test_an_index_sorts_by_column_and_height_and_keeps_equal_heights_in_order(cell):
+    xyz = np.round(np.random.default_rng(5).uniform(0, 12, (6000, 3)), 1)  # many equal heights
+    index = build_index(xyz, cell)
+    steps = np.minimum(((xyz[:, :2] - index.corner) / index.cell).astype(np.int64), index.shape - 1)
+    assert np.array_equal(index.order, np.lexsort((xyz[:, 2], steps @ [index.shape[1], 1])))
+
+
+def test_the_outline_of_cells_is_the_union_of_their_squares():
+    cells = np.unique(np.random.default_rng(6).integers(0, 12, (90, 2)), axis=0)
+    corner, edge = np.array([3.1, -7.7]), 0.3
+    low = corner + cells * edge
+    squares = shapely.box(low[:, 0], low[:, 1], low[:, 0] + edge, low[:, 1] + edge)
+    outline = outline_of_cells(cells, corner, edge)
+    assert outline.is_valid
+    assert outline.area == pytest.approx(len(cells) * edge**2)
+    assert outline.symmetric_difference(shapely.union_all(squares, grid_size=1e-9)).area < 1e-6
+
+
+def test_components_are_numbered_as_scipy_numbers_them():
+    rng, count = np.random.default_rng(7), 400
+    pairs = rng.integers(0, count, (250, 2))
+    graph = coo_array((np.ones(len(pairs)), pairs.T), shape=(count, count)).tocsr()
+    assert np.array_equal(connect(count, pairs), connected_components(graph, directed=False)[1])
+    assert np.array_equal(connect(3, np.zeros((0, 2), dtype=np.int64)), [0, 1, 2])
+
+
+@pytest.mark.parametrize("how", ["mean", "minimum", "maximum", "median"])
+def test_values_are_reduced_by_label_as_scipy_reduces_them(how):
+    rng = np.random.default_rng(8)
+    labels, values = rng.integers(0, 50, 300), rng.normal(size=300)
+    held = np.unique(labels)
+    reduced = group_reduce(labels, values, 60, how)
+    assert np.allclose(reduced[held], getattr(ndimage, how)(values, labels, held))
+    assert np.isnan(np.delete(reduced, held)).all()

@@ -149,6 +149,21 @@ def test_behind_foliage_a_trajectory_falls_back_on_the_points_with_less_trust():
     assert make_observer(survey, silent).free_probability(hidden) == pytest.approx(0.5)
 
 
+def test_behind_foliage_that_beams_went_through_a_trajectory_is_as_sure_as_the_points():
+    """Leaves beyond the front of a crown that a depth image shows closed: beams did reach them."""
+    rng = np.random.default_rng(9)
+    seen = crown_over_seen_ground()
+    inner = np.column_stack([rng.uniform(6, 14, 400), rng.uniform(9.2, 10.4, 400), np.full(400, 4.0)])
+    survey = SurveyMap(PointCloud(np.concatenate([seen.xyz, inner]), ORIGIN), trajectory=drive())
+    above = behind_the_crown(4.5)
+    bare = make_observer(SurveyMap(survey.cloud), CONFIG)
+    observer = make_observer(survey, CONFIG)
+    assert bare.free_probability(above) == pytest.approx(CONFIG.shadow_trust)
+    assert observer.free_probability(above) == pytest.approx(CONFIG.shadow_trust)
+    assert observer.certainty(above) == pytest.approx(CONFIG.shadow_certain)
+    assert (observer.free_probability(inner[:9] + ORIGIN) < 0.5).all()
+
+
 def test_at_the_front_of_foliage_a_trajectory_falls_back_on_the_points_and_is_as_certain_as_they():
     """Within 0.4 m behind the front of the crown a depth image tells nothing: it may be off by as much."""
     survey = SurveyMap(crown_over_seen_ground(8.2), trajectory=drive())

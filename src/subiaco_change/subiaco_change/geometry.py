@@ -6,10 +6,12 @@ from dataclasses import dataclass
 
 import numba
 import numpy as np
+import shapely
 import small_gicp
 from numpy.typing import NDArray
+from shapely.geometry.base import BaseGeometry
 
-from subiaco_geo.clouds import PointCloud, sort_spatially, voxel_downsample
+from subiaco_geo.clouds import PointCloud, extent_of, sort_spatially, voxel_downsample, within_box
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
 
@@ -19,8 +21,17 @@ _ROUNDING = 1e-6  # more than the coordinates of a column can be off by rounding
 
 def in_box_around(points: Floats, places: Floats, reach: float) -> NDArray[np.bool_]:
     """Tell which points (N, D) lie in the box around places (M, D), wider by ``reach`` [m] on every side."""
-    low, high = places.min(axis=0) - reach, places.max(axis=0) + reach
-    return np.asarray(((points >= low) & (points <= high)).all(axis=1))
+    low, high = extent_of(places)
+    return within_box(points, low - reach, high + reach)
+
+
+def outline_of_cells(cells: Ints, corner: Floats, edge: float) -> BaseGeometry:
+    """Return the outline [m] of square cells (N, 2), counted east and north from a corner (2,) [m].
+
+    The cells are distinct and share their edges exactly, so that no edges need be intersected.
+    """
+    low, high = (corner + step * edge for step in (cells, cells + 1))
+    return shapely.coverage_union_all(shapely.box(low[:, 0], low[:, 1], high[:, 0], high[:, 1]))
 
 
 @dataclass(frozen=True)
@@ -58,16 +69,39 @@ def build_index(xyz: Floats, cell: float) -> ColumnIndex:
     """Index points (M, 3) by columns of an edge [m]; the edge grows if the area is vast."""
     if len(xyz) == 0 or not np.isfinite(xyz).all():
         raise InputError("points to index must be finite and not empty")
-    corner = xyz[:, :2].min(axis=0)
-    extent = xyz[:, :2].max(axis=0) - corner
+    corner, far = extent_of(xyz[:, :2])
+    extent = far - corner
     while np.prod(np.floor(extent / cell) + 1) > _MAX_COLUMNS:
         cell *= 2
     shape = np.floor(extent / cell).astype(np.int64) + 1
     ij = np.minimum(((xyz[:, :2] - corner) / cell).astype(np.int64), shape - 1)
     column, columns = ij[:, 0] * shape[1] + ij[:, 1], int(np.prod(shape))
-    order = np.lexsort((xyz[:, 2], column.astype(np.min_scalar_type(columns))))  # short keys sort faster
     starts = np.concatenate([[0], np.cumsum(np.bincount(column, minlength=columns))])
+    order = _by_column_and_height(column, starts, xyz[:, 2])
     return ColumnIndex(np.ascontiguousarray(xyz[order]), order, starts, shape, corner, float(cell))
+
+
+@numba.njit(cache=True)
+def _by_column_and_height(column: Ints, starts: Ints, height: Floats) -> Ints:
+    """Return the order (N,) of points by column, and by height within it; equal ones as they stand."""
+    filled = starts.copy()
+    order = np.empty(len(column), np.int64)
+    for i in range(len(column)):
+        order[filled[column[i]]] = i
+        filled[column[i]] += 1
+    for c in range(len(starts) - 1):
+        low, high = starts[c], starts[c + 1]
+        if high - low > 64:
+            own = order[low:high].copy()
+            order[low:high] = own[np.argsort(height[own], kind="mergesort")]
+            continue
+        for i in range(low + 1, high):  # few: sorted as they come
+            moved, k = order[i], i
+            while k > low and height[order[k - 1]] > height[moved]:
+                order[k] = order[k - 1]
+                k -= 1
+            order[k] = moved
+    return order
 
 
 @numba.njit(cache=True, inline="always")
@@ -169,6 +203,14 @@ def nearest(index: ColumnIndex, queries: Floats, radius: float) -> tuple[Ints, F
     """
     slot, distance = _nearest(index.xyz, index.starts, index.shape, index.corner, index.cell, queries, radius)
     return np.where(slot >= 0, index.order[slot], -1), distance
+
+
+def nearest_points(index: ColumnIndex, queries: Floats, radius: float) -> Floats:
+    """Return the nearest indexed point (N, 3) of queries (N, 3); NaN where none lies within a radius [m]."""
+    slot, _ = _nearest(index.xyz, index.starts, index.shape, index.corner, index.cell, queries, radius)
+    found = np.full((len(queries), 3), np.nan)
+    found[slot >= 0] = index.xyz[slot[slot >= 0]]
+    return found
 
 
 @numba.njit(cache=True)

@@ -146,7 +146,7 @@ class EvidenceConfig(StrictModel):
         lt=1,
         description="Probability that a place was free that poses of a trajectory have in view only at or "
         "behind a surface, and that lies without points above an observed point: foliage lets beams by. 0.5 "
-        "says nothing of such places",
+        "says nothing of such places. Beside a point behind that surface, shadow_trust counts instead",
     )
     shadow_certain: float = Field(
         0.85,
@@ -240,6 +240,11 @@ class Observer:
             return None
         found = self.test.grid.moved(self._own(world))
         return None if found is None else np.nan_to_num(found.astype(np.float64))
+
+    def moved_or_not(self, world: Floats) -> Floats:
+        """Probability (N,) that what mapping found at points (N, 3) moved; 0 where the map has no times."""
+        found = self.moved(world)
+        return np.zeros(len(world)) if found is None else found
 
 
 def ground_observed(observed: Callable[[Floats], Flags], xyz: Floats, config: EvidenceConfig) -> Flags:

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from subiaco_change.geometry import ColumnIndex, build_index, nearest
+from subiaco_change.geometry import ColumnIndex, build_index, nearest, nearest_points
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_geo.frames import Floats
 from subiaco_geo.free_space.expected_visibility import ExpectedVisibility
@@ -145,6 +145,11 @@ class PointShadow:
         chance[nearest(self.index, local, self.touch)[0] >= 0] = 1.0 - self.trust
         return chance
 
+    def nearest_points(self, world: Floats) -> Floats:
+        """Return the point (N, 3) nearest to world points (N, 3); NaN where none lies within the radius."""
+        local = np.ascontiguousarray(world - self.origin)
+        return nearest_points(self.index, local, self.radius) + self.origin
+
     def levelled(self, world: Floats) -> Flags:
         """Tell which world points (N, 3) are no higher than what the cloud shows its view to have reached."""
         local = np.ascontiguousarray(world - self.origin)
@@ -175,8 +180,9 @@ class PosesAndPoints:
     """Expected visibility; where the poses that have a place in view tell nothing of it, the points.
 
     Beams reach the ground beneath a crown that a depth image shows closed, and the margin in front of a
-    surface is neither free nor occupied by the image alone. Out of view of all poses nothing is known,
-    whatever the points say.
+    surface is neither free nor occupied by the image alone. Where the nearest point of the epoch lies behind
+    that surface too, beams did reach the place, and the points are trusted as in a cloud without poses. Out
+    of view of all poses nothing is known, whatever the points say.
     """
 
     poses: ExpectedVisibility
@@ -194,20 +200,27 @@ class PosesAndPoints:
     def free_probability(self, world: Floats) -> Floats:
         """Return the probability (N,) that world points (N, 3) were free; 0.5 where nothing is known."""
         chance, by_points = self._combined(world)
-        chance[by_points] = self.trust
+        ask = np.flatnonzero(by_points)
+        chance[ask] = np.where(self._reached(world[ask]), max(self.points.trust, self.trust), self.trust)
         return chance
 
     def rests_on_points(self, world: Floats) -> Flags:
         """Tell which world points (N, 3) are called free by the points of the epoch alone."""
         return self._combined(world)[1]
 
+    def _reached(self, world: Floats) -> Flags:
+        """Tell beside which places (N, 3) the epoch holds a point that no pose should have met either."""
+        points = self.points.nearest_points(world)
+        reached = np.isfinite(points[:, 0])
+        reached[reached] = self.poses.behind_surfaces(points[reached])
+        return reached
+
     def _combined(self, world: Floats) -> tuple[Floats, Flags]:
         """Probabilities (N,) by the poses, and which places they tell nothing of and the points call free."""
-        chance = self.poses.free_probability(world)
-        by_points = chance == _PRIOR
+        chance, undecided = self.poses.free_and_undecided(world)
+        by_points = undecided & (chance == _PRIOR)
         ask = np.flatnonzero(by_points)
-        in_view = self.poses.undecided(world[ask])
-        by_points[ask] = in_view & (self.points.free_probability(world[ask]) > _PRIOR)
+        by_points[ask] = self.points.free_probability(world[ask]) > _PRIOR
         return chance, by_points
 
     def _either(self, known: Flags, points: Callable[[Floats], Flags], world: Floats) -> Flags:

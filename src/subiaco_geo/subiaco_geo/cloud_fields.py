@@ -28,7 +28,7 @@ def check_coordinates(path: Path, xyz: Floats) -> None:
     if len(xyz) == 0:
         raise InputError(f"{path}: the cloud is empty; give a cloud with points")
     parts = (xyz[start : start + _PART] for start in range(0, len(xyz), _PART))
-    bad = sum(int((~np.isfinite(part)).any(axis=1).sum()) for part in parts)
+    bad = sum(0 if np.isfinite(part).all() else int((~np.isfinite(part)).any(axis=1).sum()) for part in parts)
     if bad:
         raise InputError(
             f"{path}: {bad} of {len(xyz)} points have NaN or infinite coordinates; "

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -12,6 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
 
+Number = TypeVar("Number", bound=np.generic)
 _REACH = 1 << 20
 _CELLS_A_POINT, _FEW_CELLS = 8, 1 << 20  # of a grid that is counted cell by cell, not sorted
 
@@ -91,6 +93,24 @@ def from_world(xyz: ArrayLike, crs: str | None = None, **fields: NDArray[np.gene
     return PointCloud(world - origin, origin, crs, fields)
 
 
+def extent_of(xyz: NDArray[Number]) -> tuple[NDArray[Number], NDArray[Number]]:
+    """Return the lowest and the highest value (D,) of every column of (N, D) values.
+
+    Column by column: numpy reduces rows of three values ten times as slowly.
+    """
+    columns = range(xyz.shape[1])
+    low = np.array([xyz[:, k].min() for k in columns], dtype=xyz.dtype)
+    return low, np.array([xyz[:, k].max() for k in columns], dtype=xyz.dtype)
+
+
+def within_box(xyz: NDArray[Any], low: NDArray[Any], high: NDArray[Any]) -> NDArray[np.bool_]:
+    """Tell which points (N, D) lie in a box from ``low`` (D,) to ``high`` (D,), its faces included."""
+    inside = (xyz[:, 0] >= low[0]) & (xyz[:, 0] <= high[0])
+    for k in range(1, xyz.shape[1]):
+        inside &= (xyz[:, k] >= low[k]) & (xyz[:, k] <= high[k])
+    return np.asarray(inside)
+
+
 def voxel_indices(xyz: Floats, leaf: float) -> Ints:
     """Return the integer voxel (N, 3) of every point for a leaf [m]."""
     return np.floor(xyz / leaf).astype(np.int64)
@@ -98,7 +118,7 @@ def voxel_indices(xyz: Floats, leaf: float) -> Ints:
 
 def packable(index: Ints) -> NDArray[np.bool_]:
     """Tell which voxel indices (N, 3) lie within +-2**20, the reach of :func:`voxel_keys`."""
-    return np.asarray(((index >= -_REACH) & (index < _REACH)).all(axis=1))
+    return within_box(index, np.full(3, -_REACH), np.full(3, _REACH - 1))
 
 
 def voxel_keys(index: Ints) -> Ints:
@@ -121,6 +141,11 @@ def unpack_voxel_keys(keys: Ints) -> Ints:
     return np.stack([keys >> 42, (keys >> 21) & mask, keys & mask], axis=1) - _REACH
 
 
+def unpack_voxel_columns(keys: Ints) -> Ints:
+    """Return the first two of the indices that :func:`unpack_voxel_keys` gives, (N, 2) int64."""
+    return np.stack([keys >> 42, (keys >> 21) & ((1 << 21) - 1)], axis=1) - _REACH
+
+
 def unique_cells(cells: Ints) -> tuple[Ints, Ints]:
     """Return the distinct rows (M, K) of integer cells (N, K) in order, and which of them each row (N,) is.
 
@@ -128,8 +153,8 @@ def unique_cells(cells: Ints) -> tuple[Ints, Ints]:
     """
     if len(cells) == 0:
         return cells, np.zeros(0, dtype=np.int64)
-    low = cells.min(axis=0)
-    spans = (cells.max(axis=0) - low + 1).tolist()
+    low, high = extent_of(cells)
+    spans = (high - low + 1).tolist()
     if math.prod(spans) > _CELLS_A_POINT * len(cells) + _FEW_CELLS:  # scattered far apart
         found, place = np.unique(cells, axis=0, return_inverse=True)
         return found, np.asarray(place.ravel())
@@ -140,6 +165,27 @@ def unique_cells(cells: Ints) -> tuple[Ints, Ints]:
     return np.stack(np.unravel_index(held, spans), axis=1) + low, number[flat]
 
 
+def stable_order(keys: NDArray[Any]) -> Ints:
+    """Return the order (N,) that sorts numbers (N,), none of them NaN, equal ones as they stand.
+
+    A quick sort of the keys and one of the places of equal ones: several times faster than one stable sort.
+    """
+    order = np.argsort(keys)
+    if len(keys) == 0:
+        return order
+    ordered = keys[order]
+    run = np.cumsum(np.diff(ordered, prepend=ordered[:1]) != 0) * len(keys)
+    return np.asarray(np.sort(run + order) - run)
+
+
+def unique_keys(keys: Ints) -> Ints:
+    """Return the distinct keys in order, as ``np.unique`` does; many keys are sorted sooner than hashed."""
+    ordered = np.sort(keys)
+    fresh = np.ones(len(ordered), dtype=np.bool_)
+    fresh[1:] = ordered[1:] != ordered[:-1]
+    return np.asarray(ordered[fresh])
+
+
 def sort_spatially(xyz: Floats, cell: float = 2.0) -> Ints:
     """Return the order (N,) that groups points by cells of a size [m].
 
@@ -147,8 +193,8 @@ def sort_spatially(xyz: Floats, cell: float = 2.0) -> Ints:
     """
     if len(xyz) == 0:
         return np.zeros(0, dtype=np.int64)
-    corner = np.floor(xyz.min(axis=0) / cell) * cell
-    return np.argsort(voxel_keys(voxel_indices(xyz - corner, cell)), kind="stable")
+    corner = np.floor(extent_of(xyz)[0] / cell) * cell
+    return stable_order(voxel_keys(voxel_indices(xyz - corner, cell)))
 
 
 def voxel_downsample(cloud: PointCloud, leaf: float) -> PointCloud:
@@ -168,8 +214,8 @@ def voxel_downsample(cloud: PointCloud, leaf: float) -> PointCloud:
     if len(cloud) == 0:
         return cloud
     keys = voxel_keys(voxel_indices(cloud.xyz, leaf))
-    order = np.argsort(keys, kind="stable")
-    _, starts = np.unique(keys[order], return_index=True)
+    order = stable_order(keys)
+    starts = np.flatnonzero(np.diff(keys[order], prepend=-1))
     counts = np.diff(np.append(starts, len(keys)))
 
     def reduce(values: NDArray[np.generic]) -> NDArray[np.generic]:

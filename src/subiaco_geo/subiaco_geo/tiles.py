@@ -112,7 +112,7 @@ def split_by_tile(xy: Floats, size: float = 80.0) -> dict[str, NDArray[np.int64]
     index = np.floor(np.asarray(xy)[:, :2] / size).astype(np.int64)
     if len(index) == 0:
         return {}
-    column, row = (index - index.min(axis=0)).T
+    column, row = (along - along.min() for along in index.T)
     tile = row * (int(column.max()) + 1) + column
     tile = tile.astype(np.min_scalar_type(int(tile.max())))  # short keys sort faster
     order = np.argsort(tile, kind="stable")

@@ -65,5 +65,5 @@ def city_map(seen: Above, rows: pd.DataFrame) -> dict[str, Any]:
 def webp_uri(picture: Colours) -> str:
     """Return colours (rows, columns, 3) as a WebP data URI."""
     stream = io.BytesIO()
-    Image.fromarray(np.ascontiguousarray(picture)).save(stream, "WEBP", quality=70, method=4)
+    Image.fromarray(np.ascontiguousarray(picture)).save(stream, "WEBP", quality=70, method=2)
     return "data:image/webp;base64," + base64.b64encode(stream.getvalue()).decode("ascii")

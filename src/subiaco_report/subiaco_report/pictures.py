@@ -131,7 +131,7 @@ def block_pictures(before: PointCloud, after: PointCloud, block: Block) -> dict[
 
 def _webp(colours: Colours) -> bytes:
     stream = io.BytesIO()
-    Image.fromarray(colours).save(stream, "WEBP", quality=60, method=3)
+    Image.fromarray(colours).save(stream, "WEBP", quality=60, method=2)  # 3: twice the time for 4 % less
     return stream.getvalue()
 
 

@@ -20,7 +20,7 @@ from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import first_argument, switchable
 from subiaco_change.segmentation.bounding_rectangles import box_coordinates
 from subiaco_change.segmentation.ground_model import Mask
-from subiaco_geo.clouds import voxel_indices, voxel_keys
+from subiaco_geo.clouds import unique_keys, voxel_indices, voxel_keys
 from subiaco_geo.frames import Floats, Ints
 
 _ALONE = NUMBERS.column_volumes.one_epoch_share
@@ -67,7 +67,7 @@ class Volumes:
 
 def ground_columns(xyz: Floats, cell: float) -> Ints:
     """Return the sorted keys of the columns of ground points (N, 3)."""
-    return np.unique(column_keys(xyz, cell))
+    return unique_keys(column_keys(xyz, cell))
 
 
 def column_keys(xyz: Floats, cell: float) -> Ints:
@@ -115,7 +115,7 @@ def exists_in_one_epoch(voxels: Voxels) -> Mask:
         return np.zeros(0, dtype=bool)
     part = np.unique(voxels.owner, return_inverse=True)[1]
     seen = np.bincount(part, voxels.observed)
-    free = np.bincount(part, voxels.observed & ~voxels.occupied_in_other)
+    free = np.bincount(part, voxels.observed_unoccupied)
     crossed = np.bincount(part, voxels.free_space_confirmed)
     return np.asarray(((free >= _ALONE * seen) & (crossed > _CROSSED * free))[part])
 

@@ -2,6 +2,8 @@
 
 A vehicle of a queue that stood while a survey passed has the beams of a standing object. Whether it lasts
 cannot be seen in one epoch. The survey vehicle itself tells: where it drove, the place is carriageway.
+No traffic crosses a standing object there: where mapping recorded moving objects in most columns of an object
+in the lane, the object was a vehicle too.
 """
 
 from __future__ import annotations
@@ -11,13 +13,14 @@ from dataclasses import dataclass
 
 import numpy as np
 from scipy.spatial import cKDTree
+from shapely import MultiPoint, contains_xy
 
 from subiaco_change.decisions.config import DecisionConfig
-from subiaco_change.decisions.dynamic_objects import Observed, fits_a_vehicle
+from subiaco_change.decisions.dynamic_objects import Moved, Observed, fits_a_vehicle
 from subiaco_change.decisions.rules import Decision
 from subiaco_change.decisions.voxel_objects import ObjectInstance
 from subiaco_change.method_numbers import NUMBERS
-from subiaco_change.method_rules.switches import switchable
+from subiaco_change.method_rules.switches import no_decision, switchable
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.codes import Change
 from subiaco_geo.frames import Floats
@@ -29,6 +32,13 @@ _BELOW = NUMBERS.driven_lane.sensor_height
 _SHARE = NUMBERS.driven_lane.share
 _STEP = NUMBERS.driven_lane.step
 _HEADING = NUMBERS.driven_lane.heading_length
+_CURVE = NUMBERS.driven_lane.curve_length
+_RADIUS = NUMBERS.driven_lane.least_radius
+_APART = NUMBERS.driven_lane.positions_apart
+_GRID = NUMBERS.driven_lane.footprint_step
+_CROSSED = NUMBERS.driven_lane.crossed_share
+_COLUMN = NUMBERS.driven_lane.crossed_column
+_SURE = NUMBERS.driven_lane.crossed_probability
 
 
 @dataclass(frozen=True)
@@ -74,9 +84,11 @@ def _densified(positions: Floats) -> Floats:
     """Points (M, 3) along a path a small step apart, its ends prolonged; gaps of the path stay open."""
     if len(positions) < 2:
         return positions
-    nodes = np.concatenate([_prolonged(positions[::-1])[None], positions, _prolonged(positions)[None]])
+    behind, ahead = _prolonged(positions[::-1]), _prolonged(positions)
+    nodes = np.concatenate([behind[::-1], positions, ahead])
     length = np.linalg.norm(np.diff(nodes, axis=0), axis=1)
-    length[1:-1][length[1:-1] > _GAP] = 0.0  # nothing is known of what lies between
+    inside = slice(len(behind), len(nodes) - len(ahead) - 1)
+    length[inside] = np.where(length[inside] > _GAP, 0.0, length[inside])  # what lies between is not known
     count = np.maximum(np.ceil(length / _STEP).astype(np.int64), 1)
     first = np.repeat(np.arange(len(count)), count)
     part = (np.arange(len(first)) - np.repeat(np.cumsum(count) - count, count)) / count[first]
@@ -85,19 +97,100 @@ def _densified(positions: Floats) -> Floats:
 
 
 def _prolonged(nodes: Floats) -> Floats:
-    """Point (3,) ahead of the end of a path, in the direction of its last metres."""
-    back = np.linalg.norm(nodes[:, :2] - nodes[-1, :2], axis=1)
-    far = np.flatnonzero(back >= _HEADING)
-    if len(far) == 0:
-        return np.asarray(nodes[-1])
-    ahead = nodes[-1] - nodes[far[-1]]
-    return np.asarray(nodes[-1] + _BEYOND * ahead / np.linalg.norm(ahead[:2]))
+    """Points (M, 3) ahead of the end of a path, on the arc of its last metres; none without a direction.
+
+    A bend narrower than those of a carriageway is a turn at a junction: the path goes straight on.
+    """
+    end = _last_metres(nodes)
+    last, turned = _heading(end, 0.0), _heading(end, _CURVE)
+    if last is None:
+        return nodes[:0]
+    curve = 0.0
+    if turned is not None:
+        curve = float(np.arctan2(turned[0] * last[1] - turned[1] * last[0], turned @ last)) / _CURVE
+    at_end = 0.5 * _HEADING * curve  # the direction is that of the middle of the last metres
+    ahead = np.arange(_STEP, _BEYOND + 0.5 * _STEP, _STEP)
+    turn = at_end + (curve * ahead if abs(curve) * _RADIUS <= 1.0 else 0.0 * ahead)
+    step = np.column_stack([np.cos(turn), np.sin(turn)])
+    xy = _STEP * np.column_stack([step @ [last[0], -last[1]], step @ [last[1], last[0]]]).cumsum(axis=0)
+    return np.asarray(nodes[-1] + np.column_stack([xy, np.zeros(len(xy))]))
+
+
+def _last_metres(nodes: Floats) -> Floats:
+    """Positions (M, 2) of the end of a path, its last first, apart: a vehicle that waits has no direction."""
+    kept = [nodes[-1, :2]]
+    for node in nodes[-2::-1, :2]:
+        if np.linalg.norm(node - kept[-1]) >= _APART:
+            kept.append(node)
+            if len(kept) * _APART > 2.0 * (_CURVE + _HEADING):
+                break
+    return np.array(kept)
+
+
+def _heading(end: Floats, back: float) -> Floats | None:
+    """Direction (2,) over a few metres of positions (M, 2), the last first, so far before the last [m]."""
+    way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(end, axis=0), axis=1))])
+    if way[-1] < back + _HEADING:
+        return None
+    step = end[np.searchsorted(way, back)] - end[np.searchsorted(way, back + _HEADING)]
+    return np.asarray(step / np.linalg.norm(step))
 
 
 def share_in_lane(objects: Sequence[ObjectInstance], lanes: Sequence[Observed]) -> float:
-    """Largest fraction of the points of objects in one of the lanes, each asked by places (N, 3)."""
-    places = np.concatenate([np.zeros((0, 3)), *(t.xyz for t in objects)])
-    return max((float(lane(places).mean()) for lane in lanes), default=0.0) if len(places) else 0.0
+    """Largest fraction of the footprint of objects in one of the lanes, each asked by places (N, 3)."""
+    xyz = np.concatenate([np.zeros((0, 3)), *(t.xyz for t in objects)])
+    if len(xyz) == 0 or not lanes:
+        return 0.0
+    places = _footprint(xyz)
+    return max(float(lane(places).mean()) for lane in lanes)
+
+
+def _footprint(xyz: Floats) -> Floats:
+    """Places (M, 3) that fill the footprint of points (N, 3) at their middle height.
+
+    A survey sees one or two sides of a vehicle: most of its points lie at the rim of its footprint.
+    """
+    middle = float(np.median(xyz[:, 2]))
+    hull = MultiPoint(xyz[:, :2]).convex_hull
+    low, high = xyz[:, :2].min(axis=0), xyz[:, :2].max(axis=0)
+    x, y = (np.arange(a + 0.5 * _GRID, b, _GRID) for a, b in zip(low, high, strict=True))
+    grid = np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
+    inside = grid[contains_xy(hull, grid[:, 0], grid[:, 1])] if len(grid) else grid
+    xy = inside if len(inside) else xyz[:, :2]
+    return np.column_stack([xy, np.full(len(xy), middle)])
+
+
+def crossed_share(objects: Sequence[ObjectInstance], moved: Moved) -> float:
+    """Fraction of the columns of objects in which mapping recorded a moving object, no higher than they are.
+
+    ``moved``: how probable it is that what their own survey found at places (N, 3) moved.
+    """
+    xyz = np.concatenate([t.xyz for t in objects])
+    columns = np.unique(np.floor(xyz[:, :2] / _COLUMN).astype(np.int64), axis=0)
+    heights = np.arange(xyz[:, 2].min(), xyz[:, 2].max() + _COLUMN, _COLUMN)
+    xy = np.repeat((columns + 0.5) * _COLUMN, len(heights), axis=0)
+    places = np.column_stack([xy, np.tile(heights, len(columns))])
+    return float((moved(places) >= _SURE).reshape(len(columns), -1).any(axis=1).mean())
+
+
+@switchable("lane_crossed_by_traffic", no_decision)
+def decide_in_traffic(
+    objects: Sequence[ObjectInstance], lanes: Sequence[Observed], moved: Moved | None, rules: DecisionConfig
+) -> Decision | None:
+    """Decide what one epoch alone holds in a driven lane, in columns that moving objects crossed.
+
+    Nothing that stands in the lane is crossed; the side of a standing object may share its columns with
+    traffic beside it.
+    """
+    if moved is None or not fits_a_vehicle(objects, rules):
+        return None
+    share = share_in_lane(objects, lanes)
+    crossed = crossed_share(objects, moved) if share >= _SHARE else 0.0
+    if crossed < _CROSSED:
+        return None
+    reason = f"{share:.0%} of the object lies in the lane that a survey vehicle drove through, and moving"
+    reason += f" objects crossed {crossed:.0%} of its place while it was mapped (limit {_CROSSED:.0%}): a"
+    return Decision(Change.NOT_REPORTED, f"{reason} vehicle of the traffic.", crossed / _CROSSED)
 
 
 def _unlimited(_: object, __: float, confidence: float, reason: str, *___: object) -> tuple[float, str]:

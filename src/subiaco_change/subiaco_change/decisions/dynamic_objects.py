@@ -30,6 +30,7 @@ from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats, Ints
 
 Observed = Callable[[Floats], Mask]
+Moved = Callable[[Floats], Floats]
 _BESIDE = NUMBERS.dynamic_objects.visibility_step
 _LANE = NUMBERS.dynamic_objects.lane_reach
 _WITHIN = NUMBERS.dynamic_objects.lane_share

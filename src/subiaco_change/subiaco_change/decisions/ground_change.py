@@ -6,13 +6,13 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
-import shapely
 from numpy.typing import NDArray
 from scipy import ndimage
 from shapely.geometry.base import BaseGeometry
 
 from subiaco_change.decisions.ground_cells import NO_CLAIM, GroundCells, GroundChangeConfig, block_median
 from subiaco_change.decisions.voxel_objects import EpochView
+from subiaco_change.geometry import outline_of_cells
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import first_argument, never, rule_mask, switchable
 from subiaco_change.records import GroundChange
@@ -162,9 +162,12 @@ def _closed(over: Mask, blind: Mask, config: GroundChangeConfig) -> Mask:
     """Add the blind cells that lie between changed ones."""
     if config.closing == 0:
         return over
+    if not (over.any() and blind.any()):
+        return over
     size = 2 * config.closing + 1
-    padded = np.pad(over, config.closing)
-    closed = ndimage.binary_closing(padded, structure=np.ones((size, size)))
+    padded = np.pad(over, config.closing).view(np.uint8)  # filters of a square take its sides in turn
+    grown = ndimage.maximum_filter(padded, size, mode="constant", cval=0)
+    closed = ndimage.minimum_filter(grown, size, mode="constant", cval=0).view(np.bool_)
     inside = slice(config.closing, -config.closing)
     return np.asarray(over | (blind & closed[inside, inside]))
 
@@ -218,9 +221,7 @@ def _make_patch(
 ) -> GroundPatch:
     cell = config.cell
     cells = np.argwhere(where)
-    west_south = corner + cells[:, ::-1] * cell
-    boxes = shapely.box(west_south[:, 0], west_south[:, 1], west_south[:, 0] + cell, west_south[:, 1] + cell)
-    outline = shapely.union_all(boxes)
+    outline = outline_of_cells(cells[:, ::-1], corner, cell)
     values = dz[where & np.isfinite(dz)]
     area = len(cells) * cell**2
     known = lod[where & np.isfinite(lod)]

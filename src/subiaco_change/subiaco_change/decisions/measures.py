@@ -27,8 +27,10 @@ from subiaco_change.decisions.column_volumes import (
 from subiaco_change.decisions.config import CarvingConfig
 from subiaco_change.decisions.space_carving import CarvingEpoch, Interval, carve
 from subiaco_change.decisions.voxel_objects import Certainty, Free, ObjectInstance, Reach, Voxels, join_voxels
+from subiaco_change.geometry import outline_of_cells
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import first_argument, switchable
+from subiaco_geo.clouds import unique_cells
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats
 
@@ -273,10 +275,9 @@ def rectangle_iou(first: BaseGeometry, second: BaseGeometry) -> float:
 def footprint(parts: Sequence[Floats], cell: float = 0.5) -> BaseGeometry:
     """Outline [m] of the cells that points (N, 2) occupy, small gaps closed."""
     xy = np.concatenate(list(parts))
-    cells = np.unique(np.floor(xy / cell).astype(np.int64), axis=0) * cell
-    boxes = shapely.box(cells[:, 0], cells[:, 1], cells[:, 0] + cell, cells[:, 1] + cell)
-    outline = shapely.union_all(boxes).buffer(cell, join_style="mitre").buffer(-cell, join_style="mitre")
-    return outline.simplify(0.2 * cell)
+    outline = outline_of_cells(unique_cells(np.floor(xy / cell).astype(np.int64))[0], np.zeros(2), cell)
+    closed = outline.buffer(cell, join_style="mitre").buffer(-cell, join_style="mitre")
+    return closed.simplify(0.2 * cell)
 
 
 def absence(
@@ -305,7 +306,7 @@ def absence(
     for objects, known, whole in ((before, free[1], certain[1]), (after, free[0], certain[0])):
         if objects and known is not None:
             voxels = join_voxels(objects)
-            places = voxels.xyz[voxels.observed & ~voxels.occupied_in_other]
+            places = voxels.xyz[voxels.observed_unoccupied]
             bound = min(bound, mean_certainty(whole, places))
             chances.append(porous_chance(known(places), opacity(objects)))
     joined = np.concatenate(chances)

@@ -14,8 +14,9 @@ from subiaco_change.association.costs import AssociationConfig
 from subiaco_change.association.matching import match_kind
 from subiaco_change.decisions.column_volumes import BUILT_UP, OpenGround, column_keys
 from subiaco_change.decisions.config import DecisionConfig
-from subiaco_change.decisions.driven_lane import lane_share_of_claim
+from subiaco_change.decisions.driven_lane import decide_in_traffic, lane_share_of_claim
 from subiaco_change.decisions.dynamic_objects import (
+    Moved,
     Observed,
     OwnEpochEvidence,
     continues_trail,
@@ -98,6 +99,7 @@ class ObjectRules:
     below_view: tuple[Empty | None, Empty | None] = (None, None)  # how high their views are known to reach
     certain: tuple[Certainty | None, Certainty | None] = (None, None)  # how certain these can be at most
     lanes: tuple[Observed, ...] = ()  # which places the survey vehicles of both epochs drove through
+    moved: tuple[Moved | None, Moved | None] = (None, None)  # what *before* and *after* know to have moved
     plants: PlantConfig = field(default_factory=PlantConfig)
 
 
@@ -124,11 +126,12 @@ def decide_object(
         plant = None
     if decision.change in (Change.ADDED, Change.REMOVED):
         parts = (*before, *after)
-        own = rules.own[0] if before else rules.own[1]
+        own, moved = (rules.own[0], rules.moved[0]) if before else (rules.own[1], rules.moved[1])
         decision = (
             is_misclassified_ground(semantic, parts)
             or is_moving_object_trail(parts, semantic, own, rules.decisions, measures.free)
             or continues_trail(parts, semantic, own, rules.decisions)
+            or decide_in_traffic(parts, rules.lanes, moved, rules.decisions)
             or decide_vehicle_part(parts, semantic, measures, rules.standing[int(bool(before))])
             or decision
         )

@@ -17,6 +17,7 @@ from scipy.special import gammaln
 
 from subiaco_change.decisions.voxel_objects import Free
 from subiaco_change.method_rules.switches import switchable
+from subiaco_geo.clouds import extent_of, unique_cells
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
 
@@ -146,8 +147,8 @@ def _of_part(rises: Floats, certain: float) -> float:
 def _shared_columns(before: Floats, after: Floats, config: TopConfig) -> _Columns:
     """Return the columns with enough points in both epochs."""
     places = np.floor(np.concatenate([before, after])[:, :2] / config.cell).astype(np.int64)
-    cells, slot = np.unique(places, axis=0, return_inverse=True)
-    slots = np.split(slot.reshape(-1), [len(before)])
+    cells, slot = unique_cells(places)
+    slots = np.split(slot, [len(before)])
     counts = np.array([np.bincount(s, minlength=len(cells)) for s in slots])
     fewest = counts.min(axis=0)
     heights = before[:, 2], after[:, 2]
@@ -226,11 +227,10 @@ def _other_class_above(
 ) -> np.ndarray:
     """Tell in which columns (C,) points (N, 3) above the ``own`` top reach between two tops (2, C)."""
     held = np.zeros(len(cells), dtype=bool)
-    near = (
-        (standing[:, :2] >= cells.min(axis=0) * config.cell)
-        & (standing[:, :2] < (cells.max(axis=0) + 1) * config.cell)
-    ).all(axis=1)
-    xyz = standing[near]
+    first, last = extent_of(cells)
+    (west, south), (east, north) = first * config.cell, (last + 1) * config.cell
+    x, y = standing[:, 0], standing[:, 1]
+    xyz = standing[(x >= west) & (x < east) & (y >= south) & (y < north)]
     if len(xyz) == 0:
         return held
     distance, slot = cKDTree(cells).query(np.floor(xyz[:, :2] / config.cell), distance_upper_bound=0.5)

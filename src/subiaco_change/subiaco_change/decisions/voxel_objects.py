@@ -77,6 +77,11 @@ class Voxels:
     def __len__(self) -> int:
         return len(self.owner)
 
+    @property
+    def observed_unoccupied(self) -> Mask:
+        """The other epoch observed the place (M,) and has no points there."""
+        return self.observed & ~self.occupied_in_other
+
     def select(self, index: NDArray[np.generic]) -> Voxels:
         """Return the voxels of a mask or of indices."""
         return Voxels(*(getattr(self, name)[index] for name in self.__dataclass_fields__))

@@ -91,7 +91,7 @@ def _is_extension(
     """Tell whether a part of one epoch alone is an extension of the building that the part touches most."""
     body, other = host[epoch], host[1 - epoch]
     round_it = max(contact) >= _ROUND * len(extension)
-    free = float((extension.observed & ~extension.occupied_in_other).mean())
+    free = float(extension.observed_unoccupied.mean())
     hidden = round_it and free < _HIDDEN and _share_above(extension, other) >= _BESIDE
     if applies("hidden_wall_of_extension", hidden):
         return True  # a wall of the house that an extension of the other epoch hides

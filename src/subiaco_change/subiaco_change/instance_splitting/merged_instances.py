@@ -97,7 +97,7 @@ def _undivided(obj: ObjectInstance, owner: Ints, built: Ints, config: PartConfig
     """
     voxels = obj.voxels
     beside = ~np.isin(column_keys(voxels.xyz, _CELL), built)
-    alone = np.flatnonzero(voxels.observed & ~voxels.occupied_in_other & beside)
+    alone = np.flatnonzero(voxels.observed_unoccupied & beside)
     whole = owner.copy()
     for group in group_indices(voxel_clusters(voxels.xyz[alone], config.gap)) if len(alone) else ():
         whole[alone[group]] = np.bincount(owner[alone[group]]).argmax()

@@ -174,12 +174,12 @@ def _parts_of(obj: ObjectInstance, plain: Voxels, config: PartConfig) -> Ints:
     """
     voxels = obj.voxels
     labels = np.zeros(len(voxels), dtype=np.int64)
-    alone = voxels.observed & ~voxels.occupied_in_other
+    alone = voxels.observed_unoccupied
     if len(obj.xyz) < config.points or not alone.any() or alone.all():
         return labels
     members = np.flatnonzero(alone)
     column = column_keys(voxels.xyz, _CELL)
-    far = plain.observed & ~plain.occupied_in_other
+    far = plain.observed_unoccupied
     count = 0
     for group in group_indices(voxel_clusters(voxels.xyz[members], config.gap)):
         piece = members[group]

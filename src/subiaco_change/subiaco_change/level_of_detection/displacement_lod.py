@@ -10,7 +10,14 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
-from subiaco_change.geometry import ColumnIndex, build_index, column_range, estimate_normals, first_above
+from subiaco_change.geometry import (
+    ColumnIndex,
+    build_index,
+    column_gap,
+    column_range,
+    estimate_normals,
+    first_above,
+)
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.config import StrictModel
@@ -101,6 +108,50 @@ def _put(
         variance[row, q] = max(squares / m - mean[row, q] * mean[row, q], 0.0)
 
 
+@numba.njit(cache=True, inline="always")
+def _cylinder_sums(
+    points: Floats, point_normals: Floats, starts: Ints, shape: Ints, corner: Floats, cell: float,
+    query: Floats, normal: Floats, radius: float, half_length: float, short: float, agreement: float,
+) -> tuple[float, float, int, float, float, int]:  # fmt: skip
+    """Sum, squares and count of the steps along a normal in its cylinder; the same in a short one within."""
+    (x, y, z), (a, b, c) = (query[0], query[1], query[2]), (normal[0], normal[1], normal[2])
+    reach_x, reach_y, reach_z = (
+        half_length * abs(a) + radius * np.sqrt(max(1.0 - a * a, 0.0)),
+        half_length * abs(b) + radius * np.sqrt(max(1.0 - b * b, 0.0)),
+        half_length * abs(c) + radius * np.sqrt(max(1.0 - c * c, 0.0)),
+    )
+    aside = (half_length * np.sqrt(a * a + b * b) + radius) ** 2
+    i0, i1 = column_range(x - reach_x, x + reach_x, corner[0], cell, shape[0])
+    j0, j1 = column_range(y - reach_y, y + reach_y, corner[1], cell, shape[1])
+    total, squares, m, short_total, short_squares, short_m = 0.0, 0.0, 0, 0.0, 0.0, 0
+    for column in range((i1 - i0 + 1) * (j1 - j0 + 1)):
+        i, j = i0 + column // (j1 - j0 + 1), j0 + column % (j1 - j0 + 1)
+        if column_gap(x, i, corner[0], cell) ** 2 + column_gap(y, j, corner[1], cell) ** 2 > aside:
+            continue
+        end = starts[i * shape[1] + j + 1]
+        k = first_above(points, starts[i * shape[1] + j], end, z - reach_z)
+        while k < end and points[k, 2] <= z + reach_z:
+            dx, dy, dz = points[k, 0] - x, points[k, 1] - y, points[k, 2] - z
+            along = a * dx + b * dy + c * dz
+            across = dx * dx + dy * dy + dz * dz - along * along
+            u, v, w = point_normals[k, 0], point_normals[k, 1], point_normals[k, 2]
+            facing = (agreement <= 0.0) | (abs(a * u + b * v + c * w) >= agreement)
+            near = facing & (across <= radius * radius)
+            whole = 1.0 if near & (abs(along) <= half_length) else 0.0  # adding nothing beats a branch
+            m += int(whole)
+            total += whole * along
+            squares += whole * (along * along)
+            if short < half_length:  # else it is the whole
+                part = 1.0 if near & (abs(along) <= short) else 0.0
+                short_m += int(part)
+                short_total += part * along
+                short_squares += part * (along * along)
+            k += 1
+    if short < half_length:
+        return total, squares, m, short_total, short_squares, short_m
+    return total, squares, m, total, squares, m
+
+
 @numba.njit(cache=True)
 def _cylinders(
     points: Floats, point_normals: Floats, starts: Ints, shape: Ints, corner: Floats, cell: float,
@@ -113,38 +164,12 @@ def _cylinders(
     n = len(queries)
     mean, variance, count = np.zeros((2, n)), np.zeros((2, n)), np.zeros((2, n), np.int64)
     for q in range(n):
-        x, y, z = queries[q, 0], queries[q, 1], queries[q, 2]
-        a, b, c = normals[q, 0], normals[q, 1], normals[q, 2]
-        if a * a + b * b + c * c < 0.5:
+        if normals[q, 0] ** 2 + normals[q, 1] ** 2 + normals[q, 2] ** 2 < 0.5:
             continue
-        reach_x = half_length * abs(a) + radius * np.sqrt(max(1.0 - a * a, 0.0))
-        reach_y = half_length * abs(b) + radius * np.sqrt(max(1.0 - b * b, 0.0))
-        reach_z = half_length * abs(c) + radius * np.sqrt(max(1.0 - c * c, 0.0))
-        i0, i1 = column_range(x - reach_x, x + reach_x, corner[0], cell, shape[0])
-        j0, j1 = column_range(y - reach_y, y + reach_y, corner[1], cell, shape[1])
-        total, squares, m = 0.0, 0.0, 0
-        short_total, short_squares, short_m = 0.0, 0.0, 0
-        for i in range(i0, i1 + 1):
-            for j in range(j0, j1 + 1):
-                end = starts[i * shape[1] + j + 1]
-                k = first_above(points, starts[i * shape[1] + j], end, z - reach_z)
-                while k < end and points[k, 2] <= z + reach_z:
-                    dx, dy, dz = points[k, 0] - x, points[k, 1] - y, points[k, 2] - z
-                    along = a * dx + b * dy + c * dz
-                    across = dx * dx + dy * dy + dz * dz - along * along
-                    u, v, w = point_normals[k, 0], point_normals[k, 1], point_normals[k, 2]
-                    size = abs(along)
-                    facing = (agreement <= 0.0) | (abs(a * u + b * v + c * w) >= agreement)
-                    near = facing & (across <= radius * radius)
-                    whole = 1.0 if near & (size <= half_length) else 0.0  # adding nothing beats a branch
-                    part = 1.0 if near & (size <= short) else 0.0
-                    m += int(whole)
-                    total += whole * along
-                    squares += whole * (along * along)
-                    short_m += int(part)
-                    short_total += part * along
-                    short_squares += part * (along * along)
-                    k += 1
+        total, squares, m, short_total, short_squares, short_m = _cylinder_sums(
+            points, point_normals, starts, shape, corner, cell,
+            queries[q], normals[q], radius, half_length, short, agreement,
+        )  # fmt: skip
         _put(mean, variance, count, 0, q, total, squares, m)
         _put(mean, variance, count, 1, q, short_total, short_squares, short_m)
     return mean, variance, count

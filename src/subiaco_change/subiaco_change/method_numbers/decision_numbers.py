@@ -173,7 +173,7 @@ class DrivenLaneNumbers(StrictModel):
         " parked vehicle beside the lane is farther away",
     )
     beyond: float = Field(
-        12.0, description="Distance beyond both ends of a drive over which the lane continues [m]"
+        30.0, description="Distance beyond both ends of a drive over which the lane continues [m]"
     )
     gap: float = Field(
         8.0, description="Distance between two positions from which nothing is known of the path between [m]"
@@ -181,10 +181,35 @@ class DrivenLaneNumbers(StrictModel):
     sensor_height: float = Field(
         5.0, description="Largest difference in height between a sensor and what lies in its lane [m]"
     )
-    share: float = Field(0.6, description="Fraction of the points of an object that lies in a driven lane")
+    share: float = Field(0.6, description="Fraction of the footprint of an object that lies in a driven lane")
     step: float = Field(0.25, description="Distance between the points of a path [m]")
     heading_length: float = Field(
         3.0, description="Length of the end of a drive that gives the direction of the lane beyond [m]"
+    )
+    positions_apart: float = Field(
+        0.5, description="Least distance between positions of a path that show its direction [m]"
+    )
+    curve_length: float = Field(
+        12.0, description="Length of the end of a drive that gives the bend of the lane beyond [m]"
+    )
+    least_radius: float = Field(
+        50.0,
+        description="Radius of a bend below which the end of a drive is a turn, and the lane beyond straight"
+        " [m]",
+    )
+    footprint_step: float = Field(
+        0.25, description="Distance between the places that fill the footprint of an object [m]"
+    )
+    crossed_share: float = Field(
+        0.5,
+        description="Fraction of the columns of an object in the lane from which moving objects that were"
+        " recorded in them show that the object is traffic",
+    )
+    crossed_column: float = Field(
+        0.5, description="Edge of these columns, and distance between heights at which they are asked [m]"
+    )
+    crossed_probability: float = Field(
+        0.9, description="Probability of having moved from which a place was crossed by a moving object"
     )
 
 

@@ -150,6 +150,18 @@ MOVING_OBJECT_RULES: tuple[Rule, ...] = (
         guards=True,
     ),
     Rule(
+        "lane_crossed_by_traffic",
+        _HERE,
+        "What one epoch alone holds in the lane of a survey vehicle is traffic where moving objects crossed"
+        " most of its place.",
+        (
+            "method_numbers.driven_lane.crossed_share",
+            "method_numbers.driven_lane.crossed_column",
+            "method_numbers.driven_lane.crossed_probability",
+        ),
+        guards=True,
+    ),
+    Rule(
         "confidence_of_brief_objects",
         _HERE,
         "The confidence in an object of one epoch is at most the probability that the object stood still.",

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from subiaco_change.geometry import Level, LocalPlanes, nearest
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.registration.icp import Pairs, Target, jacobian
-from subiaco_geo.clouds import unique_cells
+from subiaco_geo.clouds import unique_cells, unique_keys
 from subiaco_geo.frames import Floats, Ints, transform_points
 
 _FLAT = NUMBERS.plausibility.flatness
@@ -86,7 +86,7 @@ def planar(planes: LocalPlanes) -> NDArray[np.bool_]:
 def _matches(source: Level, target: Target, pose: Floats, tolerance: float, cell: float) -> _Matches:
     moved = transform_points(pose, source.xyz)
     column = _columns(moved, cell)
-    ours, theirs = np.unique(column), np.unique(_columns(target.level.xyz, cell))
+    ours, theirs = unique_keys(column), unique_keys(_columns(target.level.xyz, cell))
     shared = np.intersect1d(ours, theirs, assume_unique=True)
     inside = np.isin(column, shared)
     flat = planar(source.planes)

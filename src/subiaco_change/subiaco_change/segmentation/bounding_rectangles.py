@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from subiaco_geo.clouds import extent_of
 from subiaco_geo.frames import Floats
 
 
@@ -42,7 +43,7 @@ def wall_axes(xy: Floats, cell: float = 0.25) -> Floats:
     for angle in np.radians(np.arange(0, 90, 3.0)):
         axes = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
         uv = centred @ axes
-        strips = np.floor((uv - uv.min(axis=0)) / cell).astype(np.int64)
+        strips = np.floor((uv - extent_of(uv)[0]) / cell).astype(np.int64)
         score = float(sum((np.bincount(strip).astype(np.float64) ** 2).sum() for strip in strips.T))
         if score > best:
             best, found = score, axes

@@ -7,9 +7,6 @@ from itertools import pairwise
 import numba
 import numpy as np
 from numpy.typing import NDArray
-from scipy import ndimage
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
 from subiaco_geo.clouds import voxel_indices, voxel_keys
 from subiaco_geo.frames import Floats, Ints
@@ -73,8 +70,20 @@ def connect(count: int, pairs: Ints) -> Ints:
     """Label ``count`` nodes (count,) by the connected components of pairs (E, 2)."""
     if count == 0:
         return np.zeros(0, dtype=np.int64)
-    graph = coo_array((np.ones(len(pairs)), (pairs[:, 0], pairs[:, 1])), shape=(count, count)).tocsr()
-    return np.asarray(connected_components(graph, directed=False)[1], dtype=np.int64)
+    roots = _components(count, np.asarray(pairs, dtype=np.int64))
+    return np.asarray((np.cumsum(roots == np.arange(count)) - 1)[roots])
+
+
+@numba.njit(cache=True)
+def _components(count: int, pairs: Ints) -> Ints:
+    """Lowest node (count,) that each node is connected to by pairs (E, 2)."""
+    parent = np.arange(count)
+    for e in range(len(pairs)):
+        a, b = _root(parent, pairs[e, 0]), _root(parent, pairs[e, 1])
+        parent[max(a, b)] = min(a, b)
+    for node in range(count):
+        parent[node] = parent[parent[node]]
+    return parent
 
 
 def cell_clusters(xy: Floats, cell: float) -> Ints:
@@ -97,8 +106,21 @@ def group_reduce(labels: Ints, values: NDArray[np.generic], size: int, how: str 
     counts = np.bincount(labels, minlength=size)
     if how == "median":
         return _medians(labels, values.astype(np.float64), counts)
-    reduced = np.asarray(getattr(ndimage, how)(values, labels, np.arange(size)), dtype=np.float64)
-    return np.where(counts > 0, reduced, np.nan)
+    if how == "mean":
+        with np.errstate(invalid="ignore"):
+            return np.asarray(np.bincount(labels, values, minlength=size) / counts)
+    return _extremes(labels, values.astype(np.float64), size, how == "maximum")
+
+
+@numba.njit(cache=True)
+def _extremes(labels: Ints, values: Floats, size: int, largest: bool) -> Floats:
+    """Smallest or largest (R,) of the values (N,) of every label; NaN where empty."""
+    extremes = np.full(size, np.nan)
+    for i in range(len(labels)):
+        value, old = values[i], extremes[labels[i]]
+        if np.isnan(old) or (value > old if largest else value < old):
+            extremes[labels[i]] = value
+    return extremes
 
 
 @numba.njit(cache=True)

@@ -12,6 +12,7 @@ from scipy import ndimage
 from subiaco_change.method_rules.switches import first_argument, second_argument, switchable
 from subiaco_change.segmentation.clustering import connect
 from subiaco_change.segmentation.raised_surfaces import RaisedSurfaces
+from subiaco_geo.clouds import extent_of, unique_keys
 from subiaco_geo.config import StrictModel
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
@@ -178,12 +179,12 @@ def fit_ground(xyz: Floats, config: GroundConfig, raised: RaisedSurfaces | None 
     """
     if len(xyz) == 0:
         raise InputError("ground: the cloud has no points; check the crop or the filter before it")
-    extent = xyz
+    low, high = extent_of(xyz[:, :2])
     if raised is not None:
         xyz = xyz[~raised.holds(xyz)]
     lattice = _LATTICE * config.cell
-    south_west = np.floor(extent[:, :2].min(axis=0) / lattice) * lattice
-    shape, flat = _cells(xyz, south_west, config.cell, extent[:, :2].max(axis=0))
+    south_west = np.floor(low / lattice) * lattice
+    shape, flat = _cells(xyz, south_west, config.cell, high)
     if len(xyz) == 0 and raised is not None:  # a tile that a roof fills
         none = np.zeros(shape, dtype=bool)
         west, south = south_west.tolist()
@@ -282,7 +283,7 @@ def _run_on(lowest: Floats, ground: Mask, config: GroundConfig) -> Mask:
         axis=1,
     )
     pairs = pairs[:, pairs[0] != pairs[1]]
-    pairs = np.stack(np.divmod(np.unique(pairs.min(axis=0) * known.size + pairs.max(axis=0)), known.size))
+    pairs = np.stack(np.divmod(unique_keys(np.minimum(*pairs) * known.size + np.maximum(*pairs)), known.size))
     place = np.stack(np.divmod(pairs, lowest.shape[1]), axis=-1) * config.cell
     apart = np.linalg.norm(place[0] - place[1], axis=1)
     height, is_ground = lowest.ravel(), ground.ravel()

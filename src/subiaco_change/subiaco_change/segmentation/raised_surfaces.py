@@ -17,6 +17,7 @@ from scipy import ndimage
 
 from subiaco_change.method_rules.switches import switchable
 from subiaco_change.segmentation.clustering import connect
+from subiaco_geo.clouds import extent_of
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats
 
@@ -103,9 +104,9 @@ def find_raised(xyz: Floats, config: RaisedConfig) -> RaisedSurfaces:
         Local coordinates [m].
     config : RaisedConfig
     """
-    corner = np.floor(xyz[:, :2].min(axis=0) / _LATTICE) * _LATTICE
+    corner = np.floor(extent_of(xyz[:, :2])[0] / _LATTICE) * _LATTICE
     index = np.maximum(np.floor((xyz[:, :2] - corner) / config.cell).astype(np.int64), 0)[:, ::-1]
-    shape = tuple((index.max(axis=0) + 1).tolist())
+    shape = tuple((extent_of(index)[1] + 1).tolist())
     lowest = np.full(shape, np.inf)
     np.minimum.at(lowest, (index[:, 0], index[:, 1]), xyz[:, 2])
     known = np.isfinite(lowest)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from subiaco_geo.clouds import stable_order
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
 
@@ -180,10 +181,9 @@ def _merge_round(features: Floats, regions: _Regions, eta: float) -> _Regions:
     if len(pairs) == 0:
         return regions
     sizes = np.bincount(regions.labels)
-    gap = _gaps(models, pairs)
-    cost = gap * np.minimum(sizes[pairs[:, 0]], sizes[pairs[:, 1]]) / np.maximum(boundary, 1e-12)
+    cost = _merge_costs(models, pairs, sizes, boundary)
     cheap = np.flatnonzero(cost < 2 * eta)
-    cheap = cheap[np.argsort(cost[cheap], kind="stable")]
+    cheap = cheap[stable_order(cost[cheap])]
     roots = merge_regions(pairs[cheap], boundary[cheap], models, sizes.astype(np.int64), eta)
     number = np.cumsum(roots == np.arange(len(roots))) - 1
     renamed = number[roots]
@@ -193,13 +193,16 @@ def _merge_round(features: Floats, regions: _Regions, eta: float) -> _Regions:
 
 
 @numba.njit(cache=True)
-def _gaps(models: Floats, pairs: Ints) -> Floats:
-    """L1 distance (E,) of the models of every pair."""
-    gaps = np.zeros(len(pairs))
+def _merge_costs(models: Floats, pairs: Ints, sizes: Ints, boundary: Floats) -> Floats:
+    """L1 distance of the models of every pair (E, 2), times the size of the smaller, a boundary."""
+    costs = np.empty(len(pairs))
     for e in range(len(pairs)):
+        a, b = pairs[e, 0], pairs[e, 1]
+        gap = 0.0
         for f in range(models.shape[1]):
-            gaps[e] += abs(models[pairs[e, 0], f] - models[pairs[e, 1], f])
-    return gaps
+            gap += abs(models[a, f] - models[b, f])
+        costs[e] = gap * min(sizes[a], sizes[b]) / max(boundary[e], 1e-12)
+    return costs
 
 
 def _sum_boundaries(pairs: Ints, boundary: Floats) -> tuple[Ints, Floats]:

@@ -17,7 +17,7 @@ from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.tiling.epoch_tiles import EpochContext
 from subiaco_change.tiling.retiling import EpochObjects, LabelledPoints, load_points, near_tile
 from subiaco_change.tiling.stage_inputs import TileParams
-from subiaco_geo.clouds import voxel_indices, voxel_keys
+from subiaco_geo.clouds import unique_keys, voxel_indices, voxel_keys
 from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.work.tasks import Inputs
@@ -163,7 +163,7 @@ def _unique(pairs: Ints) -> Ints:
     if len(pairs) == 0:
         return np.zeros((0, 2), dtype=np.int64)
     base = int(pairs[:, 1].max()) + 1
-    return np.stack(np.divmod(np.unique(pairs[:, 0] * base + pairs[:, 1]), base), axis=1)
+    return np.stack(np.divmod(unique_keys(pairs[:, 0] * base + pairs[:, 1]), base), axis=1)
 
 
 def _sums(inputs: Inputs, side: EpochContext, params: TileParams[CandidateSlice]) -> tuple[Ints, Floats]:

@@ -192,6 +192,7 @@ def compare_tile(inputs: Inputs, params: TileParams[ComparisonSlice]) -> TileCom
         below_view=(regions[0].below_view, regions[1].below_view),
         certain=certain,
         lanes=tuple(r.driven for r in regions if r.driven is not None),
+        moved=(regions[0].moved, regions[1].moved),
     )
     changes = compare_objects(views[0], views[1], regions[0].observed, regions[1].observed, rules)
     numbers = [number for _, number in compact]

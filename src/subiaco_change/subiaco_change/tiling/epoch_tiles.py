@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from subiaco_change.point_spacing import STREET_SPACING, joint_spacing, neighbour_spacings
 from subiaco_change.registration.pair import check_finite
 from subiaco_change.visibility_evidence import EvidenceKind
-from subiaco_geo.clouds import PointCloud, unpack_voxel_keys, voxel_downsample
+from subiaco_geo.clouds import PointCloud, extent_of, unpack_voxel_columns, voxel_downsample
 from subiaco_geo.crs import Transform
 from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.free_space.sensor_view import SensorView
@@ -186,7 +186,8 @@ def cut_cloud(
         for part in parts:
             check_finite(part)
             world = part.world() if operation is None else operation.apply(part.world())
-            low, high = np.minimum(low, world.min(axis=0)), np.maximum(high, world.max(axis=0))
+            lowest, highest = extent_of(world)
+            low, high = np.minimum(low, lowest), np.maximum(high, highest)
             points += len(part)
             for name, members in split_by_tile(world, tile).items():
                 fields = {field: part.fields[field][members] for field in FIELDS if field in part.fields}
@@ -205,7 +206,7 @@ def cut_beams(runner: TaskRunner, parts: Iterable[VisibilityGrid], size: float) 
     with TemporaryDirectory(prefix="subiaco_") as folder:
         spill = Spill(Path(folder))
         for part in parts:
-            centres = (unpack_voxel_keys(part.keys)[:, :2] + 0.5) * part.voxel + part.origin[:2]
+            centres = (unpack_voxel_columns(part.keys) + 0.5) * part.voxel + part.origin[:2]
             for name, m in split_by_tile(centres, size).items():
                 columns: dict[str, NDArray[Any]] = {
                     "keys": part.keys[m],
@@ -243,7 +244,7 @@ def load_beams(inputs: Inputs, alias: str, corner: Floats, voxel: float) -> Visi
     if not parts:
         return no_beams(corner, voxel)
     keys = np.concatenate([part.keys for part in parts])
-    order = np.argsort(keys, kind="stable")
+    order = np.argsort(keys)  # a voxel is in one tile
     hits, passes = np.concatenate([p.hits for p in parts]), np.concatenate([p.passes for p in parts])
     known = [part.moving for part in parts if part.moving is not None]
     moving = np.concatenate(known)[order] if len(known) == len(parts) else None

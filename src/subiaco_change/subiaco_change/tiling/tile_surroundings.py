@@ -35,7 +35,8 @@ class Region:
     epoch observed, ``empty`` where its beams went on and nothing came back, ``free`` how probable it
     is that nothing stood there, by its beams, ``certain`` how certain that can be at most, and ``below_view``
     which places are no higher than its view is known to have reached; ``driven`` which places its vehicle
-    drove through, None where its trajectory is not known.
+    drove through, None where its trajectory is not known; ``moved`` how probable it is that what it found at
+    places moved, None where its map has no times of beams.
     """
 
     view: EpochView
@@ -48,6 +49,7 @@ class Region:
     below_view: Callable[[Floats], Mask]
     certain: Callable[[Floats], Floats]
     driven: Callable[[Floats], Mask] | None
+    moved: Callable[[Floats], Floats] | None
 
 
 def load_region(
@@ -99,6 +101,7 @@ def load_region(
         seen_through(observer.below_view, to_world),
         free_through(observer.certainty, to_world),
         None if path is None else seen_through(lane_near(path, to_world(view.xyz)).covers, to_world),
+        None if view.moved is None else free_through(observer.moved_or_not, to_world),
     )
 
 

@@ -227,30 +227,39 @@ class ExpectedVisibility:
         a surface at a place without a point know nothing of it: images are coarser than the cloud, and what
         lies behind the front of a crown or a wall is not known to be occupied.
         """
+        return self.free_and_undecided(world)[0]
+
+    def free_and_undecided(self, world: Floats) -> tuple[Floats, Flags]:
+        """Return :meth:`free_probability` (N,) of places (N, 3), and which the poses have in view undecided.
+
+        The latter lie at a surface of the epoch, in the margin in front of it, or behind it, and hold no
+        point.
+        """
         looks = self.images.looks(world, self._limits())
         weight = self.config.pose_weight
         held = self.occupied.holds(world)
         free, met = weight * looks.free, (weight * looks.surface + 1.0) * held
-        free[looks.free < self.config.min_poses] = 0.0
-        return np.asarray((free + 0.5) / (free + met + 1.0))
+        few = looks.free < self.config.min_poses
+        free[few] = 0.0
+        in_view = (looks.surface > 0) | (looks.hidden >= self.config.min_poses)
+        return np.asarray((free + 0.5) / (free + met + 1.0)), np.asarray(in_view & few & ~held)
 
     def hidden(self, world: Floats) -> Flags:
         """Tell which places (N, 3) [m, world] lie in view of enough poses, but behind a surface for each.
 
         Of these the poses say nothing. Foliage lets beams by that a closed depth image does not.
         """
-        looks = self.images.looks(world, self._limits())
-        nothing = (looks.free < self.config.min_poses) & (looks.surface == 0)
-        return np.asarray(nothing & (looks.hidden >= self.config.min_poses) & ~self.occupied.holds(world))
+        return np.asarray(self.behind_surfaces(world) & ~self.occupied.holds(world))
 
-    def undecided(self, world: Floats) -> Flags:
-        """Tell which places (N, 3) [m, world] the poses have in view without telling whether they are free.
+    def behind_surfaces(self, world: Floats) -> Flags:
+        """Tell which places (N, 3) [m, world], with points or without, lie behind a surface for all poses.
 
-        They lie at a surface of the epoch, in the margin in front of it, or behind it, and hold no point.
+        A point there shows that beams went through or past that surface: a hedge, a fence, a gap between
+        two poses.
         """
         looks = self.images.looks(world, self._limits())
-        in_view = (looks.surface > 0) | (looks.hidden >= self.config.min_poses)
-        return np.asarray(in_view & (looks.free < self.config.min_poses) & ~self.occupied.holds(world))
+        nothing = (looks.free < self.config.min_poses) & (looks.surface == 0)
+        return np.asarray(nothing & (looks.hidden >= self.config.min_poses))
 
     def _limits(self) -> Limits:
         config, view = self.config, self.view

@@ -6,6 +6,7 @@ import logging
 from dataclasses import dataclass, field
 from typing import Any
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 from ouster.sdk import core
@@ -193,6 +194,29 @@ def utc_shift_ns(config: DecodeConfig) -> int:
     return shift_s[config.time_base] * 10**9 + config.time_offset_ns
 
 
+@numba.njit(cache=True)
+def _measured(
+    distance: NDArray[np.uint32], near: float, far: float, direction: Floats, offset: Floats
+) -> tuple[Ints, Ints, Floats]:
+    """Return row (N,), column (N,) and place (N, 3) [m] of the pixels with a range [mm] that counts."""
+    height, width = distance.shape
+    count = 0
+    for i in range(height):
+        for j in range(width):
+            count += distance[i, j] > 0 and near <= distance[i, j] <= far
+    row, column, xyz = np.empty(count, np.int64), np.empty(count, np.int64), np.empty((count, 3))
+    n = 0
+    for i in range(height):
+        for j in range(width):
+            if distance[i, j] > 0 and near <= distance[i, j] <= far:
+                row[n], column[n] = i, j
+                for axis in range(3):
+                    pixel = i * width + j
+                    xyz[n, axis] = direction[pixel, axis] * distance[i, j] + offset[pixel, axis]
+                n += 1
+    return row, column, xyz
+
+
 class PacketDecoder:
     """Collect packets into scans in ``lidar_link``, the frame of the SDK's XYZ tables.
 
@@ -358,8 +382,7 @@ class PacketDecoder:
         """Return the points of one return; ranges are in millimetres in the packet."""
         distance = frame.fields[range_name]
         near, far = self._config.min_range * 1e3, self._config.max_range * 1e3
-        row, column = np.nonzero((distance > 0) & (distance >= near) & (distance <= far))
-        xyz = self._points(row, column, distance[row, column].astype(np.float64))
+        row, column, xyz = _measured(distance, near, far, self._layout.direction, self._layout.offset)
         intensity = frame.fields.get(intensity_name)
         values = np.zeros(len(row)) if intensity is None else intensity[row, column]
         ring = row.astype(np.uint16)

@@ -175,7 +175,9 @@ def _survey(cloud: CloudFile) -> tuple[int, IntensityStretch, float, tuple[float
         if "intensity" in part.fields:
             bright.append(np.asarray(part.fields["intensity"], dtype=np.float64)[some])
         if len(part) > 1:
-            near, _ = cKDTree(part.xyz).query(part.xyz[some[:: max(1, len(some) // 2000)]], k=[2])
+            near, _ = cKDTree(part.xyz, balanced_tree=False, compact_nodes=False).query(
+                part.xyz[some[:: max(1, len(some) // 2000)]], k=[2]
+            )
             spacings.append(float(np.median(near)))
     shown = np.nanpercentile(np.concatenate(bright), [2.0, 98.0]) if bright else np.array([0.0, 1.0])
     low, high = np.percentile(np.concatenate(heights), [1.0, 99.0])

@@ -14,7 +14,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from subiaco_geo.clouds import PointCloud
+from subiaco_geo.clouds import PointCloud, stable_order
 from subiaco_geo.frames import Floats, Ints
 
 #: Cells of a node along each edge; a power of two, so that cells never cross a border of nodes.
@@ -97,11 +97,12 @@ def nodes_of(
     """
     order = np.random.default_rng(seed).permutation(len(unit))
     remaining = order[np.argsort(~preferred[order], kind="stable")]
+    steps = GRID << _DEEPEST
+    finest = np.clip((unit * steps).astype(np.int64), 0, steps - 1)[remaining]  # levels halve its cells
     for level in range(_DEEPEST + 1):
         if len(remaining) == 0:
             return
-        steps = GRID << level
-        cells = np.clip(np.floor(unit[remaining] * steps).astype(np.int64), 0, steps - 1)
+        cells = finest >> (_DEEPEST - level)
         node = _key(cells >> _GRID_BITS)
         taken = np.zeros(len(remaining), dtype=np.bool_)
         if level >= first_level:
@@ -110,13 +111,19 @@ def nodes_of(
         if level == _DEEPEST:
             taken[:] = True
         crowded = np.flatnonzero(~taken)
-        taken[crowded[np.unique(_key(cells[crowded]), return_index=True)[1]]] = True
+        taken[crowded[_first_of_each(_key(cells[crowded]))]] = True
         yield from _grouped(level, node[taken], remaining[taken])
-        remaining = remaining[~taken]
+        remaining, finest = remaining[~taken], finest[~taken]
 
 
 def _key(index: Ints) -> Ints:
     return index[:, 0] << 42 | index[:, 1] << 21 | index[:, 2]
+
+
+def _first_of_each(keys: Ints) -> Ints:
+    """Return where every distinct key stands first."""
+    order = stable_order(keys)
+    return np.asarray(order[np.diff(keys[order], prepend=-1) != 0])
 
 
 def _grouped(level: int, node: Ints, points: Ints) -> Iterator[tuple[NodeKey, Ints]]:
