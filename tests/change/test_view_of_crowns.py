@@ -39,14 +39,6 @@ def test_the_top_of_a_round_crown_is_seen_and_that_of_a_cut_one_is_not(turn):
         assert not is_top_seen([cut])
 
 
-@pytest.mark.parametrize("seed", range(5))
-def test_a_crown_of_one_or_two_points_a_column_shows_no_top_however_round_it_looks(seed):
-    """A cut crown of 60 points: the highest of so few scatter as the tops of a round crown do."""
-    cut = obj([(crown(4.7), False)])
-    sparse = np.random.default_rng(seed).choice(len(cut.xyz), 60, replace=False)
-    assert not is_top_seen([replace(cut, xyz=cut.xyz[sparse])])
-
-
 def test_few_columns_tell_no_top():
     assert not is_top_seen([obj([(block((0, 0, 2), (1, 1, 6)), False)])])
 

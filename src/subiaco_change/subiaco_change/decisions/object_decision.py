@@ -46,7 +46,6 @@ _BESIDE = NUMBERS.object_decision.beside_plant
 _COLUMN = NUMBERS.object_decision.crown_column
 _CROWN_TOP = NUMBERS.object_decision.crown_top
 _CROWN_COLUMNS = NUMBERS.object_decision.crown_columns
-_COLUMN_POINTS = NUMBERS.object_decision.column_points
 _CUT_DEPTH = NUMBERS.object_decision.cut_depth
 _CUT_SHARE = NUMBERS.object_decision.cut_share
 _OF_PLANTS = (Change.UNCHANGED, Change.INCREASED, Change.DECREASED)  # labels on which other plants have a say
@@ -224,16 +223,12 @@ def is_top_seen(objects: Sequence[ObjectInstance]) -> bool:
     """Tell whether the points of a plant end at its top, and not where the field of view of a sensor ends.
 
     A crown is round: few of its columns reach its top. A field of view that ends in a crown cuts all columns
-    at about the same height. The highest of one or two points is not the top of a column: few points make the
-    tops of a cut crown scatter as those of a round one.
+    at about the same height.
     """
     xyz = np.concatenate([t.xyz for t in objects])
-    columns, slot, count = np.unique(column_keys(xyz, _COLUMN), return_inverse=True, return_counts=True)
+    columns, slot = np.unique(column_keys(xyz, _COLUMN), return_inverse=True)
     tops = np.full(len(columns), -np.inf)
     np.maximum.at(tops, slot, xyz[:, 2])
-    tops = tops[count >= _COLUMN_POINTS]
-    if len(tops) < _CROWN_COLUMNS:
-        return False
     top = float(np.quantile(tops, _CROWN_TOP))
     upper = tops[tops > 0.5 * (top + float(xyz[:, 2].min()))]
     return len(upper) >= _CROWN_COLUMNS and float(np.mean(upper >= top - _CUT_DEPTH)) < _CUT_SHARE

@@ -276,7 +276,6 @@ class ObjectDecisionNumbers(StrictModel):
         0.95, description="Quantile of the tops of its columns, as a fraction, that is the top of a crown"
     )
     crown_columns: int = Field(8, description="Smallest number of columns of a crown whose top is known")
-    column_points: int = Field(3, description="Smallest number of points of such a column")
     cut_depth: float = Field(
         0.3, description="Depth below the top of a crown to which columns end that a field of view cut [m]"
     )

@@ -123,7 +123,7 @@ GROUND_RULES: tuple[Rule, ...] = (
     Rule(
         "both_measured",
         _GROUND,
-        "Whether both epochs hold the surfaces of a patch is told by the cells that both measured alone.",
+        "Cells that both epochs measured alone show whether both epochs hold the surfaces of a patch.",
         ("ground.bridge",),
         guards=True,
     ),
