@@ -193,6 +193,7 @@ def measure_plant(
         fall_of_part=tops.fall_of_part,
         free_gained=gained,
         free_lost=lost,
+        tops_unseen=tops.unseen,
         top_sigma=math.hypot(*(quantile_sigma(_heights(objects), _TOP) for objects in (before, after))),
     )
 
