@@ -129,15 +129,6 @@ def test_the_kernel_agrees_with_its_numpy_twin():
             assert stats.std[i] == pytest.approx(along[keep].std(), abs=1e-9)
 
 
-@pytest.mark.parametrize("aside", [(-9.0, -9.0), (-9.0, 0.0), (9.0, -9.0), (9.0, 9.0), (0.0, 40.0)])
-def test_a_cylinder_beside_the_points_is_empty(aside):
-    points = np.random.default_rng(3).uniform(-3, 3, (500, 3))
-    up = np.tile([0.0, 0.0, 1.0], (500, 1))
-    surface = make_surface(PointCloud(points, fields={"normals": up}), LodConfig(radius=0.8))
-    found = cylinder_stats(np.array([[*aside, 0.0]]), up[:1], surface, LodConfig(radius=0.8), 1.3, 0.7)
-    assert [stats.count[0] for stats in found] == [0, 0]
-
-
 def test_the_same_cylinder_in_both_epochs_keeps_what_stands_beside_the_surface_out():
     def with_shelf(seed):
         ground = flat(seed)
