@@ -90,7 +90,13 @@ def main() -> None:
             rows[-1] |= {f"of {base}, CPU": rounded(cpu / base_cpu, 2)}
         print(rows[-1])
     rows[-1]["peak MB, all processes"] = round(ours["peak_mib"])
-    keep(given.json, rows, absent, [f"{ours['points']} points of both epochs at the working leaf"])
+    remarks = [f"{ours['points']} points of both epochs at the working leaf"]
+    if bases:
+        remarks.append(
+            "M3C2 R m: every point of before is a core point, cylinders of radius R, normals from 2 R, "
+            "searched to 2 m along the normal, all cores; distances alone"
+        )
+    keep(given.json, rows, absent, remarks)
 
 
 if __name__ == "__main__":

@@ -1,7 +1,8 @@
 """Ratios of a benchmark run against the recorded ones: has anything become slower beside its peers?
 
 A ratio is a column that begins with *of* (time of a peer, in the same run: more is worse) or with *times real
-time* (less is worse). Seconds are those of a machine and are not compared.
+time* (less is worse). Seconds are those of a machine and are not compared, nor are ratios of wall times:
+other work on the machine changes them, processor time hardly.
 """
 
 from __future__ import annotations
@@ -10,7 +11,7 @@ from collections.abc import Iterator, Mapping
 from typing import Any
 
 TOLERANCE = 1.0 / 3.0  # by which a ratio may worsen; runs on one machine differ by a tenth
-_MORE_IS_WORSE, _LESS_IS_WORSE = "of ", "times real time"
+_MORE_IS_WORSE, _LESS_IS_WORSE, _WALL = "of ", "times real time", ", wall"
 
 
 def ratios(found: Mapping[str, Any]) -> Iterator[tuple[str, str, float]]:
@@ -19,7 +20,8 @@ def ratios(found: Mapping[str, Any]) -> Iterator[tuple[str, str, float]]:
         for row in result["rows"]:
             said = ", ".join(str(value) for value in row.values() if isinstance(value, str))
             for column, value in row.items():
-                if column.startswith((_MORE_IS_WORSE, _LESS_IS_WORSE)) and isinstance(value, int | float):
+                ratio = column.startswith((_MORE_IS_WORSE, _LESS_IS_WORSE)) and not column.endswith(_WALL)
+                if ratio and isinstance(value, int | float):
                     yield f"{name}: {said}", column, float(value)
 
 

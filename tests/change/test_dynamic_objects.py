@@ -4,6 +4,8 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 from test_measures import block
 from test_one_epoch_parts import obj
@@ -142,6 +144,26 @@ def test_a_claim_on_what_was_seen_for_a_moment_only_is_not_trusted(moved: float,
     assert ("may have moved" in reason) == (moved > 0)
     same = Decision(Change.UNCHANGED, "as it was", 0.1)
     assert limit_confidence(same, [timed(moved)], 0.9, RULES) == (0.9, "as it was")
+
+
+@given(moved=st.floats(0.0, 1.0), free=st.floats(0.5, 1.0))
+def test_a_change_needs_an_object_that_stood_and_a_place_that_was_free(moved: float, free: float) -> None:
+    decision = is_moving_object_trail([timed(moved)], Semantic.VEGETATION, None, RULES, free)
+    assert (decision is None) == (1.0 - (1.0 - moved) * free < RULES.trail_uncertain)
+    claim = Decision(Change.ADDED, "in the later survey alone", 1.5)
+    certain, _ = limit_confidence(claim, [timed(moved)], 0.9, RULES, free)
+    assert certain <= 1.0 - moved + 1e-9
+    if moved > 0:
+        assert certain <= (1.0 - moved) * free + 1e-9
+
+
+def test_the_reason_says_that_movement_and_free_space_together_leave_too_much_doubt() -> None:
+    decision = is_moving_object_trail([timed(0.45)], Semantic.VEGETATION, None, RULES, 0.85)
+    assert decision is not None
+    assert decision.change is Change.UNOBSERVED
+    assert (
+        "(probability 45%), or its place may not have been free (together 53%, limit 50%)" in decision.reason
+    )
 
 
 def test_a_wall_higher_than_any_vehicle_did_not_pass_however_briefly_it_was_seen() -> None:

@@ -56,6 +56,14 @@ def test_planes_are_those_of_numpy_eigenvectors(points):
         assert planes.normals[i, 2] >= 0
 
 
+def test_planes_around_the_first_points_are_those_of_all_points(points):
+    mixed = points[np.random.default_rng(9).permutation(len(points))]
+    some, every = fit_planes(mixed, 0.8, first=1500), fit_planes(mixed, 0.8)
+    assert np.array_equal(some.normals, every.normals[:1500])
+    assert np.array_equal(some.curvature, every.curvature[:1500])
+    assert np.array_equal(some.count, every.count[:1500])
+
+
 def test_normals_of_a_tilted_plane_are_its_normal_whatever_the_order_of_the_points():
     rng = np.random.default_rng(5)
     xy = rng.uniform(-5, 5, (2000, 2))

@@ -9,6 +9,7 @@ from assembled_run import compare_ground
 from subiaco_change.decisions.ground_cells import GroundCells, GroundChangeConfig
 from subiaco_change.decisions.ground_change import beyond_gate, find_patches, ground_raster
 from subiaco_change.decisions.voxel_objects import EpochView
+from subiaco_change.method_rules.switches import rules_switched_off
 from subiaco_geo.codes import Change, Semantic
 
 
@@ -245,6 +246,24 @@ def test_walls_beside_a_narrow_trench_are_no_second_surface_of_the_ground():
     (patch,) = compare_ground(before, after, GroundChangeConfig()).patches
     assert patch.change is Change.DECREASED
     assert patch.area == pytest.approx(30, abs=4)
+
+
+def test_ground_that_coincides_with_points_below_a_wall_of_the_other_epoch_did_not_move():
+    """A verge of 12 m x 3 m that *before* calls a wall, with the wall behind it, and *after* ground."""
+    verge = box(30, 30, 12, 3)
+    rng = np.random.default_rng(3)
+    xy = rng.uniform([30, 30], [42, 33], (900, 2))
+    top = np.column_stack([xy, 0.03 * xy[:, 0] + 0.4 + rng.normal(0, 0.02, len(xy))])
+    above = np.concatenate([top + np.array([0.0, 0.0, dz]) for dz in (0.3, 0.6, 0.9)])
+    lone = above + np.array([0.3, 0.3, 0.2])
+    before = view(seed=1)
+    after = view(lambda x, y: 0.4 * verge(x, y), seed=2)
+    config = GroundChangeConfig()
+    assert len(compare_ground(with_points(before, lone, Semantic.BUILDING), after, config).patches) == 1
+    both = with_points(before, np.concatenate([top, above]), Semantic.BUILDING)
+    assert compare_ground(both, after, config).patches == ()
+    with rules_switched_off(["coinciding_ground"]):
+        assert len(compare_ground(both, after, config).patches) == 1
 
 
 def test_the_rim_of_a_milled_strip_is_no_second_surface_of_the_ground():

@@ -15,6 +15,7 @@ from subiaco_change.decisions.rules import Decision
 from subiaco_change.decisions.voxel_objects import ObjectInstance
 from subiaco_change.instance_splitting.hedge_sections import changed_sections
 from subiaco_change.instance_splitting.split_merge import split_hedge_segments
+from subiaco_change.method_rules.switches import rules_switched_off
 from subiaco_geo.codes import Change, Semantic
 
 RULES = ObjectRules(MeasureConfig(), AssociationConfig(), DecisionConfig())
@@ -49,6 +50,20 @@ def test_the_half_of_a_hedge_whose_top_moved_is_a_row_of_its_own(height, label):
     assert before.xyz[rest.points("before"), 0].max() < 6.6
     together = np.concatenate([c.points("before") for c in (rest, moved)])
     assert np.array_equal(np.sort(together), before.points)
+
+
+@pytest.mark.parametrize(("reach", "count"), [(3.0, 1), (1.7, 0)], ids=["open above", "view ended there"])
+def test_a_section_grew_only_if_the_earlier_epoch_saw_free_space_above_its_tops(reach, count):
+    """*Before* holds points up to 1.5 m; of *after*, half rises to 1.9 m, within the tolerance of voxels."""
+    before, after = hedge([(0, 12, 1.5)], 1), hedge([(0, 6, 1.5), (6, 12, 1.9)], 2)
+
+    def free(xyz):
+        return np.where(xyz[:, 2] < reach, 0.9, 0.5)
+
+    assert len(changed_sections([before], [after], 0.3, (free, None))[0]) == count
+    assert len(changed_sections([after], [before], 0.3, (None, free))[0]) == count
+    with rules_switched_off(["space_above_sections"]):
+        assert len(changed_sections([before], [after], 0.3, (free, None))[0]) == 1
 
 
 def test_two_hedges_in_one_instance_of_which_one_grew_and_one_was_trimmed_are_two_rows():

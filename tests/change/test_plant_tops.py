@@ -66,6 +66,28 @@ def test_a_top_above_the_view_of_the_other_epoch_is_not_known():
     assert change_of_tops(cut, after, (open_sky, NOTHING), CONFIG).median > 0.2
 
 
+def test_one_free_place_above_a_top_does_not_show_that_the_plant_ends_there():
+    """A plant 1.4 m lower in *after*, where one ring passed 0.5 m above its points and none higher."""
+    before, after = crown(1, top=4.0, height=3.5), crown(2, top=2.6, height=2.1)
+
+    def ring(xyz):
+        return np.where(xyz[:, 2] < 3.15, 0.9, 0.5)
+
+    found = change_of_tops(before, after, (NOTHING, EpochSpace(np.zeros((0, 3)), ring)), CONFIG)
+    assert np.isnan(found.median)
+    assert found.unseen
+    open_sky = EpochSpace(np.zeros((0, 3)), lambda xyz: np.full(len(xyz), 0.9))
+    seen = change_of_tops(before, after, (NOTHING, open_sky), CONFIG)
+    assert seen.median == pytest.approx(-1.4, abs=0.2)
+    assert not seen.unseen
+
+
+def test_plants_that_share_no_columns_have_no_unseen_tops():
+    found = change_of_tops(crown(1), crown(2, x=20.0), (NOTHING, NOTHING), CONFIG)
+    assert np.isnan(found.median)
+    assert not found.unseen
+
+
 def test_points_of_another_class_between_the_tops_contradict_growth():
     before, after = crown(1), crown(2, top=9.6, height=4.6)
     lost = crown(3, top=9.6, height=4.6)

@@ -36,6 +36,13 @@ CROWN = PlantMeasures(
 SINGLES = [
     ("probably_free", Semantic.OTHER, replace(NEW, free=0.6), Change.UNOBSERVED, Change.ADDED),
     ("enclosed_volume", Semantic.BUILDING, replace(NEW, delta_v=0.5), Change.UNOBSERVED, Change.ADDED),
+    (
+        "surely_enclosed_volume",
+        Semantic.BUILDING,
+        replace(NEW, volume_bounds=Interval(1.0, 99.0)),
+        Change.UNOBSERVED,
+        Change.ADDED,
+    ),
 ]
 
 
@@ -72,6 +79,12 @@ PLANTS = [
     ("outline_of_plants", replace(CROWN, outline=0.8), Change.INCREASED, Change.UNCHANGED),
     ("surface_carries_change", replace(CROWN, outline=math.nan, top=2.0), Change.UNCHANGED, Change.INCREASED),
     ("extent_carries_surface", replace(CROWN, surface=0.4), Change.UNCHANGED, Change.INCREASED),
+    (
+        "unseen_tops_of_plants",
+        replace(CROWN, outline=math.nan, top=2.0, surface=0.12, tops_unseen=True),
+        Change.UNCHANGED,
+        Change.INCREASED,
+    ),
     ("surface_was_free", replace(CROWN, outline=0.8, free_gained=0.4), Change.UNCHANGED, Change.INCREASED),
     (
         "own_error_of_plants",
@@ -117,6 +130,17 @@ def test_ground_under_another_class_is_no_change_until_the_rule_is_off():
     assert patches(area(0.4)) == 1
     assert patches(cells) == 0
     with rules_switched_off(["other_surface"]):
+        assert patches(cells) == 1
+
+
+def test_bridged_cells_do_not_tell_whether_a_surface_moved_until_the_rule_is_off():
+    """Both epochs hold both surfaces in every column that they measured; others took a height."""
+    cells = area(0.4)
+    own = np.zeros(cells.dz.shape, dtype=bool)
+    own[:, ::4] = True
+    cells = replace(cells, bridged=~own, other=own & (cells.dz > 0), inside=own & (cells.dz > 0))
+    assert patches(cells) == 0
+    with rules_switched_off(["both_measured"]):
         assert patches(cells) == 1
 
 

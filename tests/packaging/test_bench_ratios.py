@@ -46,6 +46,13 @@ def test_seconds_are_not_compared(ratios: ModuleType) -> None:
     assert ratios.worsened(run(**{"CPU s": 1.0}), run(**{"CPU s": 9.0})) == ([], 0)
 
 
+def test_ratios_of_wall_times_are_not_compared_and_those_of_processor_times_are(ratios: ModuleType) -> None:
+    before = {"of M3C2 0.5 m, wall": 6.0, "of M3C2 0.5 m, CPU": 4.0}
+    lines, compared = ratios.worsened(run(**before), run(**dict.fromkeys(before, 9.0)))
+    assert compared == 1
+    assert lines == ["mapping: front end, of M3C2 0.5 m, CPU: 9, recorded 4 (2.25 times as bad)"]
+
+
 def test_the_recorded_benchmarks_hold_ratios_to_compare(ratios: ModuleType, repository: Path) -> None:
     recorded = json.loads((repository / "benchmarks.json").read_text())
     assert ratios.worsened(recorded, recorded)[0] == []

@@ -252,15 +252,16 @@ def smallest_eigen(
 
 @numba.njit(cache=True)
 def _normals(
-    points: Floats, starts: Ints, shape: Ints, corner: Floats, cell: float, radius: float, min_count: int
-) -> tuple[Floats, Floats, Ints]:
-    """Fit a plane to the ball around every sorted point."""
+    points: Floats, asked: Ints, starts: Ints, shape: Ints, corner: Floats, cell: float,
+    radius: float, min_count: int,
+) -> tuple[Floats, Floats, Ints]:  # fmt: skip
+    """Fit a plane to the ball around every sorted point that is asked for."""
     n = len(points)
     normals = np.zeros((n, 3))
     curvature = np.full(n, 1.0 / 3.0)
     count = np.zeros(n, np.int64)
     out = np.empty(3)
-    for q in range(n):
+    for q in asked:
         x, y, z = points[q, 0], points[q, 1], points[q, 2]
         sx = sy = sz = xx = yy = zz = xy = xz = yz = 0.0
         m = 0
@@ -318,24 +319,29 @@ class LocalPlanes:
     count: Ints
 
 
-def fit_planes(xyz: Floats, radius: float, min_count: int = 5) -> LocalPlanes:
-    """Fit planes to balls of a radius [m] around points (N, 3)."""
+def fit_planes(xyz: Floats, radius: float, min_count: int = 5, first: int | None = None) -> LocalPlanes:
+    """Fit planes to balls of a radius [m] around points (N, 3), or around the ``first`` of them alone."""
+    first = len(xyz) if first is None else first
     if len(xyz) == 0:
         return LocalPlanes(np.zeros((0, 3)), np.zeros(0), np.zeros(0, dtype=np.int64))
     index = build_index(xyz, radius)
     sorted_values = _normals(
-        index.xyz, index.starts, index.shape, index.corner, index.cell, radius, min_count
-    )
+        index.xyz, np.flatnonzero(index.order < first), index.starts, index.shape, index.corner, index.cell,
+        radius, min_count,
+    )  # fmt: skip
     normals, curvature, count = (np.empty_like(values) for values in sorted_values)
     for target, values in zip((normals, curvature, count), sorted_values, strict=True):
         target[index.order] = values
     normals[normals[:, 2] < 0] *= -1.0
-    return LocalPlanes(normals, curvature, count)
+    return LocalPlanes(normals[:first], curvature[:first], count[:first])
 
 
-def estimate_normals(xyz: Floats, radius: float) -> Floats:
-    """Return upward unit normals (N, 3) from balls of a radius [m]; zero where too few points."""
-    return fit_planes(xyz, radius).normals
+def estimate_normals(xyz: Floats, radius: float, first: int | None = None) -> Floats:
+    """Return upward unit normals (N, 3) from balls of a radius [m]; zero where too few points.
+
+    Those of the ``first`` points alone, if given: the others are their surroundings.
+    """
+    return fit_planes(xyz, radius, first=first).normals
 
 
 def outlier_mask(xyz: Floats, neighbours: int = 10, sigmas: float = 3.0) -> NDArray[np.bool_]:

@@ -137,16 +137,23 @@ def _strip(xy: Floats) -> tuple[float, float]:
 
 @switchable("trail_of_one_epoch", no_decision)
 def is_moving_object_trail(
-    objects: Sequence[ObjectInstance], semantic: Semantic, own: OwnEpochEvidence | None, rules: DecisionConfig
+    objects: Sequence[ObjectInstance],
+    semantic: Semantic,
+    own: OwnEpochEvidence | None,
+    rules: DecisionConfig,
+    free: float = 1.0,
 ) -> Decision | None:
     """Tell a trail from an object: by the probability that its points moved, else by counts of beams.
 
-    Nothing is claimed of an object that is as likely to have moved as not (Decision 21).
+    Nothing is claimed of an object that is as likely to have moved as not (Decision 21). A change needs both
+    that the object stood and that its place was ``free`` in the other epoch with this probability.
     """
     moved = mean_moving_probability(objects)
     if moved is not None:
         return (
-            _by_probability(moved, objects, rules) if may_have_moved(objects, semantic, own, rules) else None
+            _by_probability(moved, objects, rules, free)
+            if may_have_moved(objects, semantic, own, rules)
+            else None
         )
     top = max(float(t.voxels.height.max()) for t in objects)
     passed = min(float(np.quantile(t.passed, 0.25)) if len(t.passed) else 0.0 for t in objects)
@@ -164,7 +171,7 @@ def is_moving_object_trail(
 
 
 def _by_probability(
-    moved: float, objects: Sequence[ObjectInstance], rules: DecisionConfig
+    moved: float, objects: Sequence[ObjectInstance], rules: DecisionConfig, free: float
 ) -> Decision | None:
     """Decide by the mean probability of having moved: moved, too uncertain to say, or None where it stood."""
     if moved >= rules.trail_moved:
@@ -174,11 +181,20 @@ def _by_probability(
         reason += f" {rules.trail_moved:.0%}: the ghost trail of a moving object."
         return Decision(Change.NOT_REPORTED, reason, moved / rules.trail_moved)
     uncertain = upper_moving_probability(objects)
-    if uncertain < rules.trail_uncertain:
+    doubt = 1.0 - joint_probability(uncertain, free)
+    if doubt < rules.trail_uncertain:
         return None
-    reason = f"The object may have moved during mapping (probability {uncertain:.0%},"
-    reason += f" limit {rules.trail_uncertain:.0%}): nothing is claimed."
-    return Decision(Change.UNOBSERVED, reason, 1.0 - uncertain)
+    reason = f"The object may have moved during mapping (probability {uncertain:.0%}"
+    if uncertain < rules.trail_uncertain:
+        reason += f"), or its place may not have been free (together {doubt:.0%}"
+    reason += f", limit {rules.trail_uncertain:.0%}): nothing is claimed."
+    return Decision(Change.UNOBSERVED, reason, 1.0 - doubt)
+
+
+@switchable("stood_and_free", lambda moved, _: 1.0 - moved)
+def joint_probability(moved: float, free: float) -> float:
+    """Return the probability that an object stood, and that its place was free in the other epoch."""
+    return (1.0 - moved) * free
 
 
 def may_have_moved(
@@ -221,19 +237,25 @@ def _unlimited(decision: Decision, _: object, confidence: float, *__: object) ->
 
 @switchable("confidence_of_brief_objects", _unlimited)
 def limit_confidence(
-    decision: Decision, objects: Sequence[ObjectInstance], confidence: float, rules: DecisionConfig
+    decision: Decision,
+    objects: Sequence[ObjectInstance],
+    confidence: float,
+    rules: DecisionConfig,
+    free: float = 1.0,
 ) -> tuple[float, str]:
     """Return the confidence in what one epoch alone holds, and the reason, where it may have moved.
 
-    An object that was seen for a moment only is as likely a ghost trail as an object.
+    An object that was seen for a moment only is as likely a ghost trail as an object. It is a change if it
+    stood and its place was ``free`` in the other epoch with this probability.
     """
     if decision.change not in (Change.ADDED, Change.REMOVED) or mean_moving_probability(objects) is None:
         return confidence, decision.reason
     moved = upper_moving_probability(objects) if fits_a_vehicle(objects, rules) else 0.0
-    if 1.0 - moved >= confidence:
+    together = joint_probability(moved, free)
+    if together >= confidence or moved <= 0.0:
         return confidence, decision.reason
     doubt = f"The object may have moved during mapping (probability {moved:.0%}): the confidence is lowered."
-    return 1.0 - moved, f"{decision.reason} {doubt}"
+    return together, f"{decision.reason} {doubt}"
 
 
 def _passes_limit(

@@ -158,8 +158,36 @@ def _other_surface(
         surface = np.column_stack([middle, heights[1 - e][row, column]])
         held |= _holds(view.xyz[off & ~upright], surface, limit, reaches, 0.0)
         held |= _holds(view.xyz[off & upright], surface, limit, reaches, config.same_above)
+        ground = views[1 - e].xyz[_still_ground(views[1 - e])]
+        held |= _coincides(ground, view.xyz[off], apart, corner, config)[row, column]
     other[row, column], inside[row, column] = held
     return other, inside
+
+
+@switchable("coinciding_ground", lambda _, __, apart, *___: np.zeros(apart.shape, dtype=bool))
+def _coincides(
+    ground: Floats, points: Floats, apart: Floats, corner: Floats, config: GroundChangeConfig
+) -> Mask:
+    """Tell in which cells most ground points (N, 3) of an epoch lie at points (M, 3) above the other ground.
+
+    In all three dimensions, unlike what rises beside a cell. A cell without ground points takes the verdict
+    of its neighbours, as it took their height.
+    """
+    index = np.floor((ground[:, :2] - corner) / config.cell).astype(np.int64)
+    index = np.clip(index, 0, np.array(apart.shape[::-1]) - 1)
+    limit = np.minimum(config.same_surface, 0.5 * np.nan_to_num(apart[index[:, 1], index[:, 0]]))
+    asked = limit > 0.5 * config.threshold
+    index, limit, ground = index[asked], limit[asked], ground[asked]
+    if len(ground) == 0 or len(points) == 0:
+        return np.zeros(apart.shape, dtype=bool)
+    near = cKDTree(points).query(ground, distance_upper_bound=config.same_surface)[0] <= limit
+    flat = index[:, 1] * apart.shape[1] + index[:, 0]
+    count, held = (np.bincount(flat, w, apart.size).reshape(apart.shape) for w in (None, near))
+    around = ndimage.uniform_filter(
+        np.stack([count, held]).astype(np.float64), (0, config.bridge, config.bridge)
+    )
+    count, held = np.where(count > 0, np.stack([count, held]), around)
+    return np.asarray((count > 1e-9) & (held >= config.same_share * count))
 
 
 def _holds(points: Floats, places: Floats, limit: Floats, reaches: tuple[float, ...], above: float) -> Mask:

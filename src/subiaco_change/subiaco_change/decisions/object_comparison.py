@@ -155,7 +155,7 @@ def make_record(
     density = change.plant.density if change.plant else density_ratio(change.before, change.after, around)
     found = features(change.decision, m, change.semantic, score, density, evidence)
     certain = bounded(probability(change.decision, found, trust), change.decision, m, trust)
-    certain, reason = limit_confidence(change.decision, objects, certain, rules)
+    certain, reason = limit_confidence(change.decision, objects, certain, rules, m.free)
     certain, reason = limit_in_lane(change.decision.change, change.in_lane, certain, reason, rules)
     return ChangeRecord(
         object_id=object_id,

@@ -128,7 +128,7 @@ def decide_object(
         own, moved = (rules.own[0], rules.moved[0]) if before else (rules.own[1], rules.moved[1])
         decision = (
             is_misclassified_ground(semantic, parts)
-            or is_moving_object_trail(parts, semantic, own, rules.decisions)
+            or is_moving_object_trail(parts, semantic, own, rules.decisions, measures.free)
             or continues_trail(parts, semantic, own, rules.decisions)
             or decide_in_traffic(parts, rules.lanes, moved, rules.decisions)
             or decide_vehicle_part(parts, semantic, measures, rules.standing[int(bool(before))])

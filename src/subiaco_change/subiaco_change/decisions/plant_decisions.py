@@ -127,7 +127,8 @@ def _decide_whole(plant: PlantMeasures, gate: float, rules: ClassRules, null: Ve
     for measure in extent:
         if abs(measure.strength) > 1:
             return _decision(plant, measure)
-    names = ("top",) if plant.thin else ("volume", "surface") if known else ("top", "volume", "surface")
+    voxels_tell = not known and not applies("unseen_tops_of_plants", plant.tops_unseen)
+    names = ("top",) if plant.thin else ("top", "volume", "surface") if voxels_tell else ("volume", "surface")
     candidates = [found[name] for name in names]
     by_surface = _decide_by_surface(plant, candidates, extent, found, rules)
     if by_surface is not None:

@@ -24,7 +24,7 @@ from subiaco_change.geometry import in_box_around
 from subiaco_change.instance_splitting.hedge_sections import NOTHING
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import never, switchable
-from subiaco_geo.clouds import voxel_indices, voxel_keys
+from subiaco_geo.clouds import stable_order, voxel_indices, voxel_keys
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
 
@@ -80,10 +80,10 @@ def compare_outlines(before: Floats, after: Floats, config: OutlineConfig) -> Ou
         return Outline()
     both = np.concatenate([before, after])
     middle = 0.5 * (np.quantile(both, 0.05, axis=0) + np.quantile(both, 0.95, axis=0))
-    sides = [_directions(xyz - middle, config) for xyz in (before, after)]
+    sides = [_radii_by_direction(xyz - middle, config) for xyz in (before, after)]
     shifts, reaches = [], []
-    for direction in np.intersect1d(sides[0][0], sides[1][0]):
-        first, second = (radius[code == direction] for code, radius in sides)
+    for direction in sorted(sides[0].keys() & sides[1].keys()):
+        first, second = (radii[direction] for radii in sides)
         fewest = min(len(first), len(second))
         if fewest < config.points:
             continue
@@ -97,6 +97,14 @@ def compare_outlines(before: Floats, after: Floats, config: OutlineConfig) -> Ou
     spread = 1.4826 * float(np.median(np.abs(shift - middle_shift)))
     relative = float(np.median(shift / np.maximum(reaches, 1e-6)))
     return Outline(middle_shift, 1.2533 * spread / math.sqrt(len(shift)), relative)
+
+
+def _radii_by_direction(step: Floats, config: OutlineConfig) -> dict[int, Floats]:
+    """Distances of steps (N, 3) in every direction that holds some."""
+    code, radius = _directions(step, config)
+    order = stable_order(code)
+    found, starts = np.unique(code[order], return_index=True)
+    return dict(zip(found.tolist(), np.split(radius[order], starts[1:]), strict=True))
 
 
 def _directions(step: Floats, config: OutlineConfig) -> tuple[Ints, Floats]:
@@ -185,6 +193,7 @@ def measure_plant(
         fall_of_part=tops.fall_of_part,
         free_gained=gained,
         free_lost=lost,
+        tops_unseen=tops.unseen,
         top_sigma=math.hypot(*(quantile_sigma(_heights(objects), _TOP) for objects in (before, after))),
     )
 

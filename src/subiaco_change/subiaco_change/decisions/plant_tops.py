@@ -79,13 +79,15 @@ class TopChange:
     """Median rise of the tops of a plant, with its standard error [m]; NaN where it was not observed.
 
     ``rise_of_part`` and ``fall_of_part`` [m]: how far the quarter of all its columns rose, or fell, that did
-    most, where that is beyond two standard deviations of the other half; 0 elsewhere.
+    most, where that is beyond two standard deviations of the other half; 0 elsewhere. ``unseen``: the epochs
+    share columns, but the space above their lower tops was not observed.
     """
 
     median: float = math.nan
     sigma: float = math.nan
     rise_of_part: float = 0.0
     fall_of_part: float = 0.0
+    unseen: bool = False
 
 
 @dataclass(frozen=True)
@@ -122,17 +124,17 @@ def change_of_tops(
     if len(columns.cells) < config.columns:
         return TopChange()
     rises = columns.tops[1] - columns.tops[0]
-    parts = [_of_part(sign * rises, config.part) for sign in (1.0, -1.0)]
+    parts = _of_part(rises, config.part), _of_part(-rises, config.part)
     middle = columns.tops.mean(axis=0)
     columns = columns.select(middle >= np.quantile(middle, 1.0 - config.upper))
     known = _known(columns, spaces, config)
     if np.count_nonzero(known) < max(config.columns, config.known * len(known)):
-        return TopChange(rise_of_part=parts[0], fall_of_part=parts[1])
+        return TopChange(rise_of_part=parts[0], fall_of_part=parts[1], unseen=True)
     rises = (columns.tops[1] - columns.tops[0])[known]
     median = float(np.median(rises))
     spread = 1.4826 * float(np.median(np.abs(rises - median)))
     patches = max(len(rises) / config.patch, 1.0)
-    return TopChange(median, 1.2533 * spread / math.sqrt(patches), *parts)
+    return TopChange(median, 1.2533 * spread / math.sqrt(patches), parts[0], parts[1])
 
 
 def _of_part(rises: Floats, certain: float) -> float:
@@ -192,16 +194,32 @@ def _known(columns: _Columns, spaces: tuple[EpochSpace, EpochSpace], config: Top
     """
     lower_before = columns.tops[0] <= columns.tops[1]
     known = np.ones(len(columns.cells), dtype=bool)
-    middles = (columns.cells + 0.5) * config.cell
+    middles = np.asarray((columns.cells + 0.5) * config.cell, dtype=np.float64)
     for epoch, mine in enumerate((lower_before, ~lower_before)):
         if not mine.any():
             continue
         space, top = spaces[epoch], columns.highest[epoch]
         known[mine] &= ~_other_class_above(columns.cells, columns.tops, top, space.standing, config)[mine]
         if space.free is not None:
-            above = np.column_stack([middles, top + config.above])[mine]
-            known[mine] &= space.free(above) >= config.free
+            known &= ~mine | open_above(middles, top, columns.tops[1 - epoch], space.free, config)
     return known
+
+
+def open_above(middles: Floats, own: Floats, other: Floats, free: Free, config: TopConfig) -> np.ndarray:
+    """Tell over which columns (C,) an epoch observed free space from its ``own`` top up to the ``other``.
+
+    One free place does not show that a plant ends below it: beams of two rings pass over and under a bough.
+    Places are asked every ``config.above`` metres, the first of them even where the other top is lower.
+    """
+    steps = np.maximum(np.ceil((other - own) / config.above - 1e-9), 1.0)
+    open_ = np.ones(len(own), dtype=bool)
+    for step in range(1, int(steps.max(initial=0.0)) + 1):
+        ask = np.flatnonzero(open_ & (steps >= step))
+        if len(ask) == 0:
+            break
+        places = np.column_stack([middles[ask], own[ask] + step * config.above])
+        open_[ask] = free(places) >= config.free
+    return open_
 
 
 def _other_class_above(

@@ -67,7 +67,8 @@ class PlantMeasures:
     ``section`` and ``section_gate`` [m], the median rise of a section of the hedge and the limit that the
     section passed. ``section_only``: the row is that section alone. ``rise_of_part`` and ``fall_of_part``
     [m]: of the columns of a part of the plant. ``free_gained`` and ``free_lost``: probability that the
-    surface that *after*, or *before*, alone has was free in the other epoch.
+    surface that *after*, or *before*, alone has was free in the other epoch. ``tops_unseen``: its columns
+    were compared, but the space above their lower tops was not observed.
     """
 
     kind: PlantKind
@@ -91,6 +92,7 @@ class PlantMeasures:
     free_gained: float = 1.0
     free_lost: float = 1.0
     top_sigma: float = 0.0
+    tops_unseen: bool = False
 
     def value(self, measure: str) -> float:
         """Return one of :data:`PLANT_MEASURES`."""

@@ -10,8 +10,10 @@ import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from subiaco_change.decisions.voxel_objects import ObjectInstance
+from subiaco_change.decisions.plant_tops import TopConfig, open_above
+from subiaco_change.decisions.voxel_objects import Free, ObjectInstance
 from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.method_rules.switches import always, switchable
 from subiaco_geo.frames import Floats, Ints
 
 _CELL = NUMBERS.hedge_sections.cell
@@ -38,10 +40,14 @@ def changed_sections(
     before: Sequence[ObjectInstance],
     after: Sequence[ObjectInstance],
     threshold: float,
+    free: tuple[Free | None, Free | None] = (None, None),
+    config: TopConfig | None = None,
 ) -> tuple[list[HedgeSection], Floats]:
     """Find where tops of a low plant moved by over a threshold [m], and beyond their spread.
 
-    Returns the sections, and all columns compared (C, 2).
+    The epoch with the lower tops must have observed the space above them: ``free`` of *before* and of *after*
+    tells how probable it is that places (N, 3) are free, where that is known. Returns the sections, and all
+    columns compared (C, 2).
     """
     heights = np.concatenate([t.voxels.height for t in (*before, *after)])
     if np.quantile(heights, 0.98) > _LOW:
@@ -58,8 +64,10 @@ def changed_sections(
             if len(cells) < _CELLS or (np.ptp(cells, axis=0).max() + 1) * _CELL < _LENGTH:
                 continue
             xy = _middles(cells + corner)
-            low = tops[0 if sign > 0 else 1]
-            if _observed(after if sign > 0 else before, xy, low, cells):
+            lower = 0 if sign > 0 else 1
+            if _observed((after, before)[lower], xy, tops[lower], cells) and _is_open(
+                xy, tops[lower][tuple(cells.T)], tops[1 - lower][tuple(cells.T)], free[lower], config
+            ):
                 sections.append(HedgeSection(xy, float(np.median(rise[labels == number])), threshold))
     known = np.argwhere(np.isfinite(rise))
     return sections, _middles(known + corner)
@@ -130,6 +138,18 @@ def _observed(objects: Sequence[ObjectInstance], xy: Floats, other_tops: Floats,
     inside = np.isfinite(distance)
     above = voxels[inside, 2] > other_tops[tuple(cells[slot[inside]].T)] + 0.1
     return bool(above.any() and seen[inside][above].mean() >= _SEEN)
+
+
+@switchable("space_above_sections", always)
+def _is_open(xy: Floats, own: Floats, other: Floats, free: Free | None, config: TopConfig | None) -> bool:
+    """Tell whether an epoch observed free space above its ``own`` tops (C,) of most columns of a section.
+
+    A surface within the tolerance of voxels of another counts as occupied there, which says nothing of the
+    space between them.
+    """
+    if free is None:
+        return True
+    return float(open_above(xy, own, other, free, config or TopConfig()).mean()) >= _SEEN
 
 
 def section_labels(obj: ObjectInstance, sections: Sequence[HedgeSection], columns: Floats) -> Ints:

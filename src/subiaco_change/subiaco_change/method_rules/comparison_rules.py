@@ -49,6 +49,14 @@ OCCUPANCY_RULES: tuple[Rule, ...] = (
         guards=True,
     ),
     Rule(
+        "surely_enclosed_volume",
+        _HERE,
+        "A building of one epoch alone is claimed only where the nearer bound of its volume is that of a"
+        " building: beams along a wall do not show what lies behind it.",
+        ("decisions.least_volume",),
+        guards=True,
+    ),
+    Rule(
         "probably_free",
         _HERE,
         "An object of one epoch is claimed only where the place was free in the other with a high"
@@ -133,6 +141,12 @@ MOVING_OBJECT_RULES: tuple[Rule, ...] = (
             "method_numbers.driven_lane.beyond",
             "method_numbers.driven_lane.share",
         ),
+        guards=True,
+    ),
+    Rule(
+        "stood_and_free",
+        _HERE,
+        "A change needs both that the object stood and that its place was free: the probabilities multiply.",
         guards=True,
     ),
     Rule(
@@ -265,6 +279,13 @@ SPLITTING_RULES: tuple[Rule, ...] = (
             "method_numbers.hedge_sections.section_length",
             "method_numbers.hedge_sections.observed_share",
         ),
+    ),
+    Rule(
+        "space_above_sections",
+        _HERE,
+        "A section of a hedge moved only where the epoch with the lower tops observed free space above them.",
+        ("plants.tops.above", "plants.tops.free", "method_numbers.hedge_sections.observed_share"),
+        guards=True,
     ),
     Rule(
         "whole_hedges",

@@ -49,6 +49,14 @@ PLANT_RULES: tuple[Rule, ...] = (
         guards=True,
     ),
     Rule(
+        "unseen_tops_of_plants",
+        _PLANTS,
+        "Where the epochs share columns of a plant, but did not observe the space above them, the highest"
+        " voxels do not tell how its top changed.",
+        ("plants.tops.known",),
+        guards=True,
+    ),
+    Rule(
         "outline_of_plants",
         _PLANTS,
         "The median outline of a crown is compared before its top, volume and surface.",
@@ -111,6 +119,20 @@ GROUND_RULES: tuple[Rule, ...] = (
         "possible_area",
         _GROUND,
         "Occluded cells around a patch count towards its area.",
+    ),
+    Rule(
+        "both_measured",
+        _GROUND,
+        "Cells that both epochs measured alone show whether both epochs hold the surfaces of a patch.",
+        ("ground.bridge",),
+        guards=True,
+    ),
+    Rule(
+        "coinciding_ground",
+        _GROUND,
+        "Ground of one epoch that coincides with points of the other, of any class, did not move.",
+        ("ground.same_surface", "ground.same_share"),
+        guards=True,
     ),
     Rule(
         "other_surface",

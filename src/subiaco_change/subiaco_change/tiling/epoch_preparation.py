@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -100,11 +101,13 @@ class TileTrails:
 def find_trails(inputs: Inputs, params: TrailParams) -> TileTrails:
     """Find how probable it is that the points of a tile were left by a moving vehicle, by their shape.
 
+    A cloud that mapping made may carry what the times of the beams said; the larger probability counts.
     ``inputs`` hold ``cloud/<tile>`` of the tile and its neighbours, and ``levelling`` for local clouds.
     """
     side, config = params.side, params.semantics
     tile = tile_named(params.tile, params.size, _SURROUNDINGS)
-    own = inputs.of(TilePoints, f"cloud/{params.tile}").xyz
+    points = inputs.of(TilePoints, f"cloud/{params.tile}")
+    own = points.xyz
     others = [
         inputs.of(TilePoints, f"cloud/{name}").xyz for name in inputs.under("cloud") if name != params.tile
     ]
@@ -115,7 +118,17 @@ def find_trails(inputs: Inputs, params: TrailParams) -> TileTrails:
     ground = fit_ground(xyz, config.ground, find_raised(xyz, config.raised))
     height = xyz[:, 2] - ground.height(xyz[:, :2])
     moved = trail_probability(xyz, height, config.trail_shape)
-    return TileTrails(moved[: len(own)].astype(np.float32))
+    return TileTrails(with_times(moved[: len(own)], points.moving).astype(np.float32))
+
+
+def with_times(by_shape: Floats, by_times: NDArray[Any] | None) -> Floats:
+    """Return the larger of two probabilities (N,) of having moved: by shape, and by the times of beams.
+
+    ``by_times`` is None, or NaN at a point, where the times of the beams are not known.
+    """
+    if by_times is None:
+        return by_shape
+    return np.fmax(by_shape, np.asarray(by_times, dtype=np.float64))
 
 
 def load_moved(inputs: Inputs, tile: str, names: Sequence[str], where: Sequence[Ints]) -> Floats | None:

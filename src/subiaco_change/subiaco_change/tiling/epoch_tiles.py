@@ -26,7 +26,7 @@ from subiaco_geo.work.tasks import Inputs
 
 EPOCHS = ("before", "after")
 #: Fields of points that a run reads, where they are there.
-FIELDS = ("intensity", "semantic", "instance")
+FIELDS = ("intensity", "semantic", "instance", "moving")
 
 
 @dataclass(frozen=True)
@@ -70,13 +70,15 @@ class EpochContext:
 class TilePoints:
     """Points of a tile of one epoch, thinned to the leaf: ``xyz`` (N, 3) about the origin of the epoch [m].
 
-    ``intensity``, ``semantic`` and ``instance`` (N,) where the cloud has them.
+    ``intensity``, ``semantic``, ``instance`` and ``moving``, the probability of having moved, (N,) where the
+    cloud has them.
     """
 
     xyz: Floats
-    intensity: NDArray[Any] | None
-    semantic: NDArray[Any] | None
-    instance: NDArray[Any] | None
+    intensity: NDArray[Any] | None = None
+    semantic: NDArray[Any] | None = None
+    instance: NDArray[Any] | None = None
+    moving: NDArray[Any] | None = None
 
 
 @dataclass(frozen=True)

@@ -108,13 +108,13 @@ def prepare_tile(inputs: Inputs, params: SegmentationParams) -> TileSegmentation
     passed, moved = observer.passes(world), observer.moved(world)
     if passed is None:
         moved = load_moved(inputs, params.tile, names, where)
-    normals = estimate_normals(cloud.xyz, params.config.normal_radius)
+    count = len(own)
+    normals = estimate_normals(cloud.xyz, params.config.normal_radius, count)
     wide = np.concatenate([inputs.of(TilePoints, f"cloud/{name}").xyz for name in inputs.under("cloud")])
     semantic, instance, score, height = _label(cloud, (passed, moved), params, inputs, names, where, wide)
-    count = len(own)
     inner = tile_named(params.tile, params.size, params.overlap - params.edge)
     return TileSegmentation(
-        normals=normals[:count].astype(np.float32),
+        normals=normals.astype(np.float32),
         semantic=semantic[:count],
         score=score[:count],
         height=height[:count],
