@@ -84,6 +84,16 @@ def test_nothing_is_claimed_where_the_other_epoch_is_empty():
     assert result.lod95[np.isfinite(result.lod95)].min() >= 1.96 * 0.01
 
 
+@pytest.mark.parametrize("beyond", [(-9.0, -9.0), (39.0, 39.0), (-9.0, 39.0), (15.0, 39.0), (-4e4, 4e4)])
+def test_cylinders_beside_all_points_of_a_surface_hold_nothing(beyond):
+    """Diagonally beside a tile both ranges of columns are empty: their counts must not multiply to some."""
+    surface = make_surface(flat(3), LodConfig())
+    queries = np.array([[*beyond, 0.0], [15.0, 15.0, 0.0]])
+    whole, shorter = cylinder_stats(queries, np.tile([0.0, 0.0, 1.0], (2, 1)), surface, LodConfig(), 5.5, 1.0)
+    assert whole.count[0] == shorter.count[0] == 0
+    assert whole.count[1] > 3
+
+
 def test_a_wall_beside_the_ground_does_not_raise_the_lod_of_either():
     def corner(seed):
         rng = np.random.default_rng(seed)

@@ -162,6 +162,11 @@ def test_behind_foliage_that_beams_went_through_a_trajectory_is_as_sure_as_the_p
     assert observer.free_probability(above) == pytest.approx(CONFIG.shadow_trust)
     assert observer.certainty(above) == pytest.approx(CONFIG.shadow_certain)
     assert (observer.free_probability(inner[:9] + ORIGIN) < 0.5).all()
+    # The field of view may end in a crown: its points do not show that nothing stood above them.
+    assert observer.free_above(above) == pytest.approx(CONFIG.hidden_trust)
+    assert bare.free_above(above) == pytest.approx(CONFIG.shadow_trust)
+    sky = np.array([[10.0, 4.0, 5.0]]) + ORIGIN
+    assert observer.free_above(sky) == pytest.approx(observer.free_probability(sky))
 
 
 def test_at_the_front_of_foliage_a_trajectory_falls_back_on_the_points_and_is_as_certain_as_they():

@@ -201,6 +201,15 @@ class Observer:
         """
         return self.test.free_probability(self._own(world))
 
+    def free_above(self, world: Floats) -> Floats:
+        """Return the probability (N,) that places (N, 3) above the tops of plants were free.
+
+        Where poses are known, what the points alone call free may lie beyond the field of view.
+        """
+        if isinstance(self.test, PosesAndPoints):
+            return self.test.free_in_view(self._own(world))
+        return self.free_probability(world)
+
     def certainty(self, world: Floats) -> Floats:
         """Return the probability (N,) that the evidence at places (N, 3) is right as a whole.
 

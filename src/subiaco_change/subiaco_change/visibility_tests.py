@@ -204,6 +204,15 @@ class PosesAndPoints:
         chance[ask] = np.where(self._reached(world[ask]), max(self.points.trust, self.trust), self.trust)
         return chance
 
+    def free_in_view(self, world: Floats) -> Floats:
+        """Return the probability (N,) that points (N, 3) were free; points prove no free space above them.
+
+        A field of view that ends in a crown leaves points below its end and none above, as a top does.
+        """
+        chance, by_points = self._combined(world)
+        chance[by_points] = self.trust
+        return chance
+
     def rests_on_points(self, world: Floats) -> Flags:
         """Tell which world points (N, 3) are called free by the points of the epoch alone."""
         return self._combined(world)[1]

@@ -95,6 +95,7 @@ class ObjectRules:
     own: tuple[OwnEpochEvidence | None, OwnEpochEvidence | None] = (None, None)  # of *before* and of *after*
     standing: tuple[Floats, Floats] = (NOTHING, NOTHING)  # all points (N, 3) that stand, of any class
     free: tuple[Free | None, Free | None] = (None, None)  # what *before* and *after* know to be free
+    above: tuple[Free | None, Free | None] = (None, None)  # the same above the tops of plants
     below_view: tuple[Empty | None, Empty | None] = (None, None)  # how high their views are known to reach
     certain: tuple[Certainty | None, Certainty | None] = (None, None)  # how certain these can be at most
     lanes: tuple[Observed, ...] = ()  # which places the survey vehicles of both epochs drove through
@@ -117,7 +118,9 @@ def decide_object(
     lod = object_lod((*before, *after))
     plant, matched = None, None
     if semantic is Semantic.VEGETATION and before and after:
-        plant = measure_plant(*compared, measures, rules.plants, rules.standing, rules.free, rules.certain)
+        plant = measure_plant(
+            *compared, measures, rules.plants, rules.standing, rules.free, rules.certain, rules.above
+        )
         measures = _with_tops(measures, plant, lod)
         matched = partial(decide_plant, plant, lod, rules.decisions, no_null(rules.plants.null_model))
     decision = decide(semantic, bool(before), bool(after), measures, lod, rules.decisions, matched)

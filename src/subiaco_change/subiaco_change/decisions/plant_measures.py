@@ -156,19 +156,20 @@ def measure_plant(
     standing: tuple[Floats, Floats] = (NOTHING, NOTHING),
     free: tuple[Free | None, Free | None] = (None, None),
     certain: tuple[Certainty | None, Certainty | None] = (None, None),
+    above: tuple[Free | None, Free | None] = (None, None),
 ) -> PlantMeasures:
     """Measure a plant that both epochs hold; the denser epoch is thinned to the density of the other.
 
     ``standing`` (N, 3) of *before* and of *after*: points above the ground of any class. ``free`` of *before*
     and of *after*: how probable it is that places (N, 3) are free; None: certain. ``certain``: how certain
-    these can be at most.
+    these can be at most. ``above``: how probable it is that places above its tops are free.
     """
     first, second = (np.concatenate([t.xyz for t in objects]) for objects in (before, after))
     lost = free_shell(first, standing[1], free[1], config, certain[1])
     lost = min(lost, absence(before, (), free, certain))
     gained = free_shell(second, standing[0], free[0], config, certain[0])
     gained = min(gained, absence((), after, free, certain))
-    spaces = [EpochSpace(*known) for known in zip(standing, free, strict=True)]
+    spaces = [EpochSpace(*known) for known in zip(standing, above, strict=True)]
     tops = _tops(first, second, (spaces[0], spaces[1]), config)
     first, second, density = equal_density(first, second, config)
     outline = compare_outlines(first, second, config.outline)

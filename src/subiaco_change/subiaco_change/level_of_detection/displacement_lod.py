@@ -124,7 +124,8 @@ def _cylinder_sums(
     i0, i1 = column_range(x - reach_x, x + reach_x, corner[0], cell, shape[0])
     j0, j1 = column_range(y - reach_y, y + reach_y, corner[1], cell, shape[1])
     total, squares, m, short_total, short_squares, short_m = 0.0, 0.0, 0, 0.0, 0.0, 0
-    for column in range((i1 - i0 + 1) * (j1 - j0 + 1)):
+    columns = max(i1 - i0 + 1, 0) * max(j1 - j0 + 1, 0)  # none where the cylinder lies beside all of them
+    for column in range(columns):
         i, j = i0 + column // (j1 - j0 + 1), j0 + column % (j1 - j0 + 1)
         if column_gap(x, i, corner[0], cell) ** 2 + column_gap(y, j, corner[1], cell) ** 2 > aside:
             continue

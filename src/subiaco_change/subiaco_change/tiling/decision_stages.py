@@ -183,12 +183,14 @@ def compare_tile(inputs: Inputs, params: TileParams[ComparisonSlice]) -> TileCom
     kinds = [side.kind for side in params.sides]
     empty = [None if kind == "assumed" else r.empty for r, kind in zip(regions, kinds, strict=True)]
     free = [None if kind == "assumed" else r.free for r, kind in zip(regions, kinds, strict=True)]
+    above = [None if kind == "assumed" else r.above for r, kind in zip(regions, kinds, strict=True)]
     ground = OpenGround(NO_COLUMNS, NO_COLUMNS, (empty[0], empty[1]))
     certain = (regions[0].certain, regions[1].certain)
     rules = replace(
         object_rules(config),
         ground=ground,
         free=(free[0], free[1]),
+        above=(above[0], above[1]),
         below_view=(regions[0].below_view, regions[1].below_view),
         certain=certain,
         lanes=tuple(r.driven for r in regions if r.driven is not None),

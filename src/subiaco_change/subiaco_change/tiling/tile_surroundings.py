@@ -33,10 +33,10 @@ class Region:
     ``view`` with the objects of the whole city as instances; ``slot`` (N,) tile among ``tiles``;
     ``index`` (N,) place of the point there; ``seen`` tells which places of the common frame the
     epoch observed, ``empty`` where its beams went on and nothing came back, ``free`` how probable it
-    is that nothing stood there, by its beams, ``certain`` how certain that can be at most, and ``below_view``
-    which places are no higher than its view is known to have reached; ``driven`` which places its vehicle
-    drove through, None where its trajectory is not known; ``moved`` how probable it is that what it found at
-    places moved, None where its map has no times of beams.
+    is that nothing stood there, by its beams, ``above`` the same above the tops of plants, ``certain`` how
+    certain that can be at most, and ``below_view`` which places are no higher than its view is known to have
+    reached; ``driven`` which places its vehicle drove through, None where its trajectory is not known;
+    ``moved`` how probable it is that what it found at places moved, None where its map has no times of beams.
     """
 
     view: EpochView
@@ -46,6 +46,7 @@ class Region:
     observed: Callable[[Floats], Mask]
     empty: Callable[[Floats], Mask]
     free: Callable[[Floats], Floats]
+    above: Callable[[Floats], Floats]
     below_view: Callable[[Floats], Mask]
     certain: Callable[[Floats], Floats]
     driven: Callable[[Floats], Mask] | None
@@ -98,6 +99,7 @@ def load_region(
         seen_through(observer.observed, to_world),
         seen_through(observer.empty, to_world),
         free_through(observer.free_probability, to_world),
+        free_through(observer.free_above, to_world),
         seen_through(observer.below_view, to_world),
         free_through(observer.certainty, to_world),
         None if path is None else seen_through(lane_near(path, to_world(view.xyz)).covers, to_world),
