@@ -180,6 +180,16 @@ def test_at_the_front_of_foliage_a_trajectory_falls_back_on_the_points_and_is_as
     assert (observer.free_probability(on_it) < 0.5).all()
 
 
+def test_above_a_crown_that_hides_them_places_are_below_the_view_as_far_as_the_points_show():
+    """Poses have the places behind the front of the crown in view, but do not tell how high beams reached."""
+    observer = make_observer(SurveyMap(crown_over_seen_ground(), trajectory=drive()), CONFIG)
+    bare = make_observer(SurveyMap(crown_over_seen_ground()), CONFIG)
+    behind = np.array([[10.0, 13.0, 3.7], [10.0, 13.0, 4.6]]) + ORIGIN
+    assert observer.certainty(behind).tolist() == [CONFIG.shadow_certain] * 2
+    assert bare.below_view(behind).tolist() == [True, False]
+    assert observer.below_view(behind).tolist() == [True, False]
+
+
 def test_what_poses_see_free_rests_on_no_points_and_keeps_its_certainty():
     survey = SurveyMap(crown_over_seen_ground(), trajectory=drive())
     observer = make_observer(survey, CONFIG)

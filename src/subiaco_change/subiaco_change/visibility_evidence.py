@@ -224,14 +224,17 @@ class Observer:
         """Tell which points (N, 3) lie no higher than the field of view is known to have reached around.
 
         A bare cloud does not tell where a crown ends and where the field of view does: above all that it
-        holds around, the top of what it holds is not known.
+        holds around, the top of what it holds is not known. Poses tell, except of places of which the points
+        alone speak.
         """
         own = self._own(world)
-        return (
-            self.test.levelled(own)
-            if isinstance(self.test, PointShadow)
-            else np.ones(len(own), dtype=np.bool_)
-        )
+        if isinstance(self.test, PointShadow):
+            return self.test.levelled(own)
+        if not isinstance(self.test, PosesAndPoints):
+            return np.ones(len(own), dtype=np.bool_)
+        known = ~self.test.rests_on_points(own)
+        known[~known] = self.test.points.levelled(own[~known])
+        return known
 
     def passes(self, world: Floats) -> Floats | None:
         """Beams (N,) that passed for each that returned at points (N, 3); None where nothing counted them."""
