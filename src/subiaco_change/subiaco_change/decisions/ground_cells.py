@@ -114,7 +114,7 @@ class GroundCells:
     ``dz`` after minus before, NaN where either epoch has no ground; ``lod`` [m], NaN where either has
     none; ``bridged``: took a neighbour's height in an epoch; ``height`` in *after* [m]; ``other``: one epoch
     holds the ground of the other under another class, in the cell or beside it; ``inside``: in the cell
-    itself; ``raised`` and ``lowered``: hidden floor of a pit of *before* and of *after*.
+    itself; ``raised`` and ``lowered``: wall or hidden floor of a pit of *before* and of *after*.
     """
 
     dz: Floats
@@ -144,9 +144,9 @@ def difference_cells(
     pit = np.isfinite(walls[0]) | np.isfinite(walls[1])
     lod = np.maximum(cells[0][1], cells[1][1])
     other, inside = _other_surface(views, (heights[0], heights[1]), corner, config)
-    hidden = (pits[0][1], pits[1][1])
+    dug = [np.isfinite(wall) | floor for wall, (_, floor) in zip(walls, pits, strict=True)]
     surfaces = (heights[1], other & ~pit, inside & ~pit)
-    return GroundCells(heights[1] - heights[0], lod, bridged & ~pit, *surfaces, *hidden)
+    return GroundCells(heights[1] - heights[0], lod, bridged & ~pit, *surfaces, *dug)
 
 
 def _no_walls(_: EpochView, other: Floats, *__: object) -> Floats:

@@ -133,8 +133,8 @@ def beyond_gate(cells: GroundCells, sign: float, config: GroundChangeConfig) -> 
     """Tell which cells changed in one direction, and which between them belong to the same change.
 
     Between changed cells lie some that nobody measured, where no neighbour moved the other way, and some
-    that the edge of the change runs through: they hold the mean of both sides. The hidden floor of a pit
-    belongs to the pit.
+    that the edge of the change runs through: they hold the mean of both sides. Walls and hidden
+    floors of pits belong to the change.
     """
     rise, gate = np.nan_to_num(sign * cells.dz, nan=-1.0), _gate(cells.lod, config)
     against = np.nan_to_num(sign * cells.dz, nan=1.0) <= 0.0
@@ -211,8 +211,8 @@ def _make_patch(
     area = len(cells) * cell**2
     known = lod[where & np.isfinite(lod)]
     level = float(np.median(known)) if len(known) else _nearest_lod(cells, lod)
-    in_view = np.count_nonzero(where & ~(ground.raised | ground.lowered))
-    if len(known) < 0.5 * in_view:  # thinly seen: neighbours err together, over a block
+    level_ground = np.count_nonzero(where & ~(ground.raised | ground.lowered))
+    if len(known) < 0.5 * level_ground:  # thinly seen: neighbours err together, over a block
         blocks = max(1.0, len(values) * cell**2 / _NOISE_BLOCK**2)
         spread = float(values.std()) / math.sqrt(blocks)
         level = math.hypot(level, 1.96 * spread, _noise_around(where, dz, cell))
