@@ -132,6 +132,14 @@ def test_what_is_lower_than_a_room_or_taller_than_the_house_is_no_wing(body):
     assert find_building_extensions([(moved(body, 10), NONE), house], CONFIG) == {}
 
 
+def test_a_house_that_touches_its_neighbour_with_a_corner_alone_is_no_wing():
+    """Of 8 m by 8 m: wall to wall it may be a wing of the house, corner to corner it is another house."""
+    house = (voxels(HOUSE), voxels(HOUSE))
+    for place, wing in (((10.0, 0.0, 0.0), True), ((10.5, 8.5, 0.0), False)):
+        beside = voxels(np.add(walls(8, 8, 4), place))
+        assert bool(find_building_extensions([house, (beside, NONE)], CONFIG)) == wing
+
+
 def test_a_shed_left_inside_the_outline_of_a_house_that_is_gone_is_no_rest_of_it():
     for height, rest in ((3.0, True), (2.0, False)):
         inside, house = voxels(np.add(walls(3, 3, height), (4.0, 1.0, 0.0))), voxels(HOUSE)

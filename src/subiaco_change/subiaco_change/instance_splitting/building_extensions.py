@@ -27,6 +27,7 @@ _WITHIN = NUMBERS.building_extensions.host_inside
 _PARTY = NUMBERS.building_extensions.party_wall
 _BESIDE = NUMBERS.building_extensions.neighbour_inside
 _HALF_STOREY = NUMBERS.building_extensions.half_storey
+_ADJOINS = NUMBERS.building_extensions.least_contact
 _UNDERSIDE = NUMBERS.building_extensions.underside
 _NEIGHBOURS = NUMBERS.building_extensions.normal_neighbours
 _HIDDEN = NUMBERS.building_extensions.wall_seen
@@ -96,7 +97,8 @@ def _is_extension(
     if applies("hidden_wall_of_extension", hidden):
         return True  # a wall of the house that an extension of the other epoch hides
     leans = len(contact) > 1 and sorted(contact)[-2] > _LEANS * len(extension)
-    if _top(extension) < _ROOM or applies("part_between_buildings", leans):
+    beside = max(contact) < _ADJOINS * len(extension)
+    if beside or _top(extension) < _ROOM or applies("part_between_buildings", leans):
         return False
     share = _enclosed_volume(extension) / max(_enclosed_volume(body), 1e-9)
     if share >= config.subordinate and not round_it:

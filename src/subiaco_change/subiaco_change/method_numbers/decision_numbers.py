@@ -37,6 +37,11 @@ class BuildingExtensionsNumbers(StrictModel):
         2.4,
         description="Smallest height of an extension [m]; a lower part beside a building is a shed",
     )
+    least_contact: float = Field(
+        0.03,
+        description="Fraction of a part that must touch a building for the part to be its extension; a house "
+        "beside it touches with a corner at most",
+    )
     second_contact: float = Field(
         0.25,
         description="Fraction of the outline of a part that touches a second building from which the part "
