@@ -48,7 +48,10 @@ def join_building_extensions(changes: list[ObjectChange], rules: ObjectRules) ->
     numbers = [
         i
         for i, change in enumerate(changes)
-        if (change.semantic is Semantic.BUILDING and change.decision.change is not Change.UNOBSERVED)
+        if (
+            change.semantic is Semantic.BUILDING
+            and (change.decision.change is not Change.UNOBSERVED or _is_seen_alone(change, rules))
+        )
         or (
             change.semantic in (Semantic.MOBILE, Semantic.VEGETATION, Semantic.OTHER)
             and change.decision.change in (Change.ADDED, Change.REMOVED)
@@ -70,6 +73,19 @@ def join_building_extensions(changes: list[ObjectChange], rules: ObjectRules) ->
             following = max(following, _first_free(told))
             joined.extend(told)
     return joined
+
+
+def _is_seen_alone(change: ObjectChange, rules: ObjectRules) -> bool:
+    """Tell whether one epoch alone has an object, although its volume is too uncertain for a claim.
+
+    The end wall of a house that was shortened encloses nothing by itself.
+    """
+    found, limits = change.measures, rules.decisions
+    if (change.before and change.after) or abs(found.delta_v) < limits.least_volume:
+        return False
+    empty = found.gone_share if change.before else found.new_share
+    seen = found.observed_fraction >= limits.min_observed
+    return seen and empty >= limits.min_empty and found.free >= limits.min_free
 
 
 def _extended(
