@@ -3,7 +3,8 @@
 A vehicle of a queue that stood while a survey passed has the beams of a standing object. Whether it lasts
 cannot be seen in one epoch. The survey vehicle itself tells: where it drove, the place is carriageway.
 No traffic crosses a standing object there: where mapping recorded moving objects in most columns of an object
-in the lane, the object was a vehicle too.
+in the lane, the object was a vehicle too. And where the vehicle of its own survey drove through an object,
+the object was not there all the time: it moved.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import no_decision, switchable
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.codes import Change
-from subiaco_geo.frames import Floats
+from subiaco_geo.frames import Floats, Ints
 
 _HALF_WIDTH = NUMBERS.driven_lane.half_width
 _BEYOND = NUMBERS.driven_lane.beyond
@@ -58,17 +59,26 @@ class DrivenLane:
     """
 
     def __init__(self, positions: Floats) -> None:
-        self._path = _densified(positions)
+        self._path, self._driven = _densified(positions)
         self._tree = cKDTree(self._path[:, :2])
 
     def covers(self, xyz: Floats) -> Mask:
         """Tell which places (N, 3), in the frame of the positions, lie in the lane and below the sensor."""
+        return self._slots(xyz) >= 0
+
+    def drove_over(self, xyz: Floats) -> Mask:
+        """Tell which places (N, 3) lie in the lane between the ends of the drive: the vehicle was there."""
+        slot = self._slots(xyz)
+        return np.asarray((slot >= 0) & self._driven[slot]) if len(self._path) else slot >= 0
+
+    def _slots(self, xyz: Floats) -> Ints:
+        """Point (N,) of the path in whose reach places (N, 3) lie; -1 beside the lane."""
         if len(self._path) == 0 or len(xyz) == 0:
-            return np.zeros(len(xyz), dtype=bool)
+            return np.full(len(xyz), -1)
         distance, slot = self._tree.query(xyz[:, :2], distance_upper_bound=_HALF_WIDTH)
         near = np.isfinite(distance)
         near[near] = np.abs(xyz[near, 2] - self._path[slot[near], 2]) <= _BELOW
-        return near
+        return np.where(near, slot, -1)
 
 
 def lane_near(path: SurveyPath, world: Floats) -> DrivenLane:
@@ -80,10 +90,13 @@ def lane_near(path: SurveyPath, world: Floats) -> DrivenLane:
     return DrivenLane(nodes[((nodes[:, :2] >= low) & (nodes[:, :2] <= high)).all(axis=1)])
 
 
-def _densified(positions: Floats) -> Floats:
-    """Points (M, 3) along a path a small step apart, its ends prolonged; gaps of the path stay open."""
+def _densified(positions: Floats) -> tuple[Floats, Mask]:
+    """Points (M, 3) along a path a small step apart, its ends prolonged, and which (M,) lie between its ends.
+
+    Gaps of the path stay open.
+    """
     if len(positions) < 2:
-        return positions
+        return positions, np.ones(len(positions), dtype=bool)
     behind, ahead = _prolonged(positions[::-1]), _prolonged(positions)
     nodes = np.concatenate([behind[::-1], positions, ahead])
     length = np.linalg.norm(np.diff(nodes, axis=0), axis=1)
@@ -93,7 +106,8 @@ def _densified(positions: Floats) -> Floats:
     first = np.repeat(np.arange(len(count)), count)
     part = (np.arange(len(first)) - np.repeat(np.cumsum(count) - count, count)) / count[first]
     along = nodes[first] + part[:, None] * np.diff(nodes, axis=0)[first]
-    return np.concatenate([along, nodes[-1:]])
+    driven = (first >= inside.start) & (first < inside.stop)
+    return np.concatenate([along, nodes[-1:]]), np.append(driven, len(ahead) == 0)
 
 
 def _prolonged(nodes: Floats) -> Floats:
@@ -191,6 +205,23 @@ def decide_in_traffic(
     reason = f"{share:.0%} of the object lies in the lane that a survey vehicle drove through, and moving"
     reason += f" objects crossed {crossed:.0%} of its place while it was mapped (limit {_CROSSED:.0%}): a"
     return Decision(Change.NOT_REPORTED, f"{reason} vehicle of the traffic.", crossed / _CROSSED)
+
+
+@switchable("driven_over", no_decision)
+def decide_driven_over(
+    objects: Sequence[ObjectInstance], own_lane: Observed | None, rules: DecisionConfig
+) -> Decision | None:
+    """Decide what one epoch alone holds where the vehicle of that same survey drove: it moved.
+
+    ``own_lane`` tells which places (N, 3) that vehicle drove over; None where its path is not known.
+    """
+    if own_lane is None or not fits_a_vehicle(objects, rules):
+        return None
+    share = share_in_lane(objects, [own_lane])
+    if share < _SHARE:
+        return None
+    reason = f"The vehicle of the same survey drove through {share:.0%} of the object's place (limit"
+    return Decision(Change.NOT_REPORTED, f"{reason} {_SHARE:.0%}): the object moved.", share / _SHARE)
 
 
 def _unlimited(_: object, __: float, confidence: float, reason: str, *___: object) -> tuple[float, str]:
