@@ -49,6 +49,8 @@ _ABOVE = NUMBERS.space_carving.vertical_gap
 _MOST_SIDES = NUMBERS.space_carving.closed_sides
 _TOP = NUMBERS.space_carving.top_tolerance
 _FEW = NUMBERS.space_carving.fewest_columns
+_LOOKED = NUMBERS.space_carving.observed_share
+_REFUTED = NUMBERS.space_carving.free_share
 _TOUCHING = np.ones((3, 3, 3), dtype=bool)
 _BESIDE_WALL, _BESIDE_ROOF = np.ones((3, 3, 5), dtype=bool), _TOUCHING  # a surface lies anywhere in its cell
 _LEVEL = NUMBERS.space_carving.roof_normal
@@ -143,7 +145,7 @@ class _Frame:
 class _State:
     """What an epoch knows of every cell; ``top`` (nx, ny) of its surfaces [m], 0 where it has none.
 
-    ``not_refuted`` (nx, ny) is the top of the other epoch's surfaces whose places it did not see free [m].
+    ``not_refuted`` (nx, ny) is the top of what the other epoch has above it and it did not see free [m].
     ``hollow`` lies below a top and was seen free: below a canopy, or behind a window. It is neither
     solid nor known to be outside.
     """
@@ -217,7 +219,7 @@ def _state(epoch: CarvingEpoch, other: Voxels, frame: _Frame) -> _State:
     nx, ny, nz = frame.shape
     own = epoch.voxels.add(_shared(other, epoch))
     top = _tops(own, frame)
-    not_refuted = _tops(other.select(~other.observed_unoccupied), frame)
+    not_refuted = _not_refuted(other, top, frame)
     below = np.arange(nz) <= frame.level(top)[:, :, None]
     middles = frame.middles()
     open_column = epoch.bare(middles).reshape(nx, ny) & (top == 0)
@@ -287,6 +289,29 @@ def _shared(other: Voxels, epoch: CarvingEpoch) -> Voxels:
     if epoch.empty is not None:
         shared[shared] = ~epoch.empty(other.xyz[shared])
     return other.select(shared)
+
+
+def _all_refuted(_: Voxels, top: Floats, *__: object) -> Floats:
+    """Return no tops."""
+    return np.zeros_like(top)
+
+
+@switchable("surfaces_not_refuted", _all_refuted)
+def _not_refuted(other: Voxels, top: Floats, frame: _Frame) -> Floats:
+    """Tops (nx, ny) of the other epoch's surfaces above an epoch's own that may have stood there too [m].
+
+    A beam along a wall crosses the wall's columns in front of it and shows free space above what was seen
+    of the wall. Surfaces of the other epoch lie in the wall itself: they stood in one epoch alone where most
+    of their places were seen free.
+    """
+    slot = frame.slots(other.xyz[:, :2])
+    own = top[slot[:, 0], slot[:, 1]]
+    above = other.select((own > 0) & (other.height > own + frame.rise))
+    looked = np.count_nonzero(above.observed)
+    free = np.count_nonzero(above.observed_unoccupied)
+    if looked >= _LOOKED * len(above) and free >= _REFUTED * looked:
+        return np.zeros_like(top)
+    return _tops(above.select(~above.observed_unoccupied), frame)
 
 
 def _tops(voxels: Voxels, frame: _Frame) -> Floats:
