@@ -13,7 +13,6 @@ from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.driven_lane import (
     DrivenLane,
     SurveyPath,
-    decide_driven_over,
     decide_in_traffic,
     lane_near,
     lane_share_of_claim,
@@ -126,40 +125,6 @@ def test_what_moving_objects_crossed_in_the_lane_was_a_vehicle_of_the_traffic(le
     if decision is not None:
         assert decision.change is Change.NOT_REPORTED
         assert "moving objects crossed 100% of its place" in decision.reason
-
-
-@pytest.mark.parametrize(
-    ("left", "path", "top", "moved"),
-    [
-        (-0.9, STRAIGHT, 1.5, True),
-        (0.9, STRAIGHT, 1.5, False),
-        (-0.9, STRAIGHT, 7.0, False),
-        (-0.9, STRAIGHT[:8], 1.5, False),
-        (-0.9, STRAIGHT[16:], 1.5, False),
-        (-0.9, STRAIGHT[:1], 1.5, False),
-        (-0.9, STRAIGHT[:0], 1.5, False),
-    ],
-    ids=[
-        "in the lane",
-        "beside the lane",
-        "a tree above it",
-        "ahead of the end",
-        "behind the start",
-        "one position elsewhere",
-        "no position",
-    ],
-)
-def test_what_a_survey_holds_where_its_own_vehicle_drove_moved(left, path, top, moved):
-    """The object lies 20 to 24 m along the street; a drive that ended before it says nothing of it."""
-    decision = decide_driven_over([car(left, top)], DrivenLane(path).drove_over, RULES)
-    assert (decision is not None) == moved
-    if decision is not None:
-        assert decision.change is Change.NOT_REPORTED
-        assert "drove through 100% of the object's place" in decision.reason
-
-
-def test_without_the_path_of_its_own_survey_nothing_is_driven_over():
-    assert decide_driven_over([car(-0.9)], None, RULES) is None
 
 
 def test_a_tree_above_the_lane_is_no_traffic():

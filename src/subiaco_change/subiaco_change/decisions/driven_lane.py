@@ -3,8 +3,7 @@
 A vehicle of a queue that stood while a survey passed has the beams of a standing object. Whether it lasts
 cannot be seen in one epoch. The survey vehicle itself tells: where it drove, the place is carriageway.
 No traffic crosses a standing object there: where mapping recorded moving objects in most columns of an object
-in the lane, the object was a vehicle too. And where the vehicle of its own survey drove through an object,
-the object was not there all the time: it moved.
+in the lane, the object was a vehicle too.
 """
 
 from __future__ import annotations
@@ -24,7 +23,7 @@ from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import no_decision, switchable
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.codes import Change
-from subiaco_geo.frames import Floats, Ints
+from subiaco_geo.frames import Floats
 
 _HALF_WIDTH = NUMBERS.driven_lane.half_width
 _BEYOND = NUMBERS.driven_lane.beyond
@@ -59,26 +58,17 @@ class DrivenLane:
     """
 
     def __init__(self, positions: Floats) -> None:
-        self._path, self._driven = _densified(positions)
+        self._path = _densified(positions)
         self._tree = cKDTree(self._path[:, :2])
 
     def covers(self, xyz: Floats) -> Mask:
         """Tell which places (N, 3), in the frame of the positions, lie in the lane and below the sensor."""
-        return self._slots(xyz) >= 0
-
-    def drove_over(self, xyz: Floats) -> Mask:
-        """Tell which places (N, 3) lie in the lane between the ends of the drive: the vehicle was there."""
-        slot = self._slots(xyz)
-        return np.asarray((slot >= 0) & self._driven[slot]) if len(self._path) else slot >= 0
-
-    def _slots(self, xyz: Floats) -> Ints:
-        """Point (N,) of the path in whose reach places (N, 3) lie; -1 beside the lane."""
         if len(self._path) == 0 or len(xyz) == 0:
-            return np.full(len(xyz), -1)
+            return np.zeros(len(xyz), dtype=bool)
         distance, slot = self._tree.query(xyz[:, :2], distance_upper_bound=_HALF_WIDTH)
         near = np.isfinite(distance)
         near[near] = np.abs(xyz[near, 2] - self._path[slot[near], 2]) <= _BELOW
-        return np.where(near, slot, -1)
+        return near
 
 
 def lane_near(path: SurveyPath, world: Floats) -> DrivenLane:
@@ -90,13 +80,10 @@ def lane_near(path: SurveyPath, world: Floats) -> DrivenLane:
     return DrivenLane(nodes[((nodes[:, :2] >= low) & (nodes[:, :2] <= high)).all(axis=1)])
 
 
-def _densified(positions: Floats) -> tuple[Floats, Mask]:
-    """Points (M, 3) along a path a small step apart, its ends prolonged, and which (M,) lie between its ends.
-
-    Gaps of the path stay open.
-    """
+def _densified(positions: Floats) -> Floats:
+    """Points (M, 3) along a path a small step apart, its ends prolonged; gaps of the path stay open."""
     if len(positions) < 2:
-        return positions, np.ones(len(positions), dtype=bool)
+        return positions
     behind, ahead = _prolonged(positions[::-1]), _prolonged(positions)
     nodes = np.concatenate([behind[::-1], positions, ahead])
     length = np.linalg.norm(np.diff(nodes, axis=0), axis=1)
@@ -106,8 +93,7 @@ def _densified(positions: Floats) -> tuple[Floats, Mask]:
     first = np.repeat(np.arange(len(count)), count)
     part = (np.arange(len(first)) - np.repeat(np.cumsum(count) - count, count)) / count[first]
     along = nodes[first] + part[:, None] * np.diff(nodes, axis=0)[first]
-    driven = (first >= inside.start) & (first < inside.stop)
-    return np.concatenate([along, nodes[-1:]]), np.append(driven, len(ahead) == 0)
+    return np.concatenate([along, nodes[-1:]])
 
 
 def _prolonged(nodes: Floats) -> Floats:
@@ -205,23 +191,6 @@ def decide_in_traffic(
     reason = f"{share:.0%} of the object lies in the lane that a survey vehicle drove through, and moving"
     reason += f" objects crossed {crossed:.0%} of its place while it was mapped (limit {_CROSSED:.0%}): a"
     return Decision(Change.NOT_REPORTED, f"{reason} vehicle of the traffic.", crossed / _CROSSED)
-
-
-@switchable("driven_over", no_decision)
-def decide_driven_over(
-    objects: Sequence[ObjectInstance], own_lane: Observed | None, rules: DecisionConfig
-) -> Decision | None:
-    """Decide what one epoch alone holds where the vehicle of that same survey drove: it moved.
-
-    ``own_lane`` tells which places (N, 3) that vehicle drove over; None where its path is not known.
-    """
-    if own_lane is None or not fits_a_vehicle(objects, rules):
-        return None
-    share = share_in_lane(objects, [own_lane])
-    if share < _SHARE:
-        return None
-    reason = f"The vehicle of the same survey drove through {share:.0%} of the object's place (limit"
-    return Decision(Change.NOT_REPORTED, f"{reason} {_SHARE:.0%}): the object moved.", share / _SHARE)
 
 
 def _unlimited(_: object, __: float, confidence: float, reason: str, *___: object) -> tuple[float, str]:

@@ -14,7 +14,7 @@ from subiaco_change.association.costs import AssociationConfig
 from subiaco_change.association.matching import match_kind
 from subiaco_change.decisions.column_volumes import BUILT_UP, OpenGround, column_keys
 from subiaco_change.decisions.config import DecisionConfig
-from subiaco_change.decisions.driven_lane import decide_driven_over, decide_in_traffic, lane_share_of_claim
+from subiaco_change.decisions.driven_lane import decide_in_traffic, lane_share_of_claim
 from subiaco_change.decisions.dynamic_objects import (
     Moved,
     Observed,
@@ -99,7 +99,6 @@ class ObjectRules:
     below_view: tuple[Empty | None, Empty | None] = (None, None)  # how high their views are known to reach
     certain: tuple[Certainty | None, Certainty | None] = (None, None)  # how certain these can be at most
     lanes: tuple[Observed, ...] = ()  # which places the survey vehicles of both epochs drove through
-    driven: tuple[Observed | None, Observed | None] = (None, None)  # where *before* and *after* drove
     moved: tuple[Moved | None, Moved | None] = (None, None)  # what *before* and *after* know to have moved
     plants: PlantConfig = field(default_factory=PlantConfig)
 
@@ -135,7 +134,6 @@ def decide_object(
             or is_moving_object_trail(parts, semantic, own, rules.decisions, measures.free)
             or continues_trail(parts, semantic, own, rules.decisions)
             or decide_in_traffic(parts, rules.lanes, moved, rules.decisions)
-            or decide_driven_over(parts, rules.driven[0 if before else 1], rules.decisions)
             or decide_vehicle_part(parts, semantic, measures, rules.standing[int(bool(before))])
             or decision
         )

@@ -162,13 +162,6 @@ MOVING_OBJECT_RULES: tuple[Rule, ...] = (
         guards=True,
     ),
     Rule(
-        "driven_over",
-        _HERE,
-        "What one epoch alone holds where the vehicle of that same survey drove moved.",
-        ("method_numbers.driven_lane.half_width", "method_numbers.driven_lane.share"),
-        guards=True,
-    ),
-    Rule(
         "confidence_of_brief_objects",
         _HERE,
         "The confidence in an object of one epoch is at most the probability that the object stood still.",

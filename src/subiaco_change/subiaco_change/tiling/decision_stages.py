@@ -184,8 +184,7 @@ def compare_tile(inputs: Inputs, params: TileParams[ComparisonSlice]) -> TileCom
     kinds = [side.kind for side in params.sides]
     rules = replace(
         with_evidence(object_rules(config), (regions[0], regions[1]), kinds),
-        lanes=tuple(r.lane for r in regions if r.lane is not None),
-        driven=(regions[0].driven, regions[1].driven),
+        lanes=tuple(r.driven for r in regions if r.driven is not None),
         moved=(regions[0].moved, regions[1].moved),
     )
     changes = compare_objects(views[0], views[1], regions[0].observed, regions[1].observed, rules)

@@ -35,9 +35,8 @@ class Region:
     epoch observed, ``empty`` where its beams went on and nothing came back, ``free`` how probable it
     is that nothing stood there, by its beams, ``above`` the same above the tops of plants, ``certain`` how
     certain that can be at most, and ``below_view`` which places are no higher than its view is known to have
-    reached; ``lane`` which places lie in the lane of its vehicle and ``driven`` which of them it drove over,
-    None where its trajectory is not known; ``moved`` how probable it is that what it found at places moved,
-    None where its map has no times of beams.
+    reached; ``driven`` which places its vehicle drove through, None where its trajectory is not known;
+    ``moved`` how probable it is that what it found at places moved, None where its map has no times of beams.
     """
 
     view: EpochView
@@ -50,7 +49,6 @@ class Region:
     above: Callable[[Floats], Floats]
     below_view: Callable[[Floats], Mask]
     certain: Callable[[Floats], Floats]
-    lane: Callable[[Floats], Mask] | None
     driven: Callable[[Floats], Mask] | None
     moved: Callable[[Floats], Floats] | None
 
@@ -93,7 +91,6 @@ def load_region(
     observer: Observer = load_observer(inputs, side, world, config)
     path = inputs.find(SurveyPath, f"path/{side.epoch}")
     to_world = frame.before_world if side.epoch == "before" else frame.after_world
-    lane = None if path is None else lane_near(path, to_world(view.xyz))
     return Region(
         view,
         tiles,
@@ -105,8 +102,7 @@ def load_region(
         free_through(observer.free_above, to_world),
         seen_through(observer.below_view, to_world),
         free_through(observer.certainty, to_world),
-        None if lane is None else seen_through(lane.covers, to_world),
-        None if lane is None else seen_through(lane.drove_over, to_world),
+        None if path is None else seen_through(lane_near(path, to_world(view.xyz)).covers, to_world),
         None if view.moved is None else free_through(observer.moved_or_not, to_world),
     )
 
