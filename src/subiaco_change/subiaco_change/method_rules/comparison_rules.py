@@ -162,6 +162,14 @@ MOVING_OBJECT_RULES: tuple[Rule, ...] = (
         guards=True,
     ),
     Rule(
+        "shapeless_in_lane",
+        _HERE,
+        "Without times of beams, what one epoch alone holds in the lane of a survey vehicle is a ghost trail"
+        " where it has not the shape of a vehicle.",
+        ("method_numbers.driven_lane.half_width", "method_numbers.driven_lane.share"),
+        guards=True,
+    ),
+    Rule(
         "confidence_of_brief_objects",
         _HERE,
         "The confidence in an object of one epoch is at most the probability that the object stood still.",
