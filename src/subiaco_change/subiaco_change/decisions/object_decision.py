@@ -134,7 +134,7 @@ def decide_object(
             or is_moving_object_trail(parts, semantic, own, rules.decisions, measures.free)
             or continues_trail(parts, semantic, own, rules.decisions)
             or decide_in_traffic(parts, rules.lanes, moved, rules.decisions)
-            or decide_shapeless(parts, semantic, rules.lanes, moved, rules.decisions)
+            or decide_shapeless(parts, semantic, rules.lanes, rules.decisions)
             or decide_vehicle_part(parts, semantic, measures, rules.standing[int(bool(before))])
             or decision
         )
