@@ -85,6 +85,7 @@ def told_apart(xyz: Floats) -> Scene:
     tall = np.zeros(shape, dtype=bool)
     tall[tuple(index[height > TALL].T)] = True
     labels, count = ndimage.label(ndimage.binary_opening(tall, np.ones((2, 2))))
+    labels = np.where(tall & (labels == 0), ndimage.grey_dilation(labels, size=(3, 3)), labels)  # eaves
     owner = labels[tuple(index.T)] - 1
     owner[height < 0.3] = -1
     sizes = np.bincount(labels.ravel(), minlength=count + 1)[1:] * CELL**2
