@@ -192,6 +192,19 @@ def test_a_storey_needs_free_space_above_the_old_roof():
     assert lost.height.low <= 0.0 <= lost.height.high
 
 
+def test_beams_along_a_wall_do_not_show_that_it_ends():
+    """They cross the wall's own columns in front of it, above what their survey saw of the wall."""
+    higher = voxels(*(wall[wall[:, 2] > TALL] for wall in house(tall=TALL + 2.5)), occupied_in_other=False)
+    high = inside(((-9, -9, TALL + 2.5), (30, 30, HIGH)))
+    for seen_there in (True, False):
+        storey = replace(higher, observed=np.full(len(higher), seen_there))
+        after = CarvingEpoch(voxels(*house()).add(storey), high, nothing_met)
+        found = carve(epoch(house(), PLAIN), after, CONFIG)
+        assert found.height.high == pytest.approx(2.5, abs=0.3)
+        assert (found.height.low > 2.0) == seen_there
+        assert seen_there or found.height.low <= 0.0
+
+
 def test_a_new_house_has_the_volume_between_its_walls():
     found = carve(
         CarvingEpoch(voxels(), inside(((-9, -9, 0), (30, 30, HIGH))), nothing_met),

@@ -400,6 +400,14 @@ BUILDING_RULES: tuple[Rule, ...] = (
         ("method_numbers.space_carving.horizontal_gap", "method_numbers.space_carving.vertical_gap"),
     ),
     Rule(
+        "surfaces_not_refuted",
+        _HERE,
+        "A surface that one epoch has above those of the other may have stood in both, unless most of its"
+        " places were seen free: beams along a wall cross the wall's columns in front of it.",
+        ("method_numbers.space_carving.observed_share", "method_numbers.space_carving.free_share"),
+        guards=True,
+    ),
+    Rule(
         "cells_beside_surfaces",
         _HERE,
         "A cell beside a surface is not asked whether it is free: beams pass between the voxels of a wall.",
