@@ -79,7 +79,8 @@ def told_apart(xyz: Floats) -> Scene:
     shape = tuple((index.max(axis=0) + 1).tolist())
     low = np.full(shape, np.inf)
     np.minimum.at(low, tuple(index.T), xyz[:, 2])
-    filled = np.where(np.isfinite(low), low, np.nanmax(low[np.isfinite(low)]))
+    nearest = ndimage.distance_transform_edt(~np.isfinite(low), return_distances=False, return_indices=True)
+    filled = low[tuple(nearest)]
     ground = ndimage.gaussian_filter(ndimage.grey_opening(filled, size=(WINDOW, WINDOW)), 3.0)
     height = xyz[:, 2] - ground[tuple(index.T)]
     tall = np.zeros(shape, dtype=bool)
