@@ -238,13 +238,15 @@ def with_evidence(
     rules: ObjectRules, evidence: tuple[SpaceEvidence, SpaceEvidence], kinds: Sequence[EvidenceKind]
 ) -> ObjectRules:
     """Return rules with what both epochs know of the space around: nothing where absence is assumed."""
-    known = [None if kind == "assumed" else e for e, kind in zip(evidence, kinds, strict=True)]
-    before, after = known
+    known = [kind != "assumed" for kind in kinds]
+    empty = [e.empty if k else None for e, k in zip(evidence, known, strict=True)]
+    free = [e.free if k else None for e, k in zip(evidence, known, strict=True)]
+    above = [e.above if k else None for e, k in zip(evidence, known, strict=True)]
     return replace(
         rules,
-        ground=OpenGround(NO_COLUMNS, NO_COLUMNS, (before and before.empty, after and after.empty)),
-        free=(before and before.free, after and after.free),
-        above=(before and before.above, after and after.above),
+        ground=OpenGround(NO_COLUMNS, NO_COLUMNS, (empty[0], empty[1])),
+        free=(free[0], free[1]),
+        above=(above[0], above[1]),
         below_view=(evidence[0].below_view, evidence[1].below_view),
         certain=(evidence[0].certain, evidence[1].certain),
     )
