@@ -123,6 +123,7 @@ class PointShadow:
     touch: float
     level: Floats  # (nx, ny) how high the view reached at a column at least [m], see view_level
     around: Surroundings
+    from_above: bool = False  # no height over a point is too high for the view
 
     def observed(self, world: Floats) -> Flags:
         """Tell which world points (N, 3) the epoch could see."""
@@ -152,6 +153,8 @@ class PointShadow:
 
     def levelled(self, world: Floats) -> Flags:
         """Tell which world points (N, 3) are no higher than what the cloud shows its view to have reached."""
+        if self.from_above:
+            return np.ones(len(world), dtype=np.bool_)
         local = np.ascontiguousarray(world - self.origin)
         ij, inside = self._columns(local)
         level = np.full(len(local), -np.inf)
@@ -171,8 +174,8 @@ class PointShadow:
         ij, inside = self._columns(local)
         found = np.full(len(local), np.inf)
         found[inside] = lowest[ij[inside, 0] * shape[1] + ij[inside, 1]]
-        gap = local[:, 2] - found
-        return np.asarray((gap >= 0) & (gap <= self.height))
+        gap = local[:, 2] - found  # -inf where no point is
+        return np.asarray((gap >= 0) & (gap <= (np.inf if self.from_above else self.height)))
 
 
 @dataclass(frozen=True)
