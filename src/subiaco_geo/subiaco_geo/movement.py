@@ -315,7 +315,7 @@ def _component_chance(
 ) -> Floats:
     """Probability (D,) that the doubtful voxels moved, with their component or beside one that did.
 
-    A thin component most of which touches static voxels above the ground is part of what stands there: the
+    A thin component most of which touches static voxels above the ground is part of the static object: the
     roof of a parked van, whose voxels beams from afar skim, and which returns beams from near alone.
     """
     chance = np.zeros(len(keys))
