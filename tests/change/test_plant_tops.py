@@ -8,8 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from subiaco_change.config import ChangeConfig
 from subiaco_change.decisions.plant_tops import EpochSpace, TopConfig, change_of_tops, expected_top
 from subiaco_change.method_rules.switches import rules_switched_off
+from subiaco_change.point_spacing import at_spacing
 
 CONFIG = TopConfig()
 NOTHING = EpochSpace(np.zeros((0, 3)))
@@ -109,16 +111,16 @@ def test_a_part_that_rose_is_told_from_scatter():
 
 def test_tops_of_sparse_crowns_are_read_from_columns_as_wide_as_their_points_ask():
     """60 points a crown of 28 m2: columns of 0.75 m hold one of them, and no comparison rests on these."""
-    narrow = CONFIG.model_copy(update={"filling": 1e-6})
+    wide = at_spacing(ChangeConfig(), 0.6).plants.tops
     rises = []
     for seed in range(60):
         pair = crown(2 * seed, 60, radius=3.0), crown(2 * seed + 1, 60, radius=3.0)
-        rises.append(change_of_tops(*pair, (NOTHING, NOTHING), CONFIG))
+        rises.append(change_of_tops(*pair, (NOTHING, NOTHING), wide))
     known = [r for r in rises if np.isfinite(r.median)]
     assert len(known) >= 51
-    assert np.isnan(change_of_tops(crown(0, 60), crown(1, 60), (NOTHING, NOTHING), narrow).median)
+    assert np.isnan(change_of_tops(crown(0, 60), crown(1, 60), (NOTHING, NOTHING), CONFIG).median)
     assert np.mean([abs(r.median) > 3 * np.hypot(r.sigma, 0.1) for r in known]) <= 0.1
     grown = change_of_tops(
-        crown(1, 60, radius=3.0), crown(2, 60, radius=3.3, top=10.5, height=5.5), (NOTHING, NOTHING), CONFIG
+        crown(1, 60, radius=3.0), crown(2, 60, radius=3.3, top=10.5, height=5.5), (NOTHING, NOTHING), wide
     )
     assert grown.median > 0.8

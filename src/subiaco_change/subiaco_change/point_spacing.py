@@ -117,6 +117,12 @@ class SpacingConfig(StrictModel):
         gt=0,
         description="Radius of normals and of the level of detection as a multiple of the point spacing",
     )
+    filling: float = Field(
+        5.0,
+        ge=0,
+        description="Mean number of points of the sparser epoch in the columns in which the tops of plants "
+        "are compared; the columns are widened to it",
+    )
 
 
 _SEMANTICS = ("cluster_voxel",)
@@ -158,7 +164,12 @@ def at_spacing(config: ChangeConfig, spacing: float) -> ChangeConfig:
                 update={**raised(instances, _INSTANCES, rule.cell), "leaf": smallest}
             ),
             "lod": config.lod.model_copy(update=raised(config.lod, ("radius", "normal_radius"), rule.plane)),
-            "plants": config.plants.model_copy(update=raised(config.plants, ("shell",), math.inf)),
+            "plants": config.plants.model_copy(
+                update={
+                    **raised(config.plants, ("shell",), math.inf),
+                    "tops": config.plants.tops.model_copy(update={"filling": rule.filling}),
+                }
+            ),
             "measures": config.measures.model_copy(update=raised(config.measures, ("same_high",), rule.same)),
             **raised(config, ("normal_radius",), rule.plane),
         }

@@ -32,10 +32,10 @@ class TopConfig(StrictModel):
 
     cell: float = Field(0.75, gt=0, description="Smallest edge of the columns in which tops are compared [m]")
     filling: float = Field(
-        5.0,
-        gt=0,
-        description="Mean number of points of the sparser epoch in a column; columns of a sparse plant are "
-        "wider than the smallest edge, so that they hold so many",
+        0.0,
+        ge=0,
+        description="Mean number of points of the sparser epoch in a column, for which columns of a sparse "
+        "plant are wider than the smallest edge; 0 keeps that edge. In sparse clouds: `spacing.filling`",
     )
     points: int = Field(3, ge=1, description="Number of points that a column needs in each epoch")
     columns: int = Field(3, ge=3, description="Number of columns that a comparison of tops needs")
@@ -44,7 +44,7 @@ class TopConfig(StrictModel):
         gt=0,
         le=1,
         description="Fraction of the columns, the highest ones, whose tops are those of the plant; of few "
-        "columns as many as a comparison needs",
+        "columns in a sparse cloud as many as a comparison needs",
     )
     known: float = Field(
         0.2,
@@ -140,8 +140,10 @@ def change_of_tops(
     rises = columns.tops[1] - columns.tops[0]
     parts = _of_part(rises, config.part), _of_part(-rises, config.part)
     middle = columns.tops.mean(axis=0)
-    most = max(config.columns, math.ceil(config.upper * len(middle)))
-    columns = columns.select(middle >= np.partition(middle, -most)[-most])
+    least = np.quantile(middle, 1.0 - config.upper)
+    if config.filling > 0:
+        least = min(least, np.partition(middle, -config.columns)[-config.columns])
+    columns = columns.select(middle >= least)
     known = _known(columns, spaces, config)
     if np.count_nonzero(known) < max(config.columns, config.known * len(known)):
         return TopChange(rise_of_part=parts[0], fall_of_part=parts[1], unseen=True)
@@ -150,9 +152,7 @@ def change_of_tops(
     spread = 1.4826 * float(np.median(np.abs(rises - median)))
     shared = max(config.patch * (config.cell / columns.cell) ** 2, 1.0)  # wide columns share no beams
     patches = max(len(rises) / shared, 1.0)
-    few = float(
-        student.ppf(_LIMIT, len(rises) - 1) / norm.ppf(_LIMIT)
-    )  # a spread of few columns is not known
+    few = _uncertain_spread(len(rises)) if config.filling > 0 else 1.0
     return TopChange(median, few * 1.2533 * spread / math.sqrt(patches), parts[0], parts[1])
 
 
@@ -161,6 +161,11 @@ def _of_part(rises: Floats, certain: float) -> float:
     low, middle, high = np.quantile(rises, [0.25, 0.5, 0.75]).tolist()
     sd = 1.4826 * (middle - low)  # of a normal distribution with this lower quartile
     return float(high) if high > middle + certain * sd else 0.0
+
+
+def _uncertain_spread(columns: int) -> float:
+    """Return the factor on the error of a median whose spread is that of few columns."""
+    return float(student.ppf(_LIMIT, columns - 1) / norm.ppf(_LIMIT))
 
 
 def _edge(before: Floats, after: Floats, config: TopConfig) -> float:
