@@ -31,6 +31,8 @@ if _WORKER is not None:
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
+_FEW_TESTS = 6  # of a file
+
 # Same examples on every run; what takes long on a busy machine is not a failure.
 settings.register_profile(
     "subiaco", deadline=None, derandomize=True, suppress_health_check=[HealthCheck.too_slow]
@@ -47,14 +49,46 @@ def pytest_configure(config: pytest.Config) -> None:
 
 @pytest.hookimpl(optionalhook=True)
 def pytest_xdist_make_scheduler(config: pytest.Config, log: Any) -> Any:
-    """Share out whole files, but the streets of the accuracy gate one by one: each takes a minute."""
+    """Share out whole files, but the streets of the accuracy gate one by one: each takes a minute.
+
+    In the order of :func:`pytest_collection_modifyitems`.
+    """
     from xdist.scheduler import LoadFileScheduling
 
     class Scheduling(LoadFileScheduling):
         def _split_scope(self, nodeid: str) -> str:
             return nodeid if nodeid.startswith("tests/accuracy/") else str(super()._split_scope(nodeid))
 
-    return Scheduling(config, log) if config.getoption("dist") == "loadfile" else None
+    if config.getoption("dist") != "loadfile":
+        return None
+    config.option.loadscopereorder = False
+    return Scheduling(config, log)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Order the files so that no worker waits for another: they are handed out in this order.
+
+    Files with slow tests come first, for a slow one at the end would leave the other worker without work;
+    then the files with many tests. A test that has to be alone waits for the test that the other worker is
+    at: those files come late, beside files with few and short tests.
+    """
+    if _WORKER is None:
+        return
+    files: dict[Path, list[pytest.Item]] = {}
+    for item in items:
+        files.setdefault(item.path, []).append(item)
+
+    def rank(item: pytest.Item) -> tuple[int, int, str]:
+        own = files[item.path]
+        if any(other.get_closest_marker("realtime") for other in own):
+            turn = 2
+        elif any(other.get_closest_marker("slow") for other in own):
+            turn = 0
+        else:
+            turn = 1 if len(own) > _FEW_TESTS else 3
+        return turn, -len(own), str(item.path)
+
+    items.sort(key=rank)
 
 
 @pytest.hookimpl(wrapper=True, tryfirst=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import fcntl
 import os
 import sys
 from collections.abc import Iterator
@@ -32,10 +33,17 @@ def own_domain() -> Iterator[None]:
 
 @pytest.fixture(scope="session")
 def survey(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """Both epochs of a few seconds of street, seed 5."""
+    """Both epochs of a few seconds of street, seed 5; the workers of a session share them."""
     from subiaco_sim.config import SimulationConfig
     from subiaco_sim.survey import simulate
 
-    out = tmp_path_factory.mktemp("survey") / "sim"
-    simulate(out, SimulationConfig(preset="easy", mode="512x10", duration=5.0, seed=5, ground_cell=0.8))
+    base = tmp_path_factory.getbasetemp()
+    shared = base.parent if "PYTEST_XDIST_WORKER" in os.environ else base
+    out, whole = shared / "survey", shared / "survey.whole"
+    with (shared / "survey.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        if not whole.exists():
+            config = SimulationConfig(preset="easy", mode="512x10", duration=5.0, seed=5, ground_cell=0.8)
+            simulate(out, config)
+            whole.touch()
     return out

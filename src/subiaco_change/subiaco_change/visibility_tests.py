@@ -132,10 +132,20 @@ class PointShadow:
         return near | self._above(local)
 
     def passed(self, world: Floats) -> Flags:
-        """Tell which world points (N, 3) were seen empty: beams went on."""
+        """Tell which world points (N, 3) were seen empty: beams went on.
+
+        A surface further below than it may occupy its surroundings ends below the place: half a storey above
+        an old roof is free space.
+        """
         local = np.ascontiguousarray(world - self.origin)
-        near = nearest(self.index, local, self.radius)[0] >= 0
-        return self._above(local) & ~near
+        found = np.flatnonzero(self._above(local))
+        lifted = local[found] + np.array([0.0, 0.0, max(self.radius - self.touch, 0.0)])
+        near = (nearest(self.index, local[found], self.radius)[0] >= 0) & (
+            nearest(self.index, lifted, self.radius)[0] >= 0
+        )
+        passed = np.zeros(len(local), dtype=np.bool_)
+        passed[found[~near]] = True
+        return passed
 
     def free_probability(self, world: Floats) -> Floats:
         """Return the probability (N,) that world points (N, 3) were free; 0.5 where nothing is known."""

@@ -15,7 +15,7 @@ epoch knows is no evidence.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -359,15 +359,33 @@ def _difference(
     # Between free space and a wall lies a cell that is neither: the resolution, and no room to hide in.
     sure |= ndimage.binary_dilation(sure, _FACES) & old.unknown & solid
     maybe = (old.free & new.unknown) | (old.unknown & solid)
-    reach = ndimage.binary_propagation(changed, _TOUCHING, changed | maybe)
+    reach = ndimage.binary_propagation(_patches(changed, config), _TOUCHING, changed | maybe)
     return Interval(float(sure.sum()) * frame.volume, float(reach.sum()) * frame.volume), sure
 
 
 @switchable("thin_volumes", first_argument)
 def _without_thin(changed: Cells, config: CarvingConfig) -> Cells:
     """Remove changed cells that are thinner than the smallest extent of a change."""
-    thin = np.ones((config.thickness, config.thickness, config.thickness + 1))
-    return np.asarray(ndimage.binary_opening(changed, thin))
+    return _opened(changed, [(config.thickness, config.thickness, config.thickness + 1)])
+
+
+@switchable("lines_of_cells", first_argument)
+def _patches(changed: Cells, config: CarvingConfig) -> Cells:
+    """Keep changed cells that form a wall or a roof: along an edge, two samplings differ by a line of cells.
+
+    What no epoch knows adjoins every edge: from a line of cells all of it would count as changed.
+    """
+    wide, tall = config.thickness, config.thickness + 1
+    return _opened(changed, [(1, wide, tall), (wide, 1, tall), (wide, wide, 1)])
+
+
+def _opened(cells: Cells, shapes: Sequence[tuple[int, int, int]]) -> Cells:
+    """Keep cells that lie in a filled block of one of some shapes."""
+    kept = np.zeros_like(cells)
+    for box in ndimage.find_objects(cells.astype(np.int8)):  # the rest is empty: most houses did not change
+        for shape in shapes:
+            kept[box] |= ndimage.binary_opening(cells[box], np.ones(shape))
+    return kept
 
 
 def _surface(voxels: Voxels, frame: _Frame) -> Ints:

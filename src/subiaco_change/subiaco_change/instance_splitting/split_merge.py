@@ -156,12 +156,12 @@ def join_hidden_walls(changes: list[ObjectChange], rules: ObjectRules) -> list[O
     """Join a wall that the other epoch hardly observed to the changed building it belongs to.
 
     A wall within the outline of a house is a wall of it: pieces of one body are one row. Where absence is
-    assumed and not observed, what was built may hide any wall.
+    assumed and not observed, what was built may hide any wall, also of a house without a change of its own.
     """
     hosts = {
         i: shapely.MultiPoint(join_voxels((*c.before, *c.after)).xyz[:, :2]).convex_hull.buffer(_WALL)
         for i, c in enumerate(changes)
-        if c.semantic is Semantic.BUILDING and c.decision.change in (Change.INCREASED, Change.DECREASED)
+        if c.semantic is Semantic.BUILDING and (_is_reshaped(c) or _is_assumed(c, rules))
     }
     joined: dict[int, list[int]] = {}
     for number, change in enumerate(changes):
@@ -184,6 +184,15 @@ def join_hidden_walls(changes: list[ObjectChange], rules: ObjectRules) -> list[O
         for i, change in enumerate(changes)
         if i not in gone
     ]
+
+
+def _is_reshaped(change: ObjectChange) -> bool:
+    return change.decision.change in (Change.INCREASED, Change.DECREASED)
+
+
+def _is_assumed(change: ObjectChange, rules: ObjectRules) -> bool:
+    """Tell whether both epochs have an object, and nothing tells what they saw of the space around."""
+    return bool(change.before and change.after) and None in rules.ground.empty
 
 
 def _is_hardly_observed(change: ObjectChange, rules: ObjectRules) -> bool:

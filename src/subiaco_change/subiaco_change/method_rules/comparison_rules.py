@@ -162,6 +162,14 @@ MOVING_OBJECT_RULES: tuple[Rule, ...] = (
         guards=True,
     ),
     Rule(
+        "shapeless_in_lane",
+        _HERE,
+        "Without counts of beams, what one epoch alone holds in the lane of a survey vehicle is a ghost trail"
+        " where it has not the shape of a vehicle.",
+        ("method_numbers.driven_lane.half_width", "method_numbers.driven_lane.share"),
+        guards=True,
+    ),
+    Rule(
         "confidence_of_brief_objects",
         _HERE,
         "The confidence in an object of one epoch is at most the probability that the object stood still.",
@@ -435,6 +443,12 @@ BUILDING_RULES: tuple[Rule, ...] = (
         "thin_volumes",
         _HERE,
         "A change of volume thinner than two cells is noise of surfaces.",
+        ("measures.carving.thickness",),
+    ),
+    Rule(
+        "lines_of_cells",
+        _HERE,
+        "What a survey does not know is counted where it adjoins a changed patch, not along a line of cells.",
         ("measures.carving.thickness",),
     ),
     Rule(
