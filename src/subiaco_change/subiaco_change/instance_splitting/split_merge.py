@@ -158,22 +158,15 @@ def join_hidden_walls(changes: list[ObjectChange], rules: ObjectRules) -> list[O
     A wall within the outline of a house is a wall of it: pieces of one body are one row. Where absence is
     assumed and not observed, what was built may hide any wall.
     """
+    walls = [number for number, change in enumerate(changes) if _may_be_hidden_wall(change, rules)]
     hosts = {
         i: shapely.MultiPoint(join_voxels((*c.before, *c.after)).xyz[:, :2]).convex_hull.buffer(_WALL)
-        for i, c in enumerate(changes)
+        for i, c in enumerate(changes if walls else ())
         if c.semantic is Semantic.BUILDING and c.decision.change in (Change.INCREASED, Change.DECREASED)
     }
     joined: dict[int, list[int]] = {}
-    for number, change in enumerate(changes):
-        alone = (*change.before, *change.after)
-        low_part = change.semantic is Semantic.OTHER and all(t.is_part for t in alone)
-        if (
-            not (change.semantic is Semantic.BUILDING or low_part)
-            or (change.before and change.after)
-            or not _is_hardly_observed(change, rules)
-        ):
-            continue
-        xyz = join_voxels(alone).xyz
+    for number in walls:
+        xyz = join_voxels((*changes[number].before, *changes[number].after)).xyz
         shares = {i: shapely.contains_xy(o, xyz[:, 0], xyz[:, 1]).mean() for i, o in hosts.items()}
         best = max(shares, key=lambda i: shares[i], default=number)
         if shares.get(best, 0.0) >= _WITHIN:
@@ -184,6 +177,17 @@ def join_hidden_walls(changes: list[ObjectChange], rules: ObjectRules) -> list[O
         for i, change in enumerate(changes)
         if i not in gone
     ]
+
+
+def _may_be_hidden_wall(change: ObjectChange, rules: ObjectRules) -> bool:
+    """Tell whether a building, or low parts, stood in one epoch whose place the other hardly observed."""
+    alone = (*change.before, *change.after)
+    low_part = change.semantic is Semantic.OTHER and all(t.is_part for t in alone)
+    return (
+        (change.semantic is Semantic.BUILDING or low_part)
+        and not (change.before and change.after)
+        and _is_hardly_observed(change, rules)
+    )
 
 
 def _is_hardly_observed(change: ObjectChange, rules: ObjectRules) -> bool:
