@@ -4,9 +4,10 @@
     python tests/benchmarks/bench_wrong_signs.py --houses 500 --log signs.jsonl
 
 ``--log`` keeps one line of JSON a house and kind of evidence; started again with the same file, the run goes
-on after the last line. Every house is surveyed twice by drives of their own, with 15 to 60 % of its volume
-built or taken away in between, and compared with every kind of evidence. *Seen* are changes of which the
-survey without the extension saw through half, and the survey with it met 70 % of length and width.
+on after the last line. Every house is surveyed twice by drives of their own, with 10 to 60 % of its volume
+built (even seeds) or taken away (odd seeds) in between, and compared with every kind of evidence. *Seen* are
+changes of which the survey without the extension saw through half, and the survey with it met 70 % of length
+and width. The second table counts those that are found of those seen, by event and share of the volume.
 """
 
 from __future__ import annotations
@@ -22,9 +23,25 @@ from typing import Any
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "change"))
 
-from random_houses import KINDS, OPPOSITE, Case, compare, draw_case, label_of, labels, seen_from_street
+from random_houses import (
+    BUILT,
+    KINDS,
+    OPPOSITE,
+    Case,
+    compare,
+    draw_case,
+    label_of,
+    labels,
+    seen_from_street,
+    volume,
+)
 
 from subiaco_geo.codes import Change
+
+LEAST = 0.10
+EVENTS = {"storey": "storey", "roof": "roof", "side": "wing", "front": "wing", "corner": "wing"}
+ENDS = {"storey": ("taken away", "built"), "roof": ("lowered", "raised"), "wing": ("taken away", "built")}
+SIZES = ((0.10, 0.15), (0.15, 0.25), (0.25, 0.61))
 
 
 def judge(found: list[Change], house: Change, truth: Change) -> str:
@@ -41,7 +58,7 @@ def outcomes(houses: int, first: int, kinds: Sequence[str], log: Path | None) ->
         missing = [kind for kind in kinds if (seed, kind) not in known]
         if not missing:
             continue
-        case = draw_case(seed)
+        case = draw_case(seed, kinds=(*BUILT, "roof"), least=LEAST)
         for kind in missing:
             known[seed, kind] = _outcome(case, seed, kind)
             if log is not None:
@@ -72,6 +89,8 @@ def _outcome(case: Case, seed: int, kind: str) -> dict[str, Any]:
         "seed": seed,
         "evidence": kind,
         "what": case.what,
+        "built": grown,
+        "share": round(volume(case.large.house) / volume(case.small.house) - 1, 3),
         "seen": bool(seen_from_street(case)),
         "outcome": judge(labels(rows), label_of(rows), truth),
         "labels": [change.label for change in labels(rows)],
@@ -92,6 +111,29 @@ def table(records: Sequence[dict[str, Any]], kinds: Sequence[str]) -> str:
     return "\n".join(lines)
 
 
+def table_of_events(records: Sequence[dict[str, Any]], kinds: Sequence[str]) -> str:
+    """Return the table of changes found of those seen, by event and share of the volume."""
+    lines = ["| event | share of the volume | " + " | ".join(kinds) + " |", "|---|---|" + "---|" * len(kinds)]
+    seen = [record for record in records if record["seen"]]
+    for event in dict.fromkeys(EVENTS.values()):
+        for built in (True, False):
+            for low, high in SIZES:
+                cells = []
+                for kind in kinds:
+                    own = [
+                        record["outcome"]
+                        for record in seen
+                        if EVENTS[record["what"]] == event
+                        and record["built"] == built
+                        and low <= record["share"] < high
+                        and record["evidence"] == kind
+                    ]
+                    cells.append(f"{own.count('right')} of {len(own)}")
+                name = f"{event} {ENDS[event][built]}"
+                lines.append(f"| {name} | {low:.0%} to {high:.0%} | " + " | ".join(cells) + " |")
+    return "\n".join(lines)
+
+
 def main() -> None:
     """Print the table."""
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawTextHelpFormatter)
@@ -106,6 +148,7 @@ def main() -> None:
     else:
         records = outcomes(options.houses, options.first, options.kinds, options.log)
     print(table(records, options.kinds))
+    print(table_of_events(records, options.kinds))
     for record in records:
         if record["outcome"] == "wrong":
             print(f"seed {record['seed']}, {record['evidence']}: {record['what']}, {record['labels']}")

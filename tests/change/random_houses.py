@@ -7,15 +7,15 @@ the street, its beams are cast exactly, and what they meet becomes the points of
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from types import SimpleNamespace
 
 import numpy as np
 import open3d as o3d
 
 from subiaco_change.config import ChangeConfig
-from subiaco_change.decisions.column_volumes import NO_COLUMNS, OpenGround
 from subiaco_change.decisions.object_comparison import compare_objects
 from subiaco_change.decisions.voxel_objects import OTHERS, EpochView
-from subiaco_change.tiling.decision_stages import object_rules
+from subiaco_change.tiling.decision_stages import object_rules, with_evidence
 from subiaco_change.visibility_evidence import EvidenceConfig, make_observer
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.codes import Change, Semantic
@@ -179,13 +179,28 @@ def _thinned(ends, index):
 
 
 def compare(before, after, kind, config=None):
-    """Return the decided objects of two surveys of one house, evidence of one kind."""
+    """Return the decided objects of two surveys of one house, evidence of one kind.
+
+    The rules know of the space what those of the change command know of it.
+    """
     config = config or ChangeConfig()
     evidence = EvidenceConfig(source=kind)
     observers = [make_observer(s.map, evidence) for s in (before, after)]
-    empty = [None if kind == "assumed" else o.empty for o in observers]
-    rules = replace(object_rules(config), ground=OpenGround(NO_COLUMNS, NO_COLUMNS, (empty[0], empty[1])))
-    return compare_objects(before.view, after.view, observers[0].observed, observers[1].observed, rules)
+    known = tuple(
+        SimpleNamespace(
+            empty=o.empty,
+            free=o.free_probability,
+            above=o.free_above,
+            below_view=o.below_view,
+            certain=o.certainty,
+        )
+        for o in observers
+    )
+    rules = with_evidence(object_rules(config), known, (kind, kind))
+    views = [
+        replace(s.view, passed=o.passes(s.view.xyz)) for s, o in zip((before, after), observers, strict=True)
+    ]
+    return compare_objects(*views, observers[0].observed, observers[1].observed, rules)
 
 
 def labels(changes):
@@ -225,30 +240,39 @@ def draw_street(rng):
     return Street((house,), tuple(around))
 
 
-def draw_extension(rng):
-    """Draw a street, the same street with its house extended by 15 to 60 %, and what was built.
+#: What is built: a storey; or a wing beside the house, in front of it, or behind it and reaching into a gap.
+BUILT = ("storey", "side", "front", "corner")
 
-    A storey; or a wing beside the house, in front of it, or behind it and reaching into a gap.
+
+def draw_extension(rng, kinds=BUILT, least=0.15):
+    """Draw a street, the same street with its house extended by ``least`` to 60 %, and what was built.
+
+    One of ``kinds``, of which ``roof`` is a roof raised by 0.6 m and more.
     """
-    kind = str(rng.choice(["storey", "side", "front", "corner"]))
+    kind = str(rng.choice(kinds))
     for _ in range(500):
         street = draw_street(rng)
         house = street.house[0]
-        built = _built(kind, street, rng)
+        built = _built(kind, street, rng, least)
         if built is None:
             continue
-        grown = (built,) if kind == "storey" else (house, built)
-        if 0.15 <= volume(grown) / volume(street.house) - 1 <= 0.6:
+        grown = (built,) if kind in RISES else (house, built)
+        if least <= volume(grown) / volume(street.house) - 1 <= 0.6:
             return street, replace(street, house=grown), kind
     raise AssertionError(f"no {kind} fits")
 
 
-def _built(kind, street, rng):
+#: Smallest rise [m] of what is built on top of a house.
+RISES = {"storey": 0.9, "roof": 0.6}
+
+
+def _built(kind, street, rng, least):
     """A storey on the house of a street, or a wing; None where it does not fit."""
     house, whole = street.house[0], volume(street.house)
-    share = rng.uniform(0.15, 0.5)
-    if kind == "storey":
-        return replace(house, height=house.height + max(share * whole / (house.width * house.depth), 0.9))
+    share = rng.uniform(least, 0.5)
+    if kind in RISES:
+        rise = max(share * whole / (house.width * house.depth), RISES[kind])
+        return replace(house, height=house.height + rise)
     height = min(house.height, rng.uniform(2.6, 3.4))
     make = {"front": _front, "side": _side, "corner": _corner}[kind]
     return make(street, share * whole / height, height, rng)
@@ -327,14 +351,14 @@ class Case:
 
     small: Street
     large: Street
-    what: str  # storey, side, front, corner
+    what: str  # of BUILT, or roof
     surveys: tuple[Survey, Survey] = field(repr=False)
 
 
-def draw_case(seed, extended=True):
+def draw_case(seed, extended=True, kinds=BUILT, least=0.15):
     """Draw a street, an extension and two drives; without extension both drives see the house as it was."""
     rng = np.random.default_rng(seed)
-    small, large, what = draw_extension(rng)
+    small, large, what = draw_extension(rng, kinds, least)
     sensors = draw_sensor(rng), draw_sensor(rng)
     second = large if extended else small
     return Case(

@@ -9,7 +9,7 @@ from functools import cache
 
 import numpy as np
 import pytest
-from random_houses import KINDS, OPPOSITE, compare, draw_case, label_of, labels, seen_from_street
+from random_houses import BUILT, KINDS, OPPOSITE, compare, draw_case, label_of, labels, seen_from_street
 
 from subiaco_geo.codes import Change
 
@@ -46,6 +46,15 @@ def test_where_absence_is_assumed_a_wall_behind_a_new_wing_is_a_wall_of_the_hous
     small, large = draw_case(1002).surveys
     assert labels(compare(small, large, "assumed")) == [Change.INCREASED]
     assert labels(compare(large, small, "assumed")) == [Change.DECREASED]
+
+
+@pytest.mark.parametrize("seed", [2297, 2488], ids=["taken away", "built"])
+def test_where_absence_is_assumed_a_hidden_wall_of_a_house_called_unchanged_is_no_change(seed):
+    """The wing beside the house hides its side wall; what is known of the wing is too little for a claim."""
+    small, large = draw_case(seed, kinds=(*BUILT, "roof"), least=0.1).surveys
+    built = seed % 2 == 0
+    found = labels(compare(small, large, "assumed") if built else compare(large, small, "assumed"))
+    assert not set(found) & set(OPPOSITE[Change.INCREASED if built else Change.DECREASED])
 
 
 @pytest.mark.parametrize("kind", QUICK)

@@ -8,8 +8,10 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from subiaco_change.config import ChangeConfig
 from subiaco_change.decisions.plant_tops import EpochSpace, TopConfig, change_of_tops, expected_top
 from subiaco_change.method_rules.switches import rules_switched_off
+from subiaco_change.point_spacing import at_spacing
 
 CONFIG = TopConfig()
 NOTHING = EpochSpace(np.zeros((0, 3)))
@@ -105,3 +107,21 @@ def test_a_part_that_rose_is_told_from_scatter():
     assert found.fall_of_part == 0.0
     still = change_of_tops(before, np.concatenate([same, crown(7, x=10.0)]), (NOTHING,) * 2, CONFIG)
     assert (still.rise_of_part, still.fall_of_part) == (0.0, 0.0)
+
+
+def test_tops_of_crowns_in_sparse_clouds_are_read_from_columns_as_wide_as_their_spacing_asks():
+    """60 points a crown, 0.6 m apart: the highest of them scatter by half a metre, their columns do not."""
+    config = at_spacing(ChangeConfig(), 0.6).plants.tops
+    rises = []
+    for seed in range(60):
+        pair = crown(2 * seed, 60, radius=3.0), crown(2 * seed + 1, 60, radius=3.0)
+        rises.append(change_of_tops(*pair, (NOTHING, NOTHING), config))
+    known = [r for r in rises if np.isfinite(r.median)]
+    narrow = [change_of_tops(*pair, (NOTHING, NOTHING), CONFIG) for pair in [(crown(0, 60), crown(1, 60))]]
+    assert len(known) >= 51
+    assert np.isnan(narrow[0].median)
+    assert np.mean([abs(r.median) > 3 * np.hypot(r.sigma, 0.1) for r in known]) <= 0.1
+    grown = change_of_tops(
+        crown(1, 60, radius=3.0), crown(2, 60, radius=3.3, top=10.5, height=5.5), (NOTHING, NOTHING), config
+    )
+    assert grown.median > 0.8

@@ -10,6 +10,7 @@ from hypothesis import strategies as st
 from subiaco_change.decisions.config import CarvingConfig
 from subiaco_change.decisions.space_carving import CarvingEpoch, carve
 from subiaco_change.decisions.voxel_objects import Voxels
+from subiaco_change.method_rules.switches import rules_switched_off
 
 CELL = 0.5
 LENGTH, DEPTH, TALL = 10.0, 8.0, 3.0
@@ -113,6 +114,40 @@ def test_a_wing_five_metres_deep_of_which_two_walls_were_seen_has_its_volume():
     assert found.height.low <= 0.0 <= found.height.high
 
 
+@pytest.mark.parametrize("open_gap", [False, True])
+def test_a_wall_of_which_grazing_beams_met_both_ends_is_a_wall_in_between_unless_seen_open(open_gap):
+    """Of the side wall of the wing, 8 m deep, the first 1.5 m and the last metre were met."""
+    depth, far = 8.0, 9.0
+    side = (LENGTH + 4 - CELL, LENGTH + 4)
+    walls = [*wing(side=False), sheet((side[0], 1.5, 0), (side[1], 2.5, TALL))]
+    walls.append(sheet((side[0], far - 1, 0), (side[1], far, TALL)))
+    new = voxels(*walls, occupied_in_other=False)
+    known = [OUT[n] for n in ("street", "west", "above", "east of the wing", "before the wing")]
+    known += [((side[0] - 1, 3, 0), (side[1] + 1, far - 1.5, HIGH))] if open_gap else []
+    after = CarvingEpoch(voxels(*house(east=False)).add(new), inside(*known), nothing_met)
+    found = carve(epoch(house(), PLAIN), after, CONFIG)
+    whole = 4 * depth * TALL
+    assert (found.volume.low > 0.7 * whole) == (not open_gap)
+    assert 0.0 <= found.volume.low < whole
+    assert (
+        carve(epoch(house(), PLAIN), after, CONFIG.model_copy(update={"wall_gap": 3.0})).volume.low
+        < 0.3 * whole
+    )
+
+
+def test_from_a_line_of_cells_that_was_seen_free_nothing_else_counts_as_lost():
+    """Along the eave of the house beams met cells that the other survey holds; its rooms are unknown."""
+    eave = ((LENGTH - CELL, 1.0, TALL - 0.55), (30, 6.0, HIGH))
+    lower = [wall[~((wall[:, 0] > LENGTH - CELL) & (wall[:, 2] > TALL - CELL))] for wall in house()]
+    roof = voxels(sheet((0, 0, TALL - CELL), (LENGTH, DEPTH, TALL)), occupied_in_other=False)
+    before = CarvingEpoch(voxels(*house()).add(roof), PLAIN, nothing_met)
+    after = CarvingEpoch(voxels(*lower), inside(OUT["street"], OUT["west"], eave), nothing_met)
+    assert carve(before, after, CONFIG).volume.low == 0.0
+    assert carve(after, before, CONFIG).volume.high == 0.0
+    with rules_switched_off(("lines_of_cells",)):
+        assert carve(before, after, CONFIG).volume.low < -0.5 * LENGTH * DEPTH * TALL
+
+
 def test_behind_a_single_wall_the_depth_is_open():
     found = carve(epoch(house(), PLAIN), extended(side=False), CONFIG)
     assert found.volume.low < 0.25 * 4 * 5 * TALL
@@ -190,6 +225,19 @@ def test_a_storey_needs_free_space_above_the_old_roof():
     assert blind.height.low <= 0.0 <= blind.height.high
     lost = carve(taller, epoch(before, seen("street")), CONFIG)
     assert lost.height.low <= 0.0 <= lost.height.high
+
+
+def test_beams_along_a_wall_do_not_show_that_it_ends():
+    """They cross the wall's own columns in front of it, above what their survey saw of the wall."""
+    higher = voxels(*(wall[wall[:, 2] > TALL] for wall in house(tall=TALL + 2.5)), occupied_in_other=False)
+    high = inside(((-9, -9, TALL + 2.5), (30, 30, HIGH)))
+    for seen_there in (True, False):
+        storey = replace(higher, observed=np.full(len(higher), seen_there))
+        after = CarvingEpoch(voxels(*house()).add(storey), high, nothing_met)
+        found = carve(epoch(house(), PLAIN), after, CONFIG)
+        assert found.height.high == pytest.approx(2.5, abs=0.3)
+        assert (found.height.low > 2.0) == seen_there
+        assert seen_there or found.height.low <= 0.0
 
 
 def test_a_new_house_has_the_volume_between_its_walls():

@@ -232,3 +232,17 @@ def test_a_bush_before_a_wall_that_was_seen_behind_it_is_known_to_be_gone():
     observer = make_observer(SurveyMap(PointCloud(np.concatenate([ground, wall]), ORIGIN)), CONFIG)
     bush = np.column_stack([np.linspace(8, 9, 5), np.full(5, 7.0), np.linspace(0.5, 1.5, 5)]) + ORIGIN
     assert observer.free_probability(bush) == pytest.approx(CONFIG.shadow_trust)
+
+
+def test_half_a_storey_above_an_old_roof_is_free_space_in_a_bare_cloud_and_the_side_of_a_wall_is_not():
+    """A house 3 m high on flat ground: the roof fills little above it, the wall all of its height."""
+    rng = np.random.default_rng(6)
+    ground = np.column_stack([rng.uniform(-10, 20, 40000), rng.uniform(-10, 20, 40000), np.zeros(40000)])
+    ground = ground[~((np.abs(ground[:, 0] - 5) < 4) & (np.abs(ground[:, 1] - 5) < 4))]
+    roof = np.column_stack([rng.uniform(1, 9, 6000), rng.uniform(1, 9, 6000), np.full(6000, 3.0)])
+    wall = np.column_stack([rng.uniform(1, 9, 4000), np.full(4000, 1.0), rng.uniform(0, 3, 4000)])
+    observer = make_observer(SurveyMap(PointCloud(np.concatenate([ground, roof, wall]), ORIGIN)), CONFIG)
+    above = np.array([[5.0, 5.0, 3.2], [5.0, 5.0, 3.6], [5.0, 1.0, 3.7], [5.0, 5.0, 5.0]]) + ORIGIN
+    assert observer.empty(above).tolist() == [False, True, True, True]
+    beside = np.array([[5.0, 0.5, 1.5], [5.0, 0.5, 2.7], [5.0, 5.0, 2.0]]) + ORIGIN
+    assert not observer.empty(beside).any()

@@ -21,7 +21,7 @@ from subiaco_geo.free_space.expected_visibility import (
     render_views,
 )
 from subiaco_geo.free_space.sensor_view import SensorView, spin_headings
-from subiaco_geo.free_space.view_estimation import blind_arcs
+from subiaco_geo.free_space.view_estimation import blind_arcs, with_blind_arcs
 
 CORNER = np.array([391_000.0, 6_464_000.0])
 REACH = 25.0
@@ -214,3 +214,16 @@ def test_space_behind_the_first_pose_of_a_view_ahead_is_not_seen() -> None:
     assert not ahead.observed(behind).any()
     assert np.allclose(ahead.free_probability(behind), 0.5)
     assert ahead.passed(before).all()
+
+
+def test_azimuths_that_a_map_states_are_not_estimated() -> None:
+    """A cloud that ends at its first pose looks like that of a view ahead; its map tells that it is none."""
+    config = ExpectedVisibilityConfig()
+    eyes, headings = straight()
+    columns = ground(eyes, headings, AHEAD) + CORNER
+    positions = np.column_stack([eyes + CORNER, np.full(len(eyes), 2.0)])
+    poses = make_pose(np.tile(np.eye(3), (len(eyes), 1, 1)), positions)
+    unknown = SensorView(np.radians(-25.0), np.radians(15.0), REACH)
+    assert with_blind_arcs(unknown, poses, columns, config).blind
+    around = replace(unknown, blind=())
+    assert with_blind_arcs(around, poses, columns, config) is around

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from hypothesis import given, settings
@@ -232,7 +234,19 @@ def test_a_map_that_describes_its_sensor_is_believed() -> None:
     assert found is not None
     assert found.elevation_max == pytest.approx(VIEW.elevation_max)
     assert found.useful_range == 50.0
+    assert found.blind is None
     assert described_view({}) is None
-    for bad in ({"elevation_min_deg": 10.0}, {**VIEW.description(), "elevation_max_deg": -30.0}, 3):
+    for stated in ((), ((np.radians(90.0), np.pi),)):
+        told = described_view({"sensor": replace(VIEW, blind=stated).description()})
+        assert told is not None
+        assert told.blind is not None
+        assert np.allclose(np.reshape(told.blind, (-1, 2)), np.reshape(stated, (-1, 2)))
+    for bad in (
+        {**VIEW.description(), "azimuth_blind_deg": 90.0},
+        {**VIEW.description(), "azimuth_blind_deg": [[90.0, 0.0]]},
+        {"elevation_min_deg": 10.0},
+        {**VIEW.description(), "elevation_max_deg": -30.0},
+        3,
+    ):
         with pytest.raises(InputError, match="sensor"):
             described_view({"sensor": bad})

@@ -105,6 +105,23 @@ def test_hedges_fences_and_trees_stand_however_porous(share: float, width: int) 
     assert np.nanmax(found) < CONFIG.sure
 
 
+@pytest.mark.parametrize("sides", [True, False])
+def test_the_roof_of_a_parked_van_that_beams_skim_from_afar_stands(sides: bool) -> None:
+    """Its sides are hit all the time, the roof from near alone; without sides it crossed the road."""
+    cells = block(5.0, height=5, width=5)
+    rim = (np.isin(cells[:, 0], (0, 9)) | np.isin(cells[:, 1], (0, 4))) & (cells[:, 2] < 4)
+    roof = cells[:, 2] == 4
+    cells = cells[(rim & sides) | roof]
+
+    def van(found: np.ndarray, seconds: float) -> np.ndarray:
+        return np.asarray((found[:, 2] < 4) | (4.0 <= seconds < 4.5))
+
+    looks = looked_at(cells, 10.0, van)
+    moved = probability(cells, looks) >= CONFIG.sure
+    assert not moved[cells[:, 2] < 4].any()
+    assert moved[cells[:, 2] == 4].mean() == pytest.approx(0.0 if sides else 1.0)
+
+
 def test_a_pole_stands_although_beams_pass_beside_it_in_half_of_the_windows() -> None:
     rng = np.random.default_rng(6)
     cells = block(0.5, height=8)

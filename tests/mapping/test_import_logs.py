@@ -17,7 +17,7 @@ from subiaco_mapping.importers.csv_logs import (
     read_gnss_log,
     read_imu_log,
 )
-from subiaco_mapping.importers.packets import import_recording
+from subiaco_mapping.importers.packets import import_recording, osf_recording
 from subiaco_mapping.inspection.inspect_bag import inspect_bag
 from subiaco_mapping.pose_graph.config import GnssConfig
 from subiaco_mapping.preprocessing.conversions import fix_from_msg, heading_from_msg, imu_from_msg
@@ -124,6 +124,20 @@ def test_a_file_that_only_bears_the_name_of_osf_is_refused(tmp_path: Path) -> No
     with pytest.raises(InputError, match=r"drive\.osf: not a whole OSF file"):
         import_recording(recording, tmp_path / "bag")
     assert not (tmp_path / "bag").exists()
+
+
+@pytest.mark.parametrize("fault", [MemoryError(), RuntimeError("bad magic\nat byte 4")])
+def test_whatever_the_osf_library_raises_is_told_in_one_line(
+    fault: Exception, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A damaged file may claim more than any memory, and that error has no text."""
+
+    def reader(_name: str) -> None:
+        raise fault
+
+    monkeypatch.setattr("subiaco_mapping.importers.packets.osf.Reader", reader)
+    with pytest.raises(InputError, match=r"^drive\.osf: not a whole OSF file \((MemoryError|bad magic)\)"):
+        list(osf_recording(Path("drive.osf")))
 
 
 @pytest.mark.parametrize(

@@ -158,7 +158,14 @@ def at_spacing(config: ChangeConfig, spacing: float) -> ChangeConfig:
                 update={**raised(instances, _INSTANCES, rule.cell), "leaf": smallest}
             ),
             "lod": config.lod.model_copy(update=raised(config.lod, ("radius", "normal_radius"), rule.plane)),
-            "plants": config.plants.model_copy(update=raised(config.plants, ("shell",), math.inf)),
+            "plants": config.plants.model_copy(
+                update={
+                    **raised(config.plants, ("shell",), math.inf),
+                    "tops": config.plants.tops.model_copy(
+                        update=raised(config.plants.tops, ("cell",), math.inf)
+                    ),
+                }
+            ),
             "measures": config.measures.model_copy(update=raised(config.measures, ("same_high",), rule.same)),
             **raised(config, ("normal_radius",), rule.plane),
         }

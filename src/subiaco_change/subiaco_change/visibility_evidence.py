@@ -35,7 +35,7 @@ from subiaco_geo.free_space.expected_visibility import (
     sample_poses,
 )
 from subiaco_geo.free_space.sensor_view import described_view, spin_axes, spin_headings
-from subiaco_geo.free_space.view_estimation import blind_arcs, estimate_view, view_histogram
+from subiaco_geo.free_space.view_estimation import estimate_view, view_histogram, with_blind_arcs
 from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.trajectories import Trajectory
 
@@ -94,7 +94,7 @@ class EvidenceConfig(StrictModel):
         15.0,
         gt=0,
         description="Height above an observed point up to which places count as observed in a cloud "
-        "without trajectory [m]",
+        "without trajectory, unless the cloud shows a view from above [m]",
     )
     shadow_touch: float = Field(
         0.35,
@@ -313,7 +313,11 @@ def evidence_kind(has_beams: bool, trajectory: Trajectory | None, config: Eviden
 
 
 def make_observer(
-    survey: SurveyMap, config: EvidenceConfig, to_own: Callable[[Floats], Floats] | None = None
+    survey: SurveyMap,
+    config: EvidenceConfig,
+    to_own: Callable[[Floats], Floats] | None = None,
+    *,
+    from_above: bool = False,
 ) -> Observer:
     """Build the observer of one epoch from the best evidence there is, or the one asked for.
 
@@ -325,6 +329,9 @@ def make_observer(
     config : EvidenceConfig
     to_own : callable, optional
         See :class:`Observer`; used for the visibility layer alone.
+    from_above : bool
+        Without visibility layer and trajectory, the whole cloud of which this is a part was measured from
+        above (see :mod:`subiaco_change.view_from_above`).
 
     Raises
     ------
@@ -340,7 +347,8 @@ def make_observer(
         return poses_observer(
             expected_visibility(survey, survey.trajectory, config.poses), survey.cloud, config
         )
-    return Observer("shadow", _shadow(survey.cloud, config), certain=config.shadow_certain)
+    test = replace(_shadow(survey.cloud, config), from_above=from_above)
+    return Observer("shadow", test, certain=config.shadow_certain)
 
 
 def poses_observer(poses: ExpectedVisibility, cloud: PointCloud, config: EvidenceConfig) -> Observer:
@@ -384,7 +392,6 @@ def expected_visibility(
         view = estimate_view([view_histogram(world, images, config)], config)
     occupied = OccupiedVoxels.of(world, occupied_corner(world.min(axis=0), config), config.occupied)
     columns = occupied_columns(occupied.keys, occupied.corner, occupied.voxel)
-    reach = min(view.useful_range, config.max_range)
-    view = replace(view, blind=blind_arcs(trajectory.poses, columns, reach))
-    images = images.blinded(spin_headings(chosen[:, :3, :3]), view.blind)
+    view = with_blind_arcs(view, trajectory.poses, columns, config)
+    images = images.blinded(spin_headings(chosen[:, :3, :3]), view.blind or ())
     return ExpectedVisibility(images, occupied, view, config)

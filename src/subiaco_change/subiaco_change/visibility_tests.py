@@ -123,6 +123,7 @@ class PointShadow:
     touch: float
     level: Floats  # (nx, ny) how high the view reached at a column at least [m], see view_level
     around: Surroundings
+    from_above: bool = False  # no height over a point is too high for the view
 
     def observed(self, world: Floats) -> Flags:
         """Tell which world points (N, 3) the epoch could see."""
@@ -131,10 +132,20 @@ class PointShadow:
         return near | self._above(local)
 
     def passed(self, world: Floats) -> Flags:
-        """Tell which world points (N, 3) were seen empty: beams went on."""
+        """Tell which world points (N, 3) were seen empty: beams went on.
+
+        A surface further below than it may occupy its surroundings ends below the place: half a storey above
+        an old roof is free space.
+        """
         local = np.ascontiguousarray(world - self.origin)
-        near = nearest(self.index, local, self.radius)[0] >= 0
-        return self._above(local) & ~near
+        found = np.flatnonzero(self._above(local))
+        lifted = local[found] + np.array([0.0, 0.0, max(self.radius - self.touch, 0.0)])
+        near = (nearest(self.index, local[found], self.radius)[0] >= 0) & (
+            nearest(self.index, lifted, self.radius)[0] >= 0
+        )
+        passed = np.zeros(len(local), dtype=np.bool_)
+        passed[found[~near]] = True
+        return passed
 
     def free_probability(self, world: Floats) -> Floats:
         """Return the probability (N,) that world points (N, 3) were free; 0.5 where nothing is known."""
@@ -152,6 +163,8 @@ class PointShadow:
 
     def levelled(self, world: Floats) -> Flags:
         """Tell which world points (N, 3) are no higher than what the cloud shows its view to have reached."""
+        if self.from_above:
+            return np.ones(len(world), dtype=np.bool_)
         local = np.ascontiguousarray(world - self.origin)
         ij, inside = self._columns(local)
         level = np.full(len(local), -np.inf)
@@ -171,8 +184,8 @@ class PointShadow:
         ij, inside = self._columns(local)
         found = np.full(len(local), np.inf)
         found[inside] = lowest[ij[inside, 0] * shape[1] + ij[inside, 1]]
-        gap = local[:, 2] - found
-        return np.asarray((gap >= 0) & (gap <= self.height))
+        gap = local[:, 2] - found  # -inf where no point is
+        return np.asarray((gap >= 0) & (gap <= (np.inf if self.from_above else self.height)))
 
 
 @dataclass(frozen=True)

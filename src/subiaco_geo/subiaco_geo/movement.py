@@ -33,6 +33,7 @@ from subiaco_geo.observation_times import VoxelObservations
 from subiaco_geo.visibility import NO_VERDICT, SURELY_MOVED
 
 _LIMIT = 1 << 20
+_BELOW = (-2, -3, -4, -5)  # voxels under one that is not ground
 
 
 class MovementConfig(StrictModel):
@@ -87,6 +88,24 @@ class MovementConfig(StrictModel):
         le=0,
         description="Evidence (log likelihood ratio) below which a voxel is static although its component "
         "moved [1]",
+    )
+    layer: float = Field(
+        2.0,
+        ge=1,
+        description="Mean number of voxels in a column up to which a component may be the top of a static "
+        "object, which beams skim",
+    )
+    attached: float = Field(
+        0.6,
+        gt=0,
+        le=1,
+        description="Fraction of the voxels of this thin component beside raised static voxels from "
+        "which the component belongs to a static object",
+    )
+    lasting: float = Field(
+        2.0,
+        ge=0,
+        description="Time span of hits from which a voxel beside a component counts as static there [s]",
     )
     prior: float = Field(-4.0, description="Log odds that a component moved, before any evidence [1]")
     sure: float = Field(
@@ -219,7 +238,9 @@ def verdicts(
         return code
     names = [field.name for field in fields(_Doubtful)]
     found = _Doubtful(**{n: np.concatenate([getattr(p, n) for p in parts]) for n in names})
-    chance = _component_chance(np.asarray(keys[found.row]), found, config)
+    open_ = found.row[found.candidate & (found.own > config.standing)]
+    static = _StaticSurroundings(keys, looks, open_, config)
+    chance = _component_chance(np.asarray(keys[found.row]), found, static, config)
     code[found.row] = np.maximum(code[found.row], np.round(chance * SURELY_MOVED))
     return code
 
@@ -240,8 +261,7 @@ def _judge_part(
     seen = looks.select(hit)
     own = evidence_of_movement(seen, config).astype(np.float64)
     own = np.clip(own, -config.weight, config.weight)
-    lasted = np.minimum(seen.last - seen.first + 1.0, config.gaps * seen.hits) * config.window
-    span = np.minimum(lasted, 2 * config.brief)
+    span = np.minimum(_lasted(seen, config), 2 * config.brief)
     mean, around = _around(np.asarray(keys[hit]), np.column_stack([own, span]), 1).T
     brief = 0.5 * np.clip(2.0 - around / max(config.brief, 1e-9), 0.0, 1.0)
     mine = (hit >= start) & (hit < stop)
@@ -250,8 +270,54 @@ def _judge_part(
     return _Doubtful(hit[doubtful], own[doubtful], (mean > 0)[doubtful])
 
 
-def _component_chance(keys: Ints, found: _Doubtful, config: MovementConfig) -> Floats:
-    """Probability (D,) that the doubtful voxels moved, with their component or beside one that did."""
+@dataclass(frozen=True)
+class _StaticSurroundings:
+    """Voxels (M,) of a map, when they were hit, and which of them (C,) may have moved."""
+
+    keys: Ints
+    looks: VoxelObservations
+    candidates: Ints
+    config: MovementConfig
+
+    def beside(self, keys: Ints) -> NDArray[np.bool_]:
+        """Tell which voxels (N,) touch one that was hit for long and that stands on another: no ground."""
+        found = np.zeros(len(keys), dtype=bool)
+        for step in _steps(1, (-1, 0, 1)):
+            near = keys + step
+            row, static = self._hit(near)
+            static[static] = _lasted(self.looks.select(row[static]), self.config) >= self.config.lasting
+            static[static] = ~np.isin(row[static], self.candidates)
+            for below in _steps(1, _BELOW):
+                raised = np.flatnonzero(static & ~found)
+                found[raised] = self._hit(near[raised] + below)[1]
+        return found
+
+    def _hit(self, keys: Ints) -> tuple[Ints, NDArray[np.bool_]]:
+        """Return the rows of voxels (N,), and from which of these voxels something returned."""
+        row = np.minimum(self.keys.searchsorted(keys), len(self.keys) - 1)
+        return row, np.asarray((self.keys[row] == keys) & (self.looks.hits[row] > 0))
+
+
+def _lasted(looks: VoxelObservations, config: MovementConfig) -> Floats:
+    """Time span of the hits of voxels (N,) [s]."""
+    windows = np.minimum(looks.last - looks.first + 1.0, config.gaps * looks.hits)
+    return np.asarray(windows * config.window)
+
+
+def _steps(reach: int, heights: tuple[int, ...]) -> list[int]:
+    """Differences of packed keys to the columns within ``reach`` cells, at some heights."""
+    columns = range(-reach, reach + 1)
+    return [(dx << 42) + (dy << 21) + dz for dx in columns for dy in columns for dz in heights]
+
+
+def _component_chance(
+    keys: Ints, found: _Doubtful, static: _StaticSurroundings, config: MovementConfig
+) -> Floats:
+    """Probability (D,) that the doubtful voxels moved, with their component or beside one that did.
+
+    A thin component most of which touches static voxels above the ground is part of the static object: the
+    roof of a parked van, whose voxels beams from afar skim, and which returns beams from near alone.
+    """
     chance = np.zeros(len(keys))
     inside = np.flatnonzero(found.candidate)
     if len(inside) == 0:
@@ -260,10 +326,17 @@ def _component_chance(keys: Ints, found: _Doubtful, config: MovementConfig) -> F
     size = np.maximum(np.bincount(part), 1)
     mean = np.bincount(part, found.own[inside]) / size
     odds = config.prior + mean * np.cbrt(size)
-    chance[inside] = (1.0 / (1.0 + np.exp(-np.clip(odds, -50.0, 50.0))))[part]
+    likely = (1.0 / (1.0 + np.exp(-np.clip(odds, -50.0, 50.0))))[part]
+    columns = np.bincount(part[np.unique(keys[inside] >> 21, return_index=True)[1]], minlength=len(size))
+    layer = size <= config.layer * np.maximum(columns, 1)
+    check = np.flatnonzero((likely >= 0.5) & layer[part])
+    beside = np.zeros(len(inside))
+    beside[check] = static.beside(keys[inside[check]])
+    attached = np.bincount(part, beside) >= config.attached * size
+    chance[inside] = np.where((attached & layer)[part], 0.0, likely)
     moved = np.where(chance >= config.sure, chance, 0.0)
     near = _around(keys, np.column_stack([moved, moved > 0]), 1)
-    beside = near[:, 0] / np.maximum(near[:, 1], 1e-9)
+    around = near[:, 0] / np.maximum(near[:, 1], 1e-9)
     joins = (near[:, 1] > 0) & (found.own > config.touching)
-    chance = np.where(joins, np.maximum(chance, beside), chance)
+    chance = np.where(joins, np.maximum(chance, around), chance)
     return np.where(found.own > config.standing, chance, 0.0)

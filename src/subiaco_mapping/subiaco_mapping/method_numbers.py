@@ -126,6 +126,13 @@ class FusionNumbers(StrictModel):
         "map",
     )
     elevation_cell_deg: float = Field(0.1, description="Elevation step of the measured field of view [deg]")
+    azimuth_cells: int = Field(
+        72, description="Number of azimuths around for which the beams of a sensor are counted"
+    )
+    azimuth_stray: float = Field(
+        0.02,
+        description="Largest number of beams of a blind azimuth, a fraction of the median of all with beams",
+    )
     range_cell: float = Field(0.5, description="Range step of the measured field of view [m]")
     stray_beams: float = Field(
         0.001,

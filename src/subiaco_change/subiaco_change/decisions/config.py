@@ -230,7 +230,7 @@ class CarvingConfig(StrictModel):
         2.2, gt=0, description="Smallest height of walls that enclose a volume [m]; lower walls are fences"
     )
     wall_gap: float = Field(
-        3.0,
+        6.0,
         ge=0,
         description="Longest gap between observed pieces of one wall that is closed along the wall [m]",
     )

@@ -14,7 +14,7 @@ from subiaco_change.association.costs import AssociationConfig
 from subiaco_change.association.matching import match_kind
 from subiaco_change.decisions.column_volumes import BUILT_UP, OpenGround, column_keys
 from subiaco_change.decisions.config import DecisionConfig
-from subiaco_change.decisions.driven_lane import decide_in_traffic, lane_share_of_claim
+from subiaco_change.decisions.driven_lane import decide_in_traffic, decide_shapeless, lane_share_of_claim
 from subiaco_change.decisions.dynamic_objects import (
     Moved,
     Observed,
@@ -134,6 +134,7 @@ def decide_object(
             or is_moving_object_trail(parts, semantic, own, rules.decisions, measures.free)
             or continues_trail(parts, semantic, own, rules.decisions)
             or decide_in_traffic(parts, rules.lanes, moved, rules.decisions)
+            or decide_shapeless(parts, semantic, rules.lanes, rules.decisions)
             or decide_vehicle_part(parts, semantic, measures, rules.standing[int(bool(before))])
             or decision
         )

@@ -15,7 +15,7 @@ epoch knows is no evidence.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -49,6 +49,8 @@ _ABOVE = NUMBERS.space_carving.vertical_gap
 _MOST_SIDES = NUMBERS.space_carving.closed_sides
 _TOP = NUMBERS.space_carving.top_tolerance
 _FEW = NUMBERS.space_carving.fewest_columns
+_LOOKED = NUMBERS.space_carving.observed_share
+_REFUTED = NUMBERS.space_carving.free_share
 _TOUCHING = np.ones((3, 3, 3), dtype=bool)
 _BESIDE_WALL, _BESIDE_ROOF = np.ones((3, 3, 5), dtype=bool), _TOUCHING  # a surface lies anywhere in its cell
 _LEVEL = NUMBERS.space_carving.roof_normal
@@ -143,6 +145,7 @@ class _Frame:
 class _State:
     """What an epoch knows of every cell; ``top`` (nx, ny) of its surfaces [m], 0 where it has none.
 
+    ``not_refuted`` (nx, ny) is the top of what the other epoch has above it and it did not see free [m].
     ``hollow`` lies below a top and was seen free: below a canopy, or behind a window. It is neither
     solid nor known to be outside.
     """
@@ -151,6 +154,7 @@ class _State:
     free: Cells
     hollow: Cells
     top: Floats
+    not_refuted: Floats
 
     @property
     def unknown(self) -> Cells:
@@ -215,12 +219,14 @@ def _state(epoch: CarvingEpoch, other: Voxels, frame: _Frame) -> _State:
     nx, ny, nz = frame.shape
     own = epoch.voxels.add(_shared(other, epoch))
     top = _tops(own, frame)
+    not_refuted = _not_refuted(other, top, frame)
     below = np.arange(nz) <= frame.level(top)[:, :, None]
     middles = frame.middles()
     open_column = epoch.bare(middles).reshape(nx, ny) & (top == 0)
     free = np.repeat(open_column[:, :, None], nz, axis=2)
     if epoch.empty is None:  # nothing tells free space: only above what was seen there is room for the sky
-        return _State(below, free | ((top > 0)[:, :, None] & ~below), np.zeros_like(below), top)
+        sky = free | ((top > 0)[:, :, None] & ~below)
+        return _State(below, sky, np.zeros_like(below), top, not_refuted)
     ask = ~free & ~_beside_surfaces(own, below, frame)
     ask |= ~(free | below)
     column, level = np.divmod(np.flatnonzero(ask.ravel()), nz)
@@ -228,7 +234,7 @@ def _state(epoch: CarvingEpoch, other: Voxels, frame: _Frame) -> _State:
     free[ask] = epoch.empty(np.column_stack([middles[column], height]))
     hollow = free & below
     free = _between_beams(free & ~below, below, top)
-    return _State(below & ~hollow, free, hollow, top)
+    return _State(below & ~hollow, free, hollow, top, not_refuted)
 
 
 @switchable("cells_beside_surfaces", none_like_second)
@@ -285,6 +291,29 @@ def _shared(other: Voxels, epoch: CarvingEpoch) -> Voxels:
     return other.select(shared)
 
 
+def _all_refuted(_: Voxels, top: Floats, *__: object) -> Floats:
+    """Return no tops."""
+    return np.zeros_like(top)
+
+
+@switchable("surfaces_not_refuted", _all_refuted)
+def _not_refuted(other: Voxels, top: Floats, frame: _Frame) -> Floats:
+    """Tops (nx, ny) of the other epoch's surfaces above an epoch's own that may have stood there too [m].
+
+    A beam along a wall crosses the wall's columns in front of it and shows free space above what was seen
+    of the wall. Surfaces of the other epoch lie in the wall itself: they stood in one epoch alone where most
+    of their places were seen free.
+    """
+    slot = frame.slots(other.xyz[:, :2])
+    own = top[slot[:, 0], slot[:, 1]]
+    above = other.select((own > 0) & (other.height > own + frame.rise))
+    looked = np.count_nonzero(above.observed)
+    free = np.count_nonzero(above.observed_unoccupied)
+    if looked >= _LOOKED * len(above) and free >= _REFUTED * looked:
+        return np.zeros_like(top)
+    return _tops(above.select(~above.observed_unoccupied), frame)
+
+
 def _tops(voxels: Voxels, frame: _Frame) -> Floats:
     tops = np.zeros(frame.shape[:2])
     slot = frame.slots(voxels.xyz[:, :2])
@@ -330,15 +359,33 @@ def _difference(
     # Between free space and a wall lies a cell that is neither: the resolution, and no room to hide in.
     sure |= ndimage.binary_dilation(sure, _FACES) & old.unknown & solid
     maybe = (old.free & new.unknown) | (old.unknown & solid)
-    reach = ndimage.binary_propagation(changed, _TOUCHING, changed | maybe)
+    reach = ndimage.binary_propagation(_patches(changed, config), _TOUCHING, changed | maybe)
     return Interval(float(sure.sum()) * frame.volume, float(reach.sum()) * frame.volume), sure
 
 
 @switchable("thin_volumes", first_argument)
 def _without_thin(changed: Cells, config: CarvingConfig) -> Cells:
     """Remove changed cells that are thinner than the smallest extent of a change."""
-    thin = np.ones((config.thickness, config.thickness, config.thickness + 1))
-    return np.asarray(ndimage.binary_opening(changed, thin))
+    return _opened(changed, [(config.thickness, config.thickness, config.thickness + 1)])
+
+
+@switchable("lines_of_cells", first_argument)
+def _patches(changed: Cells, config: CarvingConfig) -> Cells:
+    """Keep changed cells that form a wall or a roof: along an edge, two samplings differ by a line of cells.
+
+    What no epoch knows adjoins every edge: from a line of cells all of it would count as changed.
+    """
+    wide, tall = config.thickness, config.thickness + 1
+    return _opened(changed, [(1, wide, tall), (wide, 1, tall), (wide, wide, 1)])
+
+
+def _opened(cells: Cells, shapes: Sequence[tuple[int, int, int]]) -> Cells:
+    """Keep cells that lie in a filled block of one of some shapes."""
+    kept = np.zeros_like(cells)
+    for box in ndimage.find_objects(cells.astype(np.int8)):  # the rest is empty: most houses did not change
+        for shape in shapes:
+            kept[box] |= ndimage.binary_opening(cells[box], np.ones(shape))
+    return kept
 
 
 def _surface(voxels: Voxels, frame: _Frame) -> Ints:
@@ -382,9 +429,10 @@ def _with_gaps(walls: Cells, open_: Cells, frame: _Frame, config: CarvingConfig)
 def _height(states: tuple[_State, ...], frame: _Frame, config: CarvingConfig) -> Interval:
     """Change of the height that 5 % of the columns reach, of columns that both epochs know.
 
-    The top of a column lies between the highest surface seen in it and the lowest free cell above; where
-    few columns have free space above, those without count too, up to the highest top of all. A top is
-    known to half of a cell.
+    The top of a column lies between the highest surface seen in it and the lowest free cell above, or the
+    surface of the other epoch that was not seen free: a beam along a wall crosses its columns in front of
+    it. Where few columns have free space above, those without count too, up to the highest top of all. A
+    top is known to half of a cell.
     """
     ceiling = max(float(state.top.max()) for state in states)
     bounds = [_tops_between(state, frame, config) for state in states]
@@ -411,7 +459,7 @@ def _tops_between(state: _State, frame: _Frame, config: CarvingConfig) -> tuple[
     above = np.where(bottom >= state.top[:, :, None] - frame.rise, bottom, np.inf).min(axis=2)
     near = rule_mask("roof_gap", above <= state.top + config.roof_gap)
     high = np.where(near, state.top, np.maximum(above, state.top))
-    return state.top, high
+    return state.top, np.maximum(high, state.not_refuted)
 
 
 def _whole(state: _State, voxels: tuple[Voxels, Voxels], gained: Cells, frame: _Frame) -> float:

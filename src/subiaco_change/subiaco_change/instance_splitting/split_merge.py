@@ -156,17 +156,24 @@ def join_hidden_walls(changes: list[ObjectChange], rules: ObjectRules) -> list[O
     """Join a wall that the other epoch hardly observed to the changed building it belongs to.
 
     A wall within the outline of a house is a wall of it: pieces of one body are one row. Where absence is
-    assumed and not observed, what was built may hide any wall.
+    assumed and not observed, what was built may hide any wall, also of a house without a change of its own.
     """
-    walls = [number for number, change in enumerate(changes) if _may_be_hidden_wall(change, rules)]
     hosts = {
         i: shapely.MultiPoint(join_voxels((*c.before, *c.after)).xyz[:, :2]).convex_hull.buffer(_WALL)
-        for i, c in enumerate(changes if walls else ())
-        if c.semantic is Semantic.BUILDING and c.decision.change in (Change.INCREASED, Change.DECREASED)
+        for i, c in enumerate(changes)
+        if c.semantic is Semantic.BUILDING and (_is_reshaped(c) or _is_assumed(c, rules))
     }
     joined: dict[int, list[int]] = {}
-    for number in walls:
-        xyz = join_voxels((*changes[number].before, *changes[number].after)).xyz
+    for number, change in enumerate(changes):
+        alone = (*change.before, *change.after)
+        low_part = change.semantic is Semantic.OTHER and all(t.is_part for t in alone)
+        if (
+            not (change.semantic is Semantic.BUILDING or low_part)
+            or (change.before and change.after)
+            or not _is_hardly_observed(change, rules)
+        ):
+            continue
+        xyz = join_voxels(alone).xyz
         shares = {i: shapely.contains_xy(o, xyz[:, 0], xyz[:, 1]).mean() for i, o in hosts.items()}
         best = max(shares, key=lambda i: shares[i], default=number)
         if shares.get(best, 0.0) >= _WITHIN:
@@ -179,15 +186,13 @@ def join_hidden_walls(changes: list[ObjectChange], rules: ObjectRules) -> list[O
     ]
 
 
-def _may_be_hidden_wall(change: ObjectChange, rules: ObjectRules) -> bool:
-    """Tell whether a building, or low parts, stood in one epoch whose place the other hardly observed."""
-    alone = (*change.before, *change.after)
-    low_part = change.semantic is Semantic.OTHER and all(t.is_part for t in alone)
-    return (
-        (change.semantic is Semantic.BUILDING or low_part)
-        and not (change.before and change.after)
-        and _is_hardly_observed(change, rules)
-    )
+def _is_reshaped(change: ObjectChange) -> bool:
+    return change.decision.change in (Change.INCREASED, Change.DECREASED)
+
+
+def _is_assumed(change: ObjectChange, rules: ObjectRules) -> bool:
+    """Tell whether both epochs have an object, and nothing tells what they saw of the space around."""
+    return bool(change.before and change.after) and None in rules.ground.empty
 
 
 def _is_hardly_observed(change: ObjectChange, rules: ObjectRules) -> bool:

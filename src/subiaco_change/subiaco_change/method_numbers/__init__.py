@@ -58,6 +58,7 @@ from subiaco_change.method_numbers.segmentation_numbers import (
     TrailEndsNumbers,
     TrailShapeNumbers,
     TrailSwathsNumbers,
+    ViewFromAboveNumbers,
     VisibilityEvidenceNumbers,
     WiresAndPolesNumbers,
 )
@@ -116,6 +117,7 @@ class MethodNumbers(StrictModel):
     spacing: SpacingNumbers = SpacingNumbers()
     sparse: SparseNumbers = SparseNumbers()
     visibility_evidence: VisibilityEvidenceNumbers = VisibilityEvidenceNumbers()
+    view_from_above: ViewFromAboveNumbers = ViewFromAboveNumbers()
     tiling: TilingNumbers = TilingNumbers()
     free_space: FreeSpaceNumbers = FREE_SPACE
 

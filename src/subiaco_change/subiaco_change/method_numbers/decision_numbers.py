@@ -380,6 +380,15 @@ class SpaceCarvingNumbers(StrictModel):
         0.7,
         description="Smallest vertical component of the normal of a roof, as a ratio",
     )
+    observed_share: float = Field(
+        0.3,
+        description="Fraction of the surfaces of one survey above those of the other whose places the other "
+        "must have observed, to show that they did not stand",
+    )
+    free_share: float = Field(
+        0.5,
+        description="Fraction of these observed places that must have been free",
+    )
 
 
 class StoreysNumbers(StrictModel):

@@ -112,6 +112,31 @@ class SparseNumbers(StrictModel):
     )
 
 
+class ViewFromAboveNumbers(StrictModel):
+    """Numbers of ``view_from_above.py``."""
+
+    cell: float = Field(1.0, description="Smallest edge of the columns that show a view from above [m]")
+    cell_spacings: float = Field(
+        2.5, description="Smallest edge of a column as a multiple of the point spacing"
+    )
+    tall: float = Field(4.0, description="Difference of heights from which on a column is tall [m]")
+    raised: float = Field(
+        2.0, description="Height over the lowest point of a tall column from which on points count [m]"
+    )
+    top_share: float = Field(0.15, description="Fraction of the height of a tall column that is its top")
+    gap: float = Field(10.0, description="Width of gaps that the outline of a cloud closes [m]")
+    least_tall: int = Field(30, description="Smallest number of tall columns that shows a view from above")
+    filled_share: float = Field(
+        0.92,
+        description="Smallest fraction of the columns within its outline that a cloud from above fills",
+    )
+    topmost_share: float = Field(
+        0.38,
+        description="Smallest fraction of the raised points of tall columns that lie at the tops of a cloud "
+        "measured from above",
+    )
+
+
 class VisibilityEvidenceNumbers(StrictModel):
     """Numbers of ``visibility_evidence.py``."""
 

@@ -162,6 +162,14 @@ MOVING_OBJECT_RULES: tuple[Rule, ...] = (
         guards=True,
     ),
     Rule(
+        "shapeless_in_lane",
+        _HERE,
+        "Without counts of beams, what one epoch alone holds in the lane of a survey vehicle is a ghost trail"
+        " where it has not the shape of a vehicle.",
+        ("method_numbers.driven_lane.half_width", "method_numbers.driven_lane.share"),
+        guards=True,
+    ),
+    Rule(
         "confidence_of_brief_objects",
         _HERE,
         "The confidence in an object of one epoch is at most the probability that the object stood still.",
@@ -400,6 +408,14 @@ BUILDING_RULES: tuple[Rule, ...] = (
         ("method_numbers.space_carving.horizontal_gap", "method_numbers.space_carving.vertical_gap"),
     ),
     Rule(
+        "surfaces_not_refuted",
+        _HERE,
+        "A surface that one epoch has above those of the other may have stood in both, unless most of its"
+        " places were seen free: beams along a wall cross the wall's columns in front of it.",
+        ("method_numbers.space_carving.observed_share", "method_numbers.space_carving.free_share"),
+        guards=True,
+    ),
+    Rule(
         "cells_beside_surfaces",
         _HERE,
         "A cell beside a surface is not asked whether it is free: beams pass between the voxels of a wall.",
@@ -427,6 +443,12 @@ BUILDING_RULES: tuple[Rule, ...] = (
         "thin_volumes",
         _HERE,
         "A change of volume thinner than two cells is noise of surfaces.",
+        ("measures.carving.thickness",),
+    ),
+    Rule(
+        "lines_of_cells",
+        _HERE,
+        "What a survey does not know is counted where it adjoins a changed patch, not along a line of cells.",
         ("measures.carving.thickness",),
     ),
     Rule(

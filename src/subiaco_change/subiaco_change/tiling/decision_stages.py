@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from typing import Any, ClassVar
+from typing import Any, ClassVar, Protocol
 
 import numpy as np
 import shapely
@@ -25,8 +25,9 @@ from subiaco_change.decisions.object_comparison import compare_objects, log_rati
 from subiaco_change.decisions.object_decision import ObjectChange, ObjectRules
 from subiaco_change.decisions.plant_decisions import decide_plant, place_was_free
 from subiaco_change.decisions.plant_measures import PlantConfig
+from subiaco_change.decisions.space_carving import Empty
 from subiaco_change.decisions.vegetation_null import PlantMeasures, fit_null, null_of, null_words
-from subiaco_change.decisions.voxel_objects import NO_OBJECT, OTHERS, EpochView
+from subiaco_change.decisions.voxel_objects import NO_OBJECT, OTHERS, Certainty, EpochView, Free
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import obeys_rules
 from subiaco_change.records import ChangeRecord
@@ -181,18 +182,8 @@ def compare_tile(inputs: Inputs, params: TileParams[ComparisonSlice]) -> TileCom
     compact = [_compact(r.view, m) for r, m in zip(regions, members, strict=True)]
     views = [view for view, _ in compact]
     kinds = [side.kind for side in params.sides]
-    empty = [None if kind == "assumed" else r.empty for r, kind in zip(regions, kinds, strict=True)]
-    free = [None if kind == "assumed" else r.free for r, kind in zip(regions, kinds, strict=True)]
-    above = [None if kind == "assumed" else r.above for r, kind in zip(regions, kinds, strict=True)]
-    ground = OpenGround(NO_COLUMNS, NO_COLUMNS, (empty[0], empty[1]))
-    certain = (regions[0].certain, regions[1].certain)
     rules = replace(
-        object_rules(config),
-        ground=ground,
-        free=(free[0], free[1]),
-        above=(above[0], above[1]),
-        below_view=(regions[0].below_view, regions[1].below_view),
-        certain=certain,
+        with_evidence(object_rules(config), (regions[0], regions[1]), kinds),
         lanes=tuple(r.driven for r in regions if r.driven is not None),
         moved=(regions[0].moved, regions[1].moved),
     )
@@ -217,6 +208,48 @@ def compare_tile(inputs: Inputs, params: TileParams[ComparisonSlice]) -> TileCom
     before = RowPoints(tuple(regions[0].tiles), _points(regions[0], changes, "before"))
     after = RowPoints(tuple(regions[1].tiles), _points(regions[1], changes, "after"))
     return TileComparison(tuple(records), plants_of(changes), before, after)
+
+
+class SpaceEvidence(Protocol):
+    """What an epoch knows of the space around, in the common frame; see :class:`Region`."""
+
+    @property
+    def empty(self) -> Empty:
+        """Tell which places were seen empty."""
+
+    @property
+    def free(self) -> Free:
+        """Tell how probable it is that nothing stood at places."""
+
+    @property
+    def above(self) -> Free:
+        """Tell the same above the tops of plants."""
+
+    @property
+    def below_view(self) -> Empty:
+        """Tell which places are no higher than the view is known to have reached."""
+
+    @property
+    def certain(self) -> Certainty:
+        """Tell how certain the evidence is at most."""
+
+
+def with_evidence(
+    rules: ObjectRules, evidence: tuple[SpaceEvidence, SpaceEvidence], kinds: Sequence[EvidenceKind]
+) -> ObjectRules:
+    """Return rules with what both epochs know of the space around: nothing where absence is assumed."""
+    known = [kind != "assumed" for kind in kinds]
+    empty = [e.empty if k else None for e, k in zip(evidence, known, strict=True)]
+    free = [e.free if k else None for e, k in zip(evidence, known, strict=True)]
+    above = [e.above if k else None for e, k in zip(evidence, known, strict=True)]
+    return replace(
+        rules,
+        ground=OpenGround(NO_COLUMNS, NO_COLUMNS, (empty[0], empty[1])),
+        free=(free[0], free[1]),
+        above=(above[0], above[1]),
+        below_view=(evidence[0].below_view, evidence[1].below_view),
+        certain=(evidence[0].certain, evidence[1].certain),
+    )
 
 
 def object_rules(config: ComparisonSlice | ChangeConfig) -> ObjectRules:

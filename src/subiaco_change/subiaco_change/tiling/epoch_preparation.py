@@ -22,6 +22,7 @@ from subiaco_change.segmentation.ghost_trails import trail_probability
 from subiaco_change.segmentation.ground_model import fit_ground
 from subiaco_change.segmentation.raised_surfaces import find_raised
 from subiaco_change.tiling.epoch_tiles import EpochContext, TilePoints, load_beams
+from subiaco_change.view_from_above import ColumnCounts, count_columns
 from subiaco_change.visibility_evidence import (
     EvidenceConfig,
     EvidenceKind,
@@ -92,9 +93,13 @@ class TrailParams:
 
 @dataclass(frozen=True)
 class TileTrails:
-    """Probability (N,) that each point of a tile, in their order, was left by a moving object."""
+    """Probability (N,) that each point of a tile, in their order, was left by a moving object.
+
+    ``columns`` counts what its columns hold, which tells a view from above.
+    """
 
     moved: NDArray[np.float32]
+    columns: ColumnCounts
 
 
 @obeys_rules
@@ -118,7 +123,8 @@ def find_trails(inputs: Inputs, params: TrailParams) -> TileTrails:
     ground = fit_ground(xyz, config.ground, find_raised(xyz, config.raised))
     height = xyz[:, 2] - ground.height(xyz[:, :2])
     moved = trail_probability(xyz, height, config.trail_shape)
-    return TileTrails(with_times(moved[: len(own)], points.moving).astype(np.float32))
+    probability = with_times(moved[: len(own)], points.moving).astype(np.float32)
+    return TileTrails(probability, count_columns(xyz[: len(own)], side.spacing))
 
 
 def with_times(by_shape: Floats, by_times: NDArray[Any] | None) -> Floats:
@@ -218,7 +224,7 @@ def load_expected(
     else:
         eyes, axes = np.concatenate([p.eyes for p in parts]), np.concatenate([p.axes for p in parts])
         images = DepthImages(eyes, axes, np.concatenate([p.images for p in parts]), grid)
-        images = images.blinded(np.concatenate([p.headings for p in parts]), view.blind)
+        images = images.blinded(np.concatenate([p.headings for p in parts]), view.blind or ())
         keys = np.unique(np.concatenate([p.occupied for p in parts]))  # on a border, two tiles hold a voxel
     return ExpectedVisibility(images, OccupiedVoxels(keys, side.corner, side.voxel), view, config)
 
@@ -246,5 +252,5 @@ def load_observer(inputs: Inputs, side: EpochContext, points: Floats, config: Ev
     grid = load_beams(inputs, alias, side.corner, side.voxel) if kind == "observed" else None
     asked = config.model_copy(update={"source": kind})
     back = None if side.beams_crs is None else transformer(str(side.crs), side.beams_crs).apply
-    found = make_observer(SurveyMap(cloud, visibility=grid), asked, back)
+    found = make_observer(SurveyMap(cloud, visibility=grid), asked, back, from_above=side.from_above)
     return Observer(side.kind, found.test, found.to_own, found.certain)

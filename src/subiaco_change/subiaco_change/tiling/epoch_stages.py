@@ -32,6 +32,7 @@ from subiaco_change.tiling.alignment import StatedPoses
 from subiaco_change.tiling.epoch_preparation import (
     LevellingParams,
     RenderParams,
+    TileTrails,
     TileViews,
     TrailParams,
     find_trails,
@@ -53,13 +54,14 @@ from subiaco_change.tiling.registration_stage import RegistrationParams, Registr
 from subiaco_change.tiling.retiling import EpochTileParams, LabelledPoints, MergingParams, recut_tile, unite
 from subiaco_change.tiling.stage_inputs import PairRegistration, in_frame, slice_of
 from subiaco_change.tiling.tile_segmentation import SegmentationParams, SegmentationSlice, prepare_tile
+from subiaco_change.view_from_above import seen_from_above
 from subiaco_change.visibility_evidence import evidence_kind
 from subiaco_geo.crs import Transform, transformer
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats
 from subiaco_geo.free_space.expected_visibility import occupied_columns, occupied_corner, sample_poses
 from subiaco_geo.free_space.sensor_view import SensorView, described_view, spin_headings
-from subiaco_geo.free_space.view_estimation import ViewHistogram, blind_arcs, estimate_view
+from subiaco_geo.free_space.view_estimation import ViewHistogram, estimate_view, with_blind_arcs
 from subiaco_geo.simulated import SIMULATIONS
 from subiaco_geo.sources import Epoch
 from subiaco_geo.tiles import neighbours, split_by_tile, tile_named
@@ -242,6 +244,8 @@ class Epochs:
                 self.beam_edge[name] = _BEAMS * self.size
                 self.beams[name] = cut_beams(self.runner, epoch.beams(), self.beam_edge[name])
                 side = replace(side, beams_crs=other, corner=first.origin, voxel=first.voxel)
+        elif kind == "shadow":
+            side = replace(side, from_above=self._from_above(name))
         elif kind == "trajectory" and way is not None:
             side = replace(side, corner=occupied_corner(cut.low, config.poses))
             self.beams[name] = self._render(side, way)
@@ -257,8 +261,12 @@ class Epochs:
             parts.append(ViewHistogram(piece.above, piece.ranges))
             columns.append(occupied_columns(piece.occupied, side.corner, side.voxel))
         view = described_view(epoch.info) or estimate_view(parts, config)
-        reach = min(view.useful_range, config.max_range)
-        return replace(view, blind=blind_arcs(way.poses, np.concatenate(columns), reach))
+        return with_blind_arcs(view, way.poses, np.concatenate(columns), config)
+
+    def _from_above(self, name: str) -> bool:
+        """Tell whether the cloud of an epoch was measured from above."""
+        keys = (key for _, key in sorted(self.trails[name].items()))
+        return seen_from_above(self.runner.load(TileTrails, key).columns for key in keys)
 
     def _trails(self, side: EpochContext) -> dict[str, str]:
         """Tell ghost trails by their shape, where nothing counted beams."""

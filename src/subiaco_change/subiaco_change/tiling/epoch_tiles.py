@@ -53,6 +53,8 @@ class EpochContext:
         Median distance between neighbouring points on surfaces of the epoch [m], at the working leaf.
     view : SensorView, optional
         Of its sensor, where what its poses saw is expected.
+    from_above : bool
+        Its cloud, without visibility layer and trajectory, was measured from above.
     """
 
     epoch: str
@@ -64,6 +66,7 @@ class EpochContext:
     voxel: float
     spacing: float = STREET_SPACING
     view: SensorView | None = None
+    from_above: bool = False
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Vertical field of view and useful range of a sensor, as stated by a map or estimated from points."""
+"""Field of view and useful range of a sensor, as stated by a map or estimated from points."""
 
 from __future__ import annotations
 
@@ -15,6 +15,8 @@ from subiaco_geo.free_space.numbers import FREE_SPACE
 
 #: Entry of ``map.yaml``.
 SENSOR = "sensor"
+#: Of the entry: arcs of azimuths without beams, from the heading, first angle and extent [deg].
+BLIND = "azimuth_blind_deg"
 _FIELDS = ("elevation_min_deg", "elevation_max_deg", "useful_range_m")
 
 _UPRIGHT = np.cos(np.radians(FREE_SPACE.spin_axis_deg))
@@ -22,7 +24,7 @@ _UPRIGHT = np.cos(np.radians(FREE_SPACE.spin_axis_deg))
 
 @dataclass(frozen=True)
 class SensorView:
-    """Vertical field of view about the spin axis of a LiDAR, and its useful range.
+    """Field of view about the spin axis of a LiDAR, and its useful range.
 
     Parameters
     ----------
@@ -32,18 +34,21 @@ class SensorView:
         So far an ordinary surface returns a beam [m].
     blind : tuple of (float, float)
         Arcs of azimuths into which no beam goes, from the heading of the vehicle
-        (:func:`spin_headings`), counter-clockwise: first angle and extent [rad].
+        (:func:`spin_headings`), counter-clockwise: first angle and extent [rad]. None where not known.
     """
 
     elevation_min: float
     elevation_max: float
     useful_range: float
-    blind: Arcs = ()
+    blind: Arcs | None = None
 
-    def description(self) -> dict[str, float]:
+    def description(self) -> dict[str, Any]:
         """Return the entry ``sensor`` of ``map.yaml``."""
         low, high = np.degrees([self.elevation_min, self.elevation_max]).round(2).tolist()
-        return dict(zip(_FIELDS, (low, high, round(float(self.useful_range), 1)), strict=True))
+        stated = dict(zip(_FIELDS, (low, high, round(float(self.useful_range), 1)), strict=True))
+        if self.blind is None:
+            return stated
+        return {**stated, BLIND: np.degrees(np.reshape(self.blind, (-1, 2))).round(1).tolist()}
 
 
 def described_view(info: Mapping[str, Any]) -> SensorView | None:
@@ -53,6 +58,8 @@ def described_view(info: Mapping[str, Any]) -> SensorView | None:
     ------
     InputError
         The entry lacks an angle or the range, or holds no numbers.
+
+    Maps of earlier versions do not state blind azimuths.
     """
     entry = info.get(SENSOR)
     if entry is None:
@@ -66,7 +73,24 @@ def described_view(info: Mapping[str, Any]) -> SensorView | None:
         raise InputError(
             f"map.yaml: sensor covers {low} to {high} deg up to {reach} m, no field of view; rebuild the map"
         )
-    return SensorView(float(np.radians(low)), float(np.radians(high)), reach)
+    return SensorView(
+        float(np.radians(low)), float(np.radians(high)), reach, _described_arcs(entry.get(BLIND))
+    )
+
+
+def _described_arcs(stated: Any) -> Arcs | None:
+    """Read blind azimuths of ``map.yaml`` [deg]; None where nothing is stated."""
+    if stated is None:
+        return None
+    try:
+        arcs = tuple((float(first), float(extent)) for first, extent in stated)
+    except (TypeError, ValueError) as error:
+        raise InputError(
+            f"map.yaml: sensor.{BLIND} needs pairs of a first angle and an extent; rebuild the map"
+        ) from error
+    if not all(np.isfinite(first) and 0.0 < extent <= 360.0 for first, extent in arcs):
+        raise InputError(f"map.yaml: sensor.{BLIND} holds no arcs of azimuths; rebuild the map")
+    return tuple((float(np.radians(first)), float(np.radians(extent))) for first, extent in arcs)
 
 
 def spin_axes(rotations: Floats) -> Floats:
@@ -94,6 +118,17 @@ def spin_headings(rotations: Floats) -> Floats:
         return np.zeros(0)
     axis = rotations[:, :, (_upright_axis(rotations)[0] + 1) % 3]
     return np.asarray(np.arctan2(axis[:, 1], axis[:, 0]))
+
+
+def upright_sense(rotations: Floats) -> int:
+    """Return 1 where the z axis of a sensor points up most of the way, -1 where down, else 0.
+
+    Azimuths about z of the sensor then run with those of the world, against them, or are none.
+    """
+    if len(rotations) == 0:
+        return 0
+    axis, mean = _upright_axis(rotations)
+    return int(np.sign(mean)) if axis == 2 and abs(mean) >= _UPRIGHT else 0
 
 
 def _upright_axis(rotations: Floats) -> tuple[int, float]:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -113,6 +113,15 @@ def blind_arcs(poses: Floats, columns: Floats, useful_range: float) -> Arcs:
     """
     chosen = poses[path_poses(poses[:, :3, 3])]
     return estimate_blind_arcs(chosen[:, :2, 3], spin_headings(chosen[:, :3, :3]), columns, useful_range)
+
+
+def with_blind_arcs(
+    view: SensorView, poses: Floats, columns: Floats, config: ExpectedVisibilityConfig
+) -> SensorView:
+    """Return the view of an epoch with its blind azimuths: those it states, else :func:`blind_arcs`."""
+    if view.blind is not None:
+        return view
+    return replace(view, blind=blind_arcs(poses, columns, min(view.useful_range, config.max_range)))
 
 
 def _quantile(counts: NDArray[np.int64], share: float) -> int:

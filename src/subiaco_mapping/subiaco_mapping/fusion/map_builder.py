@@ -80,7 +80,7 @@ def build_map(
         trajectory=trajectory,
         visibility=fused.visibility,
         uncertainty=uncertainty,
-        info=_info(solution, trajectory, config, inputs or {}, view.view()),
+        info=_info(solution, trajectory, config, inputs or {}, view.view(trajectory.poses[:, :3, :3])),
         last=fused.last,
         moving=fused.moving,
         odometry=_odometry(sequences),

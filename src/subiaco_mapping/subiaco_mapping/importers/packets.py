@@ -37,6 +37,8 @@ _ROS1_FAULTS = (
     ReaderError, OSError, ValueError, LookupError, AssertionError, EOFError, MemoryError, OverflowError,
     struct.error, RuntimeError, TypeError, zlib.error,
 )  # fmt: skip
+#: What the libraries of the sensor raise where a file is damaged; sizes in it may exceed any memory.
+_SDK_FAULTS = (RuntimeError, ValueError, MemoryError, OverflowError, LookupError)
 _PCAP_SUFFIXES = (".pcap", ".pcapng")
 _ROS2_SUFFIXES = (".mcap", ".db3")
 _LOG_OPTIONS = {".pos": "--gnss", ".csv": "--gnss or --imu"}
@@ -78,6 +80,11 @@ def _read_text(path: Path) -> str:
         raise InputError(f"{path}: cannot be read as metadata JSON ({error})") from error
 
 
+def _first_line(error: Exception) -> str:
+    """Return the first line of an error of a library, or its kind where it says nothing."""
+    return (str(error).splitlines() or [type(error).__name__])[0]
+
+
 def pcap_packets(recording: Path, metadata: str) -> Iterator[RecordedPacket]:
     """Yield the LiDAR and IMU packets of a pcap, in the order of capture.
 
@@ -93,8 +100,8 @@ def pcap_packets(recording: Path, metadata: str) -> Iterator[RecordedPacket]:
             topic = LIDAR_PACKETS if isinstance(packet, core.LidarPacket) else IMU_PACKETS
             if isinstance(packet, core.LidarPacket | core.ImuPacket):
                 yield RecordedPacket(topic, int(packet.host_timestamp), bytes(packet.buf))
-    except (RuntimeError, ValueError) as error:
-        first = str(error).splitlines()[0]
+    except _SDK_FAULTS as error:
+        first = _first_line(error)
         raise InputError(
             f"{recording}: not a pcap of this sensor ({first}); check file and metadata"
         ) from error
@@ -112,8 +119,8 @@ def osf_recording(recording: Path) -> Iterator[str | RecordedPacket]:
         reader = osf.Reader(str(recording))
         sensors = dict(reader.meta_store.find(osf.LidarSensor))
         streams = dict(reader.meta_store.find(osf.LidarFrameStream))
-    except (RuntimeError, ValueError) as error:
-        first = str(error).splitlines()[0]
+    except _SDK_FAULTS as error:
+        first = _first_line(error)
         raise InputError(f"{recording}: not a whole OSF file ({first}); check it") from error
     if not sensors:
         raise InputError(f"{recording}: no LiDAR sensor in it; check the recording")
@@ -141,8 +148,8 @@ def _osf_packets(
             for packet in packets:
                 captured = int(packet.host_timestamp) or int(message.ts)
                 yield RecordedPacket(LIDAR_PACKETS, captured, bytes(packet.buf))
-    except (RuntimeError, ValueError) as error:
-        first = str(error).splitlines()[0]
+    except _SDK_FAULTS as error:
+        first = _first_line(error)
         raise InputError(f"{recording}: its scans cannot be read ({first}); check it") from error
 
 
