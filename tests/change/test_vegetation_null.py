@@ -107,6 +107,16 @@ def test_tops_that_moved_need_no_free_surface(sign):
     assert label(section, no_null(NULL)).change is Change.UNCHANGED
 
 
+@pytest.mark.parametrize(("rise", "found"), [(1.5, Change.INCREASED), (-1.5, Change.DECREASED), (0.4, None)])
+def test_without_a_level_of_detection_only_tops_beyond_their_own_error_are_claimed(rise, found):
+    """A crown of so few points that no normal is known still has columns, and these their own error."""
+    plant = replace(TREE, rise=rise, rise_sigma=0.2, surface=0.4, volume=0.4)
+    decided = decide_plant(plant, math.inf, CONFIG, no_null(NULL))
+    assert decided.change is (Change.UNOBSERVED if found is None else found)
+    unknown = replace(plant, rise=math.nan)
+    assert decide_plant(unknown, math.inf, CONFIG, no_null(NULL)).change is Change.UNOBSERVED
+
+
 def test_surface_of_one_epoch_alone_is_what_has_nothing_of_the_other_near_it():
     """A crown of 2 m that grew to 2.4 m: places of the new shell are asked, places of the old are not."""
     small, large = crown(4000, 2.0, 1), crown(4000, 2.4, 2)

@@ -117,6 +117,12 @@ class SpacingConfig(StrictModel):
         gt=0,
         description="Radius of normals and of the level of detection as a multiple of the point spacing",
     )
+    filling: float = Field(
+        5.0,
+        ge=0,
+        description="Mean number of points of the sparser epoch in the columns in which the tops of plants "
+        "are compared; the columns are widened to it",
+    )
 
 
 _SEMANTICS = ("cluster_voxel",)
@@ -161,9 +167,7 @@ def at_spacing(config: ChangeConfig, spacing: float) -> ChangeConfig:
             "plants": config.plants.model_copy(
                 update={
                     **raised(config.plants, ("shell",), math.inf),
-                    "tops": config.plants.tops.model_copy(
-                        update=raised(config.plants.tops, ("cell",), math.inf)
-                    ),
+                    "tops": config.plants.tops.model_copy(update={"filling": rule.filling}),
                 }
             ),
             "measures": config.measures.model_copy(update=raised(config.measures, ("same_high",), rule.same)),

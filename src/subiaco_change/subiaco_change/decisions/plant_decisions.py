@@ -69,13 +69,21 @@ def decide_plant(plant: PlantMeasures, lod: float, config: DecisionConfig, null:
     """
     gate = max(config.lod_factor * lod, config.lod_floor)
     if not math.isfinite(gate):
-        return Decision(Change.UNOBSERVED, NO_LEVEL, 0.0)
+        return _decide_tops_alone(plant, config, null)
     section = _decide_section(plant, null) if math.isfinite(plant.section) else None
     if section is not None and plant.section_only:
         return _supported(section, plant, config)
     whole = _decide_whole(plant, gate, config.vegetation, null)
     chosen = section if section is not None and whole.change is Change.UNCHANGED else whole
     return _supported(chosen, plant, config)
+
+
+def _decide_tops_alone(plant: PlantMeasures, config: DecisionConfig, null: VegetationNull) -> Decision:
+    """Decide a plant without level of detection: by the tops of its columns, whose error is their own."""
+    tops = _excesses(plant, config.lod_floor, config.vegetation, null)["rise"]
+    if plant.thin or abs(tops.strength) <= 1:
+        return Decision(Change.UNOBSERVED, NO_LEVEL, 0.0)
+    return _supported(_decision(plant, tops), plant, config)
 
 
 def _tops_moved(decision: Decision, plant: PlantMeasures, config: DecisionConfig) -> bool:

@@ -14,25 +14,37 @@ import numpy as np
 from pydantic import Field
 from scipy.spatial import cKDTree
 from scipy.special import gammaln
+from scipy.stats import norm
+from scipy.stats import t as student
 
 from subiaco_change.decisions.voxel_objects import Free
+from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import switchable
 from subiaco_geo.clouds import extent_of, unique_cells
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
 
+_LIMIT = NUMBERS.plant_tops.student_limit
+
 
 class TopConfig(StrictModel):
     """Columns in which the tops of plants are compared."""
 
-    cell: float = Field(0.75, gt=0, description="Edge of the columns in which tops are compared [m]")
+    cell: float = Field(0.75, gt=0, description="Smallest edge of the columns in which tops are compared [m]")
+    filling: float = Field(
+        0.0,
+        ge=0,
+        description="Mean number of points of the sparser epoch in a column, for which columns of a sparse "
+        "plant are wider than the smallest edge; 0 keeps that edge. In sparse clouds: `spacing.filling`",
+    )
     points: int = Field(3, ge=1, description="Number of points that a column needs in each epoch")
     columns: int = Field(3, ge=3, description="Number of columns that a comparison of tops needs")
     upper: float = Field(
         0.5,
         gt=0,
         le=1,
-        description="Fraction of the columns, the highest ones, whose tops are those of the plant",
+        description="Fraction of the columns, the highest ones, whose tops are those of the plant; of few "
+        "columns in a sparse cloud as many as a comparison needs",
     )
     known: float = Field(
         0.2,
@@ -52,7 +64,8 @@ class TopConfig(StrictModel):
     patch: float = Field(
         2.0,
         gt=0,
-        description="Number of neighbouring columns whose tops the same beams met, and whose errors are one",
+        description="Number of neighbouring columns of the smallest edge whose tops the same beams met, and "
+        "whose errors are one",
     )
     part: float = Field(
         2.0,
@@ -92,14 +105,15 @@ class TopChange:
 
 @dataclass(frozen=True)
 class _Columns:
-    """Columns of both epochs: cells (C, 2), tops (2, C) at equal density, highest points (2, C), in m."""
+    """Columns of both epochs: edge, cells (C, 2), tops (2, C) at equal density, highest points (2, C) [m]."""
 
+    cell: float
     cells: Ints
     tops: Floats
     highest: Floats
 
     def select(self, kept: np.ndarray) -> _Columns:
-        return _Columns(self.cells[kept], self.tops[:, kept], self.highest[:, kept])
+        return _Columns(self.cell, self.cells[kept], self.tops[:, kept], self.highest[:, kept])
 
 
 def change_of_tops(
@@ -126,15 +140,20 @@ def change_of_tops(
     rises = columns.tops[1] - columns.tops[0]
     parts = _of_part(rises, config.part), _of_part(-rises, config.part)
     middle = columns.tops.mean(axis=0)
-    columns = columns.select(middle >= np.quantile(middle, 1.0 - config.upper))
+    least = np.quantile(middle, 1.0 - config.upper)
+    if config.filling > 0:
+        least = min(least, np.partition(middle, -config.columns)[-config.columns])
+    columns = columns.select(middle >= least)
     known = _known(columns, spaces, config)
     if np.count_nonzero(known) < max(config.columns, config.known * len(known)):
         return TopChange(rise_of_part=parts[0], fall_of_part=parts[1], unseen=True)
     rises = (columns.tops[1] - columns.tops[0])[known]
     median = float(np.median(rises))
     spread = 1.4826 * float(np.median(np.abs(rises - median)))
-    patches = max(len(rises) / config.patch, 1.0)
-    return TopChange(median, 1.2533 * spread / math.sqrt(patches), parts[0], parts[1])
+    shared = max(config.patch * (config.cell / columns.cell) ** 2, 1.0)  # wide columns share no beams
+    patches = max(len(rises) / shared, 1.0)
+    few = _uncertain_spread(len(rises)) if config.filling > 0 else 1.0
+    return TopChange(median, few * 1.2533 * spread / math.sqrt(patches), parts[0], parts[1])
 
 
 def _of_part(rises: Floats, certain: float) -> float:
@@ -144,9 +163,22 @@ def _of_part(rises: Floats, certain: float) -> float:
     return float(high) if high > middle + certain * sd else 0.0
 
 
+def _uncertain_spread(columns: int) -> float:
+    """Return the factor on the error of a median whose spread is that of few columns."""
+    return float(student.ppf(_LIMIT, columns - 1) / norm.ppf(_LIMIT))
+
+
+def _edge(before: Floats, after: Floats, config: TopConfig) -> float:
+    """Return the edge [m] of columns that hold enough points (N, 3), (M, 3) of the sparser epoch."""
+    held = unique_cells(np.floor(np.concatenate([before, after])[:, :2] / config.cell).astype(np.int64))[0]
+    fewest = max(min(len(before), len(after)), 1)
+    return config.cell * max(math.sqrt(config.filling * len(held) / fewest), 1.0)
+
+
 def _shared_columns(before: Floats, after: Floats, config: TopConfig) -> _Columns:
     """Return the columns with enough points in both epochs."""
-    places = np.floor(np.concatenate([before, after])[:, :2] / config.cell).astype(np.int64)
+    cell = _edge(before, after, config)
+    places = np.floor(np.concatenate([before, after])[:, :2] / cell).astype(np.int64)
     cells, slot = unique_cells(places)
     slots = np.split(slot, [len(before)])
     counts = np.array([np.bincount(s, minlength=len(cells)) for s in slots])
@@ -156,7 +188,7 @@ def _shared_columns(before: Floats, after: Floats, config: TopConfig) -> _Column
     highest = np.full((2, len(cells)), -np.inf)
     for epoch, (z, s) in enumerate(zip(heights, slots, strict=True)):
         np.maximum.at(highest[epoch], s, z)
-    return _Columns(cells, tops, highest).select(fewest >= config.points)
+    return _Columns(cell, cells, tops, highest).select(fewest >= config.points)
 
 
 def expected_top(heights: Floats, column: Ints, drawn: Ints) -> Floats:
@@ -194,12 +226,12 @@ def _known(columns: _Columns, spaces: tuple[EpochSpace, EpochSpace], config: Top
     """
     lower_before = columns.tops[0] <= columns.tops[1]
     known = np.ones(len(columns.cells), dtype=bool)
-    middles = np.asarray((columns.cells + 0.5) * config.cell, dtype=np.float64)
+    middles = np.asarray((columns.cells + 0.5) * columns.cell, dtype=np.float64)
     for epoch, mine in enumerate((lower_before, ~lower_before)):
         if not mine.any():
             continue
         space, top = spaces[epoch], columns.highest[epoch]
-        known[mine] &= ~_other_class_above(columns.cells, columns.tops, top, space.standing, config)[mine]
+        known[mine] &= ~_other_class_above(columns, top, space.standing)[mine]
         if space.free is not None:
             known &= ~mine | open_above(middles, top, columns.tops[1 - epoch], space.free, config)
     return known
@@ -222,18 +254,17 @@ def open_above(middles: Floats, own: Floats, other: Floats, free: Free, config: 
     return open_
 
 
-def _other_class_above(
-    cells: Ints, tops: Floats, own: Floats, standing: Floats, config: TopConfig
-) -> np.ndarray:
-    """Tell in which columns (C,) points (N, 3) above the ``own`` top reach between two tops (2, C)."""
+def _other_class_above(columns: _Columns, own: Floats, standing: Floats) -> np.ndarray:
+    """Tell in which columns (C,) points (N, 3) above the ``own`` top reach between both tops."""
+    cell, cells, tops = columns.cell, columns.cells, columns.tops
     held = np.zeros(len(cells), dtype=bool)
     first, last = extent_of(cells)
-    (west, south), (east, north) = first * config.cell, (last + 1) * config.cell
+    (west, south), (east, north) = first * cell, (last + 1) * cell
     x, y = standing[:, 0], standing[:, 1]
     xyz = standing[(x >= west) & (x < east) & (y >= south) & (y < north)]
     if len(xyz) == 0:
         return held
-    distance, slot = cKDTree(cells).query(np.floor(xyz[:, :2] / config.cell), distance_upper_bound=0.5)
+    distance, slot = cKDTree(cells).query(np.floor(xyz[:, :2] / cell), distance_upper_bound=0.5)
     xyz, slot = xyz[np.isfinite(distance)], slot[np.isfinite(distance)]
     low, high = tops.min(axis=0)[slot], tops.max(axis=0)[slot]
     between = (xyz[:, 2] > np.maximum(0.5 * (low + high), own[slot] + 1e-6)) & (xyz[:, 2] < high + 0.1)

@@ -27,6 +27,7 @@ from subiaco_change.method_numbers.decision_numbers import (
     GroundChangeNumbers,
     ObjectDecisionNumbers,
     PlantMeasuresNumbers,
+    PlantTopsNumbers,
     PointLabelsNumbers,
     RulesNumbers,
     SpaceCarvingNumbers,
@@ -80,6 +81,7 @@ class MethodNumbers(StrictModel):
     ground_change: GroundChangeNumbers = GroundChangeNumbers()
     object_decision: ObjectDecisionNumbers = ObjectDecisionNumbers()
     plant_measures: PlantMeasuresNumbers = PlantMeasuresNumbers()
+    plant_tops: PlantTopsNumbers = PlantTopsNumbers()
     point_labels: PointLabelsNumbers = PointLabelsNumbers()
     rules: RulesNumbers = RulesNumbers()
     space_carving: SpaceCarvingNumbers = SpaceCarvingNumbers()

@@ -334,6 +334,16 @@ class PlantMeasuresNumbers(StrictModel):
     )
 
 
+class PlantTopsNumbers(StrictModel):
+    """Numbers of ``decisions/plant_tops.py``."""
+
+    student_limit: float = Field(
+        0.975,
+        description="Probability up to which the error of a median over few columns is widened to that of "
+        "many columns",
+    )
+
+
 class PointLabelsNumbers(StrictModel):
     """Numbers of ``decisions/point_labels.py``."""
 
