@@ -151,13 +151,17 @@ def test_a_given_field_that_is_missing_is_named():
 
 
 @pytest.mark.parametrize("count", [1, 40])
-def test_a_tile_with_hardly_a_point_is_labelled_too(count):
+def test_a_tile_with_hardly_a_point_is_labelled_too(count, kept, tmp_path):
     """Corners of a city hold a few points: they end as something, and stop nothing."""
+    folder = tmp_path / "stages"
+    shutil.copytree(kept[0], folder)
     rng = np.random.default_rng(count)
     few = rng.uniform(0, 3, (count, 3)) + np.array([90.0, 10.0, 0.0])
     before, after = pair()
     more = PointCloud(np.concatenate([before.cloud.xyz, few]), before.cloud.origin)
-    result = detect_changes(SurveyMap(more), after, CONFIG, transform=IDENTITY)
+    runner = TaskRunner(DiskStore(folder))
+    result = detect_changes(SurveyMap(more), after, CONFIG, transform=IDENTITY, runner=runner)
+    assert runner.kept > 0
     alone = result.before.xyz[:, 0] > 80
     assert 1 <= np.count_nonzero(alone) <= count
     assert set(result.before.fields["change"][alone]) <= {Change.UNOBSERVED, Change.UNCHANGED, Change.REMOVED}

@@ -247,7 +247,7 @@ def load_beams(inputs: Inputs, alias: str, corner: Floats, voxel: float) -> Visi
     if not parts:
         return no_beams(corner, voxel)
     keys = np.concatenate([part.keys for part in parts])
-    order = np.argsort(keys)  # a voxel is in one tile
+    order = np.argsort(keys, kind="stable")  # a voxel is in one tile; stable: it merges the sorted tiles
     hits, passes = np.concatenate([p.hits for p in parts]), np.concatenate([p.passes for p in parts])
     known = [part.moving for part in parts if part.moving is not None]
     moving = np.concatenate(known)[order] if len(known) == len(parts) else None

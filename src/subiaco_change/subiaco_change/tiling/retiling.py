@@ -92,7 +92,9 @@ def _pairs(rows: Ints, first: int, second: int, every: Floats) -> Ints:
     both = rows[(rows >= 0).all(axis=1)]
     if len(both) == 0:
         return np.zeros((0, 2), dtype=np.int64)
-    pairs, count = np.unique(both, axis=0, return_counts=True)
+    width = int(both[:, 1].max()) + 1
+    flat, count = np.unique(both[:, 0] * width + both[:, 1], return_counts=True)
+    pairs = np.column_stack(np.divmod(flat, width))
     smaller = np.minimum(totals[0][pairs[:, 0]], totals[1][pairs[:, 1]])
     pairs, enough = pairs + np.array([first, second]), (count >= _LEAST) & (count >= _SHARED * smaller)
     alike = every[pairs[:, 0], 0] == every[pairs[:, 1], 0]
