@@ -391,7 +391,7 @@ class SpaceCarvingNumbers(StrictModel):
         description="Smallest vertical component of the normal of a roof, as a ratio",
     )
     observed_share: float = Field(
-        0.3,
+        0.05,
         description="Fraction of the surfaces of one survey above those of the other whose places the other "
         "must have observed, to show that they did not stand",
     )
