@@ -53,6 +53,16 @@ def moved(points, T_after_before):
     return transform_points(np.linalg.inv(T_after_before), points)
 
 
+def test_clouds_with_three_metres_between_their_points_are_refused_for_their_density():
+    """A given transform stays possible."""
+    park = Park(seed=3, size=260.0)
+    before, after = cloud(moved(park.sample(1, density=0.1), SMALL)), cloud(park.sample(2, density=0.1))
+    with pytest.raises(RegistrationError, match=r"too sparse .*before 3\.\d+ m, after 3\.\d+ m.*--transform"):
+        register(before, after, CONFIG)
+    given = given_registration(SMALL, before, after, CONFIG)
+    assert errors(given.T_after_before, SMALL, given.origin) == pytest.approx((0.0, 0.0), abs=1e-6)
+
+
 @pytest.mark.parametrize("kind", KINDS)
 def test_two_samplings_of_a_place_are_registered_from_a_small_offset(kind):
     before, after = cloud(moved(kind(3, 1), SMALL)), cloud(kind(3, 2))

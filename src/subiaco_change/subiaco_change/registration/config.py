@@ -41,6 +41,12 @@ class RegistrationConfig(StrictModel):
         "with the point spacing",
     )
     min_points: int = Field(300, ge=50, description="Smallest number of points that each epoch must have")
+    max_spacing: float = Field(
+        2.2,
+        gt=0,
+        description="Largest median point spacing of either epoch [m]; at wider spacings, structure above "
+        "the ground is a point or two an object, and a wrong pose passes the checks",
+    )
     outlier_neighbours: int = Field(
         10, ge=1, description="Number of neighbours in the statistical outlier removal"
     )

@@ -211,10 +211,15 @@ def register(
     Raises
     ------
     RegistrationError
-        No start pose leads to a fit that passes the checks.
+        No start pose leads to a fit that passes the checks, or the clouds are too sparse for the checks.
     """
     after_here = after.rebased(before.origin)
     sides, config = prepare_pair(before, after_here, config, exclude_before, exclude_after)
+    if max(side.spacing for side in sides) > config.max_spacing:
+        raise RegistrationError(
+            f"the clouds are too sparse to find their transform (> {config.max_spacing} m)"
+            f"{density_note(sides)}; give denser clouds, or the transform (--transform F)"
+        )
     georeferenced = before.crs is not None and after.crs is not None
     pose = None if start is None else _between(start.T_after_before, sides, before.origin)
     targets = [make_target(level) for level in sides[1].levels]
