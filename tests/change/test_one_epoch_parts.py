@@ -12,7 +12,11 @@ from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.measures import MeasureConfig, Measures
 from subiaco_change.decisions.object_decision import ObjectRules, decide_object, is_misclassified_ground
 from subiaco_change.decisions.voxel_objects import ObjectInstance, Voxels
-from subiaco_change.instance_splitting.building_extensions import find_building_extensions, is_smooth_surface
+from subiaco_change.instance_splitting.building_extensions import (
+    find_building_extensions,
+    is_smooth_surface,
+    rectangularity,
+)
 from subiaco_change.instance_splitting.merged_instances import split_by_bodies
 from subiaco_change.instance_splitting.one_epoch_parts import (
     PartConfig,
@@ -138,6 +142,36 @@ def test_a_house_that_touches_its_neighbour_with_a_corner_alone_is_no_wing():
     for place, wing in (((10.0, 0.0, 0.0), True), ((10.5, 8.5, 0.0), False)):
         beside = voxels(np.add(walls(8, 8, 4), place))
         assert bool(find_building_extensions([house, (beside, NONE)], CONFIG)) == wing
+
+
+def open_between(left, right):
+    """Ground that both epochs saw between two walls."""
+    return OpenGround(NO_COLUMNS, NO_COLUMNS, (lambda p: (p[:, 0] > left) & (p[:, 0] < right),) * 2)
+
+
+@pytest.mark.parametrize(("gap", "wing"), [(0.0, True), (0.7, False)])
+def test_a_new_house_with_an_open_gap_to_its_neighbour_is_no_wing_of_it(gap, wing):
+    house, new = (voxels(HOUSE), voxels(HOUSE)), (NONE, moved(walls(6, 8, 4), 10 + gap))
+    assert bool(find_building_extensions([house, new], CONFIG, open_between(10, 10 + gap))) == wing
+    assert find_building_extensions([house, new], CONFIG) == {1: 0}, "nobody saw that the gap was open"
+
+
+def test_a_house_that_a_carport_links_to_its_neighbour_was_no_wing_of_it():
+    """A wing of a wing is smaller than the wing."""
+    house, carport = (voxels(HOUSE), voxels(HOUSE)), moved(walls(4, 3, 2.5), 10)
+    for size, wing in ((3, True), (8, False)):
+        beyond = (moved(walls(size, size, 2.5 if wing else 4.5), 14), NONE)
+        assert (find_building_extensions([house, (carport, NONE), beyond], CONFIG) == {1: 0, 2: 0}) == wing
+
+
+def test_a_crown_beside_a_house_is_no_wing_of_it_however_smooth_its_foliage():
+    rng = np.random.default_rng(5)
+    way = rng.normal(size=(600, 3))
+    way /= np.linalg.norm(way, axis=1)[:, None]
+    crown = replace(voxels(3 * way + (0, 0, 5)), normal=way)
+    assert not is_smooth_surface(crown)
+    assert rectangularity(way) < 0.2
+    assert rectangularity(voxels(HOUSE).normal) > 0.9
 
 
 def test_a_shed_left_inside_the_outline_of_a_house_that_is_gone_is_no_rest_of_it():

@@ -9,6 +9,7 @@ import numpy as np
 import shapely
 from scipy.spatial import cKDTree
 
+from subiaco_change.decisions.column_volumes import BUILT_UP, OpenGround
 from subiaco_change.decisions.voxel_objects import ObjectInstance, Voxels
 from subiaco_change.geometry import in_box_around
 from subiaco_change.instance_splitting.one_epoch_parts import PartConfig
@@ -32,9 +33,16 @@ _UNDERSIDE = NUMBERS.building_extensions.underside
 _NEIGHBOURS = NUMBERS.building_extensions.normal_neighbours
 _HIDDEN = NUMBERS.building_extensions.wall_seen
 _SMOOTH = NUMBERS.building_extensions.smoothness
+_FACING = NUMBERS.building_extensions.facing
+_SLOPED = NUMBERS.building_extensions.sloped
+_JOINT = NUMBERS.building_extensions.joint
+_OPEN = NUMBERS.building_extensions.open_gap
+_FOOT = NUMBERS.building_extensions.foot
 
 
-def find_building_extensions(pairs: Sequence[tuple[Voxels, Voxels]], config: PartConfig) -> dict[int, int]:
+def find_building_extensions(
+    pairs: Sequence[tuple[Voxels, Voxels]], config: PartConfig, ground: OpenGround = BUILT_UP
+) -> dict[int, int]:
     """Map extensions to their hosts, both positions in a list of buildings.
 
     Parameters
@@ -43,6 +51,8 @@ def find_building_extensions(pairs: Sequence[tuple[Voxels, Voxels]], config: Par
         A building in *before* and *after*; one that stands in one epoch alone
         is empty in the other.
     config : PartConfig
+    ground : OpenGround, optional
+        What both epochs saw of the space around.
 
     Returns
     -------
@@ -50,12 +60,13 @@ def find_building_extensions(pairs: Sequence[tuple[Voxels, Voxels]], config: Par
         An extension is as high as a room and touches its host; it is smaller than
         ``subordinate`` of it and no half storey taller, or stands round it, and does not
         stand between parts of it that would be apart without it: a house
-        pulled from a row was no extension.
+        pulled from a row was no extension. Nor is a house with an open gap beside it.
     """
     known = list(pairs)
     extensions: dict[int, int] = {}
     while True:
         found = _touching_extensions(known, extensions, config)
+        found = {e: h for e, h in found.items() if not _stands_apart(e, h, pairs, extensions, config, ground)}
         if not found:
             return extensions
         extensions |= found
@@ -64,6 +75,37 @@ def find_building_extensions(pairs: Sequence[tuple[Voxels, Voxels]], config: Par
                 first.add(second) for first, second in zip(known[host], pairs[extension], strict=True)
             )
             known[host] = (before, after)
+
+
+@switchable("gap_beside_house", never)
+def _stands_apart(
+    number: int,
+    host: int,
+    pairs: Sequence[tuple[Voxels, Voxels]],
+    taken: dict[int, int],
+    config: PartConfig,
+    ground: OpenGround,
+) -> bool:
+    """Tell a house beside another one from a wing.
+
+    Nothing of a house lies at the walls of its neighbour, and the epoch that holds both saw the gap open. Nor
+    does a house hang on another one by something smaller than itself between them.
+    """
+    epoch = 0 if len(pairs[number][0]) else 1
+    extension, body = pairs[number][epoch], pairs[host][epoch]
+    distance, nearest = cKDTree(body.xyz[:, :2]).query(extension.xyz[:, :2])
+    near = distance < config.touch
+    if not near.any():
+        links = [pairs[e][epoch] for e, h in taken.items() if h == host]
+        return sum(map(_enclosed_volume, links)) < _enclosed_volume(extension)
+    if np.count_nonzero(distance < _JOINT) or extension.height.min() > _FOOT:
+        return False
+    middle = 0.5 * (extension.xyz[near, :2] + body.xyz[nearest[near], :2])
+    open_ = ground.bare(epoch)(middle)
+    empty = ground.empty[epoch]
+    if empty is not None:
+        open_ |= empty(np.column_stack([middle, extension.xyz[near, 2]]))
+    return bool(open_.mean() >= _OPEN)
 
 
 def _touching_extensions(
@@ -113,12 +155,36 @@ def _is_extension(
 
 @switchable("smooth_extensions", never)
 def is_smooth_surface(voxels: Voxels) -> bool:
-    """Tell walls and roofs from cars and leaves, whatever their class: taller than a car, and smooth."""
+    """Tell walls and roofs from cars and leaves, whatever their class.
+
+    They are taller than a car and smooth, and face the directions of one rectangle.
+    """
     if len(voxels) < _NEIGHBOURS or voxels.height.max() < _CAR:
         return False
     near = cKDTree(voxels.xyz).query(voxels.xyz, k=_NEIGHBOURS)[1][:, 1:]
     along = np.abs(np.einsum("ikj,ij->ik", voxels.normal[near], voxels.normal))
-    return bool(along.mean() >= _SMOOTH)
+    return bool(along.mean() >= _SMOOTH) and rectangularity(voxels.normal) >= _FACING
+
+
+def rectangularity(normal: Floats) -> float:
+    """Return how well surfaces face the four directions of one rectangle, seen from above.
+
+    Parameters
+    ----------
+    normal : (N, 3) float64
+        Unit normals of either sign.
+
+    Returns
+    -------
+    float
+        Length of the mean of four times the azimuth, on the unit circle, of what is not level: 1 for a
+        house, near 0 for a crown; 1 if all is level.
+    """
+    steep = np.hypot(normal[:, 0], normal[:, 1]) > _SLOPED
+    if not steep.any():
+        return 1.0
+    azimuth = np.arctan2(normal[steep, 1], normal[steep, 0])
+    return float(np.abs(np.exp(4j * azimuth).mean()))
 
 
 @switchable("low_building_parts", first_argument)

@@ -61,9 +61,8 @@ def join_building_extensions(changes: list[ObjectChange], rules: ObjectRules) ->
     if rules.association.parts.points == 0:
         return changes
     pairs = [(join_voxels(changes[i].before), join_voxels(changes[i].after)) for i in numbers]
-    extensions = {
-        numbers[w]: numbers[h] for w, h in find_building_extensions(pairs, rules.association.parts).items()
-    }
+    found = find_building_extensions(pairs, rules.association.parts, rules.ground)
+    extensions = {numbers[w]: numbers[h] for w, h in found.items()}
     following = _first_free(changes)
     joined: list[ObjectChange] = []
     for number, change in enumerate(changes):

@@ -82,7 +82,31 @@ class BuildingExtensionsNumbers(StrictModel):
     smoothness: float = Field(
         0.78,
         description="Smallest mean cosine between the normals of neighbours on a wall or roof, as a "
-        "ratio; foliage stays below 0.75",
+        "ratio; foliage mostly stays below 0.75",
+    )
+    facing: float = Field(
+        0.4,
+        description="Smallest agreement of the azimuths of the normals of a part of a building with one "
+        "rectangle, from 0 to 1; houses have 0.6 to 1, crowns 0 to 0.2",
+    )
+    sloped: float = Field(
+        0.3,
+        description="Horizontal component of a normal from which its azimuth counts, as a ratio",
+    )
+    joint: float = Field(
+        0.7,
+        description="Distance from a building within which something of a wing lies [m]; between the voxels "
+        "of two walls that meet is up to half a metre",
+    )
+    open_gap: float = Field(
+        0.5,
+        description="Fraction of the gap between two buildings that must be seen open for the buildings to "
+        "stand apart",
+    )
+    foot: float = Field(
+        1.0,
+        description="Height above ground up to which a house reaches down [m]; what begins higher is part of "
+        "another building",
     )
 
 

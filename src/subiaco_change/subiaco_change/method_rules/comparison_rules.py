@@ -316,11 +316,25 @@ SPLITTING_RULES: tuple[Rule, ...] = (
     Rule(
         "smooth_extensions",
         _HERE,
-        "A smooth part taller than a car may be an extension although it passed for a vehicle or a plant.",
+        "A smooth part taller than a car, with the faces of a rectangle, may be an extension although it"
+        " passed for a vehicle or a plant.",
         (
             "method_numbers.building_extensions.car_height",
             "method_numbers.building_extensions.normal_neighbours",
             "method_numbers.building_extensions.smoothness",
+            "method_numbers.building_extensions.facing",
+            "method_numbers.building_extensions.sloped",
+        ),
+    ),
+    Rule(
+        "gap_beside_house",
+        _HERE,
+        "A building with an open gap to its neighbour, or that hangs on it by something smaller than itself,"
+        " is no extension of the neighbour.",
+        (
+            "method_numbers.building_extensions.joint",
+            "method_numbers.building_extensions.open_gap",
+            "method_numbers.building_extensions.foot",
         ),
     ),
     Rule(
