@@ -156,12 +156,12 @@ def test_a_new_house_with_an_open_gap_to_its_neighbour_is_no_wing_of_it(gap, win
     assert find_building_extensions([house, new], CONFIG) == {1: 0}, "nobody saw that the gap was open"
 
 
-def test_a_house_that_a_carport_links_to_its_neighbour_was_no_wing_of_it():
+@pytest.mark.parametrize(("side", "height", "wing"), [(3, 3.0, True), (8, 4.5, False)], ids=["wing", "house"])
+def test_a_house_that_a_carport_links_to_its_neighbour_was_no_wing_of_it(side, height, wing):
     """A wing of a wing is smaller than the wing."""
-    house, carport = (voxels(HOUSE), voxels(HOUSE)), moved(walls(4, 3, 2.5), 10)
-    for size, wing in ((3, True), (8, False)):
-        beyond = (moved(walls(size, size, 2.5 if wing else 4.5), 14), NONE)
-        assert (find_building_extensions([house, (carport, NONE), beyond], CONFIG) == {1: 0, 2: 0}) == wing
+    house, carport = (voxels(HOUSE), voxels(HOUSE)), (moved(walls(4, 4, 3), 10), NONE)
+    beyond = (moved(walls(side, side, height), 14), NONE)
+    assert find_building_extensions([house, carport, beyond], CONFIG) == ({1: 0, 2: 0} if wing else {1: 0})
 
 
 def test_a_crown_beside_a_house_is_no_wing_of_it_however_smooth_its_foliage():
