@@ -96,7 +96,7 @@ def _stands_apart(
     distance, nearest = cKDTree(body.xyz[:, :2]).query(extension.xyz[:, :2])
     near = distance < config.touch
     if not near.any():
-        links = [pairs[e][epoch] for e, h in taken.items() if h == host]
+        links = [pairs[e][epoch] for e, h in taken.items() if h == host and len(pairs[e][epoch])]
         return sum(map(_enclosed_volume, links)) < _enclosed_volume(extension)
     if np.count_nonzero(distance < _JOINT) or extension.height.min() > _FOOT:
         return False
