@@ -229,7 +229,7 @@ def _building(measures: Measures, gate: float, rules: ClassRules) -> Decision:
     room = rules.volume * whole
     bounds = (
         Interval(_share(height.low, limit), _share(height.high, limit)),
-        volume.scaled(1.0 / room),
+        Interval(volume.low / room, volume.high / room),
     )
     up = _rise(*bounds, rules)
     down = _rise(-bounds[0], -bounds[1], rules)

@@ -59,27 +59,22 @@ _FACES = ndimage.generate_binary_structure(3, 1)
 
 @dataclass(frozen=True)
 class Interval:
-    """A difference, after minus before, between bounds; ``best`` is the estimate where it is not midway."""
+    """A difference, after minus before, between bounds."""
 
     low: float
     high: float
-    best: float | None = None
 
     @property
     def middle(self) -> float:
         """The point estimate."""
-        return 0.5 * (self.low + self.high) if self.best is None else self.best
+        return 0.5 * (self.low + self.high)
 
     def widened(self, by: float) -> Interval:
         """Return the interval with bounds that lie further out."""
-        return Interval(self.low - by, self.high + by, self.best)
-
-    def scaled(self, by: float) -> Interval:
-        """Return the interval in units of which one is 1 / ``by`` (positive) of its own."""
-        return Interval(self.low * by, self.high * by, None if self.best is None else self.best * by)
+        return Interval(self.low - by, self.high + by)
 
     def __neg__(self) -> Interval:
-        return Interval(-self.high, -self.low, None if self.best is None else -self.best)
+        return Interval(-self.high, -self.low)
 
 
 @dataclass(frozen=True)
@@ -182,7 +177,7 @@ def carve(before: CarvingEpoch, after: CarvingEpoch, config: CarvingConfig) -> C
     states = tuple(_state(epoch, other.voxels, frame) for epoch, other in ((before, after), (after, before)))
     gain, gained = _difference(states[0], states[1], after.voxels, frame, config)
     loss, lost = _difference(states[1], states[0], before.voxels, frame, config)
-    volume = Interval(gain.low - loss.high, gain.high - loss.low, gain.middle - loss.middle)
+    volume = Interval(gain.low - loss.high, gain.high - loss.low)
     old = states[0] if len(before.voxels) else states[1]
     tops = np.stack([state.top for state in states])
     grid = (frame.corner, frame.turn, frame.cell)
@@ -352,12 +347,8 @@ def _follows(walls: Cells, stops: Cells, axis: int) -> Cells:
 def _difference(
     old: _State, new: _State, voxels: Voxels, frame: _Frame, config: CarvingConfig
 ) -> tuple[Interval, Cells]:
-    """Volume [m3] that was free and is solid, and its cells; cells that one epoch does not know widen it.
-
-    What the old epoch does not know counts half in the estimate, and whole behind a wall that is surely new.
-    """
-    behind = _behind_new_walls(old, new, frame, config)
-    solid = new.solid | behind
+    """Volume [m3] that was free and is solid, and its cells; cells that one epoch does not know widen it."""
+    solid = new.solid | _behind_new_walls(old, new, frame, config)
     number, count = ndimage.label(old.free & solid, _TOUCHING)
     surface = _surface(voxels.select(~voxels.occupied_in_other), frame)
     support = np.bincount(number.ravel(), surface.ravel(), minlength=count + 1)
@@ -369,24 +360,7 @@ def _difference(
     sure |= ndimage.binary_dilation(sure, _FACES) & old.unknown & solid
     maybe = (old.free & new.unknown) | (old.unknown & solid)
     reach = ndimage.binary_propagation(_patches(changed, config), _TOUCHING, changed | maybe)
-    likely = sure | (reach & behind & _beyond_walls(sure & new.solid, old))
-    low, high, most = (float(cells.sum()) * frame.volume for cells in (sure, reach, likely))
-    return Interval(low, high, 0.5 * (max(most, low) + high)), sure
-
-
-def _none_beyond(walls: Cells, _: _State) -> Cells:
-    """Return no cells."""
-    return np.zeros_like(walls)
-
-
-@switchable("behind_surely_new_walls", _none_beyond)
-def _beyond_walls(walls: Cells, old: _State) -> Cells:
-    """Cells that lie behind a wall that is surely new, before anything that the old epoch had there."""
-    ways = []
-    for axis in (0, 1):
-        back = _follows(np.flip(walls, axis), np.flip(old.solid, axis), axis)
-        ways += [_follows(walls, old.solid, axis), np.flip(back, axis)]
-    return np.logical_or.reduce(ways)
+    return Interval(float(sure.sum()) * frame.volume, float(reach.sum()) * frame.volume), sure
 
 
 @switchable("thin_volumes", first_argument)

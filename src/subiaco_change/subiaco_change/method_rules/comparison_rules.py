@@ -448,13 +448,6 @@ BUILDING_RULES: tuple[Rule, ...] = (
         ("measures.carving.room",),
     ),
     Rule(
-        "behind_surely_new_walls",
-        _HERE,
-        "What one epoch does not know counts whole in the estimated volume, and not half, where the other has"
-        " walls around it of which one is surely new.",
-        (),
-    ),
-    Rule(
         "wall_gaps",
         _HERE,
         "A gap in a wall seen at a slant is closed along the wall.",

@@ -69,8 +69,8 @@ def pulses_of(
 class Spool:
     """Scans of one sequence in a folder, 8 bytes a point.
 
-    Coordinates are stored in steps of the longest range / 32767 (2 mm at 70 m, a mean error of half
-    a millimetre, far under the sensor's noise); points beyond ``max_range`` are left out.
+    Coordinates are stored in steps of the longest range / 32767 (3 mm at 100 m, a mean error under
+    a millimetre, far under the noise of the sensor); points beyond ``max_range`` are left out.
 
     Parameters
     ----------
