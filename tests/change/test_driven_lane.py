@@ -96,6 +96,14 @@ def test_a_vehicle_that_waits_at_the_end_of_its_drive_keeps_its_direction():
     assert lane.covers(np.array([[85.0, 0.0, 0.5], [60.0, 20.0, 0.5]])).tolist() == [True, False]
 
 
+@pytest.mark.parametrize("after_gap", [1, 2, 3])
+def test_a_drive_has_no_direction_across_a_gap(after_gap):
+    """A path that leaves the neighbourhood of a tile comes back elsewhere."""
+    back = np.add(STRAIGHT[:after_gap], (200.0, 40.0, 0.0))
+    lane = DrivenLane(np.concatenate([STRAIGHT, back]))
+    assert lane.covers(np.array([[30.0, 0.0, 0.5], [130.0, 20.0, 0.5]])).tolist() == [True, False]
+
+
 def test_a_lorry_that_covers_the_lane_lies_in_it_although_its_points_lie_beside_it():
     """Of a lorry 2.9 m wide a survey beside it sees one side and the rear."""
     side = block((20.0, 1.4, 0.0), (27.0, 1.5, 3.0))

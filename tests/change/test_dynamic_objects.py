@@ -15,6 +15,7 @@ from subiaco_change.decisions.dynamic_objects import (
     OwnEpochEvidence,
     continues_trail,
     is_moving_object_trail,
+    is_strip_on_road,
     limit_confidence,
     own_epoch_evidence,
 )
@@ -194,24 +195,48 @@ TRAIL = block((0.0, -9.0, 0.3), (2.0, 0.0, 1.5))  # a vehicle passed along y
 
 
 @pytest.mark.parametrize(
-    ("low", "high", "semantic", "continued"),
+    ("low", "high", "continued"),
     [
-        ((0.2, 0.0, 0.3), (1.8, 4.0, 1.2), Semantic.VEGETATION, True),
-        ((0.5, -6.0, 0.3), (1.5, -3.0, 1.2), Semantic.VEGETATION, True),
-        ((0.2, 3.0, 0.3), (1.8, 7.0, 1.2), Semantic.VEGETATION, False),
-        ((2.5, -8.0, 0.3), (4.5, 0.0, 1.2), Semantic.VEGETATION, False),
-        ((0.2, 0.5, 0.3), (1.8, 4.0, 7.0), Semantic.VEGETATION, False),
-        ((0.2, 0.0, 0.3), (1.8, 4.0, 1.2), Semantic.BUILDING, False),
-        ((0.2, 0.0, 0.3), (1.8, 4.0, 1.2), Semantic.MOBILE, False),
+        ((0.2, 0.0, 0.3), (1.8, 4.0, 1.2), True),
+        ((0.5, -6.0, 0.3), (1.5, -3.0, 1.2), True),
+        ((0.2, 3.0, 0.3), (1.8, 7.0, 1.2), False),
+        ((2.5, -8.0, 0.3), (4.5, 0.0, 1.2), False),
+        ((0.2, 0.5, 0.3), (1.8, 4.0, 7.0), False),
     ],
-    ids=["its end", "in its midst", "apart", "a hedge beside it", "a tree", "a wall", "a parked car"],
+    ids=["its end", "in its midst", "apart", "a hedge or a parked car beside it", "a tree"],
 )
-def test_what_continues_a_trail_known_by_its_shape_is_not_claimed(low, high, semantic, continued):
+def test_what_continues_a_trail_known_by_its_shape_is_not_claimed(low, high, continued):
     own = OwnEpochEvidence(nowhere, NOWHERE, shaped=cKDTree(TRAIL))
-    decision = continues_trail([obj([(block(low, high), False)])], semantic, own, RULES)
+    decision = continues_trail([obj([(block(low, high), False)])], own, RULES)
     assert (decision is not None) == continued
     if decision is not None:
         assert decision.change is Change.UNOBSERVED
+
+
+#: Ground points half a metre apart.
+ROAD = np.stack(np.meshgrid(np.arange(-20, 40, 0.5), np.arange(-20, 20, 0.5)), axis=-1).reshape(-1, 2)
+
+
+@pytest.mark.parametrize(
+    ("length", "width", "top", "hidden", "trail"),
+    [
+        (22.0, 2.4, 3.0, False, True),
+        (22.0, 2.4, 3.0, True, False),
+        (22.0, 0.9, 1.5, False, False),
+        (9.0, 2.4, 3.0, False, False),
+        (22.0, 2.4, 8.0, False, False),
+    ],
+    ids=["a trail", "it hid the road: a long shed", "as narrow as a hedge", "a lorry", "a row of trees"],
+)
+def test_a_strip_longer_than_any_vehicle_on_a_road_that_was_seen_beneath_it_is_not_claimed(
+    length, width, top, hidden, trail
+):
+    under = (ROAD >= 0).all(axis=1) & (ROAD[:, 0] <= length) & (ROAD[:, 1] <= width)
+    own = OwnEpochEvidence(nowhere, NOWHERE, ground=cKDTree(ROAD[~under] if hidden else ROAD))
+    strip = [obj([(block((0.0, 0.0, 0.3), (length, width, top)), False)])]
+    decision = is_strip_on_road(strip, own, RULES)
+    assert (decision is not None) == trail
+    assert is_strip_on_road(strip, OwnEpochEvidence(nowhere, NOWHERE), RULES) is None, "beams were counted"
 
 
 def test_trails_are_known_by_shape_alone_where_nothing_counted_beams():

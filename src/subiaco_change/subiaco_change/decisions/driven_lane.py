@@ -118,10 +118,16 @@ def _prolonged(nodes: Floats) -> Floats:
 
 
 def _last_metres(nodes: Floats) -> Floats:
-    """Positions (M, 2) of the end of a path, its last first, apart: a vehicle that waits has no direction."""
+    """Positions (M, 2) of the end of a path up to its last gap, the last first, apart.
+
+    A vehicle that waits has no direction, nor is one known across a gap.
+    """
     kept = [nodes[-1, :2]]
     for node in nodes[-2::-1, :2]:
-        if np.linalg.norm(node - kept[-1]) >= _APART:
+        step = np.linalg.norm(node - kept[-1])
+        if step > _GAP:
+            break
+        if step >= _APART:
             kept.append(node)
             if len(kept) * _APART > 2.0 * (_CURVE + _HEADING):
                 break

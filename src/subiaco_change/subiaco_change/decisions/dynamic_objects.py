@@ -39,6 +39,9 @@ _TRAIL_POINTS = NUMBERS.dynamic_objects.trail_points
 _TRAIL_REACH = NUMBERS.dynamic_objects.trail_reach
 _TRAIL_WIDTH = NUMBERS.dynamic_objects.trail_width
 _TRAIL_LENGTH = NUMBERS.dynamic_objects.trail_length
+_ALONE = NUMBERS.dynamic_objects.strip_length
+_NARROW = NUMBERS.dynamic_objects.strip_width
+_ROAD = NUMBERS.dynamic_objects.road_beneath
 
 
 @dataclass(frozen=True)
@@ -47,7 +50,7 @@ class OwnEpochEvidence:
 
     ``observed`` tells which places (N, 3) it saw; ``traffic`` holds the trails it is sure of, ``buildings``
     the points of buildings, whose instances (B,) are ``building_of``; ``shaped`` the trails that are known by
-    their shape alone, where nothing counted beams.
+    their shape alone, and ``ground`` (G, 2) the ground points, where nothing counted beams.
     """
 
     observed: Observed
@@ -55,6 +58,7 @@ class OwnEpochEvidence:
     buildings: cKDTree | None = None
     building_of: Ints | None = None
     shaped: cKDTree | None = None
+    ground: cKDTree | None = None
 
     def through(self, objects: Sequence[ObjectInstance]) -> float:
         """Share of the surface of objects on both sides of which the survey looked."""
@@ -89,6 +93,7 @@ def own_epoch_evidence(view: EpochView, observed: Observed) -> OwnEpochEvidence:
         cKDTree(view.xyz[building]),
         view.instance[building].astype(np.int64),
         cKDTree(view.xyz[_trail_by_shape(view)]),
+        cKDTree(view.xyz[view.semantic == Semantic.GROUND, :2]) if view.passed is None else None,
     )
 
 
@@ -100,16 +105,17 @@ def _trail_by_shape(view: EpochView) -> Mask:
 
 @switchable("trail_continued", no_decision)
 def continues_trail(
-    objects: Sequence[ObjectInstance], semantic: Semantic, own: OwnEpochEvidence | None, rules: DecisionConfig
+    objects: Sequence[ObjectInstance], own: OwnEpochEvidence | None, rules: DecisionConfig
 ) -> Decision | None:
-    """Tell a supposed plant that continues a ghost trail of its own epoch from one that stands.
+    """Tell what continues a ghost trail of its own epoch from what stands.
 
     At its ends and edges a trail has few points and is not as filled as between them, so that its points pass
-    for foliage. Together with the trail beside it the object is a strip as narrow as a vehicle.
+    for foliage, a vehicle, or the wall of a building. Together with the trail beside it the object is a strip
+    as narrow as a vehicle.
     """
     if own is None or own.shaped is None or own.shaped.n < _TRAIL_POINTS:
         return None
-    if semantic is not Semantic.VEGETATION or not fits_a_vehicle(objects, rules):
+    if not fits_a_vehicle(objects, rules):
         return None
     places = np.concatenate([t.xyz for t in objects])
     distance, slot = own.shaped.query(places)
@@ -125,6 +131,46 @@ def continues_trail(
         f" wide (limit {_TRAIL_WIDTH:.1f} m): it may be a part of the trail, and nothing is claimed."
     )
     return Decision(Change.UNOBSERVED, reason, 0.0)
+
+
+@switchable("strip_on_road", no_decision)
+def is_strip_on_road(
+    objects: Sequence[ObjectInstance], own: OwnEpochEvidence | None, rules: DecisionConfig
+) -> Decision | None:
+    """Tell a strip as wide as a vehicle, and longer, from a hedge or a wall by the road seen beneath it.
+
+    A vehicle hides the road for a moment; what stands hides it for the whole survey.
+    """
+    if own is None or own.ground is None or own.ground.n == 0 or not fits_a_vehicle(objects, rules):
+        return None
+    places = np.concatenate([t.xyz for t in objects])[:, :2]
+    length, width = _strip(places)
+    if length < _ALONE or not _NARROW <= width <= _TRAIL_WIDTH:
+        return None
+    beneath = _road_beneath(places, own.ground.data)
+    if beneath < _ROAD:
+        return None
+    reason = (
+        f"The object is a strip {length:.1f} m long and {width:.1f} m wide (limits {_ALONE:g} m and"
+        f" {_NARROW:g} to {_TRAIL_WIDTH:g} m), and its own survey saw the ground beneath with"
+        f" {beneath:.0%} of the points beside it (limit {_ROAD:.0%}): it may be the trail of a vehicle, and"
+        " nothing is claimed."
+    )
+    return Decision(Change.UNOBSERVED, reason, 0.0)
+
+
+def _road_beneath(xy: Floats, ground: Floats) -> float:
+    """Density of ground points (G, 2) between the sides of a strip (N, 2) over that beside it, 1 at most."""
+    middle = xy.mean(axis=0)
+    axes = np.linalg.eigh((xy - middle).T @ (xy - middle))[1]
+    across, along = ((xy - middle) @ axes).T
+    reach = float(np.quantile(np.abs(along), 0.975))
+    low, high = np.quantile(across, [0.025, 0.975])
+    place = (ground - middle) @ axes
+    place = place[np.abs(place[:, 1]) <= reach]
+    inside = np.count_nonzero((place[:, 0] > low) & (place[:, 0] < high))
+    around = np.count_nonzero((place[:, 0] > 2 * low - high) & (place[:, 0] < 2 * high - low)) - inside
+    return min(1.0, inside / max(0.5 * around, 1.0))
 
 
 def _strip(xy: Floats) -> tuple[float, float]:

@@ -21,6 +21,7 @@ from subiaco_change.decisions.dynamic_objects import (
     OwnEpochEvidence,
     continues_trail,
     is_moving_object_trail,
+    is_strip_on_road,
 )
 from subiaco_change.decisions.measures import MeasureConfig, Measures, absence, measure, observed_fraction
 from subiaco_change.decisions.plant_decisions import decide_plant
@@ -132,7 +133,8 @@ def decide_object(
         decision = (
             is_misclassified_ground(semantic, parts)
             or is_moving_object_trail(parts, semantic, own, rules.decisions, measures.free)
-            or continues_trail(parts, semantic, own, rules.decisions)
+            or continues_trail(parts, own, rules.decisions)
+            or is_strip_on_road(parts, own, rules.decisions)
             or decide_in_traffic(parts, rules.lanes, moved, rules.decisions)
             or decide_shapeless(parts, semantic, rules.lanes, rules.decisions)
             or decide_vehicle_part(parts, semantic, measures, rules.standing[int(bool(before))])

@@ -191,6 +191,17 @@ class DynamicObjectsNumbers(StrictModel):
         6.0,
         description="Smallest length of a ghost trail and an object that continues the trail, together [m]",
     )
+    strip_length: float = Field(
+        12.0, description="Length from which a strip on the road is longer than a standing vehicle [m]"
+    )
+    strip_width: float = Field(
+        1.4, description="Smallest width of the trail of a vehicle [m]; hedges and walls are narrower"
+    )
+    road_beneath: float = Field(
+        0.5,
+        description="Density of the ground points beneath a strip, as a fraction of that beside it, from "
+        "which nothing stood there",
+    )
 
 
 class DrivenLaneNumbers(StrictModel):

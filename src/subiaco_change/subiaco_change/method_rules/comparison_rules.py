@@ -88,13 +88,26 @@ MOVING_OBJECT_RULES: tuple[Rule, ...] = (
     Rule(
         "trail_continued",
         _HERE,
-        "A supposed plant of one epoch that is as narrow a strip as a vehicle, together with a ghost trail"
-        " known by its shape, may be a part of the trail.",
+        "What one epoch alone has and is as narrow a strip as a vehicle, together with a ghost trail known by"
+        " its shape, may be a part of the trail.",
         (
             "method_numbers.dynamic_objects.trail_points",
             "method_numbers.dynamic_objects.trail_reach",
             "method_numbers.dynamic_objects.trail_width",
             "method_numbers.dynamic_objects.trail_length",
+        ),
+        guards=True,
+    ),
+    Rule(
+        "strip_on_road",
+        _HERE,
+        "A strip of one epoch as wide as a vehicle and longer than one may be a trail where the road beneath"
+        " it was seen.",
+        (
+            "method_numbers.dynamic_objects.strip_length",
+            "method_numbers.dynamic_objects.strip_width",
+            "method_numbers.dynamic_objects.road_beneath",
+            "method_numbers.dynamic_objects.trail_width",
         ),
         guards=True,
     ),
