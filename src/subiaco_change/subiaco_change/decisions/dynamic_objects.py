@@ -107,7 +107,7 @@ def _trail_by_shape(view: EpochView) -> Mask:
 def continues_trail(
     objects: Sequence[ObjectInstance], own: OwnEpochEvidence | None, rules: DecisionConfig
 ) -> Decision | None:
-    """Tell what continues a ghost trail of its own epoch from what stands.
+    """Tell an object that continues a ghost trail of its own epoch from a standing one.
 
     At its ends and edges a trail has few points and is not as filled as between them, so that its points pass
     for foliage, a vehicle, or the wall of a building. Together with the trail beside it the object is a strip
@@ -139,7 +139,7 @@ def is_strip_on_road(
 ) -> Decision | None:
     """Tell a strip as wide as a vehicle, and longer, from a hedge or a wall by the road seen beneath it.
 
-    A vehicle hides the road for a moment; what stands hides it for the whole survey.
+    A vehicle hides the road for a moment, a standing object for the whole survey.
     """
     if own is None or own.ground is None or own.ground.n == 0 or not fits_a_vehicle(objects, rules):
         return None
