@@ -228,14 +228,14 @@ ROAD = np.stack(np.meshgrid(np.arange(-20, 40, 0.5), np.arange(-20, 20, 0.5)), a
     ],
     ids=["a trail", "it hid the road: a long shed", "as narrow as a hedge", "a lorry", "a row of trees"],
 )
-def test_a_strip_longer_than_any_vehicle_on_a_road_that_was_seen_beneath_it_is_not_claimed(
+def test_a_strip_longer_than_any_vehicle_on_a_road_that_was_seen_beneath_it_is_a_trail(
     length, width, top, hidden, trail
 ):
     under = (ROAD >= 0).all(axis=1) & (ROAD[:, 0] <= length) & (ROAD[:, 1] <= width)
     own = OwnEpochEvidence(nowhere, NOWHERE, ground=cKDTree(ROAD[~under] if hidden else ROAD))
     strip = [obj([(block((0.0, 0.0, 0.3), (length, width, top)), False)])]
     decision = is_strip_on_road(strip, own, RULES)
-    assert (decision is not None) == trail
+    assert (decision is not None and decision.change is Change.NOT_REPORTED) == trail
     assert is_strip_on_road(strip, OwnEpochEvidence(nowhere, NOWHERE), RULES) is None, "beams were counted"
 
 

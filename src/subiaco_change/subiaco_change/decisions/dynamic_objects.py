@@ -153,10 +153,9 @@ def is_strip_on_road(
     reason = (
         f"The object is a strip {length:.1f} m long and {width:.1f} m wide (limits {_ALONE:g} m and"
         f" {_NARROW:g} to {_TRAIL_WIDTH:g} m), and its own survey saw the ground beneath with"
-        f" {beneath:.0%} of the points beside it (limit {_ROAD:.0%}): it may be the trail of a vehicle, and"
-        " nothing is claimed."
+        f" {beneath:.0%} of the points beside it (limit {_ROAD:.0%}): the ghost trail of a moving vehicle."
     )
-    return Decision(Change.UNOBSERVED, reason, 0.0)
+    return Decision(Change.NOT_REPORTED, reason, beneath / _ROAD)
 
 
 def _road_beneath(xy: Floats, ground: Floats) -> float:

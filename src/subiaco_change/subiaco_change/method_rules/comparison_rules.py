@@ -101,7 +101,7 @@ MOVING_OBJECT_RULES: tuple[Rule, ...] = (
     Rule(
         "strip_on_road",
         _HERE,
-        "A strip of one epoch as wide as a vehicle and longer than one may be a trail where the road beneath"
+        "A strip of one epoch as wide as a vehicle and longer than one is a trail where the road beneath"
         " it was seen.",
         (
             "method_numbers.dynamic_objects.strip_length",
