@@ -27,6 +27,7 @@ from subiaco_mapping.checkpoint.scan_spool import Spool, SpooledScan
 from subiaco_mapping.fusion.config import FusionConfig, MovingConfig
 from subiaco_mapping.fusion.finishing import MapFusion
 from subiaco_mapping.fusion.projection import Projection
+from subiaco_mapping.preprocessing.config import DecodeConfig
 
 SEED = 1
 SKY_RANGE = 40.0  # of `decode.sky_range`, which the spool's steps rest on [m]
@@ -94,7 +95,7 @@ def main() -> None:
     given = parser.parse_args()
     config = FusionConfig.model_validate(dict(text.split("=", 1) for text in given.set))
     off = config.model_copy(update={"outlier_neighbours": 0})
-    spool = Spool(checkpoint_folder(given.map) / "000", config.max_range, SKY_RANGE)
+    spool = Spool(checkpoint_folder(given.map) / "000", DecodeConfig().max_range, SKY_RANGE)
     poses = read_tum(given.map / "trajectory.tum").poses
     poses[:, :3, 3] -= np.round(poses[0, :3, 3], -1)
     all_stay = off.model_copy(update={"moving": MovingConfig(enabled=False)})

@@ -51,13 +51,13 @@ def cached_odometry(folder: Path, bag: Path, fault: str, config: MappingConfig) 
             _run(inside, bag, fault, config)
     with (folder / "odometry.pickle").open("rb") as stream:
         extrinsics, poses, scans = pickle.load(stream)
-    spool = Spool(folder / "scans", config.fusion.max_range, config.decode.sky_range)
+    spool = Spool(folder / "scans", config.decode.max_range, config.decode.sky_range)
     return CachedOdometry(extrinsics, poses, scans, spool)
 
 
 def _run(folder: Path, bag: Path, fault: str, config: MappingConfig) -> None:
     rng = np.random.default_rng(5)
-    spool = Spool(folder / "scans", config.fusion.max_range, config.decode.sky_range)
+    spool = Spool(folder / "scans", config.decode.max_range, config.decode.sky_range)
     poses: list[OdometryPose] = []
     scans: list[DeskewedScan] = []
 

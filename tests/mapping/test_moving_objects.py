@@ -1,5 +1,6 @@
 """Moving objects leave the map, thin objects stay; a map in tiles is the map in one piece."""
 
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
 
@@ -50,6 +51,25 @@ def test_a_car_that_drives_through_leaves_the_map_for_the_side_cloud(street: dic
     assert after < 0.25 * before
     assert counted(street[True].moving, "car") >= before - after
     assert street[False].moving is None
+
+
+def test_beams_that_returned_from_too_far_for_the_map_still_show_free_space(tmp_path: Path) -> None:
+    taken = drive(30, SEED)
+    reach = np.concatenate([np.linalg.norm(scan.xyz, axis=1) for scan, _ in taken])
+    limit = float(np.median(reach))
+    maps = []
+    for name, kept in (("all", None), ("near", limit)):
+        fusion = MapFusion(
+            tmp_path / name, FusionConfig(max_range=limit), Projection(None, None), taken[0][1][:3, 3]
+        )
+        for scan, pose in taken:
+            near = np.linalg.norm(scan.xyz, axis=1) <= limit
+            cut = replace(scan, xyz=scan.xyz[near], intensity=scan.intensity[near])
+            fusion.add(scan if kept is None else cut, pose, np.eye(3), np.zeros(3))
+        maps.append(fusion.finish(1, lambda _: None))
+    passes = [int(m.visibility.passes.sum()) for m in maps]
+    assert passes[0] > 1.5 * passes[1]
+    assert len(maps[0].cloud) == pytest.approx(len(maps[1].cloud), rel=0.02), "the points stay the same"
 
 
 @pytest.mark.parametrize(("thing", "least"), [("pole", 10), ("fence", 300), ("hedge", 1000), ("wire", 20)])

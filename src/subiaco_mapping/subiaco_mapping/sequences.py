@@ -80,7 +80,7 @@ class SequenceRecord:
 def begin_sequence(name: str, extrinsics: Extrinsics, folder: Path, config: MappingConfig) -> SequenceRecord:
     """Return the empty record of a recording whose scans and submaps go to a folder."""
     reserve_bytes = round(config.fusion.reserve_gb * 1e9)
-    fusion, sky_range = config.fusion, config.decode.sky_range
-    spool = Spool(folder, fusion.max_range, sky_range, reserve_bytes, keep_pulses=fusion.full_density)
+    ranges = config.decode.max_range, config.decode.sky_range
+    spool = Spool(folder, *ranges, reserve_bytes, keep_pulses=config.fusion.full_density)
     submaps = SubmapBuilder(config.loops, folder / "submaps") if config.loops.enabled else None
     return SequenceRecord(name, extrinsics, spool, submaps)

@@ -76,7 +76,7 @@ def _size(folder: Path) -> int:
 def reading_hash(config: MappingConfig) -> str:
     """Hash the settings that reading a recording rests on; where others change, none is read again."""
     settings = config.model_dump(mode="json", exclude=_LATER)
-    settings["fusion"] = config.fusion.model_dump(mode="json", include={"max_range", "full_density"})
+    settings["fusion"] = config.fusion.model_dump(mode="json", include={"full_density"})
     return fingerprint(settings)
 
 

@@ -28,7 +28,12 @@ class FusionConfig(StrictModel):
     leaf: float = Field(
         0.25, gt=0, description="Edge of the voxels of the map [m]; smaller voxels give more points"
     )
-    max_range: float = Field(100.0, gt=0, description="Range above which points do not enter the map [m]")
+    max_range: float = Field(
+        70.0,
+        gt=0,
+        description="Range above which points do not enter the map [m]; beams that went further still show "
+        "which space was free, up to decode.max_range",
+    )
     reserve_gb: float = Field(
         2.0,
         ge=0,

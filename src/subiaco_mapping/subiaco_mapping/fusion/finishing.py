@@ -21,7 +21,12 @@ from subiaco_mapping.fusion.dynamic_objects import fragment_shares, height_above
 from subiaco_mapping.fusion.full_density import DensityTiles, FullDensity
 from subiaco_mapping.fusion.outliers import beam_spacing, isolated_points
 from subiaco_mapping.fusion.projection import Projection
-from subiaco_mapping.fusion.voxel_fusion import VoxelStatistics, oriented_normals, visibility_beams
+from subiaco_mapping.fusion.voxel_fusion import (
+    VoxelStatistics,
+    oriented_normals,
+    visibility_beams,
+    within,
+)
 from subiaco_mapping.fusion.voxel_tiles import (
     DiskColumns,
     Recent,
@@ -132,8 +137,9 @@ class MapFusion:
         if self._scans % _SHOWN == 0:  # of several sensors the coarsest counts
             self._spacing = max(self._spacing, beam_spacing(scan.xyz, self._config.outlier_neighbours))
         xyz = transform_points(pose, scan.xyz)
-        self._first.add(xyz, scan.intensity, pose[:3, 3])
-        self._last.add(transform_points(pose, scan.last_xyz), scan.last_intensity, pose[:3, 3])
+        near, last = (within(found, self._config.max_range) for found in (scan.xyz, scan.last_xyz))
+        self._first.add(xyz[near], scan.intensity[near], pose[:3, 3])
+        self._last.add(transform_points(pose, scan.last_xyz[last]), scan.last_intensity[last], pose[:3, 3])
         beams, returned = visibility_beams(scan, pose, self._config, self._scans)
         ends = transform_points(pose, beams) @ matrix.T + offset
         origin = matrix @ pose[:3, 3] + offset
