@@ -12,7 +12,7 @@ import numba
 import numpy as np
 
 from subiaco_change.method_numbers import NUMBERS
-from subiaco_geo.clouds import voxel_indices, voxel_keys
+from subiaco_geo.clouds import stable_order, voxel_indices, voxel_keys
 from subiaco_geo.frames import Floats, Ints, exp_se3
 
 _D2 = NUMBERS.ndt.mixture_width
@@ -56,7 +56,7 @@ def distributions(xyz: Floats, cell: float, min_count: int = 6, noise: float = 0
     grids onto each other.
     """
     keys = voxel_keys(voxel_indices(xyz, cell))
-    order = np.argsort(keys, kind="stable")
+    order = stable_order(keys)
     unique, starts = np.unique(keys[order], return_index=True)
     counts = np.diff(np.append(starts, len(keys)))
     points = xyz[order]
@@ -134,7 +134,7 @@ def _along_twist(a: Floats, x: float, y: float, z: float, out: Floats) -> None:
 
 
 @numba.njit(cache=True)
-def _normal_equations(  # noqa: C901, PLR0912
+def _normal_equations(  # noqa: C901, PLR0912, PLR0915
     rotation: Floats, translation: Floats, centre: Floats, means: Floats, covs: Floats,
     keys: Ints, t_means: Floats, t_covs: Floats, cell: float,
     width: float,
