@@ -79,7 +79,7 @@ def _key_at(x: float, y: float, z: float, cell: float) -> int:
     i, j, k = np.int64(np.floor(x / cell)), np.int64(np.floor(y / cell)), np.int64(np.floor(z / cell))
     if max(abs(i), abs(j), abs(k)) >= limit - 1:
         return -1
-    return ((i + limit) << 42) | ((j + limit) << 21) | (k + limit)
+    return int(((i + limit) << 42) | ((j + limit) << 21) | (k + limit))
 
 
 @numba.njit(cache=True, inline="always")
