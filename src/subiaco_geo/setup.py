@@ -22,6 +22,6 @@ setup(
         ("share/" + NAME, ["package.xml"]),
     ],
     install_requires=["setuptools"],
-    extras_require={"test": ["pytest"], "object-storage": ["fsspec"]},
+    extras_require={"test": ["pytest"], "object-storage": ["fsspec"], "s3": ["s3fs"]},
     zip_safe=False,
 )

@@ -68,6 +68,19 @@ def test_what_is_kept_in_object_storage_comes_back_the_same_and_only_when_it_is_
             store.load("cut/0_0-other")
 
 
+def test_s3_takes_address_and_rights_from_the_environment(s3_storage):
+    pytest.importorskip("s3fs", reason="s3:// needs s3fs (subiaco-geo[s3])")
+    store = ObjectStore("s3://bucket/a folder/stages")
+    assert not store.has("cut/0_0-abc")
+    store.save("cut/0_0-abc", {"xyz": np.arange(5.0)})
+    assert list(s3_storage.files) == ["/bucket/a folder/stages/cut/0_0-abc.npz"]
+    _HELD.pieces.clear()
+    assert store.has("cut/0_0-abc")
+    np.testing.assert_array_equal(store.load("cut/0_0-abc")["xyz"], np.arange(5.0))
+    with pytest.raises(InputError, match="cut/0_0-other"):
+        store.load("cut/0_0-other")
+
+
 def test_a_piece_is_fetched_once_by_a_process_that_reads_it_again(web_storage):
     store = ObjectStore(web_storage.url)
     store.save("cut/0_0-abc", {"xyz": np.arange(5.0)})

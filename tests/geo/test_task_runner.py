@@ -15,6 +15,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from numpy.typing import NDArray
+from threadpoolctl import threadpool_info, threadpool_limits
 
 from subiaco_geo.errors import InputError, SubiacoError
 from subiaco_geo.work.executors import Dask, InProcess, LocalPool, make_executor
@@ -62,9 +63,27 @@ def fail(inputs, params):
     raise InputError(f"tile {params['tile']}: no points")
 
 
+def count_blas_threads(inputs, params):
+    """Most threads of any BLAS library while the task runs."""
+    del inputs, params
+    threads = [lib["num_threads"] for lib in threadpool_info() if lib["user_api"] == "blas"]
+    return Values(np.array([float(max(threads))]))
+
+
 def tasks_of(runner, factor=2.0):
     sources = {f"{k}_0": runner.put("cut", f"{k}_0", Values(np.arange(k + 3.0))) for k in range(6)}
     return [Task("sum", name, add_up, {"own": key}, {"factor": factor}) for name, key in sources.items()]
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_a_task_takes_one_thread_of_the_linear_algebra_wherever_it_runs(tmp_path, workers):
+    runner = TaskRunner(DiskStore(tmp_path / "stages"), make_executor(workers))
+    with threadpool_limits(2, user_api="blas"):
+        key = runner.one(Task("count", "all", count_blas_threads, {}, {}))
+        after = max(lib["num_threads"] for lib in threadpool_info() if lib["user_api"] == "blas")
+    runner.executor.close()
+    assert runner.load(Values, key).values == [1.0]
+    assert after == 2
 
 
 @pytest.mark.parametrize("make", [lambda path: MemoryStore(), lambda path: DiskStore(path / "stages")])

@@ -31,6 +31,26 @@ def test_equal_keys_keep_their_order_and_distinct_ones_are_sorted(keys):
     np.testing.assert_array_equal(unique_keys(keys), np.unique(keys))
 
 
+@given(
+    arrays(
+        np.int64,
+        st.integers(0, 60),
+        elements=st.one_of(
+            st.integers(-(2**62), 2**62),
+            st.integers(2**40, 2**40 + 5000),
+            st.sampled_from([-(2**63), 2**63 - 1]),
+        ),
+    )
+)
+def test_keys_far_apart_and_close_together_are_sorted_by_their_digits(keys):
+    np.testing.assert_array_equal(stable_order(keys), np.argsort(keys, kind="stable"))
+
+
+@given(arrays(np.float64, st.integers(0, 60), elements=st.floats(-3, 3, width=16)))
+def test_numbers_with_fractions_keep_the_order_of_equal_ones(keys):
+    np.testing.assert_array_equal(stable_order(keys), np.argsort(keys, kind="stable"))
+
+
 @given(near)
 def test_extent_and_box_are_those_of_whole_rows(cells):
     low, high = extent_of(cells)

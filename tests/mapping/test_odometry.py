@@ -119,6 +119,48 @@ def test_the_second_look_does_not_stick_to_the_rings_while_pulling_away() -> Non
     assert lag_behind(OdometryConfig(refine=False, convergence=5e-4)).min() < -1.0  # point to point does
 
 
+@pytest.fixture
+def matched(monkeypatch: pytest.MonkeyPatch) -> list[int]:
+    """Stamps at which kiss-icp matched: one entry a call."""
+    calls: list[int] = []
+    match = KissOdometry._matched
+
+    def counted(self: KissOdometry, dense: np.ndarray, guess: np.ndarray) -> np.ndarray:
+        calls.append(self.last_stamp_ns or 0)
+        return match(self, dense, guess)
+
+    monkeypatch.setattr(KissOdometry, "_matched", counted)
+    return calls
+
+
+def test_a_predicted_motion_needs_no_matching_by_points(matched: list[int]) -> None:
+    stamps = START_NS + np.arange(25) * STEP
+    found, truth = run_room(stamps, predict=True)
+    assert max(matched) < stamps[15]  # the size of the errors of the prediction is learned first
+    offset = invert_pose(truth) @ np.array([f.T_odom_lidar for f in found])
+    assert np.linalg.norm(offset[:, :3, 3], axis=1).max() < 0.05
+
+
+def test_a_wrong_prediction_is_matched_by_points_and_recovered(matched: list[int]) -> None:
+    stamps = START_NS + np.arange(30) * STEP
+    truth = turning_pose(stamps, speed=2.0, rate=0.3)
+    odometry, found = KissOdometry(SMALL), []
+    for k, (stamp, pose) in enumerate(zip(stamps, truth, strict=True)):
+        motion = invert_pose(truth[k - 1]) @ pose if k else None
+        if k == 25:
+            motion = motion @ make_pose(np.eye(3), [0.4, -0.3, 0.0])
+            matched.clear()
+        found.append(odometry.register(deskewed(room_scan(pose, 8000, k, 0.01), int(stamp), motion)))
+    assert matched[0] == stamps[24]
+    offset = invert_pose(relative(truth)) @ np.array([f.T_odom_lidar for f in found])
+    assert np.linalg.norm(offset[25:, :3, 3], axis=1).max() < 0.05
+
+
+def test_without_refinement_every_scan_is_matched_by_points(matched: list[int]) -> None:
+    run_room(START_NS + np.arange(20) * STEP, predict=True, config=OdometryConfig(voxel=0.5, refine=False))
+    assert len(matched) == 20
+
+
 def as_scan(xyz: np.ndarray, stamp_ns: int) -> Scan:
     count = len(xyz)
     first = Returns(xyz, np.full(count, stamp_ns), np.zeros(count, np.float32), np.zeros(count, np.uint16))

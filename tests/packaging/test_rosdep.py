@@ -27,7 +27,7 @@ NO_KEY = {
     "gtsam": "gtsam", "kiss_icp": "kiss-icp", "laspy": "laspy", "lazrs": "lazrs", "lz4": "lz4",
     "mcap": "mcap",
     "open3d": "open3d", "ouster": "ouster-sdk", "pgeof": "pgeof", "pyogrio": "pyogrio", "rosbags": "rosbags",
-    "small_gicp": "small-gicp", "pydantic": "pydantic",
+    "small_gicp": "small-gicp", "pydantic": "pydantic", "threadpoolctl": "threadpoolctl",
 }  # fmt: skip
 #: Imported where the user asks for it: a cluster, object storage, learned methods, a live viewer.
 OPTIONAL = {"dask", "distributed", "torch", "foxglove", "fsspec"}

@@ -168,8 +168,15 @@ def unique_cells(cells: Ints) -> tuple[Ints, Ints]:
 def stable_order(keys: NDArray[Any]) -> Ints:
     """Return the order (N,) that sorts numbers (N,), none of them NaN, equal ones as they stand.
 
-    A quick sort of the keys and one of the places of equal ones: several times faster than one stable sort.
+    Integers are sorted by digits. Others by a quick sort of the keys and one of the places of equal ones:
+    several times faster than one stable sort.
     """
+    if keys.dtype.kind == "i":
+        from subiaco_geo.radix_sort import radix_order  # numba is not loaded by those who only read clouds
+
+        by_digits = radix_order(keys.astype(np.int64, copy=False))
+        if by_digits is not None:
+            return by_digits
     order = np.argsort(keys)
     if len(keys) == 0:
         return order

@@ -13,9 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 from pydantic import Field
 from scipy.spatial import cKDTree
-from scipy.special import gammaln
-from scipy.stats import norm
-from scipy.stats import t as student
+from scipy.special import gammaln, ndtri, stdtrit
 
 from subiaco_change.decisions.voxel_objects import Free
 from subiaco_change.method_numbers import NUMBERS
@@ -165,7 +163,7 @@ def _of_part(rises: Floats, certain: float) -> float:
 
 def _uncertain_spread(columns: int) -> float:
     """Return the factor on the error of a median whose spread is that of few columns."""
-    return float(student.ppf(_LIMIT, columns - 1) / norm.ppf(_LIMIT))
+    return float(stdtrit(columns - 1, _LIMIT) / ndtri(_LIMIT))
 
 
 def _edge(before: Floats, after: Floats, config: TopConfig) -> float:

@@ -15,7 +15,7 @@ from subiaco_change.level_of_detection.displacement_lod import Displacements
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.records import Registration
 from subiaco_change.segmentation.ground_model import Mask
-from subiaco_geo.clouds import PointCloud
+from subiaco_geo.clouds import PointCloud, stable_order
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
 
@@ -253,7 +253,7 @@ def _block_bias(
     count: Ints = np.bincount(block, minlength=size)
     overall = _excess(distance, variance, config.quantile)
     bias = np.full(size, overall)
-    order = np.argsort(block, kind="stable")
+    order = stable_order(block)
     starts = np.searchsorted(block[order], np.arange(size + 1))
     for b in range(size):
         members = order[starts[b] : starts[b + 1]]

@@ -12,12 +12,14 @@ import numba
 import numpy as np
 
 from subiaco_change.method_numbers import NUMBERS
-from subiaco_geo.clouds import voxel_indices, voxel_keys
+from subiaco_geo.clouds import stable_order, voxel_indices, voxel_keys
 from subiaco_geo.frames import Floats, Ints, exp_se3
 
 _D2 = NUMBERS.ndt.mixture_width
 _FILLED = NUMBERS.ndt.filled
 _LOOSE = NUMBERS.ndt.loose
+#: From the key of a voxel to those of itself and its six face neighbours.
+_STEPS = (0, -(1 << 42), 1 << 42, -(1 << 21), 1 << 21, -1, 1)
 
 
 @dataclass(frozen=True)
@@ -54,7 +56,7 @@ def distributions(xyz: Floats, cell: float, min_count: int = 6, noise: float = 0
     grids onto each other.
     """
     keys = voxel_keys(voxel_indices(xyz, cell))
-    order = np.argsort(keys, kind="stable")
+    order = stable_order(keys)
     unique, starts = np.unique(keys[order], return_index=True)
     counts = np.diff(np.append(starts, len(keys)))
     points = xyz[order]
@@ -71,21 +73,26 @@ def distributions(xyz: Floats, cell: float, min_count: int = 6, noise: float = 0
 
 
 @numba.njit(cache=True, inline="always")
-def _slot(keys: Ints, p: Floats, cell: float, neighbour: int) -> int:
-    """Find the Gaussian of the voxel of p, or of one of its six face neighbours; -1 for none."""
+def _key_at(x: float, y: float, z: float, cell: float) -> int:
+    """Return the key of the voxel of a place [m]; -1 at the rim of what keys can name."""
     limit = 1 << 20
-    j = np.empty(3, np.int64)
-    for axis in range(3):
-        j[axis] = np.int64(np.floor(p[axis] / cell)) + limit
-        if abs(j[axis] - limit) >= limit - 1:
-            return -1
-    if neighbour > 0:
-        j[(neighbour - 1) // 2] += 1 if neighbour % 2 == 0 else -1
-    key = (j[0] << 42) | (j[1] << 21) | j[2]
-    slot = np.searchsorted(keys, key)
-    if slot >= len(keys) or keys[slot] != key:
+    i, j, k = np.int64(np.floor(x / cell)), np.int64(np.floor(y / cell)), np.int64(np.floor(z / cell))
+    if max(abs(i), abs(j), abs(k)) >= limit - 1:
         return -1
-    return slot
+    return int(((i + limit) << 42) | ((j + limit) << 21) | (k + limit))
+
+
+@numba.njit(cache=True, inline="always")
+def _slot(keys: Ints, key: int) -> int:
+    """Find the Gaussian of a voxel among the sorted keys; -1 for none."""
+    low, high = 0, len(keys)
+    while low < high:
+        middle = (low + high) >> 1
+        if keys[middle] < key:
+            low = middle + 1
+        else:
+            high = middle
+    return low if low < len(keys) and keys[low] == key else -1
 
 
 @numba.njit(cache=True, inline="always")
@@ -119,8 +126,15 @@ def _turn(rotation: Floats, cov: Floats, work: Floats, out: Floats) -> None:
                 out[i, j] += work[i, k] * rotation[j, k]
 
 
+@numba.njit(cache=True, inline="always")
+def _along_twist(a: Floats, x: float, y: float, z: float, out: Floats) -> None:
+    """Row (6,) of a vector times J = [-[a]x, I], without the products by zero."""
+    out[0], out[1], out[2] = a[1] * z - a[2] * y, a[2] * x - a[0] * z, a[0] * y - a[1] * x
+    out[3], out[4], out[5] = x, y, z
+
+
 @numba.njit(cache=True)
-def _normal_equations(  # noqa: C901, PLR0912
+def _normal_equations(  # noqa: C901, PLR0912, PLR0915
     rotation: Floats, translation: Floats, centre: Floats, means: Floats, covs: Floats,
     keys: Ints, t_means: Floats, t_covs: Floats, cell: float,
     width: float,
@@ -133,9 +147,8 @@ def _normal_equations(  # noqa: C901, PLR0912
     hessian, gradient = np.zeros((6, 6)), np.zeros(6)
     score = 0.0
     cov, work, both, info = np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3)), np.empty((3, 3))
-    p, a, d, v, column = np.empty(3), np.empty(3), np.empty(3), np.empty(3), np.empty(3)
-    jac = np.zeros((3, 6))
-    jac[0, 3] = jac[1, 4] = jac[2, 5] = 1.0
+    p, a, d, v = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
+    rows, row = np.empty((3, 6)), np.empty(6)
     for s in range(len(means)):
         for i in range(3):
             p[i] = translation[i]
@@ -143,15 +156,15 @@ def _normal_equations(  # noqa: C901, PLR0912
                 p[i] += rotation[i, k] * means[s, k]
             a[i] = p[i] - centre[i]
         turned = False
-        for neighbour in range(7):
-            slot = _slot(keys, p, cell, neighbour)
+        key = _key_at(p[0], p[1], p[2], cell)
+        if key < 0:
+            continue
+        for step in _STEPS:
+            slot = _slot(keys, key + step)
             if slot < 0:
                 continue
             if not turned:
                 _turn(rotation, covs[s], work, cov)
-                jac[0, 1], jac[0, 2] = a[2], -a[1]
-                jac[1, 0], jac[1, 2] = -a[2], a[0]
-                jac[2, 0], jac[2, 1] = a[1], -a[0]
                 turned = True
             for i in range(3):
                 d[i] = p[i] - t_means[slot, i]
@@ -167,14 +180,15 @@ def _normal_equations(  # noqa: C901, PLR0912
             weight = value * width
             if weight < 1e-9:
                 continue
+            _along_twist(a, v[0], v[1], v[2], row)
+            for i in range(3):
+                _along_twist(a, info[i, 0], info[i, 1], info[i, 2], rows[i])
             for m in range(6):
-                gradient[m] += weight * (jac[0, m] * v[0] + jac[1, m] * v[1] + jac[2, m] * v[2])
-                for i in range(3):
-                    column[i] = info[i, 0] * jac[0, m] + info[i, 1] * jac[1, m] + info[i, 2] * jac[2, m]
+                gradient[m] += weight * row[m]
+            for m in range(6):
+                _along_twist(a, rows[0, m], rows[1, m], rows[2, m], row)
                 for n in range(m + 1):
-                    hessian[m, n] += weight * (
-                        jac[0, n] * column[0] + jac[1, n] * column[1] + jac[2, n] * column[2]
-                    )
+                    hessian[m, n] += weight * row[n]
     for m in range(6):
         for n in range(m):
             hessian[n, m] = hessian[m, n]

@@ -11,6 +11,7 @@ from scipy.spatial import KDTree
 
 from subiaco_change.geometry import Level
 from subiaco_change.method_numbers import NUMBERS
+from subiaco_geo.clouds import stable_order
 from subiaco_geo.frames import Floats, Ints, transform_points
 
 _BLOCK = NUMBERS.planes.block
@@ -100,7 +101,7 @@ def _extract(level: Level, chosen: NDArray[np.bool_], seed: int) -> Planes:
         return Planes(np.zeros((0, 3)), np.zeros((0, 3)))
     ij = np.floor(xyz[:, :2] / _BLOCK).astype(np.int64)
     block = (ij[:, 0] << 32) + ij[:, 1]
-    order = np.argsort(block, kind="stable")
+    order = stable_order(block)
     starts = np.append(np.unique(block[order], return_index=True)[1], len(xyz))
     draws = np.random.default_rng(seed).random((len(starts) - 1, _PLANES, _SAMPLES))
     xyz = xyz[order]

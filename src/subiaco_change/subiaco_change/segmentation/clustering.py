@@ -8,7 +8,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
-from subiaco_geo.clouds import voxel_indices, voxel_keys
+from subiaco_geo.clouds import stable_order, voxel_indices, voxel_keys
 from subiaco_geo.frames import Floats, Ints
 
 
@@ -94,7 +94,7 @@ def cell_clusters(xy: Floats, cell: float) -> Ints:
 
 def group_indices(labels: Ints) -> list[NDArray[np.int64]]:
     """Return the point indices of every label 0..max; labels below 0 are left out."""
-    order = np.argsort(labels, kind="stable")
+    order = stable_order(labels)
     bounds = np.searchsorted(labels[order], np.arange(labels.max(initial=-1) + 2))
     return [order[a:b] for a, b in pairwise(bounds.tolist())]
 

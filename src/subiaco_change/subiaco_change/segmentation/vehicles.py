@@ -12,6 +12,7 @@ from subiaco_change.segmentation.clustering import cell_clusters, group_indices,
 from subiaco_change.segmentation.config import VehicleConfig
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.segmentation.object_rows import split_rows
+from subiaco_geo.clouds import stable_order
 from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats, Ints
 
@@ -68,7 +69,7 @@ class _Columns:
     def __init__(self, xyz: Floats, height: Floats, members: NDArray[np.int64], cell: float) -> None:
         self._cell = cell
         keys = self._keys(xyz[members])
-        order = np.argsort(keys, kind="stable")
+        order = stable_order(keys)
         self._sorted, self._height = keys[order], height[members[order]]
 
     def _keys(self, xyz: Floats) -> NDArray[np.int64]:

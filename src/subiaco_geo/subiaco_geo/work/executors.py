@@ -15,6 +15,7 @@ from multiprocessing import forkserver
 from typing import Any, Protocol
 
 import numpy as np
+from threadpoolctl import ThreadpoolController
 
 from subiaco_geo.errors import InputError, SubiacoError
 from subiaco_geo.work.store import DiskStore, Store
@@ -45,14 +46,21 @@ class Executor(Protocol):
 
 
 class InProcess:
-    """One task after the other in this process."""
+    """One task after the other in this process, with one thread, as worker processes do them.
+
+    Products of many points with a 3x3 matrix are too small for the threads of a BLAS library: these gain
+    nothing, and wait for each other at full load.
+    """
 
     spare = False
 
     def run(self, store: Store, tasks: Sequence[Task[Any]]) -> Iterator[TaskCost]:
         """Do the tasks in the order given."""
+        threads = ThreadpoolController()
         for task in tasks:
-            yield execute(store, task)
+            with threads.limit(limits=1, user_api="blas"):
+                done = execute(store, task)
+            yield done
 
     def close(self) -> None:
         """Do nothing."""

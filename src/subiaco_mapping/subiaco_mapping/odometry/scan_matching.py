@@ -1,13 +1,16 @@
-"""Odometry: kiss-icp's scan matching, refined plane to plane.
+"""Odometry: plane-to-plane matching from the prediction, with kiss-icp where that does not suffice.
 
 Point to point alone sticks to the rings of a scan: seen from almost the same place they lie where they lay,
 so that a car that pulls away lags by centimetres and the map turns by a tenth of a degree. The refinement
-does not, and gives the covariance of the pose; where it is not held in some direction, kiss-icp's pose stays.
+plane to plane does not, and gives the covariance of the pose. While the motion is predicted well, it starts
+from the prediction; otherwise kiss-icp matches first. Where the refinement is not held in some direction,
+kiss-icp's pose stays.
 """
 
 from __future__ import annotations
 
 import logging
+from collections import deque
 from typing import Any, Protocol
 
 import numpy as np
@@ -28,6 +31,7 @@ logger = logging.getLogger(__name__)
 PLANE_VARIANCE = NUMBERS.odometry.plane_variance
 TYPICAL_RANGE = NUMBERS.odometry.typical_range
 _GICP_REACH = NUMBERS.odometry.refinement_reach
+_WAITING = 50  # scans that wait for kiss-icp's map: about the radius of the map in a car, 20 MB
 
 
 class OdometryBackend(Protocol):
@@ -54,8 +58,11 @@ class GicpRefinement:
         self._filled = False
 
     def cloud(self, points: Floats) -> Any:
-        """Return points with the covariances that the metric needs."""
-        cloud = small_gicp.PointCloud(points)
+        """Return points with the covariances that the metric needs, neighbours close together in memory."""
+        voxel = np.floor(points / self._config.gicp_voxel).astype(np.int64)
+        cloud = small_gicp.PointCloud(
+            points[np.argsort((voxel[:, 0] << 42) + (voxel[:, 1] << 21) + voxel[:, 2])]
+        )
         small_gicp.estimate_covariances(cloud, num_neighbors=10, num_threads=self._threads)
         return cloud
 
@@ -76,6 +83,12 @@ class GicpRefinement:
         """Add a scan to the map."""
         self._map.insert(cloud, pose)
         self._filled = True
+
+
+def _size(deviation: Floats) -> float:
+    """Return how far a pose (4, 4) moves points at the typical range, at most [m]."""
+    turned = 2 * TYPICAL_RANGE * np.sin(rotation_angle(deviation) / 2)
+    return float(turned + np.linalg.norm(deviation[:3, 3]))
 
 
 def _kiss_config(config: OdometryConfig, threads: int) -> KISSConfig:
@@ -123,6 +136,7 @@ class KissOdometry:
 
     def _start_segment(self) -> None:
         self._map = get_voxel_hash_map(self._kiss)
+        self._waiting: deque[tuple[Floats, Floats]] = deque(maxlen=_WAITING)
         self._look = GicpRefinement(self._config, self._threads)
         self._threshold = self._config.initial_threshold
         self._segment += 1
@@ -162,13 +176,15 @@ class KissOdometry:
         return scan.motion
 
     def _solve(self, dense: Floats, guess: Floats, gap_s: float, stamp_ns: int) -> OdometryPose:
-        pose, predicted, first = self._matched(dense, guess), False, self._map.empty()
         looked_at = first_in_voxels(dense, self._config.gicp_leaf)
         cloud = self._look.cloud(looked_at) if len(looked_at) > 10 else None
-        distance = min(self._config.gicp_distance, _GICP_REACH * self._threshold)
-        look = self._look.align(cloud, pose, distance) if cloud is not None else None
-        if look is not None and look.num_inliers < self._config.min_inlier_ratio * len(looked_at):
-            pose, predicted = guess, True
+        pose, predicted, first = guess, False, not self._waiting and self._map.empty()
+        look = self._from_prediction(cloud, len(looked_at), guess, gap_s)
+        if look is None:
+            pose = self._matched(dense, guess)
+            look = self._look.align(cloud, pose, self._reach()) if cloud is not None else None
+            if look is not None and look.num_inliers < self._config.min_inlier_ratio * len(looked_at):
+                pose, predicted = guess, True
         predicted = predicted or (look is None and not first)
         covariance, rmse, degenerate = self._uncertainty(look, predicted, gap_s)
         if look is not None and self._config.refine and not (predicted or degenerate):
@@ -178,8 +194,32 @@ class KissOdometry:
         inliers = 0 if look is None else int(look.num_inliers)
         return OdometryPose(stamp_ns, pose, covariance, inliers, rmse, degenerate, self._segment, predicted)
 
+    def _reach(self) -> float:
+        return min(self._config.gicp_distance, _GICP_REACH * self._threshold)
+
+    def _from_prediction(self, cloud: Any | None, count: int, guess: Floats, gap_s: float) -> Any | None:
+        """Refine the prediction itself; None where kiss-icp has to match first.
+
+        That is: the errors of the prediction are unknown or may exceed the reach of the refinement, or the
+        refinement does not converge near the prediction, matches too little, or is not held in a direction.
+        """
+        predictable = self._twist is not None and _GICP_REACH * self._threshold <= self._config.gicp_distance
+        if cloud is None or not (self._config.refine and predictable):
+            return None
+        look = self._look.align(cloud, guess, self._reach())
+        if look is None or not look.converged or look.num_inliers < self._config.min_inlier_ratio * count:
+            return None
+        if _size(invert_pose(guess) @ np.asarray(look.T_target_source)) > self._threshold:
+            return None
+        return None if self._uncertainty(look, False, gap_s)[2] else look
+
     def _matched(self, dense: Floats, guess: Floats) -> Floats:
-        """Return kiss-icp's pose, the guess where there is nothing to match."""
+        """Return kiss-icp's pose, the guess where there is nothing to match.
+
+        Scans that were placed without kiss-icp enter its map only here.
+        """
+        while self._waiting:
+            self._map.update(*self._waiting.popleft())
         keypoints = first_in_voxels(dense, self._config.voxel * 1.5)
         if len(keypoints) == 0 or self._map.empty():
             return guess
@@ -216,7 +256,7 @@ class KissOdometry:
             self._failures += 1
         else:
             self._failures = 0
-            self._map.update(dense, pose)
+            self._waiting.append((dense, pose))
             if gap_s > 0:
                 self._adapt(invert_pose(guess) @ pose, known=self._twist is not None)
                 self._twist = body_twist(invert_pose(self._pose) @ pose, gap_s)
@@ -226,7 +266,6 @@ class KissOdometry:
         """Follow the size of the prediction's errors, forgetting old ones."""
         if not known:
             return
-        error = 2 * TYPICAL_RANGE * np.sin(rotation_angle(deviation) / 2) + np.linalg.norm(deviation[:3, 3])
-        keep = self._config.threshold_memory
+        error, keep = _size(deviation), self._config.threshold_memory
         wanted = float(np.sqrt(keep * self._threshold**2 + (1 - keep) * (3 * error) ** 2))
         self._threshold = float(np.clip(wanted, self._config.min_threshold, self._config.initial_threshold))

@@ -127,7 +127,7 @@ def _first_of_each(keys: Ints) -> Ints:
 
 
 def _grouped(level: int, node: Ints, points: Ints) -> Iterator[tuple[NodeKey, Ints]]:
-    order = np.argsort(node, kind="stable")
+    order = stable_order(node)
     keys, starts = np.unique(node[order], return_index=True)
     mask = (1 << 21) - 1
     for key, part in zip(keys.tolist(), np.split(points[order], starts[1:]), strict=True):
