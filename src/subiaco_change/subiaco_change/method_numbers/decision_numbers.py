@@ -87,7 +87,7 @@ class BuildingExtensionsNumbers(StrictModel):
     facing: float = Field(
         0.4,
         description="Smallest agreement of the azimuths of the normals of a part of a building with one "
-        "rectangle, from 0 to 1; houses have 0.6 to 1, crowns 0 to 0.2",
+        "rectangle, as a ratio from 0 to 1; houses have 0.6 to 1, crowns 0 to 0.2",
     )
     sloped: float = Field(
         0.3,
