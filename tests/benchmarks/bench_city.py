@@ -3,10 +3,12 @@
 
     python tests/benchmarks/bench_city.py mosaic SURVEY ... --count 4 -o out/city4
     python tests/benchmarks/bench_city.py run out/city1 out/city2 out/city4 --workers 2
+    python tests/benchmarks/bench_city.py interrupt out/city4 --workers 2 --kill 600 1200
     python tests/benchmarks/bench_city.py m3c2 SURVEY --workers 2
 
 A SURVEY is what ``subiaco simulate --maps-only`` writes (folders *before* and *after*). A mosaic lays streets
 side by side, 400 m apart: it costs what a city of so much street costs, its changes are those of the streets.
+``interrupt`` kills the command so many seconds after each start, and starts it again; the last run ends.
 ``m3c2`` needs the package py4dgeo installed beside, and runs both in turn on this machine.
 """
 
@@ -17,6 +19,8 @@ import json
 import math
 import os
 import shutil
+import signal
+import sys
 import threading
 import time
 import zipfile
@@ -90,13 +94,24 @@ def make_mosaic(surveys: Sequence[Path], count: int, copies: int, output: Path) 
 
 
 def moved_beams(streets: Sequence[tuple[int, SurveyMap, np.ndarray]]) -> Iterator[VisibilityGrid]:
-    """Yield the beams of every street at its place, about the origin of the first; steps are whole voxels."""
+    """Yield the beams of the streets at their places, about the origin of the first; steps are whole voxels.
+
+    Voxels are sorted from west to east: streets of one easting come together.
+    """
     base = streets[0][1].visibility
-    for _, street, step in streets:
-        grid = street.visibility
-        shift = np.round((grid.origin - base.origin + step) / grid.voxel).astype(np.int64)
-        keys = voxel_keys(unpack_voxel_keys(grid.keys) + shift)
-        yield VisibilityGrid(base.origin, base.voxel, keys, grid.hits, grid.passes)
+    for east in sorted({float(step[0]) for _, _, step in streets}):
+        keys, hits, passes = [], [], []
+        for _, street, step in streets:
+            if step[0] == east:
+                grid = street.visibility
+                shift = np.round((grid.origin - base.origin + step) / grid.voxel).astype(np.int64)
+                keys.append(voxel_keys(unpack_voxel_keys(grid.keys) + shift))
+                hits.append(grid.hits)
+                passes.append(grid.passes)
+        joined = np.concatenate(keys)
+        order = np.argsort(joined, kind="stable")
+        counts = [np.concatenate(v)[order] for v in (hits, passes)]
+        yield VisibilityGrid(base.origin, base.voxel, joined[order], *counts)
 
 
 class Watch:
@@ -165,6 +180,50 @@ def run_once(survey: Path, workers: int, *, report: bool) -> dict[str, Any]:
     }  # fmt: skip
 
 
+def run_interrupted(survey: Path, workers: int, kills: Sequence[float]) -> dict[str, Any]:
+    """Run the command, kill it and all its workers so long [s] after each start, and let the last run end."""
+    output = survey / "change_interrupted"
+    shutil.rmtree(output, ignore_errors=True)
+    command = [
+        sys.executable, "-m", "subiaco_bringup.cli.main", "change", str(survey / "before"),
+        str(survey / "after"), "-o", str(output), "--workers", str(workers),
+    ]  # fmt: skip
+    begun, peak, walls, cpu = time.perf_counter(), 0.0, [], []
+    for limit in (*kills, math.inf):
+        start = time.perf_counter()
+        run = psutil.Popen(command, start_new_session=True)
+        used: dict[int, float] = {}
+        while run.poll() is None and time.perf_counter() - start < limit:
+            time.sleep(0.5)
+            peak = max(peak, _look_at(run, used))
+        if run.poll() is None:
+            os.killpg(run.pid, signal.SIGKILL)
+        code = run.wait()
+        walls.append(time.perf_counter() - start)
+        cpu.append(sum(used.values()))
+        print(f"ended with {code} after {walls[-1]:.0f} s, {cpu[-1]:.0f} CPU s", flush=True)
+    notes = json.loads((output / "run.json").read_text())
+    return {
+        "survey": survey.name, "workers": workers, "points": sum(notes["points"].values()),
+        "tiles": notes["stages"]["labels"]["tasks"], "wall_s": time.perf_counter() - begun,
+        "runs_wall_s": walls, "cpu_s": sum(cpu), "runs_cpu_s": cpu, "peak_mib": peak,
+        "table_hash": notes["table_hash"],
+    }  # fmt: skip
+
+
+def _look_at(run: psutil.Popen, used: dict[int, float]) -> float:
+    """Note the processor seconds of a process and its children; return the memory of all of them [MiB]."""
+    total = 0.0
+    try:
+        for process in (run, *run.children(recursive=True)):
+            times = process.cpu_times()
+            used[process.pid] = times.user + times.system
+            total += process.memory_full_info().pss / 2**20
+    except psutil.Error:
+        return 0.0
+    return total
+
+
 def total_cpu() -> float:
     """Processor seconds of this process."""
     used = os.times()
@@ -226,11 +285,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(
         description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
     )
-    parser.add_argument("what", choices=("mosaic", "run", "m3c2"))
+    parser.add_argument("what", choices=("mosaic", "run", "interrupt", "m3c2"))
     parser.add_argument("surveys", nargs="+", type=Path)
     parser.add_argument("--count", type=int, default=4)
     parser.add_argument("--copies", type=int, default=1, help="points of a mosaic for each of a survey")
     parser.add_argument("--workers", type=int, nargs="+", default=[2])
+    parser.add_argument("--kill", type=float, nargs="*", default=[], help="after each start [s]")
     parser.add_argument("--report", action="store_true", help="build the report too")
     parser.add_argument("-o", "--output", type=Path)
     given = parser.parse_args()
@@ -244,12 +304,16 @@ def main() -> None:
         print(f"ratio: {run['wall_s'] / wall:.2f} of wall time, {run['cpu_s'] / cpu:.2f} of CPU time")
         return
     rows = []
-    for workers in given.workers:
+    if given.what == "interrupt":
+        rows = [run_interrupted(given.surveys[0], given.workers[0], given.kill)]
+        print(json.dumps(rows[0]))
+    for workers in given.workers if given.what == "run" else ():
         for survey in given.surveys:
             rows.append(run_once(survey, workers, report=given.report))
             last = rows[-1]
             print(f"{survey.name}, {workers} workers: {last['wall_s']:.0f} s, table {last['table_hash']}")
-    show_runs(rows)
+    if given.what == "run":
+        show_runs(rows)
     if given.output is not None:
         given.output.write_text(json.dumps(rows, indent=1), encoding="utf-8")
 

@@ -5,7 +5,8 @@ import pytest
 from scenes import house, rectangle
 
 from subiaco_change.segmentation.bounding_rectangles import box_sides
-from subiaco_change.segmentation.object_rows import ProfileConfig, split_row
+from subiaco_change.segmentation.clustering import cell_clusters
+from subiaco_change.segmentation.object_rows import PassageConfig, ProfileConfig, split_at_passages, split_row
 
 
 def row(*heights, width=6.0, angle=0.4):
@@ -89,3 +90,58 @@ def test_sides_of_a_turned_rectangle():
     xy = np.random.default_rng(3).uniform([-4, -1], [4, 1], (4000, 2))
     turned = xy @ np.array([[0.8, -0.6], [0.6, 0.8]])
     assert box_sides(turned) == pytest.approx((8.0, 2.0), abs=0.15)
+
+
+def wall(start, end, height=5.0, step=0.2):
+    """Points of a wall between two places, and their heights above the ground."""
+    start, end = np.array(start, dtype=float), np.array(end, dtype=float)
+    along = np.linspace(0.0, 1.0, round(np.linalg.norm(end - start) / step) + 1)
+    z = np.arange(0.1, height, step)
+    xy = start + np.repeat(along, len(z))[:, None] * (end - start)
+    return np.column_stack([xy, np.tile(z, len(along))])
+
+
+def ground_in(x, y, step=0.25):
+    """Ground points in a rectangle."""
+    return np.stack(np.meshgrid(np.arange(*x, step), np.arange(*y, step)), axis=-1).reshape(-1, 2)
+
+
+def split_by_passages(xyz, ground):
+    labels = cell_clusters(xyz[:, :2], 0.8)
+    assert labels.max() == 0
+    return split_at_passages(xyz[:, :2], xyz[:, 2], labels, ground, PassageConfig())
+
+
+#: Fronts and sides of two houses, 1.2 m apart.
+NEIGHBOURS = [
+    wall((0, 0), (9, 0)),
+    wall((9, 0), (9, 8)),
+    wall((10.2, -2), (18, -2)),
+    wall((10.2, -2), (10.2, 7)),
+]
+
+
+def test_houses_beside_a_passage_whose_ground_was_seen_are_two_objects():
+    xyz = np.concatenate(NEIGHBOURS)
+    parts = split_by_passages(xyz, ground_in((9.3, 10.0), (-1.0, 3.0)))
+    assert np.array_equal(parts, np.where(xyz[:, 0] > 9.5, parts[-1], parts[0]))
+    assert parts.max() == 1
+
+
+def test_houses_between_which_nothing_was_seen_stay_one_object():
+    assert split_by_passages(np.concatenate(NEIGHBOURS), ground_in((-5, 20), (-9, -3))).max() == 0
+
+
+def test_two_wings_of_one_house_stay_together_whatever_ground_lies_between_them():
+    xyz = np.concatenate([*NEIGHBOURS, wall((9, 7), (10.2, 7))])
+    assert split_by_passages(xyz, ground_in((9.3, 10.0), (-1.0, 6.0))).max() == 0
+
+
+def test_a_post_before_a_house_belongs_to_the_house():
+    xyz = np.concatenate([*NEIGHBOURS[:2], wall((4, -0.8), (4.2, -0.8), 3.0)])
+    assert split_by_passages(xyz, ground_in((0, 9), (-2.0, -0.1))).max() == 0
+
+
+def test_a_corner_that_nobody_saw_is_no_passage():
+    xyz = np.concatenate([wall((0, 0), (9, 0)), wall((9.7, 0.7), (9.7, 8))])
+    assert split_by_passages(xyz, ground_in((9.0, 14.0), (-4.0, 8.0))).max() == 0

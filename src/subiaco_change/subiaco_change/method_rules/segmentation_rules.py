@@ -260,6 +260,12 @@ SEGMENTATION_RULES: tuple[Rule, ...] = (
         ("instances.terraces.step", "instances.terraces.width", "instances.terraces.level"),
     ),
     Rule(
+        "passages",
+        _HERE,
+        "Houses are split at a passage between them: a gap in which the ground was seen.",
+        ("instances.passages.length", "instances.passages.widest", "instances.passages.ground"),
+    ),
+    Rule(
         "row_houses_by_dips",
         _HERE,
         "Houses that a carport or gate joins are split where that is lowest.",

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
@@ -14,10 +16,12 @@ from subiaco_change.segmentation.bounding_rectangles import box_coordinates
 from subiaco_change.segmentation.classes import SemanticResult
 from subiaco_change.segmentation.clustering import cell_clusters, group_indices, voxel_clusters
 from subiaco_change.segmentation.object_rows import (
+    PassageConfig,
     ProfileConfig,
     RowConfig,
     level_steps,
     part_slots,
+    split_at_passages,
     split_row,
     split_rows,
 )
@@ -32,6 +36,7 @@ _FEWEST = NUMBERS.instances.fewest_points
 class InstanceConfig(StrictModel):
     """How points of a class fall into objects."""
 
+    passages: PassageConfig = PassageConfig()
     building_gap: float = Field(
         0.8,
         gt=0,
@@ -113,8 +118,9 @@ def segment(cloud: PointCloud, result: SemanticResult, config: InstanceConfig) -
     depend on the order of the points.
     """
     instance = np.full(len(cloud), -1, dtype=np.int64)
+    ground = cloud.xyz[result.semantic == Semantic.GROUND, :2]
     split = {
-        Semantic.BUILDING: _buildings,
+        Semantic.BUILDING: partial(_buildings, ground),
         Semantic.VEGETATION: _vegetation,
         Semantic.MOBILE: _vehicles,
         Semantic.OTHER: _others,
@@ -142,9 +148,11 @@ def _renumber(xyz: Floats, labels: Ints, smallest: int) -> Ints:
     return renumbered
 
 
-def _buildings(xyz: Floats, height: Floats, config: InstanceConfig) -> Ints:
-    """Join walls and roofs whose footprints touch, then part rows of houses."""
-    labels = cell_clusters(xyz[:, :2], config.building_gap)
+def _buildings(ground: Floats, xyz: Floats, height: Floats, config: InstanceConfig) -> Ints:
+    """Join walls and roofs whose footprints touch, then part houses at passages, and rows of houses."""
+    labels = split_at_passages(
+        xyz[:, :2], height, cell_clusters(xyz[:, :2], config.building_gap), ground, config.passages
+    )
     parts = np.zeros(len(xyz), dtype=np.int64)
     for members in group_indices(labels):
         parts[members] = split_row(xyz[members, :2], height[members], config.terraces)

@@ -5,10 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 from pydantic import Field
+from scipy.spatial import cKDTree
 
 from subiaco_change.method_rules.switches import always, one_part, switchable
 from subiaco_change.segmentation.bounding_rectangles import box_coordinates, box_sides, wall_coordinates
-from subiaco_change.segmentation.clustering import group_indices
+from subiaco_change.segmentation.clustering import cell_clusters, connect, group_indices
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
 
@@ -133,6 +134,102 @@ def _dips(top: Floats, config: ProfileConfig) -> Ints:
             slots = np.flatnonzero(run == k)
             walls.append(slots[np.argmin(top[slots])])
     return np.array(walls, dtype=np.int64)
+
+
+class PassageConfig(StrictModel):
+    """What a passage between two houses is."""
+
+    cell: float = Field(
+        0.4, gt=0, description="Edge of the cells, seen from above, in which a passage leaves a gap [m]"
+    )
+    widest: float = Field(
+        2.3, gt=0, description="Largest distance of two houses between which a passage is searched [m]"
+    )
+    ground: float = Field(
+        0.3, gt=0, description="Largest distance of a ground point from the middle of a passage [m]"
+    )
+    length: float = Field(1.2, gt=0, description="Shortest length of a passage whose ground was seen [m]")
+    house: float = Field(3.5, gt=0, description="Shortest observed length of a house beside a passage [m]")
+    top: float = Field(
+        2.8, gt=0, description="Smallest top height above ground of a house beside a passage [m]"
+    )
+
+
+def _clusters(_: Floats, __: Floats, labels: Ints, *___: object) -> Ints:
+    """Return the clusters as they are."""
+    return labels
+
+
+@switchable("passages", _clusters)
+def split_at_passages(
+    xy: Floats, height: Floats, labels: Ints, ground: Floats, config: PassageConfig
+) -> Ints:
+    """Part clusters of buildings (N,) at passages: gaps in which the ground was seen between two houses.
+
+    Parameters
+    ----------
+    xy : (N, 2) float64 [m]
+    height : (N,) float64
+        Above ground [m].
+    labels : (N,) int
+        Clusters from 0.
+    ground : (M, 2) float64
+        Ground points [m].
+    config : PassageConfig
+    """
+    parted = np.zeros(len(labels), dtype=np.int64)
+    tree = cKDTree(ground) if len(ground) else None
+    following = 0
+    for members in group_indices(labels):
+        own = np.zeros(len(members), dtype=np.int64)
+        if tree is not None and np.ptp(box_coordinates(xy[members]), axis=0).max() >= 2 * config.house:
+            own = _houses(xy[members], height[members], tree, config)
+        parted[members] = own + following
+        following += int(own.max()) + 1
+    return parted
+
+
+def _houses(xy: Floats, height: Floats, ground: cKDTree, config: PassageConfig) -> Ints:
+    """Houses (N,) from 0 that passages part; what is too small for a house joins the nearest."""
+    label = cell_clusters(xy, config.cell)
+    groups = group_indices(label)
+    houses = [
+        g
+        for g in groups
+        if len(g) >= 3
+        and np.quantile(height[g], 0.95) >= config.top
+        and np.ptp(box_coordinates(xy[g]), axis=0).max() >= config.house
+    ]
+    if len(houses) < 2:
+        return np.zeros(len(xy), dtype=np.int64)
+    owner = np.repeat(np.arange(len(houses)), [len(g) for g in houses])
+    nearest = owner[cKDTree(xy[np.concatenate(houses)]).query(xy)[1]]
+    trees = [cKDTree(xy[g]) for g in group_indices(nearest)]
+    together = [
+        (i, j)
+        for i in range(len(trees))
+        for j in range(i)
+        if _adjoins_without_passage(trees[i], trees[j], ground, config)
+    ]
+    return connect(len(trees), np.array(together, dtype=np.int64).reshape(-1, 2))[nearest]
+
+
+def _adjoins_without_passage(one: cKDTree, other: cKDTree, ground: cKDTree, config: PassageConfig) -> bool:
+    """Tell whether a house lies beside another without a passage whose ground was seen.
+
+    The sides of a passage face each other: what is nearest to a point lies near what is nearest to that.
+    Round a corner of one house that nobody saw, they do not.
+    """
+    distance, slot = other.query(one.data, distance_upper_bound=config.widest)
+    near = np.isfinite(distance)
+    if not near.any():
+        return False
+    here, there = one.data[near], other.data[slot[near]]
+    back = one.data[one.query(there)[1]]
+    facing = (distance[near] > config.cell) & (np.linalg.norm(back - here, axis=1) <= config.cell)
+    middle = 0.5 * (here + there)[facing]
+    seen = np.isfinite(ground.query(middle, distance_upper_bound=config.ground)[0])
+    return len(np.unique(np.floor(middle[seen] / config.cell), axis=0)) * config.cell < config.length
 
 
 class RowConfig(StrictModel):
