@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from functools import partial
 
 import numpy as np
@@ -119,7 +120,7 @@ def segment(cloud: PointCloud, result: SemanticResult, config: InstanceConfig) -
     """
     instance = np.full(len(cloud), -1, dtype=np.int64)
     ground = cloud.xyz[result.semantic == Semantic.GROUND, :2]
-    split = {
+    split: dict[Semantic, Callable[[Floats, Floats, InstanceConfig], Ints]] = {
         Semantic.BUILDING: partial(_buildings, ground),
         Semantic.VEGETATION: _vegetation,
         Semantic.MOBILE: _vehicles,
