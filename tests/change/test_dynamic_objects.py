@@ -17,6 +17,7 @@ from subiaco_change.decisions.dynamic_objects import (
     is_moving_object_trail,
     is_strip_on_road,
     limit_confidence,
+    may_be_a_person,
     own_epoch_evidence,
 )
 from subiaco_change.decisions.rules import Decision
@@ -237,6 +238,49 @@ def test_a_strip_longer_than_any_vehicle_on_a_road_that_was_seen_beneath_it_is_a
     decision = is_strip_on_road(strip, own, RULES)
     assert (decision is not None and decision.change is Change.NOT_REPORTED) == trail
     assert is_strip_on_road(strip, OwnEpochEvidence(nowhere, NOWHERE), RULES) is None, "beams were counted"
+
+
+def strip(xy, low, high):
+    """An object over places (N, 2), from ``low`` to ``high`` above the ground [m]."""
+    z = np.arange(low, high, 0.2)
+    xyz = np.column_stack([np.repeat(xy, len(z), axis=0), np.tile(z, len(xy))])
+    return [obj([(xyz, False)])]
+
+
+def walked(width, length=9.0, bend=0.0):
+    """Places (N, 2) of a strip along the x axis that bends to the left [rad]."""
+    along, across = np.meshgrid(np.arange(0, length, 0.15), np.linspace(-0.5, 0.5, 7) * width, indexing="ij")
+    turned = bend * along / length
+    x, y = along * np.cos(turned), along * np.sin(turned)
+    return np.column_stack([(x - across * np.sin(turned)).ravel(), (y + across * np.cos(turned)).ravel()])
+
+
+@pytest.mark.parametrize(
+    ("places", "low", "high", "semantic", "doubted"),
+    [
+        (walked(0.45), 0.1, 1.8, Semantic.VEGETATION, True),
+        (walked(0.45, bend=1.2), 0.1, 1.8, Semantic.OTHER, True),
+        (walked(0.05), 0.1, 1.8, Semantic.OTHER, False),
+        (walked(1.1), 0.1, 1.8, Semantic.VEGETATION, False),
+        (walked(0.45), 0.1, 0.9, Semantic.VEGETATION, False),
+        (walked(0.45), 0.1, 2.8, Semantic.VEGETATION, False),
+        (walked(0.45), 1.1, 1.9, Semantic.OTHER, False),
+        (walked(0.45, 1.0), 0.1, 1.8, Semantic.VEGETATION, False),
+        (walked(0.45), 0.1, 1.8, Semantic.MOBILE, False),
+    ],
+    ids=[
+        "a pedestrian", "round a corner", "a fence", "a hedge", "a low hedge", "a tall one", "a rail",
+        "a shrub", "parked bicycles",
+    ],
+)  # fmt: skip
+def test_nothing_is_claimed_of_a_strip_as_thin_and_tall_as_a_person_where_nothing_counted_beams(
+    places, low, high, semantic, doubted
+):
+    bare = OwnEpochEvidence(nowhere, NOWHERE, ground=cKDTree(ROAD))
+    decision = may_be_a_person(strip(places, low, high), semantic, bare)
+    assert (decision is not None and decision.change is Change.UNOBSERVED) == doubted
+    counted = OwnEpochEvidence(nowhere, NOWHERE)
+    assert may_be_a_person(strip(places, low, high), semantic, counted) is None
 
 
 def test_trails_are_known_by_shape_alone_where_nothing_counted_beams():

@@ -42,6 +42,12 @@ _TRAIL_LENGTH = NUMBERS.dynamic_objects.trail_length
 _ALONE = NUMBERS.dynamic_objects.strip_length
 _NARROW = NUMBERS.dynamic_objects.strip_width
 _ROAD = NUMBERS.dynamic_objects.road_beneath
+_PERSON_WIDTH = NUMBERS.dynamic_objects.person_width
+_PERSON_TOP = NUMBERS.dynamic_objects.person_top
+_PERSON_FOOT = NUMBERS.dynamic_objects.person_foot
+_WALKED = NUMBERS.dynamic_objects.walked_length
+_PIECE = NUMBERS.dynamic_objects.piece_reach
+_PIECES = 40  # of a strip of which the width is measured
 
 
 @dataclass(frozen=True)
@@ -158,6 +164,29 @@ def is_strip_on_road(
     return Decision(Change.NOT_REPORTED, reason, beneath / _ROAD)
 
 
+@switchable("person_on_the_way", no_decision)
+def may_be_a_person(
+    objects: Sequence[ObjectInstance], semantic: Semantic, own: OwnEpochEvidence | None
+) -> Decision | None:
+    """Tell a strip as thin and as tall as a person, in a cloud without counts of beams.
+
+    People walk and cycle. A fence is thinner, most hedges are wider; between these, shape does not tell.
+    """
+    if own is None or own.ground is None or semantic not in (Semantic.VEGETATION, Semantic.OTHER):
+        return None
+    xy = np.concatenate([t.xyz for t in objects])[:, :2]
+    length, width = _strip(xy)[0], _local_width(xy)
+    foot, top = np.quantile(np.concatenate([t.voxels.height for t in objects]), [0.05, 0.95])
+    thin = _PERSON_WIDTH[0] <= width <= _PERSON_WIDTH[1] and length >= _WALKED
+    if not thin or foot > _PERSON_FOOT or not _PERSON_TOP[0] <= top <= _PERSON_TOP[1]:
+        return None
+    reason = (
+        f"The object is a strip {length:.1f} m long, {width:.1f} m wide and {top:.1f} m high, and the cloud"
+        " has no counts of beams: it may be the ghost trail of a pedestrian or cyclist, and nothing is claimed."
+    )
+    return Decision(Change.UNOBSERVED, reason, 0.0)
+
+
 def _road_beneath(xy: Floats, ground: Floats) -> float:
     """Density of ground points (G, 2) between the sides of a strip (N, 2) over that beside it, 1 at most."""
     middle = xy.mean(axis=0)
@@ -178,6 +207,12 @@ def _strip(xy: Floats) -> tuple[float, float]:
     low, high = np.quantile(step @ np.linalg.eigh(step.T @ step)[1], [0.025, 0.975], axis=0)
     width, length = (high - low).tolist()
     return length, width
+
+
+def _local_width(xy: Floats) -> float:
+    """Width of the pieces that points (N, 2) consist of, median of a sample [m]: a way may bend."""
+    some = xy[:: -(-len(xy) // _PIECES)]
+    return float(np.median([_strip(xy[near])[1] for near in cKDTree(xy).query_ball_point(some, _PIECE)]))
 
 
 @switchable("trail_of_one_epoch", no_decision)

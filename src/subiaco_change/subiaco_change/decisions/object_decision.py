@@ -22,6 +22,7 @@ from subiaco_change.decisions.dynamic_objects import (
     continues_trail,
     is_moving_object_trail,
     is_strip_on_road,
+    may_be_a_person,
 )
 from subiaco_change.decisions.measures import MeasureConfig, Measures, absence, measure, observed_fraction
 from subiaco_change.decisions.plant_decisions import decide_plant
@@ -135,6 +136,7 @@ def decide_object(
             or is_moving_object_trail(parts, semantic, own, rules.decisions, measures.free)
             or continues_trail(parts, own, rules.decisions)
             or is_strip_on_road(parts, own, rules.decisions)
+            or may_be_a_person(parts, semantic, own)
             or decide_in_traffic(parts, rules.lanes, moved, rules.decisions)
             or decide_shapeless(parts, semantic, rules.lanes, rules.decisions)
             or decide_vehicle_part(parts, semantic, measures, rules.standing[int(bool(before))])

@@ -202,6 +202,23 @@ class DynamicObjectsNumbers(StrictModel):
         description="Density of the ground points beneath a strip, as a fraction of that beside it, from "
         "which nothing stood there",
     )
+    person_width: tuple[float, float] = Field(
+        (0.2, 0.8), description="Smallest and largest width of the trail of a pedestrian or cyclist [m]"
+    )
+    person_top: tuple[float, float] = Field(
+        (1.2, 2.1),
+        description="Lowest and highest top of the trail of a pedestrian or cyclist above ground [m]",
+    )
+    person_foot: float = Field(
+        0.6,
+        description="Largest height above ground at which the trail of a pedestrian or cyclist begins [m]",
+    )
+    walked_length: float = Field(
+        2.0, description="Smallest length of the trail of a pedestrian or cyclist [m]"
+    )
+    piece_reach: float = Field(
+        1.5, description="Radius of the pieces of a strip of which the width is measured [m]: a way may bend"
+    )
 
 
 class DrivenLaneNumbers(StrictModel):

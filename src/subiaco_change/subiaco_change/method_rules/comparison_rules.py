@@ -112,6 +112,17 @@ MOVING_OBJECT_RULES: tuple[Rule, ...] = (
         guards=True,
     ),
     Rule(
+        "person_on_the_way",
+        _HERE,
+        "Nothing is claimed of a strip as thin and as tall as a person in a cloud without counts of beams.",
+        (
+            "method_numbers.dynamic_objects.person_width",
+            "method_numbers.dynamic_objects.person_top",
+            "method_numbers.dynamic_objects.walked_length",
+        ),
+        guards=True,
+    ),
+    Rule(
         "trail_in_lane",
         _HERE,
         "In a lane with a known ghost trail fewer passing beams make an object a ghost trail.",
