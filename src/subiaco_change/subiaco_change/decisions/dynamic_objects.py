@@ -182,7 +182,8 @@ def may_be_a_person(
         return None
     reason = (
         f"The object is a strip {length:.1f} m long, {width:.1f} m wide and {top:.1f} m high, and the cloud"
-        " has no counts of beams: it may be the ghost trail of a pedestrian or cyclist, and nothing is claimed."
+        " has no counts of beams: it may be the ghost trail of a pedestrian or cyclist, and nothing is"
+        " claimed."
     )
     return Decision(Change.UNOBSERVED, reason, 0.0)
 
