@@ -156,6 +156,15 @@ def test_a_new_house_with_an_open_gap_to_its_neighbour_is_no_wing_of_it(gap, win
     assert find_building_extensions([house, new], CONFIG) == {1: 0}, "nobody saw that the gap was open"
 
 
+@pytest.mark.parametrize(("top", "wing"), [(1.75, False), (3.0, True)], ids=["a fence", "a wall"])
+def test_a_new_house_that_a_fence_joins_to_its_neighbour_is_no_wing_of_it(top, wing):
+    link = block((10.0, 4.0, 0.0), (10.8, 4.25, top))
+    house = np.add(walls(6, 8, 4), (10.8, 0.0, 0.0))
+    new = (NONE, voxels(np.concatenate([house, link])))
+    found = find_building_extensions([(voxels(HOUSE), voxels(HOUSE)), new], CONFIG, open_between(10.0, 10.8))
+    assert bool(found) == wing
+
+
 @pytest.mark.parametrize(("side", "height", "wing"), [(3, 3.0, True), (8, 4.5, False)], ids=["wing", "house"])
 def test_a_house_that_a_carport_links_to_its_neighbour_was_no_wing_of_it(side, height, wing):
     """A wing of a wing is smaller than the wing."""

@@ -36,6 +36,7 @@ _SMOOTH = NUMBERS.building_extensions.smoothness
 _FACING = NUMBERS.building_extensions.facing
 _SLOPED = NUMBERS.building_extensions.sloped
 _JOINT = NUMBERS.building_extensions.joint
+_FENCE = NUMBERS.building_extensions.fence_height
 _OPEN = NUMBERS.building_extensions.open_gap
 _FOOT = NUMBERS.building_extensions.foot
 
@@ -88,8 +89,8 @@ def _stands_apart(
 ) -> bool:
     """Tell a house beside another one from a wing.
 
-    Nothing of a house lies at the walls of its neighbour, and the epoch that holds both saw the gap open. Nor
-    does a house hang on another one by something smaller than itself between them.
+    Nothing of a house but a fence lies at the walls of its neighbour, and the epoch that holds both saw the
+    gap open. Nor does a house hang on another one by something smaller than itself between them.
     """
     epoch = 0 if len(pairs[number][0]) else 1
     extension, body = pairs[number][epoch], pairs[host][epoch]
@@ -98,7 +99,7 @@ def _stands_apart(
     if not near.any():
         links = [pairs[e][epoch] for e, h in taken.items() if h == host and len(pairs[e][epoch])]
         return sum(map(_enclosed_volume, links)) < _enclosed_volume(extension)
-    if np.count_nonzero(distance < _JOINT) or extension.height.min() > _FOOT:
+    if (extension.height[distance < _JOINT] > _FENCE).any() or extension.height.min() > _FOOT:
         return False
     middle = 0.5 * (extension.xyz[near, :2] + body.xyz[nearest[near], :2])
     open_ = ground.bare(epoch)(middle)

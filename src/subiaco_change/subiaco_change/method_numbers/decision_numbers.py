@@ -33,6 +33,9 @@ class BuildingExtensionsNumbers(StrictModel):
         description="Fraction of the footprint of its building below which a part is no house of its own",
     )
     car_height: float = Field(2.3, description="Largest height of a car [m]")
+    fence_height: float = Field(
+        2.0, description="Largest height above ground of a fence between two lots [m]"
+    )
     room_height: float = Field(
         2.4,
         description="Smallest height of an extension [m]; a lower part beside a building is a shed",

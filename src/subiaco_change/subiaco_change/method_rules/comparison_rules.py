@@ -358,6 +358,7 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         (
             "method_numbers.building_extensions.joint",
             "method_numbers.building_extensions.open_gap",
+            "method_numbers.building_extensions.fence_height",
             "method_numbers.building_extensions.foot",
         ),
     ),
