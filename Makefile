@@ -12,7 +12,8 @@ help:  ## this list
 setup:  ## system packages, .venv, ROS 2 workspace (reuses what is there)
 	@scripts/setup.sh
 
-demo: setup  ## simulate two surveys, map both through the node graph, find what changed
+demo:  ## simulate two surveys, map both through the node graph, find what changed
+	@scripts/setup.sh demo
 	@$(ENV) && scripts/demo.sh
 
 lint: setup  ## ruff and mypy

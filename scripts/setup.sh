@@ -2,6 +2,7 @@
 # Set-up of everything: system packages, .venv, ROS 2 workspace. Safe to run again: what is there is reused.
 #
 #   scripts/setup.sh              everything
+#   scripts/setup.sh demo         without what checks, documentation and the Foxglove server alone need
 #   PYTHON=python3.12 scripts/setup.sh
 #
 # Debian 12 or Ubuntu 24.04, Python 3.11 or 3.12. Where an apt ROS 2 Jazzy is found it is used; else ROS 2
@@ -12,6 +13,7 @@ ROOT="$(cd "$(dirname "${BASH_SOURCE[0]}")/.." && pwd -P)"
 VENV="$ROOT/.venv"
 WS="$ROOT/ros2_ws"
 APT_ROS="${SUBIACO_APT_ROS:-/opt/ros/jazzy}"
+SCOPE="${1:-all}"
 INTERFACES=(subiaco_msgs tf2_msgs ouster_sensor_msgs)
 PYTHON_PACKAGES=(subiaco_geo subiaco_ros subiaco_sim subiaco_mapping subiaco_change subiaco_evaluation subiaco_report
     subiaco subiaco_bringup)
@@ -106,6 +108,9 @@ venv_stamp() {
     echo "$(digest requirements.lock scripts/patch_wheel_cmake.py) $VENV $(has_apt_ros && echo apt-ros)"
 }
 
+# What was installed for everything serves the demo too.
+has_scope() { [ "$SCOPE" = demo ] || [ ! -e "$VENV/.demo_only" ]; }
+
 # A venv is kept when it is whole, runs, sits where it was made and has the asked-for interpreter.
 venv_is_sound() {
     [ ! -e "$VENV/.installing" ] && usable_python "$VENV/bin/python" &&
@@ -128,12 +133,41 @@ create_venv() {
 locked() { awk -v pattern="${1#!}" -v wanted="$([[ "$1" == !* ]] && echo 0 || echo 1)" \
     '/^[^ #]/ { chosen = ($1 ~ pattern) == wanted } chosen' "$ROOT/requirements.lock"; }
 
+# Names of locked packages that nothing above the line of dashes in requirements.in asks for, one a line.
+left_out_of_demo() {
+    awk '
+        NR == FNR { if (/^# --/) below = 1; sub(/[^A-Za-z0-9._-].*/, ""); sub(/[=<>].*/, "")
+                    if ($0 != "" && !below) kept[$0] = 1; next }
+        /^[^ #]/ { name = $1; sub(/==.*/, "", name); names[name] = 1; from = 0; next }
+        /^    # via/ { from = 1; sub(/^    # via/, "") }
+        from { sub(/^ *#? */, ""); if ($0 != "") by[name] = by[name] " " $0 }
+        END {
+            do {
+                more = 0
+                for (name in names) {
+                    if (name in kept) continue
+                    count = split(by[name], parents, " ")
+                    for (k = 1; k <= count; k++) if (parents[k] in kept) { kept[name] = more = 1; break }
+                }
+            } while (more)
+            for (name in names) if (!(name in kept)) print name
+        }' "$ROOT/requirements.in" "$ROOT/requirements.lock" | LC_ALL=C sort
+}
+
+# Pattern of the entries that are not installed: SCOPE is demo or all.
+not_wanted() {
+    local patterns=()
+    if has_apt_ros; then patterns+=('ros-'); fi
+    if [ "$SCOPE" = demo ]; then patterns+=("($(left_out_of_demo | paste -s -d '|'))=="); fi
+    (IFS='|' && echo "!^(${patterns[*]:-$})")
+}
+
 # uv checks the hash of every package, and installs them in a tenth of pip's time.
 install_requirements() {
     local uv="$VENV/requirements.uv.txt" lock="$VENV/requirements.txt"
     locked '^uv==' >"$uv"
-    if has_apt_ros; then locked '!^ros-' >"$lock"; else locked '!^$' >"$lock"; fi
-    say "installing $(grep -c '==' "$lock") locked packages (1.8 GB)"
+    locked "$(not_wanted)" >"$lock"
+    say "installing $(grep -c '==' "$lock") locked packages"
     "$VENV/bin/python" -m pip install --quiet --no-deps --require-hashes --disable-pip-version-check -r "$uv"
     # copied, because some files are patched below and uv's cache must stay whole
     "$VENV/bin/uv" pip install --quiet --python "$VENV/bin/python" --no-deps --require-hashes --link-mode copy -r "$lock" ||
@@ -146,14 +180,15 @@ install_requirements() {
 set_up_venv() {
     local wanted
     wanted="$(venv_stamp)"
-    if venv_is_sound && [ "$(cat "$VENV/.installed" 2>/dev/null)" = "$wanted" ]; then return; fi
+    if venv_is_sound && [ "$(cat "$VENV/.installed" 2>/dev/null)" = "$wanted" ] && has_scope; then return; fi
     venv_is_sound || create_venv
     touch "$VENV/.installing"
     rm -f "$VENV/.installed"
     install_requirements
     has_apt_ros || "$VENV/bin/python" "$ROOT/scripts/patch_wheel_cmake.py"
     echo "$wanted" >"$VENV/.installed"
-    rm -f "$VENV/.installing"
+    rm -f "$VENV/.installing" "$VENV/.demo_only"
+    if [ "$SCOPE" = demo ]; then touch "$VENV/.demo_only"; fi
     say "virtual environment ready"
 }
 
@@ -243,6 +278,7 @@ remove_old_kernels() {
 }
 
 main() {
+    case "$SCOPE" in all | demo) ;; *) fail "$SCOPE: give nothing, or demo" ;; esac
     require_system_packages
     set_up_venv
     set_up_workspace

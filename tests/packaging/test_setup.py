@@ -85,6 +85,33 @@ def test_with_an_apt_ros_the_entries_of_ros_are_left_out_whole() -> None:
     ]
 
 
+def test_the_set_up_of_the_demo_leaves_out_tools_alone() -> None:
+    lock = entries_of((REPOSITORY / "requirements.lock").read_text(encoding="utf-8"))
+    demo = entries_of(bash('SCOPE=demo; locked "$(not_wanted)"').stdout)
+    left_out = {name.partition("==")[0] for name in lock.keys() - demo.keys()}
+    assert demo == {name: lines for name, lines in lock.items() if name in demo}
+    assert {
+        "mypy",
+        "ruff",
+        "hypothesis",
+        "mkdocs-material",
+        "babel",
+        "distributed",
+        "foxglove-sdk",
+    } <= left_out
+    # others of what the demo needs ask for them
+    assert not {"numpy", "jinja2", "pygments", "pytest", "pyarrow", "uv"} & left_out
+    assert entries_of(bash('SCOPE=all; locked "$(not_wanted)"').stdout) == lock
+
+
+def test_a_set_up_of_the_demo_is_completed_and_a_whole_one_serves_the_demo(tmp_path: Path) -> None:
+    ask = f"VENV={tmp_path}; SCOPE=%s; has_scope"
+    assert [bash(ask % scope).returncode for scope in ("all", "demo")] == [0, 0]
+    (tmp_path / ".demo_only").touch()
+    assert [bash(ask % scope).returncode for scope in ("all", "demo")] == [1, 0]
+    assert "give nothing, or demo" in bash("SCOPE=some; main").stderr
+
+
 def test_licences_and_bill_of_materials_are_those_of_the_lock_and_without_gpl() -> None:
     entries = entries_of((REPOSITORY / "requirements.lock").read_text(encoding="utf-8"))
     locked = {(canonical(n), v) for n, _, v in (entry.partition("==") for entry in entries)}

@@ -173,7 +173,9 @@ class Dask:
         try:
             from dask import distributed
         except ImportError as error:
-            raise InputError("--scheduler needs dask.distributed; install subiaco-change[dask]") from error
+            raise InputError(
+                "--scheduler needs dask.distributed: run 'make setup', or install subiaco-change[dask]"
+            ) from error
         try:
             self._client: Any = distributed.Client(address, timeout=timeout)
         except (OSError, TimeoutError, ValueError) as error:
