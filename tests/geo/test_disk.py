@@ -7,6 +7,8 @@ import shutil
 from collections import namedtuple
 from pathlib import Path
 
+import laspy
+import lazrs
 import numpy as np
 import pytest
 
@@ -65,6 +67,7 @@ def caused(error: Exception, cause: Exception) -> Exception:
         (OSError(errno.EDQUOT, "Disk quota exceeded"), True),
         (OSError("262144 requested and 0 written"), True),
         (RuntimeError("database or disk is full"), True),
+        (lazrs.LazrsError("IoError: Failed to call write"), True),
         (caused(RuntimeError("a worker ended"), OSError(errno.ENOSPC, "x")), True),
         (OSError(errno.ENOENT, "No such file"), False),
         (ValueError("the level is full of holes"), False),
@@ -78,4 +81,16 @@ def test_a_full_disk_is_told_from_other_errors(error: Exception, full: bool) -> 
 def test_what_numpy_says_on_a_full_disk_is_known() -> None:
     with pytest.raises(OSError) as caught, Path("/dev/full").open("wb") as stream:  # noqa: PT011
         np.save(stream, np.zeros(1_000_000))
+    assert disk.is_disk_full(caught.value)
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="no device that is always full")
+def test_what_the_writer_of_laz_says_on_a_full_disk_is_known() -> None:
+    header = laspy.LasHeader(version="1.4", point_format=6)
+    points = laspy.ScaleAwarePointRecord.zeros(400_000, header=header)
+    points.X = np.random.default_rng(1).integers(0, 2**30, 400_000)
+    stream = Path("/dev/full").open("wb", buffering=0)  # noqa: SIM115
+    writer = laspy.LasWriter(stream, header, do_compress=True, closefd=False)
+    with pytest.raises((lazrs.LazrsError, OSError)) as caught:
+        writer.write_points(points)
     assert disk.is_disk_full(caught.value)

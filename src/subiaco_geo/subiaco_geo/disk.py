@@ -12,7 +12,9 @@ from subiaco_geo.errors import InputError
 
 _NO_ROOM = frozenset({errno.ENOSPC, errno.EDQUOT})
 #: Libraries that write files by themselves hand on a text instead of a number.
-_NO_ROOM_TEXT = re.compile(r"no space left|disk is full|disk quota|requested and \d+ written", re.IGNORECASE)
+_NO_ROOM_TEXT = re.compile(
+    r"no space left|disk is full|disk quota|requested and \d+ written|failed to call write", re.IGNORECASE
+)
 _PROBE = 4096  # bytes that a disk must take before work begins
 
 
