@@ -89,8 +89,11 @@ def test_what_the_writer_of_laz_says_on_a_full_disk_is_known() -> None:
     header = laspy.LasHeader(version="1.4", point_format=6)
     points = laspy.ScaleAwarePointRecord.zeros(400_000, header=header)
     points.X = np.random.default_rng(1).integers(0, 2**30, 400_000)
-    stream = Path("/dev/full").open("wb", buffering=0)  # noqa: SIM115
-    writer = laspy.LasWriter(stream, header, do_compress=True, closefd=False)
+
+    def write() -> None:
+        with Path("/dev/full").open("wb", buffering=0) as stream:
+            laspy.LasWriter(stream, header, do_compress=True, closefd=False).write_points(points)
+
     with pytest.raises((lazrs.LazrsError, OSError)) as caught:
-        writer.write_points(points)
+        write()
     assert disk.is_disk_full(caught.value)
