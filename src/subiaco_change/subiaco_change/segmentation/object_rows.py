@@ -155,12 +155,12 @@ class PassageConfig(StrictModel):
     )
 
 
-def _clusters(_: Floats, __: Floats, labels: Ints, *___: object) -> Ints:
+def _clusters_as_they_are(_: Floats, __: Floats, labels: Ints, *___: object) -> Ints:
     """Return the clusters as they are."""
     return labels
 
 
-@switchable("passages", _clusters)
+@switchable("passages", _clusters_as_they_are)
 def split_at_passages(
     xy: Floats, height: Floats, labels: Ints, ground: Floats, config: PassageConfig
 ) -> Ints:
@@ -257,11 +257,6 @@ class RowConfig(StrictModel):
     car_width: float = Field(
         1.0, gt=0, description="Smallest observed width of a car that results from dividing a row [m]"
     )
-
-
-def _clusters_as_they_are(_: Floats, __: Floats, labels: Ints, *___: object) -> Ints:
-    """Return the clusters as they are."""
-    return labels
 
 
 @switchable("parked_rows", _clusters_as_they_are)
