@@ -283,6 +283,15 @@ def test_nothing_is_claimed_of_a_strip_as_thin_and_tall_as_a_person_where_nothin
     assert may_be_a_person(strip(places, low, high), semantic, counted) is None
 
 
+def test_a_planted_row_that_hides_the_ground_is_no_person():
+    places = walked(0.45)
+    hidden = cKDTree(places).query(ROAD)[0] < 0.3
+    row = strip(places, 0.1, 1.8)
+    assert may_be_a_person(row, Semantic.VEGETATION, OwnEpochEvidence(nowhere, NOWHERE, ground=cKDTree(ROAD)))
+    planted = OwnEpochEvidence(nowhere, NOWHERE, ground=cKDTree(ROAD[~hidden]))
+    assert may_be_a_person(row, Semantic.VEGETATION, planted) is None
+
+
 def test_trails_are_known_by_shape_alone_where_nothing_counted_beams():
     count = len(TRAIL)
     semantic = np.full(count, Semantic.MOBILE, dtype=np.uint8)

@@ -44,6 +44,7 @@ _NARROW = NUMBERS.dynamic_objects.strip_width
 _ROAD = NUMBERS.dynamic_objects.road_beneath
 _PERSON_WIDTH = NUMBERS.dynamic_objects.person_width
 _PERSON_TOP = NUMBERS.dynamic_objects.person_top
+_PERSON_GROUND = NUMBERS.dynamic_objects.person_ground
 _PERSON_FOOT = NUMBERS.dynamic_objects.person_foot
 _WALKED = NUMBERS.dynamic_objects.walked_length
 _PIECE = NUMBERS.dynamic_objects.piece_reach
@@ -170,7 +171,8 @@ def may_be_a_person(
 ) -> Decision | None:
     """Tell a strip as thin and as tall as a person, in a cloud without counts of beams.
 
-    People walk and cycle. A fence is thinner, most hedges are wider; between these, shape does not tell.
+    People walk and cycle. A fence is thinner, most hedges are wider and hide the ground; between these, shape
+    does not tell.
     """
     if own is None or own.ground is None or semantic not in (Semantic.VEGETATION, Semantic.OTHER):
         return None
@@ -179,6 +181,8 @@ def may_be_a_person(
     foot, top = np.quantile(np.concatenate([t.voxels.height for t in objects]), [0.05, 0.95])
     thin = _PERSON_WIDTH[0] <= width <= _PERSON_WIDTH[1] and length >= _WALKED
     if not thin or foot > _PERSON_FOOT or not _PERSON_TOP[0] <= top <= _PERSON_TOP[1]:
+        return None
+    if _road_beneath(xy, own.ground.data) < _PERSON_GROUND:
         return None
     reason = (
         f"The object is a strip {length:.1f} m long, {width:.1f} m wide and {top:.1f} m high, and the cloud"

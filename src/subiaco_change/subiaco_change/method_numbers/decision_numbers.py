@@ -209,8 +209,13 @@ class DynamicObjectsNumbers(StrictModel):
         (0.2, 0.8), description="Smallest and largest width of the trail of a pedestrian or cyclist [m]"
     )
     person_top: tuple[float, float] = Field(
-        (1.2, 2.1),
+        (1.5, 2.1),
         description="Lowest and highest top of the trail of a pedestrian or cyclist above ground [m]",
+    )
+    person_ground: float = Field(
+        0.65,
+        description="Density of the ground points beneath the trail of a pedestrian or cyclist, as a fraction"
+        " of that beside it; a planted row hides more",
     )
     person_foot: float = Field(
         0.6,

@@ -118,6 +118,7 @@ MOVING_OBJECT_RULES: tuple[Rule, ...] = (
         (
             "method_numbers.dynamic_objects.person_width",
             "method_numbers.dynamic_objects.person_top",
+            "method_numbers.dynamic_objects.person_ground",
             "method_numbers.dynamic_objects.walked_length",
         ),
         guards=True,
