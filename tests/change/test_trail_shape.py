@@ -79,6 +79,13 @@ def test_a_long_hedge_on_ground_that_it_hides_is_no_trail() -> None:
     assert chances(street(hidden=(-20, 20, -0.9, 0.9)), hedge)[1].max() < 0.5
 
 
+def test_what_sprawls_over_an_open_place_is_no_trail() -> None:
+    """A bed of shrubs in three connected rows has the area of a long trail, and is 10 m long."""
+    rows = [trail(y, -3.0, 3.0) for y in (-3.2, 0.0, 3.2)]
+    links = [shell(x, y, 50 + i) for i, (x, y) in enumerate(((-2.0, -1.6), (2.0, 1.6)))]
+    assert chances(street(), np.concatenate([*rows, *links]))[1].max() < 0.6
+
+
 def test_a_wall_and_a_roof_overhead_are_no_trail() -> None:
     rng = np.random.default_rng(4)
     wall = np.column_stack([rng.uniform(-20, 20, 6000), rng.normal(4, 0.02, 6000), rng.uniform(0, 1.9, 6000)])

@@ -59,8 +59,8 @@ class TrailShapeConfig(StrictModel):
     length: float = Field(
         15.0,
         gt=0,
-        description="Length of a swath (area over width) at which a trail is as likely as a row of static "
-        "objects [m]; raise it where long hedges line the lanes",
+        description="Length of a swath (area over width, at most its extent) at which a trail is as likely "
+        "as a row of static objects [m]; raise it where long hedges line the lanes",
     )
     length_scale: float = Field(
         1.2,

@@ -125,16 +125,25 @@ def _measure(
     ground = raster.ground[window]
     lit = max(float(ground[beside].mean()) if beside.any() else 1.0, 0.1)
     seen = float(ground[cells].mean()) / lit
+    length = min(area / width, _extent(cells) * config.cell)
     fill = float(raster.inside[window][inner].mean()) if inner.any() else 0.0
     odds = config.prior + sum(
         (
-            limited((area / width - config.length) / config.length_scale),
+            limited((length - config.length) / config.length_scale),
             limited(min(width - config.width, config.widest - width) / config.width_scale),
             limited((fill - config.fill) / config.fill_scale),
             limited((seen - config.ground) / config.ground_scale),
         )
     )
     return _Swath(cells, odds, lit, window)
+
+
+def _extent(cells: Mask) -> float:
+    """Extent of a swath (rows, columns) along its main direction [cells]: shrubs that sprawl are no trail."""
+    places = np.argwhere(cells).astype(np.float64)
+    places -= places.mean(axis=0)
+    along = places @ np.linalg.eigh(places.T @ places)[1][:, -1]
+    return float(np.ptp(along)) + 1.0
 
 
 def _by_parts(swath: _Swath, axis: Mask, raster: Raster, config: TrailShapeConfig) -> Floats:
