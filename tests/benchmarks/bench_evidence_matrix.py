@@ -55,7 +55,10 @@ counts, as PLY and LAZ. Columns in percent of the published protocol, objects by
 
 """
 PRESETS = ("easy", "default", "hard")
-SENSORS = {"same sensor": (), "64 and 128 beams": ("beams_before=64", "beams_after=128")}
+SENSORS = {
+    "same sensor": ("beams_before=128", "beams_after=128"),
+    "64 and 128 beams": ("beams_before=64", "beams_after=128"),
+}
 
 
 @dataclass(frozen=True)

@@ -156,6 +156,14 @@ def test_a_new_house_with_an_open_gap_to_its_neighbour_is_no_wing_of_it(gap, win
     assert find_building_extensions([house, new], CONFIG) == {1: 0}, "nobody saw that the gap was open"
 
 
+def test_a_wing_between_its_house_and_an_open_gap_to_the_next_house_is_a_wing():
+    """It lies along the next house with its longer side, 0.6 m away, and touches its own house with an end."""
+    house, wing = (voxels(HOUSE), voxels(HOUSE)), (NONE, moved(walls(6, 4, 4), 10))
+    beyond = (voxels(np.add(walls(14, 10, 5), (8.0, -10.75, 0.0))),) * 2
+    gap = OpenGround(NO_COLUMNS, NO_COLUMNS, (lambda p: (p[:, 1] > -0.75) & (p[:, 1] < 0),) * 2)
+    assert find_building_extensions([house, wing, beyond], CONFIG, gap) == {1: 0}
+
+
 @pytest.mark.parametrize(("top", "wing"), [(1.75, False), (3.0, True)], ids=["a fence", "a wall"])
 def test_a_new_house_that_a_fence_joins_to_its_neighbour_is_no_wing_of_it(top, wing):
     link = block((10.0, 4.0, 0.0), (10.8, 4.25, top))

@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import shapely
@@ -66,8 +67,8 @@ def find_building_extensions(
     known = list(pairs)
     extensions: dict[int, int] = {}
     while True:
-        found = _touching_extensions(known, extensions, config)
-        found = {e: h for e, h in found.items() if not _stands_apart(e, h, pairs, extensions, config, ground)}
+        apart = partial(_stands_apart, pairs=pairs, taken=extensions, config=config, ground=ground)
+        found = _touching_extensions(known, extensions, config, apart)
         if not found:
             return extensions
         extensions |= found
@@ -110,9 +111,12 @@ def _stands_apart(
 
 
 def _touching_extensions(
-    pairs: Sequence[tuple[Voxels, Voxels]], taken: dict[int, int], config: PartConfig
+    pairs: Sequence[tuple[Voxels, Voxels]],
+    taken: dict[int, int],
+    config: PartConfig,
+    apart: Callable[[int, int], bool],
 ) -> dict[int, int]:
-    """Map extensions that touch their hosts, less those that are taken."""
+    """Map extensions that touch their hosts, less those that are taken; houses apart do not touch."""
     hosts = [i for i, pair in enumerate(pairs) if all(map(len, pair)) and max(_top(v) for v in pair) >= _ROOM]
     extensions: dict[int, int] = {}
     for number, pair in enumerate(pairs):
@@ -121,6 +125,7 @@ def _touching_extensions(
             continue
         extension = pair[epoch].xyz
         contact = [_contact(extension, pairs[i][epoch].xyz, config) for i in hosts]
+        contact = [n and (0 if apart(number, i) else n) for n, i in zip(contact, hosts, strict=True)]
         if not contact or max(contact) == 0:
             continue
         host = hosts[int(np.argmax(contact))]
