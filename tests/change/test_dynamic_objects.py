@@ -214,6 +214,13 @@ def test_what_continues_a_trail_known_by_its_shape_is_not_claimed(low, high, con
         assert decision.change is Change.UNOBSERVED
 
 
+@pytest.mark.parametrize("gap", [1.5, 4.0])
+def test_a_trail_on_the_next_lane_does_not_hide_what_continues_the_trail_of_this_one(gap):
+    lanes = np.concatenate([TRAIL, TRAIL + (2.0 + gap, 0.0, 0.0)])
+    end = obj([(block((0.2, 0.0, 0.3), (1.8, 4.0, 1.2)), False)])
+    assert continues_trail([end], OwnEpochEvidence(nowhere, NOWHERE, shaped=cKDTree(lanes)), RULES)
+
+
 #: Ground points half a metre apart.
 ROAD = np.stack(np.meshgrid(np.arange(-20, 40, 0.5), np.arange(-20, 20, 0.5)), axis=-1).reshape(-1, 2)
 

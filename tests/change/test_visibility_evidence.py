@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -165,6 +167,10 @@ def test_behind_foliage_that_beams_went_through_a_trajectory_is_as_sure_as_the_p
     # The field of view may end in a crown: its points do not show that nothing stood above them.
     assert observer.free_above(above) == pytest.approx(CONFIG.hidden_trust)
     assert bare.free_above(above) == pytest.approx(CONFIG.shadow_trust)
+    # The sensor is known to have looked higher: as many beams were due above those leaves as at them.
+    view = {"elevation_min_deg": -25.0, "elevation_max_deg": 30.0, "useful_range_m": 40.0}
+    looked_up = make_observer(replace(survey, info={"sensor": view}), CONFIG)
+    assert looked_up.free_above(above) == pytest.approx(CONFIG.shadow_trust)
     sky = np.array([[10.0, 4.0, 5.0]]) + ORIGIN
     assert observer.free_above(sky) == pytest.approx(observer.free_probability(sky))
 

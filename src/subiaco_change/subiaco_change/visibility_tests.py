@@ -17,6 +17,7 @@ from subiaco_geo.free_space.expected_visibility import ExpectedVisibility
 from subiaco_geo.visibility import VisibilityGrid
 
 _PRIOR = NUMBERS.visibility_evidence.prior_beams
+_EXPOSED = NUMBERS.visibility_evidence.exposed_share
 _SIDES = 8  # of a place: the main and half directions of the compass
 
 Flags = NDArray[np.bool_]
@@ -161,6 +162,14 @@ class PointShadow:
         local = np.ascontiguousarray(world - self.origin)
         return nearest_points(self.index, local, self.radius) + self.origin
 
+    def tops(self, world: Floats) -> Floats:
+        """Return the height (N,) of the highest point in the columns of places (N, 3); NaN where none is."""
+        ij, inside = self._columns(world - self.origin)
+        column = np.where(inside, ij[:, 0] * self.index.shape[1] + ij[:, 1], 0)
+        first, end = self.index.starts[column], self.index.starts[column + 1]
+        tops = self.index.xyz[end - 1, 2] + self.origin[2]
+        return np.asarray(np.where(inside & (end > first), tops, np.nan))
+
     def levelled(self, world: Floats) -> Flags:
         """Tell which world points (N, 3) are no higher than what the cloud shows its view to have reached."""
         if self.from_above:
@@ -218,13 +227,24 @@ class PosesAndPoints:
         return chance
 
     def free_in_view(self, world: Floats) -> Floats:
-        """Return the probability (N,) that points (N, 3) were free; points prove no free space above them.
+        """Return the probability (N,) that points (N, 3) above the tops of plants were free.
 
-        A field of view that ends in a crown leaves points below its end and none above, as a top does.
+        A field of view that ends in a crown leaves points below its end and none above, as a top does: where
+        the poses send the place fewer beams than the top beneath it, points prove no free space.
         """
         chance, by_points = self._combined(world)
-        chance[by_points] = self.trust
+        ask = np.flatnonzero(by_points)
+        chance[ask] = np.where(self._as_exposed(world[ask]), max(self.points.trust, self.trust), self.trust)
         return chance
+
+    def _as_exposed(self, world: Floats) -> Flags:
+        """Tell which places (N, 3) the poses send about as many beams as the highest point beneath them."""
+        tops = np.minimum(self.points.tops(world), world[:, 2])
+        known = np.isfinite(tops)
+        exposed = np.zeros(len(world), dtype=np.bool_)
+        beneath = np.column_stack([world[known, :2], tops[known]])
+        exposed[known] = self.poses.exposure(world[known]) >= _EXPOSED * self.poses.exposure(beneath)
+        return exposed
 
     def rests_on_points(self, world: Floats) -> Flags:
         """Tell which world points (N, 3) are called free by the points of the epoch alone."""

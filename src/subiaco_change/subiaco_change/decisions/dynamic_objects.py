@@ -25,6 +25,7 @@ from subiaco_change.decisions.voxel_objects import (
 )
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import always, applies, no_decision, switchable
+from subiaco_change.segmentation.clustering import cell_clusters
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats, Ints
@@ -129,7 +130,7 @@ def continues_trail(
     nearest = int(np.argmin(distance))
     if distance[nearest] > _LANE:
         return None
-    trail = own.shaped.data[own.shaped.query_ball_point(own.shaped.data[slot[nearest]], _TRAIL_REACH)]
+    trail = _lane_of(own.shaped, int(slot[nearest]))
     length, width = _strip(np.concatenate([trail[:, :2], places[:, :2]]))
     if len(trail) < _TRAIL_POINTS or width > _TRAIL_WIDTH or length < _TRAIL_LENGTH:
         return None
@@ -138,6 +139,13 @@ def continues_trail(
         f" wide (limit {_TRAIL_WIDTH:.1f} m): it may be a part of the trail, and nothing is claimed."
     )
     return Decision(Change.UNOBSERVED, reason, 0.0)
+
+
+def _lane_of(trails: cKDTree, nearest: int) -> Floats:
+    """Return the points (T, 3) of trails around one of them that hang together with it: lanes lie apart."""
+    around = np.array(trails.query_ball_point(trails.data[nearest], _TRAIL_REACH))
+    lane = cell_clusters(trails.data[around, :2], 0.5 * _LANE)
+    return np.asarray(trails.data[around[lane == lane[around == nearest]]])
 
 
 @switchable("strip_on_road", no_decision)

@@ -144,3 +144,8 @@ class VisibilityEvidenceNumbers(StrictModel):
         0.5,
         description="Number of beams that passed, and that returned, before any is counted (Jeffreys prior)",
     )
+    exposed_share: float = Field(
+        0.7,
+        description="Fraction of the beams due at a top that must be due at a place above it, so that a "
+        "plant, and no field of view, ends there",
+    )

@@ -271,6 +271,23 @@ def _look(  # noqa: C901, PLR0912
 
 
 @numba.njit(cache=True)
+def _exposure(
+    places: Floats, eyes: Floats, axes: Floats, poses: Ints, limits: Floats, exposure: Floats
+) -> None:
+    """Add up what poses that have a place in their field of view and range send it, hidden or not."""
+    sine_min, sine_max, nearest, farthest = limits[:4]
+    for i in range(len(places)):
+        for k in poses:
+            dx, dy, dz = places[i, 0] - eyes[k, 0], places[i, 1] - eyes[k, 1], places[i, 2] - eyes[k, 2]
+            r2 = dx * dx + dy * dy + dz * dz
+            if r2 > farthest * farthest or r2 < nearest * nearest:
+                continue
+            sine = (dx * axes[k, 0] + dy * axes[k, 1] + dz * axes[k, 2]) / np.sqrt(r2)
+            if sine_min <= sine <= sine_max:
+                exposure[i] += 1.0 / r2
+
+
+@numba.njit(cache=True)
 def _hides(
     places: Floats, eyes: Floats, images: Depths, cell: float, low: float,
     place: NDArray[np.int32], image: Ints, behind: float, hidden: NDArray[np.bool_],
@@ -331,15 +348,33 @@ class DepthImages:
         """
         counts = np.zeros((len(world), 3), dtype=np.int32)
         if len(world) and len(self.eyes):
-            low, high = world.min(axis=0) - limits.farthest, world.max(axis=0) + limits.farthest
-            near = np.flatnonzero(((self.eyes >= low) & (self.eyes <= high)).all(axis=1))
-            origin = self.eyes[0]
+            near, origin = self._near(world, limits), self.eyes[0]
             _look(
                 np.ascontiguousarray(world - origin), self.eyes - origin, np.ascontiguousarray(self.axes),
                 near, self.images, self.grid.cell, self.grid.low, limits.packed(), enough, surface_too,
                 counts,
             )  # fmt: skip
         return PoseCounts(counts[:, 0].copy(), counts[:, 1].copy(), counts[:, 2].copy())
+
+    def exposure(self, world: Floats, limits: Limits) -> Floats:
+        """Return how many beams the poses send places (N, 3) of the world, up to a factor; hidden or not.
+
+        Each pose that has the place in its field of view and range counts as the inverse square of its
+        distance [1/m2].
+        """
+        exposure = np.zeros(len(world))
+        if len(world) and len(self.eyes):
+            near, origin = self._near(world, limits), self.eyes[0]
+            _exposure(
+                np.ascontiguousarray(world - origin), self.eyes - origin, np.ascontiguousarray(self.axes),
+                near, limits.packed(), exposure,
+            )  # fmt: skip
+        return exposure
+
+    def _near(self, world: Floats, limits: Limits) -> Ints:
+        """Return which poses may see any of some places (N, 3)."""
+        low, high = world.min(axis=0) - limits.farthest, world.max(axis=0) + limits.farthest
+        return np.flatnonzero(((self.eyes >= low) & (self.eyes <= high)).all(axis=1))
 
     def hides(self, world: Floats, place: NDArray[np.int32], image: Ints, behind: float) -> NDArray[np.bool_]:
         """Tell which lines of sight (L,) end at a surface of their image before they reach their place.

@@ -261,6 +261,10 @@ class ExpectedVisibility:
         nothing = (looks.free < self.config.min_poses) & (looks.surface == 0)
         return np.asarray(nothing & (looks.hidden >= self.config.min_poses))
 
+    def exposure(self, world: Floats) -> Floats:
+        """Return how many beams the poses send places (N, 3) [m, world], up to a factor; hidden or not."""
+        return self.images.exposure(world, self._limits())
+
     def _limits(self) -> Limits:
         config, view = self.config, self.view
         reach = min(view.useful_range, config.max_range)
