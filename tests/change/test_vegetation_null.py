@@ -188,6 +188,8 @@ def test_hedges_are_not_compared_with_crowns_and_their_columns_decide():
     leaves = replace(HEDGE, rise=0.15, surface=0.3)
     assert label(leaves, null).change is Change.UNCHANGED
     assert "leaves differ" in label(leaves, null).reason
+    assert "neither the top nor the outline" in label(leaves, null).reason
+    assert "its top was not observed" in label(replace(leaves, rise=math.nan), null).reason
     assert label(replace(leaves, rise_of_part=0.6), null).change is Change.INCREASED
     assert label(replace(leaves, rise=math.nan, outline=math.nan), null).change is Change.INCREASED
 

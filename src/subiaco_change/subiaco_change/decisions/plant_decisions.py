@@ -188,10 +188,13 @@ def _is_foliage(plant: PlantMeasures, found: _Excess, extent: Sequence[_Excess],
 
 
 def _of_leaves(plant: PlantMeasures, found: _Excess) -> Decision:
-    """Leave a plant unchanged whose surface changed while its tops and its outline did not."""
+    """Leave a plant unchanged whose surface changed while what is known of its extent did not."""
+    extent = "neither the top nor the outline of the plant followed"
+    if not math.isfinite(plant.rise):
+        extent = "the outline of the plant did not follow, and its top was not observed"
     reason = (
         f"{_compared(plant, found)} exceeds the limit of {_quantity(found.limit, found.unit, sign=False)},"
-        " but neither the top nor the outline of the plant followed: leaves differ, and no change is claimed."
+        f" but {extent}: leaves differ, and no change is claimed."
     )
     return Decision(Change.UNCHANGED, reason, 1.0, 0.0)
 
