@@ -216,7 +216,7 @@ def test_what_continues_a_trail_known_by_its_shape_is_not_claimed(low, high, con
 
 @pytest.mark.parametrize("gap", [1.5, 4.0])
 def test_a_trail_on_the_next_lane_does_not_hide_what_continues_the_trail_of_this_one(gap):
-    lanes = np.concatenate([TRAIL, TRAIL + (2.0 + gap, 0.0, 0.0)])
+    lanes = np.concatenate([TRAIL, np.add(TRAIL, (2.0 + gap, 0.0, 0.0))])
     end = obj([(block((0.2, 0.0, 0.3), (1.8, 4.0, 1.2)), False)])
     assert continues_trail([end], OwnEpochEvidence(nowhere, NOWHERE, shaped=cKDTree(lanes)), RULES)
 

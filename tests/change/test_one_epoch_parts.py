@@ -157,7 +157,7 @@ def test_a_new_house_with_an_open_gap_to_its_neighbour_is_no_wing_of_it(gap, win
 
 
 def test_a_wing_between_its_house_and_an_open_gap_to_the_next_house_is_a_wing():
-    """It lies along the next house with its longer side, 0.6 m away, and touches its own house with an end."""
+    """It lies along the next house with its longer side, 0.6 m away, and touches its own with an end."""
     house, wing = (voxels(HOUSE), voxels(HOUSE)), (NONE, moved(walls(6, 4, 4), 10))
     beyond = (voxels(np.add(walls(14, 10, 5), (8.0, -10.75, 0.0))),) * 2
     gap = OpenGround(NO_COLUMNS, NO_COLUMNS, (lambda p: (p[:, 1] > -0.75) & (p[:, 1] < 0),) * 2)
