@@ -248,7 +248,8 @@ def main() -> None:
         started = time.process_time()
         first, second, kept = PAIRS[name]
         surveys = [map_part(drive, part, folder) for part in (first, second)]
-        score = compare(*surveys, drive.transform(drive.parts[first], drive.parts[second]), kept)
+        T_after_before = drive.transform(drive.parts[first], drive.parts[second])
+        score = compare(surveys[0], surveys[1], T_after_before, kept)
         table.append(score.line(name))
         print(table[-1], f"{time.process_time() - started:.0f} CPU s", flush=True)
         for r in score.result.records if words.rows else ():

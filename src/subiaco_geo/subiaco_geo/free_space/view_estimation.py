@@ -21,6 +21,9 @@ _ANGLES = np.radians(
 _STEP = FREE_SPACE.range_step
 _EVERY = FREE_SPACE.elevations_per_range
 _MOST = FREE_SPACE.view_points
+_EDGE = FREE_SPACE.view_edge
+_EDGE_TREND = FREE_SPACE.view_edge_trend
+_EDGE_POINTS = FREE_SPACE.view_edge_points
 _GRAZING = FREE_SPACE.grazing_slack
 
 
@@ -90,7 +93,7 @@ def estimate_view(parts: Sequence[ViewHistogram], config: ExpectedVisibilityConf
     high, reach = float(np.radians(config.image_high_deg)), config.max_range
     above = np.sum([part.above for part in parts], axis=0) if parts else np.zeros(1, dtype=np.int64)
     if above.sum() > 0:
-        cell = 1 + _quantile(above, config.view_quantile)
+        cell = 1 + min(_quantile(above, config.view_quantile), _edge(above))
         high = float(_ANGLES[cell])
         ranges = np.sum([part.ranges for part in parts], axis=0)
         own = ranges[min(max(-(-cell // _EVERY) - 1, 0), len(ranges) - 1)]
@@ -122,6 +125,22 @@ def with_blind_arcs(
     if view.blind is not None:
         return view
     return replace(view, blind=blind_arcs(poses, columns, min(view.useful_range, config.max_range)))
+
+
+def _edge(above: NDArray[np.int64]) -> int:
+    """Return the cell of a histogram of elevations in which the view ends; the last where no end shows.
+
+    Poses are a sample and depth images are coarse: some points seem to need a higher view than the sensor
+    has. Just below the end of the view there are about as many points as lower, beyond it there are suddenly
+    few. Where high objects become rare, they do so over many cells.
+    """
+    pairs = above[:-1] + above[1:]
+    cells = np.arange(3, len(above) - 2)
+    under, before, beyond = pairs[cells - 2], pairs[np.maximum(cells - 4, 0)], pairs[cells + 1]
+    known = (cells >= 4) & (under >= _EDGE_POINTS) & (before <= _EDGE_TREND * under)
+    ratio = np.where(known, under / np.maximum(beyond, 1), 0.0)
+    found = int(np.argmax(ratio)) if len(ratio) else 0
+    return int(cells[found]) if len(ratio) and ratio[found] >= _EDGE else len(above) - 1
 
 
 def _quantile(counts: NDArray[np.int64], share: float) -> int:
