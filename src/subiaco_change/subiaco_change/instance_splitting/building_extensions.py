@@ -148,7 +148,8 @@ def _is_extension(
     beside = max(contact) < _ADJOINS * len(extension)
     if beside or _top(extension) < _ROOM or applies("part_between_buildings", leans):
         return False
-    share = _enclosed_volume(extension) / max(_enclosed_volume(body), 1e-9)
+    whole = max(_enclosed_volume(v) for v in host)  # as large as the survey that saw more of it shows
+    share = _enclosed_volume(extension) / max(whole, 1e-9)
     if share >= config.subordinate and not round_it:
         stood = _inside(other.xyz, extension.xyz) >= _WITHIN  # its walls stand where the extension was
         return applies("part_as_large_as_building", stood)
