@@ -409,6 +409,12 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         ("method_numbers.split_merge.house_front",),
     ),
     Rule(
+        "rear_of_extension",
+        _HERE,
+        "A part that touches a building, and whose place the other epoch hardly observed, belongs to the "
+        "building if a change is claimed with it: the house hides the rear of a wing.",
+    ),
+    Rule(
         "hidden_walls",
         _HERE,
         "A wall within the outline of a changed building that the other epoch hardly saw joins its row.",
