@@ -49,6 +49,13 @@ PLANT_RULES: tuple[Rule, ...] = (
         guards=True,
     ),
     Rule(
+        "common_view_of_crowns",
+        ("comparison",),
+        "The tops of a column are compared from points above the lowest of both epochs: of a crown behind a "
+        "house, one survey saw the top alone, and all of its points lie high.",
+        guards=True,
+    ),
+    Rule(
         "unseen_tops_of_plants",
         _PLANTS,
         "Where the epochs share columns of a plant, but did not observe the space above them, the highest"
