@@ -433,14 +433,15 @@ def _height(states: tuple[_State, ...], frame: _Frame, config: CarvingConfig) ->
     surface of the other epoch that was not seen free: a beam along a wall crosses its columns in front of
     it. A column without a surface is known where free space lies well below the top in the other epoch, by
     more than a roof of 45 degrees falls within a column; the sky above a roof that one epoch did not see
-    says nothing of that roof. Where few columns have free space
+    says nothing of that roof, and a column that is open down to less than a room lost its body, which is a
+    change of volume. Where few columns have free space
     above, those without count too, up to the highest top of all. A top is known to half of a cell.
     """
     ceiling = max(float(state.top.max()) for state in states)
     bounds = [_tops_between(state, frame, config) for state in states]
     columns = (states[0].top > 0) | (states[1].top > 0)
     for (low, high), other in zip(bounds, states[::-1], strict=True):
-        columns &= (low > 0) | (high < other.top - frame.cell - frame.rise)
+        columns &= (low > 0) | ((high < other.top - frame.cell - frame.rise) & (high >= config.room))
     capped = columns & np.logical_and(*(np.isfinite(high) for _, high in bounds))
     many = np.count_nonzero(capped) >= max(_FEW, config.capped * np.count_nonzero(columns))
     if applies("capped_columns", many):
