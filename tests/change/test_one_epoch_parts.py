@@ -215,6 +215,16 @@ def test_a_house_between_two_others_is_no_wing_of_either():
     assert find_building_extensions([*ends, (moved(walls(6, 8, 4), 10), NONE)], CONFIG) == {}
 
 
+@pytest.mark.parametrize("x", [0.0, 0.7, 200.3])
+@pytest.mark.parametrize(("gap", "wing"), [(2.0, True), (4.0, False)])
+def test_a_part_between_remains_of_a_house_is_a_wing_where_they_lie_closer_than_a_house_is_wide(gap, wing, x):
+    """Whether the remains are one house does not depend on where the origin of the coordinates lies."""
+    rest = np.concatenate([HOUSE, np.add(walls(4, 4, 5), (10 + gap, 0, 0))])
+    lost = np.add(walls(gap, 6, 5), (10, 0, 0))
+    pairs = [(moved(rest, x), moved(rest, x)), (moved(lost, x), NONE)]
+    assert (find_building_extensions(pairs, CONFIG) == {1: 0}) == wing
+
+
 def test_a_house_that_leans_on_one_neighbour_more_than_on_the_other_is_no_wing():
     first = voxels(np.concatenate([HOUSE, np.add(walls(3, 2, 5), (10, 8, 0))]))
     last, middle = moved(walls(10, 4, 5), 13), np.add(walls(3, 8, 4), (10, 0, 0))

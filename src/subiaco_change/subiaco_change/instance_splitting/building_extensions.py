@@ -16,7 +16,7 @@ from subiaco_change.geometry import in_box_around
 from subiaco_change.instance_splitting.one_epoch_parts import PartConfig
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import applies, first_argument, never, switchable
-from subiaco_change.segmentation.clustering import cell_clusters
+from subiaco_change.segmentation.clustering import linked_components
 from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats
 
@@ -40,6 +40,7 @@ _JOINT = NUMBERS.building_extensions.joint
 _FENCE = NUMBERS.building_extensions.fence_height
 _OPEN = NUMBERS.building_extensions.open_gap
 _FOOT = NUMBERS.building_extensions.foot
+_FRONT = NUMBERS.split_merge.house_front
 
 
 def find_building_extensions(
@@ -248,8 +249,8 @@ def _top(voxels: Voxels) -> float:
 
 @switchable("house_out_of_row", never)
 def _between(extension: Floats, host: Floats, config: PartConfig) -> bool:
-    """Tell whether the extension touches parts of the host that do not touch each other."""
-    labels = cell_clusters(host[:, :2], config.touch)
+    """Tell whether the extension touches parts of the host that lie as far apart as a house is wide."""
+    labels = linked_components(host[:, :2], _FRONT)
     touching = np.isfinite(cKDTree(extension[:, :2]).query(host[:, :2], distance_upper_bound=config.touch)[0])
     sizes = np.bincount(labels)
     parts = [k for k in np.unique(labels[touching]) if sizes[k] >= 0.1 * len(host)]

@@ -399,8 +399,9 @@ SPLITTING_RULES: tuple[Rule, ...] = (
     Rule(
         "house_out_of_row",
         _HERE,
-        "A part between parts of a building that would be apart without it was a house of the row.",
-        ("method_numbers.building_extensions.least_house_share",),
+        "A part between parts of a building that lie as far apart without it as a house is wide was a house "
+        "of the row.",
+        ("method_numbers.building_extensions.least_house_share", "method_numbers.split_merge.house_front"),
     ),
     Rule(
         "house_between_houses",
