@@ -3,11 +3,13 @@
 
     source ros2_ws/env.sh
     python tests/benchmarks/bench_static_pairs.py DATA -o out/static --pairs even_odd halves bare_even_odd
+    python tests/benchmarks/bench_static_pairs.py DATA -o out/static --drive 0027
 
-DATA holds ``kitti_scans`` (``$SUBIACO_TEST_DATA``). Parts of the 77 scans become bags, each is mapped by
-``subiaco map`` on its own (maps are kept in the output folder and used again), and pairs of maps are compared
-at the default settings. Where the registration refuses a pair, the pair is compared at the transformation of
-the scans' reference poses, and the table says so.
+DATA holds ``kitti_scans`` (drive 0005) and ``kitti_drive_0027`` (``$SUBIACO_TEST_DATA``). Parts of the sweeps
+become bags, each is mapped by ``subiaco map`` on its own (maps are kept in the output folder and used again),
+and pairs of maps are compared at the default settings. Drive 0005 has deskewed scans and no fixes: where the
+registration refuses a pair, the pair is compared at the transformation of the scans' reference poses, and the
+table says so. Drive 0027 has sweeps as they were recorded, times of points, and fixes.
 """
 
 from __future__ import annotations
@@ -20,6 +22,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+from kitti_drive import CRS, read_drive, write_drive
 from numpy.typing import NDArray
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "integration"))
@@ -43,11 +46,12 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True)
 class Part:
-    """Part of the drive: which scans, which of their points (N, 3), and settings of the mapping."""
+    """Part of a drive: which scans, which of their points (N, 3) and lasers, and settings of the mapping."""
 
     scans: range
     points: Callable[[Floats], Mask] | None = None
     settings: tuple[str, ...] = ()
+    every_ring: int = 1
 
 
 def ahead(xyz: Floats) -> Mask:
@@ -69,7 +73,6 @@ def second_rings(xyz: Floats) -> Mask:
 
 COARSE = ("fusion.leaf=0.5",)
 PARTS = {
-    "all": Part(range(77)),
     "even": Part(range(0, 77, 2)),
     "odd": Part(range(1, 77, 2)),
     "first": Part(range(45)),
@@ -78,6 +81,17 @@ PARTS = {
     "behind": Part(range(77), behind),
     "rings": Part(range(1, 77, 2), second_rings),
     "coarse": Part(range(1, 77, 2), None, COARSE),
+}
+#: The same shares of drive 0027; every second ring is chosen by the laser.
+PARTS_0027 = {
+    "even": Part(range(0, 188, 2)),
+    "odd": Part(range(1, 188, 2)),
+    "first": Part(range(110)),
+    "second": Part(range(78, 188)),
+    "ahead": Part(range(188), ahead),
+    "behind": Part(range(188), behind),
+    "rings": Part(range(1, 188, 2), every_ring=2),
+    "coarse": Part(range(1, 188, 2), None, COARSE),
 }
 #: Parts of *before* and of *after*, and what of their maps is compared.
 _PARTS = {
@@ -123,14 +137,57 @@ def write_sweeps(sweeps: Iterable[tuple[int, Floats, Floats]], bag: Path) -> Non
             writer.write(POINTS, MESSAGE_TYPES[POINTS], cloud, stamp_ns)
 
 
-def map_part(scans: KittiScans, name: str, folder: Path) -> SurveyMap:
-    """Map a part of the drive, or read the map made before."""
+class ShortDrive:
+    """Drive 0005: 77 deskewed scans, and poses of another odometry."""
+
+    parts = PARTS
+    settings = ("deskewed=true",)
+
+    def __init__(self, data: Path) -> None:
+        self.scans = read_kitti(data / "kitti_scans")
+        rows = np.loadtxt(data / "kitti_scans" / "kiss_icp_reference_poses.txt").reshape(-1, 3, 4)
+        self.poses = make_pose(rows[:, :, :3], rows[:, :, 3])
+
+    def write(self, part: Part, bag: Path) -> None:
+        """Write the bag of a part."""
+        write_part(self.scans, part, bag)
+
+    def transform(self, first: Part, second: Part) -> Floats:
+        """Return the transformation from the map of one part to that of another."""
+        starts = [self.poses[part.scans[0]] for part in (first, second)]
+        return invert_pose(starts[1]) @ starts[0]
+
+
+class LongDrive:
+    """Drive 0027: 188 sweeps with the times of their points, and fixes; its maps have a CRS."""
+
+    parts = PARTS_0027
+    settings = (f"crs={CRS}",)
+
+    def __init__(self, data: Path) -> None:
+        self.drive = read_drive(data)
+
+    def write(self, part: Part, bag: Path) -> None:
+        """Write the bag of a part."""
+        chosen = set(part.scans)
+        write_drive(self.drive, bag, lambda k, n: k in chosen, every_ring=part.every_ring, points=part.points)
+
+    def transform(self, first: Part, second: Part) -> Floats:
+        """Return the transformation between maps of one CRS."""
+        return np.eye(4)
+
+
+DRIVES: dict[str, Callable[[Path], ShortDrive | LongDrive]] = {"0005": ShortDrive, "0027": LongDrive}
+
+
+def map_part(drive: ShortDrive | LongDrive, name: str, folder: Path) -> SurveyMap:
+    """Map a part of a drive, or read the map made before."""
     if not (folder / name / "map.yaml").exists():
         bag = folder / f"{name}.bag"
         if not bag.exists():
-            write_part(scans, PARTS[name], bag)
-        words = ["map", str(bag), "-o", str(folder / name), "--set", "deskewed=true", "--quiet"]
-        for setting in PARTS[name].settings:
+            drive.write(drive.parts[name], bag)
+        words = ["map", str(bag), "-o", str(folder / name), "--quiet"]
+        for setting in (*drive.settings, *drive.parts[name].settings):
             words += ["--set", setting]
         if run(words) != 0:
             raise SystemExit(f"{name}: not mapped")
@@ -176,13 +233,13 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0] if __doc__ else None)
     parser.add_argument("data", type=Path)
     parser.add_argument("-o", "--output", type=Path, required=True)
+    parser.add_argument("--drive", choices=DRIVES, default="0005")
     parser.add_argument("--pairs", nargs="+", choices=PAIRS, default=list(PAIRS))
     parser.add_argument("--rows", action="store_true", help="print every false claim")
     words = parser.parse_args()
-    words.output.mkdir(parents=True, exist_ok=True)
-    scans = read_kitti(words.data / "kitti_scans")
-    rows = np.loadtxt(words.data / "kitti_scans" / "kiss_icp_reference_poses.txt").reshape(-1, 3, 4)
-    poses = make_pose(rows[:, :, :3], rows[:, :, 3])
+    folder = words.output if words.drive == "0005" else words.output / words.drive
+    folder.mkdir(parents=True, exist_ok=True)
+    drive = DRIVES[words.drive](words.data)
     table = [
         "| pair | m2 | registered | claims (on 1000 m2) | above 0.5 | above 0.9 |",
         "|---|---|---|---|---|---|",
@@ -190,9 +247,8 @@ def main() -> None:
     for name in words.pairs:
         started = time.process_time()
         first, second, kept = PAIRS[name]
-        surveys = [map_part(scans, part, words.output) for part in (first, second)]
-        starts = [poses[PARTS[part].scans[0]] for part in (first, second)]
-        score = compare(surveys[0], surveys[1], invert_pose(starts[1]) @ starts[0], kept)
+        surveys = [map_part(drive, part, folder) for part in (first, second)]
+        score = compare(*surveys, drive.transform(drive.parts[first], drive.parts[second]), kept)
         table.append(score.line(name))
         print(table[-1], f"{time.process_time() - started:.0f} CPU s", flush=True)
         for r in score.result.records if words.rows else ():

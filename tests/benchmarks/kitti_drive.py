@@ -36,6 +36,7 @@ T_BASE_LIDAR = make_pose(np.eye(3), np.array([0.81, -0.32, 0.80]))
 SIGMA = (0.15, 0.15, 0.30)  # by how much the positions of the INS step within a second, east, north, up [m]
 
 Subset = Callable[[int, int], bool]
+PointChoice = Callable[[Floats], NDArray[np.bool_]]
 #: Sweeps by name: called with the number of a sweep and how many there are.
 SUBSETS: dict[str, Subset] = {
     "all": lambda k, n: True,
@@ -124,6 +125,7 @@ def drive_messages(
     sweeps: Subset,
     *,
     every_ring: int = 1,
+    points: PointChoice | None = None,
     fixes: str = "all",
     withheld_s: float = 10.0,
     clock_s: float = 0.0,
@@ -137,6 +139,8 @@ def drive_messages(
         Which sweeps, see ``SUBSETS``.
     every_ring : int
         2 keeps every second laser.
+    points : callable, optional
+        Tells which points (N, 3) of a sweep are kept.
     fixes : {"all", "alternate", "none"}
         ``alternate`` withholds every second stretch of ``withheld_s`` [s], the first is kept.
     withheld_s : float
@@ -147,19 +151,21 @@ def drive_messages(
         int(drive.stamps_ns[0] - drive.period_ns), {"lidar_link": T_BASE_LIDAR, "gnss_link": np.eye(4)}
     )
     yield from heapq.merge(
-        _clouds(drive, sweeps, every_ring),
+        _clouds(drive, sweeps, every_ring, points),
         _fixes(drive, fixes, withheld_s, clock_s),
         key=lambda item: item.time_ns,
     )
 
 
-def _clouds(drive: Drive, sweeps: Subset, every_ring: int) -> Iterator[LogMessage]:
+def _clouds(
+    drive: Drive, sweeps: Subset, every_ring: int, points: PointChoice | None
+) -> Iterator[LogMessage]:
     stamps_ns, period_ns = drive.stamps_ns, drive.period_ns
     for k in range(len(drive)):
         if sweeps(k, len(drive)):
             xyz = drive.sweep(k)
             ring = rings(xyz)
-            kept = ring % every_ring == 0
+            kept = (ring % every_ring == 0) & (True if points is None else points(xyz))
             times_ns = point_times(xyz[kept], int(stamps_ns[k]), period_ns)
             yield cloud_message(xyz[kept], times_ns, ring=ring[kept])
 

@@ -96,6 +96,15 @@ def test_a_vehicle_that_waits_at_the_end_of_its_drive_keeps_its_direction():
     assert lane.covers(np.array([[85.0, 0.0, 0.5], [60.0, 20.0, 0.5]])).tolist() == [True, False]
 
 
+@pytest.mark.parametrize("step", [0.7, 2.9, 3.1, 4.6, 7.0])
+def test_a_fast_drive_continues_beyond_its_end_however_far_apart_its_positions_are(step):
+    """At 65 km/h every second scan of a 10 Hz sensor lies 3.6 m further: more than gives a direction."""
+    x = np.arange(0.0, 61.0, step)
+    lane = DrivenLane(np.column_stack([x, np.zeros(len(x)), np.full(len(x), 2.0)]))
+    asked = np.array([[x[-1] + 25.0, 0.0, 0.5], [-25.0, 0.0, 0.5], [x[-1] + 35.0, 0.0, 0.5]])
+    assert lane.covers(asked).tolist() == [True, True, False]
+
+
 @pytest.mark.parametrize("after_gap", [1, 2, 3])
 def test_a_drive_has_no_direction_across_a_gap(after_gap):
     """A path that leaves the neighbourhood of a tile comes back elsewhere."""

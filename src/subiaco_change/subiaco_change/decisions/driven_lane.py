@@ -139,8 +139,10 @@ def _heading(end: Floats, back: float) -> Floats | None:
     way = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(end, axis=0), axis=1))])
     if way[-1] < back + _HEADING:
         return None
-    step = end[np.searchsorted(way, back)] - end[np.searchsorted(way, back + _HEADING)]
-    return np.asarray(step / np.linalg.norm(step))
+    places = np.column_stack([np.interp([back, back + _HEADING], way, end[:, k]) for k in range(2)])
+    step = places[0] - places[1]
+    length = float(np.linalg.norm(step))
+    return step / length if length > 0 else None
 
 
 def share_in_lane(objects: Sequence[ObjectInstance], lanes: Sequence[Observed]) -> float:
