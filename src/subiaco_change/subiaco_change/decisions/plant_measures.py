@@ -25,6 +25,7 @@ from subiaco_change.geometry import in_box_around
 from subiaco_change.instance_splitting.hedge_sections import NOTHING
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import never, switchable
+from subiaco_change.quantiles import quantile_of
 from subiaco_geo.clouds import stable_order, voxel_indices, voxel_keys
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
@@ -88,7 +89,7 @@ def compare_outlines(before: Floats, after: Floats, config: OutlineConfig) -> Ou
         fewest = min(len(first), len(second))
         if fewest < config.points:
             continue
-        low, high = (float(np.quantile(radius, fewest / (fewest + 1))) for radius in (first, second))
+        low, high = (quantile_of(radius, fewest / (fewest + 1)) for radius in (first, second))
         shifts.append(high - low)
         reaches.append(0.5 * (low + high))
     if len(shifts) < config.directions:
