@@ -151,7 +151,7 @@ def change_of_tops(
     spread = 1.4826 * float(np.median(np.abs(rises - median)))
     shared = max(config.patch * (config.cell / columns.cell) ** 2, 1.0)  # wide columns share no beams
     patches = max(len(rises) / shared, 1.0)
-    few = _uncertain_spread(len(rises)) if config.filling > 0 else 1.0
+    few = _uncertain_spread(len(rises))
     return TopChange(median, few * 1.2533 * spread / math.sqrt(patches), parts[0], parts[1])
 
 
