@@ -4,7 +4,6 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-
 from test_measures import voxels
 
 from subiaco_change.decisions.plant_measures import OutlineConfig, beyond_outline, compare_outlines
@@ -52,7 +51,7 @@ def seen_alone(xyz, alone):
 
 
 def test_a_crown_that_appeared_beside_another_lies_beyond_its_outline_and_more_leaves_do_not():
-    old, leaves, beside = crown(300, 2.0, 1), crown(300, 2.3, 2), crown(300, 2.0, 3) + (3.5, 0.0, 0.0)
+    old, leaves, beside = crown(300, 2.0, 1), crown(300, 2.3, 2), np.add(crown(300, 2.0, 3), (3.5, 0, 0))
     before = seen_alone(old, np.zeros(300, dtype=bool))
     denser = seen_alone(np.concatenate([old, leaves]), np.repeat([False, True], 300))
     both = seen_alone(np.concatenate([old, beside]), np.repeat([False, True], 300))

@@ -56,7 +56,7 @@ def test_points_of_no_object_are_unchanged_only_where_the_other_epoch_holds_poin
 
 @pytest.mark.parametrize("change", [Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED])
 def test_points_of_no_object_belong_to_the_changed_object_that_they_touch(change):
-    x = np.array([0.0, 0.3, 1.0, 0.2])  # the object, its eaves, something beside it, and what both epochs hold
+    x = np.array([0.0, 0.3, 1.0, 0.2])  # the object, its eaves, something beside it, what both epochs hold
     view = plants(np.column_stack([x, [0.0, 0.0, 0.0, 0.1], np.full(4, 3.0)]))
     labels = unlabelled(view)
     labels.instance[0], labels.change[0] = 7, change

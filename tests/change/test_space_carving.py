@@ -246,7 +246,11 @@ def test_beams_along_a_wall_do_not_show_that_it_ends():
 
 RIDGE = TALL + 2.0
 ROOF = sheet((1, 1, RIDGE - CELL), (LENGTH - 1, DEPTH, RIDGE))
-ABOVE_WALLS = [((-9, -9, TALL), (30, 1, HIGH)), ((-9, -9, TALL), (1, 30, HIGH)), ((9, -9, TALL), (30, 30, HIGH))]
+ABOVE_WALLS = [
+    ((-9, -9, TALL), (30, 1, HIGH)),
+    ((-9, -9, TALL), (1, 30, HIGH)),
+    ((9, -9, TALL), (30, 30, HIGH)),
+]
 
 
 @pytest.mark.parametrize("open_from", [RIDGE, RIDGE - 0.4, TALL + 0.5], ids=["sky", "slope", "roof gone"])

@@ -148,8 +148,8 @@ class PlantConfig(StrictModel):
     beside: float = Field(
         0.75,
         gt=0,
-        description="Distance outside of the outline of a plant, seen from above, beyond which new surface is "
-        "no new leaf of it [m]",
+        description="Distance outside of the outline of a plant, seen from above, beyond which new surface "
+        "is no new leaf of that plant [m]",
     )
     outline: OutlineConfig = OutlineConfig()
     tops: TopConfig = TopConfig()

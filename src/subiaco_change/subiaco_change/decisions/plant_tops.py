@@ -179,9 +179,8 @@ def _shared_columns(before: Floats, after: Floats, config: TopConfig) -> _Column
     cell = _edge(before, after, config)
     places = np.floor(np.concatenate([before, after])[:, :2] / cell).astype(np.int64)
     cells, slot = unique_cells(places)
-    slots = np.split(slot, [len(before)])
-    heights = before[:, 2], after[:, 2]
-    heights, slots = _in_common_view(heights, slots, len(cells), config)
+    split = np.split(slot, [len(before)])
+    heights, slots = _in_common_view((before[:, 2], after[:, 2]), split, len(cells), config)
     counts = np.array([np.bincount(s, minlength=len(cells)) for s in slots])
     fewest = counts.min(axis=0)
     tops = np.array([expected_top(z, s, fewest) for z, s in zip(heights, slots, strict=True)])

@@ -432,10 +432,10 @@ def _height(states: tuple[_State, ...], frame: _Frame, config: CarvingConfig) ->
     The top of a column lies between the highest surface seen in it and the lowest free cell above, or the
     surface of the other epoch that was not seen free: a beam along a wall crosses its columns in front of
     it. A column without a surface is known where free space lies well below the top in the other epoch, by
-    more than a roof of 45 degrees falls within a column; the sky above a roof that one epoch did not see
-    says nothing of that roof, and a column that is open down to less than a room lost its body, which is a
-    change of volume. Where few columns have free space
-    above, those without count too, up to the highest top of all. A top is known to half of a cell.
+    more than a roof of 45 degrees falls within a column. The sky above a roof that one epoch did not see
+    says nothing of that roof. A column that is open down to less than a room lost its body, which is a
+    change of volume. Where few columns have free space above, those without count too, up to the highest
+    top of all. A top is known to half of a cell.
     """
     ceiling = max(float(state.top.max()) for state in states)
     bounds = [_tops_between(state, frame, config) for state in states]
