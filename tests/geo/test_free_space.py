@@ -22,7 +22,7 @@ from subiaco_geo.free_space.expected_visibility import (
     sample_poses,
 )
 from subiaco_geo.free_space.sensor_view import SensorView, described_view, spin_axes
-from subiaco_geo.free_space.view_estimation import estimate_view, view_histogram
+from subiaco_geo.free_space.view_estimation import edge_of_view, estimate_view, view_histogram
 
 ORIGIN = np.array([391_000.0, 6_464_000.0, 10.0])
 VIEW = SensorView(np.radians(-25.0), np.radians(22.5), 50.0)
@@ -250,3 +250,16 @@ def test_a_map_that_describes_its_sensor_is_believed() -> None:
     ):
         with pytest.raises(InputError, match="sensor"):
             described_view({"sensor": bad})
+
+
+@pytest.mark.parametrize("beyond", [0, 3])
+def test_the_view_ends_where_points_become_few_from_one_step_to_the_next(beyond):
+    steps = np.concatenate([np.linspace(200, 60, 50), np.full(30, beyond)]).astype(np.int64)
+    assert abs(edge_of_view(steps) - 49) <= 1
+
+
+def test_the_view_does_not_end_where_high_objects_become_rare_over_many_steps_or_points_are_few():
+    rare = (2000 * np.exp(-np.arange(80) / 8.0)).astype(np.int64)
+    few = np.concatenate([np.full(50, 5), np.zeros(30)]).astype(np.int64)
+    for steps in (rare, few, rare[:4], np.zeros(1, dtype=np.int64)):
+        assert edge_of_view(steps) == len(steps) - 1

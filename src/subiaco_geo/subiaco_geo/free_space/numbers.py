@@ -37,6 +37,19 @@ class FreeSpaceNumbers(StrictModel):
     elevations_per_range: int = Field(
         10, description="Number of elevation steps from one histogram of ranges to the next"
     )
+    view_edge: float = Field(
+        4.0,
+        description="Ratio of the points in the two elevation steps below the end of the field of view to "
+        "those in the two steps beyond the end",
+    )
+    view_edge_trend: float = Field(
+        2.0,
+        description="Largest ratio of the points in two elevation steps to those in the next two below the "
+        "end of the field of view: elsewhere high objects become rare, and the view does not end",
+    )
+    view_edge_points: int = Field(
+        20, description="Least number of points in the two elevation steps below the end of the field of view"
+    )
     view_points: int = Field(
         4000, description="Largest number of points of a tile from which the field of view is estimated"
     )
