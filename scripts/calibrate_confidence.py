@@ -50,6 +50,12 @@ def bare_of(survey: SurveyMap, without: tuple[str, ...]) -> SurveyMap:
     return replace(survey, **nothing)
 
 
+def _epoch(folder: Path) -> SurveyMap:
+    """Load an epoch with its trajectory: the true one, where the simulator fused the map."""
+    true = folder / "truth" / "trajectory.tum"
+    return load_epoch(folder, None if (folder / "map.yaml").is_file() else true)
+
+
 def rows_of(survey: Path, variants: list[str], kept: Path | None) -> pd.DataFrame:
     """Return the judged rows of a survey with every kind of evidence."""
     found, real, bench = [], None, TaskRunner()  # kinds of evidence share the stages that they can
@@ -60,7 +66,7 @@ def rows_of(survey: Path, variants: list[str], kept: Path | None) -> pd.DataFram
             continue
         begun = time.monotonic()
         real = real or in_after_frame(read_truth(survey))
-        pair = [bare_of(load_epoch(survey / epoch), VARIANTS[name]) for epoch in ("before", "after")]
+        pair = [bare_of(_epoch(survey / epoch), VARIANTS[name]) for epoch in ("before", "after")]
         result = detect_changes(pair[0], pair[1], ChangeConfig(), runner=bench)
         rows = judged_rows(result, pair_points(result, real["before"], real["after"]), survey.name)
         print(f"{survey.name} {name}: {len(rows)} rows, {time.monotonic() - begun:.0f} s", file=sys.stderr)

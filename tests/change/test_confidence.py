@@ -52,8 +52,9 @@ def test_a_typical_row_has_the_confidence_of_the_intercept():
 
 def test_the_fit_recovers_the_model_that_made_the_labels_and_its_mean_is_the_share_of_right_ones():
     rng = np.random.default_rng(5)
-    truth = np.array([0.8, 1.0, -0.5, 0.7, 0.0, 0.3, 0.2, *([0.0] * 5)])
-    x = np.column_stack([rng.normal(size=(20_000, 6)), np.zeros((20_000, 5))])
+    truth = np.array([0.8, 1.0, -0.5, 0.7, 0.0, 0.3, 0.2, *np.zeros(len(FEATURES) - 6)])
+    others = len(FEATURES) - 6
+    x = np.column_stack([rng.normal(size=(20_000, 6)), np.zeros((20_000, others))])
     right = rng.random(20_000) < expit(truth[0] + x @ truth[1:])
     model = fit(x, right)
     found = [model.intercept, *(getattr(model, name) for name in FEATURES)]

@@ -24,6 +24,7 @@ from subiaco_change.instance_splitting.one_epoch_parts import (
     split_one_epoch_parts,
 )
 from subiaco_change.instance_splitting.split_merge import join_building_extensions, split_multi_body_matches
+from subiaco_change.method_rules.switches import rules_switched_off
 from subiaco_geo.codes import Change, Semantic
 
 CONFIG = PartConfig()
@@ -129,6 +130,18 @@ def test_what_stands_apart_or_is_larger_is_no_wing(x, body):
     assert find_building_extensions([(voxels(HOUSE), voxels(HOUSE)), (NONE, moved(body, x))], CONFIG) == {}
 
 
+@pytest.mark.parametrize("taken_away", [False, True], ids=["built", "taken away"])
+def test_a_house_is_as_large_as_the_survey_that_saw_more_of_it_shows(taken_away):
+    """The survey that has the wing saw no more than the front of the house beside it."""
+    front = voxels(HOUSE[HOUSE[:, 1] < 0.5])
+    for seen, wing in ((front, True), (voxels(HOUSE), True)):
+        pair = [(voxels(HOUSE), seen), (NONE, moved(WING, 10))]
+        pair = [side[::-1] for side in pair] if taken_away else pair
+        assert (find_building_extensions(pair, CONFIG) == {1: 0}) == wing
+    small = [(front, front), (NONE, moved(walls(14, 10, 5), 10))]
+    assert find_building_extensions(small, CONFIG) == {}
+
+
 @pytest.mark.parametrize("body", [walls(3, 3, 2.2), walls(4, 6, 7)], ids=["a shed", "a taller house"])
 def test_what_is_lower_than_a_room_or_taller_than_the_house_is_no_wing(body):
     house = (voxels(HOUSE), voxels(HOUSE))
@@ -200,6 +213,16 @@ def test_a_shed_left_inside_the_outline_of_a_house_that_is_gone_is_no_rest_of_it
 def test_a_house_between_two_others_is_no_wing_of_either():
     ends = [(moved(HOUSE, x), moved(HOUSE, x)) for x in (0, 16)]
     assert find_building_extensions([*ends, (moved(walls(6, 8, 4), 10), NONE)], CONFIG) == {}
+
+
+@pytest.mark.parametrize("x", [0.0, 0.7, 200.3])
+@pytest.mark.parametrize(("gap", "wing"), [(2.0, True), (4.0, False)])
+def test_a_part_between_remains_of_a_house_is_a_wing_where_they_lie_closer_than_a_house_is_wide(gap, wing, x):
+    """Whether the remains are one house does not depend on where the origin of the coordinates lies."""
+    rest = np.concatenate([HOUSE, np.add(walls(4, 4, 5), (10 + gap, 0, 0))])
+    lost = np.add(walls(gap, 6, 5), (10, 0, 0))
+    pairs = [(moved(rest, x), moved(rest, x)), (moved(lost, x), NONE)]
+    assert (find_building_extensions(pairs, CONFIG) == {1: 0}) == wing
 
 
 def test_a_house_that_leans_on_one_neighbour_more_than_on_the_other_is_no_wing():
@@ -378,6 +401,27 @@ def test_a_wing_that_closes_the_gap_to_the_next_house_extends_the_house_it_adjoi
     places = np.concatenate([t.voxels.xyz for t in (*larger.before, *larger.after)])
     assert places[:, 0].min() < 1
     assert places[:, 0].max() < 12.5
+
+
+@pytest.mark.parametrize("taken_away", [False, True], ids=["built", "taken away"])
+@pytest.mark.parametrize("by_the_rule", [False, True])
+def test_the_rear_of_a_wing_that_the_house_hides_belongs_to_the_wing(taken_away, by_the_rule):
+    """Of a wing 6 m deep the survey without it saw the place of the first 2 m."""
+    wing = np.add(walls(4, 6, 4), (10, 0, 0))
+    near = wing[:, 1] < 2.0
+    front, hidden = house_instance(wing[near], 1, held=False), house_instance(wing[~near], 2, held=False)
+    unseen = np.zeros(np.count_nonzero(~near), dtype=bool)
+    rear = replace(hidden, voxels=replace(hidden.voxels, observed=unseen))
+    house = [house_instance(HOUSE, 0)]
+    free = (outside((0, 10, 0, 8), (10, 30, 2, 30)), outside((0, 10, 0, 8), (10, 14, 0, 6)))
+    ground = OpenGround(NO_COLUMNS, NO_COLUMNS, free[::-1] if taken_away else free)
+    rules = ObjectRules(MeasureConfig(), AssociationConfig(), DecisionConfig(), ground=ground)
+    pairs = [(house, house), *(([part], []) if taken_away else ([], [part]) for part in (front, rear))]
+    with rules_switched_off(() if by_the_rule else ("rear_of_extension",)):
+        told = join_building_extensions([decide_object(*p, Semantic.BUILDING, rules) for p in pairs], rules)
+    labels = [change.decision.change for change in told]
+    reshaped = Change.DECREASED if taken_away else Change.INCREASED
+    assert labels == ([reshaped] if by_the_rule else [Change.UNCHANGED, Change.UNOBSERVED])
 
 
 @pytest.mark.parametrize("taken_away", [False, True], ids=["built", "taken away"])

@@ -53,6 +53,29 @@ def test_density_alone_moves_no_top_and_its_error_says_how_far_it_could():
     assert np.mean(beyond) <= 0.05
 
 
+@pytest.mark.parametrize("hidden", ["before", "after"])
+def test_a_crown_of_which_one_survey_saw_the_upper_part_alone_has_the_same_top(hidden):
+    """Of the crown behind a house, some 60 points above the ridge, and 700 of the whole crown of 8 m."""
+
+    def medians():
+        for seed in range(12):
+            part = crown(2 * seed, 600, height=8.0)
+            pair = part[part[:, 2] > 7.5], crown(2 * seed + 1, 700, height=8.0)
+            found = change_of_tops(*(pair if hidden == "before" else pair[::-1]), (NOTHING, NOTHING), CONFIG)
+            yield found.median
+
+    assert abs(np.mean(list(medians()))) < 0.1
+    with rules_switched_off(("common_view_of_crowns",)):
+        assert abs(np.mean(list(medians()))) > 0.25
+
+
+@pytest.mark.parametrize("rise", [3.0, -3.0])
+def test_a_crown_that_lies_wholly_above_the_old_one_is_measured_whole(rise):
+    low, high = crown(1, top=6.0, height=2.0), crown(2, top=6.0 + abs(rise), height=2.0)
+    pair = (low, high) if rise > 0 else (high, low)
+    assert change_of_tops(*pair, (NOTHING, NOTHING), CONFIG).median == pytest.approx(rise, abs=0.2)
+
+
 def test_a_top_above_the_view_of_the_other_epoch_is_not_known():
     before, after = crown(1), crown(2)
     cut = before[before[:, 2] < 8.2]  # its view ended there

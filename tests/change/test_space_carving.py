@@ -135,10 +135,14 @@ def test_a_wall_of_which_grazing_beams_met_both_ends_is_a_wall_in_between_unless
     )
 
 
-def test_from_a_line_of_cells_that_was_seen_free_nothing_else_counts_as_lost():
-    """Along the eave of the house beams met cells that the other survey holds; its rooms are unknown."""
-    eave = ((LENGTH - CELL, 1.0, TALL - 0.55), (30, 6.0, HIGH))
-    lower = [wall[~((wall[:, 0] > LENGTH - CELL) & (wall[:, 2] > TALL - CELL))] for wall in house()]
+@pytest.mark.parametrize(("wide", "deep"), [(CELL, 0.55), (2 * CELL, 0.45)], ids=["a line", "a sheet"])
+def test_from_a_line_or_a_sheet_of_cells_that_was_seen_free_nothing_else_counts_as_lost(wide, deep):
+    """Along the eave of the house beams met cells that the other survey holds; its rooms are unknown.
+
+    A sheet of a single cell is the resolution of a roof: half of the limit on a change of height.
+    """
+    eave = ((LENGTH - wide, 1.0, TALL - deep), (30, 6.0, HIGH))
+    lower = [wall[~((wall[:, 0] > LENGTH - wide) & (wall[:, 2] > TALL - CELL))] for wall in house()]
     roof = voxels(sheet((0, 0, TALL - CELL), (LENGTH, DEPTH, TALL)), occupied_in_other=False)
     before = CarvingEpoch(voxels(*house()).add(roof), PLAIN, nothing_met)
     after = CarvingEpoch(voxels(*lower), inside(OUT["street"], OUT["west"], eave), nothing_met)
@@ -238,6 +242,27 @@ def test_beams_along_a_wall_do_not_show_that_it_ends():
         assert found.height.high == pytest.approx(2.5, abs=0.3)
         assert (found.height.low > 2.0) == seen_there
         assert seen_there or found.height.low <= 0.0
+
+
+RIDGE = TALL + 2.0
+ROOF = sheet((1, 1, RIDGE - CELL), (LENGTH - 1, DEPTH, RIDGE))
+ABOVE_WALLS = [
+    ((-9, -9, TALL), (30, 1, HIGH)),
+    ((-9, -9, TALL), (1, 30, HIGH)),
+    ((9, -9, TALL), (30, 30, HIGH)),
+]
+
+
+@pytest.mark.parametrize("open_from", [RIDGE, RIDGE - 0.4, TALL + 0.5], ids=["sky", "slope", "roof gone"])
+def test_a_roof_that_one_survey_did_not_see_is_lower_only_where_its_place_was_seen_free(open_from):
+    """The other survey saw the walls of the house, and over its rooms the sky from some height on."""
+    gone = open_from < TALL + 1.0
+    roof = replace(voxels(ROOF, occupied_in_other=False), observed=np.full(len(ROOF), gone))
+    before = CarvingEpoch(voxels(*house()).add(roof), inside(*ABOVE_WALLS), nothing_met)
+    sky = inside(*ABOVE_WALLS, ((-9, -9, open_from), (30, 30, HIGH)))
+    found = carve(before, epoch(house(), sky), CONFIG)
+    assert (found.height.high < -1.0) == gone
+    assert gone or found.height.low <= 0.0 <= found.height.high
 
 
 def test_a_new_house_has_the_volume_between_its_walls():

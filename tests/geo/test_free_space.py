@@ -22,7 +22,7 @@ from subiaco_geo.free_space.expected_visibility import (
     sample_poses,
 )
 from subiaco_geo.free_space.sensor_view import SensorView, described_view, spin_axes
-from subiaco_geo.free_space.view_estimation import ViewHistogram, estimate_view, view_histogram
+from subiaco_geo.free_space.view_estimation import edge_of_view, estimate_view, view_histogram
 
 ORIGIN = np.array([391_000.0, 6_464_000.0, 10.0])
 VIEW = SensorView(np.radians(-25.0), np.radians(22.5), 50.0)
@@ -228,43 +228,6 @@ def test_the_estimated_field_of_view_lies_near_the_true_one() -> None:
     assert reached == pytest.approx(np.sin(true.elevation_max) * true.useful_range, rel=0.3)
 
 
-def seen_above(counts: list[int]) -> ViewHistogram:
-    """Points above the sensor by half degrees of the lowest elevation that meets them."""
-    above = np.zeros(180, dtype=np.int64)
-    above[: len(counts)] = counts
-    return ViewHistogram(above, np.zeros((18, 120), dtype=np.int64))
-
-
-@pytest.mark.parametrize(
-    "counts",
-    [
-        [81, 92, 90, 82, 75, 29, 6, 4, 0, 4, 2],
-        [105, 93, 67, 66, 71, 34, 11, 8, 5, 1, 1, 1, 0, 0, 1],
-        [60, 60, 60, 60, 60, 60, 10, 9, 8, 7, 6, 5, 4, 3, 2, 1],
-    ],
-)
-def test_the_view_ends_where_points_become_few_of_a_sudden_although_some_seem_to_lie_higher(
-    counts: list[int],
-) -> None:
-    """Poses are a sample: where a point was measured there may be no image, but one that sees it steeper."""
-    found = estimate_view([seen_above(counts)], CONFIG)
-    assert 2.9 < np.degrees(found.elevation_max) < 4.1
-
-
-@pytest.mark.parametrize("share", [0.4, 0.6, 0.75, 0.9, 0.97])
-def test_the_view_does_not_end_where_high_objects_become_rare(share: float) -> None:
-    counts = np.round(400 * share ** np.arange(60)).astype(int).tolist()
-    total = np.cumsum(counts)
-    last = int(np.searchsorted(total, CONFIG.view_quantile * total[-1]))
-    found = estimate_view([seen_above(counts)], CONFIG)
-    assert np.degrees(found.elevation_max) == pytest.approx(0.5 * (last + 1))
-
-
-def test_a_few_points_do_not_show_where_the_view_ends() -> None:
-    found = estimate_view([seen_above([2, 3, 2, 2, 3, 0, 0, 0, 0, 0, 1])], CONFIG)
-    assert np.degrees(found.elevation_max) == pytest.approx(5.5)
-
-
 def test_a_map_that_describes_its_sensor_is_believed() -> None:
     info = {"sensor": VIEW.description()}
     found = described_view(info)
@@ -287,3 +250,16 @@ def test_a_map_that_describes_its_sensor_is_believed() -> None:
     ):
         with pytest.raises(InputError, match="sensor"):
             described_view({"sensor": bad})
+
+
+@pytest.mark.parametrize("beyond", [0, 3])
+def test_the_view_ends_where_points_become_few_from_one_step_to_the_next(beyond):
+    steps = np.concatenate([np.linspace(200, 60, 50), np.full(30, beyond)]).astype(np.int64)
+    assert abs(edge_of_view(steps) - 49) <= 1
+
+
+def test_the_view_does_not_end_where_high_objects_become_rare_over_many_steps_or_points_are_few():
+    rare = (2000 * np.exp(-np.arange(80) / 8.0)).astype(np.int64)
+    few = np.concatenate([np.full(50, 5), np.zeros(30)]).astype(np.int64)
+    for steps in (rare, few, rare[:4], np.zeros(1, dtype=np.int64)):
+        assert edge_of_view(steps) == len(steps) - 1

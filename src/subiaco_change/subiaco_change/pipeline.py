@@ -137,14 +137,17 @@ def _assemble(
 def _with_points(
     run: ChangeRun, found: ComparisonResult, labelled: Mapping[str, str]
 ) -> tuple[ChangeRecord, ...]:
-    """Fill in how many points the patches of ground have."""
+    """Add the points that rows got when points were labelled: those of ground patches, and fragments."""
     records = list(found.table.records)
     counts: dict[int, NDArray[np.int64]] = {}
     for key in labelled.values():
-        for number, *points in run.runner.load(TileLabels, key).patch_points.tolist():
+        for number, *points in run.runner.load(TileLabels, key).added_points.tolist():
             counts[number] = counts.get(number, np.zeros(2, dtype=np.int64)) + np.array(points)
     for number, points in counts.items():
-        records[number] = replace(records[number], n_before=int(points[0]), n_after=int(points[1]))
+        row = records[number]
+        records[number] = replace(
+            row, n_before=row.n_before + int(points[0]), n_after=row.n_after + int(points[1])
+        )
     return tuple(records)
 
 

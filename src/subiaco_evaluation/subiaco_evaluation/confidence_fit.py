@@ -41,7 +41,7 @@ def judged_rows(result: ChangeResult, points: PointPairs, survey: str) -> pd.Dat
 
 
 def predict(model: Coefficients, x: Floats) -> Floats:
-    """Return the confidences (N,) of features (N, 11)."""
+    """Return the confidences (N,) of features (N, 12)."""
     return np.asarray(expit(model.intercept + x @ np.array([getattr(model, name) for name in FEATURES])))
 
 
@@ -151,7 +151,7 @@ def fit(x: Floats, right: NDArray[np.bool_], ridge: float = 1.0, rising: Sequenc
 
     Parameters
     ----------
-    x : (N, 11) float64
+    x : (N, 12) float64
         Evidence of the rows, :func:`features`.
     right : (N,) bool
         Whether the label was right.

@@ -8,6 +8,7 @@ import tokenize
 import zipfile
 import zlib
 from collections.abc import Iterable
+from functools import lru_cache
 from pathlib import Path
 from typing import IO, Any
 
@@ -94,10 +95,14 @@ def read_array_head(stream: IO[bytes]) -> tuple[tuple[int, ...], bool, np.dtype[
     (length,) = struct.unpack(form, prefix)
     if length > _HEADER:
         raise ValueError(f"its header states a length of {length} bytes")
-    header = io.BytesIO(prefix + stream.read(length))
+    return _parsed_head(major, prefix + stream.read(length))
+
+
+@lru_cache(maxsize=4096)  # arrays of one tile, and arrays read again, have the same header
+def _parsed_head(major: int, header: bytes) -> tuple[tuple[int, ...], bool, np.dtype[Any]]:
     read = np.lib.format.read_array_header_1_0 if major == 1 else np.lib.format.read_array_header_2_0
     try:
-        shape, fortran, kind = read(header)
+        shape, fortran, kind = read(io.BytesIO(header))
     except (tokenize.TokenError, SyntaxError, TypeError) as error:
         raise ValueError("its header cannot be read") from error
     return shape, fortran, kind
@@ -113,10 +118,10 @@ def read_array(stream: IO[bytes], size: int) -> NDArray[Any]:
         raise ValueError("it holds Python objects")
     if count * kind.itemsize > size or min(shape, default=0) < 0:
         raise ValueError(f"its header states {count} values, more than it holds")
-    data = stream.read(count * kind.itemsize)
-    if len(data) < count * kind.itemsize:
+    data = bytearray(count * kind.itemsize)
+    if stream.readinto(data) < len(data):  # type: ignore[attr-defined]
         raise EOFError("it is cut")
-    values = np.frombuffer(bytearray(data), dtype=kind, count=count)
+    values = np.frombuffer(data, dtype=kind, count=count)
     return values.reshape(shape, order="F" if fortran else "C")
 
 

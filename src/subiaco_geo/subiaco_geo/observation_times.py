@@ -37,29 +37,24 @@ def _closed(state, least, gap):  # type: ignore[no-untyped-def]  # noqa: ANN001,
 
     The last one was ``gap`` windows before. Beams that were too few for a look count on for a while.
     """
-    if state & _HIT:
-        return (state & _BEGAN_HIT) | _AFTER_HIT
-    if (state & _BEAMS) >= least:
-        return state & _BEGAN_HIT
-    if gap > PENDING:
-        return state & (_AFTER_HIT | _BEGAN_HIT)
-    return state
+    hit, looked = (state & _HIT) > 0, (state & _BEAMS) >= least
+    after = _AFTER_HIT if hit else 0 if looked else state & _AFTER_HIT
+    return (state & _BEGAN_HIT) | after | (0 if hit | looked | (gap > PENDING) else state & _BEAMS)
 
 
 @numba.njit(cache=True, inline="always")
 def count_passing(rows, slot, window, least):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
-    """Count a beam that went through a voxel; ``rows`` (M, COLUMNS) hold the running states."""
-    state = np.int64(rows[slot, _STATE])
-    if rows[slot, _WINDOW] == window:
-        if (state & _BEAMS) >= least:
-            return
-        state += 1
-    else:
-        state = _closed(state, least, window - rows[slot, _WINDOW]) + 1
-        rows[slot, _WINDOW] = window
+    """Count a beam that went through a voxel; ``rows`` (M, COLUMNS) hold the running states.
+
+    Without a branch, as every voxel is in another state.
+    """
+    state, last = np.int64(rows[slot, _STATE]), np.int64(rows[slot, _WINDOW])
+    state = state if last == window else _closed(state, least, window - last)
+    more = (state & _BEAMS) < least
+    state += more
+    rows[slot, _WINDOW] = window
     rows[slot, _STATE] = state
-    if (state & _BEAMS) == least and not state & _HIT:
-        rows[slot, _THROUGH] += 1
+    rows[slot, _THROUGH] += more & ((state & _BEAMS) == least) & ((state & _HIT) == 0)
 
 
 @numba.njit(cache=True, inline="always")

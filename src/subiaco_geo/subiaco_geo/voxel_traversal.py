@@ -9,6 +9,7 @@ import numba
 import numpy as np
 from numpy.typing import NDArray
 
+from subiaco_geo.clouds import stable_order
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.observation_times import (
@@ -96,9 +97,11 @@ def _walk(  # noqa: C901, PLR0912, PLR0915
 
     Amanatides and Woo (1987), with the number of steps fixed beforehand on
     every axis, so that rounding can never walk past the end voxel. Returns
-    the next beam and the number of new entries.
+    the next beam and the number of new entries. The keys on a beam come first, then their slots, then
+    the counts: in one loop, every wrong guess of the processor about a step would wait for the memory.
     """
     added = 0
+    path = np.empty(room + 1, np.int64)
     cell, left, step = np.empty(3, np.int64), np.empty(3, np.int64), np.empty(3, np.int64)
     t_next, t_delta = np.empty(3), np.empty(3)
     for ray in range(first, len(starts)):
@@ -122,18 +125,7 @@ def _walk(  # noqa: C901, PLR0912, PLR0915
         nx, ny, nz = left
         tx, ty, tz = t_next[0], t_next[1], t_next[2]
         for i in range(steps + 1):
-            slot = _slot(keys, key)
-            if keys[slot] == _EMPTY:
-                keys[slot] = key
-                added += 1
-            if i == steps and returned[ray]:
-                hits[slot] += 1
-                if window:
-                    count_return(looks, slot, window, least)
-            else:
-                passes[slot] += 1
-                if window:
-                    count_passing(looks, slot, window, least)
+            path[i] = key
             if tx <= ty and tx <= tz:
                 key += dx
                 nx -= 1
@@ -146,6 +138,23 @@ def _walk(  # noqa: C901, PLR0912, PLR0915
                 key += dz
                 nz -= 1
                 tz = tz + t_delta[2] if nz > 0 else np.inf
+        for i in range(steps + 1):
+            slot = _slot(keys, path[i])
+            if keys[slot] == _EMPTY:
+                keys[slot] = path[i]
+                added += 1
+            path[i] = slot
+        crossed = steps if returned[ray] else steps + 1
+        for i in range(crossed):
+            slot = np.uint64(path[i])
+            passes[slot] += 1
+            if window:
+                count_passing(looks, slot, window, least)
+        if crossed == steps:
+            slot = np.uint64(path[steps])
+            hits[slot] += 1
+            if window:
+                count_return(looks, slot, window, least)
     return len(starts), added
 
 
@@ -160,15 +169,19 @@ def _beams(starts: Floats, ends: Floats, origin: Floats, voxel: float) -> tuple[
     """Check beams and put them in voxel units."""
     if starts.shape != ends.shape or starts.ndim != 2 or starts.shape[1] != 3:
         raise InputError(f"beam starts {starts.shape} and ends {ends.shape} must both be (N, 3)")
-    units = tuple(np.ascontiguousarray((points - origin) / voxel) for points in (starts, ends))
-    for name, points in zip(("starts", "ends"), units, strict=True):
-        if not np.isfinite(points).all():
+    return _in_voxels("starts", starts, origin, voxel), _in_voxels("ends", ends, origin, voxel)
+
+
+def _in_voxels(name: str, points: Floats, origin: Floats, voxel: float) -> Floats:
+    """Put points (N, 3) [m, world] in voxel units; ``name`` them where they cannot be counted."""
+    units = np.ascontiguousarray((points - origin) / voxel)
+    if not np.abs(units).max(initial=0.0) < _LIMIT - 1:  # NaN neither
+        if not np.isfinite(units).all():
             raise InputError(f"beam {name} hold NaN or infinite coordinates; drop them first")
-        if len(points) and np.abs(points).max() >= _LIMIT - 1:
-            raise InputError(
-                f"beam {name} lie more than {_LIMIT} voxels from the grid origin; use a nearer origin"
-            )
-    return units[0], units[1]
+        raise InputError(
+            f"beam {name} lie more than {_LIMIT} voxels from the grid origin; use a nearer origin"
+        )
+    return units
 
 
 class VisibilityAccumulator:
@@ -222,7 +235,7 @@ class VisibilityAccumulator:
         Beams that are not traced are counted here too. ``window`` is its number, 1 or more; windows come
         in order.
         """
-        units, _ = _beams(points, points, self.origin, self.voxel)
+        units = _in_voxels("starts", points, self.origin, self.voxel)
         done = 0
         while done < len(units):
             room = int(_MAX_LOAD * len(self._keys)) - self._used
@@ -282,16 +295,19 @@ class VisibilityAccumulator:
 
     def grid(self) -> VisibilityGrid:
         """Return what was counted so far."""
-        used = np.flatnonzero(self._keys != _EMPTY)
-        order = used[np.argsort(self._keys[used])]
+        order = self._order()
         return VisibilityGrid(
             self.origin, self.voxel, self._keys[order], self._hits[order], self._passes[order]
         )
 
     def looks(self) -> VoxelObservations:
         """Return the looks at every voxel, in the order of :meth:`grid`."""
+        return looks_of(self._looks[self._order()], self._least)
+
+    def _order(self) -> Ints:
+        """Return the slots of the voxels seen so far, by key."""
         used = np.flatnonzero(self._keys != _EMPTY)
-        return looks_of(self._looks[used[np.argsort(self._keys[used])]], self._least)
+        return np.asarray(used[stable_order(self._keys[used])])
 
 
 def accumulate_visibility(

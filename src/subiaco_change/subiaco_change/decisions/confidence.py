@@ -36,7 +36,7 @@ BANDS = NUMBERS.confidence.band_limits
 
 #: What a row's confidence is a function of, in the order of the coefficients.
 FEATURES = (
-    "margin", "gate", "observed", "size", "purity", "solid", "density",
+    "margin", "gate", "observed", "size", "purity", "solid", "plant", "density",
     "trajectory", "estimated", "shadow", "assumed",
 )  # fmt: skip
 #: The first of these follow from the decision alone.
@@ -69,6 +69,7 @@ class Coefficients(StrictModel):
     solid: float = Field(
         description="Coefficient of the class: 1 for buildings and vegetation, 0 for mobile and other objects"
     )
+    plant: float = Field(0.0, description="Coefficient of the class: 1 for vegetation, 0 for all others")
     density: float = Field(
         0.0, description="Coefficient of the absolute log ratio of the point densities of both epochs"
     )
@@ -245,11 +246,12 @@ def features(
     density: float = 0.0,
     evidence: str = "observed",
 ) -> Floats:
-    """Return what a confidence rests on (11,), about zero for a typical row.
+    """Return what a confidence rests on (12,), about zero for a typical row.
 
     In the order of :data:`FEATURES`: those of :func:`decision_features`; observed share less 0.8; log10 of
-    the observed voxels less 1.7; class score less 0.7; whether it is a building or vegetation; the size of
-    the log ratio of the point densities ``density``, at most 2; and the kind of ``evidence``.
+    the observed voxels less 1.7; class score less 0.7; whether it is a building or vegetation; whether it
+    is vegetation; the size of the log ratio of the point densities ``density``, at most 2; and the kind of
+    ``evidence``.
     """
     return np.array(
         [
@@ -258,6 +260,7 @@ def features(
             math.log10(max(measures.observed_voxels, 1)) - 1.7,
             class_score - 0.7,
             float(semantic in (Semantic.BUILDING, Semantic.VEGETATION)),
+            float(semantic is Semantic.VEGETATION),
             min(abs(density), 2.0),
             *(float(evidence == kind) for kind in FEATURES[-4:]),
         ]

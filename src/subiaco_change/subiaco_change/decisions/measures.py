@@ -30,6 +30,7 @@ from subiaco_change.decisions.voxel_objects import Certainty, Free, ObjectInstan
 from subiaco_change.geometry import outline_of_cells
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import first_argument, switchable
+from subiaco_change.quantiles import quantile_of
 from subiaco_geo.clouds import unique_cells
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats
@@ -248,7 +249,7 @@ def _distance(before: Voxels, after: Voxels) -> float:
 
 
 def _top(voxels: Voxels, config: MeasureConfig) -> float:
-    return float(np.quantile(voxels.height, config.top_quantile)) if len(voxels) else float("nan")
+    return quantile_of(voxels.height, config.top_quantile) if len(voxels) else float("nan")
 
 
 def histogram_distance(before: Floats, after: Floats, bins: int) -> float:

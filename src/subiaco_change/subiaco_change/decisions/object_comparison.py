@@ -38,6 +38,7 @@ from subiaco_change.instance_splitting.split_merge import (
     split_row_houses,
     unify_classes,
 )
+from subiaco_change.quantiles import quantile_of
 from subiaco_change.records import ChangeRecord
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.codes import Semantic
@@ -113,7 +114,7 @@ def _better(parts: Sequence[ObjectInstance]) -> Semantic:
 def height_of(objects: Sequence[ObjectInstance], quantile: float = 0.95) -> float:
     """Height above ground that a share of the voxels of an object stays under [m]; NaN without voxels."""
     voxels = join_voxels(objects)
-    return float(np.quantile(voxels.height, quantile)) if len(voxels) else math.nan
+    return quantile_of(voxels.height, quantile) if len(voxels) else math.nan
 
 
 def log_ratio(before: float, after: float, unknown: float = 0.0) -> float:

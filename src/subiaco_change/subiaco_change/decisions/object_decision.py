@@ -36,6 +36,7 @@ from subiaco_change.instance_splitting.hedge_sections import NOTHING
 from subiaco_change.instance_splitting.one_epoch_parts import decide_vehicle_part
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import no_decision, switchable
+from subiaco_change.quantiles import quantile_of
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats, Ints
@@ -237,7 +238,7 @@ def is_top_seen(objects: Sequence[ObjectInstance]) -> bool:
     columns, slot = np.unique(column_keys(xyz, _COLUMN), return_inverse=True)
     tops = np.full(len(columns), -np.inf)
     np.maximum.at(tops, slot, xyz[:, 2])
-    top = float(np.quantile(tops, _CROWN_TOP))
+    top = quantile_of(tops, _CROWN_TOP)
     upper = tops[tops > 0.5 * (top + float(xyz[:, 2].min()))]
     return len(upper) >= _CROWN_COLUMNS and float(np.mean(upper >= top - _CUT_DEPTH)) < _CUT_SHARE
 

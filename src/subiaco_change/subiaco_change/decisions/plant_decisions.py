@@ -178,13 +178,16 @@ def _decide_by_surface(
 def _is_foliage(plant: PlantMeasures, found: _Excess, extent: Sequence[_Excess], rules: ClassRules) -> bool:
     """Tell whether surface appeared or disappeared in a plant of which neither tops nor outline followed.
 
-    Leaves that fall open a crown to beams and leave its extent as it is.
+    Leaves that fall open a crown to beams and leave its extent as it is. What appeared beside the outline
+    of the other epoch is a crown, not leaves.
     """
+    sign = math.copysign(1.0, found.strength)
     part = plant.rise_of_part if found.strength > 0 else plant.fall_of_part
-    if part > rules.height:
+    beside = sign * plant.beyond > rules.min_net_change
+    if part > rules.height or applies("surface_beside_plant", beside):
         return False
     known = [e.strength for e in extent if math.isfinite(e.value)]
-    return bool(known) and max(math.copysign(1.0, found.strength) * s for s in known) < rules.followed
+    return bool(known) and max(sign * s for s in known) < rules.followed
 
 
 def _of_leaves(plant: PlantMeasures, found: _Excess) -> Decision:

@@ -12,6 +12,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import shapely
 from pydantic import Field
 from scipy.spatial import cKDTree
 from scipy.special import expit, logit
@@ -19,11 +20,12 @@ from scipy.special import expit, logit
 from subiaco_change.decisions.measures import Measures, absence, mean_certainty, pooled
 from subiaco_change.decisions.plant_tops import EpochSpace, TopChange, TopConfig, change_of_tops
 from subiaco_change.decisions.vegetation_null import PlantMeasures, VegetationNullConfig
-from subiaco_change.decisions.voxel_objects import Certainty, Free, ObjectInstance
+from subiaco_change.decisions.voxel_objects import Certainty, Free, ObjectInstance, Voxels, join_voxels
 from subiaco_change.geometry import in_box_around
 from subiaco_change.instance_splitting.hedge_sections import NOTHING
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import never, switchable
+from subiaco_change.quantiles import quantile_of
 from subiaco_geo.clouds import stable_order, voxel_indices, voxel_keys
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
@@ -87,7 +89,7 @@ def compare_outlines(before: Floats, after: Floats, config: OutlineConfig) -> Ou
         fewest = min(len(first), len(second))
         if fewest < config.points:
             continue
-        low, high = (float(np.quantile(radius, fewest / (fewest + 1))) for radius in (first, second))
+        low, high = (quantile_of(radius, fewest / (fewest + 1)) for radius in (first, second))
         shifts.append(high - low)
         reaches.append(0.5 * (low + high))
     if len(shifts) < config.directions:
@@ -143,6 +145,12 @@ class PlantConfig(StrictModel):
         description="Distance without points of the other epoch from which a point is surface of its own "
         "epoch alone [m]",
     )
+    beside: float = Field(
+        0.75,
+        gt=0,
+        description="Distance outside of the outline of a plant, seen from above, beyond which new surface "
+        "is no new leaf of that plant [m]",
+    )
     outline: OutlineConfig = OutlineConfig()
     tops: TopConfig = TopConfig()
     null_model: VegetationNullConfig = VegetationNullConfig()
@@ -195,8 +203,26 @@ def measure_plant(
         free_gained=gained,
         free_lost=lost,
         tops_unseen=tops.unseen,
+        beyond=beyond_outline(join_voxels(before), join_voxels(after), config.beside),
         top_sigma=math.hypot(*(quantile_sigma(_heights(objects), _TOP) for objects in (before, after))),
     )
+
+
+def beyond_outline(before: Voxels, after: Voxels, beside: float) -> float:
+    """Return the share of the surface that lies beyond the outline of the other epoch, gained less lost.
+
+    Leaves fall and grow within a crown; a crown beside it lies farther than ``beside`` [m] from the convex
+    outline of the other epoch, seen from above.
+    """
+    total = np.count_nonzero(before.observed) + np.count_nonzero(after.observed)
+    if min(len(before), len(after)) == 0 or total == 0:
+        return 0.0
+    found = []
+    for own, other in ((before, after), (after, before)):
+        alone = own.xyz[own.observed_unoccupied, :2]
+        outline = shapely.MultiPoint(other.xyz[:, :2]).convex_hull.buffer(beside)
+        found.append(np.count_nonzero(~shapely.contains_xy(outline, alone[:, 0], alone[:, 1])))
+    return 2.0 * (found[1] - found[0]) / total
 
 
 @switchable("tops_of_columns", lambda *_: TopChange())

@@ -8,6 +8,7 @@ both epochs, and what two samplings of an unchanged plant differ by is what the 
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -150,7 +151,7 @@ def change_of_tops(
     spread = 1.4826 * float(np.median(np.abs(rises - median)))
     shared = max(config.patch * (config.cell / columns.cell) ** 2, 1.0)  # wide columns share no beams
     patches = max(len(rises) / shared, 1.0)
-    few = _uncertain_spread(len(rises)) if config.filling > 0 else 1.0
+    few = _uncertain_spread(len(rises))
     return TopChange(median, few * 1.2533 * spread / math.sqrt(patches), parts[0], parts[1])
 
 
@@ -178,15 +179,35 @@ def _shared_columns(before: Floats, after: Floats, config: TopConfig) -> _Column
     cell = _edge(before, after, config)
     places = np.floor(np.concatenate([before, after])[:, :2] / cell).astype(np.int64)
     cells, slot = unique_cells(places)
-    slots = np.split(slot, [len(before)])
+    split = np.split(slot, [len(before)])
+    heights, slots = _in_common_view((before[:, 2], after[:, 2]), split, len(cells), config)
     counts = np.array([np.bincount(s, minlength=len(cells)) for s in slots])
     fewest = counts.min(axis=0)
-    heights = before[:, 2], after[:, 2]
     tops = np.array([expected_top(z, s, fewest) for z, s in zip(heights, slots, strict=True)])
     highest = np.full((2, len(cells)), -np.inf)
     for epoch, (z, s) in enumerate(zip(heights, slots, strict=True)):
         np.maximum.at(highest[epoch], s, z)
     return _Columns(cell, cells, tops, highest).select(fewest >= config.points)
+
+
+@switchable("common_view_of_crowns", lambda heights, slots, *_: (heights, slots))
+def _in_common_view(
+    heights: tuple[Floats, Floats], slots: Sequence[Ints], count: int, config: TopConfig
+) -> tuple[tuple[Floats, Floats], Sequence[Ints]]:
+    """Leave out points of both epochs below the part of a column that both epochs saw.
+
+    Of a crown behind a house, one survey saw the top alone: all of its points lie high, and the highest of
+    as many points of the whole crown lies lower.
+    """
+    lowest = np.full((2, count), np.inf)
+    for low, z, slot in zip(lowest, heights, slots, strict=True):
+        np.minimum.at(low, slot, z)
+    kept = [z >= lowest.max(axis=0)[slot] for z, slot in zip(heights, slots, strict=True)]
+    left = np.array([np.bincount(s[k], minlength=count) for s, k in zip(slots, kept, strict=True)])
+    apart = left.min(axis=0) < config.points  # one epoch lies above the other: the plant grew, or was topped
+    kept = [k | apart[slot] for k, slot in zip(kept, slots, strict=True)]
+    first, second = ((z[k], s[k]) for z, s, k in zip(heights, slots, kept, strict=True))
+    return (first[0], second[0]), (first[1], second[1])
 
 
 def expected_top(heights: Floats, column: Ints, drawn: Ints) -> Floats:

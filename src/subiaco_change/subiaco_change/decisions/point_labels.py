@@ -15,7 +15,7 @@ from scipy.special import ndtr
 from subiaco_change.decisions.ground_change import GroundComparison, GroundPatch, patch_points
 from subiaco_change.decisions.voxel_objects import EpochView, is_ghost_trail
 from subiaco_change.method_numbers import NUMBERS
-from subiaco_change.method_rules.switches import none_of_them, rule_mask, switchable
+from subiaco_change.method_rules.switches import nearest_to_none, none_of_them, rule_mask, switchable
 from subiaco_change.records import ChangeRecord
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.visibility_evidence import EvidenceConfig, ground_observed
@@ -61,13 +61,15 @@ def label_rest(
     evidence: EvidenceConfig,
     other_ground: Floats,
     occupied_by_other: Callable[[Floats], Mask],
-) -> None:
-    """Label, in place, what belongs to no object.
+    touch: float,
+) -> Ints:
+    """Label, in place, what belongs to no object, and return the points (K,) that were joined to objects.
 
     Points of a ground patch get its label and id; other ground stays Unchanged where the other epoch
     observed the place, by its beams or by ground points (M, 3) around, and is Unobserved elsewhere. Points
     that are too few for an object stay Unchanged where the other epoch holds points too: few points do
-    not show whether they are new or gone.
+    not show whether they are new or gone. Where it holds none, they belong to a changed object within
+    ``touch`` [m], if there is one.
     """
     loose = np.flatnonzero(labels.instance < 0)
     is_ground = view.semantic[loose] == Semantic.GROUND
@@ -81,8 +83,30 @@ def label_rest(
     hidden = hidden[~seen[hidden]]
     seen[hidden] = surrounded(view.xyz[loose[hidden], :2], other_ground[:, :2], evidence.ground_between)
     labels.change[loose[~seen]] = Change.UNOBSERVED
+    joined = _join_fragments(view.xyz, labels, loose[fragment & ~seen], touch)
     if ground is not None:
         _label_ground(ground, view, patch_ids, labels)
+    return joined
+
+
+def _join_fragments(xyz: Floats, labels: PointLabels, fragments: Ints, touch: float) -> Ints:
+    """Give points of no object the label of the changed object they touch; return those that touch one."""
+    changed = np.isin(labels.change, (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED))
+    hosts = np.flatnonzero((labels.instance >= 0) & changed)
+    nearest = touching(xyz[fragments], xyz[hosts], touch)
+    joined, host = fragments[nearest >= 0], hosts[nearest[nearest >= 0]]
+    for field in (labels.change, labels.semantic, labels.instance, labels.confidence):
+        field[joined] = field[host]
+    return np.asarray(joined)
+
+
+@switchable("fragments_join", nearest_to_none)
+def touching(fragments: Floats, hosts: Floats, touch: float) -> Ints:
+    """Return the nearest host (K,) of each fragment (K, 3) within ``touch`` [m], -1 without any."""
+    if len(fragments) == 0 or len(hosts) == 0:
+        return np.full(len(fragments), -1, dtype=np.int64)
+    distance, slot = cKDTree(hosts).query(fragments, distance_upper_bound=touch)
+    return np.where(np.isfinite(distance), slot, -1)
 
 
 @switchable("ground_between_rings", none_of_them)

@@ -376,7 +376,7 @@ def _patches(changed: Cells, config: CarvingConfig) -> Cells:
     What no epoch knows adjoins every edge: from a line of cells all of it would count as changed.
     """
     wide, tall = config.thickness, config.thickness + 1
-    return _opened(changed, [(1, wide, tall), (wide, 1, tall), (wide, wide, 1)])
+    return _opened(changed, [(1, wide, tall), (wide, 1, tall), (wide, wide, wide)])
 
 
 def _opened(cells: Cells, shapes: Sequence[tuple[int, int, int]]) -> Cells:
@@ -427,25 +427,28 @@ def _with_gaps(walls: Cells, open_: Cells, frame: _Frame, config: CarvingConfig)
 
 
 def _height(states: tuple[_State, ...], frame: _Frame, config: CarvingConfig) -> Interval:
-    """Change of the height that 5 % of the columns reach, of columns that both epochs know.
+    """Change of the height that 5 % of the columns reach, of columns whose tops both epochs know.
 
     The top of a column lies between the highest surface seen in it and the lowest free cell above, or the
     surface of the other epoch that was not seen free: a beam along a wall crosses its columns in front of
-    it. Where few columns have free space above, those without count too, up to the highest top of all. A
-    top is known to half of a cell.
+    it. A column without a surface is known where free space lies well below the top in the other epoch, by
+    more than a roof of 45 degrees falls within a column. The sky above a roof that one epoch did not see
+    says nothing of that roof. A column that is open down to less than a room lost its body, which is a
+    change of volume. Where few columns have free space above, those without count too, up to the highest
+    top of all. A top is known to half of a cell.
     """
     ceiling = max(float(state.top.max()) for state in states)
     bounds = [_tops_between(state, frame, config) for state in states]
-    capped = np.logical_and(*(np.isfinite(high) for _, high in bounds))
-    seen = np.logical_and(*((state.top > 0) | state.free.any(axis=2) for state in states))
+    columns = (states[0].top > 0) | (states[1].top > 0)
+    for (low, high), other in zip(bounds, states[::-1], strict=True):
+        columns &= (low > 0) | ((high < other.top - frame.cell - frame.rise) & (high >= config.room))
+    capped = columns & np.logical_and(*(np.isfinite(high) for _, high in bounds))
+    many = np.count_nonzero(capped) >= max(_FEW, config.capped * np.count_nonzero(columns))
+    if applies("capped_columns", many):
+        columns = capped
     tops = []
-    for state, (low, high) in zip(states, bounds, strict=True):
-        stands = seen & (state.top > 0)
-        columns = stands
-        many = np.count_nonzero(stands & capped) >= max(_FEW, config.capped * np.count_nonzero(stands))
-        if applies("capped_columns", many):
-            columns = stands & capped
-        if not columns.any():
+    for low, high in bounds:
+        if not (low[columns] > 0).any():
             return Interval(float("nan"), float("nan"))
         known = np.minimum(high[columns], np.maximum(ceiling, low[columns]))
         tops.append([float(np.quantile(v, 0.95)) for v in (low[columns], known)])

@@ -16,7 +16,7 @@ from subiaco_change.geometry import in_box_around
 from subiaco_change.instance_splitting.one_epoch_parts import PartConfig
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import applies, first_argument, never, switchable
-from subiaco_change.segmentation.clustering import cell_clusters
+from subiaco_change.segmentation.clustering import linked_components
 from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats
 
@@ -40,6 +40,7 @@ _JOINT = NUMBERS.building_extensions.joint
 _FENCE = NUMBERS.building_extensions.fence_height
 _OPEN = NUMBERS.building_extensions.open_gap
 _FOOT = NUMBERS.building_extensions.foot
+_FRONT = NUMBERS.split_merge.house_front
 
 
 def find_building_extensions(
@@ -148,7 +149,8 @@ def _is_extension(
     beside = max(contact) < _ADJOINS * len(extension)
     if beside or _top(extension) < _ROOM or applies("part_between_buildings", leans):
         return False
-    share = _enclosed_volume(extension) / max(_enclosed_volume(body), 1e-9)
+    whole = max(_enclosed_volume(v) for v in host)  # as large as the survey that saw more of it shows
+    share = _enclosed_volume(extension) / max(whole, 1e-9)
     if share >= config.subordinate and not round_it:
         stood = _inside(other.xyz, extension.xyz) >= _WITHIN  # its walls stand where the extension was
         return applies("part_as_large_as_building", stood)
@@ -247,8 +249,8 @@ def _top(voxels: Voxels) -> float:
 
 @switchable("house_out_of_row", never)
 def _between(extension: Floats, host: Floats, config: PartConfig) -> bool:
-    """Tell whether the extension touches parts of the host that do not touch each other."""
-    labels = cell_clusters(host[:, :2], config.touch)
+    """Tell whether the extension touches parts of the host that lie as far apart as a house is wide."""
+    labels = linked_components(host[:, :2], _FRONT)
     touching = np.isfinite(cKDTree(extension[:, :2]).query(host[:, :2], distance_upper_bound=config.touch)[0])
     sizes = np.bincount(labels)
     parts = [k for k in np.unique(labels[touching]) if sizes[k] >= 0.1 * len(host)]

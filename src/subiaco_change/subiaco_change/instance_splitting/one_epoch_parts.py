@@ -50,7 +50,10 @@ class PartConfig(StrictModel):
     )
     length: float = Field(0.8, gt=0, description="Smallest horizontal extent of a part that is split off [m]")
     foot: float = Field(
-        0.9, gt=0, description="Height above ground below which a part must begin to be split off [m]"
+        1.1,
+        gt=0,
+        description="Height above ground below which a part must begin to be split off [m]; a voxel of the "
+        "trunk above the foot that no epoch counts",
     )
     top: float = Field(
         0.6,

@@ -27,7 +27,7 @@ from subiaco_change.instance_splitting.merged_instances import (
 )
 from subiaco_change.instance_splitting.one_epoch_parts import split_by_labels
 from subiaco_change.method_numbers import NUMBERS
-from subiaco_change.method_rules.switches import applies, first_argument, never, switchable
+from subiaco_change.method_rules.switches import applies, first_argument, never, no_decision, switchable
 from subiaco_geo.codes import Change, Semantic
 
 _WHOLE = NUMBERS.split_merge.whole_share
@@ -48,10 +48,7 @@ def join_building_extensions(changes: list[ObjectChange], rules: ObjectRules) ->
     numbers = [
         i
         for i, change in enumerate(changes)
-        if (
-            change.semantic is Semantic.BUILDING
-            and (change.decision.change is not Change.UNOBSERVED or _is_seen_alone(change, rules))
-        )
+        if change.semantic is Semantic.BUILDING
         or (
             change.semantic in (Semantic.MOBILE, Semantic.VEGETATION, Semantic.OTHER)
             and change.decision.change in (Change.ADDED, Change.REMOVED)
@@ -68,10 +65,35 @@ def join_building_extensions(changes: list[ObjectChange], rules: ObjectRules) ->
     for number, change in enumerate(changes):
         parts = [changes[w] for w, h in extensions.items() if h == number]
         if number not in extensions:
-            told = _extended(change, parts, rules, following) if parts else [change]
+            told = _with_extensions(change, parts, rules, following)
             following = max(following, _first_free(told))
             joined.extend(told)
     return joined
+
+
+def _with_extensions(
+    host: ObjectChange, parts: Sequence[ObjectChange], rules: ObjectRules, following: int
+) -> list[ObjectChange]:
+    """Decide a building with the parts that touch it: those of places that both surveys observed.
+
+    A part of which the other survey hardly observed the place belongs to the building if, with it, a change
+    is claimed: of a wing, the house hides the rear.
+    """
+    seen = [p for p in parts if p.decision.change is not Change.UNOBSERVED or _is_seen_alone(p, rules)]
+    hidden = [p for p in parts if not any(p is other for other in seen)]
+    told = _extended(host, seen, rules, following) if seen else [host]
+    if not hidden or any(part.decision.change in _CLAIMS for part in told):
+        return [*told, *hidden]
+    return _with_rear(host, parts, rules, following) or [*told, *hidden]
+
+
+@switchable("rear_of_extension", no_decision)
+def _with_rear(
+    host: ObjectChange, parts: Sequence[ObjectChange], rules: ObjectRules, following: int
+) -> list[ObjectChange] | None:
+    """Decide a building with all parts that touch it; None where no change is claimed."""
+    told = _extended(host, parts, rules, following)
+    return told if any(part.decision.change in _CLAIMS for part in told) else None
 
 
 def _is_seen_alone(change: ObjectChange, rules: ObjectRules) -> bool:

@@ -13,6 +13,7 @@ from scipy.special import ndtri
 from subiaco_change.level_of_detection.common_frame import BlockGrid
 from subiaco_change.level_of_detection.displacement_lod import Displacements
 from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.quantiles import quantile_of
 from subiaco_change.records import Registration
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.clouds import PointCloud, stable_order
@@ -283,6 +284,6 @@ def _excess(distance: Floats, variance: Floats, quantile: float) -> float:
     low, high = 0.0, float(size.max()) + 1e-6
     for _ in range(24):
         middle = 0.5 * (low + high)
-        wide = np.quantile(size / np.sqrt(variance + middle**2 + 1e-12), quantile) > target
+        wide = quantile_of(size / np.sqrt(variance + middle**2 + 1e-12), quantile) > target
         low, high = (middle, high) if wide else (low, middle)
     return high if low > 0.0 else 0.0

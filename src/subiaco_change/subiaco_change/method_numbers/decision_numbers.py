@@ -398,7 +398,7 @@ class PlantTopsNumbers(StrictModel):
     """Numbers of ``decisions/plant_tops.py``."""
 
     student_limit: float = Field(
-        0.975,
+        0.9987,
         description="Probability up to which the error of a median over few columns is widened to that of "
         "many columns",
     )

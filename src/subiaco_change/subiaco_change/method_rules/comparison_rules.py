@@ -399,14 +399,21 @@ SPLITTING_RULES: tuple[Rule, ...] = (
     Rule(
         "house_out_of_row",
         _HERE,
-        "A part between parts of a building that would be apart without it was a house of the row.",
-        ("method_numbers.building_extensions.least_house_share",),
+        "A part between parts of a building that lie as far apart without it as a house is wide was a house "
+        "of the row.",
+        ("method_numbers.building_extensions.least_house_share", "method_numbers.split_merge.house_front"),
     ),
     Rule(
         "house_between_houses",
         _HERE,
         "What fills a gap as wide as a house between two houses that did not change is a house of the row.",
         ("method_numbers.split_merge.house_front",),
+    ),
+    Rule(
+        "rear_of_extension",
+        _HERE,
+        "A part that touches a building, and whose place the other epoch hardly observed, belongs to the "
+        "building if a change is claimed with it: the house hides the rear of a wing.",
     ),
     Rule(
         "hidden_walls",

@@ -49,6 +49,13 @@ PLANT_RULES: tuple[Rule, ...] = (
         guards=True,
     ),
     Rule(
+        "common_view_of_crowns",
+        ("comparison",),
+        "The tops of a column are compared from points above the lowest of both epochs: of a crown behind a "
+        "house, one survey saw the top alone, and all of its points lie high.",
+        guards=True,
+    ),
+    Rule(
         "unseen_tops_of_plants",
         _PLANTS,
         "Where the epochs share columns of a plant, but did not observe the space above them, the highest"
@@ -68,6 +75,12 @@ PLANT_RULES: tuple[Rule, ...] = (
         "New or lost surface of a plant of which neither tops nor outline followed is a matter of leaves.",
         ("decisions.vegetation.followed",),
         guards=True,
+    ),
+    Rule(
+        "surface_beside_plant",
+        _PLANTS,
+        "New or lost surface beyond the outline of the other epoch is a crown beside the plant, not leaves.",
+        ("plants.beside", "decisions.vegetation.min_net_change"),
     ),
     Rule(
         "surface_carries_change",
@@ -177,5 +190,12 @@ POINT_RULES: tuple[Rule, ...] = (
         "points_of_no_object",
         _POINTS,
         "Points too few for an object are Unchanged only where the other epoch holds points too.",
+    ),
+    Rule(
+        "fragments_join",
+        _POINTS,
+        "Points too few for an object, where the other epoch holds none, belong to the changed object that "
+        "they touch: the eaves of a removed house were removed too.",
+        ("measures.voxel",),
     ),
 )

@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import one_part, switchable
+from subiaco_change.quantiles import quantile_of
 from subiaco_change.segmentation.bounding_rectangles import box_coordinates
 from subiaco_change.segmentation.classes import SemanticResult
 from subiaco_change.segmentation.clustering import cell_clusters, group_indices, voxel_clusters
@@ -194,7 +195,7 @@ def _vegetation(xyz: Floats, height: Floats, config: InstanceConfig) -> Ints:
 def split_hedge(xyz: Floats, height: Floats, config: InstanceConfig) -> Ints:
     """Part low, long foliage (N,) where one clipped top ends and another begins."""
     whole = np.zeros(len(xyz), dtype=np.int64)
-    if np.quantile(height, 0.98) > config.hedge_top:
+    if quantile_of(height, 0.98) > config.hedge_top:
         return whole
     sides = box_coordinates(xyz[:, :2])
     length, breadth = np.ptp(sides, axis=0)

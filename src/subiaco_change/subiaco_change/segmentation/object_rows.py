@@ -8,6 +8,7 @@ from pydantic import Field
 from scipy.spatial import cKDTree
 
 from subiaco_change.method_rules.switches import always, one_part, switchable
+from subiaco_change.quantiles import quantile_of
 from subiaco_change.segmentation.bounding_rectangles import box_coordinates, box_sides, wall_coordinates
 from subiaco_change.segmentation.clustering import cell_clusters, connect, group_indices
 from subiaco_geo.config import StrictModel
@@ -197,7 +198,7 @@ def _houses(xy: Floats, height: Floats, ground: cKDTree, config: PassageConfig) 
         g
         for g in groups
         if len(g) >= 3
-        and np.quantile(height[g], 0.95) >= config.top
+        and quantile_of(height[g], 0.95) >= config.top
         and np.ptp(box_coordinates(xy[g]), axis=0).max() >= config.house
     ]
     if len(houses) < 2:
@@ -283,7 +284,7 @@ def split_rows(xy: Floats, height: Floats, labels: Ints, config: RowConfig) -> I
 
 def _parts(xy: Floats, height: Floats, members: Ints, config: RowConfig) -> list[Ints]:
     """Cut at the widest gap that leaves a car on both sides, and go on with these."""
-    if len(members) < 2 or np.quantile(height[members], 0.98) > config.top:
+    if len(members) < 2 or quantile_of(height[members], 0.98) > config.top:
         return [members]
     sides = box_coordinates(xy[members])
     if (np.ptp(sides, axis=0) <= (config.length, config.width)).all():

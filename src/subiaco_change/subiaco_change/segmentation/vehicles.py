@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
 from subiaco_change.method_rules.switches import applies, never, switchable
+from subiaco_change.quantiles import quantile_of
 from subiaco_change.segmentation.bounding_rectangles import box_coordinates, box_sides
 from subiaco_change.segmentation.clustering import cell_clusters, group_indices, voxel_clusters
 from subiaco_change.segmentation.config import VehicleConfig
@@ -100,7 +101,7 @@ def _reach_out(xyz: Floats, found: Mask, open_: Mask, reach: float) -> Mask:
 
 
 def _is_free_box(xyz: Floats, height: Floats, config: VehicleConfig) -> bool:
-    if len(xyz) < 40 or np.quantile(height, 0.99) > config.truck_top or np.quantile(height, 0.02) > 0.8:
+    if len(xyz) < 40 or quantile_of(height, 0.99) > config.truck_top or quantile_of(height, 0.02) > 0.8:
         return False
     length, width = box_sides(xyz[:, :2])
     return bool(2.8 < length < config.truck_length and config.truck_min_width < width < config.truck_width)
@@ -109,7 +110,7 @@ def _is_free_box(xyz: Floats, height: Floats, config: VehicleConfig) -> bool:
 @switchable("eaves_of_shelters", never)
 def has_eaves(xyz: Floats, height: Floats, config: VehicleConfig) -> bool:
     """Tell a shelter: its top stands out over its body; vehicles grow narrower upwards."""
-    top = float(np.quantile(height, 0.98)) - config.top_band
+    top = quantile_of(height, 0.98) - config.top_band
     head, body = height > top, (height < top - 0.15) & (height > config.split_band)
     if head.sum() < 4 or body.sum() < 4:
         return False
@@ -148,7 +149,7 @@ def _kind(xyz: Floats, height: Floats, upright: Mask, hard: float, config: Vehic
         return None
     if not _fits(xyz, height, hard, config):
         return Semantic.MOBILE if _is_side_of_car(xyz, height, hard, config) else None
-    top = float(np.quantile(height, 0.98))
+    top = quantile_of(height, 0.98)
     upper = upright[height > 0.5 * top].mean()
     thin = upper > config.screen_upright and _fill(xyz) < config.screen_fill
     tall = top > config.van_top  # garden fences are lower
@@ -167,7 +168,7 @@ def _is_side_of_car(xyz: Floats, height: Floats, hard: float, config: VehicleCon
     """
     sides = box_coordinates(xyz[:, :2])
     length, width = np.ptp(sides, axis=0).tolist()
-    top, low = float(np.quantile(height, 0.98)), float(np.quantile(height, 0.02))
+    top, low = quantile_of(height, 0.98), quantile_of(height, 0.02)
     if not (3.2 < length < config.mobile_length and config.side_lean < width <= config.mobile_min_width):
         return False
     if hard < config.side_hard or low > 0.6 or not 1.2 < top < 2.2:
@@ -215,7 +216,7 @@ def release_false_vehicles(
 @switchable("slabs", never)
 def _is_slab(height: Floats, level: Mask, config: VehicleConfig) -> bool:
     """Tell a raised bed or terrace: low, and mostly level where it stands out."""
-    top = float(np.quantile(height, 0.98))
+    top = quantile_of(height, 0.98)
     return bool(top < config.slab_top and level[height > 0.5 * top].mean() > config.slab_level)
 
 
@@ -234,7 +235,7 @@ def _surroundings(
 ) -> tuple[Floats, Ints]:
     """Share of the cells seen around each cluster that are not free, and the class of most there."""
     count = int(labels.max()) + 1
-    tops = np.array([np.quantile(height[members[g]], 0.98) for g in group_indices(labels)])
+    tops = np.array([quantile_of(height[members[g]], 0.98) for g in group_indices(labels)])
     others = np.flatnonzero((semantic != Semantic.MOBILE) & (height < tops.max() + config.split_band))
     tree = cKDTree(xyz[members, :2])
     distance, slot = tree.query(xyz[others, :2], distance_upper_bound=config.clear_reach)
@@ -257,7 +258,7 @@ def _surroundings(
 @switchable("sheds", never)
 def _is_shed(xyz: Floats, height: Floats, upright: Mask, config: VehicleConfig) -> bool:
     """Tell a short, high box with walls to the top, or a lower one that is as wide at its top as below."""
-    top = float(np.quantile(height, 0.95))
+    top = quantile_of(height, 0.95)
     sides = box_coordinates(xyz[:, :2])
     if top < config.shed_straight_top or float(np.ptp(sides[:, 0])) > config.shed_length:
         return False
@@ -281,8 +282,8 @@ def _fill(xyz: Floats, cell: float = 0.25) -> float:
 def _fits(xyz: Floats, height: Floats, hard: float, config: VehicleConfig) -> bool:
     """Tell what fits the box of a vehicle or a row of them; cars may look softer."""
     length, width = box_sides(xyz[:, :2])
-    top = float(np.quantile(height, 0.98))
-    low = float(np.quantile(height, 0.02))
+    top = quantile_of(height, 0.98)
+    low = quantile_of(height, 0.02)
     row_of_cars = 1.4 < width < 3.2 and top < 2.4
     car = 3.2 < length < config.mobile_length and 1.4 < width < 2.4 and 1.2 < top < 2.2
     return bool(

@@ -76,14 +76,15 @@ class TileLabels:
     """Labelled points of a tile of both epochs.
 
     ``raster_dz`` and ``raster_confidence`` (rows, columns) of the reporting cells, row 0 in the north, where
-    either epoch has ground; ``patch_points`` (P, 3): row, points in *before*, in *after*.
+    either epoch has ground; ``added_points`` (P, 3): row, points in *before* and in *after* that it has
+    besides those of its objects: points of patches of ground, and fragments.
     """
 
     before: EpochLabels
     after: EpochLabels
     raster_dz: NDArray[np.float32] | None
     raster_confidence: NDArray[np.float32] | None
-    patch_points: Ints
+    added_points: Ints
 
     def of(self, epoch: str) -> EpochLabels:
         """Return the points of an epoch."""
@@ -160,7 +161,7 @@ def label_tile(inputs: Inputs, params: TileParams[LabelSlice]) -> TileLabels:
     cells, found = patch_cells(inputs, tile, params.size, config.ground)
     ground, ids = _comparison(inputs, params, cells, found)
     labelled: list[EpochLabels] = []
-    patched = np.zeros((len(found), 2), dtype=np.int64)
+    added: list[Ints] = []
     for e, epoch in enumerate(EPOCHS):
         own = _own(regions[e], tile)
         view = _select(regions[e], own)
@@ -168,19 +169,37 @@ def label_tile(inputs: Inputs, params: TileParams[LabelSlice]) -> TileLabels:
         other, reach = regions[1 - e].view, same_place(config.measures)
         known = other.xyz[other.semantic == Semantic.GROUND]
         there = partial(occupied, points=other.xyz, reach=reach)
-        label_rest(view, labels, ground, ids, regions[1 - e].observed, config.evidence, known, there)
+        joined = label_rest(
+            view,
+            labels,
+            ground,
+            ids,
+            regions[1 - e].observed,
+            config.evidence,
+            known,
+            there,
+            config.measures.voxel,
+        )
         compared = PointComparison(view, other, regions[1 - e].observed, epoch, reach)
         labels = replace(labels, change=strategy.labels(compared, labels.change))
-        patched[:, e] = [np.count_nonzero(labels.instance == i) for i in ids]
+        in_patches = np.flatnonzero(np.isin(labels.instance, ids))
+        added.append(labels.instance[np.concatenate([joined, in_patches])])
         moved, significant = _displacement(
             inputs, tile, epoch, regions[e].index[own], labels.lod95, view.normals
         )
         normals = view.normals.astype(np.float32)
         labelled.append(EpochLabels(view.xyz, normals, labels, moved, significant))
-    counts = np.column_stack([np.array(ids, dtype=np.int64), patched])
+    counts = _counted(added[0], added[1])
     raster = None if ground is None else ground_raster(ground, origin, config.ground)
     dz, confidence = (None, None) if raster is None else (raster.dz, raster.confidence)
     return TileLabels(labelled[0], labelled[1], dz, confidence, counts)
+
+
+def _counted(before: Ints, after: Ints) -> Ints:
+    """Return (P, 3) the rows of points of *before* and *after*, and how often each occurs among them."""
+    rows = np.unique(np.concatenate([before, after]))
+    places = [np.searchsorted(rows, points) for points in (before, after)]
+    return np.column_stack([rows, *(np.bincount(p, minlength=len(rows)) for p in places)]).astype(np.int64)
 
 
 def _displacement(

@@ -39,16 +39,16 @@ class FreeSpaceNumbers(StrictModel):
     )
     view_edge: float = Field(
         4.0,
-        description="Smallest ratio of the points in the two elevation steps below the end of an estimated "
-        "field of view to those in the two steps beyond the end",
+        description="Ratio of the points in the two elevation steps below the end of the field of view to "
+        "those in the two steps beyond the end",
     )
     view_edge_trend: float = Field(
         2.0,
-        description="Largest ratio of the points in two elevation steps to those in the next two, just below "
-        "the end of an estimated field of view: where the ratio is larger, high objects become rare",
+        description="Largest ratio of the points in two elevation steps to those in the next two below the "
+        "end of the field of view: elsewhere high objects become rare, and the view does not end",
     )
     view_edge_points: int = Field(
-        20, description="Least number of points in the two elevation steps below the end of a field of view"
+        20, description="Least number of points in the two elevation steps below the end of the field of view"
     )
     view_points: int = Field(
         4000, description="Largest number of points of a tile from which the field of view is estimated"

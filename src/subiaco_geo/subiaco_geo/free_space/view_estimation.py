@@ -93,7 +93,7 @@ def estimate_view(parts: Sequence[ViewHistogram], config: ExpectedVisibilityConf
     high, reach = float(np.radians(config.image_high_deg)), config.max_range
     above = np.sum([part.above for part in parts], axis=0) if parts else np.zeros(1, dtype=np.int64)
     if above.sum() > 0:
-        cell = 1 + min(_quantile(above, config.view_quantile), _edge(above))
+        cell = 1 + min(_quantile(above, config.view_quantile), edge_of_view(above))
         high = float(_ANGLES[cell])
         ranges = np.sum([part.ranges for part in parts], axis=0)
         own = ranges[min(max(-(-cell // _EVERY) - 1, 0), len(ranges) - 1)]
@@ -127,20 +127,28 @@ def with_blind_arcs(
     return replace(view, blind=blind_arcs(poses, columns, min(view.useful_range, config.max_range)))
 
 
-def _edge(above: NDArray[np.int64]) -> int:
-    """Return the cell of a histogram of elevations in which the view ends; the last where no end shows.
+def edge_of_view(above: NDArray[np.int64]) -> int:
+    """Return the cell of a histogram of elevations beyond which hardly any point lies; the last without such.
 
-    Poses are a sample and depth images are coarse: some points seem to need a higher view than the sensor
-    has. Just below the end of the view there are about as many points as lower, beyond it there are suddenly
-    few. Where high objects become rare, they do so over many cells.
+    Poses are a sample and images are coarse, so that some points seem to need a higher view than the sensor
+    has. At the end of the view the number of points falls from one step to the next. Where high objects
+    become rare, it falls over many steps.
+
+    Parameters
+    ----------
+    above : (N,) int64
+        Number of points in every step of the elevation.
     """
+    last = len(above) - 1
     pairs = above[:-1] + above[1:]
-    cells = np.arange(3, len(above) - 2)
-    under, before, beyond = pairs[cells - 2], pairs[np.maximum(cells - 4, 0)], pairs[cells + 1]
-    known = (cells >= 4) & (under >= _EDGE_POINTS) & (before <= _EDGE_TREND * under)
-    ratio = np.where(known, under / np.maximum(beyond, 1), 0.0)
-    found = int(np.argmax(ratio)) if len(ratio) else 0
-    return int(cells[found]) if len(ratio) and ratio[found] >= _EDGE else len(above) - 1
+    cells = np.arange(4, last - 1)
+    if len(cells) == 0:
+        return last
+    under, before, beyond = pairs[cells - 2], pairs[cells - 4], pairs[cells + 1]
+    known = (under >= _EDGE_POINTS) & (before <= _EDGE_TREND * under)
+    fall = np.where(known, under / np.maximum(beyond, 1), 0.0)
+    sharpest = int(np.argmax(fall))
+    return int(cells[sharpest]) if fall[sharpest] >= _EDGE else last
 
 
 def _quantile(counts: NDArray[np.int64], share: float) -> int:

@@ -14,6 +14,7 @@ from zipfile import BadZipFile, ZipFile
 import numpy as np
 from numpy.typing import NDArray
 
+from subiaco_geo.array_files import read_array
 from subiaco_geo.atomic import whole_file
 from subiaco_geo.errors import InputError
 
@@ -67,8 +68,9 @@ class Piece(Mapping[str, Array]):
     def __init__(self, name: str, open_file: Callable[[], BinaryIO]) -> None:
         self._name, self._open_file = name, open_file
         with self._opened() as stream, ZipFile(stream) as archive:
-            self._headers = {
-                member.filename.removesuffix(".npy"): member.header_offset for member in archive.infolist()
+            self._members = {
+                member.filename.removesuffix(".npy"): (member.header_offset, member.file_size)
+                for member in archive.infolist()
             }
 
     @contextmanager
@@ -82,21 +84,21 @@ class Piece(Mapping[str, Array]):
             ) from error
 
     def __getitem__(self, name: str) -> Array:
-        header = self._headers[name]
+        header, size = self._members[name]
         with self._opened() as stream:
             stream.seek(header + _NAME_AT)
             name_length, extra_length = (int.from_bytes(stream.read(2), "little") for _ in range(2))
             stream.seek(name_length + extra_length, SEEK_CUR)
-            return np.asarray(np.lib.format.read_array(stream, allow_pickle=False))
+            return read_array(stream, size)
 
     def __contains__(self, name: object) -> bool:
-        return name in self._headers  # without reading the array
+        return name in self._members  # without reading the array
 
     def __iter__(self) -> Iterator[str]:
-        return iter(self._headers)
+        return iter(self._members)
 
     def __len__(self) -> int:
-        return len(self._headers)
+        return len(self._members)
 
 
 @dataclass(frozen=True)

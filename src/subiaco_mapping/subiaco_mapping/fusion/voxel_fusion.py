@@ -11,7 +11,7 @@ import numpy as np
 import small_gicp
 from numpy.typing import NDArray
 
-from subiaco_geo.clouds import PointCloud, from_world, unpack_voxel_keys
+from subiaco_geo.clouds import PointCloud, from_world, stable_order, unpack_voxel_keys
 from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints, transform_points
 from subiaco_mapping.checkpoint.scan_spool import SpooledScan
@@ -148,7 +148,7 @@ class VoxelAccumulator:
         """Add points (N, 3) [m] seen from a sensor position (3,)."""
         if len(xyz) == 0:
             return
-        if not np.isfinite(xyz).all() or np.abs(xyz).max() >= self.leaf * (_LIMIT - 1):
+        if not np.abs(xyz).max() < self.leaf * (_LIMIT - 1):  # NaN neither
             raise InputError("fused map: points are not finite or too far from the local origin")
         for start in range(0, len(xyz), 1 << 14):
             part = slice(start, start + (1 << 14))
@@ -163,7 +163,7 @@ class VoxelAccumulator:
     def sums(self) -> tuple[Ints, NDArray[np.uint32], Floats]:
         """Return keys (V,), sorted, counts (V,) and sums (V, 14) gathered so far."""
         used = np.flatnonzero(self._keys != _EMPTY)
-        order = used[np.argsort(self._keys[used])]
+        order = used[stable_order(self._keys[used])]
         return self._keys[order], self._counts[order], self._sums[order]
 
     def clear(self) -> None:
@@ -257,7 +257,8 @@ def fused_cloud(
 
 def within(xyz: Floats, max_range: float) -> NDArray[np.bool_]:
     """Mark sensor points (N, 3) within a range [m]."""
-    return np.asarray((xyz * xyz).sum(axis=1) <= max_range**2)
+    x, y, z = xyz.T
+    return np.asarray(x * x + y * y + z * z <= max_range**2)
 
 
 def add_scan(
