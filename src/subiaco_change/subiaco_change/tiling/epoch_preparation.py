@@ -42,7 +42,7 @@ from subiaco_geo.free_space.expected_visibility import (
     render_views,
 )
 from subiaco_geo.free_space.sensor_view import spin_axes
-from subiaco_geo.free_space.view_estimation import estimate_view, view_histogram
+from subiaco_geo.free_space.view_estimation import ViewHistogram, estimate_view, view_histogram
 from subiaco_geo.survey_map import SurveyMap
 from subiaco_geo.tiles import tile_named
 from subiaco_geo.work.tasks import Inputs
@@ -171,7 +171,7 @@ class TileViews:
 
     ``eyes`` (K, 3), ``axes`` (K, 3), ``headings`` (K,) [rad] and ``images`` (K, rows, columns) of
     :class:`~subiaco_geo.free_space.depth_images.DepthImages`; ``occupied`` (M,), keys of the voxels with
-    points; ``above`` and ``ranges``, what the points need of a sensor.
+    points.
     """
 
     eyes: Floats
@@ -179,8 +179,6 @@ class TileViews:
     headings: Floats
     images: NDArray[np.uint16]
     occupied: Ints
-    above: Ints
-    ranges: Ints
 
 
 def render_tile(inputs: Inputs, params: RenderParams) -> TileViews:
@@ -196,11 +194,34 @@ def render_tile(inputs: Inputs, params: RenderParams) -> TileViews:
     world = world[tile.in_buffered(world[:, :2])]
     own = world[tile.in_core(world[:, :2])]
     images = render_views(world, poses[:, :3, 3].copy(), spin_axes(poses[:, :3, :3]), config)
-    needs = view_histogram(own, images, config)
     occupied = OccupiedVoxels.of(own, side.corner, config.occupied).keys
-    return TileViews(
-        images.eyes, images.axes, params.headings, images.images, occupied, needs.above, needs.ranges
+    return TileViews(images.eyes, images.axes, params.headings, images.images, occupied)
+
+
+@dataclass(frozen=True)
+class NeedsParams:
+    """The tile and the epoch of which :func:`find_needs` asks."""
+
+    tile: str
+    side: EpochContext
+    config: ExpectedVisibilityConfig
+    moved: float
+
+
+def find_needs(inputs: Inputs, params: NeedsParams) -> ViewHistogram:
+    """Count what the points of a tile need of the sensor, by all poses that may have seen them.
+
+    The poses of one tile do not suffice: near its border the pose that measured a point, far away and from a
+    lower angle, often is that of another tile. ``inputs`` hold ``cloud/<tile>`` and ``trails/<tile>``, and
+    under ``views/`` what :func:`render_tile` left of the tiles around.
+    """
+    xyz = _standing(inputs, params.tile, params.moved) + params.side.origin
+    parts = [inputs.of(TileViews, f"views/{name}") for name in inputs.under("views")]
+    eyes, axes, images = (
+        np.concatenate(arrays) for arrays in zip(*((p.eyes, p.axes, p.images) for p in parts), strict=True)
     )
+    grid = image_grid(params.config)
+    return view_histogram(xyz, DepthImages(eyes, axes, images, grid), params.config)
 
 
 def _standing(inputs: Inputs, name: str, limit: float) -> Floats:

@@ -31,10 +31,12 @@ from subiaco_change.registration.pair import (
 from subiaco_change.tiling.alignment import StatedPoses
 from subiaco_change.tiling.epoch_preparation import (
     LevellingParams,
+    NeedsParams,
     RenderParams,
     TileTrails,
     TileViews,
     TrailParams,
+    find_needs,
     find_trails,
     find_upright,
     render_tile,
@@ -255,13 +257,27 @@ class Epochs:
     def _view(self, side: EpochContext, epoch: Epoch, way: Trajectory) -> SensorView:
         """Take the sensor that a map describes, or estimate it from what its points need."""
         config = self.config.evidence.poses
-        parts, columns = [], [np.zeros((0, 2))]
+        columns = [np.zeros((0, 2))]
         for key in self.beams[side.epoch].values():
             piece = self.runner.load(TileViews, key)
-            parts.append(ViewHistogram(piece.above, piece.ranges))
             columns.append(occupied_columns(piece.occupied, side.corner, side.voxel))
-        view = described_view(epoch.info) or estimate_view(parts, config)
+        view = described_view(epoch.info) or estimate_view(self._needs(side), config)
         return with_blind_arcs(view, way.poses, np.concatenate(columns), config)
+
+    def _needs(self, side: EpochContext) -> list[ViewHistogram]:
+        """Count what the points of an epoch need of its sensor, tile by tile."""
+        own, views, config = self.clouds[side.epoch], self.beams[side.epoch], self.config.evidence.poses
+        moved, rings = self.config.semantics.traffic.probability, math.ceil(config.max_range / self.size)
+        tasks = []
+        for name in sorted(own):
+            inputs = {f"cloud/{name}": own[name]}
+            if name in self.trails[side.epoch]:
+                inputs[f"trails/{name}"] = self.trails[side.epoch][name]
+            inputs |= {f"views/{n}": views[n] for n in (name, *neighbours(name, views, rings))}
+            tasks.append(
+                Task("field_of_view", name, find_needs, inputs, NeedsParams(name, side, config, moved))
+            )
+        return [self.runner.load(ViewHistogram, key) for key in self.runner.run(tasks, (0.05, 0.06)).values()]
 
     def _from_above(self, name: str) -> bool:
         """Tell whether the cloud of an epoch was measured from above."""

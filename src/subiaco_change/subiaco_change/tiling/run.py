@@ -65,8 +65,8 @@ from subiaco_geo.work.tasks import Inputs, Task
 
 #: Stages in their order; *compare* and what it rests on run twice where the registration is refined.
 STAGES = (
-    "cut", "expected_visibility", "registration", "levelling", "semantics", "objects", "retiling",
-    "heights", "bias", "residuals", "warp", "alignment", "displacements", "sigma", "lod",
+    "cut", "expected_visibility", "field_of_view", "registration", "levelling", "semantics", "objects",
+    "retiling", "heights", "bias", "residuals", "warp", "alignment", "displacements", "sigma", "lod",
     "candidate_pairs", "groups", "compare", "vegetation_null", "decide", "ground",
     "threshold_components", "patches", "changed", "refine", "labels",
 )  # fmt: skip

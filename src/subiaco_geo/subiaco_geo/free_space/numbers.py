@@ -38,7 +38,7 @@ class FreeSpaceNumbers(StrictModel):
         10, description="Number of elevation steps from one histogram of ranges to the next"
     )
     view_edge: float = Field(
-        4.0,
+        3.5,
         description="Ratio of the points in the two elevation steps below the end of the field of view to "
         "those in the two steps beyond the end",
     )

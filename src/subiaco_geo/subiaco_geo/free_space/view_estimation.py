@@ -146,9 +146,10 @@ def edge_of_view(above: NDArray[np.int64]) -> int:
         return last
     under, before, beyond = pairs[cells - 2], pairs[cells - 4], pairs[cells + 1]
     known = (under >= _EDGE_POINTS) & (before <= _EDGE_TREND * under)
-    fall = np.where(known, under / np.maximum(beyond, 1), 0.0)
-    sharpest = int(np.argmax(fall))
-    return int(cells[sharpest]) if fall[sharpest] >= _EDGE else last
+    fall = under / np.maximum(beyond, 1)
+    known &= fall >= _EDGE
+    clearest = int(np.argmax(np.where(known, under * np.log(np.maximum(fall, 1.0)), 0.0)))
+    return int(cells[clearest]) if known[clearest] else last
 
 
 def _quantile(counts: NDArray[np.int64], share: float) -> int:
