@@ -235,6 +235,6 @@ def test_bands_that_were_measured_on_other_surveys_are_not_printed():
     ours = ConfidenceConfig()
     assert calibration_of(["observed"], True, ours).bands == ours.bands != ()
     assert calibration_of(["observed"], False, ours).bands == ()
-    assert calibration_of(["shadow"], True, ours).bands == ()
+    assert calibration_of(["assumed"], True, ours).bands == ()
     refitted = ConfidenceConfig(fitted_on="another fit without bands")
     assert calibration_of(["observed"], True, refitted).bands == ()
