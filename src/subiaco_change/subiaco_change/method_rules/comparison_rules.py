@@ -443,6 +443,13 @@ BUILDING_RULES: tuple[Rule, ...] = (
         guards=True,
     ),
     Rule(
+        "sign_by_surface",
+        _HERE,
+        "Walls and roofs of one epoch alone, whose place the other saw free on both sides, tell the sign of a"
+        " change of volume: its nearer bound may then be as small as zero.",
+        ("decisions.building.sign_surface",),
+    ),
+    Rule(
         "volume_supports_height",
         _HERE,
         "A change of height of a building needs volume that carries the change.",
@@ -501,7 +508,7 @@ BUILDING_RULES: tuple[Rule, ...] = (
     Rule(
         "supported_volumes",
         _HERE,
-        "A changed volume needs voxels of changed surface.",
+        "A changed volume needs voxels of changed surface, whose place the other epoch observed.",
         ("measures.carving.support",),
     ),
     Rule(
