@@ -22,6 +22,12 @@ OCCUPANCY_RULES: tuple[Rule, ...] = (
         guards=True,
     ),
     Rule(
+        "trails_occupy_what_they_touch",
+        _HERE,
+        "Loose points of traffic occupy what they touch: their spacing is not that of a sampled surface.",
+        ("measures.same_low",),
+    ),
+    Rule(
         "porous_absence",
         _HERE,
         "A beam that crosses the place of a porous object proves less than one that crosses a wall.",
