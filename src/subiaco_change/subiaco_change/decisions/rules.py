@@ -14,6 +14,7 @@ from subiaco_change.method_rules.switches import applies, first_argument, switch
 from subiaco_geo.codes import Change, Semantic
 
 _EXACT = NUMBERS.rules.least_half_width
+_OPPOSED = NUMBERS.rules.opposed_height
 _PATCH = NUMBERS.rules.voxels_per_patch
 #: Why nothing is said of an object that both epochs saw.
 NO_LEVEL = "Too few points lie at this place for a level of detection: nothing is claimed."
@@ -266,7 +267,7 @@ def _rise(height: Interval, volume: Interval, surface: float, rules: ClassRules)
     unless the height says the opposite.
     """
     unsupported = applies("volume_supports_height", volume.high < rules.height_volume)
-    shown = surface >= rules.sign_surface and height.middle > -1.0
+    shown = surface >= rules.sign_surface and height.middle > -_OPPOSED
     least = 0.0 if applies("sign_by_surface", shown) else rules.certain
     return max(0.0 if unsupported else _beyond(height, rules.certain), _beyond(volume, least))
 

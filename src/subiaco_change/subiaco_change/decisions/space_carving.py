@@ -360,28 +360,34 @@ class _Difference:
 def _difference(old: _State, new: _State, voxels: Voxels, frame: _Frame, config: CarvingConfig) -> _Difference:
     """Find what was free and is solid; cells that one epoch does not know widen the bounds of its volume.
 
-    Surfaces whose place the other epoch did not observe are no evidence of a change: beams that pass through
-    the cells beside a surface show them free, and leave open whether the surface stood there.
+    A surface whose place the other epoch did not observe is no evidence of a change: beams that pass beside a
+    surface show the cells around it free, and leave open whether the surface stood there. What it encloses
+    counts as possible.
     """
     solid = new.solid | _behind_new_walls(old, new, frame, config)
     number, count = ndimage.label(old.free & solid, _TOUCHING)
-    support = _per_part(voxels.select(voxels.observed_unoccupied), number, count, frame)
-    supported = ~rule_mask("supported_volumes", support < config.support)
-    supported[0] = False
-    changed = supported[number]
-    sure = _without_thin(changed, config)
+    kinds = (voxels.observed_unoccupied, ~voxels.occupied_in_other, voxels.free_space_confirmed)
+    observed, alone, confirmed = (_per_part(voxels.select(kind), number, count, frame) for kind in kinds)
+    sure = _without_thin(_supported(observed, config)[number], config)
     # Between free space and a wall lies a cell that is neither: the resolution, and no room to hide in.
     sure |= ndimage.binary_dilation(sure, _FACES) & old.unknown & solid
+    changed = _supported(alone, config)[number]
     maybe = (old.free & new.unknown) | (old.unknown & solid)
     reach = ndimage.binary_propagation(_patches(changed, config), _TOUCHING, changed | maybe)
     volume = Interval(float(sure.sum()) * frame.volume, float(reach.sum()) * frame.volume)
-    confirmed = _per_part(voxels.select(voxels.free_space_confirmed), number, count, frame)
-    return _Difference(volume, sure, int(confirmed[supported].sum()))
+    return _Difference(volume, sure, int(confirmed[1:].sum()))
 
 
 def _per_part(voxels: Voxels, number: Ints, count: int, frame: _Frame) -> Ints:
     """Numbers (count + 1,) of voxels whose surface lies in each part of a labelled array of cells."""
     return np.bincount(number.ravel(), _surface(voxels, frame).ravel(), minlength=count + 1)
+
+
+def _supported(voxels: Ints, config: CarvingConfig) -> NDArray[np.bool_]:
+    """Tell which parts (count + 1,) of an array of cells hold enough voxels; the first is no part."""
+    enough = ~rule_mask("supported_volumes", voxels < config.support)
+    enough[0] = False
+    return np.asarray(enough)
 
 
 @switchable("thin_volumes", first_argument)

@@ -118,6 +118,17 @@ MOVING_OBJECT_RULES: tuple[Rule, ...] = (
         guards=True,
     ),
     Rule(
+        "ground_shines_through",
+        _HERE,
+        "Nothing is claimed of what neither fills its place nor hides the ground beneath, in a cloud without"
+        " counts of beams: traffic was elsewhere while most beams came.",
+        (
+            "method_numbers.dynamic_objects.opaque_points",
+            "method_numbers.dynamic_objects.ground_beneath",
+        ),
+        guards=True,
+    ),
+    Rule(
         "person_on_the_way",
         _HERE,
         "Nothing is claimed of a strip as thin and as tall as a person in a cloud without counts of beams.",
