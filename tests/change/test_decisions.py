@@ -107,7 +107,7 @@ def test_a_label_of_a_building_needs_the_middle_beyond_its_limit_and_a_certain_s
 
 @pytest.mark.parametrize("sign", [1.0, -1.0])
 def test_walls_seen_free_on_both_sides_tell_the_sign_of_a_change_of_volume_unless_the_height_opposes(sign):
-    """Of a wing most of the volume was not seen: its bounds are 1 and 40 %, and the surface says that it is."""
+    """Of a wing most of the volume was not seen: its bounds are 1 and 40 %; its surface tells the sign."""
 
     def told(surface, opposite=0.0, height=(-0.1, 0.1), nearer=1.0):
         volume, areas = Interval(nearer, 40.0), (surface, opposite)

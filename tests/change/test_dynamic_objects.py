@@ -296,8 +296,8 @@ ASPHALT = np.stack(np.meshgrid(np.arange(-3, 9, 0.25), np.arange(-4, 6, 0.25)), 
 
 def scattered(fill, top, seed=11):
     """An object of 6 by 1.8 m of so many points as ``fill`` times the asphalt, anywhere below a top [m]."""
-    places = np.random.default_rng(seed).uniform([0, 0, 0.1], [6, 1.8, top], (int(fill * 6 * 1.8 * 16), 3))
-    return [obj([(places, False)])]
+    count = int(fill * 6 * 1.8 * 16 / 4)  # an object has four points at every place
+    return [obj([(np.random.default_rng(seed).uniform([0, 0, 0.1], [6, 1.8, top], (count, 3)), False)])]
 
 
 @pytest.mark.parametrize(

@@ -52,8 +52,8 @@ class ClassRules(StrictModel):
     sign_surface: float = Field(
         4.0,
         ge=0,
-        description="Area of the surfaces of what was built on or taken away, whose place the other survey saw "
-        "free on both sides, from which a change of volume needs no nearer bound but that of its sign [m2]",
+        description="Area of the surfaces of what was built on or taken away, whose place the other survey "
+        "saw free on both sides, from which these surfaces tell the sign of a change of volume [m2]",
     )
     height_volume: float = Field(
         0.25,

@@ -219,8 +219,8 @@ def _building(measures: Measures, gate: float, rules: ClassRules) -> Decision:
 
     A label needs the middle of the bounds beyond the limit, and both bounds on its side of zero: an extension
     of 16 % that is known to lie between 9 and 17 % has grown, and a wrong sign cannot come out. The nearer
-    bound must exceed a part of the limit, or a wall or roof must stand where the other survey saw free space on
-    both sides. Bounds that straddle the limit are stated in the reason, and lower the confidence.
+    bound must exceed a part of the limit, or walls and roofs must stand where the other survey saw free space
+    on both sides. Bounds that straddle the limit are stated in the reason, and lower the confidence.
 
     Where height and volume say the opposite, the volume's sign wins (Decision 12).
     """

@@ -82,8 +82,8 @@ class Carved:
     """Change of the volume [m3] and of the height [m], and the volume *before* [m3].
 
     ``resolution``: half of a cell over the area of the body [m3]; a smaller change is not observed.
-    ``confirmed``: voxels of the surfaces of what was gained, and of what was lost, whose place the other epoch
-    saw free on both sides.
+    ``confirmed``: voxels of the surfaces of what was gained, and of what was lost, whose place the other
+    epoch saw free on both sides.
     """
 
     volume: Interval
@@ -357,7 +357,9 @@ class _Difference:
     confirmed: int
 
 
-def _difference(old: _State, new: _State, voxels: Voxels, frame: _Frame, config: CarvingConfig) -> _Difference:
+def _difference(
+    old: _State, new: _State, voxels: Voxels, frame: _Frame, config: CarvingConfig
+) -> _Difference:
     """Find what was free and is solid; cells that one epoch does not know widen the bounds of its volume.
 
     A surface whose place the other epoch did not observe is no evidence of a change: beams that pass beside a
