@@ -215,8 +215,8 @@ def may_be_a_porous_trail(
 ) -> Decision | None:
     """Tell what neither fills nor hides its place, in a cloud without counts of beams.
 
-    What stands hides the ground beneath and shows a surface, which a survey samples as densely as the ground
-    beside. What passed was elsewhere while most beams came: they met the ground in its place.
+    A standing object hides the ground beneath and shows a surface, which a survey samples as densely as the
+    ground beside. Traffic was elsewhere while most beams came: they met the ground in its place.
     """
     if own is None or own.ground is None or semantic not in (Semantic.VEGETATION, Semantic.OTHER):
         return None
