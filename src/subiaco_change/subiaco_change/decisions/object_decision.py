@@ -27,6 +27,7 @@ from subiaco_change.decisions.dynamic_objects import (
 from subiaco_change.decisions.measures import MeasureConfig, Measures, absence, measure, observed_fraction
 from subiaco_change.decisions.plant_decisions import decide_plant
 from subiaco_change.decisions.plant_measures import PlantConfig, measure_plant
+from subiaco_change.decisions.plant_tops import expected_top
 from subiaco_change.decisions.rules import Decision, decide
 from subiaco_change.decisions.space_carving import Empty, Interval
 from subiaco_change.decisions.vegetation_null import PlantMeasures, no_null
@@ -38,6 +39,7 @@ from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import no_decision, switchable
 from subiaco_change.quantiles import quantile_of
 from subiaco_change.segmentation.ground_model import Mask
+from subiaco_geo.clouds import unique_cells
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats, Ints
 
@@ -51,6 +53,13 @@ _CROWN_TOP = NUMBERS.object_decision.crown_top
 _CROWN_COLUMNS = NUMBERS.object_decision.crown_columns
 _CUT_DEPTH = NUMBERS.object_decision.cut_depth
 _CUT_SHARE = NUMBERS.object_decision.cut_share
+_AROUND = NUMBERS.object_decision.around
+_AROUND_COLUMN = NUMBERS.object_decision.around_column
+_AROUND_COLUMNS = NUMBERS.object_decision.around_columns
+_AROUND_POINTS = NUMBERS.object_decision.around_points
+_AS_HIGH = NUMBERS.object_decision.as_high
+_GOES_ON = NUMBERS.object_decision.goes_on
+_GOES_ON_SHARE = NUMBERS.object_decision.goes_on_share
 _OF_PLANTS = (Change.UNCHANGED, Change.INCREASED, Change.DECREASED)  # labels on which other plants have a say
 
 
@@ -170,8 +179,8 @@ def _compared(
     if alone and not _adjoins((*before, *after), rules.standing[int(bool(before))]):
         return before, after
     return (
-        _in_view(before, after or before, rules.below_view[1]),
-        _in_view(after, before or after, rules.below_view[0]),
+        _in_view(before, after or before, rules.below_view[1], rules.standing),
+        _in_view(after, before or after, rules.below_view[0], rules.standing[::-1]),
     )
 
 
@@ -199,13 +208,19 @@ def _all_parts(objects: Sequence[ObjectInstance], *_: object) -> list[ObjectInst
 
 @switchable("view_height", _all_parts)
 def _in_view(
-    objects: Sequence[ObjectInstance], other: Sequence[ObjectInstance], below_view: Empty | None
+    objects: Sequence[ObjectInstance],
+    other: Sequence[ObjectInstance],
+    below_view: Empty | None,
+    standing: tuple[Floats, Floats],
 ) -> list[ObjectInstance]:
     """Parts of a plant, what is higher than the view of the other epoch reached not observed.
 
-    Where the parts ``other`` of the plant show its top, the view reached that.
+    Where the parts ``other`` of the plant show its top, the view reached that, unless what is ``standing``
+    around in the own epoch goes on above the height at which it ends in the other one.
     """
-    if not objects or below_view is None or is_top_seen(other):
+    if not objects or below_view is None:
+        return list(objects)
+    if is_top_seen(other) and not goes_on_above(objects, other, standing):
         return list(objects)
     ceiling = max(float(t.xyz[:, 2].max()) for t in other)  # what is beside points is not above them
     found = []
@@ -235,12 +250,58 @@ def is_top_seen(objects: Sequence[ObjectInstance]) -> bool:
     at about the same height.
     """
     xyz = np.concatenate([t.xyz for t in objects])
-    columns, slot = np.unique(column_keys(xyz, _COLUMN), return_inverse=True)
-    tops = np.full(len(columns), -np.inf)
-    np.maximum.at(tops, slot, xyz[:, 2])
+    tops = _column_tops(xyz)
     top = quantile_of(tops, _CROWN_TOP)
     upper = tops[tops > 0.5 * (top + float(xyz[:, 2].min()))]
     return len(upper) >= _CROWN_COLUMNS and float(np.mean(upper >= top - _CUT_DEPTH)) < _CUT_SHARE
+
+
+def goes_on_above(
+    objects: Sequence[ObjectInstance], other: Sequence[ObjectInstance], standing: tuple[Floats, Floats]
+) -> bool:
+    """Tell whether what ends around a plant as high as the plant, in the other epoch, ends higher in its own.
+
+    A plant that grew leaves the tops around as they are. A field of view that ends lower in one of two
+    surveys lowers all tops that reach it, and the rings of its beams end at so many heights that cut crowns
+    look round.
+
+    Parameters
+    ----------
+    objects, other : sequence of ObjectInstance
+        Parts of the plant in its own and in the other epoch.
+    standing : (N, 3) and (M, 3) float64
+        What stands in both epochs, of any class [m].
+    """
+    plant = [np.concatenate([t.xyz for t in parts]) for parts in (objects, other)]
+    whole = np.concatenate(plant)
+    near = [xyz[in_box_around(xyz, whole, _AROUND)] for xyz in standing]
+    if min(len(xyz) for xyz in near) == 0:
+        return False
+    columns, slot = unique_cells(_columns_of(np.concatenate(near)))
+    slots = np.split(slot, [len(near[0])])
+    fewest = np.min([np.bincount(s, minlength=len(columns)) for s in slots], axis=0)
+    tops = [expected_top(xyz[:, 2], s, fewest) for xyz, s in zip(near, slots, strict=True)]
+    beside = cKDTree(unique_cells(_columns_of(whole))[0]).query(columns)[0] > 1.5  # not even a corner touches
+    level = (
+        beside
+        & (fewest >= _AROUND_POINTS)
+        & (np.abs(tops[1] - quantile_of(_column_tops(plant[1]), _CROWN_TOP)) <= _AS_HIGH)
+    )
+    rises = (tops[0] - tops[1])[level]
+    return len(rises) >= _AROUND_COLUMNS and float(np.mean(rises > _GOES_ON)) >= _GOES_ON_SHARE
+
+
+def _columns_of(xyz: Floats) -> Ints:
+    """Return the columns (N, 2) around a plant that points (N, 3) stand in."""
+    return np.asarray(np.floor(xyz[:, :2] / _AROUND_COLUMN).astype(np.int64))
+
+
+def _column_tops(xyz: Floats) -> Floats:
+    """Heights (C,) of the tops of the columns of a plant of points (N, 3) [m]."""
+    columns, slot = np.unique(column_keys(xyz, _COLUMN), return_inverse=True)
+    tops = np.full(len(columns), -np.inf)
+    np.maximum.at(tops, slot, xyz[:, 2])
+    return tops
 
 
 @switchable("misclassified_ground", no_decision)

@@ -38,6 +38,7 @@ OCCUPANCY_RULES: tuple[Rule, ...] = (
             "method_numbers.object_decision.beside_plant",
             "method_numbers.object_decision.cut_depth",
             "method_numbers.object_decision.cut_share",
+            "method_numbers.object_decision.goes_on_share",
         ),
         guards=True,
     ),
