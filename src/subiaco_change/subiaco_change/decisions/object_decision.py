@@ -20,6 +20,7 @@ from subiaco_change.decisions.dynamic_objects import (
     Observed,
     OwnEpochEvidence,
     continues_trail,
+    fits_a_vehicle,
     is_moving_object_trail,
     is_strip_on_road,
     may_be_a_person,
@@ -60,6 +61,10 @@ _AROUND_POINTS = NUMBERS.object_decision.around_points
 _AS_HIGH = NUMBERS.object_decision.as_high
 _GOES_ON = NUMBERS.object_decision.goes_on
 _GOES_ON_SHARE = NUMBERS.object_decision.goes_on_share
+_FLOATING = NUMBERS.object_decision.floating
+_LINE = NUMBERS.object_decision.line_height
+_HELD = NUMBERS.object_decision.held
+_SAME = 1e-6  # distance up to which two points are the same one [m]
 _OF_PLANTS = (Change.UNCHANGED, Change.INCREASED, Change.DECREASED)  # labels on which other plants have a say
 
 
@@ -143,6 +148,7 @@ def decide_object(
         own, moved = (rules.own[0], rules.moved[0]) if before else (rules.own[1], rules.moved[1])
         decision = (
             is_misclassified_ground(semantic, parts)
+            or is_floating_line(parts, rules.standing[0 if before else 1], rules.decisions)
             or is_moving_object_trail(parts, semantic, own, rules.decisions, measures.free)
             or continues_trail(parts, own, rules.decisions)
             or is_strip_on_road(parts, own, rules.decisions)
@@ -319,3 +325,37 @@ def is_misclassified_ground(semantic: Semantic, objects: Sequence[ObjectInstance
         f" {limit:.2f} m) and is level: the object is part of the ground, which is compared separately."
     )
     return Decision(Change.NOT_REPORTED, reason, 1.0)
+
+
+@switchable("floating_scan_line", no_decision)
+def is_floating_line(
+    objects: Sequence[ObjectInstance], standing: Floats, rules: DecisionConfig
+) -> Decision | None:
+    """Claim nothing of a flat line of points above the ground that touches nothing: no object floats.
+
+    One ring of one sweep met it. What stands is met by other rings, or its foot is: the roof of a vehicle
+    that passed is not.
+
+    Parameters
+    ----------
+    objects : sequence of ObjectInstance
+        Of one epoch.
+    standing : (N, 3) float64
+        What stands in that epoch, of any class, the objects included [m].
+    rules : DecisionConfig
+    """
+    xyz = np.concatenate([t.xyz for t in objects])
+    foot = float(min(t.voxels.height.min() for t in objects))
+    low, high = np.quantile(xyz[:, 2], [0.05, 0.95]).tolist()
+    if foot < _FLOATING or high - low > _LINE or not fits_a_vehicle(objects, rules):
+        return None
+    near = standing[in_box_around(standing, xyz, _HELD)]
+    distance = cKDTree(xyz).query(near)[0]
+    if np.any((distance > _SAME) & (distance <= _HELD)):
+        return None
+    reason = (
+        f"The object is a line of points {high - low:.2f} m high (limit {_LINE:g} m), {foot:.1f} m above the"
+        f" ground, and its own survey holds nothing else within {_HELD:g} m: a single scan line of something"
+        " that may have passed, and nothing is claimed."
+    )
+    return Decision(Change.UNOBSERVED, reason, 0.0)

@@ -396,6 +396,16 @@ class ObjectDecisionNumbers(StrictModel):
         description="Fraction of these columns that go on in the other survey from which the view, and not"
         " the plant, may have ended there",
     )
+    floating: float = Field(
+        0.5, description="Height above the ground from which an object that touches nothing floats [m]"
+    )
+    line_height: float = Field(
+        0.3, description="Height range up to which the points of an object may be of one scan line [m]"
+    )
+    held: float = Field(
+        1.0,
+        description="Distance to other points of its survey within which something may hold an object [m]",
+    )
 
 
 class PlantMeasuresNumbers(StrictModel):

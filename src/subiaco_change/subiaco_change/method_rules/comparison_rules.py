@@ -76,6 +76,18 @@ OCCUPANCY_RULES: tuple[Rule, ...] = (
         ),
         guards=True,
     ),
+    Rule(
+        "floating_scan_line",
+        _HERE,
+        "A flat line of points above the ground that touches nothing is a single scan line of something that"
+        " passed: no object floats.",
+        (
+            "method_numbers.object_decision.floating",
+            "method_numbers.object_decision.line_height",
+            "method_numbers.object_decision.held",
+        ),
+        guards=True,
+    ),
 )
 
 MOVING_OBJECT_RULES: tuple[Rule, ...] = (
