@@ -224,7 +224,7 @@ def _in_view(
     Where the parts ``other`` of the plant show its top, the view reached that, unless what is ``standing``
     around in the own epoch goes on above the height at which it ends in the other one.
     """
-    if not objects or below_view is None:
+    if not objects or below_view is None or all(below_view(t.xyz).all() for t in objects):
         return list(objects)
     if is_top_seen(other) and not goes_on_above(objects, other, standing):
         return list(objects)
