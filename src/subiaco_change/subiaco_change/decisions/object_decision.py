@@ -64,7 +64,7 @@ _GOES_ON_SHARE = NUMBERS.object_decision.goes_on_share
 _FLOATING = NUMBERS.object_decision.floating
 _LINE = NUMBERS.object_decision.line_height
 _HELD = NUMBERS.object_decision.held
-_SAME = 1e-6  # distance up to which two points are the same one [m]
+_SAME = NUMBERS.object_decision.same_point
 _OF_PLANTS = (Change.UNCHANGED, Change.INCREASED, Change.DECREASED)  # labels on which other plants have a say
 
 
@@ -276,7 +276,7 @@ def goes_on_above(
     objects, other : sequence of ObjectInstance
         Parts of the plant in its own and in the other epoch.
     standing : (N, 3) and (M, 3) float64
-        What stands in both epochs, of any class [m].
+        Points above the ground of both epochs, of any class [m].
     """
     plant = [np.concatenate([t.xyz for t in parts]) for parts in (objects, other)]
     whole = np.concatenate(plant)
@@ -333,7 +333,7 @@ def is_floating_line(
 ) -> Decision | None:
     """Claim nothing of a flat line of points above the ground that touches nothing: no object floats.
 
-    One ring of one sweep met it. What stands is met by other rings, or its foot is: the roof of a vehicle
+    One ring of one sweep met it. A standing object is met by other rings too: the roof of a vehicle
     that passed is not.
 
     Parameters
@@ -341,7 +341,7 @@ def is_floating_line(
     objects : sequence of ObjectInstance
         Of one epoch.
     standing : (N, 3) float64
-        What stands in that epoch, of any class, the objects included [m].
+        Points above the ground of that epoch, of any class, the objects included [m].
     rules : DecisionConfig
     """
     xyz = np.concatenate([t.xyz for t in objects])

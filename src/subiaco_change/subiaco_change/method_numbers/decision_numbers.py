@@ -406,6 +406,7 @@ class ObjectDecisionNumbers(StrictModel):
         1.0,
         description="Distance to other points of its survey within which something may hold an object [m]",
     )
+    same_point: float = Field(1e-6, description="Distance up to which two points are one and the same [m]")
 
 
 class PlantMeasuresNumbers(StrictModel):
