@@ -10,7 +10,12 @@ from subiaco_change.association.costs import AssociationConfig
 from subiaco_change.decisions.column_volumes import NO_COLUMNS, OpenGround
 from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.measures import MeasureConfig, Measures
-from subiaco_change.decisions.object_decision import ObjectRules, decide_object, is_misclassified_ground
+from subiaco_change.decisions.object_decision import (
+    ObjectRules,
+    decide_object,
+    is_floating_line,
+    is_misclassified_ground,
+)
 from subiaco_change.decisions.voxel_objects import ObjectInstance, Voxels
 from subiaco_change.instance_splitting.building_extensions import (
     find_building_extensions,
@@ -449,3 +454,25 @@ def test_a_crown_beside_a_house_is_no_wing_and_a_roof_on_it_is_one():
     house = (voxels(HOUSE), voxels(HOUSE))
     assert find_building_extensions([house, (NONE, moved(crown, 10.5))], CONFIG) == {}
     assert find_building_extensions([house, (NONE, moved(np.add(crown, (0, 0, 2)), 5.0))], CONFIG) == {1: 0}
+
+
+@pytest.mark.parametrize(
+    ("places", "beside", "floats"),
+    [
+        (((0, 0, 1.0), (3, 0.5, 1.2)), None, True),
+        (((0, 0, 1.0), (3, 0.5, 1.2)), (3.5, 0.0, 1.0), False),
+        (((0, 0, 1.0), (3, 0.5, 1.2)), (5.5, 0.0, 1.0), True),
+        (((0, 0, 0.0), (3, 0.5, 0.2)), None, False),
+        (((0, 0, 1.0), (3, 0.5, 2.5)), None, False),
+        (((0, 0, 6.0), (3, 0.5, 6.2)), None, False),
+    ],
+    ids=["a line in the air", "held by a post", "a post far off", "on the ground", "high", "a wire"],
+)
+def test_nothing_is_claimed_of_a_scan_line_that_floats(places, beside, floats):
+    line = obj([(block(*places), False)])
+    standing = line.xyz if beside is None else np.concatenate([line.xyz, [beside]])
+    decision = is_floating_line([line], standing, DecisionConfig())
+    assert (decision is not None) is floats
+    if decision is not None:
+        assert decision.change is Change.UNOBSERVED
+        assert "nothing is claimed" in decision.reason

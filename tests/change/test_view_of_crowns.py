@@ -10,7 +10,7 @@ from test_one_epoch_parts import obj
 from subiaco_change.association.costs import AssociationConfig
 from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.measures import MeasureConfig
-from subiaco_change.decisions.object_decision import ObjectRules, decide_object, is_top_seen
+from subiaco_change.decisions.object_decision import ObjectRules, decide_object, goes_on_above, is_top_seen
 from subiaco_geo.codes import Change, Semantic
 
 RULES = ObjectRules(MeasureConfig(), AssociationConfig(), DecisionConfig())
@@ -82,3 +82,32 @@ def test_a_crown_that_both_fields_of_view_cut_did_not_grow(reach, label):
     after = replace(after, voxels=free)
     rules = replace(RULES, below_view=(below(reach), below(9.0)))
     assert decide_object([before], [after], Semantic.VEGETATION, rules).decision.change is label
+
+
+def around(top: float):
+    """Points (N, 3) of a hedge of 8 x 3 m beside the crown, up to a height."""
+    return np.repeat(block((4, -4, 3), (7, 4, top)), 4, axis=0)
+
+
+@pytest.mark.parametrize(
+    ("before", "after", "expected"),
+    [(6.0, 6.0, False), (6.0, 8.0, True), (4.0, 6.0, False), (6.0, 5.0, False)],
+    ids=["ends as high in both", "goes on above", "goes on, but ends lower than the crown", "ends lower"],
+)
+def test_whether_the_surroundings_of_a_crown_go_on_above_it(before, after, expected):
+    plant = [obj([(crown(), True)])]
+    assert goes_on_above(plant, plant, (around(after), around(before))) is expected
+    few = around(after)[:8], around(before)[:8]
+    assert not goes_on_above(plant, plant, few)
+    assert not goes_on_above(plant, plant, (np.zeros((0, 3)), around(before)))
+
+
+@pytest.mark.parametrize(("top", "label"), [(6.0, Change.INCREASED), (8.0, Change.UNCHANGED)])
+def test_a_round_crown_grew_only_if_its_surroundings_did_not_rise_with_it(top, label):
+    """The earlier view is known to reach 5 m; the crown is 6 m high, and 8 m in the later survey."""
+    old, new = (crown(), True), (block((-1, -1, 6), (1, 1, 8)), False)
+    after = obj([old, new])
+    free = replace(after.voxels, free_space_confirmed=~after.voxels.occupied_in_other)
+    after = replace(after, voxels=free)
+    rules = replace(RULES, below_view=(below(5.0), below(9.0)), standing=(around(6.0), around(top)))
+    assert decide_object([obj([old])], [after], Semantic.VEGETATION, rules).decision.change is label

@@ -129,6 +129,25 @@ def test_a_pole_stands_although_beams_pass_beside_it_in_half_of_the_windows() ->
     assert np.nanmax(probability(cells, looks)) < 0.1
 
 
+@pytest.mark.parametrize("way", [0.3, 0.5, 0.7])
+def test_a_pole_that_drifting_poses_shift_over_some_voxels_stands(way: float) -> None:
+    """Columns beside one another hold it in turns; one of them holds it at every look."""
+
+    def pole(cells: np.ndarray, seconds: float) -> np.ndarray:
+        return np.asarray(np.abs(0.5 * cells[:, 0] - 2.0 - way * seconds / 4.0) < 0.26)
+
+    cells = block(6.0, height=5)
+    looks = looked_at(cells, 4.0, pole)
+    assert (looks.through[looks.hits > 0] > 0).any()
+    assert np.nanmax(probability(cells, looks)) < 0.5
+
+
+def test_a_pedestrian_as_thin_as_that_pole_moved() -> None:
+    cells = block(6.0, height=4)
+    looks = looked_at(cells, 4.0, lambda c, t: np.asarray(np.abs(0.5 * c[:, 0] - 1.4 * t) < 0.3))
+    assert np.nanmedian(probability(cells, looks)) >= CONFIG.sure
+
+
 def test_a_shrub_seen_briefly_on_two_passes_stands() -> None:
     cells = block(1.0, height=2, width=2)
     looks = looked_at(cells, 1.0, lambda c, _: np.ones(len(c), dtype=bool))

@@ -10,6 +10,10 @@ and passed through before and after. For the sequence of hits and looks through 
   hits come in runs, every further run takes a constant factor, and arrangements in as many runs are equally
   likely.
 
+A pole seems to shift where the poses drift: the voxels beside one another take turns at holding it. The hits
+of a voxel are therefore counted together with those of the eight around at the same height, as far as they
+follow each other without a pause. What moves is gone from all nine a moment later.
+
 The logarithm of the ratio of the two likelihoods is averaged over the 27 voxels around: the edge of a
 standing surface, which beams from afar pass and beams from near meet, takes part in the verdict on the
 surface. Voxels with positive mean evidence that touch form a connected component, which gets one verdict. Its
@@ -19,7 +23,7 @@ number.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, fields, replace
 
 import numba
 import numpy as np
@@ -107,6 +111,19 @@ class MovementConfig(StrictModel):
         ge=0,
         description="Time span of hits from which a voxel beside a component counts as static there [s]",
     )
+    passed_by: float = Field(
+        0.1,
+        ge=0,
+        lt=1,
+        description="Largest fraction of the looks at a voxel that go through it and all voxels beside it, "
+        "for what they hold in turns to be one static object that drifting poses shift",
+    )
+    thin: int = Field(
+        4,
+        ge=1,
+        description="Largest number of voxels that a thin object (pole, trunk) takes up at one height and "
+        "time. What takes up more, such as a wall that drifting poses shift, is not taken for such an object",
+    )
     prior: float = Field(-4.0, description="Log odds that a component moved, before any evidence [1]")
     sure: float = Field(
         0.9,
@@ -138,6 +155,67 @@ def evidence_of_movement(looks: VoxelObservations, config: MovementConfig) -> ND
     ways = _log_choose(hits - 1, runs - 1) + _log_choose(through + 1, runs)
     moves = present + _log_choose(hits + through, hits) - ways + np.log(config.further_run) * (runs - 1)
     return np.where(hits > 0, moves - stands, np.nan).astype(np.float32)
+
+
+def steadied(keys: Ints, looks: VoxelObservations, config: MovementConfig) -> VoxelObservations:
+    """Return the looks of voxels (M,) with hits of neighbours that precede or follow without a pause.
+
+    Looks through a voxel while a neighbour was hit count as hits: poses that drift by less than a voxel shift
+    a thin standing object from one voxel to the next. A wall that they shift is a second wall, which better
+    leaves the map. Voxels of several runs stay as they are.
+    """
+    first, last = looks.first.astype(np.int64), looks.last.astype(np.int64)
+    added = _windows_beside(keys, first, last, looks.runs == 1, config.thin)
+    span = (last - first + 1 + added) * config.window
+    hits, through = looks.hits.astype(np.int64), looks.through.astype(np.int64)
+    added = np.minimum(added, through)
+    stayed = (through - added <= config.passed_by * (hits + through)) & (span >= config.lasting)
+    added = np.where(stayed, added, 0)
+    whole, rest = ((hits + added).astype(np.uint16), (through - added).astype(np.uint16))
+    return replace(looks, hits=whole, through=rest)
+
+
+@numba.njit(cache=True)
+def _windows_beside(keys, first, last, single, thin):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Count the windows (N,) by which the neighbours of a voxel prolong its one run; keys are sorted.
+
+    None where more than ``thin`` voxels within two cells at its height were hit in the middle of that run.
+    """
+    added = np.zeros(len(keys), dtype=np.int64)
+    near = np.empty(9, dtype=np.int64)
+    for i in range(len(keys)):
+        if not single[i]:
+            continue
+        number, wide = _neighbours(keys, i, first, last, single, near)
+        if wide > thin:
+            continue
+        begin, end, grows = first[i], last[i], True
+        while grows:
+            grows = False
+            for j in near[:number]:
+                if first[j] <= end + 1 and last[j] >= begin - 1 and (first[j] < begin or last[j] > end):
+                    begin, end, grows = min(begin, first[j]), max(end, last[j]), True
+        added[i] = (end - begin) - (last[i] - first[i])
+    return added
+
+
+@numba.njit(cache=True)
+def _neighbours(keys, i, first, last, single, near):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Write voxels of one run beside a voxel to ``near`` (9,); return their number, and how many were hit.
+
+    The latter are counted within two cells at its height, in the middle of its run.
+    """
+    number, wide, middle = 0, 0, (first[i] + last[i]) // 2
+    for dx in range(-2, 3):
+        for dy in range(-2, 3):
+            key = keys[i] + (dx << 42) + (dy << 21)
+            j = np.searchsorted(keys, key)
+            if j < len(keys) and keys[j] == key:
+                wide += first[j] <= middle <= last[j]
+                if single[j] and abs(dx) < 2 and abs(dy) < 2:
+                    near[number] = j
+                    number += 1
+    return number, wide
 
 
 def _log_choose(total: Floats, chosen: Floats) -> Floats:
@@ -255,11 +333,13 @@ def _judge_part(
 ) -> _Doubtful:
     """Write the verdict on the voxels of a part as if all stood; return those that may have moved."""
     stop = min(start + most, len(keys))
-    low, high = (int(keys[start]) >> 42) - 1, (int(keys[stop - 1]) >> 42) + 2
+    low, high = (int(keys[start]) >> 42) - 3, (int(keys[stop - 1]) >> 42) + 4
     first, last = np.searchsorted(keys, [low << 42, high << 42])
     hit = first + np.flatnonzero(looks.hits[first:last])
     seen = looks.select(hit)
     own = evidence_of_movement(seen, config).astype(np.float64)
+    together = evidence_of_movement(steadied(np.asarray(keys[hit]), seen, config), config).astype(np.float64)
+    own = np.minimum(own, together)
     own = np.clip(own, -config.weight, config.weight)
     span = np.minimum(_lasted(seen, config), 2 * config.brief)
     mean, around = _around(np.asarray(keys[hit]), np.column_stack([own, span]), 1).T

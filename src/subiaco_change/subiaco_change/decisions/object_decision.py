@@ -20,6 +20,7 @@ from subiaco_change.decisions.dynamic_objects import (
     Observed,
     OwnEpochEvidence,
     continues_trail,
+    fits_a_vehicle,
     is_moving_object_trail,
     is_strip_on_road,
     may_be_a_person,
@@ -28,6 +29,7 @@ from subiaco_change.decisions.dynamic_objects import (
 from subiaco_change.decisions.measures import MeasureConfig, Measures, absence, measure, observed_fraction
 from subiaco_change.decisions.plant_decisions import decide_plant
 from subiaco_change.decisions.plant_measures import PlantConfig, measure_plant
+from subiaco_change.decisions.plant_tops import expected_top
 from subiaco_change.decisions.rules import Decision, decide
 from subiaco_change.decisions.space_carving import Empty, Interval
 from subiaco_change.decisions.vegetation_null import PlantMeasures, no_null
@@ -39,6 +41,7 @@ from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import no_decision, switchable
 from subiaco_change.quantiles import quantile_of
 from subiaco_change.segmentation.ground_model import Mask
+from subiaco_geo.clouds import unique_cells
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats, Ints
 
@@ -52,6 +55,17 @@ _CROWN_TOP = NUMBERS.object_decision.crown_top
 _CROWN_COLUMNS = NUMBERS.object_decision.crown_columns
 _CUT_DEPTH = NUMBERS.object_decision.cut_depth
 _CUT_SHARE = NUMBERS.object_decision.cut_share
+_AROUND = NUMBERS.object_decision.around
+_AROUND_COLUMN = NUMBERS.object_decision.around_column
+_AROUND_COLUMNS = NUMBERS.object_decision.around_columns
+_AROUND_POINTS = NUMBERS.object_decision.around_points
+_AS_HIGH = NUMBERS.object_decision.as_high
+_GOES_ON = NUMBERS.object_decision.goes_on
+_GOES_ON_SHARE = NUMBERS.object_decision.goes_on_share
+_FLOATING = NUMBERS.object_decision.floating
+_LINE = NUMBERS.object_decision.line_height
+_HELD = NUMBERS.object_decision.held
+_SAME = NUMBERS.object_decision.same_point
 _OF_PLANTS = (Change.UNCHANGED, Change.INCREASED, Change.DECREASED)  # labels on which other plants have a say
 
 
@@ -135,6 +149,7 @@ def decide_object(
         own, moved = (rules.own[0], rules.moved[0]) if before else (rules.own[1], rules.moved[1])
         decision = (
             is_misclassified_ground(semantic, parts)
+            or is_floating_line(parts, rules.standing[0 if before else 1], rules.decisions)
             or is_moving_object_trail(parts, semantic, own, rules.decisions, measures.free)
             or continues_trail(parts, own, rules.decisions)
             or is_strip_on_road(parts, own, rules.decisions)
@@ -172,8 +187,8 @@ def _compared(
     if alone and not _adjoins((*before, *after), rules.standing[int(bool(before))]):
         return before, after
     return (
-        _in_view(before, after or before, rules.below_view[1]),
-        _in_view(after, before or after, rules.below_view[0]),
+        _in_view(before, after or before, rules.below_view[1], rules.standing),
+        _in_view(after, before or after, rules.below_view[0], rules.standing[::-1]),
     )
 
 
@@ -201,13 +216,19 @@ def _all_parts(objects: Sequence[ObjectInstance], *_: object) -> list[ObjectInst
 
 @switchable("view_height", _all_parts)
 def _in_view(
-    objects: Sequence[ObjectInstance], other: Sequence[ObjectInstance], below_view: Empty | None
+    objects: Sequence[ObjectInstance],
+    other: Sequence[ObjectInstance],
+    below_view: Empty | None,
+    standing: tuple[Floats, Floats],
 ) -> list[ObjectInstance]:
     """Parts of a plant, what is higher than the view of the other epoch reached not observed.
 
-    Where the parts ``other`` of the plant show its top, the view reached that.
+    Where the parts ``other`` of the plant show its top, the view reached that, unless what is ``standing``
+    around in the own epoch goes on above the height at which it ends in the other one.
     """
-    if not objects or below_view is None or is_top_seen(other):
+    if not objects or below_view is None or all(below_view(t.xyz).all() for t in objects):
+        return list(objects)
+    if is_top_seen(other) and not goes_on_above(objects, other, standing):
         return list(objects)
     ceiling = max(float(t.xyz[:, 2].max()) for t in other)  # what is beside points is not above them
     found = []
@@ -237,12 +258,58 @@ def is_top_seen(objects: Sequence[ObjectInstance]) -> bool:
     at about the same height.
     """
     xyz = np.concatenate([t.xyz for t in objects])
-    columns, slot = np.unique(column_keys(xyz, _COLUMN), return_inverse=True)
-    tops = np.full(len(columns), -np.inf)
-    np.maximum.at(tops, slot, xyz[:, 2])
+    tops = _column_tops(xyz)
     top = quantile_of(tops, _CROWN_TOP)
     upper = tops[tops > 0.5 * (top + float(xyz[:, 2].min()))]
     return len(upper) >= _CROWN_COLUMNS and float(np.mean(upper >= top - _CUT_DEPTH)) < _CUT_SHARE
+
+
+def goes_on_above(
+    objects: Sequence[ObjectInstance], other: Sequence[ObjectInstance], standing: tuple[Floats, Floats]
+) -> bool:
+    """Tell whether what ends around a plant as high as the plant, in the other epoch, ends higher in its own.
+
+    A plant that grew leaves the tops around as they are. A field of view that ends lower in one of two
+    surveys lowers all tops that reach it, and the rings of its beams end at so many heights that cut crowns
+    look round.
+
+    Parameters
+    ----------
+    objects, other : sequence of ObjectInstance
+        Parts of the plant in its own and in the other epoch.
+    standing : (N, 3) and (M, 3) float64
+        Points above the ground of both epochs, of any class [m].
+    """
+    plant = [np.concatenate([t.xyz for t in parts]) for parts in (objects, other)]
+    whole = np.concatenate(plant)
+    near = [xyz[in_box_around(xyz, whole, _AROUND)] for xyz in standing]
+    if min(len(xyz) for xyz in near) == 0:
+        return False
+    columns, slot = unique_cells(_columns_of(np.concatenate(near)))
+    slots = np.split(slot, [len(near[0])])
+    fewest = np.min([np.bincount(s, minlength=len(columns)) for s in slots], axis=0)
+    tops = [expected_top(xyz[:, 2], s, fewest) for xyz, s in zip(near, slots, strict=True)]
+    beside = cKDTree(unique_cells(_columns_of(whole))[0]).query(columns)[0] > 1.5  # not even a corner touches
+    level = (
+        beside
+        & (fewest >= _AROUND_POINTS)
+        & (np.abs(tops[1] - quantile_of(_column_tops(plant[1]), _CROWN_TOP)) <= _AS_HIGH)
+    )
+    rises = (tops[0] - tops[1])[level]
+    return len(rises) >= _AROUND_COLUMNS and float(np.mean(rises > _GOES_ON)) >= _GOES_ON_SHARE
+
+
+def _columns_of(xyz: Floats) -> Ints:
+    """Return the columns (N, 2) around a plant that points (N, 3) stand in."""
+    return np.asarray(np.floor(xyz[:, :2] / _AROUND_COLUMN).astype(np.int64))
+
+
+def _column_tops(xyz: Floats) -> Floats:
+    """Heights (C,) of the tops of the columns of a plant of points (N, 3) [m]."""
+    columns, slot = np.unique(column_keys(xyz, _COLUMN), return_inverse=True)
+    tops = np.full(len(columns), -np.inf)
+    np.maximum.at(tops, slot, xyz[:, 2])
+    return tops
 
 
 @switchable("misclassified_ground", no_decision)
@@ -260,3 +327,37 @@ def is_misclassified_ground(semantic: Semantic, objects: Sequence[ObjectInstance
         f" {limit:.2f} m) and is level: the object is part of the ground, which is compared separately."
     )
     return Decision(Change.NOT_REPORTED, reason, 1.0)
+
+
+@switchable("floating_scan_line", no_decision)
+def is_floating_line(
+    objects: Sequence[ObjectInstance], standing: Floats, rules: DecisionConfig
+) -> Decision | None:
+    """Claim nothing of a flat line of points above the ground that touches nothing: no object floats.
+
+    One ring of one sweep met it. A standing object is met by other rings too: the roof of a vehicle
+    that passed is not.
+
+    Parameters
+    ----------
+    objects : sequence of ObjectInstance
+        Of one epoch.
+    standing : (N, 3) float64
+        Points above the ground of that epoch, of any class, the objects included [m].
+    rules : DecisionConfig
+    """
+    xyz = np.concatenate([t.xyz for t in objects])
+    foot = float(min(t.voxels.height.min() for t in objects))
+    low, high = np.quantile(xyz[:, 2], [0.05, 0.95]).tolist()
+    if foot < _FLOATING or high - low > _LINE or not fits_a_vehicle(objects, rules):
+        return None
+    near = standing[in_box_around(standing, xyz, _HELD)]
+    distance = cKDTree(xyz).query(near)[0]
+    if np.any((distance > _SAME) & (distance <= _HELD)):
+        return None
+    reason = (
+        f"The object is a line of points {high - low:.2f} m high (limit {_LINE:g} m), {foot:.1f} m above the"
+        f" ground, and its own survey holds nothing else within {_HELD:g} m: a single scan line of something"
+        " that may have passed, and nothing is claimed."
+    )
+    return Decision(Change.UNOBSERVED, reason, 0.0)

@@ -390,6 +390,39 @@ class ObjectDecisionNumbers(StrictModel):
         0.35,
         description="Fraction of the columns of a crown that end near its top where a field of view cut it",
     )
+    around: float = Field(
+        8.0,
+        description="Distance from a plant within which tops show whether both views reached as high [m]",
+    )
+    around_column: float = Field(1.0, description="Edge of the columns around a plant [m]")
+    around_columns: int = Field(
+        8, description="Number of columns around a plant that end as high as the plant, from which they tell"
+    )
+    around_points: int = Field(
+        3, description="Number of points that a column around a plant needs in each epoch"
+    )
+    as_high: float = Field(
+        1.0, description="Difference in height up to which a column ends as high as the plant beside it [m]"
+    )
+    goes_on: float = Field(
+        0.3, description="Height by which a column goes on in the other survey where the view ended in it [m]"
+    )
+    goes_on_share: float = Field(
+        0.25,
+        description="Fraction of these columns that go on in the other survey from which the view, and not"
+        " the plant, may have ended there",
+    )
+    floating: float = Field(
+        0.5, description="Height above the ground from which an object that touches nothing floats [m]"
+    )
+    line_height: float = Field(
+        0.3, description="Height range up to which the points of an object may be of one scan line [m]"
+    )
+    held: float = Field(
+        1.0,
+        description="Distance to other points of its survey within which something may hold an object [m]",
+    )
+    same_point: float = Field(1e-6, description="Distance up to which two points are one and the same [m]")
 
 
 class PlantMeasuresNumbers(StrictModel):

@@ -44,6 +44,7 @@ OCCUPANCY_RULES: tuple[Rule, ...] = (
             "method_numbers.object_decision.beside_plant",
             "method_numbers.object_decision.cut_depth",
             "method_numbers.object_decision.cut_share",
+            "method_numbers.object_decision.goes_on_share",
         ),
         guards=True,
     ),
@@ -78,6 +79,18 @@ OCCUPANCY_RULES: tuple[Rule, ...] = (
             "method_numbers.object_decision.flat_top",
             "method_numbers.object_decision.laid_top",
             "method_numbers.object_decision.level_normal",
+        ),
+        guards=True,
+    ),
+    Rule(
+        "floating_scan_line",
+        _HERE,
+        "A flat line of points above the ground that touches nothing is a single scan line of something that"
+        " passed: no object floats.",
+        (
+            "method_numbers.object_decision.floating",
+            "method_numbers.object_decision.line_height",
+            "method_numbers.object_decision.held",
         ),
         guards=True,
     ),
