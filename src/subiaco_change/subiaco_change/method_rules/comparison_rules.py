@@ -44,15 +44,8 @@ OCCUPANCY_RULES: tuple[Rule, ...] = (
     Rule(
         "enclosed_volume",
         _HERE,
-        "A building of one epoch alone that encloses no volume is a fragment of a wall.",
-        ("decisions.least_volume",),
-        guards=True,
-    ),
-    Rule(
-        "surely_enclosed_volume",
-        _HERE,
-        "A building of one epoch alone is claimed only where the nearer bound of its volume is that of a"
-        " building: beams along a wall do not show what lies behind it.",
+        "A building of one epoch alone is claimed only where it encloses a volume by the nearer bound: beams"
+        " along a wall do not show what lies behind it.",
         ("decisions.least_volume",),
         guards=True,
     ),

@@ -189,13 +189,8 @@ POINT_RULES: tuple[Rule, ...] = (
     Rule(
         "points_of_no_object",
         _POINTS,
-        "Points too few for an object are Unchanged only where the other epoch holds points too.",
-    ),
-    Rule(
-        "fragments_join",
-        _POINTS,
-        "Points too few for an object, where the other epoch holds none, belong to the changed object that "
-        "they touch: the eaves of a removed house were removed too.",
+        "Points too few for an object are Unchanged only where the other epoch holds points too. Elsewhere"
+        " they belong to the changed object that they touch: the eaves of a removed house were removed too.",
         ("measures.voxel",),
     ),
 )
