@@ -292,8 +292,9 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         _HERE,
         "A storey built on one house of a row ends at its party walls, and splits the row there.",
         (
-            "method_numbers.storeys.new_storey",
+            "method_numbers.rows_of_houses.new_storey",
             "method_numbers.storeys.room_height",
+            "method_numbers.rows_of_houses.columns_across",
             "method_numbers.storeys.unseen_gap",
             "method_numbers.storeys.depth_share",
             "method_numbers.storeys.same_top",

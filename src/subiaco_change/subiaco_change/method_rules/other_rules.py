@@ -158,13 +158,6 @@ GROUND_RULES: tuple[Rule, ...] = (
         guards=True,
     ),
     Rule(
-        "shown_volume",
-        _GROUND,
-        "A changed patch needs an observed volume, so that a few deep cells are no change.",
-        ("ground.shown",),
-        guards=True,
-    ),
-    Rule(
         "ground_of_moving_objects",
         _GROUND,
         "Low parts of a moving object that pass for ground are left out.",

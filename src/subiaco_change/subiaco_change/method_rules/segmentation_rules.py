@@ -148,12 +148,6 @@ SEGMENTATION_RULES: tuple[Rule, ...] = (
         ("semantics.buildings.leafy_scatter", "semantics.buildings.leafy_area"),
     ),
     Rule(
-        "facade_width",
-        _HERE,
-        "A patch narrower than a facade is the face of a pole.",
-        ("semantics.buildings.facade_width",),
-    ),
-    Rule(
         "rough_eaves",
         _HERE,
         "A wall may end below the height of a facade where rough eaves continue above the wall.",

@@ -142,11 +142,6 @@ class BuildingConfig(StrictModel):
     thick_area: float = Field(
         12.0, gt=0, description="Smallest area of a wall that was mapped as several sheets [m2]"
     )
-    facade_width: float = Field(
-        0.15,
-        gt=0,
-        description="Smallest standard deviation of points along a facade [m]; the face of a pole has less",
-    )
     facade_top: float = Field(
         2.3,
         gt=0,
