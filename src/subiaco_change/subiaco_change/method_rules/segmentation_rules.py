@@ -212,18 +212,6 @@ SEGMENTATION_RULES: tuple[Rule, ...] = (
         ),
     ),
     Rule(
-        "sheds",
-        _HERE,
-        "A short, high box with walls to its top is a shed, not a vehicle.",
-        (
-            "semantics.vehicles.shed_top",
-            "semantics.vehicles.shed_straight_top",
-            "semantics.vehicles.shed_length",
-            "semantics.vehicles.shed_fill",
-            "semantics.vehicles.shed_straight",
-        ),
-    ),
-    Rule(
         "slabs",
         _HERE,
         "A low object that is mostly level is a raised bed, not a vehicle.",

@@ -283,28 +283,6 @@ class VehicleConfig(StrictModel):
         description="Edge of the cells, seen from above, in which points of one vehicle are connected [m]",
     )
     rows: RowConfig = RowConfig()
-    shed_top: float = Field(
-        2.1, gt=0, description="Height above ground from which a short box with upright walls is a shed [m]"
-    )
-    shed_straight_top: float = Field(
-        1.9,
-        gt=0,
-        description="Height above ground from which a short box that does not narrow towards its top is a "
-        "shed [m]",
-    )
-    shed_straight: float = Field(
-        0.95,
-        gt=0,
-        le=1,
-        description="Ratio of top width to body width from which a box does not narrow towards its top",
-    )
-    shed_fill: float = Field(
-        0.3,
-        gt=0,
-        le=1,
-        description="Smallest fraction of its bounding rectangle that a shed lower than shed_top fills",
-    )
-    shed_length: float = Field(4.4, gt=0, description="Length above which a high box is no shed [m]")
     mobile_volume: float = Field(
         60.0,
         gt=0,
