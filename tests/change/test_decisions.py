@@ -105,6 +105,25 @@ def test_a_label_of_a_building_needs_the_middle_beyond_its_limit_and_a_certain_s
     assert label(**bounds) is expected
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_walls_seen_free_on_both_sides_tell_the_sign_of_a_change_of_volume_unless_the_height_opposes(sign):
+    """Of a wing most of the volume was not seen: its bounds are 1 and 40 %; its surface tells the sign."""
+
+    def told(surface, opposite=0.0, height=(-0.1, 0.1), nearer=1.0):
+        volume, areas = Interval(nearer, 40.0), (surface, opposite)
+        if sign < 0:
+            volume, height, areas = -volume, (-height[1], -height[0]), areas[::-1]
+        names = zip(("gained_surface", "lost_surface"), areas, strict=True)
+        return label(height_bounds=Interval(*height), volume_bounds=volume, **dict(names))
+
+    found = Change.INCREASED if sign > 0 else Change.DECREASED
+    enough = CONFIG.building.sign_surface
+    assert told(enough) is found
+    assert told(0.9 * enough) is told(0.0, opposite=enough) is Change.UNCHANGED
+    assert told(enough, nearer=-1.0) is Change.UNCHANGED
+    assert told(enough, height=(-1.3, 0.05)) is Change.UNCHANGED
+
+
 def test_an_interval_that_straddles_its_limit_says_so_and_costs_confidence():
     def decided(volume):
         bounds = replace(SAME, height_bounds=Interval(0.0, 0.0), volume_bounds=volume)

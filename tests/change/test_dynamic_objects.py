@@ -18,6 +18,7 @@ from subiaco_change.decisions.dynamic_objects import (
     is_strip_on_road,
     limit_confidence,
     may_be_a_person,
+    may_be_a_porous_trail,
     own_epoch_evidence,
 )
 from subiaco_change.decisions.rules import Decision
@@ -288,6 +289,38 @@ def test_nothing_is_claimed_of_a_strip_as_thin_and_tall_as_a_person_where_nothin
     assert (decision is not None and decision.change is Change.UNOBSERVED) == doubted
     counted = OwnEpochEvidence(nowhere, NOWHERE)
     assert may_be_a_person(strip(places, low, high), semantic, counted) is None
+
+
+ASPHALT = np.stack(np.meshgrid(np.arange(-3, 9, 0.25), np.arange(-4, 6, 0.25)), axis=-1).reshape(-1, 2)
+
+
+def scattered(fill, top, seed=11):
+    """An object of 6 by 1.8 m of so many points as ``fill`` times the asphalt, anywhere below a top [m]."""
+    count = int(fill * 6 * 1.8 * 16 / 4)  # an object has four points at every place
+    return [obj([(np.random.default_rng(seed).uniform([0, 0, 0.1], [6, 1.8, top], (count, 3)), False)])]
+
+
+@pytest.mark.parametrize(
+    ("fill", "top", "semantic", "hidden", "doubted"),
+    [
+        (0.8, 1.6, Semantic.VEGETATION, False, True),
+        (0.8, 3.0, Semantic.OTHER, False, True),
+        (2.0, 1.6, Semantic.VEGETATION, False, False),
+        (0.8, 1.6, Semantic.VEGETATION, True, False),
+        (0.8, 8.0, Semantic.VEGETATION, False, False),
+        (0.8, 1.6, Semantic.MOBILE, False, False),
+    ],
+    ids=["a car", "a lorry", "a hedge", "a bush on its bed", "a crown", "a parked car"],
+)
+def test_nothing_is_claimed_of_what_neither_fills_its_place_nor_hides_the_ground_beneath(
+    fill, top, semantic, hidden, doubted
+):
+    beneath = ((ASPHALT > 0) & (ASPHALT < (6, 1.8))).all(axis=1)
+    own = OwnEpochEvidence(nowhere, NOWHERE, ground=cKDTree(ASPHALT[~beneath] if hidden else ASPHALT))
+    found = may_be_a_porous_trail(scattered(fill, top), semantic, own, RULES)
+    assert (found is not None and found.change is Change.UNOBSERVED) == doubted
+    counted = OwnEpochEvidence(nowhere, NOWHERE)
+    assert may_be_a_porous_trail(scattered(fill, top), semantic, counted, RULES) is None
 
 
 def test_a_planted_row_that_hides_the_ground_is_no_person():

@@ -107,3 +107,17 @@ def test_a_trail_by_shape_alone_occupies_its_place_and_one_that_beams_crossed_do
     voxels = build_voxels(plant, trail, everywhere, 0.5, REACH)
     assert voxels.occupied_in_other.all() == still
     assert voxels.occupied_in_other.any() == still
+
+
+@pytest.mark.parametrize(("beside", "occupies"), [(0.6, False), (0.15, True)])
+def test_a_sparse_trail_in_the_lane_does_not_occupy_the_car_that_is_parked_beside_it(beside, occupies):
+    """Traffic left points 0.7 m apart; the same number of points of an object would count as far as that."""
+    along, up = np.meshgrid(np.arange(-8.0, 12.0, 0.7), [0.5, 1.2])
+    xyz = np.column_stack([along.ravel(), np.full(along.size, -beside), up.ravel()])
+    parked = epoch(car(np.random.default_rng(6)), Semantic.MOBILE)
+    thing = epoch(xyz, Semantic.MOBILE)
+    trail = replace(thing, instance=np.full(len(xyz), NO_OBJECT, dtype=np.int32))
+    by_trail, by_thing = (build_voxels(parked, other, everywhere, 0.5, REACH) for other in (trail, thing))
+    side = by_trail.xyz[:, 1] < 0.3
+    assert by_trail.occupied_in_other[side].any() == occupies
+    assert by_thing.occupied_in_other[side].mean() > 0.5

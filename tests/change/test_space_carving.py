@@ -152,6 +152,22 @@ def test_from_a_line_or_a_sheet_of_cells_that_was_seen_free_nothing_else_counts_
         assert carve(before, after, CONFIG).volume.low < -0.5 * LENGTH * DEPTH * TALL
 
 
+def test_a_surface_whose_place_the_other_survey_did_not_observe_is_no_change_of_volume():
+    """Beams passed between the voxels of a wall that only one survey met: its cells look free."""
+    before, after = epoch(house(), PLAIN), extended()
+    found = carve(before, after, CONFIG)
+    assert found.volume.low > 0
+    assert found.confirmed == (0, 0)
+    known = replace(after.voxels, free_space_confirmed=~after.voxels.occupied_in_other)
+    gained, lost = carve(before, replace(after, voxels=known), CONFIG).confirmed
+    assert gained > 50
+    assert lost == 0
+    unseen = replace(after.voxels, observed=after.voxels.occupied_in_other)
+    found = carve(before, replace(after, voxels=unseen), CONFIG)
+    assert found.volume.low == 0.0
+    assert found.volume.high > 0.0
+
+
 def test_behind_a_single_wall_the_depth_is_open():
     found = carve(epoch(house(), PLAIN), extended(side=False), CONFIG)
     assert found.volume.low < 0.25 * 4 * 5 * TALL

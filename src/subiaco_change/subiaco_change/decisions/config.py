@@ -49,6 +49,12 @@ class ClassRules(StrictModel):
         description="Fraction of the limit that the nearer bound of a building's change must exceed; 1 "
         "asks for the whole interval beyond the limit",
     )
+    sign_surface: float = Field(
+        4.0,
+        ge=0,
+        description="Area of the surfaces of what was built on or taken away, whose place the other survey "
+        "saw free on both sides, from which these surfaces tell the sign of a change of volume [m2]",
+    )
     height_volume: float = Field(
         0.25,
         ge=0,

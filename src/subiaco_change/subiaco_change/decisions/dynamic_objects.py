@@ -11,6 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from subiaco_change.decisions.config import DecisionConfig
@@ -23,6 +24,7 @@ from subiaco_change.decisions.voxel_objects import (
     join_voxels,
     observed_on_both_sides,
 )
+from subiaco_change.geometry import in_box_around
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import always, applies, no_decision, switchable
 from subiaco_change.segmentation.clustering import cell_clusters
@@ -47,6 +49,10 @@ _PERSON_WIDTH = NUMBERS.dynamic_objects.person_width
 _PERSON_TOP = NUMBERS.dynamic_objects.person_top
 _PERSON_GROUND = NUMBERS.dynamic_objects.person_ground
 _PERSON_FOOT = NUMBERS.dynamic_objects.person_foot
+_SEEN_BENEATH = NUMBERS.dynamic_objects.ground_beneath
+_FILLED = NUMBERS.dynamic_objects.opaque_points
+_CELL = NUMBERS.dynamic_objects.footprint_cell
+_RING = NUMBERS.dynamic_objects.ring_cells
 _WALKED = NUMBERS.dynamic_objects.walked_length
 _PIECE = NUMBERS.dynamic_objects.piece_reach
 _PIECES = 40  # of a strip of which the width is measured
@@ -198,6 +204,59 @@ def may_be_a_person(
         " claimed."
     )
     return Decision(Change.UNOBSERVED, reason, 0.0)
+
+
+@switchable("ground_shines_through", no_decision)
+def may_be_a_porous_trail(
+    objects: Sequence[ObjectInstance],
+    semantic: Semantic,
+    own: OwnEpochEvidence | None,
+    rules: DecisionConfig,
+) -> Decision | None:
+    """Tell what neither fills nor hides its place, in a cloud without counts of beams.
+
+    A standing object hides the ground beneath and shows a surface, which a survey samples as densely as the
+    ground beside. Traffic was elsewhere while most beams came: they met the ground in its place.
+    """
+    if own is None or own.ground is None or semantic not in (Semantic.VEGETATION, Semantic.OTHER):
+        return None
+    if not fits_a_vehicle(objects, rules):
+        return None
+    filled, beneath = _opacity(np.concatenate([t.xyz for t in objects])[:, :2], own.ground.data)
+    if not (filled < _FILLED and beneath >= _SEEN_BENEATH):
+        return None
+    reason = (
+        f"The object has {filled:.1f} times as many points as the ground beside it on the same area (limit"
+        f" {_FILLED:g}), {beneath:.0%} of the ground beneath was seen (limit {_SEEN_BENEATH:.0%}), and the"
+        " cloud has no counts of beams: it may be the ghost trail of a vehicle, and nothing is claimed."
+    )
+    return Decision(Change.UNOBSERVED, reason, 0.0)
+
+
+def _opacity(xy: Floats, ground: Floats) -> tuple[float, float]:
+    """Points (N, 2) of an object, and ground points beneath it, as fractions of those expected on its area.
+
+    Expected are as many as the ground points (G, 2) in the cells around; NaN where there are too few.
+    """
+    low = np.floor(xy.min(axis=0) / _CELL).astype(np.int64) - 2 * _RING
+    shape = np.floor(xy.max(axis=0) / _CELL).astype(np.int64) - low + 2 * _RING + 1
+    near = ground[in_box_around(ground, xy, 2 * _RING * _CELL)]
+    counts = []
+    for places in (xy, near):
+        cell = np.floor(places / _CELL).astype(np.int64) - low
+        inside = ((cell >= 0) & (cell < shape)).all(axis=1)
+        number = np.zeros(shape, dtype=np.int64)
+        np.add.at(number, tuple(cell[inside].T), 1)
+        counts.append(number)
+    block = np.ones((3, 3))
+    footprint = ndimage.binary_closing(counts[0] > 0, block)
+    beside = ndimage.binary_dilation(footprint, block, iterations=_RING)
+    beside &= ~ndimage.binary_dilation(footprint, block)
+    known = counts[1][beside & (counts[1] > 0)]
+    if len(known) < _RING:
+        return float("nan"), float("nan")
+    expected = float(np.median(known)) * np.count_nonzero(footprint)
+    return len(xy) / expected, float(counts[1][footprint].sum()) / expected
 
 
 def _road_beneath(xy: Floats, ground: Floats) -> float:

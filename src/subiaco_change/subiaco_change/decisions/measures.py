@@ -118,7 +118,8 @@ class Measures:
     probability of being free, in the other epoch, of the places where it holds nothing.
     Of buildings, ``height_bounds`` and ``volume_bounds`` are what space carving leaves
     possible (Decision 17), ``delta_h`` and ``delta_v`` their middles; ``volume_resolution``
-    is the volume below which carving shows no change.
+    is the volume below which carving shows no change. ``gained_surface`` and ``lost_surface`` are the areas
+    of the surfaces of what was gained and lost whose place the other epoch saw free on both sides [m2].
     """
 
     iou: float
@@ -139,6 +140,8 @@ class Measures:
     free: float = 1.0
     columns: ColumnChange | None = field(default=None, compare=False, repr=False)
     volume_resolution: float = 0.0
+    gained_surface: float = 0.0
+    lost_surface: float = 0.0
 
     @property
     def stated_volume(self) -> Interval | None:
@@ -180,19 +183,19 @@ def measure(
         net_changed_fraction=_net_changed_fraction(before, after),
     )
     if building:
-        return _carved(measures, before, after, config.carving, ground)
+        return _carved(measures, before, after, config, ground)
     volumes = compare_volumes(before, after, config.voxel, config.closing, ground)
     return replace(measures, delta_v=volumes.change, volume=volumes.whole)
 
 
 def _carved(
-    measures: Measures, before: Voxels, after: Voxels, config: CarvingConfig, ground: OpenGround
+    measures: Measures, before: Voxels, after: Voxels, config: MeasureConfig, ground: OpenGround
 ) -> Measures:
     """Add height and volume of a building by space carving (Decision 17)."""
     carved = carve(
         CarvingEpoch(before, ground.empty[0], ground.bare(0)),
         CarvingEpoch(after, ground.empty[1], ground.bare(1)),
-        config,
+        config.carving,
     )
     both = len(before) > 0 and len(after) > 0
     volume = carved.volume
@@ -208,6 +211,8 @@ def _carved(
         volume_bounds=volume,
         columns=carved.columns,
         volume_resolution=carved.resolution,
+        gained_surface=carved.confirmed[0] * config.voxel**2,
+        lost_surface=carved.confirmed[1] * config.voxel**2,
     )
 
 

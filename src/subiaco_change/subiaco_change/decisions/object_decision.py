@@ -23,6 +23,7 @@ from subiaco_change.decisions.dynamic_objects import (
     is_moving_object_trail,
     is_strip_on_road,
     may_be_a_person,
+    may_be_a_porous_trail,
 )
 from subiaco_change.decisions.measures import MeasureConfig, Measures, absence, measure, observed_fraction
 from subiaco_change.decisions.plant_decisions import decide_plant
@@ -138,6 +139,7 @@ def decide_object(
             or continues_trail(parts, own, rules.decisions)
             or is_strip_on_road(parts, own, rules.decisions)
             or may_be_a_person(parts, semantic, own)
+            or may_be_a_porous_trail(parts, semantic, own, rules.decisions)
             or decide_in_traffic(parts, rules.lanes, moved, rules.decisions)
             or decide_shapeless(parts, semantic, rules.lanes, rules.decisions)
             or decide_vehicle_part(parts, semantic, measures, rules.standing[int(bool(before))])

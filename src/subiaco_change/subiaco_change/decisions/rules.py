@@ -14,6 +14,7 @@ from subiaco_change.method_rules.switches import applies, first_argument, switch
 from subiaco_geo.codes import Change, Semantic
 
 _EXACT = NUMBERS.rules.least_half_width
+_OPPOSED = NUMBERS.rules.opposed_height
 _PATCH = NUMBERS.rules.voxels_per_patch
 #: Why nothing is said of an object that both epochs saw.
 NO_LEVEL = "Too few points lie at this place for a level of detection: nothing is claimed."
@@ -203,8 +204,9 @@ def _building(measures: Measures, gate: float, rules: ClassRules) -> Decision:
     """Decide by the bounds of height and volume.
 
     A label needs the middle of the bounds beyond the limit, and both bounds on its side of zero: an extension
-    of 16 % that is known to lie between 9 and 17 % has grown, and a wrong sign cannot come out. Bounds that
-    straddle the limit are stated in the reason, and lower the confidence.
+    of 16 % that is known to lie between 9 and 17 % has grown, and a wrong sign cannot come out. The nearer
+    bound must exceed a part of the limit, or walls and roofs must stand where the other survey saw free space
+    on both sides. Bounds that straddle the limit are stated in the reason, and lower the confidence.
 
     Where height and volume say the opposite, the volume's sign wins (Decision 12).
     """
@@ -217,8 +219,8 @@ def _building(measures: Measures, gate: float, rules: ClassRules) -> Decision:
         Interval(_share(height.low, limit), _share(height.high, limit)),
         Interval(volume.low / room, volume.high / room),
     )
-    up = _rise(*bounds, rules)
-    down = _rise(-bounds[0], -bounds[1], rules)
+    up = _rise(*bounds, measures.gained_surface, rules)
+    down = _rise(-bounds[0], -bounds[1], measures.lost_surface, rules)
     evidence = f"Height change {_span(height)} (limit {limit:.2f} m), volume change"
     stated = volume.widened(measures.volume_resolution)
     evidence += f" {stated.low / whole:+z.0%} to {stated.high / whole:+z.0%} (limit {rules.volume:.0%}): "
@@ -243,13 +245,17 @@ def _span(height: Interval) -> str:
     return f"{height.low:+z.2f} to {height.high:+z.2f} m" if known else "not known"
 
 
-def _rise(height: Interval, volume: Interval, rules: ClassRules) -> float:
+def _rise(height: Interval, volume: Interval, surface: float, rules: ClassRules) -> float:
     """Return by how much a rise of a building is met; that of its height needs volume that carries it.
 
-    Where one epoch saw little of a house, the columns that both know may be of its neighbours.
+    Where one epoch saw little of a house, the columns that both know may be of its neighbours. ``surface`` is
+    the area of the surfaces of what was built on that the other epoch would have met [m2]: it tells the sign,
+    unless the height says the opposite.
     """
     unsupported = applies("volume_supports_height", volume.high < rules.height_volume)
-    return max(0.0 if unsupported else _beyond(height, rules.certain), _beyond(volume, rules.certain))
+    shown = surface >= rules.sign_surface and height.middle > -_OPPOSED
+    least = 0.0 if applies("sign_by_surface", shown) else rules.certain
+    return max(0.0 if unsupported else _beyond(height, rules.certain), _beyond(volume, least))
 
 
 def _beyond(bound: Interval, certain: float) -> float:

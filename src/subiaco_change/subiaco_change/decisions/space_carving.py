@@ -82,6 +82,8 @@ class Carved:
     """Change of the volume [m3] and of the height [m], and the volume *before* [m3].
 
     ``resolution``: half of a cell over the area of the body [m3]; a smaller change is not observed.
+    ``confirmed``: voxels of the surfaces of what was gained, and of what was lost, whose place the other
+    epoch saw free on both sides.
     """
 
     volume: Interval
@@ -89,6 +91,7 @@ class Carved:
     whole: float
     columns: ColumnChange | None = None
     resolution: float = 0.0
+    confirmed: tuple[int, int] = (0, 0)
 
 
 @dataclass(frozen=True)
@@ -175,16 +178,17 @@ def carve(before: CarvingEpoch, after: CarvingEpoch, config: CarvingConfig) -> C
         return Carved(Interval(0.0, 0.0), Interval(0.0, 0.0), 0.0)
     frame = _frame(Voxels.joined(both), config)
     states = tuple(_state(epoch, other.voxels, frame) for epoch, other in ((before, after), (after, before)))
-    gain, gained = _difference(states[0], states[1], after.voxels, frame, config)
-    loss, lost = _difference(states[1], states[0], before.voxels, frame, config)
-    volume = Interval(gain.low - loss.high, gain.high - loss.low)
+    gain = _difference(states[0], states[1], after.voxels, frame, config)
+    loss = _difference(states[1], states[0], before.voxels, frame, config)
+    volume = Interval(gain.volume.low - loss.volume.high, gain.volume.high - loss.volume.low)
     old = states[0] if len(before.voxels) else states[1]
     tops = np.stack([state.top for state in states])
     grid = (frame.corner, frame.turn, frame.cell)
-    columns = ColumnChange.of(gained, lost, tops, frame.rise, grid)
-    whole = _whole(old, both, gained, frame)
+    columns = ColumnChange.of(gain.cells, loss.cells, tops, frame.rise, grid)
+    whole = _whole(old, both, gain.cells, frame)
     area = whole / max(float(old.top[old.top > 0].mean()), frame.rise) if (old.top > 0).any() else 0.0
-    return Carved(volume, _height(states, frame, config), whole, columns, 0.5 * frame.rise * area)
+    height, confirmed = _height(states, frame, config), (gain.confirmed, loss.confirmed)
+    return Carved(volume, height, whole, columns, 0.5 * frame.rise * area, confirmed)
 
 
 def _frame(voxels: Voxels, config: CarvingConfig) -> _Frame:
@@ -344,23 +348,48 @@ def _follows(walls: Cells, stops: Cells, axis: int) -> Cells:
     return np.asarray(last_wall > last_stop)
 
 
+@dataclass(frozen=True)
+class _Difference:
+    """What one epoch has and the other had not: volume [m3], cells, and voxels seen free on both sides."""
+
+    volume: Interval
+    cells: Cells
+    confirmed: int
+
+
 def _difference(
     old: _State, new: _State, voxels: Voxels, frame: _Frame, config: CarvingConfig
-) -> tuple[Interval, Cells]:
-    """Volume [m3] that was free and is solid, and its cells; cells that one epoch does not know widen it."""
+) -> _Difference:
+    """Find what was free and is solid; cells that one epoch does not know widen the bounds of its volume.
+
+    A surface whose place the other epoch did not observe is no evidence of a change: beams that pass beside a
+    surface show the cells around it free, and leave open whether the surface stood there. What it encloses
+    counts as possible.
+    """
     solid = new.solid | _behind_new_walls(old, new, frame, config)
     number, count = ndimage.label(old.free & solid, _TOUCHING)
-    surface = _surface(voxels.select(~voxels.occupied_in_other), frame)
-    support = np.bincount(number.ravel(), surface.ravel(), minlength=count + 1)
-    supported = ~rule_mask("supported_volumes", support < config.support)
-    supported[0] = False
-    changed = supported[number]
-    sure = _without_thin(changed, config)
+    kinds = (voxels.observed_unoccupied, ~voxels.occupied_in_other, voxels.free_space_confirmed)
+    observed, alone, confirmed = (_per_part(voxels.select(kind), number, count, frame) for kind in kinds)
+    sure = _without_thin(_supported(observed, config)[number], config)
     # Between free space and a wall lies a cell that is neither: the resolution, and no room to hide in.
     sure |= ndimage.binary_dilation(sure, _FACES) & old.unknown & solid
+    changed = _supported(alone, config)[number]
     maybe = (old.free & new.unknown) | (old.unknown & solid)
     reach = ndimage.binary_propagation(_patches(changed, config), _TOUCHING, changed | maybe)
-    return Interval(float(sure.sum()) * frame.volume, float(reach.sum()) * frame.volume), sure
+    volume = Interval(float(sure.sum()) * frame.volume, float(reach.sum()) * frame.volume)
+    return _Difference(volume, sure, int(confirmed[1:].sum()))
+
+
+def _per_part(voxels: Voxels, number: Ints, count: int, frame: _Frame) -> Ints:
+    """Numbers (count + 1,) of voxels whose surface lies in each part of a labelled array of cells."""
+    return np.bincount(number.ravel(), _surface(voxels, frame).ravel(), minlength=count + 1)
+
+
+def _supported(voxels: Ints, config: CarvingConfig) -> NDArray[np.bool_]:
+    """Tell which parts (count + 1,) of an array of cells hold enough voxels; the first is no part."""
+    enough = ~rule_mask("supported_volumes", voxels < config.support)
+    enough[0] = False
+    return np.asarray(enough)
 
 
 @switchable("thin_volumes", first_argument)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -165,7 +165,9 @@ def build_voxels(
     if len(owner) == 0:
         none = np.zeros(0, dtype=bool)
         return Voxels(owner, xyz, normal, height, none, none, none)
-    in_other = occupied(xyz, other.xyz[is_standing(other)], reach)
+    standing, loose = is_standing(other), _is_loose(other)
+    in_other = occupied(xyz, other.xyz[standing & ~loose], reach)
+    in_other |= _touching(xyz, other.xyz[standing & loose], reach)
     ground = occupied_by_ground(xyz, other.xyz[other.semantic == Semantic.GROUND], reach)
     foot = ground & (height <= reach.standing) & ~in_other
     in_other |= ground & ~foot
@@ -196,12 +198,17 @@ def _passable(view: EpochView) -> Mask:
 
 def is_ghost_trail(view: EpochView) -> Mask:
     """Tell which points (N,) are ghost trails: mobile, no object, and passed by beams."""
-    loose = np.asarray((view.semantic == Semantic.MOBILE) & (view.instance == NO_OBJECT))
+    loose = _is_loose(view)
     if view.moved is not None:
         return np.asarray(loose & (view.moved > UNCERTAIN))
     if view.passed is None:
         return np.zeros(len(view.xyz), dtype=bool)
     return np.asarray(loose & (view.passed >= _PASSED_THROUGH))
+
+
+def _is_loose(view: EpochView) -> Mask:
+    """Tell which points (N,) are mobile and of no object: what traffic left, mostly."""
+    return np.asarray((view.semantic == Semantic.MOBILE) & (view.instance == NO_OBJECT))
 
 
 def observed_on_both_sides(
@@ -249,6 +256,15 @@ def occupied(query: Floats, points: Floats, reach: Reach) -> Mask:
     still = np.zeros(len(query), dtype=bool)
     still[found] = distance[found] <= np.clip(reach.factor * spacing, reach.low, reach.high)
     return still
+
+
+@switchable("trails_occupy_what_they_touch", occupied)
+def _touching(query: Floats, points: Floats, reach: Reach) -> Mask:
+    """Tell which places (M, 3) loose points (N, 3) occupy.
+
+    Their spacing is not that of a sampled surface: a trail in the lane does not occupy the car parked beside.
+    """
+    return occupied(query, points, replace(reach, factor=0.0))
 
 
 @switchable("occupied_by_ground", none_of_them)

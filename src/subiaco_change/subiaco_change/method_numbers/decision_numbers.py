@@ -209,7 +209,7 @@ class DynamicObjectsNumbers(StrictModel):
         (0.2, 0.8), description="Smallest and largest width of the trail of a pedestrian or cyclist [m]"
     )
     person_top: tuple[float, float] = Field(
-        (1.5, 2.1),
+        (1.0, 2.1),
         description="Lowest and highest top of the trail of a pedestrian or cyclist above ground [m]",
     )
     person_ground: float = Field(
@@ -220,6 +220,22 @@ class DynamicObjectsNumbers(StrictModel):
     person_foot: float = Field(
         0.6,
         description="Largest height above ground at which the trail of a pedestrian or cyclist begins [m]",
+    )
+    opaque_points: float = Field(
+        1.25,
+        description="Number of points of a standing object, as a multiple of the ground points beside it on "
+        "the same area, below which the object may be a ghost trail",
+    )
+    ground_beneath: float = Field(
+        0.6,
+        description="Density of the ground points beneath an object of few points, as a fraction of that "
+        "beside it, from which the object may be a ghost trail",
+    )
+    footprint_cell: float = Field(
+        0.5, description="Edge of the cells in which points of an object and of the ground are counted [m]"
+    )
+    ring_cells: int = Field(
+        3, description="Width of the ring around an object in which the ground beside it is counted [cells]"
     )
     walked_length: float = Field(
         2.0, description="Smallest length of the trail of a pedestrian or cyclist [m]"
@@ -416,6 +432,11 @@ class PointLabelsNumbers(StrictModel):
 class RulesNumbers(StrictModel):
     """Numbers of ``decisions/rules.py``."""
 
+    opposed_height: float = Field(
+        0.5,
+        description="Fraction of the limit on a change of height from which the height opposes the sign that "
+        "new or lost surfaces of a building tell",
+    )
     least_half_width: float = Field(
         0.05,
         description="Smallest half width of the bounds of a measure, as a fraction of its limit",

@@ -22,6 +22,12 @@ OCCUPANCY_RULES: tuple[Rule, ...] = (
         guards=True,
     ),
     Rule(
+        "trails_occupy_what_they_touch",
+        _HERE,
+        "Loose points of traffic occupy what they touch: their spacing is not that of a sampled surface.",
+        ("measures.same_low",),
+    ),
+    Rule(
         "porous_absence",
         _HERE,
         "A beam that crosses the place of a porous object proves less than one that crosses a wall.",
@@ -101,6 +107,17 @@ MOVING_OBJECT_RULES: tuple[Rule, ...] = (
             "method_numbers.dynamic_objects.strip_width",
             "method_numbers.dynamic_objects.road_beneath",
             "method_numbers.dynamic_objects.trail_width",
+        ),
+        guards=True,
+    ),
+    Rule(
+        "ground_shines_through",
+        _HERE,
+        "Nothing is claimed of what neither fills its place nor hides the ground beneath, in a cloud without"
+        " counts of beams: traffic was elsewhere while most beams came.",
+        (
+            "method_numbers.dynamic_objects.opaque_points",
+            "method_numbers.dynamic_objects.ground_beneath",
         ),
         guards=True,
     ),
@@ -437,6 +454,13 @@ BUILDING_RULES: tuple[Rule, ...] = (
         guards=True,
     ),
     Rule(
+        "sign_by_surface",
+        _HERE,
+        "Walls and roofs of one epoch alone, whose place the other saw free on both sides, tell the sign of a"
+        " change of volume: its nearer bound may then be as small as zero.",
+        ("decisions.building.sign_surface",),
+    ),
+    Rule(
         "volume_supports_height",
         _HERE,
         "A change of height of a building needs volume that carries the change.",
@@ -495,7 +519,7 @@ BUILDING_RULES: tuple[Rule, ...] = (
     Rule(
         "supported_volumes",
         _HERE,
-        "A changed volume needs voxels of changed surface.",
+        "A changed volume needs voxels of changed surface, whose place the other epoch observed.",
         ("measures.carving.support",),
     ),
     Rule(
