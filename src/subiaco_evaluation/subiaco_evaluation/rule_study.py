@@ -220,11 +220,11 @@ def _run(job: _Job) -> None:
 
 def _compare(job: _Job, config: ChangeConfig, runner: TaskRunner) -> TiledResult:
     """Compare a survey in this process, with results of stages that an earlier run left."""
-    before, after = (open_epoch(*_epoch_files(job.survey, epoch)) for epoch in ("before", "after"))
+    before, after = (open_epoch(*epoch_files(job.survey, epoch)) for epoch in ("before", "after"))
     return detect_in_tiles((before, after), config, runner)
 
 
-def _epoch_files(survey: Path, epoch: str) -> tuple[Path, Path | None]:
+def epoch_files(survey: Path, epoch: str) -> tuple[Path, Path | None]:
     """Return where an epoch lies: a cloud and perhaps a trajectory beside its map, or else the map."""
     clouds = [path for ending in _CLOUDS if (path := survey / f"{epoch}.{ending}").is_file()]
     way = survey / f"{epoch}.tum"
