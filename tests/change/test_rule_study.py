@@ -137,3 +137,14 @@ def test_a_rule_that_is_not_finished_everywhere_has_no_verdict_and_no_figures(st
     assert table["verdict"].tolist() == ["not finished"]
     assert "–" in study_markdown(table)
     assert json.loads((study.folder / "study.json").read_text(encoding="utf-8"))["key"]
+
+
+def test_clouds_in_the_folder_of_a_survey_take_the_place_of_its_maps(tmp_path):
+    def files(epoch):
+        return rule_study.epoch_files(tmp_path, epoch)
+
+    assert files("before") == (tmp_path / "before", None)
+    for name in ("before.ply", "after.laz", "after.tum"):
+        (tmp_path / name).touch()
+    assert files("before") == (tmp_path / "before.ply", None)
+    assert files("after") == (tmp_path / "after.laz", tmp_path / "after.tum")

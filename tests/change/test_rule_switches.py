@@ -37,7 +37,7 @@ SINGLES = [
     ("probably_free", Semantic.OTHER, replace(NEW, free=0.6), Change.UNOBSERVED, Change.ADDED),
     ("enclosed_volume", Semantic.BUILDING, replace(NEW, delta_v=0.5), Change.UNOBSERVED, Change.ADDED),
     (
-        "surely_enclosed_volume",
+        "enclosed_volume",
         Semantic.BUILDING,
         replace(NEW, volume_bounds=Interval(1.0, 99.0)),
         Change.UNOBSERVED,

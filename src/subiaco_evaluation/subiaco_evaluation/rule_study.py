@@ -5,7 +5,8 @@ from __future__ import annotations
 import json
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
+from functools import lru_cache
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
@@ -15,13 +16,13 @@ import pandas as pd
 
 from subiaco_change.config import ChangeConfig
 from subiaco_change.method_rules import RULES, STAGES_OF_RULES, known_rules
-from subiaco_change.method_rules.switches import rules_recorded
 from subiaco_change.pipeline import detect_in_tiles
 from subiaco_change.records import TiledResult
 from subiaco_evaluation import object_matching as objects
 from subiaco_evaluation.grid import rasterise
 from subiaco_evaluation.layouts import in_after_frame
 from subiaco_evaluation.paired import block_differences, tile_matrices
+from subiaco_evaluation.rule_runner import FullRunner, PartialRunner, RuleNotes
 from subiaco_evaluation.scoring import EvaluationConfig, joined_truth
 from subiaco_evaluation.truth import SurveyTruth, read_truth
 from subiaco_geo.atomic import whole_file
@@ -38,6 +39,7 @@ from subiaco_geo.work.tasks import fingerprint
 MARKER = "study.json"
 TABLE, RUNS, PAGE = "rules.csv", "runs.csv", "rules.md"
 BASELINE = "baseline"
+_CLOUDS = ("ply", "laz", "las")
 _BLOCK = 40.0  # edge of the blocks that the bootstrap draws [m]
 _CHANGED = (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED)
 
@@ -76,15 +78,16 @@ def run_rule_study(
 ) -> pd.DataFrame:
     """Score the method on surveys without each of its rules; a study that was stopped goes on.
 
-    All runs of a survey share the first registration, and the results of stages in which a rule does not act.
+    Only what a rule touches is done again: a run shares with the baseline the results of all tasks in which
+    the answer of the rule never differed from that without it, and of tasks that rest on equal results.
     The second registration is left out: it rests on what was found changed, and would move everything. A rule
-    whose answer never differs from that without it, in the baseline of a survey, is not run there, because
-    nothing would change.
+    whose answer never differs in the baseline of a survey is not run there, because nothing would change.
 
     Parameters
     ----------
     surveys : sequence of Path
-        Outputs of ``subiaco simulate``, with fused maps.
+        Outputs of ``subiaco simulate``, with fused maps. Clouds ``before.ply`` and ``after.ply`` or ``.laz``
+        in such a folder are compared in place of the maps, with ``before.tum`` and ``after.tum`` if there.
     output : Path
         Scores of every run, ``runs.csv``, ``rules.csv`` and ``rules.md``, written after every run.
     config : ChangeConfig
@@ -194,45 +197,65 @@ def load_run(folder: Path, rule: str) -> RuleRun:
 def _run(job: _Job) -> None:
     """Compare one survey without one rule, and keep the score; the baseline records the rules at work."""
     job.folder.mkdir(parents=True, exist_ok=True)
-    truth = read_truth(job.survey)
-    used: set[str] = set()
+    store, notes = DiskStore((job.folder / ".stages").absolute()), RuleNotes(job.folder / ".used")
+    keys = job.folder / "keys.json"
     if job.rule == BASELINE:
-        with rules_recorded() as used:
-            used.update(_read_used(job.folder))
-            score = score_run(_compare(job, job.config, lambda *_: _write_used(job.folder, used)), truth)
+        whole = FullRunner(store, notes)
+        score = score_run(_compare(job, job.config, whole), _scene_truth(job.survey))
+        score = replace(score, used=tuple(sorted(whole.used)))
+        with whole_file(keys) as temporary:
+            temporary.write_text(json.dumps(whole.keys), encoding="utf-8")
     else:
-        off = known_rules([*job.config.rules_off, job.rule])
-        score = score_run(_compare(job, job.config.model_copy(update={"rules_off": off})), truth)
+        off = known_rules([*job.config.rules_off, *job.rule.split("+")])
+        known = json.loads(keys.read_text(encoding="utf-8"))
+        partly = PartialRunner(store, notes, known, frozenset(off) - set(job.config.rules_off))
+        result = _compare(job, job.config.model_copy(update={"rules_off": off}), partly)
+        score = replace(load_run(job.folder, BASELINE), used=())
+        if partly.scored_moved:
+            score = score_run(result, _scene_truth(job.survey))
     with whole_file(_result(job.folder, job.rule)) as temporary, temporary.open("wb") as stream:
-        np.savez(stream, cells=score.cells, objects=score.objects, used=np.array(sorted(used), dtype="U64"))
+        used = np.array(score.used, dtype="U64")
+        np.savez(stream, cells=score.cells, objects=score.objects, used=used)
 
 
-def _read_used(folder: Path) -> set[str]:
-    """Return the rules that were at work in the stages that a stopped baseline finished."""
-    path = folder / "used.json"
-    return set(json.loads(path.read_text(encoding="utf-8"))) if path.is_file() else set()
-
-
-def _write_used(folder: Path, used: set[str]) -> None:
-    with whole_file(folder / "used.json") as temporary:
-        temporary.write_text(json.dumps(sorted(used)), encoding="utf-8")
-
-
-def _compare(
-    job: _Job, config: ChangeConfig, on_task: Callable[[str, str], None] | None = None
-) -> TiledResult:
+def _compare(job: _Job, config: ChangeConfig, runner: TaskRunner) -> TiledResult:
     """Compare a survey in this process, with results of stages that an earlier run left."""
-    epochs = open_epoch(job.survey / "before"), open_epoch(job.survey / "after")
-    runner = TaskRunner(DiskStore((job.folder / ".stages").absolute()), on_task=on_task)
-    return detect_in_tiles(epochs, config, runner)
+    before, after = (open_epoch(*epoch_files(job.survey, epoch)) for epoch in ("before", "after"))
+    return detect_in_tiles((before, after), config, runner)
 
 
-def score_run(result: TiledResult, truth: SurveyTruth, config: EvaluationConfig | None = None) -> RuleRun:
+def epoch_files(survey: Path, epoch: str) -> tuple[Path, Path | None]:
+    """Return where an epoch lies: a cloud and perhaps a trajectory beside its map, or else the map."""
+    clouds = [path for ending in _CLOUDS if (path := survey / f"{epoch}.{ending}").is_file()]
+    way = survey / f"{epoch}.tum"
+    return (clouds[0] if clouds else survey / epoch), (way if clouds and way.is_file() else None)
+
+
+@dataclass(frozen=True)
+class SceneTruth:
+    """Truth of a survey in the frame of *after*: points by epoch, and their cells."""
+
+    points: Mapping[str, Any]
+    cells: Any
+
+
+def scene_truth(truth: SurveyTruth, config: EvaluationConfig | None = None) -> SceneTruth:
+    """Bring the truth of a survey to the form that runs are scored with."""
+    points = in_after_frame(truth)
+    return SceneTruth(points, _rasterised(list(points.values()), config or EvaluationConfig()))
+
+
+@lru_cache(maxsize=8)
+def _scene_truth(survey: Path) -> SceneTruth:
+    """Read the truth of a survey: once, for all runs of it in this process."""
+    return scene_truth(read_truth(survey))
+
+
+def score_run(result: TiledResult, truth: SceneTruth, config: EvaluationConfig | None = None) -> RuleRun:
     """Score a comparison by blocks: cells by the published protocol, objects found and wrongly claimed."""
-    settings, real = config or EvaluationConfig(), in_after_frame(truth)
+    settings, real, true = config or EvaluationConfig(), truth.points, truth.cells
     whole = result.whole()
     epochs = ((whole.before, real["before"]), (whole.after, real["after"]))
-    true = _rasterised([r for _, r in epochs], settings)
     said = _rasterised([p for p, _ in epochs], settings)
     known = true.codes < 5
     place = np.minimum(np.searchsorted(said.keys, true.keys[known]), len(said.keys) - 1)

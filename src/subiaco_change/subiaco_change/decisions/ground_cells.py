@@ -93,12 +93,6 @@ class GroundChangeConfig(StrictModel):
         description="Fraction of a patch in whose own cells the other surface must have points; the rim of "
         "a pit has points beside the patch alone",
     )
-    shown: float = Field(
-        0.5,
-        ge=0,
-        description="Observed volume that a ground change needs, as a multiple of the smallest area times "
-        "the threshold",
-    )
     closing: int = Field(
         5,
         ge=0,

@@ -14,7 +14,7 @@ from subiaco_change.decisions.ground_cells import NO_CLAIM, GroundCells, GroundC
 from subiaco_change.decisions.voxel_objects import EpochView
 from subiaco_change.geometry import outline_of_cells
 from subiaco_change.method_numbers import NUMBERS
-from subiaco_change.method_rules.switches import first_argument, never, rule_mask, switchable
+from subiaco_change.method_rules.switches import first_argument, never, switchable
 from subiaco_change.records import GroundChange
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.codes import Change, Semantic
@@ -83,16 +83,11 @@ def find_patches(
     patch = np.full(dz.shape, -1, dtype=np.int64)
     patches: list[GroundPatch] = []
     gate = _gate(lod, config)
-    least = config.shown * config.area * config.threshold / config.cell**2
     for sign, change in ((1.0, Change.INCREASED), (-1.0, Change.DECREASED)):
         rise = np.nan_to_num(sign * dz, nan=-1.0)
-        over = rise > gate
         labels, count = ndimage.label(beyond_gate(cells, sign, config), structure=np.ones((3, 3)))
         labels = _to_half_height(labels, count, rise, gate, config)
-        depth = np.where(over, np.minimum(rise, 2 * config.threshold), 0.0)  # a few deep cells are noise
-        shown = np.bincount(labels.ravel(), depth.ravel(), count + 1)
         large = _possible_sizes(labels, count, cells, config) * config.cell**2 > config.area
-        large &= ~rule_mask("shown_volume", large & (shown < least))
         for number in np.flatnonzero(large).tolist():
             found = _make_patch(change, labels == number, cells, corner, config)
             if _is_other_surface(labels == number, cells, config):

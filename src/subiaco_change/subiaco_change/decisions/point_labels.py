@@ -15,7 +15,7 @@ from scipy.special import ndtr
 from subiaco_change.decisions.ground_change import GroundComparison, GroundPatch, patch_points
 from subiaco_change.decisions.voxel_objects import EpochView, is_ghost_trail
 from subiaco_change.method_numbers import NUMBERS
-from subiaco_change.method_rules.switches import nearest_to_none, none_of_them, rule_mask, switchable
+from subiaco_change.method_rules.switches import none_of_them, rule_mask, switchable
 from subiaco_change.records import ChangeRecord
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.visibility_evidence import EvidenceConfig, ground_observed
@@ -100,7 +100,6 @@ def _join_fragments(xyz: Floats, labels: PointLabels, fragments: Ints, touch: fl
     return np.asarray(joined)
 
 
-@switchable("fragments_join", nearest_to_none)
 def touching(fragments: Floats, hosts: Floats, touch: float) -> Ints:
     """Return the nearest host (K,) of each fragment (K, 3) within ``touch`` [m], -1 without any."""
     if len(fragments) == 0 or len(hosts) == 0:

@@ -149,30 +149,16 @@ def _enclosing(decision: Decision, measures: Measures, config: DecisionConfig) -
     if decision.change not in (Change.ADDED, Change.REMOVED):
         return decision
     sign = 1.0 if decision.change is Change.ADDED else -1.0
-    if not abs(measures.delta_v) < config.least_volume:
-        return _surely_enclosing(decision, sign, measures, config)
-    which = "later" if decision.change is Change.ADDED else "earlier"
-    reason = (
-        f"Only the {which} survey has the object, but the object encloses {abs(measures.delta_v):.1f} m³"
-        f" (limit {config.least_volume:g} m³): it is a fragment of a wall, and nothing is claimed."
-    )
-    return Decision(Change.UNOBSERVED, reason, 0.0)
-
-
-@switchable("surely_enclosed_volume", first_argument)
-def _surely_enclosing(
-    decision: Decision, sign: float, measures: Measures, config: DecisionConfig
-) -> Decision:
-    """Leave a building of one survey undecided whose volume may be too small for a building."""
     stated = measures.stated_volume
-    least = math.inf if stated is None else min(sign * stated.low, sign * stated.high)
-    if not least < config.least_volume:
+    bounds = () if stated is None else (sign * stated.low, sign * stated.high)
+    least = min(value for value in (abs(measures.delta_v), *bounds, math.inf) if not math.isnan(value))
+    if least >= config.least_volume:
         return decision
     which = "later" if decision.change is Change.ADDED else "earlier"
     reason = (
-        f"Only the {which} survey has the object, but space that was not observed leaves open whether the"
-        f" object encloses more than {max(least, 0.0):.1f} m³ (limit {config.least_volume:g} m³): nothing is"
-        " claimed."
+        f"Only the {which} survey has the object, and as far as was observed the object encloses"
+        f" {max(least, 0.0):.1f} m³ (limit {config.least_volume:g} m³): it may be a fragment of a wall, and"
+        " nothing is claimed."
     )
     return Decision(Change.UNOBSERVED, reason, 0.0)
 

@@ -31,7 +31,6 @@ _COLUMN = NUMBERS.rows_of_houses.cell
 _SHARED = NUMBERS.rows_of_houses.shared_columns
 _SHOWN = NUMBERS.rows_of_houses.columns_across
 _ROOM = NUMBERS.storeys.room_height
-_ACROSS = NUMBERS.storeys.columns_across
 _GAP = NUMBERS.storeys.unseen_gap
 _THROUGH = NUMBERS.storeys.depth_share
 _SAME = NUMBERS.storeys.same_top
@@ -130,7 +129,7 @@ def separate_bodies(
     return [[large[k] for k in group] for group in group_indices(joined)]
 
 
-_NEW_STOREY = ProfileConfig(step=NUMBERS.rows_of_houses.new_storey)  # tops that rose by less got a new roof
+_STOREY = ProfileConfig(step=NUMBERS.rows_of_houses.new_storey)  # tops that rose by less got a new roof
 
 
 def group_row_houses(pieces: Sequence[Piece], config: AssociationConfig) -> list[list[int]]:
@@ -240,7 +239,7 @@ def _moved(before: Floats, after: Floats, xy: Floats) -> Ints:
     labels = np.zeros(len(xy), dtype=np.int64)
     for axis in (0, 1):
         profile = _profile(rise if axis == 0 else rise.T)
-        parts = part_slots(slot[:, axis], level_steps(profile, _NEW_STOREY), _NEW_STOREY)
+        parts = part_slots(slot[:, axis], level_steps(profile, _STOREY), _STOREY)
         labels = labels * (int(parts.max()) + 1) + parts
     return labels
 
@@ -268,7 +267,7 @@ def _gaps(alone: Mask, shared: Mask) -> Ints:
 
     At the end of a row this kind of stretch may be a wing of the last house.
     """
-    width = round(_NEW_STOREY.width / _COLUMN)
+    width = round(_STOREY.width / _COLUMN)
     numbers, count = ndimage.label(alone)
     gaps = np.zeros(len(alone), dtype=np.int64)
     for number in range(1, count + 1):
@@ -294,10 +293,7 @@ def _profile(rise: Floats) -> Floats:
     shown = np.isfinite(rise).sum(axis=1) >= _SHOWN
     profile = np.zeros(len(rise))
     profile[shown] = np.nanmedian(rise[shown], axis=1)
-    return np.asarray(profile - profile.min() + _NEW_STOREY.lowest + 1.0)
-
-
-_STOREY = ProfileConfig(step=NUMBERS.storeys.new_storey)  # a smaller change is a new roof
+    return np.asarray(profile - profile.min() + _STOREY.lowest + 1.0)
 
 
 def changed_houses(found: ColumnChange, xy: Floats) -> Ints:
@@ -345,7 +341,7 @@ def _runs(found: ColumnChange, axis: int, sign: int, depth: float) -> list[tuple
     """First slot and end of every stretch along an axis whose columns rose, or fell, by a storey."""
     amount = np.where(found.foot >= _ROOM, np.maximum(sign * found.change, 0.0), 0.0)
     amount = amount if axis == 0 else amount.T
-    changed: Mask = np.count_nonzero(amount, axis=1) >= _ACROSS
+    changed: Mask = np.count_nonzero(amount, axis=1) >= _SHOWN
     gap = round(_GAP / found.cell)
     closed = ndimage.binary_closing(np.pad(changed, gap + 1), np.ones(gap + 1))[gap + 1 : -gap - 1]
     numbers, count = ndimage.label(closed)

@@ -93,7 +93,7 @@ class RowsOfHousesNumbers(StrictModel):
     )
     columns_across: int = Field(
         3,
-        description="Number of columns across a row of houses that both epochs must observe",
+        description="Number of columns across a row of houses that must show a house, or its change",
     )
 
 

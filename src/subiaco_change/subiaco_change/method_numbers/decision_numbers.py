@@ -518,16 +518,9 @@ class SpaceCarvingNumbers(StrictModel):
 class StoreysNumbers(StrictModel):
     """Numbers of ``instance_splitting/merged_instances.py``."""
 
-    new_storey: float = Field(
-        1.5, description="Rise of a top from which a storey was added [m]; a smaller rise is a new roof"
-    )
     room_height: float = Field(
         2.0,
         description="Height of the underside above which a new part is a storey, not an extension [m]",
-    )
-    columns_across: int = Field(
-        3,
-        description="Number of columns across a row of houses that must have changed",
     )
     unseen_gap: float = Field(
         1.0,

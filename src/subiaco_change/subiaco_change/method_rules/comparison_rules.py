@@ -51,15 +51,8 @@ OCCUPANCY_RULES: tuple[Rule, ...] = (
     Rule(
         "enclosed_volume",
         _HERE,
-        "A building of one epoch alone that encloses no volume is a fragment of a wall.",
-        ("decisions.least_volume",),
-        guards=True,
-    ),
-    Rule(
-        "surely_enclosed_volume",
-        _HERE,
-        "A building of one epoch alone is claimed only where the nearer bound of its volume is that of a"
-        " building: beams along a wall do not show what lies behind it.",
+        "A building of one epoch alone is claimed only where it encloses a volume by the nearer bound: beams"
+        " along a wall do not show what lies behind it.",
         ("decisions.least_volume",),
         guards=True,
     ),
@@ -329,8 +322,9 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         _HERE,
         "A storey built on one house of a row ends at its party walls, and splits the row there.",
         (
-            "method_numbers.storeys.new_storey",
+            "method_numbers.rows_of_houses.new_storey",
             "method_numbers.storeys.room_height",
+            "method_numbers.rows_of_houses.columns_across",
             "method_numbers.storeys.unseen_gap",
             "method_numbers.storeys.depth_share",
             "method_numbers.storeys.same_top",

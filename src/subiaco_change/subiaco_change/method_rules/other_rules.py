@@ -158,13 +158,6 @@ GROUND_RULES: tuple[Rule, ...] = (
         guards=True,
     ),
     Rule(
-        "shown_volume",
-        _GROUND,
-        "A changed patch needs an observed volume, so that a few deep cells are no change.",
-        ("ground.shown",),
-        guards=True,
-    ),
-    Rule(
         "ground_of_moving_objects",
         _GROUND,
         "Low parts of a moving object that pass for ground are left out.",
@@ -189,13 +182,8 @@ POINT_RULES: tuple[Rule, ...] = (
     Rule(
         "points_of_no_object",
         _POINTS,
-        "Points too few for an object are Unchanged only where the other epoch holds points too.",
-    ),
-    Rule(
-        "fragments_join",
-        _POINTS,
-        "Points too few for an object, where the other epoch holds none, belong to the changed object that "
-        "they touch: the eaves of a removed house were removed too.",
+        "Points too few for an object are Unchanged only where the other epoch holds points too. Elsewhere"
+        " they belong to the changed object that they touch: the eaves of a removed house were removed too.",
         ("measures.voxel",),
     ),
 )

@@ -148,12 +148,6 @@ SEGMENTATION_RULES: tuple[Rule, ...] = (
         ("semantics.buildings.leafy_scatter", "semantics.buildings.leafy_area"),
     ),
     Rule(
-        "facade_width",
-        _HERE,
-        "A patch narrower than a facade is the face of a pole.",
-        ("semantics.buildings.facade_width",),
-    ),
-    Rule(
         "rough_eaves",
         _HERE,
         "A wall may end below the height of a facade where rough eaves continue above the wall.",
@@ -215,18 +209,6 @@ SEGMENTATION_RULES: tuple[Rule, ...] = (
             "semantics.vehicles.side_hard",
             "semantics.vehicles.side_lean",
             "semantics.vehicles.side_window",
-        ),
-    ),
-    Rule(
-        "sheds",
-        _HERE,
-        "A short, high box with walls to its top is a shed, not a vehicle.",
-        (
-            "semantics.vehicles.shed_top",
-            "semantics.vehicles.shed_straight_top",
-            "semantics.vehicles.shed_length",
-            "semantics.vehicles.shed_fill",
-            "semantics.vehicles.shed_straight",
         ),
     ),
     Rule(

@@ -180,11 +180,6 @@ def none_of_them(first: Any, *_: Any, **__: Any) -> NDArray[np.bool_]:
     return np.zeros(len(first), dtype=bool)
 
 
-def nearest_to_none(first: Any, *_: Any, **__: Any) -> NDArray[np.int64]:
-    """Return -1 (N,) for N places: none of them has a nearest neighbour."""
-    return np.full(len(first), -1, dtype=np.int64)
-
-
 def one_part(first: Any, *_: Any, **__: Any) -> NDArray[np.int64]:
     """Return labels (N,) of N places that are all one part."""
     return np.zeros(len(first), dtype=np.int64)

@@ -149,7 +149,6 @@ def _kinds(
     leafy = reduced(np.sqrt(features.scatter), "mean") > config.leafy_scatter
     leafy = rule_mask("leafy_patches", leafy & (patches.area < config.leafy_area))
     fronds |= rule_mask("leafy_slopes", ~upright & rough & (patches.residual > config.leafy_bend))
-    facade &= ~rule_mask("facade_width", facade & (patches.width <= config.facade_width))
     building = (facade | roof) & ~fronds & ~leafy & ~wires
     return np.asarray(building), np.asarray(fronds & (patches.area > config.part_area))
 
@@ -246,7 +245,7 @@ class Patches:
     (P,) [m2] of those whose four neighbours are occupied too (none in a bundle of wires), and
     ``residual`` (P,) the root mean square distance to the plane [m]. ``rise`` (P,) is the standard
     deviation of the heights once their slope along the patch is taken out [m]: little for a bundle of
-    wires, however steep or long; ``width`` (P,) that along the horizontal of the plane [m].
+    wires, however steep or long.
     """
 
     label: Ints
@@ -256,7 +255,6 @@ class Patches:
     inner: Floats
     residual: Floats
     rise: Floats
-    width: Floats
 
 
 def planar_patches(
@@ -314,17 +312,16 @@ def _measure(xyz: Floats, label: Ints, cell: float) -> Patches:
     normal = vectors[:, :, 0]
     residual = np.sqrt(np.maximum(values[:, 0], 0.0))
     area, inner = _plane_area(delta, own, normal, cell)
-    return Patches(label, normal, centre, area, inner, residual, *_rise_and_width(covariance, normal))
+    return Patches(label, normal, centre, area, inner, residual, _rise(covariance, normal))
 
 
-def _rise_and_width(covariance: Floats, normal: Floats) -> tuple[Floats, Floats]:
-    """Return the standard deviations (P,) of heights about a line along each plane, and along that line."""
+def _rise(covariance: Floats, normal: Floats) -> Floats:
+    """Return the standard deviations (P,) of heights about a line along each plane [m]."""
     along = np.stack([-normal[:, 1], normal[:, 0]], axis=1)
     along /= np.maximum(np.linalg.norm(along, axis=1, keepdims=True), 1e-12)
     spread = np.einsum("pi,pij,pj->p", along, covariance[:, :2, :2], along)
     slope = np.einsum("pi,pi->p", along, covariance[:, :2, 2])
-    rise = np.sqrt(np.maximum(covariance[:, 2, 2] - slope**2 / np.maximum(spread, 1e-12), 0.0))
-    return rise, np.sqrt(np.maximum(spread, 0.0))
+    return np.sqrt(np.maximum(covariance[:, 2, 2] - slope**2 / np.maximum(spread, 1e-12), 0.0))
 
 
 def _plane_area(delta: Floats, own: Ints, normal: Floats, cell: float) -> tuple[Floats, Floats]:

@@ -249,9 +249,7 @@ def _classify(
     )
     semantic[rest] = _split_rest(xyz[rest], height[rest], foliage[rest], upright[rest], config)
     level = np.abs(features.normals[:, 2]) > config.level
-    semantic = release_false_vehicles(
-        xyz, height, foliage, upright, semantic, moving, trucks, level, config.vehicles
-    )
+    semantic = release_false_vehicles(xyz, height, foliage, semantic, moving, level, config.vehicles)
     return semantic, moving, trucks & (semantic == Semantic.MOBILE)
 
 

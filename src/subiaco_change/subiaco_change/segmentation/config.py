@@ -142,11 +142,6 @@ class BuildingConfig(StrictModel):
     thick_area: float = Field(
         12.0, gt=0, description="Smallest area of a wall that was mapped as several sheets [m2]"
     )
-    facade_width: float = Field(
-        0.15,
-        gt=0,
-        description="Smallest standard deviation of points along a facade [m]; the face of a pole has less",
-    )
     facade_top: float = Field(
         2.3,
         gt=0,
@@ -288,28 +283,6 @@ class VehicleConfig(StrictModel):
         description="Edge of the cells, seen from above, in which points of one vehicle are connected [m]",
     )
     rows: RowConfig = RowConfig()
-    shed_top: float = Field(
-        2.1, gt=0, description="Height above ground from which a short box with upright walls is a shed [m]"
-    )
-    shed_straight_top: float = Field(
-        1.9,
-        gt=0,
-        description="Height above ground from which a short box that does not narrow towards its top is a "
-        "shed [m]",
-    )
-    shed_straight: float = Field(
-        0.95,
-        gt=0,
-        le=1,
-        description="Ratio of top width to body width from which a box does not narrow towards its top",
-    )
-    shed_fill: float = Field(
-        0.3,
-        gt=0,
-        le=1,
-        description="Smallest fraction of its bounding rectangle that a shed lower than shed_top fills",
-    )
-    shed_length: float = Field(4.4, gt=0, description="Length above which a high box is no shed [m]")
     mobile_volume: float = Field(
         60.0,
         gt=0,

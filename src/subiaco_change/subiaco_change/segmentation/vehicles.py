@@ -1,4 +1,4 @@
-"""Vehicle class: cars among other objects, trucks among buildings, and sheds that are neither."""
+"""Vehicle class: cars among other objects, trucks among buildings, and shelters that are neither."""
 
 from __future__ import annotations
 
@@ -155,7 +155,7 @@ def _kind(xyz: Floats, height: Floats, upright: Mask, hard: float, config: Vehic
     tall = top > config.van_top  # garden fences are lower
     on_wheels = tall and _foot(height) < config.wheels and box_sides(xyz[:, :2])[0] < config.mobile_length
     screen = applies("screens", thin and not on_wheels)
-    if (screen or has_eaves(xyz, height, config)) and not _is_shed(xyz, height, upright, config):
+    if screen or has_eaves(xyz, height, config):
         return Semantic.OTHER
     return Semantic.MOBILE
 
@@ -183,17 +183,15 @@ def release_false_vehicles(
     xyz: Floats,
     height: Floats,
     foliage: Mask,
-    upright: Mask,
     semantic: NDArray[np.uint8],
     moving: Mask,
-    large: Mask,
     level: Mask,
     config: VehicleConfig,
 ) -> NDArray[np.uint8]:
-    """Take the class of vehicles away from sheds, raised beds, and pieces of hedges and walls.
+    """Take the class of vehicles away from raised beds, and pieces of hedges and walls.
 
     A vehicle has clearance around it. A candidate without clearance takes the class of its surroundings.
-    An object on wheels (``large``) is no shed; a low object that is mostly ``level`` is no car.
+    A low object that is mostly ``level`` is no car.
     """
     settled = semantic.copy()
     members = np.flatnonzero((semantic == Semantic.MOBILE) & ~moving)
@@ -203,9 +201,7 @@ def release_false_vehicles(
     crowd, beside = _surroundings(xyz, height, semantic, members, labels, config)
     for number, group in enumerate(group_indices(labels)):
         mine = members[group]
-        if not large[mine].mean() > 0.5 and _is_shed(xyz[mine], height[mine], upright[mine], config):
-            settled[mine] = Semantic.BUILDING
-        elif _is_slab(height[mine], level[mine], config):
+        if _is_slab(height[mine], level[mine], config):
             settled[mine] = Semantic.OTHER
         elif applies("clearance_of_vehicles", crowd[number] > _crowd_limit(xyz[mine], config)):
             leafy = foliage[mine].mean() > config.leafy
@@ -253,22 +249,6 @@ def _surroundings(
         own[stands] * len(Semantic) + semantic[others[stands]], minlength=count * len(Semantic)
     )
     return share, votes.reshape(count, -1).argmax(axis=1)
-
-
-@switchable("sheds", never)
-def _is_shed(xyz: Floats, height: Floats, upright: Mask, config: VehicleConfig) -> bool:
-    """Tell a short, high box with walls to the top, or a lower one that is as wide at its top as below."""
-    top = quantile_of(height, 0.95)
-    sides = box_coordinates(xyz[:, :2])
-    if top < config.shed_straight_top or float(np.ptp(sides[:, 0])) > config.shed_length:
-        return False
-    if top < config.shed_top:
-        if _fill(xyz) < config.shed_fill:  # fences that meet
-            return False
-        head, body = sides[height > top - 2 * config.top_band], sides[height < 0.5 * top]
-        if len(body) == 0 or (np.ptp(head, axis=0) < config.shed_straight * np.ptp(body, axis=0)).any():
-            return False
-    return bool(upright[height > 0.5 * config.shed_top].mean() > 0.5)
 
 
 def _fill(xyz: Floats, cell: float = 0.25) -> float:
