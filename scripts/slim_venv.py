@@ -55,8 +55,6 @@ UNUSED_OF_ROS = {
     "share/jupyter": "the notebook viewer of Open3D",
     "share/*/cmake": "for CMake",
     "lib/cmake": "the same",
-    "lib/lib*_msgs__rosidl_typesupport*_cpp.so": "messages in C++",
-    "lib/lib*_interfaces__rosidl_typesupport*_cpp.so": "the same",
     "include/*": "headers; what is compiled later has them put back first",
 }
 VIEWER = re.compile(r"^from \.draw_plotly import .*\n", re.MULTILINE)
