@@ -40,8 +40,6 @@ UNUSED = {
     "open3d/open3d_torch_ops.so": "operators for PyTorch",
     "pyarrow/libarrow_flight.so*": "a network protocol",
     "pyarrow/_flight*.so": "the same",
-    "pyarrow/libarrow_substrait.so*": "query plans",
-    "pyarrow/_substrait*.so": "the same",
     "pyarrow/libarrow_s3.so*": "a client for object storage: fsspec is used for that",
     "pyarrow/_s3fs*.so": "the same",
     "pyarrow/include": "headers",
