@@ -227,7 +227,12 @@ class Compiler:
         ours = [str(library / f"lib{self.package.name}__{kind}.so") for kind in against]
         kinds = (folder, *against)
         theirs = [VENV / "lib" / f"lib{name}__{kind}.so" for name in self.needed for kind in kinds]
-        common = ["rosidl_runtime_c", "rosidl_typesupport_c", *TYPE_SUPPORTS, "rosidl_typesupport_fastrtps_cpp"]
+        common = [
+            "rosidl_runtime_c",
+            "rosidl_typesupport_c",
+            *TYPE_SUPPORTS,
+            "rosidl_typesupport_fastrtps_cpp",
+        ]
         common += ["rcutils", "rmw", "fastcdr"]
         theirs += [VENV / "lib" / f"lib{name}.so" for name in common]
         linked = [str(path) for path in theirs if path.is_file()]
@@ -269,7 +274,9 @@ def link_package(compiler: Compiler) -> None:
     library = package.prefix / "lib"
     library.mkdir(parents=True)
     for folder, against in compiler.libraries():
-        objects = [str(path) for path in sorted((package.build / folder).rglob("*.o")) if "_s.ep." not in path.name]
+        objects = [
+            str(path) for path in sorted((package.build / folder).rglob("*.o")) if "_s.ep." not in path.name
+        ]
         target = library / f"lib{package.name}__{folder}.so"
         run(compiler.link(folder, target, sources=objects, against=against))
     modules = package.build / "rosidl_generator_py" / package.name
@@ -295,7 +302,10 @@ def install_messages(package: Interfaces) -> None:
     share = prefix / "share" / name
     share.mkdir(parents=True)
     shutil.copy2(package.source / "package.xml", share)
-    for base in (package.source, *(package.build / f / name for f in ("rosidl_adapter", "rosidl_generator_type_description"))):
+    for base in (
+        package.source,
+        *(package.build / f / name for f in ("rosidl_adapter", "rosidl_generator_type_description")),
+    ):
         for path in sorted(base.glob("*/*")):
             if path.suffix in (*KINDS, ".idl", ".json"):
                 (share / path.parent.name).mkdir(exist_ok=True)
@@ -307,7 +317,11 @@ def install_messages(package: Interfaces) -> None:
     write_index(prefix, "packages", name, "")
     write_index(prefix, "package_run_dependencies", name, ";".join(depends(share / "package.xml")))
     write_index(prefix, "parent_prefix_path", name, str(VENV))
-    paths = {"AMENT_PREFIX_PATH": [prefix], "LD_LIBRARY_PATH": [prefix / "lib"], "PYTHONPATH": [prefix / SITE]}
+    paths = {
+        "AMENT_PREFIX_PATH": [prefix],
+        "LD_LIBRARY_PATH": [prefix / "lib"],
+        "PYTHONPATH": [prefix / SITE],
+    }
     write_scripts(share, "package", paths)
 
 
@@ -333,11 +347,10 @@ def write_workspace(install: Path) -> None:
 
 def described(source: Path) -> Any:
     """Return what a package's setup.py says, without running any command of it."""
-    from setuptools.dist import Distribution  # noqa: F401
-    from distutils.core import run_setup
-
+    importlib.import_module("setuptools")  # brings distutils, which Python 3.12 no longer has
+    core: Any = importlib.import_module("distutils.core")
     with chdir(source):
-        return run_setup("setup.py", stop_after="init")
+        return core.run_setup("setup.py", stop_after="init")
 
 
 def link_python_package(source: Path, install: Path) -> None:

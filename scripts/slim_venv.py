@@ -100,7 +100,7 @@ def link_copies(root: Path) -> None:
 
 
 def elf_rows(path: Path, *, sections: bool) -> list[bytes]:
-    """Return the rows of the table of sections, or of segments, of a 64-bit ELF file; none of another file."""
+    """Return the table of sections, or of segments, of a 64-bit ELF file; nothing for another file."""
     with path.open("rb") as file:
         head = file.read(64)
         if head[:6] != b"\x7fELF\x02\x01":
@@ -147,15 +147,21 @@ def slim(root: Path, site: Path) -> None:
     link_copies(root / "lib")
 
 
+def environment() -> tuple[Path, Path]:
+    """Return the root of the virtual environment that runs this, and its site-packages."""
+    root, site = Path(sys.prefix).resolve(), Path(sysconfig.get_paths()["purelib"]).resolve()
+    # An interpreter started otherwise (python -S) takes the installation that it comes from for its own.
+    if sys.prefix == sys.base_prefix or not (root / "pyvenv.cfg").is_file() or not site.is_relative_to(root):
+        sys.exit(f"{root} is no virtual environment: nothing is touched")
+    return root, site
+
+
 def main() -> None:
     """Run the command."""
     parser = argparse.ArgumentParser(description=(__doc__ or "").partition("\n")[0])
     parser.add_argument("--all", action="store_true")
     everything = parser.parse_args().all
-    root, site = Path(sys.prefix).resolve(), Path(sysconfig.get_paths()["purelib"]).resolve()
-    # An interpreter started otherwise (python -S) takes the installation that it comes from for its own.
-    if sys.prefix == sys.base_prefix or not (root / "pyvenv.cfg").is_file() or not site.is_relative_to(root):
-        sys.exit(f"{root} is no virtual environment: nothing is touched")
+    root, site = environment()
     without_viewer(site)
     if everything:
         slim(root, site)
