@@ -7,8 +7,9 @@ import json
 import os
 import subprocess
 import sys
+import sysconfig
 import textwrap
-from importlib.metadata import distribution
+from importlib.metadata import distributions
 from pathlib import Path
 from types import ModuleType
 from typing import Any
@@ -98,7 +99,7 @@ def test_a_python_package_is_linked_and_its_nodes_written(
 @pytest.mark.ros
 @pytest.mark.skipif(not WHEELS, reason="colcon builds the workspace here")
 def test_our_packages_are_installed_where_they_are() -> None:
-    said = distribution("subiaco-bringup")
+    (said,) = distributions(name="subiaco-bringup", path=[sysconfig.get_paths()["purelib"]])
     url = json.loads(said.read_text("direct_url.json") or "")
     assert url["dir_info"] == {"editable": True}
     assert url["url"].endswith("/src/subiaco_bringup")
