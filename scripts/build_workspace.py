@@ -317,6 +317,10 @@ def install_messages(package: Interfaces) -> None:
     write_index(prefix, "packages", name, "")
     write_index(prefix, "package_run_dependencies", name, ";".join(depends(share / "package.xml")))
     write_index(prefix, "parent_prefix_path", name, str(VENV))
+    # by this colcon knows what is built already when it builds packages of a workspace over this one
+    known = prefix / "share/colcon-core/packages" / name
+    known.parent.mkdir(parents=True)
+    known.write_text(":".join(depends(share / "package.xml")), encoding="utf-8")
     paths = {
         "AMENT_PREFIX_PATH": [prefix],
         "LD_LIBRARY_PATH": [prefix / "lib"],
