@@ -339,6 +339,7 @@ def write_scripts(folder: Path, stem: str, paths: dict[str, list[Path]]) -> None
 def write_workspace(install: Path) -> None:
     """Write ``local_setup``: all packages of the workspace."""
     prefixes = [path for path in sorted(install.iterdir()) if (path / INDEX / "packages").is_dir()]
+    (install / ".colcon_install_layout").write_text("isolated\n", encoding="utf-8")
     write_scripts(install, "local_setup", {
         "AMENT_PREFIX_PATH": prefixes,
         "LD_LIBRARY_PATH": [path / "lib" for path in prefixes if any((path / "lib").glob("*.so"))],

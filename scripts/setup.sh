@@ -295,7 +295,7 @@ set_up_workspace() {
     local -a interfaces
     mapfile -t interfaces < <(interfaces_to_build)
     # Until 0.2 colcon built here beside the wheels too.
-    if ! has_apt_ros && [ -e "$WS/install/.colcon_install_layout" ]; then rm -rf "$WS"/{build,install,log}; fi
+    if ! has_apt_ros && [ -e "$WS/install/_local_setup_util_sh.py" ]; then rm -rf "$WS"/{build,install,log}; fi
     # What a symlink install freezes: entry points, lists of files, metadata. Module contents are links.
     local frozen
     frozen="$(cd "$ROOT" && find config src/subiaco_bringup/{launch,rviz,foxglove} -type f 2>/dev/null |

@@ -120,6 +120,9 @@ def test_messages_are_described_as_tools_expect_them() -> None:
             assert (share / relative).read_bytes() == path.read_bytes()
             assert {str(relative), str(relative.with_suffix(".idl"))} <= set(listed.split())
             assert (share / relative.with_suffix(".json")).is_file()
+        known = share.parents[1] / "share/colcon-core/packages" / name  # colcon builds over this workspace
+        assert "rosidl_default_runtime" in known.read_text().split(":")
+        assert (share.parents[2] / ".colcon_install_layout").read_text().strip() == "isolated"
 
 
 #: Says which hash each message has in its description and in what a publisher announces.
