@@ -35,8 +35,11 @@ learned: setup  ## CPU PyTorch for the learned baselines (subiaco train; 0.2 GB)
 bench-check: setup  ## the same into out/bench; fails where a ratio of benchmarks.json worsened by a third
 	@$(ENV) && python tests/benchmarks/bench.py --check $(BENCH_ARGS)
 
-colcon-test: setup  ## each package's tests the ROS way
-	@$(ENV) && cd ros2_ws && python -m colcon --log-base log test --base-paths src --return-code-on-test-failure
+COLCON := --base-paths ros2_ws/src --build-base out/colcon/build --install-base out/colcon/install
+colcon-test: setup  ## each package built and tested the ROS way, in out/colcon
+	@$(ENV) && python -m colcon --log-base out/colcon/log build --symlink-install --packages-skip subiaco_msgs $(COLCON)
+	@$(ENV) && python -m colcon --log-base out/colcon/log test --packages-skip subiaco_msgs \
+	    --return-code-on-test-failure $(COLCON)
 
 format: setup  ## let ruff rewrite what it can
 	@$(ENV) && ruff check --fix && ruff format

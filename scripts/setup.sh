@@ -2,7 +2,7 @@
 # Set-up of everything: system packages, .venv, ROS 2 workspace. Safe to run again: what is there is reused.
 #
 #   scripts/setup.sh              everything
-#   scripts/setup.sh demo         without what checks, documentation and the Foxglove server alone need
+#   scripts/setup.sh demo         without what checks, documentation, C++ and the Foxglove server alone need
 #   PYTHON=python3.12 scripts/setup.sh
 #
 # Debian 12 or Ubuntu 24.04, Python 3.11 or 3.12. Where an apt ROS 2 Jazzy is found it is used; else ROS 2
@@ -72,7 +72,7 @@ missing_system_packages() {
     local python="$1" pair
     command -v c++ >/dev/null || echo build-essential
     command -v make >/dev/null || echo make
-    command -v cmake >/dev/null || echo cmake
+    if [ "$SCOPE" = all ] || has_apt_ros; then command -v cmake >/dev/null || echo cmake; fi
     command -v git >/dev/null || echo git
     for pair in libEGL.so.1=libegl1 libGL.so.1=libgl1 libX11.so.6=libx11-6 libudev.so.1=libudev1 \
         libusb-1.0.so.0=libusb-1.0-0 libidn2.so.0=libidn2-0 libgomp.so.1=libgomp1; do
@@ -105,11 +105,15 @@ require_system_packages() {
 # ---------------------------------------------------------------- virtual environment
 
 venv_stamp() {
-    echo "$(digest requirements.lock scripts/patch_wheel_cmake.py) $VENV $(has_apt_ros && echo apt-ros)"
+    echo "$(digest requirements.lock scripts/{patch_wheel_cmake,slim_venv}.py) $VENV $(has_apt_ros && echo apt-ros)"
 }
 
-# What was installed for everything serves the demo too.
-has_scope() { [ "$SCOPE" = demo ] || [ ! -e "$VENV/.demo_only" ]; }
+# What was installed for everything serves the demo too. What was made slim after an installation for the demo
+# serves it as long as nothing has to be compiled, for which its headers are missing.
+has_scope() {
+    [ -e "$VENV/.whole" ] ||
+        { [ "$SCOPE" = demo ] && { [ ! -e "$VENV/.slim" ] || is_built .interfaces "$(interfaces_stamp)"; }; }
+}
 
 # A venv is kept when it is whole, runs, sits where it was made and has the asked-for interpreter.
 venv_is_sound() {
@@ -154,27 +158,36 @@ left_out_of_demo() {
         }' "$ROOT/requirements.in" "$ROOT/requirements.lock" | LC_ALL=C sort
 }
 
-# Pattern of the entries that are not installed: SCOPE is demo or all.
+# Pattern of the entries that are not installed: SCOPE is demo or all. With an apt ROS 2 colcon builds the workspace.
 not_wanted() {
-    local patterns=()
-    if has_apt_ros; then patterns+=('ros-'); fi
-    if [ "$SCOPE" = demo ]; then patterns+=("($(left_out_of_demo | paste -s -d '|'))=="); fi
+    local patterns=() builders='^$'
+    if has_apt_ros; then
+        patterns+=('ros-')
+        builders='^(colcon-.*|catkin-pkg|distlib|docutils|argcomplete|coverage|pytest-.*|notify2|ninja|wheel)$'
+    fi
+    if [ "$SCOPE" = demo ]; then
+        patterns+=("($(left_out_of_demo | grep -vE "$builders" | paste -s -d '|'))==")
+    fi
     (IFS='|' && echo "!^(${patterns[*]:-$})")
 }
 
 # uv checks the hash of every package, and installs them in a tenth of pip's time.
 install_requirements() {
-    local uv="$VENV/requirements.uv.txt" lock="$VENV/requirements.txt"
+    local uv="$VENV/requirements.uv.txt" lock="$VENV/requirements.txt" again=()
+    local pip=("$VENV/bin/python" -m pip install --quiet --no-deps --require-hashes --disable-pip-version-check)
     locked '^uv==' >"$uv"
     locked "$(not_wanted)" >"$lock"
     say "installing $(grep -c '==' "$lock") locked packages"
-    "$VENV/bin/python" -m pip install --quiet --no-deps --require-hashes --disable-pip-version-check -r "$uv"
+    "${pip[@]}" --upgrade --target "$VENV/.uv" -r "$uv"
+    # what slim_venv.py took out of installed packages is put back only by installing them again
+    if [ -e "$VENV/.slim" ]; then again=(--reinstall); fi
     # copied, because some files are patched below and uv's cache must stay whole
-    "$VENV/bin/uv" pip install --quiet --python "$VENV/bin/python" --no-deps --require-hashes --link-mode copy -r "$lock" ||
-        {
-            say "uv did not succeed; installing with pip, which knows the indexes and certificates of pip.conf"
-            "$VENV/bin/python" -m pip install --quiet --no-deps --require-hashes --disable-pip-version-check -r "$lock"
-        }
+    "$VENV/.uv/bin/uv" pip install --quiet --python "$VENV/bin/python" --no-deps --require-hashes --link-mode copy \
+        "${again[@]}" -r "$lock" || {
+        say "uv did not succeed; installing with pip, which knows the indexes and certificates of pip.conf"
+        "${pip[@]}" "${again[@]/--reinstall/--force-reinstall}" -r "$lock"
+    }
+    rm -rf "$VENV/.uv"
 }
 
 set_up_venv() {
@@ -185,11 +198,20 @@ set_up_venv() {
     touch "$VENV/.installing"
     rm -f "$VENV/.installed"
     install_requirements
-    has_apt_ros || "$VENV/bin/python" "$ROOT/scripts/patch_wheel_cmake.py"
+    if [ "$SCOPE" = all ] && ! has_apt_ros; then "$VENV/bin/python" "$ROOT/scripts/patch_wheel_cmake.py"; fi
+    "$VENV/bin/python" "$ROOT/scripts/slim_venv.py"
     echo "$wanted" >"$VENV/.installed"
-    rm -f "$VENV/.installing" "$VENV/.demo_only"
-    if [ "$SCOPE" = demo ]; then touch "$VENV/.demo_only"; fi
+    rm -f "$VENV/.installing" "$VENV/.slim" "$VENV/.whole"
+    if [ "$SCOPE" = all ]; then touch "$VENV/.whole"; fi
     say "virtual environment ready"
+}
+
+# Not before the messages are built: their headers go too. Nothing is compiled against an environment that is slim.
+make_slim() {
+    if [ -e "$VENV/.whole" ] || [ -e "$VENV/.slim" ]; then return; fi
+    say "removing what the demo does not load"
+    touch "$VENV/.slim"
+    "$VENV/bin/python" "$ROOT/scripts/slim_venv.py" --all
 }
 
 # ---------------------------------------------------------------- ROS 2 workspace
@@ -210,7 +232,7 @@ enter_build_environment() {
     # shellcheck disable=SC1091
     source "$VENV/bin/activate"
     # shellcheck disable=SC1091
-    if has_apt_ros; then source "$APT_ROS/setup.bash"; else export AMENT_PREFIX_PATH="$VENV"; fi
+    if has_apt_ros; then source "$APT_ROS/setup.bash"; fi
     set -u
     export PYTHONWARNINGS=ignore # setuptools deprecations, once a package
     MAKEFLAGS="-j$(nproc)" # else colcon adds a load limit, and a busy machine waits for ever
@@ -225,41 +247,71 @@ colcon_build() {
         "-DPython3_EXECUTABLE=$VENV/bin/python" --no-warn-unused-cli --packages-select "$@")
 }
 
-# build_once STAMP_FILE STAMP PACKAGE...: nothing to do when the stamp says so.
-build_once() {
-    local file="$WS/install/$1" wanted="$2"
-    shift 2
-    if [ "$(cat "$file" 2>/dev/null)" = "$wanted" ]; then return; fi
-    say "building $*"
+# Folders of packages, named as in the workspace.
+folders() {
     local name
-    # Afresh: CMake keeps the path of sources that have moved, a symlink install links to files that have gone.
-    for name; do rm -rf "${WS:?}/build/$name" "${WS:?}/install/$name"; done
+    for name; do
+        if [ -d "$ROOT/src/$name" ]; then echo "$ROOT/src/$name"; else echo "$ROOT/src/vendor_msgs/$name"; fi
+    done
+}
+
+# build KIND PACKAGE...: messages or python. colcon builds for C++ too, in ten times the time.
+build() {
+    local kind="$1"
+    shift
+    if has_apt_ros; then
+        # Afresh: CMake keeps the path of sources that have moved, a symlink install links to files that have gone.
+        local name
+        for name; do rm -rf "${WS:?}/build/$name" "${WS:?}/install/$name"; done
+        colcon_build "$@" || fail "colcon build failed; the log is in ros2_ws/log/latest_build"
+    else
+        local -a sources
+        mapfile -t sources < <(folders "$@")
+        python "$ROOT/scripts/build_workspace.py" "$kind" "${sources[@]}" || fail "building $* failed, see above"
+    fi
+}
+
+is_built() { [ "$(cat "$WS/install/$1" 2>/dev/null)" = "$2" ]; }
+
+# build_once STAMP_FILE STAMP KIND PACKAGE...: nothing to do when the stamp says so.
+build_once() {
+    local file="$1" wanted="$2"
+    shift 2
+    if is_built "$file" "$wanted"; then return; fi
+    say "building ${*:2}"
     mkdir -p "$WS/install"
-    rm -f "$file"
-    colcon_build "$@" || fail "colcon build failed; the log is in ros2_ws/log/latest_build"
-    echo "$wanted" >"$file"
+    rm -f "$WS/install/$file"
+    build "$@"
+    echo "$wanted" >"$WS/install/$file"
+}
+
+# What the messages are built from: definitions, the packages they are built against, and how.
+interfaces_stamp() {
+    echo "$WS $(venv_stamp) $(digest src/subiaco_msgs src/vendor_msgs scripts/build_workspace.py)" \
+        "$(interfaces_to_build | paste -s -d ' ')"
 }
 
 set_up_workspace() {
     local -a interfaces
     mapfile -t interfaces < <(interfaces_to_build)
-    local base
-    base="$WS $(cat "$VENV/.installed")"
+    # Until 0.2 colcon built here beside the wheels too.
+    if ! has_apt_ros && [ -e "$WS/install/_local_setup_util_sh.py" ]; then rm -rf "$WS"/{build,install,log}; fi
     # What a symlink install freezes: entry points, lists of files, metadata. Module contents are links.
     local frozen
     frozen="$(cd "$ROOT" && find config src/subiaco_bringup/{launch,rviz,foxglove} -type f 2>/dev/null |
         LC_ALL=C sort | sha256sum)" || true
     local sources
-    sources="$(digest src/subiaco{,_geo,_ros,_sim,_mapping,_change,_evaluation,_report,_bringup}/{package.xml,setup.py,setup.cfg})"
+    sources="$(digest src/subiaco{,_geo,_ros,_sim,_mapping,_change,_evaluation,_report,_bringup}/{package.xml,setup.py,setup.cfg} \
+        scripts/build_workspace.py)"
     (
         enter_build_environment
-        build_once .interfaces "$base $(digest src/subiaco_msgs src/vendor_msgs) ${interfaces[*]}" "${interfaces[@]}"
-        build_once .python "$base $frozen $sources" "${PYTHON_PACKAGES[@]}"
+        build_once .interfaces "$(interfaces_stamp)" messages "${interfaces[@]}"
+        build_once .python "$WS $(venv_stamp) $frozen $sources" python "${PYTHON_PACKAGES[@]}"
     )
-    install_command "$base $sources"
+    if has_apt_ros; then install_command "$(venv_stamp) $sources"; fi
 }
 
-# `.venv/bin/subiaco` and the packages for a Python that has not sourced the workspace.
+# `.venv/bin/subiaco` and the packages for a Python that has not sourced the workspace, beside an apt ROS 2.
 install_command() {
     if [ "$(cat "$VENV/.command" 2>/dev/null)" = "$1" ] && [ -x "$VENV/bin/subiaco" ]; then return; fi
     say "installing the subiaco command into .venv"
@@ -282,6 +334,7 @@ main() {
     require_system_packages
     set_up_venv
     set_up_workspace
+    make_slim
     remove_old_kernels "$ROOT/src"
     say "ready: source ros2_ws/env.sh"
 }

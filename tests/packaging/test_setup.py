@@ -98,18 +98,68 @@ def test_the_set_up_of_the_demo_leaves_out_tools_alone() -> None:
         "babel",
         "distributed",
         "foxglove-sdk",
+        "uv",
+        "colcon-core",
+        "ninja",
+        "ros-ament-cmake",
     } <= left_out
-    # others of what the demo needs ask for them
-    assert not {"numpy", "jinja2", "pygments", "pytest", "pyarrow", "uv"} & left_out
+    # others of what the demo needs ask for them, or import them without asking
+    needed = {
+        "numpy",
+        "jinja2",
+        "pygments",
+        "pytest",
+        "pyarrow",
+        "empy",
+        "lark-parser",
+        "ros-domain-coordinator",
+    }
+    assert not needed & left_out
     assert entries_of(bash('SCOPE=all; locked "$(not_wanted)"').stdout) == lock
 
 
+def test_with_an_apt_ros_the_demo_keeps_colcon_which_builds_the_workspace_then(tmp_path: Path) -> None:
+    (tmp_path / "setup.bash").touch()
+    command = 'SCOPE=demo; locked "$(not_wanted)"'
+    names = {n.partition("==")[0] for n in entries_of(bash(command, SUBIACO_APT_ROS=str(tmp_path)).stdout)}
+    assert {"colcon-core", "colcon-ros", "catkin-pkg", "ninja"} <= names
+    assert not {name for name in names if name.startswith("ros-")} | ({"mypy", "uv"} & names)
+
+
 def test_a_set_up_of_the_demo_is_completed_and_a_whole_one_serves_the_demo(tmp_path: Path) -> None:
-    ask = f"VENV={tmp_path}; SCOPE=%s; has_scope"
-    assert [bash(ask % scope).returncode for scope in ("all", "demo")] == [0, 0]
-    (tmp_path / ".demo_only").touch()
-    assert [bash(ask % scope).returncode for scope in ("all", "demo")] == [1, 0]
+    def serves(built: bool = True) -> list[bool]:
+        ask = f"VENV={tmp_path}; is_built() {{ {'true' if built else 'false'}; }}; SCOPE=%s; has_scope"
+        return [bash(ask % scope).returncode == 0 for scope in ("all", "demo")]
+
+    assert serves() == serves(built=False) == [False, True]
+    (tmp_path / ".slim").touch()
+    assert serves() == [False, True]
+    assert serves(built=False) == [False, False]  # the headers are gone
+    (tmp_path / ".slim").unlink()
+    (tmp_path / ".whole").touch()
+    assert serves() == serves(built=False) == [True, True]
     assert "give nothing, or demo" in bash("SCOPE=some; main").stderr
+
+
+def test_only_an_environment_of_the_demo_alone_is_made_slim(tmp_path: Path) -> None:
+    (tmp_path / "bin").mkdir()
+    fake = tmp_path / "bin/python"
+    fake.write_text(f'#!/bin/sh\necho "$@" >> {tmp_path}/said\n', encoding="utf-8")
+    fake.chmod(0o755)
+    (tmp_path / ".whole").touch()
+    bash(f"VENV={tmp_path}; SCOPE=demo; make_slim")
+    assert not (tmp_path / "said").exists()
+    (tmp_path / ".whole").unlink()
+    bash(f"VENV={tmp_path}; SCOPE=demo; make_slim; make_slim")
+    assert (tmp_path / "said").read_text().split() == [f"{REPOSITORY}/scripts/slim_venv.py", "--all"]
+
+
+def test_cmake_is_asked_for_only_where_something_is_built_with_it(tmp_path: Path) -> None:
+    (tmp_path / "setup.bash").touch()
+    gone = "command() { false; }; missing_system_packages ''"
+    assert "cmake" in bash(f"SCOPE=all; {gone}").stdout.split()
+    assert "cmake" not in bash(f"SCOPE=demo; {gone}").stdout.split()
+    assert "cmake" in bash(f"SCOPE=demo; {gone}", SUBIACO_APT_ROS=str(tmp_path)).stdout.split()
 
 
 def test_licences_and_bill_of_materials_are_those_of_the_lock_and_without_gpl() -> None:
