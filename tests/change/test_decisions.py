@@ -122,6 +122,7 @@ def test_walls_seen_free_on_both_sides_tell_the_sign_of_a_change_of_volume_unles
     assert told(0.9 * enough) is told(0.0, opposite=enough) is Change.UNCHANGED
     assert told(enough, nearer=-1.0) is Change.UNCHANGED
     assert told(enough, height=(-1.3, 0.05)) is Change.UNCHANGED
+    assert told(enough, height=(-0.1, 1.5)) is Change.UNCHANGED  # the roof was not seen
 
 
 def test_an_interval_that_straddles_its_limit_says_so_and_costs_confidence():

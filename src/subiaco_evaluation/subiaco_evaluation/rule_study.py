@@ -87,7 +87,7 @@ def run_rule_study(
     ----------
     surveys : sequence of Path
         Outputs of ``subiaco simulate``, with fused maps. Clouds ``before.ply`` and ``after.ply`` or ``.laz``
-        in such a folder are compared in place of the maps, with ``before.tum`` and ``after.tum`` if there.
+        in that folder are compared in place of the maps, with ``before.tum`` and ``after.tum`` if there.
     output : Path
         Scores of every run, ``runs.csv``, ``rules.csv`` and ``rules.md``, written after every run.
     config : ChangeConfig

@@ -164,7 +164,7 @@ def ablate(
             metavar="CASES",
             help="BEFORE AFTER TRUTH: two epochs and their ground truth; several triples are scored "
             "together. With --rules: outputs of 'subiaco simulate'; clouds before.ply and after.ply or .laz "
-            "in such a folder, with before.tum and after.tum if there, take the place of its maps.",
+            "in that folder, with before.tum and after.tum if there, take the place of its maps.",
         ),
     ],
     output: Output,

@@ -219,8 +219,9 @@ def _building(measures: Measures, gate: float, rules: ClassRules) -> Decision:
         Interval(_share(height.low, limit), _share(height.high, limit)),
         Interval(volume.low / room, volume.high / room),
     )
-    up = _rise(*bounds, measures.gained_surface, rules)
-    down = _rise(-bounds[0], -bounds[1], measures.lost_surface, rules)
+    known = math.isfinite(height.low)
+    up = _rise(*bounds, measures.gained_surface if known else 0.0, rules)
+    down = _rise(-bounds[0], -bounds[1], measures.lost_surface if known else 0.0, rules)
     evidence = f"Height change {_span(height)} (limit {limit:.2f} m), volume change"
     stated = volume.widened(measures.volume_resolution)
     evidence += f" {stated.low / whole:+z.0%} to {stated.high / whole:+z.0%} (limit {rules.volume:.0%}): "
@@ -250,10 +251,11 @@ def _rise(height: Interval, volume: Interval, surface: float, rules: ClassRules)
 
     Where one epoch saw little of a house, the columns that both know may be of its neighbours. ``surface`` is
     the area of the surfaces of what was built on that the other epoch would have met [m2]: it tells the sign,
-    unless the height says the opposite.
+    unless the height says the opposite, or is not known to its limit, so that unseen roofs decide.
     """
     unsupported = applies("volume_supports_height", volume.high < rules.height_volume)
-    shown = surface >= rules.sign_surface and height.middle > -_OPPOSED
+    known = height.middle > -_OPPOSED and height.high - height.low <= 2.0
+    shown = surface >= rules.sign_surface and known
     least = 0.0 if applies("sign_by_surface", shown) else rules.certain
     return max(0.0 if unsupported else _beyond(height, rules.certain), _beyond(volume, least))
 
