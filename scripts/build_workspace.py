@@ -1,6 +1,6 @@
 """Build the ROS 2 workspace beside the wheels of ROS 2: messages for Python, and links to our packages.
 
-``colcon`` with CMake takes two minutes of processor time for what these wheels need: it starts an interpreter
+``colcon`` with CMake takes a minute on two cores for what these wheels need: it starts an interpreter
 for every generator of every package, parses each definition a dozen times, and compiles C++ that no Python
 node loads. Here the same generators run in one process, and the compiler sees every package's type support
 at once. The result has colcon's layout, one prefix a package, so nothing else sees the difference. With an

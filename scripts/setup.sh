@@ -255,7 +255,7 @@ folders() {
     done
 }
 
-# build KIND PACKAGE...: messages or python. colcon builds for C++ too, in ten times the time.
+# build KIND PACKAGE...: messages or python. colcon builds for C++ too, in five times the time.
 build() {
     local kind="$1"
     shift
