@@ -1,7 +1,6 @@
 """Take out of the virtual environment what no program of this repository loads.
 
-Wheels carry their tests, sample data, debugging symbols, copies where a link would do, and extras for other
-programs. ``make demo`` leaves them out; ``make setup`` keeps all but the import named first, and puts back
+Wheels carry their tests, sample data, copies where a link would do, and extras for other programs. ``make demo`` leaves them out; ``make setup`` keeps all but the import named first, and puts back
 what an earlier ``make demo`` took out.
 
     python scripts/slim_venv.py           the import of Open3D's web viewer, whose packages are not installed
@@ -15,13 +14,10 @@ import hashlib
 import os
 import re
 import shutil
-import struct
-import subprocess
 import sys
 import sysconfig
 from collections import defaultdict
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 #: Below site-packages: what is taken out, and why nothing misses it.
@@ -99,51 +95,10 @@ def link_copies(root: Path) -> None:
                 os.link(known, path)
 
 
-def elf_rows(path: Path, *, sections: bool) -> list[bytes]:
-    """Return the table of sections, or of segments, of a 64-bit ELF file; nothing for another file."""
-    with path.open("rb") as file:
-        head = file.read(64)
-        if head[:6] != b"\x7fELF\x02\x01":
-            return []
-        (table,) = struct.unpack_from("<Q", head, 40 if sections else 32)
-        size, count = struct.unpack_from("<HH", head, 58 if sections else 54)
-        file.seek(table)
-        return [file.read(size) for _ in range(count)]
-
-
-def has_symbols(path: Path) -> bool:
-    """Tell whether a library has a table of symbols beside the one that the loader reads."""
-    return any(struct.unpack_from("<I", row, 4) == (2,) for row in elf_rows(path, sections=True))
-
-
-def aligned(path: Path) -> bool:
-    """Tell whether a library can be mapped: strip spoils some that patchelf has rewritten."""
-    for row in elf_rows(path, sections=False):
-        kind, _, offset, address, *_, align = struct.unpack("<IIQQQQQQ", row)
-        if kind == 1 and align > 1 and (offset - address) % align:
-            return False
-    return True
-
-
-def strip(path: Path) -> None:
-    """Remove debugging symbols, where the result is whole and a twentieth smaller."""
-    if not has_symbols(path):
-        return
-    part = path.with_name(f".{path.name}.part")
-    result = subprocess.run(["strip", "--strip-unneeded", "-o", part, path], capture_output=True, check=False)
-    if result.returncode == 0 and aligned(part) and part.stat().st_size < 0.95 * path.stat().st_size:
-        part.replace(path)
-    else:
-        part.unlink(missing_ok=True)
-
-
 def slim(root: Path, site: Path) -> None:
     """Take all of it out."""
     remove(site, UNUSED)
     remove(root, UNUSED_OF_ROS)
-    if shutil.which("strip"):
-        with ThreadPoolExecutor(os.cpu_count()) as pool:
-            list(pool.map(strip, libraries(root / "lib")))
     link_copies(root / "lib")
 
 

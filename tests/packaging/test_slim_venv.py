@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import ctypes
 import importlib.util
 import os
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -59,27 +57,6 @@ def test_copies_of_a_library_become_one_file(slim: ModuleType, tmp_path: Path) -
     slim.link_copies(tmp_path)
     assert [(tmp_path / name).stat().st_nlink for name in ("libx.so", "libx.so.2", "liby.so")] == [2, 2, 1]
     assert (tmp_path / "libx.so.2").read_bytes() == data
-
-
-@pytest.mark.skipif(not shutil.which("cc") or not shutil.which("strip"), reason="no compiler")
-def test_a_stripped_library_still_loads_and_is_smaller(slim: ModuleType, tmp_path: Path) -> None:
-    functions = "".join(f"int f{i}(int x) {{ return x + {i}; }}\n" for i in range(3000))
-    source, library = put(tmp_path / "x.c", functions), tmp_path / "libx.so"
-    subprocess.run(["cc", "-g", "-shared", "-fPIC", "-o", library, source], check=True)
-    before = library.stat().st_size
-    assert slim.has_symbols(library)
-    assert slim.aligned(library)
-    slim.strip(library)
-    assert library.stat().st_size < 0.7 * before
-    assert not slim.has_symbols(library)
-    assert ctypes.CDLL(str(library)).f7(1) == 8
-
-
-def test_what_is_no_library_is_left_alone(slim: ModuleType, tmp_path: Path) -> None:
-    file = put(tmp_path / "liblinker.so", "INPUT(libx.so.1)")
-    slim.strip(file)
-    assert file.read_text() == "INPUT(libx.so.1)"
-    assert list(tmp_path.iterdir()) == [file]
 
 
 def test_the_viewer_of_open3d_is_imported_only_where_its_packages_are(
