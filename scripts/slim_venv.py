@@ -1,7 +1,8 @@
 """Take out of the virtual environment what no program of this repository loads.
 
-Wheels carry their tests, sample data, copies where a link would do, and extras for other programs. ``make demo`` leaves them out; ``make setup`` keeps all but the import named first, and puts back
-what an earlier ``make demo`` took out.
+Wheels carry their tests, sample data, copies where a link would do, and extras for other programs.
+``make demo`` leaves them out; ``make setup`` keeps all but the import named first, and puts back what an
+earlier ``make demo`` took out.
 
     python scripts/slim_venv.py           the import of Open3D's web viewer, whose packages are not installed
     python scripts/slim_venv.py --all     all of it
