@@ -14,11 +14,11 @@ from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.dynamic_objects import (
     OwnEpochEvidence,
     continues_trail,
+    doubt_of_porous,
     is_moving_object_trail,
     is_strip_on_road,
     limit_confidence,
     may_be_a_person,
-    may_be_a_porous_trail,
     own_epoch_evidence,
 )
 from subiaco_change.decisions.rules import Decision
@@ -312,15 +312,15 @@ def scattered(fill, top, seed=11):
     ],
     ids=["a car", "a lorry", "a hedge", "a bush on its bed", "a crown", "a parked car"],
 )
-def test_nothing_is_claimed_of_what_neither_fills_its_place_nor_hides_the_ground_beneath(
+def test_what_neither_fills_its_place_nor_hides_the_ground_beneath_is_doubted(
     fill, top, semantic, hidden, doubted
 ):
     beneath = ((ASPHALT > 0) & (ASPHALT < (6, 1.8))).all(axis=1)
     own = OwnEpochEvidence(nowhere, NOWHERE, ground=cKDTree(ASPHALT[~beneath] if hidden else ASPHALT))
-    found = may_be_a_porous_trail(scattered(fill, top), semantic, own, RULES)
-    assert (found is not None and found.change is Change.UNOBSERVED) == doubted
+    found = doubt_of_porous(scattered(fill, top), semantic, own, RULES)
+    assert found.endswith("the confidence is lowered.") == doubted
     counted = OwnEpochEvidence(nowhere, NOWHERE)
-    assert may_be_a_porous_trail(scattered(fill, top), semantic, counted, RULES) is None
+    assert doubt_of_porous(scattered(fill, top), semantic, counted, RULES) == ""
 
 
 def test_a_planted_row_that_hides_the_ground_is_no_person():

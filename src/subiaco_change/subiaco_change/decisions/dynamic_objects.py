@@ -206,31 +206,37 @@ def may_be_a_person(
     return Decision(Change.UNOBSERVED, reason, 0.0)
 
 
-@switchable("ground_shines_through", no_decision)
-def may_be_a_porous_trail(
+def _no_doubt(*_: object) -> str:
+    """Return nothing."""
+    return ""
+
+
+@switchable("ground_shines_through", _no_doubt)
+def doubt_of_porous(
     objects: Sequence[ObjectInstance],
     semantic: Semantic,
     own: OwnEpochEvidence | None,
     rules: DecisionConfig,
-) -> Decision | None:
-    """Tell what neither fills nor hides its place, in a cloud without counts of beams.
+) -> str:
+    """Say why what neither fills nor hides its place may be a trail, in a cloud without counts of beams.
 
-    A standing object hides the ground beneath and shows a surface, which a survey samples as densely as the
-    ground beside. Traffic was elsewhere while most beams came: they met the ground in its place.
+    A standing object hides the ground beneath, and most show a surface that a survey samples as densely as
+    the ground beside. Traffic was elsewhere while most beams came: they met the ground in its place. A car of
+    which one side was seen from afar looks alike, so the object is claimed with a low confidence.
     """
     if own is None or own.ground is None or semantic not in (Semantic.VEGETATION, Semantic.OTHER):
-        return None
+        return ""
     if not fits_a_vehicle(objects, rules):
-        return None
+        return ""
     filled, beneath = _opacity(np.concatenate([t.xyz for t in objects])[:, :2], own.ground.data)
     if not (filled < _FILLED and beneath >= _SEEN_BENEATH):
-        return None
-    reason = (
+        return ""
+    return (
         f"The object has {filled:.1f} times as many points as the ground beside it on the same area (limit"
         f" {_FILLED:g}), {beneath:.0%} of the ground beneath was seen (limit {_SEEN_BENEATH:.0%}), and the"
-        " cloud has no counts of beams: it may be the ghost trail of a vehicle, and nothing is claimed."
+        " cloud has no counts of beams: it may be the ghost trail of a vehicle, and the confidence is"
+        " lowered."
     )
-    return Decision(Change.UNOBSERVED, reason, 0.0)
 
 
 def _opacity(xy: Floats, ground: Floats) -> tuple[float, float]:

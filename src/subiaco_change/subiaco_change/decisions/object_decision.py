@@ -20,11 +20,11 @@ from subiaco_change.decisions.dynamic_objects import (
     Observed,
     OwnEpochEvidence,
     continues_trail,
+    doubt_of_porous,
     fits_a_vehicle,
     is_moving_object_trail,
     is_strip_on_road,
     may_be_a_person,
-    may_be_a_porous_trail,
 )
 from subiaco_change.decisions.measures import MeasureConfig, Measures, absence, measure, observed_fraction
 from subiaco_change.decisions.plant_decisions import decide_plant
@@ -81,6 +81,7 @@ class ObjectChange:
     decision: Decision
     plant: PlantMeasures | None = None  # where the plants of the pair have a say in its label
     in_lane: float = 0.0  # fraction of a claim of one epoch that lies in the lane of a survey vehicle
+    doubt: str = ""  # why a claim of one epoch may be a ghost trail
 
     @property
     def lod(self) -> float:
@@ -154,7 +155,6 @@ def decide_object(
             or continues_trail(parts, own, rules.decisions)
             or is_strip_on_road(parts, own, rules.decisions)
             or may_be_a_person(parts, semantic, own)
-            or may_be_a_porous_trail(parts, semantic, own, rules.decisions)
             or decide_in_traffic(parts, rules.lanes, moved, rules.decisions)
             or decide_shapeless(parts, semantic, rules.lanes, rules.decisions)
             or decide_vehicle_part(parts, semantic, measures, rules.standing[int(bool(before))])
@@ -162,7 +162,11 @@ def decide_object(
         )
     kind = match_kind(len(before), len(after))
     in_lane = lane_share_of_claim(decision, (*before, *after), rules.lanes, rules.decisions)
-    return ObjectChange(tuple(before), tuple(after), semantic, kind, measures, decision, plant, in_lane)
+    doubt = ""
+    if decision.change in (Change.ADDED, Change.REMOVED):
+        doubt = doubt_of_porous((*before, *after), semantic, rules.own[0 if before else 1], rules.decisions)
+    sides = tuple(before), tuple(after)
+    return ObjectChange(*sides, semantic, kind, measures, decision, plant, in_lane, doubt)
 
 
 def _with_tops(measures: Measures, plant: PlantMeasures, lod: float) -> Measures:

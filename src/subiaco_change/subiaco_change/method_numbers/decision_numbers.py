@@ -209,7 +209,7 @@ class DynamicObjectsNumbers(StrictModel):
         (0.2, 0.8), description="Smallest and largest width of the trail of a pedestrian or cyclist [m]"
     )
     person_top: tuple[float, float] = Field(
-        (1.0, 2.1),
+        (1.5, 2.1),
         description="Lowest and highest top of the trail of a pedestrian or cyclist above ground [m]",
     )
     person_ground: float = Field(

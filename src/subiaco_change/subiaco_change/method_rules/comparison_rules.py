@@ -126,8 +126,8 @@ MOVING_OBJECT_RULES: tuple[Rule, ...] = (
     Rule(
         "ground_shines_through",
         _HERE,
-        "Nothing is claimed of what neither fills its place nor hides the ground beneath, in a cloud without"
-        " counts of beams: traffic was elsewhere while most beams came.",
+        "What neither fills its place nor hides the ground beneath is claimed with a low confidence, in a"
+        " cloud without counts of beams: traffic was elsewhere while most beams came.",
         (
             "method_numbers.dynamic_objects.opaque_points",
             "method_numbers.dynamic_objects.ground_beneath",
