@@ -370,14 +370,15 @@ def _difference(
     number, count = ndimage.label(old.free & solid, _TOUCHING)
     kinds = (voxels.observed_unoccupied, ~voxels.occupied_in_other, voxels.free_space_confirmed)
     observed, alone, confirmed = (_per_part(voxels.select(kind), number, count, frame) for kind in kinds)
-    sure = _without_thin(_supported(observed, config)[number], config)
+    supported = _supported(observed, config)
+    sure = _without_thin(supported[number], config)
     # Between free space and a wall lies a cell that is neither: the resolution, and no room to hide in.
     sure |= ndimage.binary_dilation(sure, _FACES) & old.unknown & solid
     changed = _supported(alone, config)[number]
     maybe = (old.free & new.unknown) | (old.unknown & solid)
     reach = ndimage.binary_propagation(_patches(changed, config), _TOUCHING, changed | maybe)
     volume = Interval(float(sure.sum()) * frame.volume, float(reach.sum()) * frame.volume)
-    return _Difference(volume, sure, int(confirmed[1:].sum()))
+    return _Difference(volume, sure, int(confirmed[supported].sum()))
 
 
 def _per_part(voxels: Voxels, number: Ints, count: int, frame: _Frame) -> Ints:
