@@ -304,7 +304,7 @@ def install_messages(package: Interfaces) -> None:
     shutil.copy2(package.source / "package.xml", share)
     for base in (
         package.source,
-        *(package.build / f / name for f in ("rosidl_adapter", "rosidl_generator_type_description")),
+        *(package.build / f / name for f in ("rosidl_adapter", DESCRIBED)),
     ):
         for path in sorted(base.glob("*/*")):
             if path.suffix in (*KINDS, ".idl", ".json"):

@@ -21,6 +21,7 @@ from subiaco_change.decisions.voxel_objects import (
     EpochView,
     ObjectInstance,
     is_ghost_trail,
+    is_loose,
     join_voxels,
     observed_on_both_sides,
 )
@@ -113,8 +114,7 @@ def own_epoch_evidence(view: EpochView, observed: Observed) -> OwnEpochEvidence:
 
 def _trail_by_shape(view: EpochView) -> Mask:
     """Tell which points (N,) shape alone makes a ghost trail."""
-    loose = np.asarray((view.semantic == Semantic.MOBILE) & (view.instance == NO_OBJECT))
-    return loose & (view.passed is None)
+    return is_loose(view) & (view.passed is None)
 
 
 @switchable("trail_continued", no_decision)

@@ -127,14 +127,15 @@ def decide_object(
 ) -> ObjectChange:
     """Measure and decide what the parts of one object in both epochs say together."""
     building = semantic is Semantic.BUILDING
+    parts = (*before, *after)
     compared = _compared(before, after, semantic, rules)
     measures = measure(
         join_voxels(compared[0]), join_voxels(compared[1]), rules.measures, rules.ground, building
     )
     if not (before and after):
-        measures = replace(measures, observed_fraction=_observed_fraction((*before, *after), measures, rules))
+        measures = replace(measures, observed_fraction=_observed_fraction(parts, measures, rules))
     measures = replace(measures, free=absence(before, after, rules.free, rules.certain))
-    lod = object_lod((*before, *after))
+    lod = object_lod(parts)
     plant, matched = None, None
     if semantic is Semantic.VEGETATION and before and after:
         plant = measure_plant(
@@ -145,26 +146,26 @@ def decide_object(
     decision = decide(semantic, bool(before), bool(after), measures, lod, rules.decisions, matched)
     if decision.change not in _OF_PLANTS or measures.iou <= rules.decisions.vegetation.min_iou:
         plant = None
+    epoch = 0 if before else 1  # of an object of one epoch
+    own = rules.own[epoch]
     if decision.change in (Change.ADDED, Change.REMOVED):
-        parts = (*before, *after)
-        own, moved = (rules.own[0], rules.moved[0]) if before else (rules.own[1], rules.moved[1])
         decision = (
             is_misclassified_ground(semantic, parts)
-            or is_floating_line(parts, rules.standing[0 if before else 1], rules.decisions)
+            or is_floating_line(parts, rules.standing[epoch], rules.decisions)
             or is_moving_object_trail(parts, semantic, own, rules.decisions, measures.free)
             or continues_trail(parts, own, rules.decisions)
             or is_strip_on_road(parts, own, rules.decisions)
             or may_be_a_person(parts, semantic, own)
-            or decide_in_traffic(parts, rules.lanes, moved, rules.decisions)
+            or decide_in_traffic(parts, rules.lanes, rules.moved[epoch], rules.decisions)
             or decide_shapeless(parts, semantic, rules.lanes, rules.decisions)
-            or decide_vehicle_part(parts, semantic, measures, rules.standing[int(bool(before))])
+            or decide_vehicle_part(parts, semantic, measures, rules.standing[1 - epoch])
             or decision
         )
     kind = match_kind(len(before), len(after))
-    in_lane = lane_share_of_claim(decision, (*before, *after), rules.lanes, rules.decisions)
+    in_lane = lane_share_of_claim(decision, parts, rules.lanes, rules.decisions)
     doubt = ""
     if decision.change in (Change.ADDED, Change.REMOVED):
-        doubt = doubt_of_porous((*before, *after), semantic, rules.own[0 if before else 1], rules.decisions)
+        doubt = doubt_of_porous(parts, semantic, own, rules.decisions)
     sides = tuple(before), tuple(after)
     return ObjectChange(*sides, semantic, kind, measures, decision, plant, in_lane, doubt)
 

@@ -369,7 +369,8 @@ def _difference(
     solid = new.solid | _behind_new_walls(old, new, frame, config)
     number, count = ndimage.label(old.free & solid, _TOUCHING)
     kinds = (voxels.observed_unoccupied, ~voxels.occupied_in_other, voxels.free_space_confirmed)
-    observed, alone, confirmed = (_per_part(voxels.select(kind), number, count, frame) for kind in kinds)
+    part = _parts_of(voxels, number, frame)
+    observed, alone, confirmed = (np.bincount(part[kind], minlength=count + 1) for kind in kinds)
     supported = _supported(observed, config)
     sure = _without_thin(supported[number], config)
     # Between free space and a wall lies a cell that is neither: the resolution, and no room to hide in.
@@ -381,9 +382,12 @@ def _difference(
     return _Difference(volume, sure, int(confirmed[supported].sum()))
 
 
-def _per_part(voxels: Voxels, number: Ints, count: int, frame: _Frame) -> Ints:
-    """Numbers (count + 1,) of voxels whose surface lies in each part of a labelled array of cells."""
-    return np.bincount(number.ravel(), _surface(voxels, frame).ravel(), minlength=count + 1)
+def _parts_of(voxels: Voxels, number: Ints, frame: _Frame) -> Ints:
+    """Return the part (M,) of a labelled array of cells in which the surface of each voxel lies, 0 for none."""
+    cell, inside = _surface_cells(voxels, frame)
+    part = np.zeros(len(voxels), dtype=np.int64)
+    part[inside] = number[tuple(cell[inside].T)]
+    return part
 
 
 def _supported(voxels: Ints, config: CarvingConfig) -> NDArray[np.bool_]:
@@ -421,10 +425,16 @@ def _opened(cells: Cells, shapes: Sequence[tuple[int, int, int]]) -> Cells:
 def _surface(voxels: Voxels, frame: _Frame) -> Ints:
     """Numbers (nx, ny, nz) of voxels, each in the highest cell that its surface makes solid."""
     surface = np.zeros(frame.shape, dtype=np.int64)
-    level = frame.level(voxels.height)
-    slot = np.column_stack([frame.slots(voxels.xyz[:, :2]), level])
-    np.add.at(surface, tuple(slot[(level >= 0) & (level < frame.shape[2])].T), 1)
+    cell, inside = _surface_cells(voxels, frame)
+    np.add.at(surface, tuple(cell[inside].T), 1)
     return surface
+
+
+def _surface_cells(voxels: Voxels, frame: _Frame) -> tuple[Ints, Mask]:
+    """Highest cells (M, 3) that the surfaces of voxels make solid, and which are cells of the frame."""
+    level = frame.level(voxels.height)
+    cell = np.column_stack([frame.slots(voxels.xyz[:, :2]), level])
+    return cell, (level >= 0) & (level < frame.shape[2])
 
 
 def _nothing_behind(_: _State, new: _State, *__: object) -> Cells:

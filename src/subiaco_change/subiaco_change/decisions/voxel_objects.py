@@ -165,7 +165,7 @@ def build_voxels(
     if len(owner) == 0:
         none = np.zeros(0, dtype=bool)
         return Voxels(owner, xyz, normal, height, none, none, none)
-    standing, loose = is_standing(other), _is_loose(other)
+    standing, loose = is_standing(other), is_loose(other)
     in_other = occupied(xyz, other.xyz[standing & ~loose], reach)
     in_other |= _touching(xyz, other.xyz[standing & loose], reach)
     ground = occupied_by_ground(xyz, other.xyz[other.semantic == Semantic.GROUND], reach)
@@ -198,7 +198,7 @@ def _passable(view: EpochView) -> Mask:
 
 def is_ghost_trail(view: EpochView) -> Mask:
     """Tell which points (N,) are ghost trails: mobile, no object, and passed by beams."""
-    loose = _is_loose(view)
+    loose = is_loose(view)
     if view.moved is not None:
         return np.asarray(loose & (view.moved > UNCERTAIN))
     if view.passed is None:
@@ -206,7 +206,7 @@ def is_ghost_trail(view: EpochView) -> Mask:
     return np.asarray(loose & (view.passed >= _PASSED_THROUGH))
 
 
-def _is_loose(view: EpochView) -> Mask:
+def is_loose(view: EpochView) -> Mask:
     """Tell which points (N,) are mobile and of no object: what traffic left, mostly."""
     return np.asarray((view.semantic == Semantic.MOBILE) & (view.instance == NO_OBJECT))
 
