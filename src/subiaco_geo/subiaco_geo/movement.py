@@ -121,8 +121,8 @@ class MovementConfig(StrictModel):
     thin: int = Field(
         4,
         ge=1,
-        description="Largest number of voxels of a thin object (pole, trunk) at one height and time. Raise it "
-        "to keep wider objects that drifting poses shift; their second images stay in the map too",
+        description="Largest number of voxels of a thin object (pole, trunk) at one height and time. Raise "
+        "it to keep wider objects that drifting poses shift; their second images stay in the map too",
     )
     prior: float = Field(-4.0, description="Log odds that a component moved, before any evidence [1]")
     sure: float = Field(

@@ -383,7 +383,7 @@ def _difference(
 
 
 def _parts_of(voxels: Voxels, number: Ints, frame: _Frame) -> Ints:
-    """Return the part (M,) of a labelled array of cells in which the surface of each voxel lies, 0 for none."""
+    """Return the part (M,) of a labelled array of cells that holds each voxel's surface, 0 for none."""
     cell, inside = _surface_cells(voxels, frame)
     part = np.zeros(len(voxels), dtype=np.int64)
     part[inside] = number[tuple(cell[inside].T)]
