@@ -76,6 +76,11 @@ class ChangeConfig(StrictModel):
         le=0.5,
         description="Voxel edge to which both clouds are thinned before the comparison [m] (paper)",
     )
+    every_point: bool = Field(
+        True,
+        description="Write every point of the input into the labelled clouds, with the label of the thinned "
+        "point that it went into; without it the thinned points, in smaller files",
+    )
     seed: int = Field(0, ge=0, description="Seed of all random numbers of a comparison")
     tiles: TileConfig = TileConfig()
     registration_points: int = Field(

@@ -104,7 +104,10 @@ class Extensions:
         def tile(epoch: str, name: str) -> PointCloud:
             return _relabelled(result.tile(epoch, name), changed)
 
-        return replace(result, records=rows, tile=tile)
+        def labelled(epoch: str, name: str) -> PointCloud:
+            return _relabelled(result.labelled(epoch, name), changed)
+
+        return replace(result, records=rows, tile=tile, labelled=labelled)
 
 
 def _with_objects(survey: SurveyMap, segment: SegmentationFunction) -> LoadedEpoch:

@@ -12,10 +12,12 @@ from numpy.typing import NDArray
 
 from subiaco_change.config import ChangeConfig
 from subiaco_change.level_of_detection.alignment_corrections import block_table, stated_registration
+from subiaco_change.level_of_detection.common_frame import CommonFrame
 from subiaco_change.records import ChangeRecord, ChangeResult, GroundChange, Registration, TiledResult
 from subiaco_change.registration.pair import PairInfo
 from subiaco_change.tiling.alignment import TileLods, load_sigma
-from subiaco_change.tiling.epoch_tiles import EPOCHS
+from subiaco_change.tiling.epoch_tiles import EPOCHS, InputPoints
+from subiaco_change.tiling.every_point import with_every_point
 from subiaco_change.tiling.label_stage import TileLabels
 from subiaco_change.tiling.retiling import LabelledPoints
 from subiaco_change.tiling.run import ChangeRun, ComparisonResult
@@ -131,6 +133,7 @@ def _assemble(
         run.runner.costs(),
         tiles,
         partial(_tile, run, labelled),
+        partial(_written, run, frame, labelled),
     )
 
 
@@ -166,6 +169,18 @@ def _tile(run: ChangeRun, labelled: Mapping[str, str], epoch: str, tile: str) ->
         fields["intensity"] = np.zeros(0, np.float32) if known is None else known
     side = run.sides[EPOCHS.index(epoch)]
     return PointCloud(piece.xyz, run.origin, side.crs, fields)
+
+
+def _written(
+    run: ChangeRun, frame: CommonFrame, labelled: Mapping[str, str], epoch: str, tile: str
+) -> PointCloud:
+    """Points of a tile of an epoch that the labelled cloud holds: all of the input, or those of the leaf."""
+    thinned = _tile(run, labelled, epoch, tile)
+    if not run.config.every_point or not len(thinned):
+        return thinned
+    points = run.runner.load(LabelledPoints, run.points[epoch][tile])
+    pieces = [run.runner.load(InputPoints, run.inputs[epoch][name]) for name in points.sources]
+    return with_every_point(thinned, points, pieces, run.sides[EPOCHS.index(epoch)], frame)
 
 
 def _raster(run: ChangeRun, labelled: Mapping[str, str]) -> GroundChange | None:

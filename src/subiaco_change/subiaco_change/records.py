@@ -172,7 +172,8 @@ class TiledResult:
     """Everything that a run in tiles found; as :class:`ChangeResult`, its clouds tile by tile.
 
     ``costs``: by stage, see :meth:`subiaco_geo.work.task_runner.TaskRunner.costs`. ``tile`` reads the
-    cloud of an epoch in one of ``tiles``; it may be empty.
+    cloud of an epoch in one of ``tiles``, thinned to the leaf; it may be empty. ``labelled`` reads the
+    same with the points that are written (see ``every_point`` of the configuration).
     """
 
     records: tuple[ChangeRecord, ...]
@@ -184,6 +185,7 @@ class TiledResult:
     costs: Mapping[str, Mapping[str, float]]
     tiles: Sequence[str]
     tile: Callable[[str, str], PointCloud]
+    labelled: Callable[[str, str], PointCloud]
 
     @property
     def seconds(self) -> dict[str, float]:
@@ -195,8 +197,8 @@ class TiledResult:
         return ((self.tile("before", name), self.tile("after", name)) for name in self.tiles)
 
     def epoch(self, name: str) -> Iterator[PointCloud]:
-        """Yield the cloud of one epoch, ``before`` or ``after``, of every tile where it holds points."""
-        return (cloud for tile in self.tiles if len(cloud := self.tile(name, tile)))
+        """Yield the labelled cloud of one epoch, ``before`` or ``after``, of every tile that has points."""
+        return (cloud for tile in self.tiles if len(cloud := self.labelled(name, tile)))
 
     def whole(self) -> ChangeResult:
         """Put the tiles together in memory."""

@@ -218,12 +218,19 @@ def voxel_downsample(cloud: PointCloud, leaf: float) -> PointCloud:
     PointCloud
         One point a voxel in voxel-key order; unit ``normals`` are re-normalised.
     """
+    return voxel_average(cloud, leaf)[0]
+
+
+def voxel_average(cloud: PointCloud, leaf: float) -> tuple[PointCloud, Ints]:
+    """Downsample as :func:`voxel_downsample`; return also which of its points (N,) each point went into."""
     if len(cloud) == 0:
-        return cloud
+        return cloud, np.zeros(0, dtype=np.int64)
     keys = voxel_keys(voxel_indices(cloud.xyz, leaf))
     order = stable_order(keys)
     starts = np.flatnonzero(np.diff(keys[order], prepend=-1))
     counts = np.diff(np.append(starts, len(keys)))
+    voxel = np.empty(len(keys), dtype=np.int64)
+    voxel[order] = np.repeat(np.arange(len(starts)), counts)
 
     def reduce(values: NDArray[np.generic]) -> NDArray[np.generic]:
         ordered = values[order]
@@ -237,4 +244,4 @@ def voxel_downsample(cloud: PointCloud, leaf: float) -> PointCloud:
         normals = np.asarray(fields["normals"], dtype=np.float64)
         norm = np.linalg.norm(normals, axis=1, keepdims=True)
         fields["normals"] = normals / np.maximum(norm, 1e-12)
-    return replace(cloud, xyz=np.asarray(reduce(cloud.xyz), dtype=np.float64), fields=fields)
+    return replace(cloud, xyz=np.asarray(reduce(cloud.xyz), dtype=np.float64), fields=fields), voxel

@@ -101,6 +101,7 @@ class Epochs:
     sides: tuple[EpochContext, ...] = ()
     origin: Floats = field(default_factory=lambda: np.zeros(3))
     clouds: dict[str, dict[str, str]] = field(default_factory=dict)
+    inputs: dict[str, dict[str, str]] = field(default_factory=dict)
     beams: dict[str, dict[str, str]] = field(default_factory=dict)
     beam_edge: dict[str, float] = field(default_factory=dict)
     trails: dict[str, dict[str, str]] = field(default_factory=dict)
@@ -207,12 +208,13 @@ class Epochs:
     def _cut_points(self, name: str, epoch: Epoch, origin: Floats, operation: Transform | None) -> CutCloud:
         try:
             parts = epoch.clouds(FIELDS)
-            found = cut_cloud(self.runner, parts, origin, self.size, self.config.leaf, operation)
+            leaf, whole = self.config.leaf, self.config.every_point
+            found = cut_cloud(self.runner, parts, origin, self.size, leaf, operation, whole=whole)
         except InputError as error:
             raise InputError(f"{name}: {error}") from error
         if found.points == 0:
             raise InputError(f"{name}: the cloud is empty; check the file")
-        self.clouds[name], self.sizes[name] = found.keys, found.sizes
+        self.clouds[name], self.inputs[name], self.sizes[name] = found.keys, found.inputs, found.sizes
         for field_name in self.given:
             if any(getattr(self._cloud(name, tile), field_name) is None for tile in found.keys):
                 raise InputError(

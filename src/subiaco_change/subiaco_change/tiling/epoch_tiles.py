@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from subiaco_change.point_spacing import STREET_SPACING, joint_spacing, neighbour_spacings
 from subiaco_change.registration.pair import check_finite
 from subiaco_change.visibility_evidence import EvidenceKind
-from subiaco_geo.clouds import PointCloud, extent_of, unpack_voxel_columns, voxel_downsample
+from subiaco_geo.clouds import PointCloud, extent_of, unpack_voxel_columns, voxel_average
 from subiaco_geo.crs import Transform
 from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.free_space.sensor_view import SensorView
@@ -85,6 +85,18 @@ class TilePoints:
 
 
 @dataclass(frozen=True)
+class InputPoints:
+    """All points of a tile of one epoch: ``xyz`` (N, 3) about the origin of the epoch [m].
+
+    ``voxel`` (N,): the thinned point that each went into; ``intensity`` (N,) where the cloud has it.
+    """
+
+    xyz: Floats
+    voxel: NDArray[np.int32]
+    intensity: NDArray[Any] | None = None
+
+
+@dataclass(frozen=True)
 class Coordinates:
     """What all stored points have: ``xyz`` (N, 3) [m]."""
 
@@ -144,9 +156,13 @@ class Spill:
 
 @dataclass(frozen=True)
 class CutCloud:
-    """Keys of the tiles of a cloud and points of each; its least and largest coordinates (3,) [m]."""
+    """Keys of the tiles of a cloud and points of each; its least and largest coordinates (3,) [m].
+
+    ``keys`` of the thinned points, ``inputs`` of all of them, where these are kept.
+    """
 
     keys: dict[str, str]
+    inputs: dict[str, str]
     sizes: dict[str, int]
     low: Floats
     high: Floats
@@ -162,6 +178,8 @@ def cut_cloud(
     tile: float,
     leaf: float,
     operation: Transform | None = None,
+    *,
+    whole: bool = False,
 ) -> CutCloud:
     """Keep the points of every tile of the world, downsampled to a leaf.
 
@@ -176,6 +194,8 @@ def cut_cloud(
         Edges of tiles and of voxels [m].
     operation : Transform, optional
         Brings the points to the CRS of the pair.
+    whole : bool
+        Keeps all points as well, as :class:`InputPoints`.
 
     Raises
     ------
@@ -183,7 +203,7 @@ def cut_cloud(
         No points, or coordinates that are not finite.
     """
     low, high, points = np.full(3, np.inf), np.full(3, -np.inf), 0
-    keys, sizes, spacings = {}, {}, []
+    keys, inputs, sizes, spacings = {}, {}, {}, []
     with TemporaryDirectory(prefix="subiaco_") as folder:
         spill = Spill(Path(folder))
         for part in parts:
@@ -196,11 +216,15 @@ def cut_cloud(
                 fields = {field: part.fields[field][members] for field in FIELDS if field in part.fields}
                 spill.add(name, {"xyz": world[members] - origin, **fields})
         for name, arrays in spill.tiles():
-            thin = voxel_downsample(PointCloud(arrays.pop("xyz"), origin, None, arrays), leaf)
+            xyz = arrays.pop("xyz")
+            thin, voxel = voxel_average(PointCloud(xyz, origin, None, arrays), leaf)
+            if whole:
+                every = InputPoints(xyz, voxel.astype(np.int32), arrays.get("intensity"))
+                inputs[name] = runner.put("input", name, every)
             sizes[name] = len(thin)
             keys[name] = runner.put("cut", name, TilePoints(thin.xyz, *(thin.fields.get(f) for f in FIELDS)))
             spacings.append(neighbour_spacings(thin.xyz))
-    return CutCloud(keys, sizes, low, high, points, sum(sizes.values()), joint_spacing(spacings))
+    return CutCloud(keys, inputs, sizes, low, high, points, sum(sizes.values()), joint_spacing(spacings))
 
 
 def cut_beams(runner: TaskRunner, parts: Iterable[VisibilityGrid], size: float) -> dict[str, str]:

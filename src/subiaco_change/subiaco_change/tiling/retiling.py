@@ -147,7 +147,8 @@ class LabelledPoints:
 
     ``xyz`` (N, 3) [m]; ``normals`` (N, 3); ``semantic`` (N,); ``score`` (N,) of the class; ``height`` (N,)
     above ground [m]; ``passed`` and ``moved`` (N,), empty where not known; ``number`` (N,), object,
-    -1 for none; ``intensity`` (N,) where known.
+    -1 for none; ``intensity`` (N,) where known. ``sources``: tiles of the epoch's own frame that they come
+    from; ``source`` and ``row`` (N,): which of these, and which of its points.
     """
 
     xyz: Floats
@@ -159,6 +160,9 @@ class LabelledPoints:
     moved: NDArray[np.float32]
     number: NDArray[np.int32]
     intensity: NDArray[Any] | None
+    sources: tuple[str, ...]
+    source: NDArray[np.int32]
+    row: NDArray[np.int32]
 
 
 @dataclass(frozen=True)
@@ -178,19 +182,23 @@ def recut_tile(inputs: Inputs, params: EpochTileParams) -> LabelledPoints:
     tile = tile_named(params.tile, params.size, 0.0)
     columns: dict[str, list[NDArray[Any]]] = {}
     names = inputs.under("cloud")
-    for name in names:
+    for position, name in enumerate(names):
         cloud = inputs.of(TilePoints, f"cloud/{name}")
         prepared = inputs.of(TileSegmentation, f"prepared/{name}")
         inside = tile.in_core(in_frame(cloud.xyz, params.side, frame).world()[:, :2])
         values: dict[str, NDArray[Any]] = {field: getattr(prepared, field) for field in _PREPARED}
         values |= {"xyz": cloud.xyz, "number": object_numbers(inputs, name, len(inside))}
+        values |= {"source": np.full(len(inside), position, np.int32)}
+        values |= {"row": np.arange(len(inside), dtype=np.int32)}
         if cloud.intensity is not None:
             values["intensity"] = cloud.intensity
         for field, column in values.items():
             columns.setdefault(field, []).append(column[inside] if len(column) == len(inside) else column)
     whole: dict[str, Any] = {field: np.concatenate(parts) for field, parts in columns.items()}
     lit = len(columns.get("intensity", [])) == len(names)
-    return LabelledPoints(**{**whole, "intensity": whole["intensity"] if lit else None})
+    return LabelledPoints(
+        **{**whole, "intensity": whole["intensity"] if lit else None, "sources": tuple(names)}
+    )
 
 
 def place_tile(inputs: Inputs, params: EpochTileParams) -> PlacedPoints:
