@@ -73,6 +73,9 @@ class FinishedMap:
 class MapFusion:
     """Take scans at their solved poses; memory holds what was touched last.
 
+    Voxels lie on whole multiples of the leaf in the CRS of the map, so that maps of one place have the same
+    voxels in every epoch, and no voxel of 0.25 m belongs to two cells of a grid of 0.5 m.
+
     Parameters
     ----------
     folder : Path
@@ -93,7 +96,7 @@ class MapFusion:
         start: Floats,
         density: FullDensity | None = None,
     ) -> None:
-        self._folder, self._config, self._projection = folder, config, projection
+        self._folder, self._config, self._crs = folder, config, projection.crs
         world = projection.points(start[None])[0]
         self._origin = np.round(world, -2) if np.abs(world).max() > _FAR else np.zeros(3)
         edge = max(1, round(config.tile / config.leaf))
@@ -112,7 +115,7 @@ class MapFusion:
         self._density = (
             None
             if density is None
-            else DensityTiles(density, folder / "density", config.leaf, edge, projection, self._origin)
+            else DensityTiles(density, folder / "density", config.leaf, edge, self._crs, self._origin)
         )
         self._statistics = Recent(self._usable)
         self._spacing = 0.0
@@ -132,18 +135,20 @@ class MapFusion:
         Scans come in the order of their stamps; one without a stamp is a tenth of a second later
         than the last. ``source`` numbers its recording from 1.
         """
+        in_map = np.eye(4)
+        in_map[:3, :3], in_map[:3, 3] = matrix @ pose[:3, :3], matrix @ pose[:3, 3] + offset - self._origin
+        eye = in_map[:3, 3]
         if self._density is not None:
-            self._density.add(scan, pose, stamp_ns or 0, source)
+            self._density.add(scan, in_map, stamp_ns or 0, source)
         if self._scans % _SHOWN == 0:  # of several sensors the coarsest counts
             self._spacing = max(self._spacing, beam_spacing(scan.xyz, self._config.outlier_neighbours))
-        xyz = transform_points(pose, scan.xyz)
+        xyz = transform_points(in_map, scan.xyz)
         near, last = (within(found, self._config.max_range) for found in (scan.xyz, scan.last_xyz))
-        self._first.add(xyz[near], scan.intensity[near], pose[:3, 3])
-        self._last.add(transform_points(pose, scan.last_xyz[last]), scan.last_intensity[last], pose[:3, 3])
+        self._first.add(xyz[near], scan.intensity[near], eye)
+        self._last.add(transform_points(in_map, scan.last_xyz[last]), scan.last_intensity[last], eye)
         beams, returned = visibility_beams(scan, pose, self._config, self._scans)
-        ends = transform_points(pose, beams) @ matrix.T + offset
-        origin = matrix @ pose[:3, 3] + offset
-        starts, hits = np.broadcast_to(origin, ends.shape), xyz @ matrix.T + offset
+        ends = transform_points(in_map, beams) + self._origin
+        starts, hits = np.broadcast_to(eye + self._origin, ends.shape), xyz + self._origin
         self._beams.add(starts, ends, returned, hits, self._clock.window(stamp_ns))
         self._scans += 1
 
@@ -215,7 +220,7 @@ class MapFusion:
 
     def _moved(self, xyz: Floats) -> NDArray[np.float32]:
         """Return the probability (N,) that the points moved; NaN where nothing is known."""
-        found = self._layer.moved(self._projection.points(xyz))
+        found = self._layer.moved(xyz + self._origin)
         assert found is not None  # the layer was made with times
         return found
 
@@ -230,7 +235,7 @@ class MapFusion:
         shares = fragment_shares(xyz, above, moved, config.visibility_voxel)
         fragment = shares >= NUMBERS.fusion.fragment_share
         probability[fragment] = np.fmax(probability[fragment], NUMBERS.fusion.fragment_moved)
-        self._fragments.append(self._projection.points(xyz[:own][fragment[:own]]))
+        self._fragments.append(xyz[:own][fragment[:own]] + self._origin)
         self._write(moving, found.select(np.flatnonzero(moved[:own])))
         isolated = isolated_points(xyz, found.reach, self._spacing, config, threads)
         keep = ~moved & ~isolated
@@ -256,8 +261,7 @@ class MapFusion:
         kept, semantic = np.flatnonzero(~(removed | moved)), None
         inside = int((kept < own).sum())
         if self._classify is not None and inside:
-            world = self._projection.points(found.mean[kept]) - self._origin
-            cloud = PointCloud(world, self._origin, self._projection.crs)
+            cloud = PointCloud(found.mean[kept], self._origin, self._crs)
             semantic = self._classify(cloud, np.nan_to_num(probability[kept]).astype(np.float64))[:inside]
         classes = self._density.classes(found.keys[:own], removed[:own], moved[:own], semantic)
         self._density.finish_tile(tile, classes)
@@ -274,9 +278,9 @@ class MapFusion:
         named: dict[str, NDArray[Any]] = {"intensity": found.intensity, "n": found.n, **fields}
         if normals is not None:
             variance = np.einsum("ni,nij,nj->n", normals, found.covariance, normals)
-            named["normals"] = self._projection.directions(found.mean, normals)
+            named["normals"] = normals
             named["spread"] = np.sqrt(np.maximum(variance, 0.0)).astype(np.float32)
-        columns.append(xyz=self._projection.points(found.mean) - self._origin, **named)
+        columns.append(xyz=found.mean, **named)
 
     def _last_returns(self) -> PointCloud | None:
         columns = DiskColumns(self._folder / "last_returns")
@@ -289,4 +293,4 @@ class MapFusion:
         if not arrays:
             return None
         xyz = arrays.pop("xyz")
-        return PointCloud(xyz, self._origin, self._projection.crs, arrays)
+        return PointCloud(xyz, self._origin, self._crs, arrays)

@@ -21,7 +21,6 @@ from subiaco_geo.errors import InputError
 from subiaco_geo.frames import Floats, Ints, transform_points
 from subiaco_geo.las_writing import las_stream
 from subiaco_mapping.checkpoint.scan_spool import SpooledScan
-from subiaco_mapping.fusion.projection import Projection
 from subiaco_mapping.fusion.voxel_tiles import tile_corner, tile_numbers
 
 #: Folder of the tiles in a map directory, and its index.
@@ -104,7 +103,8 @@ class DensityTiles:
         Edge of a voxel [m].
     edge : int
         Edge of a tile [voxels].
-    projection : Projection
+    crs : str or None
+        Of the map.
     origin : (3,) float64
         World coordinates of the zero of the map [m].
     """
@@ -115,18 +115,18 @@ class DensityTiles:
         scratch: Path,
         leaf: float,
         edge: int,
-        projection: Projection,
+        crs: str | None,
         origin: Floats,
     ) -> None:
         self._output, self._scratch, self._leaf, self._edge = output, scratch, leaf, edge
-        self._projection, self._origin = projection, origin
+        self._crs, self._origin = crs, origin
         self._waiting: set[int] = set()
         self._rows: list[dict[str, Any]] = []
         scratch.mkdir(parents=True)
         output.folder.mkdir(parents=True)
 
-    def add(self, scan: SpooledScan, pose: Floats, stamp_ns: int, source: int) -> None:
-        """Take both returns of a scan at ``T_local_lidar``; ``source`` numbers its recording from 1."""
+    def add(self, scan: SpooledScan, T_map_lidar: Floats, stamp_ns: int, source: int) -> None:
+        """Take both returns of a scan, placed about the origin; ``source`` numbers its recording from 1."""
         both = (
             (scan.xyz, scan.intensity, scan.pulses),
             (scan.last_xyz, scan.last_intensity, scan.last_pulses),
@@ -134,9 +134,9 @@ class DensityTiles:
         whole_s = self._output.gps_minus_utc_s - _GPS_EPOCH_S - _ADJUSTMENT_S
         gps_s = (stamp_ns + whole_s * 1_000_000_000) * 1e-9
         for xyz, intensity, pulses in both:
-            local = transform_points(pose, xyz)
+            placed = transform_points(T_map_lidar, xyz)
             records = np.zeros(len(xyz), dtype=_RECORD)
-            records["xyz"] = np.round(local / _STEP)
+            records["xyz"] = np.round(placed / _STEP)
             records["intensity"] = np.clip(intensity, 0, 65535)
             records["gps_time"], records["source"] = gps_s, source
             records["number"] = records["of"] = 1
@@ -144,10 +144,10 @@ class DensityTiles:
                 records["gps_time"] -= pulses["before_ns"] * 1e-9
                 records["number"], records["of"] = pulses["number"], pulses["of"]
             if len(records):
-                self._store(local, records)
+                self._store(placed, records)
 
-    def _store(self, local: Floats, records: NDArray[np.void]) -> None:
-        tiles = tile_numbers(voxel_indices(local, self._leaf), self._edge)
+    def _store(self, placed: Floats, records: NDArray[np.void]) -> None:
+        tiles = tile_numbers(voxel_indices(placed, self._leaf), self._edge)
         order = np.argsort(tiles, kind="stable")
         found, starts = np.unique(tiles[order], return_index=True)
         for tile, part in zip(found.tolist(), np.split(records[order], starts[1:]), strict=True):
@@ -195,37 +195,31 @@ class DensityTiles:
         size = self._edge * self._leaf
         path = self._path(tile)
         waiting = np.memmap(path, dtype=_RECORD, mode="r")
-        centre = np.array([*(low + size / 2), waiting["xyz"][0, 2] * _STEP])
-        matrix, offset = (found[0] for found in self._projection.affine(centre[None]))
-        corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * size + low
-        outline = np.column_stack([corners, np.full(4, centre[2])]) @ matrix.T + offset
-        west, south = np.floor(outline[:, :2].min(axis=0)).astype(int)
+        outline = np.array([[0, 0], [1, 0], [1, 1], [0, 1]]) * size + low + self._origin[:2]
+        west, south = np.floor(outline[0]).astype(int)
         name = f"{west}_{south}.laz"
         facts = _Facts()
         with las_stream(self._output.folder / name, unit_intensity=False, standard_gps_time=True) as stream:
-            for cloud in self._parts(waiting, matrix, offset, classes):
+            for cloud in self._parts(waiting, classes):
                 stream.append(cloud)
                 facts.add(cloud)
-        self._rows.append({"location": name, **facts.row(), "outline": outline[:, :2]})
+        self._rows.append({"location": name, **facts.row(), "outline": outline})
         del waiting
         path.unlink()
 
-    def _parts(
-        self, waiting: NDArray[np.void], matrix: Floats, offset: Floats, classes: VoxelClasses
-    ) -> Iterator[PointCloud]:
+    def _parts(self, waiting: NDArray[np.void], classes: VoxelClasses) -> Iterator[PointCloud]:
         for start in range(0, len(waiting), _PART):
             records = np.asarray(waiting[start : start + _PART])
-            local = records["xyz"] * _STEP
+            placed = records["xyz"] * _STEP
             fields: dict[str, NDArray[Any]] = {
                 "intensity": records["intensity"].astype(np.uint16),
-                "classification": classes.of(local),
+                "classification": classes.of(placed),
                 "gps_time": records["gps_time"].copy(),
                 "return_number": records["number"].copy(),
                 "number_of_returns": records["of"].copy(),
                 "point_source_id": records["source"].astype(np.uint16),
             }
-            world = local @ matrix.T + (offset - self._origin)
-            yield PointCloud(world, self._origin, self._projection.crs, fields)
+            yield PointCloud(placed, self._origin, self._crs, fields)
 
     def finish(self, recordings: dict[int, str]) -> None:
         """Write tiles that the map has no voxel of, the index, and the recordings by their source id.
@@ -244,7 +238,7 @@ class DensityTiles:
         if not self._rows:
             raise InputError(f"{self._output.folder}: no return is left; check range limits")
         shapes = [shapely.Polygon(row.pop("outline")) for row in self._rows]
-        index = gpd.GeoDataFrame(self._rows, geometry=shapes, crs=self._projection.crs)
+        index = gpd.GeoDataFrame(self._rows, geometry=shapes, crs=self._crs)
         index.to_file(self._output.folder / INDEX, layer="tiles", driver="GPKG", engine="pyogrio")
         with (self._output.folder / "recordings.csv").open("w", newline="", encoding="utf-8") as stream:
             writer = csv.writer(stream, lineterminator="\n")

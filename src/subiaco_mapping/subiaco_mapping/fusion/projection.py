@@ -45,13 +45,6 @@ class Projection:
             return np.tile(np.eye(3), (len(xyz), 1, 1))
         return self.frame.grid_axes(xyz, self.crs)
 
-    def directions(self, xyz: Floats, vectors: Floats) -> Floats:
-        """Turn unit vectors (N, 3) at points (N, 3) to map axes.
-
-        One rotation for all: the convergence changes by 0.005 deg a kilometre.
-        """
-        return vectors @ self.axes(xyz.mean(axis=0, keepdims=True))[0].T
-
     def affine(self, positions: Floats) -> tuple[Floats, Floats]:
         """Linearise the projection (scale included) about positions (N, 3).
 
