@@ -160,6 +160,7 @@ def _cut(
         points = LabelledPoints(
             xyz=cloud.xyz[own], normals=normals[own], semantic=semantic[own], score=none, height=none,
             passed=none, moved=none, number=np.full(len(own), -1, dtype=np.int32), intensity=None,
+            sources=(name,), source=np.zeros(len(own), np.int32), row=np.arange(len(own), dtype=np.int32),
         )  # fmt: skip
         run.points.setdefault(epoch, {})[name] = run.runner.put("retiling", f"{epoch}_{name}", points)
     return members

@@ -28,9 +28,11 @@ def tiled(before: list[Floats], after: list[Floats]) -> TiledResult:
     }
     registration = Registration(np.eye(4), ORIGIN, 0.0, 0.0, 1.0, np.zeros(6), "given")
     names = [str(k) for k in range(len(before))]
-    return TiledResult(
-        (), "EPSG:7850", registration, None, (), None, {}, names, lambda epoch, name: clouds[epoch, name]
-    )
+
+    def tile(epoch: str, name: str) -> PointCloud:
+        return clouds[epoch, name]
+
+    return TiledResult((), "EPSG:7850", registration, None, (), None, {}, names, tile, tile)
 
 
 @given(st.lists(st.integers(0, 4_000), min_size=1, max_size=6), st.integers(1, 3_000))

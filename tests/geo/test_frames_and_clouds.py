@@ -20,6 +20,7 @@ from subiaco_geo.clouds import (
     packable,
     sort_spatially,
     unpack_voxel_keys,
+    voxel_average,
     voxel_downsample,
     voxel_indices,
     voxel_keys,
@@ -165,6 +166,16 @@ def test_downsampling_leaves_one_point_a_voxel_and_keeps_the_centroid(xyz: np.nd
 
 def test_an_empty_cloud_downsamples_to_itself() -> None:
     assert len(voxel_downsample(PointCloud(np.zeros((0, 3))), 0.5)) == 0
+
+
+@given(st.integers(0, 2**32 - 1), st.integers(1, 300), st.floats(0.1, 5.0))
+def test_every_point_is_in_the_voxel_of_the_mean_that_it_went_into(seed, count, leaf):
+    xyz = np.random.default_rng(seed).uniform(-10, 10, (count, 3))
+    small, voxel = voxel_average(PointCloud(xyz), leaf)
+    assert np.array_equal(np.unique(voxel), np.arange(len(small)))
+    sums = [np.bincount(voxel, xyz[:, axis]) / np.bincount(voxel) for axis in range(3)]
+    np.testing.assert_allclose(small.xyz, np.column_stack(sums), atol=1e-9)
+    assert np.array_equal(np.floor(xyz / leaf), np.floor(small.xyz / leaf)[voxel])
 
 
 @pytest.mark.parametrize("offset", [0.0, 6_463_000.0])

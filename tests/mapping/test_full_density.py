@@ -98,6 +98,13 @@ def street(tmp_path_factory):
     return finished, local, projection, folder, tiles
 
 
+def test_voxels_of_a_map_lie_on_multiples_of_the_leaf_in_its_crs(street):
+    cloud = street[0].cloud
+    assert cloud.crs == "EPSG:7850"
+    voxels = np.floor(cloud.world() / 0.25)
+    assert len(np.unique(voxels, axis=0)) == len(cloud) > 1_000
+
+
 def column(tiles, name):
     return np.concatenate([np.asarray(tile[name]) for tile in tiles])
 
