@@ -236,6 +236,23 @@ def test_between_scan_lines_far_apart_no_pit_hides_its_floor():
     assert sum(p.area for p in found.patches) < 20
 
 
+@pytest.mark.parametrize(("apart", "count"), [(1.0, 1), (4.0, 0)])
+def test_a_patch_between_scan_lines_far_apart_is_not_claimed(apart, count):
+    """One row of cells in eight that errs does not lift the ground between the rows."""
+    lines = lambda x, y: np.mod(y, apart) < 0.5  # noqa: E731
+    before = view(seed=1)
+    after = view(lambda x, y: 0.3 * box(30, 30, 10, 10)(x, y), seed=2)
+    seen = lines(after.xyz[:, 0], after.xyz[:, 1])
+    after = replace(
+        after,
+        **{name: getattr(after, name)[seen] for name in vars(after) if getattr(after, name) is not None},
+    )
+    found = compare_ground(before, after, GroundChangeConfig()).patches
+    assert len(found) == count
+    with rules_switched_off(["measured_patches"]):
+        assert len(compare_ground(before, after, GroundChangeConfig()).patches) == 1
+
+
 @given(st.integers(0, 1000), st.floats(0.0, 0.12), st.floats(0.0, 0.4))
 @settings(max_examples=15, deadline=None)
 def test_two_surveys_of_the_same_ground_with_steps_show_no_change(seed, noise, step):

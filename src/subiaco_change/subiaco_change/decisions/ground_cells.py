@@ -93,6 +93,13 @@ class GroundChangeConfig(StrictModel):
         description="Fraction of a patch in whose own cells the other surface must have points; the rim of "
         "a pit has points beside the patch alone",
     )
+    measured_share: float = Field(
+        0.3,
+        ge=0,
+        le=1,
+        description="Smallest fraction of the cells of a patch that both epochs measured, or in which walls "
+        "and free space show the change; other cells have the height of their neighbours",
+    )
     closing: int = Field(
         5,
         ge=0,

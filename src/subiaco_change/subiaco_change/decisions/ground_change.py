@@ -89,13 +89,25 @@ def find_patches(
         labels = _to_half_height(labels, count, rise, gate, config)
         large = _possible_sizes(labels, count, cells, config) * config.cell**2 > config.area
         for number in np.flatnonzero(large).tolist():
-            found = _make_patch(change, labels == number, cells, corner, config)
-            if _is_other_surface(labels == number, cells, config):
+            where = labels == number
+            if _is_interpolated(where, cells, config) or _is_other_surface(where, cells, config):
                 continue
+            found = _make_patch(change, where, cells, corner, config)
             if abs(found.dz) > max(config.threshold, config.lod_factor * found.lod):
-                patch[labels == number] = len(patches)
+                patch[where] = len(patches)
                 patches.append(found)
     return patch, tuple(patches)
+
+
+@switchable("measured_patches", never)
+def _is_interpolated(where: Mask, cells: GroundCells, config: GroundChangeConfig) -> bool:
+    """Tell whether most of a patch is what neighbours of few measured cells were taken for.
+
+    Far from the path of a sensor its scan lines lie metres apart. A few cells that err together then
+    claim the ground between them.
+    """
+    known = (np.isfinite(cells.dz) & ~cells.bridged) | cells.raised | cells.lowered
+    return bool(known[where].mean() < config.measured_share)
 
 
 @switchable("other_surface", never)

@@ -144,6 +144,13 @@ GROUND_RULES: tuple[Rule, ...] = (
         guards=True,
     ),
     Rule(
+        "measured_patches",
+        _GROUND,
+        "A patch is claimed only where both epochs measured enough of its cells.",
+        ("ground.measured_share",),
+        guards=True,
+    ),
+    Rule(
         "coinciding_ground",
         _GROUND,
         "Ground of one epoch that coincides with points of the other, of any class, did not move.",
