@@ -138,7 +138,7 @@ def test_bridged_cells_do_not_tell_whether_a_surface_moved_until_the_rule_is_off
     """Both epochs hold both surfaces in every column that they measured; others took a height."""
     cells = area(0.4)
     own = np.zeros(cells.dz.shape, dtype=bool)
-    own[:, ::4] = True
+    own[:, ::3] = True
     cells = replace(cells, bridged=~own, other=own & (cells.dz > 0), inside=own & (cells.dz > 0))
     assert patches(cells) == 0
     with rules_switched_off(["both_measured"]):
