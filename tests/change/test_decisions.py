@@ -109,12 +109,13 @@ def test_a_label_of_a_building_needs_the_middle_beyond_its_limit_and_a_certain_s
 def test_walls_seen_free_on_both_sides_tell_the_sign_of_a_change_of_volume_unless_the_height_opposes(sign):
     """Of a wing most of the volume was not seen: its bounds are 1 and 40 %; its surface tells the sign."""
 
-    def told(surface, opposite=0.0, height=(-0.1, 0.1), nearer=1.0):
+    def told(surface, opposite=0.0, height=(-0.1, 0.1), nearer=1.0, resolution=0.0):
         volume, areas = Interval(nearer, 40.0), (surface, opposite)
         if sign < 0:
             volume, height, areas = -volume, (-height[1], -height[0]), areas[::-1]
         names = zip(("gained_surface", "lost_surface"), areas, strict=True)
-        return label(height_bounds=Interval(*height), volume_bounds=volume, **dict(names))
+        bounds = {"height_bounds": Interval(*height), "volume_bounds": volume}
+        return label(**bounds, volume_resolution=resolution, **dict(names))
 
     found = Change.INCREASED if sign > 0 else Change.DECREASED
     enough = CONFIG.building.sign_surface
@@ -123,6 +124,8 @@ def test_walls_seen_free_on_both_sides_tell_the_sign_of_a_change_of_volume_unles
     assert told(enough, nearer=-1.0) is Change.UNCHANGED
     assert told(enough, height=(-1.3, 0.05)) is Change.UNCHANGED
     assert told(enough, height=(-0.1, 1.5)) is Change.UNCHANGED  # the roof was not seen
+    assert told(enough, resolution=2.0) is Change.UNCHANGED  # -1 to 42 % is stated
+    assert told(enough, height=(0.1, 0.4), resolution=2.0) is found
 
 
 def test_an_interval_that_straddles_its_limit_says_so_and_costs_confidence():

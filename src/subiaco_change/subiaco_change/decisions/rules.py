@@ -220,8 +220,9 @@ def _building(measures: Measures, gate: float, rules: ClassRules) -> Decision:
         Interval(volume.low / room, volume.high / room),
     )
     known = math.isfinite(height.low)
-    up = _rise(*bounds, measures.gained_surface if known else 0.0, rules)
-    down = _rise(-bounds[0], -bounds[1], measures.lost_surface if known else 0.0, rules)
+    least = measures.volume_resolution / room
+    up = _rise(*bounds, measures.gained_surface if known else 0.0, least, rules)
+    down = _rise(-bounds[0], -bounds[1], measures.lost_surface if known else 0.0, least, rules)
     evidence = f"Height change {_span(height)} (limit {limit:.2f} m), volume change"
     stated = volume.widened(measures.volume_resolution)
     evidence += f" {stated.low / whole:+z.0%} to {stated.high / whole:+z.0%} (limit {rules.volume:.0%}): "
@@ -246,18 +247,20 @@ def _span(height: Interval) -> str:
     return f"{height.low:+z.2f} to {height.high:+z.2f} m" if known else "not known"
 
 
-def _rise(height: Interval, volume: Interval, surface: float, rules: ClassRules) -> float:
+def _rise(height: Interval, volume: Interval, surface: float, least: float, rules: ClassRules) -> float:
     """Return by how much a rise of a building is met; that of its height needs volume that carries it.
 
     Where one epoch saw little of a house, the columns that both know may be of its neighbours. ``surface`` is
     the area of the surfaces of what was built on that the other epoch would have met [m2]: it tells the sign,
-    unless the height says the opposite, or is not known to its limit, so that unseen roofs decide.
+    unless the height says the opposite, or is not known to its limit, so that unseen roofs decide, or neither
+    the height nor the volume, the resolution ``least`` included, is sure to have risen.
     """
     unsupported = applies("volume_supports_height", volume.high < rules.height_volume)
     known = height.middle > -_OPPOSED and height.high - height.low <= 2.0
-    shown = surface >= rules.sign_surface and known
-    least = 0.0 if applies("sign_by_surface", shown) else rules.certain
-    return max(0.0 if unsupported else _beyond(height, rules.certain), _beyond(volume, least))
+    risen = height.low > 0.0 or volume.low >= least
+    shown = surface >= rules.sign_surface and known and risen
+    nearer = 0.0 if applies("sign_by_surface", shown) else rules.certain
+    return max(0.0 if unsupported else _beyond(height, rules.certain), _beyond(volume, nearer))
 
 
 def _beyond(bound: Interval, certain: float) -> float:
