@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,6 +11,7 @@ from pathlib import Path
 import laspy
 import lazrs
 import numpy as np
+from laspy.vlrs.known import WktCoordinateSystemVlr
 
 from subiaco_geo.cloud_fields import Column, cloud_from_columns
 from subiaco_geo.clouds import PointCloud
@@ -17,6 +19,10 @@ from subiaco_geo.crs import crs_text
 from subiaco_geo.errors import InputError
 from subiaco_geo.las_writing import COLOURS, STANDARD
 
+logger = logging.getLogger(__name__)
+
+_DEGREES = 360.0  # no longitude or latitude is larger
+_BLANK = "\0 \t\r\n'\""
 _HEADER_SIZE = 227  # of LAS 1.0-1.2, the smallest
 _RECORD_HEAD, _EXTENDED_HEAD = 54, 60  # bytes
 _LAYERS = {6: 9, 7: 10, 8: 11, 9: 10, 10: 12}  # of each point format, and one a byte of extra dimensions
@@ -183,9 +189,22 @@ def _eight_bit(colours: dict[str, Column]) -> dict[str, Column]:
 
 
 def _crs(path: Path, header: laspy.LasHeader) -> str | None:
+    """Return the CRS of a file; None without one, and where its coordinates cannot be those of its CRS."""
+    for record in [*header.vlrs, *(header.evlrs or ())]:
+        if isinstance(record, WktCoordinateSystemVlr) and not record.string.strip(_BLANK):
+            record.string = ""  # some writers leave a pair of quotes where they know no CRS
     try:
         crs = header.parse_crs()
     except Exception as error:  # pyproj and laspy raise many kinds here
         said = " ".join(str(error).split())[:200]
         raise InputError(f"{path}: its CRS record cannot be understood ({said}); assign it again") from error
+    if crs is not None and crs.is_geographic:
+        largest = float(np.max(np.abs([header.mins[:2], header.maxs[:2]])))
+        if largest > _DEGREES:
+            logger.warning(
+                "%s: its CRS %r has coordinates in degrees, but coordinates of the file reach %.0f. "
+                "The CRS is ignored; assign the CRS of the data to the file",
+                path, crs.name, largest,
+            )  # fmt: skip
+            return None
     return None if crs is None else crs_text(crs)
