@@ -369,6 +369,20 @@ def test_metres_under_a_crs_of_degrees_are_read_without_that_crs(
     assert "'WGS 84' has coordinates in degrees, but coordinates of the file reach 515371" in caplog.text
 
 
+def test_metres_under_a_geocentric_crs_are_read_without_that_crs(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = written_with_wkt(tmp_path / "utm.las", CRS.from_epsg(4978).to_wkt("WKT1_GDAL"), 515_368.0)
+    assert read_cloud(path).crs is None
+    assert "the points lie 893 km from there" in caplog.text
+
+
+def test_geocentric_coordinates_are_refused_as_no_map(tmp_path: Path) -> None:
+    wkt = CRS.from_epsg(4978).to_wkt("WKT1_GDAL").replace("WGS 84", "unnamed", 1)
+    path = written_with_wkt(tmp_path / "ecef.las", wkt, 6_371_000.0 / 3**0.5)
+    assert_refused(path, "not a projected system")
+
+
 def test_degrees_are_refused_as_no_map(tmp_path: Path) -> None:
     path = written_with_wkt(tmp_path / "degrees.las", CRS.from_epsg(4326).to_wkt("WKT1_GDAL"), 46.0)
     assert_refused(path, "not a projected system")

@@ -12,6 +12,7 @@ import laspy
 import lazrs
 import numpy as np
 from laspy.vlrs.known import WktCoordinateSystemVlr
+from pyproj import CRS
 
 from subiaco_geo.cloud_fields import Column, cloud_from_columns
 from subiaco_geo.clouds import PointCloud
@@ -22,6 +23,7 @@ from subiaco_geo.las_writing import COLOURS, STANDARD
 logger = logging.getLogger(__name__)
 
 _DEGREES = 360.0  # no longitude or latitude is larger
+_EARTH, _ALTITUDES = 6_370_000.0, 50_000.0  # radius, and how far a survey can lie off it [m]
 _BLANK = "\0 \t\r\n'\""
 _HEADER_SIZE = 227  # of LAS 1.0-1.2, the smallest
 _RECORD_HEAD, _EXTENDED_HEAD = 54, 60  # bytes
@@ -198,13 +200,28 @@ def _crs(path: Path, header: laspy.LasHeader) -> str | None:
     except Exception as error:  # pyproj and laspy raise many kinds here
         said = " ".join(str(error).split())[:200]
         raise InputError(f"{path}: its CRS record cannot be understood ({said}); assign it again") from error
-    if crs is not None and crs.is_geographic:
-        largest = float(np.max(np.abs([header.mins[:2], header.maxs[:2]])))
-        if largest > _DEGREES:
-            logger.warning(
-                "%s: its CRS %r has coordinates in degrees, but coordinates of the file reach %.0f. "
-                "The CRS is ignored; assign the CRS of the data to the file",
-                path, crs.name, largest,
-            )  # fmt: skip
-            return None
-    return None if crs is None else crs_text(crs)
+    if crs is None:
+        return None
+    doubt = _contradiction(crs, header)
+    if doubt:
+        logger.warning(
+            "%s: its CRS %r %s. The CRS is ignored; assign the CRS of the data to the file",
+            path,
+            crs.name,
+            doubt,
+        )
+        return None
+    return crs_text(crs)
+
+
+def _contradiction(crs: CRS, header: laspy.LasHeader) -> str:
+    """Say why the coordinates of a file cannot be those of its CRS; nothing if they can."""
+    bounds = np.abs([header.mins, header.maxs])
+    if crs.is_geographic and bounds[:, :2].max() > _DEGREES:
+        return f"has coordinates in degrees, but coordinates of the file reach {bounds[:, :2].max():.0f}"
+    radius = float(np.linalg.norm(bounds.mean(axis=0)))
+    if crs.is_geocentric and abs(radius - _EARTH) > _ALTITUDES:
+        return (
+            f"counts from the centre of the Earth, but the points would lie {radius / 1000:.0f} km from there"
+        )
+    return ""
