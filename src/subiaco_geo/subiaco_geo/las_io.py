@@ -222,6 +222,6 @@ def _contradiction(crs: CRS, header: laspy.LasHeader) -> str:
     radius = float(np.linalg.norm(bounds.mean(axis=0)))
     if crs.is_geocentric and abs(radius - _EARTH) > _ALTITUDES:
         return (
-            f"counts from the centre of the Earth, but the points would lie {radius / 1000:.0f} km from there"
+            f"counts from the centre of the Earth, but the points lie {radius / 1000:.0f} km from there"
         )
     return ""
