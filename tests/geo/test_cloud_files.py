@@ -11,6 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
+from laspy.vlrs.known import WktCoordinateSystemVlr
+from pyproj import CRS
 
 from subiaco_geo.cloud_io import read_cloud, write_cloud
 from subiaco_geo.clouds import PointCloud, from_world
@@ -343,6 +345,52 @@ def test_an_unreadable_crs_in_a_laz_is_refused(tmp_path: Path) -> None:
     write_cloud(path, street())
     path.write_bytes(path.read_bytes().replace(b'COMPD_CS["GDA', b'COMPD_XS["GDA'))
     assert_refused(path, "CRS record cannot be understood")
+
+
+def written_with_wkt(path: Path, wkt: str, shift: float) -> Path:
+    """LAS file whose WKT record holds a text, with points around a coordinate [m]."""
+    header = laspy.LasHeader(point_format=6, version="1.4")
+    header.scales, header.offsets = np.full(3, 0.001), np.full(3, shift)
+    header.vlrs.append(WktCoordinateSystemVlr(wkt))
+    las = laspy.LasData(header)
+    las.x, las.y, las.z = (shift + np.arange(4.0) for _ in range(3))
+    las.write(str(path))
+    return path
+
+
+def test_metres_under_a_crs_of_degrees_are_read_without_that_crs(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    """A writer that knew no better called UTM coordinates WGS 84."""
+    path = written_with_wkt(tmp_path / "utm.las", CRS.from_epsg(4326).to_wkt("WKT1_GDAL"), 515_368.0)
+    cloud = read_cloud(path)
+    assert cloud.crs is None
+    assert cloud.world()[0].tolist() == [515_368.0] * 3
+    assert "'WGS 84' has coordinates in degrees, but coordinates of the file reach 515371" in caplog.text
+
+
+def test_metres_under_a_geocentric_crs_are_read_without_that_crs(
+    tmp_path: Path, caplog: pytest.LogCaptureFixture
+) -> None:
+    path = written_with_wkt(tmp_path / "utm.las", CRS.from_epsg(4978).to_wkt("WKT1_GDAL"), 515_368.0)
+    assert read_cloud(path).crs is None
+    assert "the points lie 893 km from there" in caplog.text
+
+
+def test_geocentric_coordinates_are_refused_as_no_map(tmp_path: Path) -> None:
+    wkt = CRS.from_epsg(4978).to_wkt("WKT1_GDAL").replace("WGS 84", "unnamed", 1)
+    path = written_with_wkt(tmp_path / "ecef.las", wkt, 6_371_000.0 / 3**0.5)
+    assert_refused(path, "not a projected system")
+
+
+def test_degrees_are_refused_as_no_map(tmp_path: Path) -> None:
+    path = written_with_wkt(tmp_path / "degrees.las", CRS.from_epsg(4326).to_wkt("WKT1_GDAL"), 46.0)
+    assert_refused(path, "not a projected system")
+
+
+@pytest.mark.parametrize("blank", ["", "''", '""', " \n"])
+def test_a_crs_record_that_says_nothing_is_no_crs(tmp_path: Path, blank: str) -> None:
+    assert read_cloud(written_with_wkt(tmp_path / "blank.las", blank, 1000.0)).crs is None
 
 
 def test_a_missing_file_is_named(tmp_path: Path) -> None:

@@ -101,7 +101,7 @@ def crs_text(crs: CRS) -> str:
         codes = [part.to_epsg(min_confidence=100) for part in crs.sub_crs_list]
         if all(code is not None for code in codes):
             return "EPSG:" + "+".join(str(code) for code in codes)
-    elif len(crs.axis_info) == 3:
+    elif len(crs.axis_info) == 3 and not crs.is_geocentric:  # which has no horizontal part
         return crs_text(crs.to_2d())
     return str(crs.to_wkt())
 

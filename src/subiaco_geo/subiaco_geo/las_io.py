@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 import struct
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -10,6 +11,8 @@ from pathlib import Path
 import laspy
 import lazrs
 import numpy as np
+from laspy.vlrs.known import WktCoordinateSystemVlr
+from pyproj import CRS
 
 from subiaco_geo.cloud_fields import Column, cloud_from_columns
 from subiaco_geo.clouds import PointCloud
@@ -17,6 +20,11 @@ from subiaco_geo.crs import crs_text
 from subiaco_geo.errors import InputError
 from subiaco_geo.las_writing import COLOURS, STANDARD
 
+logger = logging.getLogger(__name__)
+
+_DEGREES = 360.0  # no longitude or latitude is larger
+_EARTH, _ALTITUDES = 6_370_000.0, 50_000.0  # radius, and how far a survey can lie off it [m]
+_BLANK = "\0 \t\r\n'\""
 _HEADER_SIZE = 227  # of LAS 1.0-1.2, the smallest
 _RECORD_HEAD, _EXTENDED_HEAD = 54, 60  # bytes
 _LAYERS = {6: 9, 7: 10, 8: 11, 9: 10, 10: 12}  # of each point format, and one a byte of extra dimensions
@@ -183,9 +191,37 @@ def _eight_bit(colours: dict[str, Column]) -> dict[str, Column]:
 
 
 def _crs(path: Path, header: laspy.LasHeader) -> str | None:
+    """Return the CRS of a file; None without one, and where its coordinates cannot be those of its CRS."""
+    for record in [*header.vlrs, *(header.evlrs or ())]:
+        if isinstance(record, WktCoordinateSystemVlr) and not record.string.strip(_BLANK):
+            record.string = ""  # some writers leave a pair of quotes where they know no CRS
     try:
         crs = header.parse_crs()
     except Exception as error:  # pyproj and laspy raise many kinds here
         said = " ".join(str(error).split())[:200]
         raise InputError(f"{path}: its CRS record cannot be understood ({said}); assign it again") from error
-    return None if crs is None else crs_text(crs)
+    if crs is None:
+        return None
+    doubt = _contradiction(crs, header)
+    if doubt:
+        logger.warning(
+            "%s: its CRS %r %s. The CRS is ignored; assign the CRS of the data to the file",
+            path,
+            crs.name,
+            doubt,
+        )
+        return None
+    return crs_text(crs)
+
+
+def _contradiction(crs: CRS, header: laspy.LasHeader) -> str:
+    """Say why the coordinates of a file cannot be those of its CRS; nothing if they can."""
+    bounds = np.abs([header.mins, header.maxs])
+    if crs.is_geographic and bounds[:, :2].max() > _DEGREES:
+        return f"has coordinates in degrees, but coordinates of the file reach {bounds[:, :2].max():.0f}"
+    radius = float(np.linalg.norm(bounds.mean(axis=0)))
+    if crs.is_geocentric and abs(radius - _EARTH) > _ALTITUDES:
+        return (
+            f"counts from the centre of the Earth, but the points lie {radius / 1000:.0f} km from there"
+        )
+    return ""

@@ -38,6 +38,8 @@ from subiaco_change.method_numbers.decision_numbers import (
 from subiaco_change.method_numbers.registration_numbers import (
     CoarseNumbers,
     CommonFrameNumbers,
+    CorrelationNumbers,
+    DisplacedStartsNumbers,
     DisplacementLodNumbers,
     FeaturesNumbers,
     FittingNumbers,
@@ -75,6 +77,8 @@ class MethodNumbers(StrictModel):
     building_extensions: BuildingExtensionsNumbers = BuildingExtensionsNumbers()
     column_volumes: ColumnVolumesNumbers = ColumnVolumesNumbers()
     confidence: ConfidenceNumbers = ConfidenceNumbers()
+    correlation: CorrelationNumbers = CorrelationNumbers()
+    displaced_starts: DisplacedStartsNumbers = DisplacedStartsNumbers()
     driven_lane: DrivenLaneNumbers = DrivenLaneNumbers()
     dynamic_objects: DynamicObjectsNumbers = DynamicObjectsNumbers()
     ground_cells: GroundCellsNumbers = GroundCellsNumbers()

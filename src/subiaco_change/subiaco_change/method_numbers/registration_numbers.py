@@ -16,6 +16,41 @@ class CoarseNumbers(StrictModel):
     )
 
 
+class CorrelationNumbers(StrictModel):
+    """Numbers of ``registration/correlation.py``."""
+
+    kernel: float = Field(
+        1.0,
+        description="Standard deviation of the kernel of the correlation, as a multiple of the point spacing",
+    )
+    reach: float = Field(3.0, description="Distance at which the kernel ends, in its standard deviations")
+    rise: float = Field(
+        1.0,
+        description="Height above the lowest points around from which a point takes part in the "
+        "correlation, as a multiple of the point spacing and of a metre",
+    )
+    points: int = Field(20_000, description="Largest number of points of the earlier epoch that take part")
+    fewest: int = Field(400, description="Number of points of an epoch below which nothing is correlated")
+    groups: int = Field(8, description="Number of groups of blocks that are correlated separately")
+    iterations: int = Field(40, description="Largest number of steps to the peak of the correlation")
+    longest_step: float = Field(0.5, description="Longest step to the peak, as a multiple of the kernel")
+
+
+class DisplacedStartsNumbers(StrictModel):
+    """Numbers of ``registration/displaced_starts.py``."""
+
+    aside: float = Field(
+        0.5,
+        description="Distance of displaced starts from the fitted pose, as a multiple of the point spacing",
+    )
+    starts: int = Field(4, description="Number of displaced starts")
+    points: int = Field(10_000, description="Largest number of points that are fitted from displaced starts")
+    noted_level: float = Field(
+        0.15,
+        description="Standard deviation of the horizontal position from which a warning states it [m]",
+    )
+
+
 class FeaturesNumbers(StrictModel):
     """Numbers of ``registration/keypoints.py``."""
 

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+import logging
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,13 +11,16 @@ from scipy.spatial.transform import Rotation
 
 from subiaco_change.geometry import Level, build_pyramid, remove_outliers
 from subiaco_change.method_numbers import NUMBERS
-from subiaco_change.point_spacing import PointSpacing, pair_spacing
+from subiaco_change.point_spacing import STREET_SPACING, PointSpacing, pair_spacing
 from subiaco_change.registration.config import RegistrationConfig
+from subiaco_change.registration.correlation import Correlation, correlate
+from subiaco_change.registration.displaced_starts import PoseSpread, spread_of_starts, twist_between
 from subiaco_change.registration.icp import (
     Noise,
     Pairs,
     Target,
     align_icp,
+    align_level,
     find_pairs,
     measure_noise,
     pair_weights,
@@ -28,17 +32,20 @@ from subiaco_change.registration.plausibility import (
     PLANE_POINTS,
     Quality,
     Support,
+    blocks_of,
     measure_quality,
     measure_support,
 )
-from subiaco_geo.clouds import PointCloud, unique_cells
+from subiaco_geo.clouds import PointCloud
 from subiaco_geo.errors import InputError, RegistrationError
-from subiaco_geo.frames import Floats, Ints, invert_pose, rotation_angle, transform_points
+from subiaco_geo.frames import Floats, invert_pose, rotation_angle, transform_points
 
 Mask = NDArray[np.bool_]
+_LOG = logging.getLogger(__name__)
 _POLISHES = NUMBERS.fitting.polishes
 _NARROWEST = NUMBERS.fitting.narrowest
 _GROUPS = NUMBERS.fitting.block_groups
+_STARTERS = NUMBERS.displaced_starts.points
 _GROUP_ITERATIONS = NUMBERS.fitting.group_iterations
 _SMALLEST = NUMBERS.fitting.smallest_block
 _GAUSSIANS = NUMBERS.fitting.fewest_gaussians
@@ -86,6 +93,8 @@ class Fit:
     ndt_better: bool
     rmse: float
     start: str
+    spread: PoseSpread | None = None
+    correlated: bool = False
 
 
 def prepare_pair(
@@ -214,7 +223,40 @@ def refine(
                 "the epochs do not overlap"
             )
     pose = _polished(source, targets[-1], pose, planes, config)
-    return judge(before, targets, pose, ndt_pose, start, config)
+    if before.scale == 1.0:
+        return judge(before, targets, pose, ndt_pose, start, config)
+    spread, peak = _spreads(before, after, targets[-1], pose, config)
+    if spread is None or peak is None or peak.spread.level >= spread.level:
+        return replace(judge(before, targets, pose, ndt_pose, start, config), spread=spread)
+    _LOG.debug("%s: the correlation moves the pose by %s m", start, np.round(peak.motion[:3], 2))
+    pose = align_level(
+        source, targets[-1], peak.pose, tukey=config.tukey, huber=config.huber,
+        reach=2.0 * source.leaf, max_iterations=config.icp_iterations,
+    )  # fmt: skip
+    # NDT of sparse clouds ends beside the peak too: what counts is that its pose leads to the same peak.
+    again = None if ndt_pose is None else _peak(before, after, ndt_pose, config)
+    fit = judge(before, targets, pose, ndt_pose if again is None else again.pose, start, config)
+    fixed = tuple(name for name in fit.degenerate if name not in ("x", "y", "yaw"))
+    return replace(fit, ndt_better=False, spread=peak.spread, correlated=True, degenerate=fixed)
+
+
+def _spreads(
+    before: PreparedEpoch, after: PreparedEpoch, target: Target, pose: Floats, config: RegistrationConfig
+) -> tuple[PoseSpread | None, Correlation | None]:
+    """Measure how far a fit depends on its start, and find where what rises above the ground correlates."""
+    spacing = STREET_SPACING * before.scale
+    source = _thinned(before.levels[-1], _STARTERS)
+    noise = _noise(source, target, pose, config)
+    spread = None if noise is None else spread_of_starts(source, target, pose, noise, spacing, config)
+    return spread, _peak(before, after, pose, config)
+
+
+def _peak(
+    before: PreparedEpoch, after: PreparedEpoch, pose: Floats, config: RegistrationConfig
+) -> Correlation | None:
+    """Correlate what rises above the ground, from a pose."""
+    xyz = before.levels[-1].xyz, after.levels[-1].xyz
+    return correlate(*xyz, pose, STREET_SPACING * before.scale, config.block, config.seed)
 
 
 def _polished(
@@ -255,7 +297,9 @@ def fit_groups(
     """
     source = _thinned(before.levels[-1], config.icp_points)
     noise = _noise(source, target, pose, config) if config.polish > 0 else None
-    names, member = _blocks(transform_points(pose, source.xyz), config.block, _SMALLEST * before.scale)
+    names, member = blocks_of(
+        transform_points(pose, source.xyz), config.block, _SMALLEST * before.scale, _GROUPS
+    )
     group = np.random.default_rng(config.seed).permutation(len(names))[member] % _GROUPS
     twists = []
     for k in range(_GROUPS):
@@ -272,26 +316,6 @@ def fit_groups(
     if len(twists) < 3:
         return np.zeros((6, 6))
     return np.atleast_2d(np.cov(np.array(twists).T)) / len(twists)
-
-
-def _blocks(xyz: Floats, edge: float, smallest: float) -> tuple[Ints, Ints]:
-    """Blocks (K, 2) of an edge [m] and the block (N,) of every point.
-
-    The edge is halved until every group has four blocks, so that each group sees the whole of a small site.
-    """
-    while True:
-        block = np.floor(xyz[:, :2] / edge).astype(np.int64)
-        names, member = unique_cells(block)
-        if len(names) >= 4 * _GROUPS or edge < 2.0 * smallest:
-            return names, member
-        edge *= 0.5
-
-
-def twist_between(one: Floats, other: Floats, centre: Floats) -> Floats:
-    """Twist (6,) about a centre (3,) from one pose to another: rotation vector [rad], then shift [m]."""
-    delta = one @ invert_pose(other)
-    turn = Rotation.from_matrix(delta[:3, :3]).as_rotvec()
-    return np.concatenate([turn, transform_points(delta, centre[None])[0] - centre])
 
 
 def _same_planes(

@@ -243,3 +243,30 @@ def align_icp(
             break
         pairs = find_pairs(source.xyz, source.planes, target, pose, reach)
     return pose, pairs, step
+
+
+def align_level(
+    source: Level,
+    target: Target,
+    pose: Floats,
+    *,
+    tukey: float,
+    huber: float,
+    reach: float,
+    max_iterations: int,
+) -> Floats:
+    """Fit height, roll and pitch alone, and leave east, north and yaw as they are."""
+    free = np.array([0, 1, 5])
+    for _ in range(max_iterations):
+        pairs = find_pairs(source.xyz, source.planes, target, pose, reach)
+        if len(pairs.residuals) < 50:
+            break
+        centre = pairs.points.mean(axis=0)
+        rows = jacobian(pairs, centre)[:, free]
+        weights = pair_weights(pairs, tukey, huber)
+        twist = np.zeros(6)
+        twist[free] = -np.linalg.lstsq((rows.T * weights) @ rows, (rows.T * weights) @ pairs.residuals)[0]
+        pose = about(centre, twist) @ pose
+        if abs(twist[5]) < 2e-4 and np.linalg.norm(twist[:2]) < 2e-6:
+            break
+    return pose

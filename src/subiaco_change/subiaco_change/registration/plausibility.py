@@ -293,3 +293,16 @@ def _block_bias(points: Floats, normals: Floats, weights: Floats, residuals: Flo
     if len(mean) < 3:
         return 0.0
     return float(1.4826 * np.median(np.abs(mean - np.median(mean))))
+
+
+def blocks_of(xyz: Floats, edge: float, smallest: float, groups: int) -> tuple[Ints, Ints]:
+    """Blocks (K, 2) of an edge [m] and the block (N,) of every point.
+
+    The edge is halved until every group has four blocks, so that each group sees the whole of a small site.
+    """
+    while True:
+        block = np.floor(xyz[:, :2] / edge).astype(np.int64)
+        names, member = unique_cells(block)
+        if len(names) >= 4 * groups or edge < 2.0 * smallest:
+            return names, member
+        edge *= 0.5

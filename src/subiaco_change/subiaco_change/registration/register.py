@@ -12,6 +12,7 @@ from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.records import Registration
 from subiaco_change.registration.coarse import propose, propose_shifts
 from subiaco_change.registration.config import RegistrationConfig
+from subiaco_change.registration.displaced_starts import twist_between
 from subiaco_change.registration.fitting import (
     Fit,
     Mask,
@@ -26,7 +27,6 @@ from subiaco_change.registration.fitting import (
     prepare_pair,
     refine,
     refine_coarsely,
-    twist_between,
 )
 from subiaco_change.registration.icp import (
     Target,
@@ -46,6 +46,7 @@ from subiaco_geo.frames import Floats, invert_pose, transform_points
 
 _LOG = logging.getLogger(__name__)
 _NOTED = NUMBERS.registration_findings.noted_shift
+_NOTED_LEVEL = NUMBERS.displaced_starts.noted_level
 
 
 def _apart(before: PreparedEpoch, after: PreparedEpoch) -> bool:
@@ -328,6 +329,8 @@ def _report(
         fit.pairs, weights, centre, config.min_eigenvalue, config.block, config.draws, config.seed
     )
     grouped = fit_groups(sides[0], target, fit.pose, centre, config)
+    if fit.spread is not None:
+        grouped = grouped + fit.spread.about(centre)
     along = np.sqrt(max(float(np.average(variance_along(fit.pairs, centre, grouped), weights=weights)), 0.0))
     centroid = centre + sides[1].centre
     rotation = fit.pose[:3, :3]
@@ -337,6 +340,10 @@ def _report(
     inliers = float(np.mean(np.abs(fit.pairs.residuals) < config.tukey / 3.0)) * fit.pairs.matched
     std = np.maximum(np.maximum(spread.hessian_std, spread.block_std), np.sqrt(np.diag(grouped)))
     warnings = tuple(f"{name} is not fixed by the geometry; the prior was kept" for name in fit.degenerate)
+    level = float(np.hypot(std[3], std[4]))
+    if level > _NOTED_LEVEL:
+        text = f"the horizontal position is known to {level:.2f} m only (standard deviation), because little "
+        warnings += (text + "rises above the ground that both clouds show alike",)
     return Registration(
         T_local, origin + centroid, sigma, fit.rmse, inliers, std, method,
         fit.degenerate, warnings, {**_details(fit, spread, sides), "sigma_groups_m": float(along)},
@@ -364,4 +371,6 @@ def _details(fit: Fit, spread: Uncertainty, sides: tuple[PreparedEpoch, Prepared
         "block_bias_m": spread.block_bias,
         "blocks": float(spread.blocks),
         "pairs": float(len(fit.pairs.residuals)),
+        "sigma_level_m": 0.0 if fit.spread is None else fit.spread.level,
+        "correlated": float(fit.correlated),
     }
