@@ -221,7 +221,5 @@ def _contradiction(crs: CRS, header: laspy.LasHeader) -> str:
         return f"has coordinates in degrees, but coordinates of the file reach {bounds[:, :2].max():.0f}"
     radius = float(np.linalg.norm(bounds.mean(axis=0)))
     if crs.is_geocentric and abs(radius - _EARTH) > _ALTITUDES:
-        return (
-            f"counts from the centre of the Earth, but the points lie {radius / 1000:.0f} km from there"
-        )
+        return f"counts from the centre of the Earth, but the points lie {radius / 1000:.0f} km from there"
     return ""
