@@ -6,10 +6,10 @@ from scenes import Scene
 
 from subiaco_change.config import ChangeConfig
 from subiaco_change.dry_run import Sample, dry_run, estimate
-from subiaco_change.job import RESULT_BYTES, STAGE_BYTES
+from subiaco_change.job import disk_bytes
 from subiaco_change.request import ChangeRequest
 from subiaco_change.tiling.run import ChangeRun
-from subiaco_geo.cloud_io import write_cloud
+from subiaco_geo.cloud_io import read_cloud, write_cloud
 from subiaco_geo.clouds import PointCloud
 from subiaco_geo.errors import InputError
 from subiaco_geo.sources import LoadedEpoch
@@ -25,7 +25,8 @@ def request_of(tmp_path, **options):
 
 
 def sample_of(**values):
-    return Sample(1, tiles=40, taken=["0_0", "0_1"], points=4_000_000, taken_points=400_000, **values)
+    taken = {"taken": ["0_0", "0_1"], "taken_points": 400_000}
+    return Sample(1, tiles=40, points=4_000_000, inputs=6_000_000, **taken, **values)
 
 
 COSTS = {
@@ -59,7 +60,7 @@ def test_an_estimate_names_time_memory_disk_and_what_it_rests_on(tmp_path):
         "CPU s",
         "min by the clock",
         "GB of memory",
-        "1.0 GB of disk",
+        "1.4 GB of disk",
         "40 tiles",
         "on 2 tiles",
     ):
@@ -111,4 +112,5 @@ def test_a_dry_run_does_the_largest_tile_and_leaves_nothing(tmp_path):
     assert 0 < found.taken <= found.tiles
     assert found.cpu_s >= found.alone_s > 0.0
     assert found.wall_s == pytest.approx(found.cpu_s)
-    assert found.disk_bytes == found.points * (RESULT_BYTES + STAGE_BYTES)
+    inputs = sum(len(read_cloud(path)) for path in paths)
+    assert found.disk_bytes == sum(disk_bytes(found.points, inputs, ChangeConfig()))

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from subiaco_change.job import RESULT_BYTES, STAGE_BYTES, run_change_and
+from subiaco_change.job import disk_bytes, run_change_and
 from subiaco_change.outputs.directory import PageWriter
 from subiaco_change.request import ChangeRequest
 from subiaco_change.tiling.run import ChangeRun
@@ -32,6 +32,7 @@ class Sample:
     tiles: int = 0
     taken: list[str] = field(default_factory=list)
     points: int = 0
+    inputs: int = 0
     taken_points: int = 0
     cut_cpu: float = 0.0
     done: Mapping[str, float] = field(default_factory=dict)  # seconds of stages of all tiles
@@ -40,7 +41,7 @@ class Sample:
         """Leave all other tiles out of a run whose epochs are cut."""
         self.cut_cpu = time.process_time()
         self.done = run.runner.seconds()
-        self.points = run.kept_points
+        self.points, self.inputs = run.kept_points, run.input_points
         self.tiles = len({name for own in run.clouds.values() for name in own})
         self.taken = run.keep_largest(self.count)
         self.taken_points = run.kept_points
@@ -144,5 +145,5 @@ def estimate(
         alone_s=alone,
         wall_s=alone + limited + shared / request.workers,
         memory_mib=peak_mib() + (0.0 if here else workers),
-        disk_bytes=sample.points * (RESULT_BYTES + STAGE_BYTES),
+        disk_bytes=sum(disk_bytes(sample.points, sample.inputs, request.config)),
     )

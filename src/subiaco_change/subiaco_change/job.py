@@ -15,6 +15,7 @@ from typing import Any, TypeVar
 import geopandas as gpd
 import numpy as np
 
+from subiaco_change.config import ChangeConfig
 from subiaco_change.decisions.confidence import ConfidenceCalibration, calibration_of
 from subiaco_change.extensions import Extensions
 from subiaco_change.given_classes import (
@@ -61,6 +62,7 @@ Taken = TypeVar("Taken")
 CLAIMED = (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED)
 _JUMP = 20.0  # longer steps between scans lead from one recording to the next [m]
 RESULT_BYTES, STAGE_BYTES = 60, 200  # a point takes on the disk; measured: 58, and 220 to 315
+INPUT_BYTES = 32  # a point of the input takes among the stages, where all are written
 _DATED = np.datetime64("2000-01-01")
 
 
@@ -191,24 +193,40 @@ def run_job(
 
 def _begin(request: ChangeRequest, begun: Callable[[ChangeRun], None] | None, run: ChangeRun) -> None:
     """Look at a run whose epochs are cut before its stages begin."""
+    points = run.kept_points
     if begun is not None:
         begun(run)
-    _require_room(request, run.kept_points)
+    kept = run.kept_points
+    _require_room(request, *disk_bytes(kept, round(run.input_points * kept / max(points, 1)), run.config))
 
 
-def _require_room(request: ChangeRequest, points: int) -> None:
-    """Refuse a run whose stages or result would fill a disk, from the points at the working leaf."""
+def disk_bytes(points: int, inputs: int, config: ChangeConfig) -> tuple[int, int]:
+    """Return what the stages and the result of a run take on the disk [bytes].
+
+    Parameters
+    ----------
+    points, inputs : int
+        Points of both epochs at the working leaf, and of the input.
+    config : ChangeConfig
+    """
+    if config.every_point:
+        return points * STAGE_BYTES + inputs * INPUT_BYTES, inputs * RESULT_BYTES
+    return points * STAGE_BYTES, points * RESULT_BYTES
+
+
+def _require_room(request: ChangeRequest, staged: int, result: int) -> None:
+    """Refuse a run whose stages or result [bytes] would fill a disk."""
     if isinstance(request.stages, str):
-        require_room(request.output, points * RESULT_BYTES, "the result")
+        require_room(request.output, result, "the result")
         return
     stages = _stage_folder(request)
     done = sum(file.stat().st_size for file in stages.rglob("*.npz"))  # of a run that was stopped
-    needed = max(points * STAGE_BYTES - done, 0)
+    needed = max(staged - done, 0)
     if ground_of(stages).stat().st_dev == ground_of(request.output).stat().st_dev:
-        require_room(request.output, points * RESULT_BYTES + needed, "the run")
+        require_room(request.output, result + needed, "the run")
         return
     require_room(stages, needed, "the run")
-    require_room(request.output, points * RESULT_BYTES, "the result")
+    require_room(request.output, result, "the result")
 
 
 def _stage_folder(request: ChangeRequest) -> Path:

@@ -113,6 +113,7 @@ class Epochs:
     lit: dict[str, bool] = field(default_factory=dict)
     simulated: bool = False
     sizes: dict[str, dict[str, int]] = field(default_factory=dict)  # points by epoch and tile, at the leaf
+    input_points: int = 0  # of both epochs, of all tiles
 
     @property
     def size(self) -> float:
@@ -215,6 +216,7 @@ class Epochs:
         if found.points == 0:
             raise InputError(f"{name}: the cloud is empty; check the file")
         self.clouds[name], self.inputs[name], self.sizes[name] = found.keys, found.inputs, found.sizes
+        self.input_points += found.points
         for field_name in self.given:
             if any(getattr(self._cloud(name, tile), field_name) is None for tile in found.keys):
                 raise InputError(
