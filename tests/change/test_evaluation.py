@@ -240,6 +240,18 @@ def test_truth_is_carried_to_the_nearest_point_within_reach_only():
     assert found.matched.tolist() == [True, False, True]
 
 
+@given(st.integers(0, 2**32 - 1), st.integers(1, 4))
+def test_points_of_one_object_in_one_voxel_count_once(seed, times):
+    rng = np.random.default_rng(seed)
+    xyz, change = rng.uniform(0, 2, (40, 3)), rng.integers(0, 2, 40).astype(np.uint8)
+    sparse = PointCloud(xyz, fields={"change": change, "instance": change.astype(np.int32)})
+    dense = sparse.select(np.repeat(np.arange(40), times))
+    counts = [len(objects.one_a_voxel(cloud, 0.25)) for cloud in (sparse, dense)]
+    expected = len(np.unique(np.column_stack([np.floor(xyz / 0.25), change]), axis=0))
+    assert counts == [expected, expected]
+    assert len(objects.one_a_voxel(dense, 0.0)) == len(dense)
+
+
 def test_claims_and_finds_are_counted_by_object():
     table = pd.DataFrame(
         {

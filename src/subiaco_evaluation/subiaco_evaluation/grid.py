@@ -37,8 +37,8 @@ class GridConfig(StrictModel):
     leaf: float = Field(
         0.25,
         ge=0.0,
-        description="Edge of the voxels in which points of one label and epoch count once [m]; 0 counts "
-        "every point",
+        description="Edge of the voxels in which points of one label, object and epoch count once [m], for "
+        "cells and objects; 0 counts every point",
     )
 
 

@@ -36,6 +36,20 @@ class PointPairs:
     matched: NDArray[np.bool_]
 
 
+def one_a_voxel(predicted: PointCloud, leaf: float) -> PointCloud:
+    """Keep one point of every label and object in a voxel of an edge [m, world]; all where it is 0.
+
+    Scores of objects then do not depend on how dense the labelled clouds are.
+    """
+    if leaf <= 0 or len(predicted) == 0:
+        return predicted
+    said = [predicted.fields[name] for name in ("change", "instance") if name in predicted.fields]
+    rows = np.column_stack([np.floor(predicted.world() / leaf).astype(np.int64), *said])
+    order = np.lexsort(rows.T[::-1])
+    first = np.r_[True, np.any(np.diff(rows[order], axis=0) != 0, axis=1)]
+    return predicted.select(np.sort(order[first]))
+
+
 def transfer(predicted: PointCloud, truth: PointCloud, radius: float) -> PointPairs:
     """Give every predicted point the truth of the nearest truth point of its epoch.
 

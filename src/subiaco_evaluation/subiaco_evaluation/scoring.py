@@ -191,9 +191,10 @@ def score_scene(
     """Count everything on one scene."""
     real = in_after_frame(truth)
     grid, tiles, decided, left_out = score_cells(prediction, real, config)
+    before, after = (objects.one_a_voxel(c, config.grid.leaf) for c in (prediction.before, prediction.after))
     points = objects.together(
-        objects.transfer(prediction.before, real["before"], config.radius),
-        objects.transfer(prediction.after, real["after"], config.radius),
+        objects.transfer(before, real["before"], config.radius),
+        objects.transfer(after, real["after"], config.radius),
     )
     reported = points.matched & (points.change != Change.NOT_REPORTED)
     counts, verdicts = None, None
