@@ -25,8 +25,8 @@ def with_every_point(
 ) -> PointCloud:
     """Return a labelled tile with all points of the input in place of those at the leaf.
 
-    The mean of a voxel lies up to half a diagonal from the points that it stands for: eaves and the edges of
-    cars would get cells without a label, and whoever reads the cloud would miss the points of her own file.
+    The mean of a voxel lies up to half a diagonal from the points that it stands for, so that labels of means
+    cannot be joined to the points of a file.
 
     Parameters
     ----------
