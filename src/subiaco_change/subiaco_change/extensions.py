@@ -6,7 +6,9 @@ by tile.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -101,12 +103,10 @@ class Extensions:
         rows = tuple(_same_row(self.decision(row), row) for row in result.records)
         changed = {new.object_id: new for new, old in zip(rows, result.records, strict=True) if new != old}
 
-        def tile(epoch: str, name: str) -> PointCloud:
-            return _relabelled(result.tile(epoch, name), changed)
+        def relabelled(read: Callable[[str, str], PointCloud], epoch: str, name: str) -> PointCloud:
+            return _relabelled(read(epoch, name), changed)
 
-        def labelled(epoch: str, name: str) -> PointCloud:
-            return _relabelled(result.labelled(epoch, name), changed)
-
+        tile, labelled = (partial(relabelled, read) for read in (result.tile, result.labelled))
         return replace(result, records=rows, tile=tile, labelled=labelled)
 
 

@@ -88,6 +88,12 @@ def cell_rule(counts: Ints, config: GridConfig) -> NDArray[np.uint8]:
     return np.where(scored == 0, int(Change.NOT_REPORTED), codes).astype(np.uint8)
 
 
+def first_of_each(rows: Ints, least: Floats) -> Ints:
+    """Return the index of one of the equal rows (N, K), N at least 1: that with the least value (N,)."""
+    order = np.lexsort((least, *rows.T[::-1]))
+    return np.asarray(order[np.r_[True, np.any(np.diff(rows[order], axis=0) != 0, axis=1)]])
+
+
 def rasterise(
     xyz: Floats,
     change: NDArray[Any],
@@ -119,10 +125,7 @@ def rasterise(
     trust = np.ones(len(xyz)) if confidence is None else np.asarray(confidence, dtype=np.float64)
     if config.leaf > 0 and len(xyz):
         voxel = np.floor(xyz / config.leaf).astype(np.int64)
-        rows = np.column_stack([voxel, epoch, column])
-        order = np.lexsort((trust, *rows.T[::-1]))
-        first = np.r_[True, np.any(np.diff(rows[order], axis=0) != 0, axis=1)]
-        kept = order[first]
+        kept = first_of_each(np.column_stack([voxel, epoch, column]), trust)
         xyz, column, trust = xyz[kept], column[kept], trust[kept]
     keys, cell = np.unique(cell_keys(xyz[:, :2], config), return_inverse=True)
     counts = np.bincount(cell * 7 + column, minlength=len(keys) * 7).reshape(-1, 7)

@@ -10,6 +10,7 @@ import pandas as pd
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from subiaco_evaluation.grid import first_of_each
 from subiaco_geo.clouds import PointCloud, sort_spatially
 from subiaco_geo.codes import Change
 from subiaco_geo.frames import Ints
@@ -45,9 +46,7 @@ def one_a_voxel(predicted: PointCloud, leaf: float) -> PointCloud:
         return predicted
     said = [predicted.fields[name] for name in ("change", "instance") if name in predicted.fields]
     rows = np.column_stack([np.floor(predicted.world() / leaf).astype(np.int64), *said])
-    order = np.lexsort(rows.T[::-1])
-    first = np.r_[True, np.any(np.diff(rows[order], axis=0) != 0, axis=1)]
-    return predicted.select(np.sort(order[first]))
+    return predicted.select(np.sort(first_of_each(rows, np.arange(len(rows), dtype=np.float64))))
 
 
 def transfer(predicted: PointCloud, truth: PointCloud, radius: float) -> PointPairs:

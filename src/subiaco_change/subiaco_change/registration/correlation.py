@@ -113,7 +113,7 @@ def _climb(index: ColumnIndex, xyz: Floats, centre: Floats, kernel: float) -> Fl
     scale = np.array([1.0, 1.0, 1.0, length])
     reach = _REACH * kernel
     for _ in range(_ITERATIONS):
-        turn = transform_points(_moved(np.eye(4), motion, centre), xyz)
+        turn = transform_points(_motion_pose(motion, centre), xyz)
         arms = turn - centre - motion[:3]
         first, second, plain = np.zeros(4), np.zeros((4, 4)), np.zeros((4, 4))
         total = _sums(
@@ -139,13 +139,13 @@ def _climb(index: ColumnIndex, xyz: Floats, centre: Floats, kernel: float) -> Fl
     return None
 
 
-def _moved(pose: Floats, motion: Floats, centre: Floats) -> Floats:
-    """Turn a pose (4, 4) about the vertical through a centre, and shift it."""
+def _motion_pose(motion: Floats, centre: Floats) -> Floats:
+    """Pose (4, 4) that turns about the vertical through a centre, and shifts."""
     c, s = np.cos(motion[3]), np.sin(motion[3])
     step = np.eye(4)
     step[:2, :2] = [[c, -s], [s, c]]
     step[:3, 3] = centre + motion[:3] - step[:3, :3] @ centre
-    return np.asarray(step @ pose)
+    return step
 
 
 def correlate(
@@ -180,7 +180,7 @@ def correlate(
     motion = _climb(index, moving, centre, kernel)
     if motion is None:
         return None
-    peak = _moved(np.eye(4), motion, centre)
+    peak = _motion_pose(motion, centre)
     placed = transform_points(peak, moving)
     about = centre + motion[:3]
     names, member = blocks_of(placed, block, 2.0 * kernel, _GROUPS)

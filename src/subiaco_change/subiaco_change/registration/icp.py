@@ -203,6 +203,11 @@ def solve(
     return GaussNewtonStep(twist, hessian, names, values)
 
 
+def _stands_still(twist: Floats) -> bool:
+    """Tell whether a step (6,), rotation vector [rad] and shift [m], is too small for another one."""
+    return bool(np.linalg.norm(twist[3:]) < 2e-4 and np.linalg.norm(twist[:3]) < 2e-6)
+
+
 def align_icp(
     source: Level,
     target: Target,
@@ -239,7 +244,7 @@ def align_icp(
         weights = plain if noise is None else noise.weights(pairs, huber)
         step = solve(pairs, weights, centre, min_eigenvalue, turning, None if noise is None else plain)
         pose = about(centre, step.twist) @ pose
-        if np.linalg.norm(step.twist[3:]) < 2e-4 and np.linalg.norm(step.twist[:3]) < 2e-6:
+        if _stands_still(step.twist):
             break
         pairs = find_pairs(source.xyz, source.planes, target, pose, reach)
     return pose, pairs, step
@@ -267,6 +272,6 @@ def align_level(
         twist = np.zeros(6)
         twist[free] = -np.linalg.lstsq((rows.T * weights) @ rows, (rows.T * weights) @ pairs.residuals)[0]
         pose = about(centre, twist) @ pose
-        if abs(twist[5]) < 2e-4 and np.linalg.norm(twist[:2]) < 2e-6:
+        if _stands_still(twist):
             break
     return pose
