@@ -29,6 +29,7 @@ OUT = 10.0  # the LiDAR's cable [s]
 PACKETS = 320.0  # of the LiDAR [1/s]
 THEIRS = "/gnss/fix:=/ublox_gps_node/fix"
 FULL = 20_000_000  # [bytes]
+PACKETS_WRITTEN = 1_000_000  # no other topic brings so much in a minute [bytes]
 SETTINGS = ("record.stop_free_gb=0.02", "record.warn_free_gb=0.02", f"watch.disk.full={FULL}")
 SETTINGS += (f"watch.disk.low={FULL}", "watch.disk.low_minutes=0")
 
@@ -59,6 +60,11 @@ def started(running: ExitStack, *words: str) -> Drivers:
     return drivers
 
 
+def recorded(folder: Path) -> int:
+    """Return how much of the bag is on the disk [bytes]."""
+    return sum(file.stat().st_size for file in (folder / "bag").glob("*.mcap*"))
+
+
 def fill(disk: Path) -> float:
     """Leave 15 MB free, as somebody else on the disk may; return when."""
     room = os.statvfs(disk)
@@ -79,6 +85,7 @@ def test_five_faults_and_a_crash_are_noticed_named_survived_and_in_the_manifest(
         live.until(lambda line=line: live.heard(f"{line}: (ok|look)"))
     car.obey("heard 3 lidar")  # recorder, monitor and odometry
     gnss.obey("heard 3 gnss")  # recorder, monitor and pose graph
+    live.until(lambda: recorded(folder) > PACKETS_WRITTEN)  # heard is not yet received: both ends must match
 
     took: dict[str, float] = {}
     pulled = car.obey("stop lidar")
