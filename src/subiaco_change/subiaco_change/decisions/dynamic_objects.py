@@ -52,6 +52,7 @@ _PERSON_GROUND = NUMBERS.dynamic_objects.person_ground
 _PERSON_FOOT = NUMBERS.dynamic_objects.person_foot
 _SEEN_BENEATH = NUMBERS.dynamic_objects.ground_beneath
 _FILLED = NUMBERS.dynamic_objects.opaque_points
+_HIDES_NOTHING = NUMBERS.dynamic_objects.ground_unhidden
 _CELL = NUMBERS.dynamic_objects.footprint_cell
 _RING = NUMBERS.dynamic_objects.ring_cells
 _WALKED = NUMBERS.dynamic_objects.walked_length
@@ -202,6 +203,32 @@ def may_be_a_person(
         f"The object is a strip {length:.1f} m long, {width:.1f} m wide and {top:.1f} m high, and the cloud"
         " has no counts of beams: it may be the ghost trail of a pedestrian or cyclist, and nothing is"
         " claimed."
+    )
+    return Decision(Change.UNOBSERVED, reason, 0.0)
+
+
+@switchable("hides_no_ground", no_decision)
+def hides_no_ground(
+    objects: Sequence[ObjectInstance],
+    semantic: Semantic,
+    own: OwnEpochEvidence | None,
+    rules: DecisionConfig,
+) -> Decision | None:
+    """Tell what its own survey saw the ground through as if nothing stood there, without counts of beams.
+
+    Whatever stands hides some of the ground beneath it, even a car with clearance that was seen from afar.
+    """
+    if own is None or own.ground is None or semantic is Semantic.BUILDING:
+        return None
+    if not fits_a_vehicle(objects, rules):
+        return None
+    filled, beneath = _opacity(np.concatenate([t.xyz for t in objects])[:, :2], own.ground.data)
+    if not (filled < _FILLED and beneath >= _HIDES_NOTHING):
+        return None
+    reason = (
+        f"The object has {filled:.1f} times as many points as the ground beside it on the same area (limit"
+        f" {_FILLED:g}), its own survey saw {beneath:.0%} of the ground beneath (limit {_HIDES_NOTHING:.0%}),"
+        " and the cloud has no counts of beams: it may be the ghost trail of a vehicle, and nothing is claimed."
     )
     return Decision(Change.UNOBSERVED, reason, 0.0)
 

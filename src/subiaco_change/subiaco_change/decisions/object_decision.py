@@ -22,6 +22,7 @@ from subiaco_change.decisions.dynamic_objects import (
     continues_trail,
     doubt_of_porous,
     fits_a_vehicle,
+    hides_no_ground,
     is_moving_object_trail,
     is_strip_on_road,
     may_be_a_person,
@@ -156,6 +157,7 @@ def decide_object(
             or continues_trail(parts, own, rules.decisions)
             or is_strip_on_road(parts, own, rules.decisions)
             or may_be_a_person(parts, semantic, own)
+            or hides_no_ground(parts, semantic, own, rules.decisions)
             or decide_in_traffic(parts, rules.lanes, rules.moved[epoch], rules.decisions)
             or decide_shapeless(parts, semantic, rules.lanes, rules.decisions)
             or decide_vehicle_part(parts, semantic, measures, rules.standing[1 - epoch])

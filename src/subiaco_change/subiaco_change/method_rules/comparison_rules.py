@@ -135,6 +135,17 @@ MOVING_OBJECT_RULES: tuple[Rule, ...] = (
         guards=True,
     ),
     Rule(
+        "hides_no_ground",
+        _HERE,
+        "Nothing is claimed of what has few points and hides none of the ground beneath, in a cloud without"
+        " counts of beams.",
+        (
+            "method_numbers.dynamic_objects.opaque_points",
+            "method_numbers.dynamic_objects.ground_unhidden",
+        ),
+        guards=True,
+    ),
+    Rule(
         "person_on_the_way",
         _HERE,
         "Nothing is claimed of a strip as thin and as tall as a person in a cloud without counts of beams.",
