@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import tarfile
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -67,12 +67,16 @@ def _cut_out(name: str, xyz: Floats) -> RealObject:
     return RealObject(name, KINDS[int(name) // 100], thin)
 
 
-def fuse(scans: KittiScans, poses: Floats, which: Sequence[int]) -> PointCloud:
-    """Fuse some of the scans at given poses (77, 4, 4) into a map of its own."""
+#: Reads the points (N, 3) [m] and intensities (N,) of a scan in the frame of the scanner.
+Reader = Callable[[int], tuple[Floats, NDArray[np.float32]]]
+
+
+def fuse(scans: KittiScans, poses: Floats, which: Sequence[int], read: Reader | None = None) -> PointCloud:
+    """Fuse some of the scans at given poses (77, 4, 4) into a map of its own; ``read`` may change them."""
     config = FusionConfig()
     accumulator = VoxelAccumulator(config.leaf)
     for i in which:
-        xyz, intensity = scans.scan(i)
+        xyz, intensity = (read or scans.scan)(i)
         reach = np.linalg.norm(xyz, axis=1)
         keep = within(xyz, config.max_range) & (reach > 1.0)
         add_scan(accumulator, xyz[keep].astype(np.float64), intensity[keep], poses[i])
@@ -190,15 +194,6 @@ def _try_places(item: RealObject, site: _Site, places: Floats, sensors: Floats) 
         if len(visible) >= 30 and len(visible) >= 0.25 * len(xyz):
             return Placed(item.name, item.kind, visible)
     return None
-
-
-def with_objects(cloud: PointCloud, placed: Sequence[Placed]) -> PointCloud:
-    """Add the points of objects to a map."""
-    extra = np.concatenate([p.xyz for p in placed])
-    intensity = np.concatenate([cloud.fields["intensity"], np.full(len(extra), 50.0)])
-    return from_world(
-        np.concatenate([cloud.world(), extra]), cloud.crs, intensity=intensity.astype(np.float32)
-    )
 
 
 def moved(survey: SurveyMap, T_new_old: Floats) -> SurveyMap:
