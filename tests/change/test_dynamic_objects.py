@@ -15,6 +15,7 @@ from subiaco_change.decisions.dynamic_objects import (
     OwnEpochEvidence,
     continues_trail,
     doubt_of_porous,
+    hides_no_ground,
     is_moving_object_trail,
     is_strip_on_road,
     limit_confidence,
@@ -321,6 +322,29 @@ def test_what_neither_fills_its_place_nor_hides_the_ground_beneath_is_doubted(
     assert found.endswith("the confidence is lowered.") == doubted
     counted = OwnEpochEvidence(nowhere, NOWHERE)
     assert doubt_of_porous(scattered(fill, top), semantic, counted, RULES) == ""
+
+
+@pytest.mark.parametrize(
+    ("fill", "top", "semantic", "hidden", "seen_through"),
+    [
+        (0.8, 1.6, Semantic.VEGETATION, 0.0, True),
+        (0.8, 3.0, Semantic.MOBILE, 0.05, True),
+        (0.8, 1.6, Semantic.MOBILE, 0.25, False),
+        (2.0, 1.6, Semantic.VEGETATION, 0.0, False),
+        (0.8, 1.6, Semantic.BUILDING, 0.0, False),
+        (0.8, 8.0, Semantic.VEGETATION, 0.0, False),
+    ],
+    ids=["a trail", "a trail of a van", "a car seen from afar", "a dense hedge", "a wall", "a crown"],
+)
+def test_what_has_few_points_and_hides_none_of_the_ground_is_not_claimed(
+    fill, top, semantic, hidden, seen_through
+):
+    beneath = ((ASPHALT[:, 0] > 0) & (ASPHALT[:, 0] < 6 * hidden)) & (np.abs(ASPHALT[:, 1] - 0.9) < 0.9)
+    own = OwnEpochEvidence(nowhere, NOWHERE, ground=cKDTree(ASPHALT[~beneath]))
+    decision = hides_no_ground(scattered(fill, top), semantic, own, RULES)
+    assert (decision is not None and decision.change is Change.UNOBSERVED) == seen_through
+    counted = OwnEpochEvidence(nowhere, NOWHERE)
+    assert hides_no_ground(scattered(fill, top), semantic, counted, RULES) is None
 
 
 def test_a_planted_row_that_hides_the_ground_is_no_person():
