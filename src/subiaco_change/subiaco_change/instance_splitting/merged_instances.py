@@ -8,6 +8,7 @@ difference of the two epochs, although neither its roof nor the walls below dist
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import combinations
 
 import numpy as np
 from scipy import ndimage
@@ -15,7 +16,7 @@ from scipy.spatial import cKDTree
 
 from subiaco_change.association.costs import AssociationConfig
 from subiaco_change.decisions.column_volumes import ColumnChange, column_keys
-from subiaco_change.decisions.voxel_objects import ObjectInstance, join_voxels
+from subiaco_change.decisions.voxel_objects import ObjectInstance, Voxels, join_voxels
 from subiaco_change.instance_splitting.one_epoch_parts import PartConfig, split_by_labels
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import one_part, switchable
@@ -30,6 +31,8 @@ _CELL = NUMBERS.merged_instances.cell
 _COLUMN = NUMBERS.rows_of_houses.cell
 _SHARED = NUMBERS.rows_of_houses.shared_columns
 _SHOWN = NUMBERS.rows_of_houses.columns_across
+_FRONT = NUMBERS.split_merge.house_front
+_FAR = 40.0
 _ROOM = NUMBERS.storeys.room_height
 _GAP = NUMBERS.storeys.unseen_gap
 _THROUGH = NUMBERS.storeys.depth_share
@@ -133,27 +136,45 @@ _STOREY = ProfileConfig(step=NUMBERS.rows_of_houses.new_storey)  # tops that ros
 
 
 def group_row_houses(pieces: Sequence[Piece], config: AssociationConfig) -> list[list[int]]:
-    """Group matches (positions) of which a house of one lies in a house of another; each group a row."""
-    first, second = (
+    """Group matches (positions) into rows of houses.
+
+    A house of one match lies in a house of another, or both adjoin in one epoch and stand a house apart in the
+    other one: the house between them was removed, or is new.
+    """
+    bodies = [
         [
-            (k, _columns(body))
+            (k, np.concatenate([t.voxels.xyz for t in body]))
             for k, piece in enumerate(pieces)
             for body in separate_bodies(piece[epoch], config)
+            if body
         ]
         for epoch in (0, 1)
-    )
+    ]
+    columns = [[(k, np.unique(column_keys(xyz, _COLUMN))) for k, xyz in side] for side in bodies]
     links = [
         (k, m)
-        for k, one in first
-        for m, two in second
+        for k, one in columns[0]
+        for m, two in columns[1]
         if k != m and len(np.intersect1d(one, two)) > _SHARED * min(len(one), len(two))
     ]
+    places = [[_tall(join_voxels(side)) for side in piece] for piece in pieces]
+    for k, m in combinations([k for k, sides in enumerate(places) if all(map(len, sides))], 2):
+        if (np.abs(places[k][0].mean(axis=0) - places[m][0].mean(axis=0)) < _FAR).all():
+            apart = [_distance(places[k][epoch], places[m][epoch]) for epoch in (0, 1)]
+            if min(apart) <= config.parts.gap and max(apart) >= _FRONT:
+                links.append((k, m))
     joined = connect(len(pieces), np.array(links, dtype=np.int64).reshape(-1, 2))
     return [group.tolist() for group in group_indices(joined)]
 
 
-def _columns(objects: Sequence[ObjectInstance]) -> Ints:
-    return np.unique(column_keys(join_voxels(objects).xyz, _COLUMN))
+def _tall(voxels: Voxels) -> Floats:
+    """Places (N, 2) of what is higher than a room: no fence joins two houses."""
+    return voxels.xyz[voxels.height >= _ROOM, :2]
+
+
+def _distance(one: Floats, other: Floats) -> float:
+    """Smallest distance between places (N, 2) and (M, 2) [m]."""
+    return float(cKDTree(one).query(other)[0].min())
 
 
 def split_at_walls(
@@ -162,7 +183,7 @@ def split_at_walls(
     config: AssociationConfig,
     following: int,
 ) -> list[Piece]:
-    """Divide a row at the walls that either epoch shows, and where its tops rose or fell by a storey.
+    """Divide a row at the walls that either epoch shows, and where its houses changed.
 
     A house that was taken from a row, or built into its gap, is a part of its own, without a partner.
 
@@ -177,47 +198,32 @@ def split_at_walls(
     sides = (tuple(before), tuple(after))
     voxels = [join_voxels(side) for side in sides]
     xy = np.concatenate([v.xyz[:, :2] for v in voxels])
-    labels = _moved(voxels[0].xyz, voxels[1].xyz, xy)
-    alone = _alone(xy, voxels[0].xyz, voxels[1].xyz)
+    stretches, house = changed_houses(*voxels)
+    labels = stretches
     for side in sides:
         bodies = [body for body in separate_bodies(side, config) if body] or [list(side)]
         owner = np.repeat(np.arange(len(bodies)), [sum(len(t.voxels) for t in body) for body in bodies])
         places = np.concatenate([t.voxels.xyz[:, :2] for body in bodies for t in body])
         labels = labels * len(bodies) + owner[cKDTree(places).query(xy)[1]]
-    labels = np.where(alone > 0, labels.max() + alone, labels)
-    return _pieces(sides, xy, labels, config, following)
+    labels = np.where(house > 0, labels.max() + house, labels)
+    return _pieces(sides, xy, labels, house > 0, config, following)
 
 
-def _whole_row(before: Sequence[ObjectInstance], after: Sequence[ObjectInstance], *_: object) -> list[Piece]:
-    """Return a row as one piece."""
-    return [(tuple(before), tuple(after))]
-
-
-@switchable("storeys_of_row_houses", _whole_row)
-def split_at_changed_storeys(
-    before: Sequence[ObjectInstance],
-    after: Sequence[ObjectInstance],
-    columns: ColumnChange,
-    config: AssociationConfig,
-    following: int,
+def _pieces(
+    sides: Piece, xy: Floats, labels: Ints, changed: Mask, config: AssociationConfig, following: int
 ) -> list[Piece]:
-    """Divide a row where a storey was built on one of its houses, or taken off; arguments as for houses_of.
+    """Divide objects of both epochs by labels (N,) of their voxels (N, 2); small parts join others.
 
-    The storey shows in its walls although no survey sees its roof.
+    A ``changed`` (N,) house is as wide as a house, however few its voxels.
     """
-    sides = (tuple(before), tuple(after))
-    xy = np.concatenate([join_voxels(side).xyz[:, :2] for side in sides])
-    return _pieces(sides, xy, changed_houses(columns, xy), config, following)
-
-
-def _pieces(sides: Piece, xy: Floats, labels: Ints, config: AssociationConfig, following: int) -> list[Piece]:
-    """Divide objects of both epochs by labels (N,) of their voxels (N, 2); small parts join others."""
     labels = np.unique(labels, return_inverse=True)[1]
-    large = np.bincount(labels) >= config.apart * len(xy)
+    size, own = np.bincount(labels), np.bincount(labels, changed) > 0
+    large = np.where(own, size >= config.parts.points, size >= config.apart * len(xy))
     if np.count_nonzero(large) < 2:
         return [sides]
     kept = large[labels]
-    labels = labels[kept][cKDTree(xy[kept]).query(xy)[1]]
+    whole = kept & ~own[labels] if (large & ~own).any() else kept
+    labels = np.where(kept, labels, labels[whole][cKDTree(xy[whole]).query(xy)[1]])
     labels = np.unique(labels, return_inverse=True)[1]
     found: list[tuple[list[ObjectInstance], list[ObjectInstance]]] = [
         ([], []) for _ in range(labels.max() + 1)
@@ -232,127 +238,93 @@ def _pieces(sides: Piece, xy: Floats, labels: Ints, config: AssociationConfig, f
     return [(tuple(b), tuple(a)) for b, a in found]
 
 
-def _moved(before: Floats, after: Floats, xy: Floats) -> Ints:
-    """Part (N,) of places (N, 2) along the walls of a row whose tops (B, 3), (A, 3) moved by a storey."""
-    slot, tops = _tops(before, after, xy)
-    rise = tops[1] - tops[0]
-    labels = np.zeros(len(xy), dtype=np.int64)
-    for axis in (0, 1):
-        profile = _profile(rise if axis == 0 else rise.T)
-        parts = part_slots(slot[:, axis], level_steps(profile, _STOREY), _STOREY)
-        labels = labels * (int(parts.max()) + 1) + parts
-    return labels
+def changed_houses(before: Voxels, after: Voxels) -> tuple[Ints, Ints]:
+    """Return which stretch of a row its voxels (N,) lie in, and which changed house they are of, 0 for none.
 
-
-@switchable("row_house_of_one_epoch", one_part)
-def _alone(xy: Floats, before: Floats, after: Floats) -> Ints:
-    """Return which stretch of a row, from 1, that one epoch alone holds places (N, 2) lie in; 0 for none.
-
-    A stretch is as long as a house and lies between two; in it the one epoch shows columns across the row and
-    the other none.
+    A house was removed, is new, or rose or fell by a storey, beside houses of the row that did not. Of the
+    party walls beside it, what only one epoch has is of that house.
     """
-    slot, tops = _tops(before, after, xy)
+    xyz = np.concatenate([before.xyz, after.xyz])
+    tall = np.concatenate([before.height, after.height]) >= _ROOM
+    epoch = np.repeat([0, 1], [len(before), len(after)])
+    alone = ~np.concatenate([before.occupied_in_other, after.occupied_in_other])
+    slot, tops = _tops(xyz, epoch, tall)
     shown = np.isfinite(tops)
-    found = np.zeros(len(xy), dtype=np.int64)
+    shared = np.where(shown.all(axis=0), tops, -np.inf)  # of a roof each epoch may see another part
+    stretches, house = np.zeros(len(xyz), dtype=np.int64), np.zeros(len(xyz), dtype=np.int64)
     for axis in (0, 1):
-        across = shown.sum(axis=2 - axis)
-        for own, other in (across, across[::-1]):
-            stretch = _gaps((own >= _SHOWN) & (other == 0), np.minimum(own, other) >= _SHOWN)[slot[:, axis]]
-            found = np.where((found == 0) & (stretch > 0), found.max() + stretch, found)
-    return found
+        across, highest = shown.sum(axis=2 - axis), shared.max(axis=2 - axis)
+        known = np.isfinite(highest[0])
+        rise = np.full(len(known), np.nan)
+        rise[known] = highest[1, known] - highest[0, known]
+        found = [(run, alone & (epoch == e)) for e in (0, 1) for run in _gaps(across[e], across[1 - e])]
+        found += [(run, None) for run in _storeys(rise)]
+        cuts = []
+        for (begin, end), only in found:
+            within = (slot[:, axis] >= begin) & (slot[:, axis] < end)
+            walls = alone & (slot[:, axis] >= begin - 1) & (slot[:, axis] <= end)
+            own = (only & walls) if only is not None else within | walls
+            house[own & (house == 0)] = house.max() + 1
+            cuts += [begin, end]
+        stretches = stretches * (len(cuts) + 1) + np.searchsorted(np.sort(cuts), slot[:, axis], side="right")
+    return stretches, house
 
 
-def _gaps(alone: Mask, shared: Mask) -> Ints:
-    """Return numbers (S,), from 1, of stretches of one epoch alone between houses that both epochs share.
+def _storeys(rise: Floats) -> list[tuple[int, int]]:
+    """First slot and end of every house of a row that rose or fell beside one that did not.
 
-    At the end of a row this kind of stretch may be a wing of the last house.
+    ``rise`` (S,): rise of the tops along the row [m], NaN where nothing was seen in both epochs.
+    """
+    width, gap = round(_STOREY.width / _COLUMN), round(_GAP / _COLUMN)
+    unseen, same = np.isnan(rise), np.abs(rise) < _SAME
+    runs = []
+    for moved in (rise >= _STOREY.step, rise <= -_STOREY.step):
+        closed = ndimage.binary_closing(np.pad(moved, gap + 1), np.ones(gap + 1))[gap + 1 : -gap - 1]
+        numbers, count = ndimage.label(moved | (closed & unseen))
+        for number in range(1, count + 1):
+            inside = np.flatnonzero(numbers == number)
+            begin, end = int(inside[0]), int(inside[-1]) + 1
+            beside = same[max(begin - width, 0) : begin][::-1], same[end : end + width]
+            if end - begin >= width - 1 and any(_is_neighbour(side, width) for side in beside):
+                runs.append((begin, end))
+    return runs
+
+
+def _is_neighbour(same: Mask, width: int) -> bool:
+    """Tell whether the slots beside a changed house are those of a house that did not change.
+
+    The tops of one house of which a part was built upon may fall slowly; a party wall is a sudden step.
+    """
+    return bool(same[:2].any() and np.count_nonzero(same) >= _ALIKE * (width - 1))
+
+
+def _gaps(own: Ints, other: Ints) -> list[tuple[int, int]]:
+    """First slot and end of every gap of the other epoch, between houses of both, that the own epoch fills.
+
+    ``own``, ``other`` (S,): columns across the row that an epoch shows in every slot. At the end of a row a
+    stretch of one epoch may be a wing of the last house.
     """
     width = round(_STOREY.width / _COLUMN)
-    numbers, count = ndimage.label(alone)
-    gaps = np.zeros(len(alone), dtype=np.int64)
+    shared = (own > 0) & (other > 0)
+    numbers, count = ndimage.label(other == 0)
+    gaps = []
     for number in range(1, count + 1):
         inside = np.flatnonzero(numbers == number)
-        sides = shared[max(inside[0] - width, 0) : inside[0]], shared[inside[-1] + 1 : inside[-1] + 1 + width]
-        if len(inside) >= width and all(2 * np.count_nonzero(side) >= width for side in sides):
-            gaps[inside] = number
+        begin, end = int(inside[0]), int(inside[-1]) + 1
+        filled = 2 * np.count_nonzero(own[inside]) >= end - begin >= width - 1
+        beside = shared[max(begin - width, 0) : begin], shared[end : end + width]
+        if filled and all(2 * np.count_nonzero(side) >= width for side in beside):
+            gaps.append((begin, end))
     return gaps
 
 
-def _tops(before: Floats, after: Floats, xy: Floats) -> tuple[Ints, Floats]:
-    """Columns (N, 2) along the walls of places (N, 2), and tops (2, nx, ny) of both epochs; NaN for none."""
-    turned = wall_coordinates(xy)
+def _tops(xyz: Floats, epoch: Ints, counted: Mask) -> tuple[Ints, Floats]:
+    """Columns (N, 2) along the walls of places (N, 3), and tops (2, nx, ny) of both epochs; NaN for none.
+
+    ``counted`` (N,): places that tops are taken of.
+    """
+    turned = wall_coordinates(xyz[:, :2])
     slot = np.floor((turned - turned.min(axis=0)) / _COLUMN).astype(np.int64)
     tops = np.full((2, *(slot.max(axis=0) + 1).tolist()), np.nan)
-    for top, xyz, own in zip(tops, (before, after), np.split(slot, [len(before)]), strict=True):
-        np.fmax.at(top, (own[:, 0], own[:, 1]), xyz[:, 2])
+    np.fmax.at(tops, (epoch[counted], slot[counted, 0], slot[counted, 1]), xyz[counted, 2])
     return slot, tops
-
-
-def _profile(rise: Floats) -> Floats:
-    """Median rise along a row, across it, above the lowest top of a house; none where too little shows."""
-    shown = np.isfinite(rise).sum(axis=1) >= _SHOWN
-    profile = np.zeros(len(rise))
-    profile[shown] = np.nanmedian(rise[shown], axis=1)
-    return np.asarray(profile - profile.min() + _STOREY.lowest + 1.0)
-
-
-def changed_houses(found: ColumnChange, xy: Floats) -> Ints:
-    """Part (N,) of places (N, 2) [m] in a row: its houses whose storeys changed, and what lies between.
-
-    A cut lies where a change through the row ends, a wall rises in the epoch that has the storey, and the
-    neighbour beyond has the same tops in both. Without that neighbour, or with a slope between, it is one
-    house of which a part was built on.
-    """
-    slot = found.slots(xy)
-    labels = np.zeros(len(xy), dtype=np.int64)
-    for axis in (0, 1):
-        first, last = np.quantile(slot[:, axis], [0.005, 0.995]).astype(np.int64)
-        depth = float(np.ptp(np.quantile(slot[:, 1 - axis], [0.005, 0.995]))) + 1.0
-        tops = found.tops.max(axis=2 - axis)
-        cuts = set()
-        for sign in (1, -1):
-            taller = tops[1] if sign > 0 else tops[0]
-            for begin, end in _runs(found, axis, sign, depth):
-                cuts |= {_wall(taller, begin), len(taller) - _wall(taller[::-1], len(taller) - end)}
-        kept = np.sort(
-            [cut for cut in cuts if _neighbour(tops[:, first : last + 1], cut - first, found.cell)]
-        )
-        labels = labels * (len(kept) + 1) + np.searchsorted(kept, slot[:, axis], side="right")
-    return labels
-
-
-def _wall(tops: Floats, begin: int) -> int:
-    """Slot near the begin of a run at which tops (slots,) rise most; 0 where they rise by no wall."""
-    places = np.arange(max(begin - _NEAR, 2), min(begin + _NEAR, len(tops) - 2) + 1)
-    rises = [float(tops[k : k + 2].min() - tops[k - 2 : k].max()) for k in places.tolist()]
-    return int(places[int(np.argmax(rises))]) if rises and max(rises) >= _WALL else 0
-
-
-def _neighbour(tops: Floats, cut: int, cell: float) -> bool:
-    """Tell whether one side of a cut is a house whose tops (2, slots) are the same in both epochs."""
-    width = round(_STOREY.width / cell)
-    if min(cut, tops.shape[1] - cut) < width:
-        return False
-    same = (tops > 0).all(axis=0) & (np.abs(tops[1] - tops[0]) < _SAME)
-    return bool(max(same[cut - width : cut].mean(), same[cut : cut + width].mean()) >= _ALIKE)
-
-
-def _runs(found: ColumnChange, axis: int, sign: int, depth: float) -> list[tuple[int, int]]:
-    """First slot and end of every stretch along an axis whose columns rose, or fell, by a storey."""
-    amount = np.where(found.foot >= _ROOM, np.maximum(sign * found.change, 0.0), 0.0)
-    amount = amount if axis == 0 else amount.T
-    changed: Mask = np.count_nonzero(amount, axis=1) >= _SHOWN
-    gap = round(_GAP / found.cell)
-    closed = ndimage.binary_closing(np.pad(changed, gap + 1), np.ones(gap + 1))[gap + 1 : -gap - 1]
-    numbers, count = ndimage.label(closed)
-    runs = []
-    for number in range(1, count + 1):
-        inside = np.flatnonzero(numbers == number)
-        across = np.flatnonzero(amount[inside].any(axis=0))
-        if (
-            len(inside) * found.cell >= _STOREY.width
-            and amount[inside].max() >= _STOREY.step
-            and across[-1] + 1 - across[0] >= _THROUGH * depth
-        ):
-            runs.append((int(inside[0]), int(inside[-1]) + 1))
-    return runs

@@ -21,7 +21,6 @@ from subiaco_change.instance_splitting.hedge_sections import HedgeSection, chang
 from subiaco_change.instance_splitting.merged_instances import (
     Piece,
     group_row_houses,
-    split_at_changed_storeys,
     split_at_walls,
     split_by_bodies,
 )
@@ -286,11 +285,7 @@ def split_row_houses(changes: Sequence[ObjectChange], rules: ObjectRules) -> lis
         before, after = ([t for i in members for t in getattr(changes[i], e)] for e in ("before", "after"))
         if not before or not after:
             continue
-        columns = _measured([changes[i] for i in members], rules).columns
-        ways = [split_at_walls(before, after, rules.association, following)]
-        if columns is not None:
-            ways.append(split_at_changed_storeys(before, after, columns, rules.association, following))
-        parts = next((parts for parts in (_fared(way, rules) for way in ways) if parts), [])
+        parts = _fared(split_at_walls(before, after, rules.association, following), rules)
         if parts:
             following += sum(len(p.before) + len(p.after) for p in parts)
             told |= {i: [] for i in members} | {members[0]: parts}
