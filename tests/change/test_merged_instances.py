@@ -96,6 +96,33 @@ def test_a_house_in_the_middle_of_a_row_is_removed_or_added_and_its_neighbours_s
     assert labels(tuple(heights), groups, matches) == [SAME, middle, SAME]
 
 
+@pytest.mark.parametrize("earlier", [True, False])
+def test_a_house_between_others_that_its_own_epoch_joins_with_one_of_them_has_a_row_of_its_own(earlier):
+    """The other epoch holds two houses apart that the house between them joins into one row."""
+    full, parted = ((5.0, 5.0, 5.0), [[0], [1, 2]]), ((5.0, 0.0, 5.0), [[0], [2]])
+    heights, groups = zip(*((full, parted) if earlier else (parted, full)), strict=True)
+    told = labels(heights, groups, [((0,), (0,)), ((1,), (1,))])
+    assert told == [SAME, GONE if earlier else NEW, SAME]
+
+
+def test_the_wall_above_a_lower_neighbour_is_of_the_house_that_was_removed():
+    heights = ((4.0, 8.0, 4.0), (4.0, 0.0, 4.0))
+    assert labels(heights, ([[0, 1, 2]], [[0], [2]]), [((0,), (0, 1))]) == [SAME, GONE, SAME]
+
+
+def test_a_removed_house_keeps_the_walls_that_were_taken_for_its_neighbour():
+    """A part of it was found to be removed; the rest of it is in one instance with a neighbour."""
+    sides = [row((5.0, 9.0, 5.0), [[0], [1, 2]]), row((5.0, 0.0, 5.0), [[0], [2]])]
+    part = sides[0][1][:, 0] < 1.5 * WIDTH
+    sides[0] = [sides[0][0], sides[0][1][~part], sides[0][1][part]]
+    before, after = objects(*sides), objects(*sides[::-1])
+    pairs = [(before[:1], after[:1]), (before[1:2], after[1:]), (before[2:], [])]
+    changes = [decide_object(b, a, Semantic.BUILDING, RULES) for b, a in pairs]
+    assert changes[1].decision.change is Change.DECREASED
+    found = [c.decision.change for c in split_row_houses(changes, RULES)]
+    assert sorted(found) == sorted([Change.UNCHANGED, Change.REMOVED, Change.UNCHANGED])
+
+
 def test_a_part_built_onto_the_end_of_a_house_is_no_house_of_a_row():
     told = labels(((5.0, 0.0), (5.0, 5.0)), ([[0]], [[0, 1]]), [((0,), (0,))])
     assert told[0] == told[1]  # one row of the table

@@ -15,31 +15,25 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from subiaco_change.association.costs import AssociationConfig
-from subiaco_change.decisions.column_volumes import ColumnChange, column_keys
+from subiaco_change.decisions.column_volumes import column_keys
 from subiaco_change.decisions.voxel_objects import ObjectInstance, Voxels, join_voxels
 from subiaco_change.instance_splitting.one_epoch_parts import PartConfig, split_by_labels
 from subiaco_change.method_numbers import NUMBERS
-from subiaco_change.method_rules.switches import one_part, switchable
 from subiaco_change.segmentation.bounding_rectangles import wall_coordinates
 from subiaco_change.segmentation.clustering import connect, group_indices, voxel_clusters
 from subiaco_change.segmentation.ground_model import Mask
-from subiaco_change.segmentation.object_rows import ProfileConfig, level_steps, part_slots
+from subiaco_change.segmentation.object_rows import ProfileConfig
 from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats, Ints
 
 _CELL = NUMBERS.merged_instances.cell
 _COLUMN = NUMBERS.rows_of_houses.cell
 _SHARED = NUMBERS.rows_of_houses.shared_columns
-_SHOWN = NUMBERS.rows_of_houses.columns_across
 _FRONT = NUMBERS.split_merge.house_front
-_FAR = 40.0
 _ROOM = NUMBERS.storeys.room_height
 _GAP = NUMBERS.storeys.unseen_gap
-_THROUGH = NUMBERS.storeys.depth_share
 _SAME = NUMBERS.storeys.same_top
 _ALIKE = NUMBERS.storeys.neighbour_share
-_NEAR = NUMBERS.storeys.wall_slots
-_WALL = NUMBERS.storeys.step_height
 
 #: The objects of *before* and of *after* that are one piece.
 Piece = tuple[tuple[ObjectInstance, ...], tuple[ObjectInstance, ...]]
@@ -135,45 +129,76 @@ def separate_bodies(
 _STOREY = ProfileConfig(step=NUMBERS.rows_of_houses.new_storey)  # tops that rose by less got a new roof
 
 
-def group_row_houses(pieces: Sequence[Piece], config: AssociationConfig) -> list[list[int]]:
+def group_row_houses(
+    pieces: Sequence[Piece], claimed: Sequence[bool], config: AssociationConfig
+) -> list[list[int]]:
     """Group matches (positions) into rows of houses.
 
-    A house of one match lies in a house of another, or both adjoin in one epoch and stand a house apart in the
-    other one: the house between them was removed, or is new.
+    Parameters
+    ----------
+    pieces : sequence of Piece
+        Buildings in both epochs.
+    claimed : sequence of bool
+        Which of them are new or gone.
+    config : AssociationConfig
+
+    Returns
+    -------
+    list of list of int
+        A house of one match lies in a house of another; or both adjoin in one epoch and stand a house apart
+        in the other one; or what is new or gone adjoins both.
     """
-    bodies = [
+    columns = [
         [
-            (k, np.concatenate([t.voxels.xyz for t in body]))
+            (k, np.unique(column_keys(join_voxels(body).xyz, _COLUMN)))
             for k, piece in enumerate(pieces)
+            if not claimed[k]
             for body in separate_bodies(piece[epoch], config)
             if body
         ]
         for epoch in (0, 1)
     ]
-    columns = [[(k, np.unique(column_keys(xyz, _COLUMN))) for k, xyz in side] for side in bodies]
     links = [
         (k, m)
         for k, one in columns[0]
         for m, two in columns[1]
         if k != m and len(np.intersect1d(one, two)) > _SHARED * min(len(one), len(two))
     ]
-    places = [[_tall(join_voxels(side)) for side in piece] for piece in pieces]
-    for k, m in combinations([k for k, sides in enumerate(places) if all(map(len, sides))], 2):
-        if (np.abs(places[k][0].mean(axis=0) - places[m][0].mean(axis=0)) < _FAR).all():
-            apart = [_distance(places[k][epoch], places[m][epoch]) for epoch in (0, 1)]
-            if min(apart) <= config.parts.gap and max(apart) >= _FRONT:
-                links.append((k, m))
+    links.extend(_rows_of_one_epoch([(_tall(b), _tall(a)) for b, a in pieces], config.parts.gap))
     joined = connect(len(pieces), np.array(links, dtype=np.int64).reshape(-1, 2))
     return [group.tolist() for group in group_indices(joined)]
 
 
-def _tall(voxels: Voxels) -> Floats:
+def _rows_of_one_epoch(places: Sequence[tuple[Floats, Floats]], gap: float) -> list[tuple[int, int]]:
+    """Links (positions) between buildings with places (N, 2) in both epochs that one epoch has in one row.
+
+    They adjoin in one epoch and stand a house apart in the other one, or what one epoch has adjoins both.
+    """
+    both = [k for k, sides in enumerate(places) if all(map(len, sides))]
+    links = []
+    for k, m in combinations(both, 2):
+        apart = [_distance(one, other) for one, other in zip(places[k], places[m], strict=True)]
+        if min(apart) <= gap and max(apart) >= _FRONT:
+            links.append((k, m))
+    for k, sides in enumerate(places):
+        epoch = 0 if len(sides[0]) else 1
+        if len(sides[epoch]) and not len(sides[1 - epoch]):
+            beside = [m for m in both if _distance(sides[epoch], places[m][epoch]) <= gap]
+            links.extend((k, m) for m in beside if len(beside) > 1)
+    return links
+
+
+def _tall(objects: Sequence[ObjectInstance]) -> Floats:
     """Places (N, 2) of what is higher than a room: no fence joins two houses."""
+    voxels = join_voxels(objects)
     return voxels.xyz[voxels.height >= _ROOM, :2]
 
 
 def _distance(one: Floats, other: Floats) -> float:
-    """Smallest distance between places (N, 2) and (M, 2) [m]."""
+    """Smallest distance between places (N, 2) and (M, 2) [m], or that of their boxes where it is large."""
+    apart = np.maximum(one.min(axis=0) - other.max(axis=0), other.min(axis=0) - one.max(axis=0))
+    if apart.max() >= _FRONT:
+        return float(apart.max())
     return float(cKDTree(one).query(other)[0].min())
 
 

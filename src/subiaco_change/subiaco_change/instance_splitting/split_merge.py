@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -11,7 +12,6 @@ from scipy.spatial import cKDTree
 
 from subiaco_change.association.costs import AssociationConfig, overlap_counts
 from subiaco_change.association.matching import match_kind
-from subiaco_change.decisions.measures import Measures, measure
 from subiaco_change.decisions.object_decision import ObjectChange, ObjectRules, decide_object
 from subiaco_change.decisions.plant_decisions import decide_plant
 from subiaco_change.decisions.vegetation_null import no_null
@@ -272,24 +272,26 @@ def split_row_houses(changes: Sequence[ObjectChange], rules: ObjectRules) -> lis
     """Decide the houses of a row one by one where they fared differently, parted as either epoch shows."""
     if rules.association.parts.points == 0:
         return list(changes)
-    numbers = [
-        i
-        for i, change in enumerate(changes)
-        if change.semantic is Semantic.BUILDING
-        and change.decision.change not in (Change.ADDED, Change.REMOVED)  # stands, or stood, by itself
-    ]
+    numbers = [i for i, change in enumerate(changes) if change.semantic is Semantic.BUILDING]
+    pieces = [(changes[i].before, changes[i].after) for i in numbers]
+    claimed = [changes[i].decision.change in _SINGLE for i in numbers]
     following = _first_free(changes)
     told: dict[int, list[ObjectChange]] = {i: [change] for i, change in enumerate(changes)}
-    for row in group_row_houses([(changes[i].before, changes[i].after) for i in numbers], rules.association):
+    for row in group_row_houses(pieces, claimed, rules.association):
         members = [numbers[k] for k in row]
         before, after = ([t for i in members for t in getattr(changes[i], e)] for e in ("before", "after"))
         if not before or not after:
             continue
         parts = _fared(split_at_walls(before, after, rules.association, following), rules)
-        if parts:
+        if parts and _labels(parts) != _labels([changes[i] for i in members]):
             following += sum(len(p.before) + len(p.after) for p in parts)
             told |= {i: [] for i in members} | {members[0]: parts}
     return [change for some in told.values() for change in some]
+
+
+def _labels(changes: Sequence[ObjectChange]) -> Counter[Change]:
+    """Count the labels of rows."""
+    return Counter(change.decision.change for change in changes)
 
 
 def _fared(pieces: Sequence[Piece], rules: ObjectRules) -> list[ObjectChange]:
@@ -304,16 +306,6 @@ def _fared(pieces: Sequence[Piece], rules: ObjectRules) -> list[ObjectChange]:
         return []
     labels = {part.decision.change for part in parts}
     return parts if len(labels) > 1 and not labels.isdisjoint(_CLAIMS) else []
-
-
-def _measured(members: Sequence[ObjectChange], rules: ObjectRules) -> Measures:
-    """Measure the members of a row together."""
-    if len(members) == 1:
-        return members[0].measures
-    before, after = (
-        join_voxels([t for m in members for t in getattr(m, epoch)]) for epoch in ("before", "after")
-    )
-    return measure(before, after, rules.measures, rules.ground, building=True)
 
 
 @switchable("hedge_sections", first_argument)
