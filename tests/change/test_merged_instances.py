@@ -10,6 +10,7 @@ from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.measures import MeasureConfig
 from subiaco_change.decisions.object_decision import ObjectRules, decide_object
 from subiaco_change.decisions.voxel_objects import ObjectInstance, Voxels
+from subiaco_change.instance_splitting.merged_instances import group_row_houses
 from subiaco_change.instance_splitting.split_merge import split_row_houses
 from subiaco_geo.codes import Change, Semantic
 
@@ -110,17 +111,12 @@ def test_the_wall_above_a_lower_neighbour_is_of_the_house_that_was_removed():
     assert labels(heights, ([[0, 1, 2]], [[0], [2]]), [((0,), (0, 1))]) == [SAME, GONE, SAME]
 
 
-def test_a_removed_house_keeps_the_walls_that_were_taken_for_its_neighbour():
-    """A part of it was found to be removed; the rest of it is in one instance with a neighbour."""
-    sides = [row((5.0, 9.0, 5.0), [[0], [1, 2]]), row((5.0, 0.0, 5.0), [[0], [2]])]
-    part = sides[0][1][:, 0] < 1.5 * WIDTH
-    sides[0] = [sides[0][0], sides[0][1][~part], sides[0][1][part]]
-    before, after = objects(*sides), objects(*sides[::-1])
-    pairs = [(before[:1], after[:1]), (before[1:2], after[1:]), (before[2:], [])]
-    changes = [decide_object(b, a, Semantic.BUILDING, RULES) for b, a in pairs]
-    assert changes[1].decision.change is Change.DECREASED
-    found = [c.decision.change for c in split_row_houses(changes, RULES)]
-    assert sorted(found) == sorted([Change.UNCHANGED, Change.REMOVED, Change.UNCHANGED])
+def test_what_is_gone_between_two_houses_is_of_their_row_and_a_part_of_one_house_is_of_none():
+    before = objects(row((5.0, 5.0, 5.0), [[0], [1], [2]]), row((5.0, 0.0, 5.0), [[0], [2]]))
+    left, gone, right = (([t], [t]) for t in before)
+    gone = (gone[0], [])
+    assert group_row_houses([left, right, gone], [False, False, True], RULES.association) == [[0, 1, 2]]
+    assert group_row_houses([left, gone], [False, True], RULES.association) == [[0], [1]]
 
 
 def test_a_part_built_onto_the_end_of_a_house_is_no_house_of_a_row():
