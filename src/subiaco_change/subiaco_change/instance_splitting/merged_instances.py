@@ -1,8 +1,7 @@
 """Instances that are separate in one epoch and merged in the other, split in both; row houses above all.
 
-Row houses that the two epochs split at different walls are split at the walls that either epoch shows. A row
-of houses without steps is one instance. What was built on one of them ends at its party walls, in the carved
-difference of the two epochs, although neither its roof nor the walls below distinguish it from the others.
+Row houses that the two epochs split at different walls are split at the walls that either epoch shows. What
+joins them in one epoch alone, and a storey that one of them gained or lost, is a house of its own.
 """
 
 from __future__ import annotations
@@ -22,14 +21,15 @@ from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.segmentation.bounding_rectangles import wall_coordinates
 from subiaco_change.segmentation.clustering import connect, group_indices, voxel_clusters
 from subiaco_change.segmentation.ground_model import Mask
-from subiaco_change.segmentation.object_rows import ProfileConfig
 from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats, Ints
 
 _CELL = NUMBERS.merged_instances.cell
 _COLUMN = NUMBERS.rows_of_houses.cell
 _SHARED = NUMBERS.rows_of_houses.shared_columns
+_STOREY = NUMBERS.rows_of_houses.new_storey
 _FRONT = NUMBERS.split_merge.house_front
+_WIDTH = round(_FRONT / _COLUMN)
 _ROOM = NUMBERS.storeys.room_height
 _GAP = NUMBERS.storeys.unseen_gap
 _SAME = NUMBERS.storeys.same_top
@@ -126,9 +126,6 @@ def separate_bodies(
     return [[large[k] for k in group] for group in group_indices(joined)]
 
 
-_STOREY = ProfileConfig(step=NUMBERS.rows_of_houses.new_storey)  # tops that rose by less got a new roof
-
-
 def group_row_houses(
     pieces: Sequence[Piece], claimed: Sequence[bool], config: AssociationConfig
 ) -> list[list[int]]:
@@ -223,8 +220,7 @@ def split_at_walls(
     sides = (tuple(before), tuple(after))
     voxels = [join_voxels(side) for side in sides]
     xy = np.concatenate([v.xyz[:, :2] for v in voxels])
-    stretches, house = changed_houses(*voxels)
-    labels = stretches
+    labels, house = changed_houses(*voxels)
     for side in sides:
         bodies = [body for body in separate_bodies(side, config) if body] or [list(side)]
         owner = np.repeat(np.arange(len(bodies)), [sum(len(t.voxels) for t in body) for body in bodies])
@@ -275,24 +271,22 @@ def changed_houses(before: Voxels, after: Voxels) -> tuple[Ints, Ints]:
     alone = ~np.concatenate([before.occupied_in_other, after.occupied_in_other])
     slot, tops = _tops(xyz, epoch, tall)
     shown = np.isfinite(tops)
-    shared = np.where(shown.all(axis=0), tops, -np.inf)  # of a roof each epoch may see another part
+    shared = np.where(shown.all(axis=0), tops, np.nan)  # of a roof each epoch may see another part
     stretches, house = np.zeros(len(xyz), dtype=np.int64), np.zeros(len(xyz), dtype=np.int64)
     for axis in (0, 1):
-        across, highest = shown.sum(axis=2 - axis), shared.max(axis=2 - axis)
-        known = np.isfinite(highest[0])
-        rise = np.full(len(known), np.nan)
-        rise[known] = highest[1, known] - highest[0, known]
-        found = [(run, alone & (epoch == e)) for e in (0, 1) for run in _gaps(across[e], across[1 - e])]
-        found += [(run, None) for run in _storeys(rise)]
-        cuts = []
-        for (begin, end), only in found:
-            within = (slot[:, axis] >= begin) & (slot[:, axis] < end)
-            walls = alone & (slot[:, axis] >= begin - 1) & (slot[:, axis] <= end)
-            own = (only & walls) if only is not None else within | walls
-            house[own & (house == 0)] = house.max() + 1
-            cuts += [begin, end]
-        stretches = stretches * (len(cuts) + 1) + np.searchsorted(np.sort(cuts), slot[:, axis], side="right")
+        place = slot[:, axis]
+        across, highest = shown.sum(axis=2 - axis), np.fmax.reduce(shared, axis=2 - axis)
+        gaps = [(run, alone & (epoch == e)) for e in (0, 1) for run in _gaps(across[e], across[1 - e])]
+        storeys = [(run, alone | _within(place, *run)) for run in _storeys(highest[1] - highest[0])]
+        for (begin, end), own in (*gaps, *storeys):
+            house[own & _within(place, begin - 1, end + 1) & (house == 0)] = house.max() + 1
+        cuts = np.sort([cut for run, _ in (*gaps, *storeys) for cut in run])
+        stretches = stretches * (len(cuts) + 1) + np.searchsorted(cuts, place, side="right")
     return stretches, house
+
+
+def _within(slot: Ints, begin: int, end: int) -> Mask:
+    return (slot >= begin) & (slot < end)
 
 
 def _storeys(rise: Floats) -> list[tuple[int, int]]:
@@ -300,27 +294,24 @@ def _storeys(rise: Floats) -> list[tuple[int, int]]:
 
     ``rise`` (S,): rise of the tops along the row [m], NaN where nothing was seen in both epochs.
     """
-    width, gap = round(_STOREY.width / _COLUMN), round(_GAP / _COLUMN)
+    gap = round(_GAP / _COLUMN)
     unseen, same = np.isnan(rise), np.abs(rise) < _SAME
-    runs = []
-    for moved in (rise >= _STOREY.step, rise <= -_STOREY.step):
+    houses = []
+    for moved in (rise >= _STOREY, rise <= -_STOREY):
         closed = ndimage.binary_closing(np.pad(moved, gap + 1), np.ones(gap + 1))[gap + 1 : -gap - 1]
-        numbers, count = ndimage.label(moved | (closed & unseen))
-        for number in range(1, count + 1):
-            inside = np.flatnonzero(numbers == number)
-            begin, end = int(inside[0]), int(inside[-1]) + 1
-            beside = same[max(begin - width, 0) : begin][::-1], same[end : end + width]
-            if end - begin >= width - 1 and any(_is_neighbour(side, width) for side in beside):
-                runs.append((begin, end))
-    return runs
+        for begin, end in _runs(moved | (closed & unseen)):
+            beside = same[max(begin - _WIDTH, 0) : begin][::-1], same[end : end + _WIDTH]
+            if any(_is_neighbour(side) for side in beside):
+                houses.append((begin, end))
+    return houses
 
 
-def _is_neighbour(same: Mask, width: int) -> bool:
-    """Tell whether the slots beside a changed house are those of a house that did not change.
+def _is_neighbour(same: Mask) -> bool:
+    """Tell whether the slots beside a changed house, the nearest first, are of a house that did not change.
 
     The tops of one house of which a part was built upon may fall slowly; a party wall is a sudden step.
     """
-    return bool(same[:2].any() and np.count_nonzero(same) >= _ALIKE * (width - 1))
+    return bool(same[:2].any() and np.count_nonzero(same) >= _ALIKE * _WIDTH)
 
 
 def _gaps(own: Ints, other: Ints) -> list[tuple[int, int]]:
@@ -329,18 +320,20 @@ def _gaps(own: Ints, other: Ints) -> list[tuple[int, int]]:
     ``own``, ``other`` (S,): columns across the row that an epoch shows in every slot. At the end of a row a
     stretch of one epoch may be a wing of the last house.
     """
-    width = round(_STOREY.width / _COLUMN)
     shared = (own > 0) & (other > 0)
-    numbers, count = ndimage.label(other == 0)
     gaps = []
-    for number in range(1, count + 1):
-        inside = np.flatnonzero(numbers == number)
-        begin, end = int(inside[0]), int(inside[-1]) + 1
-        filled = 2 * np.count_nonzero(own[inside]) >= end - begin >= width - 1
-        beside = shared[max(begin - width, 0) : begin], shared[end : end + width]
-        if filled and all(2 * np.count_nonzero(side) >= width for side in beside):
+    for begin, end in _runs(other == 0):
+        beside = shared[max(begin - _WIDTH, 0) : begin], shared[end : end + _WIDTH]
+        filled = 2 * np.count_nonzero(own[begin:end]) >= end - begin
+        if filled and all(2 * np.count_nonzero(side) >= _WIDTH for side in beside):
             gaps.append((begin, end))
     return gaps
+
+
+def _runs(slots: Mask) -> list[tuple[int, int]]:
+    """First slot and end of every run of slots (S,) that is as long as a house is wide."""
+    edges = np.flatnonzero(np.diff(np.pad(slots, 1).astype(np.int8)))
+    return [(b, e) for b, e in edges.reshape(-1, 2).tolist() if e - b >= _WIDTH]
 
 
 def _tops(xyz: Floats, epoch: Ints, counted: Mask) -> tuple[Ints, Floats]:

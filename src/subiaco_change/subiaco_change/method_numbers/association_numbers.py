@@ -91,10 +91,6 @@ class RowsOfHousesNumbers(StrictModel):
         description="Fraction of the columns of a house that lie in a house of the other epoch from which "
         "both overlap",
     )
-    columns_across: int = Field(
-        3,
-        description="Number of columns across a row of houses that must show a house, or its change",
-    )
 
 
 class SplitMergeNumbers(StrictModel):
