@@ -28,7 +28,7 @@ _CELL = NUMBERS.merged_instances.cell
 _COLUMN = NUMBERS.rows_of_houses.cell
 _SHARED = NUMBERS.rows_of_houses.shared_columns
 _STOREY = NUMBERS.rows_of_houses.new_storey
-_FRONT = NUMBERS.split_merge.house_front
+_FRONT = NUMBERS.rows_of_houses.house_front
 _WIDTH = round(_FRONT / _COLUMN)
 _ROOM = NUMBERS.storeys.room_height
 _GAP = NUMBERS.storeys.unseen_gap
@@ -238,12 +238,12 @@ def _pieces(
     A ``changed`` (N,) house is as wide as a house, however few its voxels.
     """
     labels = np.unique(labels, return_inverse=True)[1]
-    size, own = np.bincount(labels), np.bincount(labels, changed) > 0
-    large = np.where(own, size >= config.parts.points, size >= config.apart * len(xy))
+    size, moved = np.bincount(labels), np.bincount(labels, changed) > 0
+    large = np.where(moved, size >= config.parts.points, size >= config.apart * len(xy))
     if np.count_nonzero(large) < 2:
         return [sides]
     kept = large[labels]
-    whole = kept & ~own[labels] if (large & ~own).any() else kept
+    whole = kept & ~moved[labels] if (large & ~moved).any() else kept
     labels = np.where(kept, labels, labels[whole][cKDTree(xy[whole]).query(xy)[1]])
     labels = np.unique(labels, return_inverse=True)[1]
     found: list[tuple[list[ObjectInstance], list[ObjectInstance]]] = [

@@ -26,14 +26,13 @@ from subiaco_change.instance_splitting.merged_instances import (
 )
 from subiaco_change.instance_splitting.one_epoch_parts import split_by_labels
 from subiaco_change.method_numbers import NUMBERS
-from subiaco_change.method_rules.switches import applies, first_argument, never, no_decision, switchable
+from subiaco_change.method_rules.switches import applies, first_argument, no_decision, switchable
 from subiaco_geo.codes import Change, Semantic
 
 _WHOLE = NUMBERS.split_merge.whole_share
 _WALL = NUMBERS.split_merge.wall_reach
 _WITHIN = NUMBERS.split_merge.inside_share
 _HARDLY = NUMBERS.split_merge.least_observed
-_FRONT = NUMBERS.split_merge.house_front
 _SINGLE = (Change.ADDED, Change.REMOVED)
 _CLAIMS = (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED)
 
@@ -114,8 +113,7 @@ def _extended(
     """Decide a building with its extensions.
 
     An extension that closes the gap to the next house makes one instance of both. Where the other epoch holds
-    the houses apart, the extension belongs to the one that it adjoins the most. If neither changed by it, an
-    extension as wide as a house was a house of the row.
+    the houses apart, the extension belongs to the one that it adjoins the most.
     """
     pieces = [(extension.before, extension.after) for extension in extensions]
     bodies = split_by_bodies(host.before, host.after, rules.association, following)
@@ -129,9 +127,6 @@ def _extended(
         ]
         if any(part.decision.change in _CLAIMS for part in parts):
             return parts
-        rows = [e for e, c in zip(extensions, contacts, strict=True) if _is_house_of_row(e, c, bodies)]
-        pieces = [(e.before, e.after) for e in extensions if e not in rows]
-        return [_decide_together([(host.before, host.after), *pieces], rules), *rows]
     return [_decide_together([(host.before, host.after), *pieces], rules)]
 
 
@@ -147,22 +142,6 @@ def _contacts(piece: Piece, bodies: Sequence[Piece], touch: float) -> list[int]:
         near = cKDTree(join_voxels(body[without]).xyz).query(xyz, distance_upper_bound=touch)[0]
         contact.append(int(np.count_nonzero(np.isfinite(near))))
     return contact
-
-
-@switchable("house_between_houses", never)
-def _is_house_of_row(extension: ObjectChange, contact: Sequence[int], bodies: Sequence[Piece]) -> bool:
-    """Tell a house that was taken from a row, or built into it, from a wing in the gap between two houses.
-
-    The epoch that holds it saw it fill the gap from house to house, as wide as a house is.
-    """
-    if extension.decision.change not in _SINGLE or np.count_nonzero(contact) < 2:
-        return False
-    without = 0 if extension.after else 1
-    nearest = np.argsort(contact)[-2:]
-    first, second = (join_voxels(bodies[k][without]).xyz[:, :2].mean(axis=0) for k in nearest)
-    along = (second - first) / max(float(np.linalg.norm(second - first)), 1e-9)
-    xy = join_voxels((*extension.before, *extension.after)).xyz[:, :2]
-    return float(np.ptp(xy @ along)) >= _FRONT
 
 
 def _decide_together(pieces: Sequence[Piece], rules: ObjectRules) -> ObjectChange:

@@ -28,10 +28,6 @@ class BuildingExtensionsNumbers(StrictModel):
         description="Fraction of its outline that touches a building from which a part of any size "
         "encloses the building",
     )
-    least_house_share: float = Field(
-        0.1,
-        description="Fraction of the footprint of its building below which a part is no house of its own",
-    )
     car_height: float = Field(2.3, description="Largest height of a car [m]")
     fence_height: float = Field(
         2.0, description="Largest height above ground of a fence between two lots [m]"

@@ -309,7 +309,7 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         (
             "method_numbers.rows_of_houses.new_storey",
             "method_numbers.rows_of_houses.shared_columns",
-            "method_numbers.split_merge.house_front",
+            "method_numbers.rows_of_houses.house_front",
             "method_numbers.storeys.room_height",
             "method_numbers.storeys.unseen_gap",
             "method_numbers.storeys.same_top",
@@ -402,19 +402,6 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         _HERE,
         "A part half a storey taller than a building beside it is another house.",
         ("method_numbers.building_extensions.half_storey",),
-    ),
-    Rule(
-        "house_out_of_row",
-        _HERE,
-        "A part between parts of a building that lie as far apart without it as a house is wide was a house "
-        "of the row.",
-        ("method_numbers.building_extensions.least_house_share", "method_numbers.split_merge.house_front"),
-    ),
-    Rule(
-        "house_between_houses",
-        _HERE,
-        "What fills a gap as wide as a house between two houses that did not change is a house of the row.",
-        ("method_numbers.split_merge.house_front",),
     ),
     Rule(
         "rear_of_extension",
