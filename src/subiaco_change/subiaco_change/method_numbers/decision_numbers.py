@@ -515,7 +515,7 @@ class StoreysNumbers(StrictModel):
     """Numbers of ``instance_splitting/merged_instances.py``."""
 
     room_height: float = Field(
-        2.0, description="Height from which what stands in a row of houses is a house, not a fence [m]"
+        2.0, description="Height from which an object in a row of houses is a house, not a fence [m]"
     )
     unseen_gap: float = Field(
         1.0,
