@@ -8,7 +8,7 @@ from scenes import Scene, car, ground_z, house, pole, tree
 from scipy.spatial import cKDTree
 
 from subiaco_change.segmentation.classes import SemanticsConfig, label_points
-from subiaco_change.segmentation.clustering import linked_components, voxel_clusters
+from subiaco_change.segmentation.clustering import voxel_clusters
 from subiaco_change.segmentation.features import EigenFeatureConfig, compute_features, neighbour_eigen
 from subiaco_change.segmentation.instances import InstanceConfig, segment
 from subiaco_change.segmentation.superpoints import (
@@ -213,18 +213,3 @@ def test_a_tile_with_its_overlap_gets_the_labels_and_objects_of_the_whole(labell
     assert np.abs(result.height_above_ground - whole.height_above_ground[tile])[core].max() < 0.02
     pairs = np.unique(np.stack([mine, objects[tile]])[:, core & (mine >= 0)], axis=1)
     assert len(np.unique(pairs[0])) == len(np.unique(pairs[1])) == pairs.shape[1]
-
-
-@given(
-    st.lists(st.tuples(st.integers(0, 40), st.integers(0, 6)), max_size=40),
-    st.floats(0.3, 4.0),
-    st.floats(-200.0, 200.0),
-)
-def test_components_are_those_of_all_pairs_within_reach_wherever_the_origin_lies(places, reach, origin):
-    xy = np.array(places, dtype=float).reshape(-1, 2) * 0.5
-    labels = linked_components(xy + origin, reach + 0.01)
-    apart = np.linalg.norm(xy[:, None] - xy[None], axis=-1)
-    linked = apart <= reach + 0.01
-    for _ in range(len(xy)):
-        linked = linked @ linked
-    assert np.array_equal(labels[:, None] == labels[None], linked)

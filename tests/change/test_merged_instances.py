@@ -10,6 +10,7 @@ from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.measures import MeasureConfig
 from subiaco_change.decisions.object_decision import ObjectRules, decide_object
 from subiaco_change.decisions.voxel_objects import ObjectInstance, Voxels
+from subiaco_change.instance_splitting.merged_instances import group_row_houses
 from subiaco_change.instance_splitting.split_merge import split_row_houses
 from subiaco_geo.codes import Change, Semantic
 
@@ -94,6 +95,28 @@ def test_a_house_in_the_middle_of_a_row_is_removed_or_added_and_its_neighbours_s
     groups = [whole if height else parted for height in (before, after)]
     matches = [((0,), (0, 1))] if before else [((0, 1), (0,))]
     assert labels(tuple(heights), groups, matches) == [SAME, middle, SAME]
+
+
+@pytest.mark.parametrize("earlier", [True, False])
+def test_a_house_between_others_that_its_own_epoch_joins_with_one_of_them_has_a_row_of_its_own(earlier):
+    """The other epoch holds two houses apart that the house between them joins into one row."""
+    full, parted = ((5.0, 5.0, 5.0), [[0], [1, 2]]), ((5.0, 0.0, 5.0), [[0], [2]])
+    heights, groups = zip(*((full, parted) if earlier else (parted, full)), strict=True)
+    told = labels(heights, groups, [((0,), (0,)), ((1,), (1,))])
+    assert told == [SAME, GONE if earlier else NEW, SAME]
+
+
+def test_the_wall_above_a_lower_neighbour_is_of_the_house_that_was_removed():
+    heights = ((4.0, 8.0, 4.0), (4.0, 0.0, 4.0))
+    assert labels(heights, ([[0, 1, 2]], [[0], [2]]), [((0,), (0, 1))]) == [SAME, GONE, SAME]
+
+
+def test_what_is_gone_between_two_houses_is_of_their_row_and_a_part_of_one_house_is_of_none():
+    before = objects(row((5.0, 5.0, 5.0), [[0], [1], [2]]), row((5.0, 0.0, 5.0), [[0], [2]]))
+    left, gone, right = (([t], [t]) for t in before)
+    gone = (gone[0], [])
+    assert group_row_houses([left, right, gone], [False, False, True], RULES.association) == [[0, 1, 2]]
+    assert group_row_houses([left, gone], [False, True], RULES.association) == [[0], [1]]
 
 
 def test_a_part_built_onto_the_end_of_a_house_is_no_house_of_a_row():

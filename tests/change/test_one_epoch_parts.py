@@ -28,7 +28,11 @@ from subiaco_change.instance_splitting.one_epoch_parts import (
     decide_vehicle_part,
     split_one_epoch_parts,
 )
-from subiaco_change.instance_splitting.split_merge import join_building_extensions, split_multi_body_matches
+from subiaco_change.instance_splitting.split_merge import (
+    join_building_extensions,
+    split_multi_body_matches,
+    split_row_houses,
+)
 from subiaco_change.method_rules.switches import rules_switched_off
 from subiaco_geo.codes import Change, Semantic
 
@@ -220,16 +224,6 @@ def test_a_house_between_two_others_is_no_wing_of_either():
     assert find_building_extensions([*ends, (moved(walls(6, 8, 4), 10), NONE)], CONFIG) == {}
 
 
-@pytest.mark.parametrize("x", [0.0, 0.7, 200.3])
-@pytest.mark.parametrize(("gap", "wing"), [(2.0, True), (4.0, False)])
-def test_a_part_between_remains_of_a_house_is_a_wing_where_they_lie_closer_than_a_house_is_wide(gap, wing, x):
-    """Whether the remains are one house does not depend on where the origin of the coordinates lies."""
-    rest = np.concatenate([HOUSE, np.add(walls(4, 4, 5), (10 + gap, 0, 0))])
-    lost = np.add(walls(gap, 6, 5), (10, 0, 0))
-    pairs = [(moved(rest, x), moved(rest, x)), (moved(lost, x), NONE)]
-    assert (find_building_extensions(pairs, CONFIG) == {1: 0}) == wing
-
-
 def test_a_house_that_leans_on_one_neighbour_more_than_on_the_other_is_no_wing():
     first = voxels(np.concatenate([HOUSE, np.add(walls(3, 2, 5), (10, 8, 0))]))
     last, middle = moved(walls(10, 4, 5), 13), np.add(walls(3, 8, 4), (10, 0, 0))
@@ -240,11 +234,6 @@ def test_a_taller_house_beside_a_low_one_was_no_wing_of_it():
     house = (voxels(HOUSE), voxels(HOUSE))
     assert find_building_extensions([house, (moved(walls(6, 8, 6), 10), NONE)], CONFIG) == {1: 0}
     assert find_building_extensions([house, (moved(walls(6, 8, 7.5), 10), NONE)], CONFIG) == {}
-
-
-def test_a_house_gone_from_a_row_that_is_one_instance_was_no_wing():
-    row = voxels(np.concatenate([HOUSE, np.add(HOUSE, (16, 0, 0))]))
-    assert find_building_extensions([(row, row), (moved(walls(6, 8, 4), 10), NONE)], CONFIG) == {}
 
 
 def test_a_part_keeps_the_beams_of_its_own_points():
@@ -443,10 +432,27 @@ def test_a_house_of_a_row_of_which_only_the_front_was_seen_has_a_row_of_its_own(
     both = ([row], apart) if taken_away else (apart, [row])
     matched = [decide_object(*both, Semantic.BUILDING, rules), decide_object(*lone, Semantic.BUILDING, rules)]
     assert matched[1].decision.change is (Change.REMOVED if taken_away else Change.ADDED)
-    told = join_building_extensions(matched, rules)
+    told = split_row_houses(join_building_extensions(matched, rules), rules)
     rows = [change for change in told if change.decision.change is matched[1].decision.change]
     assert len(rows) == int(own_row)
-    assert sum(len(c.before) + len(c.after) for c in told) == 4
+    kept = [sum(len(t.voxels) for c in found for t in (*c.before, *c.after)) for found in (matched, told)]
+    assert kept[0] == kept[1]
+
+
+@pytest.mark.parametrize("x", [0.0, 0.7, 200.3])
+@pytest.mark.parametrize(("gap", "wing"), [(2.0, True), (4.0, False)])
+def test_a_part_between_remains_of_a_house_is_a_wing_where_they_lie_closer_than_a_house_is_wide(gap, wing, x):
+    """Whether the remains are one house does not depend on where the origin of the coordinates lies."""
+    rest = np.concatenate([HOUSE, np.add(walls(4, 4, 5), (10 + gap, 0, 0))])
+    lost = np.add(walls(gap, 6, 5), (10, 0, 0))
+    rules = ObjectRules(MeasureConfig(), AssociationConfig(), DecisionConfig())
+    house, part = (
+        house_instance(np.add(xyz, (x, 0, 0)), number, held)
+        for number, (xyz, held) in enumerate(((rest, True), (lost, False)))
+    )
+    matched = [decide_object(*pair, Semantic.BUILDING, rules) for pair in (([house], [house]), ([part], []))]
+    told = split_row_houses(join_building_extensions(matched, rules), rules)
+    assert (Change.REMOVED in {change.decision.change for change in told}) == (not wing)
 
 
 def test_a_crown_beside_a_house_is_no_wing_and_a_roof_on_it_is_one():

@@ -6,70 +6,68 @@ import numpy as np
 import pytest
 from random_houses import Box, Sensor, Street, compare, survey
 
-from subiaco_change.decisions.column_volumes import ColumnChange
+from subiaco_change.decisions.voxel_objects import Voxels
 from subiaco_change.instance_splitting.merged_instances import changed_houses
 from subiaco_geo.codes import Change
 
 CELL, WIDTH, DEPTH = 0.5, 5.0, 9.0
-SEEN_DEPTH = 5.0  # of the roofs, as far as the street shows them
+VERANDAH = 2.0  # in front of all houses of a row [m]
 
 
-def columns(before, after, foot=4.0):
-    """Columns of a row of houses with flat roofs at these heights [m], and the places of its voxels."""
-    tops = [np.repeat(heights, round(WIDTH / CELL)) for heights in (before, after)]
-    change = tops[1] - tops[0]
-    across = np.arange(round(DEPTH / CELL)) * CELL < SEEN_DEPTH
-    grid = np.where(across[None, :], change[:, None], 0.0)
-    found = ColumnChange(
-        np.zeros(2),
-        np.eye(2),
-        CELL,
-        grid,
-        np.where(grid != 0, foot, np.inf),
-        np.stack([np.tile(top[:, None], (1, len(across))) for top in tops]),
+def roofs(tops):
+    """Voxels of a row along x: roofs of these heights in every slot [m], as far as a street shows them."""
+    x = (np.arange(len(tops)) + 0.5) * CELL
+    y = (np.arange(round(DEPTH / CELL)) + 0.5) * CELL
+    height = np.where(y[None, :] < VERANDAH, 1.9, np.asarray(tops)[:, None]).ravel()
+    xyz = np.column_stack([np.repeat(x, len(y)), np.tile(y, len(x)), height])
+    yes = np.ones(len(xyz), dtype=bool)
+    return Voxels(
+        np.zeros(len(xyz), dtype=int), xyz, np.tile([0.0, 0.0, 1.0], (len(xyz), 1)), height, *[yes] * 3
     )
-    places = np.stack(np.meshgrid(*(np.arange(n) for n in grid.shape), indexing="ij"), axis=-1).reshape(-1, 2)
-    return found, (places + 0.5) * CELL
 
 
+def row(heights):
+    return roofs(np.repeat(heights, round(WIDTH / CELL)))
+
+
+def changed(before, after):
+    """Which places of a row, numbered from 0, are of a changed house."""
+    xyz = np.concatenate([before.xyz, after.xyz])
+    house = changed_houses(before, after)[1]
+    return sorted(set((xyz[house > 0, 0] // WIDTH).astype(int).tolist()))
+
+
+@pytest.mark.parametrize("place", [0, 1, 2])
 @pytest.mark.parametrize("sign", [1, -1], ids=["built", "taken off"])
-def test_a_row_is_parted_at_the_walls_of_the_house_that_changed(sign):
-    found, xy = (
-        columns((4.0, 4.0, 4.0), (4.0, 6.8, 4.0)) if sign > 0 else columns((4.0, 6.8, 4.0), (4.0, 4.0, 4.0))
-    )
-    parts = changed_houses(found, xy)
-    assert (parts == (xy[:, 0] // WIDTH)).all()
+def test_a_row_is_parted_at_the_walls_of_the_house_that_changed(place, sign):
+    low, high = row((4.0, 4.0, 4.0)), row(np.where(np.arange(3) == place, 6.8, 4.0))
+    assert changed(*(low, high)[::sign]) == [place]
 
 
-def test_a_house_at_the_end_of_a_row_is_parted_from_it():
-    found, xy = columns((4.0, 4.0, 4.0), (4.0, 4.0, 6.8))
-    assert (changed_houses(found, xy) == (xy[:, 0] >= 2 * WIDTH)).all()
+def test_of_a_house_that_was_seen_to_its_front_alone_the_storey_shows_in_its_front():
+    """A lower verandah stands in front of it."""
+    before, after = row((4.0, 4.0, 4.0)), row((4.0, 6.8, 4.0))
+    front = [v.select((v.xyz[:, 0] // WIDTH != 1) | (v.xyz[:, 1] < VERANDAH + CELL)) for v in (before, after)]
+    assert changed(*front) == [1]
 
 
 @pytest.mark.parametrize(
-    ("before", "after", "foot"),
+    ("before", "after"),
     [
-        ((4.0, 4.0, 4.0), (6.8, 6.8, 6.8), 4.0),
-        ((4.0, 4.0, 4.0), (4.0, 4.9, 4.0), 4.0),
-        ((4.0, 4.0, 4.0), (5.5, 7.0, 5.5), 4.0),
-        ((4.0, 4.0, 4.0), (4.0, 6.8, 4.0), 0.5),
-        ((4.0, 4.0, 4.0), (4.0, 4.0, 4.0), 4.0),
+        ((4.0, 4.0, 4.0), (6.8, 6.8, 6.8)),
+        ((4.0, 4.0, 4.0), (4.0, 4.9, 4.0)),
+        ((4.0, 4.0, 4.0), (5.5, 7.0, 5.5)),
+        ((4.0, 4.0, 4.0), (4.0, 4.0, 4.0)),
     ],
-    ids=["all rose", "a roof made anew", "neighbours rose too", "from the ground", "nothing"],
+    ids=["all rose", "a roof made anew", "neighbours rose too", "nothing"],
 )
-def test_what_is_no_storey_of_one_house_parts_nothing(before, after, foot):
-    found, xy = columns(before, after, foot)
-    assert changed_houses(found, xy).max() == 0
+def test_what_is_no_storey_of_one_house_parts_nothing(before, after):
+    assert changed(row(before), row(after)) == []
 
 
 def test_an_upper_floor_that_ends_in_a_slope_belongs_to_the_house_below():
-    found, xy = columns((4.0, 4.0, 4.0), (4.0, 6.8, 4.0))
-    after = np.interp(np.arange(30) + 0.5, [0, 6, 13, 17, 24, 30], [4.0, 4.0, 6.8, 6.8, 4.0, 4.0])
-    tops = np.stack([np.full(30, 4.0), after])
-    sloped = np.repeat(tops[:, :, None], found.change.shape[1], axis=2)
-    change = np.where(found.change.any(axis=0)[None, :], (after - 4.0)[:, None], 0.0)
-    slope = ColumnChange(found.corner, found.turn, CELL, change, np.where(change > 0, 4.0, np.inf), sloped)
-    assert changed_houses(slope, xy).max() == 0
+    sloped = np.interp(np.arange(30) + 0.5, [0, 6, 13, 17, 24, 30], [4.0, 4.0, 6.8, 6.8, 4.0, 4.0])
+    assert changed(row((4.0, 4.0, 4.0)), roofs(sloped)) == []
 
 
 @cache

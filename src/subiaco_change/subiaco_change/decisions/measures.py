@@ -8,7 +8,7 @@ it is.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
@@ -19,7 +19,6 @@ from shapely.geometry.base import BaseGeometry
 
 from subiaco_change.decisions.column_volumes import (
     BUILT_UP,
-    ColumnChange,
     OpenGround,
     compare_volumes,
     exists_in_one_epoch,
@@ -138,7 +137,6 @@ class Measures:
     height_bounds: Interval | None = None
     volume_bounds: Interval | None = None
     free: float = 1.0
-    columns: ColumnChange | None = field(default=None, compare=False, repr=False)
     volume_resolution: float = 0.0
     gained_surface: float = 0.0
     lost_surface: float = 0.0
@@ -209,7 +207,6 @@ def _carved(
         volume=carved.whole,
         height_bounds=carved.height if both else None,
         volume_bounds=volume,
-        columns=carved.columns,
         volume_resolution=carved.resolution,
         gained_surface=carved.confirmed[0] * config.voxel**2,
         lost_surface=carved.confirmed[1] * config.voxel**2,

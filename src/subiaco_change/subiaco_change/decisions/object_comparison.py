@@ -86,9 +86,9 @@ def compare_objects(
     changes.extend(decide_object((t,), (), t.semantic, rules) for t in objects_before if t.is_part)
     changes.extend(decide_object((), (t,), t.semantic, rules) for t in objects_after if t.is_part)
     changes = split_multi_body_matches(part_hardly_overlapping(changes, rules), rules)
-    changes = split_row_houses(changes, rules)
+    changes = split_row_houses(join_building_extensions(changes, rules), rules)
     changes = split_hedge_segments(changes, rules)
-    changes = join_hidden_walls(join_building_extensions(changes, rules), rules)
+    changes = join_hidden_walls(changes, rules)
     return assign_fragments(changes, objects_before, objects_after, rules.association, tolerance)
 
 

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
-from subiaco_change.decisions.column_volumes import ColumnChange, body_tops
+from subiaco_change.decisions.column_volumes import body_tops
 from subiaco_change.decisions.config import CarvingConfig
 from subiaco_change.decisions.voxel_objects import Voxels
 from subiaco_change.method_numbers import NUMBERS
@@ -89,7 +89,6 @@ class Carved:
     volume: Interval
     height: Interval
     whole: float
-    columns: ColumnChange | None = None
     resolution: float = 0.0
     confirmed: tuple[int, int] = (0, 0)
 
@@ -182,13 +181,10 @@ def carve(before: CarvingEpoch, after: CarvingEpoch, config: CarvingConfig) -> C
     loss = _difference(states[1], states[0], before.voxels, frame, config)
     volume = Interval(gain.volume.low - loss.volume.high, gain.volume.high - loss.volume.low)
     old = states[0] if len(before.voxels) else states[1]
-    tops = np.stack([state.top for state in states])
-    grid = (frame.corner, frame.turn, frame.cell)
-    columns = ColumnChange.of(gain.cells, loss.cells, tops, frame.rise, grid)
     whole = _whole(old, both, gain.cells, frame)
     area = whole / max(float(old.top[old.top > 0].mean()), frame.rise) if (old.top > 0).any() else 0.0
     height, confirmed = _height(states, frame, config), (gain.confirmed, loss.confirmed)
-    return Carved(volume, height, whole, columns, 0.5 * frame.rise * area, confirmed)
+    return Carved(volume, height, whole, 0.5 * frame.rise * area, confirmed)
 
 
 def _frame(voxels: Voxels, config: CarvingConfig) -> _Frame:

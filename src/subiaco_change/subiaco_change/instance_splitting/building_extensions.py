@@ -16,12 +16,10 @@ from subiaco_change.geometry import in_box_around
 from subiaco_change.instance_splitting.one_epoch_parts import PartConfig
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import applies, first_argument, never, switchable
-from subiaco_change.segmentation.clustering import linked_components
 from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats
 
 _ROUND = NUMBERS.building_extensions.enclosing_share
-_SMALL = NUMBERS.building_extensions.least_house_share
 _CAR = NUMBERS.building_extensions.car_height
 _ROOM = NUMBERS.building_extensions.room_height
 _LEANS = NUMBERS.building_extensions.second_contact
@@ -40,7 +38,6 @@ _JOINT = NUMBERS.building_extensions.joint
 _FENCE = NUMBERS.building_extensions.fence_height
 _OPEN = NUMBERS.building_extensions.open_gap
 _FOOT = NUMBERS.building_extensions.foot
-_FRONT = NUMBERS.split_merge.house_front
 
 
 def find_building_extensions(
@@ -61,9 +58,8 @@ def find_building_extensions(
     -------
     dict
         An extension is as high as a room and touches its host; it is smaller than
-        ``subordinate`` of it and no half storey taller, or stands round it, and does not
-        stand between parts of it that would be apart without it: a house
-        pulled from a row was no extension. Nor is a house with an open gap beside it.
+        ``subordinate`` of it and no half storey taller, or stands round it. A house with an
+        open gap beside it is no extension.
     """
     known = list(pairs)
     extensions: dict[int, int] = {}
@@ -156,9 +152,8 @@ def _is_extension(
         return applies("part_as_large_as_building", stood)
     if _is_elevated(extension, body):
         return False
-    if _share_above(extension, other) < _BESIDE and not round_it and _is_taller(extension, body):
-        return False
-    return share < _SMALL or not any(_between(extension.xyz, side.xyz, config) for side in host if len(side))
+    beside_house = _share_above(extension, other) < _BESIDE and not round_it
+    return not (beside_house and _is_taller(extension, body))
 
 
 @switchable("smooth_extensions", never)
@@ -245,13 +240,3 @@ def _enclosed_volume(voxels: Voxels) -> float:
 
 def _top(voxels: Voxels) -> float:
     return float(np.quantile(voxels.height, 0.95))
-
-
-@switchable("house_out_of_row", never)
-def _between(extension: Floats, host: Floats, config: PartConfig) -> bool:
-    """Tell whether the extension touches parts of the host that lie as far apart as a house is wide."""
-    labels = linked_components(host[:, :2], _FRONT)
-    touching = np.isfinite(cKDTree(extension[:, :2]).query(host[:, :2], distance_upper_bound=config.touch)[0])
-    sizes = np.bincount(labels)
-    parts = [k for k in np.unique(labels[touching]) if sizes[k] >= 0.1 * len(host)]
-    return len(parts) > 1

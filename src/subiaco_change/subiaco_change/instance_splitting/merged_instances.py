@@ -1,42 +1,39 @@
 """Instances that are separate in one epoch and merged in the other, split in both; row houses above all.
 
-Row houses that the two epochs split at different walls are split at the walls that either epoch shows. A row
-of houses without steps is one instance. What was built on one of them ends at its party walls, in the carved
-difference of the two epochs, although neither its roof nor the walls below distinguish it from the others.
+Row houses that the two epochs split at different walls are split at the walls that either epoch shows. What
+joins them in one epoch alone, and a storey that one of them gained or lost, is a house of its own.
 """
 
 from __future__ import annotations
 
 from collections.abc import Sequence
+from itertools import combinations
 
 import numpy as np
 from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from subiaco_change.association.costs import AssociationConfig
-from subiaco_change.decisions.column_volumes import ColumnChange, column_keys
-from subiaco_change.decisions.voxel_objects import ObjectInstance, join_voxels
+from subiaco_change.decisions.column_volumes import column_keys
+from subiaco_change.decisions.voxel_objects import ObjectInstance, Voxels, join_voxels
 from subiaco_change.instance_splitting.one_epoch_parts import PartConfig, split_by_labels
 from subiaco_change.method_numbers import NUMBERS
-from subiaco_change.method_rules.switches import one_part, switchable
 from subiaco_change.segmentation.bounding_rectangles import wall_coordinates
 from subiaco_change.segmentation.clustering import connect, group_indices, voxel_clusters
 from subiaco_change.segmentation.ground_model import Mask
-from subiaco_change.segmentation.object_rows import ProfileConfig, level_steps, part_slots
 from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats, Ints
 
 _CELL = NUMBERS.merged_instances.cell
 _COLUMN = NUMBERS.rows_of_houses.cell
 _SHARED = NUMBERS.rows_of_houses.shared_columns
-_SHOWN = NUMBERS.rows_of_houses.columns_across
+_STOREY = NUMBERS.rows_of_houses.new_storey
+_FRONT = NUMBERS.rows_of_houses.house_front
+_WIDTH = round(_FRONT / _COLUMN)
 _ROOM = NUMBERS.storeys.room_height
 _GAP = NUMBERS.storeys.unseen_gap
-_THROUGH = NUMBERS.storeys.depth_share
 _SAME = NUMBERS.storeys.same_top
 _ALIKE = NUMBERS.storeys.neighbour_share
-_NEAR = NUMBERS.storeys.wall_slots
-_WALL = NUMBERS.storeys.step_height
 
 #: The objects of *before* and of *after* that are one piece.
 Piece = tuple[tuple[ObjectInstance, ...], tuple[ObjectInstance, ...]]
@@ -129,31 +126,77 @@ def separate_bodies(
     return [[large[k] for k in group] for group in group_indices(joined)]
 
 
-_STOREY = ProfileConfig(step=NUMBERS.rows_of_houses.new_storey)  # tops that rose by less got a new roof
+def group_row_houses(
+    pieces: Sequence[Piece], claimed: Sequence[bool], config: AssociationConfig
+) -> list[list[int]]:
+    """Group matches (positions) into rows of houses.
 
+    Parameters
+    ----------
+    pieces : sequence of Piece
+        Buildings in both epochs.
+    claimed : sequence of bool
+        Which of them are new or gone.
+    config : AssociationConfig
 
-def group_row_houses(pieces: Sequence[Piece], config: AssociationConfig) -> list[list[int]]:
-    """Group matches (positions) of which a house of one lies in a house of another; each group a row."""
-    first, second = (
+    Returns
+    -------
+    list of list of int
+        A house of one match lies in a house of another; or both adjoin in one epoch and stand a house apart
+        in the other one; or what is new or gone adjoins both.
+    """
+    columns = [
         [
-            (k, _columns(body))
+            (k, np.unique(column_keys(join_voxels(body).xyz, _COLUMN)))
             for k, piece in enumerate(pieces)
+            if not claimed[k]
             for body in separate_bodies(piece[epoch], config)
+            if body
         ]
         for epoch in (0, 1)
-    )
+    ]
     links = [
         (k, m)
-        for k, one in first
-        for m, two in second
+        for k, one in columns[0]
+        for m, two in columns[1]
         if k != m and len(np.intersect1d(one, two)) > _SHARED * min(len(one), len(two))
     ]
+    links.extend(_rows_of_one_epoch([(_tall(b), _tall(a)) for b, a in pieces], config.parts.gap))
     joined = connect(len(pieces), np.array(links, dtype=np.int64).reshape(-1, 2))
     return [group.tolist() for group in group_indices(joined)]
 
 
-def _columns(objects: Sequence[ObjectInstance]) -> Ints:
-    return np.unique(column_keys(join_voxels(objects).xyz, _COLUMN))
+def _rows_of_one_epoch(places: Sequence[tuple[Floats, Floats]], gap: float) -> list[tuple[int, int]]:
+    """Links (positions) between buildings with places (N, 2) in both epochs that one epoch has in one row.
+
+    They adjoin in one epoch and stand a house apart in the other one, or what one epoch has adjoins both.
+    """
+    both = [k for k, sides in enumerate(places) if all(map(len, sides))]
+    links = []
+    for k, m in combinations(both, 2):
+        apart = [_distance(one, other) for one, other in zip(places[k], places[m], strict=True)]
+        if min(apart) <= gap and max(apart) >= _FRONT:
+            links.append((k, m))
+    for k, sides in enumerate(places):
+        epoch = 0 if len(sides[0]) else 1
+        if len(sides[epoch]) and not len(sides[1 - epoch]):
+            beside = [m for m in both if _distance(sides[epoch], places[m][epoch]) <= gap]
+            links.extend((k, m) for m in beside if len(beside) > 1)
+    return links
+
+
+def _tall(objects: Sequence[ObjectInstance]) -> Floats:
+    """Places (N, 2) of what is higher than a room: no fence joins two houses."""
+    voxels = join_voxels(objects)
+    return voxels.xyz[voxels.height >= _ROOM, :2]
+
+
+def _distance(one: Floats, other: Floats) -> float:
+    """Smallest distance between places (N, 2) and (M, 2) [m], or that of their boxes where it is large."""
+    apart = np.maximum(one.min(axis=0) - other.max(axis=0), other.min(axis=0) - one.max(axis=0))
+    if apart.max() >= _FRONT:
+        return float(apart.max())
+    return float(cKDTree(one).query(other)[0].min())
 
 
 def split_at_walls(
@@ -162,7 +205,7 @@ def split_at_walls(
     config: AssociationConfig,
     following: int,
 ) -> list[Piece]:
-    """Divide a row at the walls that either epoch shows, and where its tops rose or fell by a storey.
+    """Divide a row at the walls that either epoch shows, and where its houses changed.
 
     A house that was taken from a row, or built into its gap, is a part of its own, without a partner.
 
@@ -177,47 +220,31 @@ def split_at_walls(
     sides = (tuple(before), tuple(after))
     voxels = [join_voxels(side) for side in sides]
     xy = np.concatenate([v.xyz[:, :2] for v in voxels])
-    labels = _moved(voxels[0].xyz, voxels[1].xyz, xy)
-    alone = _alone(xy, voxels[0].xyz, voxels[1].xyz)
+    labels, house = changed_houses(*voxels)
     for side in sides:
         bodies = [body for body in separate_bodies(side, config) if body] or [list(side)]
         owner = np.repeat(np.arange(len(bodies)), [sum(len(t.voxels) for t in body) for body in bodies])
         places = np.concatenate([t.voxels.xyz[:, :2] for body in bodies for t in body])
         labels = labels * len(bodies) + owner[cKDTree(places).query(xy)[1]]
-    labels = np.where(alone > 0, labels.max() + alone, labels)
-    return _pieces(sides, xy, labels, config, following)
+    labels = np.where(house > 0, labels.max() + house, labels)
+    return _pieces(sides, xy, labels, house > 0, config, following)
 
 
-def _whole_row(before: Sequence[ObjectInstance], after: Sequence[ObjectInstance], *_: object) -> list[Piece]:
-    """Return a row as one piece."""
-    return [(tuple(before), tuple(after))]
-
-
-@switchable("storeys_of_row_houses", _whole_row)
-def split_at_changed_storeys(
-    before: Sequence[ObjectInstance],
-    after: Sequence[ObjectInstance],
-    columns: ColumnChange,
-    config: AssociationConfig,
-    following: int,
+def _pieces(
+    sides: Piece, xy: Floats, labels: Ints, changed: Mask, config: AssociationConfig, following: int
 ) -> list[Piece]:
-    """Divide a row where a storey was built on one of its houses, or taken off; arguments as for houses_of.
+    """Divide objects of both epochs by labels (N,) of their voxels (N, 2); small parts join others.
 
-    The storey shows in its walls although no survey sees its roof.
+    A ``changed`` (N,) house is as wide as a house, however few its voxels.
     """
-    sides = (tuple(before), tuple(after))
-    xy = np.concatenate([join_voxels(side).xyz[:, :2] for side in sides])
-    return _pieces(sides, xy, changed_houses(columns, xy), config, following)
-
-
-def _pieces(sides: Piece, xy: Floats, labels: Ints, config: AssociationConfig, following: int) -> list[Piece]:
-    """Divide objects of both epochs by labels (N,) of their voxels (N, 2); small parts join others."""
     labels = np.unique(labels, return_inverse=True)[1]
-    large = np.bincount(labels) >= config.apart * len(xy)
+    size, moved = np.bincount(labels), np.bincount(labels, changed) > 0
+    large = np.where(moved, size >= config.parts.points, size >= config.apart * len(xy))
     if np.count_nonzero(large) < 2:
         return [sides]
     kept = large[labels]
-    labels = labels[kept][cKDTree(xy[kept]).query(xy)[1]]
+    whole = kept & ~moved[labels] if (large & ~moved).any() else kept
+    labels = np.where(kept, labels, labels[whole][cKDTree(xy[whole]).query(xy)[1]])
     labels = np.unique(labels, return_inverse=True)[1]
     found: list[tuple[list[ObjectInstance], list[ObjectInstance]]] = [
         ([], []) for _ in range(labels.max() + 1)
@@ -232,127 +259,90 @@ def _pieces(sides: Piece, xy: Floats, labels: Ints, config: AssociationConfig, f
     return [(tuple(b), tuple(a)) for b, a in found]
 
 
-def _moved(before: Floats, after: Floats, xy: Floats) -> Ints:
-    """Part (N,) of places (N, 2) along the walls of a row whose tops (B, 3), (A, 3) moved by a storey."""
-    slot, tops = _tops(before, after, xy)
-    rise = tops[1] - tops[0]
-    labels = np.zeros(len(xy), dtype=np.int64)
-    for axis in (0, 1):
-        profile = _profile(rise if axis == 0 else rise.T)
-        parts = part_slots(slot[:, axis], level_steps(profile, _STOREY), _STOREY)
-        labels = labels * (int(parts.max()) + 1) + parts
-    return labels
+def changed_houses(before: Voxels, after: Voxels) -> tuple[Ints, Ints]:
+    """Return which stretch of a row its voxels (N,) lie in, and which changed house they are of, 0 for none.
 
-
-@switchable("row_house_of_one_epoch", one_part)
-def _alone(xy: Floats, before: Floats, after: Floats) -> Ints:
-    """Return which stretch of a row, from 1, that one epoch alone holds places (N, 2) lie in; 0 for none.
-
-    A stretch is as long as a house and lies between two; in it the one epoch shows columns across the row and
-    the other none.
+    A house was removed, is new, or rose or fell by a storey, beside houses of the row that did not. Of the
+    party walls beside it, what only one epoch has is of that house.
     """
-    slot, tops = _tops(before, after, xy)
+    xyz = np.concatenate([before.xyz, after.xyz])
+    tall = np.concatenate([before.height, after.height]) >= _ROOM
+    epoch = np.repeat([0, 1], [len(before), len(after)])
+    alone = ~np.concatenate([before.occupied_in_other, after.occupied_in_other])
+    slot, tops = _tops(xyz, epoch, tall)
     shown = np.isfinite(tops)
-    found = np.zeros(len(xy), dtype=np.int64)
+    shared = np.where(shown.all(axis=0), tops, np.nan)  # of a roof each epoch may see another part
+    stretches, house = np.zeros(len(xyz), dtype=np.int64), np.zeros(len(xyz), dtype=np.int64)
     for axis in (0, 1):
-        across = shown.sum(axis=2 - axis)
-        for own, other in (across, across[::-1]):
-            stretch = _gaps((own >= _SHOWN) & (other == 0), np.minimum(own, other) >= _SHOWN)[slot[:, axis]]
-            found = np.where((found == 0) & (stretch > 0), found.max() + stretch, found)
-    return found
+        place = slot[:, axis]
+        across, highest = shown.sum(axis=2 - axis), np.fmax.reduce(shared, axis=2 - axis)
+        gaps = [(run, alone & (epoch == e)) for e in (0, 1) for run in _gaps(across[e], across[1 - e])]
+        storeys = [(run, alone | _within(place, *run)) for run in _storeys(highest[1] - highest[0])]
+        for (begin, end), own in (*gaps, *storeys):
+            house[own & _within(place, begin - 1, end + 1) & (house == 0)] = house.max() + 1
+        cuts = np.sort([cut for run, _ in (*gaps, *storeys) for cut in run])
+        stretches = stretches * (len(cuts) + 1) + np.searchsorted(cuts, place, side="right")
+    return stretches, house
 
 
-def _gaps(alone: Mask, shared: Mask) -> Ints:
-    """Return numbers (S,), from 1, of stretches of one epoch alone between houses that both epochs share.
+def _within(slot: Ints, begin: int, end: int) -> Mask:
+    return (slot >= begin) & (slot < end)
 
-    At the end of a row this kind of stretch may be a wing of the last house.
+
+def _storeys(rise: Floats) -> list[tuple[int, int]]:
+    """First slot and end of every house of a row that rose or fell beside one that did not.
+
+    ``rise`` (S,): rise of the tops along the row [m], NaN where nothing was seen in both epochs.
     """
-    width = round(_STOREY.width / _COLUMN)
-    numbers, count = ndimage.label(alone)
-    gaps = np.zeros(len(alone), dtype=np.int64)
-    for number in range(1, count + 1):
-        inside = np.flatnonzero(numbers == number)
-        sides = shared[max(inside[0] - width, 0) : inside[0]], shared[inside[-1] + 1 : inside[-1] + 1 + width]
-        if len(inside) >= width and all(2 * np.count_nonzero(side) >= width for side in sides):
-            gaps[inside] = number
+    gap = round(_GAP / _COLUMN)
+    unseen, same = np.isnan(rise), np.abs(rise) < _SAME
+    houses = []
+    for moved in (rise >= _STOREY, rise <= -_STOREY):
+        closed = ndimage.binary_closing(np.pad(moved, gap + 1), np.ones(gap + 1))[gap + 1 : -gap - 1]
+        for begin, end in _runs(moved | (closed & unseen)):
+            beside = same[max(begin - _WIDTH, 0) : begin][::-1], same[end : end + _WIDTH]
+            if any(_is_neighbour(side) for side in beside):
+                houses.append((begin, end))
+    return houses
+
+
+def _is_neighbour(same: Mask) -> bool:
+    """Tell whether the slots beside a changed house, the nearest first, are of a house that did not change.
+
+    The tops of one house of which a part was built upon may fall slowly; a party wall is a sudden step.
+    """
+    return bool(same[:2].any() and np.count_nonzero(same) >= _ALIKE * _WIDTH)
+
+
+def _gaps(own: Ints, other: Ints) -> list[tuple[int, int]]:
+    """First slot and end of every gap of the other epoch, between houses of both, that the own epoch fills.
+
+    ``own``, ``other`` (S,): columns across the row that an epoch shows in every slot. At the end of a row a
+    stretch of one epoch may be a wing of the last house.
+    """
+    shared = (own > 0) & (other > 0)
+    gaps = []
+    for begin, end in _runs(other == 0):
+        beside = shared[max(begin - _WIDTH, 0) : begin], shared[end : end + _WIDTH]
+        filled = 2 * np.count_nonzero(own[begin:end]) >= end - begin
+        if filled and all(2 * np.count_nonzero(side) >= _WIDTH for side in beside):
+            gaps.append((begin, end))
     return gaps
 
 
-def _tops(before: Floats, after: Floats, xy: Floats) -> tuple[Ints, Floats]:
-    """Columns (N, 2) along the walls of places (N, 2), and tops (2, nx, ny) of both epochs; NaN for none."""
-    turned = wall_coordinates(xy)
+def _runs(slots: Mask) -> list[tuple[int, int]]:
+    """First slot and end of every run of slots (S,) that is as long as a house is wide."""
+    edges = np.flatnonzero(np.diff(np.pad(slots, 1).astype(np.int8)))
+    return [(b, e) for b, e in edges.reshape(-1, 2).tolist() if e - b >= _WIDTH]
+
+
+def _tops(xyz: Floats, epoch: Ints, counted: Mask) -> tuple[Ints, Floats]:
+    """Columns (N, 2) along the walls of places (N, 3), and tops (2, nx, ny) of both epochs; NaN for none.
+
+    ``counted`` (N,): places that tops are taken of.
+    """
+    turned = wall_coordinates(xyz[:, :2])
     slot = np.floor((turned - turned.min(axis=0)) / _COLUMN).astype(np.int64)
     tops = np.full((2, *(slot.max(axis=0) + 1).tolist()), np.nan)
-    for top, xyz, own in zip(tops, (before, after), np.split(slot, [len(before)]), strict=True):
-        np.fmax.at(top, (own[:, 0], own[:, 1]), xyz[:, 2])
+    np.fmax.at(tops, (epoch[counted], slot[counted, 0], slot[counted, 1]), xyz[counted, 2])
     return slot, tops
-
-
-def _profile(rise: Floats) -> Floats:
-    """Median rise along a row, across it, above the lowest top of a house; none where too little shows."""
-    shown = np.isfinite(rise).sum(axis=1) >= _SHOWN
-    profile = np.zeros(len(rise))
-    profile[shown] = np.nanmedian(rise[shown], axis=1)
-    return np.asarray(profile - profile.min() + _STOREY.lowest + 1.0)
-
-
-def changed_houses(found: ColumnChange, xy: Floats) -> Ints:
-    """Part (N,) of places (N, 2) [m] in a row: its houses whose storeys changed, and what lies between.
-
-    A cut lies where a change through the row ends, a wall rises in the epoch that has the storey, and the
-    neighbour beyond has the same tops in both. Without that neighbour, or with a slope between, it is one
-    house of which a part was built on.
-    """
-    slot = found.slots(xy)
-    labels = np.zeros(len(xy), dtype=np.int64)
-    for axis in (0, 1):
-        first, last = np.quantile(slot[:, axis], [0.005, 0.995]).astype(np.int64)
-        depth = float(np.ptp(np.quantile(slot[:, 1 - axis], [0.005, 0.995]))) + 1.0
-        tops = found.tops.max(axis=2 - axis)
-        cuts = set()
-        for sign in (1, -1):
-            taller = tops[1] if sign > 0 else tops[0]
-            for begin, end in _runs(found, axis, sign, depth):
-                cuts |= {_wall(taller, begin), len(taller) - _wall(taller[::-1], len(taller) - end)}
-        kept = np.sort(
-            [cut for cut in cuts if _neighbour(tops[:, first : last + 1], cut - first, found.cell)]
-        )
-        labels = labels * (len(kept) + 1) + np.searchsorted(kept, slot[:, axis], side="right")
-    return labels
-
-
-def _wall(tops: Floats, begin: int) -> int:
-    """Slot near the begin of a run at which tops (slots,) rise most; 0 where they rise by no wall."""
-    places = np.arange(max(begin - _NEAR, 2), min(begin + _NEAR, len(tops) - 2) + 1)
-    rises = [float(tops[k : k + 2].min() - tops[k - 2 : k].max()) for k in places.tolist()]
-    return int(places[int(np.argmax(rises))]) if rises and max(rises) >= _WALL else 0
-
-
-def _neighbour(tops: Floats, cut: int, cell: float) -> bool:
-    """Tell whether one side of a cut is a house whose tops (2, slots) are the same in both epochs."""
-    width = round(_STOREY.width / cell)
-    if min(cut, tops.shape[1] - cut) < width:
-        return False
-    same = (tops > 0).all(axis=0) & (np.abs(tops[1] - tops[0]) < _SAME)
-    return bool(max(same[cut - width : cut].mean(), same[cut : cut + width].mean()) >= _ALIKE)
-
-
-def _runs(found: ColumnChange, axis: int, sign: int, depth: float) -> list[tuple[int, int]]:
-    """First slot and end of every stretch along an axis whose columns rose, or fell, by a storey."""
-    amount = np.where(found.foot >= _ROOM, np.maximum(sign * found.change, 0.0), 0.0)
-    amount = amount if axis == 0 else amount.T
-    changed: Mask = np.count_nonzero(amount, axis=1) >= _SHOWN
-    gap = round(_GAP / found.cell)
-    closed = ndimage.binary_closing(np.pad(changed, gap + 1), np.ones(gap + 1))[gap + 1 : -gap - 1]
-    numbers, count = ndimage.label(closed)
-    runs = []
-    for number in range(1, count + 1):
-        inside = np.flatnonzero(numbers == number)
-        across = np.flatnonzero(amount[inside].any(axis=0))
-        if (
-            len(inside) * found.cell >= _STOREY.width
-            and amount[inside].max() >= _STOREY.step
-            and across[-1] + 1 - across[0] >= _THROUGH * depth
-        ):
-            runs.append((int(inside[0]), int(inside[-1]) + 1))
-    return runs

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import replace
 
@@ -11,7 +12,6 @@ from scipy.spatial import cKDTree
 
 from subiaco_change.association.costs import AssociationConfig, overlap_counts
 from subiaco_change.association.matching import match_kind
-from subiaco_change.decisions.measures import Measures, measure
 from subiaco_change.decisions.object_decision import ObjectChange, ObjectRules, decide_object
 from subiaco_change.decisions.plant_decisions import decide_plant
 from subiaco_change.decisions.vegetation_null import no_null
@@ -21,20 +21,18 @@ from subiaco_change.instance_splitting.hedge_sections import HedgeSection, chang
 from subiaco_change.instance_splitting.merged_instances import (
     Piece,
     group_row_houses,
-    split_at_changed_storeys,
     split_at_walls,
     split_by_bodies,
 )
 from subiaco_change.instance_splitting.one_epoch_parts import split_by_labels
 from subiaco_change.method_numbers import NUMBERS
-from subiaco_change.method_rules.switches import applies, first_argument, never, no_decision, switchable
+from subiaco_change.method_rules.switches import applies, first_argument, no_decision, switchable
 from subiaco_geo.codes import Change, Semantic
 
 _WHOLE = NUMBERS.split_merge.whole_share
 _WALL = NUMBERS.split_merge.wall_reach
 _WITHIN = NUMBERS.split_merge.inside_share
 _HARDLY = NUMBERS.split_merge.least_observed
-_FRONT = NUMBERS.split_merge.house_front
 _SINGLE = (Change.ADDED, Change.REMOVED)
 _CLAIMS = (Change.ADDED, Change.REMOVED, Change.INCREASED, Change.DECREASED)
 
@@ -115,8 +113,7 @@ def _extended(
     """Decide a building with its extensions.
 
     An extension that closes the gap to the next house makes one instance of both. Where the other epoch holds
-    the houses apart, the extension belongs to the one that it adjoins the most. If neither changed by it, an
-    extension as wide as a house was a house of the row.
+    the houses apart, the extension belongs to the one that it adjoins the most.
     """
     pieces = [(extension.before, extension.after) for extension in extensions]
     bodies = split_by_bodies(host.before, host.after, rules.association, following)
@@ -130,9 +127,6 @@ def _extended(
         ]
         if any(part.decision.change in _CLAIMS for part in parts):
             return parts
-        rows = [e for e, c in zip(extensions, contacts, strict=True) if _is_house_of_row(e, c, bodies)]
-        pieces = [(e.before, e.after) for e in extensions if e not in rows]
-        return [_decide_together([(host.before, host.after), *pieces], rules), *rows]
     return [_decide_together([(host.before, host.after), *pieces], rules)]
 
 
@@ -148,22 +142,6 @@ def _contacts(piece: Piece, bodies: Sequence[Piece], touch: float) -> list[int]:
         near = cKDTree(join_voxels(body[without]).xyz).query(xyz, distance_upper_bound=touch)[0]
         contact.append(int(np.count_nonzero(np.isfinite(near))))
     return contact
-
-
-@switchable("house_between_houses", never)
-def _is_house_of_row(extension: ObjectChange, contact: Sequence[int], bodies: Sequence[Piece]) -> bool:
-    """Tell a house that was taken from a row, or built into it, from a wing in the gap between two houses.
-
-    The epoch that holds it saw it fill the gap from house to house, as wide as a house is.
-    """
-    if extension.decision.change not in _SINGLE or np.count_nonzero(contact) < 2:
-        return False
-    without = 0 if extension.after else 1
-    nearest = np.argsort(contact)[-2:]
-    first, second = (join_voxels(bodies[k][without]).xyz[:, :2].mean(axis=0) for k in nearest)
-    along = (second - first) / max(float(np.linalg.norm(second - first)), 1e-9)
-    xy = join_voxels((*extension.before, *extension.after)).xyz[:, :2]
-    return float(np.ptp(xy @ along)) >= _FRONT
 
 
 def _decide_together(pieces: Sequence[Piece], rules: ObjectRules) -> ObjectChange:
@@ -273,28 +251,26 @@ def split_row_houses(changes: Sequence[ObjectChange], rules: ObjectRules) -> lis
     """Decide the houses of a row one by one where they fared differently, parted as either epoch shows."""
     if rules.association.parts.points == 0:
         return list(changes)
-    numbers = [
-        i
-        for i, change in enumerate(changes)
-        if change.semantic is Semantic.BUILDING
-        and change.decision.change not in (Change.ADDED, Change.REMOVED)  # stands, or stood, by itself
-    ]
+    numbers = [i for i, change in enumerate(changes) if change.semantic is Semantic.BUILDING]
+    pieces = [(changes[i].before, changes[i].after) for i in numbers]
+    claimed = [changes[i].decision.change in _SINGLE for i in numbers]
     following = _first_free(changes)
     told: dict[int, list[ObjectChange]] = {i: [change] for i, change in enumerate(changes)}
-    for row in group_row_houses([(changes[i].before, changes[i].after) for i in numbers], rules.association):
+    for row in group_row_houses(pieces, claimed, rules.association):
         members = [numbers[k] for k in row]
         before, after = ([t for i in members for t in getattr(changes[i], e)] for e in ("before", "after"))
         if not before or not after:
             continue
-        columns = _measured([changes[i] for i in members], rules).columns
-        ways = [split_at_walls(before, after, rules.association, following)]
-        if columns is not None:
-            ways.append(split_at_changed_storeys(before, after, columns, rules.association, following))
-        parts = next((parts for parts in (_fared(way, rules) for way in ways) if parts), [])
-        if parts:
+        parts = _fared(split_at_walls(before, after, rules.association, following), rules)
+        if parts and _labels(parts) != _labels([changes[i] for i in members]):
             following += sum(len(p.before) + len(p.after) for p in parts)
             told |= {i: [] for i in members} | {members[0]: parts}
     return [change for some in told.values() for change in some]
+
+
+def _labels(changes: Sequence[ObjectChange]) -> Counter[Change]:
+    """Count the labels of rows."""
+    return Counter(change.decision.change for change in changes)
 
 
 def _fared(pieces: Sequence[Piece], rules: ObjectRules) -> list[ObjectChange]:
@@ -309,16 +285,6 @@ def _fared(pieces: Sequence[Piece], rules: ObjectRules) -> list[ObjectChange]:
         return []
     labels = {part.decision.change for part in parts}
     return parts if len(labels) > 1 and not labels.isdisjoint(_CLAIMS) else []
-
-
-def _measured(members: Sequence[ObjectChange], rules: ObjectRules) -> Measures:
-    """Measure the members of a row together."""
-    if len(members) == 1:
-        return members[0].measures
-    before, after = (
-        join_voxels([t for m in members for t in getattr(m, epoch)]) for epoch in ("before", "after")
-    )
-    return measure(before, after, rules.measures, rules.ground, building=True)
 
 
 @switchable("hedge_sections", first_argument)

@@ -86,14 +86,11 @@ class RowsOfHousesNumbers(StrictModel):
         1.5, description="Rise of a top from which a storey was added [m]; a smaller rise is a new roof"
     )
     cell: float = Field(0.5, description="Edge of the columns in which houses of a row are compared [m]")
+    house_front: float = Field(3.0, description="Smallest width of a house of a row [m]")
     shared_columns: float = Field(
         0.2,
         description="Fraction of the columns of a house that lie in a house of the other epoch from which "
         "both overlap",
-    )
-    columns_across: int = Field(
-        3,
-        description="Number of columns across a row of houses that must show a house, or its change",
     )
 
 
@@ -116,10 +113,6 @@ class SplitMergeNumbers(StrictModel):
     least_observed: float = Field(
         0.5,
         description="Observed fraction below which a part of a building gets no row of its own",
-    )
-    house_front: float = Field(
-        3.0,
-        description="Width of a gap between two houses from which its filling is a house, not a wing [m]",
     )
 
 

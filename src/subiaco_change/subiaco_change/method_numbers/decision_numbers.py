@@ -28,10 +28,6 @@ class BuildingExtensionsNumbers(StrictModel):
         description="Fraction of its outline that touches a building from which a part of any size "
         "encloses the building",
     )
-    least_house_share: float = Field(
-        0.1,
-        description="Fraction of the footprint of its building below which a part is no house of its own",
-    )
     car_height: float = Field(2.3, description="Largest height of a car [m]")
     fence_height: float = Field(
         2.0, description="Largest height above ground of a fence between two lots [m]"
@@ -524,30 +520,16 @@ class StoreysNumbers(StrictModel):
     """Numbers of ``instance_splitting/merged_instances.py``."""
 
     room_height: float = Field(
-        2.0,
-        description="Height of the underside above which a new part is a storey, not an extension [m]",
+        2.0, description="Height from which an object in a row of houses is a house, not a fence [m]"
     )
     unseen_gap: float = Field(
         1.0,
         description="Longest stretch without observation within the change of one house [m]",
     )
-    depth_share: float = Field(
-        1 / 3,
-        description="Fraction of the depth of a row of houses through which the change of a house must reach",
-    )
     same_top: float = Field(0.75, description="Largest height difference of tops that did not change [m]")
     neighbour_share: float = Field(
         0.8,
-        description="Fraction of the length of the neighbour along which its tops must be the same",
-    )
-    wall_slots: int = Field(
-        2,
-        description="Number of slots between the carved end of a change and the wall at which the change "
-        "ends",
-    )
-    step_height: float = Field(
-        1.0,
-        description="Height difference between neighbours from which a wall shows above the lower roof [m]",
+        description="Fraction of the width of a house along which the tops of its neighbour must be the same",
     )
 
 

@@ -315,33 +315,16 @@ SPLITTING_RULES: tuple[Rule, ...] = (
     Rule(
         "row_houses_at_walls",
         _HERE,
-        "A row of houses is split at the walls that either epoch shows, where its houses changed"
-        " differently.",
+        "A row of houses is split at the walls that either epoch shows, and where one of its houses was"
+        " removed, is new, or rose or fell by a storey, where its houses changed differently.",
         (
             "method_numbers.rows_of_houses.new_storey",
             "method_numbers.rows_of_houses.shared_columns",
-            "method_numbers.rows_of_houses.columns_across",
-        ),
-    ),
-    Rule(
-        "row_house_of_one_epoch",
-        _HERE,
-        "A stretch of a row as long as a house that one epoch alone shows between two houses is a house.",
-    ),
-    Rule(
-        "storeys_of_row_houses",
-        _HERE,
-        "A storey built on one house of a row ends at its party walls, and splits the row there.",
-        (
-            "method_numbers.rows_of_houses.new_storey",
+            "method_numbers.rows_of_houses.house_front",
             "method_numbers.storeys.room_height",
-            "method_numbers.rows_of_houses.columns_across",
             "method_numbers.storeys.unseen_gap",
-            "method_numbers.storeys.depth_share",
             "method_numbers.storeys.same_top",
             "method_numbers.storeys.neighbour_share",
-            "method_numbers.storeys.wall_slots",
-            "method_numbers.storeys.step_height",
         ),
     ),
     Rule(
@@ -430,19 +413,6 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         _HERE,
         "A part half a storey taller than a building beside it is another house.",
         ("method_numbers.building_extensions.half_storey",),
-    ),
-    Rule(
-        "house_out_of_row",
-        _HERE,
-        "A part between parts of a building that lie as far apart without it as a house is wide was a house "
-        "of the row.",
-        ("method_numbers.building_extensions.least_house_share", "method_numbers.split_merge.house_front"),
-    ),
-    Rule(
-        "house_between_houses",
-        _HERE,
-        "What fills a gap as wide as a house between two houses that did not change is a house of the row.",
-        ("method_numbers.split_merge.house_front",),
     ),
     Rule(
         "rear_of_extension",

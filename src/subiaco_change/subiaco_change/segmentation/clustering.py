@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from itertools import combinations, pairwise
+from itertools import pairwise
 
 import numba
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import Delaunay
 
 from subiaco_geo.clouds import stable_order, voxel_indices, voxel_keys
 from subiaco_geo.frames import Floats, Ints
@@ -85,22 +84,6 @@ def _components(count: int, pairs: Ints) -> Ints:
     for node in range(count):
         parent[node] = parent[parent[node]]
     return parent
-
-
-def linked_components(xy: Floats, reach: float) -> Ints:
-    """Label points (N, 2) by connected components: points within reach [m] of each other are connected.
-
-    Wherever the origin lies, in contrast to cells. The shortest links of all components are edges of the
-    Delaunay triangulation.
-    """
-    places, place = np.unique(xy, axis=0, return_inverse=True)
-    if len(places) < 4:
-        edges = np.array(list(combinations(range(len(places)), 2)), dtype=np.int64).reshape(-1, 2)
-    else:
-        corners = Delaunay(places - places[0], qhull_options="QJ Qbb Qc").simplices.astype(np.int64)
-        edges = np.concatenate([corners[:, [0, 1]], corners[:, [1, 2]], corners[:, [2, 0]]])
-    near = np.linalg.norm(places[edges[:, 0]] - places[edges[:, 1]], axis=1) <= reach
-    return connect(len(places), edges[near])[place.ravel()]
 
 
 def cell_clusters(xy: Floats, cell: float) -> Ints:
