@@ -228,7 +228,7 @@ def hides_no_ground(
     reason = (
         f"The object has {filled:.1f} times as many points as the ground beside it on the same area (limit"
         f" {_FILLED:g}), its own survey saw {beneath:.0%} of the ground beneath (limit {_HIDES_NOTHING:.0%}),"
-        " and the cloud has no counts of beams: it may be the ghost trail of a vehicle, and nothing is claimed."
+        " and the cloud has no counts of beams: it may be a ghost trail, and nothing is claimed."
     )
     return Decision(Change.UNOBSERVED, reason, 0.0)
 

@@ -229,7 +229,7 @@ class DynamicObjectsNumbers(StrictModel):
     )
     ground_unhidden: float = Field(
         0.9,
-        description="The same fraction from which the object hid nothing, and nothing is claimed; parked cars "
+        description="The same fraction from which the object hid nothing, nothing is claimed; parked cars "
         "of simulated streets stay below 0.89",
     )
     footprint_cell: float = Field(
