@@ -229,8 +229,8 @@ class DynamicObjectsNumbers(StrictModel):
     )
     ground_unhidden: float = Field(
         0.9,
-        description="The same fraction from which the object hid nothing, nothing is claimed; parked cars "
-        "of simulated streets stay below 0.89",
+        description="Density of the ground points beneath an object of few points, as a fraction of that "
+        "beside it, from which nothing is claimed of the object; parked cars of simulated streets stay below",
     )
     footprint_cell: float = Field(
         0.5, description="Edge of the cells in which points of an object and of the ground are counted [m]"
