@@ -218,11 +218,9 @@ def hides_no_ground(
 
     Whatever stands hides some of the ground beneath it, even a car with clearance that was seen from afar.
     """
-    if own is None or own.ground is None or semantic is Semantic.BUILDING:
+    if semantic is Semantic.BUILDING:
         return None
-    if not fits_a_vehicle(objects, rules):
-        return None
-    filled, beneath = _opacity(np.concatenate([t.xyz for t in objects])[:, :2], own.ground.data)
+    filled, beneath = _fill_and_ground(objects, own, rules)
     if not (filled < _FILLED and beneath >= _HIDES_NOTHING):
         return None
     reason = (
@@ -251,11 +249,9 @@ def doubt_of_porous(
     the ground beside. Traffic was elsewhere while most beams came: they met the ground in its place. A car of
     which one side was seen from afar looks alike, so the object is claimed with a low confidence.
     """
-    if own is None or own.ground is None or semantic not in (Semantic.VEGETATION, Semantic.OTHER):
+    if semantic not in (Semantic.VEGETATION, Semantic.OTHER):
         return ""
-    if not fits_a_vehicle(objects, rules):
-        return ""
-    filled, beneath = _opacity(np.concatenate([t.xyz for t in objects])[:, :2], own.ground.data)
+    filled, beneath = _fill_and_ground(objects, own, rules)
     if not (filled < _FILLED and beneath >= _SEEN_BENEATH):
         return ""
     return (
@@ -264,6 +260,15 @@ def doubt_of_porous(
         " cloud has no counts of beams: it may be the ghost trail of a vehicle, and the confidence is"
         " lowered."
     )
+
+
+def _fill_and_ground(
+    objects: Sequence[ObjectInstance], own: OwnEpochEvidence | None, rules: DecisionConfig
+) -> tuple[float, float]:
+    """Return :func:`_opacity` of what may be a vehicle; NaN for others and where beams were counted."""
+    if own is None or own.ground is None or not fits_a_vehicle(objects, rules):
+        return float("nan"), float("nan")
+    return _opacity(np.concatenate([t.xyz for t in objects])[:, :2], own.ground.data)
 
 
 def _opacity(xy: Floats, ground: Floats) -> tuple[float, float]:

@@ -101,7 +101,7 @@ def _undivided(obj: ObjectInstance, owner: Ints, built: Ints, config: PartConfig
 
 
 def _along(obj: ObjectInstance, owner: Ints, following: int) -> list[tuple[int, ObjectInstance]]:
-    """Divide an instance by the body (M,) that its voxels belong to."""
+    """Divide an instance by the numbers (M,) of its voxels: number and piece of each part."""
     numbers, labels = np.unique(owner, return_inverse=True)
     return list(zip(numbers.tolist(), split_by_labels(obj, labels, following), strict=True))
 
@@ -252,10 +252,10 @@ def _pieces(
     for epoch, side in enumerate(sides):
         for obj in side:
             own, labels = labels[: len(obj.voxels)], labels[len(obj.voxels) :]
-            numbers, part = np.unique(own, return_inverse=True)
-            for number, piece in zip(numbers.tolist(), split_by_labels(obj, part, following), strict=True):
+            parts = _along(obj, own, following)
+            for number, piece in parts:
                 found[number][epoch].append(piece)
-            following += len(numbers)
+            following += len(parts)
     return [(tuple(b), tuple(a)) for b, a in found]
 
 
