@@ -17,16 +17,16 @@ from __future__ import annotations
 import argparse
 import sys
 import tarfile
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "integration"))
 
-from bench_static_pairs import PARTS, map_part, write_sweeps
-from real_data import KittiScans, read_kitti
-from real_occlusion import into_sweep
+from bench_static_pairs import PARTS, ShortDrive, map_part, write_sweeps
+from real_data import KittiScans
+from real_occlusion import FilledScans
 from real_street import Found, Placed, common_area, find_ground, fuse, look_up, place_objects, read_objects
 from real_street import false_alarms as alarms_of
 
@@ -34,12 +34,11 @@ from subiaco_bringup.cli.main import run
 from subiaco_change.config import ChangeConfig
 from subiaco_change.pipeline import detect_changes
 from subiaco_geo.codes import Change
-from subiaco_geo.frames import Floats, invert_pose, make_pose, transform_points
+from subiaco_geo.frames import Floats, invert_pose, transform_points
 from subiaco_geo.maps import read_map
 from subiaco_geo.survey_map import SurveyMap
 
 TALL = 1.0  # least height of an object that counts [m]
-BEAMS = 30  # least beams that met it
 RADIUS = 5.0  # largest radius of an object that may fit into the street [m]
 
 
@@ -73,14 +72,9 @@ def filled_map(
 ) -> tuple[SurveyMap, list[Placed]]:
     """Map the odd sweeps with objects in them; return the map and what of each object beams met."""
     which = PARTS["odd"].scans
-    points: list[list[Floats]] = [[] for _ in objects]
-    sweeps = []
-    for i in which:
-        xyz, intensity = scans.scan(i)
-        sweep = into_sweep(xyz, intensity, objects, poses[i], seed + i)
-        sweeps.append((i, sweep.xyz, sweep.intensity))
-        for number, rows in enumerate(sweep.met):
-            points[number].append(transform_points(poses[i], sweep.xyz[rows]))
+    tall = {item.name: np.ptp(item.xyz[:, 2]) > TALL for item in objects}
+    filled = FilledScans(scans, poses, objects, seed)
+    sweeps = [(i, *filled.scan(i)) for i in which]
     if not (folder / "map" / "map.yaml").exists():
         folder.mkdir(parents=True, exist_ok=True)
         write_sweeps(sweeps, folder / "bag")
@@ -90,11 +84,10 @@ def filled_map(
     survey = read_map(folder / "map")
     assert survey.trajectory is not None
     T_map_reference = survey.trajectory.poses[0] @ invert_pose(poses[which[0]])
-    seen = [np.concatenate(some) for some in points]
     return survey, [
-        Placed(item.name, item.kind, transform_points(T_map_reference, xyz))
-        for item, xyz in zip(objects, seen, strict=True)
-        if len(xyz) >= BEAMS and np.ptp(item.xyz[:, 2]) > TALL
+        replace(item, xyz=transform_points(T_map_reference, item.xyz))
+        for item in filled.met()
+        if tall[item.name]
     ]
 
 
@@ -126,14 +119,12 @@ def main() -> None:
     parser.add_argument("--rows", action="store_true", help="print every object and every false claim")
     words = parser.parse_args()
     words.output.mkdir(parents=True, exist_ok=True)
-    scans = read_kitti(words.data / "kitti_scans")
-    rows = np.loadtxt(words.data / "kitti_scans" / "kiss_icp_reference_poses.txt").reshape(-1, 3, 4)
-    poses = make_pose(rows[:, :, :3], rows[:, :, 3])
+    drive = ShortDrive(words.data)
     archive = words.data / "dales_objects" / "dales_objects_even.tar.gz"
-    placed = place(scans, poses, archive, words.objects, words.seed)
-    plain = map_part(scans, "even", words.output)
+    placed = place(drive.scans, drive.poses, archive, words.objects, words.seed)
+    plain = map_part(drive, "even", words.output)
     folder = words.output / f"objects_{words.objects}_{words.seed}"
-    street = Street(plain, *filled_map(scans, poses, placed, folder, words.seed))
+    street = Street(plain, *filled_map(drive.scans, drive.poses, placed, folder, words.seed))
     table = ["| objects | found | of | false claims | on 1000 m2 |", "|---|---|---|---|---|"]
     for change, name in ((Change.ADDED, "put there"), (Change.REMOVED, "taken out")):
         found, alarms, area = compare(street, change)

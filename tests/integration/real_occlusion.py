@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
+from real_data import KittiScans
 from real_street import Placed
 from scipy.spatial import cKDTree
 
@@ -15,6 +16,7 @@ from subiaco_geo.frames import Floats, invert_pose, transform_points
 SPLAT = 0.20  # half the size of a point of an object at the leaf of 0.25 m [m]
 REACH = 60.0
 NOISE = 0.02  # of a range [m]
+BEAMS = 30  # least beams that met an object that counts
 
 
 @dataclass(frozen=True)
@@ -24,6 +26,30 @@ class Sweep:
     xyz: Floats
     intensity: NDArray[np.float32]
     met: list[NDArray[np.int64]]
+
+
+class FilledScans:
+    """Scans at poses (N, 4, 4) with objects in them; remembers what the beams met of each object."""
+
+    def __init__(self, scans: KittiScans, poses: Floats, objects: Sequence[Placed], seed: int) -> None:
+        self._scans, self._poses, self._objects, self._seed = scans, poses, objects, seed
+        self._met: list[list[Floats]] = [[] for _ in objects]
+
+    def scan(self, i: int) -> tuple[Floats, NDArray[np.float32]]:
+        """Return the points (N, 3) of a scan in the frame of the scanner [m], and their intensities (N,)."""
+        sweep = into_sweep(*self._scans.scan(i), self._objects, self._poses[i], self._seed + i)
+        for points, rows in zip(self._met, sweep.met, strict=True):
+            points.append(transform_points(self._poses[i], sweep.xyz[rows]))
+        return sweep.xyz, sweep.intensity
+
+    def met(self) -> list[Placed]:
+        """Return what the scans read so far met of each object, in the map, of those met often enough."""
+        seen = [np.concatenate([np.zeros((0, 3)), *points]) for points in self._met]
+        return [
+            Placed(item.name, item.kind, xyz)
+            for item, xyz in zip(self._objects, seen, strict=True)
+            if len(xyz) >= BEAMS
+        ]
 
 
 def into_sweep(
