@@ -115,6 +115,19 @@ def test_what_is_left_of_a_large_object_is_that_object_however_small():
     assert matches([large], [left]) == [((0,), (0,), "one_to_one")]
 
 
+@pytest.mark.parametrize("swapped", [False, True])
+def test_of_an_object_that_was_hidden_for_the_most_part_the_places_count_that_were_seen(swapped):
+    """What is left of a house was inside it: the earlier survey saw the place of its front alone."""
+    row, left = block(0, 0, 0, 24, 0.5, 3), block(0, 0, 0, 8, 12, 3)
+    front = left.voxels.xyz[:, 1] < 0.5
+    hidden = replace(left, voxels=replace(left.voxels, observed=front, occupied_in_other=front))
+    for rest, found in (
+        (hidden, [((0,), (0,), "one_to_one")]),
+        (left, [((), (0,), "none"), ((0,), (), "none")]),
+    ):
+        assert matches(*(([rest], [row]) if swapped else ([row], [rest]))) == found
+
+
 @pytest.mark.parametrize(("rise", "phi"), [(0.0, 0.30), (0.25, 0.05), (0.5, 0.0)])
 def test_phi_is_what_the_separation_stays_under_the_level_of_detection(rise, phi):
     flat = replace(block(0, 0, 0, 6, 6, 0.5), lod=0.3)

@@ -130,9 +130,13 @@ def _contained(
     counts: Sparse,
     config: AssociationConfig,
 ) -> Sparse:
-    """Mark which of a few objects lie mostly inside which of a few of the other epoch."""
+    """Mark which of a few objects lie mostly inside which of a few of the other epoch.
+
+    Places that the other epoch did not observe say nothing: of what is left of a house that was partly
+    demolished most was hidden inside.
+    """
     inside = counts[list(own), :][:, list(other)].tocoo()
-    sizes = np.array([len(objects[i].voxels) for i in own], dtype=np.float64)
+    sizes = np.array([np.count_nonzero(objects[i].voxels.observed) for i in own], dtype=np.float64)
     mostly = inside.data > config.contained * sizes[inside.row]
     where = (inside.row[mostly], inside.col[mostly])
     return coo_array((np.ones(int(mostly.sum())), where), shape=inside.shape).tocsr()
