@@ -166,6 +166,15 @@ def test_a_house_that_touches_its_neighbour_with_a_corner_alone_is_no_wing():
         assert bool(find_building_extensions([house, (beside, NONE)], CONFIG)) == wing
 
 
+def test_a_wing_in_the_gap_between_two_houses_belongs_to_the_one_that_it_touches():
+    """More of its places are in reach of the neighbour, at half a metre, than of its own house, at none."""
+    wing = voxels(np.add(walls(6, 6, 4), (10.0, 0.0, 0.0)))
+    own, neighbour = (voxels(np.add(HOUSE, place)) for place in ((0.0, -6.5, 0.0), (16.5, -6.0, 0.0)))
+    for pair in ((NONE, wing), (wing, NONE)):
+        assert find_building_extensions([(neighbour, neighbour), (own, own), pair], CONFIG) == {2: 1}
+        assert find_building_extensions([(own, own), (neighbour, neighbour), pair], CONFIG) == {2: 0}
+
+
 def open_between(left, right):
     """Ground that both epochs saw between two walls."""
     return OpenGround(NO_COLUMNS, NO_COLUMNS, (lambda p: (p[:, 0] > left) & (p[:, 0] < right),) * 2)

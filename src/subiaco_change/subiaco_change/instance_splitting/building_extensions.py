@@ -113,7 +113,10 @@ def _touching_extensions(
     config: PartConfig,
     apart: Callable[[int, int], bool],
 ) -> dict[int, int]:
-    """Map extensions that touch their hosts, less those that are taken; houses apart do not touch."""
+    """Map extensions to the hosts that they touch most closely, less those that are taken.
+
+    Houses apart do not touch. A wing that fills the gap between two houses comes near both.
+    """
     hosts = [i for i, pair in enumerate(pairs) if all(map(len, pair)) and max(_top(v) for v in pair) >= _ROOM]
     extensions: dict[int, int] = {}
     for number, pair in enumerate(pairs):
@@ -121,11 +124,12 @@ def _touching_extensions(
         if number in taken or len(pair[1 - epoch]) or not len(pair[epoch]):
             continue
         extension = pair[epoch].xyz
-        contact = [_contact(extension, pairs[i][epoch].xyz, config) for i in hosts]
-        contact = [n and (0 if apart(number, i) else n) for n, i in zip(contact, hosts, strict=True)]
+        gaps = [_gaps(extension, pairs[i][epoch].xyz, config) for i in hosts]
+        gaps = [g[:0] if len(g) and apart(number, i) else g for g, i in zip(gaps, hosts, strict=True)]
+        contact = [len(g) for g in gaps]
         if not contact or max(contact) == 0:
             continue
-        host = hosts[int(np.argmax(contact))]
+        host = hosts[int(np.argmax([(config.touch - g).sum() for g in gaps]))]
         if _is_extension(pair[epoch], pairs[host], epoch, contact, config):
             extensions[number] = host
     return extensions
@@ -225,11 +229,13 @@ def _share_above(extension: Voxels, host: Voxels) -> float:
     return float(shapely.contains_xy(outline, extension.xyz[:, 0], extension.xyz[:, 1]).mean())
 
 
-def _contact(extension: Floats, host: Floats, config: PartConfig) -> int:
+def _gaps(extension: Floats, host: Floats, config: PartConfig) -> Floats:
+    """Return how far the places of an extension that touch a host lie from it, seen from above (M,) [m]."""
     near = extension[in_box_around(extension[:, :2], host[:, :2], config.touch), :2]
     if len(near) == 0:
-        return 0
-    return int(np.isfinite(cKDTree(host[:, :2]).query(near, distance_upper_bound=config.touch)[0]).sum())
+        return np.zeros(0)
+    distance = cKDTree(host[:, :2]).query(near, distance_upper_bound=config.touch)[0]
+    return np.asarray(distance[np.isfinite(distance)])
 
 
 def _enclosed_volume(voxels: Voxels) -> float:
