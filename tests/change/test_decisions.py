@@ -21,6 +21,10 @@ CONFIG = DecisionConfig()
 
 
 def label(semantic=Semantic.BUILDING, lod=0.03, before=True, after=True, **changes):
+    return decided(semantic, lod, before, after, **changes).change
+
+
+def decided(semantic=Semantic.BUILDING, lod=0.03, before=True, after=True, **changes):
     """Decide with just enough surface, new or gone as volume or height say, to carry a change."""
     rules = CONFIG.vegetation if semantic is Semantic.VEGETATION else CONFIG.building
     way = changes.get("delta_v", 0.0) or changes.get("delta_h", 0.0)
@@ -30,7 +34,7 @@ def label(semantic=Semantic.BUILDING, lod=0.03, before=True, after=True, **chang
     changes.setdefault(
         "delta_v", 5.0 * np.sign(changes.get("delta_h", 0.0))
     )  # what a change of height carries
-    return decide(semantic, before, after, replace(SAME, **changes), lod, CONFIG).change
+    return decide(semantic, before, after, replace(SAME, **changes), lod, CONFIG)
 
 
 @pytest.mark.parametrize(
@@ -44,7 +48,7 @@ def label(semantic=Semantic.BUILDING, lod=0.03, before=True, after=True, **chang
         ({"delta_v": -10.1}, Change.DECREASED),
         ({"delta_h": 0.6, "delta_v": -20.0}, Change.DECREASED),
         ({"delta_h": -0.6, "delta_v": 20.0}, Change.INCREASED),
-        ({"delta_h": 3.0, "iou": 0.10}, Change.UNCHANGED),
+        ({"delta_h": 3.0, "iou": 0.10}, Change.UNCHANGED),  # no bounds say what became of it
     ],
 )
 def test_buildings_follow_the_table(changes, expected):
@@ -124,8 +128,25 @@ def test_walls_seen_free_on_both_sides_tell_the_sign_of_a_change_of_volume_unles
     assert told(enough, nearer=-1.0) is Change.UNCHANGED
     assert told(enough, height=(-1.3, 0.05)) is Change.UNCHANGED
     assert told(enough, height=(-0.1, 1.5)) is Change.UNCHANGED  # the roof was not seen
-    assert told(enough, resolution=2.0) is Change.UNCHANGED  # -1 to 42 % is stated
+    assert told(enough, resolution=2.0) is found  # -1 to 42 % is stated, and the surface beside it
     assert told(enough, height=(0.1, 0.4), resolution=2.0) is found
+
+
+def test_a_label_that_rests_on_surfaces_says_so():
+    bounds = {"height_bounds": Interval(-0.1, 0.1), "volume_bounds": Interval(1.0, 40.0)}
+    reason = decided(**bounds, gained_surface=6.0).reason
+    assert "6 m² of new walls and roofs lie where the earlier survey saw free space on both sides" in reason
+    turned = {"height_bounds": Interval(-0.1, 0.1), "volume_bounds": Interval(-40.0, -1.0)}
+    assert "6 m² of former walls and roofs lie where the later" in decided(**turned, lost_surface=6.0).reason
+    sure = {"height_bounds": Interval(-0.1, 0.1), "volume_bounds": Interval(20.0, 40.0)}
+    assert "walls and roofs" not in decided(**sure, gained_surface=6.0).reason
+
+
+def test_a_building_of_which_both_surveys_share_nothing_is_decided_by_its_bounds():
+    lost = {"height_bounds": Interval(-2.7, 0.0), "volume_bounds": Interval(-60.0, -15.0)}
+    assert label(iou=0.0, **lost) is Change.DECREASED
+    unknown = {"height_bounds": Interval(float("nan"), float("nan")), "volume_bounds": Interval(-60.0, -15.0)}
+    assert label(iou=0.0, **unknown) is Change.UNCHANGED
 
 
 def test_an_interval_that_straddles_its_limit_says_so_and_costs_confidence():

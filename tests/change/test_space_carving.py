@@ -305,3 +305,16 @@ def test_a_small_new_roof_has_a_volume_at_whatever_height_within_a_cell_it_lies(
     before = CarvingEpoch(voxels(), lambda xyz: np.ones(len(xyz), dtype=bool), nothing_met)
     assert len(places) == CONFIG.support
     assert carve(before, after, CONFIG).volume.low == pytest.approx(1.5 * height, abs=1.5 * 0.3)
+
+
+@pytest.mark.parametrize(("tall", "told"), [(TALL, True), (1.5, False)], ids=["a wing", "a fence"])
+def test_new_surfaces_tell_the_sign_where_they_are_as_high_as_a_room(tall, told):
+    """Both stand where the other survey saw free space on both sides."""
+    new = voxels(sheet((LENGTH, 1, 0), (LENGTH + 4, 1 + CELL, tall)), occupied_in_other=False)
+    new = replace(new, free_space_confirmed=np.ones(len(new), dtype=bool))
+    old = voxels(*house())
+    open_ = inside(((LENGTH, -20, 0), (LENGTH + 20, 20, 20)))
+    epochs = CarvingEpoch(old, open_, nothing_met), CarvingEpoch(old.add(new), nowhere, nothing_met)
+    assert (carve(*epochs, CONFIG).confirmed[0] > 0) == told
+    assert (carve(*epochs[::-1], CONFIG).confirmed[1] > 0) == told
+    assert carve(*epochs, CONFIG).confirmed[1] == 0

@@ -75,7 +75,7 @@ def _compare(
 ) -> Decision:
     """Decide a building or a plant that stands in both epochs."""
     rules = config.building if semantic is Semantic.BUILDING else config.vegetation
-    if measures.iou <= rules.min_iou:
+    if measures.iou <= rules.min_iou and not _is_bounded(semantic, measures):
         return Decision(
             Change.UNCHANGED,
             f"The 3D overlap {measures.iou:.2f} does not exceed the limit of {rules.min_iou:.2f}:"
@@ -89,6 +89,12 @@ def _compare(
         return Decision(Change.UNOBSERVED, NO_LEVEL, 0.0)
     by_class = _building if semantic is Semantic.BUILDING else _by_measures
     return by_class(measures, gate, rules)
+
+
+def _is_bounded(semantic: Semantic, measures: Measures) -> bool:
+    """Tell whether the bounds of a building say what became of it, however little both epochs share."""
+    bounds = measures.height_bounds
+    return semantic is Semantic.BUILDING and bounds is not None and math.isfinite(bounds.low)
 
 
 def _enough_seen(measures: Measures, config: DecisionConfig) -> bool:
@@ -220,9 +226,8 @@ def _building(measures: Measures, gate: float, rules: ClassRules) -> Decision:
         Interval(volume.low / room, volume.high / room),
     )
     known = math.isfinite(height.low)
-    least = measures.volume_resolution / room
-    up = _rise(*bounds, measures.gained_surface if known else 0.0, least, rules)
-    down = _rise(-bounds[0], -bounds[1], measures.lost_surface if known else 0.0, least, rules)
+    up = _rise(*bounds, measures.gained_surface if known else 0.0, rules)
+    down = _rise(-bounds[0], -bounds[1], measures.lost_surface if known else 0.0, rules)
     evidence = f"Height change {_span(height)} (limit {limit:.2f} m), volume change"
     stated = volume.widened(measures.volume_resolution)
     evidence += f" {stated.low / whole:+z.0%} to {stated.high / whole:+z.0%} (limit {rules.volume:.0%}): "
@@ -237,7 +242,12 @@ def _building(measures: Measures, gate: float, rules: ClassRules) -> Decision:
     change = Change.INCREASED if rising else Change.DECREASED
     turned = bounds if rising else tuple(-bound for bound in bounds)
     part = "a whole" if any(bound.low > 1.0 for bound in turned) else "the middle of an"
-    evidence += f"{part} interval exceeds its limit: the building {'grew' if rising else 'shrank'}."
+    evidence += f"{part} interval exceeds its limit"
+    if all(bound.low < rules.certain for bound in turned):
+        surface = measures.gained_surface if rising else measures.lost_surface
+        evidence += f", and {surface:.0f} m² of {'new' if rising else 'former'} walls and roofs lie where the"
+        evidence += f" {'earlier' if rising else 'later'} survey saw free space on both sides"
+    evidence += f": the building {'grew' if rising else 'shrank'}."
     return Decision(change, evidence, up if rising else down, _sigmas(turned))
 
 
@@ -247,18 +257,16 @@ def _span(height: Interval) -> str:
     return f"{height.low:+z.2f} to {height.high:+z.2f} m" if known else "not known"
 
 
-def _rise(height: Interval, volume: Interval, surface: float, least: float, rules: ClassRules) -> float:
+def _rise(height: Interval, volume: Interval, surface: float, rules: ClassRules) -> float:
     """Return by how much a rise of a building is met; that of its height needs volume that carries it.
 
     Where one epoch saw little of a house, the columns that both know may be of its neighbours. ``surface`` is
     the area of the surfaces of what was built on that the other epoch would have met [m2]: it tells the sign,
-    unless the height says the opposite, or is not known to its limit, so that unseen roofs decide, or neither
-    the height nor the volume, the resolution ``least`` included, is sure to have risen.
+    unless the height says the opposite, or is not known to its limit, so that unseen roofs decide.
     """
     unsupported = applies("volume_supports_height", volume.high < rules.height_volume)
     known = height.middle > -_OPPOSED and height.high - height.low <= 2.0
-    risen = height.low > 0.0 or volume.low >= least
-    shown = surface >= rules.sign_surface and known and risen
+    shown = surface >= rules.sign_surface and known
     nearer = 0.0 if applies("sign_by_surface", shown) else rules.certain
     return max(0.0 if unsupported else _beyond(height, rules.certain), _beyond(volume, nearer))
 

@@ -364,7 +364,7 @@ def _difference(
     """
     solid = new.solid | _behind_new_walls(old, new, frame, config)
     number, count = ndimage.label(old.free & solid, _TOUCHING)
-    kinds = (voxels.observed_unoccupied, ~voxels.occupied_in_other, voxels.free_space_confirmed)
+    kinds = (voxels.observed_unoccupied, ~voxels.occupied_in_other, _of_rooms(voxels, new, frame, config))
     part = _parts_of(voxels, number, frame)
     observed, alone, confirmed = (np.bincount(part[kind], minlength=count + 1) for kind in kinds)
     supported = _supported(observed, config)
@@ -376,6 +376,15 @@ def _difference(
     reach = ndimage.binary_propagation(_patches(changed, config), _TOUCHING, changed | maybe)
     volume = Interval(float(sure.sum()) * frame.volume, float(reach.sum()) * frame.volume)
     return _Difference(volume, sure, int(confirmed[supported].sum()))
+
+
+def _of_rooms(voxels: Voxels, state: _State, frame: _Frame, config: CarvingConfig) -> Mask:
+    """Tell which voxels (M,) were seen free on both sides and stand in columns as high as a room.
+
+    Fences and hedges that touch a house are lower.
+    """
+    slot = frame.slots(voxels.xyz[:, :2])
+    return np.asarray(voxels.free_space_confirmed & (state.top[slot[:, 0], slot[:, 1]] >= config.room))
 
 
 def _parts_of(voxels: Voxels, number: Ints, frame: _Frame) -> Ints:
