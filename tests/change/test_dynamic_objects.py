@@ -21,6 +21,7 @@ from subiaco_change.decisions.dynamic_objects import (
     limit_confidence,
     may_be_a_person,
     own_epoch_evidence,
+    shows_no_side,
 )
 from subiaco_change.decisions.rules import Decision
 from subiaco_change.decisions.voxel_objects import OTHERS, EpochView, ObjectInstance
@@ -345,6 +346,38 @@ def test_what_has_few_points_and_hides_none_of_the_ground_is_not_claimed(
     assert (decision is not None and decision.change is Change.UNOBSERVED) == seen_through
     counted = OwnEpochEvidence(nowhere, NOWHERE)
     assert hides_no_ground(scattered(fill, top), semantic, counted, RULES) is None
+
+
+@pytest.mark.parametrize(
+    ("fill", "top", "semantic", "hidden", "told"),
+    [
+        (0.8, 3.6, Semantic.VEGETATION, 0.2, True),
+        (0.8, 3.6, Semantic.MOBILE, 0.2, True),
+        (2.5, 3.6, Semantic.MOBILE, 0.2, False),
+        (0.8, 3.6, Semantic.MOBILE, 0.4, False),
+        (1.3, 1.5, Semantic.MOBILE, 0.2, False),
+        (0.8, 3.6, Semantic.BUILDING, 0.2, False),
+        (0.8, 8.0, Semantic.VEGETATION, 0.2, False),
+    ],
+    ids=[
+        "a trail of a bus",
+        "the same",
+        "a lorry",
+        "a lorry of which little was seen",
+        "a car",
+        "a wall",
+        "a crown",
+    ],
+)
+def test_what_has_fewer_points_than_one_of_its_sides_on_ground_that_was_seen_is_not_claimed(
+    fill, top, semantic, hidden, told
+):
+    beneath = ((ASPHALT[:, 0] > 0) & (ASPHALT[:, 0] < 6 * hidden)) & (np.abs(ASPHALT[:, 1] - 0.9) < 0.9)
+    own = OwnEpochEvidence(nowhere, NOWHERE, ground=cKDTree(ASPHALT[~beneath]))
+    decision = shows_no_side(scattered(fill, top), semantic, own, RULES)
+    assert (decision is not None and decision.change is Change.UNOBSERVED) == told
+    counted = OwnEpochEvidence(nowhere, NOWHERE)
+    assert shows_no_side(scattered(fill, top), semantic, counted, RULES) is None
 
 
 def test_a_planted_row_that_hides_the_ground_is_no_person():

@@ -7,6 +7,7 @@ than a voxel or ends below the sensor, so that a hedge lets by as many as the tr
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
@@ -53,6 +54,8 @@ _PERSON_FOOT = NUMBERS.dynamic_objects.person_foot
 _SEEN_BENEATH = NUMBERS.dynamic_objects.ground_beneath
 _FILLED = NUMBERS.dynamic_objects.opaque_points
 _HIDES_NOTHING = NUMBERS.dynamic_objects.ground_unhidden
+_SIDE = NUMBERS.dynamic_objects.side_points
+_SHOWN_BENEATH = NUMBERS.dynamic_objects.ground_shown
 _CELL = NUMBERS.dynamic_objects.footprint_cell
 _RING = NUMBERS.dynamic_objects.ring_cells
 _WALKED = NUMBERS.dynamic_objects.walked_length
@@ -220,13 +223,40 @@ def hides_no_ground(
     """
     if semantic is Semantic.BUILDING:
         return None
-    filled, beneath = _fill_and_ground(objects, own, rules)
-    if not (filled < _FILLED and beneath >= _HIDES_NOTHING):
+    found = _opacity(objects, own, rules)
+    if not (found.filled < _FILLED and found.beneath >= _HIDES_NOTHING):
         return None
     reason = (
-        f"The object has {filled:.1f} times as many points as the ground beside it on the same area (limit"
-        f" {_FILLED:g}), its own survey saw {beneath:.0%} of the ground beneath (limit {_HIDES_NOTHING:.0%}),"
-        " and the cloud has no counts of beams: it may be a ghost trail, and nothing is claimed."
+        f"The object has {found.filled:.1f} times as many points as the ground beside it on the same area"
+        f" (limit {_FILLED:g}), its own survey saw {found.beneath:.0%} of the ground beneath (limit"
+        f" {_HIDES_NOTHING:.0%}), and the cloud has no counts of beams: it may be a ghost trail, and nothing"
+        " is claimed."
+    )
+    return Decision(Change.UNOBSERVED, reason, 0.0)
+
+
+@switchable("shows_no_side", no_decision)
+def shows_no_side(
+    objects: Sequence[ObjectInstance],
+    semantic: Semantic,
+    own: OwnEpochEvidence | None,
+    rules: DecisionConfig,
+) -> Decision | None:
+    """Tell what has fewer points than one of its sides would have, on ground that was seen.
+
+    A standing object shows at least the side that faces the sensor, and beams meet an upright surface more
+    closely than the ground beside it. Of what passed, a few sweeps met a part here and a part there.
+    """
+    if semantic is Semantic.BUILDING:
+        return None
+    found = _opacity(objects, own, rules)
+    if not (found.side < _SIDE and found.beneath >= _SHOWN_BENEATH):
+        return None
+    reason = (
+        f"The object has {found.side:.1f} times as many points as the ground beside it has on an area as"
+        f" large as a side of the object (limit {_SIDE:g}), its own survey saw {found.beneath:.0%} of the"
+        f" ground beneath (limit {_SHOWN_BENEATH:.0%}), and the cloud has no counts of beams: it may be a"
+        " ghost trail, and nothing is claimed."
     )
     return Decision(Change.UNOBSERVED, reason, 0.0)
 
@@ -251,31 +281,43 @@ def doubt_of_porous(
     """
     if semantic not in (Semantic.VEGETATION, Semantic.OTHER):
         return ""
-    filled, beneath = _fill_and_ground(objects, own, rules)
-    if not (filled < _FILLED and beneath >= _SEEN_BENEATH):
+    found = _opacity(objects, own, rules)
+    if not (found.filled < _FILLED and found.beneath >= _SEEN_BENEATH):
         return ""
     return (
-        f"The object has {filled:.1f} times as many points as the ground beside it on the same area (limit"
-        f" {_FILLED:g}), {beneath:.0%} of the ground beneath was seen (limit {_SEEN_BENEATH:.0%}), and the"
-        " cloud has no counts of beams: it may be the ghost trail of a vehicle, and the confidence is"
-        " lowered."
+        f"The object has {found.filled:.1f} times as many points as the ground beside it on the same area"
+        f" (limit {_FILLED:g}), {found.beneath:.0%} of the ground beneath was seen (limit"
+        f" {_SEEN_BENEATH:.0%}), and the cloud has no counts of beams: it may be the ghost trail of a"
+        " vehicle, and the confidence is lowered."
     )
 
 
-def _fill_and_ground(
-    objects: Sequence[ObjectInstance], own: OwnEpochEvidence | None, rules: DecisionConfig
-) -> tuple[float, float]:
-    """Return :func:`_opacity` of what may be a vehicle; NaN for others and where beams were counted."""
-    if own is None or own.ground is None or not fits_a_vehicle(objects, rules):
-        return float("nan"), float("nan")
-    return _opacity(np.concatenate([t.xyz for t in objects])[:, :2], own.ground.data)
+@dataclass(frozen=True)
+class _Opacity:
+    """How an object stands out from the ground beside it; NaN where that is not known.
 
-
-def _opacity(xy: Floats, ground: Floats) -> tuple[float, float]:
-    """Points (N, 2) of an object, and ground points beneath it, as fractions of those expected on its area.
-
-    Expected are as many as the ground points (G, 2) in the cells around; NaN where there are too few.
+    ``filled`` and ``beneath``: points of the object, and ground points beneath it, over the ground points on
+    an area as large as its footprint. ``side``: points of the object over those on an area as large as its
+    longer side.
     """
+
+    filled: float = math.nan
+    beneath: float = math.nan
+    side: float = math.nan
+
+
+def _opacity(
+    objects: Sequence[ObjectInstance], own: OwnEpochEvidence | None, rules: DecisionConfig
+) -> _Opacity:
+    """Measure what may be a vehicle in a cloud without counts of beams."""
+    if own is None or own.ground is None or not fits_a_vehicle(objects, rules):
+        return _Opacity()
+    return _beside_ground(np.concatenate([t.xyz for t in objects]), own.ground.data)
+
+
+def _beside_ground(xyz: Floats, ground: Floats) -> _Opacity:
+    """Compare points (N, 3) of an object with the ground points (G, 2) in the cells around."""
+    xy = xyz[:, :2]
     low = np.floor(xy.min(axis=0) / _CELL).astype(np.int64) - 2 * _RING
     shape = np.floor(xy.max(axis=0) / _CELL).astype(np.int64) - low + 2 * _RING + 1
     near = ground[in_box_around(ground, xy, 2 * _RING * _CELL)]
@@ -292,9 +334,12 @@ def _opacity(xy: Floats, ground: Floats) -> tuple[float, float]:
     beside &= ~ndimage.binary_dilation(footprint, block)
     known = counts[1][beside & (counts[1] > 0)]
     if len(known) < _RING:
-        return float("nan"), float("nan")
-    expected = float(np.median(known)) * np.count_nonzero(footprint)
-    return len(xy) / expected, float(counts[1][footprint].sum()) / expected
+        return _Opacity()
+    usual = float(np.median(known))
+    expected = usual * np.count_nonzero(footprint)
+    bottom, top = np.quantile(xyz[:, 2], [0.025, 0.975])
+    side = usual / _CELL**2 * max(_strip(xy)[0], _CELL) * max(top - bottom, _CELL)
+    return _Opacity(len(xy) / expected, float(counts[1][footprint].sum()) / expected, len(xy) / side)
 
 
 def _road_beneath(xy: Floats, ground: Floats) -> float:

@@ -26,6 +26,7 @@ from subiaco_change.decisions.dynamic_objects import (
     is_moving_object_trail,
     is_strip_on_road,
     may_be_a_person,
+    shows_no_side,
 )
 from subiaco_change.decisions.measures import MeasureConfig, Measures, absence, measure, observed_fraction
 from subiaco_change.decisions.plant_decisions import decide_plant
@@ -158,6 +159,7 @@ def decide_object(
             or is_strip_on_road(parts, own, rules.decisions)
             or may_be_a_person(parts, semantic, own)
             or hides_no_ground(parts, semantic, own, rules.decisions)
+            or shows_no_side(parts, semantic, own, rules.decisions)
             or decide_in_traffic(parts, rules.lanes, rules.moved[epoch], rules.decisions)
             or decide_shapeless(parts, semantic, rules.lanes, rules.decisions)
             or decide_vehicle_part(parts, semantic, measures, rules.standing[1 - epoch])

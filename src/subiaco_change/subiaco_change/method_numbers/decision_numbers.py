@@ -232,6 +232,16 @@ class DynamicObjectsNumbers(StrictModel):
         description="Density of the ground points beneath an object of few points, as a fraction of that "
         "beside it, from which nothing is claimed of the object; parked cars of simulated streets stay below",
     )
+    side_points: float = Field(
+        1.25,
+        description="Number of points of a standing object, as a multiple of the ground points on an area as "
+        "large as the object's longer side, below which the object may be a ghost trail",
+    )
+    ground_shown: float = Field(
+        0.75,
+        description="Density of the ground points beneath an object with few points for its longer side, as "
+        "a fraction of that beside it, from which nothing is claimed of the object",
+    )
     footprint_cell: float = Field(
         0.5, description="Edge of the cells in which points of an object and of the ground are counted [m]"
     )

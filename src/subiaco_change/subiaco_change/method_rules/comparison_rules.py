@@ -146,6 +146,17 @@ MOVING_OBJECT_RULES: tuple[Rule, ...] = (
         guards=True,
     ),
     Rule(
+        "shows_no_side",
+        _HERE,
+        "Nothing is claimed of what has fewer points than one of its sides would have, on ground that was"
+        " seen, in a cloud without counts of beams.",
+        (
+            "method_numbers.dynamic_objects.side_points",
+            "method_numbers.dynamic_objects.ground_shown",
+        ),
+        guards=True,
+    ),
+    Rule(
         "person_on_the_way",
         _HERE,
         "Nothing is claimed of a strip as thin and as tall as a person in a cloud without counts of beams.",
