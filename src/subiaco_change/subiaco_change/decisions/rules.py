@@ -273,7 +273,7 @@ def _rise(height: Interval, volume: Interval, surface: float, rules: ClassRules)
 
 def _beyond(bound: Interval, certain: float) -> float:
     """Return by how much a rise, in units of its limit, is met: by the middle, where the sign is certain."""
-    straddles = applies("sign_certain", bound.low < certain and bound.middle > 1.0)
+    straddles = applies("sign_certain", bound.low <= certain and bound.middle > 1.0)
     return 1.0 if straddles else bound.middle
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
@@ -27,6 +28,8 @@ _WITHIN = NUMBERS.building_extensions.host_inside
 _PARTY = NUMBERS.building_extensions.party_wall
 _BESIDE = NUMBERS.building_extensions.neighbour_inside
 _HALF_STOREY = NUMBERS.building_extensions.half_storey
+_PLACES = NUMBERS.building_extensions.host_places
+_GAP = NUMBERS.building_extensions.host_gap
 _ADJOINS = NUMBERS.building_extensions.least_contact
 _UNDERSIDE = NUMBERS.building_extensions.underside
 _NEIGHBOURS = NUMBERS.building_extensions.normal_neighbours
@@ -124,12 +127,12 @@ def _touching_extensions(
         if number in taken or len(pair[1 - epoch]) or not len(pair[epoch]):
             continue
         extension = pair[epoch].xyz
-        gaps = [_gaps(extension, pairs[i][epoch].xyz, config) for i in hosts]
+        gaps = [gaps_to_host(extension, pairs[i][epoch].xyz, config.touch) for i in hosts]
         gaps = [g[:0] if len(g) and apart(number, i) else g for g, i in zip(gaps, hosts, strict=True)]
         contact = [len(g) for g in gaps]
         if not contact or max(contact) == 0:
             continue
-        host = hosts[int(np.argmax([(config.touch - g).sum() for g in gaps]))]
+        host = hosts[min(range(len(hosts)), key=lambda i: remoteness(gaps[i]))]
         if _is_extension(pair[epoch], pairs[host], epoch, contact, config):
             extensions[number] = host
     return extensions
@@ -229,13 +232,23 @@ def _share_above(extension: Voxels, host: Voxels) -> float:
     return float(shapely.contains_xy(outline, extension.xyz[:, 0], extension.xyz[:, 1]).mean())
 
 
-def _gaps(extension: Floats, host: Floats, config: PartConfig) -> Floats:
+def gaps_to_host(extension: Floats, host: Floats, touch: float) -> Floats:
     """Return how far the places of an extension that touch a host lie from it, seen from above (M,) [m]."""
-    near = extension[in_box_around(extension[:, :2], host[:, :2], config.touch), :2]
+    near = extension[in_box_around(extension[:, :2], host[:, :2], touch), :2]
     if len(near) == 0:
         return np.zeros(0)
-    distance = cKDTree(host[:, :2]).query(near, distance_upper_bound=config.touch)[0]
+    distance = cKDTree(host[:, :2]).query(near, distance_upper_bound=touch)[0]
     return np.asarray(distance[np.isfinite(distance)])
+
+
+def remoteness(gaps: Floats) -> tuple[float, int]:
+    """Return a key that is least for the host of an extension, by the gaps (M,) between both [m].
+
+    Where two houses are as near as walls are known, the one decides that more places of the extension touch.
+    """
+    if len(gaps) == 0:
+        return math.inf, 0
+    return round(float(np.sort(gaps)[:_PLACES].mean()) / _GAP), -len(gaps)
 
 
 def _enclosed_volume(voxels: Voxels) -> float:

@@ -8,7 +8,6 @@ from dataclasses import replace
 
 import numpy as np
 import shapely
-from scipy.spatial import cKDTree
 
 from subiaco_change.association.costs import AssociationConfig, overlap_counts
 from subiaco_change.association.matching import match_kind
@@ -16,7 +15,12 @@ from subiaco_change.decisions.object_decision import ObjectChange, ObjectRules, 
 from subiaco_change.decisions.plant_decisions import decide_plant
 from subiaco_change.decisions.vegetation_null import no_null
 from subiaco_change.decisions.voxel_objects import ObjectInstance, join_voxels
-from subiaco_change.instance_splitting.building_extensions import find_building_extensions, is_smooth_surface
+from subiaco_change.instance_splitting.building_extensions import (
+    find_building_extensions,
+    gaps_to_host,
+    is_smooth_surface,
+    remoteness,
+)
 from subiaco_change.instance_splitting.hedge_sections import HedgeSection, changed_sections, section_labels
 from subiaco_change.instance_splitting.merged_instances import (
     Piece,
@@ -119,29 +123,37 @@ def _extended(
     bodies = split_by_bodies(host.before, host.after, rules.association, following)
     if len(bodies) > 1 and all(b and a for b, a in bodies):
         touch = rules.association.parts.touch
-        contacts = [_contacts(piece, bodies, touch) for piece in pieces]
-        owner = [int(np.argmax(contact)) for contact in contacts]
+        owner = [_owner(piece, bodies, touch) for piece in pieces]
         parts = [
             _decide_together([body, *(e for e, k in zip(pieces, owner, strict=True) if k == number)], rules)
             for number, body in enumerate(bodies)
         ]
-        if any(part.decision.change in _CLAIMS for part in parts):
+        claimed = any(part.decision.change in _CLAIMS for part in parts)
+        if claimed and not any(_is_apart(part, rules) for part in parts):
             return parts
     return [_decide_together([(host.before, host.after), *pieces], rules)]
 
 
-def _contacts(piece: Piece, bodies: Sequence[Piece], touch: float) -> list[int]:
-    """Count the voxels of a piece of one epoch that adjoin each body, within a distance [m].
+def _is_apart(change: ObjectChange, rules: ObjectRules) -> bool:
+    """Tell whether both epochs have an object, and too little of it in common to be compared."""
+    decisions = rules.decisions
+    least = {
+        Semantic.BUILDING: decisions.building.min_iou,
+        Semantic.VEGETATION: decisions.vegetation.min_iou,
+    }
+    both = bool(change.before and change.after)
+    return both and change.measures.iou <= least.get(change.semantic, -1.0)
+
+
+def _owner(piece: Piece, bodies: Sequence[Piece], touch: float) -> int:
+    """Return the position of the body to which a piece of one epoch belongs, within a distance [m].
 
     The epoch without the piece shows where the bodies end; in the other one all may be one body.
     """
     without = 0 if piece[1] else 1
     xyz = join_voxels(piece[1 - without]).xyz
-    contact = []
-    for body in bodies:
-        near = cKDTree(join_voxels(body[without]).xyz).query(xyz, distance_upper_bound=touch)[0]
-        contact.append(int(np.count_nonzero(np.isfinite(near))))
-    return contact
+    gaps = [gaps_to_host(xyz, join_voxels(body[without]).xyz, touch) for body in bodies]
+    return min(range(len(bodies)), key=lambda i: remoteness(gaps[i]))
 
 
 def _decide_together(pieces: Sequence[Piece], rules: ObjectRules) -> ObjectChange:
@@ -206,15 +218,10 @@ def part_hardly_overlapping(changes: Sequence[ObjectChange], rules: ObjectRules)
 
     A house that was built over the remains of a wall is a new house.
     """
-    decisions = rules.decisions
-    least = {
-        Semantic.BUILDING: decisions.building.min_iou,
-        Semantic.VEGETATION: decisions.vegetation.min_iou,
-    }
     told: list[ObjectChange] = []
     for change in changes:
         parts = [change]
-        if change.before and change.after and change.measures.iou <= least.get(change.semantic, -1.0):
+        if _is_apart(change, rules):
             apart = (
                 decide_object(change.before, (), change.semantic, rules),
                 decide_object((), change.after, change.semantic, rules),
@@ -235,7 +242,7 @@ def split_multi_body_matches(changes: Sequence[ObjectChange], rules: ObjectRules
             told.append(change)
             continue
         parts = [decide_object(b, a, change.semantic, rules) for b, a in pieces]
-        labels = {part.decision.change for part in parts}
+        labels = {part.decision.change for part in parts if not _is_apart(part, rules)}
         told.extend(parts if len(labels) > 1 and not labels.isdisjoint(_CLAIMS) else [change])
         following += sum(len(p.before) + len(p.after) for p in parts)
     return told
@@ -276,11 +283,13 @@ def _labels(changes: Sequence[ObjectChange]) -> Counter[Change]:
 def _fared(pieces: Sequence[Piece], rules: ObjectRules) -> list[ObjectChange]:
     """Decide the houses of a row one by one; none where they fared alike.
 
-    None either where one has no partner, and is not seen to be new or gone.
+    None either where one has no partner, and is not seen to be new or gone, or hardly overlaps its partner.
     """
     if len(pieces) == 1 or not any(b and a for b, a in pieces):
         return []
     parts = [decide_object(b, a, Semantic.BUILDING, rules) for b, a in pieces]
+    if any(_is_apart(p, rules) for p in parts):
+        return []
     if any(not (p.before and p.after) and p.decision.change not in _SINGLE for p in parts):
         return []
     labels = {part.decision.change for part in parts}

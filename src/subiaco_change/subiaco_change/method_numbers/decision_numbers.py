@@ -41,6 +41,14 @@ class BuildingExtensionsNumbers(StrictModel):
         description="Fraction of a part that must touch a building for the part to be its extension; a house "
         "beside it touches with a corner at most",
     )
+    host_places: int = Field(
+        4,
+        description="Number of the nearest places of an extension that give its distance to a house",
+    )
+    host_gap: float = Field(
+        0.5,
+        description="Difference of distance from which the nearer house is the host of an extension [m]",
+    )
     second_contact: float = Field(
         0.25,
         description="Fraction of the outline of a part that touches a second building from which the part "
