@@ -175,6 +175,14 @@ def test_a_wing_in_the_gap_between_two_houses_belongs_to_the_one_that_it_touches
         assert find_building_extensions([(own, own), (neighbour, neighbour), pair], CONFIG) == {2: 0}
 
 
+def test_a_wing_that_fills_the_gap_between_two_houses_leans_on_the_nearer_one():
+    """Its long sides run along both; where both are as near, nothing tells whose it is."""
+    own, wing = (voxels(HOUSE), voxels(HOUSE)), (NONE, moved(walls(4, 8, 4), 10))
+    for gap, found in ((0.5, {2: 0}), (0.0, {})):
+        neighbour = moved(HOUSE, 14 + gap)
+        assert find_building_extensions([own, (neighbour, neighbour), wing], CONFIG) == found
+
+
 def open_between(left, right):
     """Ground that both epochs saw between two walls."""
     return OpenGround(NO_COLUMNS, NO_COLUMNS, (lambda p: (p[:, 0] > left) & (p[:, 0] < right),) * 2)

@@ -129,10 +129,11 @@ def _touching_extensions(
         extension = pair[epoch].xyz
         gaps = [gaps_to_host(extension, pairs[i][epoch].xyz, config.touch) for i in hosts]
         gaps = [g[:0] if len(g) and apart(number, i) else g for g, i in zip(gaps, hosts, strict=True)]
-        contact = [len(g) for g in gaps]
-        if not contact or max(contact) == 0:
+        if not any(len(g) for g in gaps):
             continue
-        host = hosts[min(range(len(hosts)), key=lambda i: remoteness(gaps[i]))]
+        keys = [remoteness(g) for g in gaps]
+        contact = [len(g) if key[0] == min(keys)[0] else 0 for g, key in zip(gaps, keys, strict=True)]
+        host = hosts[keys.index(min(keys))]
         if _is_extension(pair[epoch], pairs[host], epoch, contact, config):
             extensions[number] = host
     return extensions
