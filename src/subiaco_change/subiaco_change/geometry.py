@@ -9,6 +9,7 @@ import numpy as np
 import shapely
 import small_gicp
 from numpy.typing import NDArray
+from scipy.spatial import cKDTree
 from shapely.geometry.base import BaseGeometry
 
 from subiaco_geo.clouds import PointCloud, extent_of, sort_spatially, voxel_downsample, within_box
@@ -32,6 +33,11 @@ def outline_of_cells(cells: Ints, corner: Floats, edge: float) -> BaseGeometry:
     """
     low, high = (corner + step * edge for step in (cells, cells + 1))
     return shapely.coverage_union_all(shapely.box(low[:, 0], low[:, 1], high[:, 0], high[:, 1]))
+
+
+def tree_for_few(points: Floats) -> cKDTree:
+    """Return a k-d tree of points (N, D) for fewer queries: built in half the time, and as exact."""
+    return cKDTree(points, balanced_tree=False, compact_nodes=False)
 
 
 @dataclass(frozen=True)

@@ -118,10 +118,10 @@ def read_array(stream: IO[bytes], size: int) -> NDArray[Any]:
         raise ValueError("it holds Python objects")
     if count * kind.itemsize > size or min(shape, default=0) < 0:
         raise ValueError(f"its header states {count} values, more than it holds")
-    data = bytearray(count * kind.itemsize)
+    values = np.empty(count, dtype=kind)
+    data = values.view(np.uint8)
     if stream.readinto(data) < len(data):  # type: ignore[attr-defined]
         raise EOFError("it is cut")
-    values = np.frombuffer(data, dtype=kind, count=count)
     return values.reshape(shape, order="F" if fortran else "C")
 
 

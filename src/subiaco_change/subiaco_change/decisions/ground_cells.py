@@ -11,6 +11,7 @@ from scipy import ndimage
 from scipy.spatial import cKDTree
 
 from subiaco_change.decisions.voxel_objects import UNCERTAIN, EpochView, is_ghost_trail
+from subiaco_change.geometry import tree_for_few
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import switchable
 from subiaco_change.segmentation.ground_model import Mask, fill_gaps
@@ -248,7 +249,7 @@ def _coincides(
     index, limit, ground = index[asked], limit[asked], ground[asked]
     if len(ground) == 0 or len(points) == 0:
         return np.zeros(apart.shape, dtype=bool)
-    near = cKDTree(points).query(ground, distance_upper_bound=config.same_surface)[0] <= limit
+    near = tree_for_few(points).query(ground, distance_upper_bound=config.same_surface)[0] <= limit
     flat = index[:, 1] * apart.shape[1] + index[:, 0]
     count, held = (np.bincount(flat, w, apart.size).reshape(apart.shape) for w in (None, near))
     around = ndimage.uniform_filter(

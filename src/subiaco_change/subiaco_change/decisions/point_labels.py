@@ -9,11 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 import shapely.affinity
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 from scipy.special import ndtr
 
 from subiaco_change.decisions.ground_change import GroundComparison, GroundPatch, patch_points
 from subiaco_change.decisions.voxel_objects import EpochView, is_ghost_trail
+from subiaco_change.geometry import tree_for_few
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import none_of_them, rule_mask, switchable
 from subiaco_change.records import ChangeRecord
@@ -104,7 +104,7 @@ def touching(fragments: Floats, hosts: Floats, touch: float) -> Ints:
     """Return the nearest host (K,) of each fragment (K, 3) within ``touch`` [m], -1 without any."""
     if len(fragments) == 0 or len(hosts) == 0:
         return np.full(len(fragments), -1, dtype=np.int64)
-    distance, slot = cKDTree(hosts).query(fragments, distance_upper_bound=touch)
+    distance, slot = tree_for_few(hosts).query(fragments, distance_upper_bound=touch)
     return np.where(np.isfinite(distance), slot, -1)
 
 
@@ -116,7 +116,7 @@ def surrounded(xy: Floats, points: Floats, reach: float) -> Mask:
     """
     if len(points) == 0 or len(xy) == 0:
         return np.zeros(len(xy), dtype=bool)
-    distance, slot = cKDTree(points).query(xy, k=_AROUND, distance_upper_bound=reach)
+    distance, slot = tree_for_few(points).query(xy, k=_AROUND, distance_upper_bound=reach)
     found = np.isfinite(distance)
     step = points[np.where(found, slot, 0)] - xy[:, None]
     quadrant = 2 * (step[..., 0] > 0) + (step[..., 1] > 0)

@@ -7,9 +7,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
-from subiaco_change.geometry import in_box_around
+from subiaco_change.geometry import in_box_around, tree_for_few
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import none_of_them, switchable
 from subiaco_change.segmentation.clustering import group_indices
@@ -249,7 +248,7 @@ def occupied(query: Floats, points: Floats, reach: Reach) -> Mask:
     """Tell which places (M, 3) something among points (N, 3) occupies."""
     if len(points) < 5:
         return np.zeros(len(query), dtype=bool)
-    tree = cKDTree(points)
+    tree = tree_for_few(points)
     distance, slot = tree.query(query, distance_upper_bound=reach.high)
     found = np.isfinite(distance)
     spacing = tree.query(points[slot[found]], k=[5])[0][:, 0]
@@ -279,7 +278,7 @@ def occupied_by_ground(query: Floats, ground: Floats, reach: Reach) -> Mask:
     ground = ground[in_box_around(ground, query, reach.high)]
     if len(ground) < 5:
         return lies
-    tree = cKDTree(ground[:, :2])
+    tree = tree_for_few(ground[:, :2])
     distance, slot = tree.query(
         query[:, :2], k=min(_GROUND_NEAR, len(ground)), distance_upper_bound=reach.high
     )

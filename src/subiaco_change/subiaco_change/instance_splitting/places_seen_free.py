@@ -8,7 +8,6 @@ beams graze a wall between its points.
 from __future__ import annotations
 
 import numpy as np
-from scipy.spatial import cKDTree
 
 from subiaco_change.decisions.voxel_objects import (
     EpochView,
@@ -18,6 +17,7 @@ from subiaco_change.decisions.voxel_objects import (
     is_standing,
     occupied_by_ground,
 )
+from subiaco_change.geometry import tree_for_few
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import none_of_them, switchable
 from subiaco_change.segmentation.ground_model import Mask
@@ -63,7 +63,7 @@ def _lies_on_surface(places: Floats, points: Floats, normals: Floats, reach: Rea
     """
     if len(points) < _NEAR or len(places) == 0:
         return np.zeros(len(places), dtype=bool)
-    distance, slot = cKDTree(points).query(places, k=_NEAR)
+    distance, slot = tree_for_few(points).query(places, k=_NEAR)
     around = normals[slot]
     agree = np.abs(np.einsum("mkj,mj->mk", around, around[:, 0])).mean(axis=1) >= _SMOOTH
     off = np.abs(np.einsum("mj,mj->m", places - points[slot[:, 0]], around[:, 0]))

@@ -124,30 +124,30 @@ def _cylinder_sums(
     i0, i1 = column_range(x - reach_x, x + reach_x, corner[0], cell, shape[0])
     j0, j1 = column_range(y - reach_y, y + reach_y, corner[1], cell, shape[1])
     total, squares, m, short_total, short_squares, short_m = 0.0, 0.0, 0, 0.0, 0.0, 0
-    columns = max(i1 - i0 + 1, 0) * max(j1 - j0 + 1, 0)  # none where the cylinder lies beside all of them
-    for column in range(columns):
-        i, j = i0 + column // (j1 - j0 + 1), j0 + column % (j1 - j0 + 1)
-        if column_gap(x, i, corner[0], cell) ** 2 + column_gap(y, j, corner[1], cell) ** 2 > aside:
-            continue
-        end = starts[i * shape[1] + j + 1]
-        k = first_above(points, starts[i * shape[1] + j], end, z - reach_z)
-        while k < end and points[k, 2] <= z + reach_z:
-            dx, dy, dz = points[k, 0] - x, points[k, 1] - y, points[k, 2] - z
-            along = a * dx + b * dy + c * dz
-            across = dx * dx + dy * dy + dz * dz - along * along
-            u, v, w = point_normals[k, 0], point_normals[k, 1], point_normals[k, 2]
-            facing = (agreement <= 0.0) | (abs(a * u + b * v + c * w) >= agreement)
-            near = facing & (across <= radius * radius)
-            whole = 1.0 if near & (abs(along) <= half_length) else 0.0  # adding nothing beats a branch
-            m += int(whole)
-            total += whole * along
-            squares += whole * (along * along)
-            if short < half_length:  # else it is the whole
-                part = 1.0 if near & (abs(along) <= short) else 0.0
-                short_m += int(part)
-                short_total += part * along
-                short_squares += part * (along * along)
-            k += 1
+    for i in range(i0, i1 + 1):
+        room = aside - column_gap(x, i, corner[0], cell) ** 2
+        for j in range(j0, j1 + 1):
+            if column_gap(y, j, corner[1], cell) ** 2 > room:
+                continue
+            end = starts[i * shape[1] + j + 1]
+            k = first_above(points, starts[i * shape[1] + j], end, z - reach_z)
+            while k < end and points[k, 2] <= z + reach_z:
+                dx, dy, dz = points[k, 0] - x, points[k, 1] - y, points[k, 2] - z
+                along = a * dx + b * dy + c * dz
+                across = dx * dx + dy * dy + dz * dz - along * along
+                u, v, w = point_normals[k, 0], point_normals[k, 1], point_normals[k, 2]
+                facing = (agreement <= 0.0) | (abs(a * u + b * v + c * w) >= agreement)
+                near = facing & (across <= radius * radius)
+                whole = 1.0 if near & (abs(along) <= half_length) else 0.0  # adding nothing beats a branch
+                m += int(whole)
+                total += whole * along
+                squares += whole * (along * along)
+                if short < half_length:  # else it is the whole
+                    part = 1.0 if near & (abs(along) <= short) else 0.0
+                    short_m += int(part)
+                    short_total += part * along
+                    short_squares += part * (along * along)
+                k += 1
     if short < half_length:
         return total, squares, m, short_total, short_squares, short_m
     return total, squares, m, total, squares, m

@@ -21,6 +21,10 @@ _LOOSE = NUMBERS.ndt.loose
 #: From the key of a voxel to those of itself and its six face neighbours.
 _STEPS = (0, -(1 << 42), 1 << 42, -(1 << 21), 1 << 21, -1, 1)
 
+#: The products of coordinates that make up a covariance, and where each of them stands in it.
+_PRODUCTS = ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))
+_SYMMETRIC = np.array([[0, 1, 2], [1, 3, 4], [2, 4, 5]])
+
 
 @dataclass(frozen=True)
 class Distributions:
@@ -62,10 +66,10 @@ def distributions(xyz: Floats, cell: float, min_count: int = 6, noise: float = 0
     points = xyz[order]
     centre = np.add.reduceat(points, starts, axis=0) / counts[:, None] if len(points) else points
     offset = points - np.repeat(centre, counts, axis=0)
-    outer = np.einsum("ni,nj->nij", offset, offset).reshape(-1, 9)
-    second = np.add.reduceat(outer, starts, axis=0) / counts[:, None] if len(points) else outer
+    products = np.stack([offset[:, i] * offset[:, j] for i, j in _PRODUCTS], axis=1)
+    second = np.add.reduceat(products, starts, axis=0) / counts[:, None] if len(points) else products
     keep = counts >= min_count
-    values, vectors = np.linalg.eigh(second[keep].reshape(-1, 3, 3))
+    values, vectors = np.linalg.eigh(second[keep][:, _SYMMETRIC])
     values = np.maximum(values, np.maximum(0.01 * values[:, 2:], noise**2))
     values = np.where(values > _FILLED * cell**2 / 12.0, _LOOSE * values, values)
     covariances = np.einsum("nij,nj,nkj->nik", vectors, values, vectors)

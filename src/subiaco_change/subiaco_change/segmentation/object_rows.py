@@ -7,6 +7,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 from pydantic import Field
 from scipy.spatial import cKDTree
 
+from subiaco_change.geometry import tree_for_few
 from subiaco_change.method_rules.switches import always, one_part, switchable
 from subiaco_change.quantiles import quantile_of
 from subiaco_change.segmentation.bounding_rectangles import box_coordinates, box_sides, wall_coordinates
@@ -179,7 +180,7 @@ def split_at_passages(
     config : PassageConfig
     """
     parted = np.zeros(len(labels), dtype=np.int64)
-    tree = cKDTree(ground) if len(ground) else None
+    tree = tree_for_few(ground) if len(ground) else None
     following = 0
     for members in group_indices(labels):
         own = np.zeros(len(members), dtype=np.int64)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from pydantic import Field
 from scipy.spatial import cKDTree
 
+from subiaco_change.geometry import tree_for_few
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import none_of_them, switchable
 from subiaco_change.segmentation.clustering import cell_clusters, connect, group_indices
@@ -224,7 +225,7 @@ def find_poles(xyz: Floats, height: Floats, free: Mask, planar: Mask, config: Li
     clear = members[_clear(xyz[members], height[members], config)]
     if len(clear) == 0:
         return found
-    tree = cKDTree(xyz[members, :2])
+    tree = tree_for_few(xyz[members, :2])
     bodies, places = [], []
     for group in group_indices(cell_clusters(xyz[clear, :2], config.pole_touch)):
         own = clear[group]
@@ -269,7 +270,7 @@ def _clear(xyz: Floats, height: Floats, config: LineConfig) -> Mask:
     clear = np.asarray((own >= _MAYBE * near)[cell])
     layer = np.floor(height / config.pole_layer)
     places = np.column_stack([xyz[:, :2], layer * 100.0])  # layers apart, so that a ball is a disc in one
-    tree, asked = cKDTree(places), places[clear]
+    tree, asked = tree_for_few(places), places[clear]
     narrow = tree.query_ball_point(asked, config.pole_width, return_length=True)
     wide = tree.query_ball_point(asked, config.pole_ring, return_length=True)
     clear[clear] = narrow >= config.pole_clear * wide

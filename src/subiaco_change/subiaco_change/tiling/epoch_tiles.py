@@ -233,8 +233,7 @@ def cut_beams(runner: TaskRunner, parts: Iterable[VisibilityGrid], size: float) 
     with TemporaryDirectory(prefix="subiaco_") as folder:
         spill = Spill(Path(folder))
         for part in parts:
-            centres = (unpack_voxel_columns(part.keys) + 0.5) * part.voxel + part.origin[:2]
-            for name, m in split_by_tile(centres, size).items():
+            for name, m in _split_columns(part, size):
                 columns: dict[str, NDArray[Any]] = {
                     "keys": part.keys[m],
                     "hits": part.hits[m],
@@ -247,6 +246,17 @@ def cut_beams(runner: TaskRunner, parts: Iterable[VisibilityGrid], size: float) 
             own = TileBeams(arrays["keys"], arrays["hits"], arrays["passes"], arrays.get("moving"))
             keys[name] = runner.put("beams", name, own)
     return keys
+
+
+def _split_columns(part: VisibilityGrid, size: float) -> Iterator[tuple[str, Ints]]:
+    """Yield the voxels (M,) of every tile, in order; those of a column follow each other in the grid."""
+    first = np.flatnonzero(np.diff(part.keys >> 21, prepend=-1))
+    count = np.diff(first, append=len(part.keys))
+    centres = (unpack_voxel_columns(part.keys[first]) + 0.5) * part.voxel + part.origin[:2]
+    for name, columns in split_by_tile(centres, size).items():
+        own = count[columns]
+        start = np.repeat(first[columns] - np.cumsum(own) + own, own)
+        yield name, start + np.arange(len(start))
 
 
 def join(parts: Iterable[Arrays], names: Iterable[str]) -> dict[str, NDArray[Any]]:

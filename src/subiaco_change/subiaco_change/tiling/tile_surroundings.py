@@ -65,12 +65,14 @@ def load_region(
     tiles = inputs.under(f"points/{side.epoch}")
     parts: list[tuple[Any, ...]] = []
     own_world: list[Floats] = [np.zeros((0, 3))]
+    by_points = side.kind in ("shadow", "trajectory")
     for position, name in enumerate(tiles):
         piece = inputs.of(LabelledPoints, f"points/{side.epoch}/{name}")
         cloud = load_points(inputs, side, name, origin)
         index = np.flatnonzero(near(cloud.xyz))
         passed, moved = piece.passed, piece.moved
-        own_world.append(piece.xyz[_standing(piece)] + side.origin)
+        if by_points:
+            own_world.append(piece.xyz[_standing(piece)] + side.origin)
         parts.append(
             (
                 cloud.xyz[index],
@@ -87,8 +89,7 @@ def load_region(
             )
         )
     view, slot, index = _view(parts)
-    world = np.concatenate(own_world) if side.kind in ("shadow", "trajectory") else np.zeros((0, 3))
-    observer: Observer = load_observer(inputs, side, world, config)
+    observer: Observer = load_observer(inputs, side, np.concatenate(own_world), config)
     path = inputs.find(SurveyPath, f"path/{side.epoch}")
     to_world = frame.before_world if side.epoch == "before" else frame.after_world
     return Region(
