@@ -23,6 +23,7 @@ from subiaco_geo.frames import Floats
 
 if TYPE_CHECKING:
     from subiaco_change.config import ChangeConfig
+    from subiaco_change.decisions.measures import MeasureConfig
 
 _NEIGHBOURS = NUMBERS.spacing.neighbours
 _SAMPLE = NUMBERS.spacing.sample
@@ -125,10 +126,15 @@ class SpacingConfig(StrictModel):
     )
 
 
+def _patch_voxels(measures: MeasureConfig, spacing: float) -> float:
+    """Number of voxels on the surface of a patch: a voxel of a sparse cloud stands for what a point does."""
+    return max(1.0, measures.patch_voxels * min(1.0, (measures.voxel / spacing) ** 2))
+
+
 _SEMANTICS = ("cluster_voxel",)
 _BUILDINGS = ("plane_cell", "roof_cell", "touch", "wire_touch", "attach", "edge", "contact")
 _VEHICLES = ("truck_gap", "split_gap", "clear_gap")
-_INSTANCES = ("building_gap", "vegetation_gap", "foliage_voxel", "crown_cell", "mobile_gap", "other_gap")
+_INSTANCES = ("building_gap", "vegetation_gap", "crown_cell", "mobile_gap", "other_gap")
 
 
 def at_spacing(config: ChangeConfig, spacing: float) -> ChangeConfig:
@@ -161,7 +167,14 @@ def at_spacing(config: ChangeConfig, spacing: float) -> ChangeConfig:
                 }
             ),
             "instances": instances.model_copy(
-                update={**raised(instances, _INSTANCES, rule.cell), "leaf": smallest}
+                update={
+                    **raised(instances, _INSTANCES, rule.cell),
+                    **raised(instances, ("foliage_voxel",), rule.same),
+                    **raised(instances, ("density_voxel",), math.inf),
+                    **raised(instances, ("crown_radius",), 3.0 * rule.cell),
+                    "foliage_layers": spacing / rule.served,
+                    "leaf": smallest,
+                }
             ),
             "lod": config.lod.model_copy(update=raised(config.lod, ("radius", "normal_radius"), rule.plane)),
             "plants": config.plants.model_copy(
@@ -170,7 +183,18 @@ def at_spacing(config: ChangeConfig, spacing: float) -> ChangeConfig:
                     "tops": config.plants.tops.model_copy(update={"filling": rule.filling}),
                 }
             ),
-            "measures": config.measures.model_copy(update=raised(config.measures, ("same_high",), rule.same)),
+            "measures": config.measures.model_copy(
+                update={
+                    **raised(config.measures, ("same_high",), rule.same),
+                    "patch_voxels": _patch_voxels(config.measures, spacing),
+                }
+            ),
+            "evidence": config.evidence.model_copy(
+                update={
+                    **raised(config.evidence, ("shadow_radius",), rule.same),
+                    **raised(config.evidence, ("shadow_ring",), rule.plane),
+                }
+            ),
             **raised(config, ("normal_radius",), rule.plane),
         }
     )
