@@ -127,7 +127,7 @@ class SpacingConfig(StrictModel):
 
 
 def _patch_voxels(measures: MeasureConfig, spacing: float) -> float:
-    """Number of voxels on the surface of a patch: a voxel of a sparse cloud stands for what a point does."""
+    """Return the voxels of a patch: a voxel of a sparse cloud stands for as much surface as a point."""
     return max(1.0, measures.patch_voxels * min(1.0, (measures.voxel / spacing) ** 2))
 
 

@@ -100,8 +100,8 @@ class MeasureConfig(StrictModel):
     patch_voxels: float = Field(
         4.0,
         ge=1,
-        description="Number of neighbouring voxels whose errors of free space are one error, because the same "
-        "beams cross them; falls with the square of a point spacing above the edge of a voxel",
+        description="Number of neighbouring voxels whose errors of free space are one error, because the "
+        "same beams cross them; falls with the square of a point spacing above the edge of a voxel",
     )
     carving: CarvingConfig = CarvingConfig()
 

@@ -15,7 +15,14 @@ import numpy as np
 from scipy.spatial import cKDTree
 from scipy.stats import binom
 
-from subiaco_change.decisions.voxel_objects import EpochView, ObjectInstance, Reach, Voxels, is_ghost_trail, join_voxels
+from subiaco_change.decisions.voxel_objects import (
+    EpochView,
+    ObjectInstance,
+    Reach,
+    Voxels,
+    is_ghost_trail,
+    join_voxels,
+)
 from subiaco_change.instance_splitting.one_epoch_parts import join_parts, split_by_labels, with_free
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import first_argument, switchable
@@ -68,9 +75,7 @@ def split_felled_crowns(
             continue
         free = replace(obj, voxels=with_free(obj.voxels, own > 0))
         numbers, slot = np.unique(np.append(0, own), return_inverse=True)
-        for number, piece in zip(
-            numbers.tolist(), split_by_labels(free, slot[1:], following), strict=True
-        ):
+        for number, piece in zip(numbers.tolist(), split_by_labels(free, slot[1:], following), strict=True):
             if len(piece.points):
                 pieces[number].append(piece)
         following += len(numbers)
@@ -113,7 +118,7 @@ class _Plan:
 
 
 def _felled(voxels: Voxels, view: EpochView, other: EpochView, reach: Reach) -> Ints:
-    """Number (M,) the places of voxels of plants that are gone; 0 for the others."""
+    """Return the number (M,) of the felled crown that every voxel of plants is a place of; 0 for none."""
     labels = np.zeros(len(voxels), dtype=np.int64)
     own, seen = _Plan.of(view), _Plan.of(other)
     xy, tall = voxels.xyz[:, :2], voxels.height > _TALL
@@ -130,10 +135,8 @@ def _felled(voxels: Voxels, view: EpochView, other: EpochView, reach: Reach) -> 
     count = 0
     for group in group_indices(cell_clusters(xy[core], _JOINED * reach.high)):
         middle = core[group]
-        top = max(_TOP, reach.high)
-        if not _is_gone(xy[middle], own, seen, passed, beside) or not _has_top(
-            voxels.xyz, middle, places, top
-        ):
+        gone = _is_gone(xy[middle], own, seen, passed, beside)
+        if not gone or not _has_top(voxels.xyz, middle, places, max(_TOP, reach.high)):
             continue
         count += 1
         near = cKDTree(xy[middle]).query(xy)[0]

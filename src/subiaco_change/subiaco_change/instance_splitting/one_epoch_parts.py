@@ -151,7 +151,9 @@ def _united(parts: Sequence[ObjectInstance], config: PartConfig) -> list[ObjectI
     links = np.column_stack([owner, cluster + len(parts)])
     group = connect(len(parts) + int(cluster.max()) + 1, links)[: len(parts)]
     _, first = np.unique(group, return_index=True)
-    return [join_parts([p for p, g in zip(parts, group, strict=True) if g == group[k]]) for k in np.sort(first)]
+    return [
+        join_parts([p for p, g in zip(parts, group, strict=True) if g == group[k]]) for k in np.sort(first)
+    ]
 
 
 def join_parts(parts: Sequence[ObjectInstance]) -> ObjectInstance:

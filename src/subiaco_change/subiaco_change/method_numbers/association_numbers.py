@@ -31,18 +31,18 @@ class FelledCrownsNumbers(StrictModel):
     )
     beside: float = Field(
         0.35,
-        description="Distance from the places of a crown within which beams are counted, as a fraction of the "
-        "distance at which points occupy a place",
+        description="Distance from the places of a crown within which beams are counted, as a fraction of "
+        "the distance at which points occupy a place",
     )
     grown: float = Field(
         0.7,
-        description="Distance from the middle of a felled crown to its edge, as a fraction of the distance at "
-        "which points occupy a place",
+        description="Distance from the middle of a felled crown to its edge, as a fraction of the distance "
+        "at which points occupy a place",
     )
     joined: float = Field(
         0.8,
-        description="Edge of the cells in which places of one felled crown are connected, as a fraction of the "
-        "distance at which points occupy a place",
+        description="Edge of the cells in which places of one felled crown are connected, as a fraction of "
+        "the distance at which points occupy a place",
     )
     neighbours: int = Field(
         4,

@@ -268,8 +268,8 @@ SPLITTING_RULES: tuple[Rule, ...] = (
     Rule(
         "felled_crowns",
         _HERE,
-        "A crown in whose place the other epoch, measured from above, met the ground with more beams than pass"
-        " through standing crowns is an object of its own, which is never matched.",
+        "A crown in whose place the other epoch, measured from above, met the ground with more beams than"
+        " pass through standing crowns is an object of its own, which is never matched.",
         (
             "method_numbers.felled_crowns.tall",
             "method_numbers.felled_crowns.cleared",

@@ -224,7 +224,10 @@ def _cluster_by_density(xyz: Floats, config: InstanceConfig) -> Ints:
     following = 0
     # A voxel cluster joins points up to about twice its edge apart.
     for members in group_indices(voxel_clusters(xyz, config.foliage_voxel)):
-        gap = max(config.vegetation_gap, config.vegetation_density / np.cbrt(_density(xyz[members], config.density_voxel)))
+        gap = max(
+            config.vegetation_gap,
+            config.vegetation_density / np.cbrt(_density(xyz[members], config.density_voxel)),
+        )
         own = voxel_clusters(xyz[members], gap / 2)
         labels[members] = own + following
         following += int(own.max()) + 1
