@@ -118,6 +118,12 @@ class SpacingConfig(StrictModel):
         gt=0,
         description="Radius of normals and of the level of detection as a multiple of the point spacing",
     )
+    crown: float = Field(
+        3.6,
+        gt=0,
+        description="Smallest radius over which the canopy is smoothed before tops of crowns are searched, "
+        "as a multiple of the point spacing of clouds measured from above",
+    )
     filling: float = Field(
         5.0,
         ge=0,
@@ -137,10 +143,12 @@ _VEHICLES = ("truck_gap", "split_gap", "clear_gap")
 _INSTANCES = ("building_gap", "vegetation_gap", "crown_cell", "mobile_gap", "other_gap")
 
 
-def at_spacing(config: ChangeConfig, spacing: float) -> ChangeConfig:
+def at_spacing(config: ChangeConfig, spacing: float, *, from_above: bool = False) -> ChangeConfig:
     """Return the configuration for a pair of which the sparser cloud has a spacing [m].
 
     Lengths stay as they are up to ``config.spacing.served``, and where the spacing is not known (infinite).
+    Where both clouds were measured ``from_above``, beams end at any height of a crown, so that neighbouring
+    points of one crown lie farther apart in height than from side to side.
     """
     rule, instances = config.spacing, config.instances.model_copy(update={"leaf": config.leaf})
     if spacing <= rule.served or math.isinf(spacing):
@@ -151,6 +159,11 @@ def at_spacing(config: ChangeConfig, spacing: float) -> ChangeConfig:
         return {name: max(at, min(at / rule.served, most) * spacing) for name, at in lengths.items()}
 
     semantics = config.semantics
+    crowns = {
+        **raised(instances, ("density_voxel",), math.inf),
+        **raised(instances, ("crown_radius",), rule.crown),
+        "foliage_layers": spacing / rule.served,
+    }
     smallest = max(config.leaf, _NOMINAL * spacing / rule.served)
     return config.model_copy(
         update={
@@ -170,9 +183,7 @@ def at_spacing(config: ChangeConfig, spacing: float) -> ChangeConfig:
                 update={
                     **raised(instances, _INSTANCES, rule.cell),
                     **raised(instances, ("foliage_voxel",), rule.same),
-                    **raised(instances, ("density_voxel",), math.inf),
-                    **raised(instances, ("crown_radius",), 3.0 * rule.cell),
-                    "foliage_layers": spacing / rule.served,
+                    **(crowns if from_above else {}),
                     "leaf": smallest,
                 }
             ),
