@@ -32,6 +32,17 @@ def test_lengths_rise_with_the_spacing_and_the_fewest_points_fall_with_its_squar
     assert sparser.instances.building_gap >= sparse.instances.building_gap >= config.instances.building_gap
     assert sparse.lod.radius >= 2.4 * spacing
     assert (sparser.instances.leaf / sparse.instances.leaf) ** 2 == pytest.approx(2.25)
+    assert sparse.evidence.shadow_ring >= 2.4 * spacing
+    assert sparser.evidence.shadow_radius >= sparse.evidence.shadow_radius >= config.evidence.shadow_radius
+    assert sparse.instances.foliage_layers == 1.0
+    above, higher = (at_spacing(config, s, from_above=True) for s in (spacing, 1.5 * spacing))
+    assert higher.instances.foliage_layers == pytest.approx(1.5 * above.instances.foliage_layers)
+    assert higher.instances.density_voxel > above.instances.density_voxel > sparse.instances.density_voxel
+
+
+def test_voxels_of_a_sparse_cloud_are_patches_of_their_own_once_their_points_lie_a_metre_apart():
+    patches = [at_spacing(ChangeConfig(), s).measures.patch_voxels for s in (0.3, 0.5, 0.7, 1.0, 1.4)]
+    assert patches == pytest.approx([4.0, 4.0, 4.0 * (0.5 / 0.7) ** 2, 1.0, 1.0])
 
 
 def of_trees(result, trees):

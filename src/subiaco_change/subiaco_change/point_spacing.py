@@ -23,6 +23,7 @@ from subiaco_geo.frames import Floats
 
 if TYPE_CHECKING:
     from subiaco_change.config import ChangeConfig
+    from subiaco_change.decisions.measures import MeasureConfig
 
 _NEIGHBOURS = NUMBERS.spacing.neighbours
 _SAMPLE = NUMBERS.spacing.sample
@@ -117,6 +118,12 @@ class SpacingConfig(StrictModel):
         gt=0,
         description="Radius of normals and of the level of detection as a multiple of the point spacing",
     )
+    crown: float = Field(
+        3.6,
+        gt=0,
+        description="Smallest radius over which the canopy is smoothed before tops of crowns are searched, "
+        "as a multiple of the point spacing of clouds measured from above",
+    )
     filling: float = Field(
         5.0,
         ge=0,
@@ -125,16 +132,23 @@ class SpacingConfig(StrictModel):
     )
 
 
+def _patch_voxels(measures: MeasureConfig, spacing: float) -> float:
+    """Return the voxels of a patch: a voxel of a sparse cloud stands for as much surface as a point."""
+    return max(1.0, measures.patch_voxels * min(1.0, (measures.voxel / spacing) ** 2))
+
+
 _SEMANTICS = ("cluster_voxel",)
 _BUILDINGS = ("plane_cell", "roof_cell", "touch", "wire_touch", "attach", "edge", "contact")
 _VEHICLES = ("truck_gap", "split_gap", "clear_gap")
-_INSTANCES = ("building_gap", "vegetation_gap", "foliage_voxel", "crown_cell", "mobile_gap", "other_gap")
+_INSTANCES = ("building_gap", "vegetation_gap", "crown_cell", "mobile_gap", "other_gap")
 
 
-def at_spacing(config: ChangeConfig, spacing: float) -> ChangeConfig:
+def at_spacing(config: ChangeConfig, spacing: float, *, from_above: bool = False) -> ChangeConfig:
     """Return the configuration for a pair of which the sparser cloud has a spacing [m].
 
     Lengths stay as they are up to ``config.spacing.served``, and where the spacing is not known (infinite).
+    Where both clouds were measured ``from_above``, beams end at any height of a crown, so that neighbouring
+    points of one crown lie farther apart in height than from side to side.
     """
     rule, instances = config.spacing, config.instances.model_copy(update={"leaf": config.leaf})
     if spacing <= rule.served or math.isinf(spacing):
@@ -145,6 +159,11 @@ def at_spacing(config: ChangeConfig, spacing: float) -> ChangeConfig:
         return {name: max(at, min(at / rule.served, most) * spacing) for name, at in lengths.items()}
 
     semantics = config.semantics
+    crowns = {
+        **raised(instances, ("density_voxel",), math.inf),
+        **raised(instances, ("crown_radius",), rule.crown),
+        "foliage_layers": spacing / rule.served,
+    }
     smallest = max(config.leaf, _NOMINAL * spacing / rule.served)
     return config.model_copy(
         update={
@@ -161,7 +180,12 @@ def at_spacing(config: ChangeConfig, spacing: float) -> ChangeConfig:
                 }
             ),
             "instances": instances.model_copy(
-                update={**raised(instances, _INSTANCES, rule.cell), "leaf": smallest}
+                update={
+                    **raised(instances, _INSTANCES, rule.cell),
+                    **raised(instances, ("foliage_voxel",), rule.same),
+                    **(crowns if from_above else {}),
+                    "leaf": smallest,
+                }
             ),
             "lod": config.lod.model_copy(update=raised(config.lod, ("radius", "normal_radius"), rule.plane)),
             "plants": config.plants.model_copy(
@@ -170,7 +194,18 @@ def at_spacing(config: ChangeConfig, spacing: float) -> ChangeConfig:
                     "tops": config.plants.tops.model_copy(update={"filling": rule.filling}),
                 }
             ),
-            "measures": config.measures.model_copy(update=raised(config.measures, ("same_high",), rule.same)),
+            "measures": config.measures.model_copy(
+                update={
+                    **raised(config.measures, ("same_high",), rule.same),
+                    "patch_voxels": _patch_voxels(config.measures, spacing),
+                }
+            ),
+            "evidence": config.evidence.model_copy(
+                update={
+                    **raised(config.evidence, ("shadow_radius",), rule.same),
+                    **raised(config.evidence, ("shadow_ring",), rule.plane),
+                }
+            ),
             **raised(config, ("normal_radius",), rule.plane),
         }
     )

@@ -34,7 +34,6 @@ from subiaco_geo.clouds import unique_cells
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats
 
-_PATCH = NUMBERS.absence.voxels_per_patch
 _SURE = NUMBERS.absence.least_doubt
 
 
@@ -97,6 +96,12 @@ class MeasureConfig(StrictModel):
         le=1,
         description="Quantile of the heights that is the top of an object, as a fraction (0.95 for h95, "
         "paper)",
+    )
+    patch_voxels: float = Field(
+        4.0,
+        ge=1,
+        description="Number of neighbouring voxels whose errors of free space are one error, because the "
+        "same beams cross them; falls with the square of a point spacing above the edge of a voxel",
     )
     carving: CarvingConfig = CarvingConfig()
 
@@ -288,6 +293,7 @@ def absence(
     after: Sequence[ObjectInstance],
     free: tuple[Free | None, Free | None],
     certain: tuple[Certainty | None, Certainty | None] = (None, None),
+    patch: float = MeasureConfig().patch_voxels,
 ) -> float:
     """Probability that the object is absent where the other epoch holds nothing.
 
@@ -304,6 +310,8 @@ def absence(
     certain : (callable, callable)
         Probability that the evidence of *before* and of *after* at places (N, 3) is right as a whole: of a
         bare cloud nobody knows whence it was measured, and one hidden place tells of all the others. None: 1.
+    patch : float
+        Number of voxels that form a patch.
     """
     chances, bound = [np.zeros(0)], 1.0
     for objects, known, whole in ((before, free[1], certain[1]), (after, free[0], certain[0])):
@@ -313,7 +321,7 @@ def absence(
             bound = min(bound, mean_certainty(whole, places))
             chances.append(porous_chance(known(places), opacity(objects)))
     joined = np.concatenate(chances)
-    return 1.0 if len(joined) == 0 else bound * pooled(float(joined.mean()), len(joined))
+    return 1.0 if len(joined) == 0 else bound * pooled(float(joined.mean()), len(joined), patch)
 
 
 def mean_certainty(certain: Certainty | None, places: Floats) -> float:
@@ -321,10 +329,10 @@ def mean_certainty(certain: Certainty | None, places: Floats) -> float:
     return 1.0 if certain is None or len(places) == 0 else float(certain(places).mean())
 
 
-def pooled(mean: float, voxels: int) -> float:
-    """Probability that places are free together: ``mean`` of so many voxels, four of which form a patch."""
+def pooled(mean: float, voxels: int, patch: float = MeasureConfig().patch_voxels) -> float:
+    """Probability that places are free together: ``mean`` of so many voxels, some of which form a patch."""
     within = min(max(mean, _SURE), 1.0 - _SURE)
-    return float(expit(logit(within) * max(voxels / _PATCH, 1.0) ** 0.5))
+    return float(expit(logit(within) * max(voxels / patch, 1.0) ** 0.5))
 
 
 def opacity(objects: Sequence[ObjectInstance]) -> float | None:

@@ -18,7 +18,9 @@ from subiaco_change.decisions.measures import footprint, same_place
 from subiaco_change.decisions.object_decision import ObjectChange, ObjectRules, decide_object
 from subiaco_change.decisions.voxel_objects import (
     EpochView,
+    Free,
     ObjectInstance,
+    Reach,
     Voxels,
     build_instances,
     build_voxels,
@@ -26,6 +28,7 @@ from subiaco_change.decisions.voxel_objects import (
     join_voxels,
 )
 from subiaco_change.instance_splitting.building_extensions import classify_low_parts
+from subiaco_change.instance_splitting.felled_crowns import split_felled_crowns
 from subiaco_change.instance_splitting.one_epoch_parts import split_one_epoch_parts
 from subiaco_change.instance_splitting.places_seen_free import places_seen_free
 from subiaco_change.instance_splitting.split_merge import (
@@ -40,7 +43,6 @@ from subiaco_change.instance_splitting.split_merge import (
 )
 from subiaco_change.quantiles import quantile_of
 from subiaco_change.records import ChangeRecord
-from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats
 
@@ -61,12 +63,8 @@ def compare_objects(
     )
     voxels_b = build_voxels(before, after, seen_by_after, edge, reach, step, rules.free[1])
     voxels_a = build_voxels(after, before, seen_by_before, edge, reach, step, rules.free[0])
-    objects_before = _with_parts(
-        before, voxels_b, places_seen_free(voxels_b, after, reach, rules.free[1]), rules
-    )
-    objects_after = _with_parts(
-        after, voxels_a, places_seen_free(voxels_a, before, reach, rules.free[0]), rules
-    )
+    objects_before = _with_parts((before, after), voxels_b, rules.free[1], reach, rules)
+    objects_after = _with_parts((after, before), voxels_a, rules.free[0], reach, rules)
     if rules.by_class:
         objects_before, objects_after = unify_classes(
             objects_before, objects_after, rules.association, tolerance
@@ -92,11 +90,18 @@ def compare_objects(
     return assign_fragments(changes, objects_before, objects_after, rules.association, tolerance)
 
 
-def _with_parts(view: EpochView, voxels: Voxels, free: Mask, rules: ObjectRules) -> list[ObjectInstance]:
-    """Objects of an epoch, and their parts that the other epoch lacks as objects of their own."""
-    objects = build_instances(view, voxels)
-    seen_free = [free[voxels.owner == t.instance] for t in objects]
-    return classify_low_parts(split_one_epoch_parts(objects, rules.association.parts, seen_free))
+def _with_parts(
+    views: tuple[EpochView, EpochView], voxels: Voxels, known: Free | None, reach: Reach, rules: ObjectRules
+) -> list[ObjectInstance]:
+    """Objects of the first epoch, and their parts that the other epoch lacks as objects of their own."""
+    objects = build_instances(views[0], voxels)
+    if all(rules.from_above):
+        objects = split_felled_crowns(objects, *views, reach)
+    joined = join_voxels(objects)
+    seen_free = places_seen_free(joined, views[1], reach, known)
+    ends = np.cumsum([len(t.voxels) for t in objects])[:-1]
+    free = np.split(seen_free, ends) if objects else []
+    return classify_low_parts(split_one_epoch_parts(objects, rules.association.parts, free))
 
 
 def _parts(

@@ -121,6 +121,7 @@ class ObjectRules:
     certain: tuple[Certainty | None, Certainty | None] = (None, None)  # how certain these can be at most
     lanes: tuple[Observed, ...] = ()  # which places the survey vehicles of both epochs drove through
     moved: tuple[Moved | None, Moved | None] = (None, None)  # what *before* and *after* know to have moved
+    from_above: tuple[bool, bool] = (False, False)  # whether *before* and *after* were measured from above
     plants: PlantConfig = field(default_factory=PlantConfig)
 
 
@@ -136,7 +137,8 @@ def decide_object(
     )
     if not (before and after):
         measures = replace(measures, observed_fraction=_observed_fraction(parts, measures, rules))
-    measures = replace(measures, free=absence(before, after, rules.free, rules.certain))
+    patch = rules.measures.patch_voxels
+    measures = replace(measures, free=absence(before, after, rules.free, rules.certain, patch))
     lod = object_lod(parts)
     plant, matched = None, None
     if semantic is Semantic.VEGETATION and before and after:

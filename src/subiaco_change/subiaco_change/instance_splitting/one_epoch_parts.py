@@ -106,8 +106,8 @@ def split_one_epoch_parts(
     for number, obj in enumerate(objects):
         plain = obj.voxels
         free = np.zeros(len(plain), dtype=bool) if seen_free is None else seen_free[number]
-        labels = _parts_of(replace(obj, voxels=_with_free(plain, free)), plain, config)
-        parted = replace(obj, voxels=_with_free(plain, free & (labels > 0)))
+        labels = _parts_of(replace(obj, voxels=with_free(plain, free)), plain, config)
+        parted = replace(obj, voxels=with_free(plain, free & (labels > 0)))
         rest, *own = split_by_labels(parted, labels, following) if labels.any() else [obj]
         following += len(own)
         rests.append(rest)
@@ -135,7 +135,7 @@ def split_by_labels(obj: ObjectInstance, labels: Ints, following: int) -> list[O
     ]
 
 
-def _with_free(voxels: Voxels, free: Mask) -> Voxels:
+def with_free(voxels: Voxels, free: Mask) -> Voxels:
     """Voxels of which some (M,) lie in places that the other epoch observed free."""
     return replace(
         voxels, observed=voxels.observed | free, occupied_in_other=voxels.occupied_in_other & ~free
@@ -151,10 +151,12 @@ def _united(parts: Sequence[ObjectInstance], config: PartConfig) -> list[ObjectI
     links = np.column_stack([owner, cluster + len(parts)])
     group = connect(len(parts) + int(cluster.max()) + 1, links)[: len(parts)]
     _, first = np.unique(group, return_index=True)
-    return [_joined([p for p, g in zip(parts, group, strict=True) if g == group[k]]) for k in np.sort(first)]
+    return [
+        join_parts([p for p, g in zip(parts, group, strict=True) if g == group[k]]) for k in np.sort(first)
+    ]
 
 
-def _joined(parts: Sequence[ObjectInstance]) -> ObjectInstance:
+def join_parts(parts: Sequence[ObjectInstance]) -> ObjectInstance:
     """Make one object of parts of one epoch: number, class and origin are those of the largest."""
     if len(parts) == 1:
         return parts[0]

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from subiaco_change.method_numbers.association_numbers import (
     CostsNumbers,
+    FelledCrownsNumbers,
     HedgeSectionsNumbers,
     MergedInstancesNumbers,
     OneEpochPartsNumbers,
@@ -93,6 +94,7 @@ class MethodNumbers(StrictModel):
     vegetation_null: VegetationNullNumbers = VegetationNullNumbers()
     voxel_objects: VoxelObjectsNumbers = VoxelObjectsNumbers()
     costs: CostsNumbers = CostsNumbers()
+    felled_crowns: FelledCrownsNumbers = FelledCrownsNumbers()
     hedge_sections: HedgeSectionsNumbers = HedgeSectionsNumbers()
     merged_instances: MergedInstancesNumbers = MergedInstancesNumbers()
     one_epoch_parts: OneEpochPartsNumbers = OneEpochPartsNumbers()

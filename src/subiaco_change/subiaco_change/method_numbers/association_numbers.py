@@ -20,6 +20,47 @@ class CostsNumbers(StrictModel):
     )
 
 
+class FelledCrownsNumbers(StrictModel):
+    """Numbers of ``instance_splitting/felled_crowns.py``."""
+
+    tall: float = Field(2.0, description="Height above ground above which a plant is a crown [m]")
+    cleared: float = Field(
+        1.0,
+        description="Height above ground up to which points of the other epoch lie on the ground where a "
+        "crown was felled [m]",
+    )
+    beside: float = Field(
+        0.35,
+        description="Distance from the places of a crown within which beams are counted, as a fraction of "
+        "the distance at which points occupy a place",
+    )
+    grown: float = Field(
+        0.7,
+        description="Distance from the middle of a felled crown to its edge, as a fraction of the distance "
+        "at which points occupy a place",
+    )
+    joined: float = Field(
+        0.8,
+        description="Edge of the cells in which places of one felled crown are connected, as a fraction of "
+        "the distance at which points occupy a place",
+    )
+    neighbours: int = Field(
+        4,
+        description="Number of nearest points of the other epoch, seen from above, that lie on the ground in "
+        "the middle of a crown that was felled",
+    )
+    chance: float = Field(
+        1e-6,
+        description="Probability that beams all reach the ground through a standing crown, below which the "
+        "crown was felled",
+    )
+    fewest_points: int = Field(5, description="Number of points of a felled crown that is an object")
+    top_reach: float = Field(
+        2.0,
+        description="Distance from the top of a crown within which no other crown is higher [m]",
+    )
+
+
 class HedgeSectionsNumbers(StrictModel):
     """Numbers of ``instance_splitting/hedge_sections.py``."""
 

@@ -10,10 +10,6 @@ from subiaco_geo.config import StrictModel
 class AbsenceNumbers(StrictModel):
     """Numbers of ``decisions/measures.py``."""
 
-    voxels_per_patch: float = Field(
-        4.0,
-        description="Number of voxels of an object that one beam crosses or misses together",
-    )
     least_doubt: float = Field(
         1e-6,
         description="Smallest probability of an error that is used for one voxel",

@@ -11,6 +11,9 @@ class InstancesNumbers(StrictModel):
     """Numbers of ``segmentation/instances.py``."""
 
     fewest_points: int = Field(8, description="Number of points that an object needs at any density")
+    fewest_points_of_plant: int = Field(
+        5, description="Number of points that a plant needs at any density: beams pass through a crown"
+    )
 
 
 class ThinTrailsNumbers(StrictModel):

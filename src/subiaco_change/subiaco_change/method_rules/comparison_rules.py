@@ -277,6 +277,23 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         ),
     ),
     Rule(
+        "felled_crowns",
+        _HERE,
+        "A crown in whose place the other epoch, measured from above, met the ground with more beams than"
+        " pass through standing crowns is an object of its own, which is never matched.",
+        (
+            "method_numbers.felled_crowns.tall",
+            "method_numbers.felled_crowns.cleared",
+            "method_numbers.felled_crowns.beside",
+            "method_numbers.felled_crowns.grown",
+            "method_numbers.felled_crowns.joined",
+            "method_numbers.felled_crowns.neighbours",
+            "method_numbers.felled_crowns.chance",
+            "method_numbers.felled_crowns.fewest_points",
+            "method_numbers.felled_crowns.top_reach",
+        ),
+    ),
+    Rule(
         "places_seen_free",
         _HERE,
         "A place that beams of the other epoch crossed is free although points of that epoch lie near, unless"

@@ -33,6 +33,7 @@ from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats, Ints
 
 _FEWEST = NUMBERS.instances.fewest_points
+_FEWEST_OF_PLANT = NUMBERS.instances.fewest_points_of_plant
 
 
 class InstanceConfig(StrictModel):
@@ -59,6 +60,15 @@ class InstanceConfig(StrictModel):
         gt=0,
         description="Edge of the voxels of the first clustering of foliage, before each cluster is split "
         "by its own density [m]",
+    )
+    density_voxel: float = Field(
+        1.0, gt=0, description="Edge of the voxels in which the point density of foliage is measured [m]"
+    )
+    foliage_layers: float = Field(
+        1.0,
+        ge=1,
+        description="Height of the voxels in which foliage is clustered as a multiple of their edge: the "
+        "height at which a beam ends in a crown does not follow the point spacing",
     )
     crown_cell: float = Field(
         0.5, gt=0, description="Edge of the canopy raster cells in which crowns are separated [m]"
@@ -134,7 +144,8 @@ def segment(cloud: PointCloud, result: SemanticResult, config: InstanceConfig) -
             continue
         labels = function(cloud.xyz[members], result.height_above_ground[members].astype(np.float64), config)
         smallest = config.min_points[position] * (0.25 / config.leaf) ** 2
-        labels = _renumber(cloud.xyz[members], labels, max(_FEWEST, round(smallest)))
+        fewest = _FEWEST_OF_PLANT if semantic is Semantic.VEGETATION else _FEWEST
+        labels = _renumber(cloud.xyz[members], labels, max(fewest, round(smallest)))
         instance[members] = np.where(labels >= 0, labels + following, -1)
         following += int(labels.max()) + 1
     return instance.astype(np.int32)
@@ -178,7 +189,7 @@ def _others(xyz: Floats, height: Floats, config: InstanceConfig) -> Ints:
 
 def _vegetation(xyz: Floats, height: Floats, config: InstanceConfig) -> Ints:
     """Cluster foliage, then part clusters with several crowns at the dips between their tops."""
-    labels = _cluster_by_density(xyz, config)
+    labels = _cluster_by_density(xyz / (1.0, 1.0, config.foliage_layers), config)
     following = 0
     parted = np.full(len(xyz), -1, dtype=np.int64)
     for members in group_indices(labels):
@@ -213,17 +224,20 @@ def _cluster_by_density(xyz: Floats, config: InstanceConfig) -> Ints:
     following = 0
     # A voxel cluster joins points up to about twice its edge apart.
     for members in group_indices(voxel_clusters(xyz, config.foliage_voxel)):
-        gap = max(config.vegetation_gap, config.vegetation_density / np.cbrt(_density(xyz[members])))
+        gap = max(
+            config.vegetation_gap,
+            config.vegetation_density / np.cbrt(_density(xyz[members], config.density_voxel)),
+        )
         own = voxel_clusters(xyz[members], gap / 2)
         labels[members] = own + following
         following += int(own.max()) + 1
     return labels
 
 
-def _density(xyz: Floats) -> float:
-    """Median number of points a cubic metre in the occupied cubic metres."""
-    _, counts = np.unique(voxel_keys(voxel_indices(xyz, 1.0)), return_counts=True)
-    return float(np.median(counts))
+def _density(xyz: Floats, edge: float) -> float:
+    """Median number of points a cubic metre in the occupied voxels of an edge [m]."""
+    _, counts = np.unique(voxel_keys(voxel_indices(xyz, edge)), return_counts=True)
+    return float(np.median(counts)) / edge**3
 
 
 def split_crowns(xyz: Floats, height: Floats, config: InstanceConfig) -> Ints:

@@ -199,7 +199,8 @@ class Epochs:
 
     def follow_spacing(self) -> None:
         """Raise the lengths of the configuration to what the sparser epoch can show, once both are cut."""
-        self.config = at_spacing(self.config, round(self.spacing.coarser, 2))
+        above = all(side.from_above for side in self.sides)
+        self.config = at_spacing(self.config, round(self.spacing.coarser, 2), from_above=above)
 
     @property
     def spacing(self) -> PointSpacing:
