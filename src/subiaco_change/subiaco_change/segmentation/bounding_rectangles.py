@@ -7,16 +7,13 @@ import numpy as np
 from subiaco_geo.clouds import extent_of
 from subiaco_geo.frames import Floats
 
-_ANGLES = np.radians(np.arange(0, 90, 3.0))
-#: Directions (2, 30) of a side of a rectangle that are tried, and those across them.
-_ALONG = np.stack([np.cos(_ANGLES), np.sin(_ANGLES)])
-_ACROSS = np.stack([-np.sin(_ANGLES), np.cos(_ANGLES)])
-
 
 def box_coordinates(xy: Floats) -> Floats:
     """Turn points (N, 2) to the long and short side of their smallest rectangle, tried every 3 deg."""
+    angles = np.radians(np.arange(0, 90, 3.0))
     centred = xy - xy.mean(axis=0)
-    u, v = centred @ _ALONG, centred @ _ACROSS
+    u = centred @ np.stack([np.cos(angles), np.sin(angles)])
+    v = centred @ np.stack([-np.sin(angles), np.cos(angles)])
     sides = np.stack([np.ptp(u, axis=0), np.ptp(v, axis=0)])
     best = int(np.argmin(sides[0] * sides[1]))
     pair = (u, v) if sides[0, best] >= sides[1, best] else (v, u)
@@ -43,7 +40,7 @@ def wall_axes(xy: Floats, cell: float = 0.25) -> Floats:
     """Rotation (2, 2) whose columns are the directions of the walls that points (N, 2) are of."""
     centred = xy - xy.mean(axis=0)
     best, found = -1.0, np.eye(2)
-    for angle in _ANGLES:
+    for angle in np.radians(np.arange(0, 90, 3.0)):
         axes = np.array([[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]])
         uv = centred @ axes
         strips = np.floor((uv - extent_of(uv)[0]) / cell).astype(np.int64)
