@@ -5,9 +5,9 @@ of each family, measured by unlike sensors, with its visibility layers, and a cr
 without trajectories. Floors lie a few points below what was measured when they were set. They are raised when
 the method gets better, and not lowered to let a change pass. One was, by one object of 39 (method 1.15): a
 tree that grew by 0.54 m was measured in four columns, and the excess of its top equalled its limit to the
-centimetre. The floors of the other two streets rose by more. That of the bare street was
-lowered once: method 1.18 passed the former floor of 71.0 on one machine and scored 70.9 on another one, as method
-1.19 does. It had fallen from 74.8 since the floor was set.
+centimetre. The floors of the other two streets rose by more. That of the bare street was lowered once: method
+1.18 passed the former floor of 71.0 on one machine and scored 70.9 on another, as method 1.19 does. It had
+fallen from 74.8 since the floor was set.
 """
 
 from __future__ import annotations
