@@ -14,6 +14,7 @@ from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.dynamic_objects import (
     OwnEpochEvidence,
     continues_trail,
+    contrast_with_ground,
     doubt_of_porous,
     hides_no_ground,
     is_moving_object_trail,
@@ -302,6 +303,19 @@ def scattered(fill, top, seed=11):
     return [obj([(np.random.default_rng(seed).uniform([0, 0, 0.1], [6, 1.8, top], (count, 3)), False)])]
 
 
+COUNTED = OwnEpochEvidence(nowhere, NOWHERE)
+
+
+def on_asphalt(hidden):
+    """What its own survey knows where the object hides this share of the asphalt beneath, from one end on."""
+    beneath = ((ASPHALT[:, 0] > 0) & (ASPHALT[:, 0] < 6 * hidden)) & (np.abs(ASPHALT[:, 1] - 0.9) < 0.9)
+    return OwnEpochEvidence(nowhere, NOWHERE, ground=cKDTree(ASPHALT[~beneath]))
+
+
+def contrast(fill, top, semantic, own):
+    return contrast_with_ground(scattered(fill, top), semantic, own, RULES)
+
+
 @pytest.mark.parametrize(
     ("fill", "top", "semantic", "hidden", "doubted"),
     [
@@ -319,10 +333,9 @@ def test_what_neither_fills_its_place_nor_hides_the_ground_beneath_is_doubted(
 ):
     beneath = ((ASPHALT > 0) & (ASPHALT < (6, 1.8))).all(axis=1)
     own = OwnEpochEvidence(nowhere, NOWHERE, ground=cKDTree(ASPHALT[~beneath] if hidden else ASPHALT))
-    found = doubt_of_porous(scattered(fill, top), semantic, own, RULES)
+    found = doubt_of_porous(contrast(fill, top, semantic, own), semantic)
     assert found.endswith("the confidence is lowered.") == doubted
-    counted = OwnEpochEvidence(nowhere, NOWHERE)
-    assert doubt_of_porous(scattered(fill, top), semantic, counted, RULES) == ""
+    assert doubt_of_porous(contrast(fill, top, semantic, COUNTED), semantic) == ""
 
 
 @pytest.mark.parametrize(
@@ -340,12 +353,9 @@ def test_what_neither_fills_its_place_nor_hides_the_ground_beneath_is_doubted(
 def test_what_has_few_points_and_hides_none_of_the_ground_is_not_claimed(
     fill, top, semantic, hidden, seen_through
 ):
-    beneath = ((ASPHALT[:, 0] > 0) & (ASPHALT[:, 0] < 6 * hidden)) & (np.abs(ASPHALT[:, 1] - 0.9) < 0.9)
-    own = OwnEpochEvidence(nowhere, NOWHERE, ground=cKDTree(ASPHALT[~beneath]))
-    decision = hides_no_ground(scattered(fill, top), semantic, own, RULES)
+    decision = hides_no_ground(contrast(fill, top, semantic, on_asphalt(hidden)))
     assert (decision is not None and decision.change is Change.UNOBSERVED) == seen_through
-    counted = OwnEpochEvidence(nowhere, NOWHERE)
-    assert hides_no_ground(scattered(fill, top), semantic, counted, RULES) is None
+    assert hides_no_ground(contrast(fill, top, semantic, COUNTED)) is None
 
 
 @pytest.mark.parametrize(
@@ -372,12 +382,9 @@ def test_what_has_few_points_and_hides_none_of_the_ground_is_not_claimed(
 def test_what_has_fewer_points_than_one_of_its_sides_on_ground_that_was_seen_is_not_claimed(
     fill, top, semantic, hidden, told
 ):
-    beneath = ((ASPHALT[:, 0] > 0) & (ASPHALT[:, 0] < 6 * hidden)) & (np.abs(ASPHALT[:, 1] - 0.9) < 0.9)
-    own = OwnEpochEvidence(nowhere, NOWHERE, ground=cKDTree(ASPHALT[~beneath]))
-    decision = shows_no_side(scattered(fill, top), semantic, own, RULES)
+    decision = shows_no_side(contrast(fill, top, semantic, on_asphalt(hidden)))
     assert (decision is not None and decision.change is Change.UNOBSERVED) == told
-    counted = OwnEpochEvidence(nowhere, NOWHERE)
-    assert shows_no_side(scattered(fill, top), semantic, counted, RULES) is None
+    assert shows_no_side(contrast(fill, top, semantic, COUNTED)) is None
 
 
 def test_a_planted_row_that_hides_the_ground_is_no_person():

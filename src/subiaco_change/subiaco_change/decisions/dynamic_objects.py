@@ -210,20 +210,40 @@ def may_be_a_person(
     return Decision(Change.UNOBSERVED, reason, 0.0)
 
 
-@switchable("hides_no_ground", no_decision)
-def hides_no_ground(
+@dataclass(frozen=True)
+class Contrast:
+    """How an object stands out from the ground beside it; NaN where that is not known.
+
+    ``filled`` and ``beneath``: points of the object, and ground points beneath it, over the ground points on
+    an area as large as its footprint. ``side``: points of the object over those on an area as large as its
+    longer side.
+    """
+
+    filled: float = math.nan
+    beneath: float = math.nan
+    side: float = math.nan
+
+
+def contrast_with_ground(
     objects: Sequence[ObjectInstance],
     semantic: Semantic,
     own: OwnEpochEvidence | None,
     rules: DecisionConfig,
-) -> Decision | None:
+) -> Contrast:
+    """Compare what may be a vehicle with the ground beside it; not known where beams were counted."""
+    if semantic is Semantic.BUILDING or own is None or own.ground is None:
+        return Contrast()
+    if not fits_a_vehicle(objects, rules):
+        return Contrast()
+    return _beside_ground(np.concatenate([t.xyz for t in objects]), own.ground.data)
+
+
+@switchable("hides_no_ground", no_decision)
+def hides_no_ground(found: Contrast) -> Decision | None:
     """Tell what its own survey saw the ground through as if nothing stood there, without counts of beams.
 
     Whatever stands hides some of the ground beneath it, even a car with clearance that was seen from afar.
     """
-    if semantic is Semantic.BUILDING:
-        return None
-    found = _opacity(objects, own, rules)
     if not (found.filled < _FILLED and found.beneath >= _HIDES_NOTHING):
         return None
     reason = (
@@ -236,20 +256,12 @@ def hides_no_ground(
 
 
 @switchable("shows_no_side", no_decision)
-def shows_no_side(
-    objects: Sequence[ObjectInstance],
-    semantic: Semantic,
-    own: OwnEpochEvidence | None,
-    rules: DecisionConfig,
-) -> Decision | None:
+def shows_no_side(found: Contrast) -> Decision | None:
     """Tell what has fewer points than one of its sides would have, on ground that was seen.
 
     A standing object shows at least the side that faces the sensor, and beams meet an upright surface more
     closely than the ground beside it. Of what passed, a few sweeps met a part here and a part there.
     """
-    if semantic is Semantic.BUILDING:
-        return None
-    found = _opacity(objects, own, rules)
     if not (found.side < _SIDE and found.beneath >= _SHOWN_BENEATH):
         return None
     reason = (
@@ -267,12 +279,7 @@ def _no_doubt(*_: object) -> str:
 
 
 @switchable("ground_shines_through", _no_doubt)
-def doubt_of_porous(
-    objects: Sequence[ObjectInstance],
-    semantic: Semantic,
-    own: OwnEpochEvidence | None,
-    rules: DecisionConfig,
-) -> str:
+def doubt_of_porous(found: Contrast, semantic: Semantic) -> str:
     """Say why what neither fills nor hides its place may be a trail, in a cloud without counts of beams.
 
     A standing object hides the ground beneath, and most show a surface that a survey samples as densely as
@@ -281,7 +288,6 @@ def doubt_of_porous(
     """
     if semantic not in (Semantic.VEGETATION, Semantic.OTHER):
         return ""
-    found = _opacity(objects, own, rules)
     if not (found.filled < _FILLED and found.beneath >= _SEEN_BENEATH):
         return ""
     return (
@@ -292,30 +298,7 @@ def doubt_of_porous(
     )
 
 
-@dataclass(frozen=True)
-class _Opacity:
-    """How an object stands out from the ground beside it; NaN where that is not known.
-
-    ``filled`` and ``beneath``: points of the object, and ground points beneath it, over the ground points on
-    an area as large as its footprint. ``side``: points of the object over those on an area as large as its
-    longer side.
-    """
-
-    filled: float = math.nan
-    beneath: float = math.nan
-    side: float = math.nan
-
-
-def _opacity(
-    objects: Sequence[ObjectInstance], own: OwnEpochEvidence | None, rules: DecisionConfig
-) -> _Opacity:
-    """Measure what may be a vehicle in a cloud without counts of beams."""
-    if own is None or own.ground is None or not fits_a_vehicle(objects, rules):
-        return _Opacity()
-    return _beside_ground(np.concatenate([t.xyz for t in objects]), own.ground.data)
-
-
-def _beside_ground(xyz: Floats, ground: Floats) -> _Opacity:
+def _beside_ground(xyz: Floats, ground: Floats) -> Contrast:
     """Compare points (N, 3) of an object with the ground points (G, 2) in the cells around."""
     xy = xyz[:, :2]
     low = np.floor(xy.min(axis=0) / _CELL).astype(np.int64) - 2 * _RING
@@ -334,12 +317,12 @@ def _beside_ground(xyz: Floats, ground: Floats) -> _Opacity:
     beside &= ~ndimage.binary_dilation(footprint, block)
     known = counts[1][beside & (counts[1] > 0)]
     if len(known) < _RING:
-        return _Opacity()
+        return Contrast()
     usual = float(np.median(known))
     expected = usual * np.count_nonzero(footprint)
     bottom, top = np.quantile(xyz[:, 2], [0.025, 0.975])
     side = usual / _CELL**2 * max(_strip(xy)[0], _CELL) * max(top - bottom, _CELL)
-    return _Opacity(len(xy) / expected, float(counts[1][footprint].sum()) / expected, len(xy) / side)
+    return Contrast(len(xy) / expected, float(counts[1][footprint].sum()) / expected, len(xy) / side)
 
 
 def _road_beneath(xy: Floats, ground: Floats) -> float:

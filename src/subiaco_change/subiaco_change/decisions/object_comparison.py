@@ -95,7 +95,7 @@ def _with_parts(
 ) -> list[ObjectInstance]:
     """Objects of the first epoch, and their parts that the other epoch lacks as objects of their own."""
     objects = build_instances(views[0], voxels)
-    if all(rules.from_above):
+    if rules.from_above:
         objects = split_felled_crowns(objects, *views, reach)
     joined = join_voxels(objects)
     seen_free = places_seen_free(joined, views[1], reach, known)

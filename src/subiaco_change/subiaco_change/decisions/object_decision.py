@@ -20,6 +20,7 @@ from subiaco_change.decisions.dynamic_objects import (
     Observed,
     OwnEpochEvidence,
     continues_trail,
+    contrast_with_ground,
     doubt_of_porous,
     fits_a_vehicle,
     hides_no_ground,
@@ -121,7 +122,7 @@ class ObjectRules:
     certain: tuple[Certainty | None, Certainty | None] = (None, None)  # how certain these can be at most
     lanes: tuple[Observed, ...] = ()  # which places the survey vehicles of both epochs drove through
     moved: tuple[Moved | None, Moved | None] = (None, None)  # what *before* and *after* know to have moved
-    from_above: tuple[bool, bool] = (False, False)  # whether *before* and *after* were measured from above
+    from_above: bool = False  # whether both epochs were measured from above
     plants: PlantConfig = field(default_factory=PlantConfig)
 
 
@@ -152,7 +153,9 @@ def decide_object(
         plant = None
     epoch = 0 if before else 1  # of an object of one epoch
     own = rules.own[epoch]
+    doubt = ""
     if decision.change in (Change.ADDED, Change.REMOVED):
+        contrast = contrast_with_ground(parts, semantic, own, rules.decisions)
         decision = (
             is_misclassified_ground(semantic, parts)
             or is_floating_line(parts, rules.standing[epoch], rules.decisions)
@@ -160,18 +163,17 @@ def decide_object(
             or continues_trail(parts, own, rules.decisions)
             or is_strip_on_road(parts, own, rules.decisions)
             or may_be_a_person(parts, semantic, own)
-            or hides_no_ground(parts, semantic, own, rules.decisions)
-            or shows_no_side(parts, semantic, own, rules.decisions)
+            or hides_no_ground(contrast)
+            or shows_no_side(contrast)
             or decide_in_traffic(parts, rules.lanes, rules.moved[epoch], rules.decisions)
             or decide_shapeless(parts, semantic, rules.lanes, rules.decisions)
             or decide_vehicle_part(parts, semantic, measures, rules.standing[1 - epoch])
             or decision
         )
+        if decision.change in (Change.ADDED, Change.REMOVED):
+            doubt = doubt_of_porous(contrast, semantic)
     kind = match_kind(len(before), len(after))
     in_lane = lane_share_of_claim(decision, parts, rules.lanes, rules.decisions)
-    doubt = ""
-    if decision.change in (Change.ADDED, Change.REMOVED):
-        doubt = doubt_of_porous(parts, semantic, own, rules.decisions)
     sides = tuple(before), tuple(after)
     return ObjectChange(*sides, semantic, kind, measures, decision, plant, in_lane, doubt)
 

@@ -132,8 +132,9 @@ def _touching_extensions(
         if not any(len(g) for g in gaps):
             continue
         keys = [remoteness(g) for g in gaps]
-        contact = [len(g) if key[0] == min(keys)[0] else 0 for g, key in zip(gaps, keys, strict=True)]
-        host = hosts[keys.index(min(keys))]
+        nearest = min(keys)
+        contact = [len(g) if key[0] == nearest[0] else 0 for g, key in zip(gaps, keys, strict=True)]
+        host = hosts[keys.index(nearest)]
         if _is_extension(pair[epoch], pairs[host], epoch, contact, config):
             extensions[number] = host
     return extensions

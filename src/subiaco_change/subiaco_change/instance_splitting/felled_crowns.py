@@ -95,7 +95,7 @@ def _large(pieces: Sequence[ObjectInstance]) -> list[ObjectInstance]:
 
 @dataclass(frozen=True)
 class _Plan:
-    """Points of an epoch seen from above: tree of places, heights above ground, and a share of beams."""
+    """Points of an epoch seen from above: tree of their places, and heights above ground."""
 
     tree: cKDTree
     height: Floats

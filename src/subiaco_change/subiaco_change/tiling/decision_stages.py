@@ -186,7 +186,7 @@ def compare_tile(inputs: Inputs, params: TileParams[ComparisonSlice]) -> TileCom
         with_evidence(object_rules(config), (regions[0], regions[1]), kinds),
         lanes=tuple(r.driven for r in regions if r.driven is not None),
         moved=(regions[0].moved, regions[1].moved),
-        from_above=(params.sides[0].from_above, params.sides[1].from_above),
+        from_above=all(side.from_above for side in params.sides),
     )
     changes = compare_objects(views[0], views[1], regions[0].observed, regions[1].observed, rules)
     numbers = [number for _, number in compact]
