@@ -78,6 +78,23 @@ def test_hedges_that_changed_do_not_widen_the_scatter_of_the_others_even_where_n
 
 
 @pytest.mark.parametrize("seed", range(5))
+def test_hedges_of_which_more_than_half_changed_scatter_as_the_crowns_of_their_pair_do(seed):
+    rng = np.random.default_rng(seed)
+    crowns = [replace(TREE, rise=float(r), rise_sigma=0.03) for r in rng.normal(0.05, 0.04, 60)]
+    rises = [*rng.normal(0.02, 0.04, 11), *rng.uniform(0.25, 0.65, 6), *rng.uniform(-0.65, -0.25, 7)]
+    hedges = [replace(HEDGE, rise=float(r), rise_sigma=0.05) for r in rises]
+    assert fit_null([*crowns, *hedges], NULL).expected(HEDGE, "rise").sd <= 0.1
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_hedges_that_scatter_more_than_the_crowns_of_their_pair_are_measured_as_such(seed):
+    rng = np.random.default_rng(seed)
+    crowns = [replace(TREE, rise=float(r), rise_sigma=0.03) for r in rng.normal(0.0, 0.04, 60)]
+    hedges = [replace(HEDGE, rise=float(r), rise_sigma=0.03) for r in rng.normal(0.0, 0.2, 30)]
+    assert fit_null([*crowns, *hedges], NULL).expected(HEDGE, "rise").sd == pytest.approx(0.2, rel=0.35)
+
+
+@pytest.mark.parametrize("seed", range(5))
 @pytest.mark.parametrize("sd", [0.05, 0.15, 0.3])
 def test_a_wide_scatter_of_many_plants_without_a_change_is_measured_as_wide(sd, seed):
     rng = np.random.default_rng(seed)

@@ -211,8 +211,12 @@ class VegetationNull:
 
 
 def fit_null(plants: Sequence[PlantMeasures], config: VegetationNullConfig) -> VegetationNull:
-    """Fit what unchanged plants differ by to all matched plants of a pair, in any order."""
-    fits = {}
+    """Fit what unchanged plants differ by to all matched plants of a pair, in any order.
+
+    Hedges are expected to scatter as the crowns of the pair do, which the same sensors saw and which are
+    more: of few hedges half may have been cut, and their changes then look like a wide scatter.
+    """
+    fits: dict[str, NullFit] = {}
     kinds: tuple[PlantKind, ...] = ("crown", "hedge") if config.enabled else ()
     for kind in kinds:
         own = [p for p in plants if p.kind == kind and not p.thin and not p.section_only]
@@ -224,8 +228,10 @@ def fit_null(plants: Sequence[PlantMeasures], config: VegetationNullConfig) -> V
             places = np.array([_place(p) for p in own])[known]
             errors = np.array([p.error(measure) for p in own])[known]
             order = np.lexsort((*places.T, errors, values[known]))
+            crowns = fits.get(f"crown/{measure}")
+            expected = float(getattr(config.stated, measure)) if crowns is None else crowns.sd
             fits[f"{kind}/{measure}"] = _fit(
-                places[order], values[known][order], errors[order], measure, config
+                places[order], values[known][order], errors[order], measure, expected, config
             )
     return replace(no_null(config), fits=fits)
 
@@ -236,14 +242,19 @@ def _place(plant: PlantMeasures) -> Floats:
 
 
 def _fit(
-    places: Floats, values: Floats, errors: Floats, measure: str, config: VegetationNullConfig
+    places: Floats,
+    values: Floats,
+    errors: Floats,
+    measure: str,
+    expected: float,
+    config: VegetationNullConfig,
 ) -> NullFit:
     """Fit one measure (N,) against covariates (N, 2), with plants that changed as a second component.
 
     A plant either did not change, and scatters normally about the model, or did, and follows a wide Cauchy
     distribution. A plant scatters by its own standard error (N,) as well: few points of some plants do not
     widen the scatter of the others. Among standard deviations from the least one upward, the one of the
-    greatest posterior is taken. Slopes are held near zero as far as ``slope`` says: few plants would else
+    greatest posterior is taken, where ``expected`` is the most probable one before. Slopes are held near zero as far as ``slope`` says: few plants would else
     explain changes by their size.
     """
     least = float(getattr(config.least, measure))
@@ -251,9 +262,10 @@ def _fit(
     centre = np.median(places, axis=0)
     design = np.column_stack([np.ones(len(values)), np.clip(places, low, high) - centre])
     tried = np.geomspace(least, max(float(np.ptp(values)), 2.0 * least), _SCATTERS)
-    stated = float(getattr(config.stated, measure))
-    fits = [_with_scatter(design, values, errors, float(sd), stated, config) for sd in tried]
-    best = int(np.argmax([posterior for posterior, _ in fits]))
+    wide = config.changed * float(getattr(config.stated, measure))
+    fits = [_with_scatter(design, values, errors, float(sd), wide, config) for sd in tried]
+    prior = -0.5 * (np.log(tried / expected) / config.spread) ** 2
+    best = int(np.argmax(prior + [likelihood for likelihood, _ in fits]))
     a, b, c = (float(v) for v in fits[best][1])
     return NullFit((a, b, c), _pair(centre), _pair(low), _pair(high), float(tried[best]), len(values))
 
@@ -263,22 +275,25 @@ def _with_scatter(
     values: Floats,
     errors: Floats,
     sd: float,
-    stated: float,
+    wide: float,
     config: VegetationNullConfig,
 ) -> tuple[float, Floats]:
-    """Return the log posterior of a standard deviation and the coefficients (3,) of its model, by EM."""
+    """Return the log likelihood of a standard deviation and the coefficients (3,) of its model, by EM.
+
+    ``wide``: scale of the differences of plants that changed.
+    """
     found = np.array([_shortest_half_middle(values), 0.0, 0.0])
     own = np.hypot(sd, errors)
     precision = 1.0 / own**2
     pull = np.diag([1e-9, config.slope**-2, config.slope**-2])
-    changed, wide = config.changed_share, config.changed * stated
-    posterior = -math.inf
+    changed = config.changed_share
+    likelihood = -math.inf
     for _ in range(_ROUNDS):
         rest = values - design @ found
         same = (1.0 - changed) * np.exp(-0.5 * (rest / own) ** 2) / (own * math.sqrt(2.0 * math.pi))
         other = changed / (math.pi * wide * (1.0 + (rest / wide) ** 2))
-        last, posterior = posterior, float(np.log(same + other).sum())
-        if posterior - last < _SETTLED:
+        last, likelihood = likelihood, float(np.log(same + other).sum())
+        if likelihood - last < _SETTLED:
             break
         weight = same / (same + other)
         trust = weight * precision
@@ -286,7 +301,7 @@ def _with_scatter(
         changed = (len(values) - float(weight.sum()) + _PRIOR_PLANTS * config.changed_share) / (
             len(values) + _PRIOR_PLANTS
         )
-    return posterior - 0.5 * (math.log(sd / stated) / config.spread) ** 2, found
+    return likelihood, found
 
 
 def _pair(values: Floats) -> tuple[float, float]:
