@@ -132,6 +132,31 @@ def test_walls_seen_free_on_both_sides_tell_the_sign_of_a_change_of_volume_unles
     assert told(enough, height=(0.1, 0.4), resolution=2.0) is found
 
 
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+def test_what_may_have_changed_where_nobody_looked_does_not_oppose_what_was_seen(sign):
+    """A wing of 11 to 16 % was demolished; where it hid the house, up to 31 % may have been built."""
+
+    def told(seen=(11.0, 16.0), unseen=(0.0, 31.0), surface=0.0):
+        lost, gained = Interval(*seen), Interval(*unseen)
+        net = Interval(gained.low - lost.high, gained.high - lost.low)
+        bounds = {"height_bounds": Interval(-0.1, 0.1), "volume_bounds": net, "gained_surface": surface}
+        if sign > 0:
+            bounds |= {"volume_bounds": -net, "gained_surface": 0.0, "lost_surface": surface}
+            gained, lost = lost, gained
+        return decided(**bounds, gained=gained, lost=lost)
+
+    found, words = (Change.INCREASED, "gain of") if sign > 0 else (Change.DECREASED, "loss of")
+    assert told().change is found
+    assert (
+        f"volume change {'-20% to +16%' if sign > 0 else '-16% to +20%'} (limit 10%; a {words}"
+        in told().reason
+    )
+    assert told(unseen=(1.0, 31.0)).change is Change.UNCHANGED  # some of it is certain
+    assert told(surface=CONFIG.building.sign_surface).change is Change.UNCHANGED  # its walls were seen
+    assert told(seen=(3.0, 16.0)).change is Change.UNCHANGED  # the middle does not exceed the limit
+    assert told(seen=(0.0, 31.0)).change is Change.UNCHANGED  # neither was seen
+
+
 def test_a_label_that_rests_on_surfaces_says_so():
     bounds = {"height_bounds": Interval(-0.1, 0.1), "volume_bounds": Interval(1.0, 40.0)}
     reason = decided(**bounds, gained_surface=6.0).reason

@@ -122,8 +122,9 @@ class Measures:
     probability of being free, in the other epoch, of the places where it holds nothing.
     Of buildings, ``height_bounds`` and ``volume_bounds`` are what space carving leaves
     possible (Decision 17), ``delta_h`` and ``delta_v`` their middles; ``volume_resolution``
-    is the volume below which carving shows no change. ``gained_surface`` and ``lost_surface`` are the areas
-    of the surfaces of what was gained and lost whose place the other epoch saw free on both sides [m2].
+    is the volume below which carving shows no change. ``gained`` and ``lost`` are the volumes [m3] of which
+    ``volume_bounds`` is the difference; ``gained_surface`` and ``lost_surface`` are the areas of their
+    surfaces whose place the other epoch saw free on both sides [m2].
     """
 
     iou: float
@@ -143,6 +144,8 @@ class Measures:
     volume_bounds: Interval | None = None
     free: float = 1.0
     volume_resolution: float = 0.0
+    gained: Interval | None = None
+    lost: Interval | None = None
     gained_surface: float = 0.0
     lost_surface: float = 0.0
 
@@ -213,6 +216,8 @@ def _carved(
         height_bounds=carved.height if both else None,
         volume_bounds=volume,
         volume_resolution=carved.resolution,
+        gained=carved.gained,
+        lost=carved.lost,
         gained_surface=carved.confirmed[0] * config.voxel**2,
         lost_surface=carved.confirmed[1] * config.voxel**2,
     )

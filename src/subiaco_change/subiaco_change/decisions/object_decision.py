@@ -33,7 +33,7 @@ from subiaco_change.decisions.measures import MeasureConfig, Measures, absence, 
 from subiaco_change.decisions.plant_decisions import decide_plant
 from subiaco_change.decisions.plant_measures import PlantConfig, measure_plant
 from subiaco_change.decisions.plant_tops import expected_top
-from subiaco_change.decisions.rules import Decision, decide
+from subiaco_change.decisions.rules import Decision, decide, shown_volume
 from subiaco_change.decisions.space_carving import Empty, Interval
 from subiaco_change.decisions.vegetation_null import PlantMeasures, no_null
 from subiaco_change.decisions.voxel_objects import Certainty, Free, ObjectInstance, Voxels, join_voxels
@@ -149,6 +149,8 @@ def decide_object(
         measures = _with_tops(measures, plant, lod)
         matched = partial(decide_plant, plant, lod, rules.decisions, no_null(rules.plants.null_model))
     decision = decide(semantic, bool(before), bool(after), measures, lod, rules.decisions, matched)
+    if building and decision.change in (Change.INCREASED, Change.DECREASED):
+        measures = replace(measures, delta_v=shown_volume(measures, rules.decisions.building).middle)
     if decision.change not in _OF_PLANTS or measures.iou <= rules.decisions.vegetation.min_iou:
         plant = None
     epoch = 0 if before else 1  # of an object of one epoch

@@ -217,7 +217,8 @@ def _building(measures: Measures, gate: float, rules: ClassRules) -> Decision:
     Where height and volume say the opposite, the volume's sign wins (Decision 12).
     """
     height = measures.height_bounds or Interval(measures.delta_h, measures.delta_h)
-    volume = measures.volume_bounds or Interval(measures.delta_v, measures.delta_v)
+    possible = measures.volume_bounds or Interval(measures.delta_v, measures.delta_v)
+    volume = shown_volume(measures, rules)
     limit = max(rules.height, gate)
     whole = max(measures.volume, 1e-6)
     room = rules.volume * whole
@@ -229,8 +230,15 @@ def _building(measures: Measures, gate: float, rules: ClassRules) -> Decision:
     up = _rise(*bounds, measures.gained_surface if known else 0.0, rules)
     down = _rise(-bounds[0], -bounds[1], measures.lost_surface if known else 0.0, rules)
     evidence = f"Height change {_span(height)} (limit {limit:.2f} m), volume change"
-    stated = volume.widened(measures.volume_resolution)
-    evidence += f" {stated.low / whole:+z.0%} to {stated.high / whole:+z.0%} (limit {rules.volume:.0%}): "
+    stated = possible.widened(measures.volume_resolution)
+    evidence += f" {stated.low / whole:+z.0%} to {stated.high / whole:+z.0%} (limit {rules.volume:.0%}"
+    if volume != possible:
+        one, other = ("gain", "loss") if volume == measures.gained else ("loss", "gain")
+        least, most = sorted((abs(volume.low), abs(volume.high)))
+        evidence += (
+            f"; a {one} of {least / whole:.0%} to {most / whole:.0%} was seen, a {other} is only possible"
+        )
+    evidence += "): "
     straddles = any(bound.low <= side <= bound.high for bound in bounds for side in (-1.0, 1.0))
     if straddles:
         evidence += "space that a survey did not observe decides whether a limit is exceeded, and "
@@ -249,6 +257,28 @@ def _building(measures: Measures, gate: float, rules: ClassRules) -> Decision:
         evidence += f" {'earlier' if rising else 'later'} survey saw free space on both sides"
     evidence += f": the building {'grew' if rising else 'shrank'}."
     return Decision(change, evidence, up if rising else down, _sigmas(turned))
+
+
+def _possible_volume(measures: Measures, _: ClassRules) -> Interval:
+    """Return the bounds of the change of volume [m3]."""
+    return measures.volume_bounds or Interval(measures.delta_v, measures.delta_v)
+
+
+@switchable("unseen_opposes_nothing", _possible_volume)
+def shown_volume(measures: Measures, rules: ClassRules) -> Interval:
+    """Return the bounds of the change of volume, less the opposite change that no survey shows [m3].
+
+    Behind a wing that was demolished a house may have been built upon where the earlier survey did not look.
+    That is possible, but no evidence against what was seen.
+    """
+    gained, lost = measures.gained, measures.lost
+    if gained is None or lost is None:
+        return _possible_volume(measures, rules)
+    up = gained.low > 0.0 or measures.gained_surface >= rules.sign_surface
+    down = lost.low > 0.0 or measures.lost_surface >= rules.sign_surface
+    if up == down:
+        return _possible_volume(measures, rules)
+    return gained if up else -lost
 
 
 def _span(height: Interval) -> str:

@@ -81,16 +81,23 @@ class Interval:
 class Carved:
     """Change of the volume [m3] and of the height [m], and the volume *before* [m3].
 
+    ``gained`` and ``lost``: the volumes [m3], neither negative, of which ``volume`` is the difference.
     ``resolution``: half of a cell over the area of the body [m3]; a smaller change is not observed.
     ``confirmed``: voxels of the surfaces of what was gained, and of what was lost, whose place the other
     epoch saw free on both sides.
     """
 
-    volume: Interval
+    gained: Interval
+    lost: Interval
     height: Interval
     whole: float
     resolution: float = 0.0
     confirmed: tuple[int, int] = (0, 0)
+
+    @property
+    def volume(self) -> Interval:
+        """What was gained less what was lost [m3]."""
+        return Interval(self.gained.low - self.lost.high, self.gained.high - self.lost.low)
 
 
 @dataclass(frozen=True)
@@ -174,17 +181,16 @@ def carve(before: CarvingEpoch, after: CarvingEpoch, config: CarvingConfig) -> C
     """
     both = before.voxels, after.voxels
     if sum(map(len, both)) == 0:
-        return Carved(Interval(0.0, 0.0), Interval(0.0, 0.0), 0.0)
+        return Carved(Interval(0.0, 0.0), Interval(0.0, 0.0), Interval(0.0, 0.0), 0.0)
     frame = _frame(Voxels.joined(both), config)
     states = tuple(_state(epoch, other.voxels, frame) for epoch, other in ((before, after), (after, before)))
     gain = _difference(states[0], states[1], after.voxels, frame, config)
     loss = _difference(states[1], states[0], before.voxels, frame, config)
-    volume = Interval(gain.volume.low - loss.volume.high, gain.volume.high - loss.volume.low)
     old = states[0] if len(before.voxels) else states[1]
     whole = _whole(old, both, gain.cells, frame)
     area = whole / max(float(old.top[old.top > 0].mean()), frame.rise) if (old.top > 0).any() else 0.0
     height, confirmed = _height(states, frame, config), (gain.confirmed, loss.confirmed)
-    return Carved(volume, height, whole, 0.5 * frame.rise * area, confirmed)
+    return Carved(gain.volume, loss.volume, height, whole, 0.5 * frame.rise * area, confirmed)
 
 
 def _frame(voxels: Voxels, config: CarvingConfig) -> _Frame:

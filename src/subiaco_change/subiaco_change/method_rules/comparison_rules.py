@@ -483,6 +483,12 @@ BUILDING_RULES: tuple[Rule, ...] = (
         ("decisions.building.sign_surface",),
     ),
     Rule(
+        "unseen_opposes_nothing",
+        _HERE,
+        "Where one survey did not look a building may have grown, or shrunk; that is no evidence against the"
+        " opposite change that was seen.",
+    ),
+    Rule(
         "volume_supports_height",
         _HERE,
         "A change of height of a building needs volume that carries the change.",
