@@ -29,8 +29,8 @@ _PRIOR_PLANTS = NUMBERS.vegetation_null.prior_plants
 
 #: Trees are compared with trees, hedges and shrubs with hedges and shrubs.
 PlantKind = Literal["crown", "hedge"]
-#: What is measured of a plant, with the unit of its values: metres, or a share of what the earlier survey has,
-#: or of the mean of both.
+#: What is measured of a plant, with the unit of its values: metres, or a share of what the earlier survey
+#: has, or of the mean of both.
 PLANT_MEASURES = {"outline": "m", "top": "m", "volume": "share", "surface": "share of mean", "rise": "m"}
 
 
