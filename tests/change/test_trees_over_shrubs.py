@@ -41,6 +41,14 @@ def test_a_shrub_of_a_twentieth_of_the_points_is_no_reason_to_keep_a_felled_tree
     assert [len(part.voxels) for part in parted([(shrub, True), (tree, False)])] == [len(shrub), len(tree)]
 
 
+def test_two_trees_over_one_hedge_are_two_objects_and_a_twig_is_none():
+    hedge, twig = block((0, 0, 0), (12, 1, 1.5)), block((6, 0, 3), (6.5, 0.5, 4))
+    crowns = [block((x, -1, 2.5), (x + 3, 2, 7)) for x in (0, 9)]
+    parts = parted([(hedge, True), (crowns[0], False), (crowns[1], False), (twig, False)])
+    assert [len(part.voxels) for part in parts[1:]] == [len(crowns[0]), len(crowns[1])]
+    assert [part.instance for part in parts] == [3, 4, 5]
+
+
 @pytest.mark.parametrize(
     ("common", "alone"),
     [
@@ -48,8 +56,17 @@ def test_a_shrub_of_a_twentieth_of_the_points_is_no_reason_to_keep_a_felled_tree
         (np.concatenate([SHRUB, block((-1, -1, 2.5), (0, 2, 7))]), block((0, -1, 2.5), (2, 2, 7))),
         (block((0, 0, 0), (2, 2, 2)), block((-1, -1, 2), (3, 3, 4))),
         (SHRUB, block((0, 0, 2.5), (1, 1, 7))),
+        (block((0, 0, 0), (5, 1, 1)), block((0, 1, 1), (5, 3.5, 3.5))),
+        (block((0, 0, 0), (5, 5, 0.5)), CROWN),
     ],
-    ids=["its top was cut off", "a side was cut off", "a shrub grew", "a shoot or a pole"],
+    ids=[
+        "its top was cut off",
+        "a side was cut off",
+        "a shrub grew",
+        "a shoot or a pole",
+        "a lorry",
+        "the ground",
+    ],
 )
 def test_a_plant_of_which_more_than_a_shrub_stands_is_not_parted(common, alone):
     assert len(parted([(common, True), (alone, False)])) == 1

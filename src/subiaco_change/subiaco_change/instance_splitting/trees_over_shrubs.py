@@ -20,9 +20,10 @@ from subiaco_change.method_rules.switches import first_argument, switchable
 from subiaco_change.quantiles import quantile_of
 from subiaco_change.segmentation.clustering import group_indices, voxel_clusters
 from subiaco_geo.codes import Semantic
-from subiaco_geo.frames import Ints
+from subiaco_geo.frames import Floats, Ints
 
 _LOW = NUMBERS.trees_over_shrubs.shrub_height
+_TALL = NUMBERS.trees_over_shrubs.tree_height
 _HIGHER = NUMBERS.trees_over_shrubs.times_higher
 _TOP = NUMBERS.trees_over_shrubs.top_quantile
 _GONE = NUMBERS.trees_over_shrubs.free_share
@@ -64,35 +65,40 @@ def split_trees_over_shrubs(
 
 
 def _trees_of(obj: ObjectInstance, below_view: Empty | None, config: PartConfig) -> Ints:
-    """Return 1 for the voxels (M,) of an instance that are a tree of one epoch, and 0 for what both have."""
+    """Return the tree (M,) of every voxel of an instance, 0 for what both epochs have."""
     voxels = obj.voxels
     labels = np.zeros(len(voxels), dtype=np.int64)
     common, alone = voxels.occupied_in_other, voxels.observed_unoccupied
     if obj.semantic is not Semantic.VEGETATION or obj.is_part or not common.any() or not alone.any():
         return labels
     shrub = quantile_of(voxels.height[common], _TOP)
-    above = voxels.height > shrub + config.gap
-    if shrub > _LOW or quantile_of(voxels.height[alone], _TOP) < max(_HIGHER * shrub, _LOW):
+    tall = max(_HIGHER * shrub, _TALL)
+    if not config.top <= shrub <= _LOW or quantile_of(voxels.height[alone], _TOP) < tall:
         return labels
+    above = voxels.height > shrub + config.gap
     seen = np.count_nonzero(above & voxels.observed)
     if seen < _SEEN * np.count_nonzero(above) or np.count_nonzero(above & alone) < _GONE * seen:
         return labels
     members = np.flatnonzero(alone)
     for group in group_indices(voxel_clusters(voxels.xyz[members], config.gap)):
-        part = members[group]
-        if voxels.height[part].max() >= _HIGHER * shrub and narrow_side(voxels.xyz[part]) >= _WIDTH:
-            labels[part] = 1
-    tree = voxels.xyz[labels > 0]
-    if len(tree) == 0 or (below_view is not None and below_view(tree).mean() < _VIEW):
-        return np.zeros_like(labels)
-    return _with_unseen(obj, labels, config)
+        tree = members[group]
+        if voxels.height[tree].max() >= tall and _is_crown_in_view(voxels.xyz[tree], below_view):
+            labels[tree] = labels.max() + 1
+    known = (labels > 0) | common
+    labels[~known] = labels[known][cKDTree(voxels.xyz[known]).query(voxels.xyz[~known])[1]]
+    return _large(labels, obj, config.points)
 
 
-def _with_unseen(obj: ObjectInstance, labels: Ints, config: PartConfig) -> Ints:
-    """Give voxels that the other epoch did not see to the nearest part; none where a part has few points."""
-    voxels = obj.voxels
-    known = (labels > 0) | voxels.occupied_in_other
-    nearest = cKDTree(voxels.xyz[known]).query(voxels.xyz[~known])[1]
-    labels[~known] = labels[known][nearest]
-    points = np.bincount(labels[cKDTree(voxels.xyz).query(obj.xyz)[1]], minlength=2)
-    return labels if points.min() >= config.points else np.zeros_like(labels)
+def _is_crown_in_view(xyz: Floats, below_view: Empty | None) -> bool:
+    """Tell whether places (M, 3) are as wide as a crown, and the other epoch could see some of them."""
+    if narrow_side(xyz) < _WIDTH:
+        return False
+    return below_view is None or bool(below_view(xyz).mean() >= _VIEW)
+
+
+def _large(labels: Ints, obj: ObjectInstance, least: int) -> Ints:
+    """Return the trees (M,) that hold enough points, numbered anew; none where the shrub holds too few."""
+    points = np.bincount(labels[cKDTree(obj.voxels.xyz).query(obj.xyz)[1]], minlength=labels.max() + 1)
+    large = points >= least
+    number = np.where(large, np.cumsum(large) - 1, 0) if large[0] else np.zeros_like(points)
+    return np.asarray(number[labels])

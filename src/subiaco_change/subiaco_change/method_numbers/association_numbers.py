@@ -161,9 +161,12 @@ class TreesOverShrubsNumbers(StrictModel):
     """Numbers of ``instance_splitting/trees_over_shrubs.py``."""
 
     shrub_height: float = Field(
-        3.0,
-        description="Height above ground up to which what both epochs have is a shrub, and from which what "
-        "one epoch has over the shrub is a tree [m]",
+        3.0, description="Height above ground up to which what both epochs have is a shrub [m]"
+    )
+    tree_height: float = Field(
+        4.0,
+        description="Height above ground from which what one epoch has over a shrub is a tree, and no "
+        "vehicle beside a hedge [m]",
     )
     times_higher: float = Field(
         2.5,

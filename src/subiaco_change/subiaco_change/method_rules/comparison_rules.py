@@ -299,7 +299,9 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         "A tree of one epoch over a shrub of both is an object of its own, which is never matched, where the"
         " other epoch has nothing higher than the shrub.",
         (
+            "association.parts.top",
             "method_numbers.trees_over_shrubs.shrub_height",
+            "method_numbers.trees_over_shrubs.tree_height",
             "method_numbers.trees_over_shrubs.times_higher",
             "method_numbers.trees_over_shrubs.top_quantile",
             "method_numbers.trees_over_shrubs.free_share",
