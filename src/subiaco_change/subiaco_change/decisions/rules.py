@@ -16,7 +16,7 @@ from subiaco_geo.codes import Change, Semantic
 _EXACT = NUMBERS.rules.least_half_width
 _OPPOSED = NUMBERS.rules.opposed_height
 _PATCH = NUMBERS.rules.voxels_per_patch
-_MOST_GROWTH = 10.0  # the largest relative growth that a reason states as a number
+_MOST_GROWTH = NUMBERS.rules.stated_growth
 #: Why nothing is said of an object that both epochs saw.
 NO_LEVEL = "Too few points lie at this place for a level of detection: nothing is claimed."
 

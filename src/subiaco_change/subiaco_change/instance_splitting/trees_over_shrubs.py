@@ -84,6 +84,8 @@ def _trees_of(obj: ObjectInstance, below_view: Empty | None, config: PartConfig)
         tree = members[group]
         if voxels.height[tree].max() >= tall and _is_crown_in_view(voxels.xyz[tree], below_view):
             labels[tree] = labels.max() + 1
+    if not labels.any():
+        return labels
     known = (labels > 0) | common
     labels[~known] = labels[known][cKDTree(voxels.xyz[known]).query(voxels.xyz[~known])[1]]
     return _large(labels, obj, config.points)
