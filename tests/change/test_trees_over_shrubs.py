@@ -4,6 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from random_houses import KINDS, labels
+from random_houses import compare as compare_drives
+from random_plants import draw_tree_over_shrub
 from test_measures import block
 from test_one_epoch_parts import obj
 from test_parts_in_other_instances import compared, epoch, plant, share_said
@@ -103,3 +106,22 @@ def test_a_tree_over_what_stayed_is_removed_or_added_and_the_rest_is_unchanged(s
     assert share_said(changes, name, with_tree, shrub, Change.UNCHANGED) > 0.9
     with rules_switched_off(["trees_over_shrubs"]):
         assert share_said(compared(*views), name, with_tree, tree, label) == 0.0
+
+
+@pytest.mark.parametrize("seed", range(1, 5))
+def test_of_two_drives_past_a_felled_tree_one_row_is_the_tree_and_one_the_shrub(seed):
+    before, after = draw_tree_over_shrub(seed, "felled").surveys
+    assert labels(compare_drives(before, after, "observed")) == [Change.REMOVED, Change.UNCHANGED]
+    assert labels(compare_drives(after, before, "observed")) == [Change.ADDED, Change.UNCHANGED]
+
+
+@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("what", ["pruned", "narrow view"])
+@pytest.mark.parametrize("seed", range(1, 4))
+def test_a_pruned_tree_and_one_that_a_sensor_cuts_at_the_shrub_are_never_removed_or_added(seed, what, kind):
+    before, after = draw_tree_over_shrub(seed, what).surveys
+    single = {Change.ADDED, Change.REMOVED}
+    assert not single & {
+        *labels(compare_drives(before, after, kind)),
+        *labels(compare_drives(after, before, kind)),
+    }
