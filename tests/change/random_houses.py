@@ -78,7 +78,10 @@ def volume(boxes, cell=0.1):
 
 @dataclass(frozen=True)
 class Sensor:
-    """Beams, columns of a turn [n], their noise [m], and how a drive passes: lane [m] and step [m]."""
+    """Beams, columns of a turn [n], their noise [m], and how a drive passes: lane [m] and step [m].
+
+    ``up``: elevation of the highest beam [deg].
+    """
 
     beams: int = 96
     columns: int = 320
@@ -86,6 +89,7 @@ class Sensor:
     lane: float = 0.0
     step: float = 4.0
     shift: tuple[float, float, float] = (0.0, 0.0, 0.0)  # error of the registration [m]
+    up: float = 22.5
 
 
 @dataclass(frozen=True)
@@ -127,7 +131,7 @@ def survey(street, sensor, seed):
     scene, kinds = _scene(street)
     eyes = np.arange(-28.0, 28.1, sensor.step) + rng.uniform(-0.5, 0.5) * sensor.step
     azimuth = np.linspace(0.02, np.pi - 0.02, sensor.columns // 2)
-    elevation = np.deg2rad(np.linspace(-22.5, 22.5, sensor.beams))
+    elevation = np.deg2rad(np.linspace(-22.5, sensor.up, sensor.beams))
     az, el = (v.ravel() for v in np.meshgrid(azimuth, elevation))
     way = np.stack([np.cos(el) * np.cos(az), np.cos(el) * np.sin(az), np.sin(el)], axis=1)
     starts = np.repeat(

@@ -58,6 +58,39 @@ def draw_tree(rng, x=0.0):
     )
 
 
+def draw_tree_over_shrub(seed, what):
+    """Draw a tree over a shrub that stays; a second drive after the tree was ``felled``, or ``pruned``.
+
+    ``narrow view``: nothing changed, and the second sensor sees no higher than a shrub.
+    """
+    rng = np.random.default_rng(seed)
+    y, radius, half = rng.uniform(5, 9), rng.uniform(1.4, 2.6), rng.uniform(1.5, 2.2)
+    clusters = int(rng.uniform(35, 60) * radius**2 * half)
+    tree = Tree(0.0, y, radius, half, half + rng.uniform(1.8, 2.6), clusters, int(rng.integers(1 << 30)))
+    wide, high = rng.uniform(0.7, 1.1), rng.uniform(0.6, 0.85)
+    beside = y - rng.uniform(-0.6, 0.9)
+    shrub = Tree(
+        rng.uniform(-0.9, 0.9), beside, wide, high, high, int(90 * wide**2 * high), int(rng.integers(1 << 30))
+    )
+    pruned = replace(
+        tree,
+        radius=0.7 * radius,
+        half=0.7 * half,
+        middle=tree.middle - 0.3 * half,
+        clusters=int(0.35 * clusters),
+    )
+    left = {"felled": (shrub,), "pruned": (pruned, shrub), "narrow view": (tree, shrub)}[what]
+    back = Box(-30.0, 16.0, 60.0, 1.0, 6.0)
+    first, second = draw_sensor(rng), draw_sensor(rng)
+    if what == "narrow view":
+        second = replace(second, up=4.0)
+    streets = [Street(plants, (back,), Semantic.VEGETATION) for plants in ((tree, shrub), left)]
+    surveys = [
+        survey(s, d, 2 * seed + k) for k, (s, d) in enumerate(zip(streets, (first, second), strict=True))
+    ]
+    return Plants(what, (surveys[0], surveys[1]))
+
+
 def draw_plants(seed):
     """Draw a plant that is new, one that grew by a quarter to a half, or one beside another."""
     rng = np.random.default_rng(seed)

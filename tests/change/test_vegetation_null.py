@@ -247,6 +247,22 @@ def test_a_top_that_no_surface_carries_is_no_change_and_says_why():
     assert "changed by only" in found.reason
 
 
+@pytest.mark.parametrize(
+    ("surface", "changed", "limit"),
+    [
+        (-1.91, "-98 %", "14 %"),
+        (0.5, "+67 %", "16 %"),
+        (-0.5, "-40 %", "14 %"),
+        (1.9, "more than +1000 %", "16 %"),
+    ],
+)
+def test_a_reason_states_what_share_of_its_earlier_surface_a_plant_gained_or_lost(surface, changed, limit):
+    """Measured is the share of the mean of both surveys, of which nothing can lose more than 200 %."""
+    reason = label(replace(TREE, outline=math.nan, surface=surface, voxels=10_000), no_null(NULL)).reason
+    assert f"the surface changed by {changed}, " in reason
+    assert f"exceeds the limit of {limit}: " in reason
+
+
 @given(st.permutations(list(range(24))))
 @settings(max_examples=15, deadline=None)
 def test_the_null_does_not_depend_on_the_order_of_the_tiles(order):

@@ -18,7 +18,6 @@ from subiaco_change.decisions.measures import footprint, same_place
 from subiaco_change.decisions.object_decision import ObjectChange, ObjectRules, decide_object
 from subiaco_change.decisions.voxel_objects import (
     EpochView,
-    Free,
     ObjectInstance,
     Reach,
     Voxels,
@@ -41,6 +40,7 @@ from subiaco_change.instance_splitting.split_merge import (
     split_row_houses,
     unify_classes,
 )
+from subiaco_change.instance_splitting.trees_over_shrubs import split_trees_over_shrubs
 from subiaco_change.quantiles import quantile_of
 from subiaco_change.records import ChangeRecord
 from subiaco_geo.codes import Change, Semantic
@@ -63,8 +63,8 @@ def compare_objects(
     )
     voxels_b = build_voxels(before, after, seen_by_after, edge, reach, step, rules.free[1])
     voxels_a = build_voxels(after, before, seen_by_before, edge, reach, step, rules.free[0])
-    objects_before = _with_parts((before, after), voxels_b, rules.free[1], reach, rules)
-    objects_after = _with_parts((after, before), voxels_a, rules.free[0], reach, rules)
+    objects_before = _with_parts((before, after), voxels_b, 1, reach, rules)
+    objects_after = _with_parts((after, before), voxels_a, 0, reach, rules)
     if rules.by_class:
         objects_before, objects_after = unify_classes(
             objects_before, objects_after, rules.association, tolerance
@@ -91,17 +91,23 @@ def compare_objects(
 
 
 def _with_parts(
-    views: tuple[EpochView, EpochView], voxels: Voxels, known: Free | None, reach: Reach, rules: ObjectRules
+    views: tuple[EpochView, EpochView], voxels: Voxels, other: int, reach: Reach, rules: ObjectRules
 ) -> list[ObjectInstance]:
-    """Objects of the first epoch, and their parts that the other epoch lacks as objects of their own."""
+    """Objects of the first epoch, and their parts that the other epoch lacks as objects of their own.
+
+    ``other``: number of the other epoch, 0 for *before*.
+    """
     objects = build_instances(views[0], voxels)
     if rules.from_above:
         objects = split_felled_crowns(objects, *views, reach)
     joined = join_voxels(objects)
-    seen_free = places_seen_free(joined, views[1], reach, known)
+    seen_free = places_seen_free(joined, views[1], reach, rules.free[other])
     ends = np.cumsum([len(t.voxels) for t in objects])[:-1]
     free = np.split(seen_free, ends) if objects else []
-    return classify_low_parts(split_one_epoch_parts(objects, rules.association.parts, free))
+    parted = split_one_epoch_parts(objects, rules.association.parts, free)
+    return classify_low_parts(
+        split_trees_over_shrubs(parted, rules.below_view[other], rules.association.parts)
+    )
 
 
 def _parts(

@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from subiaco_change.decisions.config import ClassRules, DecisionConfig
-from subiaco_change.decisions.rules import NO_LEVEL, Decision
+from subiaco_change.decisions.rules import NO_LEVEL, Decision, percent_of_earlier
 from subiaco_change.decisions.vegetation_null import PLANT_MEASURES, Expected, PlantMeasures, VegetationNull
 from subiaco_change.method_rules.switches import applies, switchable, third_argument
 from subiaco_geo.codes import Change
@@ -33,8 +33,13 @@ class _Excess:
 
     @property
     def unit(self) -> str:
-        """Unit of the value, ``m`` or ``share``."""
+        """Unit of the value, as :data:`PLANT_MEASURES` names it."""
         return PLANT_MEASURES[self.measure]
+
+    @property
+    def limit_of_side(self) -> str:
+        """The limit on the side of the excess: of a growth and of a loss the percentages differ."""
+        return _quantity(math.copysign(self.limit, self.excess), self.unit, sign=False)
 
     @property
     def excess(self) -> float:
@@ -196,7 +201,7 @@ def _of_leaves(plant: PlantMeasures, found: _Excess) -> Decision:
     if not math.isfinite(plant.rise):
         extent = "the outline of the plant did not follow, and its top was not observed"
     reason = (
-        f"{_compared(plant, found)} exceeds the limit of {_quantity(found.limit, found.unit, sign=False)},"
+        f"{_compared(plant, found)} exceeds the limit of {found.limit_of_side},"
         f" but {extent}: leaves differ, and no change is claimed."
     )
     return Decision(Change.UNCHANGED, reason, 1.0, 0.0)
@@ -204,10 +209,11 @@ def _of_leaves(plant: PlantMeasures, found: _Excess) -> Decision:
 
 def _without_surface(plant: PlantMeasures, found: _Excess, surface: _Excess, rules: ClassRules) -> Decision:
     """Leave a plant unchanged whose top or volume changed while its surface did not."""
-    share = _quantity(surface.excess, "share")
+    share = _quantity(surface.excess, surface.unit)
+    least = _quantity(math.copysign(rules.min_net_change, found.strength), surface.unit, sign=False)
     reason = (
-        f"{_compared(plant, found)} exceeds the limit of {_quantity(found.limit, found.unit, sign=False)},"
-        f" but the surface changed by only {share} (limit {100 * rules.min_net_change:.0f} %):"
+        f"{_compared(plant, found)} exceeds the limit of {found.limit_of_side},"
+        f" but the surface changed by only {share} (limit {least}):"
         " no change is claimed."
     )
     return Decision(Change.UNCHANGED, reason, 1.0, 0.0)
@@ -264,8 +270,7 @@ def _decision(plant: PlantMeasures, found: _Excess) -> Decision:
     if abs(found.strength) > 1:
         change = Change.INCREASED if found.strength > 0 else Change.DECREASED
     verb = "does not exceed" if change is Change.UNCHANGED else "exceeds"
-    limit = _quantity(found.limit, found.unit, sign=False)
-    reason = f"{_compared(plant, found)} {verb} the limit of {limit}: {_CONCLUSIONS[change]}."
+    reason = f"{_compared(plant, found)} {verb} the limit of {found.limit_of_side}: {_CONCLUSIONS[change]}."
     return Decision(change, reason, abs(found.strength), found.sigmas)
 
 
@@ -273,7 +278,8 @@ def _compared(plant: PlantMeasures, found: _Excess) -> str:
     """Write the value, what the other plants of the pair did, and the excess."""
     expected, unit = found.expected, found.unit
     others = "crowns" if plant.kind == "crown" else "hedges and shrubs"
-    scatter = f"(standard deviation {_quantity(expected.sd, unit, sign=False)})"
+    spread = _quantity(expected.sd, "m" if unit == "m" else "share", sign=False)
+    scatter = f"(standard deviation {spread})"
     if expected.count:
         rest = f"the other {expected.count - 1} {others} of this pair by"
         rest += f" {_quantity(expected.shift, unit)} {scatter}"
@@ -288,5 +294,8 @@ def _name(plant: PlantMeasures) -> str:
 
 
 def _quantity(value: float, unit: str, *, sign: bool = True) -> str:
+    if unit == "share of mean":
+        return percent_of_earlier(value, sign=sign)
+    shown = value if sign else abs(value)
     plus = "+" if sign else ""
-    return f"{value:{plus}z.2f} m" if unit == "m" else f"{100 * value:{plus}z.0f} %"
+    return f"{shown:{plus}z.2f} m" if unit == "m" else f"{100 * shown:{plus}z.0f} %"

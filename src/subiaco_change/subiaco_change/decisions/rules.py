@@ -16,6 +16,7 @@ from subiaco_geo.codes import Change, Semantic
 _EXACT = NUMBERS.rules.least_half_width
 _OPPOSED = NUMBERS.rules.opposed_height
 _PATCH = NUMBERS.rules.voxels_per_patch
+_MOST_GROWTH = NUMBERS.rules.stated_growth
 #: Why nothing is said of an object that both epochs saw.
 NO_LEVEL = "Too few points lie at this place for a level of detection: nothing is claimed."
 
@@ -195,15 +196,27 @@ def _by_measures(measures: Measures, gate: float, rules: ClassRules) -> Decision
     evidence = (
         f"Height change {measures.delta_h:+z.2f} m (limit {limit:.2f} m), volume change {relative:+z.0%}"
     )
-    evidence += (
-        f" (limit {rules.volume:.0%}), new or lost surface {measures.net_changed_fraction:+z.0%} (limit"
-    )
-    evidence += f" {rules.min_net_change:.0%}): "
+    surface = measures.net_changed_fraction
+    carried = math.copysign(rules.min_net_change, surface)
+    evidence += f" (limit {rules.volume:.0%}), surface {percent_of_earlier(surface)} (limit"
+    evidence += f" {percent_of_earlier(carried, sign=False)}): "
     if up <= 1 and down <= 1:
         return Decision(Change.UNCHANGED, f"{evidence}no change beyond the limits.", max(up, down))
     rising = measures.delta_v > 0 if up > 1 and down > 1 else up > 1
     change = Change.INCREASED if rising else Change.DECREASED
     return Decision(change, f"{evidence}the object {'grew' if rising else 'shrank'}.", up if rising else down)
+
+
+def percent_of_earlier(share: float, *, sign: bool = True) -> str:
+    """Write a change that is a share of the mean of both surveys as a percentage of the earlier one.
+
+    A share of -2 is the loss of everything, and a share of +2 a growth from nothing.
+    """
+    held = min(max(share, -2.0), 2.0)
+    change = 2.0 * held / (2.0 - held) if held < 2.0 else math.inf
+    if change > _MOST_GROWTH:
+        return f"more than {100 * _MOST_GROWTH:{'+' if sign else ''}.0f} %"
+    return f"{100 * change:+z.0f} %" if sign else f"{100 * abs(change):.0f} %"
 
 
 def _building(measures: Measures, gate: float, rules: ClassRules) -> Decision:

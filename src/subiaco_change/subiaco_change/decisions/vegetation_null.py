@@ -29,8 +29,9 @@ _PRIOR_PLANTS = NUMBERS.vegetation_null.prior_plants
 
 #: Trees are compared with trees, hedges and shrubs with hedges and shrubs.
 PlantKind = Literal["crown", "hedge"]
-#: What is measured of a plant, with the unit of its values.
-PLANT_MEASURES = {"outline": "m", "top": "m", "volume": "share", "surface": "share", "rise": "m"}
+#: What is measured of a plant, with the unit of its values: metres, or a share of what the earlier survey
+#: has, or of the mean of both.
+PLANT_MEASURES = {"outline": "m", "top": "m", "volume": "share", "surface": "share of mean", "rise": "m"}
 
 
 class PlantScatter(StrictModel):
@@ -62,7 +63,8 @@ class PlantMeasures:
     ``density``: log of the ratio of the points in voxels that both epochs occupy; ``size``: mean reach of the
     plant from its middle [m]; ``voxels``: of either epoch that the other observed; ``thin``: tall, and
     without a crown. NaN where not measured: ``outline`` [m], its standard error ``outline_sigma`` and its
-    ``reach`` [m]; ``top`` [m] and its standard error ``top_sigma``; ``volume`` and ``surface`` as shares;
+    ``reach`` [m]; ``top`` [m] and its standard error ``top_sigma``; ``volume`` as a share of the earlier, and
+    ``surface`` of the mean surface of both epochs;
     ``rise`` [m], the median rise of the tops of its columns, and its standard error ``rise_sigma``;
     ``section`` and ``section_gate`` [m], the median rise of a section of the hedge and the limit that the
     section passed. ``section_only``: the row is that section alone. ``rise_of_part`` and ``fall_of_part``

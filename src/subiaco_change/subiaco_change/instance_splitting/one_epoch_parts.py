@@ -275,7 +275,7 @@ def decide_vehicle_part(
         return Decision(Change.UNOBSERVED, reason, 1.0 - across)
     xyz = join_voxels(objects).xyz
     held = _held(xyz, standing)
-    if held < _HELD or (_width(xyz) >= _VEHICLE and not _surrounds(xyz, standing)):
+    if held < _HELD or (narrow_side(xyz) >= _VEHICLE and not _surrounds(xyz, standing)):
         return None
     reason = (
         f"{held:.0%} of this part of a vehicle lies beside points of the other survey (limit"
@@ -300,7 +300,7 @@ def _surrounds(xyz: Floats, points: Floats) -> bool:
     return bool(oriented_rectangle(inside[:, :2]).contains(Point(xyz[:, :2].mean(axis=0))))
 
 
-def _width(xyz: Floats) -> float:
+def narrow_side(xyz: Floats) -> float:
     """Shorter side of the footprint of places (M, 3) [m]."""
     corners = np.array(oriented_rectangle(xyz[:, :2]).exterior.coords)
     return float(np.linalg.norm(np.diff(corners[:3], axis=0), axis=1).min())

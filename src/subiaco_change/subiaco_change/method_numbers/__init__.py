@@ -15,6 +15,7 @@ from subiaco_change.method_numbers.association_numbers import (
     PlacesSeenFreeNumbers,
     RowsOfHousesNumbers,
     SplitMergeNumbers,
+    TreesOverShrubsNumbers,
     VehiclePartsNumbers,
 )
 from subiaco_change.method_numbers.decision_numbers import (
@@ -101,6 +102,7 @@ class MethodNumbers(StrictModel):
     places_seen_free: PlacesSeenFreeNumbers = PlacesSeenFreeNumbers()
     rows_of_houses: RowsOfHousesNumbers = RowsOfHousesNumbers()
     split_merge: SplitMergeNumbers = SplitMergeNumbers()
+    trees_over_shrubs: TreesOverShrubsNumbers = TreesOverShrubsNumbers()
     vehicle_parts: VehiclePartsNumbers = VehiclePartsNumbers()
     instances: InstancesNumbers = InstancesNumbers()
     thin_trails: ThinTrailsNumbers = ThinTrailsNumbers()

@@ -157,6 +157,40 @@ class SplitMergeNumbers(StrictModel):
     )
 
 
+class TreesOverShrubsNumbers(StrictModel):
+    """Numbers of ``instance_splitting/trees_over_shrubs.py``."""
+
+    shrub_height: float = Field(
+        3.0, description="Height above ground up to which what both epochs have is a shrub [m]"
+    )
+    tree_height: float = Field(
+        4.0,
+        description="Height above ground from which what one epoch has over a shrub is a tree, and no "
+        "vehicle beside a hedge [m]",
+    )
+    times_higher: float = Field(
+        2.5,
+        description="Ratio of the height of a tree to that of the shrub beneath from which the tree is an "
+        "object of its own",
+    )
+    top_quantile: float = Field(
+        0.95, description="Quantile of the heights of voxels that is the height of a plant"
+    )
+    free_share: float = Field(
+        0.9,
+        description="Fraction of the observed voxels above a shrub that the other epoch must not have",
+    )
+    observed_share: float = Field(
+        0.5, description="Fraction of the voxels above a shrub that the other epoch must observe"
+    )
+    view_share: float = Field(
+        0.1,
+        description="Fraction of the voxels of a tree over a shrub that must lie no higher than the view of "
+        "the other epoch is known to have reached",
+    )
+    crown_width: float = Field(1.5, description="Smallest width of the crown of a tree over a shrub [m]")
+
+
 class VehiclePartsNumbers(StrictModel):
     """Numbers of ``instance_splitting/one_epoch_parts.py``."""
 

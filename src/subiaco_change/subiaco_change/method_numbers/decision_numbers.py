@@ -489,6 +489,11 @@ class RulesNumbers(StrictModel):
         0.05,
         description="Smallest half width of the bounds of a measure, as a fraction of its limit",
     )
+    stated_growth: float = Field(
+        10.0,
+        description="Largest growth of the surface of a plant, as a fraction of the earlier surface, that a "
+        "reason states as a number",
+    )
     voxels_per_patch: float = Field(
         4.0,
         description="Number of voxels of a surface that are observed or occluded together",

@@ -294,6 +294,23 @@ SPLITTING_RULES: tuple[Rule, ...] = (
         ),
     ),
     Rule(
+        "trees_over_shrubs",
+        _HERE,
+        "A tree of one epoch over a shrub of both is an object of its own, which is never matched, where the"
+        " other epoch has nothing higher than the shrub.",
+        (
+            "association.parts.top",
+            "method_numbers.trees_over_shrubs.shrub_height",
+            "method_numbers.trees_over_shrubs.tree_height",
+            "method_numbers.trees_over_shrubs.times_higher",
+            "method_numbers.trees_over_shrubs.top_quantile",
+            "method_numbers.trees_over_shrubs.free_share",
+            "method_numbers.trees_over_shrubs.observed_share",
+            "method_numbers.trees_over_shrubs.view_share",
+            "method_numbers.trees_over_shrubs.crown_width",
+        ),
+    ),
+    Rule(
         "places_seen_free",
         _HERE,
         "A place that beams of the other epoch crossed is free although points of that epoch lie near, unless"
