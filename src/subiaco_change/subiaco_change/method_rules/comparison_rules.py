@@ -98,6 +98,14 @@ MOVING_OBJECT_RULES: tuple[Rule, ...] = (
         guards=True,
     ),
     Rule(
+        "suspected_to_have_moved",
+        _HERE,
+        "Nothing is claimed of an object of one epoch that moved with a probability of 30 %: what was seen "
+        "for a moment only is nearly always traffic.",
+        ("decisions.trail_suspected",),
+        guards=True,
+    ),
+    Rule(
         "trail_continued",
         _HERE,
         "What one epoch alone has and is as narrow a strip as a vehicle, together with a ghost trail known by"
