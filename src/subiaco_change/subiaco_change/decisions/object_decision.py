@@ -35,6 +35,7 @@ from subiaco_change.decisions.plant_measures import PlantConfig, measure_plant
 from subiaco_change.decisions.plant_tops import expected_top
 from subiaco_change.decisions.rules import Decision, decide
 from subiaco_change.decisions.space_carving import Empty, Interval
+from subiaco_change.decisions.trail_in_pieces import Surroundings, is_piece_of_trail
 from subiaco_change.decisions.vegetation_null import PlantMeasures, no_null
 from subiaco_change.decisions.voxel_objects import Certainty, Free, ObjectInstance, Voxels, join_voxels
 from subiaco_change.geometry import in_box_around
@@ -122,6 +123,7 @@ class ObjectRules:
     certain: tuple[Certainty | None, Certainty | None] = (None, None)  # how certain these can be at most
     lanes: tuple[Observed, ...] = ()  # which places the survey vehicles of both epochs drove through
     moved: tuple[Moved | None, Moved | None] = (None, None)  # what *before* and *after* know to have moved
+    around: tuple[Surroundings | None, Surroundings | None] = (None, None)  # what both hold farther around
     from_above: bool = False  # whether both epochs were measured from above
     plants: PlantConfig = field(default_factory=PlantConfig)
 
@@ -162,6 +164,9 @@ def decide_object(
             or is_moving_object_trail(parts, semantic, own, rules.decisions, measures.free)
             or continues_trail(parts, own, rules.decisions)
             or is_strip_on_road(parts, own, rules.decisions)
+            or is_piece_of_trail(
+                parts, semantic, own, rules.around[epoch], rules.around[1 - epoch], rules.decisions
+            )
             or may_be_a_person(parts, semantic, own)
             or hides_no_ground(contrast)
             or shows_no_side(contrast)
