@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from subiaco_change.decisions.config import DecisionConfig
-from subiaco_change.decisions.dynamic_objects import OwnEpochEvidence, fits_a_vehicle, strip_of
+from subiaco_change.decisions.dynamic_objects import OwnEpochEvidence, fits_a_vehicle
 from subiaco_change.decisions.rules import Decision
 from subiaco_change.decisions.voxel_objects import NO_OBJECT, ObjectInstance
 from subiaco_change.geometry import in_box_around, tree_for_few
@@ -36,7 +36,6 @@ _HALF = NUMBERS.trail_in_pieces.half_width
 _RIM = NUMBERS.trail_in_pieces.rim
 _RIM_SHARE = NUMBERS.trail_in_pieces.rim_share
 _RIM_WEIGHT = NUMBERS.trail_in_pieces.rim_weight
-_AHEAD = NUMBERS.trail_in_pieces.ahead
 _SECTION = NUMBERS.trail_in_pieces.section
 _ASIDE = NUMBERS.trail_in_pieces.aside
 _FEWEST = NUMBERS.trail_in_pieces.fewest_points
@@ -48,13 +47,11 @@ _LOW, _TOP = NUMBERS.trail_in_pieces.low, NUMBERS.trail_in_pieces.high
 _NARROW = NUMBERS.dynamic_objects.strip_width
 _WIDEST = NUMBERS.dynamic_objects.trail_width
 _LENGTH = NUMBERS.dynamic_objects.strip_length
-_VEHICLE = NUMBERS.dynamic_objects.trail_length
-_PLACES = NUMBERS.trail_in_pieces.places
-_PLACE = NUMBERS.trail_in_pieces.place_radius
-_PLACES_SHARE = NUMBERS.trail_in_pieces.places_share
 _SAME = NUMBERS.object_decision.same_point
 _BINS = round(_REACH / _STEP)
 _GAPS = round(_GAP / _STEP)
+_FIRST = round(NUMBERS.trail_in_pieces.ahead / _STEP)
+_AT_ONCE = 60  # arcs along which rows are followed at once, for the memory
 
 
 @dataclass(frozen=True)
@@ -133,8 +130,7 @@ def is_piece_of_trail(
     """Tell an object in a row of pieces as long as no vehicle and as wide as one, in a cloud without counts.
 
     ``mine`` and ``other``: what its own and the other epoch hold around. A plant or a parked car beside a
-    trail does not lie in the middle of the row, and a planted row hides the ground. An object that is longer
-    and wider than a vehicle may hold pieces of two lanes: most of its places must lie in rows.
+    trail does not lie in the middle of the row, and a planted row hides the ground.
     """
     if own is None or own.ground is None or mine is None or other is None:
         return None
@@ -142,11 +138,9 @@ def is_piece_of_trail(
         return None
     xyz = np.concatenate([t.xyz for t in objects])
     top = float(np.quantile(np.concatenate([t.voxels.height for t in objects]), 0.95))
-    bodies = _bodies(xyz)
-    rows = [r for r in (_row_of(body, mine, other) for body in bodies) if r and r.is_of_traffic(top)]
-    if len(rows) < max(_PLACES_SHARE * len(bodies), 1.0):
+    row = _row_of(xyz, mine, other)
+    if row is None or not row.is_of_traffic(top):
         return None
-    row = max(rows, key=lambda r: r.length)
     reason = (
         f"The object lies in a row of pieces {row.length:.0f} m long (limit {_LENGTH:g} m) and"
         f" {row.width:.1f} m wide that the other survey does not hold, and its own survey saw the ground"
@@ -156,19 +150,8 @@ def is_piece_of_trail(
     return Decision(Change.UNOBSERVED, reason, 0.0)
 
 
-def _bodies(xyz: Floats) -> list[Floats]:
-    """Points (N, 3) through which rows are followed: of an object, or of its places where it is wide."""
-    if len(_arcs_through(xyz[:, :2]).bend):
-        return [xyz]
-    if strip_of(xyz[:, :2])[0] < _VEHICLE:
-        return []
-    some = np.linspace(0, len(xyz) - 1, _PLACES).astype(np.int64)
-    middles = xyz[np.lexsort(xyz.T[:2])[some], :2]
-    return [xyz[np.linalg.norm(xyz[:, :2] - middle, axis=1) < _PLACE] for middle in middles]
-
-
 def _row_of(xyz: Floats, own: Surroundings, other: Surroundings) -> _Row | None:
-    """Return the row of pieces through the points (N, 3) of a body; None where there is none."""
+    """Return the row of pieces through the points (N, 3) of an object; None where there is none."""
     place = xyz[:, :2]
     near = in_box_around(own.pieces[:, :2], place, _REACH)
     if np.count_nonzero(near) < _FEWEST:
@@ -205,14 +188,11 @@ class _Arcs:
     high: Floats
     middle: Floats
 
-    def along(self, xy: Floats, arcs: Ints) -> tuple[Floats, Floats]:
-        """Places (A, N) of points (N, 2) along some arcs, and aside of them [m]."""
-        return _along(xy, self.centre, self.direction[arcs], self.bend[arcs], self.middle[arcs])
-
 
 def _along(
     xy: Floats, centre: Floats, direction: Floats, bend: Floats, middle: Floats
 ) -> tuple[Floats, Floats]:
+    """Places (A, N) of points (N, 2) along arcs (A,), and aside of them [m]."""
     step = xy - centre
     along = direction @ step.T
     aside = np.stack([-direction[:, 1], direction[:, 0]], axis=1) @ step.T
@@ -231,20 +211,31 @@ def _arcs_through(place: Floats) -> _Arcs:
 
 
 @dataclass(frozen=True)
-class _Reached:
-    """How far rows reach on both sides of a body, along arcs, by steps.
+class _Pieces:
+    """Pieces beside an object, as arcs (A,) through the object have them.
 
-    ``along``, ``aside``, ``distance`` from the body, ``step`` and ``after`` (A, N) of the pieces; ``inside``
-    (A, N): in the row or beyond its end; ``ends`` (A, 2): steps that the row reaches; ``count`` and ``rim``
-    (A, 2): points in the row and just beside it.
+    ``along`` and ``aside`` (A, N) [m]; ``after`` (A, N): beyond the end of the object, else before its
+    beginning; ``step`` (A, N): steps between the piece and the object, below 0 beside the object.
     """
 
     along: Floats
     aside: Floats
-    distance: Floats
-    step: Ints
     after: Mask
-    inside: Mask
+    step: Ints
+
+
+def _pieces_along(arcs: _Arcs, some: Ints, pieces: Floats) -> _Pieces:
+    """Place pieces (N, 2) along some of the arcs."""
+    along, aside = _along(pieces, arcs.centre, arcs.direction[some], arcs.bend[some], arcs.middle[some])
+    low, high = arcs.low[some, None], arcs.high[some, None]
+    distance = np.maximum(along - high, low - along)
+    return _Pieces(along, aside, along > high, np.floor(distance / _STEP).astype(np.int64))
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Rows on both sides of an object along arcs (A, 2): steps that they reach, points in and beside them."""
+
     ends: Ints
     count: Ints
     rim: Ints
@@ -254,65 +245,69 @@ class _Reached:
         """Points in rows (A, 2) less those just beside them, which weigh more."""
         return np.asarray(self.count - _RIM_WEIGHT * self.rim)
 
-    def members(self, arc: int, side: int) -> Mask:
-        """Tell which pieces (N,) are in the row on one side of the body along an arc."""
-        reached = self.step[arc] < self.ends[arc, side]
-        return np.asarray(self.inside[arc] & (self.after[arc] == side) & reached)
 
-
-def _reached_along(arcs: _Arcs, pieces: Floats) -> _Reached:
-    """Follow the rows of pieces (N, 2) along arcs."""
-    along, aside = arcs.along(pieces, np.arange(len(arcs.bend)))
-    after = along > arcs.high[:, None]
-    distance = np.where(after, along - arcs.high[:, None], arcs.low[:, None] - along)
-    step = np.floor(distance / _STEP).astype(np.int64)
-    known = (distance > 0) & (step < _BINS)
-    slot = (np.arange(len(step))[:, None] * 2 + after) * _BINS + step
-    inside, wide = known & (np.abs(aside) < _HALF), known & (np.abs(aside) < _HALF + _RIM)
-    counts, all_counts = (
-        np.bincount(slot[m], minlength=2 * len(step) * _BINS).reshape(-1, 2, _BINS) for m in (inside, wide)
-    )
-    ends = _ends(counts > 0)
-    within = np.arange(_BINS) < ends[..., None]
-    count, rim = ((c * within).sum(axis=2) for c in (counts, all_counts - counts))
-    return _Reached(along, aside, distance, step, after, inside, ends, count, rim)
+def _rows_along(arcs: _Arcs, some: Ints, pieces: Floats) -> _Rows:
+    """Follow the rows of pieces (N, 2) along some of the arcs."""
+    found = _pieces_along(arcs, some, pieces)
+    slot = (np.arange(len(some))[:, None] * 2 + found.after) * _BINS + found.step
+    known = (found.step >= 0) & (found.step < _BINS)
+    size = 2 * len(some) * _BINS
+    within = [known & (np.abs(found.aside) < reach) for reach in (_HALF, _HALF + _RIM)]
+    inside, wide = (np.bincount(slot[m], minlength=size).reshape(-1, 2, _BINS) for m in within)
+    ends = _ends(inside > 0)
+    reached = np.arange(_BINS) < ends[..., None]
+    return _Rows(ends, (inside * reached).sum(axis=2), ((wide - inside) * reached).sum(axis=2))
 
 
 def _best_row(pieces: Floats, height: Floats, place: Floats, ground: Floats) -> _Row | None:
-    """Return the row with the most points (N, 2) along an arc through a body, and the fewest beside it."""
+    """Return the row with the most points (N, 2) along an arc through an object, and the fewest beside it."""
     arcs = _arcs_through(place)
-    if len(arcs.bend) == 0:
+    number = np.arange(len(arcs.bend))
+    if len(number) == 0:
         return None
-    reached = _reached_along(arcs, pieces)
-    score = reached.score
+    parts = [_rows_along(arcs, some, pieces) for some in np.array_split(number, -(-len(number) // _AT_ONCE))]
+    rows = _Rows(*(np.concatenate([getattr(p, name) for p in parts]) for name in ("ends", "count", "rim")))
+    score = rows.score
     most = np.maximum(score, 0).sum(axis=1)
     best, found = 0.0, None
     for k in np.argsort(-most, kind="stable").tolist():
         if most[k] <= best:
             break
-        sides = [s for s in (0, 1) if _goes_on(reached, k, s)]
-        if float(score[k, sides].sum()) <= best or reached.count[k, sides].sum() < _FEWEST:
+        if rows.count[k].sum() < _FEWEST:
             continue
-        row = np.logical_or.reduce([reached.members(k, s) for s in sides])
-        width = _width(reached.along[k][row], reached.aside[k][row])
+        near = _pieces_along(arcs, np.array([k]), pieces)
+        members = [_in_row(near, side, int(rows.ends[k, side])) for side in (0, 1)]
+        sides = [side for side in (0, 1) if _goes_on(near, members[side])]
+        if float(score[k, sides].sum()) <= best or rows.count[k, sides].sum() < _FEWEST:
+            continue
+        row = np.logical_or.reduce([members[side] for side in sides])
+        along, aside = near.along[0][row], near.aside[0][row]
+        width = _width(along, aside)
         if width < _NARROW:
             continue
         best = float(score[k, sides].sum())
-        beyond = _STEP * float(reached.ends[k, sides].sum())
+        beyond = _STEP * float(rows.ends[k, sides].sum())
         found = _Row(
             beyond,
             beyond + float(arcs.high[k] - arcs.low[k]),
             width,
             float(np.quantile(height[row], 0.95)),
-            float(reached.rim[k, sides].sum() / reached.count[k, sides].sum()),
-            _road(arcs, k, ground, np.unique(np.floor(reached.along[k][row]))),
+            float(rows.rim[k, sides].sum() / rows.count[k, sides].sum()),
+            _road(arcs, k, ground, np.unique(np.floor(along))),
         )
     return found
 
 
-def _goes_on(reached: _Reached, arc: int, side: int) -> bool:
-    """Tell whether a row goes on before or behind a body, and not beside it."""
-    first = reached.aside[arc][reached.members(arc, side) & (reached.distance[arc] < _AHEAD)]
+def _in_row(near: _Pieces, side: int, end: int) -> Mask:
+    """Tell which pieces (N,) are in the row on one side of an object along one arc."""
+    step = near.step[0]
+    on_side = (near.after[0] == bool(side)) & (np.abs(near.aside[0]) < _HALF)
+    return np.asarray(on_side & (step >= 0) & (step < end))
+
+
+def _goes_on(near: _Pieces, row: Mask) -> bool:
+    """Tell whether a row of pieces (N,) goes on before or behind an object, and not beside it."""
+    first = near.aside[0][row & (near.step[0] < _FIRST)]
     return len(first) > 0 and abs(float(np.quantile(first, [0.05, 0.95]).mean())) <= _ASIDE
 
 
@@ -332,9 +327,8 @@ def _width(along: Floats, aside: Floats) -> float:
 
 def _road(arcs: _Arcs, number: int, ground: Floats, metres: Floats) -> float:
     """Density of the ground points (G, 2) beneath the metres of a row along an arc, over that beside it."""
-    along, aside = (v[0] for v in arcs.along(ground, np.array([number])))
-    on_way = np.isin(np.floor(along), metres)
-    aside = aside[on_way]
+    near = _pieces_along(arcs, np.array([number]), ground)
+    aside = near.aside[0][np.isin(np.floor(near.along[0]), metres)]
     inner, outer = _HALF - _RIM, _HALF + _RIM
     beneath = np.count_nonzero(np.abs(aside) < inner) / (2.0 * inner)
     beside = [np.count_nonzero((s * aside > outer) & (s * aside < outer + _HALF)) / _HALF for s in (-1, 1)]

@@ -293,7 +293,7 @@ class TrailInPiecesNumbers(StrictModel):
         0.35, description="Width of the strip on either side of a row that holds few points of pieces [m]"
     )
     rim_share: float = Field(
-        0.12,
+        0.1,
         description="Largest number of points in the strips beside a row, as a fraction of those of its "
         "pieces; a line that crosses a trail has more",
     )
@@ -320,14 +320,6 @@ class TrailInPiecesNumbers(StrictModel):
         0.75,
         description="Density of the ground points beneath a row of pieces, as a fraction of that beside it, "
         "from which traffic left the row; planted rows hide more",
-    )
-    places: int = Field(
-        9,
-        description="Number of places decided one by one, of an object longer and wider than a vehicle",
-    )
-    place_radius: float = Field(1.0, description="Radius of such a place [m]")
-    places_share: float = Field(
-        0.7, description="Fraction of the places that must lie in rows of pieces for the object to be traffic"
     )
 
 

@@ -137,7 +137,6 @@ MOVING_OBJECT_RULES: tuple[Rule, ...] = (
             "method_numbers.trail_in_pieces.fewest_points",
             "method_numbers.trail_in_pieces.taller",
             "method_numbers.trail_in_pieces.road",
-            "method_numbers.trail_in_pieces.places_share",
             "method_numbers.dynamic_objects.strip_length",
             "method_numbers.dynamic_objects.strip_width",
         ),
