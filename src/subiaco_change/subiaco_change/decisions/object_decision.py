@@ -164,14 +164,14 @@ def decide_object(
             or is_moving_object_trail(parts, semantic, own, rules.decisions, measures.free)
             or continues_trail(parts, own, rules.decisions)
             or is_strip_on_road(parts, own, rules.decisions)
-            or is_piece_of_trail(
-                parts, semantic, own, rules.around[epoch], rules.around[1 - epoch], rules.decisions
-            )
             or may_be_a_person(parts, semantic, own)
             or hides_no_ground(contrast)
             or shows_no_side(contrast)
             or decide_in_traffic(parts, rules.lanes, rules.moved[epoch], rules.decisions)
             or decide_shapeless(parts, semantic, rules.lanes, rules.decisions)
+            or is_piece_of_trail(
+                parts, semantic, own, rules.around[epoch], rules.around[1 - epoch], rules.decisions
+            )
             or decide_vehicle_part(parts, semantic, measures, rules.standing[1 - epoch])
             or decision
         )
