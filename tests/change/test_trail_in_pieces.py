@@ -86,6 +86,20 @@ def test_what_does_not_lie_in_a_row_as_long_as_a_trail_and_as_wide_as_a_vehicle_
     assert decided(piece, holding(np.concatenate([piece, pieces]))) is None
 
 
+@pytest.mark.parametrize("length", [8.0, 4.0])
+def test_an_object_of_pieces_of_two_lanes_is_not_claimed_where_it_is_longer_than_a_car(length):
+    object_ = np.concatenate([row(0.0, length), row(0.0, length, y=3.3)])
+    rows = [
+        row(-18.0, -1.0),
+        row(length + 1.0, 20.0),
+        row(-18.0, -1.0, y=3.3),
+        row(length + 1.0, 20.0, y=3.3),
+    ]
+    decision = decided(object_, holding(np.concatenate([object_, *rows])))
+    assert (decision is not None) == (length > 6.0)
+    assert decided(object_, holding(object_)) is None
+
+
 def test_a_planted_row_that_hides_the_ground_is_claimed():
     pieces = np.concatenate([PIECE, BEFORE_AND_BEHIND])
     hidden = cKDTree(pieces[:, :2]).query(ROAD)[0] < 0.6

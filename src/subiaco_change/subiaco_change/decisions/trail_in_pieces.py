@@ -15,12 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from subiaco_change.decisions.config import DecisionConfig
-from subiaco_change.decisions.dynamic_objects import OwnEpochEvidence, fits_a_vehicle
+from subiaco_change.decisions.dynamic_objects import OwnEpochEvidence, fits_a_vehicle, strip_of
 from subiaco_change.decisions.rules import Decision
-from subiaco_change.decisions.voxel_objects import NO_OBJECT, ObjectInstance
+from subiaco_change.decisions.voxel_objects import NO_OBJECT, ObjectInstance, Voxels, join_voxels
 from subiaco_change.geometry import in_box_around, tree_for_few
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import no_decision, switchable
+from subiaco_change.quantiles import quantile_of
 from subiaco_change.segmentation.clustering import group_indices
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.codes import Change, Semantic
@@ -47,6 +48,10 @@ _LOW, _TOP = NUMBERS.trail_in_pieces.low, NUMBERS.trail_in_pieces.high
 _NARROW = NUMBERS.dynamic_objects.strip_width
 _WIDEST = NUMBERS.dynamic_objects.trail_width
 _LENGTH = NUMBERS.dynamic_objects.strip_length
+_VEHICLE = NUMBERS.dynamic_objects.trail_length
+_PLACES = NUMBERS.trail_in_pieces.places
+_PLACE = NUMBERS.trail_in_pieces.place_radius
+_TOP_SHARE = NUMBERS.trail_in_pieces.top_share
 _SAME = NUMBERS.object_decision.same_point
 _BINS = round(_REACH / _STEP)
 _GAPS = round(_GAP / _STEP)
@@ -130,17 +135,19 @@ def is_piece_of_trail(
     """Tell an object in a row of pieces as long as no vehicle and as wide as one, in a cloud without counts.
 
     ``mine`` and ``other``: what its own and the other epoch hold around. A plant or a parked car beside a
-    trail does not lie in the middle of the row, and a planted row hides the ground.
+    trail does not lie in the middle of the row, and a planted row hides the ground. An object that is both
+    longer and wider than a vehicle may hold pieces of two lanes: most of its places must lie in rows.
     """
     if own is None or own.ground is None or mine is None or other is None:
         return None
     if semantic is Semantic.BUILDING or not fits_a_vehicle(objects, rules):
         return None
-    xyz = np.concatenate([t.xyz for t in objects])
-    top = float(np.quantile(np.concatenate([t.voxels.height for t in objects]), 0.95))
-    row = _row_of(xyz, mine, other)
-    if row is None or not row.is_of_traffic(top):
+    bodies = _bodies(np.concatenate([t.xyz for t in objects]), join_voxels(objects))
+    found = [(_row_of(xyz, mine, other), top) for xyz, top in bodies]
+    rows = [row for row, top in found if row is not None and row.is_of_traffic(top)]
+    if 2 * len(rows) <= len(bodies):
         return None
+    row = max(rows, key=lambda r: r.length)
     reason = (
         f"The object lies in a row of pieces {row.length:.0f} m long (limit {_LENGTH:g} m) and"
         f" {row.width:.1f} m wide that the other survey does not hold, and its own survey saw the ground"
@@ -148,6 +155,20 @@ def is_piece_of_trail(
         " of the ghost trail of a vehicle, and nothing is claimed."
     )
     return Decision(Change.UNOBSERVED, reason, 0.0)
+
+
+def _bodies(xyz: Floats, voxels: Voxels) -> list[tuple[Floats, float]]:
+    """Points (N, 3) through which rows are followed, and their tops: an object, or places of a wide one."""
+    if len(_arcs_through(xyz[:, :2]).bend):
+        return [(xyz, quantile_of(voxels.height, _TOP_SHARE))]
+    if strip_of(xyz[:, :2])[0] < _VEHICLE:
+        return []
+    some = np.linspace(0, len(xyz) - 1, _PLACES).astype(np.int64)
+    found = []
+    for middle in xyz[np.lexsort(xyz.T[:2])[some], :2]:
+        near, high = (np.linalg.norm(p[:, :2] - middle, axis=1) < _PLACE for p in (xyz, voxels.xyz))
+        found.append((xyz[near], quantile_of(voxels.height[high], _TOP_SHARE) if high.any() else 0.0))
+    return found
 
 
 def _row_of(xyz: Floats, own: Surroundings, other: Surroundings) -> _Row | None:
@@ -291,7 +312,7 @@ def _best_row(pieces: Floats, height: Floats, place: Floats, ground: Floats) -> 
             beyond,
             beyond + float(arcs.high[k] - arcs.low[k]),
             width,
-            float(np.quantile(height[row], 0.95)),
+            quantile_of(height[row], _TOP_SHARE),
             float(rows.rim[k, sides].sum() / rows.count[k, sides].sum()),
             _road(arcs, k, ground, np.unique(np.floor(along))),
         )

@@ -321,6 +321,13 @@ class TrailInPiecesNumbers(StrictModel):
         description="Density of the ground points beneath a row of pieces, as a fraction of that beside it, "
         "from which traffic left the row; planted rows hide more",
     )
+    places: int = Field(
+        15, description="Number of places decided one by one, of an object longer and wider than a vehicle"
+    )
+    place_radius: float = Field(1.0, description="Radius of such a place [m]")
+    top_share: float = Field(
+        0.95, description="Fraction of the points or voxels of a piece that lie below its top"
+    )
 
 
 class DrivenLaneNumbers(StrictModel):
