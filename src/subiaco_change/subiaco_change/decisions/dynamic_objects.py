@@ -141,7 +141,7 @@ def continues_trail(
     if distance[nearest] > _LANE:
         return None
     trail = _lane_of(own.shaped, int(slot[nearest]))
-    length, width = _strip(np.concatenate([trail[:, :2], places[:, :2]]))
+    length, width = strip_of(np.concatenate([trail[:, :2], places[:, :2]]))
     if len(trail) < _TRAIL_POINTS or width > _TRAIL_WIDTH or length < _TRAIL_LENGTH:
         return None
     reason = (
@@ -169,7 +169,7 @@ def is_strip_on_road(
     if own is None or own.ground is None or own.ground.n == 0 or not fits_a_vehicle(objects, rules):
         return None
     places = np.concatenate([t.xyz for t in objects])[:, :2]
-    length, width = _strip(places)
+    length, width = strip_of(places)
     if length < _ALONE or not _NARROW <= width <= _TRAIL_WIDTH:
         return None
     beneath = _road_beneath(places, own.ground.data)
@@ -195,7 +195,7 @@ def may_be_a_person(
     if own is None or own.ground is None or semantic not in (Semantic.VEGETATION, Semantic.OTHER):
         return None
     xy = np.concatenate([t.xyz for t in objects])[:, :2]
-    length, width = _strip(xy)[0], _local_width(xy)
+    length, width = strip_of(xy)[0], _local_width(xy)
     foot, top = np.quantile(np.concatenate([t.voxels.height for t in objects]), [0.05, 0.95])
     thin = _PERSON_WIDTH[0] <= width <= _PERSON_WIDTH[1] and length >= _WALKED
     if not thin or foot > _PERSON_FOOT or not _PERSON_TOP[0] <= top <= _PERSON_TOP[1]:
@@ -321,7 +321,7 @@ def _beside_ground(xyz: Floats, ground: Floats) -> Contrast:
     usual = float(np.median(known))
     expected = usual * np.count_nonzero(footprint)
     bottom, top = np.quantile(xyz[:, 2], [0.025, 0.975])
-    side = usual / _CELL**2 * max(_strip(xy)[0], _CELL) * max(top - bottom, _CELL)
+    side = usual / _CELL**2 * max(strip_of(xy)[0], _CELL) * max(top - bottom, _CELL)
     return Contrast(len(xy) / expected, float(counts[1][footprint].sum()) / expected, len(xy) / side)
 
 
@@ -339,7 +339,7 @@ def _road_beneath(xy: Floats, ground: Floats) -> float:
     return min(1.0, inside / max(0.5 * around, 1.0))
 
 
-def _strip(xy: Floats) -> tuple[float, float]:
+def strip_of(xy: Floats) -> tuple[float, float]:
     """Length and width of points (N, 2) along and across their main direction, less one in twenty [m]."""
     step = xy - xy.mean(axis=0)
     low, high = np.quantile(step @ np.linalg.eigh(step.T @ step)[1], [0.025, 0.975], axis=0)
@@ -350,7 +350,7 @@ def _strip(xy: Floats) -> tuple[float, float]:
 def _local_width(xy: Floats) -> float:
     """Width of the pieces that points (N, 2) consist of, median of a sample [m]: a way may bend."""
     some = xy[:: -(-len(xy) // _PIECES)]
-    return float(np.median([_strip(xy[near])[1] for near in cKDTree(xy).query_ball_point(some, _PIECE)]))
+    return float(np.median([strip_of(xy[near])[1] for near in cKDTree(xy).query_ball_point(some, _PIECE)]))
 
 
 @switchable("trail_of_one_epoch", no_decision)

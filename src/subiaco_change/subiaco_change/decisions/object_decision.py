@@ -35,6 +35,7 @@ from subiaco_change.decisions.plant_measures import PlantConfig, measure_plant
 from subiaco_change.decisions.plant_tops import expected_top
 from subiaco_change.decisions.rules import Decision, decide, shown_volume
 from subiaco_change.decisions.space_carving import Empty, Interval
+from subiaco_change.decisions.trail_in_pieces import Surroundings, is_piece_of_trail
 from subiaco_change.decisions.vegetation_null import PlantMeasures, no_null
 from subiaco_change.decisions.voxel_objects import Certainty, Free, ObjectInstance, Voxels, join_voxels
 from subiaco_change.geometry import in_box_around
@@ -122,6 +123,7 @@ class ObjectRules:
     certain: tuple[Certainty | None, Certainty | None] = (None, None)  # how certain these can be at most
     lanes: tuple[Observed, ...] = ()  # which places the survey vehicles of both epochs drove through
     moved: tuple[Moved | None, Moved | None] = (None, None)  # what *before* and *after* know to have moved
+    around: tuple[Surroundings | None, Surroundings | None] = (None, None)  # what both hold farther around
     from_above: bool = False  # whether both epochs were measured from above
     plants: PlantConfig = field(default_factory=PlantConfig)
 
@@ -169,6 +171,9 @@ def decide_object(
             or shows_no_side(contrast)
             or decide_in_traffic(parts, rules.lanes, rules.moved[epoch], rules.decisions)
             or decide_shapeless(parts, semantic, rules.lanes, rules.decisions)
+            or is_piece_of_trail(
+                parts, semantic, own, rules.around[epoch], rules.around[1 - epoch], rules.decisions
+            )
             or decide_vehicle_part(parts, semantic, measures, rules.standing[1 - epoch])
             or decision
         )

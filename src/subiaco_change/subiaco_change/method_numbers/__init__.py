@@ -34,6 +34,7 @@ from subiaco_change.method_numbers.decision_numbers import (
     RulesNumbers,
     SpaceCarvingNumbers,
     StoreysNumbers,
+    TrailInPiecesNumbers,
     VegetationNullNumbers,
     VoxelObjectsNumbers,
 )
@@ -92,6 +93,7 @@ class MethodNumbers(StrictModel):
     rules: RulesNumbers = RulesNumbers()
     space_carving: SpaceCarvingNumbers = SpaceCarvingNumbers()
     storeys: StoreysNumbers = StoreysNumbers()
+    trail_in_pieces: TrailInPiecesNumbers = TrailInPiecesNumbers()
     vegetation_null: VegetationNullNumbers = VegetationNullNumbers()
     voxel_objects: VoxelObjectsNumbers = VoxelObjectsNumbers()
     costs: CostsNumbers = CostsNumbers()

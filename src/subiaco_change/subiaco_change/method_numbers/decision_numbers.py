@@ -260,6 +260,76 @@ class DynamicObjectsNumbers(StrictModel):
     )
 
 
+class TrailInPiecesNumbers(StrictModel):
+    """Numbers of ``decisions/trail_in_pieces.py``."""
+
+    low: float = Field(
+        0.3, description="Height above ground from which a point may belong to a piece of a ghost trail [m]"
+    )
+    high: float = Field(
+        3.8, description="Height above ground up to which a point may belong to a piece of a ghost trail [m]"
+    )
+    held: float = Field(
+        0.6,
+        description="Distance from standing points of the other survey within which a piece stands in both "
+        "surveys, and was not left by traffic [m]",
+    )
+    reach: float = Field(
+        20.0, description="Distance from an object within which a row of pieces is followed [m]"
+    )
+    directions: int = Field(60, description="Number of directions in which a row of pieces is looked for")
+    bends: tuple[float, ...] = Field(
+        (-0.02, -0.015, -0.01, -0.005, 0.0, 0.005, 0.01, 0.015, 0.02),
+        description="Curvatures along which a row of pieces is looked for [1/m]; streets bend",
+    )
+    step: float = Field(0.5, description="Length of the steps in which a row of pieces is followed [m]")
+    gap: float = Field(
+        2.5, description="Largest gap between two pieces of a row [m]; a sweep meets a vehicle every 1 to 2 m"
+    )
+    half_width: float = Field(
+        1.25, description="Distance from the middle of a row within which its pieces lie [m]"
+    )
+    rim: float = Field(
+        0.35, description="Width of the strip on either side of a row that holds few points of pieces [m]"
+    )
+    rim_share: float = Field(
+        0.1,
+        description="Largest number of points in the strips beside a row, as a fraction of those of its "
+        "pieces; a line that crosses a trail has more",
+    )
+    rim_weight: float = Field(
+        4.0, description="Points of pieces that a point beside a row outweighs in the choice of its line"
+    )
+    section: float = Field(
+        3.0, description="Length of the sections in which the width of a row of pieces is measured [m]"
+    )
+    ahead: float = Field(
+        5.0, description="Distance from an object within which a row begins in line with the object [m]"
+    )
+    aside: float = Field(
+        0.5,
+        description="Largest distance between the middle of the beginning of a row and the middle of the "
+        "object [m]; a vehicle parked beside a trail is farther away",
+    )
+    fewest_points: int = Field(100, description="Smallest number of points of the other pieces of a row")
+    beyond: float = Field(8.0, description="Smallest length of a row beyond the object [m]")
+    taller: float = Field(
+        0.5, description="Height by which an object may be higher than the other pieces of its row [m]"
+    )
+    road: float = Field(
+        0.75,
+        description="Density of the ground points beneath a row of pieces, as a fraction of that beside it, "
+        "from which traffic left the row; planted rows hide more",
+    )
+    places: int = Field(
+        15, description="Number of places decided one by one, of an object longer and wider than a vehicle"
+    )
+    place_radius: float = Field(1.0, description="Radius of such a place [m]")
+    top_share: float = Field(
+        0.95, description="Fraction of the points or voxels of a piece that lie below its top"
+    )
+
+
 class DrivenLaneNumbers(StrictModel):
     """Numbers of ``decisions/driven_lane.py``."""
 

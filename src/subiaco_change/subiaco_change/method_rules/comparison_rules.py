@@ -132,6 +132,25 @@ MOVING_OBJECT_RULES: tuple[Rule, ...] = (
         guards=True,
     ),
     Rule(
+        "trail_in_pieces",
+        _HERE,
+        "Nothing is claimed of an object of one epoch in a row of pieces as wide as a vehicle and longer than"
+        " one, on ground that was seen, in a cloud without counts of beams.",
+        (
+            "method_numbers.trail_in_pieces.beyond",
+            "method_numbers.trail_in_pieces.gap",
+            "method_numbers.trail_in_pieces.half_width",
+            "method_numbers.trail_in_pieces.rim_share",
+            "method_numbers.trail_in_pieces.aside",
+            "method_numbers.trail_in_pieces.fewest_points",
+            "method_numbers.trail_in_pieces.taller",
+            "method_numbers.trail_in_pieces.road",
+            "method_numbers.dynamic_objects.strip_length",
+            "method_numbers.dynamic_objects.strip_width",
+        ),
+        guards=True,
+    ),
+    Rule(
         "ground_shines_through",
         _HERE,
         "What neither fills its place nor hides the ground beneath is claimed with a low confidence, in a"

@@ -6,7 +6,8 @@ the unchanged plants of all tiles (Decision 18).
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any, ClassVar, Protocol
 
@@ -26,16 +27,17 @@ from subiaco_change.decisions.object_decision import ObjectChange, ObjectRules
 from subiaco_change.decisions.plant_decisions import decide_plant, place_was_free
 from subiaco_change.decisions.plant_measures import PlantConfig
 from subiaco_change.decisions.space_carving import Empty
+from subiaco_change.decisions.trail_in_pieces import ROW_REACH
 from subiaco_change.decisions.vegetation_null import PlantMeasures, fit_null, null_of, null_words
 from subiaco_change.decisions.voxel_objects import NO_OBJECT, OTHERS, Certainty, EpochView, Free
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import obeys_rules
 from subiaco_change.records import ChangeRecord
-from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.strategies import Part, choose_strategies
 from subiaco_change.tiling.candidate_groups import CandidateGroups
+from subiaco_change.tiling.epoch_tiles import EpochContext
 from subiaco_change.tiling.stage_inputs import TileParams
-from subiaco_change.tiling.tile_surroundings import Region, load_region
+from subiaco_change.tiling.tile_surroundings import Near, Region, load_region
 from subiaco_change.visibility_evidence import EvidenceConfig, EvidenceKind, weakest
 from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.work.results import register_codec
@@ -176,8 +178,9 @@ def compare_tile(inputs: Inputs, params: TileParams[ComparisonSlice]) -> TileCom
     config = params.config
     groups = inputs.of(CandidateGroups, "groups")
     mine = groups.anchor == groups.tiles.index(params.tile)
-    near = _surroundings(groups.low[mine], groups.high[mine])
-    regions = [load_region(inputs, side, params.origin, config.evidence, near) for side in params.sides]
+    boxes = groups.low[mine], groups.high[mine]
+    near, far = _surroundings(*boxes, 1), _far_around(boxes, params.sides)
+    regions = [load_region(inputs, side, params.origin, config.evidence, near, far) for side in params.sides]
     members = [mine[groups.before], mine[groups.after]]
     compact = [_compact(r.view, m) for r, m in zip(regions, members, strict=True)]
     views = [view for view, _ in compact]
@@ -186,6 +189,7 @@ def compare_tile(inputs: Inputs, params: TileParams[ComparisonSlice]) -> TileCom
         with_evidence(object_rules(config), (regions[0], regions[1]), kinds),
         lanes=tuple(r.driven for r in regions if r.driven is not None),
         moved=(regions[0].moved, regions[1].moved),
+        around=(regions[0].around, regions[1].around),
         from_above=all(side.from_above for side in params.sides),
     )
     changes = compare_objects(views[0], views[1], regions[0].observed, regions[1].observed, rules)
@@ -262,13 +266,23 @@ def object_rules(config: ComparisonSlice | ChangeConfig) -> ObjectRules:
     )
 
 
-def _surroundings(low: Floats, high: Floats) -> Callable[[Floats], Mask]:
-    """Tell which places (N, 3) lie in cells of, or next to, the boxes (G, 2) of groups."""
-    first = np.floor(low.min(axis=0) / _CELL).astype(np.int64) - 1
-    shape = np.floor(high.max(axis=0) / _CELL).astype(np.int64) - first + 2
+def _far_around(boxes: tuple[Floats, Floats], sides: Sequence[EpochContext]) -> Near | None:
+    """Tell where rows of pieces of traffic may lie around groups; None where beams were counted.
+
+    In a pair that was measured from above, a moving vehicle was met once, and left no row.
+    """
+    if all(side.kind == "observed" for side in sides) or all(side.from_above for side in sides):
+        return None
+    return _surroundings(*boxes, math.ceil(ROW_REACH / _CELL))
+
+
+def _surroundings(low: Floats, high: Floats, margin: int) -> Near:
+    """Tell which places (N, 3) lie in cells of the boxes (G, 2) of groups, or within a margin of cells."""
+    first = np.floor(low.min(axis=0) / _CELL).astype(np.int64) - margin
+    shape = np.floor(high.max(axis=0) / _CELL).astype(np.int64) - first + 1 + margin
     inside = np.zeros(tuple(shape.tolist()), dtype=bool)
-    begin = np.floor(low / _CELL).astype(np.int64) - 1 - first
-    end = np.floor(high / _CELL).astype(np.int64) + 2 - first
+    begin = np.floor(low / _CELL).astype(np.int64) - margin - first
+    end = np.floor(high / _CELL).astype(np.int64) + 1 + margin - first
     for (x0, y0), (x1, y1) in zip(begin.tolist(), end.tolist(), strict=True):
         inside[x0:x1, y0:y1] = True
 

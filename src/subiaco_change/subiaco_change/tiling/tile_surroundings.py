@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from subiaco_change.decisions.driven_lane import SurveyPath, lane_near
+from subiaco_change.decisions.trail_in_pieces import Surroundings, surroundings
 from subiaco_change.decisions.voxel_objects import UNCERTAIN, EpochView
 from subiaco_change.level_of_detection.common_frame import free_through, seen_through
 from subiaco_change.segmentation.ground_model import Mask
@@ -36,7 +37,8 @@ class Region:
     is that nothing stood there, by its beams, ``above`` the same above the tops of plants, ``certain`` how
     certain that can be at most, and ``below_view`` which places are no higher than its view is known to have
     reached; ``driven`` which places its vehicle drove through, None where its trajectory is not known;
-    ``moved`` how probable it is that what it found at places moved, None where its map has no times of beams.
+    ``moved`` how probable it is that what it found at places moved, None where its map has no times of beams;
+    ``around`` what it holds farther around, None where that was not asked for.
     """
 
     view: EpochView
@@ -51,12 +53,20 @@ class Region:
     certain: Callable[[Floats], Floats]
     driven: Callable[[Floats], Mask] | None
     moved: Callable[[Floats], Floats] | None
+    around: Surroundings | None = None
 
 
 def load_region(
-    inputs: Inputs, side: EpochContext, origin: Floats, config: EvidenceConfig, near: Near
+    inputs: Inputs,
+    side: EpochContext,
+    origin: Floats,
+    config: EvidenceConfig,
+    near: Near,
+    around: Near | None = None,
 ) -> Region:
     """Load those points of an epoch for which ``near`` holds, given places (N, 3) of the common frame.
+
+    ``around``: the same for places of which only the surroundings are asked for.
 
     ``inputs`` hold ``points lods`` of the tiles around, ``beams``, the ``path`` of the survey vehicle where
     it is known, and the frame; ``origin`` (3,) is its own.
@@ -65,12 +75,17 @@ def load_region(
     tiles = inputs.under(f"points/{side.epoch}")
     parts: list[tuple[Any, ...]] = []
     own_world: list[Floats] = [np.zeros((0, 3))]
+    wide: list[Surroundings] = []
     by_points = side.kind in ("shadow", "trajectory")
     for position, name in enumerate(tiles):
         piece = inputs.of(LabelledPoints, f"points/{side.epoch}/{name}")
         cloud = load_points(inputs, side, name, origin)
         index = np.flatnonzero(near(cloud.xyz))
         passed, moved = piece.passed, piece.moved
+        if around is not None:
+            far = np.flatnonzero(around(cloud.xyz))
+            labels = piece.semantic[far], piece.number[far], piece.height[far]
+            wide.append(surroundings(cloud.xyz[far], *labels))
         if by_points:
             own_world.append(piece.xyz[_standing(piece)] + side.origin)
         parts.append(
@@ -105,6 +120,7 @@ def load_region(
         free_through(observer.certainty, to_world),
         None if path is None else seen_through(lane_near(path, to_world(view.xyz)).covers, to_world),
         None if view.moved is None else free_through(observer.moved_or_not, to_world),
+        Surroundings.joined(wide) if wide else None,
     )
 
 

@@ -1,0 +1,356 @@
+"""Pieces of ghost trails, distinguished from standing objects by the row of pieces that they lie in.
+
+Where few sweeps met a moving vehicle, its trail is a row of pieces: fronts, sides and corners some metres
+apart, along a straight line or a bend. Each piece alone looks like a plant or a vehicle of one epoch. The row
+is longer than vehicles are and as wide as one, its own survey saw the ground beneath all of it, and the other
+epoch holds none of its pieces.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from subiaco_change.decisions.config import DecisionConfig
+from subiaco_change.decisions.dynamic_objects import OwnEpochEvidence, fits_a_vehicle, strip_of
+from subiaco_change.decisions.rules import Decision
+from subiaco_change.decisions.voxel_objects import NO_OBJECT, ObjectInstance, Voxels, join_voxels
+from subiaco_change.geometry import in_box_around, tree_for_few
+from subiaco_change.method_numbers import NUMBERS
+from subiaco_change.method_rules.switches import no_decision, switchable
+from subiaco_change.quantiles import quantile_of
+from subiaco_change.segmentation.clustering import group_indices
+from subiaco_change.segmentation.ground_model import Mask
+from subiaco_geo.codes import Change, Semantic
+from subiaco_geo.frames import Floats, Ints
+
+ROW_REACH = NUMBERS.trail_in_pieces.reach
+_REACH = ROW_REACH
+_DIRECTIONS = NUMBERS.trail_in_pieces.directions
+_BENDS = np.array(NUMBERS.trail_in_pieces.bends)
+_STEP = NUMBERS.trail_in_pieces.step
+_GAP = NUMBERS.trail_in_pieces.gap
+_HALF = NUMBERS.trail_in_pieces.half_width
+_RIM = NUMBERS.trail_in_pieces.rim
+_RIM_SHARE = NUMBERS.trail_in_pieces.rim_share
+_RIM_WEIGHT = NUMBERS.trail_in_pieces.rim_weight
+_SECTION = NUMBERS.trail_in_pieces.section
+_ASIDE = NUMBERS.trail_in_pieces.aside
+_FEWEST = NUMBERS.trail_in_pieces.fewest_points
+_BEYOND = NUMBERS.trail_in_pieces.beyond
+_TALLER = NUMBERS.trail_in_pieces.taller
+_ROAD = NUMBERS.trail_in_pieces.road
+_HELD = NUMBERS.trail_in_pieces.held
+_LOW, _TOP = NUMBERS.trail_in_pieces.low, NUMBERS.trail_in_pieces.high
+_NARROW = NUMBERS.dynamic_objects.strip_width
+_WIDEST = NUMBERS.dynamic_objects.trail_width
+_LENGTH = NUMBERS.dynamic_objects.strip_length
+_VEHICLE = NUMBERS.dynamic_objects.trail_length
+_PLACES = NUMBERS.trail_in_pieces.places
+_PLACE = NUMBERS.trail_in_pieces.place_radius
+_TOP_SHARE = NUMBERS.trail_in_pieces.top_share
+_SAME = NUMBERS.object_decision.same_point
+_BINS = round(_REACH / _STEP)
+_GAPS = round(_GAP / _STEP)
+_FIRST = round(NUMBERS.trail_in_pieces.ahead / _STEP)
+_AT_ONCE = 60  # arcs along which rows are followed at once, for the memory
+
+
+@dataclass(frozen=True)
+class Surroundings:
+    """What one epoch holds widely around the objects of a tile, in the frame of the objects.
+
+    ``ground`` (G, 2); ``standing`` (S, 3): all that is neither ground nor a ghost trail; ``pieces`` (P, 3)
+    and their ``height`` (P,) above ground: what may be left of traffic, neither a building nor of the shape
+    of a vehicle [m].
+    """
+
+    ground: Floats
+    standing: Floats
+    pieces: Floats
+    height: Floats
+
+    @staticmethod
+    def joined(parts: Sequence[Surroundings]) -> Surroundings:
+        """Return what several tiles hold."""
+        names = Surroundings.__dataclass_fields__
+        return Surroundings(*(np.concatenate([getattr(part, name) for part in parts]) for name in names))
+
+
+def surroundings(
+    xyz: Floats, semantic: NDArray[np.uint8], instance: NDArray[np.int32], height: NDArray[np.float32]
+) -> Surroundings:
+    """Sort points (N, 3) of an epoch by what they may be.
+
+    Parameters
+    ----------
+    xyz : (N, 3) float64 [m]
+    semantic : (N,) uint8
+    instance : (N,) int32
+        Object, :data:`NO_OBJECT` or below without one.
+    height : (N,) float32
+        Above ground [m].
+    """
+    loose = (semantic == Semantic.MOBILE) & (instance <= NO_OBJECT)
+    shapeless = loose | (semantic == Semantic.VEGETATION) | (semantic == Semantic.OTHER)
+    piece = shapeless & (height > _LOW) & (height < _TOP)
+    ground = semantic == Semantic.GROUND
+    return Surroundings(xyz[ground, :2], xyz[~ground & ~loose], xyz[piece], height[piece].astype(np.float64))
+
+
+@dataclass(frozen=True)
+class _Row:
+    """Pieces in line with an object.
+
+    ``beyond``: length of the row beyond the object; ``length``: with the object; ``width`` and ``top`` of the
+    pieces [m]; ``rim``: points just beside the row for each point of its pieces; ``road``: density of the
+    ground beneath the row over that beside it.
+    """
+
+    beyond: float
+    length: float
+    width: float
+    top: float
+    rim: float
+    road: float
+
+    def is_of_traffic(self, top: float) -> bool:
+        """Tell whether traffic may have left the row and, in it, an object as high as ``top`` [m]."""
+        long = self.beyond >= _BEYOND and self.length >= _LENGTH
+        return long and self.rim <= _RIM_SHARE and self.road >= _ROAD and top <= self.top + _TALLER
+
+
+@switchable("trail_in_pieces", no_decision)
+def is_piece_of_trail(
+    objects: Sequence[ObjectInstance],
+    semantic: Semantic,
+    own: OwnEpochEvidence | None,
+    mine: Surroundings | None,
+    other: Surroundings | None,
+    rules: DecisionConfig,
+) -> Decision | None:
+    """Tell an object in a row of pieces as long as no vehicle and as wide as one, in a cloud without counts.
+
+    ``mine`` and ``other``: what its own and the other epoch hold around. A plant or a parked car beside a
+    trail does not lie in the middle of the row, and a planted row hides the ground. An object that is both
+    longer and wider than a vehicle may hold pieces of two lanes: most of its places must lie in rows.
+    """
+    if own is None or own.ground is None or mine is None or other is None:
+        return None
+    if semantic is Semantic.BUILDING or not fits_a_vehicle(objects, rules):
+        return None
+    bodies = _bodies(np.concatenate([t.xyz for t in objects]), join_voxels(objects))
+    found = [(_row_of(xyz, mine, other), top) for xyz, top in bodies]
+    rows = [row for row, top in found if row is not None and row.is_of_traffic(top)]
+    if 2 * len(rows) <= len(bodies):
+        return None
+    row = max(rows, key=lambda r: r.length)
+    reason = (
+        f"The object lies in a row of pieces {row.length:.0f} m long (limit {_LENGTH:g} m) and"
+        f" {row.width:.1f} m wide that the other survey does not hold, and its own survey saw the ground"
+        f" beneath the row with {row.road:.0%} of the points beside it (limit {_ROAD:.0%}): it may be a piece"
+        " of the ghost trail of a vehicle, and nothing is claimed."
+    )
+    return Decision(Change.UNOBSERVED, reason, 0.0)
+
+
+def _bodies(xyz: Floats, voxels: Voxels) -> list[tuple[Floats, float]]:
+    """Points (N, 3) through which rows are followed, and their tops: an object, or places of a wide one."""
+    if len(_arcs_through(xyz[:, :2]).bend):
+        return [(xyz, quantile_of(voxels.height, _TOP_SHARE))]
+    if strip_of(xyz[:, :2])[0] < _VEHICLE:
+        return []
+    some = np.linspace(0, len(xyz) - 1, _PLACES).astype(np.int64)
+    found = []
+    for middle in xyz[np.lexsort(xyz.T[:2])[some], :2]:
+        near, high = (np.linalg.norm(p[:, :2] - middle, axis=1) < _PLACE for p in (xyz, voxels.xyz))
+        found.append((xyz[near], quantile_of(voxels.height[high], _TOP_SHARE) if high.any() else 0.0))
+    return found
+
+
+def _row_of(xyz: Floats, own: Surroundings, other: Surroundings) -> _Row | None:
+    """Return the row of pieces through the points (N, 3) of an object; None where there is none."""
+    place = xyz[:, :2]
+    near = in_box_around(own.pieces[:, :2], place, _REACH)
+    if np.count_nonzero(near) < _FEWEST:
+        return None
+    pieces, height = own.pieces[near], own.height[near]
+    beyond = tree_for_few(xyz).query(pieces, distance_upper_bound=_SAME)[0] > _SAME
+    beyond &= ~_held(pieces, other.standing)
+    if np.count_nonzero(beyond) < _FEWEST:
+        return None
+    ground = own.ground[in_box_around(own.ground, place, 2.0 * _REACH)]
+    return _best_row(pieces[beyond, :2], height[beyond], place, ground)
+
+
+def _held(places: Floats, standing: Floats) -> Mask:
+    """Tell at which places (N, 3) something of another epoch stands (S, 3)."""
+    near = standing[in_box_around(standing, places, _HELD)]
+    if len(near) == 0:
+        return np.zeros(len(places), dtype=bool)
+    return np.asarray(np.isfinite(tree_for_few(near).query(places, distance_upper_bound=_HELD)[0]))
+
+
+@dataclass(frozen=True)
+class _Arcs:
+    """Arcs (A,) through an object: directions (A, 2), bends (A,) [1/m], and the middle of the object.
+
+    ``low`` and ``high`` (A,): where the object begins and ends along them; ``middle`` (A,): aside of the arc
+    through ``centre`` (2,) [m].
+    """
+
+    centre: Floats
+    direction: Floats
+    bend: Floats
+    low: Floats
+    high: Floats
+    middle: Floats
+
+
+def _along(
+    xy: Floats, centre: Floats, direction: Floats, bend: Floats, middle: Floats
+) -> tuple[Floats, Floats]:
+    """Places (A, N) of points (N, 2) along arcs (A,), and aside of them [m]."""
+    step = xy - centre
+    along = direction @ step.T
+    aside = np.stack([-direction[:, 1], direction[:, 0]], axis=1) @ step.T
+    return along, aside - 0.5 * bend[:, None] * along**2 - middle[:, None]
+
+
+def _arcs_through(place: Floats) -> _Arcs:
+    """Return the arcs along which an object of points (N, 2) is no wider than a vehicle."""
+    angle = np.repeat(np.arange(_DIRECTIONS) * np.pi / _DIRECTIONS, len(_BENDS))
+    bend = np.tile(_BENDS, _DIRECTIONS)
+    direction, centre = np.stack([np.cos(angle), np.sin(angle)], axis=1), np.median(place, axis=0)
+    along, aside = _along(place, centre, direction, bend, np.zeros(len(bend)))
+    (left, right), (low, high) = (np.quantile(v, [0.025, 0.975], axis=1) for v in (aside, along))
+    fits = right - left <= _WIDEST
+    return _Arcs(centre, direction[fits], bend[fits], low[fits], high[fits], 0.5 * (left + right)[fits])
+
+
+@dataclass(frozen=True)
+class _Pieces:
+    """Pieces beside an object, as arcs (A,) through the object have them.
+
+    ``along`` and ``aside`` (A, N) [m]; ``after`` (A, N): beyond the end of the object, else before its
+    beginning; ``step`` (A, N): steps between the piece and the object, below 0 beside the object.
+    """
+
+    along: Floats
+    aside: Floats
+    after: Mask
+    step: Ints
+
+
+def _pieces_along(arcs: _Arcs, some: Ints, pieces: Floats) -> _Pieces:
+    """Place pieces (N, 2) along some of the arcs."""
+    along, aside = _along(pieces, arcs.centre, arcs.direction[some], arcs.bend[some], arcs.middle[some])
+    low, high = arcs.low[some, None], arcs.high[some, None]
+    distance = np.maximum(along - high, low - along)
+    return _Pieces(along, aside, along > high, np.floor(distance / _STEP).astype(np.int64))
+
+
+@dataclass(frozen=True)
+class _Rows:
+    """Rows on both sides of an object along arcs (A, 2): steps that they reach, points in and beside them."""
+
+    ends: Ints
+    count: Ints
+    rim: Ints
+
+    @property
+    def score(self) -> Floats:
+        """Points in rows (A, 2) less those just beside them, which weigh more."""
+        return np.asarray(self.count - _RIM_WEIGHT * self.rim)
+
+
+def _rows_along(arcs: _Arcs, some: Ints, pieces: Floats) -> _Rows:
+    """Follow the rows of pieces (N, 2) along some of the arcs."""
+    found = _pieces_along(arcs, some, pieces)
+    slot = (np.arange(len(some))[:, None] * 2 + found.after) * _BINS + found.step
+    known = (found.step >= 0) & (found.step < _BINS)
+    size = 2 * len(some) * _BINS
+    within = [known & (np.abs(found.aside) < reach) for reach in (_HALF, _HALF + _RIM)]
+    inside, wide = (np.bincount(slot[m], minlength=size).reshape(-1, 2, _BINS) for m in within)
+    ends = _ends(inside > 0)
+    reached = np.arange(_BINS) < ends[..., None]
+    return _Rows(ends, (inside * reached).sum(axis=2), ((wide - inside) * reached).sum(axis=2))
+
+
+def _best_row(pieces: Floats, height: Floats, place: Floats, ground: Floats) -> _Row | None:
+    """Return the row with the most points (N, 2) along an arc through an object, and the fewest beside it."""
+    arcs = _arcs_through(place)
+    number = np.arange(len(arcs.bend))
+    if len(number) == 0:
+        return None
+    parts = [_rows_along(arcs, some, pieces) for some in np.array_split(number, -(-len(number) // _AT_ONCE))]
+    rows = _Rows(*(np.concatenate([getattr(p, name) for p in parts]) for name in ("ends", "count", "rim")))
+    score = rows.score
+    most = np.maximum(score, 0).sum(axis=1)
+    best, found = 0.0, None
+    for k in np.argsort(-most, kind="stable").tolist():
+        if most[k] <= best:
+            break
+        if rows.count[k].sum() < _FEWEST:
+            continue
+        near = _pieces_along(arcs, np.array([k]), pieces)
+        members = [_in_row(near, side, int(rows.ends[k, side])) for side in (0, 1)]
+        sides = [side for side in (0, 1) if _goes_on(near, members[side])]
+        if float(score[k, sides].sum()) <= best or rows.count[k, sides].sum() < _FEWEST:
+            continue
+        row = np.logical_or.reduce([members[side] for side in sides])
+        along, aside = near.along[0][row], near.aside[0][row]
+        width = _width(along, aside)
+        if width < _NARROW:
+            continue
+        best = float(score[k, sides].sum())
+        beyond = _STEP * float(rows.ends[k, sides].sum())
+        found = _Row(
+            beyond,
+            beyond + float(arcs.high[k] - arcs.low[k]),
+            width,
+            quantile_of(height[row], _TOP_SHARE),
+            float(rows.rim[k, sides].sum() / rows.count[k, sides].sum()),
+            _road(arcs, k, ground, np.unique(np.floor(along))),
+        )
+    return found
+
+
+def _in_row(near: _Pieces, side: int, end: int) -> Mask:
+    """Tell which pieces (N,) are in the row on one side of an object along one arc."""
+    step = near.step[0]
+    on_side = (near.after[0] == bool(side)) & (np.abs(near.aside[0]) < _HALF)
+    return np.asarray(on_side & (step >= 0) & (step < end))
+
+
+def _goes_on(near: _Pieces, row: Mask) -> bool:
+    """Tell whether a row of pieces (N,) goes on before or behind an object, and not beside it."""
+    first = near.aside[0][row & (near.step[0] < _FIRST)]
+    return len(first) > 0 and abs(float(np.quantile(first, [0.05, 0.95]).mean())) <= _ASIDE
+
+
+def _ends(occupied: Mask) -> Ints:
+    """Count the steps (A, 2) that rows reach beyond an object, by which steps (A, 2, B) hold pieces."""
+    ends = np.zeros(occupied.shape[:2], dtype=np.int64)
+    for step in range(occupied.shape[2]):
+        ends[occupied[..., step] & (step - ends <= _GAPS)] = step + 1
+    return ends
+
+
+def _width(along: Floats, aside: Floats) -> float:
+    """Width of the pieces of a row, median over its sections: a thin row aslant is no wider for that [m]."""
+    sections = group_indices(np.unique(np.floor(along / _SECTION), return_inverse=True)[1].astype(np.int64))
+    return float(np.median([np.ptp(np.quantile(aside[s], [0.025, 0.975])) for s in sections]))
+
+
+def _road(arcs: _Arcs, number: int, ground: Floats, metres: Floats) -> float:
+    """Density of the ground points (G, 2) beneath the metres of a row along an arc, over that beside it."""
+    near = _pieces_along(arcs, np.array([number]), ground)
+    aside = near.aside[0][np.isin(np.floor(near.along[0]), metres)]
+    inner, outer = _HALF - _RIM, _HALF + _RIM
+    beneath = np.count_nonzero(np.abs(aside) < inner) / (2.0 * inner)
+    beside = [np.count_nonzero((s * aside > outer) & (s * aside < outer + _HALF)) / _HALF for s in (-1, 1)]
+    return beneath / max(*beside, 1.0)
