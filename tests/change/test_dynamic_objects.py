@@ -13,7 +13,6 @@ from test_one_epoch_parts import obj
 from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.dynamic_objects import (
     OwnEpochEvidence,
-    continues_trail,
     contrast_with_ground,
     doubt_of_porous,
     hides_no_ground,
@@ -197,35 +196,6 @@ def test_a_part_of_a_building_that_was_seen_briefly_is_no_vehicle() -> None:
     assert is_moving_object_trail([part], Semantic.BUILDING, own, RULES) is not None
 
 
-TRAIL = block((0.0, -9.0, 0.3), (2.0, 0.0, 1.5))  # a vehicle passed along y
-
-
-@pytest.mark.parametrize(
-    ("low", "high", "continued"),
-    [
-        ((0.2, 0.0, 0.3), (1.8, 4.0, 1.2), True),
-        ((0.5, -6.0, 0.3), (1.5, -3.0, 1.2), True),
-        ((0.2, 3.0, 0.3), (1.8, 7.0, 1.2), False),
-        ((2.5, -8.0, 0.3), (4.5, 0.0, 1.2), False),
-        ((0.2, 0.5, 0.3), (1.8, 4.0, 7.0), False),
-    ],
-    ids=["its end", "in its midst", "apart", "a hedge or a parked car beside it", "a tree"],
-)
-def test_what_continues_a_trail_known_by_its_shape_is_not_claimed(low, high, continued):
-    own = OwnEpochEvidence(nowhere, NOWHERE, shaped=cKDTree(TRAIL))
-    decision = continues_trail([obj([(block(low, high), False)])], own, RULES)
-    assert (decision is not None) == continued
-    if decision is not None:
-        assert decision.change is Change.UNOBSERVED
-
-
-@pytest.mark.parametrize("gap", [1.5, 4.0])
-def test_a_trail_on_the_next_lane_does_not_hide_what_continues_the_trail_of_this_one(gap):
-    lanes = np.concatenate([TRAIL, np.add(TRAIL, (2.0 + gap, 0.0, 0.0))])
-    end = obj([(block((0.2, 0.0, 0.3), (1.8, 4.0, 1.2)), False)])
-    assert continues_trail([end], OwnEpochEvidence(nowhere, NOWHERE, shaped=cKDTree(lanes)), RULES)
-
-
 #: Ground points half a metre apart.
 ROAD = np.stack(np.meshgrid(np.arange(-20, 40, 0.5), np.arange(-20, 20, 0.5)), axis=-1).reshape(-1, 2)
 
@@ -397,11 +367,10 @@ def test_a_planted_row_that_hides_the_ground_is_no_person():
     assert may_be_a_person(row, Semantic.VEGETATION, planted) is None
 
 
-def test_trails_are_known_by_shape_alone_where_nothing_counted_beams():
-    count = len(TRAIL)
-    semantic = np.full(count, Semantic.MOBILE, dtype=np.uint8)
-    loose = np.full(count, -1, dtype=np.int32)
-    flat = np.ones(count)
-    bare = EpochView(TRAIL, np.zeros((count, 3)), semantic, loose, TRAIL[:, 2], flat, flat)
-    assert own_epoch_evidence(bare, everywhere).shaped.n == count
-    assert own_epoch_evidence(replace(bare, passed=flat), everywhere).shaped.n == 0
+def test_the_ground_beneath_objects_is_evidence_only_where_nothing_counted_beams():
+    xyz = np.column_stack([ROAD, np.zeros(len(ROAD))])
+    semantic, flat = np.full(len(xyz), Semantic.GROUND, dtype=np.uint8), np.ones(len(xyz))
+    none = np.full(len(xyz), -1, dtype=np.int32)
+    bare = EpochView(xyz, np.zeros(xyz.shape), semantic, none, flat, flat, flat)
+    assert own_epoch_evidence(bare, everywhere).ground.n == len(xyz)
+    assert own_epoch_evidence(replace(bare, passed=flat), everywhere).ground is None

@@ -22,14 +22,12 @@ from subiaco_change.decisions.voxel_objects import (
     EpochView,
     ObjectInstance,
     is_ghost_trail,
-    is_loose,
     join_voxels,
     observed_on_both_sides,
 )
 from subiaco_change.geometry import in_box_around
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import always, applies, no_decision, switchable
-from subiaco_change.segmentation.clustering import cell_clusters
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats, Ints
@@ -40,10 +38,7 @@ _BESIDE = NUMBERS.dynamic_objects.visibility_step
 _LANE = NUMBERS.dynamic_objects.lane_reach
 _WITHIN = NUMBERS.dynamic_objects.lane_share
 _WALL = NUMBERS.dynamic_objects.wall_contact
-_TRAIL_POINTS = NUMBERS.dynamic_objects.trail_points
-_TRAIL_REACH = NUMBERS.dynamic_objects.trail_reach
 _TRAIL_WIDTH = NUMBERS.dynamic_objects.trail_width
-_TRAIL_LENGTH = NUMBERS.dynamic_objects.trail_length
 _ALONE = NUMBERS.dynamic_objects.strip_length
 _NARROW = NUMBERS.dynamic_objects.strip_width
 _ROAD = NUMBERS.dynamic_objects.road_beneath
@@ -68,15 +63,14 @@ class OwnEpochEvidence:
     """What the survey of an epoch itself knows of the places where its objects stand.
 
     ``observed`` tells which places (N, 3) it saw; ``traffic`` holds the trails it is sure of, ``buildings``
-    the points of buildings, whose instances (B,) are ``building_of``; ``shaped`` the trails that are known by
-    their shape alone, and ``ground`` (G, 2) the ground points, where nothing counted beams.
+    the points of buildings, whose instances (B,) are ``building_of``; ``ground`` (G, 2) the ground points,
+    where nothing counted beams.
     """
 
     observed: Observed
     traffic: cKDTree
     buildings: cKDTree | None = None
     building_of: Ints | None = None
-    shaped: cKDTree | None = None
     ground: cKDTree | None = None
 
     def through(self, objects: Sequence[ObjectInstance]) -> float:
@@ -111,51 +105,8 @@ def own_epoch_evidence(view: EpochView, observed: Observed) -> OwnEpochEvidence:
         cKDTree(view.xyz[is_ghost_trail(view)]),
         cKDTree(view.xyz[building]),
         view.instance[building].astype(np.int64),
-        cKDTree(view.xyz[_trail_by_shape(view)]),
         cKDTree(view.xyz[view.semantic == Semantic.GROUND, :2]) if view.passed is None else None,
     )
-
-
-def _trail_by_shape(view: EpochView) -> Mask:
-    """Tell which points (N,) shape alone makes a ghost trail."""
-    return is_loose(view) & (view.passed is None)
-
-
-@switchable("trail_continued", no_decision)
-def continues_trail(
-    objects: Sequence[ObjectInstance], own: OwnEpochEvidence | None, rules: DecisionConfig
-) -> Decision | None:
-    """Tell an object that continues a ghost trail of its own epoch from a standing one.
-
-    At its ends and edges a trail has few points and is not as filled as between them, so that its points pass
-    for foliage, a vehicle, or the wall of a building. Together with the trail beside it the object is a strip
-    as narrow as a vehicle.
-    """
-    if own is None or own.shaped is None or own.shaped.n < _TRAIL_POINTS:
-        return None
-    if not fits_a_vehicle(objects, rules):
-        return None
-    places = np.concatenate([t.xyz for t in objects])
-    distance, slot = own.shaped.query(places)
-    nearest = int(np.argmin(distance))
-    if distance[nearest] > _LANE:
-        return None
-    trail = _lane_of(own.shaped, int(slot[nearest]))
-    length, width = strip_of(np.concatenate([trail[:, :2], places[:, :2]]))
-    if len(trail) < _TRAIL_POINTS or width > _TRAIL_WIDTH or length < _TRAIL_LENGTH:
-        return None
-    reason = (
-        f"Together with the ghost trail beside it the object is a strip {length:.1f} m long and {width:.1f} m"
-        f" wide (limit {_TRAIL_WIDTH:.1f} m): it may be a part of the trail, and nothing is claimed."
-    )
-    return Decision(Change.UNOBSERVED, reason, 0.0)
-
-
-def _lane_of(trails: cKDTree, nearest: int) -> Floats:
-    """Return the points (T, 3) of trails around one of them that hang together with it: lanes lie apart."""
-    around = np.array(trails.query_ball_point(trails.data[nearest], _TRAIL_REACH))
-    lane = cell_clusters(trails.data[around, :2], 0.5 * _LANE)
-    return np.asarray(trails.data[around[lane == lane[around == nearest]]])
 
 
 @switchable("strip_on_road", no_decision)

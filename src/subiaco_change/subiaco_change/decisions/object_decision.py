@@ -19,7 +19,6 @@ from subiaco_change.decisions.dynamic_objects import (
     Moved,
     Observed,
     OwnEpochEvidence,
-    continues_trail,
     contrast_with_ground,
     doubt_of_porous,
     fits_a_vehicle,
@@ -164,7 +163,6 @@ def decide_object(
             is_misclassified_ground(semantic, parts)
             or is_floating_line(parts, rules.standing[epoch], rules.decisions)
             or is_moving_object_trail(parts, semantic, own, rules.decisions, measures.free)
-            or continues_trail(parts, own, rules.decisions)
             or is_strip_on_road(parts, own, rules.decisions)
             or may_be_a_person(parts, semantic, own)
             or hides_no_ground(contrast)

@@ -256,8 +256,8 @@ def _fit(
     A plant either did not change, and scatters normally about the model, or did, and follows a wide Cauchy
     distribution. A plant scatters by its own standard error (N,) as well: few points of some plants do not
     widen the scatter of the others. Among standard deviations from the least one upward, the one of the
-    greatest posterior is taken, where ``expected`` is the most probable one before. Slopes are held near zero as far as ``slope`` says: few plants would else
-    explain changes by their size.
+    greatest posterior is taken, where ``expected`` is the most probable one before. Slopes are held near zero
+    as far as ``slope`` says: few plants would else explain changes by their size.
     """
     least = float(getattr(config.least, measure))
     low, high = (np.quantile(places, q, axis=0) for q in (0.05, 0.95))

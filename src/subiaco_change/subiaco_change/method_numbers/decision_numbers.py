@@ -181,18 +181,12 @@ class DynamicObjectsNumbers(StrictModel):
         "building, and no vehicle [m]",
     )
 
-    trail_points: int = Field(
-        30, description="Smallest number of points of a ghost trail that an object may continue"
-    )
-    trail_reach: float = Field(
-        10.0, description="Radius in which the ghost trail beside an object gives the direction of both [m]"
-    )
     trail_width: float = Field(
-        2.8, description="Largest width of a ghost trail and an object that continues the trail, together [m]"
+        2.8, description="Largest width of the ghost trail of a vehicle, or of a row of its pieces [m]"
     )
     trail_length: float = Field(
         6.0,
-        description="Smallest length of a ghost trail and an object that continues the trail, together [m]",
+        description="Length from which an object wider than a vehicle may hold the trails of two lanes [m]",
     )
     strip_length: float = Field(
         12.0, description="Length from which a strip on the road is longer than a standing vehicle [m]"

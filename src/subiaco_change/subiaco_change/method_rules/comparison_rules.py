@@ -106,19 +106,6 @@ MOVING_OBJECT_RULES: tuple[Rule, ...] = (
         guards=True,
     ),
     Rule(
-        "trail_continued",
-        _HERE,
-        "What one epoch alone has and is as narrow a strip as a vehicle, together with a ghost trail known by"
-        " its shape, may be a part of the trail.",
-        (
-            "method_numbers.dynamic_objects.trail_points",
-            "method_numbers.dynamic_objects.trail_reach",
-            "method_numbers.dynamic_objects.trail_width",
-            "method_numbers.dynamic_objects.trail_length",
-        ),
-        guards=True,
-    ),
-    Rule(
         "strip_on_road",
         _HERE,
         "A strip of one epoch as wide as a vehicle and longer than one is a trail where the road beneath"
