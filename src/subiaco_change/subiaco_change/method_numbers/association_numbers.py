@@ -173,9 +173,7 @@ class TreesOverShrubsNumbers(StrictModel):
         description="Ratio of the height of a tree to that of the shrub beneath from which the tree is an "
         "object of its own",
     )
-    top_quantile: float = Field(
-        0.95, description="Quantile of the heights of voxels that is the height of a plant"
-    )
+    top_quantile: float = Field(0.95, description="Fraction of the voxels of a plant that lie below its top")
     free_share: float = Field(
         0.9,
         description="Fraction of the observed voxels above a shrub that the other epoch must not have",

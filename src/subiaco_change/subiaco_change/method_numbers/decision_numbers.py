@@ -292,7 +292,8 @@ class TrailInPiecesNumbers(StrictModel):
         "pieces; a line that crosses a trail has more",
     )
     rim_weight: float = Field(
-        4.0, description="Points of pieces that a point beside a row outweighs in the choice of its line"
+        4.0,
+        description="Number of points of pieces that a point beside a row outweighs in the choice of its line",
     )
     section: float = Field(
         3.0, description="Length of the sections in which the width of a row of pieces is measured [m]"
@@ -318,7 +319,7 @@ class TrailInPiecesNumbers(StrictModel):
     places: int = Field(
         15, description="Number of places decided one by one, of an object longer and wider than a vehicle"
     )
-    place_radius: float = Field(1.0, description="Radius of such a place [m]")
+    place_radius: float = Field(1.0, description="Radius of the place [m]")
     top_share: float = Field(
         0.95, description="Fraction of the points or voxels of a piece that lie below its top"
     )
