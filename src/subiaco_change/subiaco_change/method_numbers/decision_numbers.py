@@ -293,7 +293,7 @@ class TrailInPiecesNumbers(StrictModel):
     )
     rim_weight: float = Field(
         4.0,
-        description="Number of points of pieces that a point beside a row outweighs in the choice of its line",
+        description="Number of points of pieces that a point beside a row outweighs in the choice of a line",
     )
     section: float = Field(
         3.0, description="Length of the sections in which the width of a row of pieces is measured [m]"
