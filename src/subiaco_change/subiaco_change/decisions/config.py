@@ -120,13 +120,6 @@ class DecisionConfig(StrictModel):
         description="Probability that an object of one epoch alone moved, or that its place was not free in "
         "the other epoch, from which the object is Unobserved",
     )
-    trail_suspected: float = Field(
-        0.3,
-        gt=0,
-        le=1,
-        description="Probability of having moved alone from which an object of one epoch is Unobserved: of "
-        "19 claims with 20 to 50 % on real and simulated streets 17 were traffic. Raise it to claim more",
-    )
     min_free: float = Field(
         0.8,
         ge=0.5,

@@ -351,14 +351,12 @@ def _by_probability(
         return Decision(Change.NOT_REPORTED, reason, moved / rules.trail_moved)
     uncertain = upper_moving_probability(objects)
     doubt = 1.0 - joint_probability(uncertain, free)
-    reason = f"The object may have moved during mapping (probability {uncertain:.0%}"
-    if applies("suspected_to_have_moved", uncertain >= rules.trail_suspected):
-        reason += f", limit {rules.trail_suspected:.0%}): nothing is claimed."
-    elif doubt >= rules.trail_uncertain:
-        reason += f"), or its place may not have been free (together {doubt:.0%}, limit"
-        reason += f" {rules.trail_uncertain:.0%}): nothing is claimed."
-    else:
+    if doubt < rules.trail_uncertain:
         return None
+    reason = f"The object may have moved during mapping (probability {uncertain:.0%}"
+    if uncertain < rules.trail_uncertain:
+        reason += f"), or its place may not have been free (together {doubt:.0%}"
+    reason += f", limit {rules.trail_uncertain:.0%}): nothing is claimed."
     return Decision(Change.UNOBSERVED, reason, 1.0 - doubt)
 
 

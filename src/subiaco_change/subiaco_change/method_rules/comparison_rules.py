@@ -98,14 +98,6 @@ MOVING_OBJECT_RULES: tuple[Rule, ...] = (
         guards=True,
     ),
     Rule(
-        "suspected_to_have_moved",
-        _HERE,
-        "Nothing is claimed of an object of one epoch that moved with a probability of 30 %: what was seen "
-        "for a moment only is nearly always traffic.",
-        ("decisions.trail_suspected",),
-        guards=True,
-    ),
-    Rule(
         "strip_on_road",
         _HERE,
         "A strip of one epoch as wide as a vehicle and longer than one is a trail where the road beneath"
