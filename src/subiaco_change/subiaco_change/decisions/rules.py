@@ -230,8 +230,7 @@ def _building(measures: Measures, gate: float, rules: ClassRules) -> Decision:
     Where height and volume say the opposite, the volume's sign wins (Decision 12).
     """
     height = measures.height_bounds or Interval(measures.delta_h, measures.delta_h)
-    possible = measures.volume_bounds or Interval(measures.delta_v, measures.delta_v)
-    volume = shown_volume(measures, rules)
+    possible, volume = _possible_volume(measures, rules), shown_volume(measures, rules)
     limit = max(rules.height, gate)
     whole = max(measures.volume, 1e-6)
     room = rules.volume * whole

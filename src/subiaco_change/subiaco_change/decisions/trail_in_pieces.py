@@ -28,7 +28,6 @@ from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.frames import Floats, Ints
 
 ROW_REACH = NUMBERS.trail_in_pieces.reach
-_REACH = ROW_REACH
 _DIRECTIONS = NUMBERS.trail_in_pieces.directions
 _BENDS = np.array(NUMBERS.trail_in_pieces.bends)
 _STEP = NUMBERS.trail_in_pieces.step
@@ -53,7 +52,7 @@ _PLACES = NUMBERS.trail_in_pieces.places
 _PLACE = NUMBERS.trail_in_pieces.place_radius
 _TOP_SHARE = NUMBERS.trail_in_pieces.top_share
 _SAME = NUMBERS.object_decision.same_point
-_BINS = round(_REACH / _STEP)
+_BINS = round(ROW_REACH / _STEP)
 _GAPS = round(_GAP / _STEP)
 _FIRST = round(NUMBERS.trail_in_pieces.ahead / _STEP)
 _AT_ONCE = 60  # arcs along which rows are followed at once, for the memory
@@ -143,7 +142,7 @@ def is_piece_of_trail(
     if semantic is Semantic.BUILDING or not fits_a_vehicle(objects, rules):
         return None
     bodies = _bodies(np.concatenate([t.xyz for t in objects]), join_voxels(objects))
-    found = [(_row_of(xyz, mine, other), top) for xyz, top in bodies]
+    found = [(_row_of(xyz, arcs, mine, other), top) for xyz, arcs, top in bodies]
     rows = [row for row, top in found if row is not None and row.is_of_traffic(top)]
     if 2 * len(rows) <= len(bodies):
         return None
@@ -157,24 +156,29 @@ def is_piece_of_trail(
     return Decision(Change.UNOBSERVED, reason, 0.0)
 
 
-def _bodies(xyz: Floats, voxels: Voxels) -> list[tuple[Floats, float]]:
-    """Points (N, 3) through which rows are followed, and their tops: an object, or places of a wide one."""
-    if len(_arcs_through(xyz[:, :2]).bend):
-        return [(xyz, quantile_of(voxels.height, _TOP_SHARE))]
+def _bodies(xyz: Floats, voxels: Voxels) -> list[tuple[Floats, _Arcs, float]]:
+    """Points (N, 3) through which rows are followed, arcs through them, and their tops.
+
+    They are those of an object, or of places of a wide one.
+    """
+    arcs = _arcs_through(xyz[:, :2])
+    if len(arcs.bend):
+        return [(xyz, arcs, quantile_of(voxels.height, _TOP_SHARE))]
     if strip_of(xyz[:, :2])[0] < _VEHICLE:
         return []
     some = np.linspace(0, len(xyz) - 1, _PLACES).astype(np.int64)
     found = []
     for middle in xyz[np.lexsort(xyz.T[:2])[some], :2]:
         near, high = (np.linalg.norm(p[:, :2] - middle, axis=1) < _PLACE for p in (xyz, voxels.xyz))
-        found.append((xyz[near], quantile_of(voxels.height[high], _TOP_SHARE) if high.any() else 0.0))
+        top = quantile_of(voxels.height[high], _TOP_SHARE) if high.any() else 0.0
+        found.append((xyz[near], _arcs_through(xyz[near, :2]), top))
     return found
 
 
-def _row_of(xyz: Floats, own: Surroundings, other: Surroundings) -> _Row | None:
+def _row_of(xyz: Floats, arcs: _Arcs, own: Surroundings, other: Surroundings) -> _Row | None:
     """Return the row of pieces through the points (N, 3) of an object; None where there is none."""
     place = xyz[:, :2]
-    near = in_box_around(own.pieces[:, :2], place, _REACH)
+    near = in_box_around(own.pieces[:, :2], place, ROW_REACH)
     if np.count_nonzero(near) < _FEWEST:
         return None
     pieces, height = own.pieces[near], own.height[near]
@@ -182,8 +186,8 @@ def _row_of(xyz: Floats, own: Surroundings, other: Surroundings) -> _Row | None:
     beyond &= ~_held(pieces, other.standing)
     if np.count_nonzero(beyond) < _FEWEST:
         return None
-    ground = own.ground[in_box_around(own.ground, place, 2.0 * _REACH)]
-    return _best_row(pieces[beyond, :2], height[beyond], place, ground)
+    ground = own.ground[in_box_around(own.ground, place, 2.0 * ROW_REACH)]
+    return _best_row(pieces[beyond, :2], height[beyond], arcs, ground)
 
 
 def _held(places: Floats, standing: Floats) -> Mask:
@@ -280,9 +284,8 @@ def _rows_along(arcs: _Arcs, some: Ints, pieces: Floats) -> _Rows:
     return _Rows(ends, (inside * reached).sum(axis=2), ((wide - inside) * reached).sum(axis=2))
 
 
-def _best_row(pieces: Floats, height: Floats, place: Floats, ground: Floats) -> _Row | None:
+def _best_row(pieces: Floats, height: Floats, arcs: _Arcs, ground: Floats) -> _Row | None:
     """Return the row with the most points (N, 2) along an arc through an object, and the fewest beside it."""
-    arcs = _arcs_through(place)
     number = np.arange(len(arcs.bend))
     if len(number) == 0:
         return None

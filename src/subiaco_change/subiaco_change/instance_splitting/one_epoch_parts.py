@@ -247,13 +247,20 @@ def _with_unseen(obj: ObjectInstance, labels: Ints, config: PartConfig) -> Ints:
         source = np.flatnonzero(known & ((labels > 0) | (not most)))
         nearest = cKDTree(obj.voxels.xyz[source]).query(obj.voxels.xyz[~known])[1]
         labels[~known] = labels[source][nearest]
+    return large_parts(labels, obj, config.points, config.remainder * len(obj.xyz))
+
+
+def large_parts(labels: Ints, obj: ObjectInstance, least: int, least_left: float) -> Ints:
+    """Return the parts (M,) of voxels with enough points, numbered anew; none where too little is left.
+
+    What is left of an instance has the label 0, and so have the parts that hold fewer points than ``least``.
+    """
     points = np.bincount(labels[cKDTree(obj.voxels.xyz).query(obj.xyz)[1]], minlength=labels.max() + 1)
-    if points[0] < config.remainder * len(obj.xyz):
+    if points[0] < least_left:
         return np.zeros_like(labels)
-    large = points >= config.points
+    large = points >= least
     large[0] = True
-    number = np.where(large, np.cumsum(large) - 1, 0)
-    return np.asarray(number[labels])
+    return np.asarray(np.where(large, np.cumsum(large) - 1, 0)[labels])
 
 
 @switchable("parts_of_vehicles", no_decision)

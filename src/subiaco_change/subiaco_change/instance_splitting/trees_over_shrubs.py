@@ -14,7 +14,12 @@ from scipy.spatial import cKDTree
 
 from subiaco_change.decisions.space_carving import Empty
 from subiaco_change.decisions.voxel_objects import ObjectInstance
-from subiaco_change.instance_splitting.one_epoch_parts import PartConfig, narrow_side, split_by_labels
+from subiaco_change.instance_splitting.one_epoch_parts import (
+    PartConfig,
+    large_parts,
+    narrow_side,
+    split_by_labels,
+)
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import first_argument, switchable
 from subiaco_change.quantiles import quantile_of
@@ -88,7 +93,7 @@ def _trees_of(obj: ObjectInstance, below_view: Empty | None, config: PartConfig)
         return labels
     known = (labels > 0) | common
     labels[~known] = labels[known][cKDTree(voxels.xyz[known]).query(voxels.xyz[~known])[1]]
-    return _large(labels, obj, config.points)
+    return large_parts(labels, obj, config.points, config.points)
 
 
 def _is_crown_in_view(xyz: Floats, below_view: Empty | None) -> bool:
@@ -96,11 +101,3 @@ def _is_crown_in_view(xyz: Floats, below_view: Empty | None) -> bool:
     if narrow_side(xyz) < _WIDTH:
         return False
     return below_view is None or bool(below_view(xyz).mean() >= _VIEW)
-
-
-def _large(labels: Ints, obj: ObjectInstance, least: int) -> Ints:
-    """Return the trees (M,) that hold enough points, numbered anew; none where the shrub holds too few."""
-    points = np.bincount(labels[cKDTree(obj.voxels.xyz).query(obj.xyz)[1]], minlength=labels.max() + 1)
-    large = points >= least
-    number = np.where(large, np.cumsum(large) - 1, 0) if large[0] else np.zeros_like(points)
-    return np.asarray(number[labels])
