@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
+from scipy.spatial import cKDTree
 from traffic_scene import REGIONS, drive
 
-from subiaco_geo.clouds import PointCloud, voxel_keys
+from subiaco_geo.clouds import PointCloud, unpack_voxel_keys, voxel_keys
 from subiaco_mapping.fusion.config import FusionConfig, MovingConfig
 from subiaco_mapping.fusion.dynamic_objects import fragment_shares, height_above_floor, moved_probability
 from subiaco_mapping.fusion.finishing import FinishedMap, MapFusion
@@ -53,7 +54,7 @@ def test_a_car_that_drives_through_leaves_the_map_for_the_side_cloud(street: dic
     assert street[False].moving is None
 
 
-def test_beams_that_returned_from_too_far_for_the_map_still_show_free_space(tmp_path: Path) -> None:
+def test_beams_that_returned_from_too_far_for_the_map_show_free_space_up_to_its_range(tmp_path: Path) -> None:
     taken = drive(30, SEED)
     reach = np.concatenate([np.linalg.norm(scan.xyz, axis=1) for scan, _ in taken])
     limit = float(np.median(reach))
@@ -70,6 +71,10 @@ def test_beams_that_returned_from_too_far_for_the_map_still_show_free_space(tmp_
     passes = [int(m.visibility.passes.sum()) for m in maps]
     assert passes[0] > 1.5 * passes[1]
     assert len(maps[0].cloud) == pytest.approx(len(maps[1].cloud), rel=0.02), "the points stay the same"
+    layer = maps[0].visibility
+    middles = (unpack_voxel_keys(layer.keys) + 0.5) * layer.voxel + layer.origin
+    eyes = np.array([pose[:3, 3] for _, pose in taken])
+    assert cKDTree(eyes).query(middles)[0].max() <= limit + layer.voxel
 
 
 @pytest.mark.parametrize(("thing", "least"), [("pole", 10), ("fence", 300), ("hedge", 1000), ("wire", 20)])

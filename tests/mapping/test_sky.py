@@ -122,6 +122,17 @@ def test_sky_beams_pass_every_voxel_and_hit_none_and_stay_above_the_horizon() ->
     assert grid.observed(np.array([[20.0, 0.0, 10.0], [29.9, 0.0, 14.95]])).all()
 
 
+def test_a_beam_shows_free_space_no_farther_than_points_enter_the_map() -> None:
+    """A survey that leaves far leaves out of its map must not call the gaps between them free."""
+    none = np.zeros(0, np.float32)
+    far, sky = np.array([[0.0, 71.0, 0.0], [0.0, 69.0, 0.0]]), np.array([[0.0, 30.0, 30.0]])
+    scan = SpooledScan(far, np.ones(2, np.float32), np.zeros((0, 3)), none, sky)
+    level = make_pose(np.eye(3), np.zeros(3))
+    ends, returned = visibility_beams(scan, level, FusionConfig(visibility_stride=1, max_range=70.0))
+    np.testing.assert_allclose(ends, [[0.0, 70.0, 0.0], [0.0, 69.0, 0.0], [0.0, 30.0, 30.0]])
+    np.testing.assert_array_equal(returned, [False, True, False])
+
+
 def test_a_tilted_sensor_takes_the_horizon_of_the_world_not_its_own() -> None:
     none = np.zeros(0, np.float32)
     sky = np.array([[30.0, 0.0, 3.0], [-30.0, 0.0, 3.0]])

@@ -31,8 +31,8 @@ class FusionConfig(StrictModel):
     max_range: float = Field(
         70.0,
         gt=0,
-        description="Range above which points do not enter the map [m]; beams that went further still show "
-        "which space was free, up to decode.max_range",
+        description="Range above which points do not enter the map [m]; beams that went further show free "
+        "space up to this range",
     )
     reserve_gb: float = Field(
         2.0,

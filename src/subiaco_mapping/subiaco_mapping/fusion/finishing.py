@@ -148,7 +148,7 @@ class MapFusion:
         self._last.add(transform_points(in_map, scan.last_xyz[last]), scan.last_intensity[last], eye)
         beams, returned = visibility_beams(scan, pose, self._config, self._scans)
         ends = transform_points(in_map, beams) + self._origin
-        starts, hits = np.broadcast_to(eye + self._origin, ends.shape), xyz + self._origin
+        starts, hits = np.broadcast_to(eye + self._origin, ends.shape), xyz[near] + self._origin
         self._beams.add(starts, ends, returned, hits, self._clock.window(stamp_ns))
         self._scans += 1
 

@@ -276,6 +276,9 @@ def visibility_beams(
     Consecutive scans start at different beams. A fixed start would trace the same rings in every scan,
     because the stride divides the number of rings, and nothing between those rings.
 
+    Beams are followed as far as points enter the map. Farther away they would show the gaps of a hedge free
+    whose leaves the map does not hold.
+
     Parameters
     ----------
     scan : SpooledScan
@@ -288,7 +291,7 @@ def visibility_beams(
     Returns
     -------
     ends : (N, 3) float64
-        In ``lidar_link`` [m].
+        In ``lidar_link`` [m], none farther than ``max_range`` of the configuration.
     returned : (N,) bool
         False where the beam met nothing up to its end.
     """
@@ -297,4 +300,7 @@ def visibility_beams(
     rise = sky @ T_local_lidar[2, :3]
     above = rise > np.sin(np.radians(config.sky_elevation_deg)) * np.linalg.norm(sky, axis=1)
     ends = np.concatenate([hits, sky[above]])
-    return ends, np.arange(len(ends)) < len(hits)
+    distance = np.linalg.norm(ends, axis=1)
+    beyond = distance > config.max_range
+    ends[beyond] *= (config.max_range / distance[beyond])[:, None]
+    return ends, (np.arange(len(ends)) < len(hits)) & ~beyond
