@@ -11,6 +11,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 
@@ -55,7 +56,6 @@ _SAME = NUMBERS.object_decision.same_point
 _BINS = round(ROW_REACH / _STEP)
 _GAPS = round(_GAP / _STEP)
 _FIRST = round(NUMBERS.trail_in_pieces.ahead / _STEP)
-_AT_ONCE = 60  # arcs along which rows are followed at once, for the memory
 
 
 @dataclass(frozen=True)
@@ -237,10 +237,10 @@ def _arcs_through(place: Floats) -> _Arcs:
 
 @dataclass(frozen=True)
 class _Pieces:
-    """Pieces beside an object, as arcs (A,) through the object have them.
+    """Pieces beside an object, as an arc through the object has them.
 
-    ``along`` and ``aside`` (A, N) [m]; ``after`` (A, N): beyond the end of the object, else before its
-    beginning; ``step`` (A, N): steps between the piece and the object, below 0 beside the object.
+    ``along`` and ``aside`` (N,) [m]; ``after`` (N,): beyond the end of the object, else before its
+    beginning; ``step`` (N,): steps between the piece and the object, below 0 beside the object.
     """
 
     along: Floats
@@ -249,12 +249,13 @@ class _Pieces:
     step: Ints
 
 
-def _pieces_along(arcs: _Arcs, some: Ints, pieces: Floats) -> _Pieces:
-    """Place pieces (N, 2) along some of the arcs."""
-    along, aside = _along(pieces, arcs.centre, arcs.direction[some], arcs.bend[some], arcs.middle[some])
-    low, high = arcs.low[some, None], arcs.high[some, None]
-    distance = np.maximum(along - high, low - along)
-    return _Pieces(along, aside, along > high, np.floor(distance / _STEP).astype(np.int64))
+def _pieces_along(arcs: _Arcs, number: int, pieces: Floats) -> _Pieces:
+    """Place pieces (N, 2) along one of the arcs."""
+    one = slice(number, number + 1)
+    along, aside = _along(pieces, arcs.centre, arcs.direction[one], arcs.bend[one], arcs.middle[one])
+    low, high = arcs.low[number], arcs.high[number]
+    distance = np.maximum(along - high, low - along)[0]
+    return _Pieces(along[0], aside[0], along[0] > high, np.floor(distance / _STEP).astype(np.int64))
 
 
 @dataclass(frozen=True)
@@ -271,26 +272,50 @@ class _Rows:
         return np.asarray(self.count - _RIM_WEIGHT * self.rim)
 
 
-def _rows_along(arcs: _Arcs, some: Ints, pieces: Floats) -> _Rows:
-    """Follow the rows of pieces (N, 2) along some of the arcs."""
-    found = _pieces_along(arcs, some, pieces)
-    slot = (np.arange(len(some))[:, None] * 2 + found.after) * _BINS + found.step
-    known = (found.step >= 0) & (found.step < _BINS)
-    size = 2 * len(some) * _BINS
-    within = [known & (np.abs(found.aside) < reach) for reach in (_HALF, _HALF + _RIM)]
-    inside, wide = (np.bincount(slot[m], minlength=size).reshape(-1, 2, _BINS) for m in within)
+def _rows_along(arcs: _Arcs, pieces: Floats) -> _Rows:
+    """Follow the rows of pieces (N, 2) along arcs."""
+    step = pieces - arcs.centre
+    inside, wide = _count_steps(
+        step, arcs.direction, arcs.bend, arcs.middle, arcs.low, arcs.high, (_STEP, _HALF, _RIM), _BINS
+    )
     ends = _ends(inside > 0)
     reached = np.arange(_BINS) < ends[..., None]
     return _Rows(ends, (inside * reached).sum(axis=2), ((wide - inside) * reached).sum(axis=2))
 
 
+@numba.njit(cache=True)
+def _count_steps(
+    pieces: Floats, direction: Floats, bend: Floats, middle: Floats, low: Floats, high: Floats,
+    sizes: tuple[float, float, float], steps: int,
+) -> tuple[Ints, Ints]:  # fmt: skip
+    """Count places (N, 2) along arcs (A,) by steps from an object: within half a row's width, and with a rim.
+
+    As :func:`_along` has them; ``sizes``: a step, half of the width and the rim [m]. Both counts
+    (A, 2, ``steps``) are before the object and beyond it.
+    """
+    step, half, rim = sizes
+    inside = np.zeros((len(bend), 2, steps), np.int64)
+    wide = np.zeros_like(inside)
+    for arc in range(len(bend)):
+        ux, uy = direction[arc]
+        for x, y in pieces:
+            along = ux * x + uy * y
+            aside = abs(ux * y - uy * x - 0.5 * bend[arc] * along * along - middle[arc])
+            number = int(np.floor(max(along - high[arc], low[arc] - along) / step))
+            if number < 0 or number >= steps or aside >= half + rim:
+                continue
+            side = 1 if along > high[arc] else 0
+            wide[arc, side, number] += 1
+            if aside < half:
+                inside[arc, side, number] += 1
+    return inside, wide
+
+
 def _best_row(pieces: Floats, height: Floats, arcs: _Arcs, ground: Floats) -> _Row | None:
     """Return the row with the most points (N, 2) along an arc through an object, and the fewest beside it."""
-    number = np.arange(len(arcs.bend))
-    if len(number) == 0:
+    if len(arcs.bend) == 0:
         return None
-    parts = [_rows_along(arcs, some, pieces) for some in np.array_split(number, -(-len(number) // _AT_ONCE))]
-    rows = _Rows(*(np.concatenate([getattr(p, name) for p in parts]) for name in ("ends", "count", "rim")))
+    rows = _rows_along(arcs, pieces)
     score = rows.score
     most = np.maximum(score, 0).sum(axis=1)
     best, found = 0.0, None
@@ -299,13 +324,13 @@ def _best_row(pieces: Floats, height: Floats, arcs: _Arcs, ground: Floats) -> _R
             break
         if rows.count[k].sum() < _FEWEST:
             continue
-        near = _pieces_along(arcs, np.array([k]), pieces)
+        near = _pieces_along(arcs, k, pieces)
         members = [_in_row(near, side, int(rows.ends[k, side])) for side in (0, 1)]
         sides = [side for side in (0, 1) if _goes_on(near, members[side])]
         if float(score[k, sides].sum()) <= best or rows.count[k, sides].sum() < _FEWEST:
             continue
         row = np.logical_or.reduce([members[side] for side in sides])
-        along, aside = near.along[0][row], near.aside[0][row]
+        along, aside = near.along[row], near.aside[row]
         width = _width(along, aside)
         if width < _NARROW:
             continue
@@ -324,14 +349,13 @@ def _best_row(pieces: Floats, height: Floats, arcs: _Arcs, ground: Floats) -> _R
 
 def _in_row(near: _Pieces, side: int, end: int) -> Mask:
     """Tell which pieces (N,) are in the row on one side of an object along one arc."""
-    step = near.step[0]
-    on_side = (near.after[0] == bool(side)) & (np.abs(near.aside[0]) < _HALF)
-    return np.asarray(on_side & (step >= 0) & (step < end))
+    on_side = (near.after == bool(side)) & (np.abs(near.aside) < _HALF)
+    return np.asarray(on_side & (near.step >= 0) & (near.step < end))
 
 
 def _goes_on(near: _Pieces, row: Mask) -> bool:
     """Tell whether a row of pieces (N,) goes on before or behind an object, and not beside it."""
-    first = near.aside[0][row & (near.step[0] < _FIRST)]
+    first = near.aside[row & (near.step < _FIRST)]
     return len(first) > 0 and abs(float(np.quantile(first, [0.05, 0.95]).mean())) <= _ASIDE
 
 
@@ -351,8 +375,8 @@ def _width(along: Floats, aside: Floats) -> float:
 
 def _road(arcs: _Arcs, number: int, ground: Floats, metres: Floats) -> float:
     """Density of the ground points (G, 2) beneath the metres of a row along an arc, over that beside it."""
-    near = _pieces_along(arcs, np.array([number]), ground)
-    aside = near.aside[0][np.isin(np.floor(near.along[0]), metres)]
+    near = _pieces_along(arcs, number, ground)
+    aside = near.aside[np.isin(np.floor(near.along), metres)]
     inner, outer = _HALF - _RIM, _HALF + _RIM
     beneath = np.count_nonzero(np.abs(aside) < inner) / (2.0 * inner)
     beside = [np.count_nonzero((s * aside > outer) & (s * aside < outer + _HALF)) / _HALF for s in (-1, 1)]
