@@ -144,4 +144,3 @@ def test_the_version_of_the_method_rises_with_its_numbers() -> None:
         "A default or a number of the method changed, so results are those of another method. Raise "
         f"METHOD_VERSION in subiaco_geo/settings.py and add it to config/method_versions.yaml with {now}"
     )
-    assert len({tuple(hashes.values()) for hashes in versions.values()}) == len(versions)
