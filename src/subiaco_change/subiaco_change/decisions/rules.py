@@ -17,6 +17,7 @@ _EXACT = NUMBERS.rules.least_half_width
 _OPPOSED = NUMBERS.rules.opposed_height
 _PATCH = NUMBERS.rules.voxels_per_patch
 _MOST_GROWTH = NUMBERS.rules.stated_growth
+_WHOLE = NUMBERS.rules.seen_whole
 #: Why nothing is said of an object that both epochs saw.
 NO_LEVEL = "Too few points lie at this place for a level of detection: nothing is claimed."
 
@@ -255,7 +256,7 @@ def _building(measures: Measures, gate: float, rules: ClassRules) -> Decision:
     if straddles:
         evidence += "space that a survey did not observe decides whether a limit is exceeded, and "
     if max(up, down) <= 1:
-        evidence += "no change is claimed."
+        evidence += "no change is claimed." + _unseen_rest(measures.observed_fraction)
         either = max(_sigmas(bounds), _sigmas(tuple(-bound for bound in bounds)))
         return Decision(Change.UNCHANGED, evidence, 1.0 if straddles else max(up, down, 0.0), either)
     rising = up > 1 and (down <= 1 or volume.middle > 0)
@@ -269,6 +270,13 @@ def _building(measures: Measures, gate: float, rules: ClassRules) -> Decision:
         evidence += f" {'earlier' if rising else 'later'} survey saw free space on both sides"
     evidence += f": the building {'grew' if rising else 'shrank'}."
     return Decision(change, evidence, up if rising else down, _sigmas(turned))
+
+
+def _unseen_rest(observed: float) -> str:
+    """Say of how much of a building bounds hold, where one survey saw less of it than the other."""
+    if observed >= _WHOLE:
+        return ""
+    return f" Both surveys saw {observed:.0%} of the building's surfaces: of the rest nothing is known."
 
 
 def _possible_volume(measures: Measures, _: ClassRules) -> Interval:

@@ -559,6 +559,11 @@ class RulesNumbers(StrictModel):
         description="Largest growth of the surface of a plant, as a fraction of the earlier surface, that a "
         "reason states as a number",
     )
+    seen_whole: float = Field(
+        0.9,
+        description="Fraction of the surfaces of a building that both surveys must have seen for the reason "
+        "not to say that nothing is known of the rest",
+    )
     voxels_per_patch: float = Field(
         4.0,
         description="Number of voxels of a surface that are observed or occluded together",
