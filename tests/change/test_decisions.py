@@ -197,7 +197,9 @@ def test_an_unchanged_building_that_one_survey_saw_in_part_says_that_its_rest_is
     bounds = {"height_bounds": Interval(-0.1, 0.1), "volume_bounds": Interval(-3.0, 3.0)}
     partly = decided(**bounds, observed_fraction=0.53)
     assert partly.change is Change.UNCHANGED
-    assert partly.reason.endswith("Both surveys saw 53% of the building's surfaces: of the rest nothing is known.")
+    assert partly.reason.endswith(
+        "Both surveys saw 53% of the building's surfaces: of the rest nothing is known."
+    )
     assert decided(**bounds, observed_fraction=0.95).reason.endswith("no change is claimed.")
     grown = {"height_bounds": Interval(2.5, 3.0), "volume_bounds": Interval(20.0, 30.0)}
     assert "of the rest" not in decided(**grown, observed_fraction=0.53).reason
