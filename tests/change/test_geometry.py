@@ -15,6 +15,7 @@ from subiaco_change.geometry import (
     build_pyramid,
     estimate_normals,
     fit_planes,
+    lies_near,
     nearest,
     outlier_mask,
     outline_of_cells,
@@ -39,6 +40,13 @@ def test_nearest_points_are_those_of_a_kd_tree(points):
     assert 0 < near.sum() < len(near)
     assert np.array_equal(found[near], index[near])
     assert np.all(found[~near] == -1)
+
+
+def test_places_lie_near_points_up_to_the_reach_and_no_farther():
+    places = np.array([[0.0, 0.0], [1.5, 0.0], [1.5 + 1e-9, 0.0], [40.0, 0.0]])
+    assert lies_near(places, np.zeros((1, 2)), 1.5).tolist() == [True, True, False, False]
+    assert not lies_near(places, np.full((3, 2), 90.0), 1.5).any()
+    assert not lies_near(places, np.zeros((0, 2)), 1.5).any()
 
 
 def test_planes_are_those_of_numpy_eigenvectors(points):

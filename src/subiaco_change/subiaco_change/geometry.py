@@ -40,6 +40,15 @@ def tree_for_few(points: Floats) -> cKDTree:
     return cKDTree(points, balanced_tree=False, compact_nodes=False)
 
 
+def lies_near(places: Floats, points: Floats, reach: float) -> NDArray[np.bool_]:
+    """Tell which places (M, D) lie within ``reach`` [m] of points (N, D)."""
+    near = points[in_box_around(points, places, reach)]
+    if len(near) == 0:
+        return np.zeros(len(places), dtype=np.bool_)
+    just_beyond = np.nextafter(reach, np.inf)
+    return np.isfinite(tree_for_few(near).query(places, distance_upper_bound=just_beyond)[0])
+
+
 @dataclass(frozen=True)
 class ColumnIndex:
     """Points sorted by square column, and by height within it.

@@ -19,7 +19,7 @@ from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.dynamic_objects import OwnEpochEvidence, fits_a_vehicle, strip_of
 from subiaco_change.decisions.rules import Decision
 from subiaco_change.decisions.voxel_objects import NO_OBJECT, ObjectInstance, Voxels, join_voxels
-from subiaco_change.geometry import in_box_around, tree_for_few
+from subiaco_change.geometry import in_box_around, lies_near
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import no_decision, switchable
 from subiaco_change.quantiles import quantile_of
@@ -182,20 +182,11 @@ def _row_of(xyz: Floats, arcs: _Arcs, own: Surroundings, other: Surroundings) ->
     if np.count_nonzero(near) < _FEWEST:
         return None
     pieces, height = own.pieces[near], own.height[near]
-    beyond = tree_for_few(xyz).query(pieces, distance_upper_bound=_SAME)[0] > _SAME
-    beyond &= ~_held(pieces, other.standing)
+    beyond = ~(lies_near(pieces, xyz, _SAME) | lies_near(pieces, other.standing, _HELD))
     if np.count_nonzero(beyond) < _FEWEST:
         return None
     ground = own.ground[in_box_around(own.ground, place, 2.0 * ROW_REACH)]
     return _best_row(pieces[beyond, :2], height[beyond], arcs, ground)
-
-
-def _held(places: Floats, standing: Floats) -> Mask:
-    """Tell at which places (N, 3) something of another epoch stands (S, 3)."""
-    near = standing[in_box_around(standing, places, _HELD)]
-    if len(near) == 0:
-        return np.zeros(len(places), dtype=bool)
-    return np.asarray(np.isfinite(tree_for_few(near).query(places, distance_upper_bound=_HELD)[0]))
 
 
 @dataclass(frozen=True)

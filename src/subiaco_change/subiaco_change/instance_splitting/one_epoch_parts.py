@@ -18,7 +18,7 @@ from subiaco_change.decisions.column_volumes import column_keys
 from subiaco_change.decisions.measures import Measures, oriented_rectangle
 from subiaco_change.decisions.rules import Decision
 from subiaco_change.decisions.voxel_objects import ObjectInstance, Voxels, join_voxels
-from subiaco_change.geometry import in_box_around
+from subiaco_change.geometry import in_box_around, lies_near
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import applies, first_argument, no_decision, switchable
 from subiaco_change.segmentation.clustering import connect, group_indices, voxel_clusters
@@ -281,7 +281,7 @@ def decide_vehicle_part(
         )
         return Decision(Change.UNOBSERVED, reason, 1.0 - across)
     xyz = join_voxels(objects).xyz
-    held = _held(xyz, standing)
+    held = float(lies_near(xyz, standing, _NEXT).mean())
     if held < _HELD or (narrow_side(xyz) >= _VEHICLE and not _surrounds(xyz, standing)):
         return None
     reason = (
@@ -289,14 +289,6 @@ def decide_vehicle_part(
         f" {_HELD:.0%}): the part belongs to an object that both surveys have."
     )
     return Decision(Change.UNCHANGED, reason, held)
-
-
-def _held(xyz: Floats, standing: Floats) -> float:
-    """Share of places (M, 3) beside points (N, 3)."""
-    near = standing[in_box_around(standing, xyz, _NEXT)]
-    if len(near) == 0:
-        return 0.0
-    return float(np.mean(cKDTree(near).query(xyz)[0] <= _NEXT))
 
 
 def _surrounds(xyz: Floats, points: Floats) -> bool:
