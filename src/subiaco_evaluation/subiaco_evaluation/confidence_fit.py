@@ -41,7 +41,7 @@ def judged_rows(result: ChangeResult, points: PointPairs, survey: str) -> pd.Dat
 
 
 def predict(model: Coefficients, x: Floats) -> Floats:
-    """Return the confidences (N,) of features (N, 12)."""
+    """Return the confidences (N,) of features (N, 13)."""
     return np.asarray(expit(model.intercept + x @ np.array([getattr(model, name) for name in FEATURES])))
 
 
@@ -137,8 +137,8 @@ def fit_confidence(
 RISING = ("gate", "observed", "size", "purity")
 
 
-#: Densities that differ more, or weaker evidence, never make a label more certain.
-FALLING = ("density", "trajectory", "estimated", "shadow", "assumed")
+#: Densities that differ more, weaker evidence, or a pair with more rows near limits never make a label surer.
+FALLING = ("density", "trajectory", "estimated", "shadow", "assumed", "near_limits")
 
 
 def rising_of(kind: str) -> tuple[str, ...]:
@@ -151,7 +151,7 @@ def fit(x: Floats, right: NDArray[np.bool_], ridge: float = 1.0, rising: Sequenc
 
     Parameters
     ----------
-    x : (N, 12) float64
+    x : (N, 13) float64
         Evidence of the rows, :func:`features`.
     right : (N,) bool
         Whether the label was right.

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal
 
@@ -37,11 +37,16 @@ BANDS = NUMBERS.confidence.band_limits
 #: What a row's confidence is a function of, in the order of the coefficients.
 FEATURES = (
     "margin", "gate", "observed", "size", "purity", "solid", "plant", "density",
-    "trajectory", "estimated", "shadow", "assumed",
+    "trajectory", "estimated", "shadow", "assumed", "near_limits",
 )  # fmt: skip
 #: The first of these follow from the decision alone.
 _DECIDED = 2
 _CLAIMS = ("single", "reshaped")
+_COMPARED = ("reshaped", "unchanged")
+_NEAR = FEATURES.index("near_limits")
+_KINDS_OF_EVIDENCE = FEATURES[_NEAR - 4 : _NEAR]
+_TYPICAL_NEAR = NUMBERS.confidence.typical_near_limits
+_NEAR_ROWS = NUMBERS.confidence.near_limits_rows
 _TYPICAL_SHARE = NUMBERS.confidence.typical_observed
 _SIGMAS = NUMBERS.confidence.gate_sigmas
 
@@ -86,6 +91,11 @@ class Coefficients(StrictModel):
     )
     assumed: float = Field(
         0.0, description="Coefficient of free space that is assumed (1 where that is the evidence)"
+    )
+    near_limits: float = Field(
+        0.0,
+        description="Coefficient of the fraction of the buildings and plants of the pair that lie near a "
+        "limit, in tenths, which is about 0.45 in a typical pair",
     )
 
 
@@ -252,12 +262,12 @@ def features(
     density: float = 0.0,
     evidence: str = "observed",
 ) -> Floats:
-    """Return what a confidence rests on (12,), about zero for a typical row.
+    """Return what a confidence rests on (13,), about zero for a typical row.
 
     In the order of :data:`FEATURES`: those of :func:`decision_features`; observed share less 0.8; log10 of
     the observed voxels less 1.7; class score less 0.7; whether it is a building or vegetation; whether it
-    is vegetation; the size of the log ratio of the point densities ``density``, at most 2; and the kind of
-    ``evidence``.
+    is vegetation; the size of the log ratio of the point densities ``density``, at most 2; the kind of
+    ``evidence``; and 0 until the pair is known (:func:`rows_of_pair`).
     """
     return np.array(
         [
@@ -268,7 +278,8 @@ def features(
             float(semantic in (Semantic.BUILDING, Semantic.VEGETATION)),
             float(semantic is Semantic.VEGETATION),
             min(abs(density), 2.0),
-            *(float(evidence == kind) for kind in FEATURES[-4:]),
+            *(float(evidence == kind) for kind in _KINDS_OF_EVIDENCE),
+            0.0,
         ]
     )
 
@@ -291,8 +302,11 @@ def decision_features(decision: Decision) -> tuple[float, float]:
 def probability(decision: Decision, found: Floats, config: ConfidenceConfig) -> float:
     """Return the probability that a label is right, from :func:`features`; see :func:`confidence`."""
     kind = kind_of(decision.change)
-    if kind is None:
-        return float(expit(1.0 + 2.0 * decision.margin))
+    return float(expit(1.0 + 2.0 * decision.margin)) if kind is None else _modelled(kind, found, config)
+
+
+def _modelled(kind: ClaimKind, found: Floats, config: ConfidenceConfig) -> float:
+    """Return the probability of the model of a kind of row."""
     model: Coefficients = getattr(config, kind)
     slopes = np.array([getattr(model, name) for name in FEATURES])
     p = float(expit(model.intercept + slopes @ found))
@@ -343,6 +357,48 @@ def decided_anew(
         confidence=min(probability(decision, found, config), free),
         features=tuple(found.tolist()),
     )
+
+
+def near_limits(records: Iterable[ChangeRecord]) -> float:
+    """Return how many buildings and plants of a pair lie near a limit, as the confidence takes it.
+
+    In tenths more than in a typical pair, of those that both surveys have: their measure exceeds its limit,
+    or stays below, by less than 1.5 standard deviations. Where many lie there, the changes of the pair are
+    about as large as the limits, and more claims are wrong than each row shows. Few rows say little.
+    """
+    gate, solid = FEATURES.index("gate"), FEATURES.index("solid")
+    gates = [
+        row.features[gate]
+        for row in records
+        if kind_of(row.change) in _COMPARED and row.features and row.features[solid] > 0
+    ]
+    near = sum(value < 0.0 for value in gates)
+    return 10.0 * ((near + _TYPICAL_NEAR * _NEAR_ROWS) / (len(gates) + _NEAR_ROWS) - _TYPICAL_NEAR)
+
+
+def rows_of_pair(
+    records: Sequence[ChangeRecord], simulated: bool, config: ConfidenceConfig
+) -> list[ChangeRecord]:
+    """Return the rows of a pair with the confidences that they have among each other.
+
+    How many of them lie near a limit tells of each; confidences that were never calibrated are lowered.
+    """
+    near = near_limits(records)
+    return [discounted(_among(record, near, config), simulated, config) for record in records]
+
+
+def _among(record: ChangeRecord, near: float, config: ConfidenceConfig) -> ChangeRecord:
+    """Return a row whose confidence knows of the pair; what bounded the confidence still does."""
+    kind = kind_of(record.change)
+    if kind is None or not record.features:
+        return record
+    alone = np.array(record.features)
+    found = alone.copy()
+    found[_NEAR] = near
+    first = _modelled(kind, alone, config)
+    bound = record.confidence if record.confidence < first - _EPSILON else 1.0
+    certain = min(_modelled(kind, found, config), bound)
+    return replace(record, confidence=certain, features=tuple(found.tolist()))
 
 
 def discounted(record: ChangeRecord, simulated: bool, config: ConfidenceConfig) -> ChangeRecord:

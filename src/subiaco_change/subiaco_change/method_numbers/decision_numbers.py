@@ -153,6 +153,15 @@ class ConfidenceNumbers(StrictModel):
         description="Confidences, as probabilities, from which the bands of the summary begin",
     )
     typical_observed: float = Field(0.8, description="Observed fraction of a typical row")
+    typical_near_limits: float = Field(
+        0.45,
+        description="Fraction of the buildings and plants of a typical pair that lie near a limit",
+    )
+    near_limits_rows: float = Field(
+        20.0,
+        description="Number of rows of a typical pair that are added before the fraction of rows near a "
+        "limit is taken, so that few rows say little",
+    )
     gate_sigmas: float = Field(
         6.0,
         description="Largest distance between measure and limit that the confidence distinguishes, in "

@@ -10,7 +10,7 @@ from typing import Any, TypeVar
 
 import numpy as np
 
-from subiaco_change.decisions.confidence import discounted
+from subiaco_change.decisions.confidence import rows_of_pair
 from subiaco_change.level_of_detection.common_frame import CommonFrame
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.tiling.alignment import (
@@ -119,7 +119,7 @@ class ChangeRun(Epochs):
         compared, ground = self.runner.together([comparing, grounds], (spans[6][0], spans[7][1]))
         patched, patch_reach = self._patches(ground, spans[8])
         decided = self._decide(compared, spans[8])
-        trust = partial(discounted, simulated=self.simulated, config=self.config.confidence)
+        trust = partial(rows_of_pair, simulated=self.simulated, config=self.config.confidence)
         table = build_table(self.runner, decided, patched, counts, self.origin, self._weaker(), trust)
         key = self.runner.put("table", "all", table.columns)
         return ComparisonResult(

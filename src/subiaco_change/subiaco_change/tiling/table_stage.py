@@ -58,7 +58,7 @@ def build_table(
     counts: Sequence[int],
     origin: Floats,
     evidence: str,
-    trust: Callable[[ChangeRecord], ChangeRecord] = lambda row: row,
+    trust: Callable[[Sequence[ChangeRecord]], Sequence[ChangeRecord]] = lambda rows: rows,
 ) -> Table:
     """Collect the rows.
 
@@ -73,7 +73,7 @@ def build_table(
     evidence : str
         For rows of the ground.
     trust : callable, optional
-        Lowers confidences that were never calibrated.
+        Gives the rows the confidences that they have among each other.
     """
     objects = {tile: list(runner.load(TileRows, compared[tile]).records) for tile in sorted(compared)}
     patches = {
@@ -94,14 +94,15 @@ def build_table(
     )
     numbers = {(kind, tile, k): i for i, (_, kind, tile, k, _) in enumerate(ranked)}
     pieces: tuple[dict[tuple[str, int], int], ...] = ({}, {})
+    trusted = trust([row for *_, row in ranked])
     records = [
         replace(
-            trust(row),
+            row,
             object_id=i,
             id_before=_named(row.id_before, tile, counts[0], pieces[0]),
             id_after=_named(row.id_after, tile, counts[1], pieces[1]),
         )
-        for i, (_, _, tile, _, row) in enumerate(ranked)
+        for i, ((_, _, tile, _, _), row) in enumerate(zip(ranked, trusted, strict=True))
     ]
     columns = TableColumns(
         _columns("object", objects, numbers, records), _columns("patch", patches, numbers, records)
