@@ -332,6 +332,20 @@ def test_what_a_vehicle_is_longer_by_than_another_in_its_place_is_no_vehicle(sta
     assert decision is None or decision.change is Change.UNCHANGED
 
 
+@pytest.mark.parametrize(
+    ("start", "length", "same"),
+    [(4.0, 2.0, True), (4.0, 3.5, False), (5.5, 2.0, False)],
+    ids=["two metres by which a van is longer than a car", "a car behind it", "a piece of the next vehicle"],
+)
+def test_a_piece_shorter_than_a_vehicle_that_touches_one_of_the_other_epoch_is_its_end(start, length, same):
+    old = block((0, 0, 0), (4, 2, 1.5), 0.2)
+    piece = obj([(block((start, 0, 0), (start + length, 2, 1.0)), False)])
+    piece = replace(piece, semantic=Semantic.MOBILE, whole=0)
+    decision = decide_vehicle_part([piece], Semantic.MOBILE, CROSSED, old)
+    assert (decision is not None) == same
+    assert decision is None or decision.change is Change.UNCHANGED
+
+
 def test_the_sides_of_a_larger_car_in_the_place_of_another_are_no_vehicle():
     old, body = block((0.5, 0.5, 0), (4.0, 1.5, 1.5), 0.2), block((0, 0, 0), (4.5, 2.0, 2.0))
     around = body[~(((body >= (0.5, 0.5, 0)) & (body < (4.0, 1.5, 1.5))).all(axis=1))]

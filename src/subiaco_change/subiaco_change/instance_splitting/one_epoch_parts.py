@@ -35,6 +35,8 @@ _ACROSS = NUMBERS.vehicle_parts.crossed_share
 _VEHICLE = NUMBERS.vehicle_parts.vehicle_width
 _NEXT = NUMBERS.vehicle_parts.adjacent
 _HELD = NUMBERS.vehicle_parts.adjacent_share
+_LENGTH = NUMBERS.vehicle_parts.vehicle_length
+_HELD_END = NUMBERS.vehicle_parts.adjacent_share_of_end
 
 
 class PartConfig(StrictModel):
@@ -269,6 +271,9 @@ def decide_vehicle_part(
 ) -> Decision | None:
     """Decide what was parted from a vehicle and stands in one epoch alone; None where it may be one.
 
+    A part shorter than a vehicle is the end of a longer vehicle that stood in the place of another one, if
+    only some of the part lies beside what the other epoch has.
+
     ``standing`` (N, 3) are the points of the other epoch that stand, of any class.
     """
     if semantic is not Semantic.MOBILE or any(t.whole < 0 for t in objects):
@@ -282,11 +287,15 @@ def decide_vehicle_part(
         return Decision(Change.UNOBSERVED, reason, 1.0 - across)
     xyz = join_voxels(objects).xyz
     held = float(lies_near(xyz, standing, _NEXT).mean())
-    if held < _HELD or (narrow_side(xyz) >= _VEHICLE and not _surrounds(xyz, standing)):
+    narrow, long = footprint_sides(xyz)
+    short = applies("ends_of_vehicles", long < _LENGTH)
+    limit = _HELD_END if short else _HELD
+    fits_vehicle = narrow >= _VEHICLE and not short
+    if held < limit or (fits_vehicle and not _surrounds(xyz, standing)):
         return None
     reason = (
         f"{held:.0%} of this part of a vehicle lies beside points of the other survey (limit"
-        f" {_HELD:.0%}): the part belongs to an object that both surveys have."
+        f" {limit:.0%}): the part belongs to an object that both surveys have."
     )
     return Decision(Change.UNCHANGED, reason, held)
 
@@ -299,7 +308,8 @@ def _surrounds(xyz: Floats, points: Floats) -> bool:
     return bool(oriented_rectangle(inside[:, :2]).contains(Point(xyz[:, :2].mean(axis=0))))
 
 
-def narrow_side(xyz: Floats) -> float:
-    """Shorter side of the footprint of places (M, 3) [m]."""
+def footprint_sides(xyz: Floats) -> tuple[float, float]:
+    """Shorter and longer side of the footprint of places (M, 3) [m]."""
     corners = np.array(oriented_rectangle(xyz[:, :2]).exterior.coords)
-    return float(np.linalg.norm(np.diff(corners[:3], axis=0), axis=1).min())
+    narrow, long = np.sort(np.linalg.norm(np.diff(corners[:3], axis=0), axis=1)).tolist()
+    return narrow, long

@@ -16,8 +16,8 @@ from subiaco_change.decisions.space_carving import Empty
 from subiaco_change.decisions.voxel_objects import ObjectInstance
 from subiaco_change.instance_splitting.one_epoch_parts import (
     PartConfig,
+    footprint_sides,
     large_parts,
-    narrow_side,
     split_by_labels,
 )
 from subiaco_change.method_numbers import NUMBERS
@@ -98,6 +98,6 @@ def _trees_of(obj: ObjectInstance, below_view: Empty | None, config: PartConfig)
 
 def _is_crown_in_view(xyz: Floats, below_view: Empty | None) -> bool:
     """Tell whether places (M, 3) are as wide as a crown, and the other epoch could see some of them."""
-    if narrow_side(xyz) < _WIDTH:
+    if footprint_sides(xyz)[0] < _WIDTH:
         return False
     return below_view is None or bool(below_view(xyz).mean() >= _VIEW)

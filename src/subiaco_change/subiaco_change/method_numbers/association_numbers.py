@@ -197,6 +197,7 @@ class VehiclePartsNumbers(StrictModel):
         description="Fraction of a part that beams of the other epoch must cross",
     )
     vehicle_width: float = Field(1.5, description="Smallest observed width of a vehicle [m]")
+    vehicle_length: float = Field(2.5, description="Smallest observed length of a vehicle [m]")
     adjacent: float = Field(
         0.75,
         description="Distance from points of the other epoch within which a voxel is adjacent to them [m]",
@@ -204,4 +205,9 @@ class VehiclePartsNumbers(StrictModel):
     adjacent_share: float = Field(
         0.5,
         description="Fraction of the voxels of a part that must be adjacent to points of the other epoch",
+    )
+    adjacent_share_of_end: float = Field(
+        0.25,
+        description="Fraction of the voxels of a part shorter than a vehicle that must be adjacent to points "
+        "of the other epoch",
     )
