@@ -112,28 +112,29 @@ class ConfidenceConfig(StrictModel):
     """Coefficients fitted on simulated surveys by ``scripts/calibrate_confidence.py``.
 
     On surveys that no rule was tuned on: where rules are tuned they are right more often than elsewhere.
-    On four of the seven the changes run through every limit and the epochs are measured by unlike sensors.
-    Each was compared with its visibility layers, with trajectories, and bare. Some 210 of 1563 changed rows
+    On four of the eleven the changes run through every limit and the epochs are measured by unlike sensors.
+    Each was compared with its visibility layers, with trajectories, and bare. Some 250 of 2533 changed rows
     are wrong; ``held_out_ece`` says how far off the probability was on surveys left out.
     """
 
     fitted_on: str = Field(
-        "simulated: hard_106, default_106, default_107, suburb_106, suburb_107, suburb_108, suburb_109; "
-        "evidence: layer, trajectory, bare; 2026-11-24; 1563 changed of 6073 rows",
+        "simulated: default_106, default_107, default_108, hard_106, hard_107, hard_108, suburb_106, "
+        "suburb_107, suburb_108, suburb_109, easy_106; evidence: layer, trajectory, bare; 2026-11-25; "
+        "2533 changed of 10044 rows",
         description="Surveys, seeds, rows and date of the confidence fit; empty if the coefficients were "
         "not fitted",
     )
     held_out_ece: float = Field(
-        0.016,
+        0.006,
         ge=0,
         le=1,
         description="Expected calibration error over changed rows of surveys left out of the fit [1]",
     )
     bands: tuple[MeasuredBand, ...] = Field(
         (
-            MeasuredBand(low=0.9, high=1.01, right=563, claims=589),
-            MeasuredBand(low=0.7, high=0.9, right=748, claims=900),
-            MeasuredBand(low=0.0, high=0.7, right=44, claims=74),
+            MeasuredBand(low=0.9, high=1.01, right=1483, claims=1555),
+            MeasuredBand(low=0.7, high=0.9, right=723, claims=863),
+            MeasuredBand(low=0.0, high=0.7, right=73, claims=115),
         ),
         description="Claims per confidence band, right and total, on surveys left out of the fit, as "
         "printed on the summary page; bands without claims are absent",
@@ -183,40 +184,46 @@ class ConfidenceConfig(StrictModel):
         "open [1]",
     )
     single: Coefficients = Coefficients(
-        intercept=0.77,
-        margin=0.044,
-        gate=0.671,
-        observed=0.697,
-        size=0.555,
-        purity=1.202,
-        solid=0.117,
-        plant=0.256,
-        density=-0.115,
-        shadow=-0.281,
+        intercept=1.44,
+        margin=0.119,
+        gate=0.483,
+        observed=0.875,
+        size=0.929,
+        purity=1.358,
+        solid=-0.446,
+        plant=0.825,
+        density=-0.365,
+        trajectory=-0.1,
+        shadow=-0.372,
+        near_limits=-0.616,
     )
     reshaped: Coefficients = Coefficients(
-        intercept=0.509,
-        margin=0.0,
-        gate=1.021,
-        observed=0.079,
-        size=0.661,
-        purity=0.043,
+        intercept=1.073,
+        margin=0.188,
+        gate=0.601,
+        observed=0.359,
+        size=0.717,
+        purity=0.468,
         solid=0.0,
-        plant=1.943,
-        density=-0.163,
+        plant=1.589,
+        density=-0.652,
+        trajectory=-0.095,
+        shadow=-0.144,
+        near_limits=-1.174,
     )
     unchanged: Coefficients = Coefficients(
-        intercept=3.078,
-        margin=-0.898,
-        gate=0.494,
-        observed=1.279,
-        size=1.234,
+        intercept=3.821,
+        margin=-1.287,
+        gate=0.59,
+        observed=1.736,
+        size=1.269,
         purity=0.0,
-        solid=-2.075,
-        plant=0.669,
-        density=-0.274,
-        trajectory=-0.043,
-        shadow=-0.127,
+        solid=-2.27,
+        plant=0.73,
+        density=-0.327,
+        trajectory=-0.245,
+        shadow=-0.285,
+        near_limits=-0.541,
     )
 
     @property
