@@ -230,7 +230,7 @@ def _row(name: tuple[str, str], kind: str, surveys: int, found: dict[str, Any]) 
         "abstained": grid["abstention_percent"],
         "objects right": objects.get("precision_percent"),
         "objects found": objects.get("recall_percent"),
-        "ECE changed rows": changed.get("ece"),
+        "ECE changed rows": changed.get("ece_fraction"),
     }
 
 

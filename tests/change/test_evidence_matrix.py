@@ -3,7 +3,10 @@
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
+
+from subiaco_evaluation.scores import reliability
 
 sys.path.insert(0, str(Path(__file__).parents[1] / "benchmarks"))
 
@@ -24,6 +27,13 @@ def test_a_row_is_found_again_by_its_surveys_and_its_source_code_alone(tmp_path)
     assert kept.find(["easy", "map"]) == ROW
     assert kept.find(["easy", "bare"]) is None
     assert matrix.Kept(kept.path, "other source").find(["easy", "map"]) is None
+
+
+def test_a_row_states_the_calibration_error_as_the_evaluation_names_it():
+    trust, right = np.full(20, 0.9), np.arange(20) < 16
+    found = {**EMPTY, "reliability": {"changed_rows": reliability(trust, right, 10)}}
+    assert matrix._row(("easy", "same sensor"), "map", 1, found)["ECE changed rows"] == pytest.approx(0.1)
+    assert matrix._row(("easy", "same sensor"), "map", 1, EMPTY)["ECE changed rows"] is None
 
 
 def test_a_stopped_matrix_keeps_its_table_and_goes_on_after_the_last_row(tmp_path, monkeypatch):
