@@ -333,13 +333,16 @@ def test_what_a_vehicle_is_longer_by_than_another_in_its_place_is_no_vehicle(sta
 
 
 @pytest.mark.parametrize(
-    ("start", "length", "same"),
-    [(4.0, 2.0, True), (4.0, 3.5, False), (5.5, 2.0, False)],
-    ids=["two metres by which a van is longer than a car", "a car behind it", "a piece of the next vehicle"],
-)
-def test_a_piece_shorter_than_a_vehicle_that_touches_one_of_the_other_epoch_is_its_end(start, length, same):
+    ("start", "length", "width", "same"),
+    [(4.0, 2.0, 2.0, True), (4.0, 3.5, 2.0, False), (5.5, 2.0, 2.0, False), (4.25, 1.25, 0.75, False)],
+    ids=[
+        "two metres by which a van is longer than a car", "a car behind it", "a piece of the next vehicle",
+        "a bin behind it",
+    ],
+)  # fmt: skip
+def test_a_piece_as_wide_as_a_vehicle_and_shorter_that_touches_another_is_its_end(start, length, width, same):
     old = block((0, 0, 0), (4, 2, 1.5), 0.2)
-    piece = obj([(block((start, 0, 0), (start + length, 2, 1.0)), False)])
+    piece = obj([(block((start, 0, 0), (start + length, width, 1.0)), False)])
     piece = replace(piece, semantic=Semantic.MOBILE, whole=0)
     decision = decide_vehicle_part([piece], Semantic.MOBILE, CROSSED, old)
     assert (decision is not None) == same

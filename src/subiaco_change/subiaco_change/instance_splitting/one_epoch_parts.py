@@ -271,8 +271,8 @@ def decide_vehicle_part(
 ) -> Decision | None:
     """Decide what was parted from a vehicle and stands in one epoch alone; None where it may be one.
 
-    A part shorter than a vehicle is the end of a longer vehicle that stood in the place of another one, if
-    only some of the part lies beside what the other epoch has.
+    A part as wide as a vehicle and shorter is the end of a longer vehicle that stood in the place of another
+    one, if only some of the part lies beside what the other epoch has.
 
     ``standing`` (N, 3) are the points of the other epoch that stand, of any class.
     """
@@ -288,7 +288,7 @@ def decide_vehicle_part(
     xyz = join_voxels(objects).xyz
     held = float(lies_near(xyz, standing, _NEXT).mean())
     narrow, long = footprint_sides(xyz)
-    short = applies("ends_of_vehicles", long < _LENGTH)
+    short = applies("ends_of_vehicles", _VEHICLE <= long < _LENGTH)
     limit = _HELD_END if short else _HELD
     fits_vehicle = narrow >= _VEHICLE and not short
     if held < limit or (fits_vehicle and not _surrounds(xyz, standing)):

@@ -266,8 +266,8 @@ MOVING_OBJECT_RULES: tuple[Rule, ...] = (
     Rule(
         "ends_of_vehicles",
         _HERE,
-        "A part shorter than a vehicle is the end of a vehicle in the place of another one, also where less"
-        " of the part lies beside the other.",
+        "A part as wide as a vehicle and shorter is the end of a vehicle in the place of another one, also"
+        " where less of the part lies beside the other.",
         ("method_numbers.vehicle_parts.vehicle_length", "method_numbers.vehicle_parts.adjacent_share_of_end"),
     ),
 )
