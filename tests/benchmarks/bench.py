@@ -34,7 +34,7 @@ HERE = Path(__file__).resolve().parent
 WORK = ROOT / "out" / "bench"
 SEED = 101  # for tuning; speed is no score
 ONE_THREAD = {"OMP_NUM_THREADS": "1", "NUMBA_NUM_THREADS": "1"}
-PACKAGES = ("kiss-icp", "small-gicp", "open3d", "gtsam", "numpy", "numba", "rko-lio", "py4dgeo")
+PACKAGES = ("kiss-icp", "small-gicp", "open3d-cpu", "gtsam", "numpy", "numba", "rko-lio", "py4dgeo")
 
 
 @dataclass(frozen=True)
