@@ -13,6 +13,7 @@ from scipy.special import expit
 
 from subiaco_change.decisions.confidence import BANDS, CALIBRATED, FEATURES, Coefficients, kind_of
 from subiaco_change.records import ChangeResult
+from subiaco_change.visibility_evidence import KINDS
 from subiaco_evaluation.object_matching import PointPairs, row_verdicts, together, transfer
 from subiaco_evaluation.scores import reliability
 from subiaco_geo.clouds import PointCloud
@@ -138,7 +139,7 @@ RISING = ("gate", "observed", "size", "purity")
 
 
 #: Densities that differ more, weaker evidence, or a pair with more rows near limits never make a label surer.
-FALLING = ("density", "trajectory", "estimated", "shadow", "assumed", "near_limits")
+FALLING = ("density", *KINDS[1:], "near_limits")
 
 
 def rising_of(kind: str) -> tuple[str, ...]:

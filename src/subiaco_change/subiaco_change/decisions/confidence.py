@@ -15,6 +15,7 @@ from subiaco_change.decisions.measures import Measures
 from subiaco_change.decisions.rules import Decision
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.records import ChangeRecord
+from subiaco_change.visibility_evidence import KINDS
 from subiaco_geo.codes import Change, Semantic
 from subiaco_geo.config import StrictModel
 from subiaco_geo.frames import Floats
@@ -34,17 +35,16 @@ CALIBRATED = NUMBERS.confidence.largest_calibration_error
 #: Confidences from which on the bands of the summary begin.
 BANDS = NUMBERS.confidence.band_limits
 
-#: What a row's confidence is a function of, in the order of the coefficients.
+#: What a row's confidence is a function of, in the order of the coefficients. Counted beams are no feature.
 FEATURES = (
     "margin", "gate", "observed", "size", "purity", "solid", "plant", "density",
-    "trajectory", "estimated", "shadow", "assumed", "near_limits",
+    *KINDS[1:], "near_limits",
 )  # fmt: skip
 #: The first of these follow from the decision alone.
 _DECIDED = 2
 _CLAIMS = ("single", "reshaped")
 _COMPARED = ("reshaped", "unchanged")
 _NEAR = FEATURES.index("near_limits")
-_KINDS_OF_EVIDENCE = FEATURES[_NEAR - 4 : _NEAR]
 _TYPICAL_NEAR = NUMBERS.confidence.typical_near_limits
 _NEAR_ROWS = NUMBERS.confidence.near_limits_rows
 _TYPICAL_SHARE = NUMBERS.confidence.typical_observed
@@ -285,7 +285,7 @@ def features(
             float(semantic in (Semantic.BUILDING, Semantic.VEGETATION)),
             float(semantic is Semantic.VEGETATION),
             min(abs(density), 2.0),
-            *(float(evidence == kind) for kind in _KINDS_OF_EVIDENCE),
+            *(float(evidence == kind) for kind in KINDS[1:]),
             0.0,
         ]
     )
@@ -370,7 +370,7 @@ def near_limits(records: Iterable[ChangeRecord]) -> float:
     """Return how many buildings and plants of a pair lie near a limit, as the confidence takes it.
 
     In tenths more than in a typical pair, of those that both surveys have: their measure exceeds its limit,
-    or stays below, by less than 1.5 standard deviations. Where many lie there, the changes of the pair are
+    or stays below, by less than 3 standard deviations. Where many lie there, the changes of the pair are
     about as large as the limits, and more claims are wrong than each row shows. Few rows say little.
     """
     gate, solid = FEATURES.index("gate"), FEATURES.index("solid")

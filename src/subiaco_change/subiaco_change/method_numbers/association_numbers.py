@@ -208,6 +208,6 @@ class VehiclePartsNumbers(StrictModel):
     )
     adjacent_share_of_end: float = Field(
         0.25,
-        description="Fraction of the voxels of a part shorter than a vehicle that must be adjacent to points "
-        "of the other epoch",
+        description="Fraction of the voxels of a part as wide as a vehicle and shorter that must be adjacent "
+        "to points of the other epoch",
     )

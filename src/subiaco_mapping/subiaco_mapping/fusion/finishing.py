@@ -142,13 +142,13 @@ class MapFusion:
             self._density.add(scan, in_map, stamp_ns or 0, source)
         if self._scans % _SHOWN == 0:  # of several sensors the coarsest counts
             self._spacing = max(self._spacing, beam_spacing(scan.xyz, self._config.outlier_neighbours))
-        xyz = transform_points(in_map, scan.xyz)
         near, last = (within(found, self._config.max_range) for found in (scan.xyz, scan.last_xyz))
-        self._first.add(xyz[near], scan.intensity[near], eye)
+        xyz = transform_points(in_map, scan.xyz[near])
+        self._first.add(xyz, scan.intensity[near], eye)
         self._last.add(transform_points(in_map, scan.last_xyz[last]), scan.last_intensity[last], eye)
         beams, returned = visibility_beams(scan, pose, self._config, self._scans)
         ends = transform_points(in_map, beams) + self._origin
-        starts, hits = np.broadcast_to(eye + self._origin, ends.shape), xyz[near] + self._origin
+        starts, hits = np.broadcast_to(eye + self._origin, ends.shape), xyz + self._origin
         self._beams.add(starts, ends, returned, hits, self._clock.window(stamp_ns))
         self._scans += 1
 

@@ -300,7 +300,6 @@ def visibility_beams(
     rise = sky @ T_local_lidar[2, :3]
     above = rise > np.sin(np.radians(config.sky_elevation_deg)) * np.linalg.norm(sky, axis=1)
     ends = np.concatenate([hits, sky[above]])
-    distance = np.linalg.norm(ends, axis=1)
-    beyond = distance > config.max_range
-    ends[beyond] *= (config.max_range / distance[beyond])[:, None]
+    beyond = ~within(ends, config.max_range)
+    ends[beyond] *= config.max_range / np.linalg.norm(ends[beyond], axis=1, keepdims=True)
     return ends, (np.arange(len(ends)) < len(hits)) & ~beyond
