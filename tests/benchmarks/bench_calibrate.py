@@ -32,7 +32,7 @@ from numpy.typing import NDArray
 from subiaco_change.config import ChangeConfig
 from subiaco_change.decisions.confidence import Coefficients, ConfidenceConfig
 from subiaco_change.pipeline import detect_changes
-from subiaco_evaluation.confidence_fit import BINS, fit_confidence, judged_rows, pair_points, predict
+from subiaco_evaluation.confidence_fit import BINS, fit_confidence, judged_rows, pair_points
 from subiaco_evaluation.injection.config import InjectionConfig
 from subiaco_evaluation.injection.detectability import fit_curves, outcomes, smallest_table, statement
 from subiaco_evaluation.injection.inject import inject
@@ -92,7 +92,7 @@ def trusts(rows: pd.DataFrame, models: dict[str, object]) -> NDArray[np.float64]
     for kind in rows["kind"].unique():
         mine = (rows["kind"] == kind).to_numpy()
         model = Coefficients.model_validate(models.get(kind, shipped[kind]))
-        trust[mine] = predict(model, x[mine])
+        trust[mine] = model.probability(x[mine])
     return trust
 
 

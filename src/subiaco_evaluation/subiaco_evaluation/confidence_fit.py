@@ -41,11 +41,6 @@ def judged_rows(result: ChangeResult, points: PointPairs, survey: str) -> pd.Dat
     return table[judged].assign(survey=survey)
 
 
-def predict(model: Coefficients, x: Floats) -> Floats:
-    """Return the confidences (N,) of features (N, 13)."""
-    return np.asarray(expit(model.intercept + x @ np.array([getattr(model, name) for name in FEATURES])))
-
-
 def held_out(rows: pd.DataFrame) -> Floats:
     """Return the confidence of every row by models fitted on the other surveys; NaN where there are none."""
     found = np.full(len(rows), np.nan)
@@ -57,7 +52,8 @@ def held_out(rows: pd.DataFrame) -> Floats:
             left = mine & (rows["survey"] == survey).to_numpy()
             rest = mine & ~left
             if left.any() and rest.any():
-                found[left] = predict(fit(x[rest], right[rest], rising=rising_of(kind)), x[left])
+                model = fit(x[rest], right[rest], rising=rising_of(kind))
+                found[left] = model.probability(x[left])
     return found
 
 

@@ -98,6 +98,11 @@ class Coefficients(StrictModel):
         "limit, in tenths, which is about 0.45 in a typical pair",
     )
 
+    def probability(self, found: Floats) -> Floats:
+        """Return the probability (...) of rows from :func:`features` (..., 13)."""
+        slopes = np.array([getattr(self, name) for name in FEATURES])
+        return np.asarray(expit(self.intercept + found @ slopes))
+
 
 class MeasuredBand(StrictModel):
     """How many claims with a confidence in one band were right, on surveys left out of the fit."""
@@ -315,8 +320,7 @@ def probability(decision: Decision, found: Floats, config: ConfidenceConfig) -> 
 def _modelled(kind: ClaimKind, found: Floats, config: ConfidenceConfig) -> float:
     """Return the probability of the model of a kind of row."""
     model: Coefficients = getattr(config, kind)
-    slopes = np.array([getattr(model, name) for name in FEATURES])
-    p = float(expit(model.intercept + slopes @ found))
+    p = float(model.probability(found))
     if kind not in _CLAIMS:
         return p
     hidden = min(max(1.0 - _TYPICAL_SHARE - found[FEATURES.index("observed")], 0.0), 1.0)
