@@ -151,6 +151,19 @@ def test_a_claim_on_what_was_seen_for_a_moment_only_is_not_trusted(moved: float,
     assert limit_confidence(same, [timed(moved)], 0.9, RULES) == (0.9, "as it was")
 
 
+@pytest.mark.parametrize(
+    ("moved", "free", "doubts"),
+    [
+        (0.001, 0.7, "its place may have been occupied in the other survey (probability 30%)."),
+        (0.3, 0.999, "the object may have moved during mapping (probability 30%)."),
+    ],
+)
+def test_a_lowered_confidence_names_only_doubts_that_do_not_round_to_zero(moved, free, doubts) -> None:
+    claim = Decision(Change.ADDED, "in the later survey alone", 1.5)
+    reason = limit_confidence(claim, [timed(moved)], 0.9, RULES, free)[1]
+    assert reason == f"{claim.reason} The confidence is lowered: {doubts}"
+
+
 @given(moved=st.floats(0.0, 1.0), free=st.floats(0.5, 1.0))
 def test_a_change_needs_an_object_that_stood_and_a_place_that_was_free(moved: float, free: float) -> None:
     decision = is_moving_object_trail([timed(moved)], Semantic.VEGETATION, None, RULES, free)

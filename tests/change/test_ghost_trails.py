@@ -56,6 +56,15 @@ def test_what_stands_beside_a_trail_keeps_its_class(labelled):
     assert (result.semantic[still] == plain.semantic[still]).mean() > 0.99
 
 
+def test_the_edge_of_a_roof_that_beams_graze_stands():
+    cloud = SCENE.survey(4).cloud
+    height = cloud.xyz[:, 2] - ground_z(cloud.xyz[:, 0], cloud.xyz[:, 1])
+    roof = (np.abs(cloud.xyz[:, :2] - SCENE.cars[0]) < 2.0).all(axis=1) & (height > 1.0)
+    assert np.count_nonzero(roof) > 20
+    result = label_points(cloud, SemanticsConfig(), np.where(roof, 60.0, 1.0))
+    assert not result.moving.any()
+
+
 def test_few_passes_are_no_movement():
     cloud = SCENE.survey(4).cloud
     assert not label_points(cloud, SemanticsConfig(), np.full(len(cloud), 5.0)).moving.any()

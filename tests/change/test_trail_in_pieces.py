@@ -57,6 +57,12 @@ def test_a_piece_in_a_row_of_pieces_on_a_bend_is_not_claimed(semantic, reach):
     assert "2.0 m wide that the other survey does not hold" in decision.reason
 
 
+def test_the_trail_of_a_bus_is_as_wide_as_a_bus_with_its_mirrors():
+    piece = np.concatenate([plate(0.0, width=2.75), plate(1.8, width=2.75)])
+    own = holding(np.concatenate([piece, row(-18.0, -1.0, width=2.75), row(3.6, 18.0, width=2.75)]))
+    assert decided(piece, own) is not None
+
+
 def test_the_last_piece_of_a_row_is_a_piece_too():
     assert decided(PIECE, holding(np.concatenate([PIECE, row(3.6, 18.0)]))) is not None
 

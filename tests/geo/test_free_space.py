@@ -228,6 +228,18 @@ def test_the_estimated_field_of_view_lies_near_the_true_one() -> None:
     assert reached == pytest.approx(np.sin(true.elevation_max) * true.useful_range, rel=0.3)
 
 
+def test_a_facade_that_is_met_from_seventy_metres_shows_that_the_space_before_it_is_free() -> None:
+    road = np.column_stack([sheet((-60, 80), (-20, 20)), np.zeros(560 * 160)])
+    front = sheet((-2, 4), (0, 3))
+    facade = np.column_stack([front[:, 0], np.full(len(front), 70.0), front[:, 1]])
+    assert len(facade) < 0.01 * len(road)
+    points = np.vstack([road, facade])
+    bare = expected(points, lane())
+    view = estimate_view([view_histogram(points + ORIGIN, bare.images, CONFIG)], CONFIG)
+    assert replace(bare, view=view).passed(at((0, 64, 1.5))).all()
+    assert not replace(bare, view=view).observed(at((0, 74, 1.5))).any()
+
+
 def test_a_map_that_describes_its_sensor_is_believed() -> None:
     info = {"sensor": VIEW.description()}
     found = described_view(info)

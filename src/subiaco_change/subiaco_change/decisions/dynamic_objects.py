@@ -423,8 +423,17 @@ def limit_confidence(
     together = joint_probability(moved, free)
     if together >= confidence or moved <= 0.0:
         return confidence, decision.reason
-    doubt = f"The object may have moved during mapping (probability {moved:.0%}): the confidence is lowered."
-    return together, f"{decision.reason} {doubt}"
+    return together, f"{decision.reason} The confidence is lowered: {_doubts(moved, free)}."
+
+
+def _doubts(moved: float, free: float) -> str:
+    """Say why what one epoch alone holds may be no change; a probability that rounds to zero is not named."""
+    doubts = (
+        (moved, "the object may have moved during mapping"),
+        (1.0 - free, "its place may have been occupied in the other survey"),
+    )
+    named = [(f"{probability:.0%}", doubt) for probability, doubt in doubts]
+    return ", and ".join(f"{doubt} (probability {share})" for share, doubt in named if share != "0%")
 
 
 def _passes_limit(

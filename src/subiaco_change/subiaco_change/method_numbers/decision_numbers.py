@@ -290,7 +290,9 @@ class TrailInPiecesNumbers(StrictModel):
         2.5, description="Largest gap between two pieces of a row [m]; a sweep meets a vehicle every 1 to 2 m"
     )
     half_width: float = Field(
-        1.25, description="Distance from the middle of a row within which its pieces lie [m]"
+        1.4,
+        description="Distance from the middle of a row within which its pieces lie [m]; half the width of a "
+        "bus with its mirrors",
     )
     rim: float = Field(
         0.35, description="Width of the strip on either side of a row that holds few points of pieces [m]"

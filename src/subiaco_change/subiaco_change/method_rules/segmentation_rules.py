@@ -55,8 +55,13 @@ SEGMENTATION_RULES: tuple[Rule, ...] = (
         "trails_by_counts",
         _HERE,
         "In a map with counts of beams and without their times, a place that many beams passed for each that"
-        " returned was occupied by a moving object.",
-        ("semantics.traffic.ratio", "semantics.traffic.spread_ratio", "semantics.traffic.core_share"),
+        " returned was occupied by a moving object, unless it is the edge of a standing one.",
+        (
+            "semantics.traffic.ratio",
+            "semantics.traffic.spread_ratio",
+            "semantics.traffic.core_share",
+            "semantics.traffic.clear_share",
+        ),
         guards=True,
     ),
     Rule(

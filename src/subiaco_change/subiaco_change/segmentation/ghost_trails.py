@@ -17,6 +17,7 @@ import numpy as np
 from pydantic import Field
 from scipy import ndimage
 
+from subiaco_change.geometry import lies_near
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import none_of_them, switchable, zeros_of_them
 from subiaco_change.segmentation.clustering import voxel_clusters
@@ -78,6 +79,16 @@ class TrafficConfig(StrictModel):
     touch: float = Field(
         0.5, gt=0, description="Edge of the voxels in which points of one ghost trail are connected [m]"
     )
+    clear: float = Field(
+        0.4, gt=0, description="Distance from standing points up to which a point touches them [m]"
+    )
+    clear_share: float = Field(
+        0.15,
+        gt=0,
+        le=1,
+        description="Largest fraction of the points of a ghost trail that touch standing points; more of the "
+        "edge of a standing object do",
+    )
 
 
 def timed_trails(height: Floats, moved: Floats, free: Mask, config: TrafficConfig) -> Mask:
@@ -90,6 +101,9 @@ def moving_points(
     xyz: Floats, height: Floats, features: Features, passed: Floats, free: Mask, config: TrafficConfig
 ) -> Mask:
     """Tell which free points (N,) belong to trails.
+
+    Many beams graze the edge of a roof, and few return from it. Such an edge touches the rest of its object;
+    what moves keeps clear of what stands.
 
     Parameters
     ----------
@@ -112,8 +126,12 @@ def moving_points(
         return moving
     sure = (mean > np.log(config.ratio))[mean > np.log(config.spread_ratio)]
     trail = voxel_clusters(xyz[open_], config.touch)
-    share = np.bincount(trail, sure) / np.bincount(trail)
-    moving[open_[share[trail] > config.core_share]] = True
+    standing = free & (height > config.bottom)
+    standing[open_] = False
+    touching = lies_near(xyz[open_], xyz[standing], config.clear)
+    sure_share, touching_share = (np.bincount(trail, w) / np.bincount(trail) for w in (sure, touching))
+    kept = (sure_share > config.core_share) & (touching_share <= config.clear_share)
+    moving[open_[kept[trail]]] = True
     return moving
 
 

@@ -47,7 +47,7 @@ class ExpectedVisibilityConfig(StrictModel):
     min_range: float = Field(
         1.5, ge=0, description="Distance from a pose below which points and places are ignored [m]"
     )
-    max_range: float = Field(60.0, gt=0, description="Largest distance of a surface in a depth image [m]")
+    max_range: float = Field(80.0, gt=0, description="Largest distance of a surface in a depth image [m]")
     sky_range: float = Field(
         40.0, gt=0, description="Distance from a pose up to which places against the sky count as free [m]"
     )
@@ -91,8 +91,14 @@ class ExpectedVisibilityConfig(StrictModel):
         description="Lower end of a field of view that no map describes, because the road from afar does "
         "not show it [deg]",
     )
+    view_range: float = Field(
+        60.0,
+        gt=0,
+        description="Distance of the poses by which the upper end of a field of view is estimated [m]; from "
+        "farther away all things are low",
+    )
     range_quantile: float = Field(
-        0.99,
+        0.999,
         gt=0.5,
         le=1,
         description="Fraction of the points that lie within the estimated useful range of a pose",

@@ -34,7 +34,7 @@ class ViewHistogram:
     Parameters
     ----------
     above : (180,) int64
-        Points above the sensor by the lowest elevation from which a pose meets them unhidden.
+        Points above the sensor by the lowest elevation from which a close pose meets them unhidden.
     ranges : (18, R) int64
         Points by the distance to the nearest pose that meets them below an elevation, every 5 deg of it.
     """
@@ -56,7 +56,8 @@ def view_histogram(world: Floats, images: DepthImages, config: ExpectedVisibilit
     nearest = np.full((len(limits), len(points)), np.inf)
     for eye, axis, image in zip(images.eyes, images.axes, images.images, strict=True):
         met, distance, elevation = _met(points, eye, axis, image, images.grid, config)
-        lowest[met] = np.minimum(lowest[met], elevation)
+        close = distance <= config.view_range
+        lowest[met[close]] = np.minimum(lowest[met[close]], elevation[close])
         for limit, least in zip(limits, nearest, strict=True):
             below = met[elevation <= limit]
             least[below] = np.minimum(least[below], distance[elevation <= limit])
