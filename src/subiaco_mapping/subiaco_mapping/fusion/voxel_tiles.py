@@ -196,7 +196,8 @@ class VisibilityTiles:
         """
         if window != self._window:
             reached = 0 < window - self._base < WINDOWS
-            if not reached or len(self._active) >= self._most:
+            full = len(self._active) >= self._most or self._active.cells >= 2 * self._most
+            if full or not reached:
                 self._go_on(window)
             self._window = window
         self._active.touch(hits, window - self._base)
@@ -212,9 +213,9 @@ class VisibilityTiles:
 
     def flush(self) -> None:
         """Write what is in memory."""
-        grid = self._active.grid()
-        if len(grid.keys):
-            looks = self._active.looks().later(self._base)
+        if len(self._active):
+            grid, looks = self._active.grid_and_looks()
+            looks = looks.later(self._base)
             self._runs.append(grid.keys, [grid.hits, grid.passes, *looks.columns()])
             self._active = self._empty()
 
