@@ -404,7 +404,9 @@ class VisibilityAccumulator:
         keys, cells = self._collected()
         kept, rows = pending_rows(self._looks[cells], self._least, window, shift)
         blocks = len(np.unique(keys[kept] & ~_INSIDE))
-        fresh = VisibilityAccumulator(self.origin, self.voxel, max(1 << 18, 2 * blocks * _CELLS), self._least)
+        fresh = VisibilityAccumulator(
+            self.origin, self.voxel, max(len(self._cells), blocks * _CELLS), self._least
+        )
         _put(keys[kept], rows, fresh._index, fresh._used, fresh._looks)
         return fresh
 

@@ -65,7 +65,7 @@ def isolated_points(
 
 
 def _surrounded(xyz: Floats, near: Floats, enough: int, edge: float) -> NDArray[np.bool_]:
-    """Tell which points (N, 3) have enough others within a distance (N,) in the cells of an edge around theirs.
+    """Tell which points (N, 3) have enough others within a distance (N,), in the cells around theirs.
 
     Most points of a map have, and are found without a tree.
     """

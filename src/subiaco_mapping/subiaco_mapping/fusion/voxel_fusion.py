@@ -50,18 +50,16 @@ def _accumulate(xyz, intensity, sensor, leaf, index, keys, counts, sums, used): 
     Columns of ``sums``: offset from the voxel centre (3), its products xx xy xz yy yz zz (6),
     intensity, direction to the sensor (3), distance from it.
     """
-    last, row = np.int64(_EMPTY), np.int64(0)
     sx, sy, sz = sensor
     for i in range(len(xyz)):
         x, y, z = xyz[i, 0], xyz[i, 1], xyz[i, 2]
         cx, cy, cz = np.floor(x / leaf), np.floor(y / leaf), np.floor(z / leaf)
         key = ((np.int64(cx) + _LIMIT) << 42) | ((np.int64(cy) + _LIMIT) << 21) | (np.int64(cz) + _LIMIT)
-        if key != last:
-            slot = _slot(index, key)
-            if index[slot, 0] == _EMPTY:
-                index[slot, 0], index[slot, 1], keys[used] = key, used, key
-                used += 1
-            last, row = key, index[slot, 1]
+        slot = _slot(index, key)
+        if index[slot, 0] == _EMPTY:
+            index[slot, 0], index[slot, 1], keys[used] = key, used, key
+            used += 1
+        row = index[slot, 1]
         dx, dy, dz = x - (cx + 0.5) * leaf, y - (cy + 0.5) * leaf, z - (cz + 0.5) * leaf
         vx, vy, vz = sx - x, sy - y, sz - z
         reach = max(np.sqrt(vx * vx + vy * vy + vz * vz), 1e-6)
