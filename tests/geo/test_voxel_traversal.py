@@ -103,3 +103,33 @@ def test_beams_that_are_not_finite_or_too_far_are_refused():
     coarse, fine = (accumulate_visibility(good, good, np.zeros(3), voxel) for voxel in (0.5, 0.25))
     with pytest.raises(InputError, match="differ in origin or voxel"):
         merge_grids([coarse, fine])
+
+
+def test_more_beams_than_one_batch_holds_are_all_counted():
+    count = (1 << 16) + 7
+    starts, ends = np.full((count, 3), -0.25), np.tile([1.25, -0.25, -0.25], (count, 1))
+    grid = accumulate_visibility(starts, ends, np.zeros(3), 0.5)
+    assert grid.passes.tolist() == [count, count, count, 0]
+    assert grid.hits.tolist() == [0, 0, 0, count]
+
+
+def test_the_number_of_voxels_is_known_while_beams_and_returns_are_counted():
+    rng = np.random.default_rng(8)
+    store = VisibilityAccumulator(np.zeros(3), 0.5, capacity=1024, least_beams=2)
+    for window in range(1, 5):
+        ends = rng.normal(0, 9, (400, 3))
+        store.touch(ends + 1.0, window)
+        store.add(np.zeros((400, 3)), ends, rng.random(400) < 0.7, window)
+        grid, looks = store.grid_and_looks()
+        assert len(store) == len(grid.keys) == len(np.unique(grid.keys)) <= store.cells
+        assert np.array_equal(looks.hits > 0, looks.first > 0)
+
+
+def test_an_accumulator_is_told_windows_only_if_it_keeps_time():
+    beam = np.zeros((1, 3)), np.ones((1, 3))
+    with pytest.raises(InputError, match="keeps no time"):
+        VisibilityAccumulator(np.zeros(3), 0.5).add(*beam, window=1)
+    with pytest.raises(InputError, match="keeps no time"):
+        VisibilityAccumulator(np.zeros(3), 0.5).touch(beam[1], window=1)
+    with pytest.raises(InputError, match="give the window"):
+        VisibilityAccumulator(np.zeros(3), 0.5, least_beams=2).add(*beam)

@@ -45,7 +45,6 @@ ALLOWED = {
     "fusion/full_density.py: _STEP": "resolution of stored coordinates",
     "fusion/preview.py: _RANGE": "the preview decides nothing",
     "fusion/projection.py: _BASIS": "step of a difference quotient",
-    "fusion/voxel_fusion.py: _MAX_LOAD": "filling of a hash table",
     "odometry/velocity_filter.py: SECOND": "a unit",
     "preprocessing/imu_clock.py: SECOND": "a unit",
     "free_space/depth_images.py: _FARTHEST": "the largest value of 16 bits",

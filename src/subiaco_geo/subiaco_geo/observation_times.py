@@ -43,18 +43,18 @@ def _closed(state, least, gap):  # type: ignore[no-untyped-def]  # noqa: ANN001,
 
 
 @numba.njit(cache=True, inline="always")
-def count_passing(rows, slot, window, least):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
-    """Count a beam that went through a voxel; ``rows`` (M, COLUMNS) hold the running states.
+def count_passing(rows, slot, window, least, beams):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN201
+    """Count beams that went through a voxel; ``rows`` (M, COLUMNS) hold the running states.
 
     Without a branch, as every voxel is in another state.
     """
     state, last = np.int64(rows[slot, _STATE]), np.int64(rows[slot, _WINDOW])
     state = state if last == window else _closed(state, least, window - last)
-    more = (state & _BEAMS) < least
+    more = min(beams, max(least - (state & _BEAMS), 0))
     state += more
     rows[slot, _WINDOW] = window
     rows[slot, _STATE] = state
-    rows[slot, _THROUGH] += more & ((state & _BEAMS) == least) & ((state & _HIT) == 0)
+    rows[slot, _THROUGH] += (more > 0) & ((state & _BEAMS) == least) & ((state & _HIT) == 0)
 
 
 @numba.njit(cache=True, inline="always")

@@ -25,90 +25,116 @@ from subiaco_geo.visibility import VisibilityGrid
 
 _EMPTY = -1
 _LIMIT = 1 << 20  # voxel indices that fit a key, see subiaco_geo.clouds.voxel_keys
-_MAX_LOAD = 0.6
 _CACHE_LINE = 64  # [bytes]
-_CELL = np.dtype([("key", np.int64), ("hits", np.uint32), ("passes", np.uint32)])
-_TIMED_CELL = np.dtype([*_CELL.descr, ("looks", np.uint16, (8,))])
+_CELL = np.dtype([("hits", np.uint32), ("passes", np.uint32)])
+_TIMED_CELL = np.dtype([*_CELL.descr, ("looks", np.uint16, (COLUMNS + 1,))])  # one to align
+_BATCH = (1 << 16) - 1  # beams that are walked at a time: what a cell counts of a batch
+
+_BITS = 2  # an axis: 4 x 4 x 4 voxels in a block
+_CELLS = 1 << (3 * _BITS)
+_LAST = (1 << _BITS) - 1
+_INSIDE = (_LAST << 42) | (_LAST << 21) | _LAST  # bits of a key that tell the place in a block
 
 Counts = NDArray[np.uint32]
 Flags = NDArray[np.bool_]
+Places = NDArray[np.uint64]
 
 
-@numba.njit(cache=True, inline="always")
-def _slot(keys: Ints, key: int) -> int:
-    """Return the slot of a key in an open-addressing table, or the empty slot for it."""
-    mask = np.uint64(len(keys) - 1)
+@numba.njit(cache=True)
+def _place(key: int) -> int:
+    """Return the place of a voxel in its block."""
+    return ((((key >> 42) & _LAST) << _BITS | ((key >> 21) & _LAST)) << _BITS) | (key & _LAST)
+
+
+@numba.njit(cache=True)
+def _slot(index: Ints, key: int) -> int:
+    """Return the slot of a key in an open-addressing table of keys and numbers, or the empty slot for it."""
+    mask = np.uint64(len(index) - 1)
     mixed = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
     slot = (mixed ^ (mixed >> np.uint64(32))) & mask
-    while keys[slot] != key and keys[slot] != _EMPTY:
+    while index[slot, 0] != key and index[slot, 0] != _EMPTY:
         slot = (slot + np.uint64(1)) & mask
     return slot  # type: ignore[return-value]
 
 
 @numba.njit(cache=True)
-def _reinsert(
-    old_keys: Ints, old_hits: Counts, old_passes: Counts, keys: Ints, hits: Counts, passes: Counts
-) -> None:
-    """Copy every entry of one table into a larger, empty one."""
-    for i in range(len(old_keys)):
-        if old_keys[i] != _EMPTY:
-            slot = _slot(keys, old_keys[i])
-            keys[slot] = old_keys[i]
-            hits[slot] = old_hits[i]
-            passes[slot] = old_passes[i]
+def _enter(keys: Ints, index: Ints) -> None:
+    """Fill an empty table with keys (N,), each once, and their numbers."""
+    for number in range(len(keys)):
+        slot = _slot(index, keys[number])
+        index[slot, 0], index[slot, 1] = keys[number], number
 
 
 @numba.njit(cache=True)
-def _move_looks(old_keys: Ints, old_looks: Rows, keys: Ints, looks: Rows) -> None:
-    """Copy the looks of every entry of one table to where a larger one, filled already, has it."""
-    for i in range(len(old_keys)):
-        if old_keys[i] != _EMPTY:
-            looks[_slot(keys, old_keys[i])] = old_looks[i]
+def _first_cell(index: Ints, used: Ints, block: int) -> int:
+    """Return the first cell of a block, which is given the next free ones where it is new."""
+    slot = _slot(index, block)
+    if index[slot, 0] == _EMPTY:
+        index[slot, 0], index[slot, 1] = block, used[0]
+        used[0] += 1
+    return index[slot, 1] * _CELLS
+
+
+def _in_order(index: Ints, count: int) -> Ints:
+    """Return the keys (N,) of a table in the order of their numbers."""
+    keys = np.empty(count, dtype=np.int64)
+    held = index[index[:, 0] != _EMPTY]
+    keys[held[:, 1]] = held[:, 0]
+    return keys
 
 
 @numba.njit(cache=True)
 def _touch(
-    points: Floats, first: int, room: int, keys: Ints, looks: Rows, window: int, least: int
-) -> tuple[int, int]:
-    """Count a hit window at the voxels of points (voxel units) until done or the table is full."""
-    added = 0
+    points: Floats, first: int, blocks: int, index: Ints, used: Ints, looks: Rows, window: int, least: int
+) -> int:
+    """Count a hit window at the voxels of points (voxel units) until done or all blocks are used."""
+    last, fresh = np.int64(_EMPTY), 0
     for i in range(first, len(points)):
-        if added == room:
-            return i, added
         key = np.int64(0)
         for axis in range(3):
             key = (key << 21) | (np.int64(np.floor(points[i, axis])) + _LIMIT)
-        slot = _slot(keys, key)
-        if keys[slot] == _EMPTY:
-            keys[slot] = key
-            added += 1
-        count_return(looks, slot, window, least)
-    return len(points), added
+        if key == last:
+            continue
+        if used[0] == blocks:
+            first = i
+            break
+        last = key
+        cell = np.uint64(_first_cell(index, used, key & ~_INSIDE) + _place(key))
+        fresh += looks[cell, 0] == 0
+        count_return(looks, cell, window, least)
+    else:
+        first = len(points)
+    used[1] += fresh
+    return first
 
 
 @numba.njit(cache=True)
 def _walk(  # noqa: C901, PLR0912, PLR0915
-    starts: Floats, ends: Floats, returned: Flags, first: int, room: int,
-    keys: Ints, hits: Counts, passes: Counts, looks: Rows, window: int, least: int,
-) -> tuple[int, int]:  # fmt: skip
-    """Walk beams (voxel units) from index ``first`` until done or the table is full.
+    starts: Floats, ends: Floats, returned: Flags, first: int, blocks: int, index: Ints, used: Ints,
+    hits: Counts, passes: Counts, batch: Rows, looks: Rows, window: int, least: int, longest: int,
+) -> int:  # fmt: skip
+    """Walk beams (voxel units) from index ``first`` until done or all blocks may be used; return the next.
 
     VoxelObservations are counted where ``window`` is not 0 (:mod:`subiaco_geo.observation_times`).
 
     Amanatides and Woo (1987), with the number of steps fixed beforehand on
-    every axis, so that rounding can never walk past the end voxel. Returns
-    the next beam and the number of new entries. The keys on a beam come first, then their slots, then
-    the counts: in one loop, every wrong guess of the processor about a step would wait for the memory.
+    every axis, so that rounding can never walk past the end voxel. The keys on a beam come first, then
+    their cells: in one loop, every wrong guess of the processor about a step would wait for the memory.
+    Beams are counted in ``batch`` first, as many of them cross the same voxels.
     """
-    added = 0
-    path = np.empty(room + 1, np.int64)
+    path = np.empty(longest, np.int64)
+    met, number = np.empty(1 << 16, np.uint64), 0
+    last, hit = np.empty(min(len(starts) - first, _BATCH), np.uint64), 0
     cell, left, step = np.empty(3, np.int64), np.empty(3, np.int64), np.empty(3, np.int64)
     t_next, t_delta = np.empty(3), np.empty(3)
-    for ray in range(first, len(starts)):
-        steps = 0
+    ray, filled = first, used[0]
+    while ray < min(len(starts), first + _BATCH):
+        steps, crossed_blocks = 0, 1
         for axis in range(3):
             cell[axis] = np.int64(np.floor(starts[ray, axis]))
-            left[axis] = abs(np.int64(np.floor(ends[ray, axis])) - cell[axis])
+            end = np.int64(np.floor(ends[ray, axis]))
+            left[axis] = abs(end - cell[axis])
+            crossed_blocks += abs((end >> _BITS) - (cell[axis] >> _BITS))
             direction = ends[ray, axis] - starts[ray, axis]
             step[axis] = 1 if direction > 0 else -1
             t_next[axis] = np.inf
@@ -118,8 +144,8 @@ def _walk(  # noqa: C901, PLR0912, PLR0915
                 t_next[axis] = (edge - starts[ray, axis]) / direction
                 t_delta[axis] = abs(1.0 / direction)
             steps += left[axis]
-        if added + steps + 1 > room:
-            return ray, added
+        if filled + crossed_blocks > blocks:
+            break
         key = ((cell[0] + _LIMIT) << 42) | ((cell[1] + _LIMIT) << 21) | (cell[2] + _LIMIT)
         dx, dy, dz = step[0] << 42, step[1] << 21, step[2]
         nx, ny, nz = left
@@ -138,24 +164,92 @@ def _walk(  # noqa: C901, PLR0912, PLR0915
                 key += dz
                 nz -= 1
                 tz = tz + t_delta[2] if nz > 0 else np.inf
-        for i in range(steps + 1):
-            slot = _slot(keys, path[i])
-            if keys[slot] == _EMPTY:
-                keys[slot] = path[i]
-                added += 1
-            path[i] = slot
+        if number + steps + 1 > len(met):
+            met = np.concatenate((met, np.empty(len(met) + steps + 1, np.uint64)))
         crossed = steps if returned[ray] else steps + 1
-        for i in range(crossed):
-            slot = np.uint64(path[i])
-            passes[slot] += 1
-            if window:
-                count_passing(looks, slot, window, least)
-        if crossed == steps:
-            slot = np.uint64(path[steps])
-            hits[slot] += 1
-            if window:
-                count_return(looks, slot, window, least)
-    return len(starts), added
+        block, base = np.int64(_EMPTY), np.int64(0)
+        for i in range(steps + 1):
+            key = path[i]
+            if key & ~_INSIDE != block:
+                block = key & ~_INSIDE
+                slot = _slot(index, block)
+                if index[slot, 0] == _EMPTY:
+                    index[slot, 0], index[slot, 1] = block, filled
+                    filled += 1
+                base = index[slot, 1] * _CELLS
+            at = np.uint64(base + _place(key))
+            if i < crossed:
+                met[number] = at
+                number += batch[at] == 0
+                batch[at] += 1
+            else:
+                last[hit] = at
+                hit += 1
+        ray += 1
+    used[0] = filled
+    used[1] += _count_passes(met[:number], hits, passes, batch, looks, window, least)
+    used[1] += _count_returns(last[:hit], hits, passes, looks, window, least)
+    return ray
+
+
+@numba.njit(cache=True)
+def _count_passes(
+    met: Places, hits: Counts, passes: Counts, batch: Rows, looks: Rows, window: int, least: int
+) -> int:
+    """Count the beams of a batch that went through cells; return how many cells are new."""
+    fresh = 0
+    for at in met:
+        new = (hits[at] | passes[at]) == 0
+        passes[at] += batch[at]
+        if window:
+            new &= looks[at, 0] == 0
+            count_passing(looks, at, window, least, np.int64(batch[at]))
+        batch[at] = 0
+        fresh += new
+    return fresh
+
+
+@numba.njit(cache=True)
+def _count_returns(last: Places, hits: Counts, passes: Counts, looks: Rows, window: int, least: int) -> int:
+    """Count the beams that returned from cells; return how many cells are new."""
+    fresh = 0
+    for at in last:
+        new = (hits[at] | passes[at]) == 0
+        hits[at] += 1
+        if window:
+            new &= looks[at, 0] == 0
+            count_return(looks, at, window, least)
+        fresh += new
+    return fresh
+
+
+@numba.njit(cache=True)
+def _collect(index: Ints, used: Ints, hits: Counts, passes: Counts, looks: Rows, timed: bool) -> Ints:
+    """Return keys and cells (2, N) of the voxels at which something was counted."""
+    found, n = np.empty((2, used[1]), np.int64), 0
+    for slot in range(len(index)):
+        if index[slot, 0] == _EMPTY:
+            continue
+        for place in range(_CELLS):
+            cell = index[slot, 1] * _CELLS + place
+            if (hits[cell] | passes[cell]) > 0 or (timed and looks[cell, 0] > 0):
+                found[0, n] = (
+                    index[slot, 0]
+                    | (place >> 2 * _BITS) << 42
+                    | ((place >> _BITS) & _LAST) << 21
+                    | place & _LAST
+                )
+                found[1, n] = cell
+                n += 1
+    return found
+
+
+@numba.njit(cache=True)
+def _put(keys: Ints, rows: Rows, index: Ints, used: Ints, looks: Rows) -> None:
+    """Write the looks of voxels, none of them there yet; there must be room."""
+    for i in range(len(keys)):
+        looks[_first_cell(index, used, keys[i] & ~_INSIDE) + _place(keys[i]), : rows.shape[1]] = rows[i]
+    used[1] += len(keys)
 
 
 def _aligned(size: int, kind: np.dtype[Any]) -> NDArray[Any]:
@@ -163,6 +257,17 @@ def _aligned(size: int, kind: np.dtype[Any]) -> NDArray[Any]:
     raw = np.zeros(size * kind.itemsize + _CACHE_LINE, dtype=np.uint8)
     first = -raw.ctypes.data % _CACHE_LINE
     return np.asarray(raw[first : first + size * kind.itemsize].view(kind))
+
+
+@numba.njit(cache=True)
+def _units(points: Floats, origin: Floats, voxel: float, limit: int) -> tuple[Floats, bool]:
+    """Return points (N, 3) in voxel units, and whether all are within a limit; NaN is not."""
+    units, near = np.empty(points.shape), True
+    for i in range(len(points)):
+        for axis in range(3):
+            units[i, axis] = (points[i, axis] - origin[axis]) / voxel
+            near &= abs(units[i, axis]) < limit
+    return units, near
 
 
 def _beams(starts: Floats, ends: Floats, origin: Floats, voxel: float) -> tuple[Floats, Floats]:
@@ -174,8 +279,8 @@ def _beams(starts: Floats, ends: Floats, origin: Floats, voxel: float) -> tuple[
 
 def _in_voxels(name: str, points: Floats, origin: Floats, voxel: float) -> Floats:
     """Put points (N, 3) [m, world] in voxel units; ``name`` them where they cannot be counted."""
-    units = np.ascontiguousarray((points - origin) / voxel)
-    if not np.abs(units).max(initial=0.0) < _LIMIT - 1:  # NaN neither
+    units, near = _units(points, origin, voxel, _LIMIT - 1)
+    if not near:
         if not np.isfinite(units).all():
             raise InputError(f"beam {name} hold NaN or infinite coordinates; drop them first")
         raise InputError(
@@ -185,7 +290,10 @@ def _in_voxels(name: str, points: Floats, origin: Floats, voxel: float) -> Float
 
 
 class VisibilityAccumulator:
-    """Counts hits and passes of many batches of beams in one growing hash table.
+    """Counts hits and passes of many batches of beams in blocks of voxels that a growing hash table finds.
+
+    All of a voxel lies side by side, and so do the voxels of a block: what a beam and its neighbours count
+    stays in the caches.
 
     Parameters
     ----------
@@ -205,29 +313,37 @@ class VisibilityAccumulator:
         self.origin = np.asarray(origin, dtype=np.float64)
         self.voxel = float(voxel)
         self._least = least_beams
-        self._used = 0
-        self._allocate(1 << int(np.ceil(np.log2(max(capacity, 1024)))))
+        self._used = np.zeros(2, dtype=np.int64)  # blocks and voxels
+        self._allocate(1 << int(np.ceil(np.log2(max(capacity // _CELLS, 16)))))
 
     def __len__(self) -> int:
         """Return the number of voxels seen so far."""
-        return self._used
+        return int(self._used[1])
 
-    def _allocate(self, size: int) -> None:
-        """Make an empty table; all of a voxel lies side by side, so that a step reads one place."""
-        table = _aligned(size, _CELL if self._least == 0 else _TIMED_CELL)
-        self._keys: Ints = table["key"]
-        self._hits: Counts = table["hits"]
-        self._passes: Counts = table["passes"]
-        self._keys.fill(_EMPTY)
-        looks = table["looks"] if self._least else np.zeros((1, 2 * COLUMNS), dtype=np.uint16)[:, ::2]
+    @property
+    def cells(self) -> int:
+        """Voxels of the blocks in use: what takes memory."""
+        return int(self._used[0]) * _CELLS
+
+    def _allocate(self, blocks: int) -> None:
+        """Make room for blocks, a power of two; their table stays half empty."""
+        self._cells = _aligned(blocks * _CELLS, _CELL if self._least == 0 else _TIMED_CELL)
+        self._hits: Counts = self._cells["hits"]
+        self._passes: Counts = self._cells["passes"]
+        looks = self._cells["looks"] if self._least else np.zeros((1, 2 * COLUMNS), dtype=np.uint16)[:, ::2]
         self._looks: Rows = looks[:, :COLUMNS]
+        self._batch = np.zeros(len(self._cells), dtype=np.uint16)
+        self._index = np.full((2 * blocks, 2), _EMPTY, dtype=np.int64)
 
-    def _grow(self, size: int) -> None:
-        old, looks = (self._keys, self._hits, self._passes), self._looks
-        self._allocate(size)
-        _reinsert(*old, self._keys, self._hits, self._passes)
-        if self._least:
-            _move_looks(old[0], looks, self._keys, self._looks)
+    @property
+    def _blocks(self) -> int:
+        return len(self._cells) // _CELLS
+
+    def _grow(self, blocks: int) -> None:
+        cells, index = self._cells, self._index
+        self._allocate(1 << int(np.ceil(np.log2(blocks))))
+        self._cells[: self.cells] = cells[: self.cells]
+        _enter(_in_order(index, int(self._used[0])), self._index)
 
     def touch(self, points: Floats, window: int) -> None:
         """Count a window in which something returned from the voxels of points (N, 3) [m, world].
@@ -235,15 +351,16 @@ class VisibilityAccumulator:
         Beams that are not traced are counted here too. ``window`` is its number, 1 or more; windows come
         in order.
         """
+        self._require_time(timed=True)
         units = _in_voxels("starts", points, self.origin, self.voxel)
         done = 0
-        while done < len(units):
-            room = int(_MAX_LOAD * len(self._keys)) - self._used
-            if room < 1:
-                self._grow(2 * len(self._keys))
-                continue
-            done, added = _touch(units, done, room, self._keys, self._looks, window, self._least)
-            self._used += added
+        while True:
+            done = _touch(
+                units, done, self._blocks, self._index, self._used, self._looks, window, self._least
+            )
+            if done == len(units):
+                return
+            self._grow(2 * self._blocks)
 
     def add(self, starts: Floats, ends: Floats, returned: Flags | None = None, window: int = 0) -> None:
         """Walk beams.
@@ -260,54 +377,62 @@ class VisibilityAccumulator:
         window : int
             Number of the time window, 1 or more, for an accumulator that keeps time.
         """
-        if window and not self._least:
-            raise InputError("this accumulator keeps no time; give it least_beams")
+        self._require_time(window > 0)
         first_cell, last_cell = _beams(starts, ends, self.origin, self.voxel)
         flags = np.ones(len(starts), dtype=np.bool_) if returned is None else returned
         longest = int(np.abs(last_cell - first_cell).sum(axis=1).max(initial=0.0)) + 7
         ray = 0
         while ray < len(starts):
-            room = int(_MAX_LOAD * len(self._keys)) - self._used
-            if room < longest:
-                self._grow(2 * len(self._keys))
-                continue
-            ray, added = _walk(
-                first_cell, last_cell, flags, ray, room, self._keys, self._hits, self._passes,
-                self._looks, window, self._least,
+            ray = _walk(
+                first_cell, last_cell, flags, ray, self._blocks, self._index, self._used,
+                self._hits, self._passes, self._batch, self._looks, window, self._least, longest,
             )  # fmt: skip
-            self._used += added
+            if self._used[0] + longest > self._blocks:
+                self._grow(self._blocks + max(self._blocks, longest))
+
+    def _require_time(self, timed: bool) -> None:
+        if timed and not self._least:
+            raise InputError("this accumulator keeps no time; give it least_beams")
+        if self._least and not timed:
+            raise InputError("this accumulator keeps time; give the window of the beams, 1 or more")
 
     def pending(self, window: int, shift: int) -> VisibilityAccumulator:
         """Return an accumulator that goes on from here and holds only beams of incomplete observations.
 
         ``window`` is the number of the next window; from there on windows are numbered ``shift`` less.
         """
-        used = np.flatnonzero(self._keys != _EMPTY)
-        kept, rows = pending_rows(self._looks[used], self._least, window, shift)
-        keys, none = self._keys[used[kept]], np.zeros(len(kept), dtype=np.uint32)
+        keys, cells = self._collected()
+        kept, rows = pending_rows(self._looks[cells], self._least, window, shift)
+        blocks = len(np.unique(keys[kept] & ~_INSIDE))
         fresh = VisibilityAccumulator(
-            self.origin, self.voxel, max(1 << 18, int(len(kept) / _MAX_LOAD) + 1), self._least
+            self.origin, self.voxel, max(len(self._cells), blocks * _CELLS), self._least
         )
-        _reinsert(keys, none, none, fresh._keys, fresh._hits, fresh._passes)
-        _move_looks(keys, rows, fresh._keys, fresh._looks)
-        fresh._used = len(kept)
+        _put(keys[kept], rows, fresh._index, fresh._used, fresh._looks)
         return fresh
 
     def grid(self) -> VisibilityGrid:
         """Return what was counted so far."""
-        order = self._order()
-        return VisibilityGrid(
-            self.origin, self.voxel, self._keys[order], self._hits[order], self._passes[order]
-        )
+        return self._grid(*self._ordered())
 
     def looks(self) -> VoxelObservations:
         """Return the looks at every voxel, in the order of :meth:`grid`."""
-        return looks_of(self._looks[self._order()], self._least)
+        return looks_of(self._looks[self._ordered()[1]], self._least)
 
-    def _order(self) -> Ints:
-        """Return the slots of the voxels seen so far, by key."""
-        used = np.flatnonzero(self._keys != _EMPTY)
-        return np.asarray(used[stable_order(self._keys[used])])
+    def grid_and_looks(self) -> tuple[VisibilityGrid, VoxelObservations]:
+        """Return :meth:`grid` and :meth:`looks`, the order of the voxels found once."""
+        keys, cells = self._ordered()
+        return self._grid(keys, cells), looks_of(self._looks[cells], self._least)
+
+    def _grid(self, keys: Ints, cells: Ints) -> VisibilityGrid:
+        return VisibilityGrid(self.origin, self.voxel, keys, self._hits[cells], self._passes[cells])
+
+    def _collected(self) -> Ints:
+        return _collect(self._index, self._used, self._hits, self._passes, self._looks, self._least > 0)
+
+    def _ordered(self) -> Ints:
+        """Return keys and cells (2, N) of the voxels seen so far, by key."""
+        found = self._collected()
+        return np.asarray(found[:, stable_order(found[0])])
 
 
 def accumulate_visibility(

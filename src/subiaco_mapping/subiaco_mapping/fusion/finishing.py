@@ -142,8 +142,10 @@ class MapFusion:
             self._density.add(scan, in_map, stamp_ns or 0, source)
         if self._scans % _SHOWN == 0:  # of several sensors the coarsest counts
             self._spacing = max(self._spacing, beam_spacing(scan.xyz, self._config.outlier_neighbours))
-        near, last = (within(found, self._config.max_range) for found in (scan.xyz, scan.last_xyz))
-        xyz = transform_points(in_map, scan.xyz[near])
+        near, last = (
+            np.flatnonzero(within(found, self._config.max_range)) for found in (scan.xyz, scan.last_xyz)
+        )
+        xyz = transform_points(in_map, scan.xyz.take(near, axis=0))  # faster than by a mask
         self._first.add(xyz, scan.intensity[near], eye)
         self._last.add(transform_points(in_map, scan.last_xyz[last]), scan.last_intensity[last], eye)
         beams, returned = visibility_beams(scan, pose, self._config, self._scans)

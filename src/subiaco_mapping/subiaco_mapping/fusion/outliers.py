@@ -8,11 +8,13 @@ the far ground.
 
 from __future__ import annotations
 
+import numba
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from subiaco_geo.frames import Floats
+from subiaco_geo.clouds import extent_of, stable_order, voxel_indices, voxel_keys
+from subiaco_geo.frames import Floats, Ints
 from subiaco_mapping.fusion.config import FusionConfig
 from subiaco_mapping.method_numbers import NUMBERS
 
@@ -54,5 +56,39 @@ def isolated_points(
     near = np.maximum(config.outlier_spacings * spacing * reach, 2 * config.leaf)
     near = np.minimum(near, config.tile_overlap)  # no farther than a tile sees
     bound = np.nextafter(near.max(), np.inf)
-    farthest, _ = cKDTree(xyz).query(xyz, k=[neighbours + 1], distance_upper_bound=bound, workers=threads)
-    return np.asarray(farthest[:, 0] > near)
+    isolated = ~_surrounded(xyz, near, neighbours, 2 * config.leaf)
+    ask = np.flatnonzero(isolated)
+    tree = cKDTree(xyz, balanced_tree=False, compact_nodes=False)  # for few questions
+    farthest, _ = tree.query(xyz[ask], k=[neighbours + 1], distance_upper_bound=bound, workers=threads)
+    isolated[ask] = farthest[:, 0] > near[ask]
+    return isolated
+
+
+def _surrounded(xyz: Floats, near: Floats, enough: int, edge: float) -> NDArray[np.bool_]:
+    """Tell which points (N, 3) have enough others within a distance (N,), in the cells around theirs.
+
+    Most points of a map have, and are found without a tree.
+    """
+    keys = voxel_keys(voxel_indices(xyz - extent_of(xyz)[0], edge))
+    order = stable_order(keys)
+    surrounded = np.empty(len(xyz), dtype=np.bool_)
+    surrounded[order] = _near_in_cells(keys[order], xyz[order], near[order], enough) >= enough
+    return surrounded
+
+
+@numba.njit(cache=True)
+def _near_in_cells(keys: Ints, xyz: Floats, near: Floats, enough: int) -> Ints:
+    """Count the others (N,) of sorted points within a distance (N,) in the 27 cells around, up to enough."""
+    count = np.zeros(len(keys), dtype=np.int64)
+    for column in (4, 0, 1, 2, 3, 5, 6, 7, 8):  # their own first: it suffices for most
+        step, first = ((column // 3 - 1) << 42) + ((column % 3 - 1) << 21), 0
+        for i in range(len(keys)):
+            low = keys[i] + step - 1
+            while first < len(keys) and keys[first] < low:
+                first += 1
+            j = first
+            while count[i] < enough and j < len(keys) and keys[j] <= low + 2:
+                dx, dy, dz = xyz[i, 0] - xyz[j, 0], xyz[i, 1] - xyz[j, 1], xyz[i, 2] - xyz[j, 2]
+                count[i] += j != i and np.sqrt(dx * dx + dy * dy + dz * dz) <= near[i]
+                j += 1
+    return count

@@ -21,69 +21,64 @@ from subiaco_mapping.fusion.outliers import isolated_points
 _EMPTY = -1
 _LIMIT = 1 << 20
 _COLUMNS = 14
-_MAX_LOAD = 0.6
-
-
-@numba.njit(cache=True, inline="always")
-def _slot(keys, key):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Return the slot of a key in an open-addressing table, or the empty slot for it."""
-    mask = np.uint64(len(keys) - 1)
-    mixed = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
-    slot = (mixed ^ (mixed >> np.uint64(32))) & mask
-    while keys[slot] != key and keys[slot] != _EMPTY:
-        slot = (slot + np.uint64(1)) & mask
-    return slot
+_PART = 1 << 14  # points that are added at a time
 
 
 @numba.njit(cache=True)
-def _accumulate(xyz, intensity, sensor, leaf, keys, counts, sums):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Add points to their voxels; the table must have room. Returns the number of new voxels.
+def _slot(index: Ints, key: int) -> int:
+    """Return the slot of a key in an open-addressing table of keys and rows, or the empty slot for it."""
+    mask = np.uint64(len(index) - 1)
+    mixed = np.uint64(key) * np.uint64(0x9E3779B97F4A7C15)
+    slot = (mixed ^ (mixed >> np.uint64(32))) & mask
+    while index[slot, 0] != key and index[slot, 0] != _EMPTY:
+        slot = (slot + np.uint64(1)) & mask
+    return slot  # type: ignore[return-value]
+
+
+@numba.njit(cache=True)
+def _enter(keys: Ints, index: Ints) -> None:
+    """Fill an empty table with keys (N,), each once, and their rows."""
+    for number in range(len(keys)):
+        slot = _slot(index, keys[number])
+        index[slot, 0], index[slot, 1] = keys[number], number
+
+
+@numba.njit(cache=True)
+def _accumulate(xyz, intensity, sensor, leaf, index, keys, counts, sums, used):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
+    """Add points to their voxels, new ones in the next free rows. Returns the number of voxels.
 
     Columns of ``sums``: offset from the voxel centre (3), its products xx xy xz yy yz zz (6),
     intensity, direction to the sensor (3), distance from it.
     """
-    added = 0
+    sx, sy, sz = sensor
     for i in range(len(xyz)):
-        key = np.int64(0)
-        for axis in range(3):
-            key = (key << 21) | (np.int64(np.floor(xyz[i, axis] / leaf)) + _LIMIT)
-        slot = _slot(keys, key)
-        if keys[slot] == _EMPTY:
-            keys[slot] = key
-            added += 1
-        dx = xyz[i, 0] - (np.floor(xyz[i, 0] / leaf) + 0.5) * leaf
-        dy = xyz[i, 1] - (np.floor(xyz[i, 1] / leaf) + 0.5) * leaf
-        dz = xyz[i, 2] - (np.floor(xyz[i, 2] / leaf) + 0.5) * leaf
-        vx, vy, vz = sensor[0] - xyz[i, 0], sensor[1] - xyz[i, 1], sensor[2] - xyz[i, 2]
+        x, y, z = xyz[i, 0], xyz[i, 1], xyz[i, 2]
+        cx, cy, cz = np.floor(x / leaf), np.floor(y / leaf), np.floor(z / leaf)
+        key = ((np.int64(cx) + _LIMIT) << 42) | ((np.int64(cy) + _LIMIT) << 21) | (np.int64(cz) + _LIMIT)
+        slot = _slot(index, key)
+        if index[slot, 0] == _EMPTY:
+            index[slot, 0], index[slot, 1], keys[used] = key, used, key
+            used += 1
+        row = index[slot, 1]
+        dx, dy, dz = x - (cx + 0.5) * leaf, y - (cy + 0.5) * leaf, z - (cz + 0.5) * leaf
+        vx, vy, vz = sx - x, sy - y, sz - z
         reach = max(np.sqrt(vx * vx + vy * vy + vz * vz), 1e-6)
-        row = sums[slot]
-        row[0] += dx
-        row[1] += dy
-        row[2] += dz
-        row[3] += dx * dx
-        row[4] += dx * dy
-        row[5] += dx * dz
-        row[6] += dy * dy
-        row[7] += dy * dz
-        row[8] += dz * dz
-        row[9] += intensity[i]
-        row[10] += vx / reach
-        row[11] += vy / reach
-        row[12] += vz / reach
-        row[13] += reach
-        counts[slot] += 1
-    return added
-
-
-@numba.njit(cache=True)
-def _reinsert(old_keys, old_counts, old_sums, keys, counts, sums):  # type: ignore[no-untyped-def]  # noqa: ANN001, ANN202
-    """Copy every entry of one table into a larger, empty one."""
-    for i in range(len(old_keys)):
-        if old_keys[i] != _EMPTY:
-            slot = _slot(keys, old_keys[i])
-            keys[slot] = old_keys[i]
-            counts[slot] = old_counts[i]
-            sums[slot] = old_sums[i]
+        sums[row, 0] += dx
+        sums[row, 1] += dy
+        sums[row, 2] += dz
+        sums[row, 3] += dx * dx
+        sums[row, 4] += dx * dy
+        sums[row, 5] += dx * dz
+        sums[row, 6] += dy * dy
+        sums[row, 7] += dy * dz
+        sums[row, 8] += dz * dz
+        sums[row, 9] += intensity[i]
+        sums[row, 10] += vx / reach
+        sums[row, 11] += vy / reach
+        sums[row, 12] += vz / reach
+        sums[row, 13] += reach
+        counts[row] += 1
+    return used
 
 
 @dataclass(frozen=True)
@@ -129,20 +124,28 @@ class VoxelStatistics:
 
 
 class VoxelAccumulator:
-    """Streaming sums of points per voxel in one growing hash table."""
+    """Streaming sums of points per voxel: rows in the order of the first points, which a hash table finds."""
 
     def __init__(self, leaf: float, capacity: int = 1 << 16) -> None:
         self.leaf = leaf
         self._used = 0
-        self._allocate(1 << int(np.ceil(np.log2(max(capacity, 1024)))))
+        self._keys = np.zeros(0, dtype=np.int64)
+        self._counts = np.zeros(0, dtype=np.uint32)
+        self._sums = np.zeros((0, _COLUMNS))
+        self._grow(1 << int(np.ceil(np.log2(max(capacity, 1024)))))
 
     def __len__(self) -> int:
         return self._used
 
-    def _allocate(self, size: int) -> None:
-        self._keys = np.full(size, _EMPTY, dtype=np.int64)
-        self._counts = np.zeros(size, dtype=np.uint32)
-        self._sums = np.zeros((size, _COLUMNS))
+    def _grow(self, size: int) -> None:
+        """Make room for more voxels, a power of two; the table stays half empty."""
+        for name in ("_keys", "_counts", "_sums"):
+            old = getattr(self, name)
+            rows = np.zeros((size, *old.shape[1:]), dtype=old.dtype)
+            rows[: self._used] = old[: self._used]
+            setattr(self, name, rows)
+        self._index = np.full((2 * size, 2), _EMPTY, dtype=np.int64)
+        _enter(self._keys[: self._used], self._index)
 
     def add(self, xyz: Floats, intensity: NDArray[np.float32], sensor: Floats) -> None:
         """Add points (N, 3) [m] seen from a sensor position (3,)."""
@@ -150,27 +153,25 @@ class VoxelAccumulator:
             return
         if not np.abs(xyz).max() < self.leaf * (_LIMIT - 1):  # NaN neither
             raise InputError("fused map: points are not finite or too far from the local origin")
-        for start in range(0, len(xyz), 1 << 14):
-            part = slice(start, start + (1 << 14))
-            while self._used + (1 << 14) > _MAX_LOAD * len(self._keys):
-                old = self._keys, self._counts, self._sums
-                self._allocate(2 * len(self._keys))
-                _reinsert(*old, self._keys, self._counts, self._sums)
-            self._used += _accumulate(
-                xyz[part], intensity[part], sensor, self.leaf, self._keys, self._counts, self._sums
-            )
+        for start in range(0, len(xyz), _PART):
+            part = slice(start, start + _PART)
+            while self._used + _PART > len(self._keys):
+                self._grow(2 * len(self._keys))
+            self._used = _accumulate(
+                xyz[part], intensity[part], sensor, self.leaf, self._index, self._keys, self._counts,
+                self._sums, self._used,
+            )  # fmt: skip
 
     def sums(self) -> tuple[Ints, NDArray[np.uint32], Floats]:
         """Return keys (V,), sorted, counts (V,) and sums (V, 14) gathered so far."""
-        used = np.flatnonzero(self._keys != _EMPTY)
-        order = used[stable_order(self._keys[used])]
+        order = stable_order(self._keys[: self._used])
         return self._keys[order], self._counts[order], self._sums[order]
 
     def clear(self) -> None:
         """Forget everything; the table keeps its size."""
-        self._keys.fill(_EMPTY)
-        self._counts.fill(0)
-        self._sums.fill(0.0)
+        self._index.fill(_EMPTY)
+        self._counts[: self._used] = 0
+        self._sums[: self._used] = 0.0
         self._used = 0
 
     def statistics(self) -> VoxelStatistics:

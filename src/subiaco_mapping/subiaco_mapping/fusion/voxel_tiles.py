@@ -11,7 +11,7 @@ from typing import Any, Generic, TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from subiaco_geo.clouds import unpack_voxel_keys
+from subiaco_geo.clouds import stable_order, unpack_voxel_columns
 from subiaco_geo.frames import Floats, Ints
 from subiaco_geo.observation_times import (
     COLUMNS,
@@ -27,6 +27,7 @@ from subiaco_mapping.fusion.voxel_fusion import VoxelAccumulator, VoxelStatistic
 
 _SHIFT = 21
 _REACH = 1 << 20
+_ROOM = 1 << 22  # first size of a visibility layer [voxels]; what is not used of it takes no memory
 _NEAR_TILES = 12  # tiles kept at hand: one with its neighbours, and some
 
 Rows = NDArray[Any]
@@ -52,7 +53,7 @@ def tile_corner(tile: int, edge: int) -> Ints:
 
 def _grouped(keys: Ints) -> tuple[Ints, Ints, Ints]:
     """Return the sorted keys, each once, where each begins, and the order; equal ones keep theirs."""
-    order = np.argsort(keys, kind="stable")
+    order = stable_order(keys)
     ranked = keys[order]
     starts = np.flatnonzero(np.concatenate([[True], ranked[1:] != ranked[:-1]]))
     return ranked[starts], starts, order
@@ -87,10 +88,8 @@ class TileRuns:
 
     def append(self, keys: Ints, columns: list[Rows]) -> None:
         """Write a run: keys (N,), each once, and columns (N, ...)."""
-        tile = tile_numbers(unpack_voxel_keys(keys), self.edge)
-        order = np.argsort(tile, kind="stable")
-        found, starts = np.unique(tile[order], return_index=True)
-        ends = np.append(starts[1:], len(tile))
+        found, starts, order = _grouped(tile_numbers(unpack_voxel_columns(keys), self.edge))
+        ends = np.append(starts[1:], len(keys))
         mapped = []
         for number, rows in enumerate([keys, *columns]):
             path = self._folder / f"{len(self._runs):05d}_{number}.npy"
@@ -184,7 +183,8 @@ class VisibilityTiles:
         self._base, self._window = 0, 0
 
     def _empty(self) -> VisibilityAccumulator:
-        return VisibilityAccumulator(self._origin, self._voxel, least_beams=self._least)
+        room = min(2 * self._most, _ROOM)
+        return VisibilityAccumulator(self._origin, self._voxel, room, self._least)
 
     def add(
         self, starts: Floats, ends: Floats, returned: NDArray[np.bool_], hits: Floats, window: int
@@ -196,7 +196,8 @@ class VisibilityTiles:
         """
         if window != self._window:
             reached = 0 < window - self._base < WINDOWS
-            if not reached or len(self._active) >= self._most:
+            full = len(self._active) >= self._most or self._active.cells >= 2 * self._most
+            if full or not reached:
                 self._go_on(window)
             self._window = window
         self._active.touch(hits, window - self._base)
@@ -212,9 +213,9 @@ class VisibilityTiles:
 
     def flush(self) -> None:
         """Write what is in memory."""
-        grid = self._active.grid()
-        if len(grid.keys):
-            looks = self._active.looks().later(self._base)
+        if len(self._active):
+            grid, looks = self._active.grid_and_looks()
+            looks = looks.later(self._base)
             self._runs.append(grid.keys, [grid.hits, grid.passes, *looks.columns()])
             self._active = self._empty()
 
