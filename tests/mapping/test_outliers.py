@@ -67,3 +67,14 @@ def test_without_neighbours_asked_for_all_stay() -> None:
     config = CONFIG.model_copy(update={"outlier_neighbours": 0})
     assert not isolated_points(drops, drops[:, 0], STEP, config).any()
     assert isolated_points(drops, drops[:, 0], STEP, CONFIG).all()
+
+
+@given(seed=st.integers(0, 2**32 - 1), size=st.floats(0.5, 30.0), count=st.integers(1, 300))
+def test_the_cells_around_tell_what_the_distances_to_all_others_tell(seed, size, count) -> None:
+    rng = np.random.default_rng(seed)
+    xyz = rng.uniform(-size, size, (count, 3)) * (1.0, 1.0, 0.2)
+    reach = np.linalg.norm(xyz, axis=1)
+    near = np.clip(CONFIG.outlier_spacings * STEP * reach, 2 * CONFIG.leaf, CONFIG.tile_overlap)
+    others = np.linalg.norm(xyz[:, None] - xyz, axis=2) <= near[:, None]
+    few = others.sum(axis=1) - 1 < CONFIG.outlier_neighbours
+    assert np.array_equal(isolated(xyz), few)
