@@ -2,7 +2,7 @@
 
 import numpy as np
 import pytest
-from scenes import Scene, ground_z
+from scenes import Scene, car, ground_z
 from scipy.spatial import cKDTree
 
 from subiaco_change.segmentation.classes import SemanticsConfig, label_points
@@ -45,6 +45,14 @@ def test_a_stiff_piece_of_a_hedge_is_no_car_though_it_has_the_size_of_one():
     stiff = hedge(rng, (8.0, 0.0), 3.6, 0.02)
     rest = [hedge(rng, (x, 0.0), 4.0, 0.09) for x in (4.1, 11.9)]
     assert (labels_of(stiff, *rest) == Semantic.MOBILE).mean() < 0.1
+
+
+def test_a_bush_at_its_corner_makes_no_plant_of_a_car():
+    bush = np.random.default_rng(2).normal((10.9, 0.9, 0.84), (0.35, 0.35, 0.3), (600, 3))
+    parked = car(np.random.default_rng(3), 8.0, 0.0)
+    assert (labels_of(parked) == Semantic.MOBILE).all()
+    assert (labels_of(parked, bush) == Semantic.MOBILE).mean() > 0.75
+    assert (labels_of(bush, parked) == Semantic.VEGETATION).mean() > 0.8
 
 
 def test_a_clipped_hedge_higher_than_a_facade_is_a_plant():

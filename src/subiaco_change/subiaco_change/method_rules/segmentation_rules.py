@@ -201,6 +201,12 @@ SEGMENTATION_RULES: tuple[Rule, ...] = (
         ("semantics.vehicles.overhang", "semantics.vehicles.top_band"),
     ),
     Rule(
+        "edges_of_vehicles",
+        _HERE,
+        "Rough points in the box around the smooth points of a vehicle are its edges, not leaves.",
+        ("semantics.vehicles.edge",),
+    ),
+    Rule(
         "screens",
         _HERE,
         "An upright outline that hardly fills its rectangle and reaches the ground is a fence, no vehicle.",

@@ -3,21 +3,35 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
-from subiaco_geo.clouds import extent_of
+from subiaco_geo.clouds import extent_of, within_box
 from subiaco_geo.frames import Floats
+
+
+def _box(xy: Floats) -> tuple[Floats, Floats]:
+    """Coordinates (N, 2) of points along the sides of their smallest rectangle, and its axes (2, 2)."""
+    angles = np.radians(np.arange(0, 90, 3.0))
+    centred = xy - xy.mean(axis=0)
+    towards = [np.stack([np.cos(angles), np.sin(angles)]), np.stack([-np.sin(angles), np.cos(angles)])]
+    u, v = centred @ towards[0], centred @ towards[1]
+    sides = np.stack([np.ptp(u, axis=0), np.ptp(v, axis=0)])
+    best = int(np.argmin(sides[0] * sides[1]))
+    order = [0, 1] if sides[0, best] >= sides[1, best] else [1, 0]
+    along, axes = ([pair[i][:, best] for i in order] for pair in ((u, v), towards))
+    return np.stack(along, axis=1), np.stack(axes, axis=1)
 
 
 def box_coordinates(xy: Floats) -> Floats:
     """Turn points (N, 2) to the long and short side of their smallest rectangle, tried every 3 deg."""
-    angles = np.radians(np.arange(0, 90, 3.0))
-    centred = xy - xy.mean(axis=0)
-    u = centred @ np.stack([np.cos(angles), np.sin(angles)])
-    v = centred @ np.stack([-np.sin(angles), np.cos(angles)])
-    sides = np.stack([np.ptp(u, axis=0), np.ptp(v, axis=0)])
-    best = int(np.argmin(sides[0] * sides[1]))
-    pair = (u, v) if sides[0, best] >= sides[1, best] else (v, u)
-    return np.stack([axis[:, best] for axis in pair], axis=1)
+    return _box(xy)[0]
+
+
+def in_box_of(points: Floats, places: Floats, margin: float) -> NDArray[np.bool_]:
+    """Tell which places (M, 2) lie in the smallest rectangle of points (N, 2), wider by a margin [m]."""
+    turned, axes = _box(points)
+    low, high = extent_of(turned)
+    return within_box((places - points.mean(axis=0)) @ axes, low - margin, high + margin)
 
 
 def box_sides(xy: Floats) -> tuple[float, float]:

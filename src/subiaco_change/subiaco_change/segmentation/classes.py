@@ -28,7 +28,7 @@ from subiaco_change.segmentation.ground_model import GroundConfig, GroundModel, 
 from subiaco_change.segmentation.raised_surfaces import RaisedConfig, RaisedSurfaces, find_raised
 from subiaco_change.segmentation.superpoints import SuperpointConfig, partition
 from subiaco_change.segmentation.trail_raster import TrailShapeConfig
-from subiaco_change.segmentation.vehicles import free_boxes, ground_boxes, release_false_vehicles
+from subiaco_change.segmentation.vehicles import free_boxes, ground_boxes, release_false_vehicles, with_edges
 from subiaco_change.segmentation.wires_and_poles import LineConfig, find_lines
 from subiaco_geo.clouds import PointCloud, sort_spatially
 from subiaco_geo.codes import Semantic
@@ -250,6 +250,7 @@ def _classify(
     semantic[rest] = _split_rest(xyz[rest], height[rest], foliage[rest], upright[rest], config)
     level = np.abs(features.normals[:, 2]) > config.level
     semantic = release_false_vehicles(xyz, height, foliage, semantic, moving, level, config.vehicles)
+    semantic = with_edges(xyz, height, semantic, moving, config.vehicles)
     return semantic, moving, trucks & (semantic == Semantic.MOBILE)
 
 

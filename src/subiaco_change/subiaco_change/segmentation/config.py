@@ -256,6 +256,7 @@ class VehicleConfig(StrictModel):
     mobile_length: float = Field(
         5.5, gt=0, description="Longest length of a vehicle that is no truck [m] (paper: 5 m)"
     )
+    car_length: float = Field(3.2, gt=0, description="Smallest length of a car [m]")
     mobile_height: float = Field(
         3.0, gt=0, description="Largest height above ground of a vehicle that is no truck [m] (paper)"
     )
@@ -283,6 +284,12 @@ class VehicleConfig(StrictModel):
         description="Edge of the cells, seen from above, in which points of one vehicle are connected [m]",
     )
     rows: RowConfig = RowConfig()
+    edge: float = Field(
+        0.3,
+        ge=0,
+        description="Distance from the box around the points of a vehicle up to which rough points are its "
+        "edges [m]",
+    )
     mobile_volume: float = Field(
         60.0,
         gt=0,

@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
+from subiaco_change.geometry import in_box_around
 from subiaco_change.method_rules.switches import applies, never, switchable
 from subiaco_change.quantiles import quantile_of
-from subiaco_change.segmentation.bounding_rectangles import box_coordinates, box_sides
+from subiaco_change.segmentation.bounding_rectangles import box_coordinates, box_sides, in_box_of
 from subiaco_change.segmentation.clustering import cell_clusters, group_indices, voxel_clusters
 from subiaco_change.segmentation.config import VehicleConfig
 from subiaco_change.segmentation.ground_model import Mask
@@ -169,7 +170,10 @@ def _is_side_of_car(xyz: Floats, height: Floats, hard: float, config: VehicleCon
     sides = box_coordinates(xyz[:, :2])
     length, width = np.ptp(sides, axis=0).tolist()
     top, low = quantile_of(height, 0.98), quantile_of(height, 0.02)
-    if not (3.2 < length < config.mobile_length and config.side_lean < width <= config.mobile_min_width):
+    if not (
+        config.car_length < length < config.mobile_length
+        and config.side_lean < width <= config.mobile_min_width
+    ):
         return False
     if hard < config.side_hard or low > 0.6 or not 1.2 < top < 2.2:
         return False
@@ -207,6 +211,37 @@ def release_false_vehicles(
             leafy = foliage[mine].mean() > config.leafy
             settled[mine] = Semantic.VEGETATION if leafy else beside[number]
     return settled
+
+
+def _classes_as_they_are(
+    _: Floats, __: Floats, semantic: NDArray[np.uint8], *___: object
+) -> NDArray[np.uint8]:
+    """Return the classes as they are."""
+    return semantic
+
+
+@switchable("edges_of_vehicles", _classes_as_they_are)
+def with_edges(
+    xyz: Floats, height: Floats, semantic: NDArray[np.uint8], moving: Mask, config: VehicleConfig
+) -> NDArray[np.uint8]:
+    """Give the rough points in the boxes of vehicles their class: edges look like leaves.
+
+    Where a plant touches a vehicle, only its smooth points were found.
+    """
+    members = np.flatnonzero((semantic == Semantic.MOBILE) & ~moving)
+    if len(members) == 0:
+        return semantic
+    loose = np.flatnonzero(np.isin(semantic, (Semantic.VEGETATION, Semantic.OTHER)) & ~moving)
+    completed = semantic.copy()
+    for group in group_indices(voxel_clusters(xyz[members], config.clear_gap)):
+        mine = members[group]
+        near = loose[in_box_around(xyz[loose, :2], xyz[mine, :2], config.edge)]
+        near = near[height[near] < quantile_of(height[mine], 0.98) + config.edge]
+        near = near[in_box_of(xyz[mine, :2], xyz[near, :2], config.edge)]
+        whole = np.concatenate([mine, near])
+        if config.car_length < box_sides(xyz[whole, :2])[0] < config.mobile_length:
+            completed[whole] = Semantic.MOBILE
+    return completed
 
 
 @switchable("slabs", never)
@@ -265,7 +300,7 @@ def _fits(xyz: Floats, height: Floats, hard: float, config: VehicleConfig) -> bo
     top = quantile_of(height, 0.98)
     low = quantile_of(height, 0.02)
     row_of_cars = 1.4 < width < 3.2 and top < 2.4
-    car = 3.2 < length < config.mobile_length and 1.4 < width < 2.4 and 1.2 < top < 2.2
+    car = config.car_length < length < config.mobile_length and 1.4 < width < 2.4 and 1.2 < top < 2.2
     return bool(
         hard > (0.5 * config.mobile_hard if car else config.mobile_hard)
         and width > config.mobile_min_width
