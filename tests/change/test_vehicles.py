@@ -6,6 +6,8 @@ from scenes import Scene, car, ground_z
 from scipy.spatial import cKDTree
 
 from subiaco_change.segmentation.classes import SemanticsConfig, label_points
+from subiaco_change.segmentation.config import VehicleConfig
+from subiaco_change.segmentation.vehicles import with_edges
 from subiaco_geo.clouds import PointCloud, voxel_downsample
 from subiaco_geo.codes import Semantic
 
@@ -53,6 +55,19 @@ def test_a_bush_at_its_corner_makes_no_plant_of_a_car():
     assert (labels_of(parked) == Semantic.MOBILE).all()
     assert (labels_of(parked, bush) == Semantic.MOBILE).mean() > 0.75
     assert (labels_of(bush, parked) == Semantic.VEGETATION).mean() > 0.8
+
+
+@pytest.mark.parametrize(("width", "completed"), [(1.8, True), (3.6, False)])
+def test_leaves_in_a_box_wider_than_a_vehicle_are_no_edges_of_one(width, completed):
+    axes = np.meshgrid(np.arange(0.0, 4.1, 0.2), np.arange(0.0, width + 0.1, 0.2))
+    xy = np.stack([axis.ravel() for axis in axes], axis=1)
+    rim = (xy[:, 0] < 0.1) | (xy[:, 0] > 3.9) | (xy[:, 1] < 0.1) | (xy[:, 1] > width - 0.1)
+    semantic = np.where(rim, Semantic.VEGETATION, Semantic.MOBILE).astype(np.uint8)
+    height = np.full(len(xy), 1.0)
+    found = with_edges(
+        np.column_stack([xy, height]), height, semantic, np.zeros(len(xy), bool), VehicleConfig()
+    )
+    assert (found[rim] == Semantic.MOBILE).all() == completed
 
 
 def test_a_clipped_hedge_higher_than_a_facade_is_a_plant():

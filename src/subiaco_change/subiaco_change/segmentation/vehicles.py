@@ -239,7 +239,8 @@ def with_edges(
         near = near[height[near] < quantile_of(height[mine], 0.98) + config.edge]
         near = near[in_box_of(xyz[mine, :2], xyz[near, :2], config.edge)]
         whole = np.concatenate([mine, near])
-        if config.car_length < box_sides(xyz[whole, :2])[0] < config.mobile_length:
+        length, width = box_sides(xyz[whole, :2])
+        if config.car_length < length < config.mobile_length and width < config.truck_width:
             completed[whole] = Semantic.MOBILE
     return completed
 
