@@ -28,7 +28,7 @@ _LIMIT = 1 << 20  # voxel indices that fit a key, see subiaco_geo.clouds.voxel_k
 _CACHE_LINE = 64  # [bytes]
 _CELL = np.dtype([("hits", np.uint32), ("passes", np.uint32)])
 _TIMED_CELL = np.dtype([*_CELL.descr, ("looks", np.uint16, (COLUMNS + 1,))])  # one to align
-_BATCH = (1 << 16) - 1  # beams that are walked at a time: what a cell counts of a batch
+_BATCH = (1 << 16) - 1  # most beams that are traced together: a cell counts them in 16 bits
 
 _BITS = 2  # an axis: 4 x 4 x 4 voxels in a block
 _CELLS = 1 << (3 * _BITS)

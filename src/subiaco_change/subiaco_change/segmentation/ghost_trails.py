@@ -103,7 +103,7 @@ def moving_points(
     """Tell which free points (N,) belong to trails.
 
     Many beams graze the edge of a roof, and few return from it. Such an edge touches the rest of its object;
-    what moves keeps clear of what stands.
+    moving objects keep clear of standing ones.
 
     Parameters
     ----------
