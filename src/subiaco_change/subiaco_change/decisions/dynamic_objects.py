@@ -429,11 +429,11 @@ def limit_confidence(
 def _doubts(moved: float, free: float) -> str:
     """Say why what one epoch alone holds may be no change; a probability that rounds to zero is not named."""
     doubts = (
-        (moved, "the object may have moved during mapping"),
-        (1.0 - free, "its place may have been occupied in the other survey"),
+        (moved, "the object moved during mapping"),
+        (1.0 - free, "its place was occupied in the other survey"),
     )
     named = [(f"{probability:.0%}", doubt) for probability, doubt in doubts]
-    return ", and ".join(f"{doubt} (probability {share})" for share, doubt in named if share != "0%")
+    return ", and ".join(f"with a probability of {share} {doubt}" for share, doubt in named if share != "0%")
 
 
 def _passes_limit(
