@@ -61,6 +61,7 @@ SEGMENTATION_RULES: tuple[Rule, ...] = (
             "semantics.traffic.spread_ratio",
             "semantics.traffic.core_share",
             "semantics.traffic.clear_share",
+            "semantics.traffic.edge_length",
         ),
         guards=True,
     ),

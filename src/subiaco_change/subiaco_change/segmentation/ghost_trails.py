@@ -20,7 +20,7 @@ from scipy import ndimage
 from subiaco_change.geometry import lies_near
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import none_of_them, switchable, zeros_of_them
-from subiaco_change.segmentation.clustering import voxel_clusters
+from subiaco_change.segmentation.clustering import group_indices, voxel_clusters
 from subiaco_change.segmentation.features import Features
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_change.segmentation.trail_raster import AROUND, TrailShapeConfig, rasterise
@@ -89,6 +89,12 @@ class TrafficConfig(StrictModel):
         description="Largest fraction of the points of a ghost trail that touch standing points; more of the "
         "edge of a standing object do",
     )
+    edge_length: float = Field(
+        12.0,
+        gt=0,
+        description="Largest length of the edge of a standing object [m]; what is longer may be the trail of a "
+        "lorry that passed close to standing objects",
+    )
 
 
 def timed_trails(height: Floats, moved: Floats, free: Mask, config: TrafficConfig) -> Mask:
@@ -103,7 +109,7 @@ def moving_points(
     """Tell which free points (N,) belong to trails.
 
     Many beams graze the edge of a roof, and few return from it. Such an edge touches the rest of its object;
-    moving objects keep clear of standing ones.
+    moving objects keep clear of standing ones, except that a long trail may pass close by.
 
     Parameters
     ----------
@@ -130,7 +136,11 @@ def moving_points(
     standing[open_] = False
     touching = lies_near(xyz[open_], xyz[standing], config.clear)
     sure_share, touching_share = (np.bincount(trail, w) / np.bincount(trail) for w in (sure, touching))
-    kept = (sure_share > config.core_share) & (touching_share <= config.clear_share)
+    long = (
+        np.array([np.hypot(*np.ptp(xyz[open_[g], :2], axis=0)) for g in group_indices(trail)])
+        > config.edge_length
+    )
+    kept = (sure_share > config.core_share) & (long | (touching_share <= config.clear_share))
     moving[open_[kept[trail]]] = True
     return moving
 
