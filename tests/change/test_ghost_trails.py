@@ -65,6 +65,17 @@ def test_the_edge_of_a_roof_that_beams_graze_stands():
     assert not result.moving.any()
 
 
+def test_a_long_trail_close_to_a_fence_is_a_trail():
+    along, up = np.meshgrid(np.arange(-28.0, 28.0, 0.1), np.arange(0.2, 1.5, 0.1))
+    fence = np.column_stack([along.ravel(), np.full(along.size, -0.7), up.ravel()])
+    fence[:, 2] += ground_z(fence[:, 0], fence[:, 1])
+    ghosts = trail()
+    cloud = voxel_downsample(PointCloud(np.concatenate([SCENE.cloud(4).xyz, ghosts, fence])), 0.25)
+    ghostly = cKDTree(ghosts).query(cloud.xyz)[0] < 0.1
+    result = label_points(cloud, SemanticsConfig(), np.where(ghostly, 300.0, 1.0))
+    assert result.moving[ghostly & (result.height_above_ground > 0.25)].mean() > 0.9
+
+
 def test_few_passes_are_no_movement():
     cloud = SCENE.survey(4).cloud
     assert not label_points(cloud, SemanticsConfig(), np.full(len(cloud), 5.0)).moving.any()
