@@ -92,8 +92,8 @@ class TrafficConfig(StrictModel):
     edge_length: float = Field(
         12.0,
         gt=0,
-        description="Largest length of the edge of a standing object [m]; what is longer may be the trail of a "
-        "lorry that passed close to standing objects",
+        description="Largest length of the edge of a standing object [m]; what is longer may be the trail of "
+        "a lorry that passed close to standing objects",
     )
 
 
@@ -108,8 +108,8 @@ def moving_points(
 ) -> Mask:
     """Tell which free points (N,) belong to trails.
 
-    Many beams graze the edge of a roof, and few return from it. Such an edge touches the rest of its object;
-    moving objects keep clear of standing ones, except that a long trail may pass close by.
+    Many beams graze the edge of a roof, and few return from it. Such an edge touches the rest of its object.
+    Moving objects keep clear of standing ones; only a long trail may pass close by.
 
     Parameters
     ----------
