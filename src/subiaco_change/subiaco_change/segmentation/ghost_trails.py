@@ -108,8 +108,8 @@ def moving_points(
 ) -> Mask:
     """Tell which free points (N,) belong to trails.
 
-    Many beams graze the edge of a roof, and few return from it. Such an edge touches the rest of its object.
-    Moving objects keep clear of standing ones; only a long trail may pass close by.
+    At the edge of a roof, too, most beams cross a voxel without a return. Such an edge touches the rest of its
+    object. A trail keeps a distance from standing objects; only a long one may pass close to them.
 
     Parameters
     ----------
@@ -136,11 +136,9 @@ def moving_points(
     standing[open_] = False
     touching = lies_near(xyz[open_], xyz[standing], config.clear)
     sure_share, touching_share = (np.bincount(trail, w) / np.bincount(trail) for w in (sure, touching))
-    long = (
-        np.array([np.hypot(*np.ptp(xyz[open_[g], :2], axis=0)) for g in group_indices(trail)])
-        > config.edge_length
-    )
-    kept = (sure_share > config.core_share) & (long | (touching_share <= config.clear_share))
+    length = np.array([np.hypot(*np.ptp(xyz[open_[g], :2], axis=0)) for g in group_indices(trail)])
+    is_edge = (touching_share > config.clear_share) & (length <= config.edge_length)
+    kept = (sure_share > config.core_share) & ~is_edge
     moving[open_[kept[trail]]] = True
     return moving
 
