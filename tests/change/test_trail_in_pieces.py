@@ -63,6 +63,35 @@ def test_the_trail_of_a_bus_is_as_wide_as_a_bus_with_its_mirrors():
     assert decided(piece, own) is not None
 
 
+def fronts_on_a_circle(radius, places):
+    """Fronts of a vehicle that drove on a circle through the origin, at lengths along it [m]."""
+    fronts = []
+    for turn in np.asarray(places) / radius:
+        front = plate(0.0)
+        out = radius + front[:, 1]
+        fronts.append(np.column_stack([out * np.sin(turn), radius - out * np.cos(turn), front[:, 2]]))
+    return np.concatenate(fronts)
+
+
+@pytest.mark.parametrize("radius", [10.0, -13.0, 20.0])
+def test_a_vehicle_that_turns_at_a_junction_leaves_shapeless_pieces_on_a_circle(radius):
+    piece = fronts_on_a_circle(radius, [0.0])
+    rest = fronts_on_a_circle(radius, np.arange(1.8, 9.0, 1.8))
+    pieces = np.concatenate([piece, rest, fronts_on_a_circle(radius, np.arange(-9.0, -1.0, 1.8))])
+    decision = decided(piece, holding(pieces))
+    assert decision is not None
+    assert float(decision.reason.split(" m long")[0].split()[-1]) >= 16.0
+    assert decided(piece, holding(np.concatenate([piece, rest]))) is None
+
+
+def test_a_parked_car_is_no_piece_of_a_trail_on_a_narrow_bend():
+    car = fronts_on_a_circle(10.0, [-0.9, 0.9])
+    around = np.concatenate([fronts_on_a_circle(10.0, s * np.arange(3.0, 9.1, 1.5)) for s in (-1.0, 1.0)])
+    own = holding(np.concatenate([car, around]))
+    assert decided(car, own, semantic=Semantic.MOBILE) is None
+    assert decided(car, own) is not None
+
+
 def test_the_last_piece_of_a_row_is_a_piece_too():
     assert decided(PIECE, holding(np.concatenate([PIECE, row(3.6, 18.0)]))) is not None
 

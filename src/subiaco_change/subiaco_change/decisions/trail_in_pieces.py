@@ -31,6 +31,8 @@ from subiaco_geo.frames import Floats, Ints
 ROW_REACH = NUMBERS.trail_in_pieces.reach
 _DIRECTIONS = NUMBERS.trail_in_pieces.directions
 _BENDS = np.array(NUMBERS.trail_in_pieces.bends)
+_GENTLEST = NUMBERS.trail_in_pieces.gentle_bend
+_GENTLE = _BENDS[np.abs(_BENDS) <= _GENTLEST]
 _STEP = NUMBERS.trail_in_pieces.step
 _GAP = NUMBERS.trail_in_pieces.gap
 _HALF = NUMBERS.trail_in_pieces.half_width
@@ -134,14 +136,17 @@ def is_piece_of_trail(
     """Tell an object in a row of pieces as long as no vehicle and as wide as one, in a cloud without counts.
 
     ``mine`` and ``other``: what its own and the other epoch hold around. A plant or a parked car beside a
-    trail does not lie in the middle of the row, and a planted row hides the ground. An object that is both
-    longer and wider than a vehicle may hold pieces of two lanes: most of its places must lie in rows.
+    trail does not lie in the middle of the row, and a planted row hides the ground. Along a narrow bend a row
+    must go on at both sides of an object without a vehicle's shape: such a bend would lead from a parked car
+    into a trail beside it. An object that is both longer and wider than a vehicle may hold pieces of two
+    lanes: most of its places must lie in rows.
     """
     if own is None or own.ground is None or mine is None or other is None:
         return None
     if semantic is Semantic.BUILDING or not fits_a_vehicle(objects, rules):
         return None
-    bodies = _bodies(np.concatenate([t.xyz for t in objects]), join_voxels(objects))
+    bends = _GENTLE if semantic is Semantic.MOBILE else _BENDS
+    bodies = _bodies(np.concatenate([t.xyz for t in objects]), join_voxels(objects), bends)
     found = [(_row_of(xyz, arcs, mine, other), top) for xyz, arcs, top in bodies]
     rows = [row for row, top in found if row is not None and row.is_of_traffic(top)]
     if 2 * len(rows) <= len(bodies):
@@ -156,12 +161,12 @@ def is_piece_of_trail(
     return Decision(Change.UNOBSERVED, reason, 0.0)
 
 
-def _bodies(xyz: Floats, voxels: Voxels) -> list[tuple[Floats, _Arcs, float]]:
+def _bodies(xyz: Floats, voxels: Voxels, bends: Floats) -> list[tuple[Floats, _Arcs, float]]:
     """Points (N, 3) through which rows are followed, arcs through them, and their tops.
 
     They are those of an object, or of places of a wide one.
     """
-    arcs = _arcs_through(xyz[:, :2])
+    arcs = _arcs_through(xyz[:, :2], bends)
     if len(arcs.bend):
         return [(xyz, arcs, quantile_of(voxels.height, _TOP_SHARE))]
     if strip_of(xyz[:, :2])[0] < _VEHICLE:
@@ -171,7 +176,7 @@ def _bodies(xyz: Floats, voxels: Voxels) -> list[tuple[Floats, _Arcs, float]]:
     for middle in xyz[np.lexsort(xyz.T[:2])[some], :2]:
         near, high = (np.linalg.norm(p[:, :2] - middle, axis=1) < _PLACE for p in (xyz, voxels.xyz))
         top = quantile_of(voxels.height[high], _TOP_SHARE) if high.any() else 0.0
-        found.append((xyz[near], _arcs_through(xyz[near, :2]), top))
+        found.append((xyz[near], _arcs_through(xyz[near, :2], bends), top))
     return found
 
 
@@ -208,17 +213,20 @@ class _Arcs:
 def _along(
     xy: Floats, centre: Floats, direction: Floats, bend: Floats, middle: Floats
 ) -> tuple[Floats, Floats]:
-    """Places (A, N) of points (N, 2) along arcs (A,), and aside of them [m]."""
-    step = xy - centre
-    along = direction @ step.T
-    aside = np.stack([-direction[:, 1], direction[:, 0]], axis=1) @ step.T
-    return along, aside - 0.5 * bend[:, None] * along**2 - middle[:, None]
+    """Places (A, N) of points (N, 2) along arcs of circles (A,), and aside of them [m]."""
+    step, k = xy - centre, bend[:, None]
+    ahead = direction @ step.T
+    left = np.stack([-direction[:, 1], direction[:, 0]], axis=1) @ step.T
+    inward = 1.0 - k * left
+    aside = (2.0 * left - k * (ahead**2 + left**2)) / (1.0 + np.hypot(k * ahead, inward))
+    along = np.where(k == 0, ahead, np.arctan2(k * ahead, inward) / np.where(k == 0, 1.0, k))
+    return along, aside - middle[:, None]
 
 
-def _arcs_through(place: Floats) -> _Arcs:
+def _arcs_through(place: Floats, bends: Floats) -> _Arcs:
     """Return the arcs along which an object of points (N, 2) is no wider than a vehicle."""
-    angle = np.repeat(np.arange(_DIRECTIONS) * np.pi / _DIRECTIONS, len(_BENDS))
-    bend = np.tile(_BENDS, _DIRECTIONS)
+    angle = np.repeat(np.arange(_DIRECTIONS) * np.pi / _DIRECTIONS, len(bends))
+    bend = np.tile(bends, _DIRECTIONS)
     direction, centre = np.stack([np.cos(angle), np.sin(angle)], axis=1), np.median(place, axis=0)
     along, aside = _along(place, centre, direction, bend, np.zeros(len(bend)))
     (left, right), (low, high) = (np.quantile(v, [0.025, 0.975], axis=1) for v in (aside, along))
@@ -290,10 +298,15 @@ def _count_steps(
     for arc in range(len(bend)):
         ux, uy = direction[arc]
         for x, y in pieces:
-            along = ux * x + uy * y
-            aside = abs(ux * y - uy * x - 0.5 * bend[arc] * along * along - middle[arc])
+            ahead, left, k = ux * x + uy * y, ux * y - uy * x, bend[arc]
+            inward = 1.0 - k * left
+            aside = (2.0 * left - k * (ahead * ahead + left * left)) / (1.0 + np.hypot(k * ahead, inward))
+            aside = abs(aside - middle[arc])
+            if aside >= half + rim:
+                continue
+            along = ahead if k == 0 else np.arctan2(k * ahead, inward) / k
             number = int(np.floor(max(along - high[arc], low[arc] - along) / step))
-            if number < 0 or number >= steps or aside >= half + rim:
+            if number < 0 or number >= steps:
                 continue
             side = 1 if along > high[arc] else 0
             wide[arc, side, number] += 1
@@ -318,6 +331,8 @@ def _best_row(pieces: Floats, height: Floats, arcs: _Arcs, ground: Floats) -> _R
         near = _pieces_along(arcs, k, pieces)
         members = [_in_row(near, side, int(rows.ends[k, side])) for side in (0, 1)]
         sides = [side for side in (0, 1) if _goes_on(near, members[side])]
+        if len(sides) < 2 and abs(arcs.bend[k]) > _GENTLEST:
+            continue
         if float(score[k, sides].sum()) <= best or rows.count[k, sides].sum() < _FEWEST:
             continue
         row = np.logical_or.reduce([members[side] for side in sides])

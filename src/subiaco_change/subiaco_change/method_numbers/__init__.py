@@ -16,6 +16,7 @@ from subiaco_change.method_numbers.association_numbers import (
     RowsOfHousesNumbers,
     SplitMergeNumbers,
     TreesOverShrubsNumbers,
+    VehicleBodiesNumbers,
     VehiclePartsNumbers,
 )
 from subiaco_change.method_numbers.decision_numbers import (
@@ -105,6 +106,7 @@ class MethodNumbers(StrictModel):
     rows_of_houses: RowsOfHousesNumbers = RowsOfHousesNumbers()
     split_merge: SplitMergeNumbers = SplitMergeNumbers()
     trees_over_shrubs: TreesOverShrubsNumbers = TreesOverShrubsNumbers()
+    vehicle_bodies: VehicleBodiesNumbers = VehicleBodiesNumbers()
     vehicle_parts: VehiclePartsNumbers = VehiclePartsNumbers()
     instances: InstancesNumbers = InstancesNumbers()
     thin_trails: ThinTrailsNumbers = ThinTrailsNumbers()

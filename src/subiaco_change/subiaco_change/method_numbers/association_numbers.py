@@ -189,6 +189,22 @@ class TreesOverShrubsNumbers(StrictModel):
     crown_width: float = Field(1.5, description="Smallest width of the crown of a tree over a shrub [m]")
 
 
+class VehicleBodiesNumbers(StrictModel):
+    """Numbers of ``decisions/vehicle_bodies.py``."""
+
+    width: tuple[float, float] = Field(
+        (1.3, 2.9),
+        description="Widths of the rectangle around the points of a closed vehicle [m]; a bus with mirrors "
+        "is the widest",
+    )
+    length: tuple[float, float] = Field(
+        (2.5, 13.0), description="Lengths of the rectangle around the points of a closed vehicle [m]"
+    )
+    top_share: float = Field(
+        0.9, description="Fraction of the points of a vehicle that lie below the top of its body"
+    )
+
+
 class VehiclePartsNumbers(StrictModel):
     """Numbers of ``instance_splitting/one_epoch_parts.py``."""
 

@@ -282,8 +282,17 @@ class TrailInPiecesNumbers(StrictModel):
     )
     directions: int = Field(60, description="Number of directions in which a row of pieces is looked for")
     bends: tuple[float, ...] = Field(
-        (-0.02, -0.015, -0.01, -0.005, 0.0, 0.005, 0.01, 0.015, 0.02),
-        description="Curvatures along which a row of pieces is looked for [1/m]; streets bend",
+        (
+            *(-0.1, -0.08, -0.065, -0.05, -0.04, -0.03, -0.02, -0.015, -0.01, -0.005),
+            *(0.0, 0.005, 0.01, 0.015, 0.02, 0.03, 0.04, 0.05, 0.065, 0.08, 0.1),
+        ),
+        description="Curvatures along which a row of pieces is looked for [1/m]; vehicles turn at junctions "
+        "on circles of 10 m and more",
+    )
+    gentle_bend: float = Field(
+        0.02,
+        description="Largest curvature along which a row may hold an object of a vehicle's shape, and may go "
+        "on at one side of an object alone [1/m]",
     )
     step: float = Field(0.5, description="Length of the steps in which a row of pieces is followed [m]")
     gap: float = Field(

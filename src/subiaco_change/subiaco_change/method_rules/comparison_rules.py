@@ -117,6 +117,7 @@ MOVING_OBJECT_RULES: tuple[Rule, ...] = (
         " one, on ground that was seen, in a cloud without counts of beams.",
         (
             "method_numbers.trail_in_pieces.beyond",
+            "method_numbers.trail_in_pieces.gentle_bend",
             "method_numbers.trail_in_pieces.gap",
             "method_numbers.trail_in_pieces.half_width",
             "method_numbers.trail_in_pieces.rim_share",
@@ -322,6 +323,18 @@ SPLITTING_RULES: tuple[Rule, ...] = (
             "method_numbers.trees_over_shrubs.view_share",
             "method_numbers.trees_over_shrubs.crown_width",
         ),
+    ),
+    Rule(
+        "closed_vehicles",
+        _HERE,
+        "What lies inside a vehicle of the other epoch stands in both: beams through its windows do not show"
+        " that its inside was free.",
+        (
+            "method_numbers.vehicle_bodies.width",
+            "method_numbers.vehicle_bodies.length",
+            "method_numbers.vehicle_bodies.top_share",
+        ),
+        guards=True,
     ),
     Rule(
         "places_seen_free",
