@@ -59,6 +59,7 @@ from subiaco_change.method_numbers.registration_numbers import (
 )
 from subiaco_change.method_numbers.segmentation_numbers import (
     InstancesNumbers,
+    RaisedGroundNumbers,
     SpacingNumbers,
     SparseNumbers,
     ThinTrailsNumbers,
@@ -109,6 +110,7 @@ class MethodNumbers(StrictModel):
     vehicle_bodies: VehicleBodiesNumbers = VehicleBodiesNumbers()
     vehicle_parts: VehiclePartsNumbers = VehiclePartsNumbers()
     instances: InstancesNumbers = InstancesNumbers()
+    raised_ground: RaisedGroundNumbers = RaisedGroundNumbers()
     thin_trails: ThinTrailsNumbers = ThinTrailsNumbers()
     trail_ends: TrailEndsNumbers = TrailEndsNumbers()
     trail_shape: TrailShapeNumbers = TrailShapeNumbers()

@@ -16,6 +16,28 @@ class InstancesNumbers(StrictModel):
     )
 
 
+class RaisedGroundNumbers(StrictModel):
+    """Numbers of ``segmentation/raised_ground.py``."""
+
+    cell: float = Field(0.5, description="Edge of the cells in which raised ground is searched [m]")
+    heights: tuple[float, float] = Field(
+        (0.15, 0.7), description="Heights above the ground model between which ground was raised [m]"
+    )
+    level: float = Field(0.95, description="Vertical component of the normal above which a point is level")
+    roughness: float = Field(0.05, description="Roughness below which a surface is smooth [m]")
+    width: float = Field(
+        1.0,
+        description="Smallest width of the smooth part of raised ground [m]; at its edges, and on walls and "
+        "kerbs, neighbours of other heights make the surface rough",
+    )
+    area: float = Field(
+        6.0, description="Smallest area of raised ground [m2]; the bonnets of cars and benches are smaller"
+    )
+    same_level: float = Field(
+        0.1, description="Distance from the level of a cell within which its points are raised ground [m]"
+    )
+
+
 class ThinTrailsNumbers(StrictModel):
     """Numbers of ``segmentation/trail_swaths.py``."""
 

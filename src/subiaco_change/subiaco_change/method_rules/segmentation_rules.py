@@ -40,6 +40,19 @@ SEGMENTATION_RULES: tuple[Rule, ...] = (
         " not move the ground height.",
     ),
     Rule(
+        "raised_ground",
+        _HERE,
+        "What is level, smooth and wide, and some decimetres above the ground beside it, is raised ground.",
+        (
+            "method_numbers.raised_ground.heights",
+            "method_numbers.raised_ground.level",
+            "method_numbers.raised_ground.roughness",
+            "method_numbers.raised_ground.width",
+            "method_numbers.raised_ground.area",
+            "method_numbers.raised_ground.same_level",
+        ),
+    ),
+    Rule(
         "rough_foot",
         _HERE,
         "Rough points just above the ground model belong to the foot of an object, not to the ground.",

@@ -25,6 +25,7 @@ from subiaco_change.segmentation.config import BuildingConfig, VehicleConfig
 from subiaco_change.segmentation.features import EigenFeatureConfig, Features, compute_features
 from subiaco_change.segmentation.ghost_trails import TrafficConfig, moving_points, still_blocks, timed_trails
 from subiaco_change.segmentation.ground_model import GroundConfig, GroundModel, Mask, fit_ground
+from subiaco_change.segmentation.raised_ground import raised_ground
 from subiaco_change.segmentation.raised_surfaces import RaisedConfig, RaisedSurfaces, find_raised
 from subiaco_change.segmentation.superpoints import SuperpointConfig, partition
 from subiaco_change.segmentation.trail_raster import TrailShapeConfig
@@ -277,7 +278,7 @@ def _find_ground(
         & ~(steep & (height > 0.5 * config.ground_distance))
     )
     lies = (claimed[parts] & (np.abs(height) < 2 * config.ground_close)) | near
-    return np.asarray(lies & ~_rough_foot(height, features, config))
+    return np.asarray((lies & ~_rough_foot(height, features, config)) | raised_ground(xyz, height, features))
 
 
 @switchable("rough_foot", none_of_them)
