@@ -360,6 +360,17 @@ def test_the_sides_of_a_larger_car_in_the_place_of_another_are_no_vehicle():
     assert decide_vehicle_part([sides], Semantic.MOBILE, CROSSED, behind) is None
 
 
+def test_a_lorry_where_a_car_stands_in_the_other_epoch_is_another_vehicle_in_its_place():
+    car, body = block((1.5, 0.5, 0), (5.0, 2.0, 1.5), 0.2), block((0, 0, 0), (6.5, 3.0, 3.2))
+    around = body[~(((body >= (0.5, 0.0, 0)) & (body < (6.0, 2.5, 2.7))).all(axis=1))]
+    shell = replace(obj([(around, False)]), semantic=Semantic.MOBILE, whole=0)
+    decision = decide_vehicle_part([shell], Semantic.MOBILE, CROSSED, car)
+    assert decision is not None
+    assert decision.change is Change.UNCHANGED
+    assert "another vehicle" in decision.reason
+    assert decide_vehicle_part([shell], Semantic.MOBILE, CROSSED, np.add(car, (0.0, 2.6, 0.0))) is None
+
+
 def test_a_part_of_a_vehicle_that_the_other_epoch_only_grazed_is_not_claimed():
     old, new = block((0, 0, 0), (4, 2, 1.5)), block((4, 0, 0), (8, 2, 1.5))
     part = split_one_epoch_parts([obj([(old, True), (new, False)])], CONFIG)[1]

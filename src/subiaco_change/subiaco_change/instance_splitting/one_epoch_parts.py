@@ -290,14 +290,31 @@ def decide_vehicle_part(
     narrow, long = footprint_sides(xyz)
     short = applies("ends_of_vehicles", _VEHICLE <= long < _LENGTH)
     limit = _HELD_END if short else _HELD
-    fits_vehicle = narrow >= _VEHICLE and not short
-    if held < limit or (fits_vehicle and not _surrounds(xyz, standing)):
+    if narrow >= _VEHICLE and not short:
+        return _decide_shell(xyz, long, standing)
+    if held < limit:
         return None
     reason = (
         f"{held:.0%} of this part of a vehicle lies beside points of the other survey (limit"
         f" {limit:.0%}): the part belongs to an object that both surveys have."
     )
     return Decision(Change.UNCHANGED, reason, held)
+
+
+@switchable("shells_of_vehicles", no_decision)
+def _decide_shell(xyz: Floats, long: float, standing: Floats) -> Decision | None:
+    """Decide a part (M, 3) as large as a vehicle, whose longer side is ``long`` [m].
+
+    A lorry leaves its sides around the car that stands in its place in the other epoch, whose points
+    ``standing`` (N, 3) are; what surrounds nothing is a vehicle of its own.
+    """
+    if not _surrounds(xyz, standing):
+        return None
+    reason = (
+        f"This part of a vehicle is {long:.1f} m long (limit {_LENGTH:g} m) and lies around what stands in"
+        " the other survey: another vehicle is in the place of the first, and no change is claimed."
+    )
+    return Decision(Change.UNCHANGED, reason, long / _LENGTH)
 
 
 def _surrounds(xyz: Floats, points: Floats) -> bool:

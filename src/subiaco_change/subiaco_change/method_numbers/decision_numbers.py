@@ -463,8 +463,9 @@ class ObjectDecisionNumbers(StrictModel):
         description="Largest height of an object without class that may be raised ground [m]",
     )
     laid_top: float = Field(
-        0.25,
-        description="Largest height of a supposed vehicle or plant that may be ground [m]",
+        0.5,
+        description="Largest height of a supposed vehicle or plant that may be ground [m]; vehicles are "
+        "higher",
     )
     level_normal: float = Field(
         0.75,

@@ -265,6 +265,13 @@ MOVING_OBJECT_RULES: tuple[Rule, ...] = (
         ),
     ),
     Rule(
+        "shells_of_vehicles",
+        _HERE,
+        "A part as large as a vehicle that lies around what stands in the other epoch is of a larger vehicle"
+        " in the same place.",
+        ("method_numbers.vehicle_parts.vehicle_length",),
+    ),
+    Rule(
         "ends_of_vehicles",
         _HERE,
         "A part as wide as a vehicle and shorter is the end of a vehicle in the place of another one, also"
