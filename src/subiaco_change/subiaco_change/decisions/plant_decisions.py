@@ -236,7 +236,10 @@ def _excesses(
     for measure, limit in limits.items():
         expected = null.expected(plant, measure)
         sd = _sigma(plant, measure, expected.sd)
-        found[measure] = _Excess(measure, plant.value(measure), expected, max(limit, null.certain * sd), sd)
+        least = max(limit, null.certain * sd)
+        if applies("leaves_of_the_pair", expected.leaves > least):
+            least = expected.leaves
+        found[measure] = _Excess(measure, plant.value(measure), expected, least, sd)
     return found
 
 

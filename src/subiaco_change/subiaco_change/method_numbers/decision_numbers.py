@@ -652,6 +652,16 @@ class VegetationNullNumbers(StrictModel):
     prior_plants: float = Field(
         4.0, description="Number of plants that the expected fraction of changed plants counts as"
     )
+    stayed: float = Field(
+        0.15,
+        description="Distance that the tops and the outline of a plant move by at most where only its leaves "
+        "changed [m]; half of the limit of a height",
+    )
+    most_of_leaves: float = Field(
+        0.95,
+        description="Fraction of the plants that kept their extent whose volume or surface changed by less "
+        "than what a pair of other leaves must exceed",
+    )
 
 
 class VoxelObjectsNumbers(StrictModel):
