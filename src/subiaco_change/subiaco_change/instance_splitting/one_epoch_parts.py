@@ -21,6 +21,7 @@ from subiaco_change.decisions.voxel_objects import ObjectInstance, Voxels, join_
 from subiaco_change.geometry import in_box_around, lies_near
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import applies, first_argument, no_decision, switchable
+from subiaco_change.segmentation.bounding_rectangles import in_box_of
 from subiaco_change.segmentation.clustering import connect, group_indices, voxel_clusters
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.codes import Change, Semantic
@@ -318,9 +319,11 @@ def _decide_shell(xyz: Floats, long: float, standing: Floats) -> Decision | None
 
 
 def _surrounds(xyz: Floats, points: Floats) -> bool:
-    """Tell whether places (M, 3) lie around points (N, 3): the sides of a larger car in the same place."""
+    """Tell whether places (M, 3) lie around points (N, 3) as long as a car: the sides of a larger vehicle."""
     inside = points[in_box_around(points, xyz, 0.0)]
-    if len(inside) == 0:
+    if len(inside):
+        inside = inside[in_box_of(xyz[:, :2], inside[:, :2], 0.0)]
+    if len(inside) == 0 or footprint_sides(inside)[1] < _LENGTH:
         return False
     return bool(oriented_rectangle(inside[:, :2]).contains(Point(xyz[:, :2].mean(axis=0))))
 
