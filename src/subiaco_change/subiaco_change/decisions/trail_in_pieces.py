@@ -137,7 +137,7 @@ def is_piece_of_trail(
 
     ``mine`` and ``other``: what its own and the other epoch hold around. A plant or a parked car beside a
     trail does not lie in the middle of the row, and a planted row hides the ground. Along a narrow bend a row
-    must go on at both sides of an object without a vehicle's shape: such a bend would lead from a parked car
+    must go on at both sides of an object without a vehicle's shape: otherwise it would lead from a parked car
     into a trail beside it. An object that is both longer and wider than a vehicle may hold pieces of two
     lanes: most of its places must lie in rows.
     """

@@ -253,7 +253,8 @@ def _with_leaves(
     """Fits of volume and surface that know what leaves alone changed in the plants of a kind.
 
     Leaves fall from some plants and not from others: most plants scatter little, and a few lose a quarter of
-    their surface while their tops and outlines stay. Such a loss is usual in this pair, and tells nothing.
+    their surface while their tops and outlines stay. A loss of that size is usual in the pair, and tells
+    nothing.
     """
     found = {}
     for measure in ("volume", "surface"):

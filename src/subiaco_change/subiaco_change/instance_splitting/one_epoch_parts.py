@@ -312,8 +312,8 @@ def _decide_shell(xyz: Floats, long: float, standing: Floats) -> Decision | None
     if not _surrounds(xyz, standing):
         return None
     reason = (
-        f"This part of a vehicle is {long:.1f} m long (limit {_LENGTH:g} m) and lies around what stands in"
-        " the other survey: another vehicle is in the place of the first, and no change is claimed."
+        f"This part of a vehicle is {long:.1f} m long (limit {_LENGTH:g} m) and lies around an object of the"
+        " other survey: another vehicle is in the place of the first, and no change is claimed."
     )
     return Decision(Change.UNCHANGED, reason, long / _LENGTH)
 

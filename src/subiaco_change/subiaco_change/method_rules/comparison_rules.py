@@ -267,7 +267,7 @@ MOVING_OBJECT_RULES: tuple[Rule, ...] = (
     Rule(
         "shells_of_vehicles",
         _HERE,
-        "A part as large as a vehicle that lies around what stands in the other epoch is of a larger vehicle"
+        "A part as large as a vehicle that lies around an object of the other epoch is of a larger vehicle"
         " in the same place.",
         ("method_numbers.vehicle_parts.vehicle_length",),
     ),
