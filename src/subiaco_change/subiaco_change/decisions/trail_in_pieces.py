@@ -8,6 +8,7 @@ epoch holds none of its pieces.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -210,17 +211,39 @@ class _Arcs:
     middle: Floats
 
 
-def _along(
-    xy: Floats, centre: Floats, direction: Floats, bend: Floats, middle: Floats
-) -> tuple[Floats, Floats]:
-    """Places (A, N) of points (N, 2) along arcs of circles (A,), and aside of them [m]."""
-    step, k = xy - centre, bend[:, None]
-    ahead = direction @ step.T
-    left = np.stack([-direction[:, 1], direction[:, 0]], axis=1) @ step.T
-    inward = 1.0 - k * left
-    aside = (2.0 * left - k * (ahead**2 + left**2)) / (1.0 + np.hypot(k * ahead, inward))
-    along = np.where(k == 0, ahead, np.arctan2(k * ahead, inward) / np.where(k == 0, 1.0, k))
-    return along, aside - middle[:, None]
+@numba.njit(cache=True)
+def _aside_of_arc(x: float, y: float, direction: Floats, bend: float) -> float:
+    """Distance to the left of a circle through the origin that begins in a direction (2,) [m]."""
+    ahead, left = direction[0] * x + direction[1] * y, direction[0] * y - direction[1] * x
+    outward = math.sqrt((bend * ahead) ** 2 + (1.0 - bend * left) ** 2)
+    return (2.0 * left - bend * (ahead * ahead + left * left)) / (1.0 + outward)
+
+
+@numba.njit(cache=True)
+def _along_arc(x: float, y: float, direction: Floats, bend: float) -> float:
+    """Length along that circle [m]."""
+    ahead, left = direction[0] * x + direction[1] * y, direction[0] * y - direction[1] * x
+    return ahead if bend == 0 else math.atan2(bend * ahead, 1.0 - bend * left) / bend
+
+
+@numba.njit(cache=True)
+def _along_arcs(step: Floats, direction: Floats, bend: Floats) -> Floats:
+    """Places (A, N) of points (N, 2) along arcs (A,) [m]."""
+    along = np.empty((len(bend), len(step)))
+    for arc in range(len(bend)):
+        for number, (x, y) in enumerate(step):
+            along[arc, number] = _along_arc(x, y, direction[arc], bend[arc])
+    return along
+
+
+@numba.njit(cache=True)
+def _aside_of_arcs(step: Floats, direction: Floats, bend: Floats) -> Floats:
+    """Distances (A, N) of points (N, 2) to the left of arcs (A,) [m]."""
+    aside = np.empty((len(bend), len(step)))
+    for arc in range(len(bend)):
+        for number, (x, y) in enumerate(step):
+            aside[arc, number] = _aside_of_arc(x, y, direction[arc], bend[arc])
+    return aside
 
 
 def _arcs_through(place: Floats, bends: Floats) -> _Arcs:
@@ -228,10 +251,11 @@ def _arcs_through(place: Floats, bends: Floats) -> _Arcs:
     angle = np.repeat(np.arange(_DIRECTIONS) * np.pi / _DIRECTIONS, len(bends))
     bend = np.tile(bends, _DIRECTIONS)
     direction, centre = np.stack([np.cos(angle), np.sin(angle)], axis=1), np.median(place, axis=0)
-    along, aside = _along(place, centre, direction, bend, np.zeros(len(bend)))
-    (left, right), (low, high) = (np.quantile(v, [0.025, 0.975], axis=1) for v in (aside, along))
+    left, right = np.quantile(_aside_of_arcs(place - centre, direction, bend), [0.025, 0.975], axis=1)
     fits = right - left <= _WIDEST
-    return _Arcs(centre, direction[fits], bend[fits], low[fits], high[fits], 0.5 * (left + right)[fits])
+    direction, bend = direction[fits], bend[fits]
+    low, high = np.quantile(_along_arcs(place - centre, direction, bend), [0.025, 0.975], axis=1)
+    return _Arcs(centre, direction, bend, low, high, 0.5 * (left + right)[fits])
 
 
 @dataclass(frozen=True)
@@ -250,11 +274,11 @@ class _Pieces:
 
 def _pieces_along(arcs: _Arcs, number: int, pieces: Floats) -> _Pieces:
     """Place pieces (N, 2) along one of the arcs."""
-    one = slice(number, number + 1)
-    along, aside = _along(pieces, arcs.centre, arcs.direction[one], arcs.bend[one], arcs.middle[one])
+    one = pieces - arcs.centre, arcs.direction[number : number + 1], arcs.bend[number : number + 1]
+    along, aside = _along_arcs(*one)[0], _aside_of_arcs(*one)[0] - arcs.middle[number]
     low, high = arcs.low[number], arcs.high[number]
-    distance = np.maximum(along - high, low - along)[0]
-    return _Pieces(along[0], aside[0], along[0] > high, np.floor(distance / _STEP).astype(np.int64))
+    distance = np.maximum(along - high, low - along)
+    return _Pieces(along, aside, along > high, np.floor(distance / _STEP).astype(np.int64))
 
 
 @dataclass(frozen=True)
@@ -289,22 +313,18 @@ def _count_steps(
 ) -> tuple[Ints, Ints]:  # fmt: skip
     """Count places (N, 2) along arcs (A,) by steps from an object: within half a row's width, and with a rim.
 
-    As :func:`_along` has them; ``sizes``: a step, half of the width and the rim [m]. Both counts
-    (A, 2, ``steps``) are before the object and beyond it.
+    ``sizes``: a step, half of the width and the rim [m]. Both counts (A, 2, ``steps``) are before the object
+    and beyond it.
     """
     step, half, rim = sizes
     inside = np.zeros((len(bend), 2, steps), np.int64)
     wide = np.zeros_like(inside)
     for arc in range(len(bend)):
-        ux, uy = direction[arc]
         for x, y in pieces:
-            ahead, left, k = ux * x + uy * y, ux * y - uy * x, bend[arc]
-            inward = 1.0 - k * left
-            aside = (2.0 * left - k * (ahead * ahead + left * left)) / (1.0 + np.hypot(k * ahead, inward))
-            aside = abs(aside - middle[arc])
+            aside = abs(_aside_of_arc(x, y, direction[arc], bend[arc]) - middle[arc])
             if aside >= half + rim:
                 continue
-            along = ahead if k == 0 else np.arctan2(k * ahead, inward) / k
+            along = _along_arc(x, y, direction[arc], bend[arc])
             number = int(np.floor(max(along - high[arc], low[arc] - along) / step))
             if number < 0 or number >= steps:
                 continue
