@@ -2,12 +2,20 @@
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.spatial import cKDTree
 from test_one_epoch_parts import obj
 
 from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.dynamic_objects import OwnEpochEvidence
-from subiaco_change.decisions.trail_in_pieces import Surroundings, is_piece_of_trail, surroundings
+from subiaco_change.decisions.trail_in_pieces import (
+    Surroundings,
+    _along_arcs,
+    _aside_of_arcs,
+    is_piece_of_trail,
+    surroundings,
+)
 from subiaco_geo.codes import Change, Semantic
 
 RULES = DecisionConfig()
@@ -82,6 +90,25 @@ def test_a_vehicle_that_turns_at_a_junction_leaves_shapeless_pieces_on_a_circle(
     assert decision is not None
     assert float(decision.reason.split(" m long")[0].split()[-1]) >= 16.0
     assert decided(piece, holding(np.concatenate([piece, rest]))) is None
+
+
+@given(
+    bend=st.floats(-0.1, 0.1),
+    heading=st.floats(-np.pi, np.pi),
+    along=st.floats(-12, 12),
+    aside=st.floats(-3, 3),
+)
+def test_a_place_on_a_circle_is_told_by_its_length_along_it_and_its_distance_from_it(
+    bend, heading, along, aside
+):
+    turned = heading + bend * along
+    steps = np.linspace(0.0, along, 2001)
+    middle = heading + bend * 0.5 * (steps[1:] + steps[:-1])
+    on_circle = np.array([np.cos(middle).sum(), np.sin(middle).sum()]) * along / 2000
+    place = on_circle + aside * np.array([-np.sin(turned), np.cos(turned)])
+    arc = place[None], np.array([[np.cos(heading), np.sin(heading)]]), np.array([bend])
+    assert _along_arcs(*arc)[0, 0] == pytest.approx(along, abs=1e-4)
+    assert _aside_of_arcs(*arc)[0, 0] == pytest.approx(aside, abs=1e-4)
 
 
 def test_a_parked_car_is_no_piece_of_a_trail_on_a_narrow_bend():
