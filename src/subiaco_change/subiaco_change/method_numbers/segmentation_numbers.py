@@ -23,7 +23,9 @@ class RaisedGroundNumbers(StrictModel):
     heights: tuple[float, float] = Field(
         (0.15, 0.7), description="Heights above the ground model between which ground was raised [m]"
     )
-    level: float = Field(0.95, description="Vertical component of the normal above which a point is level")
+    level: float = Field(
+        0.95, description="Vertical component of the normal above which a point is level, as a ratio"
+    )
     roughness: float = Field(0.05, description="Roughness below which a surface is smooth [m]")
     width: float = Field(
         1.0,
