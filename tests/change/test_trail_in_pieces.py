@@ -11,8 +11,7 @@ from subiaco_change.decisions.config import DecisionConfig
 from subiaco_change.decisions.dynamic_objects import OwnEpochEvidence
 from subiaco_change.decisions.trail_in_pieces import (
     Surroundings,
-    _along_arcs,
-    _aside_of_arcs,
+    _on_arcs,
     is_piece_of_trail,
     surroundings,
 )
@@ -107,8 +106,8 @@ def test_a_place_on_a_circle_is_told_by_its_length_along_it_and_its_distance_fro
     on_circle = np.array([np.cos(middle).sum(), np.sin(middle).sum()]) * along / 2000
     place = on_circle + aside * np.array([-np.sin(turned), np.cos(turned)])
     arc = place[None], np.array([[np.cos(heading), np.sin(heading)]]), np.array([bend])
-    assert _along_arcs(*arc)[0, 0] == pytest.approx(along, abs=1e-4)
-    assert _aside_of_arcs(*arc)[0, 0] == pytest.approx(aside, abs=1e-4)
+    assert _on_arcs(*arc, lengthwise=True)[0, 0] == pytest.approx(along, abs=1e-4)
+    assert _on_arcs(*arc, lengthwise=False)[0, 0] == pytest.approx(aside, abs=1e-4)
 
 
 def test_a_parked_car_is_no_piece_of_a_trail_on_a_narrow_bend():

@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 from test_occupancy import REACH, car, epoch, everywhere
 
-from subiaco_change.decisions.vehicle_bodies import inside_vehicles, with_vehicles
+from subiaco_change.decisions.vehicle_bodies import inside_vehicles
 from subiaco_change.decisions.voxel_objects import build_voxels
+from subiaco_change.method_rules.switches import rules_switched_off
 from subiaco_geo.codes import Semantic
 
 
@@ -25,8 +26,9 @@ def test_what_lies_inside_a_car_is_occupied_though_every_beam_crossed_it(degrees
     rng = np.random.default_rng(1)
     inside = epoch(turned(seats(rng), degrees), Semantic.MOBILE)
     other = epoch(turned(car(rng), degrees), Semantic.MOBILE)
-    plain = build_voxels(inside, other, everywhere, 0.25, REACH)
-    known = with_vehicles(plain, other)
+    with rules_switched_off(["closed_vehicles"]):
+        plain = build_voxels(inside, other, everywhere, 0.25, REACH)
+    known = build_voxels(inside, other, everywhere, 0.25, REACH)
     assert plain.observed_unoccupied.any()
     assert known.occupied_in_other.all()
     assert not known.free_space_confirmed.any()

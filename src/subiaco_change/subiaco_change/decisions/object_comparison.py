@@ -16,7 +16,6 @@ from subiaco_change.decisions.driven_lane import limit_in_lane
 from subiaco_change.decisions.dynamic_objects import Observed, limit_confidence, own_epoch_evidence
 from subiaco_change.decisions.measures import footprint, same_place
 from subiaco_change.decisions.object_decision import ObjectChange, ObjectRules, decide_object
-from subiaco_change.decisions.vehicle_bodies import inside_vehicles, with_vehicles
 from subiaco_change.decisions.voxel_objects import (
     EpochView,
     ObjectInstance,
@@ -64,7 +63,6 @@ def compare_objects(
     )
     voxels_b = build_voxels(before, after, seen_by_after, edge, reach, step, rules.free[1])
     voxels_a = build_voxels(after, before, seen_by_before, edge, reach, step, rules.free[0])
-    voxels_b, voxels_a = with_vehicles(voxels_b, after), with_vehicles(voxels_a, before)
     objects_before = _with_parts((before, after), voxels_b, 1, reach, rules)
     objects_after = _with_parts((after, before), voxels_a, 0, reach, rules)
     if rules.by_class:
@@ -104,7 +102,6 @@ def _with_parts(
         objects = split_felled_crowns(objects, *views, reach)
     joined = join_voxels(objects)
     seen_free = places_seen_free(joined, views[1], reach, rules.free[other])
-    seen_free &= ~inside_vehicles(joined.xyz, views[1])
     ends = np.cumsum([len(t.voxels) for t in objects])[:-1]
     free = np.split(seen_free, ends) if objects else []
     parted = split_one_epoch_parts(objects, rules.association.parts, free)

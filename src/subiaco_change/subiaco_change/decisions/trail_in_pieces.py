@@ -227,23 +227,16 @@ def _along_arc(x: float, y: float, direction: Floats, bend: float) -> float:
 
 
 @numba.njit(cache=True)
-def _along_arcs(step: Floats, direction: Floats, bend: Floats) -> Floats:
-    """Places (A, N) of points (N, 2) along arcs (A,) [m]."""
-    along = np.empty((len(bend), len(step)))
+def _on_arcs(step: Floats, direction: Floats, bend: Floats, lengthwise: bool) -> Floats:
+    """Lengths (A, N) of points (N, 2) along arcs (A,), or their distances to the left of these [m]."""
+    found = np.empty((len(bend), len(step)))
     for arc in range(len(bend)):
         for number, (x, y) in enumerate(step):
-            along[arc, number] = _along_arc(x, y, direction[arc], bend[arc])
-    return along
-
-
-@numba.njit(cache=True)
-def _aside_of_arcs(step: Floats, direction: Floats, bend: Floats) -> Floats:
-    """Distances (A, N) of points (N, 2) to the left of arcs (A,) [m]."""
-    aside = np.empty((len(bend), len(step)))
-    for arc in range(len(bend)):
-        for number, (x, y) in enumerate(step):
-            aside[arc, number] = _aside_of_arc(x, y, direction[arc], bend[arc])
-    return aside
+            if lengthwise:
+                found[arc, number] = _along_arc(x, y, direction[arc], bend[arc])
+            else:
+                found[arc, number] = _aside_of_arc(x, y, direction[arc], bend[arc])
+    return found
 
 
 def _arcs_through(place: Floats, bends: Floats) -> _Arcs:
@@ -251,10 +244,11 @@ def _arcs_through(place: Floats, bends: Floats) -> _Arcs:
     angle = np.repeat(np.arange(_DIRECTIONS) * np.pi / _DIRECTIONS, len(bends))
     bend = np.tile(bends, _DIRECTIONS)
     direction, centre = np.stack([np.cos(angle), np.sin(angle)], axis=1), np.median(place, axis=0)
-    left, right = np.quantile(_aside_of_arcs(place - centre, direction, bend), [0.025, 0.975], axis=1)
+    step, ends = place - centre, [0.025, 0.975]
+    left, right = np.quantile(_on_arcs(step, direction, bend, lengthwise=False), ends, axis=1)
     fits = right - left <= _WIDEST
     direction, bend = direction[fits], bend[fits]
-    low, high = np.quantile(_along_arcs(place - centre, direction, bend), [0.025, 0.975], axis=1)
+    low, high = np.quantile(_on_arcs(step, direction, bend, lengthwise=True), ends, axis=1)
     return _Arcs(centre, direction, bend, low, high, 0.5 * (left + right)[fits])
 
 
@@ -275,7 +269,10 @@ class _Pieces:
 def _pieces_along(arcs: _Arcs, number: int, pieces: Floats) -> _Pieces:
     """Place pieces (N, 2) along one of the arcs."""
     one = pieces - arcs.centre, arcs.direction[number : number + 1], arcs.bend[number : number + 1]
-    along, aside = _along_arcs(*one)[0], _aside_of_arcs(*one)[0] - arcs.middle[number]
+    along, aside = (
+        _on_arcs(*one, lengthwise=True)[0],
+        _on_arcs(*one, lengthwise=False)[0] - arcs.middle[number],
+    )
     low, high = arcs.low[number], arcs.high[number]
     distance = np.maximum(along - high, low - along)
     return _Pieces(along, aside, along > high, np.floor(distance / _STEP).astype(np.int64))

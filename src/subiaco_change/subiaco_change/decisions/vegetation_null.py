@@ -257,9 +257,10 @@ def _with_leaves(
     nothing.
     """
     found = {}
+    kept = [p for p in own if _kept_extent(p, kind, fits)]
     for measure in ("volume", "surface"):
         fit = fits.get(f"{kind}/{measure}")
-        stayed = [p for p in own if _kept_extent(p, kind, fits) and math.isfinite(p.value(measure))]
+        stayed = [p for p in kept if math.isfinite(p.value(measure))]
         if fit is None or len(stayed) < config.plants:
             continue
         apart = [abs(p.value(measure) - fit.expected(p).shift) for p in stayed]

@@ -6,11 +6,10 @@ its inside was free, nor do gaps between the points of a sparse cloud.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
-from subiaco_change.decisions.voxel_objects import EpochView, Voxels
 from subiaco_change.geometry import in_box_around
 from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import none_of_them, switchable
@@ -20,6 +19,9 @@ from subiaco_change.segmentation.clustering import group_indices
 from subiaco_change.segmentation.ground_model import Mask
 from subiaco_geo.codes import Semantic
 from subiaco_geo.frames import Floats
+
+if TYPE_CHECKING:
+    from subiaco_change.decisions.voxel_objects import EpochView
 
 _NARROWEST, _WIDEST = NUMBERS.vehicle_bodies.width
 _SHORTEST, _LONGEST = NUMBERS.vehicle_bodies.length
@@ -32,23 +34,12 @@ def inside_vehicles(places: Floats, view: EpochView) -> Mask:
     found = np.zeros(len(places), dtype=bool)
     members = np.flatnonzero((view.semantic == Semantic.MOBILE) & (view.instance >= 0))
     for group in group_indices(view.instance[members].astype(np.int64)):
-        xyz = view.xyz[members[group]]
-        near = np.flatnonzero(in_box_around(places, xyz, 0.0)) if len(xyz) else group
-        if len(near) == 0:
+        if len(group) == 0:  # a number that no vehicle has
             continue
+        xyz = view.xyz[members[group]]
+        near = np.flatnonzero(in_box_around(places, xyz, 0.0))
         long, narrow = box_sides(xyz[:, :2])
-        if _NARROWEST <= narrow <= _WIDEST and _SHORTEST <= long <= _LONGEST:
+        if len(near) and _NARROWEST <= narrow <= _WIDEST and _SHORTEST <= long <= _LONGEST:
             below = places[near, 2] <= quantile_of(xyz[:, 2], _TOP)
             found[near[below & in_box_of(xyz[:, :2], places[near, :2], 0.0)]] = True
     return found
-
-
-def with_vehicles(voxels: Voxels, other: EpochView) -> Voxels:
-    """Voxels of one epoch, of which those inside vehicles of the other are occupied there."""
-    inside = inside_vehicles(voxels.xyz, other)
-    return replace(
-        voxels,
-        observed=voxels.observed | inside,
-        occupied_in_other=voxels.occupied_in_other | inside,
-        free_space_confirmed=voxels.free_space_confirmed & ~inside,
-    )

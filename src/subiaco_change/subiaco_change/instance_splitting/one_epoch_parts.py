@@ -287,12 +287,12 @@ def decide_vehicle_part(
         )
         return Decision(Change.UNOBSERVED, reason, 1.0 - across)
     xyz = join_voxels(objects).xyz
-    held = float(lies_near(xyz, standing, _NEXT).mean())
     narrow, long = footprint_sides(xyz)
     short = applies("ends_of_vehicles", _VEHICLE <= long < _LENGTH)
-    limit = _HELD_END if short else _HELD
     if narrow >= _VEHICLE and not short:
         return _decide_shell(xyz, long, standing)
+    held = float(lies_near(xyz, standing, _NEXT).mean())
+    limit = _HELD_END if short else _HELD
     if held < limit:
         return None
     reason = (
@@ -321,8 +321,7 @@ def _decide_shell(xyz: Floats, long: float, standing: Floats) -> Decision | None
 def _surrounds(xyz: Floats, points: Floats) -> bool:
     """Tell whether places (M, 3) lie around points (N, 3) as long as a car: the sides of a larger vehicle."""
     inside = points[in_box_around(points, xyz, 0.0)]
-    if len(inside):
-        inside = inside[in_box_of(xyz[:, :2], inside[:, :2], 0.0)]
+    inside = inside[in_box_of(xyz[:, :2], inside[:, :2], 0.0)]
     if len(inside) == 0 or footprint_sides(inside)[1] < _LENGTH:
         return False
     return bool(oriented_rectangle(inside[:, :2]).contains(Point(xyz[:, :2].mean(axis=0))))

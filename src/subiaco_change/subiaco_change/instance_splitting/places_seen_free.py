@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from subiaco_change.decisions.vehicle_bodies import inside_vehicles
 from subiaco_change.decisions.voxel_objects import (
     EpochView,
     Free,
@@ -53,6 +54,7 @@ def places_seen_free(voxels: Voxels, other: EpochView, reach: Reach, free: Free 
     found[found] = ~_lies_on_surface(voxels.xyz[found], other.xyz[standing], other.normals[standing], reach)
     ground = other.xyz[other.semantic == Semantic.GROUND]
     found[found] = ~occupied_by_ground(voxels.xyz[found], ground, reach)
+    found[found] = ~inside_vehicles(voxels.xyz[found], other)
     return found
 
 

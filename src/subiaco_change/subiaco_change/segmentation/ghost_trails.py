@@ -108,8 +108,8 @@ def moving_points(
 ) -> Mask:
     """Tell which free points (N,) belong to trails.
 
-    At the edge of a roof, too, most beams cross a voxel without a return. Such an edge touches the rest of
-    its object. A trail keeps a distance from standing objects; only a long one may pass close to them.
+    Most beams also cross the voxels at the edge of a roof without a return, but other points of the roof lie
+    beside them. A trail keeps a distance from standing objects; only a long one may pass close to them.
 
     Parameters
     ----------

@@ -13,6 +13,7 @@ from subiaco_change.method_numbers import NUMBERS
 from subiaco_change.method_rules.switches import none_of_them, switchable
 from subiaco_change.segmentation.features import Features
 from subiaco_change.segmentation.ground_model import Mask
+from subiaco_change.segmentation.trail_raster import AROUND
 from subiaco_geo.frames import Floats
 
 _CELL = NUMBERS.raised_ground.cell
@@ -21,7 +22,6 @@ _LEVEL = NUMBERS.raised_ground.level
 _SMOOTH = NUMBERS.raised_ground.roughness
 _WIDE = round(NUMBERS.raised_ground.width / _CELL)
 _AREA = NUMBERS.raised_ground.area
-_AROUND = np.ones((3, 3))
 _NEAR = NUMBERS.raised_ground.same_level
 
 
@@ -49,11 +49,11 @@ def raised_ground(xyz: Floats, height: Floats, features: Features) -> Mask:
     np.add.at(number, tuple(index[is_flat].T), 1.0)
     np.add.at(total, tuple(index[is_flat].T), height[low[is_flat]])
     wide = ndimage.binary_opening(number > 0, np.ones((_WIDE, _WIDE)))
-    labels, count = ndimage.label(wide, _AROUND)
+    labels, count = ndimage.label(wide, AROUND)
     area = np.bincount(labels.ravel(), minlength=count + 1) * _CELL**2
     kept = (area >= _AREA)[labels] & wide
     number, total = (
-        ndimage.convolve(np.where(kept, v, 0.0), _AROUND, mode="constant") for v in (number, total)
+        ndimage.convolve(np.where(kept, v, 0.0), AROUND, mode="constant") for v in (number, total)
     )
     with np.errstate(invalid="ignore"):
         usual = (total / number)[tuple(index.T)]
